@@ -1,0 +1,1 @@
+"""LieEDNN on a telescopic manipulator: certified neural planners on se(3), simulated and rendered in MuJoCo."""

@@ -1,0 +1,7 @@
+"""Arms: MJCF models of compound joints, with their forward map, encoding and retraction."""
+
+from lieednn_sim.arm.arm import Arm
+from lieednn_sim.arm.joints import CompoundJoints, Retraction
+from lieednn_sim.arm.models import arm_names, models_directory, scene_path
+
+__all__ = ["Arm", "CompoundJoints", "Retraction", "arm_names", "models_directory", "scene_path"]

@@ -1,0 +1,31 @@
+"""The exceptions that users of the package meet: each message says what was given, what is allowed and what to do."""
+
+from __future__ import annotations
+
+
+class LieEDNNError(Exception):
+    """Base of every error that the package raises on purpose."""
+
+
+class InputError(LieEDNNError, ValueError):
+    """A value has the wrong shape, type or range."""
+
+
+class FileError(LieEDNNError, OSError):
+    """A file is missing, unreadable, corrupt or cannot be written."""
+
+
+class NotCertifiedError(LieEDNNError):
+    """No network with a proof of global stability could be made for the target."""
+
+
+class PlanError(LieEDNNError):
+    """A planned motion breaks a limit of the arm, or does not reach its target."""
+
+
+class SimulationError(LieEDNNError):
+    """The physics diverged or MuJoCo raised a warning."""
+
+
+class RenderingUnavailableError(LieEDNNError):
+    """There is no working headless OpenGL on this machine."""

@@ -1,0 +1,151 @@
+"""Twists, the adjoint representation and the left Jacobians of SO(3) and SE(3)."""
+
+from __future__ import annotations
+
+from math import factorial
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import RigidTransform
+
+from lieednn_sim.errors import InputError
+from lieednn_sim.validation import as_floats
+
+Floats = NDArray[np.float64]
+
+# Below this angle [rad] the trigonometric coefficients are summed as Taylor series: their closed forms lose
+# digits by cancellation, (theta - sin theta - theta^3/6) / theta^5 already all of them at 1e-3.
+_SERIES_ANGLE = 1.0
+_SERIES_TERMS = 10
+
+
+def hat(vector: ArrayLike) -> Floats:
+    """Matrix form of so(3) vectors ``(..., 3)`` or of twists ``(..., 6)``.
+
+    Returns:
+        ``(..., 3, 3)`` skew-symmetric matrices, or ``(..., 4, 4)`` matrices ``[[hat(omega), v], [0, 0]]``.
+
+    Raises:
+        InputError: the last axis is neither 3 nor 6, or an entry is not finite.
+    """
+    size = np.shape(vector)[-1] if np.ndim(vector) else 0
+    if size not in (3, 6):
+        raise InputError(f"hat needs vectors of shape (..., 3) or (..., 6), got {np.shape(vector)}")
+    array = as_floats("vector", vector, (size,), batched=True)
+    if size == 3:
+        return _skew(array)
+    matrix = np.zeros((*array.shape[:-1], 4, 4))
+    matrix[..., :3, :3] = _skew(array[..., :3])
+    matrix[..., :3, 3] = array[..., 3:]
+    return matrix
+
+
+def vee(matrix: ArrayLike) -> Floats:
+    """Inverse of `hat`: ``(..., 3, 3)`` to ``(..., 3)``, ``(..., 4, 4)`` to ``(..., 6)``.
+
+    The antisymmetric part is read, so rounding in a matrix that is skew up to rounding is averaged out.
+    """
+    shape = np.shape(matrix)
+    if shape[-2:] not in ((3, 3), (4, 4)):
+        raise InputError(f"vee needs matrices of shape (..., 3, 3) or (..., 4, 4), got {shape}")
+    array = as_floats("matrix", matrix, shape[-2:], batched=True)
+    lower = (array[..., 2, 1], array[..., 0, 2], array[..., 1, 0])
+    upper = (array[..., 1, 2], array[..., 2, 0], array[..., 0, 1])
+    omega = 0.5 * (np.stack(lower, axis=-1) - np.stack(upper, axis=-1))
+    if shape[-1] == 3:
+        return omega
+    return np.concatenate([omega, array[..., :3, 3]], axis=-1)
+
+
+def exp(twist: ArrayLike) -> RigidTransform:
+    """Exponential map of twists ``(..., 6)`` [rad, m]: SciPy's, with the input checked."""
+    return RigidTransform.from_exp_coords(as_floats("twist", twist, (6,), batched=True))
+
+
+def log(pose: RigidTransform) -> Floats:
+    """Principal logarithm ``(..., 6)`` of poses, rotation angle at most pi: SciPy's."""
+    return np.asarray(pose.as_exp_coords())
+
+
+def adjoint(rotation: ArrayLike, translation: ArrayLike) -> Floats:
+    """Adjoint matrices ``[[R, 0], [hat(t) R, R]]`` of SE(3) acting on twists (omega, v).
+
+    Args:
+        rotation: ``(..., 3, 3)`` rotation matrices.
+        translation: ``(..., 3)`` translations [m].
+
+    Returns:
+        ``(..., 6, 6)``, with exp(Ad_T xi) = T exp(xi) T^-1.
+    """
+    matrix = as_floats("rotation", rotation, (3, 3), batched=True)
+    offset = as_floats("translation", translation, (3,), batched=True)
+    if matrix.shape[:-2] != offset.shape[:-1]:
+        raise InputError(
+            f"rotation and translation must share their leading axes, got {matrix.shape} and {offset.shape}"
+        )
+    result = np.zeros((*matrix.shape[:-2], 6, 6))
+    result[..., :3, :3] = result[..., 3:, 3:] = matrix
+    result[..., 3:, :3] = _skew(offset) @ matrix
+    return result
+
+
+def left_jacobian_so3(omega: ArrayLike) -> Floats:
+    """Left Jacobian of SO(3), ``(..., 3)`` to ``(..., 3, 3)``: Exp(omega + d) = Exp(J d) Exp(omega) to first order.
+
+    J = I + (1 - cos theta)/theta^2 hat(omega) + (theta - sin theta)/theta^3 hat(omega)^2
+    (Barfoot, State Estimation for Robotics, 2017, eq. 7.77).
+    """
+    vector = as_floats("omega", omega, (3,), batched=True)
+    b, c = _coefficients(np.linalg.norm(vector, axis=-1), 2, 3)
+    skew = _skew(vector)
+    return np.eye(3) + b[..., None, None] * skew + c[..., None, None] * (skew @ skew)
+
+
+def left_jacobian_se3(twist: ArrayLike) -> Floats:
+    """Left Jacobian of SE(3), ``(..., 6)`` to ``(..., 6, 6)``, for twists (omega, v).
+
+    Exp(xi + d) = Exp(J d) Exp(xi) to first order, J = [[J_so3, 0], [Q, J_so3]]
+    with Q of Barfoot 2017, eq. 7.86, rewritten for this order of the twist.
+    """
+    vector = as_floats("twist", twist, (6,), batched=True)
+    w, v = _skew(vector[..., :3]), _skew(vector[..., 3:])
+    angle = np.linalg.norm(vector[..., :3], axis=-1)
+    c, d, e = (k[..., None, None] for k in _coefficients(angle, 3, 4, 5))
+    wv, vw = w @ v, v @ w
+    wvw = w @ vw
+    result = np.zeros((*vector.shape[:-1], 6, 6))
+    result[..., :3, :3] = result[..., 3:, 3:] = left_jacobian_so3(vector[..., :3])
+    result[..., 3:, :3] = (
+        0.5 * v + c * (wv + vw + wvw) + d * (w @ wv + vw @ w - 3.0 * wvw) + 0.5 * (d - 3.0 * e) * (wvw @ w + w @ wvw)
+    )
+    return result
+
+
+def _skew(vector: Floats) -> Floats:
+    x, y, z = np.moveaxis(vector, -1, 0)
+    o = np.zeros_like(x)
+    return np.stack([o, -z, y, z, o, -x, -y, x, o], axis=-1).reshape(*vector.shape, 3)
+
+
+def _coefficients(angle: Floats, *orders: int) -> list[Floats]:
+    """f_n(theta) = sum_k (-1)^k theta^2k / (2k + n)!, the coefficients of the Jacobians.
+
+    f_2 = (1 - cos)/theta^2, f_3 = (theta - sin)/theta^3, f_4 = (theta^2/2 + cos - 1)/theta^4,
+    f_5 = (theta^3/6 + sin - theta)/theta^5.
+    """
+    square = angle * angle
+    big = angle > _SERIES_ANGLE
+    x = np.where(big, angle, 1.0)
+    closed = {
+        2: lambda: (1.0 - np.cos(x)) / x**2,
+        3: lambda: (x - np.sin(x)) / x**3,
+        4: lambda: (0.5 * x**2 + np.cos(x) - 1.0) / x**4,
+        5: lambda: (x**3 / 6.0 + np.sin(x) - x) / x**5,
+    }
+    results = []
+    for order in orders:
+        series = np.zeros_like(square)
+        for k in reversed(range(_SERIES_TERMS)):
+            series = series * square + (-1.0) ** k / factorial(2 * k + order)
+        results.append(np.where(big, closed[order](), series))
+    return results

@@ -1,0 +1,204 @@
+"""From a network to a joint trajectory that starts and ends at rest and takes a stated duration.
+
+The network runs in its own time tau: its field starts with a step in velocity and arrives exponentially, never in finite
+time. A robot does neither. So the path q(tau) that the network draws is kept, and run through by a minimum-jerk law in
+its length l, measured in joint velocity limits: l(t) = L sigma(t / T) with sigma = 10 s^3 - 15 s^4 + 6 s^5. The path is
+cut where the network is within `RESIDUAL` of its equilibrium.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.interpolate import CubicSpline
+
+from lieednn_sim import storage
+from lieednn_sim.arm import Arm
+from lieednn_sim.errors import FileError, InputError, PlanError
+from lieednn_sim.network import LieEDNN
+from lieednn_sim.validation import as_floats, as_positive
+
+Floats = NDArray[np.float64]
+
+# Distance to the equilibrium at which the network's path is cut [network coordinates: rad, length_scale m].
+RESIDUAL = 1e-8
+_SAMPLES_PER_STEP = 8
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A joint trajectory planned by a network, sampled at constant time steps.
+
+    Attributes:
+        t: ``(K,)`` [s].
+        tau: ``(K,)`` the network's own time.
+        xi: ``(K, N, 6)`` network states.
+        xi_target: ``(N, 6)`` the network's equilibrium.
+        q: ``(K, 2N)`` joint positions [rad, m].
+        qd: ``(K, 2N)`` joint velocities [rad/s, m/s].
+        gap_translation: ``(K, N)`` distance of the decoded poses from the joints' own set [m].
+        gap_rotation: ``(K, N)`` the same as an angle [rad].
+    """
+
+    t: Floats
+    tau: Floats
+    xi: Floats
+    xi_target: Floats
+    q: Floats
+    qd: Floats
+    gap_translation: Floats
+    gap_rotation: Floats
+
+    @property
+    def residual(self) -> float:
+        """Largest coordinate of xi - xi_target left at the end."""
+        return float(np.abs(self.xi[-1] - self.xi_target).max())
+
+    @property
+    def timestep(self) -> float:
+        """Sampling period [s]."""
+        return float(self.t[1] - self.t[0])
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write to an ``.npz`` file, atomically."""
+        storage.save_arrays(path, "motion", vars(self), {})
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Motion:
+        """Read a file of `save`; `FileError` when it is none."""
+        arrays, _ = storage.load_arrays(path, "motion")
+        names = tuple(cls.__dataclass_fields__)
+        motion = cls(**dict(zip(names, storage.take(arrays, path, *names), strict=True)))
+        k = len(motion.t)
+        if k < 2 or any(len(getattr(motion, name)) != k for name in names if name != "xi_target"):
+            raise FileError(f"{path} is not a valid motion: its arrays differ in length")
+        return motion
+
+
+def make_motion(arm: Arm, network: LieEDNN, start: ArrayLike, duration: float, timestep: float) -> Motion:
+    """Decode the network's trajectory from joint position ``start`` ``(2N,)`` and time it to ``duration`` [s].
+
+    Args:
+        arm: decodes states to joint positions.
+        network: with as many neurons as the arm has links.
+        start: joint position at rest.
+        duration: of the motion [s], rounded to a whole number of time steps.
+        timestep: sampling period [s], the simulation's step.
+
+    Raises:
+        InputError: start out of limits, or network and arm differ in size.
+        PlanError: the network has no equilibrium or does not arrive there.
+    """
+    if network.n_neurons != arm.n_links:
+        raise InputError(f"the network has {network.n_neurons} neurons, arm {arm.name!r} has {arm.n_links} links")
+    origin = arm.encode(arm.check_position(start, "start"))
+    steps = round(as_positive("duration", duration) / as_positive("timestep", timestep))
+    if steps < 2:
+        raise InputError(f"duration must be at least two time steps of {timestep:g} s, got {duration:g} s")
+    equilibrium = network.equilibrium(origin)
+    if not equilibrium.success:
+        raise PlanError(f"the network cannot be used for a motion: {equilibrium.message}")
+    t = timestep * np.arange(steps + 1)
+    target = equilibrium.xi
+    if np.abs(origin - target).max() <= RESIDUAL:
+        return _at_rest(arm, t, origin, target)
+    trajectory = network.trajectory(origin, 1e4 / network.gamma, until=target, distance=RESIDUAL)
+    if np.abs(trajectory.xi[-1] - target).max() > 2.0 * RESIDUAL:
+        raise PlanError("the network does not arrive at its equilibrium from this start; use a certified network")
+    fraction = np.arange(_SAMPLES_PER_STEP) / _SAMPLES_PER_STEP
+    grid = (trajectory.t[:-1, None] + np.diff(trajectory.t)[:, None] * fraction).ravel()
+    grid = np.append(grid, trajectory.t[-1])
+    weights = np.where(np.isfinite(arm.velocity_limits), arm.velocity_limits, 1.0)
+
+    def rates(states: Floats) -> Floats:
+        rate = arm.decode(states, network.vector_field(states)).qd
+        assert rate is not None
+        return rate
+
+    speed = CubicSpline(grid, np.linalg.norm(rates(trajectory(grid)) / weights, axis=-1))
+    length = speed.antiderivative()
+    total = float(length(grid[-1]))
+    progress, progress_rate = _minimum_jerk(t / t[-1])
+    tau = _invert(length, speed, grid, total * progress)
+    xi = trajectory(tau)
+    decoded = arm.decode(xi)
+    tau_rate = total * progress_rate / (t[-1] * np.maximum(speed(tau), 1e-300))
+    qd = rates(xi) * tau_rate[:, None]
+    qd[[0, -1]] = 0.0
+    return Motion(t, tau, xi, target, decoded.q, qd, decoded.gap_translation, decoded.gap_rotation)
+
+
+def _minimum_jerk(s: Floats) -> tuple[Floats, Floats]:
+    """Position and slope in s of the minimum-jerk law on [0, 1] (Flash and Hogan, J. Neuroscience 5(7), 1985)."""
+    return s**3 * (10.0 - 15.0 * s + 6.0 * s**2), 30.0 * s**2 * (1.0 - s) ** 2
+
+
+def _invert(length: CubicSpline, speed: CubicSpline, grid: Floats, wanted: Floats) -> Floats:
+    """tau with length(tau) = wanted, by bisection-safeguarded Newton steps on all samples at once."""
+    known = length(grid)
+    index = np.clip(np.searchsorted(known, wanted, side="right") - 1, 0, len(grid) - 2)
+    low, high = grid[index].copy(), grid[index + 1].copy()
+    tau = 0.5 * (low + high)
+    for _ in range(60):
+        error = length(tau) - wanted
+        low, high = np.where(error < 0.0, tau, low), np.where(error >= 0.0, tau, high)
+        newton = tau - error / np.maximum(speed(tau), 1e-300)
+        trial = np.where((newton > low) & (newton < high), newton, 0.5 * (low + high))
+        if np.abs(trial - tau).max() <= 1e-14 * grid[-1]:
+            break
+        tau = trial
+    tau[0], tau[-1] = grid[0], grid[-1]
+    return tau
+
+
+def _at_rest(arm: Arm, t: Floats, origin: Floats, target: Floats) -> Motion:
+    xi = np.broadcast_to(origin, (len(t), *origin.shape)).copy()
+    decoded = arm.decode(xi)
+    return Motion(
+        t, np.zeros_like(t), xi, target, decoded.q, np.zeros_like(decoded.q), decoded.gap_translation, decoded.gap_rotation
+    )
+
+
+def check_motion(arm: Arm, motion: Motion) -> None:
+    """Check joint positions, velocities and contacts along the whole motion.
+
+    Raises:
+        PlanError: names the joint, the value, the bound, and what would help.
+    """
+    low, high = arm.position_limits.T
+    outside = np.maximum(low - motion.q, motion.q - high)
+    k, joint = np.unravel_index(outside.argmax(), outside.shape)
+    if outside[k, joint] > 1e-9:
+        raise PlanError(
+            f"joint {arm.joint_names[joint]!r} would reach {motion.q[k, joint]:.4g} {arm.unit(joint)} at "
+            f"t = {motion.t[k]:.2f} s, its range is [{low[joint]:.4g}, {high[joint]:.4g}]; try more candidates, another "
+            "seed, a larger bias magnitude or the solved bias"
+        )
+    ratio = np.abs(motion.qd) / arm.velocity_limits
+    k, joint = np.unravel_index(ratio.argmax(), ratio.shape)
+    if ratio[k, joint] > 1.0:
+        unit = arm.unit(joint) + "/s"
+        raise PlanError(
+            f"joint {arm.joint_names[joint]!r} would move at {abs(motion.qd[k, joint]):.3g} {unit} at "
+            f"t = {motion.t[k]:.2f} s, its limit is {arm.velocity_limits[joint]:.3g} {unit}; a duration of at least "
+            f"{motion.t[-1] * ratio[k, joint]:.2f} s keeps it"
+        )
+    for k in np.unique(np.linspace(0, len(motion.t) - 1, 60, dtype=int)):
+        touching = arm.contacts(motion.q[k])
+        if touching:
+            raise PlanError(
+                f"{touching[0][0]!r} would touch {touching[0][1]!r} at t = {motion.t[k]:.2f} s; try more candidates, "
+                "another seed or another target"
+            )
+
+
+def joint_target(arm: Arm, target: ArrayLike) -> Floats:
+    """Check a joint target against the arm's limits and for contact, and return it."""
+    q = arm.check_position(as_floats("target", target, (arm.n_joints,)), "target")
+    touching = arm.contacts(q)
+    if touching:
+        raise InputError(f"target is out of reach: {touching[0][0]!r} would touch {touching[0][1]!r} there")
+    return q

@@ -1,0 +1,218 @@
+"""Certified synthesis: a LieEDNN with a given equilibrium and a proof of global stability."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from threadpoolctl import ThreadpoolController
+
+from lieednn_sim.errors import InputError, NotCertifiedError
+from lieednn_sim.network import ACTIVATIONS, LieEDNN
+from lieednn_sim.stability import Certificate
+from lieednn_sim.synthesis.bias import bias_for, impossibility
+from lieednn_sim.synthesis.problem import Point, Problem
+from lieednn_sim.synthesis.search import feasible_point, polish, smallest_eigenvalue_point
+from lieednn_sim.validation import as_choice, as_count, as_floats, as_positive
+
+Floats = NDArray[np.float64]
+
+RESIDUAL_TOLERANCE = 1e-9
+# Below this largest output the rotations cannot carry translations, and both sets of equations go to the weights.
+_SMALL_ROTATION = 0.05
+# Starts of the fast search before the patient one takes over.
+_FAST_ATTEMPTS = 4
+# The less the quaternions move, the better the certificate survives, and the larger the translations become.
+_POLISH_WEIGHTS = (0.05, 0.01, 0.001)
+# Matrices here are far too small for threaded BLAS, which slows them down several times.
+_BLAS = ThreadpoolController()
+
+
+@dataclass(frozen=True)
+class Synthesis:
+    """Result of `synthesize`.
+
+    Attributes:
+        success: whether `network` is certified and has the target as its equilibrium.
+        message: how it ended; where it failed, why.
+        network: the certified network, or None. An uncertified network is never returned.
+        residual: largest entry of the vector field at the target.
+        largest_translation: largest |t_ij| of the weights.
+        attempts: starts tried.
+        iterations: iterations of the searches over all starts.
+        seconds: wall time.
+    """
+
+    success: bool
+    message: str
+    network: LieEDNN | None
+    residual: float
+    largest_translation: float
+    attempts: int
+    iterations: int
+    seconds: float
+
+    @property
+    def certificate(self) -> Certificate | None:
+        """The verified certificate of the network."""
+        return self.network.certificate if self.network is not None else None
+
+    def unwrap(self) -> LieEDNN:
+        """The network, or `NotCertifiedError` with the reason."""
+        if self.network is None:
+            raise NotCertifiedError(self.message)
+        return self.network
+
+
+def synthesize(
+    xi: ArrayLike,
+    *,
+    bias: str | ArrayLike = "uniform",
+    bias_magnitude: float = 0.125,
+    gamma: float = 1.0,
+    mu: float = 1.0,
+    activation: str = "tanh",
+    seed: int | np.random.Generator = 0,
+    max_translation: float = 20.0,
+    max_attempts: int = 16,
+) -> Synthesis:
+    """Make a network whose one equilibrium is ``xi``, globally attractive by proof.
+
+    xi is an equilibrium exactly when W phi(xi) = (gamma/mu) xi - b. The 3N rotational equations are met in (alpha, R)
+    under the eigenvalue bound of `stability`, the 3N translational ones then almost always through t alone.
+
+    Args:
+        xi: ``(N, 6)`` target, twists (omega, v).
+        bias: a name of `BIAS_RULES` or an array ``(N, 6)``.
+        bias_magnitude: strength of the uniform and sign-matched rules.
+        gamma: decay rate.
+        mu: scale of the interaction.
+        activation: a name of `network.ACTIVATIONS`.
+        seed: of the random starts; the same seed gives the same network.
+        max_translation: largest |t_ij| allowed.
+        max_attempts: starts to try before giving up.
+
+    Returns:
+        The outcome. It failed where `network` is None: then `message` says whether no such network exists, or none was
+        found in ``max_attempts`` starts.
+
+    Raises:
+        InputError: a value has the wrong shape or range.
+    """
+    begun = time.perf_counter()
+    target = as_floats("xi", xi, ("N", 6))
+    if len(target) == 0:
+        raise InputError("xi must have shape (N, 6) with N >= 1, got (0, 6)")
+    as_choice("activation", activation, ACTIVATIONS)
+    ratio = as_positive("gamma", gamma) / as_positive("mu", mu)
+    as_positive("max_translation", max_translation)
+    solved = isinstance(bias, str) and bias == "solved"
+    if isinstance(bias, str):
+        offset = bias_for(bias, target, as_positive("bias_magnitude", bias_magnitude))
+    else:
+        offset = as_floats("bias", bias, target.shape)
+    # All in units of gamma/mu: W' = W mu/gamma has bound 1.
+    state = ACTIVATIONS[activation][0](target)
+    required = target - offset / ratio
+    attempts, iterations = 0, 0
+
+    def outcome(message: str, network: LieEDNN | None = None) -> Synthesis:
+        residual, largest = np.inf, np.inf
+        if network is not None:
+            residual = float(np.abs(network.vector_field(target)).max())
+            largest = float(np.linalg.norm(network.translation, axis=-1).max())
+        elapsed = time.perf_counter() - begun
+        return Synthesis(network is not None, message, network, residual, largest, attempts, iterations, elapsed)
+
+    if not solved:
+        reason = impossibility(state[:, :3], required[:, :3], 1.0)
+        if reason is not None:
+            return outcome(f"not certified: {reason}")
+    rng = np.random.default_rng(seed)
+    with _BLAS.limit(limits=1, user_api="blas"):
+        for attempt in range(as_count("max_attempts", max_attempts)):
+            attempts += 1
+            problem, start = _start(state, required, rng)
+            point: Point | None
+            if solved:
+                point, count = _contract(problem, start), 0
+            elif attempt < _FAST_ATTEMPTS:
+                point, count = feasible_point(problem, start, aim=0.85, accept=0.97)
+            else:
+                point, count = smallest_eigenvalue_point(problem, start, accept=0.9999)
+            iterations += count
+            if point is None:
+                continue
+            if solved:
+                network = _assemble(problem, point, np.zeros((*problem.signs.shape, 3)), offset, gamma, mu, activation)
+                return outcome("certified", network.retarget(target))
+            for weight in _POLISH_WEIGHTS:
+                polished, translation, _ = polish(problem, point, state, required, quaternion_weight=weight)
+                network = _assemble(problem, polished, translation, offset, gamma, mu, activation)
+                candidate = outcome("certified", network)
+                if (
+                    network.certified
+                    and candidate.residual < RESIDUAL_TOLERANCE * gamma
+                    and candidate.largest_translation < max_translation
+                ):
+                    return candidate
+    return outcome(
+        f"not certified: no feasible weights found from {attempts} starts; try another seed, more attempts, "
+        "the sign-matched bias, or retarget a certified network"
+    )
+
+
+def _start(state: Floats, required: Floats, rng: np.random.Generator) -> tuple[Problem, Floats]:
+    """A random problem (signs of the blocks) and a random start with a log S for which a solution can exist."""
+    n = len(state)
+    inputs, outputs = state[:, :3, None], required[:, :3, None]
+    if np.abs(inputs).max() < _SMALL_ROTATION:
+        inputs = np.stack([state[:, :3], state[:, 3:]], axis=-1)
+        outputs = np.stack([required[:, :3], required[:, 3:]], axis=-1)
+    problem = Problem(inputs, outputs, np.where(rng.random((n, n)) < 0.5, 1.0, -1.0))
+    quaternion = rng.normal(size=(n, n, 4))
+    quaternion /= np.linalg.norm(quaternion, axis=-1, keepdims=True)
+    quaternion *= np.sqrt(0.3 / np.sqrt(n) * np.abs(rng.normal(size=(n, n, 1))))
+    return problem, np.concatenate([quaternion.ravel(), _log_scale(inputs, outputs)])
+
+
+def _log_scale(inputs: Floats, outputs: Floats) -> Floats:
+    """The least spread of log S with sum_i s_i^2 u_i (c_i - u_i) < 0, without which no weights can be certified."""
+    work = (inputs * (outputs - 0.9 * inputs)).sum(axis=-1).ravel()
+    helpful = np.where(work < 0.0, 1.0, -1.0)
+    for spread in np.arange(0.0, 3.0, 0.1):
+        power = np.exp(spread * helpful)
+        if power @ work <= -0.1 * power @ np.abs(work):
+            break
+    return 0.5 * spread * helpful
+
+
+def _contract(problem: Problem, start: Floats) -> Point:
+    """Random weights shrunk until lambda_max is at most 0.5, for a bias that is solved afterwards."""
+    unknowns = start.copy()
+    unknowns[problem.n_quaternion :] = 0.0
+    largest = problem.evaluate(unknowns).values[-1]
+    if largest > 0.5:
+        unknowns[: problem.n_quaternion] *= np.sqrt(0.5 / largest)
+    return problem.evaluate(unknowns)
+
+
+def _assemble(
+    problem: Problem, point: Point, translation: Floats, bias: Floats, gamma: float, mu: float, activation: str
+) -> LieEDNN:
+    size = np.cbrt(np.abs(np.linalg.det(point.blocks)))
+    safe = np.where(size > 0.0, size, 1.0)
+    rotation = problem.signs[:, :, None, None] * point.blocks / safe[:, :, None, None]
+    rotation[size == 0.0] = np.eye(3)
+    return LieEDNN(
+        alpha=gamma / mu * problem.signs * size,
+        rotation=rotation,
+        translation=translation,
+        bias=bias,
+        gamma=gamma,
+        mu=mu,
+        activation=activation,
+        lyapunov_diagonal=np.exp(2.0 * point.unknowns[problem.n_quaternion :]),
+    )
