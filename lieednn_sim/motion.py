@@ -1,9 +1,9 @@
 """From a network to a joint trajectory that starts and ends at rest and takes a stated duration.
 
-The network runs in its own time tau: its field starts with a step in velocity and arrives exponentially, never in finite
-time. A robot does neither. So the path q(tau) that the network draws is kept, and run through by a minimum-jerk law in
-its length l, measured in joint velocity limits: l(t) = L sigma(t / T) with sigma = 10 s^3 - 15 s^4 + 6 s^5. The path is
-cut where the network is within `RESIDUAL` of its equilibrium.
+The network runs in its own time tau: its field starts with a step in velocity and arrives exponentially, never in
+finite time. A robot does neither. So the path q(tau) that the network draws is kept, and run through by a minimum-jerk
+law in its length l, measured in joint velocity limits: l(t) = L sigma(t / T) with sigma = 10 s^3 - 15 s^4 + 6 s^5. The
+path is cut where the network is within `RESIDUAL` of its equilibrium.
 """
 
 from __future__ import annotations
@@ -101,7 +101,7 @@ def make_motion(arm: Arm, network: LieEDNN, start: ArrayLike, duration: float, t
     equilibrium = network.equilibrium(origin)
     if not equilibrium.success:
         raise PlanError(f"the network cannot be used for a motion: {equilibrium.message}")
-    t = timestep * np.arange(steps + 1)
+    t = as_floats("t", timestep * np.arange(steps + 1), (steps + 1,))
     target = equilibrium.xi
     if np.abs(origin - target).max() <= RESIDUAL:
         return _at_rest(arm, t, origin, target)
@@ -137,7 +137,7 @@ def _minimum_jerk(s: Floats) -> tuple[Floats, Floats]:
 
 
 def _invert(length: CubicSpline, speed: CubicSpline, grid: Floats, wanted: Floats) -> Floats:
-    """tau with length(tau) = wanted, by bisection-safeguarded Newton steps on all samples at once."""
+    """Tau with length(tau) = wanted, by bisection-safeguarded Newton steps on all samples at once."""
     known = length(grid)
     index = np.clip(np.searchsorted(known, wanted, side="right") - 1, 0, len(grid) - 2)
     low, high = grid[index].copy(), grid[index + 1].copy()
@@ -158,7 +158,14 @@ def _at_rest(arm: Arm, t: Floats, origin: Floats, target: Floats) -> Motion:
     xi = np.broadcast_to(origin, (len(t), *origin.shape)).copy()
     decoded = arm.decode(xi)
     return Motion(
-        t, np.zeros_like(t), xi, target, decoded.q, np.zeros_like(decoded.q), decoded.gap_translation, decoded.gap_rotation
+        t,
+        np.zeros_like(t),
+        xi,
+        target,
+        decoded.q,
+        np.zeros_like(decoded.q),
+        decoded.gap_translation,
+        decoded.gap_rotation,
     )
 
 
@@ -170,15 +177,15 @@ def check_motion(arm: Arm, motion: Motion) -> None:
     """
     low, high = arm.position_limits.T
     outside = np.maximum(low - motion.q, motion.q - high)
-    k, joint = np.unravel_index(outside.argmax(), outside.shape)
+    k, joint = map(int, np.unravel_index(outside.argmax(), outside.shape))
     if outside[k, joint] > 1e-9:
         raise PlanError(
             f"joint {arm.joint_names[joint]!r} would reach {motion.q[k, joint]:.4g} {arm.unit(joint)} at "
-            f"t = {motion.t[k]:.2f} s, its range is [{low[joint]:.4g}, {high[joint]:.4g}]; try more candidates, another "
-            "seed, a larger bias magnitude or the solved bias"
+            f"t = {motion.t[k]:.2f} s, its range is [{low[joint]:.4g}, {high[joint]:.4g}]; try more candidates, "
+            "another seed, a larger bias magnitude or the solved bias"
         )
     ratio = np.abs(motion.qd) / arm.velocity_limits
-    k, joint = np.unravel_index(ratio.argmax(), ratio.shape)
+    k, joint = map(int, np.unravel_index(ratio.argmax(), ratio.shape))
     if ratio[k, joint] > 1.0:
         unit = arm.unit(joint) + "/s"
         raise PlanError(

@@ -3,5 +3,6 @@
 from lieednn_sim.arm.arm import Arm
 from lieednn_sim.arm.joints import CompoundJoints, Retraction
 from lieednn_sim.arm.models import arm_names, models_directory, scene_path
+from lieednn_sim.arm.reach import reach
 
-__all__ = ["Arm", "CompoundJoints", "Retraction", "arm_names", "models_directory", "scene_path"]
+__all__ = ["Arm", "CompoundJoints", "Retraction", "arm_names", "models_directory", "reach", "scene_path"]

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import copy
+import itertools
 import os
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.joints import CompoundJoints, Retraction
 from lieednn_sim.arm.models import scene_path
 from lieednn_sim.errors import FileError, InputError
@@ -131,7 +134,7 @@ class Arm:
         return RigidTransform.from_matrix(np.stack(frames, axis=-3))
 
     def encode(self, q: ArrayLike) -> Floats:
-        """Network coordinates ``(..., N, 6)`` of joint positions ``(..., 2N)``: (omega, v / length_scale) of Log T_i."""
+        """Network coordinates (omega, v / length_scale) of Log T_i(q), ``(..., 2N)`` to ``(..., N, 6)``."""
         xi = self.joints.encode(as_floats("q", q, (self.n_joints,), batched=True))
         return xi / self._units
 
@@ -141,6 +144,16 @@ class Arm:
         twist = as_floats("xi", xi, shape, batched=True) * self._units
         rate = None if xi_dot is None else as_floats("xi_dot", xi_dot, shape, batched=True) * self._units
         return self.joints.retract(twist, rate)
+
+    def physics(self) -> Any:
+        """A `dm_control.mujoco.Physics` of the scene at the keyframe ``home``, for tasks and viewers of dm_control."""
+        from dm_control import mujoco as dm_mujoco
+
+        physics = dm_mujoco.Physics.from_model(copy.deepcopy(self.model))
+        with physics.reset_context():
+            physics.data.qpos[:] = self.keyframe("home")
+            physics.data.ctrl[:] = self.keyframe("home")
+        return physics
 
     @property
     def _units(self) -> Floats:
@@ -157,12 +170,13 @@ def _read(model: mujoco.MjModel, name: str) -> Arm:
         raise InputError(f"arm {name!r} has no sites link1_frame, link2_frame, ... at its link frames")
 
     axes, directions, first, revolute, prismatic, mounts, tips = [], [], [], [], [], [], []
-    for i, (parent, child) in enumerate(zip(sites[:-1], sites[1:], strict=True), start=1):
+    for i, (parent, child) in enumerate(itertools.pairwise(sites), start=1):
         group = _joints_between(model, model.site_bodyid[parent], model.site_bodyid[child], name, i)
         kinds = [mujoco.mjtJoint(model.jnt_type[j]).name.removeprefix("mjJNT_").lower() for j in group]
         if sorted(kinds) != ["hinge", "slide"]:
             raise InputError(
-                f"link {i} of arm {name!r} must be moved by one hinge and one slide joint, got: {', '.join(kinds) or 'none'}"
+                f"link {i} of arm {name!r} must be moved by one hinge and one slide joint, "
+                f"got: {', '.join(kinds) or 'none'}"
             )
         first.append(kinds[0] == "hinge")
         hinge, slide = group if first[-1] else group[::-1]
@@ -177,7 +191,9 @@ def _read(model: mujoco.MjModel, name: str) -> Arm:
         tips.append((frame.inv() * _site_pose(data, child)).as_matrix())
     n_joints = 2 * len(axes)
     if model.nq != n_joints or model.nu != n_joints:
-        raise InputError(f"arm {name!r} has {model.nq} coordinates and {model.nu} actuators, expected {n_joints} of each")
+        raise InputError(
+            f"arm {name!r} has {model.nq} coordinates and {model.nu} actuators, expected {n_joints} of each"
+        )
     joint_ids = np.argsort(model.jnt_qposadr)
     return Arm(
         name=name,

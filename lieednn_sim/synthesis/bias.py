@@ -16,9 +16,9 @@ def bias_for(rule: str, xi: Floats, magnitude: float) -> Floats:
     """The bias that a rule prescribes for a target ``xi`` ``(N, 6)``.
 
     - ``"uniform"``: every entry is ``magnitude``, as in the paper.
-    - ``"sign-matched"``: ``xi`` clipped to +-``magnitude``: the sign of the target at full strength for every coordinate
-      larger than the magnitude, and continuous through zero, so that a coordinate that is zero up to rounding gets no
-      push that the weights would have to cancel.
+    - ``"sign-matched"``: ``xi`` clipped to +-``magnitude``: the sign of the target at full strength for every
+      coordinate larger than the magnitude, and continuous through zero, so that a coordinate that is zero up to
+      rounding gets no push that the weights would have to cancel.
     - ``"solved"``: the bias that makes ``xi`` the equilibrium of weights drawn without regard to it; it starts at zero.
     """
     as_choice("bias rule", rule, BIAS_RULES)
@@ -32,9 +32,9 @@ def bias_for(rule: str, xi: Floats, magnitude: float) -> Floats:
 def impossibility(outputs: Floats, required: Floats, bound: float) -> str | None:
     """Why no weights at all can be certified with this equilibrium and bias, or None where nothing forbids it.
 
-    With P diagonal and u = phi(xi), W u = c, P (W - bound I) negative definite needs sum_i p_i u_i (c_i - bound u_i) < 0,
-    so at least one rotational coordinate must have u_i (c_i - bound u_i) < 0. A block of zero outputs must be
-    required to be zero, for W 0 = 0.
+    With P diagonal, u = phi(xi) and W u = c, P (W - bound I) is negative definite only when
+    sum_i p_i u_i (c_i - bound u_i) < 0, so at least one rotational coordinate must have u_i (c_i - bound u_i) < 0.
+    Where all outputs are zero, zero must be required, for W 0 = 0.
 
     Args:
         outputs: phi(omega) of the target, ``(N, 3)``.
@@ -50,7 +50,7 @@ def impossibility(outputs: Floats, required: Floats, bound: float) -> str | None
         return None
     if (outputs * (required - bound * outputs)).min() >= 0.0:
         return (
-            "no rotational coordinate has its bias on the side of its target, so no diagonal Lyapunov matrix can exist; "
-            "use the sign-matched bias or retarget a certified network"
+            "no rotational coordinate has its bias on the side of its target, so no diagonal Lyapunov matrix can "
+            "exist; use the sign-matched bias or retarget a certified network"
         )
     return None

@@ -20,7 +20,13 @@ _QUATERNION_BOUND = 60.0
 
 
 def feasible_point(
-    problem: Problem, start: Floats, *, aim: float, accept: float, max_iterations: int = 40, equation_weight: float = 3.0
+    problem: Problem,
+    start: Floats,
+    *,
+    aim: float,
+    accept: float,
+    max_iterations: int = 40,
+    equation_weight: float = 3.0,
 ) -> tuple[Point | None, int]:
     """Levenberg-Marquardt on the distance to feasibility.
 

@@ -1,0 +1,74 @@
+"""Inverse kinematics: a joint target from an end effector pose."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from lieednn_sim.arm.arm import Arm
+from lieednn_sim.errors import InputError
+from lieednn_sim.validation import as_floats
+
+Floats = NDArray[np.float64]
+
+_TOLERANCE = 1e-6
+# Weight of the pull towards the start, which picks one of the many solutions of a redundant arm.
+_POSTURE_WEIGHT = 1e-3
+
+
+def reach(
+    arm: Arm, position: ArrayLike, rotation: Rotation | None = None, *, start: ArrayLike | None = None, seed: int = 0
+) -> Floats:
+    """Joint position within the limits, free of contact, that puts the end effector at a pose.
+
+    Args:
+        arm: the arm.
+        position: ``(3,)`` of the end effector, world [m].
+        rotation: of the end effector; free when omitted.
+        start: ``(2N,)`` posture to stay near, the keyframe ``home`` by default.
+        seed: of the further starts tried when the first fails.
+
+    Raises:
+        InputError: no such joint position was found; says how close one gets.
+    """
+    goal = as_floats("position", position, (3,))
+    rest = arm.keyframe("home") if start is None else arm.check_position(start, "start")
+    low, high = arm.position_limits.T
+    spread = high - low
+    rng = np.random.default_rng(seed)
+
+    def error(q: Floats) -> Floats:
+        pose = arm.link_poses(q)[-1]
+        parts = [pose.translation - goal]
+        if rotation is not None:
+            parts.append((rotation.inv() * pose.rotation).as_rotvec())
+        return np.concatenate(parts)
+
+    best, touching = np.inf, ""
+    for attempt in range(12):
+        q = rest if attempt == 0 else rng.uniform(low, high)
+        # With the posture term first: a solution near the start. Then without: an exact one.
+        for weight in (_POSTURE_WEIGHT, 0.0):
+            q = least_squares(
+                lambda x, w=weight: np.concatenate([error(x), w * (x - rest) / spread]),
+                np.clip(q, low + 1e-9 * spread, high - 1e-9 * spread),
+                bounds=(low, high),
+                x_scale=spread,
+                xtol=1e-12,
+                ftol=1e-12,
+                gtol=1e-12,
+            ).x
+        distance = float(np.abs(error(q)).max())
+        if distance < _TOLERANCE:
+            contacts = arm.contacts(q)
+            if not contacts:
+                return q
+            touching = f"; at the solutions found {contacts[0][0]!r} touches {contacts[0][1]!r}"
+        best = min(best, distance)
+    raise InputError(
+        f"the end effector cannot reach ({', '.join(f'{x:g}' for x in goal)}) m"
+        + (" with this orientation" if rotation is not None else "")
+        + (touching or f": the nearest posture found is {best:.3g} off")
+    )

@@ -1,0 +1,104 @@
+"""Command line ``lieednn-sim``; the commands import what they need when they run, so that ``--help`` is quick."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+
+from lieednn_sim.errors import LieEDNNError
+
+_DESCRIPTION = (
+    "Plan the motion of a telescopic manipulator with LieEDNN networks that carry a proof of global stability, "
+    "simulate it in MuJoCo, render and evaluate it."
+)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run a command; returns its exit code: 0 well, 1 doctor found a problem, 2 an error, 130 interrupted."""
+    arguments = _parser().parse_args(argv)
+    try:
+        from lieednn_sim.cli import commands
+
+        return int(getattr(commands, arguments.command)(arguments) or 0)
+    except LieEDNNError as error:
+        print(f"lieednn-sim: error: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("lieednn-sim: interrupted; files already reported are complete", file=sys.stderr)
+        return 130
+    except BrokenPipeError:
+        # The reader of our output went away, as in `lieednn-sim demo | head`.
+        sys.stderr.close()
+        return 141
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="lieednn-sim", description=_DESCRIPTION)
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+
+    demo = commands.add_parser("demo", help="the whole road: target, network, motion, simulation, video, report")
+    _add_planning(demo, output="results/demo", target="extended")
+    _add_simulation(demo)
+    _add_video(demo)
+    demo.add_argument("--no-video", action="store_true", help="skip rendering")
+
+    synthesize = commands.add_parser("synthesize", help="make a certified network for a target, into a run directory")
+    _add_planning(synthesize, output="results/run", target=None)
+
+    simulate = commands.add_parser("simulate", help="plan the motion of a run's network and simulate it")
+    _add_run(simulate)
+    _add_simulation(simulate)
+
+    render = commands.add_parser("render", help="render a run's simulation")
+    _add_run(render)
+    _add_video(render)
+    render.add_argument("--output", metavar="FILE", help=".mp4 or .gif (default: video.mp4 in the run directory)")
+
+    evaluate = commands.add_parser("evaluate", help="metrics and plots of a run's simulation")
+    _add_run(evaluate)
+
+    doctor = commands.add_parser("doctor", help="versions, headless OpenGL, and what is missing")
+    doctor.add_argument("--json", action="store_true", help="print JSON instead of a table")
+    return parser
+
+
+def _add_planning(parser: argparse.ArgumentParser, output: str, target: str | None) -> None:
+    parser.add_argument("--arm", default="telescopic_pr", help="name of the arm (default: %(default)s)")
+    goal = parser.add_mutually_exclusive_group(required=target is None)
+    goal.add_argument(
+        "--target",
+        default=target,
+        metavar="Q",
+        help="joint target: a keyframe's name or comma-separated joint positions [rad, m]"
+        + (f" (default: {target})" if target else ""),
+    )
+    goal.add_argument("--position", metavar="X,Y,Z", help="end effector target in the world [m] instead")
+    parser.add_argument("--start", default="home", metavar="Q", help="start, as for --target (default: %(default)s)")
+    parser.add_argument("--duration", type=float, default=4.0, metavar="S", help="of the motion (default: %(default)s)")
+    parser.add_argument(
+        "--bias", default="sign-matched", metavar="RULE", help="uniform, sign-matched or solved (default: %(default)s)"
+    )
+    parser.add_argument("--bias-magnitude", type=float, metavar="B", help="of the rule (default: several are tried)")
+    parser.add_argument(
+        "--candidates", type=int, default=24, metavar="N", help="networks to choose from (default: %(default)s)"
+    )
+    parser.add_argument("--seed", type=int, default=0, help="of the random draws (default: %(default)s)")
+    parser.add_argument("--output", default=output, metavar="DIR", help="run directory (default: %(default)s)")
+
+
+def _add_run(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("run", metavar="DIR", help="run directory, made by 'synthesize' or 'demo'")
+
+
+def _add_simulation(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--hold", type=float, default=1.0, metavar="S", help="time simulated after the motion (default: %(default)s)"
+    )
+
+
+def _add_video(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--preset", default="nice", help="draft or nice (default: %(default)s)")
+    parser.add_argument("--size", default="1280x720", metavar="WxH", help="pixels (default: %(default)s)")
+    parser.add_argument("--fps", type=int, default=30, help="frames a second (default: %(default)s)")
+    parser.add_argument("--camera", default="overview", help="a camera of the scene (default: %(default)s)")

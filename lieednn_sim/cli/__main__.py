@@ -1,0 +1,7 @@
+"""``python -m lieednn_sim.cli``."""
+
+import sys
+
+from lieednn_sim.cli import main
+
+sys.exit(main())

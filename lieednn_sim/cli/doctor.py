@@ -1,0 +1,84 @@
+"""``lieednn-sim doctor``: what is installed, whether rendering works, and what is missing."""
+
+from __future__ import annotations
+
+import json
+import platform
+import sys
+from importlib import metadata
+
+from rich.console import Console
+from rich.table import Table
+
+from lieednn_sim import opengl
+from lieednn_sim.arm import arm_names
+from lieednn_sim.errors import FileError
+
+_PACKAGES = (
+    "mujoco",
+    "dm-control",
+    "numpy",
+    "scipy",
+    "imageio",
+    "imageio-ffmpeg",
+    "matplotlib",
+    "rich",
+    "threadpoolctl",
+)
+
+
+def report(console: Console, *, as_json: bool) -> int:
+    """Print the report; returns 1 when physics or rendering would not work."""
+    versions = {"lieednn-sim": _version("lieednn-sim"), "python": platform.python_version()}
+    versions |= {name: _version(name) for name in _PACKAGES}
+    try:
+        arms = arm_names()
+    except FileError as error:
+        arms, models = [], str(error)
+    else:
+        models = ", ".join(arms)
+    backend = opengl.configure()
+    renderer = opengl.describe_renderer()
+    packages = opengl.missing_packages()
+    missing = [name for name, version in versions.items() if version is None]
+    healthy = bool(arms) and not missing and "error" not in renderer
+    if as_json:
+        print(
+            json.dumps(
+                {
+                    "healthy": healthy,
+                    "versions": versions,
+                    "arms": arms,
+                    "opengl": {"backend": backend.name, "source": backend.source, "detail": backend.detail, **renderer},
+                    "debian_packages_to_install": packages,
+                    "python_packages_to_install": missing,
+                },
+                indent=2,
+            )
+        )
+        return 0 if healthy else 1
+    table = Table(show_header=False, title="lieednn-sim doctor", title_justify="left")
+    for name, version in versions.items():
+        table.add_row(name, version or "[red]missing[/red]")
+    table.add_row("platform", f"{platform.system()} {platform.machine()}, {sys.executable}")
+    table.add_row("arms", models)
+    table.add_row("OpenGL backend", f"{backend.name} (by {backend.source})")
+    if "error" in renderer:
+        table.add_row("rendering", f"[red]does not work[/red]: {renderer['error']}")
+    else:
+        table.add_row("rendering", f"{renderer['GL_RENDERER']}, a frame of 16x16 in {renderer['frame_ms']:.1f} ms")
+    console.print(table)
+    if missing:
+        console.print(f"install with pip: {' '.join(missing)}")
+    if packages:
+        console.print(f"for video, install on Debian or Ubuntu: apt-get install {' '.join(packages)}")
+    if healthy:
+        console.print("everything works")
+    return 0 if healthy else 1
+
+
+def _version(name: str) -> str | None:
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return None

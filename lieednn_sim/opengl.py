@@ -1,0 +1,1 @@
+from lieednn_sim.render.gl import *

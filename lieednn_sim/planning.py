@@ -1,0 +1,133 @@
+"""From a joint target to a certified network whose whole motion keeps the arm's limits."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lieednn_sim.arm import Arm
+from lieednn_sim.errors import InputError, LieEDNNError, NotCertifiedError, PlanError
+from lieednn_sim.motion import Motion, check_motion, joint_target, make_motion
+from lieednn_sim.network import LieEDNN
+from lieednn_sim.synthesis import synthesize
+from lieednn_sim.validation import as_count, as_positive
+
+Floats = NDArray[np.float64]
+
+# The stronger the bias, the less the weights have to do and the straighter the transient; the search tries all.
+BIAS_MAGNITUDES = (0.125, 0.25, 0.5)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A certified network and the motion it makes.
+
+    Attributes:
+        network: certified, with the target as its equilibrium.
+        motion: keeps position and velocity limits and touches nothing.
+        target: ``(2N,)`` joint target [rad, m].
+        bias_magnitude: of the chosen network's bias rule.
+        candidates: networks synthesised.
+        within_limits: of these, networks whose transient keeps the position limits.
+    """
+
+    network: LieEDNN
+    motion: Motion
+    target: Floats
+    bias_magnitude: float
+    candidates: int
+    within_limits: int
+
+
+@dataclass(frozen=True)
+class _Candidate:
+    network: LieEDNN
+    bias_magnitude: float
+    excess: float
+    gap: float
+
+
+def plan(
+    arm: Arm,
+    target: ArrayLike,
+    *,
+    start: ArrayLike | None = None,
+    duration: float = 4.0,
+    timestep: float | None = None,
+    bias: str = "sign-matched",
+    bias_magnitude: float | None = None,
+    candidates: int = 24,
+    seed: int = 0,
+    progress: Callable[[int, int], None] | None = None,
+) -> Plan:
+    """Draw certified networks for a joint target and keep the one with the smallest mechanism gap within the limits.
+
+    Args:
+        arm: the arm.
+        target: joint target ``(2N,)``.
+        start: joint position at rest, the keyframe ``home`` by default.
+        duration: of the motion [s].
+        timestep: sampling period [s], the model's time step by default.
+        bias: a rule of `synthesis.BIAS_RULES`.
+        bias_magnitude: of the rule; by default the search alternates between `BIAS_MAGNITUDES`.
+        candidates: networks to draw.
+        seed: of the draws; the same seed gives the same plan.
+        progress: called with (done, total) after every candidate.
+
+    Raises:
+        InputError: a value is malformed, or the target is out of the arm's reach.
+        NotCertifiedError: no candidate could be certified.
+        PlanError: every candidate breaks a limit; the message is of the best one.
+    """
+    goal = joint_target(arm, target)
+    origin = arm.keyframe("home") if start is None else arm.check_position(start, "start")
+    total = as_count("candidates", candidates)
+    as_positive("duration", duration)
+    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
+        raise InputError(f"seed must be a whole number >= 0, got {seed!r}")
+    magnitudes = BIAS_MAGNITUDES if bias_magnitude is None else (as_positive("bias_magnitude", bias_magnitude),)
+    found: list[_Candidate] = []
+    message = ""
+    for index in range(total):
+        magnitude = magnitudes[index % len(magnitudes)]
+        result = synthesize(
+            arm.encode(goal), bias=bias, bias_magnitude=magnitude, seed=np.random.default_rng([seed, index])
+        )
+        if result.network is None:
+            message = result.message
+        else:
+            found.append(_screen(arm, result.network, magnitude, origin))
+        if progress is not None:
+            progress(index + 1, total)
+    if not found:
+        raise NotCertifiedError(
+            f"none of {total} candidates for the target could be certified; the last one: {message}"
+        )
+    kept = sum(candidate.excess <= 0.0 for candidate in found)
+    found.sort(key=lambda candidate: (max(candidate.excess, 0.0), candidate.gap))
+    step = arm.model.opt.timestep if timestep is None else timestep
+    refusal: LieEDNNError | None = None
+    for candidate in found[: max(1, kept)]:
+        motion = make_motion(arm, candidate.network, origin, duration, step)
+        try:
+            check_motion(arm, motion)
+        except PlanError as error:
+            refusal = refusal or error
+            continue
+        return Plan(candidate.network, motion, goal, candidate.bias_magnitude, total, kept)
+    raise PlanError(f"{refusal} (best of {total} candidates)")
+
+
+def _screen(arm: Arm, network: LieEDNN, bias_magnitude: float, origin: Floats) -> _Candidate:
+    """Largest excess over the position limits and largest mechanism gap along a roughly integrated trajectory."""
+    start = arm.encode(origin)
+    states = network.trajectory(start, 20.0 / network.gamma, rtol=1e-4, atol=1e-6).xi
+    decoded = arm.decode(states)
+    low, high = arm.position_limits.T
+    # The integrator's steps may straddle the extreme; a thousandth of the range keeps clear of the bound.
+    excess = (np.maximum(low - decoded.q, decoded.q - high) + 1e-3 * (high - low))[1:-1].max(initial=-np.inf)
+    gap = decoded.gap_translation.max() + arm.length_scale * decoded.gap_rotation.max()
+    return _Candidate(network, bias_magnitude, float(excess), float(gap))

@@ -1,0 +1,119 @@
+"""Plots of a run: network states, tracking error, joint motion."""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+import matplotlib
+import numpy as np
+from cycler import cycler
+from matplotlib.figure import Figure
+from numpy.typing import ArrayLike, NDArray
+
+from lieednn_sim import storage
+from lieednn_sim.arm import Arm
+from lieednn_sim.evaluate import SETTLED_ROTATION, SETTLED_TRANSLATION, pose_errors
+from lieednn_sim.motion import Motion
+from lieednn_sim.simulate import Rollout
+
+Floats = NDArray[np.float64]
+
+# Okabe and Ito's palette, distinguishable by colour-blind readers.
+_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+_STYLE: Any = {
+    "font.size": 9,
+    "axes.grid": True,
+    "grid.alpha": 0.3,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.prop_cycle": cycler(color=_COLOURS),
+    "legend.frameon": False,
+    "svg.hashsalt": "lieednn_sim",
+}
+
+
+def plot_network(motion: Motion, path: str | os.PathLike[str]) -> None:
+    """States xi(t) of each neuron with their targets dashed."""
+    n = motion.xi.shape[1]
+    names = [f"$\\omega_{a}$" for a in "xyz"] + [f"$v_{a}$" for a in "xyz"]
+    with matplotlib.rc_context(_STYLE):
+        figure = Figure(figsize=(10, 2.2 + 1.9 * ((n + 1) // 2)), layout="constrained")
+        axes = np.atleast_1d(figure.subplots((n + 1) // 2, 2, sharex=True, squeeze=False)).ravel()
+        for i in range(n):
+            for c in range(6):
+                axes[i].plot(motion.t, motion.xi[:, i, c], color=_COLOURS[c], label=names[c])
+                axes[i].axhline(motion.xi_target[i, c], color=_COLOURS[c], ls="--", lw=0.9)
+            axes[i].set_title(f"neuron {i + 1}", loc="left")
+            axes[i].set_ylabel("$\\xi$ [rad, length units]")
+        for i in range(n, len(axes)):
+            axes[i].set_visible(False)
+        for axis in axes[max(0, n - 2) : n]:
+            axis.set_xlabel("time [s]")
+        handles, labels = axes[0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside upper center", ncols=6)
+        _save(figure, path)
+
+
+def plot_tracking(arm: Arm, rollout: Rollout, target: ArrayLike, path: str | os.PathLike[str]) -> None:
+    """Tracking error of every link frame, and the end effector's distance to its target on a logarithmic scale."""
+    simulated = rollout.link_poses()
+    distance, angle = pose_errors(simulated, arm.link_poses(rollout.q_ref))
+    to_go = [error[:, -1] for error in pose_errors(simulated, arm.link_poses(target))]
+    with matplotlib.rc_context(_STYLE):
+        figure = Figure(figsize=(10, 6), layout="constrained")
+        axes = figure.subplots(2, 2, sharex=True)
+        for i in range(arm.n_links):
+            name = "end effector" if i == arm.n_links - 1 else f"link {i + 1}"
+            axes[0, 0].plot(rollout.t, 1e3 * distance[:, i], label=name)
+            axes[0, 1].plot(rollout.t, np.rad2deg(angle[:, i]), label=name)
+        axes[0, 0].set_title("tracking error (planned to simulated frame)", loc="left")
+        axes[0, 0].set_ylabel("translation [mm]")
+        axes[0, 1].set_ylabel("rotation [deg]")
+        handles, labels = axes[0, 0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside upper right", ncols=arm.n_links)
+        axes[1, 0].semilogy(rollout.t, np.maximum(1e3 * to_go[0], 1e-6), color=_COLOURS[3])
+        axes[1, 1].semilogy(rollout.t, np.maximum(np.rad2deg(to_go[1]), 1e-7), color=_COLOURS[3])
+        axes[1, 0].axhline(1e3 * SETTLED_TRANSLATION, color="0.4", ls="--", lw=0.9, label="settled")
+        axes[1, 1].axhline(np.rad2deg(SETTLED_ROTATION), color="0.4", ls="--", lw=0.9, label="settled")
+        axes[1, 0].set_title("end effector to target", loc="left")
+        axes[1, 0].set_ylabel("distance [mm]")
+        axes[1, 1].set_ylabel("angle [deg]")
+        axes[1, 0].legend()
+        for axis in axes[1]:
+            axis.set_xlabel("time [s]")
+        for axis in axes.ravel():
+            axis.axvline(rollout.motion_end, color="0.7", lw=0.8)
+        _save(figure, path)
+
+
+def plot_joints(arm: Arm, rollout: Rollout, path: str | os.PathLike[str]) -> None:
+    """Position, velocity and drive force of each joint; the limits that are near are shaded."""
+    n = arm.n_joints
+    with matplotlib.rc_context(_STYLE):
+        figure = Figure(figsize=(11, 1.0 + 1.25 * n), layout="constrained")
+        axes = figure.subplots(n, 3, sharex=True, squeeze=False)
+        for j, name in enumerate(arm.joint_names):
+            unit = arm.unit(j)
+            axes[j, 0].plot(rollout.t, rollout.q[:, j])
+            axes[j, 0].plot(rollout.t, rollout.q_ref[:, j], color="0.2", ls="--", lw=0.9)
+            low, high = arm.position_limits[j]
+            for bound in (low, high):
+                axes[j, 0].axhline(bound, color=_COLOURS[1], lw=0.8)
+            margin = 0.06 * (high - low)
+            axes[j, 0].set_ylim(low - margin, high + margin)
+            axes[j, 0].set_ylabel(f"{name}\n[{unit}]")
+            axes[j, 1].plot(rollout.t, 100.0 * rollout.qd[:, j] / arm.velocity_limits[j])
+            axes[j, 2].plot(rollout.t, 100.0 * rollout.force[:, j] / arm.force_limits[j])
+        axes[0, 0].set_title("position (reference dashed, limits orange)", loc="left")
+        axes[0, 1].set_title("velocity [% of limit]", loc="left")
+        axes[0, 2].set_title("drive force [% of limit]", loc="left")
+        for axis in axes[-1]:
+            axis.set_xlabel("time [s]")
+        figure.align_ylabels(axes[:, 0])
+        _save(figure, path)
+
+
+def _save(figure: Figure, path: str | os.PathLike[str]) -> None:
+    with storage.atomic_path(path) as temporary:
+        figure.savefig(temporary, dpi=130)

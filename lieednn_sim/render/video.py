@@ -1,0 +1,173 @@
+"""Videos and pictures of rollouts, rendered headlessly and streamed to disk."""
+
+from __future__ import annotations
+
+import contextlib
+import copy
+import functools
+import os
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import imageio.v2 as imageio
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lieednn_sim import opengl, storage
+from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm import Arm
+from lieednn_sim.errors import FileError, InputError, RenderingUnavailableError
+from lieednn_sim.render.overlay import Overlay
+from lieednn_sim.simulate import Rollout
+from lieednn_sim.validation import as_choice, as_count, as_positive
+
+Image = NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class Preset:
+    """Rendering quality: what software renderers spend their time on."""
+
+    shadows: bool
+    samples: int
+
+
+PRESETS = {"draft": Preset(shadows=False, samples=0), "nice": Preset(shadows=True, samples=4)}
+
+
+class Camera:
+    """Renders an arm from a named camera; use as a context manager, which frees the OpenGL context.
+
+    Args:
+        arm: the arm; its model is not changed.
+        camera: name of a camera of its scene.
+        size: (width, height) in pixels, both even, at most the model's offscreen buffer.
+        preset: a name of `PRESETS`.
+
+    Raises:
+        InputError: unknown camera or preset, or a size that cannot be rendered.
+        RenderingUnavailableError: there is no working OpenGL.
+    """
+
+    def __init__(
+        self, arm: Arm, *, camera: str = "overview", size: tuple[int, int] = (1280, 720), preset: str = "nice"
+    ) -> None:
+        cameras = [arm.model.camera(i).name for i in range(arm.model.ncam)]
+        self._camera = as_choice("camera", camera, cameras)
+        self._preset = PRESETS[as_choice("preset", preset, PRESETS)]
+        width, height = (as_count("size", value) for value in size)
+        limit = arm.model.vis.global_
+        if width % 2 or height % 2 or width > limit.offwidth or height > limit.offheight:
+            raise InputError(f"size must be even and at most {limit.offwidth}x{limit.offheight}, got {width}x{height}")
+        opengl.require()
+        self._arm = arm
+        self._model = copy.deepcopy(arm.model)
+        self._model.vis.quality.offsamples = self._preset.samples
+        self._data = mujoco.MjData(self._model)
+        try:
+            self._renderer = mujoco.Renderer(self._model, height, width, max_geom=20_000)
+        except Exception as error:  # MuJoCo lets errors of several GL bindings through, with no common base
+            raise RenderingUnavailableError(f"OpenGL failed to start: {error}; run 'lieednn-sim doctor'") from None
+
+    def __enter__(self) -> Camera:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._renderer.close()
+
+    def picture(
+        self, q: ArrayLike, target: ArrayLike | None = None, draw: Callable[[mujoco.MjvScene], None] | None = None
+    ) -> Image:
+        """Image ``(height, width, 3)`` of the arm at ``q`` ``(2N,)``, with the marker at ``target`` ``(2N,)``."""
+        self._data.qpos[:] = q
+        self._place_marker(target)
+        mujoco.mj_forward(self._model, self._data)
+        self._renderer.update_scene(self._data, self._camera)
+        flags = self._renderer.scene.flags
+        flags[mujoco.mjtRndFlag.mjRND_SHADOW] = self._preset.shadows
+        flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = False
+        if draw is not None:
+            draw(self._renderer.scene)
+        return np.asarray(self._renderer.render())
+
+    def _place_marker(self, target: ArrayLike | None) -> None:
+        body = mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_BODY, "target")
+        if target is None or body < 0 or self._model.body_mocapid[body] < 0:
+            return
+        pose = self._arm.link_poses(target)[-1]
+        index = self._model.body_mocapid[body]
+        self._data.mocap_pos[index] = pose.translation
+        self._data.mocap_quat[index] = pose.rotation.as_quat(scalar_first=True)
+
+
+def render_video(
+    arm: Arm,
+    rollout: Rollout,
+    target: ArrayLike,
+    path: str | os.PathLike[str],
+    *,
+    camera: str = "overview",
+    size: tuple[int, int] = (1280, 720),
+    fps: int = 30,
+    preset: str = "nice",
+    progress: Callable[[int, int], None] | None = None,
+) -> int:
+    """Render a rollout; frame k shows time k / fps. Planned link frames and the tip's path are drawn over the arm.
+
+    Args:
+        arm: the arm of the rollout.
+        rollout: what was simulated.
+        target: joint target ``(2N,)``, shown by the marker.
+        path: ``.mp4`` or ``.gif``; it appears only when the video is complete.
+        camera: name of a camera of the scene.
+        size: (width, height) in pixels.
+        fps: frames a second of simulated time.
+        preset: a name of `PRESETS`.
+        progress: called with (done, total) after every frame.
+
+    Returns:
+        The number of frames.
+    """
+    if Path(path).suffix not in (".mp4", ".gif"):
+        raise InputError(f"a video's name must end in .mp4 or .gif, got {Path(path).name!r}")
+    if rollout.arm != arm.name:
+        raise InputError(f"the rollout is of arm {rollout.arm!r}, not of {arm.name!r}")
+    rate = as_positive("fps", fps)
+    # The small slack keeps the last frame when duration * fps is a whole number up to rounding.
+    total = int(np.floor((rollout.t[-1] - rollout.t[0]) * rate + 1e-6)) + 1
+    samples = np.rint(np.arange(total) / rate / rollout.timestep).astype(int)
+    overlay = Overlay(arm.link_poses(rollout.q_ref).as_matrix(), rollout.link_position[:, -1])
+    with (
+        Camera(arm, camera=camera, size=size, preset=preset) as view,
+        storage.atomic_path(path) as temporary,
+        _writer(temporary, rate) as append,
+    ):
+        for done, k in enumerate(samples, start=1):
+            append(view.picture(rollout.q[k], target, functools.partial(overlay.draw, k=int(k))))
+            if progress is not None:
+                progress(done, total)
+    return total
+
+
+@contextlib.contextmanager
+def _writer(path: Path, fps: float) -> Iterator[Callable[[Image], None]]:
+    try:
+        if path.suffix == ".gif":
+            writer = imageio.get_writer(path, format="GIF", mode="I", duration=1000.0 / fps, loop=0)
+        else:
+            writer = imageio.get_writer(
+                path,
+                format="FFMPEG",
+                mode="I",
+                fps=fps,
+                codec="libx264",
+                macro_block_size=2,
+                quality=8,
+                ffmpeg_log_level="error",
+                ffmpeg_params=["-preset", "veryfast", "-movflags", "+faststart"],
+            )
+        with writer:
+            yield writer.append_data
+    except OSError as error:
+        raise FileError(f"cannot write the video: {str(error).strip().splitlines()[0]}") from None

@@ -1,0 +1,77 @@
+"""A task (arm, start, target, duration) and the directory that collects what is made of it."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from lieednn_sim import storage
+from lieednn_sim.errors import FileError
+
+
+@dataclass(frozen=True)
+class Task:
+    """What a network is made for.
+
+    Attributes:
+        arm: name of the arm.
+        start: joint position at rest [rad, m].
+        target: joint target [rad, m].
+        duration: of the motion [s].
+    """
+
+    arm: str
+    start: tuple[float, ...]
+    target: tuple[float, ...]
+    duration: float
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write as JSON, atomically."""
+        storage.save_json(path, asdict(self))
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Task:
+        """Read a file of `save`; `FileError` says what is wrong with it."""
+        try:
+            value: Any = json.loads(Path(path).read_text(encoding="utf-8"))
+            return cls(
+                arm=str(value["arm"]),
+                start=tuple(float(x) for x in value["start"]),
+                target=tuple(float(x) for x in value["target"]),
+                duration=float(value["duration"]),
+            )
+        except OSError as error:
+            raise FileError(f"cannot read {path}: {error.strerror or error}") from None
+        except (KeyError, TypeError, ValueError) as error:
+            raise FileError(f"{path} is not a valid task ({type(error).__name__}: {error})") from None
+
+
+class RunDirectory:
+    """Names of the files of one run."""
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self.path = Path(path)
+        self.task = self.path / "task.json"
+        self.network = self.path / "network.npz"
+        self.motion = self.path / "motion.npz"
+        self.rollout = self.path / "rollout.npz"
+        self.video = self.path / "video.mp4"
+        self.metrics_json = self.path / "metrics.json"
+        self.metrics_csv = self.path / "metrics.csv"
+        self.network_plot = self.path / "network.png"
+        self.tracking_plot = self.path / "tracking.png"
+        self.joints_plot = self.path / "joints.png"
+
+    def create(self) -> RunDirectory:
+        """Make the directory if need be."""
+        storage.make_directory(self.path)
+        return self
+
+    def existing(self) -> RunDirectory:
+        """Return self, or raise `FileError` when there is no such run."""
+        if not self.task.is_file():
+            raise FileError(f"{self.path} holds no run (no {self.task.name}); make one with 'lieednn-sim synthesize'")
+        return self

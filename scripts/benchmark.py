@@ -1,0 +1,127 @@
+"""Measure certified synthesis: success, residual, translations and time, on one core.
+
+    python scripts/benchmark.py [--quick] [--output results/benchmark]
+
+Writes a JSON file and a Markdown table. Absolute times depend on the machine; the last table gives ratios of one run.
+"""
+
+from __future__ import annotations
+
+import argparse
+import platform
+import time
+from pathlib import Path
+
+import numpy as np
+
+from lieednn_sim import storage
+from lieednn_sim.arm import Arm
+from lieednn_sim.planning import plan
+from lieednn_sim.simulate import simulate
+from lieednn_sim.synthesis import Synthesis, synthesize
+
+
+def random_targets(neurons: int, count: int, seed: int = 0) -> list[np.ndarray]:
+    """The paper's targets: every coordinate uniform in (-0.8, 0.8)."""
+    rng = np.random.default_rng(seed)
+    return [rng.uniform(-0.8, 0.8, (neurons, 6)) for _ in range(count)]
+
+
+def arm_targets(arm: Arm, kind: str, count: int, seed: int = 0) -> list[np.ndarray]:
+    """Joint targets within the limits: mixed angles, all angles negative, or all angles zero (pure extension)."""
+    rng = np.random.default_rng(seed)
+    low, high = arm.position_limits.T
+    targets = []
+    for _ in range(count):
+        q = rng.uniform(low, high)
+        angles = q[arm.joints.revolute]
+        q[arm.joints.revolute] = {"mixed": angles, "negative": np.maximum(-np.abs(angles), low[::2]), "zero": 0.0}[kind]
+        targets.append(arm.encode(q))
+    return targets
+
+
+def summarise(name: str, outcomes: list[Synthesis]) -> dict[str, object]:
+    """One row of the table."""
+    good = [outcome for outcome in outcomes if outcome.success]
+    milliseconds = 1e3 * np.array([outcome.seconds for outcome in outcomes])
+    return {
+        "targets": name,
+        "certified": f"{len(good)} of {len(outcomes)}",
+        "median [ms]": round(float(np.median(milliseconds)), 2),
+        "95 % [ms]": round(float(np.percentile(milliseconds, 95)), 2),
+        "max [ms]": round(float(milliseconds.max()), 1),
+        "largest residual": f"{max((outcome.residual for outcome in good), default=np.nan):.1e}",
+        "largest t": round(max((outcome.largest_translation for outcome in good), default=float("nan")), 2),
+        "smallest margin": f"{min((o.certificate.margin for o in good if o.certificate), default=np.nan):.1e}",
+        "proved impossible": sum("can exist" in o.message or "no weights can" in o.message for o in outcomes),
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="a tenth of the targets")
+    parser.add_argument("--output", default="results/benchmark", help="directory (default: %(default)s)")
+    arguments = parser.parse_args()
+    directory = storage.make_directory(arguments.output)
+    scale = 10 if arguments.quick else 1
+    arm = Arm.load("telescopic_pr")
+    synthesize(random_targets(4, 1)[0])  # warm up
+
+    rows = []
+    for neurons, count in ((4, 1000), (2, 200), (3, 200), (8, 100), (12, 50)):
+        targets = random_targets(neurons, count // scale)
+        outcomes = [synthesize(xi, seed=k) for k, xi in enumerate(targets)]
+        rows.append(summarise(f"N = {neurons}, U(-0.8, 0.8), b = 1/8", outcomes))
+        print(rows[-1], flush=True)
+    for kind in ("mixed", "negative", "zero"):
+        targets = arm_targets(arm, kind, 100 // scale)
+        outcomes = [synthesize(xi, bias="sign-matched", seed=k) for k, xi in enumerate(targets)]
+        rows.append(summarise(f"arm, {kind} angles, sign-matched", outcomes))
+        print(rows[-1], flush=True)
+
+    xi = random_targets(4, 1)[0]
+    repeats = 200 // scale
+    begun = time.perf_counter()
+    for k in range(repeats):
+        network = synthesize(xi, seed=k).unwrap()
+    synthesis_time = (time.perf_counter() - begun) / repeats
+    others = random_targets(4, repeats, seed=1)
+    begun = time.perf_counter()
+    for other in others:
+        network.retarget(other)
+    retarget_time = (time.perf_counter() - begun) / repeats
+    begun = time.perf_counter()
+    chosen = plan(arm, arm.keyframe("extended"))
+    plan_time = time.perf_counter() - begun
+    begun = time.perf_counter()
+    rollout = simulate(arm, chosen.motion)
+    simulation_time = time.perf_counter() - begun
+    ratios = {
+        "retargeting a certified network, in syntheses": f"1 / {synthesis_time / retarget_time:.0f}",
+        "planning with 24 candidates, in syntheses": f"{plan_time / synthesis_time:.0f}",
+        "simulation, in real time": f"1 / {rollout.t[-1] / simulation_time:.0f}",
+    }
+
+    storage.save_json(directory / "benchmark.json", {"synthesis": rows, "ratios": ratios})
+    lines = [
+        "# Benchmark of certified synthesis",
+        "",
+        f"`python scripts/benchmark.py{' --quick' if arguments.quick else ''}`, one core, {platform.machine()}, "
+        f"Python {platform.python_version()}, NumPy {np.__version__}.",
+        "",
+        "| " + " | ".join(rows[0]) + " |",
+        "|" + " --- |" * len(rows[0]),
+        *("| " + " | ".join(str(value) for value in row.values()) + " |" for row in rows),
+        "",
+        "| ratio of times in this run | value |",
+        "| --- | --- |",
+        *(f"| {name} | {value} |" for name, value in ratios.items()),
+    ]
+    path = Path(directory) / "benchmark.md"
+    with storage.atomic_text(path) as stream:
+        stream.write("\n".join(lines) + "\n")
+    print(path.read_text(encoding="utf-8"))
+
+
+if __name__ == "__main__":
+    main()
