@@ -29,7 +29,6 @@ class Plan:
         network: certified, with the target as its equilibrium.
         motion: keeps position and velocity limits and touches nothing.
         target: ``(2N,)`` joint target [rad, m].
-        bias_magnitude: of the chosen network's bias rule.
         candidates: networks synthesised.
         within_limits: of these, networks whose transient keeps the position limits.
     """
@@ -37,7 +36,6 @@ class Plan:
     network: LieEDNN
     motion: Motion
     target: Floats
-    bias_magnitude: float
     candidates: int
     within_limits: int
 
@@ -45,7 +43,6 @@ class Plan:
 @dataclass(frozen=True)
 class _Candidate:
     network: LieEDNN
-    bias_magnitude: float
     excess: float
     gap: float
 
@@ -99,7 +96,7 @@ def plan(
         if result.network is None:
             message = result.message
         else:
-            found.append(_screen(arm, result.network, magnitude, origin))
+            found.append(_screen(arm, result.network, origin))
         if progress is not None:
             progress(index + 1, total)
     if not found:
@@ -117,11 +114,11 @@ def plan(
         except PlanError as error:
             refusal = refusal or error
             continue
-        return Plan(candidate.network, motion, goal, candidate.bias_magnitude, total, kept)
+        return Plan(candidate.network, motion, goal, total, kept)
     raise PlanError(f"{refusal} (best of {total} candidates)")
 
 
-def _screen(arm: Arm, network: LieEDNN, bias_magnitude: float, origin: Floats) -> _Candidate:
+def _screen(arm: Arm, network: LieEDNN, origin: Floats) -> _Candidate:
     """Largest excess over the position limits and largest mechanism gap along a roughly integrated trajectory."""
     start = arm.encode(origin)
     states = network.trajectory(start, 20.0 / network.gamma, rtol=1e-4, atol=1e-6).xi
@@ -130,4 +127,4 @@ def _screen(arm: Arm, network: LieEDNN, bias_magnitude: float, origin: Floats) -
     # The integrator's steps may straddle the extreme; a thousandth of the range keeps clear of the bound.
     excess = (np.maximum(low - decoded.q, decoded.q - high) + 1e-3 * (high - low))[1:-1].max(initial=-np.inf)
     gap = decoded.gap_translation.max() + arm.length_scale * decoded.gap_rotation.max()
-    return _Candidate(network, bias_magnitude, float(excess), float(gap))
+    return _Candidate(network, float(excess), float(gap))

@@ -35,7 +35,11 @@ def arm_targets(arm: Arm, kind: str, count: int, seed: int = 0) -> list[np.ndarr
     for _ in range(count):
         q = rng.uniform(low, high)
         angles = q[arm.joints.revolute]
-        q[arm.joints.revolute] = {"mixed": angles, "negative": np.maximum(-np.abs(angles), low[::2]), "zero": 0.0}[kind]
+        q[arm.joints.revolute] = {
+            "mixed": angles,
+            "negative": np.maximum(-np.abs(angles), low[arm.joints.revolute]),
+            "zero": 0.0,
+        }[kind]
         targets.append(arm.encode(q))
     return targets
 
@@ -53,7 +57,7 @@ def summarise(name: str, outcomes: list[Synthesis]) -> dict[str, object]:
         "largest residual": f"{max((outcome.residual for outcome in good), default=np.nan):.1e}",
         "largest t": round(max((outcome.largest_translation for outcome in good), default=float("nan")), 2),
         "smallest margin": f"{min((o.certificate.margin for o in good if o.certificate), default=np.nan):.1e}",
-        "proved impossible": sum("can exist" in o.message or "no weights can" in o.message for o in outcomes),
+        "proved impossible": sum(not o.success and "no feasible weights" not in o.message for o in outcomes),
     }
 
 

@@ -59,7 +59,7 @@ make_venv() {
         if [ "$(id -u)" = 0 ] && command -v apt-get >/dev/null; then
             say "Installing $package"
             apt-get update -qq >&2 || true
-            DEBIAN_FRONTEND=noninteractive apt-get install -qq -y --no-install-recommends "$package" >&2 || true
+            DEBIAN_FRONTEND=noninteractive apt-get install -qq -y --no-install-recommends "$package" >/dev/null || true
         fi
         can_make_venv "$python" || die "$python cannot make virtual environments: apt-get install $package"
     fi

@@ -21,7 +21,7 @@ if [ -n "$packages" ] && [ "$as_root" != none ] && command -v apt-get >/dev/null
     packages=$(ask || true) # only now apt knows what this release has
     say "Installing OpenGL for rendering without a display: $packages"
     # shellcheck disable=SC2086  # both are lists of words
-    $as_root env DEBIAN_FRONTEND=noninteractive apt-get install -qq -y --no-install-recommends $packages >&2 || true
+    $as_root env DEBIAN_FRONTEND=noninteractive apt-get install -qq -y --no-install-recommends $packages >/dev/null || true
     if ask >/dev/null; then exit 0; fi
 fi
 

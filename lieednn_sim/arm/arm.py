@@ -149,7 +149,7 @@ class Arm:
         """A `dm_control.mujoco.Physics` of the scene at the keyframe ``home``, for tasks and viewers of dm_control."""
         from dm_control import mujoco as dm_mujoco
 
-        physics = dm_mujoco.Physics.from_model(copy.deepcopy(self.model))
+        physics = dm_mujoco.Physics.from_model(dm_mujoco.wrapper.MjModel(copy.deepcopy(self.model)))
         with physics.reset_context():
             physics.data.qpos[:] = self.keyframe("home")
             physics.data.ctrl[:] = self.keyframe("home")

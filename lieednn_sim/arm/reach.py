@@ -7,13 +7,16 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
+from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.arm import Arm
 from lieednn_sim.errors import InputError
+from lieednn_sim.lie import hat
 from lieednn_sim.validation import as_floats
 
 Floats = NDArray[np.float64]
 
 _TOLERANCE = 1e-6
+_ATTEMPTS = 8
 # Weight of the pull towards the start, which picks one of the many solutions of a redundant arm.
 _POSTURE_WEIGHT = 1e-3
 
@@ -39,26 +42,44 @@ def reach(
     spread = high - low
     rng = np.random.default_rng(seed)
 
+    data = mujoco.MjData(arm.model)
+    site = int(arm.site_ids[-1])
+
     def error(q: Floats) -> Floats:
-        pose = arm.link_poses(q)[-1]
-        parts = [pose.translation - goal]
+        data.qpos[:] = q
+        mujoco.mj_kinematics(arm.model, data)
+        parts = [data.site_xpos[site] - goal]
         if rotation is not None:
-            parts.append((rotation.inv() * pose.rotation).as_rotvec())
+            parts.append((rotation.as_matrix().T @ data.site_xmat[site].reshape(3, 3) - np.eye(3)).ravel())
         return np.concatenate(parts)
 
+    def jacobian(q: Floats) -> Floats:
+        data.qpos[:] = q
+        mujoco.mj_kinematics(arm.model, data)
+        mujoco.mj_comPos(arm.model, data)
+        linear, angular = np.zeros((3, arm.n_joints)), np.zeros((3, arm.n_joints))
+        mujoco.mj_jacSite(arm.model, data, linear, angular, site)
+        if rotation is None:
+            return linear
+        turned = rotation.as_matrix().T @ hat(angular.T) @ data.site_xmat[site].reshape(3, 3)
+        return np.vstack([linear, turned.reshape(arm.n_joints, 9).T])
+
     best, touching = np.inf, ""
-    for attempt in range(12):
+    for attempt in range(_ATTEMPTS):
         q = rest if attempt == 0 else rng.uniform(low, high)
         # With the posture term first: a solution near the start. Then without: an exact one.
         for weight in (_POSTURE_WEIGHT, 0.0):
+            pull = np.diag(weight / spread)
             q = least_squares(
-                lambda x, w=weight: np.concatenate([error(x), w * (x - rest) / spread]),
+                lambda x, pull=pull: np.concatenate([error(x), pull @ (x - rest)]),
                 np.clip(q, low + 1e-9 * spread, high - 1e-9 * spread),
+                jac=lambda x, pull=pull: np.vstack([jacobian(x), pull]),
                 bounds=(low, high),
                 x_scale=spread,
                 xtol=1e-12,
                 ftol=1e-12,
                 gtol=1e-12,
+                max_nfev=200,
             ).x
         distance = float(np.abs(error(q)).max())
         if distance < _TOLERANCE:

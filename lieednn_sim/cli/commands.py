@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 from numpy.typing import NDArray
+from rich import box
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
@@ -31,7 +32,7 @@ def demo(arguments: argparse.Namespace) -> None:
     """The whole road in one command."""
     begun = time.perf_counter()
     if not arguments.no_video:
-        _check_video(arguments)
+        _check_video(Arm.load(arguments.arm), arguments)
     run = _synthesize(arguments)
     _simulate(run, arguments.hold)
     _evaluate(run)
@@ -60,7 +61,6 @@ def evaluate(arguments: argparse.Namespace) -> None:
 
 def render(arguments: argparse.Namespace) -> None:
     """Rollout to video."""
-    _check_video(arguments)
     run = RunDirectory(arguments.run).existing()
     _render(run, arguments, arguments.output or str(run.video))
 
@@ -98,7 +98,7 @@ def _synthesize(arguments: argparse.Namespace) -> RunDirectory:
     conditions = chosen.network.norm_conditions(arm.encode(chosen.target))
     table = _table("network", "quantity", "value")
     table.add_row("certificate", str(chosen.network.certificate))
-    table.add_row("bias", f"{arguments.bias}, magnitude {chosen.bias_magnitude:g}")
+    table.add_row("bias", f"{arguments.bias}, largest entry {np.abs(chosen.network.bias).max():.3g}")
     table.add_row("candidates", f"{chosen.candidates} networks drawn, {chosen.within_limits} keep the joint limits")
     table.add_row("mechanism gap", f"{1e3 * chosen.motion.gap_translation.max():.1f} mm on the way, 0 at the target")
     table.add_row(
@@ -159,13 +159,12 @@ def _render(run: RunDirectory, arguments: argparse.Namespace, path: str) -> None
     _wrote(path)
 
 
-def _check_video(arguments: argparse.Namespace) -> None:
-    """Refuse bad video options before the minutes of work that come first."""
-    from lieednn_sim.render.video import PRESETS
-    from lieednn_sim.validation import as_choice, as_count
+def _check_video(arm: Arm, arguments: argparse.Namespace) -> None:
+    """Refuse bad video options before the work that comes first."""
+    from lieednn_sim.render.video import check_view
+    from lieednn_sim.validation import as_count
 
-    _size(arguments.size)
-    as_choice("preset", arguments.preset, PRESETS)
+    check_view(arm, camera=arguments.camera, size=_size(arguments.size), preset=arguments.preset)
     as_count("fps", arguments.fps)
 
 
@@ -228,16 +227,17 @@ def _joints_table(evaluation: Evaluation) -> Table:
 
 
 def _table(title: str, *columns: str) -> Table:
-    table = Table(title=title, title_justify="left", caption_justify="left")
+    table = Table(title=title, title_justify="left", caption_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
     for index, column in enumerate(columns):
-        table.add_column(column, justify="left" if index == 0 else "right")
+        table.add_column(column, justify="left" if index == 0 else "right", no_wrap=index == 0)
     return table
 
 
 @contextlib.contextmanager
 def _progress(what: str) -> Iterator[Callable[[int, int], None]]:
     columns = (TextColumn("{task.description:<10}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
         shown = bar.add_task(what, total=None)
         yield lambda done, total: bar.update(shown, completed=done, total=total)
 

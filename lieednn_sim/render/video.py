@@ -36,6 +36,16 @@ class Preset:
 PRESETS = {"draft": Preset(shadows=False, samples=0), "nice": Preset(shadows=True, samples=4)}
 
 
+def check_view(arm: Arm, *, camera: str, size: tuple[int, int], preset: str) -> None:
+    """Raise `InputError` for an unknown camera or preset, or a size that cannot be rendered."""
+    as_choice("camera", camera, [arm.model.camera(i).name for i in range(arm.model.ncam)])
+    as_choice("preset", preset, PRESETS)
+    width, height = (as_count("size", value) for value in size)
+    limit = arm.model.vis.global_
+    if width % 2 or height % 2 or width > limit.offwidth or height > limit.offheight:
+        raise InputError(f"size must be even and at most {limit.offwidth}x{limit.offheight}, got {width}x{height}")
+
+
 class Camera:
     """Renders an arm from a named camera; use as a context manager, which frees the OpenGL context.
 
@@ -53,20 +63,14 @@ class Camera:
     def __init__(
         self, arm: Arm, *, camera: str = "overview", size: tuple[int, int] = (1280, 720), preset: str = "nice"
     ) -> None:
-        cameras = [arm.model.camera(i).name for i in range(arm.model.ncam)]
-        self._camera = as_choice("camera", camera, cameras)
-        self._preset = PRESETS[as_choice("preset", preset, PRESETS)]
-        width, height = (as_count("size", value) for value in size)
-        limit = arm.model.vis.global_
-        if width % 2 or height % 2 or width > limit.offwidth or height > limit.offheight:
-            raise InputError(f"size must be even and at most {limit.offwidth}x{limit.offheight}, got {width}x{height}")
+        check_view(arm, camera=camera, size=size, preset=preset)
         opengl.require()
-        self._arm = arm
+        self._arm, self._camera, self._preset = arm, camera, PRESETS[preset]
         self._model = copy.deepcopy(arm.model)
         self._model.vis.quality.offsamples = self._preset.samples
         self._data = mujoco.MjData(self._model)
         try:
-            self._renderer = mujoco.Renderer(self._model, height, width, max_geom=20_000)
+            self._renderer = mujoco.Renderer(self._model, size[1], size[0], max_geom=20_000)
         except Exception as error:  # MuJoCo lets errors of several GL bindings through, with no common base
             raise RenderingUnavailableError(f"OpenGL failed to start: {error}; run 'lieednn-sim doctor'") from None
 
@@ -167,7 +171,10 @@ def _writer(path: Path, fps: float) -> Iterator[Callable[[Image], None]]:
                 ffmpeg_log_level="error",
                 ffmpeg_params=["-preset", "veryfast", "-movflags", "+faststart"],
             )
-        with writer:
+        try:
             yield writer.append_data
+        finally:
+            # imageio's own `with` leaves the encoder running when the block fails.
+            writer.close()
     except OSError as error:
         raise FileError(f"cannot write the video: {str(error).strip().splitlines()[0]}") from None

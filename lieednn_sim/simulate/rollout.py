@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -148,25 +149,37 @@ def simulate(
     data = mujoco.MjData(model)
     data.qpos[:] = q_ref[0]
     shown = time.monotonic()
-    for k in range(total):
-        # The two halves of mj_step: poses and state are read between them, so that all belong to t[k].
-        mujoco.mj_step1(model, data)
-        data.ctrl[:] = ctrl[k]
-        log["t"][k], log["q"][k], log["qd"][k], log["ctrl"][k] = k * step, data.qpos, data.qvel, data.ctrl
-        log["link_position"][k] = data.site_xpos[arm.site_ids]
-        for i, site in enumerate(arm.site_ids):
-            mujoco.mju_mat2Quat(log["link_quaternion"][k, i], data.site_xmat[site])
-        log["contacts"][k] = data.ncon
-        mujoco.mj_step2(model, data)
-        # Compensation that is not routed through the actuators still has to come from the drives.
-        log["force"][k] = data.qfrc_actuator + np.where(model.jnt_actgravcomp, 0.0, data.qfrc_gravcomp)
-        problem = _problem(data)
-        if problem:
-            raise SimulationError(_dump(arm, log, q_ref, qd_ref, k, problem, dump_directory))
-        if progress is not None and (time.monotonic() - shown > 0.1 or k == total - 1):
-            shown = time.monotonic()
-            progress(k + 1, total)
+    with _quiet_warnings():
+        for k in range(total):
+            # The two halves of mj_step: poses and state are read between them, so that all belong to t[k].
+            mujoco.mj_step1(model, data)
+            data.ctrl[:] = ctrl[k]
+            log["t"][k], log["q"][k], log["qd"][k], log["ctrl"][k] = k * step, data.qpos, data.qvel, data.ctrl
+            log["link_position"][k] = data.site_xpos[arm.site_ids]
+            for i, site in enumerate(arm.site_ids):
+                mujoco.mju_mat2Quat(log["link_quaternion"][k, i], data.site_xmat[site])
+            log["contacts"][k] = data.ncon
+            mujoco.mj_step2(model, data)
+            # Compensation that is not routed through the actuators still has to come from the drives.
+            log["force"][k] = data.qfrc_actuator + np.where(model.jnt_actgravcomp, 0.0, data.qfrc_gravcomp)
+            problem = _problem(data)
+            if problem:
+                raise SimulationError(_dump(arm, log, q_ref, qd_ref, k, problem, dump_directory))
+            if progress is not None and (time.monotonic() - shown > 0.1 or k == total - 1):
+                shown = time.monotonic()
+                progress(k + 1, total)
     return Rollout(arm=arm.name, q_ref=q_ref, qd_ref=qd_ref, motion_end=float(motion.t[-1]), **log)
+
+
+@contextlib.contextmanager
+def _quiet_warnings() -> Iterator[None]:
+    """Keep MuJoCo from printing its warnings and from leaving a log file behind: `_problem` turns them into errors."""
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda _: None)
+    try:
+        yield
+    finally:
+        mujoco.set_mju_user_warning(before)
 
 
 def _problem(data: mujoco.MjData) -> str:

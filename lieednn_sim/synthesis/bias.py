@@ -11,21 +11,31 @@ Floats = NDArray[np.float64]
 
 BIAS_RULES = ("uniform", "sign-matched", "solved")
 
+# Angles below this [rad] are zero up to rounding.
+_NEGLIGIBLE = 1e-6
 
-def bias_for(rule: str, xi: Floats, magnitude: float) -> Floats:
-    """The bias that a rule prescribes for a target ``xi`` ``(N, 6)``.
+
+# How far beyond the least strength that can be certified the sign-matched rule goes, where it must go beyond it.
+_HEADROOM = 1.25
+
+
+def bias_for(rule: str, xi: Floats, outputs: Floats, bound: float, magnitude: float) -> Floats:
+    """The bias that a rule prescribes for a target ``xi`` ``(N, 6)`` with outputs phi(xi) and bound gamma/mu.
 
     - ``"uniform"``: every entry is ``magnitude``, as in the paper.
     - ``"sign-matched"``: ``xi`` clipped to +-``magnitude``: the sign of the target at full strength for every
       coordinate larger than the magnitude, and continuous through zero, so that a coordinate that is zero up to
-      rounding gets no push that the weights would have to cancel.
+      rounding gets no push that the weights would have to cancel. The magnitude is raised where every angle of the
+      target is too large for it: a certificate needs one with |bound omega| - |b| < bound phi(|omega|).
     - ``"solved"``: the bias that makes ``xi`` the equilibrium of weights drawn without regard to it; it starts at zero.
     """
     as_choice("bias rule", rule, BIAS_RULES)
     if rule == "uniform":
         return np.full_like(xi, magnitude)
     if rule == "sign-matched":
-        return np.clip(xi, -magnitude, magnitude)
+        needed = bound * np.abs(xi[:, :3] - outputs[:, :3])[np.abs(xi[:, :3]) > _NEGLIGIBLE]
+        strength = max(magnitude, _HEADROOM * float(needed.min(initial=np.inf))) if needed.size else magnitude
+        return np.clip(bound * xi, -strength, strength)
     return np.zeros_like(xi)
 
 

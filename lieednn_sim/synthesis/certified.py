@@ -86,7 +86,7 @@ def synthesize(
     Args:
         xi: ``(N, 6)`` target, twists (omega, v).
         bias: a name of `BIAS_RULES` or an array ``(N, 6)``.
-        bias_magnitude: strength of the uniform and sign-matched rules.
+        bias_magnitude: strength of the uniform rule, least strength of the sign-matched one.
         gamma: decay rate.
         mu: scale of the interaction.
         activation: a name of `network.ACTIVATIONS`.
@@ -108,13 +108,13 @@ def synthesize(
     as_choice("activation", activation, ACTIVATIONS)
     ratio = as_positive("gamma", gamma) / as_positive("mu", mu)
     as_positive("max_translation", max_translation)
+    state = ACTIVATIONS[activation][0](target)
     solved = isinstance(bias, str) and bias == "solved"
     if isinstance(bias, str):
-        offset = bias_for(bias, target, as_positive("bias_magnitude", bias_magnitude))
+        offset = bias_for(bias, target, state, ratio, as_positive("bias_magnitude", bias_magnitude))
     else:
         offset = as_floats("bias", bias, target.shape)
     # All in units of gamma/mu: W' = W mu/gamma has bound 1.
-    state = ACTIVATIONS[activation][0](target)
     required = target - offset / ratio
     attempts, iterations = 0, 0
 

@@ -1,0 +1,159 @@
+"""Every arm: kinematics against MuJoCo's own, encoding, retraction, and the contract of the model files."""
+
+import numpy as np
+import pytest
+from dm_control import mjcf
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm import Arm, arm_names, reach, scene_path
+from lieednn_sim.errors import FileError, InputError
+from lieednn_sim.lie import exp
+
+
+@pytest.fixture(scope="module", params=arm_names())
+def arm(request):
+    return Arm.load(request.param)
+
+
+def random_positions(arm, count, seed=0):
+    low, high = arm.position_limits.T
+    return np.random.default_rng(seed).uniform(low, high, (count, arm.n_joints))
+
+
+def test_link_poses_equal_mujocos_kinematics(arm):
+    data = mujoco.MjData(arm.model)
+    positions = random_positions(arm, 100)
+    poses = arm.link_poses(positions).as_matrix()
+    for q, pose in zip(positions, poses, strict=True):
+        data.qpos[:] = q
+        mujoco.mj_kinematics(arm.model, data)
+        np.testing.assert_allclose(pose[:, :3, 3], data.site_xpos[arm.site_ids], atol=1e-9)
+        np.testing.assert_allclose(pose[:, :3, :3].reshape(-1, 9), data.site_xmat[arm.site_ids], atol=1e-9)
+
+
+def test_encoding_and_retraction_are_inverse_on_the_joints_set(arm):
+    positions = random_positions(arm, 200).reshape(2, 100, -1)
+    decoded = arm.decode(arm.encode(positions))
+    np.testing.assert_allclose(decoded.q, positions, atol=1e-9)
+    assert decoded.gap_translation.shape == (2, 100, arm.n_links)
+    assert decoded.gap_translation.max() < 1e-9
+    assert decoded.gap_rotation.max() < 1e-7
+
+
+@given(seed=st.integers(0, 2**32 - 1), size=st.sampled_from([1e-12, 1e-6, 1e-3, 0.3]))
+def test_retraction_is_the_nearest_joint_position_and_the_gap_is_what_is_left(seed, size):
+    arm = Arm.load("telescopic_pr")
+    rng = np.random.default_rng(seed)
+    low, high = arm.position_limits.T
+    xi = arm.encode(rng.uniform(low, high)) + size * rng.normal(size=(arm.n_links, 6))
+    decoded = arm.decode(xi)
+    given_poses, found = exp(xi), arm.joint_poses(decoded.q)
+    difference = found.inv() * given_poses
+    np.testing.assert_allclose(decoded.gap_rotation, difference.rotation.magnitude(), atol=1e-7)
+    np.testing.assert_allclose(decoded.gap_translation, np.linalg.norm(difference.translation, axis=-1), atol=1e-9)
+    # No neighbour in the revolute coordinate is nearer in angle, none in the prismatic one in distance.
+    for step in (-1e-4, 1e-4):
+        turned, slid = decoded.q.copy(), decoded.q.copy()
+        turned[arm.joints.revolute] += step
+        slid[arm.joints.prismatic] += step
+        angle = (arm.joint_poses(turned).inv() * given_poses).rotation.magnitude()
+        distance = np.linalg.norm((arm.joint_poses(slid).inv() * given_poses).translation, axis=-1)
+        assert (angle >= decoded.gap_rotation - 1e-7).all()
+        assert (distance >= decoded.gap_translation - 1e-12).all()
+
+
+@given(seed=st.integers(0, 2**32 - 1), size=st.sampled_from([0.0, 1e-9, 1e-3, 0.3]))
+def test_retracted_rates_agree_with_finite_differences(seed, size):
+    arm = Arm.load("telescopic_pr")
+    rng = np.random.default_rng(seed)
+    low, high = arm.position_limits.T
+    xi = arm.encode(rng.uniform(low, high)) + size * rng.normal(size=(arm.n_links, 6))
+    rate = rng.normal(size=xi.shape)
+    h = 1e-6
+    numeric = (arm.decode(xi + h * rate).q - arm.decode(xi - h * rate).q) / (2 * h)
+    np.testing.assert_allclose(arm.decode(xi, rate).qd, numeric, atol=1e-7)
+
+
+def test_the_model_keeps_its_contract(arm):
+    model = arm.model
+    for kind in ("body", "joint", "site", "camera", "actuator", "light", "mat"):
+        count = getattr(
+            model, {"body": "nbody", "joint": "njnt", "actuator": "nu", "camera": "ncam"}.get(kind, f"n{kind}")
+        )
+        assert all(getattr(model, kind)(i).name for i in range(count)), f"every {kind} has a name"
+    assert model.nq == model.nv == model.nu == 2 * arm.n_links
+    assert (model.body_gravcomp[1:][model.body_dofnum[1:] > 0] == 1.0).all()
+    assert np.isfinite(arm.velocity_limits).all()
+    assert np.isfinite(arm.force_limits).all()
+    for key in range(model.nkey):
+        arm.check_position(model.key_qpos[key])
+        assert arm.contacts(model.key_qpos[key]) == []
+    home = arm.keyframe("home")
+    low, high = arm.position_limits.T
+    assert ((home - low) > 0.05 * (high - low)).all()
+
+
+def test_gains_follow_from_the_stated_natural_frequency(arm):
+    model, data = arm.model, mujoco.MjData(arm.model)
+    mujoco.mj_forward(model, data)
+    inertia = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, inertia)
+    effective = 1.0 / np.diag(np.linalg.inv(inertia))
+    frequency = 2.0 * np.pi * model.numeric("natural_frequency").data[0]
+    stiffness, damping = model.actuator_gainprm[:, 0], -model.actuator_biasprm[:, 2]
+    np.testing.assert_allclose(stiffness, effective * frequency**2, rtol=1e-3)
+    np.testing.assert_allclose(damping, 2.0 * np.sqrt(stiffness * effective), rtol=1e-3)  # dampratio 1
+
+
+def test_the_home_posture_holds_under_noise_without_warnings(arm):
+    data = mujoco.MjData(arm.model)
+    rng = np.random.default_rng(0)
+    data.qpos[:] = home = arm.keyframe("home")
+    low, high = arm.position_limits.T
+    for _ in range(1000):
+        data.ctrl[:] = np.clip(home + 0.02 * rng.normal(size=home.shape), low, high)
+        mujoco.mj_step(arm.model, data)
+    assert not data.warning.number.any()
+    assert np.abs(data.qpos - home).max() < 0.05
+
+
+def test_dm_control_reads_the_model(arm):
+    physics = mjcf.Physics.from_mjcf_model(mjcf.from_path(str(scene_path(arm.name))))
+    physics.step()
+    assert physics.model.nq == arm.n_joints
+    np.testing.assert_array_equal(arm.physics().data.qpos, arm.keyframe("home"))
+
+
+def test_reach_puts_the_end_effector_where_it_is_asked(arm):
+    wanted = arm.link_poses(arm.keyframe("extended"))[-1]
+    q = reach(arm, wanted.translation, wanted.rotation)
+    found = arm.link_poses(q)[-1]
+    np.testing.assert_allclose(found.translation, wanted.translation, atol=1e-5)
+    assert (found.rotation.inv() * wanted.rotation).magnitude() < 1e-5
+    arm.check_position(q)
+    with pytest.raises(InputError, match=r"cannot reach \(9, 0, 0\) m.*off"):
+        reach(arm, [9.0, 0.0, 0.0])
+
+
+def test_errors_name_what_is_allowed(arm, tmp_path):
+    with pytest.raises(InputError, match="no arm 'nonsense'; allowed: telescopic_pr"):
+        Arm.load("nonsense")
+    with pytest.raises(InputError, match=r"no keyframe 'away'.*home"):
+        arm.keyframe("away")
+    beyond = arm.keyframe("home")
+    beyond[1] = 99.0
+    with pytest.raises(InputError, match=rf"{arm.joint_names[1]}.*99.*range"):
+        arm.check_position(beyond)
+    with pytest.raises(InputError, match="NaN"):
+        arm.encode(np.full(arm.n_joints, np.nan))
+    with pytest.raises(FileError, match="no such file"):
+        Arm.from_xml(tmp_path / "missing.xml")
+    broken = tmp_path / "scene.xml"
+    broken.write_text("<mujoco><worldbody><geom/></worldbody>")
+    with pytest.raises(FileError, match="cannot compile"):
+        Arm.from_xml(broken)
+    broken.write_text("<mujoco><worldbody/></mujoco>")
+    with pytest.raises(InputError, match="base_frame"):
+        Arm.from_xml(broken)

@@ -1,0 +1,185 @@
+"""The command line as a user meets it: the whole road, one-line errors, exit code 2, no half-written file."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from lieednn_sim.cli import main
+
+FAST = ["--candidates", "3", "--duration", "2"]
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """A run directory up to the rollout."""
+    directory = tmp_path_factory.mktemp("run")
+    assert main(["synthesize", "--target", "extended", "--output", str(directory), *FAST]) == 0
+    assert main(["simulate", str(directory), "--hold", "0.5"]) == 0
+    return directory
+
+
+def fails(capsys, *arguments):
+    """Run a command that must fail, and return its one line on stderr."""
+    capsys.readouterr()
+    assert main([str(argument) for argument in arguments]) == 2
+    lines = [line for line in capsys.readouterr().err.splitlines() if line.strip()]
+    assert len(lines) == 1, lines
+    assert lines[0].startswith("lieednn-sim: error: ")
+    return lines[0]
+
+
+def test_the_demo_without_video_meets_its_bounds(tmp_path, capsys):
+    directory = tmp_path / "demo"
+    assert main(["demo", "--no-video", "--output", str(directory)]) == 0
+    metrics = json.loads((directory / "metrics.json").read_text())
+    tip = metrics["frames"][-1]
+    assert metrics["displacement"] > 1.0
+    assert metrics["motion_end"] == pytest.approx(4.0)
+    assert tip["final_translation_mm"] < 1.0
+    assert tip["final_rotation_deg"] < 0.1
+    assert tip["rms_translation_mm"] < 1.0
+    assert tip["rms_rotation_deg"] < 0.1
+    expected = {"task.json", "network.npz", "motion.npz", "rollout.npz", "metrics.json", "metrics.csv"}
+    expected |= {"network.png", "tracking.png", "joints.png"}
+    assert {path.name for path in directory.iterdir()} == expected
+    printed = capsys.readouterr().out
+    assert "end effector" in printed
+    assert all(f"wrote {directory / name}" in printed for name in expected)
+
+
+def test_steps_run_one_by_one_and_again_over_the_first(run, capsys):
+    assert main(["evaluate", str(run)]) == 0
+    first = (run / "metrics.json").read_bytes()
+    assert main(["simulate", str(run), "--hold", "0.5"]) == 0
+    assert main(["evaluate", str(run)]) == 0
+    assert (run / "metrics.json").read_bytes() == first
+
+
+@pytest.mark.rendering
+def test_render(run, tmp_path):
+    options = ["--preset", "draft", "--size", "160x90", "--fps", "5"]
+    assert main(["render", str(run), "--output", str(tmp_path / "out.gif"), *options]) == 0
+    assert (tmp_path / "out.gif").stat().st_size > 1000
+
+
+def test_a_target_can_be_numbers_or_a_position(tmp_path):
+    q = "0.2,0.1,0.4,0.1,-0.3,0.1,-0.2,0.1"
+    assert main(["synthesize", "--target", q, "--output", str(tmp_path / "a"), *FAST]) == 0
+    assert json.loads((tmp_path / "a" / "task.json").read_text())["target"][4] == -0.3
+    assert main(["synthesize", "--position", "1.8,0.6,1.2", "--output", str(tmp_path / "b"), *FAST]) == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--target", "extended", "--arm", "crane"], "no arm 'crane'; allowed: telescopic_pr"),
+        (["--target", "nowhere"], "no keyframe 'nowhere'"),
+        (["--target", "1,2,3"], "target must be 8 comma-separated numbers, got 3"),
+        (["--target", "0,0,0,x,0,0,0,0"], "target must be 8 comma-separated numbers"),
+        (["--target", "0,nan,0,0,0,0,0,0"], "target must be finite"),
+        (["--target", "0,0.1,0,9,0,0,0,0"], "joint 'extend1' would be at 9 m"),
+        (["--position", "9,9,9"], "cannot reach"),
+        (["--target", "extended", "--start", "0,0,0,0,0,0,0,99"], "start is out of reach"),
+        (["--target", "extended", "--duration", "nan"], "duration"),
+        (["--target", "extended", "--duration", "0.1"], "a duration of at least"),
+        (["--target", "extended", "--bias", "odd"], "no bias rule 'odd'; allowed"),
+        (["--target", "extended", "--candidates", "0"], "candidates must be at least 1"),
+        (["--target", "extended", "--seed", "-1"], "seed"),
+    ],
+)
+def test_bad_input_gives_one_line_and_no_network(arguments, words, tmp_path, capsys):
+    output = tmp_path / "run"
+    assert words in fails(capsys, "synthesize", *arguments, "--output", output)
+    assert not output.exists() or list(output.iterdir()) == []
+
+
+def test_broken_run_directories(run, tmp_path, capsys):
+    assert "holds no run" in fails(capsys, "simulate", tmp_path / "missing")
+    for name, damage in (("network.npz", b"junk"), ("task.json", b"{"), ("network.npz", None)):
+        broken = tmp_path / f"{name}-{damage}"
+        broken.mkdir()
+        for path in ("task.json", "network.npz"):
+            (broken / path).write_bytes((run / path).read_bytes())
+        if damage is None:
+            (broken / name).unlink()
+        else:
+            (broken / name).write_bytes(damage)
+        before = sorted(path.name for path in broken.iterdir())
+        assert name in fails(capsys, "simulate", broken)
+        assert sorted(path.name for path in broken.iterdir()) == before
+    only_task = tmp_path / "no-rollout"
+    only_task.mkdir()
+    (only_task / "task.json").write_bytes((run / "task.json").read_bytes())
+    assert "rollout.npz" in fails(capsys, "evaluate", only_task)
+    assert "rollout.npz" in fails(capsys, "render", only_task)
+
+
+def test_output_that_cannot_be_written(tmp_path, capsys):
+    (tmp_path / "file").write_text("in the way")
+    assert "cannot create directory" in fails(
+        capsys, "synthesize", "--target", "extended", "--output", tmp_path / "file" / "run", *FAST
+    )
+
+
+def test_bad_video_options_are_refused_before_the_work(tmp_path, capsys):
+    output = tmp_path / "demo"
+    assert "size must look like 1280x720" in fails(capsys, "demo", "--size", "huge", "--output", output)
+    assert "no preset 'best'" in fails(capsys, "demo", "--preset", "best", "--output", output)
+    assert "no camera 'moon'" in fails(capsys, "demo", "--camera", "moon", "--output", output)
+    assert not output.exists()
+
+
+def test_without_opengl_the_demo_goes_on_without_video(tmp_path):
+    command = [sys.executable, "-m", "lieednn_sim.cli", "demo", "--output", str(tmp_path), *FAST]
+    environment = {**os.environ, "MUJOCO_GL": "disable"}
+    environment.pop("PYOPENGL_PLATFORM", None)
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "no video: cannot render" in done.stdout
+    assert (tmp_path / "metrics.json").exists()
+    assert not (tmp_path / "video.mp4").exists()
+    command[3:] = ["render", str(tmp_path)]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 2
+    assert done.stderr.startswith("lieednn-sim: error: cannot render")
+
+
+def test_interrupting_leaves_complete_files_only(tmp_path):
+    command = [sys.executable, "-m", "lieednn_sim.cli", "demo", "--no-video", "--candidates", "2000"]
+    process = subprocess.Popen(
+        [*command, "--output", str(tmp_path / "demo")], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    time.sleep(4.0)
+    process.send_signal(signal.SIGINT)
+    _, stderr = process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert "Traceback" not in stderr
+    assert list((tmp_path / "demo").iterdir()) == []
+
+
+def test_help_imports_nothing_heavy():
+    code = (
+        "import sys; sys.argv = ['lieednn-sim', '--help']\n"
+        "from lieednn_sim.cli import main\n"
+        "try: main()\n"
+        "except SystemExit: pass\n"
+        "assert not {'numpy', 'mujoco', 'scipy', 'rich'} & set(sys.modules), 'heavy import'"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "synthesize" in done.stdout
+
+
+def test_doctor_reports_in_words_and_json(capsys):
+    code = main(["doctor", "--json"])
+    report = json.loads(capsys.readouterr().out)
+    assert report["versions"]["mujoco"].startswith("3.")
+    assert report["arms"] == ["telescopic_pr"]
+    assert report["healthy"] == (code == 0) == ("error" not in report["opengl"])
+    assert main(["doctor"]) == code
+    assert "OpenGL backend" in capsys.readouterr().out

@@ -1,0 +1,101 @@
+"""A video that is written, reopened and looked at."""
+
+import imageio.v2 as imageio
+import numpy as np
+import pytest
+
+from lieednn_sim.arm import Arm
+from lieednn_sim.errors import InputError, RenderingUnavailableError
+from lieednn_sim.planning import plan
+from lieednn_sim.render import video
+from lieednn_sim.simulate import simulate
+
+
+@pytest.fixture(scope="module")
+def arm():
+    return Arm.load("telescopic_pr")
+
+
+@pytest.fixture(scope="module")
+def rollout(arm):
+    return simulate(arm, plan(arm, arm.keyframe("extended"), candidates=3, duration=2.0).motion, hold=0.5)
+
+
+# imageio leaves the pipes of its reader to the garbage collector.
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+@pytest.mark.rendering
+def test_the_video_has_the_frames_rate_and_size_and_the_arm_moves(arm, rollout, tmp_path):
+    path, seen = tmp_path / "video.mp4", []
+    count = video.render_video(
+        arm,
+        rollout,
+        arm.keyframe("extended"),
+        path,
+        size=(320, 180),
+        fps=10,
+        preset="draft",
+        progress=lambda done, total: seen.append((done, total)),
+    )
+    assert count == 26
+    assert seen[-1] == (26, 26)
+    with imageio.get_reader(path) as reader:
+        frames = [frame.astype(float) for frame in reader]
+        meta = reader.get_meta_data()
+    assert len(frames) == 26
+    assert meta["fps"] == 10
+    assert tuple(meta["size"]) == (320, 180)
+    change = [np.abs(frame - frames[0]).mean() for frame in frames]
+    assert change[12] > 1.0, "half way the arm has moved"
+    assert change[20] > change[6], "and it goes on moving"
+    assert np.abs(frames[-1] - frames[-2]).mean() < 0.3, "during the hold it rests"
+    assert frames[0].std() > 20, "the picture is not blank"
+    assert list(tmp_path.iterdir()) == [path], "no temporary file is left"
+
+
+@pytest.mark.rendering
+def test_the_planned_path_is_drawn_over_the_arm(arm, rollout):
+    with video.Camera(arm, size=(320, 180), preset="draft") as camera:
+        plain = camera.picture(rollout.q[0]).astype(int)
+        overlay = video.Overlay(arm.link_poses(rollout.q_ref).as_matrix(), rollout.link_position[:, -1])
+        drawn = camera.picture(rollout.q[0], draw=lambda scene: overlay.draw(scene, 0)).astype(int)
+    assert (np.abs(drawn - plain).max(axis=-1) > 40).sum() > 30
+
+
+@pytest.mark.rendering
+def test_an_interrupted_rendering_leaves_no_file(arm, rollout, tmp_path):
+    def interrupt(done, total):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        video.render_video(
+            arm,
+            rollout,
+            arm.keyframe("extended"),
+            tmp_path / "v.mp4",
+            size=(160, 90),
+            preset="draft",
+            progress=interrupt,
+        )
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_bad_input_is_refused_before_rendering(arm, rollout, tmp_path):
+    target = arm.keyframe("extended")
+    with pytest.raises(InputError, match=r"\.mp4 or \.gif"):
+        video.render_video(arm, rollout, target, tmp_path / "video.avi")
+    with pytest.raises(InputError, match=r"no camera 'moon'; allowed: .*overview"):
+        video.render_video(arm, rollout, target, tmp_path / "video.mp4", camera="moon")
+    with pytest.raises(InputError, match="no preset 'ugly'; allowed: draft, nice"):
+        video.render_video(arm, rollout, target, tmp_path / "video.mp4", preset="ugly")
+    with pytest.raises(InputError, match="even and at most 1920x1080, got 321x180"):
+        video.render_video(arm, rollout, target, tmp_path / "video.mp4", size=(321, 180))
+
+
+def test_without_opengl_the_error_names_the_packages(arm, rollout, tmp_path, monkeypatch):
+    def missing():
+        raise RenderingUnavailableError("install libegl1 libgl1")
+
+    monkeypatch.setattr(video.opengl, "require", missing)
+    with pytest.raises(RenderingUnavailableError, match="libegl1"):
+        video.render_video(arm, rollout, arm.keyframe("extended"), tmp_path / "video.mp4")
+    assert list(tmp_path.iterdir()) == []
