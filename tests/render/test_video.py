@@ -21,8 +21,6 @@ def rollout(arm):
     return simulate(arm, plan(arm, arm.keyframe("extended"), candidates=3, duration=2.0).motion, hold=0.5)
 
 
-# imageio leaves the pipes of its reader to the garbage collector.
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 @pytest.mark.rendering
 def test_the_video_has_the_frames_rate_and_size_and_the_arm_moves(arm, rollout, tmp_path):
     path, seen = tmp_path / "video.mp4", []

@@ -1,4 +1,4 @@
-"""Child process of `lieednn_sim.render.gl`: touches the OpenGL libraries where a crash hurts nobody.
+"""Child process of `lieednn_sim.opengl`: touches the OpenGL libraries where a crash hurts nobody.
 
 Run by path, with the standard library alone (``egl``, ``osmesa``) or with MuJoCo (``render``). Prints one JSON object:
 the three strings of the driver, or ``{"error": ...}``. Loading a driver into the caller would cost it 100 MB of LLVM,

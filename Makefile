@@ -1,0 +1,41 @@
+# Everything starts with `make demo`; `make help` lists the rest.
+
+.DEFAULT_GOAL := help
+.NOTPARALLEL:
+.PHONY: help demo test lint clean env env-dev gl
+
+# REQUIRE_RENDERING=1 makes the rendering tests fail, instead of skip, where there is no OpenGL.
+export LIEEDNN_REQUIRE_RENDERING := $(REQUIRE_RENDERING)
+export PYTHON
+
+help:
+	@echo "make demo    plan, simulate, render and report one motion    (ARGS='--help' for its options)"
+	@echo "make test    lint, types and tests                           (REQUIRE_RENDERING=1: no OpenGL is a failure)"
+	@echo "make lint    lint and types alone"
+	@echo "make clean   remove caches and built packages; keeps .venv and results"
+	@echo "Each makes .venv when it is missing; PYTHON=... chooses the interpreter (3.11 or 3.12)."
+
+demo: env gl
+	.venv/bin/lieednn-sim demo $(ARGS)
+
+test: lint gl
+	.venv/bin/python -m pytest -n 2
+
+lint: env-dev
+	.venv/bin/ruff check
+	.venv/bin/ruff format --check
+	.venv/bin/mypy
+
+clean:
+	rm -rf build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	find lieednn_sim tests scripts -type d -name __pycache__ -prune -exec rm -rf {} +
+
+env:
+	@scripts/ensure_env.sh
+
+env-dev:
+	@scripts/ensure_env.sh dev
+
+# After the environment, which the callers make first.
+gl:
+	@scripts/ensure_gl.sh

@@ -1,0 +1,238 @@
+"""Synthesis: what it returns is certified and has the target, and what it cannot make it does not return."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from lieednn_sim.errors import InputError, NotCertifiedError
+from lieednn_sim.network import LieEDNN
+from lieednn_sim.stability import verify
+from lieednn_sim.synthesis import BIAS_RULES, RESIDUAL_TOLERANCE, synthesize
+
+
+def random_target(seed: int, n: int = 4) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(-0.8, 0.8, (n, 6))
+
+
+def arm_target(seed: int, angles: np.ndarray) -> np.ndarray:
+    """Poses of revolute-prismatic joints: a turn about one axis, a slide along another, seen in the joint's frame."""
+    rng = np.random.default_rng(seed)
+    xi = np.zeros((len(angles), 6))
+    for i, angle in enumerate(angles):
+        axis, slide = np.eye(3)[rng.permutation(3)[:2]]
+        xi[i, :3] = angle * axis
+        xi[i, 3:] = rng.uniform(0.0, 0.3) * slide + np.cross(rng.uniform(-0.2, 0.2, 3), xi[i, :3])
+    return xi
+
+
+def check(result, xi: np.ndarray) -> LieEDNN:
+    """Everything that a success promises, computed anew from the raw parts."""
+    assert result.success, result.message
+    assert result.message == "certified"
+    network = result.unwrap()
+    assert verify(network.lyapunov_diagonal, network.rotational_weight, gamma=network.gamma, mu=network.mu).valid
+    residual = np.abs(network.vector_field(xi)).max()
+    assert residual < RESIDUAL_TOLERANCE * network.gamma
+    assert result.residual == residual
+    assert result.largest_translation == np.linalg.norm(network.translation, axis=-1).max() < 20.0
+    return network
+
+
+def check_failure(result, words: str) -> None:
+    assert not result.success
+    assert result.network is None
+    assert result.certificate is None
+    assert result.residual == np.inf
+    assert words in result.message
+    with pytest.raises(NotCertifiedError, match=words):
+        result.unwrap()
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_random_targets_with_the_bias_of_the_paper(seed):
+    xi = random_target(seed)
+    network = check(synthesize(xi, seed=seed), xi)
+    assert (network.bias == 0.125).all()
+
+
+@pytest.mark.parametrize("rule", BIAS_RULES)
+@pytest.mark.parametrize("n", [3, 8, 12])
+def test_other_numbers_of_neurons(n, rule):
+    xi = random_target(100 + n, n)
+    assert check(synthesize(xi, bias=rule), xi).n_neurons == n
+
+
+def test_two_neurons_are_certified_or_refused_never_in_between():
+    outcomes = []
+    for seed in range(8):
+        xi = random_target(seed, 2)
+        result = synthesize(xi, seed=seed, max_attempts=5)
+        outcomes.append(result.success)
+        if result.success:
+            check(result, xi)
+        else:
+            check_failure(result, "not certified")
+    assert sum(outcomes) >= 5
+
+
+@pytest.mark.parametrize("rule", BIAS_RULES)
+@pytest.mark.parametrize("rates", [(2.0, 0.5), (0.1, 3.0), (1.0, 10.0)])
+@pytest.mark.parametrize("activation", ["tanh", "arctan"])
+def test_other_rates_and_activations(rates, activation, rule):
+    xi = random_target(7)
+    network = check(synthesize(xi, bias=rule, gamma=rates[0], mu=rates[1], activation=activation), xi)
+    assert (network.gamma, network.mu, network.activation) == (*rates, activation)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_every_far_start_ends_at_the_target(seed):
+    xi = random_target(seed)
+    network = synthesize(xi, seed=seed).unwrap()
+    start = np.random.default_rng(seed).uniform(-50.0, 50.0, (4, 6))
+    ended = network.trajectory(start, 2000.0, until=xi, distance=1e-7).xi[-1]
+    np.testing.assert_allclose(ended, xi, atol=1.1e-7)
+    found = network.equilibrium(start)
+    assert found.success
+    assert found.spectral_abscissa < 0.0
+    np.testing.assert_allclose(found.xi, xi, atol=1e-8)
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize(
+    "angles",
+    [
+        (0.7, -0.4, 1.1, -0.2),
+        (-0.7, -0.4, -1.1, -0.2),
+        (0.5, 0.0, -0.5, 0.0),
+        (1e-9, -1e-12, 1e-15, 0.0),
+        (0.0, 0.0, 0.0, 0.0),
+        (2.9, -2.5, 2.0, -3.1),
+        (1e-3, -2e-3, 0.049, 0.0),
+        (0.051, 0.0, 0.0, -0.01),
+    ],
+    ids=["mixed", "negative", "some zero", "rounding", "pure extension", "wide", "small", "just carrying"],
+)
+def test_sign_matched_bias_serves_arms(angles, seed):
+    xi = arm_target(seed, np.array(angles))
+    check(synthesize(xi, bias="sign-matched", seed=seed), xi)
+
+
+@pytest.mark.parametrize("length", [0.2, 0.6, 0.9, 2.0])
+def test_sign_matched_bias_serves_every_length_of_pure_extension(length):
+    xi = np.zeros((4, 6))
+    xi[:, 3] = length
+    check(synthesize(xi, bias="sign-matched"), xi)
+
+
+def test_target_at_rest_is_certified_where_the_bias_can_rest_too():
+    check(synthesize(np.zeros((4, 6)), bias="sign-matched"), np.zeros((4, 6)))
+    check(synthesize(np.zeros((4, 6)), bias="solved"), np.zeros((4, 6)))
+
+
+def test_solved_rule_serves_what_the_uniform_one_cannot():
+    xi = -np.abs(random_target(0)) - 1.0
+    check_failure(synthesize(xi), "no diagonal Lyapunov matrix can exist")
+    network = check(synthesize(xi, bias="solved"), xi)
+    assert network.certificate.margin > 0.4
+    np.testing.assert_allclose(network.retarget(xi).bias, network.bias, atol=1e-14)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_bias_of_ones_own_is_kept(seed):
+    xi = random_target(seed)
+    bias = np.random.default_rng(seed).uniform(0.05, 0.3, (4, 6)) * np.sign(xi)
+    network = check(synthesize(xi, bias=bias, seed=seed), xi)
+    assert np.array_equal(network.bias, bias)
+
+
+def test_impossible_targets_say_why_at_once():
+    extension = np.zeros((4, 6))
+    extension[:, 3] = 0.2
+    result = synthesize(extension)
+    check_failure(result, "every rotation of the target is zero")
+    assert "use the sign-matched bias" in result.message
+    assert result.attempts == 0
+    result = synthesize(-np.abs(random_target(1)) - 0.1)
+    check_failure(result, "no rotational coordinate has its bias on the side of its target")
+    assert result.attempts == 0
+
+
+def test_impossible_extension_says_why_at_once():
+    """Without rotation W_R has to meet the translational equations as well, under the same inequality."""
+    xi, bias = np.zeros((4, 6)), np.zeros((4, 6))
+    xi[:, 3], bias[:, 3] = 0.5, -0.1
+    result = synthesize(xi, bias=bias)
+    check_failure(result, "no diagonal Lyapunov matrix can exist")
+    assert result.attempts == 0
+
+
+def test_the_reason_of_impossibility_is_true():
+    """p^T (u * (c - u)) < 0 is what every certified W with W u = c obeys: checked on networks that were made."""
+    for seed in range(20):
+        xi = random_target(seed)
+        network = synthesize(xi, seed=seed).unwrap()
+        u, c = np.tanh(xi[:, :3]).ravel(), (xi - network.bias)[:, :3].ravel()
+        assert network.lyapunov_diagonal @ (u * (c - u)) < 0.0
+
+
+def test_giving_up_says_how_often_it_tried():
+    result = synthesize(random_target(2), max_translation=1e-3, max_attempts=3)
+    check_failure(result, "no feasible weights found from 3 starts")
+    assert result.attempts == 3
+
+
+@pytest.mark.parametrize("rule", BIAS_RULES)
+def test_same_seed_gives_the_same_bits_and_another_seed_others(rule):
+    xi = random_target(3)
+    one, same, other, drawn = (
+        synthesize(xi, bias=rule, seed=seed).unwrap() for seed in (5, 5, 6, np.random.default_rng(5))
+    )
+    for field in dataclasses.fields(LieEDNN):
+        assert np.array_equal(getattr(one, field.name), getattr(same, field.name))
+        assert np.array_equal(getattr(one, field.name), getattr(drawn, field.name))
+    assert not np.array_equal(one.alpha, other.alpha)
+
+
+def test_certified_network_survives_the_file(tmp_path):
+    xi = random_target(4)
+    result = synthesize(xi)
+    result.unwrap().save(tmp_path / "n.npz")
+    loaded = LieEDNN.load(tmp_path / "n.npz")
+    assert loaded.certificate.lambda_max == result.certificate.lambda_max
+    assert np.abs(loaded.vector_field(xi)).max() == result.residual
+
+
+def test_target_is_not_changed_and_blocks_are_rotations():
+    xi = random_target(5)
+    before = xi.copy()
+    network = synthesize(xi).unwrap()
+    assert np.array_equal(xi, before)
+    turned = Rotation.from_matrix(network.rotation.reshape(-1, 3, 3)).as_matrix().reshape(4, 4, 3, 3)
+    np.testing.assert_allclose(turned, network.rotation, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"xi": np.zeros((4, 5))}, r"xi must have shape \(N, 6\), got \(4, 5\)"),
+        ({"xi": np.zeros((0, 6))}, "N >= 1"),
+        ({"xi": np.full((4, 6), np.nan)}, "xi must be finite, got 24 NaN"),
+        ({"bias": "random"}, "no bias rule 'random'; allowed: sign-matched, solved, uniform"),
+        ({"bias": np.zeros((3, 6))}, r"bias must have shape \(4, 6\), got \(3, 6\)"),
+        ({"bias_magnitude": 0.0}, "bias_magnitude must be positive"),
+        ({"gamma": -1.0}, "gamma must be positive, got -1"),
+        ({"mu": np.nan}, "mu must be finite"),
+        ({"activation": "relu"}, "no activation 'relu'; allowed: arctan, tanh"),
+        ({"max_translation": 0.0}, "max_translation must be positive"),
+        ({"max_attempts": 0}, "max_attempts must be at least 1"),
+        ({"seed": -1}, "seed"),
+        ({"seed": "five"}, "seed"),
+    ],
+)
+def test_wrong_input_is_named(arguments, words):
+    with pytest.raises(InputError, match=words):
+        synthesize(**({"xi": random_target(0)} | arguments))

@@ -1,0 +1,71 @@
+"""Input checks: what passes, what is refused, and the words of the refusal."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lieednn_sim.errors import InputError, LieEDNNError
+from lieednn_sim.validation import as_choice, as_count, as_floats, as_positive
+
+
+def test_floats_accept_lists_integers_and_batches():
+    array = as_floats("x", [[1, 2], [3, 4]], ("n", "n"))
+    assert array.dtype == np.float64
+    assert as_floats("x", np.zeros((7, 5, 4, 6)), ("N", 6), batched=True).shape == (7, 5, 4, 6)
+    assert as_floats("x", np.zeros((4, 6)), ("N", 6), batched=True).shape == (4, 6)
+    assert as_floats("x", np.zeros((0, 6)), ("N", 6)).shape == (0, 6)
+
+
+@pytest.mark.parametrize(
+    ("value", "shape", "batched", "words"),
+    [
+        (np.zeros((2, 6)), (4, 6), False, r"x must have shape \(4, 6\), got \(2, 6\)"),
+        (np.zeros((2, 3)), ("n", "n"), False, r"\(n, n\), got \(2, 3\)"),
+        (np.zeros((1, 4, 6)), ("N", 6), False, r"\(N, 6\), got \(1, 4, 6\)"),
+        (np.zeros(6), ("N", 6), True, r"\(\.\.\., N, 6\), got \(6\)"),
+        (1.0, (3,), True, r"\(\.\.\., 3\), got \(\)"),
+        ([1.0, np.nan, -np.inf], (3,), False, "x must be finite, got 2 NaN or infinite"),
+        ("abc", (1,), False, "x must be an array of numbers, got str"),
+        ([[1.0], [1.0, 2.0]], ("n", "m"), False, "array of numbers, got list"),
+        ([object()], (1,), False, "array of numbers, got list"),
+        pytest.param(np.array([1.0 + 2.0j]), (1,), False, "x must", id="complex"),
+        pytest.param(10**400, (), False, "x must", id="too large for a float"),
+    ],
+)
+def test_floats_refuse_with_what_was_given_and_what_is_allowed(value, shape, batched, words):
+    with pytest.raises(InputError, match=words):
+        as_floats("x", value, shape, batched=batched)
+
+
+@pytest.mark.parametrize(
+    ("value", "words"),
+    [(0.0, "gamma must be positive, got 0"), (-2.5, "got -2.5"), (np.nan, "finite"), ([1.0], r"\(\), got \(1\)")],
+)
+def test_positive_refuses(value, words):
+    with pytest.raises(InputError, match=words):
+        as_positive("gamma", value)
+
+
+def test_positive_and_count_give_python_numbers():
+    assert type(as_positive("gamma", np.float32(0.5))) is float
+    assert type(as_count("n", np.int64(3))) is int
+
+
+@pytest.mark.parametrize(
+    ("value", "words"), [(0, "n must be at least 1, got 0"), (2.0, "whole number, got 2.0"), ("3", "got '3'")]
+)
+def test_count_refuses(value, words):
+    with pytest.raises(InputError, match=words):
+        as_count("n", value)
+
+
+def test_choice_lists_what_is_allowed():
+    assert as_choice("colour", "red", ("red", "blue")) == "red"
+    with pytest.raises(InputError, match="no colour 'green'; allowed: blue, red"):
+        as_choice("colour", "green", ("red", "blue"))
+
+
+def test_input_errors_are_value_errors_and_ours():
+    assert issubclass(InputError, ValueError)
+    assert issubclass(InputError, LieEDNNError)
