@@ -117,8 +117,7 @@ class LieEDNN:
             checked["lyapunov_diagonal"] = as_floats("lyapunov_diagonal", self.lyapunov_diagonal, (3 * n,))
         for name, value in checked.items():
             if isinstance(value, np.ndarray):
-                value = value.copy()
-                value.setflags(write=False)
+                value = _read_only(value.copy())
             object.__setattr__(self, name, value)
         gram = self.rotation @ np.swapaxes(self.rotation, -1, -2) - np.eye(3)
         if np.abs(gram).max() > _ORTHONORMAL_TOLERANCE or (np.linalg.det(self.rotation) < 0).any():
@@ -135,7 +134,7 @@ class LieEDNN:
     @cached_property
     def blocks(self) -> Floats:
         """Weight blocks alpha_ij Ad(theta_ij), ``(N, N, 6, 6)``."""
-        return self.alpha[:, :, None, None] * adjoint(self.rotation, self.translation)
+        return _read_only(self.alpha[:, :, None, None] * adjoint(self.rotation, self.translation))
 
     @cached_property
     def weight(self) -> Floats:
@@ -260,8 +259,12 @@ class LieEDNN:
         state = as_floats("start", start, (self.n_neurons, 6))
         as_choice("method", method, ("RK45", "DOP853", "Radau", "BDF", "LSODA"))
         events = None
+        longest = as_positive("duration", duration)
         if until is not None:
             goal = as_floats("until", until, state.shape).ravel()
+            if np.abs(state.ravel() - goal).max() <= distance:
+                # An event needs a crossing; there is none when the start is inside, and nothing to integrate.
+                longest = min(longest, 1e-9 / self.gamma)
 
             def events(_: float, x: Floats) -> float:
                 return float(np.abs(x - goal).max()) - distance
@@ -269,7 +272,7 @@ class LieEDNN:
             events.terminal = True  # type: ignore[attr-defined]  # SciPy's protocol for stopping at an event
         solution = solve_ivp(
             lambda _, x: self.flat_vector_field(x),
-            (0.0, as_positive("duration", duration)),
+            (0.0, longest),
             state.ravel(),
             method=method,
             events=events,
@@ -295,7 +298,11 @@ class LieEDNN:
         """
         target = as_floats("xi", xi, (self.n_neurons, 6))
         drive = (self.weight @ self.phi(target).ravel()).reshape(target.shape)
-        return replace(self, bias=self.gamma / self.mu * target - drive)
+        network = replace(self, bias=self.gamma / self.mu * target - drive)
+        # Weights and proof are the same: hand over what has been computed of them.
+        shared = ("blocks", "weight", "rotational_weight", "certificate")
+        vars(network).update({name: vars(self)[name] for name in shared if name in vars(self)})
+        return network
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the network to an ``.npz`` file, atomically."""
@@ -337,4 +344,9 @@ class LieEDNN:
 
 def _flatten_blocks(blocks: Floats) -> Floats:
     n, size = blocks.shape[0], blocks.shape[-1]
-    return np.ascontiguousarray(blocks.transpose(0, 2, 1, 3).reshape(n * size, n * size))
+    return _read_only(np.ascontiguousarray(blocks.transpose(0, 2, 1, 3).reshape(n * size, n * size)))
+
+
+def _read_only(array: Floats) -> Floats:
+    array.setflags(write=False)
+    return array

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim.arm import Arm
-from lieednn_sim.errors import InputError, LieEDNNError, NotCertifiedError, PlanError
+from lieednn_sim.errors import LieEDNNError, NotCertifiedError, PlanError
 from lieednn_sim.motion import Motion, check_motion, joint_target, make_motion
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.synthesis import synthesize
-from lieednn_sim.validation import as_count, as_positive
+from lieednn_sim.validation import as_count, as_generator, as_positive
 
 Floats = NDArray[np.float64]
 
@@ -83,16 +83,13 @@ def plan(
     origin = arm.keyframe("home") if start is None else arm.check_position(start, "start")
     total = as_count("candidates", candidates)
     as_positive("duration", duration)
-    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
-        raise InputError(f"seed must be a whole number >= 0, got {seed!r}")
+    rng = as_generator("seed", seed)
     magnitudes = BIAS_MAGNITUDES if bias_magnitude is None else (as_positive("bias_magnitude", bias_magnitude),)
     found: list[_Candidate] = []
     message = ""
     for index in range(total):
         magnitude = magnitudes[index % len(magnitudes)]
-        result = synthesize(
-            arm.encode(goal), bias=bias, bias_magnitude=magnitude, seed=np.random.default_rng([seed, index])
-        )
+        result = synthesize(arm.encode(goal), bias=bias, bias_magnitude=magnitude, seed=rng)
         if result.network is None:
             message = result.message
         else:

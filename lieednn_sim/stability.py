@@ -69,6 +69,8 @@ def verify(lyapunov_diagonal: ArrayLike, weight: ArrayLike, *, gamma: float = 1.
         InputError: shapes disagree, or an entry of the diagonal is not positive.
     """
     diagonal = as_floats("lyapunov_diagonal", lyapunov_diagonal, ("n",))
+    if diagonal.size == 0:
+        raise InputError("lyapunov_diagonal must have shape (n,) with n >= 1, got (0,)")
     matrix = as_floats("weight", weight, (diagonal.size, diagonal.size))
     if not (diagonal > 0).all():
         raise InputError(f"lyapunov_diagonal must be positive, its smallest entry is {diagonal.min():g}")
@@ -100,6 +102,8 @@ def find_certificate(weight: ArrayLike, *, gamma: float = 1.0, mu: float = 1.0) 
         The best certificate found; look at its `valid`.
     """
     matrix = as_floats("weight", weight, ("n", "n"))
+    if matrix.size == 0:
+        raise InputError("weight must have shape (n, n) with n >= 1, got (0, 0)")
     bound = as_positive("gamma", gamma) / as_positive("mu", mu)
     log_scale = np.zeros(len(matrix))
     best = verify(np.ones(len(matrix)), matrix, gamma=gamma, mu=mu)
@@ -191,8 +195,8 @@ def smallest_one_norm(output: ArrayLike, required: ArrayLike) -> float:
     Returns:
         The ratio; infinite when the output vanishes and the requirement does not, 0 when both vanish.
     """
-    given = np.abs(as_floats("output", np.ravel(output), ("n",))).sum()
-    wanted = np.abs(as_floats("required", np.ravel(required), ("n",))).sum()
+    given = np.abs(as_floats("output", output, np.shape(output))).sum()
+    wanted = np.abs(as_floats("required", required, np.shape(output))).sum()
     if given == 0.0:
         return 0.0 if wanted == 0.0 else np.inf
     return float(wanted / given)

@@ -7,6 +7,7 @@ import json
 import os
 import tempfile
 import zipfile
+import zlib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import IO, Any
@@ -18,6 +19,8 @@ from lieednn_sim.errors import FileError
 
 FORMAT_VERSION = 1
 _META_KEY = "meta_json"
+# What the readers of a damaged archive raise, beside the built-in errors.
+_DAMAGE = (zipfile.BadZipFile, zlib.error, NotImplementedError)
 
 
 def make_directory(path: str | os.PathLike[str]) -> Path:
@@ -107,7 +110,7 @@ def load_arrays(path: str | os.PathLike[str], kind: str) -> tuple[dict[str, NDAr
     """
     source = Path(path)
     try:
-        with np.load(source, allow_pickle=False) as archive:
+        with source.open("rb") as stream, np.load(stream, allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in archive.files}
         meta = json.loads(str(arrays.pop(_META_KEY)))
     except FileNotFoundError:
@@ -116,12 +119,14 @@ def load_arrays(path: str | os.PathLike[str], kind: str) -> tuple[dict[str, NDAr
         raise FileError(f"{source} is a directory, not a {kind} file") from None
     except PermissionError:
         raise FileError(f"cannot read {source}: permission denied") from None
-    except (OSError, EOFError, KeyError, ValueError, TypeError, AttributeError, zipfile.BadZipFile) as error:
+    except (OSError, EOFError, KeyError, ValueError, TypeError, AttributeError, *_DAMAGE) as error:
         raise FileError(f"{source} is not a readable {kind} file ({type(error).__name__}: {error})") from None
     if not isinstance(meta, dict) or meta.get("kind") != kind:
         found = meta.get("kind") if isinstance(meta, dict) else None
         raise FileError(f"{source} holds {found!r}, expected {kind!r}")
-    if meta.get("format", 0) > FORMAT_VERSION:
+    if not isinstance(meta.get("format"), int):
+        raise FileError(f"{source} is not a readable {kind} file (its format is {meta.get('format')!r}, not a number)")
+    if meta["format"] > FORMAT_VERSION:
         raise FileError(f"{source} was written by a newer version (format {meta['format']} > {FORMAT_VERSION})")
     return arrays, meta
 

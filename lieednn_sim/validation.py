@@ -30,8 +30,10 @@ def as_floats(name: str, value: ArrayLike, shape: Shape, *, batched: bool = Fals
         InputError: not numeric, not finite, or of another shape.
     """
     try:
+        if np.iscomplexobj(value):
+            raise TypeError("complex numbers have no place here")
         array = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise InputError(f"{name} must be an array of numbers, got {type(value).__name__}: {error}") from None
     wanted = ("...", *shape) if batched else shape
     trailing = array.shape[len(array.shape) - len(shape) :] if batched else array.shape
@@ -64,6 +66,15 @@ def as_count(name: str, value: int) -> int:
     if number < 1:
         raise InputError(f"{name} must be at least 1, got {number}")
     return number
+
+
+def as_generator(name: str, seed: int | np.random.Generator) -> np.random.Generator:
+    """Return a random generator from a whole number >= 0, or the generator itself."""
+    if isinstance(seed, np.random.Generator):
+        return seed
+    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
+        raise InputError(f"{name} must be a whole number >= 0 or a numpy.random.Generator, got {seed!r}")
+    return np.random.default_rng(seed)
 
 
 def as_choice(name: str, value: str, allowed: Iterable[str]) -> str:

@@ -13,8 +13,8 @@ BIAS_RULES = ("uniform", "sign-matched", "solved")
 
 # Angles below this [rad] are zero up to rounding.
 _NEGLIGIBLE = 1e-6
-
-
+# Below this largest angle [rad] the rotations cannot carry translations with translations t of moderate length.
+_SMALL_ROTATION = 0.05
 # How far beyond the least strength that can be certified the sign-matched rule goes, where it must go beyond it.
 _HEADROOM = 1.25
 
@@ -23,20 +23,35 @@ def bias_for(rule: str, xi: Floats, outputs: Floats, bound: float, magnitude: fl
     """The bias that a rule prescribes for a target ``xi`` ``(N, 6)`` with outputs phi(xi) and bound gamma/mu.
 
     - ``"uniform"``: every entry is ``magnitude``, as in the paper.
-    - ``"sign-matched"``: ``xi`` clipped to +-``magnitude``: the sign of the target at full strength for every
-      coordinate larger than the magnitude, and continuous through zero, so that a coordinate that is zero up to
-      rounding gets no push that the weights would have to cancel. The magnitude is raised where every angle of the
-      target is too large for it: a certificate needs one with |bound omega| - |b| < bound phi(|omega|).
+    - ``"sign-matched"``: ``bound * xi`` clipped to +-``magnitude``: the sign of the target at full strength for every
+      coordinate larger than that, and continuous through zero, so that a coordinate that is zero up to rounding gets
+      no push that the weights would have to cancel. The magnitude is raised where every coordinate of the target is
+      too large for it: a certificate needs one with |bound xi_i - b_i| < bound phi(|xi_i|) among those of
+      `equation_columns`.
     - ``"solved"``: the bias that makes ``xi`` the equilibrium of weights drawn without regard to it; it starts at zero.
     """
     as_choice("bias rule", rule, BIAS_RULES)
     if rule == "uniform":
         return np.full_like(xi, magnitude)
     if rule == "sign-matched":
-        needed = bound * np.abs(xi[:, :3] - outputs[:, :3])[np.abs(xi[:, :3]) > _NEGLIGIBLE]
-        strength = max(magnitude, _HEADROOM * float(needed.min(initial=np.inf))) if needed.size else magnitude
+        strength = magnitude
+        for part in equation_columns(xi):
+            needed = bound * np.abs(xi - outputs)[:, part][np.abs(xi[:, part]) > _NEGLIGIBLE]
+            if needed.size:
+                strength = max(strength, _HEADROOM * float(needed.min()))
         return np.clip(bound * xi, -strength, strength)
     return np.zeros_like(xi)
+
+
+def equation_columns(xi: Floats) -> list[slice]:
+    """Which coordinates (omega, v) the weights W_R must serve by themselves.
+
+    The rotational equations always; the translational ones too when the rotations are so small that t would have to be
+    large to carry them.
+    """
+    if np.abs(xi[:, :3]).max() < _SMALL_ROTATION:
+        return [slice(0, 3), slice(3, 6)]
+    return [slice(0, 3)]
 
 
 def impossibility(outputs: Floats, required: Floats, bound: float) -> str | None:
@@ -47,20 +62,23 @@ def impossibility(outputs: Floats, required: Floats, bound: float) -> str | None
     Where all outputs are zero, zero must be required, for W 0 = 0.
 
     Args:
-        outputs: phi(omega) of the target, ``(N, 3)``.
-        required: (gamma/mu) omega - b, ``(N, 3)``.
+        outputs: phi(xi) of the target, ``(N, 6)``.
+        required: (gamma/mu) xi - b, ``(N, 6)``.
         bound: gamma/mu.
     """
-    if not outputs.any():
-        if np.abs(required).max() > 0.0:
+    for part, name in ((slice(0, 3), "rotational"), (slice(3, 6), "translational")):
+        given, wanted = outputs[:, part], required[:, part]
+        if given.any():
+            if (given * (wanted - bound * given)).min() >= 0.0:
+                return (
+                    f"no {name} coordinate has its bias on the side of its target, so no diagonal Lyapunov matrix can "
+                    "exist; use the sign-matched bias or retarget a certified network"
+                )
+            # Rotations that are not zero can carry any translation through t.
+            return None
+        if wanted.any():
             return (
-                "every rotation of the target is zero, so no weights can produce the rotational bias; "
+                f"every {name} coordinate of the target is zero, so no weights can produce the {name} bias; "
                 "use the sign-matched bias"
             )
-        return None
-    if (outputs * (required - bound * outputs)).min() >= 0.0:
-        return (
-            "no rotational coordinate has its bias on the side of its target, so no diagonal Lyapunov matrix can "
-            "exist; use the sign-matched bias or retarget a certified network"
-        )
     return None

@@ -12,16 +12,14 @@ from threadpoolctl import ThreadpoolController
 from lieednn_sim.errors import InputError, NotCertifiedError
 from lieednn_sim.network import ACTIVATIONS, LieEDNN
 from lieednn_sim.stability import Certificate
-from lieednn_sim.synthesis.bias import bias_for, impossibility
+from lieednn_sim.synthesis.bias import bias_for, equation_columns, impossibility
 from lieednn_sim.synthesis.problem import Point, Problem
 from lieednn_sim.synthesis.search import feasible_point, polish, smallest_eigenvalue_point
-from lieednn_sim.validation import as_choice, as_count, as_floats, as_positive
+from lieednn_sim.validation import as_choice, as_count, as_floats, as_generator, as_positive
 
 Floats = NDArray[np.float64]
 
 RESIDUAL_TOLERANCE = 1e-9
-# Below this largest output the rotations cannot carry translations, and both sets of equations go to the weights.
-_SMALL_ROTATION = 0.05
 # Starts of the fast search before the patient one takes over.
 _FAST_ATTEMPTS = 4
 # The less the quaternions move, the better the certificate survives, and the larger the translations become.
@@ -108,6 +106,7 @@ def synthesize(
     as_choice("activation", activation, ACTIVATIONS)
     ratio = as_positive("gamma", gamma) / as_positive("mu", mu)
     as_positive("max_translation", max_translation)
+    rng = as_generator("seed", seed)
     state = ACTIVATIONS[activation][0](target)
     solved = isinstance(bias, str) and bias == "solved"
     if isinstance(bias, str):
@@ -127,14 +126,14 @@ def synthesize(
         return Synthesis(network is not None, message, network, residual, largest, attempts, iterations, elapsed)
 
     if not solved:
-        reason = impossibility(state[:, :3], required[:, :3], 1.0)
+        reason = impossibility(state, required, 1.0)
         if reason is not None:
             return outcome(f"not certified: {reason}")
-    rng = np.random.default_rng(seed)
+    columns = equation_columns(target)
     with _BLAS.limit(limits=1, user_api="blas"):
         for attempt in range(as_count("max_attempts", max_attempts)):
             attempts += 1
-            problem, start = _start(state, required, rng)
+            problem, start = _start(state, required, columns, rng)
             point: Point | None
             if solved:
                 point, count = _contract(problem, start), 0
@@ -164,13 +163,11 @@ def synthesize(
     )
 
 
-def _start(state: Floats, required: Floats, rng: np.random.Generator) -> tuple[Problem, Floats]:
+def _start(state: Floats, required: Floats, columns: list[slice], rng: np.random.Generator) -> tuple[Problem, Floats]:
     """A random problem (signs of the blocks) and a random start with a log S for which a solution can exist."""
     n = len(state)
-    inputs, outputs = state[:, :3, None], required[:, :3, None]
-    if np.abs(inputs).max() < _SMALL_ROTATION:
-        inputs = np.stack([state[:, :3], state[:, 3:]], axis=-1)
-        outputs = np.stack([required[:, :3], required[:, 3:]], axis=-1)
+    inputs = np.stack([state[:, part] for part in columns], axis=-1)
+    outputs = np.stack([required[:, part] for part in columns], axis=-1)
     problem = Problem(inputs, outputs, np.where(rng.random((n, n)) < 0.5, 1.0, -1.0))
     quaternion = rng.normal(size=(n, n, 4))
     quaternion /= np.linalg.norm(quaternion, axis=-1, keepdims=True)

@@ -153,7 +153,7 @@ def test_impossible_targets_say_why_at_once():
     extension = np.zeros((4, 6))
     extension[:, 3] = 0.2
     result = synthesize(extension)
-    check_failure(result, "every rotation of the target is zero")
+    check_failure(result, "every rotational coordinate of the target is zero")
     assert "use the sign-matched bias" in result.message
     assert result.attempts == 0
     result = synthesize(-np.abs(random_target(1)) - 0.1)
