@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.integrate import OdeSolution, solve_ivp
 
 from lieednn_sim import stability, storage
-from lieednn_sim.errors import FileError, InputError, LieEDNNError
+from lieednn_sim.dynamics import Equilibrium, Trajectory, find_equilibrium, integrate
+from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.lie import adjoint
 from lieednn_sim.validation import as_choice, as_floats, as_positive
 
@@ -25,49 +25,6 @@ ACTIVATIONS: dict[str, tuple[Callable[[Floats], Floats], Callable[[Floats], Floa
 }
 
 _ORTHONORMAL_TOLERANCE = 1e-9
-
-
-@dataclass(frozen=True)
-class Equilibrium:
-    """Result of the search for an equilibrium.
-
-    Attributes:
-        success: whether `residual` is below the tolerance.
-        message: how the search ended.
-        xi: ``(N, 6)`` the point found.
-        residual: largest entry of the vector field there.
-        spectral_abscissa: largest real part of the Jacobian's eigenvalues; negative when locally stable.
-        n_newton: Newton steps taken.
-    """
-
-    success: bool
-    message: str
-    xi: Floats
-    residual: float
-    spectral_abscissa: float
-    n_newton: int
-
-
-@dataclass(frozen=True)
-class Trajectory:
-    """Solution xi(t) of the network's equation with dense output.
-
-    Attributes:
-        t: ``(K,)`` times of the integrator's steps, in the network's own time.
-        xi: ``(K, N, 6)`` states there.
-    """
-
-    t: Floats
-    xi: Floats
-    _dense: OdeSolution = field(repr=False)
-
-    def __call__(self, t: ArrayLike) -> Floats:
-        """States ``(..., N, 6)`` at times ``(...)`` inside the integrated range."""
-        times = as_floats("t", t, np.shape(t))
-        if times.size and (times.min() < self.t[0] or times.max() > self.t[-1]):
-            raise InputError(f"t must lie in [{self.t[0]:g}, {self.t[-1]:g}], got {times.min():g} to {times.max():g}")
-        flat = self._dense(times.ravel())
-        return flat.T.reshape(*times.shape, *self.xi.shape[1:])
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,7 +136,7 @@ class LieEDNN:
         return -self.gamma * np.eye(len(self.weight)) + self.mu * self.weight * slope
 
     def equilibrium(self, start: ArrayLike | None = None, *, tolerance: float = 1e-12) -> Equilibrium:
-        """Find an equilibrium by damped Newton steps; where they stall, follow the flow and try again.
+        """Find an equilibrium by damped Newton steps, with the flow as fallback; see `dynamics.find_equilibrium`.
 
         Args:
             start: ``(N, 6)`` first guess, zero by default.
@@ -189,50 +146,13 @@ class LieEDNN:
             The point found and whether it converged; a certified network has exactly one equilibrium.
         """
         shape = (self.n_neurons, 6)
-        x = np.zeros(6 * self.n_neurons) if start is None else as_floats("start", start, shape).ravel().copy()
-        steps, how = 0, "Newton converged"
-        for attempt in range(3):
-            x, n, converged = self._newton(x, tolerance)
-            steps += n
-            if converged:
-                break
-            if attempt < 2:
-                how = "Newton converged after following the flow"
-                flow = solve_ivp(lambda _, y: self.flat_vector_field(y), (0.0, 50.0 * 4**attempt / self.gamma), x)
-                x = flow.y[:, -1]
-        else:
-            how = "no equilibrium found: Newton stalled, also after following the flow; the network may not be stable"
-        return Equilibrium(
-            success=converged,
-            message=how,
-            xi=x.reshape(shape),
-            residual=float(np.abs(self.flat_vector_field(x)).max()),
-            spectral_abscissa=float(np.linalg.eigvals(self.jacobian(x.reshape(shape))).real.max()),
-            n_newton=steps,
+        return find_equilibrium(
+            self.flat_vector_field,
+            lambda x: self.jacobian(x.reshape(shape)),
+            np.zeros(shape) if start is None else as_floats("start", start, shape),
+            rate=self.gamma,
+            tolerance=as_positive("tolerance", tolerance),
         )
-
-    def _newton(self, x: Floats, tolerance: float) -> tuple[Floats, int, bool]:
-        value = self.flat_vector_field(x)
-        for step in range(100):
-            limit = tolerance * self.gamma * (1.0 + np.abs(x).max())
-            if np.abs(value).max() <= limit:
-                return x, step, True
-            try:
-                direction = np.linalg.solve(self.jacobian(x.reshape(-1, 6)), value)
-            except np.linalg.LinAlgError:
-                return x, step, False
-            fraction = 1.0
-            while fraction > 1e-4:
-                trial = x - fraction * direction
-                trial_value = self.flat_vector_field(trial)
-                if np.linalg.norm(trial_value) < (1.0 - 0.5 * fraction) * np.linalg.norm(value) + 1e-300:
-                    break
-                fraction *= 0.5
-            else:
-                # At the rounding floor no step can shrink the residual any more.
-                return x, step, bool(np.abs(value).max() <= 100.0 * limit)
-            x, value = trial, trial_value
-        return x, 100, False
 
     def trajectory(
         self,
@@ -252,37 +172,21 @@ class LieEDNN:
             duration: longest time to integrate, in the network's own time.
             until: ``(N, 6)`` state to stop at, usually the equilibrium.
             distance: stop when the largest coordinate of xi - until is below this.
-            method: an explicit or implicit method of `scipy.integrate.solve_ivp`.
+            method: a name of `dynamics.INTEGRATORS`.
             rtol: relative tolerance of the integrator.
             atol: absolute tolerance of the integrator.
         """
-        state = as_floats("start", start, (self.n_neurons, 6))
-        as_choice("method", method, ("RK45", "DOP853", "Radau", "BDF", "LSODA"))
-        events = None
-        longest = as_positive("duration", duration)
-        if until is not None:
-            goal = as_floats("until", until, state.shape).ravel()
-            if np.abs(state.ravel() - goal).max() <= distance:
-                # An event needs a crossing; there is none when the start is inside, and nothing to integrate.
-                longest = min(longest, 1e-9 / self.gamma)
-
-            def events(_: float, x: Floats) -> float:
-                return float(np.abs(x - goal).max()) - distance
-
-            events.terminal = True  # type: ignore[attr-defined]  # SciPy's protocol for stopping at an event
-        solution = solve_ivp(
-            lambda _, x: self.flat_vector_field(x),
-            (0.0, longest),
-            state.ravel(),
+        shape = (self.n_neurons, 6)
+        return integrate(
+            self.flat_vector_field,
+            as_floats("start", start, shape),
+            duration,
+            until=None if until is None else as_floats("until", until, shape),
+            distance=distance,
             method=method,
-            events=events,
             rtol=rtol,
             atol=atol,
-            dense_output=True,
         )
-        if not solution.success:
-            raise LieEDNNError(f"integration of the network failed: {solution.message}")
-        return Trajectory(t=solution.t, xi=solution.y.T.reshape(-1, self.n_neurons, 6), _dense=solution.sol)
 
     def norm_conditions(self, xi: ArrayLike) -> stability.NormConditions:
         """The paper's norm conditions, beside the smallest 1-norm possible with equilibrium ``xi``."""

@@ -1,0 +1,165 @@
+"""Equilibria and trajectories of an autonomous system on (R^6)^N, given by its vector field."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.integrate import OdeSolution, solve_ivp
+
+from lieednn_sim.errors import InputError, LieEDNNError
+from lieednn_sim.validation import as_choice, as_floats, as_positive
+
+Floats = NDArray[np.float64]
+# Flat vector fields ``(6N,)`` to ``(6N,)`` and their Jacobians, ``(6N,)`` to ``(6N, 6N)``.
+VectorField = Callable[[Floats], Floats]
+
+INTEGRATORS = ("RK45", "DOP853", "Radau", "BDF", "LSODA")
+
+
+@dataclass(frozen=True)
+class Equilibrium:
+    """Result of the search for an equilibrium.
+
+    Attributes:
+        success: whether `residual` is below the tolerance.
+        message: how the search ended.
+        xi: ``(N, 6)`` the point found.
+        residual: largest entry of the vector field there.
+        spectral_abscissa: largest real part of the Jacobian's eigenvalues; negative when locally stable.
+        n_newton: Newton steps taken.
+    """
+
+    success: bool
+    message: str
+    xi: Floats
+    residual: float
+    spectral_abscissa: float
+    n_newton: int
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """Solution xi(t) with dense output.
+
+    Attributes:
+        t: ``(K,)`` times of the integrator's steps.
+        xi: ``(K, N, 6)`` states there.
+    """
+
+    t: Floats
+    xi: Floats
+    _dense: OdeSolution = field(repr=False)
+
+    def __call__(self, t: ArrayLike) -> Floats:
+        """States ``(..., N, 6)`` at times ``(...)`` inside the integrated range."""
+        times = as_floats("t", t, np.shape(t))
+        if times.size and (times.min() < self.t[0] or times.max() > self.t[-1]):
+            raise InputError(f"t must lie in [{self.t[0]:g}, {self.t[-1]:g}], got {times.min():g} to {times.max():g}")
+        flat = self._dense(times.ravel())
+        return flat.T.reshape(*times.shape, *self.xi.shape[1:])
+
+
+def find_equilibrium(
+    vector_field: VectorField, jacobian: VectorField, start: Floats, *, rate: float, tolerance: float
+) -> Equilibrium:
+    """Find an equilibrium by damped Newton steps; where they stall, follow the flow and try again.
+
+    Args:
+        vector_field: flat right-hand side.
+        jacobian: its derivative.
+        start: ``(N, 6)`` first guess.
+        rate: decay rate of the system, which scales residuals and times.
+        tolerance: on the largest entry of the vector field, relative to rate (1 + |x|).
+    """
+    x, steps, how = start.ravel().copy(), 0, "Newton converged"
+    for attempt in range(3):
+        x, n, converged = _newton(vector_field, jacobian, x, rate * tolerance)
+        steps += n
+        if converged:
+            break
+        if attempt < 2:
+            how = "Newton converged after following the flow"
+            flow = solve_ivp(lambda _, y: vector_field(y), (0.0, 50.0 * 4**attempt / rate), x)
+            x = flow.y[:, -1]
+    else:
+        how = "no equilibrium found: Newton stalled, also after following the flow; the network may not be stable"
+    return Equilibrium(
+        success=converged,
+        message=how,
+        xi=x.reshape(start.shape),
+        residual=float(np.abs(vector_field(x)).max()),
+        spectral_abscissa=float(np.linalg.eigvals(jacobian(x)).real.max()),
+        n_newton=steps,
+    )
+
+
+def _newton(vector_field: VectorField, jacobian: VectorField, x: Floats, tolerance: float) -> tuple[Floats, int, bool]:
+    value = vector_field(x)
+    for step in range(100):
+        limit = tolerance * (1.0 + np.abs(x).max())
+        if np.abs(value).max() <= limit:
+            return x, step, True
+        try:
+            direction = np.linalg.solve(jacobian(x), value)
+        except np.linalg.LinAlgError:
+            return x, step, False
+        fraction = 1.0
+        while fraction > 1e-4:
+            trial = x - fraction * direction
+            trial_value = vector_field(trial)
+            if np.linalg.norm(trial_value) < (1.0 - 0.5 * fraction) * np.linalg.norm(value) + 1e-300:
+                break
+            fraction *= 0.5
+        else:
+            # At the rounding floor no step can shrink the residual any more.
+            return x, step, bool(np.abs(value).max() <= 100.0 * limit)
+        x, value = trial, trial_value
+    return x, 100, False
+
+
+def integrate(
+    vector_field: VectorField,
+    start: Floats,
+    duration: float,
+    *,
+    until: Floats | None,
+    distance: float,
+    method: str,
+    rtol: float,
+    atol: float,
+) -> Trajectory:
+    """Integrate from ``start`` ``(N, 6)`` for ``duration``, or until within ``distance`` of ``until`` ``(N, 6)``.
+
+    Raises:
+        InputError: duration not positive, or unknown method.
+        LieEDNNError: the integrator gave up.
+    """
+    as_choice("method", method, INTEGRATORS)
+    longest = as_positive("duration", duration)
+    events = None
+    if until is not None:
+        goal = until.ravel()
+        if np.abs(start.ravel() - goal).max() <= distance:
+            # An event needs a crossing; there is none when the start is inside, and nothing to integrate.
+            longest = 1e-9 * longest
+
+        def events(_: float, x: Floats) -> float:
+            return float(np.abs(x - goal).max()) - distance
+
+        events.terminal = True  # type: ignore[attr-defined]  # SciPy's protocol for stopping at an event
+    solution = solve_ivp(
+        lambda _, x: vector_field(x),
+        (0.0, longest),
+        start.ravel(),
+        method=method,
+        events=events,
+        rtol=rtol,
+        atol=atol,
+        dense_output=True,
+    )
+    if not solution.success:
+        raise LieEDNNError(f"integration of the network failed: {solution.message}")
+    return Trajectory(t=solution.t, xi=solution.y.T.reshape(-1, *start.shape), _dense=solution.sol)
