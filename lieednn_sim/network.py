@@ -140,7 +140,8 @@ class LieEDNN:
 
         Args:
             start: ``(N, 6)`` first guess, zero by default.
-            tolerance: on the largest entry of the vector field, relative to gamma (1 + |xi|).
+            tolerance: on the largest entry of the vector field, relative to gamma (1 + |xi|); a hundred times as much
+                passes where rounding keeps Newton's method from doing better.
 
         Returns:
             The point found and whether it converged; a certified network has exactly one equilibrium.

@@ -13,8 +13,12 @@ BIAS_RULES = ("uniform", "sign-matched", "solved")
 
 # Angles below this [rad] are zero up to rounding.
 _NEGLIGIBLE = 1e-6
-# Below this largest angle [rad] the rotations cannot carry translations with translations t of moderate length.
-_SMALL_ROTATION = 0.05
+# Rotations carry translations through t badly when all their coordinates are below this [rad] ...
+_SMALL_ROTATION = 0.6
+# ... and not at all when a single neuron turns by more than this [rad].
+_TURNING = 0.05
+# No certified network is looked for beyond this norm of W_R, in units of gamma/mu.
+_LARGEST_NORM = 1e3
 # How far beyond the least strength that can be certified the sign-matched rule goes, where it must go beyond it.
 _HEADROOM = 1.25
 
@@ -23,10 +27,10 @@ def bias_for(rule: str, xi: Floats, outputs: Floats, bound: float, magnitude: fl
     """The bias that a rule prescribes for a target ``xi`` ``(N, 6)`` with outputs phi(xi) and bound gamma/mu.
 
     - ``"uniform"``: every entry is ``magnitude``, as in the paper.
-    - ``"sign-matched"``: ``bound * xi`` clipped to +-``magnitude``: the sign of the target at full strength for every
-      coordinate larger than that, and continuous through zero, so that a coordinate that is zero up to rounding gets
-      no push that the weights would have to cancel. The magnitude is raised where every coordinate of the target is
-      too large for it: a certificate needs one with |bound xi_i - b_i| < bound phi(|xi_i|) among those of
+    - ``"sign-matched"``: ``xi`` clipped to +-``magnitude``, times ``bound``: the sign of the target at full strength
+      for every coordinate larger than the magnitude, and continuous through zero, so that a coordinate that is zero up
+      to rounding gets no push that the weights would have to cancel. The magnitude is raised where every coordinate of
+      the target is too large for it: a certificate needs one with |xi_i| - magnitude < phi(|xi_i|) among those of
       `equation_columns`.
     - ``"solved"``: the bias that makes ``xi`` the equilibrium of weights drawn without regard to it; it starts at zero.
     """
@@ -36,26 +40,27 @@ def bias_for(rule: str, xi: Floats, outputs: Floats, bound: float, magnitude: fl
     if rule == "sign-matched":
         strength = magnitude
         for part in equation_columns(xi):
-            needed = bound * np.abs(xi - outputs)[:, part][np.abs(xi[:, part]) > _NEGLIGIBLE]
+            needed = np.abs(xi - outputs)[:, part][np.abs(xi[:, part]) > _NEGLIGIBLE]
             if needed.size:
                 strength = max(strength, _HEADROOM * float(needed.min()))
-        return np.clip(bound * xi, -strength, strength)
+        return bound * np.clip(xi, -strength, strength)
     return np.zeros_like(xi)
 
 
 def equation_columns(xi: Floats) -> list[slice]:
-    """Which coordinates (omega, v) the weights W_R must serve by themselves.
+    """Which coordinates (omega, v) the weights W_R had better serve by themselves.
 
-    The rotational equations always; the translational ones too when the rotations are so small that t would have to be
-    large to carry them.
+    The rotational equations always; the translational ones too where t could not carry them: when the rotations are
+    small, or when only one neuron turns. Then a row that must not turn, alpha_i0 R_i0 phi(omega_0) = 0, has no lever.
     """
-    if np.abs(xi[:, :3]).max() < _SMALL_ROTATION:
+    turning = np.linalg.norm(xi[:, :3], axis=1) > _TURNING
+    if np.abs(xi[:, :3]).max() < _SMALL_ROTATION or np.count_nonzero(turning) < 2:
         return [slice(0, 3), slice(3, 6)]
     return [slice(0, 3)]
 
 
 def impossibility(outputs: Floats, required: Floats, bound: float) -> str | None:
-    """Why no weights at all can be certified with this equilibrium and bias, or None where nothing forbids it.
+    """Why no weights can be certified with this equilibrium and bias, or None where nothing forbids it.
 
     With P diagonal, u = phi(xi) and W u = c, P (W - bound I) is negative definite only when
     sum_i p_i u_i (c_i - bound u_i) < 0, so at least one rotational coordinate must have u_i (c_i - bound u_i) < 0.
@@ -74,7 +79,13 @@ def impossibility(outputs: Floats, required: Floats, bound: float) -> str | None
                     f"no {name} coordinate has its bias on the side of its target, so no diagonal Lyapunov matrix can "
                     "exist; use the sign-matched bias or retarget a certified network"
                 )
-            # Rotations that are not zero can carry any translation through t.
+            norm = np.linalg.norm(wanted) / np.linalg.norm(given)
+            if norm > _LARGEST_NORM * bound:
+                return (
+                    f"the target is so close to zero that the bias asks for weights of norm {norm:.2g}; "
+                    "use the sign-matched bias or retarget a certified network"
+                )
+            # Rotations that are not zero may carry the translations through t.
             return None
         if wanted.any():
             return (

@@ -84,7 +84,7 @@ def synthesize(
     Args:
         xi: ``(N, 6)`` target, twists (omega, v).
         bias: a name of `BIAS_RULES` or an array ``(N, 6)``.
-        bias_magnitude: strength of the uniform rule, least strength of the sign-matched one.
+        bias_magnitude: strength of the uniform rule; least strength of the sign-matched one, in units of gamma/mu.
         gamma: decay rate.
         mu: scale of the interaction.
         activation: a name of `network.ACTIVATIONS`.
@@ -129,11 +129,14 @@ def synthesize(
         reason = impossibility(state, required, 1.0)
         if reason is not None:
             return outcome(f"not certified: {reason}")
-    columns = equation_columns(target)
+    # What the weights serve in turn: what suits the target, and the rotations alone where the translations t may do.
+    choices = [equation_columns(target)]
+    if len(choices[0]) > 1 and state[:, :3].any():
+        choices.append(choices[0][:1])
     with _BLAS.limit(limits=1, user_api="blas"):
         for attempt in range(as_count("max_attempts", max_attempts)):
             attempts += 1
-            problem, start = _start(state, required, columns, rng)
+            problem, start = _start(state, required, choices[attempt % len(choices)], rng)
             point: Point | None
             if solved:
                 point, count = _contract(problem, start), 0
@@ -157,9 +160,10 @@ def synthesize(
                     and candidate.largest_translation < max_translation
                 ):
                     return candidate
+    other = "a larger bias magnitude" if isinstance(bias, str) and bias == "sign-matched" else "the sign-matched bias"
     return outcome(
-        f"not certified: no feasible weights found from {attempts} starts; try another seed, more attempts, "
-        "the sign-matched bias, or retarget a certified network"
+        f"not certified: no feasible weights found from {attempts} starts, which is no proof that there are none; "
+        f"try another seed, {other}, or retarget a certified network"
     )
 
 

@@ -128,6 +128,15 @@ def test_sign_matched_bias_serves_every_length_of_pure_extension(length):
     check(synthesize(xi, bias="sign-matched"), xi)
 
 
+@pytest.mark.parametrize("turn", [0.06, 0.3])
+@pytest.mark.parametrize("length", [0.2, 0.9])
+def test_sign_matched_bias_serves_one_turning_joint_among_sliding_ones(turn, length):
+    """The rows of joints that do not turn force alpha_i0 R_i0 u_0 = 0, so no t carries their translations."""
+    xi = np.zeros((4, 6))
+    xi[:, 3], xi[0, 2] = length, turn
+    check(synthesize(xi, bias="sign-matched"), xi)
+
+
 def test_target_at_rest_is_certified_where_the_bias_can_rest_too():
     check(synthesize(np.zeros((4, 6)), bias="sign-matched"), np.zeros((4, 6)))
     check(synthesize(np.zeros((4, 6)), bias="solved"), np.zeros((4, 6)))
