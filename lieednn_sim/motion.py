@@ -2,8 +2,9 @@
 
 The network runs in its own time tau: its field starts with a step in velocity and arrives exponentially, never in
 finite time. A robot does neither. So the path q(tau) that the network draws is kept, and run through by a minimum-jerk
-law in its length l, measured in joint velocity limits: l(t) = L sigma(t / T) with sigma = 10 s^3 - 15 s^4 + 6 s^5. The
-path is cut where the network is within `RESIDUAL` of its equilibrium.
+law in its length l: l(t) = L sigma(t / T) with sigma = 10 s^3 - 15 s^4 + 6 s^5. The length measures joint velocities in
+units of their limits, and a share of the network's own velocity xi', so that a joint path that turns back slows down
+there. The path is cut where the network is within `RESIDUAL` of its equilibrium.
 """
 
 from __future__ import annotations
@@ -25,7 +26,11 @@ Floats = NDArray[np.float64]
 
 # Distance to the equilibrium at which the network's path is cut [network coordinates: rad, length_scale m].
 RESIDUAL = 1e-8
+# Positions may exceed a limit by this much [rad, m]: a target on a limit is reached up to the residual.
+LIMIT_TOLERANCE = 1e-6
+_MAX_STEPS = 1_000_000
 _SAMPLES_PER_STEP = 8
+_STATE_SHARE = 0.3
 
 
 @dataclass(frozen=True)
@@ -52,6 +57,22 @@ class Motion:
     gap_translation: Floats
     gap_rotation: Floats
 
+    def __post_init__(self) -> None:
+        sizes: tuple[tuple[str, tuple[int | str, ...]], ...] = (
+            ("t", ("K",)),
+            ("xi_target", ("N", 6)),
+            ("tau", (len(self.t),)),
+            ("xi", (len(self.t), len(self.xi_target), 6)),
+            ("q", (len(self.t), 2 * len(self.xi_target))),
+            ("qd", (len(self.t), 2 * len(self.xi_target))),
+            ("gap_translation", (len(self.t), len(self.xi_target))),
+            ("gap_rotation", (len(self.t), len(self.xi_target))),
+        )
+        for name, shape in sizes:
+            object.__setattr__(self, name, as_floats(name, getattr(self, name), shape))
+        if len(self.t) < 2 or not (np.diff(self.t) > 0.0).all():
+            raise InputError("t must hold at least two increasing times")
+
     @property
     def residual(self) -> float:
         """Largest coordinate of xi - xi_target left at the end."""
@@ -71,11 +92,10 @@ class Motion:
         """Read a file of `save`; `FileError` when it is none."""
         arrays, _ = storage.load_arrays(path, "motion")
         names = tuple(cls.__dataclass_fields__)
-        motion = cls(**dict(zip(names, storage.take(arrays, path, *names), strict=True)))
-        k = len(motion.t)
-        if k < 2 or any(len(getattr(motion, name)) != k for name in names if name != "xi_target"):
-            raise FileError(f"{path} is not a valid motion: its arrays differ in length")
-        return motion
+        try:
+            return cls(**dict(zip(names, storage.take(arrays, path, *names), strict=True)))
+        except (InputError, TypeError) as error:
+            raise FileError(f"{path} is not a valid motion: {error}") from None
 
 
 def make_motion(arm: Arm, network: LieEDNN, start: ArrayLike, duration: float, timestep: float) -> Motion:
@@ -95,9 +115,7 @@ def make_motion(arm: Arm, network: LieEDNN, start: ArrayLike, duration: float, t
     if network.n_neurons != arm.n_links:
         raise InputError(f"the network has {network.n_neurons} neurons, arm {arm.name!r} has {arm.n_links} links")
     origin = arm.encode(arm.check_position(start, "start"))
-    steps = round(as_positive("duration", duration) / as_positive("timestep", timestep))
-    if steps < 2:
-        raise InputError(f"duration must be at least two time steps of {timestep:g} s, got {duration:g} s")
+    steps = count_steps(duration, timestep)
     equilibrium = network.equilibrium(origin)
     if not equilibrium.success:
         raise PlanError(f"the network cannot be used for a motion: {equilibrium.message}")
@@ -105,9 +123,14 @@ def make_motion(arm: Arm, network: LieEDNN, start: ArrayLike, duration: float, t
     target = equilibrium.xi
     if np.abs(origin - target).max() <= RESIDUAL:
         return _at_rest(arm, t, origin, target)
-    trajectory = network.trajectory(origin, 1e4 / network.gamma, until=target, distance=RESIDUAL)
+    # Far from the equilibrium the pace is gamma's, close to it the slowest eigenvalue's.
+    pace = max(-equilibrium.spectral_abscissa, 1e-3 * network.gamma)
+    trajectory = network.trajectory(origin, 100.0 / network.gamma + 40.0 / pace, until=target, distance=RESIDUAL)
     if np.abs(trajectory.xi[-1] - target).max() > 2.0 * RESIDUAL:
-        raise PlanError("the network does not arrive at its equilibrium from this start; use a certified network")
+        raise PlanError(
+            "the network does not arrive at its equilibrium from this start, or too slowly (spectral abscissa "
+            f"{equilibrium.spectral_abscissa:.2g}); use another network"
+        )
     fraction = np.arange(_SAMPLES_PER_STEP) / _SAMPLES_PER_STEP
     grid = (trajectory.t[:-1, None] + np.diff(trajectory.t)[:, None] * fraction).ravel()
     grid = np.append(grid, trajectory.t[-1])
@@ -118,7 +141,9 @@ def make_motion(arm: Arm, network: LieEDNN, start: ArrayLike, duration: float, t
         assert rate is not None
         return rate
 
-    speed = CubicSpline(grid, np.linalg.norm(rates(trajectory(grid)) / weights, axis=-1))
+    states = trajectory(grid)
+    of_state = np.linalg.norm(network.vector_field(states), axis=(-2, -1))
+    speed = CubicSpline(grid, np.hypot(np.linalg.norm(rates(states) / weights, axis=-1), _STATE_SHARE * of_state))
     length = speed.antiderivative()
     total = float(length(grid[-1]))
     progress, progress_rate = _minimum_jerk(t / t[-1])
@@ -129,6 +154,16 @@ def make_motion(arm: Arm, network: LieEDNN, start: ArrayLike, duration: float, t
     qd = rates(xi) * tau_rate[:, None]
     qd[[0, -1]] = 0.0
     return Motion(t, tau, xi, target, decoded.q, qd, decoded.gap_translation, decoded.gap_rotation)
+
+
+def count_steps(duration: float, timestep: float) -> int:
+    """Number of time steps in ``duration`` [s], or `InputError` when there are less than 2 or too many to hold."""
+    ratio = as_positive("duration", duration) / as_positive("timestep", timestep)
+    if not 1.5 <= ratio <= _MAX_STEPS:
+        raise InputError(
+            f"duration must be between 2 and {_MAX_STEPS} time steps of {timestep:g} s, got {duration:g} s"
+        )
+    return round(ratio)
 
 
 def _minimum_jerk(s: Floats) -> tuple[Floats, Floats]:
@@ -178,7 +213,7 @@ def check_motion(arm: Arm, motion: Motion) -> None:
     low, high = arm.position_limits.T
     outside = np.maximum(low - motion.q, motion.q - high)
     k, joint = map(int, np.unravel_index(outside.argmax(), outside.shape))
-    if outside[k, joint] > 1e-9:
+    if outside[k, joint] > LIMIT_TOLERANCE:
         raise PlanError(
             f"joint {arm.joint_names[joint]!r} would reach {motion.q[k, joint]:.4g} {arm.unit(joint)} at "
             f"t = {motion.t[k]:.2f} s, its range is [{low[joint]:.4g}, {high[joint]:.4g}]; try more candidates, "

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import LieEDNNError, NotCertifiedError, PlanError
-from lieednn_sim.motion import Motion, check_motion, joint_target, make_motion
+from lieednn_sim.motion import LIMIT_TOLERANCE, Motion, check_motion, count_steps, joint_target, make_motion
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.synthesis import synthesize
 from lieednn_sim.validation import as_count, as_generator, as_positive
@@ -19,6 +19,9 @@ Floats = NDArray[np.float64]
 
 # The stronger the bias, the less the weights have to do and the straighter the transient; the search tries all.
 BIAS_MAGNITUDES = (0.125, 0.25, 0.5)
+
+# A network that roughly integrated leaves the limits by more than this [rad, m] need not be tried in full.
+_HOPELESS_EXCESS = 0.01
 
 
 @dataclass(frozen=True)
@@ -82,7 +85,8 @@ def plan(
     goal = joint_target(arm, target)
     origin = arm.keyframe("home") if start is None else arm.check_position(start, "start")
     total = as_count("candidates", candidates)
-    as_positive("duration", duration)
+    step = float(arm.model.opt.timestep) if timestep is None else timestep
+    count_steps(duration, step)
     rng = as_generator("seed", seed)
     magnitudes = BIAS_MAGNITUDES if bias_magnitude is None else (as_positive("bias_magnitude", bias_magnitude),)
     found: list[_Candidate] = []
@@ -100,13 +104,14 @@ def plan(
         raise NotCertifiedError(
             f"none of {total} candidates for the target could be certified; the last one: {message}"
         )
-    kept = sum(candidate.excess <= 0.0 for candidate in found)
-    found.sort(key=lambda candidate: (max(candidate.excess, 0.0), candidate.gap))
-    step = arm.model.opt.timestep if timestep is None else timestep
+    kept = sum(candidate.excess <= LIMIT_TOLERANCE for candidate in found)
+    found.sort(key=lambda candidate: (max(candidate.excess, LIMIT_TOLERANCE), candidate.gap))
     refusal: LieEDNNError | None = None
-    for candidate in found[: max(1, kept)]:
-        motion = make_motion(arm, candidate.network, origin, duration, step)
+    for candidate in found:
+        if refusal is not None and candidate.excess > _HOPELESS_EXCESS:
+            break
         try:
+            motion = make_motion(arm, candidate.network, origin, duration, step)
             check_motion(arm, motion)
         except PlanError as error:
             refusal = refusal or error
@@ -121,7 +126,6 @@ def _screen(arm: Arm, network: LieEDNN, origin: Floats) -> _Candidate:
     states = network.trajectory(start, 20.0 / network.gamma, rtol=1e-4, atol=1e-6).xi
     decoded = arm.decode(states)
     low, high = arm.position_limits.T
-    # The integrator's steps may straddle the extreme; a thousandth of the range keeps clear of the bound.
-    excess = (np.maximum(low - decoded.q, decoded.q - high) + 1e-3 * (high - low))[1:-1].max(initial=-np.inf)
+    excess = np.maximum(low - decoded.q, decoded.q - high).max()
     gap = decoded.gap_translation.max() + arm.length_scale * decoded.gap_rotation.max()
     return _Candidate(network, float(excess), float(gap))

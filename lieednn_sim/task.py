@@ -45,7 +45,7 @@ class Task:
             )
         except OSError as error:
             raise FileError(f"cannot read {path}: {error.strerror or error}") from None
-        except (KeyError, TypeError, ValueError) as error:
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise FileError(f"{path} is not a valid task ({type(error).__name__}: {error})") from None
 
 
@@ -69,6 +69,12 @@ class RunDirectory:
         """Make the directory if need be."""
         storage.make_directory(self.path)
         return self
+
+    def forget_results(self) -> None:
+        """Remove what was made of an earlier network, so that nothing in the directory belongs to another task."""
+        for path in vars(self).values():
+            if path not in (self.path, self.task, self.network):
+                path.unlink(missing_ok=True)
 
     def existing(self) -> RunDirectory:
         """Return self, or raise `FileError` when there is no such run."""

@@ -57,7 +57,7 @@ def summarise(name: str, outcomes: list[Synthesis]) -> dict[str, object]:
         "largest residual": f"{max((outcome.residual for outcome in good), default=np.nan):.1e}",
         "largest t": round(max((outcome.largest_translation for outcome in good), default=float("nan")), 2),
         "smallest margin": f"{min((o.certificate.margin for o in good if o.certificate), default=np.nan):.1e}",
-        "proved impossible": sum(not o.success and "no feasible weights" not in o.message for o in outcomes),
+        "proved impossible": sum(outcome.impossible for outcome in outcomes),
     }
 
 

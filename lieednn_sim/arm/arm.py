@@ -180,6 +180,8 @@ def _read(model: mujoco.MjModel, name: str) -> Arm:
             )
         first.append(kinds[0] == "hinge")
         hinge, slide = group if first[-1] else group[::-1]
+        _check_joint(model, name, hinge, reach=np.pi)
+        _check_joint(model, name, slide, reach=np.inf)
         # The joint frame sits on the revolute axis and takes the axes of the first moving body.
         orientation = Rotation.from_matrix(data.xmat[model.jnt_bodyid[group[0]]].reshape(3, 3))
         frame = RigidTransform.from_components(data.xanchor[hinge], orientation)
@@ -229,6 +231,19 @@ def _site_pose(data: mujoco.MjData, site: int) -> RigidTransform:
     return RigidTransform.from_components(
         data.site_xpos[site], Rotation.from_matrix(data.site_xmat[site].reshape(3, 3))
     )
+
+
+def _check_joint(model: mujoco.MjModel, arm: str, joint: int, reach: float) -> None:
+    """Refuse joints that the encoding or the servo would get silently wrong."""
+    label = f"joint {model.joint(joint).name!r} of arm {arm!r}"
+    if not model.jnt_limited[joint]:
+        raise InputError(f"{label} has no position limits; give it a range")
+    span = np.abs(model.jnt_range[joint] - model.qpos0[model.jnt_qposadr[joint]]).max()
+    if span >= reach:
+        raise InputError(f"{label} may turn by {span:.3g} rad from its reference; the logarithm needs less than pi")
+    drives = np.flatnonzero(model.actuator_trnid[:, 0] == joint)
+    if len(drives) != 1 or model.actuator_gear[drives[0], 0] != 1.0:
+        raise InputError(f"{label} needs exactly one actuator, of gear 1")
 
 
 def _joints_between(model: mujoco.MjModel, ancestor: int, body: int, arm: str, link: int) -> list[int]:

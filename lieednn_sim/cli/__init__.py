@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import re
+import signal
 import sys
+import threading
 from collections.abc import Sequence
 
 from lieednn_sim.errors import LieEDNNError
@@ -15,8 +18,15 @@ _DESCRIPTION = (
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run a command; returns its exit code: 0 well, 1 doctor found a problem, 2 an error, 130 interrupted."""
-    arguments = _parser().parse_args(argv)
+    """Run a command; returns its exit code.
+
+    0 well, 1 doctor found a problem, 2 an error, 130 interrupted or terminated, 141 the reader of the output went away.
+    """
+    arguments = _parser().parse_args(_join_negative_numbers(sys.argv[1:] if argv is None else argv))
+    # A terminated run cleans up like an interrupted one; handlers belong to the main thread alone.
+    restore = None
+    if threading.current_thread() is threading.main_thread():
+        restore = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         from lieednn_sim.cli import commands
 
@@ -31,6 +41,20 @@ def main(argv: Sequence[str] | None = None) -> int:
         # The reader of our output went away, as in `lieednn-sim demo | head`.
         sys.stderr.close()
         return 141
+    finally:
+        if restore is not None:
+            signal.signal(signal.SIGTERM, restore)
+
+
+def _join_negative_numbers(argv: Sequence[str]) -> list[str]:
+    """Write ``--target -1,2`` as ``--target=-1,2``, for argparse takes a leading minus for another option."""
+    joined: list[str] = []
+    for word in argv:
+        if joined and joined[-1].startswith("--") and "=" not in joined[-1] and re.match(r"-\.?\d", word):
+            joined[-1] += f"={word}"
+        else:
+            joined.append(word)
+    return joined
 
 
 def _parser() -> argparse.ArgumentParser:

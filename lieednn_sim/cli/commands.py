@@ -15,17 +15,28 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from lieednn_sim.arm import Arm, reach
-from lieednn_sim.errors import InputError, RenderingUnavailableError
+from lieednn_sim.errors import FileError, InputError, RenderingUnavailableError
 from lieednn_sim.evaluate import Evaluation
 from lieednn_sim.evaluate import evaluate as evaluate_rollout
 from lieednn_sim.motion import Motion, check_motion, make_motion
 from lieednn_sim.network import LieEDNN
-from lieednn_sim.planning import plan
+from lieednn_sim.planning import Plan, plan
 from lieednn_sim.simulate import Rollout
 from lieednn_sim.simulate import simulate as simulate_motion
 from lieednn_sim.task import RunDirectory, Task
 
-_console = Console(highlight=False, soft_wrap=True)
+Floats = NDArray[np.float64]
+
+# Differences below this [rad, m, or of the vector field] are those of rounding and of the motion's residual.
+_SAME = 1e-6
+
+
+class _Console(Console):
+    def on_broken_pipe(self) -> None:
+        raise BrokenPipeError  # `main` knows what to do; rich would exit with 1
+
+
+_console = _Console(highlight=False, soft_wrap=True)
 
 
 def demo(arguments: argparse.Namespace) -> None:
@@ -80,19 +91,15 @@ def _synthesize(arguments: argparse.Namespace) -> RunDirectory:
         target = reach(arm, _numbers(arguments.position, "position", 3), start=start)
     else:
         target = _joint_position(arm, arguments.target, "target")
+    made = not run.path.exists()
     run.create()
-    with _progress("synthesize") as progress:
-        chosen = plan(
-            arm,
-            target,
-            start=start,
-            duration=arguments.duration,
-            bias=arguments.bias,
-            bias_magnitude=arguments.bias_magnitude,
-            candidates=arguments.candidates,
-            seed=arguments.seed,
-            progress=progress,
-        )
+    try:
+        chosen = _plan(arm, target, start, arguments)
+    except BaseException:
+        if made:
+            run.path.rmdir()
+        raise
+    run.forget_results()
     Task(arm.name, tuple(start.tolist()), tuple(chosen.target.tolist()), arguments.duration).save(run.task)
     chosen.network.save(run.network)
     conditions = chosen.network.norm_conditions(arm.encode(chosen.target))
@@ -110,10 +117,26 @@ def _synthesize(arguments: argparse.Namespace) -> RunDirectory:
     return run
 
 
+def _plan(arm: Arm, target: Floats, start: Floats, arguments: argparse.Namespace) -> Plan:
+    with _progress("synthesize") as progress:
+        return plan(
+            arm,
+            target,
+            start=start,
+            duration=arguments.duration,
+            bias=arguments.bias,
+            bias_magnitude=arguments.bias_magnitude,
+            candidates=arguments.candidates,
+            seed=arguments.seed,
+            progress=progress,
+        )
+
+
 def _simulate(run: RunDirectory, hold: float) -> None:
-    task = Task.load(run.task)
-    arm = Arm.load(task.arm)
+    task, arm = _load_task(run)
     network = LieEDNN.load(run.network)
+    if network.n_neurons == arm.n_links and np.abs(network.vector_field(arm.encode(task.target))).max() > _SAME:
+        raise FileError(f"{run.network} has another equilibrium than the target in {run.task}; synthesize again")
     motion = make_motion(arm, network, task.start, task.duration, arm.model.opt.timestep)
     check_motion(arm, motion)
     with _progress("simulate") as progress:
@@ -126,9 +149,8 @@ def _simulate(run: RunDirectory, hold: float) -> None:
 def _evaluate(run: RunDirectory) -> None:
     from lieednn_sim import plots
 
-    task = Task.load(run.task)
-    arm = Arm.load(task.arm)
-    rollout, motion = Rollout.load(run.rollout), Motion.load(run.motion)
+    task, arm = _load_task(run)
+    rollout, motion = _load_rollout(run, task), Motion.load(run.motion)
     evaluation = evaluate_rollout(arm, rollout, task.target, motion)
     _console.print(_frames_table(evaluation))
     _console.print(_joints_table(evaluation))
@@ -143,11 +165,11 @@ def _evaluate(run: RunDirectory) -> None:
 def _render(run: RunDirectory, arguments: argparse.Namespace, path: str) -> None:
     from lieednn_sim.render.video import render_video
 
-    task = Task.load(run.task)
+    task, arm = _load_task(run)
     with _progress("render") as progress:
         render_video(
-            Arm.load(task.arm),
-            Rollout.load(run.rollout),
+            arm,
+            _load_rollout(run, task),
             task.target,
             path,
             camera=arguments.camera,
@@ -159,29 +181,48 @@ def _render(run: RunDirectory, arguments: argparse.Namespace, path: str) -> None
     _wrote(path)
 
 
+def _load_task(run: RunDirectory) -> tuple[Task, Arm]:
+    """The task and its arm, with start and target checked against the arm's limits."""
+    task = Task.load(run.task)
+    arm = Arm.load(task.arm)
+    try:
+        arm.check_position(task.start, "start")
+        arm.check_position(task.target, "target")
+    except InputError as error:
+        raise FileError(f"{run.task} does not fit arm {arm.name!r}: {error}") from None
+    return task, arm
+
+
+def _load_rollout(run: RunDirectory, task: Task) -> Rollout:
+    """The rollout, when it is of this task."""
+    rollout = Rollout.load(run.rollout)
+    if rollout.q.shape[1] != len(task.target) or np.abs(rollout.q_ref[-1] - task.target).max() > _SAME:
+        raise FileError(f"{run.rollout} was simulated for another target than {run.task} says; simulate again")
+    return rollout
+
+
 def _check_video(arm: Arm, arguments: argparse.Namespace) -> None:
     """Refuse bad video options before the work that comes first."""
-    from lieednn_sim.render.video import check_view
-    from lieednn_sim.validation import as_count
+    from lieednn_sim.render.video import check_rate, check_view
 
     check_view(arm, camera=arguments.camera, size=_size(arguments.size), preset=arguments.preset)
-    as_count("fps", arguments.fps)
+    check_rate(arguments.fps, "video.mp4")
 
 
 def _size(text: str) -> tuple[int, int]:
     width, _, height = text.partition("x")
-    if not (width.isdecimal() and height.isdecimal()):
+    if not (width.isdecimal() and height.isdecimal() and len(text) < 12):
         raise InputError(f"size must look like 1280x720, got {text!r}")
     return int(width), int(height)
 
 
-def _joint_position(arm: Arm, text: str, what: str) -> NDArray[np.float64]:
+def _joint_position(arm: Arm, text: str, what: str) -> Floats:
     if text and (text[0].isalpha() or text[0] == "_"):
         return arm.keyframe(text)
     return _numbers(text, what, arm.n_joints)
 
 
-def _numbers(text: str, what: str, count: int) -> NDArray[np.float64]:
+def _numbers(text: str, what: str, count: int) -> Floats:
     try:
         values = [float(part) for part in text.split(",")]
     except ValueError:

@@ -33,6 +33,7 @@ class Preset:
     samples: int
 
 
+_MAX_RATE = 1000.0
 PRESETS = {"draft": Preset(shadows=False, samples=0), "nice": Preset(shadows=True, samples=4)}
 
 
@@ -44,6 +45,16 @@ def check_view(arm: Arm, *, camera: str, size: tuple[int, int], preset: str) -> 
     limit = arm.model.vis.global_
     if width % 2 or height % 2 or width > limit.offwidth or height > limit.offheight:
         raise InputError(f"size must be even and at most {limit.offwidth}x{limit.offheight}, got {width}x{height}")
+
+
+def check_rate(fps: float, path: str | os.PathLike[str]) -> float:
+    """Return the frame rate, or raise `InputError` when it is out of range or a GIF cannot hold it."""
+    rate = as_positive("fps", fps)
+    if rate > _MAX_RATE:
+        raise InputError(f"fps must be at most {_MAX_RATE:g}, got {rate:g}")
+    if Path(path).suffix == ".gif" and (rate > 50.0 or 100.0 % rate):
+        raise InputError(f"a GIF counts in hundredths of a second; fps must be 50, 25, 20, 10, 5 ..., got {rate:g}")
+    return rate
 
 
 class Camera:
@@ -137,7 +148,7 @@ def render_video(
         raise InputError(f"a video's name must end in .mp4 or .gif, got {Path(path).name!r}")
     if rollout.arm != arm.name:
         raise InputError(f"the rollout is of arm {rollout.arm!r}, not of {arm.name!r}")
-    rate = as_positive("fps", fps)
+    rate = check_rate(fps, path)
     # The small slack keeps the last frame when duration * fps is a whole number up to rounding.
     total = int(np.floor((rollout.t[-1] - rollout.t[0]) * rate + 1e-6)) + 1
     samples = np.rint(np.arange(total) / rate / rollout.timestep).astype(int)

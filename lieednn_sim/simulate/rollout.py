@@ -20,6 +20,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.errors import FileError, InputError, SimulationError
 from lieednn_sim.motion import Motion
 from lieednn_sim.simulate.control import PositionServo
+from lieednn_sim.validation import as_floats
 
 Floats = NDArray[np.float64]
 
@@ -56,6 +57,23 @@ class Rollout:
     contacts: NDArray[np.int_]
     motion_end: float
 
+    def __post_init__(self) -> None:
+        k, n = len(self.t), np.shape(self.q)[-1] // 2 if np.ndim(self.q) else 0
+        sizes: dict[str, tuple[int | str, ...]] = {
+            "t": ("K",),
+            **dict.fromkeys(("q", "qd", "q_ref", "qd_ref", "ctrl", "force"), (k, 2 * n)),
+            "link_position": (k, n, 3),
+            "link_quaternion": (k, n, 4),
+            "contacts": (k,),
+        }
+        for name, shape in sizes.items():
+            value: Any = as_floats(name, getattr(self, name), shape)
+            object.__setattr__(self, name, value.astype(int) if name == "contacts" else value)
+        if k < 2 or not (np.diff(self.t) > 0.0).all():
+            raise InputError("t must hold at least two increasing times")
+        if not (np.linalg.norm(self.link_quaternion, axis=-1) > 0.5).all():
+            raise InputError("link_quaternion must hold unit quaternions")
+
     @property
     def timestep(self) -> float:
         """Simulation step [s]."""
@@ -76,14 +94,13 @@ class Rollout:
         """Read a file of `save`; `FileError` when it is none."""
         arrays, meta = storage.load_arrays(path, "rollout")
         values = dict(zip(_ARRAYS, storage.take(arrays, path, *_ARRAYS), strict=True))
-        if len({len(value) for value in values.values()}) != 1 or len(values["t"]) < 2:
-            raise FileError(f"{path} is not a valid rollout: its arrays differ in length")
         try:
             return cls(arm=str(meta["arm"]), motion_end=float(meta["motion_end"]), **values)
-        except (KeyError, TypeError, ValueError) as error:
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise FileError(f"{path} is not a valid rollout: {error}") from None
 
 
+_MAX_HOLD = 1000.0
 _ARRAYS = (
     "t",
     "q",
@@ -128,8 +145,8 @@ def simulate(
         raise InputError(f"the motion has {motion.q.shape[1]} coordinates, arm {arm.name!r} has {model.nq}")
     if not np.isclose(motion.timestep, step, rtol=1e-9):
         raise InputError(f"the motion is sampled every {motion.timestep:g} s, the model steps every {step:g} s")
-    if not (np.isfinite(hold) and hold >= 0.0):
-        raise InputError(f"hold must be zero or positive, got {hold!r}")
+    if not 0.0 <= hold <= _MAX_HOLD:
+        raise InputError(f"hold must be between 0 and {_MAX_HOLD:g} s, got {hold:g}")
     extra = round(hold / step)
     q_ref = np.vstack([motion.q, np.repeat(motion.q[-1:], extra, axis=0)])
     qd_ref = np.vstack([motion.qd, np.zeros((extra, model.nv))])

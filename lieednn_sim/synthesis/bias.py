@@ -17,8 +17,6 @@ _NEGLIGIBLE = 1e-6
 _SMALL_ROTATION = 0.6
 # ... and not at all when a single neuron turns by more than this [rad].
 _TURNING = 0.05
-# No certified network is looked for beyond this norm of W_R, in units of gamma/mu.
-_LARGEST_NORM = 1e3
 # How far beyond the least strength that can be certified the sign-matched rule goes, where it must go beyond it.
 _HEADROOM = 1.25
 
@@ -78,12 +76,6 @@ def impossibility(outputs: Floats, required: Floats, bound: float) -> str | None
                 return (
                     f"no {name} coordinate has its bias on the side of its target, so no diagonal Lyapunov matrix can "
                     "exist; use the sign-matched bias or retarget a certified network"
-                )
-            norm = np.linalg.norm(wanted) / np.linalg.norm(given)
-            if norm > _LARGEST_NORM * bound:
-                return (
-                    f"the target is so close to zero that the bias asks for weights of norm {norm:.2g}; "
-                    "use the sign-matched bias or retarget a certified network"
                 )
             # Rotations that are not zero may carry the translations through t.
             return None

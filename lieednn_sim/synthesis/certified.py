@@ -20,6 +20,8 @@ from lieednn_sim.validation import as_choice, as_count, as_floats, as_generator,
 Floats = NDArray[np.float64]
 
 RESIDUAL_TOLERANCE = 1e-9
+# No weights are looked for beyond this norm of W_R, in units of gamma/mu.
+_LARGEST_NORM = 1e3
 # Starts of the fast search before the patient one takes over.
 _FAST_ATTEMPTS = 4
 # The less the quaternions move, the better the certificate survives, and the larger the translations become.
@@ -34,6 +36,7 @@ class Synthesis:
 
     Attributes:
         success: whether `network` is certified and has the target as its equilibrium.
+        impossible: whether it is proved that no weights can be certified with this target and bias.
         message: how it ended; where it failed, why.
         network: the certified network, or None. An uncertified network is never returned.
         residual: largest entry of the vector field at the target.
@@ -44,6 +47,7 @@ class Synthesis:
     """
 
     success: bool
+    impossible: bool
     message: str
     network: LieEDNN | None
     residual: float
@@ -117,18 +121,26 @@ def synthesize(
     required = target - offset / ratio
     attempts, iterations = 0, 0
 
-    def outcome(message: str, network: LieEDNN | None = None) -> Synthesis:
+    def outcome(message: str, network: LieEDNN | None = None, *, impossible: bool = False) -> Synthesis:
         residual, largest = np.inf, np.inf
         if network is not None:
             residual = float(np.abs(network.vector_field(target)).max())
             largest = float(np.linalg.norm(network.translation, axis=-1).max())
         elapsed = time.perf_counter() - begun
-        return Synthesis(network is not None, message, network, residual, largest, attempts, iterations, elapsed)
+        return Synthesis(
+            network is not None, impossible, message, network, residual, largest, attempts, iterations, elapsed
+        )
 
     if not solved:
         reason = impossibility(state, required, 1.0)
         if reason is not None:
-            return outcome(f"not certified: {reason}")
+            return outcome(f"not certified: {reason}", impossible=True)
+        norm = _least_norm(state[:, :3], required[:, :3])
+        if norm > _LARGEST_NORM:
+            return outcome(
+                f"not certified: target and bias ask for weights of norm {norm:.2g} gamma/mu or more, beyond the "
+                f"{_LARGEST_NORM:g} that are looked for; use another bias or retarget a certified network"
+            )
     # What the weights serve in turn: what suits the target, and the rotations alone where the translations t may do.
     choices = [equation_columns(target)]
     if len(choices[0]) > 1 and state[:, :3].any():
@@ -177,6 +189,12 @@ def _start(state: Floats, required: Floats, columns: list[slice], rng: np.random
     quaternion /= np.linalg.norm(quaternion, axis=-1, keepdims=True)
     quaternion *= np.sqrt(0.3 / np.sqrt(n) * np.abs(rng.normal(size=(n, n, 1))))
     return problem, np.concatenate([quaternion.ravel(), _log_scale(inputs, outputs)])
+
+
+def _least_norm(inputs: Floats, outputs: Floats) -> float:
+    """Least 2-norm of any matrix that maps the inputs to the outputs."""
+    length = float(np.linalg.norm(inputs))
+    return float(np.linalg.norm(outputs)) / length if length > 0.0 else 0.0
 
 
 def _log_scale(inputs: Floats, outputs: Floats) -> Floats:
