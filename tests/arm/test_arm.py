@@ -137,6 +137,25 @@ def test_reach_puts_the_end_effector_where_it_is_asked(arm):
         reach(arm, [9.0, 0.0, 0.0])
 
 
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (("range", "-6 6"), "may turn by 6 rad"),
+        (("limited", "false"), "has no position limits"),
+    ],
+)
+def test_joints_that_would_be_got_wrong_are_refused(change, words, tmp_path):
+    root = mjcf.from_path(str(scene_path("telescopic_pr")))
+    joint = root.find("joint", "turn")
+    del joint.range
+    setattr(joint, *change)
+    for actuator in root.find_all("actuator"):
+        actuator.inheritrange = 0
+    mjcf.export_with_assets(root, str(tmp_path), "scene.xml")
+    with pytest.raises(InputError, match=words):
+        Arm.from_xml(tmp_path / "scene.xml")
+
+
 def test_errors_name_what_is_allowed(arm, tmp_path):
     with pytest.raises(InputError, match="no arm 'nonsense'; allowed: telescopic_pr"):
         Arm.load("nonsense")

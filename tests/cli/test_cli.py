@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -60,6 +61,21 @@ def test_steps_run_one_by_one_and_again_over_the_first(run, capsys):
     assert (run / "metrics.json").read_bytes() == first
 
 
+def test_results_of_another_target_are_not_mixed(run, tmp_path, capsys):
+    directory = tmp_path / "run"
+    shutil.copytree(run, directory)
+    task = json.loads((directory / "task.json").read_text())
+    task["target"][0] += 0.1
+    (directory / "task.json").write_text(json.dumps(task))
+    assert "another equilibrium" in fails(capsys, "simulate", directory)
+    assert "simulated for another target" in fails(capsys, "evaluate", directory)
+    task["target"][0] = 99.0
+    (directory / "task.json").write_text(json.dumps(task))
+    assert "does not fit arm 'telescopic_pr': target is out of reach" in fails(capsys, "simulate", directory)
+    assert main(["synthesize", "--target", "retracted", "--output", str(directory), "--duration", "4"]) == 0
+    assert {path.name for path in directory.iterdir()} == {"task.json", "network.npz"}
+
+
 @pytest.mark.rendering
 def test_render(run, tmp_path):
     options = ["--preset", "draft", "--size", "160x90", "--fps", "5"]
@@ -68,10 +84,10 @@ def test_render(run, tmp_path):
 
 
 def test_a_target_can_be_numbers_or_a_position(tmp_path):
-    q = "0.2,0.1,0.4,0.1,-0.3,0.1,-0.2,0.1"
+    q = "-0.2,0.1,0.4,0.1,-0.3,0.1,-0.2,0.1"
     assert main(["synthesize", "--target", q, "--output", str(tmp_path / "a"), *FAST]) == 0
     assert json.loads((tmp_path / "a" / "task.json").read_text())["target"][4] == -0.3
-    assert main(["synthesize", "--position", "1.8,0.6,1.2", "--output", str(tmp_path / "b"), *FAST]) == 0
+    assert main(["synthesize", "--position", "-.9,1.2,1.2", "--output", str(tmp_path / "b"), *FAST]) == 0
 
 
 @pytest.mark.parametrize(
@@ -86,6 +102,7 @@ def test_a_target_can_be_numbers_or_a_position(tmp_path):
         (["--position", "9,9,9"], "cannot reach"),
         (["--target", "extended", "--start", "0,0,0,0,0,0,0,99"], "start is out of reach"),
         (["--target", "extended", "--duration", "nan"], "duration"),
+        (["--target", "extended", "--duration", "1e300"], "duration must be between"),
         (["--target", "extended", "--duration", "0.1"], "a duration of at least"),
         (["--target", "extended", "--bias", "odd"], "no bias rule 'odd'; allowed"),
         (["--target", "extended", "--candidates", "0"], "candidates must be at least 1"),
@@ -130,6 +147,7 @@ def test_bad_video_options_are_refused_before_the_work(tmp_path, capsys):
     output = tmp_path / "demo"
     assert "size must look like 1280x720" in fails(capsys, "demo", "--size", "huge", "--output", output)
     assert "no preset 'best'" in fails(capsys, "demo", "--preset", "best", "--output", output)
+    assert "fps must be positive" in fails(capsys, "demo", "--fps", "0", "--output", output)
     assert "no camera 'moon'" in fails(capsys, "demo", "--camera", "moon", "--output", output)
     assert not output.exists()
 
@@ -149,17 +167,18 @@ def test_without_opengl_the_demo_goes_on_without_video(tmp_path):
     assert done.stderr.startswith("lieednn-sim: error: cannot render")
 
 
-def test_interrupting_leaves_complete_files_only(tmp_path):
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
+def test_interrupting_leaves_complete_files_only(tmp_path, how):
     command = [sys.executable, "-m", "lieednn_sim.cli", "demo", "--no-video", "--candidates", "2000"]
     process = subprocess.Popen(
         [*command, "--output", str(tmp_path / "demo")], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
     time.sleep(4.0)
-    process.send_signal(signal.SIGINT)
+    process.send_signal(how)
     _, stderr = process.communicate(timeout=30)
     assert process.returncode == 130
     assert "Traceback" not in stderr
-    assert list((tmp_path / "demo").iterdir()) == []
+    assert not (tmp_path / "demo").exists()
 
 
 def test_help_imports_nothing_heavy():

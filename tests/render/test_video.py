@@ -81,6 +81,8 @@ def test_bad_input_is_refused_before_rendering(arm, rollout, tmp_path):
     target = arm.keyframe("extended")
     with pytest.raises(InputError, match=r"\.mp4 or \.gif"):
         video.render_video(arm, rollout, target, tmp_path / "video.avi")
+    with pytest.raises(InputError, match=r"a GIF counts in hundredths of a second.*got 30"):
+        video.render_video(arm, rollout, target, tmp_path / "video.gif", fps=30)
     with pytest.raises(InputError, match=r"no camera 'moon'; allowed: .*overview"):
         video.render_video(arm, rollout, target, tmp_path / "video.mp4", camera="moon")
     with pytest.raises(InputError, match="no preset 'ugly'; allowed: draft, nice"):

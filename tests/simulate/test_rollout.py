@@ -83,7 +83,7 @@ def test_bad_input(arm, planned):
     motion = planned.motion
     with pytest.raises(InputError, match=r"every 0\.004 s, the model steps every 0\.002 s"):
         simulate(arm, dataclasses.replace(motion, t=2.0 * motion.t))
-    with pytest.raises(InputError, match="3 coordinates"):
+    with pytest.raises(InputError, match=r"q must have shape \(2001, 8\), got \(2001, 3\)"):
         simulate(arm, dataclasses.replace(motion, q=motion.q[:, :3]))
     with pytest.raises(InputError, match="hold"):
         simulate(arm, motion, hold=-1.0)
