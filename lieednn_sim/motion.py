@@ -3,8 +3,9 @@
 The network runs in its own time tau: its field starts with a step in velocity and arrives exponentially, never in
 finite time. A robot does neither. So the path q(tau) that the network draws is kept, and run through by a minimum-jerk
 law in its length l: l(t) = L sigma(t / T) with sigma = 10 s^3 - 15 s^4 + 6 s^5. The length measures joint velocities in
-units of their limits, and a share of the network's own velocity xi', so that a joint path that turns back slows down
-there. The path is cut where the network is within `RESIDUAL` of its equilibrium.
+units of their limits, and the pace of the approach: where the joints turn back their velocity passes through
+zero, and length alone would make them do so at once. The path is cut where the network is within `RESIDUAL` of its
+equilibrium.
 """
 
 from __future__ import annotations
@@ -30,7 +31,6 @@ RESIDUAL = 1e-8
 LIMIT_TOLERANCE = 1e-6
 _MAX_STEPS = 1_000_000
 _SAMPLES_PER_STEP = 8
-_STATE_SHARE = 0.3
 
 
 @dataclass(frozen=True)
@@ -142,8 +142,8 @@ def make_motion(arm: Arm, network: LieEDNN, start: ArrayLike, duration: float, t
         return rate
 
     states = trajectory(grid)
-    of_state = np.linalg.norm(network.vector_field(states), axis=(-2, -1))
-    speed = CubicSpline(grid, np.hypot(np.linalg.norm(rates(states) / weights, axis=-1), _STATE_SHARE * of_state))
+    to_go = pace * np.linalg.norm(states - target, axis=(-2, -1))
+    speed = CubicSpline(grid, np.hypot(np.linalg.norm(rates(states) / weights, axis=-1), to_go))
     length = speed.antiderivative()
     total = float(length(grid[-1]))
     progress, progress_rate = _minimum_jerk(t / t[-1])
