@@ -58,5 +58,6 @@ def _connect(
     geom = scene.geoms[scene.ngeom]
     mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.eye(3).ravel(), np.array(colour, dtype=np.float32))
     mujoco.mjv_connector(geom, kind, width, a, b)
+    geom.category = mujoco.mjtCatBit.mjCAT_DECOR  # no shadows
     geom.emission = 0.3
     scene.ngeom += 1
