@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import PchipInterpolator
 
 from lieednn_sim import storage
 from lieednn_sim.arm import Arm
@@ -143,7 +143,8 @@ def make_motion(arm: Arm, network: LieEDNN, start: ArrayLike, duration: float, t
 
     states = trajectory(grid)
     to_go = pace * np.linalg.norm(states - target, axis=(-2, -1))
-    speed = CubicSpline(grid, np.hypot(np.linalg.norm(rates(states) / weights, axis=-1), to_go))
+    # Shape-preserving, so that the speed stays positive between its samples.
+    speed = PchipInterpolator(grid, np.hypot(np.linalg.norm(rates(states) / weights, axis=-1), to_go))
     length = speed.antiderivative()
     total = float(length(grid[-1]))
     progress, progress_rate = _minimum_jerk(t / t[-1])
@@ -171,7 +172,7 @@ def _minimum_jerk(s: Floats) -> tuple[Floats, Floats]:
     return s**3 * (10.0 - 15.0 * s + 6.0 * s**2), 30.0 * s**2 * (1.0 - s) ** 2
 
 
-def _invert(length: CubicSpline, speed: CubicSpline, grid: Floats, wanted: Floats) -> Floats:
+def _invert(length: PchipInterpolator, speed: PchipInterpolator, grid: Floats, wanted: Floats) -> Floats:
     """Tau with length(tau) = wanted, by bisection-safeguarded Newton steps on all samples at once."""
     known = length(grid)
     index = np.clip(np.searchsorted(known, wanted, side="right") - 1, 0, len(grid) - 2)

@@ -27,8 +27,8 @@ from lieednn_sim.task import RunDirectory, Task
 
 Floats = NDArray[np.float64]
 
-# Differences below this [rad, m, or of the vector field] are those of rounding and of the motion's residual.
-_SAME = 1e-6
+# Targets that differ by less [rad, m] are the same: a trained network may miss its target by its tolerance.
+_SAME = 1e-3
 
 
 class _Console(Console):
