@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+from lieednn_sim import opengl
 from lieednn_sim.arm import Arm, reach
 from lieednn_sim.errors import FileError, InputError, RenderingUnavailableError
 from lieednn_sim.evaluate import Evaluation
@@ -166,6 +167,8 @@ def _render(run: RunDirectory, arguments: argparse.Namespace, path: str) -> None
     from lieednn_sim.render.video import render_video
 
     task, arm = _load_task(run)
+    backend = opengl.require()
+    _console.print(f"rendering with {backend.name}: {backend.detail}")
     with _progress("render") as progress:
         render_video(
             arm,
