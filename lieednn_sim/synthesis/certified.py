@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -131,6 +132,16 @@ def synthesize(
             network is not None, impossible, message, network, residual, largest, attempts, iterations, elapsed
         )
 
+    def networks(problem: Problem, point: Point) -> Iterator[LieEDNN]:
+        """Networks to check: the weights at hand with a solved bias, or polished ever more gently."""
+        if solved:
+            still = np.zeros((*problem.signs.shape, 3))
+            yield _assemble(problem, point, still, offset, gamma, mu, activation).retarget(target)
+            return
+        for weight in _POLISH_WEIGHTS:
+            polished, translation, _ = polish(problem, point, state, required, quaternion_weight=weight)
+            yield _assemble(problem, polished, translation, offset, gamma, mu, activation)
+
     if not solved:
         reason = impossibility(state, required, 1.0)
         if reason is not None:
@@ -159,12 +170,7 @@ def synthesize(
             iterations += count
             if point is None:
                 continue
-            if solved:
-                network = _assemble(problem, point, np.zeros((*problem.signs.shape, 3)), offset, gamma, mu, activation)
-                return outcome("certified", network.retarget(target))
-            for weight in _POLISH_WEIGHTS:
-                polished, translation, _ = polish(problem, point, state, required, quaternion_weight=weight)
-                network = _assemble(problem, polished, translation, offset, gamma, mu, activation)
+            for network in networks(problem, point):
                 candidate = outcome("certified", network)
                 if (
                     network.certified
