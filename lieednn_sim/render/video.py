@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import imageio.v2 as imageio
+import imageio_ffmpeg
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -153,16 +154,25 @@ def render_video(
     total = int(np.floor((rollout.t[-1] - rollout.t[0]) * rate + 1e-6)) + 1
     samples = np.rint(np.arange(total) / rate / rollout.timestep).astype(int)
     overlay = Overlay(arm.link_poses(rollout.q_ref).as_matrix(), rollout.link_position[:, -1])
-    with (
-        Camera(arm, camera=camera, size=size, preset=preset) as view,
-        storage.atomic_path(path) as temporary,
-        _writer(temporary, rate) as append,
-    ):
-        for done, k in enumerate(samples, start=1):
-            append(view.picture(rollout.q[k], target, functools.partial(overlay.draw, k=int(k))))
-            if progress is not None:
-                progress(done, total)
+    with Camera(arm, camera=camera, size=size, preset=preset) as view, storage.atomic_path(path) as temporary:
+        with _writer(temporary, rate) as append:
+            for done, k in enumerate(samples, start=1):
+                append(view.picture(rollout.q[k], target, functools.partial(overlay.draw, k=int(k))))
+                if progress is not None:
+                    progress(done, total)
+        _check_complete(temporary, total)
     return total
+
+
+def _check_complete(path: Path, total: int) -> None:
+    """The encoder's last words go unheard: a disk that fills with the last frame leaves a file that cannot be read."""
+    if path.suffix == ".mp4":
+        try:
+            frames, _ = imageio_ffmpeg.count_frames_and_secs(str(path))
+        except (OSError, RuntimeError):
+            frames = 0
+        if frames != total:
+            raise FileError(f"cannot write the video: {frames} of {total} frames arrived; is the disk full?")
 
 
 @contextlib.contextmanager
@@ -179,7 +189,7 @@ def _writer(path: Path, fps: float) -> Iterator[Callable[[Image], None]]:
                 codec="libx264",
                 macro_block_size=2,
                 quality=8,
-                ffmpeg_log_level="error",
+                ffmpeg_log_level="quiet",
                 ffmpeg_params=["-preset", "veryfast", "-movflags", "+faststart"],
             )
         try:
@@ -188,4 +198,5 @@ def _writer(path: Path, fps: float) -> Iterator[Callable[[Image], None]]:
             # imageio's own `with` leaves the encoder running when the block fails.
             writer.close()
     except OSError as error:
-        raise FileError(f"cannot write the video: {str(error).strip().splitlines()[0]}") from None
+        reason = str(error).strip().splitlines()[0]
+        raise FileError(f"cannot write the video, the encoder stopped ({reason}); is the disk full?") from None
