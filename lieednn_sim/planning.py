@@ -20,6 +20,9 @@ Floats = NDArray[np.float64]
 # The stronger the bias, the less the weights have to do and the straighter the transient; the search tries all.
 BIAS_MAGNITUDES = (0.125, 0.25, 0.5)
 
+# Starts of `synthesize` for a candidate, and for the last one when there is none yet.
+_QUICK_ATTEMPTS, _PATIENT_ATTEMPTS = 3, 16
+
 # A network that roughly integrated leaves the limits by more than this [rad, m] need not be tried in full.
 _HOPELESS_EXCESS = 0.01
 
@@ -93,7 +96,9 @@ def plan(
     message = ""
     for index in range(total):
         magnitude = magnitudes[index % len(magnitudes)]
-        result = synthesize(arm.encode(goal), bias=bias, bias_magnitude=magnitude, seed=rng)
+        # Patience only where everything else failed: easy candidates are many, hard ones cost seconds.
+        attempts = _PATIENT_ATTEMPTS if index == total - 1 and not found else _QUICK_ATTEMPTS
+        result = synthesize(arm.encode(goal), bias=bias, bias_magnitude=magnitude, seed=rng, max_attempts=attempts)
         if result.network is None:
             message = result.message
         else:
