@@ -136,23 +136,19 @@ def make_motion(arm: Arm, network: LieEDNN, start: ArrayLike, duration: float, t
     grid = np.append(grid, trajectory.t[-1])
     weights = np.where(np.isfinite(arm.velocity_limits), arm.velocity_limits, 1.0)
 
-    def rates(states: Floats) -> Floats:
-        rate = arm.decode(states, network.vector_field(states)).qd
-        assert rate is not None
-        return rate
-
     states = trajectory(grid)
+    rates = arm.decode(states, network.vector_field(states)).qd
     to_go = pace * np.linalg.norm(states - target, axis=(-2, -1))
     # Shape-preserving, so that the speed stays positive between its samples.
-    speed = PchipInterpolator(grid, np.hypot(np.linalg.norm(rates(states) / weights, axis=-1), to_go))
+    speed = PchipInterpolator(grid, np.hypot(np.linalg.norm(rates / weights, axis=-1), to_go))
     length = speed.antiderivative()
     total = float(length(grid[-1]))
     progress, progress_rate = _minimum_jerk(t / t[-1])
     tau = _invert(length, speed, grid, total * progress)
     xi = trajectory(tau)
-    decoded = arm.decode(xi)
+    decoded = arm.decode(xi, network.vector_field(xi))
     tau_rate = total * progress_rate / (t[-1] * np.maximum(speed(tau), 1e-300))
-    qd = rates(xi) * tau_rate[:, None]
+    qd = decoded.qd * tau_rate[:, None]
     qd[[0, -1]] = 0.0
     return Motion(t, tau, xi, target, decoded.q, qd, decoded.gap_translation, decoded.gap_rotation)
 
@@ -193,16 +189,8 @@ def _invert(length: PchipInterpolator, speed: PchipInterpolator, grid: Floats, w
 def _at_rest(arm: Arm, t: Floats, origin: Floats, target: Floats) -> Motion:
     xi = np.broadcast_to(origin, (len(t), *origin.shape)).copy()
     decoded = arm.decode(xi)
-    return Motion(
-        t,
-        np.zeros_like(t),
-        xi,
-        target,
-        decoded.q,
-        np.zeros_like(decoded.q),
-        decoded.gap_translation,
-        decoded.gap_rotation,
-    )
+    gaps = (decoded.gap_translation, decoded.gap_rotation)
+    return Motion(t, np.zeros_like(t), xi, target, decoded.q, decoded.qd, *gaps)
 
 
 def check_motion(arm: Arm, motion: Motion) -> None:

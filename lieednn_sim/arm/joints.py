@@ -19,13 +19,13 @@ class Retraction:
 
     Attributes:
         q: ``(..., 2N)`` joint positions [rad, m], in the arm's order.
-        qd: ``(..., 2N)`` their rates, or None when no rates were given.
+        qd: ``(..., 2N)`` their rates; zero for poses at rest.
         gap_translation: ``(..., N)`` distance between given and feasible pose [m].
         gap_rotation: ``(..., N)`` angle between them [rad].
     """
 
     q: Floats
-    qd: Floats | None
+    qd: Floats
     gap_translation: Floats
     gap_rotation: Floats
 
@@ -70,7 +70,7 @@ class CompoundJoints:
 
         Args:
             xi: ``(..., N, 6)``.
-            xi_dot: ``(..., N, 6)`` or None.
+            xi_dot: ``(..., N, 6)``, or None for poses at rest.
         """
         pose = exp(xi)
         p = np.asarray(pose.translation)
@@ -88,7 +88,7 @@ class CompoundJoints:
         gap_translation = np.linalg.norm(local - slide[..., None] * self.direction, axis=-1)
         gap_rotation = np.asarray((turn.inv() * pose.rotation).magnitude())
         if xi_dot is None:
-            return Retraction(q, None, gap_translation, gap_rotation)
+            return Retraction(q, np.zeros_like(q), gap_translation, gap_rotation)
 
         omega_body = (left_jacobian_so3(-xi[..., :3]) @ xi_dot[..., :3, None])[..., 0]
         real_rate = -0.5 * (imaginary * omega_body).sum(axis=-1)

@@ -43,29 +43,14 @@ def feasible_point(
     Returns:
         The feasible point or None, and the number of iterations.
     """
-    size, n_quaternion = problem.size, problem.n_quaternion
+    n_quaternion = problem.n_quaternion
     point = problem.evaluate(start)
     damping = 1e-2
     for iteration in range(max_iterations):
         if point.values[-1] < accept and np.abs(point.residual).max() < _ROUGH:
             return point, iteration
-        excess = np.maximum(point.values - aim, 0.0)
         value = _merit(point, aim, equation_weight)
-        rows = equation_weight * problem.full_jacobian(problem.equation_jacobian(point))
-        gradient = rows.T @ (equation_weight * point.residual.ravel())
-        normal = rows.T @ rows
-        first = size - int(np.count_nonzero(excess))
-        if first < size:
-            # Divided differences of max(x - aim, 0): 1 within the violated eigenspace, a ratio across.
-            slope = np.ones((size - first, size))
-            gap = point.values[first:, None] - point.values[None, :first]
-            slope[:, :first] = np.sqrt(2.0) * excess[first:, None] / gap
-            moves = problem.eigenspace_jacobian(point, first)
-            violated = np.arange(size - first)
-            gradient += moves[violated, first + violated].T @ excess[first:]
-            moves *= slope[:, :, None]
-            flat = moves.reshape(-1, moves.shape[-1])
-            normal += flat.T @ flat
+        gradient, normal = _normal_equations(problem, point, aim, equation_weight)
         while True:
             damped = normal.copy()
             damped[np.diag_indices_from(damped)] += damping
@@ -87,6 +72,33 @@ def feasible_point(
             if damping > 1e6:
                 return None, iteration
     return None, max_iterations
+
+
+def _merit(point: Point, aim: float, equation_weight: float) -> float:
+    excess = np.maximum(point.values - aim, 0.0)
+    residual = equation_weight * point.residual.ravel()
+    return 0.5 * float(residual @ residual + excess @ excess)
+
+
+def _normal_equations(problem: Problem, point: Point, aim: float, equation_weight: float) -> tuple[Floats, Floats]:
+    """Gradient of `_merit` and its Gauss-Newton matrix."""
+    rows = equation_weight * problem.full_jacobian(problem.equation_jacobian(point))
+    gradient = rows.T @ (equation_weight * point.residual.ravel())
+    normal = rows.T @ rows
+    excess = np.maximum(point.values - aim, 0.0)
+    first = problem.size - int(np.count_nonzero(excess))
+    if first < problem.size:
+        # Divided differences of max(x - aim, 0): 1 within the violated eigenspace, a ratio across.
+        slope = np.ones((problem.size - first, problem.size))
+        gap = point.values[first:, None] - point.values[None, :first]
+        slope[:, :first] = np.sqrt(2.0) * excess[first:, None] / gap
+        moves = problem.eigenspace_jacobian(point, first)
+        violated = np.arange(problem.size - first)
+        gradient += moves[violated, first + violated].T @ excess[first:]
+        moves *= slope[:, :, None]
+        flat = moves.reshape(-1, moves.shape[-1])
+        normal += flat.T @ flat
+    return gradient, normal
 
 
 def smallest_eigenvalue_point(
@@ -119,12 +131,6 @@ def smallest_eigenvalue_point(
         if point.values[-1] < accept and np.abs(point.residual).max() < _ROUGH:
             return point, iterations
     return None, iterations
-
-
-def _merit(point: Point, aim: float, equation_weight: float) -> float:
-    excess = np.maximum(point.values - aim, 0.0)
-    residual = equation_weight * point.residual.ravel()
-    return 0.5 * float(residual @ residual + excess @ excess)
 
 
 def polish(
