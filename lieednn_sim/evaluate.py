@@ -128,7 +128,7 @@ def evaluate(arm: Arm, rollout: Rollout, target: ArrayLike, motion: Motion | Non
     arrival = pose_errors(simulated, arm.link_poses(arm.check_position(target, "target")))
     tip = rollout.link_position[:, -1]
     return Evaluation(
-        frames=tuple(_frame_errors(i, arm.n_links, rollout.t, tracking, arrival) for i in range(arm.n_links)),
+        frames=tuple(_frame_errors(i, name, rollout.t, tracking, arrival) for i, name in enumerate(arm.link_names)),
         joints=tuple(
             JointUse(
                 name=name,
@@ -151,7 +151,7 @@ def evaluate(arm: Arm, rollout: Rollout, target: ArrayLike, motion: Motion | Non
 
 
 def _frame_errors(
-    i: int, n_links: int, t: Floats, tracking: tuple[Floats, Floats], arrival: tuple[Floats, Floats]
+    i: int, name: str, t: Floats, tracking: tuple[Floats, Floats], arrival: tuple[Floats, Floats]
 ) -> FrameErrors:
     distance, angle = 1e3 * tracking[0][:, i], np.rad2deg(tracking[1][:, i])
     outside = np.flatnonzero((arrival[0][:, i] > SETTLED_TRANSLATION) | (arrival[1][:, i] > SETTLED_ROTATION))
@@ -160,7 +160,7 @@ def _frame_errors(
     else:
         settled = float(t[outside[-1] + 1]) if outside[-1] + 1 < len(t) else None
     return FrameErrors(
-        name="end effector" if i == n_links - 1 else f"link {i + 1}",
+        name=name,
         final_translation_mm=float(1e3 * arrival[0][-1, i]),
         final_rotation_deg=float(np.rad2deg(arrival[1][-1, i])),
         rms_translation_mm=float(np.sqrt(np.mean(distance**2))),

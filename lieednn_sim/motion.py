@@ -21,7 +21,7 @@ from lieednn_sim import storage
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import FileError, InputError, PlanError
 from lieednn_sim.network import LieEDNN
-from lieednn_sim.validation import as_floats, as_positive
+from lieednn_sim.validation import as_floats, as_positive, as_times
 
 Floats = NDArray[np.float64]
 
@@ -58,20 +58,20 @@ class Motion:
     gap_rotation: Floats
 
     def __post_init__(self) -> None:
-        sizes: tuple[tuple[str, tuple[int | str, ...]], ...] = (
-            ("t", ("K",)),
-            ("xi_target", ("N", 6)),
-            ("tau", (len(self.t),)),
-            ("xi", (len(self.t), len(self.xi_target), 6)),
-            ("q", (len(self.t), 2 * len(self.xi_target))),
-            ("qd", (len(self.t), 2 * len(self.xi_target))),
-            ("gap_translation", (len(self.t), len(self.xi_target))),
-            ("gap_rotation", (len(self.t), len(self.xi_target))),
-        )
-        for name, shape in sizes:
+        k = len(as_times("t", self.t))
+        n = len(as_floats("xi_target", self.xi_target, ("N", 6)))
+        shapes: dict[str, tuple[int, ...]] = {
+            "t": (k,),
+            "tau": (k,),
+            "xi": (k, n, 6),
+            "xi_target": (n, 6),
+            "q": (k, 2 * n),
+            "qd": (k, 2 * n),
+            "gap_translation": (k, n),
+            "gap_rotation": (k, n),
+        }
+        for name, shape in shapes.items():
             object.__setattr__(self, name, as_floats(name, getattr(self, name), shape))
-        if len(self.t) < 2 or not (np.diff(self.t) > 0.0).all():
-            raise InputError("t must hold at least two increasing times")
 
     @property
     def residual(self) -> float:
@@ -94,7 +94,7 @@ class Motion:
         names = tuple(cls.__dataclass_fields__)
         try:
             return cls(**dict(zip(names, storage.take(arrays, path, *names), strict=True)))
-        except (InputError, TypeError) as error:
+        except InputError as error:
             raise FileError(f"{path} is not a valid motion: {error}") from None
 
 
@@ -199,13 +199,13 @@ def check_motion(arm: Arm, motion: Motion) -> None:
     Raises:
         PlanError: names the joint, the value, the bound, and what would help.
     """
-    low, high = arm.position_limits.T
-    outside = np.maximum(low - motion.q, motion.q - high)
+    outside = arm.limit_excess(motion.q)
     k, joint = map(int, np.unravel_index(outside.argmax(), outside.shape))
     if outside[k, joint] > LIMIT_TOLERANCE:
+        low, high = arm.position_limits[joint]
         raise PlanError(
             f"joint {arm.joint_names[joint]!r} would reach {motion.q[k, joint]:.4g} {arm.unit(joint)} at "
-            f"t = {motion.t[k]:.2f} s, its range is [{low[joint]:.4g}, {high[joint]:.4g}]; try more candidates, "
+            f"t = {motion.t[k]:.2f} s, its range is [{low:.4g}, {high:.4g}]; try more candidates, "
             "another seed, a larger bias magnitude or the solved bias"
         )
     ratio = np.abs(motion.qd) / arm.velocity_limits
@@ -224,12 +224,3 @@ def check_motion(arm: Arm, motion: Motion) -> None:
                 f"{touching[0][0]!r} would touch {touching[0][1]!r} at t = {motion.t[k]:.2f} s; try more candidates, "
                 "another seed or another target"
             )
-
-
-def joint_target(arm: Arm, target: ArrayLike) -> Floats:
-    """Check a joint target against the arm's limits and for contact, and return it."""
-    q = arm.check_position(as_floats("target", target, (arm.n_joints,)), "target")
-    touching = arm.contacts(q)
-    if touching:
-        raise InputError(f"target is out of reach: {touching[0][0]!r} would touch {touching[0][1]!r} there")
-    return q

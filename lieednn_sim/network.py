@@ -127,7 +127,7 @@ class LieEDNN:
 
     def flat_vector_field(self, x: Floats) -> Floats:
         """Right-hand side in flat form, ``(6N,)`` to ``(6N,)``; unchecked, for integrators."""
-        return -self.gamma * x + self.mu * (self.weight @ self.phi(x) + self._flat_bias)
+        return -self.gamma * x + self.mu * (self.weight @ self.phi(x) + self.bias.ravel())
 
     def jacobian(self, xi: ArrayLike) -> Floats:
         """Jacobian of the flat vector field, ``(..., N, 6)`` to ``(..., 6N, 6N)``."""
@@ -241,10 +241,6 @@ class LieEDNN:
         if certificate is not None and not certificate.valid:
             raise FileError(f"{path} carries a certificate that does not hold for its weights ({certificate})")
         return network
-
-    @cached_property
-    def _flat_bias(self) -> Floats:
-        return self.bias.ravel()
 
 
 def _flatten_blocks(blocks: Floats) -> Floats:

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim.arm import Arm
-from lieednn_sim.errors import LieEDNNError, NotCertifiedError, PlanError
-from lieednn_sim.motion import LIMIT_TOLERANCE, Motion, check_motion, count_steps, joint_target, make_motion
+from lieednn_sim.errors import InputError, NotCertifiedError, PlanError
+from lieednn_sim.motion import LIMIT_TOLERANCE, Motion, check_motion, count_steps, make_motion
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.synthesis import synthesize
 from lieednn_sim.validation import as_count, as_generator, as_positive
@@ -85,8 +85,9 @@ def plan(
         NotCertifiedError: no candidate could be certified.
         PlanError: every candidate breaks a limit; the message is of the best one.
     """
-    goal = joint_target(arm, target)
+    goal = _reachable(arm, target)
     origin = arm.keyframe("home") if start is None else arm.check_position(start, "start")
+    xi_target, xi_start = arm.encode(goal), arm.encode(origin)
     total = as_count("candidates", candidates)
     step = float(arm.model.opt.timestep) if timestep is None else timestep
     count_steps(duration, step)
@@ -98,11 +99,11 @@ def plan(
         magnitude = magnitudes[index % len(magnitudes)]
         # Patience only where everything else failed: easy candidates are many, hard ones cost seconds.
         attempts = _PATIENT_ATTEMPTS if index == total - 1 and not found else _QUICK_ATTEMPTS
-        result = synthesize(arm.encode(goal), bias=bias, bias_magnitude=magnitude, seed=rng, max_attempts=attempts)
+        result = synthesize(xi_target, bias=bias, bias_magnitude=magnitude, seed=rng, max_attempts=attempts)
         if result.network is None:
             message = result.message
         else:
-            found.append(_screen(arm, result.network, origin))
+            found.append(_screen(arm, result.network, xi_start))
         if progress is not None:
             progress(index + 1, total)
     if not found:
@@ -111,7 +112,7 @@ def plan(
         )
     kept = sum(candidate.excess <= LIMIT_TOLERANCE for candidate in found)
     found.sort(key=lambda candidate: (max(candidate.excess, LIMIT_TOLERANCE), candidate.gap))
-    refusal: LieEDNNError | None = None
+    refusal: PlanError | None = None
     for candidate in found:
         if refusal is not None and candidate.excess > _HOPELESS_EXCESS:
             break
@@ -125,12 +126,19 @@ def plan(
     raise PlanError(f"{refusal} (best of {total} candidates)")
 
 
-def _screen(arm: Arm, network: LieEDNN, origin: Floats) -> _Candidate:
+def _reachable(arm: Arm, target: ArrayLike) -> Floats:
+    """The joint target, when it keeps the limits and touches nothing."""
+    q = arm.check_position(target, "target")
+    touching = arm.contacts(q)
+    if touching:
+        raise InputError(f"target is out of reach: {touching[0][0]!r} would touch {touching[0][1]!r} there")
+    return q
+
+
+def _screen(arm: Arm, network: LieEDNN, start: Floats) -> _Candidate:
     """Largest excess over the position limits and largest mechanism gap along a roughly integrated trajectory."""
-    start = arm.encode(origin)
     states = network.trajectory(start, 20.0 / network.gamma, rtol=1e-4, atol=1e-6).xi
     decoded = arm.decode(states)
-    low, high = arm.position_limits.T
-    excess = np.maximum(low - decoded.q, decoded.q - high).max()
+    excess = arm.limit_excess(decoded.q).max()
     gap = decoded.gap_translation.max() + arm.length_scale * decoded.gap_rotation.max()
     return _Candidate(network, float(excess), float(gap))

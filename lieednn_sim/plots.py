@@ -29,7 +29,6 @@ _STYLE: Any = {
     "axes.spines.right": False,
     "axes.prop_cycle": cycler(color=_COLOURS),
     "legend.frameon": False,
-    "svg.hashsalt": "lieednn_sim",
 }
 
 
@@ -39,7 +38,7 @@ def plot_network(motion: Motion, path: str | os.PathLike[str]) -> None:
     names = [f"$\\omega_{a}$" for a in "xyz"] + [f"$v_{a}$" for a in "xyz"]
     with matplotlib.rc_context(_STYLE):
         figure = Figure(figsize=(10, 2.2 + 1.9 * ((n + 1) // 2)), layout="constrained")
-        axes = np.atleast_1d(figure.subplots((n + 1) // 2, 2, sharex=True, squeeze=False)).ravel()
+        axes = figure.subplots((n + 1) // 2, 2, sharex=True, squeeze=False).ravel()
         for i in range(n):
             for c in range(6):
                 axes[i].plot(motion.t, motion.xi[:, i, c], color=_COLOURS[c], label=names[c])
@@ -63,8 +62,7 @@ def plot_tracking(arm: Arm, rollout: Rollout, target: ArrayLike, path: str | os.
     with matplotlib.rc_context(_STYLE):
         figure = Figure(figsize=(10, 6), layout="constrained")
         axes = figure.subplots(2, 2, sharex=True)
-        for i in range(arm.n_links):
-            name = "end effector" if i == arm.n_links - 1 else f"link {i + 1}"
+        for i, name in enumerate(arm.link_names):
             axes[0, 0].plot(rollout.t, 1e3 * distance[:, i], label=name)
             axes[0, 1].plot(rollout.t, np.rad2deg(angle[:, i]), label=name)
         axes[0, 0].set_title("tracking error (planned to simulated frame)", loc="left")
@@ -88,7 +86,7 @@ def plot_tracking(arm: Arm, rollout: Rollout, target: ArrayLike, path: str | os.
 
 
 def plot_joints(arm: Arm, rollout: Rollout, path: str | os.PathLike[str]) -> None:
-    """Position, velocity and drive force of each joint; the limits that are near are shaded."""
+    """Position with its limits, velocity and drive force of each joint, the latter two in percent of their limits."""
     n = arm.n_joints
     with matplotlib.rc_context(_STYLE):
         figure = Figure(figsize=(11, 1.0 + 1.25 * n), layout="constrained")

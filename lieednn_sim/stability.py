@@ -132,14 +132,24 @@ def scale(weight: Floats, log_scale: Floats) -> Floats:
     return factor[:, None] * weight / factor
 
 
+def smooth_largest(values: Floats, vectors: Floats, sharpness: float) -> tuple[float, Floats]:
+    """Log-sum-exp of ascending eigenvalues, a bound on the largest, and its gradient in the symmetric matrix."""
+    exponentials = np.exp(sharpness * (values - values[-1]))
+    total = exponentials.sum()
+    return float(values[-1] + np.log(total) / sharpness), (vectors * (exponentials / total)) @ vectors.T
+
+
+def log_scale_gradient(in_scaled: Floats, scaled: Floats) -> Floats:
+    """Gradient in log S from the gradient in M = S W S^-1, for dM = diag(ds) M - M diag(ds)."""
+    product = in_scaled * scaled
+    return product.sum(axis=1) - product.sum(axis=0)
+
+
 def _smooth_largest_eigenvalue(log_scale: Floats, weight: Floats, sharpness: float) -> tuple[float, Floats]:
     """Log-sum-exp of the eigenvalues of sym(S W S^-1), and its gradient in log S."""
     scaled = scale(weight, log_scale)
-    values, vectors = np.linalg.eigh(0.5 * (scaled + scaled.T))
-    exponentials = np.exp(sharpness * (values - values[-1]))
-    total = exponentials.sum()
-    gradient = (vectors * (exponentials / total)) @ vectors.T * scaled
-    return float(values[-1] + np.log(total) / sharpness), gradient.sum(axis=1) - gradient.sum(axis=0)
+    value, in_scaled = smooth_largest(*np.linalg.eigh(0.5 * (scaled + scaled.T)), sharpness)
+    return value, log_scale_gradient(in_scaled, scaled)
 
 
 @dataclass(frozen=True)

@@ -65,10 +65,9 @@ class RunDirectory:
         self.tracking_plot = self.path / "tracking.png"
         self.joints_plot = self.path / "joints.png"
 
-    def create(self) -> RunDirectory:
+    def create(self) -> None:
         """Make the directory if need be."""
         storage.make_directory(self.path)
-        return self
 
     def forget_results(self) -> None:
         """Remove what was made of an earlier network, so that nothing in the directory belongs to another task."""

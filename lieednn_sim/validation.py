@@ -49,6 +49,14 @@ def as_floats(name: str, value: ArrayLike, shape: Shape, *, batched: bool = Fals
     return array
 
 
+def as_times(name: str, value: ArrayLike) -> NDArray[np.float64]:
+    """Return ``value`` as at least two increasing times ``(K,)``, or raise `InputError`."""
+    times = as_floats(name, value, ("K",))
+    if len(times) < 2 or not (np.diff(times) > 0.0).all():
+        raise InputError(f"{name} must hold at least two increasing times")
+    return times
+
+
 def as_positive(name: str, value: float) -> float:
     """Return ``value`` as a positive, finite float, or raise `InputError`."""
     number = float(as_floats(name, value, ()))

@@ -82,6 +82,16 @@ class Arm:
         """2N."""
         return len(self.joint_names)
 
+    @property
+    def link_names(self) -> tuple[str, ...]:
+        """Names of the links for tables and plots; the last one is the end effector."""
+        return (*(f"link {i}" for i in range(1, self.n_links)), "end effector")
+
+    def limit_excess(self, q: Floats) -> Floats:
+        """How far each of the positions ``(..., 2N)`` is outside its limits; negative inside."""
+        low, high = self.position_limits.T
+        return np.maximum(low - q, q - high)
+
     def keyframe(self, name: str) -> Floats:
         """Joint positions ``(2N,)`` of a keyframe."""
         key = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_KEY, name)
@@ -93,13 +103,13 @@ class Arm:
     def check_position(self, q: ArrayLike, what: str = "q") -> Floats:
         """Return ``q`` ``(2N,)`` when it keeps the limits; else `InputError` names the joint, value and range."""
         position = as_floats(what, q, (self.n_joints,))
-        low, high = self.position_limits.T
-        outside = np.maximum(low - position, position - high)
+        outside = self.limit_excess(position)
         worst = int(outside.argmax())
         if outside[worst] > 0.0:
+            low, high = self.position_limits[worst]
             raise InputError(
                 f"{what} is out of reach: joint {self.joint_names[worst]!r} would be at {position[worst]:.4g} "
-                f"{self.unit(worst)}, its range is [{low[worst]:.4g}, {high[worst]:.4g}]"
+                f"{self.unit(worst)}, its range is [{low:.4g}, {high:.4g}]"
             )
         return position
 

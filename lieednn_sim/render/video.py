@@ -66,6 +66,7 @@ class Camera:
         camera: name of a camera of its scene.
         size: (width, height) in pixels, both even, at most the model's offscreen buffer.
         preset: a name of `PRESETS`.
+        target: joint target ``(2N,)`` to put the scene's marker at.
 
     Raises:
         InputError: unknown camera or preset, or a size that cannot be rendered.
@@ -73,7 +74,13 @@ class Camera:
     """
 
     def __init__(
-        self, arm: Arm, *, camera: str = "overview", size: tuple[int, int] = (1280, 720), preset: str = "nice"
+        self,
+        arm: Arm,
+        *,
+        camera: str = "overview",
+        size: tuple[int, int] = (1280, 720),
+        preset: str = "nice",
+        target: ArrayLike | None = None,
     ) -> None:
         check_view(arm, camera=camera, size=size, preset=preset)
         opengl.require()
@@ -81,6 +88,8 @@ class Camera:
         self._model = copy.deepcopy(arm.model)
         self._model.vis.quality.offsamples = self._preset.samples
         self._data = mujoco.MjData(self._model)
+        if target is not None:
+            self._place_marker(target)
         try:
             self._renderer = mujoco.Renderer(self._model, size[1], size[0], max_geom=20_000)
         except Exception as error:  # MuJoCo lets errors of several GL bindings through, with no common base
@@ -92,12 +101,9 @@ class Camera:
     def __exit__(self, *_: object) -> None:
         self._renderer.close()
 
-    def picture(
-        self, q: ArrayLike, target: ArrayLike | None = None, draw: Callable[[mujoco.MjvScene], None] | None = None
-    ) -> Image:
-        """Image ``(height, width, 3)`` of the arm at ``q`` ``(2N,)``, with the marker at ``target`` ``(2N,)``."""
+    def picture(self, q: ArrayLike, draw: Callable[[mujoco.MjvScene], None] | None = None) -> Image:
+        """Image ``(height, width, 3)`` of the arm at ``q`` ``(2N,)``; ``draw`` may add to the scene."""
         self._data.qpos[:] = q
-        self._place_marker(target)
         mujoco.mj_forward(self._model, self._data)
         self._renderer.update_scene(self._data, self._camera)
         flags = self._renderer.scene.flags
@@ -107,9 +113,9 @@ class Camera:
             draw(self._renderer.scene)
         return np.asarray(self._renderer.render())
 
-    def _place_marker(self, target: ArrayLike | None) -> None:
+    def _place_marker(self, target: ArrayLike) -> None:
         body = mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_BODY, "target")
-        if target is None or body < 0 or self._model.body_mocapid[body] < 0:
+        if body < 0 or self._model.body_mocapid[body] < 0:
             return
         pose = self._arm.link_poses(target)[-1]
         index = self._model.body_mocapid[body]
@@ -154,10 +160,11 @@ def render_video(
     total = int(np.floor((rollout.t[-1] - rollout.t[0]) * rate + 1e-6)) + 1
     samples = np.rint(np.arange(total) / rate / rollout.timestep).astype(int)
     overlay = Overlay(arm.link_poses(rollout.q_ref).as_matrix(), rollout.link_position[:, -1])
-    with Camera(arm, camera=camera, size=size, preset=preset) as view, storage.atomic_path(path) as temporary:
+    view = Camera(arm, camera=camera, size=size, preset=preset, target=target)
+    with view, storage.atomic_path(path) as temporary:
         with _writer(temporary, rate) as append:
             for done, k in enumerate(samples, start=1):
-                append(view.picture(rollout.q[k], target, functools.partial(overlay.draw, k=int(k))))
+                append(view.picture(rollout.q[k], functools.partial(overlay.draw, k=int(k))))
                 if progress is not None:
                     progress(done, total)
         _check_complete(temporary, total)

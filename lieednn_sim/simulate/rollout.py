@@ -20,7 +20,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.errors import FileError, InputError, SimulationError
 from lieednn_sim.motion import Motion
 from lieednn_sim.simulate.control import PositionServo
-from lieednn_sim.validation import as_floats
+from lieednn_sim.validation import as_floats, as_times
 
 Floats = NDArray[np.float64]
 
@@ -58,19 +58,18 @@ class Rollout:
     motion_end: float
 
     def __post_init__(self) -> None:
-        k, n = len(self.t), np.shape(self.q)[-1] // 2 if np.ndim(self.q) else 0
-        sizes: dict[str, tuple[int | str, ...]] = {
-            "t": ("K",),
+        k = len(as_times("t", self.t))
+        n = as_floats("q", self.q, (k, "2N")).shape[1] // 2
+        shapes: dict[str, tuple[int, ...]] = {
+            "t": (k,),
             **dict.fromkeys(("q", "qd", "q_ref", "qd_ref", "ctrl", "force"), (k, 2 * n)),
             "link_position": (k, n, 3),
             "link_quaternion": (k, n, 4),
             "contacts": (k,),
         }
-        for name, shape in sizes.items():
+        for name, shape in shapes.items():
             value: Any = as_floats(name, getattr(self, name), shape)
             object.__setattr__(self, name, value.astype(int) if name == "contacts" else value)
-        if k < 2 or not (np.diff(self.t) > 0.0).all():
-            raise InputError("t must hold at least two increasing times")
         if not (np.linalg.norm(self.link_quaternion, axis=-1) > 0.5).all():
             raise InputError("link_quaternion must hold unit quaternions")
 

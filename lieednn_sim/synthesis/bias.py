@@ -57,22 +57,21 @@ def equation_columns(xi: Floats) -> list[slice]:
     return [slice(0, 3)]
 
 
-def impossibility(outputs: Floats, required: Floats, bound: float) -> str | None:
+def impossibility(outputs: Floats, required: Floats) -> str | None:
     """Why no weights can be certified with this equilibrium and bias, or None where nothing forbids it.
 
-    With P diagonal, u = phi(xi) and W u = c, P (W - bound I) is negative definite only when
-    sum_i p_i u_i (c_i - bound u_i) < 0, so at least one rotational coordinate must have u_i (c_i - bound u_i) < 0.
-    Where all outputs are zero, zero must be required, for W 0 = 0.
+    In units of gamma/mu: with P diagonal, u = phi(xi) and W u = c, P (W - I) is negative definite only when
+    sum_i p_i u_i (c_i - u_i) < 0, so at least one rotational coordinate must have u_i (c_i - u_i) < 0. Where all outputs
+    are zero, zero must be required, for W 0 = 0.
 
     Args:
         outputs: phi(xi) of the target, ``(N, 6)``.
-        required: (gamma/mu) xi - b, ``(N, 6)``.
-        bound: gamma/mu.
+        required: xi - (mu/gamma) b, ``(N, 6)``.
     """
     for part, name in ((slice(0, 3), "rotational"), (slice(3, 6), "translational")):
         given, wanted = outputs[:, part], required[:, part]
         if given.any():
-            if (given * (wanted - bound * given)).min() >= 0.0:
+            if (given * (wanted - given)).min() >= 0.0:
                 return (
                     f"no {name} coordinate has its bias on the side of its target, so no diagonal Lyapunov matrix can "
                     "exist; use the sign-matched bias or retarget a certified network"

@@ -36,7 +36,6 @@ class Synthesis:
     """Result of `synthesize`.
 
     Attributes:
-        success: whether `network` is certified and has the target as its equilibrium.
         impossible: whether it is proved that no weights can be certified with this target and bias.
         message: how it ended; where it failed, why.
         network: the certified network, or None. An uncertified network is never returned.
@@ -47,7 +46,6 @@ class Synthesis:
         seconds: wall time.
     """
 
-    success: bool
     impossible: bool
     message: str
     network: LieEDNN | None
@@ -56,6 +54,11 @@ class Synthesis:
     attempts: int
     iterations: int
     seconds: float
+
+    @property
+    def success(self) -> bool:
+        """Whether there is a certified network with the target as its equilibrium."""
+        return self.network is not None
 
     @property
     def certificate(self) -> Certificate | None:
@@ -113,9 +116,10 @@ def synthesize(
     as_positive("max_translation", max_translation)
     rng = as_generator("seed", seed)
     state = ACTIVATIONS[activation][0](target)
-    solved = isinstance(bias, str) and bias == "solved"
-    if isinstance(bias, str):
-        offset = bias_for(bias, target, state, ratio, as_positive("bias_magnitude", bias_magnitude))
+    rule = bias if isinstance(bias, str) else None
+    solved = rule == "solved"
+    if rule is not None:
+        offset = bias_for(rule, target, state, ratio, as_positive("bias_magnitude", bias_magnitude))
     else:
         offset = as_floats("bias", bias, target.shape)
     # All in units of gamma/mu: W' = W mu/gamma has bound 1.
@@ -128,9 +132,7 @@ def synthesize(
             residual = float(np.abs(network.vector_field(target)).max())
             largest = float(np.linalg.norm(network.translation, axis=-1).max())
         elapsed = time.perf_counter() - begun
-        return Synthesis(
-            network is not None, impossible, message, network, residual, largest, attempts, iterations, elapsed
-        )
+        return Synthesis(impossible, message, network, residual, largest, attempts, iterations, elapsed)
 
     def networks(problem: Problem, point: Point) -> Iterator[LieEDNN]:
         """Networks to check: the weights at hand with a solved bias, or polished ever more gently."""
@@ -143,7 +145,7 @@ def synthesize(
             yield _assemble(problem, polished, translation, offset, gamma, mu, activation)
 
     if not solved:
-        reason = impossibility(state, required, 1.0)
+        reason = impossibility(state, required)
         if reason is not None:
             return outcome(f"not certified: {reason}", impossible=True)
         norm = _least_norm(state[:, :3], required[:, :3])
@@ -178,7 +180,7 @@ def synthesize(
                     and candidate.largest_translation < max_translation
                 ):
                     return candidate
-    other = "a larger bias magnitude" if isinstance(bias, str) and bias == "sign-matched" else "the sign-matched bias"
+    other = "a larger bias magnitude" if rule == "sign-matched" else "the sign-matched bias"
     return outcome(
         f"not certified: no feasible weights found from {attempts} starts, which is no proof that there are none; "
         f"try another seed, {other}, or retarget a certified network"

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lieednn_sim.stability import scale
+from lieednn_sim.stability import log_scale_gradient, scale, smooth_largest
 
 Floats = NDArray[np.float64]
 
@@ -133,15 +133,11 @@ class Problem:
         """Log-sum-exp bound on lambda_max and its gradient in the unknowns."""
         n = self.n_neurons
         point = self.evaluate(unknowns)
-        exponentials = np.exp(sharpness * (point.values - point.values[-1]))
-        total = exponentials.sum()
-        in_scaled = (point.vectors * (exponentials / total)) @ point.vectors.T
+        value, in_scaled = smooth_largest(point.values, point.vectors, sharpness)
         factor = np.exp(unknowns[self.n_quaternion :])
         in_weight = (factor[:, None] * in_scaled / factor).reshape(n, 3, n, 3).transpose(0, 2, 1, 3)
         in_quaternion = 2.0 * np.einsum("ijab,ijabk->ijk", in_weight, point.slope)
-        product = in_scaled * point.scaled
-        gradient = np.concatenate([in_quaternion.ravel(), product.sum(axis=1) - product.sum(axis=0)])
-        return float(point.values[-1] + np.log(total) / sharpness), gradient
+        return value, np.concatenate([in_quaternion.ravel(), log_scale_gradient(in_scaled, point.scaled)])
 
     def flat_residual(self, unknowns: Floats) -> Floats:
         """Equations as one vector ``(3 N K,)``."""
