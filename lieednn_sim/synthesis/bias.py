@@ -61,8 +61,8 @@ def impossibility(outputs: Floats, required: Floats) -> str | None:
     """Why no weights can be certified with this equilibrium and bias, or None where nothing forbids it.
 
     In units of gamma/mu: with P diagonal, u = phi(xi) and W u = c, P (W - I) is negative definite only when
-    sum_i p_i u_i (c_i - u_i) < 0, so at least one rotational coordinate must have u_i (c_i - u_i) < 0. Where all outputs
-    are zero, zero must be required, for W 0 = 0.
+    sum_i p_i u_i (c_i - u_i) < 0, so at least one rotational coordinate must have u_i (c_i - u_i) < 0. Where all
+    outputs are zero, zero must be required, for W 0 = 0.
 
     Args:
         outputs: phi(xi) of the target, ``(N, 6)``.
