@@ -1,19 +1,32 @@
-"""SE(3) beyond what `scipy.spatial.transform` offers: adjoint, Jacobians and projections.
+"""Matrix Lie groups, their adjoint representation and projections onto it; most of all SE(3).
 
-Twists are ordered (omega, v), the order of `RigidTransform.from_exp_coords`. Every function takes leading batch axes.
+Twists of SE(3) are ordered (omega, v), the order of `RigidTransform.from_exp_coords`. Leading batch axes everywhere.
 """
 
-from lieednn_sim.lie.projection import project_to_adjoint, project_to_rotation
+from lieednn_sim.lie.groups import GROUPS, affine, group
+from lieednn_sim.lie.matrix_group import MatrixLieGroup
+from lieednn_sim.lie.projection import (
+    project_to_adjoint,
+    project_to_adjoint_exact,
+    project_to_rotation,
+    project_to_scaled_adjoint,
+)
 from lieednn_sim.lie.se3 import adjoint, exp, hat, left_jacobian_se3, left_jacobian_so3, log, vee
 
 __all__ = [
+    "GROUPS",
+    "MatrixLieGroup",
     "adjoint",
+    "affine",
     "exp",
+    "group",
     "hat",
     "left_jacobian_se3",
     "left_jacobian_so3",
     "log",
     "project_to_adjoint",
+    "project_to_adjoint_exact",
     "project_to_rotation",
+    "project_to_scaled_adjoint",
     "vee",
 ]

@@ -1,0 +1,266 @@
+"""Matrix Lie groups by a basis of their Lie algebra: exponential, adjoint representation, projection onto its image."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import expm, logm
+
+from lieednn_sim.errors import InputError
+from lieednn_sim.lie.projection import descend
+from lieednn_sim.validation import as_floats, as_generator, as_positive
+
+Floats = NDArray[np.float64]
+Booleans = NDArray[np.bool_]
+# Real or complex group elements and algebra matrices.
+Matrices = NDArray[Any]
+
+# How far, relative to 1 + its norm, a matrix may lie outside the algebra and still be read as rounding in it.
+_TOLERANCE = 1e-8
+# Besides the identity, so many random elements start the search for the nearest adjoint matrix.
+_RANDOM_STARTS = 5
+
+
+@dataclass(frozen=True, eq=False)
+class MatrixLieGroup:
+    """A connected matrix Lie group G, given by a basis E_1 .. E_d of its Lie algebra (paper, App. D).
+
+    Every method takes leading batch axes. The product is ``@``, the inverse `numpy.linalg.inv`. Coordinates x stand for
+    hat(x) = sum_k x_k E_k; they are real also where the matrices are complex. L[Ad_g] is the real ``(d, d)`` matrix
+    with g hat(x) g^-1 = hat(L[Ad_g] x).
+
+    Attributes:
+        name: for messages.
+        basis: ``(d, m, m)``, real or complex, linearly independent over the reals and closed under the commutator.
+        _projection: closed form of `project_to_adjoint`, ``(..., d, d)`` to ``(..., m, m)``; None: search.
+        _membership: closed form of `contains`, ``(..., m, m)`` and a tolerance to booleans; None: by the logarithm.
+
+    Raises:
+        InputError: the basis has another shape, is dependent, or spans no Lie algebra.
+    """
+
+    name: str
+    basis: Matrices = field(repr=False)
+    _projection: Callable[[Floats], Matrices] | None = field(default=None, repr=False)
+    _membership: Callable[[Matrices, float], Booleans] | None = field(default=None, repr=False)
+
+    def __post_init__(self) -> None:
+        basis = _as_numbers("basis", self.basis, ("d", "m", "m"))
+        if 0 in basis.shape:
+            raise InputError(f"the basis of {self.name} must not be empty, got shape {basis.shape}")
+        basis.flags.writeable = False
+        object.__setattr__(self, "basis", basis)
+        singular = np.linalg.svd(_real_parts(basis), compute_uv=False)
+        if self.dimension > _real_parts(basis).shape[1] or singular[-1] <= 1e-9 * singular[0]:
+            raise InputError(f"the basis of {self.name} must be linearly independent over the real numbers")
+        commutators = self._basis_commutators()
+        outside = np.linalg.norm(commutators - self.hat(self._coordinates(commutators)), axis=(-2, -1))
+        worst = np.unravel_index(np.argmax(outside), outside.shape)
+        if outside[worst] > _TOLERANCE * (1.0 + np.linalg.norm(commutators[worst])):
+            pair = " and ".join(f"E_{k + 1}" for k in worst)
+            raise InputError(
+                f"the basis of {self.name} spans no Lie algebra: the commutator of {pair} lies outside its span"
+            )
+
+    @property
+    def dimension(self) -> int:
+        """Number d of coordinates."""
+        return len(self.basis)
+
+    @property
+    def size(self) -> int:
+        """Number m of rows of the matrices."""
+        return self.basis.shape[1]
+
+    @cached_property
+    def structure_constants(self) -> Floats:
+        """``(d, d, d)``: [E_i, E_j] = sum_k c[i, j, k] E_k."""
+        return self._coordinates(self._basis_commutators())
+
+    def hat(self, x: ArrayLike) -> Matrices:
+        """Algebra matrices ``(..., m, m)`` of coordinates ``(..., d)``."""
+        coordinates = as_floats("x", x, (self.dimension,), batched=True)
+        return np.tensordot(coordinates, self.basis, axes=1)
+
+    def vee(self, matrix: ArrayLike) -> Floats:
+        """Inverse of `hat` by least squares, ``(..., m, m)`` to ``(..., d)``.
+
+        Raises:
+            InputError: a matrix lies outside the algebra by more than 1e-8 of 1 + its norm.
+        """
+        array = self._matrices("matrix", matrix)
+        coordinates = self._coordinates(array)
+        outside = self._outside(array, coordinates)
+        if (outside > 1.0).any():
+            raise InputError(
+                f"matrix must lie in the Lie algebra of {self.name}, got one off by {outside.max() * _TOLERANCE:.1e}"
+            )
+        return coordinates
+
+    def exp(self, x: ArrayLike) -> Matrices:
+        """Group elements ``(..., m, m)`` of coordinates ``(..., d)``: the matrix exponential of `hat`."""
+        return expm(self.hat(x))
+
+    def log(self, g: ArrayLike) -> Floats:
+        """Coordinates ``(..., d)`` of the principal matrix logarithm: no eigenvalue's angle reaches pi.
+
+        Raises:
+            InputError: that logarithm is not in the algebra. So it is outside the group, and for a few elements inside:
+                half turns of SO(n), -I in SU(2), the elements of SU(n) whose eigenvalue angles sum to 2 pi, not 0.
+        """
+        array = self._matrices("g", g)
+        coordinates, inside = self._try_log(array)
+        if not inside.all():
+            raise InputError(
+                f"g must have its principal logarithm in the Lie algebra of {self.name}; "
+                f"{np.count_nonzero(~inside)} of {inside.size} have not"
+            )
+        return coordinates
+
+    def adjoint(self, g: ArrayLike) -> Floats:
+        """Matrices L[Ad_g], ``(..., d, d)``, of g ``(..., m, m)``: column k holds the coordinates of g E_k g^-1.
+
+        Raises:
+            InputError: g is singular, or g E_k g^-1 leaves the Lie algebra, so that g is not in the group.
+        """
+        array = self._matrices("g", g)
+        try:
+            inverse = np.linalg.inv(array)
+        except np.linalg.LinAlgError:
+            raise InputError(f"g must be in {self.name}, got a singular matrix") from None
+        moved = array[..., None, :, :] @ self.basis @ inverse[..., None, :, :]
+        columns = self._coordinates(moved)
+        if (self._outside(moved, columns) > 1.0).any():
+            raise InputError(f"g must be in {self.name}: g E_k g^-1 leaves its Lie algebra")
+        return np.swapaxes(columns, -1, -2)
+
+    def ad(self, x: ArrayLike) -> Floats:
+        """Matrices ``(..., d, d)`` with hat(ad(x) y) = [hat(x), hat(y)]; `adjoint` of exp(x) is their exponential."""
+        coordinates = as_floats("x", x, (self.dimension,), batched=True)
+        return np.swapaxes(np.tensordot(coordinates, self.structure_constants, axes=1), -1, -2)
+
+    def contains(self, g: ArrayLike, tolerance: float = 1e-9) -> Booleans:
+        """Whether g ``(..., m, m)`` are in the group, entries right to about ``tolerance``.
+
+        Without a closed form the principal logarithm decides, with its own tolerance of 1e-8: elements for which it
+        leaves the algebra (see `log`) are then missed.
+        """
+        array, tolerance = self._matrices("g", g), as_positive("tolerance", tolerance)
+        return self._try_log(array)[1] if self._membership is None else self._membership(array, tolerance)
+
+    def in_kernel(self, g: ArrayLike, tolerance: float = 1e-9) -> Booleans:
+        """Whether Ad_g is the identity up to ``tolerance`` in each entry: g is then invisible to the network.
+
+        The kernel of a connected group is its centre (paper, App. E).
+        """
+        tolerance = as_positive("tolerance", tolerance)
+        return np.all(np.abs(self.adjoint(g) - np.eye(self.dimension)) <= tolerance, axis=(-2, -1))
+
+    def random(self, rng: int | np.random.Generator, shape: tuple[int, ...] = (), scale: float = 1.0) -> Matrices:
+        """Elements ``(*shape, m, m)``: exponentials of normal coordinates of standard deviation ``scale``."""
+        generator, scale = as_generator("rng", rng), as_positive("scale", scale)
+        return self.exp(scale * generator.normal(size=(*shape, self.dimension)))
+
+    def project_to_adjoint(self, theta: ArrayLike) -> Matrices:
+        """Elements g ``(..., m, m)`` whose adjoint matrix is Frobenius-nearest to theta ``(..., d, d)``.
+
+        g is fixed up to the kernel only. Without a closed form a damped Newton search on the group, with
+        Ad(g exp(x)) = Ad(g) exp(ad x), runs from the identity and a few random elements (always the same ones) and
+        returns the best: a local minimum, not always the nearest of all. Of a group that is not compact, theta far from
+        its image may have no nearest element; the search then stops on its way out.
+        """
+        array = as_floats("theta", theta, (self.dimension, self.dimension), batched=True)
+        return self._search(array) if self._projection is None else self._projection(array)
+
+    def _search(self, theta: Floats) -> Matrices:
+        d, m = self.dimension, self.size
+        flat = theta.reshape(-1, d, d)
+        generators = self.ad(np.eye(d))
+        starts = np.concatenate([np.eye(m)[None], self.random(0, (_RANDOM_STARTS,))])
+
+        def evaluate(g: Matrices, index: NDArray[np.intp]) -> tuple[Floats, Floats, Floats]:
+            adjoint = self._adjoint_unchecked(g)
+            residual = adjoint - flat[index // len(starts)]
+            # First order in x: Ad ad(e_i). Second order: Ad (ad(e_i) ad(e_j) + ad(e_j) ad(e_i)) / 2.
+            first = (adjoint[:, None] @ generators).reshape(-1, d, d * d)
+            pulled = np.swapaxes(adjoint, -1, -2) @ residual
+            second = (np.swapaxes(generators, -1, -2) @ pulled[:, None]).reshape(-1, d, d * d)
+            curvature = second @ generators.reshape(d, -1).T
+            hessian = first @ np.swapaxes(first, -1, -2) + 0.5 * (curvature + np.swapaxes(curvature, -1, -2))
+            gradient = (first @ residual.reshape(-1, d * d, 1))[..., 0]
+            return 0.5 * (residual**2).sum(axis=(-2, -1)), gradient, hessian
+
+        points = np.broadcast_to(starts, (len(flat), *starts.shape)).reshape(-1, m, m)
+        points, values = descend(points, evaluate, lambda g, x: g @ self.exp(x))
+        best = values.reshape(len(flat), len(starts)).argmin(axis=1)
+        nearest = points.reshape(len(flat), len(starts), m, m)[np.arange(len(flat)), best]
+        return nearest.reshape(*theta.shape[:-2], m, m)
+
+    def _adjoint_unchecked(self, g: Matrices) -> Floats:
+        moved = g[..., None, :, :] @ self.basis @ np.linalg.inv(g)[..., None, :, :]
+        return np.swapaxes(self._coordinates(moved), -1, -2)
+
+    def _try_log(self, g: Matrices) -> tuple[Floats, Booleans]:
+        """Least-squares coordinates of the principal logarithm, and whether they give g back."""
+        with warnings.catch_warnings(), np.errstate(all="ignore"):
+            # The result is judged below, for each element; logm only warns that some element is singular or inaccurate.
+            warnings.simplefilter("ignore")
+            matrix = logm(g)
+        finite = np.isfinite(matrix).all(axis=(-2, -1))
+        matrix = np.where(finite[..., None, None], matrix, 0.0)
+        # A complex logarithm in a real algebra counts as outside by its imaginary part.
+        coordinates = self._coordinates(matrix if np.iscomplexobj(self.basis) else matrix.real)
+        inside = self._outside(matrix, coordinates) <= 1.0
+        safe = np.where(inside[..., None], coordinates, 0.0)
+        error = np.linalg.norm(self.exp(safe) - g, axis=(-2, -1))
+        return coordinates, finite & inside & (error < _TOLERANCE * np.linalg.norm(g, axis=(-2, -1)))
+
+    @cached_property
+    def _pseudo_inverse(self) -> Floats:
+        return np.asarray(np.linalg.pinv(_real_parts(self.basis)), np.float64)
+
+    def _coordinates(self, matrix: Matrices) -> Floats:
+        return _real_parts(matrix) @ self._pseudo_inverse
+
+    def _outside(self, matrix: Matrices, coordinates: Floats) -> Floats:
+        """Distance from the algebra in units of the tolerance."""
+        rest = matrix - np.tensordot(coordinates, self.basis, axes=1)
+        return np.asarray(np.linalg.norm(rest, axis=(-2, -1)), np.float64) / (
+            _TOLERANCE * (1.0 + np.linalg.norm(matrix, axis=(-2, -1)))
+        )
+
+    def _basis_commutators(self) -> Matrices:
+        products = self.basis[:, None] @ self.basis
+        return products - np.swapaxes(products, 0, 1)
+
+    def _matrices(self, name: str, value: ArrayLike) -> Matrices:
+        if np.iscomplexobj(self.basis):
+            return _as_numbers(name, value, (self.size, self.size), batched=True).astype(np.complex128)
+        return as_floats(name, value, (self.size, self.size), batched=True)
+
+
+def _as_numbers(name: str, value: ArrayLike, shape: tuple[int | str, ...], *, batched: bool = False) -> Matrices:
+    """A checked copy, complex where ``value`` is."""
+    try:
+        array = np.asarray(value)
+        is_complex = np.iscomplexobj(array)
+    except (TypeError, ValueError):
+        is_complex = False
+    if not is_complex:
+        # Also what is no array of numbers at all: `as_floats` has the words for it.
+        return as_floats(name, value, shape, batched=batched).copy()
+    return as_floats(name, array.real, shape, batched=batched) + 1j * as_floats(
+        name, array.imag, shape, batched=batched
+    )
+
+
+def _real_parts(matrix: Matrices) -> Floats:
+    """``(..., m, m)`` to real vectors, the imaginary parts behind the real ones."""
+    flat = matrix.reshape(*matrix.shape[:-2], -1)
+    return np.concatenate([flat.real, flat.imag], axis=-1) if np.iscomplexobj(flat) else flat
