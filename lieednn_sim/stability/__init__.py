@@ -1,0 +1,52 @@
+"""Proofs about x' = -gamma x + mu W phi(x) + mu b: stability and its rate, limits that hold, smoothness.
+
+`assess` evaluates the ladder of conditions; a `Certificate` is the strongest of them, in a form that can be stored.
+"""
+
+from lieednn_sim.stability.diagonal import (
+    METHODS,
+    Certificate,
+    find_certificate,
+    log_scale_gradient,
+    scale,
+    smooth_largest,
+    verify,
+)
+from lieednn_sim.stability.invariance import invariant_box, is_invariant
+from lieednn_sim.stability.ladder import LEVELS, Rung, Verdict, assess
+from lieednn_sim.stability.norms import (
+    LogNorms,
+    NormConditions,
+    WeightedNorm,
+    log_norms,
+    norm_conditions,
+    smallest_one_norm,
+    weighted_norm,
+)
+from lieednn_sim.stability.smoothness import SmoothnessBounds, curvature, smoothness_bounds
+
+__all__ = [
+    "LEVELS",
+    "METHODS",
+    "Certificate",
+    "LogNorms",
+    "NormConditions",
+    "Rung",
+    "SmoothnessBounds",
+    "Verdict",
+    "WeightedNorm",
+    "assess",
+    "curvature",
+    "find_certificate",
+    "invariant_box",
+    "is_invariant",
+    "log_norms",
+    "log_scale_gradient",
+    "norm_conditions",
+    "scale",
+    "smallest_one_norm",
+    "smooth_largest",
+    "smoothness_bounds",
+    "verify",
+    "weighted_norm",
+]

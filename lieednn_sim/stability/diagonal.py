@@ -1,0 +1,208 @@
+"""The diagonal-Lyapunov certificate: a proof of global stability that is one vector of positive numbers.
+
+For x' = -gamma x + mu W phi(x) + mu b with every slope of phi in (0, 1]: if a positive diagonal P makes
+P (W - (gamma/mu) I) negative definite in its symmetric part, then for every bias b there is exactly one equilibrium and
+it attracts every start (Forti and Tesi, IEEE Trans. Circuits Syst. I 42(7), 1995). With S = P^(1/2) the condition reads
+lambda_max(sym(S W S^-1)) < gamma/mu.
+
+How fast: let x* be the equilibrium, e = x - x*, f = phi(x) - phi(x*), lambda the largest eigenvalue above, lambda+ its
+positive part, and V = sum_i p_i int_{x*_i}^{x_i} (phi(s) - phi(x*_i)) ds, which is positive away from x* because phi
+increases. Along the flow V' = f^T P x' = -gamma f^T P e + mu f^T P W f.
+
+- f^T P W f = y^T sym(S W S^-1) y with y = S f, so it is at most lambda+ f^T P f.
+- Slopes of at most 1 give f_i^2 <= f_i e_i, so f^T P f <= f^T P e and V' <= -(gamma - mu lambda+) f^T P e.
+- The integrand runs monotonically from 0 to f_i, so the integral is at most f_i e_i and V <= f^T P e.
+
+Hence V(t) <= V(0) exp(-(gamma - mu lambda+) t) from every start. Near x* both phi and V are close to their first terms,
+V to half of f^T P e: there V falls twice as fast, and since V is then like |e|^2 the state itself arrives at least at
+the rate gamma - mu lambda+, up to any small epsilon.
+
+The adjoint of SE(3) lets rotation drive translation and never the reverse, so with all omega sorted before all v
+W = [[W_R, 0], [W_C, W_R]] with W_R = [alpha_ij R_ij]. W has such a P exactly when W_R has one: take
+diag(P_R, eps P_R) with eps small. Hence everything here works on W_R, of shape (3N, 3N), and the rate carries over too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import minimize
+
+from lieednn_sim.errors import InputError
+from lieednn_sim.stability.norms import as_weight, weighted_norm
+from lieednn_sim.validation import as_choice, as_count, as_floats, as_positive
+
+Floats = NDArray[np.float64]
+
+METHODS = ("descent", "lmi")
+
+# exp(+-_LOG_SCALE_BOUND) bounds S, so that S W S^-1 keeps its digits.
+_LOG_SCALE_BOUND = 8.0
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """Verdict on one diagonal P for one W_R, decided by eigenvalues alone.
+
+    Attributes:
+        lyapunov_diagonal: the diagonal of P, ``(3N,)``, geometric mean 1.
+        lambda_max: largest eigenvalue of sym(S W_R S^-1), S = P^(1/2).
+        rounding: bound on the error of `lambda_max` in floating point.
+        bound: gamma/mu.
+        gamma: decay rate of a neuron left alone, in 1 / (the network's time).
+    """
+
+    lyapunov_diagonal: Floats
+    lambda_max: float
+    rounding: float
+    bound: float
+    gamma: float
+
+    @property
+    def valid(self) -> bool:
+        """Whether the inequality holds with the rounding error on the unsafe side."""
+        return self.lambda_max + self.rounding < self.bound
+
+    @property
+    def margin(self) -> float:
+        """Distance to the bound, relative to it; positive when certified."""
+        return 1.0 - (self.lambda_max + self.rounding) / self.bound
+
+    @property
+    def rate(self) -> float:
+        """Proven exponential rate gamma - mu max(lambda_max, 0), at most gamma; 0 when not certified."""
+        return self.gamma * min(self.margin, 1.0) if self.valid else 0.0
+
+    def __str__(self) -> str:
+        verdict = "globally stable for every bias" if self.valid else "not certified"
+        return f"{verdict}: lambda_max {self.lambda_max:.6g} against gamma/mu {self.bound:.6g}"
+
+
+def verify(lyapunov_diagonal: ArrayLike, weight: ArrayLike, *, gamma: float = 1.0, mu: float = 1.0) -> Certificate:
+    """Check a diagonal Lyapunov matrix against a weight matrix; no solver, only eigenvalues.
+
+    Args:
+        lyapunov_diagonal: diagonal of P, positive, ``(n,)``.
+        weight: W_R (or W), ``(n, n)``.
+        gamma: decay rate, positive.
+        mu: scale of the interaction, positive.
+
+    Raises:
+        InputError: shapes disagree, or an entry of the diagonal is not positive.
+    """
+    diagonal = as_floats("lyapunov_diagonal", lyapunov_diagonal, ("n",))
+    if diagonal.size == 0:
+        raise InputError("lyapunov_diagonal must have shape (n,) with n >= 1, got (0,)")
+    matrix = as_floats("weight", weight, (diagonal.size, diagonal.size))
+    if not (diagonal > 0).all():
+        raise InputError(f"lyapunov_diagonal must be positive, its smallest entry is {diagonal.min():g}")
+    decay = as_positive("gamma", gamma)
+    log_scale = 0.5 * np.log(diagonal)
+    log_scale -= log_scale.mean()
+    scaled = scale(matrix, log_scale)
+    symmetric = 0.5 * (scaled + scaled.T)
+    # Forming an entry rounds at most five times; the symmetric eigensolver is backward stable, with an error
+    # below n eps ||A||_2. Both are taken twice over, in the Frobenius norm.
+    rounding = float((10.0 + 2.0 * diagonal.size) * np.finfo(float).eps * np.linalg.norm(scaled))
+    return Certificate(
+        lyapunov_diagonal=np.exp(2.0 * log_scale),
+        lambda_max=float(np.linalg.eigvalsh(symmetric)[-1]),
+        rounding=rounding,
+        bound=decay / as_positive("mu", mu),
+        gamma=decay,
+    )
+
+
+def find_certificate(
+    weight: ArrayLike, *, gamma: float = 1.0, mu: float = 1.0, group_size: int = 1, method: str = "descent"
+) -> Certificate:
+    """Search the diagonal P that makes lambda_max(sym(S W S^-1)) smallest, and verify it.
+
+    `descent` minimises a smoothed largest eigenvalue over log S (L-BFGS-B, analytic gradient), sharpened step by step,
+    from the identity and from the P that weighted norms suggest. In P the problem is quasi-convex, so a failure is
+    strong evidence, though no proof, that no diagonal P exists. `lmi` solves linear matrix inequalities, see
+    `stability.lmi`. Whatever a method answers goes through `verify`.
+
+    Args:
+        weight: W_R (or any square matrix), ``(n, n)``.
+        gamma: decay rate, positive.
+        mu: scale of the interaction, positive.
+        group_size: entries of P are equal within consecutive groups of this size. 3 leaves P the form p_i I_3 that a
+            network with a common rotation of all omega_i as its symmetry needs.
+        method: a name of `METHODS`.
+
+    Returns:
+        The best certificate found; look at its `valid`.
+
+    Raises:
+        InputError: no square matrix, n not a multiple of `group_size`, or an unknown method.
+        LieEDNNError: `lmi` without cvxpy installed.
+    """
+    matrix = as_weight("weight", weight)
+    n, size = len(matrix), as_count("group_size", group_size)
+    if n % size:
+        raise InputError(f"group_size must divide the {n} rows of weight, got {size}")
+    candidates = [np.zeros(n // size)]
+    if as_choice("method", method, METHODS) == "lmi":
+        # Only here, since cvxpy is optional and slow to import.
+        from lieednn_sim.stability.lmi import minimise_largest_eigenvalue
+
+        candidates += [0.5 * np.log(minimise_largest_eigenvalue(matrix, size)[::size])]
+    else:
+        # Diagonals that prove whatever a weighted norm proves: Perron vectors of the majorant, left over right.
+        weights = weighted_norm(matrix)
+        perron = 0.5 * np.log(weights.left / weights.right).reshape(-1, size).mean(axis=1)
+        candidates += [perron, *_descend(matrix, size, [candidates[0], perron - perron.mean()])]
+    certificates = (verify(np.exp(2.0 * np.repeat(c, size)), matrix, gamma=gamma, mu=mu) for c in candidates)
+    return min(certificates, key=lambda certificate: certificate.lambda_max + certificate.rounding)
+
+
+def scale(weight: Floats, log_scale: Floats) -> Floats:
+    """S W S^-1 with S = diag(exp(log_scale))."""
+    factor = np.exp(log_scale)
+    return factor[:, None] * weight / factor
+
+
+def smooth_largest(values: Floats, vectors: Floats, sharpness: float) -> tuple[float, Floats]:
+    """Log-sum-exp of ascending eigenvalues, a bound on the largest, and its gradient in the symmetric matrix."""
+    exponentials = np.exp(sharpness * (values - values[-1]))
+    total = exponentials.sum()
+    return float(values[-1] + np.log(total) / sharpness), (vectors * (exponentials / total)) @ vectors.T
+
+
+def log_scale_gradient(in_scaled: Floats, scaled: Floats) -> Floats:
+    """Gradient in log S from the gradient in M = S W S^-1, for dM = diag(ds) M - M diag(ds)."""
+    product = in_scaled * scaled
+    return product.sum(axis=1) - product.sum(axis=0)
+
+
+def _descend(weight: Floats, group_size: int, starts: list[Floats]) -> list[Floats]:
+    """Log S of each group ``(n / group_size,)`` after each sharpening, from each start."""
+    found = []
+    for start in starts:
+        log_scale = np.clip(start, -_LOG_SCALE_BOUND, _LOG_SCALE_BOUND)
+        for sharpness in (4.0, 16.0, 64.0, 256.0, 1024.0, 4096.0):
+            # Sharpness counts in eigenvalues as they now are: a badly scaled W shrinks a lot on the way.
+            scaled = scale(weight, np.repeat(log_scale, group_size))
+            magnitude = max(float(np.linalg.norm(scaled + scaled.T, 2)), np.finfo(float).tiny)
+            log_scale = minimize(
+                _smooth_largest_eigenvalue,
+                log_scale,
+                args=(weight / magnitude, sharpness, group_size),
+                jac=True,
+                method="L-BFGS-B",
+                bounds=[(-_LOG_SCALE_BOUND, _LOG_SCALE_BOUND)] * len(log_scale),
+            ).x
+            found.append(log_scale)
+    return found
+
+
+def _smooth_largest_eigenvalue(
+    log_scale: Floats, weight: Floats, sharpness: float, group_size: int
+) -> tuple[float, Floats]:
+    """Log-sum-exp of the eigenvalues of sym(S W S^-1), and its gradient in each group's log S."""
+    scaled = scale(weight, np.repeat(log_scale, group_size))
+    value, in_scaled = smooth_largest(*np.linalg.eigh(0.5 * (scaled + scaled.T)), sharpness)
+    return value, log_scale_gradient(in_scaled, scaled).reshape(-1, group_size).sum(axis=1)

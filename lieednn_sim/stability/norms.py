@@ -1,0 +1,194 @@
+"""Conditions on norms of W: the paper's two norms, log norms, and log norms weighted neuron by neuron.
+
+Between two solutions of x' = -gamma x + mu W phi(x) + mu b, e' = (-gamma I + mu W D) e, where D is diagonal and its
+entries, mean slopes of phi, lie in [0, 1]. A log norm of W D that stays at or below v for all such D makes the distance
+|e| shrink at the rate gamma - mu v, from everywhere; with v < gamma/mu there is one equilibrium and it attracts all.
+A norm bounds the log norm, so it proves the same and never more.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lieednn_sim.errors import InputError
+from lieednn_sim.validation import as_floats, as_positive
+
+Floats = NDArray[np.float64]
+
+_EPS = float(np.finfo(float).eps)
+# Weights further apart than this make a distance that says nothing about the state.
+_WEIGHT_RANGE = 1e12
+_N_HALVINGS = 30
+
+
+@dataclass(frozen=True)
+class NormConditions:
+    """The paper's sufficient conditions (its theorem on equilibrium and asymptotic stability, App. G and I).
+
+    Attributes:
+        one_norm: largest column sum of absolute weights of W.
+        infinity_norm: largest row sum.
+        bound: gamma/mu.
+        smallest_one_norm: no network with this equilibrium and bias has a smaller 1-norm.
+    """
+
+    one_norm: float
+    infinity_norm: float
+    bound: float
+    smallest_one_norm: float
+
+    @property
+    def unique(self) -> bool:
+        """||W||_1 < gamma/mu: the equilibrium exists and is unique."""
+        return self.one_norm < self.bound
+
+    @property
+    def stable(self) -> bool:
+        """||W||_1 + ||W||_inf < 2 gamma/mu: the equilibrium is asymptotically stable."""
+        return self.one_norm + self.infinity_norm < 2.0 * self.bound
+
+    @property
+    def possible(self) -> bool:
+        """Whether any network at all with this equilibrium and bias could meet the 1-norm condition."""
+        return self.smallest_one_norm < self.bound
+
+
+def norm_conditions(weight: ArrayLike, smallest: float, *, gamma: float = 1.0, mu: float = 1.0) -> NormConditions:
+    """Evaluate the paper's norm conditions on the whole W ``(6N, 6N)``; `smallest` is of `smallest_one_norm`."""
+    matrix = as_floats("weight", weight, ("n", "n"))
+    return NormConditions(
+        one_norm=float(np.linalg.norm(matrix, 1)),
+        infinity_norm=float(np.linalg.norm(matrix, np.inf)),
+        bound=as_positive("gamma", gamma) / as_positive("mu", mu),
+        smallest_one_norm=smallest,
+    )
+
+
+def smallest_one_norm(output: ArrayLike, required: ArrayLike) -> float:
+    """Smallest 1-norm of any W with W output = required, which is ||required||_1 / ||output||_1.
+
+    Args:
+        output: phi(xi*), any shape.
+        required: (gamma/mu) xi* - b, the same shape.
+
+    Returns:
+        The ratio; infinite when the output vanishes and the requirement does not, 0 when both vanish.
+    """
+    given = np.abs(as_floats("output", output, np.shape(output))).sum()
+    wanted = np.abs(as_floats("required", required, np.shape(output))).sum()
+    if given == 0.0:
+        return 0.0 if wanted == 0.0 else np.inf
+    return float(wanted / given)
+
+
+def as_weight(name: str, value: ArrayLike) -> Floats:
+    """Return ``value`` as a square matrix ``(n, n)`` with n >= 1, or raise `InputError`."""
+    matrix = as_floats(name, value, ("n", "n"))
+    if matrix.size == 0:
+        raise InputError(f"{name} must have shape (n, n) with n >= 1, got (0, 0)")
+    return matrix
+
+
+@dataclass(frozen=True)
+class LogNorms:
+    """Norms and log norms of W, each the largest over all slopes in [0, 1] and rounded up.
+
+    Attributes:
+        one_norm: ||W||_1.
+        infinity_norm: ||W||_inf.
+        norm_sum: max_j sum_i (|w_ij| + |w_ji|), the paper's stability condition before it is split into two norms.
+        log_norm_one: max_j max(0, w_jj + sum_{i != j} |w_ij|).
+        log_norm_infinity: max_i (max(0, w_ii) + sum_{j != i} |w_ij|); a slope can spare a row its own negative w_ii
+            while the others stay, so a negative w_ii does not count here.
+    """
+
+    one_norm: float
+    infinity_norm: float
+    norm_sum: float
+    log_norm_one: float
+    log_norm_infinity: float
+
+
+def log_norms(weight: ArrayLike) -> LogNorms:
+    """Evaluate norms and log norms of a weight matrix ``(n, n)``."""
+    matrix = as_weight("weight", weight)
+    magnitude = np.abs(matrix)
+    columns, rows, diagonal = magnitude.sum(axis=0), magnitude.sum(axis=1), np.diag(matrix)
+    # A sum of n terms rounds n - 1 times; the rest covers the comparison with gamma/mu.
+    up = (len(matrix) + 8.0) * _EPS
+    signed = columns - np.abs(diagonal) + diagonal
+    clipped = rows - np.abs(diagonal) + np.maximum(diagonal, 0.0)
+    return LogNorms(
+        one_norm=float(columns.max() * (1.0 + up)),
+        infinity_norm=float(rows.max() * (1.0 + up)),
+        norm_sum=float((columns + rows).max() * (1.0 + up)),
+        log_norm_one=max(0.0, float((signed + up * columns).max())),
+        log_norm_infinity=float((clipped + up * rows).max()),
+    )
+
+
+@dataclass(frozen=True)
+class WeightedNorm:
+    """The log norm of W in the best weighted 1-norm sum_i p_i |e_i|, largest over all slopes in [0, 1].
+
+    Attributes:
+        value: max(0, largest (p^T M)_j / p_j), rounded up; M is the Metzler majorant of W. It lies just above the
+            spectral abscissa of M, which no positive p beats (Collatz and Wielandt), or above 0.
+        left: ``(n,)`` the weights p, largest entry 1.
+        right: ``(n,)`` positive v with M v <= value v up to rounding; diag(p / v) is then a diagonal Lyapunov matrix.
+    """
+
+    value: float
+    left: Floats
+    right: Floats
+
+
+def weighted_norm(weight: ArrayLike) -> WeightedNorm:
+    """Find the weighted 1-norm in which W proves most.
+
+    The majorant M has |w_ij| off the diagonal and w_jj, with its sign, on it: slopes scale whole columns in W D, so the
+    log norm of column j is d_j (w_jj + sum_i p_i |w_ij| / p_j), largest at d_j = 0 or 1. For every v above the
+    spectral abscissa of M, v I - M is an M-matrix: p = (v I - M^T)^-1 1 is positive and p^T M < v p^T. Bisection finds
+    the least v, and p is checked afresh, so an inexact solve can only cost sharpness.
+
+    Args:
+        weight: W_R (or W), ``(n, n)``.
+    """
+    matrix = as_weight("weight", weight)
+    n = len(matrix)
+    majorant = np.abs(matrix)
+    np.fill_diagonal(majorant, np.diag(matrix))
+    best = WeightedNorm(_weighted_log_norm(majorant, np.ones(n)), np.ones(n), np.ones(n))
+    low = 0.0
+    for _ in range(_N_HALVINGS):
+        level = 0.5 * (low + best.value)
+        if best.value - low <= 1e-9 * best.value:
+            break
+        trial = _positive_vectors(majorant, level)
+        if trial is not None and trial.value < best.value:
+            best = trial
+        else:
+            low = level
+    return best
+
+
+def _positive_vectors(majorant: Floats, level: float) -> WeightedNorm | None:
+    shifted = level * np.eye(len(majorant)) - majorant
+    try:
+        left = np.linalg.solve(shifted.T, np.ones(len(majorant)))
+        right = np.linalg.solve(shifted, np.ones(len(majorant)))
+    except np.linalg.LinAlgError:
+        return None
+    for vector in (left, right):
+        if not vector.min() > vector.max() / _WEIGHT_RANGE:
+            return None
+    left = left / left.max()
+    return WeightedNorm(_weighted_log_norm(majorant, left), left, right / right.max())
+
+
+def _weighted_log_norm(majorant: Floats, left: Floats) -> float:
+    rounding = (len(majorant) + 8.0) * _EPS * (left @ np.abs(majorant))
+    return max(0.0, float(((left @ majorant + rounding) / left).max()))

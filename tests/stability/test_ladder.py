@@ -1,0 +1,183 @@
+"""The ladder: implications between its rungs, rates along trajectories, and the text that people read."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
+
+from lieednn_sim.errors import InputError
+from lieednn_sim.lie import adjoint
+from lieednn_sim.stability import LEVELS, assess, find_certificate, verify, weighted_norm
+
+seeds = st.integers(0, 2**32 - 1)
+
+IMPLICATIONS = [
+    ("1-norm", "log norm 1"),
+    ("infinity norm", "log norm infinity"),
+    ("norm sum", "log norm 2"),
+    ("log norm 1", "weighted log norm"),
+    ("log norm infinity", "weighted log norm"),
+    ("weighted log norm", "diagonal Lyapunov"),
+    ("log norm 2", "diagonal Lyapunov"),
+]
+
+
+def se3_weight(rng, n, size):
+    """W and W_R of n random SE(3) neurons with strengths of about `size`."""
+    rotation = Rotation.random(n * n, rng=rng).as_matrix().reshape(n, n, 3, 3)
+    blocks = rng.normal(size=(n, n, 1, 1)) * size * adjoint(rotation, rng.normal(size=(n, n, 3)))
+    whole = blocks.transpose(0, 2, 1, 3).reshape(6 * n, 6 * n)
+    return whole, blocks[..., :3, :3].transpose(0, 2, 1, 3).reshape(3 * n, 3 * n)
+
+
+@settings(max_examples=40)
+@given(seeds, st.booleans(), st.sampled_from([(1.0, 1.0), (2.0, 0.5), (0.3, 4.0)]))
+def test_each_rung_implies_the_later_ones(seed, with_rotations, rates):
+    rng, (gamma, mu) = np.random.default_rng(seed), rates
+    if with_rotations:
+        weight, core = se3_weight(rng, 2, rng.uniform(0.05, 0.5) * gamma / mu)
+    else:
+        core = None
+        weight = rng.normal(size=(5, 5)) * 10.0 ** rng.uniform(-1, 1, (5, 1)) - np.diag(rng.uniform(0, 2, 5))
+        weight *= rng.uniform(0.05, 1.0) * gamma / mu
+    verdict = assess(weight, gamma=gamma, mu=mu, rotational_weight=core)
+    for weaker, stronger in IMPLICATIONS:
+        first, second = verdict[weaker], verdict[stronger]
+        # As numbers: what proves more has the smaller left side against the same bound.
+        slack = 1e-6 * max(1.0, np.abs(weight).max())
+        assert max(second.value, 0.0) / second.bound <= first.value / first.bound + slack, (weaker, stronger)
+        assert second.holds or not first.holds or first.value > first.bound * (1.0 - 1e-6)
+    assert [rung.name for rung in verdict.rungs] == [name for name in LEVELS if name != "local"]
+    for rung in verdict.rungs:
+        assert rung.holds == (rung.value < rung.bound)
+        assert rung.rate == pytest.approx(gamma * (1.0 - max(rung.value, 0.0) / rung.bound) if rung.holds else 0.0)
+    assert verdict.holds == any(rung.holds for rung in verdict.rungs)
+    assert verdict.best_rate == (verdict.strongest.rate if verdict.holds else 0.0)
+
+
+@pytest.mark.parametrize(
+    ("weight", "level"),
+    [
+        ([[0.5, 0.4], [0.4, 0.5]], "1-norm"),
+        ([[0.5, 0.4], [0.9, 0.0]], "infinity norm"),
+        # A row and a column are too large, but not those of one neuron.
+        ([[0.0, 0.6, 0.6, 0.0], [0.0, 0.0, 0.0, 0.6], [0.0, 0.0, 0.0, 0.6], [0.0] * 4], "norm sum"),
+        ([[-4.0, 0.5], [0.5, -4.0]], "log norm 1"),
+        ([[-4.0, 0.9, 0.0], [0.5, 0.0, 0.4], [0.0, 0.9, 0.0]], "log norm infinity"),
+        ([[-2.0, 0.3], [9.0, 0.0]], "weighted log norm"),
+        ([[0.5, 3.0], [-3.0, 0.5]], "log norm 2"),
+        ([[0.5, 30.0], [-3.0, 0.5]], "diagonal Lyapunov"),
+        ([[0.5, 3.0], [3.0, 0.5]], "none"),
+    ],
+)
+def test_level_is_the_first_rung_that_holds(weight, level):
+    assert assess(weight, gamma=1.0, mu=1.0).level == level
+
+
+def test_no_global_proof_leaves_the_local_one():
+    weight = np.diag([2.0, 0.0])
+    # phi' at the saturated equilibria of x' = -x + 2 tanh(x): both are stable, so no global proof can exist.
+    equilibrium = 1.9150080481545375
+    jacobian = np.diag([-1.0 + 2.0 / np.cosh(equilibrium) ** 2, -1.0])
+    verdict = assess(weight, gamma=1.0, mu=1.0, jacobian=jacobian)
+    assert (verdict.level, verdict.holds, verdict.best_rate) == ("local", False, 0.0)
+    assert verdict.strongest.reach == "local"
+    assert verdict.strongest.rate == pytest.approx(1.0 - 2.0 / np.cosh(equilibrium) ** 2)
+    assert str(verdict).startswith("locally stable only")
+    # A faster local rate never hides a global proof.
+    assert assess([[0.5]], gamma=1.0, mu=1.0, jacobian=[[-0.9]]).strongest.reach == "global"
+    unstable = assess(weight, gamma=1.0, mu=1.0, jacobian=np.eye(2))
+    assert (unstable.level, unstable.strongest) == ("none", None)
+    assert str(unstable).startswith("no proof of stability")
+
+
+@settings(max_examples=15)
+@given(seeds, st.sampled_from([(1.0, 1.0), (2.0, 0.5), (0.3, 4.0)]))
+def test_distances_shrink_at_the_proven_rates(seed, rates):
+    """Between any two solutions, equilibrium or not: 1-norm, largest coordinate, 2-norm and weighted 1-norm."""
+    rng, (gamma, mu) = np.random.default_rng(seed), rates
+    weight = rng.normal(size=(5, 5)) - np.diag(rng.uniform(0.0, 2.0, 5))
+    largest = max(np.linalg.norm(weight, 1), np.linalg.norm(weight, np.inf))
+    weight *= 0.95 * gamma / mu / largest
+    bias = rng.normal(size=5)
+    verdict = assess(weight, gamma=gamma, mu=mu)
+
+    def flow(_, x):
+        return (-gamma * x.reshape(2, 5) + mu * (np.tanh(x.reshape(2, 5)) @ weight.T + bias)).ravel()
+
+    t = np.linspace(0.0, 8.0 / gamma, 80)
+    start = rng.normal(size=10) * 10.0 ** rng.uniform(-1, 1)
+    x = solve_ivp(flow, (0.0, t[-1]), start, t_eval=t, method="DOP853", rtol=1e-11, atol=1e-13).y.T.reshape(-1, 2, 5)
+    e = x[:, 0] - x[:, 1]
+    distances = {
+        "1-norm": np.abs(e).sum(axis=1),
+        "log norm 1": np.abs(e).sum(axis=1),
+        "infinity norm": np.abs(e).max(axis=1),
+        "log norm infinity": np.abs(e).max(axis=1),
+        "norm sum": np.linalg.norm(e, axis=1),
+        "weighted log norm": np.abs(e) @ weighted_norm(weight).left,
+    }
+    for name, distance in distances.items():
+        assert verdict[name].rate > 0.0
+        assert (np.diff(np.log(distance)) <= -verdict[name].rate * np.diff(t) + 1e-6).all(), name
+
+
+@settings(max_examples=20)
+@given(seeds)
+def test_translations_matter_to_unweighted_norms_alone(seed):
+    rng = np.random.default_rng(seed)
+    weight, core = se3_weight(rng, 2, 0.15)
+    moved = weight.reshape(2, 6, 2, 6).copy()
+    moved[:, 3:, :, :3] *= 50.0
+    near = assess(weight, gamma=1.0, mu=1.0, rotational_weight=core)
+    far = assess(moved.reshape(12, 12), gamma=1.0, mu=1.0, rotational_weight=core)
+    for name in LEVELS[5:8]:
+        assert far[name] == near[name]
+    assert not far["1-norm"].holds
+    # On the whole W, without being told of its structure, the weighted norm comes to the same.
+    assert assess(weight, gamma=1.0, mu=1.0)["weighted log norm"].value == pytest.approx(
+        near["weighted log norm"].value, rel=1e-3
+    )
+
+
+def test_a_given_diagonal_is_used_when_it_proves_and_replaced_when_it_does_not():
+    weight = np.array([[0.0, 30.0], [0.0, 0.0]])
+    good = np.array([1.0, 1e4])
+    assert assess(weight, gamma=1.0, mu=1.0, lyapunov_diagonal=good).certificate.lambda_max == pytest.approx(0.15)
+    replaced = assess(weight, gamma=1.0, mu=1.0, lyapunov_diagonal=[1.0, 1.0])
+    assert replaced.certificate.valid
+    assert not verify([1.0, 1.0], weight).valid
+    assert replaced.certificate.lambda_max == find_certificate(weight).lambda_max
+
+
+def test_report_has_one_aligned_line_for_each_rung():
+    lines = str(assess([[0.5, 30.0], [-3.0, 0.5]], gamma=2.0, mu=2.0, jacobian=-np.eye(2))).splitlines()
+    assert lines[0] == "globally stable by the diagonal Lyapunov, at a rate of at least 1"
+    assert len(lines) == 1 + len(LEVELS)
+    assert len({line.index("<") for line in lines[1:]}) == 1
+    assert lines[1].split() == ["1-norm", "30.5", "<", "1", "fails"]
+    assert lines[8].split() == ["diagonal", "Lyapunov", "0.5", "<", "1", "global", "rate", "1"]
+    assert lines[9].split() == ["local", "-1", "<", "0", "local", "rate", "1"]
+
+
+def test_wrong_input_is_named():
+    rng = np.random.default_rng(0)
+    weight, core = se3_weight(rng, 2, 0.1)
+    both_ways = weight.copy()
+    both_ways[0, 4] = 1e-9
+    cases = [
+        (lambda: assess(np.ones((2, 3)), gamma=1.0, mu=1.0), "weight must have shape"),
+        (lambda: assess(weight, gamma=0.0, mu=1.0), "gamma must be positive"),
+        (lambda: assess(weight, gamma=1.0, mu=1.0, jacobian=np.eye(3)), r"jacobian must have shape \(12, 12\)"),
+        (lambda: assess(weight, gamma=1.0, mu=1.0, rotational_weight=np.eye(3)), r"\(3N, 3N\) for a weight \(6N, 6N\)"),
+        (lambda: assess(weight, gamma=1.0, mu=1.0, rotational_weight=1.1 * core), "must be the rotational blocks"),
+        (lambda: assess(both_ways, gamma=1.0, mu=1.0, rotational_weight=core), "v drives omega"),
+        (lambda: assess(weight, gamma=1.0, mu=1.0)["log norm 3"], "no rung 'log norm 3'; rungs are: 1-norm"),
+    ]
+    for call, words in cases:
+        with pytest.raises(InputError, match=words):
+            call()
