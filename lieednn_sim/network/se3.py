@@ -1,0 +1,86 @@
+"""LieEDNN: a Hopfield-like neural ODE on se(3)^N with adjoint weight blocks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import ClassVar
+
+from lieednn_sim import stability
+from lieednn_sim.lie import adjoint
+from lieednn_sim.network.base import (
+    ComponentwiseNetwork,
+    Floats,
+    as_activation,
+    as_poses,
+    as_rates,
+    as_strengths,
+    flatten_blocks,
+    read_only,
+)
+from lieednn_sim.validation import as_floats
+
+
+@dataclass(frozen=True, eq=False)
+class LieEDNN(ComponentwiseNetwork):
+    """x_i' = -gamma x_i + mu sum_j alpha_ij Ad(theta_ij) phi(x_j) + mu b_i, with x_i in se(3) (paper, eq. 3.9).
+
+    The state has shape ``(..., N, 6)``, twists ordered (omega, v); the flat state is its C-order ravel.
+
+    Attributes:
+        alpha: ``(N, N)`` connection strengths.
+        rotation: ``(N, N, 3, 3)`` rotations of theta_ij; i receives, j sends.
+        translation: ``(N, N, 3)`` translations of theta_ij.
+        bias: ``(N, 6)``.
+        gamma: decay rate, positive.
+        mu: scale of the interaction, positive.
+        activation: a name of `ACTIVATIONS`.
+        lyapunov_diagonal: ``(3N,)`` diagonal P that certifies W_R, or None. Checked by `certificate`.
+
+    Raises:
+        InputError: wrong shapes, entries that are not finite, or rotations that are none.
+    """
+
+    alpha: Floats
+    rotation: Floats
+    translation: Floats
+    bias: Floats
+    gamma: float = 1.0
+    mu: float = 1.0
+    activation: str = "tanh"
+    lyapunov_diagonal: Floats | None = None
+
+    _kind: ClassVar[str] = "network"
+    _arrays: ClassVar[tuple[str, ...]] = ("alpha", "rotation", "translation", "bias", "lyapunov_diagonal")
+    _scalars: ClassVar[tuple[str, ...]] = ("gamma", "mu", "activation")
+    _bias_free: ClassVar[tuple[str, ...]] = ("blocks", "weight", "rotational_weight", "certificate")
+
+    def __post_init__(self) -> None:
+        alpha = as_strengths(self.alpha)
+        n = len(alpha)
+        diagonal = self.lyapunov_diagonal
+        self._store(
+            alpha=alpha,
+            **as_poses(self.rotation, self.translation, n),
+            bias=as_floats("bias", self.bias, (n, 6)),
+            **as_rates(self.gamma, self.mu),
+            activation=as_activation(self.activation),
+            lyapunov_diagonal=None if diagonal is None else as_floats("lyapunov_diagonal", diagonal, (3 * n,)),
+        )
+
+    @cached_property
+    def blocks(self) -> Floats:
+        """Weight blocks alpha_ij Ad(theta_ij), ``(N, N, 6, 6)``."""
+        return read_only(self.alpha[:, :, None, None] * adjoint(self.rotation, self.translation))
+
+    @cached_property
+    def rotational_weight(self) -> Floats:
+        """W_R = [alpha_ij R_ij], ``(3N, 3N)``: the part that decides stability."""
+        return flatten_blocks(self.blocks[..., :3, :3])
+
+    @cached_property
+    def certificate(self) -> stability.Certificate | None:
+        """The stored Lyapunov diagonal, checked against this network's weights; None when there is none."""
+        if self.lyapunov_diagonal is None:
+            return None
+        return stability.verify(self.lyapunov_diagonal, self.rotational_weight, gamma=self.gamma, mu=self.mu)
