@@ -76,6 +76,13 @@ def as_count(name: str, value: int) -> int:
     return number
 
 
+def as_seed(name: str, seed: int) -> int:
+    """Return ``seed`` as a whole number >= 0, or raise `InputError`."""
+    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
+        raise InputError(f"{name} must be a whole number >= 0, got {seed!r}")
+    return int(seed)
+
+
 def as_generator(name: str, seed: int | np.random.Generator) -> np.random.Generator:
     """Return a random generator from a whole number >= 0, or the generator itself."""
     if isinstance(seed, np.random.Generator):

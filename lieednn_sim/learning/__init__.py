@@ -1,0 +1,19 @@
+"""Learning the weights of a LieEDNN: the paper's Algorithm 1, as printed and repaired, and what works better."""
+
+from lieednn_sim.learning.history import History
+from lieednn_sim.learning.options import ALGORITHMS, TrainingOptions
+from lieednn_sim.learning.projected import resume, train
+from lieednn_sim.learning.result import StopReason, TrainingResult
+from lieednn_sim.learning.sensitivity import Sensitivity, sensitivity
+
+__all__ = [
+    "ALGORITHMS",
+    "History",
+    "Sensitivity",
+    "StopReason",
+    "TrainingOptions",
+    "TrainingResult",
+    "resume",
+    "sensitivity",
+    "train",
+]

@@ -1,0 +1,120 @@
+"""Checkpoints of `projected.train`."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieednn_sim import storage
+from lieednn_sim.errors import FileError, InputError
+from lieednn_sim.learning.equilibria import FlatEquilibrium
+from lieednn_sim.learning.history import History, Recorder
+from lieednn_sim.learning.manifold import WeightPoint
+from lieednn_sim.learning.options import TrainingOptions
+from lieednn_sim.learning.problem import TrainingProblem
+from lieednn_sim.lie.groups import group as group_by_name
+
+Floats = NDArray[np.float64]
+
+_KIND = "training"
+
+
+@dataclass(frozen=True)
+class TrainingState:
+    """State right after a projection: what a trial goes back to, and what a checkpoint holds.
+
+    Attributes:
+        weight: ``(Nd, Nd)``.
+        alpha: ``(N, N)`` learned strengths.
+        point: the last projection of the weights.
+        equilibrium: of the weights.
+        rate: learning rate.
+        error: E of the last epoch, to which the adaptive rate compares the next one.
+        epoch: epochs done, of all starts together.
+        rows: rows of history up to here.
+        start: number of the initial weights.
+        start_epoch: epoch at which this start began.
+    """
+
+    weight: Floats
+    alpha: Floats
+    point: WeightPoint
+    equilibrium: FlatEquilibrium
+    rate: float
+    error: float
+    epoch: int
+    rows: int
+    start: int
+    start_epoch: int
+
+
+_COUNTERS = ("rate", "epoch", "rows", "start", "start_epoch")
+
+
+def save(
+    path: str | os.PathLike[str],
+    problem: TrainingProblem,
+    options: TrainingOptions,
+    state: TrainingState,
+    recorder: Recorder,
+    seconds: float,
+) -> None:
+    """Write everything that `load` needs, atomically."""
+    recorder.cut(state.rows)
+    arrays: dict[str, NDArray[Any]] = {
+        "target": problem.target,
+        "bias": problem.bias,
+        "weight": state.weight,
+        "alpha": state.alpha,
+        "point_alpha": state.point.alpha,
+        "x": state.equilibrium.x,
+        "error": np.array(state.error),
+        **{f"element_{name}": value for name, value in state.point.elements.items()},
+        **{f"history_{name}": value for name, value in recorder.arrays().items()},
+    }
+    meta = {
+        "options": options.as_dict(),
+        "group": None if problem.group is None else problem.group.name,
+        "seed": problem.seed,
+        "rates": problem.rates,
+        "state": {name: getattr(state, name) for name in _COUNTERS},
+        "seconds": seconds,
+    }
+    storage.save_arrays(path, _KIND, arrays, meta)
+
+
+def load(
+    path: str | os.PathLike[str],
+) -> tuple[TrainingProblem, TrainingOptions, TrainingState, Recorder, float]:
+    """Read a file of `save`: problem, options, state, history and seconds so far.
+
+    Raises:
+        FileError: the file cannot be read or is no checkpoint.
+    """
+    arrays, meta = storage.load_arrays(path, _KIND)
+    rows = {field.name: f"history_{field.name}" for field in fields(History)}
+    storage.take(arrays, path, "target", "bias", "weight", "alpha", "point_alpha", "x", "error", *rows.values())
+    try:
+        group = None if meta["group"] is None else group_by_name(meta["group"])
+        problem = TrainingProblem.checked(
+            arrays["target"], arrays["bias"], **meta["rates"], group=group, seed=meta["seed"]
+        )
+        elements = {
+            name.removeprefix("element_"): value for name, value in arrays.items() if name.startswith("element_")
+        }
+        state = TrainingState(
+            weight=arrays["weight"],
+            alpha=arrays["alpha"],
+            point=problem.manifold().point(arrays["point_alpha"], elements),
+            equilibrium=problem.solver().at(arrays["x"]),
+            error=float(arrays["error"]),
+            **{name: meta["state"][name] for name in _COUNTERS},
+        )
+        recorder = Recorder.from_arrays({name: arrays[key] for name, key in rows.items()})
+        return problem, TrainingOptions(**meta["options"]), state, recorder, float(meta["seconds"])
+    except (KeyError, TypeError, ValueError, AttributeError, InputError) as error:
+        raise FileError(f"{path} is not a valid training checkpoint ({type(error).__name__}: {error})") from None

@@ -1,0 +1,153 @@
+"""The equilibrium of a flat network, followed from one epoch to the next: by Newton steps, or by running the network.
+
+Made for the inner loop: `dynamics.find_equilibrium` is the careful one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+from scipy.linalg.lapack import dgetrf, dgetrs
+
+from lieednn_sim.network import ACTIVATIONS
+
+Floats = NDArray[np.float64]
+
+# phi' as a function of phi, which is at hand: two transcendental functions less an epoch.
+_SLOPE_OF_OUTPUT: dict[str, Callable[[Floats], Floats]] = {
+    "tanh": lambda y: 1.0 - y * y,
+    "arctan": lambda y: np.cos(0.5 * np.pi * y) ** 2,
+}
+_TOLERANCE = 1e-12
+# What rounding leaves; a point with a larger residual is no equilibrium.
+_ACCEPTED = 1e-9
+_LONGEST_STEP = 1.0
+# Steps with the matrix of the epoch before; it is almost right, and already factored.
+_CHORD_STEPS = 2
+# Algorithm 1 says "solve by RK45" and no more: this long, again and again until the network rests.
+_HORIZON = 15.0
+_HORIZONS = 10
+_AT_REST = 1e-7
+
+
+@dataclass(frozen=True)
+class FlatEquilibrium:
+    """A state where gamma x = mu (W phi(x) + b), or the failed try to find one.
+
+    Attributes:
+        x: ``(n,)`` state.
+        output: ``(n,)`` phi(x).
+        slope: ``(n,)`` phi'(x).
+        found: whether it is an equilibrium.
+    """
+
+    x: Floats
+    output: Floats
+    slope: Floats
+    found: bool
+
+
+class SensitivityMatrix:
+    """S = I - (mu/gamma) W diag(phi'(x)), factored once for all that is solved with it; ``ratio`` is mu/gamma.
+
+    Straight to LAPACK: NumPy's and SciPy's checks cost more than solving with 24 unknowns.
+    """
+
+    def __init__(self, weight: Floats, slope: Floats, ratio: float) -> None:
+        self.matrix = _identity(len(weight)) - weight * (ratio * slope)
+        # The transpose of a C-ordered matrix is Fortran-ordered, as LAPACK wants it.
+        self._lu, self._pivots, info = dgetrf(self.matrix.T)
+        self.singular = info != 0
+
+    def solve(self, right: Floats) -> Floats:
+        """X with S x = right, ``(n,)``."""
+        return dgetrs(self._lu, self._pivots, right, trans=1)[0]
+
+    def solve_transposed(self, right: Floats) -> Floats:
+        """X with S^T x = right, ``(n,)``."""
+        return dgetrs(self._lu, self._pivots, right)[0]
+
+    def stable(self) -> bool:
+        """Whether every eigenvalue of the Jacobian -gamma S has a negative real part."""
+        return bool(np.linalg.eigvals(self.matrix).real.min() > 0.0)
+
+
+class EquilibriumSolver:
+    """Finds the equilibrium near a given state; ``ratio`` is mu/gamma."""
+
+    def __init__(self, bias: Floats, ratio: float, activation: str) -> None:
+        self.ratio = ratio
+        self._drive = ratio * bias.ravel()
+        self._phi = ACTIVATIONS[activation][0]
+        self._slope = _SLOPE_OF_OUTPUT[activation]
+
+    def at(self, x: Floats, *, found: bool = True) -> FlatEquilibrium:
+        """The state ``x`` as it is."""
+        output = self._phi(x)
+        return FlatEquilibrium(x, output, self._slope(output), found)
+
+    def sensitivity(self, weight: Floats, equilibrium: FlatEquilibrium) -> SensitivityMatrix:
+        """S for these weights at their equilibrium."""
+        return SensitivityMatrix(weight, equilibrium.slope, self.ratio)
+
+    def newton(
+        self,
+        weight: Floats,
+        x: Floats,
+        nearby: SensitivityMatrix | None = None,
+        *,
+        tolerance: float = _TOLERANCE,
+        steps: int = 8,
+    ) -> FlatEquilibrium:
+        """At most ``steps`` Newton steps, none of them longer than 1 in a coordinate.
+
+        Args:
+            weight: ``(n, n)``.
+            x: ``(n,)`` first guess.
+            nearby: S of weights and state close by, which does for the first steps.
+            tolerance: on the largest entry of x - (mu/gamma) (W phi(x) + b).
+            steps: at most.
+        """
+        for step in range(steps + 1):
+            output = self._phi(x)
+            residual = x - self.ratio * (weight @ output) - self._drive
+            largest = np.abs(residual).max()
+            if not largest >= tolerance or step == steps:
+                break
+            factored = nearby if nearby is not None and step < _CHORD_STEPS else None
+            if factored is None:
+                factored = SensitivityMatrix(weight, self._slope(output), self.ratio)
+            if factored.singular:
+                break
+            move = factored.solve(residual)
+            length = np.abs(move).max()
+            x = x - (move if length <= _LONGEST_STEP else move * (_LONGEST_STEP / length))
+        return FlatEquilibrium(x, output, self._slope(output), bool(largest < max(tolerance, _ACCEPTED)))
+
+    def flow(self, weight: Floats, x: Floats) -> FlatEquilibrium:
+        """Runge-Kutta 4(5) in the time unit 1/gamma until the network rests, for at most 150 units."""
+        coupling = self.ratio * weight
+
+        def field(_: float, state: Floats) -> Floats:
+            return coupling @ self._phi(state) - state + self._drive
+
+        speed = np.inf
+        for _ in range(_HORIZONS):
+            speed = np.abs(field(0.0, x)).max()
+            if speed < _AT_REST:
+                break
+            x = solve_ivp(field, (0.0, _HORIZON), x, rtol=1e-6, atol=1e-9).y[:, -1]
+        return self.at(x, found=bool(speed < _AT_REST))
+
+
+_IDENTITIES: dict[int, Floats] = {}
+
+
+def _identity(n: int) -> Floats:
+    if n not in _IDENTITIES:
+        _IDENTITIES[n] = np.eye(n)
+    return _IDENTITIES[n]

@@ -1,0 +1,83 @@
+"""What happened during a training, epoch by epoch."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class History:
+    """One row for the weights at the beginning of each epoch; K rows.
+
+    Attributes:
+        epoch: ``(K,)`` epochs done before the row; trials taken back leave gaps.
+        error: ``(K,)`` E = ||xi* - xi_d||_2, the printed loss.
+        accuracy: ``(K,)`` fraction of coordinates within the tolerance of the target.
+        rate: ``(K,)`` learning rate of the epoch.
+        one_norm: ``(K,)`` ||W||_1.
+        infinity_norm: ``(K,)`` ||W||_inf.
+        equilibrium: ``(K, N, d)`` xi*.
+    """
+
+    epoch: Floats
+    error: Floats
+    accuracy: Floats
+    rate: Floats
+    one_norm: Floats
+    infinity_norm: Floats
+    equilibrium: Floats
+
+    def __len__(self) -> int:
+        return len(self.error)
+
+
+class Recorder:
+    """Collects the rows of a `History`; may be cut back to an earlier length."""
+
+    def __init__(self, neurons: int, dimension: int) -> None:
+        self._shape = (neurons, dimension)
+        self._scalars: list[tuple[float, ...]] = []
+        self._equilibria: list[Floats] = []
+
+    def __len__(self) -> int:
+        return len(self._scalars)
+
+    def add(self, epoch: int, x: Floats, goal: Floats, tolerance: float, rate: float, weight: Floats) -> None:
+        """Append a row for flat weights with the flat equilibrium ``x``, which is kept, not copied."""
+        size, delta = np.abs(weight), x - goal
+        accuracy = np.count_nonzero(np.abs(delta) < tolerance) / delta.size
+        error = float(np.sqrt(delta @ delta))
+        self._scalars.append((epoch, error, accuracy, rate, float(size.sum(0).max()), float(size.sum(1).max())))
+        self._equilibria.append(x)
+
+    def cut(self, length: int) -> None:
+        """Forget all rows from ``length`` on."""
+        del self._scalars[length:], self._equilibria[length:]
+
+    def history(self) -> History:
+        """The rows so far, as arrays."""
+        scalars = np.array(self._scalars, dtype=np.float64).reshape(-1, 6)
+        equilibria = np.array(self._equilibria, dtype=np.float64).reshape(-1, *self._shape)
+        epoch, error, accuracy, rate, one_norm, infinity_norm = (column.copy() for column in scalars.T)
+        return History(epoch, error, accuracy, rate, one_norm, infinity_norm, equilibria)
+
+    def arrays(self) -> dict[str, Floats]:
+        """The rows as named arrays, for a checkpoint."""
+        history = self.history()
+        return {field.name: getattr(history, field.name) for field in fields(History)}
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, Floats]) -> Recorder:
+        """Inverse of `arrays`."""
+        history = History(**{field.name: arrays[field.name] for field in fields(History)})
+        recorder = cls(*history.equilibrium.shape[1:])
+        columns = [getattr(history, field.name).tolist() for field in fields(History)[:-1]]
+        recorder._scalars = list(zip(*columns, strict=True))
+        recorder._equilibria = list(history.equilibrium.reshape(len(history), -1))
+        return recorder

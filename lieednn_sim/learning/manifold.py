@@ -1,0 +1,148 @@
+"""The manifold that projective learning keeps returning to: weights with blocks alpha_ij Ad(theta_ij)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieednn_sim.errors import InputError
+from lieednn_sim.lie import adjoint, project_to_adjoint, project_to_adjoint_exact, project_to_scaled_adjoint
+from lieednn_sim.lie.matrix_group import MatrixLieGroup
+from lieednn_sim.network import GroupLieEDNN, LieEDNN
+
+Floats = NDArray[np.float64]
+
+# A block whose strength vanishes has no direction: W/alpha is taken with at least this much of it.
+_SMALLEST_ALPHA = 1e-9
+# Alternations of strength and element in the scaled projection onto a group without a closed form.
+_ALTERNATIONS = 3
+
+
+@dataclass(frozen=True)
+class WeightPoint:
+    """Weights on the manifold.
+
+    Attributes:
+        alpha: ``(N, N)`` connection strengths.
+        adjoints: ``(N, N, d, d)`` L[Ad(theta_ij)].
+        elements: theta as the network's constructor takes it.
+    """
+
+    alpha: Floats
+    adjoints: Floats
+    elements: dict[str, NDArray[Any]]
+
+    @property
+    def weight(self) -> Floats:
+        """Flat W, ``(Nd, Nd)``."""
+        return flat_matrix(self.alpha[:, :, None, None] * self.adjoints)
+
+
+class WeightManifold(Protocol):
+    """What learning needs to know of a group."""
+
+    dimension: int
+
+    def project(self, weight: Floats, alpha: Floats, kind: str) -> WeightPoint:
+        """Point for weights ``(Nd, Nd)``; ``kind`` of `options.PROJECTIONS`, alpha is used unless it is "scaled"."""
+
+    def point(self, alpha: Floats, elements: dict[str, NDArray[Any]]) -> WeightPoint:
+        """Point of given strengths and elements."""
+
+    def network(self, point: WeightPoint, bias: Floats, rates: dict[str, Any]) -> LieEDNN | GroupLieEDNN:
+        """The network with these weights."""
+
+
+class SE3Weights:
+    """Adjoint blocks of SE(3)."""
+
+    dimension = 6
+
+    def project(self, weight: Floats, alpha: Floats, kind: str) -> WeightPoint:
+        """See `WeightManifold.project`."""
+        blocks = block_view(weight, 6)
+        if kind == "scaled":
+            alpha, rotation, translation = project_to_scaled_adjoint(blocks)
+        else:
+            alpha = guarded(alpha)
+            nearest = project_to_adjoint_exact if kind == "exact" else project_to_adjoint
+            rotation, translation = nearest(blocks / alpha[:, :, None, None])
+        return self.point(alpha, {"rotation": rotation, "translation": translation})
+
+    def point(self, alpha: Floats, elements: dict[str, NDArray[Any]]) -> WeightPoint:
+        """See `WeightManifold.point`."""
+        return WeightPoint(alpha, adjoint(elements["rotation"], elements["translation"]), elements)
+
+    def network(self, point: WeightPoint, bias: Floats, rates: dict[str, Any]) -> LieEDNN:
+        """See `WeightManifold.network`."""
+        elements = point.elements
+        return LieEDNN(point.alpha, elements["rotation"], elements["translation"], bias, **rates)
+
+
+class GroupWeights:
+    """Adjoint blocks of any matrix Lie group; its projection is the Frobenius-nearest one."""
+
+    def __init__(self, group: MatrixLieGroup) -> None:
+        self.group = group
+        self.dimension = group.dimension
+
+    def project(self, weight: Floats, alpha: Floats, kind: str) -> WeightPoint:
+        """See `WeightManifold.project`; there is no block-wise projection, so "block-wise" is the exact one too."""
+        blocks = block_view(weight, self.dimension)
+        if kind != "scaled":
+            alpha = guarded(alpha)
+            theta = self.group.project_to_adjoint(blocks / alpha[:, :, None, None])
+            return self.point(alpha, {"theta": theta})
+        # Either sign of alpha, alternating between the best strength and the best element; the nearer one stays.
+        size = np.linalg.norm(blocks, axis=(-2, -1)) / np.sqrt(self.dimension)
+        points = [self._alternate(blocks, guarded(sign * size)) for sign in (1.0, -1.0)]
+        far = [np.linalg.norm(blocks - p.alpha[:, :, None, None] * p.adjoints, axis=(-2, -1)) for p in points]
+        first = far[0] <= far[1]
+        theta = np.where(first[:, :, None, None], points[0].elements["theta"], points[1].elements["theta"])
+        return self.point(np.where(first, points[0].alpha, points[1].alpha), {"theta": theta})
+
+    def _alternate(self, blocks: Floats, alpha: Floats) -> WeightPoint:
+        for _ in range(_ALTERNATIONS):
+            theta = self.group.project_to_adjoint(blocks / alpha[:, :, None, None])
+            adjoints = self.group.adjoint(theta)
+            best = np.einsum("ijab,ijab->ij", blocks, adjoints) / np.einsum("ijab,ijab->ij", adjoints, adjoints)
+            # A strength of the other sign is the other candidate's business.
+            alpha = guarded(np.where(best * alpha > 0.0, best, 0.5 * alpha))
+        return self.point(alpha, {"theta": theta})
+
+    def point(self, alpha: Floats, elements: dict[str, NDArray[Any]]) -> WeightPoint:
+        """See `WeightManifold.point`."""
+        return WeightPoint(alpha, self.group.adjoint(elements["theta"]), elements)
+
+    def network(self, point: WeightPoint, bias: Floats, rates: dict[str, Any]) -> GroupLieEDNN:
+        """See `WeightManifold.network`."""
+        return GroupLieEDNN(self.group, point.alpha, point.elements["theta"], bias, **rates)
+
+
+def guarded(alpha: Floats) -> Floats:
+    """Strengths kept away from zero, their sign kept."""
+    return np.where(np.abs(alpha) < _SMALLEST_ALPHA, np.copysign(_SMALLEST_ALPHA, alpha), alpha)
+
+
+def block_view(weight: Floats, dimension: int) -> Floats:
+    """Blocks ``(N, N, d, d)`` of a flat matrix ``(Nd, Nd)``."""
+    n = len(weight) // dimension
+    return weight.reshape(n, dimension, n, dimension).transpose(0, 2, 1, 3)
+
+
+def flat_matrix(blocks: Floats) -> Floats:
+    """Inverse of `block_view`."""
+    n, dimension = len(blocks), blocks.shape[-1]
+    return blocks.transpose(0, 2, 1, 3).reshape(n * dimension, n * dimension)
+
+
+def weight_manifold(group: MatrixLieGroup | None) -> WeightManifold:
+    """The manifold of a group; None is SE(3) with the paper's coordinates."""
+    if group is None:
+        return SE3Weights()
+    if not isinstance(group, MatrixLieGroup):
+        raise InputError(f"group must be a MatrixLieGroup or None for SE(3), got {group!r}")
+    return GroupWeights(group)

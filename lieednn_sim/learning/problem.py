@@ -1,0 +1,98 @@
+"""What is to be learned: a target, and the network around the weights."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lieednn_sim.errors import InputError
+from lieednn_sim.learning.equilibria import EquilibriumSolver
+from lieednn_sim.learning.manifold import WeightManifold, weight_manifold
+from lieednn_sim.lie.matrix_group import MatrixLieGroup
+from lieednn_sim.network import ACTIVATIONS
+from lieednn_sim.validation import as_choice, as_floats, as_positive, as_seed
+
+Floats = NDArray[np.float64]
+
+# The paper's epsilon in W / (epsilon + ||W||_1).
+_EPSILON = 1e-12
+
+
+@dataclass(frozen=True)
+class TrainingProblem:
+    """A target and everything of the network that is not learned.
+
+    Attributes:
+        target: ``(N, d)`` xi_d.
+        bias: ``(N, d)``.
+        gamma, mu, activation: of the network.
+        group: None for SE(3).
+        seed: of the initial weights.
+    """
+
+    target: Floats
+    bias: Floats
+    gamma: float
+    mu: float
+    activation: str
+    group: MatrixLieGroup | None
+    seed: int
+
+    @classmethod
+    def checked(
+        cls,
+        target: ArrayLike,
+        bias: ArrayLike,
+        gamma: float,
+        mu: float,
+        activation: str,
+        group: MatrixLieGroup | None,
+        seed: int,
+    ) -> TrainingProblem:
+        """Build from user input; a scalar bias is that of every coordinate.
+
+        Raises:
+            InputError: a value has the wrong shape or range.
+        """
+        dimension = weight_manifold(group).dimension
+        goal = as_floats("target", target, ("N", dimension))
+        if len(goal) == 0:
+            raise InputError(f"target must have shape (N, {dimension}) with N >= 1, got (0, {dimension})")
+        if np.ndim(bias) == 0:
+            bias = np.full(goal.shape, as_floats("bias", bias, ()))
+        return cls(
+            target=goal,
+            bias=as_floats("bias", bias, goal.shape),
+            gamma=as_positive("gamma", gamma),
+            mu=as_positive("mu", mu),
+            activation=as_choice("activation", activation, ACTIVATIONS),
+            group=group,
+            seed=as_seed("seed", seed),
+        )
+
+    @property
+    def ratio(self) -> float:
+        """mu/gamma."""
+        return self.mu / self.gamma
+
+    @property
+    def rates(self) -> dict[str, Any]:
+        """What a network's constructor takes beside weights and bias."""
+        return {"gamma": self.gamma, "mu": self.mu, "activation": self.activation}
+
+    def manifold(self) -> WeightManifold:
+        """Where the weights live."""
+        return weight_manifold(self.group)
+
+    def solver(self) -> EquilibriumSolver:
+        """Solver of the equilibrium for given weights."""
+        return EquilibriumSolver(self.bias, self.ratio, self.activation)
+
+    def initial_weight(self, start: int) -> Floats:
+        """Random weights of the start-th try: U(-1, 1), divided by their 1-norm (Algorithm 1), ``(Nd, Nd)``."""
+        n = self.target.size
+        weight = np.random.default_rng([self.seed, start]).uniform(-1.0, 1.0, (n, n))
+        return weight / (_EPSILON + np.abs(weight).sum(axis=0).max())

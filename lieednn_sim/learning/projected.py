@@ -1,0 +1,245 @@
+"""Projective manifold learning (paper, Algorithm 1), in the variants of `TrainingOptions`."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lieednn_sim.learning import checkpoint as checkpoints
+from lieednn_sim.learning.checkpoint import TrainingState
+from lieednn_sim.learning.equilibria import FlatEquilibrium, SensitivityMatrix
+from lieednn_sim.learning.history import Recorder
+from lieednn_sim.learning.options import TrainingOptions
+from lieednn_sim.learning.problem import TrainingProblem
+from lieednn_sim.learning.result import StopReason, TrainingResult, conclude
+from lieednn_sim.learning.sensitivity import gauss_newton_direction, strength_gradient, weight_gradient
+from lieednn_sim.lie.matrix_group import MatrixLieGroup
+
+Floats = NDArray[np.float64]
+Progress = Callable[[int, int], None]
+
+# Seconds from one checkpoint to the next.
+_CHECKPOINT_SECONDS = 10.0
+# Of the equilibrium, beside its distance to the target: E must fall, and not by the error of E.
+_RELATIVE_TOLERANCE = 1e-6
+_LEAST_TOLERANCE = 1e-12
+
+
+def train(
+    target: ArrayLike,
+    options: TrainingOptions | None = None,
+    *,
+    bias: ArrayLike = 0.125,
+    gamma: float = 1.0,
+    mu: float = 1.0,
+    activation: str = "tanh",
+    group: MatrixLieGroup | None = None,
+    seed: int = 0,
+    checkpoint: str | os.PathLike[str] | None = None,
+    progress: Progress | None = None,
+) -> TrainingResult:
+    """Learn weights whose equilibrium is the target, returning to the manifold every few epochs.
+
+    Args:
+        target: ``(N, 6)`` xi_d, or ``(N, d)`` with a group of dimension d.
+        options: the repaired Algorithm 1 by default.
+        bias: ``(N, d)``, or one number for all.
+        gamma: decay rate of the network.
+        mu: scale of its interaction.
+        activation: a name of `network.ACTIVATIONS`.
+        group: another group than SE(3).
+        seed: of the initial weights; the same seed gives the same network.
+        checkpoint: ``.npz`` file to keep the state in, every ten seconds and when interrupted; see `resume`.
+        progress: called with epochs done and epochs at most.
+
+    Returns:
+        The outcome; it failed where `success` is false, and `reason` says how.
+
+    Raises:
+        InputError: a value has the wrong shape or range.
+        FileError: the checkpoint cannot be written.
+    """
+    problem = TrainingProblem.checked(target, bias, gamma, mu, activation, group, seed)
+    training = _Training(problem, options or TrainingOptions())
+    training.begin(0)
+    return training.run(checkpoint, progress)
+
+
+def resume(checkpoint: str | os.PathLike[str], *, progress: Progress | None = None) -> TrainingResult:
+    """Go on where `train` was interrupted, to the same result as without the interruption.
+
+    Raises:
+        FileError: the file cannot be read or is no checkpoint.
+    """
+    problem, options, anchor, recorder, seconds = checkpoints.load(checkpoint)
+    training = _Training(problem, options)
+    training.anchor, training.recorder, training.seconds = anchor, recorder, seconds
+    return training.run(checkpoint, progress)
+
+
+class _Training:
+    def __init__(self, problem: TrainingProblem, options: TrainingOptions) -> None:
+        self.problem, self.options = problem, options
+        self.manifold, self.solver = problem.manifold(), problem.solver()
+        self.goal = problem.target.ravel()
+        self.recorder = Recorder(*problem.target.shape)
+        self.anchor: TrainingState
+        self.seconds = 0.0
+
+    def begin(self, start: int, epoch: int = 0) -> None:
+        """New initial weights."""
+        options, n = self.options, len(self.problem.target)
+        weight = self.problem.initial_weight(start)
+        initial = options.initial_alpha if options.initial_alpha is not None else 1.0 / (3.0 * n)
+        alpha = np.full((n, n), initial)
+        point = self.manifold.project(
+            weight, alpha, "block-wise" if options.projection == "none" else options.projection
+        )
+        if options.projection != "none":
+            weight, alpha = point.weight, point.alpha
+        self.recorder.cut(0)
+        equilibrium = self._find(weight, np.zeros(self.goal.size))
+        self.anchor = TrainingState(
+            weight, alpha, point, equilibrium, options.initial_rate, np.inf, epoch, 0, start, epoch
+        )
+
+    def run(self, checkpoint: str | os.PathLike[str] | None, progress: Progress | None) -> TrainingResult:
+        """Train until there is a reason to stop."""
+        begun, saved = time.perf_counter(), time.perf_counter()
+        reason = None if self.anchor.equilibrium.found else StopReason.LOST_EQUILIBRIUM
+
+        def save() -> None:
+            if checkpoint is None:
+                return
+            elapsed = self.seconds + time.perf_counter() - begun
+            checkpoints.save(checkpoint, self.problem, self.options, self.anchor, self.recorder, elapsed)
+
+        try:
+            while reason is None:
+                reason = self._advance()
+                if reason not in (None, StopReason.CONVERGED) and self._may_restart():
+                    self.begin(self.anchor.start + 1, self.anchor.epoch)
+                    reason = None
+                if progress is not None:
+                    progress(self.anchor.epoch, self.options.max_epochs)
+                if time.perf_counter() - saved > _CHECKPOINT_SECONDS:
+                    save()
+                    saved = time.perf_counter()
+        except KeyboardInterrupt:
+            save()
+            raise
+        last = self.anchor
+        self.recorder.cut(last.rows)
+        self._record(last.epoch, last.weight, last.equilibrium, last.rate)
+        return conclude(
+            self.problem,
+            last.weight,
+            None if self.options.projection == "none" else last.point,
+            last.equilibrium,
+            reason,
+            tolerance=self.options.tolerance,
+            history=self.recorder.history(),
+            epochs=last.epoch,
+            starts=last.start + 1,
+            seconds=self.seconds + time.perf_counter() - begun,
+        )
+
+    def _find(self, weight: Floats, x: Floats, nearby: SensitivityMatrix | None = None) -> FlatEquilibrium:
+        """The equilibrium near ``x``, far more exact than it is near the target."""
+        if self.options.equilibrium == "rk45":
+            return self.solver.flow(weight, x)
+        distance = np.abs(x - self.goal).max()
+        return self.solver.newton(weight, x, nearby, tolerance=max(_RELATIVE_TOLERANCE * distance, _LEAST_TOLERANCE))
+
+    def _may_restart(self) -> bool:
+        last = self.anchor
+        return last.start < self.options.restarts and last.epoch < self.options.max_epochs
+
+    def _record(self, epoch: int, weight: Floats, equilibrium: FlatEquilibrium, rate: float) -> None:
+        self.recorder.add(epoch, equilibrium.x, self.goal, self.options.tolerance, rate, weight)
+
+    def _advance(self) -> StopReason | None:
+        """The epochs from one projection to the next; a reason to stop, or None."""
+        options, before = self.options, self.anchor
+        self.recorder.cut(before.rows)
+        allowed = min(options.max_epochs, before.start_epoch + options.max_start_epochs)
+        if before.epoch >= allowed:
+            return StopReason.EPOCHS_SPENT
+        state, arrived = before, False
+        for _ in range(options.period):
+            state, arrived = self._step(state)
+            if not state.equilibrium.found or state.epoch >= allowed:
+                break
+        if state.equilibrium.found and options.projection != "none":
+            # The equilibrium is the reference for the jump, and the start of the search for the next one.
+            point = self.manifold.project(state.weight, state.alpha, options.projection)
+            equilibrium = self._find(point.weight, state.equilibrium.x)
+            state = replace(state, weight=point.weight, alpha=point.alpha, point=point, equilibrium=equilibrium)
+        if options.step_control == "tracked":
+            found = state.equilibrium
+            if not found.found or np.abs(found.x - before.equilibrium.x).max() > options.max_jump:
+                self.anchor = replace(before, epoch=state.epoch, rate=before.rate * options.shrink)
+                return StopReason.STEP_VANISHED if self.anchor.rate < options.min_rate else None
+            state = replace(state, rate=min(options.max_rate, state.rate * options.grow))
+        elif not state.equilibrium.found:
+            # The weights before are the last that have an equilibrium.
+            self.anchor = replace(before, epoch=state.epoch)
+            return StopReason.LOST_EQUILIBRIUM
+        self.anchor = state
+        if options.verified_stop:
+            arrived = bool(np.abs(state.equilibrium.x - self.goal).max() < options.tolerance)
+        checks = state.epoch // options.stability_interval > before.epoch // options.stability_interval
+        if (arrived or checks) and not self.solver.sensitivity(state.weight, state.equilibrium).stable():
+            return StopReason.UNSTABLE
+        return StopReason.CONVERGED if arrived else None
+
+    def _step(self, state: TrainingState) -> tuple[TrainingState, bool]:
+        """One epoch of Algorithm 1 without the projection; whether its stop test passed as printed."""
+        options, ratio = self.options, self.problem.ratio
+        now = state.equilibrium
+        delta = now.x - self.goal
+        error = float(np.sqrt(delta @ delta))
+        rate = state.rate
+        if options.step_control == "adaptive":
+            factor = options.grow if error < state.error else options.shrink
+            rate = float(np.clip(rate * factor, options.min_rate, options.max_rate))
+        self._record(state.epoch, state.weight, now, rate)
+        arrived = bool(np.abs(delta).max() < options.tolerance)
+        weight, alpha, nearby = state.weight, state.alpha, None
+        if error > 0.0:
+            nearby = self.solver.sensitivity(weight, now)
+            if nearby.singular:
+                return replace(state, equilibrium=replace(now, found=False), epoch=state.epoch + 1), False
+            if options.direction == "gradient":
+                direction = weight_gradient(nearby.solve_transposed(delta), now.output, ratio)
+                if options.loss == "norm":
+                    direction /= error
+            else:
+                direction = gauss_newton_direction(nearby.matrix, now.output, delta, ratio)
+            weight = weight - rate * direction
+            if options.learn_alpha and options.projection not in ("scaled", "none"):
+                change = strength_gradient(direction, state.point.adjoints)
+                if options.direction == "gauss-newton":
+                    change /= np.einsum("ijab,ijab->ij", state.point.adjoints, state.point.adjoints)
+                alpha = alpha - rate * change
+        equilibrium = self._find(weight, now.x, nearby)
+        return (
+            TrainingState(
+                weight,
+                alpha,
+                state.point,
+                equilibrium,
+                rate,
+                error,
+                state.epoch + 1,
+                len(self.recorder),
+                state.start,
+                state.start_epoch,
+            ),
+            arrived,
+        )

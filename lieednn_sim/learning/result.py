@@ -1,0 +1,99 @@
+"""How a training ended."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieednn_sim.learning.equilibria import FlatEquilibrium
+from lieednn_sim.learning.history import History
+from lieednn_sim.learning.manifold import WeightPoint
+from lieednn_sim.learning.problem import TrainingProblem
+from lieednn_sim.network import GroupLieEDNN, LieEDNN
+
+Floats = NDArray[np.float64]
+
+
+class StopReason(StrEnum):
+    """Why a training stopped."""
+
+    CONVERGED = "converged"
+    LOST_EQUILIBRIUM = "lost the equilibrium"
+    UNSTABLE = "went unstable"
+    STEP_VANISHED = "step vanished"
+    EPOCHS_SPENT = "epochs spent"
+
+
+@dataclass(frozen=True)
+class TrainingResult:
+    """Outcome of a training.
+
+    Attributes:
+        success: the final weights have a stable equilibrium within the tolerance of the target, checked afresh.
+        reason: why it stopped.
+        network: with weights on the manifold; the ablation without projection has none, and this is None.
+        weight: ``(Nd, Nd)`` the last weights: the network's, or those that left the manifold.
+        error: largest coordinate of xi* - xi_d for these weights; infinite without equilibrium.
+        structure_error: ||W - projected W|| / ||W|| in the Frobenius norm: how much of the group's structure is lost.
+        history: epoch by epoch, of the last start.
+        epochs: of all starts together.
+        starts: initial weights tried.
+        seconds: wall time, of all sittings.
+    """
+
+    success: bool
+    reason: StopReason
+    network: LieEDNN | GroupLieEDNN | None
+    weight: Floats
+    error: float
+    structure_error: float
+    history: History
+    epochs: int
+    starts: int
+    seconds: float
+
+    @property
+    def message(self) -> str:
+        """The outcome in a sentence."""
+        tries = "" if self.starts == 1 else f" and {self.starts} starts"
+        verdict = "" if self.success or self.reason is not StopReason.CONVERGED else ", which does not hold afresh"
+        return f"{self.reason} after {self.epochs} epochs{tries}: max |xi* - xi_d| is {self.error:.2g}{verdict}"
+
+
+def conclude(
+    problem: TrainingProblem,
+    weight: Floats,
+    point: WeightPoint | None,
+    equilibrium: FlatEquilibrium,
+    reason: StopReason,
+    *,
+    tolerance: float,
+    history: History,
+    epochs: int,
+    starts: int,
+    seconds: float,
+) -> TrainingResult:
+    """Check the last weights afresh; ``point`` is None where they left the manifold."""
+    manifold = problem.manifold()
+    network = manifold.network(point, problem.bias, problem.rates) if point is not None else None
+    if network is not None:
+        weight = network.weight
+    solver = problem.solver()
+    found = solver.newton(weight, equilibrium.x, steps=50)
+    error = float(np.abs(found.x - problem.target.ravel()).max()) if found.found else np.inf
+    nearest = manifold.project(weight, np.ones((len(problem.target), len(problem.target))), "scaled").weight
+    return TrainingResult(
+        success=error < tolerance and solver.sensitivity(weight, found).stable(),
+        reason=reason,
+        network=network,
+        weight=weight,
+        error=error,
+        structure_error=float(np.linalg.norm(weight - nearest) / np.linalg.norm(weight)),
+        history=history,
+        epochs=epochs,
+        starts=starts,
+        seconds=seconds,
+    )
