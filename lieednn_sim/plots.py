@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from lieednn_sim import storage
 from lieednn_sim.arm import Arm
 from lieednn_sim.evaluate import SETTLED_ROTATION, SETTLED_TRANSLATION, pose_errors
+from lieednn_sim.learning import History
 from lieednn_sim.motion import Motion
 from lieednn_sim.simulate import Rollout
 
@@ -109,6 +110,34 @@ def plot_joints(arm: Arm, rollout: Rollout, path: str | os.PathLike[str]) -> Non
         for axis in axes[-1]:
             axis.set_xlabel("time [s]")
         figure.align_ylabels(axes[:, 0])
+        _save(figure, path)
+
+
+def plot_training(history: History, target: ArrayLike, tolerance: float, path: str | os.PathLike[str]) -> None:
+    """Error, accuracy and learning rate by epoch, and the equilibrium with its target dashed."""
+    goal = np.asarray(target)
+    with matplotlib.rc_context(_STYLE):
+        figure = Figure(figsize=(10, 6), layout="constrained")
+        axes = figure.subplots(2, 2, sharex=True)
+        worst = np.abs(history.equilibrium - goal).max(axis=(-2, -1))
+        axes[0, 0].semilogy(history.epoch, history.error, lw=1.0, label="$\\Vert\\xi^*-\\xi_d\\Vert_2$")
+        axes[0, 0].semilogy(history.epoch, worst, lw=1.0, label="largest coordinate")
+        axes[0, 0].axhline(tolerance, color="0.4", ls="--", lw=0.9, label="tolerance")
+        axes[0, 0].set_title("distance of the equilibrium to the target", loc="left")
+        axes[0, 0].legend()
+        axes[0, 1].plot(history.epoch, history.accuracy)
+        axes[0, 1].set_ylim(-0.02, 1.02)
+        axes[0, 1].set_title("accuracy (coordinates within the tolerance)", loc="left")
+        axes[1, 0].semilogy(history.epoch, history.rate)
+        axes[1, 0].set_title("learning rate", loc="left")
+        flat, wanted = history.equilibrium.reshape(len(history), -1), goal.ravel()
+        for c in range(wanted.size):
+            colour = _COLOURS[c % len(_COLOURS)]
+            axes[1, 1].plot(history.epoch, flat[:, c], color=colour, lw=0.9)
+            axes[1, 1].axhline(wanted[c], color=colour, ls="--", lw=0.6)
+        axes[1, 1].set_title("equilibrium (target dashed)", loc="left")
+        for axis in axes[1]:
+            axis.set_xlabel("epoch")
         _save(figure, path)
 
 

@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from lieednn_sim import storage
-from lieednn_sim.errors import FileError
+from lieednn_sim.arm import Arm
+from lieednn_sim.errors import FileError, InputError
 
 
 @dataclass(frozen=True)
@@ -59,6 +60,9 @@ class RunDirectory:
         self.motion = self.path / "motion.npz"
         self.rollout = self.path / "rollout.npz"
         self.video = self.path / "video.mp4"
+        self.checkpoint = self.path / "checkpoint.npz"
+        self.history = self.path / "history.npz"
+        self.training_plot = self.path / "training.png"
         self.metrics_json = self.path / "metrics.json"
         self.metrics_csv = self.path / "metrics.csv"
         self.network_plot = self.path / "network.png"
@@ -75,8 +79,21 @@ class RunDirectory:
             if path not in (self.path, self.task, self.network):
                 path.unlink(missing_ok=True)
 
+    def load_task(self) -> tuple[Task, Arm]:
+        """The task and its arm, with start and target checked against the arm's limits."""
+        task = Task.load(self.task)
+        arm = Arm.load(task.arm)
+        try:
+            arm.check_position(task.start, "start")
+            arm.check_position(task.target, "target")
+        except InputError as error:
+            raise FileError(f"{self.task} does not fit arm {arm.name!r}: {error}") from None
+        return task, arm
+
     def existing(self) -> RunDirectory:
         """Return self, or raise `FileError` when there is no such run."""
         if not self.task.is_file():
-            raise FileError(f"{self.path} holds no run (no {self.task.name}); make one with 'lieednn-sim synthesize'")
+            raise FileError(
+                f"{self.path} holds no run (no {self.task.name}); make one with 'lieednn-sim synthesize' or 'train'"
+            )
         return self

@@ -72,6 +72,9 @@ def _parser() -> argparse.ArgumentParser:
     synthesize = commands.add_parser("synthesize", help="make a certified network for a target, into a run directory")
     _add_planning(synthesize, output="results/run", target=None)
 
+    train = commands.add_parser("train", help="learn a network for a target by the paper's algorithm, or a better one")
+    _add_training(train)
+
     simulate = commands.add_parser("simulate", help="plan the motion of a run's network and simulate it")
     _add_run(simulate)
     _add_simulation(simulate)
@@ -89,7 +92,7 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _add_planning(parser: argparse.ArgumentParser, output: str, target: str | None) -> None:
+def _add_task(parser: argparse.ArgumentParser, output: str, target: str | None) -> argparse._MutuallyExclusiveGroup:
     parser.add_argument("--arm", default="telescopic_pr", help="name of the arm (default: %(default)s)")
     goal = parser.add_mutually_exclusive_group(required=target is None)
     goal.add_argument(
@@ -102,6 +105,13 @@ def _add_planning(parser: argparse.ArgumentParser, output: str, target: str | No
     goal.add_argument("--position", metavar="X,Y,Z", help="end effector target in the world [m] instead")
     parser.add_argument("--start", default="home", metavar="Q", help="start, as for --target (default: %(default)s)")
     parser.add_argument("--duration", type=float, default=4.0, metavar="S", help="of the motion (default: %(default)s)")
+    parser.add_argument("--seed", type=int, default=0, help="of the random draws (default: %(default)s)")
+    parser.add_argument("--output", default=output, metavar="DIR", help="run directory (default: %(default)s)")
+    return goal
+
+
+def _add_planning(parser: argparse.ArgumentParser, output: str, target: str | None) -> None:
+    _add_task(parser, output, target)
     parser.add_argument(
         "--bias", default="sign-matched", metavar="RULE", help="uniform, sign-matched or solved (default: %(default)s)"
     )
@@ -109,8 +119,25 @@ def _add_planning(parser: argparse.ArgumentParser, output: str, target: str | No
     parser.add_argument(
         "--candidates", type=int, default=24, metavar="N", help="networks to choose from (default: %(default)s)"
     )
-    parser.add_argument("--seed", type=int, default=0, help="of the random draws (default: %(default)s)")
-    parser.add_argument("--output", default=output, metavar="DIR", help="run directory (default: %(default)s)")
+
+
+def _add_training(parser: argparse.ArgumentParser) -> None:
+    goal = _add_task(parser, output="results/run", target=None)
+    goal.add_argument("--resume", metavar="DIR", help="go on with the interrupted training of a run directory")
+    parser.add_argument(
+        "--algorithm", default="tracked", metavar="NAME", help="literal, repaired or tracked (default: %(default)s)"
+    )
+    parser.add_argument("--period", type=int, metavar="P", help="epochs between projections (default: the algorithm's)")
+    parser.add_argument("--epochs", type=int, metavar="K", help="at most (default: 25000)")
+    parser.add_argument(
+        "--tolerance", type=float, default=1e-5, help="of the equilibrium [rad, length units] (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--bias", default="sign-matched", metavar="RULE", help="uniform or sign-matched (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--bias-magnitude", type=float, default=0.125, metavar="B", help="of the rule (default: %(default)s)"
+    )
 
 
 def _add_run(parser: argparse.ArgumentParser) -> None:

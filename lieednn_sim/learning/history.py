@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
+
+from lieednn_sim import storage
 
 Floats = NDArray[np.float64]
 
@@ -35,6 +38,21 @@ class History:
 
     def __len__(self) -> int:
         return len(self.error)
+
+    def arrays(self) -> dict[str, Floats]:
+        """The columns by name."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write to an ``.npz`` file, atomically."""
+        storage.save_arrays(path, "training-history", self.arrays(), {})
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> History:
+        """Read a file of `save`; `FileError` says what is wrong with it."""
+        arrays, _ = storage.load_arrays(path, "training-history")
+        names = [field.name for field in fields(cls)]
+        return cls(*storage.take(arrays, path, *names))
 
 
 class Recorder:
@@ -69,8 +87,7 @@ class Recorder:
 
     def arrays(self) -> dict[str, Floats]:
         """The rows as named arrays, for a checkpoint."""
-        history = self.history()
-        return {field.name: getattr(history, field.name) for field in fields(History)}
+        return self.history().arrays()
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, Floats]) -> Recorder:
@@ -79,5 +96,5 @@ class Recorder:
         recorder = cls(*history.equilibrium.shape[1:])
         columns = [getattr(history, field.name).tolist() for field in fields(History)[:-1]]
         recorder._scalars = list(zip(*columns, strict=True))
-        recorder._equilibria = list(history.equilibrium.reshape(len(history), -1))
+        recorder._equilibria = [row.ravel() for row in history.equilibrium]
         return recorder

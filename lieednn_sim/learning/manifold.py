@@ -46,8 +46,11 @@ class WeightManifold(Protocol):
 
     dimension: int
 
-    def project(self, weight: Floats, alpha: Floats, kind: str) -> WeightPoint:
-        """Point for weights ``(Nd, Nd)``; ``kind`` of `options.PROJECTIONS`, alpha is used unless it is "scaled"."""
+    def project(self, weight: Floats, alpha: Floats, kind: str, near: WeightPoint | None = None) -> WeightPoint:
+        """Point for weights ``(Nd, Nd)``; ``kind`` of `options.PROJECTIONS`, alpha is used unless it is "scaled".
+
+        ``near`` is where a search may begin.
+        """
 
     def point(self, alpha: Floats, elements: dict[str, NDArray[Any]]) -> WeightPoint:
         """Point of given strengths and elements."""
@@ -61,8 +64,8 @@ class SE3Weights:
 
     dimension = 6
 
-    def project(self, weight: Floats, alpha: Floats, kind: str) -> WeightPoint:
-        """See `WeightManifold.project`."""
+    def project(self, weight: Floats, alpha: Floats, kind: str, near: WeightPoint | None = None) -> WeightPoint:
+        """See `WeightManifold.project`; everything is in closed form, or searched from everywhere."""
         blocks = block_view(weight, 6)
         if kind == "scaled":
             alpha, rotation, translation = project_to_scaled_adjoint(blocks)
@@ -89,29 +92,32 @@ class GroupWeights:
         self.group = group
         self.dimension = group.dimension
 
-    def project(self, weight: Floats, alpha: Floats, kind: str) -> WeightPoint:
+    def project(self, weight: Floats, alpha: Floats, kind: str, near: WeightPoint | None = None) -> WeightPoint:
         """See `WeightManifold.project`; there is no block-wise projection, so "block-wise" is the exact one too."""
         blocks = block_view(weight, self.dimension)
+        start = None if near is None else near.elements["theta"]
         if kind != "scaled":
             alpha = guarded(alpha)
-            theta = self.group.project_to_adjoint(blocks / alpha[:, :, None, None])
-            return self.point(alpha, {"theta": theta})
-        # Either sign of alpha, alternating between the best strength and the best element; the nearer one stays.
-        size = np.linalg.norm(blocks, axis=(-2, -1)) / np.sqrt(self.dimension)
-        points = [self._alternate(blocks, guarded(sign * size)) for sign in (1.0, -1.0)]
+            return self.point(alpha, {"theta": self._nearest(blocks, alpha, start)})
+        # From the strengths before, a point on the manifold is its own projection. Either sign; the nearer point stays.
+        size = near.alpha if near is not None else np.linalg.norm(blocks, axis=(-2, -1)) / np.sqrt(self.dimension)
+        points = [self._alternate(blocks, guarded(sign * size), start) for sign in (1.0, -1.0)]
         far = [np.linalg.norm(blocks - p.alpha[:, :, None, None] * p.adjoints, axis=(-2, -1)) for p in points]
         first = far[0] <= far[1]
         theta = np.where(first[:, :, None, None], points[0].elements["theta"], points[1].elements["theta"])
         return self.point(np.where(first, points[0].alpha, points[1].alpha), {"theta": theta})
 
-    def _alternate(self, blocks: Floats, alpha: Floats) -> WeightPoint:
+    def _alternate(self, blocks: Floats, alpha: Floats, start: NDArray[Any] | None) -> WeightPoint:
+        """Best element for the strength, best strength for the element, and again."""
         for _ in range(_ALTERNATIONS):
-            theta = self.group.project_to_adjoint(blocks / alpha[:, :, None, None])
-            adjoints = self.group.adjoint(theta)
+            start = self._nearest(blocks, alpha, start)
+            adjoints = self.group.adjoint(start)
             best = np.einsum("ijab,ijab->ij", blocks, adjoints) / np.einsum("ijab,ijab->ij", adjoints, adjoints)
-            # A strength of the other sign is the other candidate's business.
-            alpha = guarded(np.where(best * alpha > 0.0, best, 0.5 * alpha))
-        return self.point(alpha, {"theta": theta})
+            alpha = guarded(best)
+        return self.point(alpha, {"theta": np.asarray(start)})
+
+    def _nearest(self, blocks: Floats, alpha: Floats, start: NDArray[Any] | None) -> NDArray[Any]:
+        return self.group.project_to_adjoint(blocks / alpha[:, :, None, None], start)
 
     def point(self, alpha: Floats, elements: dict[str, NDArray[Any]]) -> WeightPoint:
         """See `WeightManifold.point`."""

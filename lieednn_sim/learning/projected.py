@@ -177,7 +177,7 @@ class _Training:
                 break
         if state.equilibrium.found and options.projection != "none":
             # The equilibrium is the reference for the jump, and the start of the search for the next one.
-            point = self.manifold.project(state.weight, state.alpha, options.projection)
+            point = self.manifold.project(state.weight, state.alpha, options.projection, state.point)
             equilibrium = self._find(point.weight, state.equilibrium.x)
             state = replace(state, weight=point.weight, alpha=point.alpha, point=point, equilibrium=equilibrium)
         if options.step_control == "tracked":

@@ -37,7 +37,9 @@ class TrainingResult:
         network: with weights on the manifold; the ablation without projection has none, and this is None.
         weight: ``(Nd, Nd)`` the last weights: the network's, or those that left the manifold.
         error: largest coordinate of xi* - xi_d for these weights; infinite without equilibrium.
+        tolerance: that `success` was judged by.
         structure_error: ||W - projected W|| / ||W|| in the Frobenius norm: how much of the group's structure is lost.
+            The ablation, which has no alpha, is projected with the best alpha of each block.
         history: epoch by epoch, of the last start.
         epochs: of all starts together.
         starts: initial weights tried.
@@ -49,6 +51,7 @@ class TrainingResult:
     network: LieEDNN | GroupLieEDNN | None
     weight: Floats
     error: float
+    tolerance: float
     structure_error: float
     history: History
     epochs: int
@@ -84,13 +87,17 @@ def conclude(
     solver = problem.solver()
     found = solver.newton(weight, equilibrium.x, steps=50)
     error = float(np.abs(found.x - problem.target.ravel()).max()) if found.found else np.inf
-    nearest = manifold.project(weight, np.ones((len(problem.target), len(problem.target))), "scaled").weight
+    if point is not None:
+        nearest = manifold.project(weight, point.alpha, "block-wise", point).weight
+    else:
+        nearest = manifold.project(weight, np.ones((len(problem.target), len(problem.target))), "scaled").weight
     return TrainingResult(
         success=error < tolerance and solver.sensitivity(weight, found).stable(),
         reason=reason,
         network=network,
         weight=weight,
         error=error,
+        tolerance=tolerance,
         structure_error=float(np.linalg.norm(weight - nearest) / np.linalg.norm(weight)),
         history=history,
         epochs=epochs,

@@ -1,8 +1,8 @@
 """Gradients of the equilibrium error in the weights and in the connection strengths.
 
 At an equilibrium gamma x* = mu (W phi(x*) + b). With the sensitivity matrix S = I - (mu/gamma) W diag(phi'(x*)), a
-change dW moves it by dx* = (mu/gamma) S^-1 dW phi(x*). For E^2/2 with delta = x* - x_d one linear solve gives every entry
-at once: S^T lambda = delta, then dE/dW = (mu/gamma) lambda phi(x*)^T; for E itself divide by E.
+change dW moves it by dx* = (mu/gamma) S^-1 dW phi(x*). For E^2/2 with delta = x* - x_d one linear solve gives every
+entry at once: S^T lambda = delta, then dE/dW = (mu/gamma) lambda phi(x*)^T; for E itself divide by E.
 """
 
 from __future__ import annotations

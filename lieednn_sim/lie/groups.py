@@ -57,13 +57,13 @@ def so3() -> MatrixLieGroup:
 @cache
 def se2() -> MatrixLieGroup:
     """Planar rigid motions, twists (omega, v)."""
-    return replace(affine(so2()), name="SE(2)", _projection=_project_se2)
+    return replace(affine(so2()), name="SE(2)", projection=_project_se2)
 
 
 @cache
 def rigid_motions() -> MatrixLieGroup:
     """SE(3), twists (omega, v): its adjoint matrices are those of `lieednn_sim.lie.adjoint`."""
-    return replace(affine(so3()), name="SE(3)", _projection=_project_se3)
+    return replace(affine(so3()), name="SE(3)", projection=_project_se3)
 
 
 @cache

@@ -38,8 +38,8 @@ class MatrixLieGroup:
     Attributes:
         name: for messages.
         basis: ``(d, m, m)``, real or complex, linearly independent over the reals and closed under the commutator.
-        _projection: closed form of `project_to_adjoint`, ``(..., d, d)`` to ``(..., m, m)``; None: search.
-        _membership: closed form of `contains`, ``(..., m, m)`` and a tolerance to booleans; None: by the logarithm.
+        projection: closed form of `project_to_adjoint`, ``(..., d, d)`` to ``(..., m, m)``; None: search.
+        membership: closed form of `contains`, ``(..., m, m)`` and a tolerance to booleans; None: by the logarithm.
 
     Raises:
         InputError: the basis has another shape, is dependent, or spans no Lie algebra.
@@ -47,8 +47,8 @@ class MatrixLieGroup:
 
     name: str
     basis: Matrices = field(repr=False)
-    _projection: Callable[[Floats], Matrices] | None = field(default=None, repr=False)
-    _membership: Callable[[Matrices, float], Booleans] | None = field(default=None, repr=False)
+    projection: Callable[[Floats], Matrices] | None = field(default=None, repr=False)
+    membership: Callable[[Matrices, float], Booleans] | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         basis = _as_numbers("basis", self.basis, ("d", "m", "m"))
@@ -152,7 +152,7 @@ class MatrixLieGroup:
         leaves the algebra (see `log`) are then missed.
         """
         array, tolerance = self._matrices("g", g), as_positive("tolerance", tolerance)
-        return self._try_log(array)[1] if self._membership is None else self._membership(array, tolerance)
+        return self._try_log(array)[1] if self.membership is None else self.membership(array, tolerance)
 
     def in_kernel(self, g: ArrayLike, tolerance: float = 1e-9) -> Booleans:
         """Whether Ad_g is the identity up to ``tolerance`` in each entry: g is then invisible to the network.
@@ -167,26 +167,38 @@ class MatrixLieGroup:
         generator, scale = as_generator("rng", rng), as_positive("scale", scale)
         return self.exp(scale * generator.normal(size=(*shape, self.dimension)))
 
-    def project_to_adjoint(self, theta: ArrayLike) -> Matrices:
+    def project_to_adjoint(self, theta: ArrayLike, start: ArrayLike | None = None) -> Matrices:
         """Elements g ``(..., m, m)`` whose adjoint matrix is Frobenius-nearest to theta ``(..., d, d)``.
 
         g is fixed up to the kernel only. Without a closed form a damped Newton search on the group, with
         Ad(g exp(x)) = Ad(g) exp(ad x), runs from the identity and a few random elements (always the same ones) and
         returns the best: a local minimum, not always the nearest of all. Of a group that is not compact, theta far from
         its image may have no nearest element; the search then stops on its way out.
+
+        Args:
+            theta: matrices to project.
+            start: elements ``(..., m, m)`` that are known to be near: the search runs from there alone, much faster.
         """
         array = as_floats("theta", theta, (self.dimension, self.dimension), batched=True)
-        return self._search(array) if self._projection is None else self._projection(array)
+        if self.projection is not None:
+            return self.projection(array)
+        if start is None:
+            everywhere = np.concatenate([np.eye(self.size)[None], self.random(0, (_RANDOM_STARTS,))])
+            return self._search(array, np.broadcast_to(everywhere, (*array.shape[:-2], *everywhere.shape)))
+        near = self._matrices("start", start)
+        if near.shape[:-2] != array.shape[:-2]:
+            raise InputError(f"start must have the leading axes of theta {array.shape[:-2]}, got {near.shape[:-2]}")
+        return self._search(array, near[..., None, :, :])
 
-    def _search(self, theta: Floats) -> Matrices:
-        d, m = self.dimension, self.size
+    def _search(self, theta: Floats, starts: Matrices) -> Matrices:
+        """Best of the searches from ``starts`` ``(..., S, m, m)``."""
+        d, m, count = self.dimension, self.size, starts.shape[-3]
         flat = theta.reshape(-1, d, d)
         generators = self.ad(np.eye(d))
-        starts = np.concatenate([np.eye(m)[None], self.random(0, (_RANDOM_STARTS,))])
 
         def evaluate(g: Matrices, index: NDArray[np.intp]) -> tuple[Floats, Floats, Floats]:
             adjoint = self._adjoint_unchecked(g)
-            residual = adjoint - flat[index // len(starts)]
+            residual = adjoint - flat[index // count]
             # First order in x: Ad ad(e_i). Second order: Ad (ad(e_i) ad(e_j) + ad(e_j) ad(e_i)) / 2.
             first = (adjoint[:, None] @ generators).reshape(-1, d, d * d)
             pulled = np.swapaxes(adjoint, -1, -2) @ residual
@@ -196,10 +208,9 @@ class MatrixLieGroup:
             gradient = (first @ residual.reshape(-1, d * d, 1))[..., 0]
             return 0.5 * (residual**2).sum(axis=(-2, -1)), gradient, hessian
 
-        points = np.broadcast_to(starts, (len(flat), *starts.shape)).reshape(-1, m, m)
-        points, values = descend(points, evaluate, lambda g, x: g @ self.exp(x))
-        best = values.reshape(len(flat), len(starts)).argmin(axis=1)
-        nearest = points.reshape(len(flat), len(starts), m, m)[np.arange(len(flat)), best]
+        points, values = descend(starts.reshape(-1, m, m), evaluate, lambda g, x: g @ self.exp(x))
+        best = values.reshape(len(flat), count).argmin(axis=1)
+        nearest = points.reshape(len(flat), count, m, m)[np.arange(len(flat)), best]
         return nearest.reshape(*theta.shape[:-2], m, m)
 
     def _adjoint_unchecked(self, g: Matrices) -> Floats:

@@ -224,9 +224,43 @@ class ComponentwiseNetwork(BlockNetwork):
 
     Attributes:
         activation: a name of `ACTIVATIONS`.
+        lyapunov_diagonal: a diagonal P that certifies `certifiable_weight`, or None. Checked by `certificate`.
     """
 
     activation: str
+    lyapunov_diagonal: Floats | None
+
+    @property
+    def certifiable_weight(self) -> Floats:
+        """The matrix that decides stability: W, or a part of it where that is enough."""
+        return self.weight
+
+    @cached_property
+    def certificate(self) -> stability.Certificate | None:
+        """The stored Lyapunov diagonal, checked against this network's weights; None when there is none."""
+        if self.lyapunov_diagonal is None:
+            return None
+        return stability.verify(self.lyapunov_diagonal, self.certifiable_weight, gamma=self.gamma, mu=self.mu)
+
+    def certify(self) -> Self:
+        """Search a certificate, and return this network carrying it.
+
+        Raises:
+            NotCertifiedError: none was found; the network may be unstable.
+        """
+        return self._carrying(stability.find_certificate(self.certifiable_weight, gamma=self.gamma, mu=self.mu))
+
+    def assess(self, start: ArrayLike | None = None) -> stability.Verdict:
+        """Every stability condition with the rate it proves; the local one at the equilibrium found from ``start``."""
+        found = self.equilibrium(start)
+        return stability.assess(
+            self.weight,
+            gamma=self.gamma,
+            mu=self.mu,
+            rotational_weight=None if self.certifiable_weight is self.weight else self.certifiable_weight,
+            jacobian=self.jacobian(found.xi) if found.success else None,
+            lyapunov_diagonal=self.lyapunov_diagonal,
+        )
 
     def phi(self, x: Floats) -> Floats:
         """Activation, entry by entry, of an array of any shape."""

@@ -10,7 +10,6 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lieednn_sim import stability
 from lieednn_sim.errors import InputError
 from lieednn_sim.lie import groups
 from lieednn_sim.lie.matrix_group import MatrixLieGroup
@@ -111,21 +110,6 @@ class GroupLieEDNN(ComponentwiseNetwork):
         """Weight blocks alpha_ij L[Ad(theta_ij)], ``(N, N, d, d)``."""
         return read_only(self.alpha[:, :, None, None] * self.group.adjoint(self.theta))
 
-    @cached_property
-    def certificate(self) -> stability.Certificate | None:
-        """The stored Lyapunov diagonal, checked against the whole W; None when there is none."""
-        if self.lyapunov_diagonal is None:
-            return None
-        return stability.verify(self.lyapunov_diagonal, self.weight, gamma=self.gamma, mu=self.mu)
-
-    def certify(self) -> GroupLieEDNN:
-        """Search a certificate, and return this network carrying it.
-
-        Raises:
-            NotCertifiedError: none was found; the network may be unstable.
-        """
-        return self._carrying(stability.find_certificate(self.weight, gamma=self.gamma, mu=self.mu))
-
     def _meta(self) -> dict[str, Any]:
         name = self.group.name
         if not np.array_equal(_named_group(name).basis, self.group.basis):
@@ -144,7 +128,7 @@ def _as_elements(group: MatrixLieGroup, theta: ArrayLike, n: int) -> NDArray[Any
     if np.shape(theta) != wanted:
         raise InputError(f"theta must have shape {wanted}, got {np.shape(theta)}")
     # Without a closed form `contains` misses elements that have no principal logarithm; `adjoint` refuses the worst.
-    if group._membership is None:
+    if group.membership is None:
         group.adjoint(theta)
     elif not (inside := group.contains(theta)).all():
         raise InputError(

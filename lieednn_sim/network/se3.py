@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar
 
-from lieednn_sim import stability
 from lieednn_sim.lie import adjoint
 from lieednn_sim.network.base import (
     ComponentwiseNetwork,
@@ -78,9 +77,7 @@ class LieEDNN(ComponentwiseNetwork):
         """W_R = [alpha_ij R_ij], ``(3N, 3N)``: the part that decides stability."""
         return flatten_blocks(self.blocks[..., :3, :3])
 
-    @cached_property
-    def certificate(self) -> stability.Certificate | None:
-        """The stored Lyapunov diagonal, checked against this network's weights; None when there is none."""
-        if self.lyapunov_diagonal is None:
-            return None
-        return stability.verify(self.lyapunov_diagonal, self.rotational_weight, gamma=self.gamma, mu=self.mu)
+    @property
+    def certifiable_weight(self) -> Floats:
+        """W_R, ``(3N, 3N)``: W has a diagonal Lyapunov matrix exactly when W_R has one (`stability`)."""
+        return self.rotational_weight

@@ -1,5 +1,6 @@
 """The command line as a user meets it: the whole road, one-line errors, exit code 2, no half-written file."""
 
+import itertools
 import json
 import os
 import shutil
@@ -8,9 +9,12 @@ import subprocess
 import sys
 import time
 
+import numpy as np
 import pytest
 
 from lieednn_sim.cli import main
+from lieednn_sim.learning import projected
+from lieednn_sim.network import LieEDNN
 
 FAST = ["--candidates", "3", "--duration", "2"]
 
@@ -51,6 +55,73 @@ def test_the_demo_without_video_meets_its_bounds(tmp_path, capsys):
     printed = capsys.readouterr().out
     assert "end effector" in printed
     assert all(f"wrote {directory / name}" in printed for name in expected)
+
+
+def test_a_learned_network_goes_the_same_road(tmp_path, capsys):
+    directory = tmp_path / "learned"
+    assert main(["train", "--target", "extended", "--duration", "2", "--output", str(directory)]) == 0
+    printed = capsys.readouterr().out
+    assert "converged after" in printed
+    assert "globally stable by the" in printed
+    assert {path.name for path in directory.iterdir()} == {"task.json", "network.npz", "history.npz", "training.png"}
+    assert main(["simulate", str(directory), "--hold", "0.5"]) == 0
+    assert main(["evaluate", str(directory)]) == 0
+    tip = json.loads((directory / "metrics.json").read_text())["frames"][-1]
+    assert tip["final_translation_mm"] < 0.1
+    assert tip["final_rotation_deg"] < 0.01
+    # The next network must not inherit the history of this one.
+    assert main(["synthesize", "--target", "extended", "--output", str(directory), *FAST]) == 0
+    assert {path.name for path in directory.iterdir()} == {"task.json", "network.npz"}
+
+
+def test_a_training_that_fails_says_so_and_leaves_no_network(tmp_path, capsys):
+    directory = tmp_path / "learned"
+    arguments = ["train", "--target", "extended", "--algorithm", "literal", "--epochs", "20", "--output"]
+    assert main([*arguments, str(directory)]) == 1
+    printed = capsys.readouterr().out
+    assert "epochs spent after 20 epochs" in printed
+    assert "no network was written; try" in printed
+    assert {path.name for path in directory.iterdir()} == {"task.json", "history.npz", "training.png"}
+
+
+def test_interrupted_training_goes_on_with_resume(tmp_path, capsys, monkeypatch):
+    straight, broken = tmp_path / "straight", tmp_path / "broken"
+    arguments = ["train", "--target", "extended", "--algorithm", "repaired", "--period", "8", "--output"]
+    assert main([*arguments, str(straight)]) == 0
+    steps = itertools.count()
+    original = projected._Training._step
+
+    def stopping(self, state):
+        if next(steps) == 101:
+            raise KeyboardInterrupt
+        return original(self, state)
+
+    monkeypatch.setattr(projected._Training, "_step", stopping)
+    assert main([*arguments, str(broken)]) == 130
+    monkeypatch.undo()
+    assert f"train --resume {broken}" in capsys.readouterr().out
+    assert not (broken / "network.npz").exists()
+    assert main(["train", "--resume", str(broken)]) == 0
+    one, two = (LieEDNN.load(directory / "network.npz") for directory in (straight, broken))
+    np.testing.assert_array_equal(one.weight, two.weight)
+    assert "holds no interrupted training" in fails(capsys, "train", "--resume", broken)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--algorithm", "adam"], "no algorithm 'adam'; allowed: literal, repaired, tracked"),
+        (["--bias", "solved"], "the solved bias needs no learning"),
+        (["--bias", "loud"], "no bias rule 'loud'"),
+        (["--period", "0"], "period must be at least 1"),
+        (["--tolerance", "-1"], "tolerance must be positive"),
+        (["--duration", "nan"], "duration must be finite"),
+    ],
+)
+def test_train_names_what_is_wrong_and_makes_nothing(tmp_path, capsys, arguments, message):
+    directory = tmp_path / "run"
+    assert message in fails(capsys, "train", "--target", "extended", "--output", directory, *arguments)
+    assert not directory.exists()
 
 
 def test_steps_run_one_by_one_and_again_over_the_first(run, capsys):

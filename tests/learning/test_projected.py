@@ -1,0 +1,270 @@
+"""Algorithm 1 in its variants: what it must reach, how it stops, and that an interruption changes nothing."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from lieednn_sim import storage
+from lieednn_sim.errors import FileError, InputError
+from lieednn_sim.learning import ALGORITHMS, StopReason, TrainingOptions, projected, resume, train
+from lieednn_sim.learning.manifold import block_view
+from lieednn_sim.lie import group, project_to_adjoint
+from lieednn_sim.stability import find_certificate
+
+
+def target(seed: int, neurons: int = 4, dimension: int = 6) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(-0.8, 0.8, (neurons, dimension))
+
+
+def same(one, other) -> None:
+    """Two results are the same to the last digit."""
+    np.testing.assert_array_equal(one.weight, other.weight)
+    for name in ("epoch", "error", "accuracy", "rate", "one_norm", "infinity_norm", "equilibrium"):
+        np.testing.assert_array_equal(getattr(one.history, name), getattr(other.history, name), err_msg=name)
+    assert (one.reason, one.epochs, one.starts, one.success) == (
+        other.reason,
+        other.epochs,
+        other.starts,
+        other.success,
+    )
+
+
+def test_tracked_learning_reaches_nearly_every_target_on_the_manifold():
+    results = [train(target(seed), TrainingOptions.tracked(), seed=seed) for seed in range(12)]
+    assert sum(result.success for result in results) >= 11
+    for seed, result in enumerate(results):
+        assert result.structure_error < 1e-12
+        if not result.success:
+            continue
+        network = result.network
+        assert network is not None
+        # Afresh, by the network alone: the equilibrium next to the target, and the flow that stays there.
+        found = network.equilibrium(target(seed))
+        assert found.success
+        assert found.spectral_abscissa < 0.0
+        assert np.abs(found.xi - target(seed)).max() < 1e-5
+        assert result.error == pytest.approx(np.abs(found.xi - target(seed)).max(), rel=1e-3)
+        near = network.trajectory(target(seed) + 1e-3, 200.0)
+        np.testing.assert_allclose(near.xi[-1], found.xi, atol=1e-5)
+
+
+def test_repaired_algorithm_converges_where_the_printed_one_sticks():
+    goal = target(5)
+    repaired = train(goal, TrainingOptions.repaired(), seed=0)
+    assert repaired.success
+    assert repaired.reason is StopReason.CONVERGED
+    assert repaired.history.accuracy[-1] == 1.0
+    assert repaired.history.epoch[-1] == repaired.epochs
+    assert repaired.epochs % 10 == 0
+    printed = train(goal, TrainingOptions.literal(max_epochs=400), seed=0)
+    assert not printed.success
+    assert printed.reason is StopReason.EPOCHS_SPENT
+    assert printed.error > 0.1
+    # alpha never changes there, but the projected weights keep their structure.
+    np.testing.assert_array_equal(printed.network.alpha, np.full((4, 4), 1.0 / 12.0))
+    assert printed.structure_error < 1e-12
+
+
+def test_ablation_reaches_the_target_and_loses_the_structure():
+    result = train(target(5), TrainingOptions.repaired(projection="none"), seed=0)
+    assert result.success
+    assert result.network is None
+    assert result.structure_error > 0.5
+    assert np.abs(block_view(result.weight, 6)[..., :3, 3:]).max() > 0.01
+
+
+def test_history_tells_what_happened():
+    goal = target(5)
+    history = train(goal, TrainingOptions.repaired(max_epochs=60), seed=0).history
+    assert len(history) == 61
+    np.testing.assert_array_equal(history.epoch, np.arange(61))
+    delta = (history.equilibrium - goal).reshape(61, -1)
+    np.testing.assert_allclose(history.error, np.linalg.norm(delta, axis=1), rtol=1e-12)
+    np.testing.assert_array_equal(history.accuracy, (np.abs(delta) < 1e-5).mean(axis=1))
+    fell = np.diff(history.error) < 0.0
+    np.testing.assert_allclose(history.rate[1:-1] / history.rate[:-2], np.where(fell[:-1], 1.02, 0.9), rtol=1e-12)
+    weight = train(goal, TrainingOptions.repaired(max_epochs=60), seed=0).weight
+    assert history.one_norm[-1] == pytest.approx(np.linalg.norm(weight, 1))
+    assert history.infinity_norm[-1] == pytest.approx(np.linalg.norm(weight, np.inf))
+
+
+def test_first_weights_are_the_paper_s_projected():
+    problem = projected.TrainingProblem.checked(target(0), 0.125, 1.0, 1.0, "tanh", None, 7)
+    weight = problem.initial_weight(0)
+    assert np.linalg.norm(weight, 1) == pytest.approx(1.0, abs=1e-9)
+    first = train(target(0), TrainingOptions.repaired(max_epochs=1, period=1), seed=7).history
+    rotation, translation = project_to_adjoint(block_view(weight, 6) * 12.0)
+    from lieednn_sim.network import LieEDNN
+
+    network = LieEDNN(np.full((4, 4), 1.0 / 12.0), rotation, translation, np.full((4, 6), 0.125))
+    assert first.one_norm[0] == pytest.approx(np.linalg.norm(network.weight, 1))
+    np.testing.assert_allclose(first.equilibrium[0], network.equilibrium().xi, atol=1e-9)
+
+
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+def test_same_seed_same_result_and_other_seed_another(algorithm):
+    options = ALGORITHMS[algorithm](max_epochs=60)
+    one, two, other = (train(target(1, 2), options, seed=seed) for seed in (3, 3, 4))
+    same(one, two)
+    assert not np.array_equal(one.weight, other.weight)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        TrainingOptions.repaired(max_epochs=400),
+        TrainingOptions.tracked(restarts=2, max_start_epochs=60, max_epochs=400),
+        TrainingOptions.literal(max_epochs=100),
+        TrainingOptions.repaired(max_epochs=100, projection="none"),
+    ],
+    ids=["repaired", "tracked", "literal", "ablation"],
+)
+@pytest.mark.parametrize("interrupted_at", [3, 57, 91])
+def test_interrupted_training_resumes_to_the_same_result(tmp_path, monkeypatch, options, interrupted_at):
+    goal, path = target(2), tmp_path / "training.npz"
+    whole = train(goal, options, seed=1)
+    steps = 0
+    original = projected._Training._step
+
+    def failing(self, state):
+        nonlocal steps
+        steps += 1
+        if steps == interrupted_at:
+            raise KeyboardInterrupt
+        return original(self, state)
+
+    monkeypatch.setattr(projected._Training, "_step", failing)
+    with pytest.raises(KeyboardInterrupt):
+        train(goal, options, seed=1, checkpoint=path)
+    monkeypatch.undo()
+    same(resume(path), whole)
+
+
+def test_checkpoint_is_written_on_the_way(tmp_path, monkeypatch):
+    monkeypatch.setattr(projected, "_CHECKPOINT_SECONDS", 0.0)
+    path = tmp_path / "training.npz"
+    result = train(target(0), TrainingOptions.repaired(max_epochs=40), seed=0, checkpoint=path)
+    np.testing.assert_array_equal(resume(path).weight, result.weight)
+    arrays, meta = storage.load_arrays(path, "training")
+    del arrays["weight"]
+    storage.save_arrays(path, "training", arrays, {k: v for k, v in meta.items() if k not in ("kind", "format")})
+    with pytest.raises(FileError, match="has no array 'weight'"):
+        resume(path)
+    with pytest.raises(FileError, match="no such file"):
+        resume(tmp_path / "none.npz")
+
+
+def test_checkpoint_with_nonsense_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(projected, "_CHECKPOINT_SECONDS", 0.0)
+    path = tmp_path / "training.npz"
+    train(target(0), TrainingOptions.repaired(max_epochs=20), seed=0, checkpoint=path)
+    arrays, meta = storage.load_arrays(path, "training")
+    meta = {k: v for k, v in meta.items() if k not in ("kind", "format")}
+    for damaged in (
+        {**meta, "options": {**meta["options"], "period": 0}},
+        {**meta, "group": "E8"},
+        {**meta, "state": {}},
+    ):
+        storage.save_arrays(path, "training", arrays, json.loads(json.dumps(damaged)))
+        with pytest.raises(FileError, match="not a valid training checkpoint"):
+            resume(path)
+
+
+def test_lost_equilibrium_and_instability_stop_the_training_with_their_reason():
+    wild = {"initial_rate": 5.0, "min_rate": 5.0, "max_rate": 5.0, "max_epochs": 500}
+    reasons = {train(target(seed), TrainingOptions.repaired(**wild), seed=seed).reason for seed in range(6)}
+    assert StopReason.LOST_EQUILIBRIUM in reasons
+    unstable = TrainingOptions.repaired(initial_rate=0.5, min_rate=0.5, max_rate=0.5, stability_interval=10)
+    results = [train(target(seed), unstable, seed=seed) for seed in range(6)]
+    assert StopReason.UNSTABLE in {result.reason for result in results}
+    assert not any(result.success for result in results if result.reason is StopReason.UNSTABLE)
+    vanished = TrainingOptions.tracked(max_jump=1e-9, restarts=0)
+    result = train(target(0), vanished, seed=0)
+    assert result.reason is StopReason.STEP_VANISHED
+    assert result.message.startswith("step vanished after ")
+
+
+def test_restarts_are_counted_and_their_epochs_too():
+    hopeless = TrainingOptions.tracked(restarts=3, max_start_epochs=5, tolerance=1e-12)
+    result = train(target(0), hopeless, seed=0)
+    assert (result.starts, result.epochs, result.reason) == (4, 20, StopReason.EPOCHS_SPENT)
+    # The history is that of the last start, without the trials that were taken back.
+    assert 1 < len(result.history) <= 6
+    assert result.history.epoch[0] >= 15
+    assert result.history.epoch[-1] == 20
+
+
+@pytest.mark.parametrize(("name", "neurons"), [("SO(3)", 4), ("SE(2)", 4), ("SU(2)", 4), ("H^x", 4), ("SU(3)", 2)])
+def test_learning_runs_on_other_groups(name, neurons):
+    chosen = group(name)
+    goal = target(4, neurons, chosen.dimension)
+    result = train(goal, TrainingOptions.tracked(max_epochs=2000), group=chosen, seed=1)
+    assert result.success
+    assert result.structure_error < 1e-9
+    assert result.network.group is chosen
+    assert np.abs(result.network.equilibrium(goal).xi - goal).max() < 1e-5
+
+
+def test_se3_as_a_general_group_learns_too():
+    result = train(target(3, 2), TrainingOptions.repaired(max_epochs=50), group=group("SE(3)"), seed=1)
+    assert result.history.error[-1] < result.history.error[0]
+    assert result.structure_error < 1e-9
+
+
+def test_trained_networks_seldom_carry_a_certificate_that_they_could_not_have():
+    """A trained network is checked like any other; where the search finds a certificate, it holds."""
+    result = train(target(0), TrainingOptions.tracked(), seed=0)
+    certificate = find_certificate(result.network.rotational_weight)
+    abscissa = result.network.equilibrium(target(0)).spectral_abscissa
+    assert not certificate.valid or abscissa <= -certificate.rate + 1e-6
+
+
+def test_other_rates_and_activation():
+    result = train(target(4), TrainingOptions.tracked(), gamma=2.0, mu=0.5, activation="arctan", bias=0.3, seed=2)
+    assert result.success
+    assert (result.network.gamma, result.network.mu, result.network.activation) == (2.0, 0.5, "arctan")
+
+
+def test_progress_is_reported():
+    calls: list[tuple[int, int]] = []
+    train(target(0), TrainingOptions.repaired(max_epochs=35), progress=lambda done, total: calls.append((done, total)))
+    assert calls == [(10, 35), (20, 35), (30, 35), (35, 35)] + [(35, 35)] * (len(calls) - 4)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"direction": "up"}, "no direction 'up'; allowed: gauss-newton, gradient"),
+        ({"projection": "best"}, "no projection 'best'; allowed: block-wise, exact, none, scaled"),
+        ({"period": 0}, "period must be at least 1"),
+        ({"tolerance": -1.0}, "tolerance must be positive"),
+        ({"initial_rate": 1.0}, "initial_rate must lie between min_rate 0.002 and max_rate 0.2"),
+        ({"shrink": 1.5}, "shrink must be below 1"),
+        ({"restarts": -1}, "restarts must be at least 1"),
+        ({"initial_alpha": float("nan")}, "initial_alpha must be finite"),
+    ],
+)
+def test_options_say_what_is_wrong(change, message):
+    with pytest.raises(InputError, match=message):
+        TrainingOptions(**change)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"target": np.zeros((4, 5))}, r"target must have shape \(N, 6\)"),
+        ({"target": np.zeros((0, 6))}, "N >= 1"),
+        ({"target": np.full((1, 6), np.nan)}, "target must be finite"),
+        ({"bias": np.zeros((3, 6))}, r"bias must have shape \(4, 6\)"),
+        ({"gamma": 0.0}, "gamma must be positive"),
+        ({"activation": "relu"}, "no activation 'relu'"),
+        ({"group": "SE(3)"}, "group must be a MatrixLieGroup or None"),
+        ({"seed": -1}, "seed must be a whole number >= 0"),
+    ],
+)
+def test_bad_input_is_named(arguments, message):
+    with pytest.raises(InputError, match=message):
+        train(**{"target": target(0), **arguments})

@@ -1,0 +1,144 @@
+"""Gradients against finite differences of a re-solved equilibrium, and against the paper's entry-by-entry formula."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import approx_fprime
+from scipy.spatial.transform import Rotation
+
+from lieednn_sim.dynamics import find_equilibrium
+from lieednn_sim.errors import InputError
+from lieednn_sim.learning import sensitivity
+from lieednn_sim.learning.manifold import block_view
+from lieednn_sim.learning.sensitivity import LOSSES, gauss_newton_direction
+from lieednn_sim.network import LieEDNN
+
+seeds = st.integers(0, 2**32 - 1)
+
+
+def random_network(seed: int, n: int = 2) -> tuple[LieEDNN, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    network = LieEDNN(
+        rng.uniform(-0.2, 0.2, (n, n)),
+        Rotation.random(n * n, rng=rng).as_matrix().reshape(n, n, 3, 3),
+        rng.normal(size=(n, n, 3)),
+        rng.uniform(-0.5, 0.5, (n, 6)),
+        gamma=rng.uniform(0.5, 2.0),
+        mu=rng.uniform(0.5, 1.0),
+        activation=str(rng.choice(["tanh", "arctan"])),
+    )
+    return network, rng.uniform(-0.8, 0.8, (n, 6))
+
+
+def equilibrium_for(network: LieEDNN, weight: np.ndarray, start: np.ndarray) -> np.ndarray:
+    """Equilibrium for weights that need not be on the manifold."""
+    bias, shape = network.bias.ravel(), network.bias.shape
+
+    def field(x: np.ndarray) -> np.ndarray:
+        return -network.gamma * x + network.mu * (weight @ network.phi(x) + bias)
+
+    def jacobian(x: np.ndarray) -> np.ndarray:
+        step = 1e-6
+        slope = (network.phi(x + step) - network.phi(x - step)) / (2.0 * step)
+        return -network.gamma * np.eye(x.size) + network.mu * weight * slope
+
+    found = find_equilibrium(field, jacobian, start.reshape(shape), rate=network.gamma, tolerance=1e-13)
+    assert found.success
+    return found.xi.ravel()
+
+
+def loss_at(x: np.ndarray, target: np.ndarray, loss: str) -> float:
+    error = np.linalg.norm(x - target.ravel())
+    return error if loss == "norm" else 0.5 * error**2
+
+
+@settings(max_examples=8)
+@given(seeds, st.sampled_from(LOSSES))
+def test_gradient_in_the_weights_is_that_of_the_solved_equilibrium(seed, loss):
+    network, target = random_network(seed)
+    found = sensitivity(network, target, loss=loss)
+    assert found.loss == pytest.approx(loss_at(found.equilibrium.ravel(), target, loss), rel=1e-12)
+
+    def value(flat: np.ndarray) -> float:
+        weight = flat.reshape(network.weight.shape)
+        return loss_at(equilibrium_for(network, weight, found.equilibrium), target, loss)
+
+    numeric = approx_fprime(network.weight.ravel(), value, 1e-6).reshape(network.weight.shape)
+    np.testing.assert_allclose(found.weight, numeric, atol=2e-5)
+
+
+@settings(max_examples=15)
+@given(seeds, st.sampled_from(LOSSES))
+def test_gradient_in_the_strengths_is_that_of_the_solved_equilibrium(seed, loss):
+    network, target = random_network(seed)
+    found = sensitivity(network, target, loss=loss)
+
+    def value(flat: np.ndarray) -> float:
+        other = replace(network, alpha=flat.reshape(network.alpha.shape))
+        return loss_at(other.equilibrium(found.equilibrium, tolerance=1e-13).xi.ravel(), target, loss)
+
+    numeric = approx_fprime(network.alpha.ravel(), value, 1e-6).reshape(network.alpha.shape)
+    np.testing.assert_allclose(found.alpha, numeric, atol=2e-4 * max(1.0, np.abs(numeric).max()))
+
+
+@settings(max_examples=15)
+@given(seeds)
+def test_one_solve_gives_what_the_paper_computes_entry_by_entry(seed):
+    """Eq. 3.14: dE/dw_ij = mu phi(xi*_j) / (gamma E) delta^T S^-1 e_i."""
+    network, target = random_network(seed)
+    found = sensitivity(network, target, loss="norm")
+    delta = (found.equilibrium - target).ravel()
+    inverse = np.linalg.inv(found.matrix)
+    output = network.phi(found.equilibrium).ravel()
+    for i, j in ((0, 0), (3, 7), (11, 2)):
+        entry = network.mu * output[j] / (network.gamma * found.loss) * delta @ inverse @ np.eye(12)[i]
+        assert found.weight[i, j] == pytest.approx(entry, rel=1e-9, abs=1e-14)
+
+
+def test_sensitivity_matrix_is_the_derivative_of_the_equilibrium_equation():
+    network, target = random_network(3)
+    found = sensitivity(network, target)
+    numeric = approx_fprime(found.equilibrium.ravel(), lambda x: -network.flat_vector_field(x) / network.gamma, 1e-7)
+    np.testing.assert_allclose(found.matrix, numeric, atol=1e-6)
+
+
+def test_printed_gradient_in_alpha_holds_on_the_manifold_only():
+    """w/alpha for the adjoint block (eq. 3.19) is right after a projection, and wrong before the next one."""
+    network, target = random_network(5)
+    found = sensitivity(network, target)
+    printed = np.einsum("ijab,ijab->ij", block_view(found.weight, 6), block_view(network.weight, 6)) / network.alpha
+    np.testing.assert_allclose(printed, found.alpha, rtol=1e-9)
+    drifted = network.weight - 0.2 * found.weight
+    wrong = np.einsum("ijab,ijab->ij", block_view(found.weight, 6), block_view(drifted, 6)) / network.alpha
+    assert np.abs(wrong - found.alpha).max() > 0.05 * np.abs(found.alpha).max()
+
+
+@settings(max_examples=15)
+@given(seeds)
+def test_gauss_newton_direction_moves_the_equilibrium_by_the_error_and_no_smaller_change_does(seed):
+    network, target = random_network(seed)
+    found = sensitivity(network, target)
+    delta = (found.equilibrium - target).ravel()
+    output = network.phi(found.equilibrium).ravel()
+    direction = gauss_newton_direction(found.matrix, output, delta, network.mu / network.gamma)
+    step = 1e-6
+    moved = equilibrium_for(network, network.weight - step * direction, found.equilibrium)
+    np.testing.assert_allclose((moved - found.equilibrium.ravel()) / step, -delta, atol=1e-4)
+    # Every other change with the same effect on W phi is longer: its rows are not along phi.
+    np.testing.assert_allclose(direction, np.outer(direction @ output, output) / (output @ output), atol=1e-12)
+
+
+def test_bad_input_is_named():
+    network, target = random_network(0)
+    with pytest.raises(InputError, match="no loss 'cubed'; allowed: norm, squared"):
+        sensitivity(network, target, loss="cubed")
+    with pytest.raises(InputError, match=r"target must have shape \(2, 6\)"):
+        sensitivity(network, target[:1])
+    with pytest.raises(InputError, match="no gradient at E = 0"):
+        sensitivity(network, network.equilibrium().xi, loss="norm")
+    assert np.abs(sensitivity(network, network.equilibrium().xi).weight).max() < 1e-12
