@@ -1,4 +1,4 @@
-"""Measure certified synthesis: success, residual, translations and time, on one core.
+"""Measure certified synthesis and learning: success, residual, translations and time, on one core.
 
     python scripts/benchmark.py [--quick] [--output results/benchmark]
 
@@ -16,6 +16,7 @@ import numpy as np
 
 from lieednn_sim import storage
 from lieednn_sim.arm import Arm
+from lieednn_sim.learning import TrainingOptions, train
 from lieednn_sim.planning import plan
 from lieednn_sim.simulate import simulate
 from lieednn_sim.synthesis import Synthesis, synthesize
@@ -61,6 +62,21 @@ def summarise(name: str, outcomes: list[Synthesis]) -> dict[str, object]:
     }
 
 
+def epoch_costs(epochs: int) -> dict[str, float]:
+    """Microseconds an epoch of each learning algorithm takes at N = 4, the median over five targets."""
+    runs = {
+        "literal Algorithm 1": TrainingOptions.literal(max_epochs=max(epochs // 10, 1)),
+        "repaired Algorithm 1": TrainingOptions.repaired(max_epochs=epochs),
+        "repaired, no projection": TrainingOptions.repaired(max_epochs=epochs, projection="none"),
+        "tracked": TrainingOptions.tracked(),
+    }
+    costs = {}
+    for name, options in runs.items():
+        results = [train(xi, options, seed=k) for k, xi in enumerate(random_targets(4, 5))]
+        costs[name] = float(np.median([1e6 * result.seconds / result.epochs for result in results]))
+    return costs
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="a tenth of the targets")
@@ -100,15 +116,22 @@ def main() -> None:
     begun = time.perf_counter()
     rollout = simulate(arm, chosen.motion)
     simulation_time = time.perf_counter() - begun
+    costs = epoch_costs(5000 // scale)
+    literal, repaired = costs["literal Algorithm 1"], costs["repaired Algorithm 1"]
+    learned = train(xi, TrainingOptions.tracked())
     ratios = {
+        "epoch of the literal Algorithm 1, in epochs of the repaired": f"{literal / repaired:.0f}",
+        "tracked learning of a network, in certified syntheses": f"{learned.seconds / synthesis_time:.0f}",
         "retargeting a certified network, in syntheses": f"1 / {synthesis_time / retarget_time:.0f}",
         "planning with 24 candidates, in syntheses": f"{plan_time / synthesis_time:.0f}",
         "simulation, in real time": f"1 / {rollout.t[-1] / simulation_time:.0f}",
     }
 
-    storage.save_json(directory / "benchmark.json", {"synthesis": rows, "ratios": ratios})
+    storage.save_json(
+        directory / "benchmark.json", {"synthesis": rows, "microseconds an epoch": costs, "ratios": ratios}
+    )
     lines = [
-        "# Benchmark of certified synthesis",
+        "# Benchmark of synthesis and learning",
         "",
         f"`python scripts/benchmark.py{' --quick' if arguments.quick else ''}`, one core, {platform.machine()}, "
         f"Python {platform.python_version()}, NumPy {np.__version__}.",
@@ -116,6 +139,10 @@ def main() -> None:
         "| " + " | ".join(rows[0]) + " |",
         "|" + " --- |" * len(rows[0]),
         *("| " + " | ".join(str(value) for value in row.values()) + " |" for row in rows),
+        "",
+        "| learning, N = 4 | one epoch [us] |",
+        "| --- | --- |",
+        *(f"| {name} | {cost:.0f} |" for name, cost in costs.items()),
         "",
         "| ratio of times in this run | value |",
         "| --- | --- |",

@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lieednn_sim._blas import one_blas_thread
 from lieednn_sim.learning import checkpoint as checkpoints
 from lieednn_sim.learning.checkpoint import TrainingState
 from lieednn_sim.learning.equilibria import FlatEquilibrium, SensitivityMatrix
@@ -66,8 +67,9 @@ def train(
     """
     problem = TrainingProblem.checked(target, bias, gamma, mu, activation, group, seed)
     training = _Training(problem, options or TrainingOptions())
-    training.begin(0)
-    return training.run(checkpoint, progress)
+    with one_blas_thread():
+        training.begin(0)
+        return training.run(checkpoint, progress)
 
 
 def resume(checkpoint: str | os.PathLike[str], *, progress: Progress | None = None) -> TrainingResult:
@@ -79,7 +81,8 @@ def resume(checkpoint: str | os.PathLike[str], *, progress: Progress | None = No
     problem, options, anchor, recorder, seconds = checkpoints.load(checkpoint)
     training = _Training(problem, options)
     training.anchor, training.recorder, training.seconds = anchor, recorder, seconds
-    return training.run(checkpoint, progress)
+    with one_blas_thread():
+        return training.run(checkpoint, progress)
 
 
 class _Training:

@@ -4,7 +4,8 @@
 and `quaternion_network` are two of its special cases, and `EquivariantLieEDNN` has an activation that commutes with Ad.
 """
 
-from lieednn_sim.network.base import ACTIVATIONS, BlockNetwork, ComponentwiseNetwork
+from lieednn_sim.network.base import BlockNetwork
+from lieednn_sim.network.componentwise import ACTIVATIONS, ComponentwiseNetwork
 from lieednn_sim.network.division_algebras import (
     complex_network,
     complex_state,

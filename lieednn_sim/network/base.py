@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import cached_property
 from typing import Any, ClassVar, Self
@@ -15,17 +15,9 @@ from numpy.typing import ArrayLike, NDArray
 from lieednn_sim import stability, storage
 from lieednn_sim.dynamics import Equilibrium, Trajectory, find_equilibrium, integrate
 from lieednn_sim.errors import FileError, InputError, NotCertifiedError
-from lieednn_sim.validation import as_choice, as_floats, as_positive
+from lieednn_sim.validation import as_floats, as_positive
 
 Floats = NDArray[np.float64]
-
-# Odd, bounded activations with slopes in (0, 1]: what the certificate of `stability` assumes. (phi, phi').
-ACTIVATIONS: dict[str, tuple[Callable[[Floats], Floats], Callable[[Floats], Floats]]] = {
-    "tanh": (np.tanh, lambda x: 1.0 / np.cosh(np.clip(x, -350.0, 350.0)) ** 2),
-    "arctan": (lambda x: 2.0 / np.pi * np.arctan(0.5 * np.pi * x), lambda x: 1.0 / (1.0 + (0.5 * np.pi * x) ** 2)),
-}
-
-_ORTHONORMAL_TOLERANCE = 1e-9
 
 
 class BlockNetwork(ABC):
@@ -217,100 +209,6 @@ class BlockNetwork(ABC):
         """Set the fields of a frozen dataclass to checked values; arrays are copied and locked."""
         for name, value in checked.items():
             object.__setattr__(self, name, read_only(value.copy()) if isinstance(value, np.ndarray) else value)
-
-
-class ComponentwiseNetwork(BlockNetwork):
-    """A network whose activation acts on each coordinate alone, as in the paper.
-
-    Attributes:
-        activation: a name of `ACTIVATIONS`.
-        lyapunov_diagonal: a diagonal P that certifies `certifiable_weight`, or None. Checked by `certificate`.
-    """
-
-    activation: str
-    lyapunov_diagonal: Floats | None
-
-    @property
-    def certifiable_weight(self) -> Floats:
-        """The matrix that decides stability: W, or a part of it where that is enough."""
-        return self.weight
-
-    @cached_property
-    def certificate(self) -> stability.Certificate | None:
-        """The stored Lyapunov diagonal, checked against this network's weights; None when there is none."""
-        if self.lyapunov_diagonal is None:
-            return None
-        return stability.verify(self.lyapunov_diagonal, self.certifiable_weight, gamma=self.gamma, mu=self.mu)
-
-    def certify(self) -> Self:
-        """Search a certificate, and return this network carrying it.
-
-        Raises:
-            NotCertifiedError: none was found; the network may be unstable.
-        """
-        return self._carrying(stability.find_certificate(self.certifiable_weight, gamma=self.gamma, mu=self.mu))
-
-    def assess(self, start: ArrayLike | None = None) -> stability.Verdict:
-        """Every stability condition with the rate it proves; the local one at the equilibrium found from ``start``."""
-        found = self.equilibrium(start)
-        return stability.assess(
-            self.weight,
-            gamma=self.gamma,
-            mu=self.mu,
-            rotational_weight=None if self.certifiable_weight is self.weight else self.certifiable_weight,
-            jacobian=self.jacobian(found.xi) if found.success else None,
-            lyapunov_diagonal=self.lyapunov_diagonal,
-        )
-
-    def phi(self, x: Floats) -> Floats:
-        """Activation, entry by entry, of an array of any shape."""
-        return ACTIVATIONS[self.activation][0](x)
-
-    def flat_vector_field(self, x: Floats) -> Floats:
-        """Right-hand side in flat form, ``(dN,)`` to ``(dN,)``; unchecked, for integrators."""
-        return -self.gamma * x + self.mu * (self.weight @ self.phi(x) + self.bias.ravel())
-
-    def _driven(self, state: Floats) -> Floats:
-        slope = ACTIVATIONS[self.activation][1](state).reshape(*state.shape[:-2], 1, -1)
-        return self.weight * slope
-
-
-def as_strengths(alpha: ArrayLike) -> Floats:
-    """Return connection strengths ``(N, N)`` with N >= 1, or raise `InputError`."""
-    checked = as_floats("alpha", alpha, ("N", "N"))
-    if len(checked) == 0:
-        raise InputError("alpha must have shape (N, N) with N >= 1, got (0, 0)")
-    return checked
-
-
-def as_rates(gamma: float, mu: float) -> dict[str, float]:
-    """Return gamma and mu checked, by name."""
-    return {"gamma": as_positive("gamma", gamma), "mu": as_positive("mu", mu)}
-
-
-def as_activation(name: str) -> str:
-    """Return a name of `ACTIVATIONS`, or raise `InputError` that lists them."""
-    return as_choice("activation", name, ACTIVATIONS)
-
-
-def as_poses(rotation: ArrayLike, translation: ArrayLike, n: int) -> dict[str, Floats]:
-    """Return the rotations ``(n, n, 3, 3)`` and translations ``(n, n, 3)`` of theta checked, by name."""
-    checked = {
-        "rotation": as_floats("rotation", rotation, (n, n, 3, 3)),
-        "translation": as_floats("translation", translation, (n, n, 3)),
-    }
-    require_rotations(checked["rotation"])
-    return checked
-
-
-def require_rotations(rotation: Floats) -> None:
-    """Raise `InputError` unless every matrix of ``(..., 3, 3)`` is a rotation."""
-    gram = rotation @ np.swapaxes(rotation, -1, -2) - np.eye(3)
-    if np.abs(gram).max() > _ORTHONORMAL_TOLERANCE or (np.linalg.det(rotation) < 0).any():
-        raise InputError(
-            f"rotation must hold rotation matrices; R R^T differs from I by up to {np.abs(gram).max():.2g} or a "
-            "determinant is negative; project with lieednn_sim.lie.project_to_rotation"
-        )
 
 
 def flatten_blocks(blocks: Floats) -> Floats:

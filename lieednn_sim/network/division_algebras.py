@@ -24,7 +24,8 @@ from numpy.typing import ArrayLike, NDArray
 from lieednn_sim.errors import InputError
 from lieednn_sim.lie import groups
 from lieednn_sim.lie.matrix_group import MatrixLieGroup
-from lieednn_sim.network.base import Floats, as_rates
+from lieednn_sim.network.base import Floats
+from lieednn_sim.network.checks import as_rates
 from lieednn_sim.network.group import GroupLieEDNN
 from lieednn_sim.validation import as_floats
 

@@ -41,16 +41,8 @@ from numpy.typing import ArrayLike
 from lieednn_sim import stability
 from lieednn_sim.dynamics import Equilibrium, find_equilibrium
 from lieednn_sim.lie import adjoint
-from lieednn_sim.network.base import (
-    BlockNetwork,
-    Floats,
-    as_poses,
-    as_rates,
-    as_strengths,
-    flatten_blocks,
-    read_only,
-    require_rotations,
-)
+from lieednn_sim.network.base import BlockNetwork, Floats, flatten_blocks, read_only
+from lieednn_sim.network.checks import as_poses, as_rates, as_strengths, require_rotations
 from lieednn_sim.validation import as_floats, as_positive
 
 # tanh(r)/r in powers of r^2. Below the angle [rad] the series is used: there the closed form of the derivative

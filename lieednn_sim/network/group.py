@@ -13,7 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 from lieednn_sim.errors import InputError
 from lieednn_sim.lie import groups
 from lieednn_sim.lie.matrix_group import MatrixLieGroup
-from lieednn_sim.network.base import ComponentwiseNetwork, Floats, as_activation, as_rates, as_strengths, read_only
+from lieednn_sim.network.base import Floats, read_only
+from lieednn_sim.network.checks import as_rates, as_strengths
+from lieednn_sim.network.componentwise import ComponentwiseNetwork, as_activation
 from lieednn_sim.validation import as_floats
 
 

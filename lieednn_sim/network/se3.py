@@ -7,16 +7,9 @@ from functools import cached_property
 from typing import ClassVar
 
 from lieednn_sim.lie import adjoint
-from lieednn_sim.network.base import (
-    ComponentwiseNetwork,
-    Floats,
-    as_activation,
-    as_poses,
-    as_rates,
-    as_strengths,
-    flatten_blocks,
-    read_only,
-)
+from lieednn_sim.network.base import Floats, flatten_blocks, read_only
+from lieednn_sim.network.checks import as_poses, as_rates, as_strengths
+from lieednn_sim.network.componentwise import ComponentwiseNetwork, as_activation
 from lieednn_sim.validation import as_floats
 
 

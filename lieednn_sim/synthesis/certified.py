@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from threadpoolctl import ThreadpoolController
 
+from lieednn_sim._blas import one_blas_thread
 from lieednn_sim.errors import InputError, NotCertifiedError
 from lieednn_sim.network import ACTIVATIONS, LieEDNN
 from lieednn_sim.stability import Certificate
@@ -27,8 +27,6 @@ _LARGEST_NORM = 1e3
 _FAST_ATTEMPTS = 4
 # The less the quaternions move, the better the certificate survives, and the larger the translations become.
 _POLISH_WEIGHTS = (0.05, 0.01, 0.001)
-# Matrices here are far too small for threaded BLAS, which slows them down several times.
-_BLAS = ThreadpoolController()
 
 
 @dataclass(frozen=True)
@@ -158,7 +156,7 @@ def synthesize(
     choices = [equation_columns(target)]
     if len(choices[0]) > 1 and state[:, :3].any():
         choices.append(choices[0][:1])
-    with _BLAS.limit(limits=1, user_api="blas"):
+    with one_blas_thread():
         for attempt in range(as_count("max_attempts", max_attempts)):
             attempts += 1
             problem, start = _start(state, required, choices[attempt % len(choices)], rng)

@@ -1,0 +1,46 @@
+"""Checks of what networks are made of."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lieednn_sim.errors import InputError
+from lieednn_sim.validation import as_floats, as_positive
+
+Floats = NDArray[np.float64]
+
+_ORTHONORMAL_TOLERANCE = 1e-9
+
+
+def as_strengths(alpha: ArrayLike) -> Floats:
+    """Return connection strengths ``(N, N)`` with N >= 1, or raise `InputError`."""
+    checked = as_floats("alpha", alpha, ("N", "N"))
+    if len(checked) == 0:
+        raise InputError("alpha must have shape (N, N) with N >= 1, got (0, 0)")
+    return checked
+
+
+def as_rates(gamma: float, mu: float) -> dict[str, float]:
+    """Return gamma and mu checked, by name."""
+    return {"gamma": as_positive("gamma", gamma), "mu": as_positive("mu", mu)}
+
+
+def as_poses(rotation: ArrayLike, translation: ArrayLike, n: int) -> dict[str, Floats]:
+    """Return the rotations ``(n, n, 3, 3)`` and translations ``(n, n, 3)`` of theta checked, by name."""
+    checked = {
+        "rotation": as_floats("rotation", rotation, (n, n, 3, 3)),
+        "translation": as_floats("translation", translation, (n, n, 3)),
+    }
+    require_rotations(checked["rotation"])
+    return checked
+
+
+def require_rotations(rotation: Floats) -> None:
+    """Raise `InputError` unless every matrix of ``(..., 3, 3)`` is a rotation."""
+    gram = rotation @ np.swapaxes(rotation, -1, -2) - np.eye(3)
+    if np.abs(gram).max() > _ORTHONORMAL_TOLERANCE or (np.linalg.det(rotation) < 0).any():
+        raise InputError(
+            f"rotation must hold rotation matrices; R R^T differs from I by up to {np.abs(gram).max():.2g} or a "
+            "determinant is negative; project with lieednn_sim.lie.project_to_rotation"
+        )

@@ -1,0 +1,97 @@
+"""Networks whose activation acts on each coordinate alone, as in the paper."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cached_property
+from typing import Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lieednn_sim import stability
+from lieednn_sim.network.base import BlockNetwork
+from lieednn_sim.validation import as_choice, as_floats
+
+Floats = NDArray[np.float64]
+
+# Odd, bounded activations with slopes in (0, 1]: what the certificate of `stability` assumes. (phi, phi').
+ACTIVATIONS: dict[str, tuple[Callable[[Floats], Floats], Callable[[Floats], Floats]]] = {
+    "tanh": (np.tanh, lambda x: 1.0 / np.cosh(np.clip(x, -350.0, 350.0)) ** 2),
+    "arctan": (lambda x: 2.0 / np.pi * np.arctan(0.5 * np.pi * x), lambda x: 1.0 / (1.0 + (0.5 * np.pi * x) ** 2)),
+}
+
+
+def as_activation(name: str) -> str:
+    """Return a name of `ACTIVATIONS`, or raise `InputError` that lists them."""
+    return as_choice("activation", name, ACTIVATIONS)
+
+
+class ComponentwiseNetwork(BlockNetwork):
+    """A network whose activation acts on each coordinate alone, as in the paper.
+
+    Attributes:
+        activation: a name of `ACTIVATIONS`.
+        lyapunov_diagonal: a diagonal P that certifies `certifiable_weight`, or None. Checked by `certificate`.
+    """
+
+    activation: str
+    lyapunov_diagonal: Floats | None
+
+    @property
+    def certifiable_weight(self) -> Floats:
+        """The matrix that decides stability: W, or a part of it where that is enough."""
+        return self.weight
+
+    @cached_property
+    def certificate(self) -> stability.Certificate | None:
+        """The stored Lyapunov diagonal, checked against this network's weights; None when there is none."""
+        if self.lyapunov_diagonal is None:
+            return None
+        return stability.verify(self.lyapunov_diagonal, self.certifiable_weight, gamma=self.gamma, mu=self.mu)
+
+    def certify(self) -> Self:
+        """Search a certificate, and return this network carrying it.
+
+        Raises:
+            NotCertifiedError: none was found; the network may be unstable.
+        """
+        return self._carrying(stability.find_certificate(self.certifiable_weight, gamma=self.gamma, mu=self.mu))
+
+    def assess(self, start: ArrayLike | None = None) -> stability.Verdict:
+        """Every stability condition with the rate it proves; the local one at the equilibrium found from ``start``."""
+        found = self.equilibrium(start)
+        return stability.assess(
+            self.weight,
+            gamma=self.gamma,
+            mu=self.mu,
+            rotational_weight=None if self.certifiable_weight is self.weight else self.certifiable_weight,
+            jacobian=self.jacobian(found.xi) if found.success else None,
+            lyapunov_diagonal=self.lyapunov_diagonal,
+        )
+
+    def phi(self, x: Floats) -> Floats:
+        """Activation, entry by entry, of an array of any shape."""
+        return ACTIVATIONS[self.activation][0](x)
+
+    def invariant_box(self, start: ArrayLike) -> tuple[Floats, Floats]:
+        """Least box, ``(N, d)`` lower and upper, that holds ``start`` ``(..., N, d)`` and that no trajectory leaves.
+
+        It proves limits on the coordinates for the whole transient (`stability.invariant_box`).
+        """
+        points = as_floats("start", start, self.bias.shape, batched=True).reshape(-1, self.bias.size)
+        flat = stability.invariant_box(self.weight, self.bias.ravel(), points, self.phi, gamma=self.gamma, mu=self.mu)
+        lower, upper = (side.reshape(self.bias.shape) for side in flat)
+        return lower, upper
+
+    def smoothness_bounds(self, radius: float) -> stability.SmoothnessBounds:
+        """Bounds on velocity, acceleration and curvature while no coordinate exceeds ``radius`` (paper, App. H)."""
+        return stability.smoothness_bounds(self.weight, self.bias.ravel(), radius, gamma=self.gamma, mu=self.mu)
+
+    def flat_vector_field(self, x: Floats) -> Floats:
+        """Right-hand side in flat form, ``(dN,)`` to ``(dN,)``; unchecked, for integrators."""
+        return -self.gamma * x + self.mu * (self.weight @ self.phi(x) + self.bias.ravel())
+
+    def _driven(self, state: Floats) -> Floats:
+        slope = ACTIVATIONS[self.activation][1](state).reshape(*state.shape[:-2], 1, -1)
+        return self.weight * slope
