@@ -103,7 +103,8 @@ class _Training:
         point = self.manifold.project(
             weight, alpha, "block-wise" if options.projection == "none" else options.projection
         )
-        if options.projection != "none":
+        if options.step_control == "tracked" and options.projection != "none":
+            # Algorithm 1 starts off the manifold; a trial, which may be taken back, needs a point on it to begin with.
             weight, alpha = point.weight, point.alpha
         self.recorder.cut(0)
         equilibrium = self._find(weight, np.zeros(self.goal.size))
