@@ -4,11 +4,14 @@ from lieednn_sim.learning.history import History
 from lieednn_sim.learning.options import ALGORITHMS, TrainingOptions
 from lieednn_sim.learning.projected import resume, train
 from lieednn_sim.learning.result import StopReason, TrainingResult
+from lieednn_sim.learning.riemannian import train_riemannian
+from lieednn_sim.learning.riemannian_options import RiemannianOptions
 from lieednn_sim.learning.sensitivity import Sensitivity, sensitivity
 
 __all__ = [
     "ALGORITHMS",
     "History",
+    "RiemannianOptions",
     "Sensitivity",
     "StopReason",
     "TrainingOptions",
@@ -16,4 +19,5 @@ __all__ = [
     "resume",
     "sensitivity",
     "train",
+    "train_riemannian",
 ]

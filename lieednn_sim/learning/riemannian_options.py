@@ -1,0 +1,75 @@
+"""Options of learning on the weight manifold."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from lieednn_sim.errors import InputError
+from lieednn_sim.validation import as_choice, as_count, as_positive
+
+METHODS = ("gradient", "gauss-newton")
+_COUNTS = ("max_start_epochs", "stability_interval")
+_POSITIVE = ("barrier", "damping", "initial_rate", "min_rate", "max_rate", "grow", "shrink", "max_jump", "tolerance")
+
+
+@dataclass(frozen=True)
+class RiemannianOptions:
+    """How `train_riemannian` learns.
+
+    Attributes:
+        method: ``"gradient"``, each step lowers E, or ``"gauss-newton"``, each step aims straight at the target.
+        certified: learn a certificate of global stability with the weights, and give up a start that ends without;
+            Gauss-Newton only.
+        barrier: where the certificate pushes back: this part of gamma/mu, below 1.
+        damping: Levenberg damping of the Gauss-Newton equations.
+        initial_rate: first learning rate of each start.
+        min_rate: a start is given up below.
+        max_rate: the rate never rises above; 1 is the full Gauss-Newton step.
+        grow: factor of the rate after a step that was taken.
+        shrink: factor after one taken back: the equilibrium was lost, jumped or was unstable, or E did not fall.
+        max_jump: largest change of a coordinate of the equilibrium in one step [rad, m].
+        tolerance: tau on the largest coordinate of xi* - xi_d [rad, m].
+        restarts: new initial weights to draw when a start is given up.
+        max_start_epochs: a start that takes longer is given up.
+        stability_interval: epochs from one check of the equilibrium's stability to the next; the last is checked too.
+    """
+
+    method: str = "gauss-newton"
+    certified: bool = False
+    barrier: float = 0.8
+    damping: float = 1e-6
+    initial_rate: float = 1.0
+    min_rate: float = 1e-4
+    max_rate: float = 1.0
+    grow: float = 1.3
+    shrink: float = 0.5
+    max_jump: float = 0.05
+    tolerance: float = 1e-5
+    restarts: int = 4
+    max_start_epochs: int = 1000
+    stability_interval: int = 25
+
+    def __post_init__(self) -> None:
+        as_choice("method", self.method, METHODS)
+        for name in _COUNTS:
+            as_count(name, getattr(self, name))
+        for name in _POSITIVE:
+            as_positive(name, getattr(self, name))
+        if self.restarts != 0:
+            as_count("restarts", self.restarts)
+        if self.certified and self.method != "gauss-newton":
+            raise InputError(f"certified training needs the method 'gauss-newton', got {self.method!r}")
+        if self.barrier >= 1.0:
+            raise InputError(f"barrier must lie below 1, where the certificate ends, got {self.barrier:g}")
+        if not self.min_rate <= self.initial_rate <= self.max_rate:
+            raise InputError(
+                f"initial_rate must lie between min_rate {self.min_rate:g} and max_rate {self.max_rate:g}, "
+                f"got {self.initial_rate:g}"
+            )
+        if self.shrink >= 1.0 or self.grow < 1.0:
+            raise InputError(f"shrink must be below 1 and grow at least 1, got {self.shrink:g} and {self.grow:g}")
+
+    def as_dict(self) -> dict[str, Any]:
+        """Values by name, as JSON can hold them."""
+        return asdict(self)
