@@ -125,7 +125,17 @@ def _add_training(parser: argparse.ArgumentParser) -> None:
     goal = _add_task(parser, output="results/run", target=None)
     goal.add_argument("--resume", metavar="DIR", help="go on with the interrupted training of a run directory")
     parser.add_argument(
-        "--algorithm", default="tracked", metavar="NAME", help="literal, repaired or tracked (default: %(default)s)"
+        "--algorithm",
+        default="tracked",
+        metavar="NAME",
+        help="literal, repaired, tracked, riemannian or stability-aware (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--candidates",
+        type=int,
+        default=4,
+        metavar="N",
+        help="seeds to try until a network's motion keeps the limits (default: %(default)s)",
     )
     parser.add_argument("--period", type=int, metavar="P", help="epochs between projections (default: the algorithm's)")
     parser.add_argument("--epochs", type=int, metavar="K", help="at most (default: 25000)")

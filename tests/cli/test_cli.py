@@ -74,10 +74,23 @@ def test_a_learned_network_goes_the_same_road(tmp_path, capsys):
     assert {path.name for path in directory.iterdir()} == {"task.json", "network.npz"}
 
 
+def test_candidates_are_tried_until_a_motion_keeps_the_limits(tmp_path, capsys):
+    """The first seed learns this target, but its network overruns a joint; a later one does not."""
+    directory = tmp_path / "learned"
+    target = "-0.383,0.148,0.411,0.016,0.134,0.065,0.795,0.012"
+    arguments = ["train", "--target", target, "--algorithm", "stability-aware", "--output", str(directory)]
+    assert main([*arguments, "--candidates", "1"]) == 0
+    assert "its motion will be refused" in capsys.readouterr().out
+    assert main(["simulate", str(directory)]) == 2
+    assert main([*arguments, "--candidates", "8"]) == 0
+    assert "its motion will be refused" not in capsys.readouterr().out
+    assert main(["simulate", str(directory), "--hold", "0.5"]) == 0
+
+
 def test_a_training_that_fails_says_so_and_leaves_no_network(tmp_path, capsys):
     directory = tmp_path / "learned"
-    arguments = ["train", "--target", "extended", "--algorithm", "literal", "--epochs", "20", "--output"]
-    assert main([*arguments, str(directory)]) == 1
+    arguments = ["train", "--target", "extended", "--algorithm", "literal", "--epochs", "20", "--candidates", "1"]
+    assert main([*arguments, "--output", str(directory)]) == 1
     printed = capsys.readouterr().out
     assert "epochs spent after 20 epochs" in printed
     assert "no network was written; try" in printed
@@ -110,10 +123,12 @@ def test_interrupted_training_goes_on_with_resume(tmp_path, capsys, monkeypatch)
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--algorithm", "adam"], "no algorithm 'adam'; allowed: literal, repaired, tracked"),
+        (["--algorithm", "adam"], "no algorithm 'adam'; allowed: literal, repaired, riemannian"),
         (["--bias", "solved"], "the solved bias needs no learning"),
         (["--bias", "loud"], "no bias rule 'loud'"),
         (["--period", "0"], "period must be at least 1"),
+        (["--algorithm", "riemannian", "--period", "8"], "--period and --epochs are for the algorithms literal"),
+        (["--candidates", "0"], "candidates must be at least 1"),
         (["--tolerance", "-1"], "tolerance must be positive"),
         (["--duration", "nan"], "duration must be finite"),
     ],
