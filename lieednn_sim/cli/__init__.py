@@ -140,7 +140,11 @@ def _add_training(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--period", type=int, metavar="P", help="epochs between projections (default: the algorithm's)")
     parser.add_argument("--epochs", type=int, metavar="K", help="at most (default: 25000)")
     parser.add_argument(
-        "--tolerance", type=float, default=1e-5, help="of the equilibrium [rad, length units] (default: %(default)s)"
+        "--tolerance",
+        type=float,
+        default=1e-5,
+        metavar="TAU",
+        help="of the equilibrium [rad, length units] (default: %(default)s)",
     )
     parser.add_argument(
         "--bias", default="sign-matched", metavar="RULE", help="uniform or sign-matched (default: %(default)s)"
