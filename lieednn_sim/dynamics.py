@@ -1,4 +1,4 @@
-"""Equilibria and trajectories of an autonomous system on (R^6)^N, given by its vector field."""
+"""Equilibria and trajectories of an autonomous system on (R^d)^N, given by its vector field."""
 
 from __future__ import annotations
 
@@ -7,14 +7,16 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.integrate import OdeSolution, solve_ivp
+from scipy.integrate import RK45, OdeSolution, solve_ivp
 
 from lieednn_sim.errors import InputError, LieEDNNError
 from lieednn_sim.validation import as_choice, as_floats, as_positive
 
 Floats = NDArray[np.float64]
-# Flat vector fields ``(6N,)`` to ``(6N,)`` and their Jacobians, ``(6N,)`` to ``(6N, 6N)``.
+# Flat vector fields ``(dN,)`` to ``(dN,)`` and their Jacobians, ``(dN,)`` to ``(dN, dN)``.
 VectorField = Callable[[Floats], Floats]
+
+_FLOW_STEPS = 5000
 
 INTEGRATORS = ("RK45", "DOP853", "Radau", "BDF", "LSODA")
 
@@ -26,7 +28,7 @@ class Equilibrium:
     Attributes:
         success: whether `residual` is below the tolerance.
         message: how the search ended.
-        xi: ``(N, 6)`` the point found.
+        xi: ``(N, d)`` the point found.
         residual: largest entry of the vector field there.
         spectral_abscissa: largest real part of the Jacobian's eigenvalues; negative when locally stable.
         n_newton: Newton steps taken.
@@ -46,7 +48,7 @@ class Trajectory:
 
     Attributes:
         t: ``(K,)`` times of the integrator's steps.
-        xi: ``(K, N, 6)`` states there.
+        xi: ``(K, N, d)`` states there.
     """
 
     t: Floats
@@ -54,7 +56,7 @@ class Trajectory:
     _dense: OdeSolution = field(repr=False)
 
     def __call__(self, t: ArrayLike) -> Floats:
-        """States ``(..., N, 6)`` at times ``(...)`` inside the integrated range."""
+        """States ``(..., N, d)`` at times ``(...)`` inside the integrated range."""
         times = as_floats("t", t, np.shape(t))
         if times.size and (times.min() < self.t[0] or times.max() > self.t[-1]):
             raise InputError(f"t must lie in [{self.t[0]:g}, {self.t[-1]:g}], got {times.min():g} to {times.max():g}")
@@ -70,7 +72,7 @@ def find_equilibrium(
     Args:
         vector_field: flat right-hand side.
         jacobian: its derivative.
-        start: ``(N, 6)`` first guess.
+        start: ``(N, d)`` first guess.
         rate: decay rate of the system, which scales residuals and times.
         tolerance: on the largest entry of the vector field, relative to rate (1 + |x|).
     """
@@ -82,8 +84,7 @@ def find_equilibrium(
             break
         if attempt < 2:
             how = "Newton converged after following the flow"
-            flow = solve_ivp(lambda _, y: vector_field(y), (0.0, 50.0 * 4**attempt / rate), x)
-            x = flow.y[:, -1]
+            x = _follow(vector_field, x, 50.0 * 4**attempt / rate)
     else:
         how = "no equilibrium found: Newton stalled, also after following the flow; the network may not be stable"
     return Equilibrium(
@@ -94,6 +95,16 @@ def find_equilibrium(
         spectral_abscissa=float(np.linalg.eigvals(jacobian(x)).real.max()),
         n_newton=steps,
     )
+
+
+def _follow(vector_field: VectorField, x: Floats, duration: float) -> Floats:
+    """The state after ``duration``, or after so many steps: a network far faster than its decay takes no more."""
+    flow = RK45(lambda _, y: vector_field(y), 0.0, x, duration)
+    for _ in range(_FLOW_STEPS):
+        if flow.status != "running":
+            break
+        flow.step()
+    return np.asarray(flow.y, dtype=np.float64)
 
 
 def _newton(vector_field: VectorField, jacobian: VectorField, x: Floats, tolerance: float) -> tuple[Floats, int, bool]:
@@ -131,7 +142,7 @@ def integrate(
     rtol: float,
     atol: float,
 ) -> Trajectory:
-    """Integrate from ``start`` ``(N, 6)`` for ``duration``, or until within ``distance`` of ``until`` ``(N, 6)``.
+    """Integrate from ``start`` ``(N, d)`` for ``duration``, or until within ``distance`` of ``until`` ``(N, d)``.
 
     Raises:
         InputError: duration not positive, or unknown method.

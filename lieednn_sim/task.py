@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 from dataclasses import asdict, dataclass
@@ -69,6 +70,11 @@ class RunDirectory:
         self.tracking_plot = self.path / "tracking.png"
         self.joints_plot = self.path / "joints.png"
 
+    @property
+    def pending(self) -> RunDirectory:
+        """Where a training is at work, until there is a network to replace what the run holds."""
+        return RunDirectory(self.path / "training")
+
     def create(self) -> None:
         """Make the directory if need be."""
         storage.make_directory(self.path)
@@ -78,6 +84,14 @@ class RunDirectory:
         for path in vars(self).values():
             if path not in (self.path, self.task, self.network):
                 path.unlink(missing_ok=True)
+
+    def remove(self) -> None:
+        """Remove the files of the run, and the directory when nothing else is in it."""
+        for path in vars(self).values():
+            if path != self.path:
+                path.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            self.path.rmdir()
 
     def load_task(self) -> tuple[Task, Arm]:
         """The task and its arm, with start and target checked against the arm's limits."""

@@ -65,14 +65,14 @@ def as_positive(name: str, value: float) -> float:
     return number
 
 
-def as_count(name: str, value: int) -> int:
-    """Return ``value`` as a positive integer, or raise `InputError`."""
+def as_count(name: str, value: int, least: int = 1) -> int:
+    """Return ``value`` as an integer of at least ``least``, or raise `InputError`."""
     try:
         number = operator.index(value)
     except TypeError:
         raise InputError(f"{name} must be a whole number, got {value!r}") from None
-    if number < 1:
-        raise InputError(f"{name} must be at least 1, got {number}")
+    if number < least:
+        raise InputError(f"{name} must be at least {least}, got {number}")
     return number
 
 

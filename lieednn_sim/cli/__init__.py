@@ -123,7 +123,7 @@ def _add_planning(parser: argparse.ArgumentParser, output: str, target: str | No
 
 def _add_training(parser: argparse.ArgumentParser) -> None:
     goal = _add_task(parser, output="results/run", target=None)
-    goal.add_argument("--resume", metavar="DIR", help="go on with the interrupted training of a run directory")
+    goal.add_argument("--resume", metavar="DIR", help="go on with an interrupted training, options as they were")
     parser.add_argument(
         "--algorithm",
         default="tracked",
@@ -155,7 +155,7 @@ def _add_training(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_run(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("run", metavar="DIR", help="run directory, made by 'synthesize' or 'demo'")
+    parser.add_argument("run", metavar="DIR", help="run directory, made by 'synthesize', 'train' or 'demo'")
 
 
 def _add_simulation(parser: argparse.ArgumentParser) -> None:

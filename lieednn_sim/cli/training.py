@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import functools
 import itertools
 from collections.abc import Callable, Iterable, Iterator
@@ -29,7 +30,7 @@ from lieednn_sim.motion import check_motion, make_motion
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.synthesis import bias_for
 from lieednn_sim.task import RunDirectory, Task
-from lieednn_sim.validation import as_choice, as_count, as_positive
+from lieednn_sim.validation import as_choice, as_count, as_positive, as_seed
 
 Floats = NDArray[np.float64]
 
@@ -44,57 +45,79 @@ def train(arguments: argparse.Namespace) -> int:
     """Learn a network for a target into a run directory; 1 when none was learned."""
     candidates = as_count("candidates", arguments.candidates)
     run = RunDirectory(arguments.resume or arguments.output)
+    pending, made = run.pending, not run.path.exists()
     if arguments.resume is not None:
-        task, arm = run.existing().load_task()
-        learners = _resumed(run)
+        if not pending.checkpoint.is_file():
+            raise FileError(f"{run.path} holds no interrupted training (no {pending.checkpoint})")
+        task, arm = pending.load_task()
+        learners = _resumed(pending, arm.encode(task.target))
     else:
         arm = Arm.load(arguments.arm)
         start, target = start_and_target(arm, arguments)
         arm.check_position(target, "target")
-        learner = _learner(arguments, arm.encode(target), run)
-        duration = as_positive("duration", arguments.duration)
+        learner = _learner(arguments, arm.encode(target), pending)
+        duration, seed = as_positive("duration", arguments.duration), as_seed("seed", arguments.seed)
         task = Task(arm.name, tuple(start.tolist()), tuple(target.tolist()), duration)
-        run.create()
-        run.forget_results()
-        run.network.unlink(missing_ok=True)
-        task.save(run.task)
-        learners = (functools.partial(learner, arguments.seed + k) for k in itertools.count())
+        learners = (functools.partial(learner, seed + k) for k in itertools.count())
+        pending.create()
+        task.save(pending.task)
     try:
-        result, refusal = _choose(itertools.islice(learners, candidates), arm, task)
-    except KeyboardInterrupt:
-        if run.checkpoint.is_file():
+        result, refusal = _choose(itertools.islice(learners, candidates), run, arm, task)
+    except BaseException as error:
+        if isinstance(error, KeyboardInterrupt) and pending.checkpoint.is_file():
             console.print(f"interrupted; go on with: lieednn-sim train --resume {run.path}")
+        else:
+            pending.remove()
+            if made:
+                with contextlib.suppress(OSError):
+                    run.path.rmdir()
         raise
-    result.history.save(run.history)
-    plots.plot_training(result.history, arm.encode(task.target), result.tolerance, run.training_plot)
-    network = _with_proof(result.network) if result.success and isinstance(result.network, LieEDNN) else None
-    if network is not None:
-        network.save(run.network)
-    run.checkpoint.unlink(missing_ok=True)
-    _report(result, network, arm.encode(task.target))
-    wrote(run.task, *([run.network] if network else []), run.history, run.training_plot)
-    if network is None:
+    if result.success:
+        pending.remove()
+    else:
+        # What the run held before stays as it is.
+        _write_history(result, pending, arm.encode(task.target))
+        pending.checkpoint.unlink(missing_ok=True)
+    _report(result, arm.encode(task.target))
+    if not result.success:
+        wrote(pending.history, pending.training_plot)
         console.print("no network was written; try another --seed, more --epochs, or --algorithm stability-aware")
         return 1
+    wrote(run.task, run.network, run.history, run.training_plot)
     if refusal is not None:
         console.print(f"the network is learned, but its motion will be refused: {refusal}")
     return 0
 
 
 def _choose(
-    learners: Iterable[Callable[[], TrainingResult]], arm: Arm, task: Task
+    learners: Iterable[Callable[[], TrainingResult]], run: RunDirectory, arm: Arm, task: Task
 ) -> tuple[TrainingResult, str | None]:
-    """The first network whose motion keeps the limits, else the first one learned, else the last failure."""
-    chosen: tuple[TrainingResult, str | None] | None = None
+    """The first network whose motion keeps the limits, else the first one learned, else the first failure.
+
+    A network is saved as soon as it is the best so far. Second comes why the arm would refuse its motion.
+    """
+    xi = arm.encode(task.target)
+    best: tuple[TrainingResult, str | None] | None = None
     for learner in learners:
         result = learner()
         refusal = _refusal(result, arm, task)
-        if chosen is None or not chosen[0].success:
-            chosen = result, refusal
+        if best is None or (result.success and (refusal is None or not best[0].success)):
+            best = result, refusal
+            if result.success and isinstance(result.network, LieEDNN):
+                run.forget_results()
+                task.save(run.task)
+                _with_proof(result.network).save(run.network)
+                _write_history(result, run, xi)
         if result.success and refusal is None:
-            return result, None
-    assert chosen is not None
-    return chosen
+            break
+    if best is None:
+        raise InputError("there is no candidate to learn")
+    return best
+
+
+def _write_history(result: TrainingResult, run: RunDirectory, xi: Floats) -> None:
+    result.history.save(run.history)
+    plots.plot_training(result.history, xi, result.tolerance, run.training_plot)
 
 
 def _refusal(result: TrainingResult, arm: Arm, task: Task) -> str | None:
@@ -108,7 +131,7 @@ def _refusal(result: TrainingResult, arm: Arm, task: Task) -> str | None:
     return None
 
 
-def _learner(arguments: argparse.Namespace, xi: Floats, run: RunDirectory) -> Learner:
+def _learner(arguments: argparse.Namespace, xi: Floats, pending: RunDirectory) -> Learner:
     """What learns a network from a seed."""
     name = as_choice("algorithm", arguments.algorithm, [*ALGORITHMS, *RIEMANNIAN])
     bias = _bias(xi, arguments)
@@ -124,27 +147,27 @@ def _learner(arguments: argparse.Namespace, xi: Floats, run: RunDirectory) -> Le
         return learn_on_manifold
     changes = {"period": arguments.period, "max_epochs": arguments.epochs, "tolerance": arguments.tolerance}
     options = ALGORITHMS[name](**{key: value for key, value in changes.items() if value is not None})
-    return functools.partial(_learn, xi, options, bias, run)
+    return functools.partial(_learn, xi, options, bias, pending)
 
 
-def _learn(xi: Floats, options: TrainingOptions, bias: Floats, run: RunDirectory, seed: int) -> TrainingResult:
+def _learn(xi: Floats, options: TrainingOptions, bias: Floats, pending: RunDirectory, seed: int) -> TrainingResult:
     with progress("train") as report:
-        return learn(xi, options, bias=bias, seed=seed, checkpoint=run.checkpoint, progress=report)
+        return learn(xi, options, bias=bias, seed=seed, checkpoint=pending.checkpoint, progress=report)
 
 
-def _resumed(run: RunDirectory) -> Iterator[Callable[[], TrainingResult]]:
+def _resumed(pending: RunDirectory, xi: Floats) -> Iterator[Callable[[], TrainingResult]]:
     """The interrupted candidate first, then those after it."""
-    if not run.checkpoint.is_file():
-        raise FileError(f"{run.path} holds no interrupted training (no {run.checkpoint.name})")
-    problem, options, *_ = load_checkpoint(run.checkpoint)
+    problem, options, *_ = load_checkpoint(pending.checkpoint)
+    if problem.group is not None or problem.target.shape != xi.shape or np.abs(problem.target - xi).max() > 1e-9:
+        raise FileError(f"{pending.checkpoint} was learning another target than {pending.task} says; train again")
 
     def go_on() -> TrainingResult:
         with progress("train") as report:
-            return resume(run.checkpoint, progress=report)
+            return resume(pending.checkpoint, progress=report)
 
     others = (problem.seed + k for k in itertools.count(1))
     return itertools.chain(
-        [go_on], (functools.partial(_learn, problem.target, options, problem.bias, run, seed) for seed in others)
+        [go_on], (functools.partial(_learn, problem.target, options, problem.bias, pending, seed) for seed in others)
     )
 
 
@@ -163,7 +186,8 @@ def _with_proof(network: LieEDNN) -> LieEDNN:
         return network
 
 
-def _report(result: TrainingResult, network: LieEDNN | None, xi: Floats) -> None:
+def _report(result: TrainingResult, xi: Floats) -> None:
+    network = result.network if result.success and isinstance(result.network, LieEDNN) else None
     rows = table("training", "quantity", "value")
     rows.add_row("outcome", result.message)
     rows.add_row("time", f"{result.seconds:.2f} s, {1e6 * result.seconds / max(result.epochs, 1):.0f} us an epoch")

@@ -16,7 +16,10 @@ from lieednn_sim.learning.history import History, Recorder
 from lieednn_sim.learning.manifold import WeightPoint
 from lieednn_sim.learning.options import TrainingOptions
 from lieednn_sim.learning.problem import TrainingProblem
+from lieednn_sim.learning.result import StopReason
+from lieednn_sim.lie.groups import catalogue_name
 from lieednn_sim.lie.groups import group as group_by_name
+from lieednn_sim.validation import as_count, as_floats, as_positive
 
 Floats = NDArray[np.float64]
 
@@ -38,6 +41,7 @@ class TrainingState:
         rows: rows of history up to here.
         start: number of the initial weights.
         start_epoch: epoch at which this start began.
+        reason: why this start ended; None while it goes on.
     """
 
     weight: Floats
@@ -50,9 +54,10 @@ class TrainingState:
     rows: int
     start: int
     start_epoch: int
+    reason: StopReason | None = None
 
 
-_COUNTERS = ("rate", "epoch", "rows", "start", "start_epoch")
+_COUNTERS = ("epoch", "rows", "start", "start_epoch")
 
 
 def save(
@@ -78,10 +83,13 @@ def save(
     }
     meta = {
         "options": options.as_dict(),
-        "group": None if problem.group is None else problem.group.name,
+        "group": None if problem.group is None else catalogue_name(problem.group),
         "seed": problem.seed,
         "rates": problem.rates,
         "state": {name: getattr(state, name) for name in _COUNTERS},
+        "rate": state.rate,
+        "found": state.equilibrium.found,
+        "reason": state.reason,
         "seconds": seconds,
     }
     storage.save_arrays(path, _KIND, arrays, meta)
@@ -103,18 +111,28 @@ def load(
         problem = TrainingProblem.checked(
             arrays["target"], arrays["bias"], **meta["rates"], group=group, seed=meta["seed"]
         )
+        n, size = len(problem.target), problem.target.size
         elements = {
             name.removeprefix("element_"): value for name, value in arrays.items() if name.startswith("element_")
         }
-        state = TrainingState(
-            weight=arrays["weight"],
-            alpha=arrays["alpha"],
-            point=problem.manifold().point(arrays["point_alpha"], elements),
-            equilibrium=problem.solver().at(arrays["x"]),
-            error=float(arrays["error"]),
-            **{name: meta["state"][name] for name in _COUNTERS},
-        )
+        manifold = problem.manifold()
+        point = manifold.point(as_floats("point_alpha", arrays["point_alpha"], (n, n)), elements)
+        # A network checks its elements, be they rotations or of another group.
+        manifold.network(point, problem.bias, problem.rates)
         recorder = Recorder.from_arrays({name: arrays[key] for name, key in rows.items()})
+        counters = {name: as_count(name, meta["state"][name], least=0) for name in _COUNTERS}
+        if counters["rows"] > len(recorder):
+            raise InputError(f"{counters['rows']} rows of history are promised, {len(recorder)} are there")
+        state = TrainingState(
+            weight=as_floats("weight", arrays["weight"], (size, size)),
+            alpha=as_floats("alpha", arrays["alpha"], (n, n)),
+            point=point,
+            equilibrium=problem.solver().at(as_floats("x", arrays["x"], (size,)), found=bool(meta["found"])),
+            rate=as_positive("rate", meta["rate"]),
+            error=float(arrays["error"]),
+            reason=None if meta["reason"] is None else StopReason(meta["reason"]),
+            **counters,
+        )
         return problem, TrainingOptions(**meta["options"]), state, recorder, float(meta["seconds"])
     except (KeyError, TypeError, ValueError, AttributeError, InputError) as error:
         raise FileError(f"{path} is not a valid training checkpoint ({type(error).__name__}: {error})") from None

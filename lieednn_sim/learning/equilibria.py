@@ -26,6 +26,7 @@ _TOLERANCE = 1e-12
 # What rounding leaves; a point with a larger residual is no equilibrium.
 _ACCEPTED = 1e-9
 _LONGEST_STEP = 1.0
+_PATIENT_STEPS = 50
 # Steps with the matrix of the epoch before; it is almost right, and already factored.
 _CHORD_STEPS = 2
 # Algorithm 1 says "solve by RK45" and no more: this long, again and again until the network rests.
@@ -128,6 +129,11 @@ class EquilibriumSolver:
             length = np.abs(move).max()
             x = x - (move if length <= _LONGEST_STEP else move * (_LONGEST_STEP / length))
         return FlatEquilibrium(x, output, self._slope(output), bool(largest < max(tolerance, _ACCEPTED)))
+
+    def first(self, weight: Floats) -> FlatEquilibrium:
+        """The equilibrium found from zero, patiently, and by running the network where Newton's method fails."""
+        found = self.newton(weight, np.zeros(len(weight)), steps=_PATIENT_STEPS)
+        return found if found.found else self.flow(weight, np.zeros(len(weight)))
 
     def flow(self, weight: Floats, x: Floats) -> FlatEquilibrium:
         """Runge-Kutta 4(5) in the time unit 1/gamma until the network rests, for at most 150 units."""

@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieednn_sim import storage
+from lieednn_sim.errors import InputError
+from lieednn_sim.validation import as_floats
 
 Floats = NDArray[np.float64]
 
@@ -92,9 +94,13 @@ class Recorder:
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, Floats]) -> Recorder:
         """Inverse of `arrays`."""
-        history = History(**{field.name: arrays[field.name] for field in fields(History)})
+        names = [field.name for field in fields(History)]
+        columns = {name: as_floats(name, arrays[name], ("K",)) for name in names[:-1]}
+        equilibrium = as_floats("equilibrium", arrays["equilibrium"], ("K", "N", "d"))
+        if {len(column) for column in columns.values()} != {len(equilibrium)}:
+            raise InputError("the columns of the history differ in length")
+        history = History(**columns, equilibrium=equilibrium)
         recorder = cls(*history.equilibrium.shape[1:])
-        columns = [getattr(history, field.name).tolist() for field in fields(History)[:-1]]
-        recorder._scalars = list(zip(*columns, strict=True))
+        recorder._scalars = list(zip(*(column.tolist() for column in columns.values()), strict=True))
         recorder._equilibria = [row.ravel() for row in history.equilibrium]
         return recorder

@@ -12,6 +12,7 @@ from lieednn_sim.errors import InputError
 from lieednn_sim.lie import adjoint, project_to_adjoint, project_to_adjoint_exact, project_to_scaled_adjoint
 from lieednn_sim.lie.matrix_group import MatrixLieGroup
 from lieednn_sim.network import GroupLieEDNN, LieEDNN
+from lieednn_sim.network.base import flatten_blocks
 
 Floats = NDArray[np.float64]
 
@@ -38,7 +39,7 @@ class WeightPoint:
     @property
     def weight(self) -> Floats:
         """Flat W, ``(Nd, Nd)``."""
-        return flat_matrix(self.alpha[:, :, None, None] * self.adjoints)
+        return flatten_blocks(self.alpha[:, :, None, None] * self.adjoints)
 
 
 class WeightManifold(Protocol):
@@ -137,12 +138,6 @@ def block_view(weight: Floats, dimension: int) -> Floats:
     """Blocks ``(N, N, d, d)`` of a flat matrix ``(Nd, Nd)``."""
     n = len(weight) // dimension
     return weight.reshape(n, dimension, n, dimension).transpose(0, 2, 1, 3)
-
-
-def flat_matrix(blocks: Floats) -> Floats:
-    """Inverse of `block_view`."""
-    n, dimension = len(blocks), blocks.shape[-1]
-    return blocks.transpose(0, 2, 1, 3).reshape(n * dimension, n * dimension)
 
 
 def weight_manifold(group: MatrixLieGroup | None) -> WeightManifold:

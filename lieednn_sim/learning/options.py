@@ -41,7 +41,7 @@ class TrainingOptions:
         tolerance: tau on the largest coordinate of xi* - xi_d [rad, m].
         max_epochs: of all starts together.
         restarts: new initial weights to draw when a start is given up.
-        max_start_epochs: a start that takes longer is given up, if there are restarts left.
+        max_start_epochs: a start that takes longer is given up while there are restarts left.
         verified_stop: test the weights after step and projection; the printed algorithm tests those before.
         stability_interval: epochs from one check of the equilibrium's stability to the next; it costs several epochs.
     """
@@ -68,19 +68,24 @@ class TrainingOptions:
     stability_interval: int = 100
 
     def __post_init__(self) -> None:
+        # What is stored is what was checked: plain numbers, which JSON can hold.
+        def store(name: str, value: float | int) -> None:
+            object.__setattr__(self, name, value)
+
         as_choice("direction", self.direction, DIRECTIONS)
         as_choice("loss", self.loss, LOSSES)
         as_choice("equilibrium", self.equilibrium, EQUILIBRIA)
         as_choice("projection", self.projection, PROJECTIONS)
         as_choice("step control", self.step_control, STEP_CONTROLS)
         for name in ("period", "max_epochs", "max_start_epochs", "stability_interval"):
-            as_count(name, getattr(self, name))
+            store(name, as_count(name, getattr(self, name)))
+        store("restarts", as_count("restarts", self.restarts, least=0))
+        for name in ("learn_alpha", "verified_stop"):
+            store(name, bool(getattr(self, name)))
         for name in ("initial_rate", "min_rate", "max_rate", "grow", "shrink", "max_jump", "tolerance"):
-            as_positive(name, getattr(self, name))
-        if self.restarts != 0:
-            as_count("restarts", self.restarts)
+            store(name, as_positive(name, getattr(self, name)))
         if self.initial_alpha is not None:
-            as_positive("initial_alpha", self.initial_alpha)
+            store("initial_alpha", as_positive("initial_alpha", self.initial_alpha))
         if not self.min_rate <= self.initial_rate <= self.max_rate:
             raise InputError(
                 f"initial_rate must lie between min_rate {self.min_rate:g} and max_rate {self.max_rate:g}, "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,6 +17,8 @@ from lieednn_sim.network import ACTIVATIONS
 from lieednn_sim.validation import as_choice, as_floats, as_positive, as_seed
 
 Floats = NDArray[np.float64]
+# Called with epochs done and epochs at most.
+Progress = Callable[[int, int], None]
 
 # The paper's epsilon in W / (epsilon + ||W||_1).
 _EPSILON = 1e-12
@@ -63,9 +66,12 @@ class TrainingProblem:
             raise InputError(f"target must have shape (N, {dimension}) with N >= 1, got (0, {dimension})")
         if np.ndim(bias) == 0:
             bias = np.full(goal.shape, as_floats("bias", bias, ()))
+        offset = as_floats("bias", bias, goal.shape)
+        if not offset.any():
+            raise InputError("bias must not be zero: the equilibrium would be zero, whose output no weights can change")
         return cls(
             target=goal,
-            bias=as_floats("bias", bias, goal.shape),
+            bias=offset,
             gamma=as_positive("gamma", gamma),
             mu=as_positive("mu", mu),
             activation=as_choice("activation", activation, ACTIVATIONS),

@@ -4,25 +4,24 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim._blas import one_blas_thread
+from lieednn_sim.errors import InputError
 from lieednn_sim.learning import checkpoint as checkpoints
 from lieednn_sim.learning.checkpoint import TrainingState
 from lieednn_sim.learning.equilibria import FlatEquilibrium, SensitivityMatrix
 from lieednn_sim.learning.history import Recorder
 from lieednn_sim.learning.options import TrainingOptions
-from lieednn_sim.learning.problem import TrainingProblem
+from lieednn_sim.learning.problem import Progress, TrainingProblem
 from lieednn_sim.learning.result import StopReason, TrainingResult, conclude
 from lieednn_sim.learning.sensitivity import gauss_newton_direction, strength_gradient, weight_gradient
 from lieednn_sim.lie.matrix_group import MatrixLieGroup
 
 Floats = NDArray[np.float64]
-Progress = Callable[[int, int], None]
 
 # Seconds from one checkpoint to the next.
 _CHECKPOINT_SECONDS = 10.0
@@ -46,6 +45,8 @@ def train(
 ) -> TrainingResult:
     """Learn weights whose equilibrium is the target, returning to the manifold every few epochs.
 
+    One neuron alone reaches few targets: a single block turns (omega, v) as a whole, and keeps their angle.
+
     Args:
         target: ``(N, 6)`` xi_d, or ``(N, d)`` with a group of dimension d.
         options: the repaired Algorithm 1 by default.
@@ -66,7 +67,10 @@ def train(
         FileError: the checkpoint cannot be written.
     """
     problem = TrainingProblem.checked(target, bias, gamma, mu, activation, group, seed)
-    training = _Training(problem, options or TrainingOptions())
+    chosen = TrainingOptions() if options is None else options
+    if not isinstance(chosen, TrainingOptions):
+        raise InputError(f"options must be TrainingOptions, got {type(chosen).__name__}; see train_riemannian")
+    training = _Training(problem, chosen)
     with one_blas_thread():
         training.begin(0)
         return training.run(checkpoint, progress)
@@ -107,28 +111,29 @@ class _Training:
             # Algorithm 1 starts off the manifold; a trial, which may be taken back, needs a point on it to begin with.
             weight, alpha = point.weight, point.alpha
         self.recorder.cut(0)
-        equilibrium = self._find(weight, np.zeros(self.goal.size))
+        rk45 = options.equilibrium == "rk45"
+        equilibrium = self.solver.flow(weight, np.zeros(len(weight))) if rk45 else self.solver.first(weight)
         self.anchor = TrainingState(
             weight, alpha, point, equilibrium, options.initial_rate, np.inf, epoch, 0, start, epoch
         )
 
     def run(self, checkpoint: str | os.PathLike[str] | None, progress: Progress | None) -> TrainingResult:
         """Train until there is a reason to stop."""
-        begun, saved = time.perf_counter(), time.perf_counter()
-        reason = None if self.anchor.equilibrium.found else StopReason.LOST_EQUILIBRIUM
+        begun = saved = time.perf_counter()
 
         def save() -> None:
-            if checkpoint is None:
-                return
-            elapsed = self.seconds + time.perf_counter() - begun
-            checkpoints.save(checkpoint, self.problem, self.options, self.anchor, self.recorder, elapsed)
+            if checkpoint is not None:
+                elapsed = self.seconds + time.perf_counter() - begun
+                checkpoints.save(checkpoint, self.problem, self.options, self.anchor, self.recorder, elapsed)
 
+        # At once, so that a path that cannot be written is known before the work.
+        save()
         try:
-            while reason is None:
-                reason = self._advance()
-                if reason not in (None, StopReason.CONVERGED) and self._may_restart():
+            while self.anchor.reason is None or self._may_restart():
+                if self.anchor.reason is None:
+                    self._advance()
+                else:
                     self.begin(self.anchor.start + 1, self.anchor.epoch)
-                    reason = None
                 if progress is not None:
                     progress(self.anchor.epoch, self.options.max_epochs)
                 if time.perf_counter() - saved > _CHECKPOINT_SECONDS:
@@ -145,7 +150,7 @@ class _Training:
             last.weight,
             None if self.options.projection == "none" else last.point,
             last.equilibrium,
-            reason,
+            last.reason or StopReason.EPOCHS_SPENT,
             tolerance=self.options.tolerance,
             history=self.recorder.history(),
             epochs=last.epoch,
@@ -162,45 +167,54 @@ class _Training:
 
     def _may_restart(self) -> bool:
         last = self.anchor
-        return last.start < self.options.restarts and last.epoch < self.options.max_epochs
+        left = last.start < self.options.restarts and last.epoch < self.options.max_epochs
+        return left and last.reason is not StopReason.CONVERGED
 
     def _record(self, epoch: int, weight: Floats, equilibrium: FlatEquilibrium, rate: float) -> None:
         self.recorder.add(epoch, equilibrium.x, self.goal, self.options.tolerance, rate, weight)
 
-    def _advance(self) -> StopReason | None:
-        """The epochs from one projection to the next; a reason to stop, or None."""
+    def _advance(self) -> None:
+        """The epochs from one projection to the next."""
         options, before = self.options, self.anchor
         self.recorder.cut(before.rows)
-        allowed = min(options.max_epochs, before.start_epoch + options.max_start_epochs)
+        if not before.equilibrium.found:
+            self.anchor = replace(before, reason=StopReason.LOST_EQUILIBRIUM)
+            return
+        allowed = options.max_epochs
+        if before.start < options.restarts:
+            allowed = min(allowed, before.start_epoch + options.max_start_epochs)
         if before.epoch >= allowed:
-            return StopReason.EPOCHS_SPENT
+            self.anchor = replace(before, reason=StopReason.EPOCHS_SPENT)
+            return
         state, arrived = before, False
         for _ in range(options.period):
             state, arrived = self._step(state)
             if not state.equilibrium.found or state.epoch >= allowed:
                 break
         if state.equilibrium.found and options.projection != "none":
-            # The equilibrium is the reference for the jump, and the start of the search for the next one.
             point = self.manifold.project(state.weight, state.alpha, options.projection, state.point)
             equilibrium = self._find(point.weight, state.equilibrium.x)
             state = replace(state, weight=point.weight, alpha=point.alpha, point=point, equilibrium=equilibrium)
-        if options.step_control == "tracked":
-            found = state.equilibrium
-            if not found.found or np.abs(found.x - before.equilibrium.x).max() > options.max_jump:
-                self.anchor = replace(before, epoch=state.epoch, rate=before.rate * options.shrink)
-                return StopReason.STEP_VANISHED if self.anchor.rate < options.min_rate else None
+        tracked = options.step_control == "tracked"
+        jump = np.abs(state.equilibrium.x - before.equilibrium.x).max()
+        if not state.equilibrium.found or (tracked and jump > options.max_jump):
+            # Back to the last weights that have the equilibrium; one anchor, so that an interruption finds all of it.
+            rate = before.rate * options.shrink if tracked else before.rate
+            reason: StopReason | None = StopReason.LOST_EQUILIBRIUM
+            if tracked:
+                reason = StopReason.STEP_VANISHED if rate < options.min_rate else None
+            self.anchor = replace(before, epoch=state.epoch, rate=rate, reason=reason)
+            return
+        if tracked:
             state = replace(state, rate=min(options.max_rate, state.rate * options.grow))
-        elif not state.equilibrium.found:
-            # The weights before are the last that have an equilibrium.
-            self.anchor = replace(before, epoch=state.epoch)
-            return StopReason.LOST_EQUILIBRIUM
-        self.anchor = state
         if options.verified_stop:
             arrived = bool(np.abs(state.equilibrium.x - self.goal).max() < options.tolerance)
         checks = state.epoch // options.stability_interval > before.epoch // options.stability_interval
         if (arrived or checks) and not self.solver.sensitivity(state.weight, state.equilibrium).stable():
-            return StopReason.UNSTABLE
-        return StopReason.CONVERGED if arrived else None
+            state = replace(state, reason=StopReason.UNSTABLE)
+        elif arrived:
+            state = replace(state, reason=StopReason.CONVERGED)
+        self.anchor = state
 
     def _step(self, state: TrainingState) -> tuple[TrainingState, bool]:
         """One epoch of Algorithm 1 without the projection; whether its stop test passed as printed."""

@@ -98,7 +98,7 @@ def conclude(
         weight=weight,
         error=error,
         tolerance=tolerance,
-        structure_error=float(np.linalg.norm(weight - nearest) / np.linalg.norm(weight)),
+        structure_error=float(np.linalg.norm(weight - nearest) / max(np.linalg.norm(weight), np.finfo(float).tiny)),
         history=history,
         epochs=epochs,
         starts=starts,

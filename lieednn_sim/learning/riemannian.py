@@ -15,16 +15,17 @@ gradient. Below 1 the network has one equilibrium only, globally stable, which c
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lieednn_sim._blas import one_blas_thread
+from lieednn_sim.errors import InputError
 from lieednn_sim.learning.equilibria import FlatEquilibrium, SensitivityMatrix
 from lieednn_sim.learning.history import Recorder
 from lieednn_sim.learning.manifold import WeightPoint
-from lieednn_sim.learning.problem import TrainingProblem
+from lieednn_sim.learning.problem import Progress, TrainingProblem
 from lieednn_sim.learning.result import StopReason, TrainingResult, conclude
 from lieednn_sim.learning.riemannian_options import RiemannianOptions
 from lieednn_sim.learning.tangent import (
@@ -39,7 +40,6 @@ from lieednn_sim.network import LieEDNN
 from lieednn_sim.stability import Certificate, find_certificate, verify
 
 Floats = NDArray[np.float64]
-Progress = Callable[[int, int], None]
 
 # Armijo's condition: the loss falls at least by this part of what its slope promises.
 _SUFFICIENT_DECREASE = 1e-4
@@ -85,7 +85,11 @@ def train_riemannian(
         InputError: a value has the wrong shape or range.
     """
     problem = TrainingProblem.checked(target, bias, gamma, mu, activation, None, seed)
-    return _Training(problem, options or RiemannianOptions(), progress).run()
+    chosen = RiemannianOptions() if options is None else options
+    if not isinstance(chosen, RiemannianOptions):
+        raise InputError(f"options must be RiemannianOptions, got {type(chosen).__name__}; see train for the others")
+    with one_blas_thread():
+        return _Training(problem, chosen, progress).run()
 
 
 @dataclass(frozen=True)
@@ -134,7 +138,8 @@ class _Training:
     def _initial(self, start: int) -> _Iterate:
         n = len(self.problem.target)
         point = self.manifold.project(self.problem.initial_weight(start), np.ones((n, n)), "scaled")
-        return self._iterate(point, np.zeros(6 * n), np.zeros(3 * n))
+        weight = point.weight
+        return _Iterate(point, weight, self.solver.first(weight), np.zeros(3 * n))
 
     def _iterate(
         self, point: WeightPoint, x: Floats, log_scale: Floats, nearby: SensitivityMatrix | None = None

@@ -9,6 +9,8 @@ from lieednn_sim.errors import InputError
 from lieednn_sim.validation import as_choice, as_count, as_positive
 
 METHODS = ("gradient", "gauss-newton")
+# A gradient step beyond it leaves the range of floating point before it is taken back.
+_LARGEST_RATE = 1e6
 _COUNTS = ("max_start_epochs", "stability_interval")
 _POSITIVE = ("barrier", "damping", "initial_rate", "min_rate", "max_rate", "grow", "shrink", "max_jump", "tolerance")
 
@@ -27,7 +29,8 @@ class RiemannianOptions:
         min_rate: a start is given up below.
         max_rate: the rate never rises above; 1 is the full Gauss-Newton step.
         grow: factor of the rate after a step that was taken.
-        shrink: factor after one taken back: the equilibrium was lost, jumped or was unstable, or E did not fall.
+        shrink: factor after one taken back: the equilibrium was lost, jumped or was unstable; or, with the gradient, E
+            did not fall.
         max_jump: largest change of a coordinate of the equilibrium in one step [rad, m].
         tolerance: tau on the largest coordinate of xi* - xi_d [rad, m].
         restarts: new initial weights to draw when a start is given up.
@@ -53,11 +56,14 @@ class RiemannianOptions:
     def __post_init__(self) -> None:
         as_choice("method", self.method, METHODS)
         for name in _COUNTS:
-            as_count(name, getattr(self, name))
+            object.__setattr__(self, name, as_count(name, getattr(self, name)))
+        object.__setattr__(self, "restarts", as_count("restarts", self.restarts, least=0))
+        object.__setattr__(self, "certified", bool(self.certified))
         for name in _POSITIVE:
-            as_positive(name, getattr(self, name))
-        if self.restarts != 0:
-            as_count("restarts", self.restarts)
+            object.__setattr__(self, name, as_positive(name, getattr(self, name)))
+        largest = 1.0 if self.method == "gauss-newton" else _LARGEST_RATE
+        if self.max_rate > largest:
+            raise InputError(f"max_rate must be at most {largest:g} for {self.method}, got {self.max_rate:g}")
         if self.certified and self.method != "gauss-newton":
             raise InputError(f"certified training needs the method 'gauss-newton', got {self.method!r}")
         if self.barrier >= 1.0:

@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from lieednn_sim.learning.equilibria import SensitivityMatrix
-from lieednn_sim.learning.manifold import SE3Weights, WeightPoint, block_view, flat_matrix
+from lieednn_sim.learning.manifold import SE3Weights, WeightPoint, block_view
 from lieednn_sim.lie import hat, vee
+from lieednn_sim.network.base import flatten_blocks
 from lieednn_sim.stability import log_scale_gradient, scale, smooth_largest
 
 Floats = NDArray[np.float64]
@@ -76,7 +77,7 @@ def loss_gradient(rows: Floats, nearby: SensitivityMatrix, delta: Floats, ratio:
 
 def rotational_weight(point: WeightPoint) -> Floats:
     """W_R = [alpha_ij R_ij], ``(3N, 3N)``."""
-    return flat_matrix(point.alpha[:, :, None, None] * point.elements["rotation"])
+    return flatten_blocks(point.alpha[:, :, None, None] * point.elements["rotation"])
 
 
 def smoothed_eigenvalue(

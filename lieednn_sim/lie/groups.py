@@ -29,17 +29,34 @@ _LARGEST_GENERAL_LINEAR = 8
 
 
 def group(name: str) -> MatrixLieGroup:
-    """The group called ``name``: one of `GROUPS`, or "GL(n)" with a number n from 1 to 8.
+    """The group called ``name``: one of `GROUPS`, "GL(n)" with n from 1 to 8, or "affine(...)" of one of these.
 
     Raises:
         InputError: there is none of that name; the message lists them.
     """
     if name in GROUPS:
         return GROUPS[name]()
+    if isinstance(name, str) and name.startswith("affine(") and name.endswith(")"):
+        return affine(group(name.removeprefix("affine(").removesuffix(")")))
     general = re.fullmatch(r"GL\((\d{1,4})\)", name) if isinstance(name, str) else None
     if general is None:
         raise InputError(f"no group {name!r}; allowed: {', '.join(GROUPS)}, GL(n)")
     return general_linear(int(general[1]))
+
+
+def catalogue_name(one: MatrixLieGroup) -> str:
+    """Name by which `group` gives the same group again, for files.
+
+    Raises:
+        InputError: it is a group of the user's own.
+    """
+    try:
+        known = group(one.name)
+    except InputError:
+        known = None
+    if known is None or not np.array_equal(known.basis, one.basis):
+        raise InputError(f"only a group of lieednn_sim.lie.groups can be saved, and {one.name!r} is not from there")
+    return one.name
 
 
 @cache

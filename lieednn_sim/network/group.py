@@ -113,16 +113,11 @@ class GroupLieEDNN(ComponentwiseNetwork):
         return read_only(self.alpha[:, :, None, None] * self.group.adjoint(self.theta))
 
     def _meta(self) -> dict[str, Any]:
-        name = self.group.name
-        if not np.array_equal(_named_group(name).basis, self.group.basis):
-            raise InputError(
-                f"a network can be saved on a group of lieednn_sim.lie.groups only, and {name!r} is altered"
-            )
-        return {"group": name, **super()._meta()}
+        return {"group": groups.catalogue_name(self.group), **super()._meta()}
 
     @classmethod
     def _from_meta(cls, meta: Mapping[str, Any]) -> dict[str, Any]:
-        return {"group": _named_group(str(meta["group"])), **super()._from_meta(meta)}
+        return {"group": groups.group(str(meta["group"])), **super()._from_meta(meta)}
 
 
 def _as_elements(group: MatrixLieGroup, theta: ArrayLike, n: int) -> NDArray[Any]:
@@ -138,10 +133,3 @@ def _as_elements(group: MatrixLieGroup, theta: ArrayLike, n: int) -> NDArray[Any
             "GroupLieEDNN.from_blocks projects onto them"
         )
     return np.array(theta, dtype=group.basis.dtype)
-
-
-def _named_group(name: str) -> MatrixLieGroup:
-    """A group of the catalogue, or the affine group over one."""
-    if name.startswith("affine(") and name.endswith(")"):
-        return groups.affine(_named_group(name.removeprefix("affine(").removesuffix(")")))
-    return groups.group(name)

@@ -72,7 +72,7 @@ class Verdict:
     certificate: Certificate
 
     @property
-    def holds(self) -> bool:
+    def globally_stable(self) -> bool:
         """Whether any rung proves global stability."""
         return any(rung.holds for rung in self.rungs if rung.reach == "global")
 
@@ -104,7 +104,7 @@ class Verdict:
         raise InputError(f"no rung {name!r}; rungs are: {', '.join(rung.name for rung in self.rungs)}")
 
     def __str__(self) -> str:
-        if self.holds:
+        if self.globally_stable:
             summary = f"globally stable by the {self.level}, at a rate of at least {self.best_rate:.4g}"
         else:
             summary = "locally stable only" if self.level == "local" else "no proof of stability"
@@ -173,7 +173,10 @@ def assess(
         rung("diagonal Lyapunov", certificate.lambda_max + certificate.rounding),
     ]
     if jacobian is not None:
-        abscissa = float(np.linalg.eigvals(as_floats("jacobian", jacobian, matrix.shape)).real.max())
+        slopes = as_floats("jacobian", jacobian, matrix.shape)
+        # The backward error of the eigenvalues; what a badly conditioned one makes of it is not bounded.
+        rounding = len(slopes) * np.finfo(float).eps * float(np.linalg.norm(slopes))
+        abscissa = float(np.linalg.eigvals(slopes).real.max() + rounding)
         rungs.append(Rung("local", abscissa < 0.0, abscissa, 0.0, max(0.0, -abscissa), "local"))
     return Verdict(tuple(rungs), certificate)
 

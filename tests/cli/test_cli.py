@@ -94,7 +94,18 @@ def test_a_training_that_fails_says_so_and_leaves_no_network(tmp_path, capsys):
     printed = capsys.readouterr().out
     assert "epochs spent after 20 epochs" in printed
     assert "no network was written; try" in printed
-    assert {path.name for path in directory.iterdir()} == {"task.json", "history.npz", "training.png"}
+    assert {path.name for path in directory.rglob("*.*")} == {"task.json", "history.npz", "training.png"}
+    assert "holds no run" in fails(capsys, "simulate", directory)
+
+
+def test_a_training_that_fails_leaves_an_earlier_run_as_it_was(run, tmp_path, capsys):
+    directory = tmp_path / "run"
+    shutil.copytree(run, directory)
+    before = {path.name: path.read_bytes() for path in directory.iterdir()}
+    arguments = ["train", "--target", "extended", "--algorithm", "literal", "--epochs", "3", "--candidates", "1"]
+    assert main([*arguments, "--output", str(directory)]) == 1
+    assert "seed must be a whole number" in fails(capsys, *arguments, "--output", directory, "--seed", "-1")
+    assert before == {path.name: path.read_bytes() for path in directory.iterdir() if path.is_file()}
 
 
 def test_interrupted_training_goes_on_with_resume(tmp_path, capsys, monkeypatch):
@@ -113,10 +124,11 @@ def test_interrupted_training_goes_on_with_resume(tmp_path, capsys, monkeypatch)
     assert main([*arguments, str(broken)]) == 130
     monkeypatch.undo()
     assert f"train --resume {broken}" in capsys.readouterr().out
-    assert not (broken / "network.npz").exists()
+    assert [path.name for path in broken.iterdir()] == ["training"]
     assert main(["train", "--resume", str(broken)]) == 0
     one, two = (LieEDNN.load(directory / "network.npz") for directory in (straight, broken))
     np.testing.assert_array_equal(one.weight, two.weight)
+    assert {path.name for path in broken.iterdir()} == {path.name for path in straight.iterdir()}
     assert "holds no interrupted training" in fails(capsys, "train", "--resume", broken)
 
 

@@ -12,7 +12,7 @@ from lieednn_sim import storage
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.learning import ALGORITHMS, StopReason, TrainingOptions, projected, resume, train
 from lieednn_sim.learning.manifold import block_view
-from lieednn_sim.lie import adjoint, group, project_to_adjoint
+from lieednn_sim.lie import MatrixLieGroup, adjoint, group, project_to_adjoint
 from lieednn_sim.stability import find_certificate
 
 
@@ -180,6 +180,25 @@ def test_checkpoint_is_written_on_the_way(tmp_path, monkeypatch):
         resume(tmp_path / "none.npz")
 
 
+def test_a_checkpoint_that_cannot_be_written_is_known_before_the_work(tmp_path):
+    for path in (tmp_path / "none" / "training.npz", tmp_path / "training.txt"):
+        with pytest.raises(FileError, match="cannot write"):
+            train(target(0), TrainingOptions.repaired(max_epochs=10**6), checkpoint=path)
+    own = MatrixLieGroup("mine", group("SO(3)").basis)
+    with pytest.raises(InputError, match=r"only a group of lieednn_sim\.lie\.groups can be saved"):
+        train(target(0, 2, 3), group=own, checkpoint=tmp_path / "training.npz")
+
+
+def test_training_on_an_affine_group_resumes_and_a_finished_one_stays_finished(tmp_path, monkeypatch):
+    monkeypatch.setattr(projected, "_CHECKPOINT_SECONDS", 0.0)
+    path, chosen = tmp_path / "training.npz", group("affine(C^x)")
+    result = train(target(0, 2, 4), TrainingOptions.tracked(max_epochs=5), group=chosen, seed=1, checkpoint=path)
+    same(resume(path), result)
+    done = train(target(0), TrainingOptions.tracked(), seed=0, checkpoint=path)
+    assert done.success
+    same(resume(path), done)
+
+
 def test_checkpoint_with_nonsense_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(projected, "_CHECKPOINT_SECONDS", 0.0)
     path = tmp_path / "training.npz"
@@ -190,10 +209,25 @@ def test_checkpoint_with_nonsense_is_refused(tmp_path, monkeypatch):
         {**meta, "options": {**meta["options"], "period": 0}},
         {**meta, "group": "E8"},
         {**meta, "state": {}},
+        {**meta, "state": {**meta["state"], "rows": 5000}},
+        {**meta, "rate": "fast"},
+        {**meta, "reason": "bored"},
     ):
         storage.save_arrays(path, "training", arrays, json.loads(json.dumps(damaged)))
         with pytest.raises(FileError, match="not a valid training checkpoint"):
             resume(path)
+    for name in ("weight", "x", "element_rotation", "history_equilibrium"):
+        for damage in (np.full_like(arrays[name], np.nan), arrays[name][:-1], 2.0 * arrays[name]):
+            if (
+                damage is not None
+                and name != "element_rotation"
+                and np.isfinite(damage).all()
+                and damage.shape == arrays[name].shape
+            ):
+                continue
+            storage.save_arrays(path, "training", {**arrays, name: damage}, meta)
+            with pytest.raises(FileError, match="not a valid training checkpoint"):
+                resume(path)
 
 
 def test_lost_equilibrium_and_instability_stop_the_training_with_their_reason():
@@ -211,7 +245,7 @@ def test_lost_equilibrium_and_instability_stop_the_training_with_their_reason():
 
 
 def test_restarts_are_counted_and_their_epochs_too():
-    hopeless = TrainingOptions.tracked(restarts=3, max_start_epochs=5, tolerance=1e-12)
+    hopeless = TrainingOptions.tracked(restarts=3, max_start_epochs=5, max_epochs=20, tolerance=1e-12)
     result = train(target(0), hopeless, seed=0)
     assert (result.starts, result.epochs, result.reason) == (4, 20, StopReason.EPOCHS_SPENT)
     # The history is that of the last start, without the trials that were taken back.
@@ -254,6 +288,12 @@ def test_other_rates_and_activation():
     assert (result.network.gamma, result.network.mu, result.network.activation) == (2.0, 0.5, "arctan")
 
 
+def test_a_strong_bias_puts_the_first_equilibrium_far_away():
+    result = train(10.0 + target(0), TrainingOptions.tracked(), bias=10.0, seed=0)
+    assert np.abs(result.history.equilibrium[0]).min() > 8.0
+    assert result.history.error[-1] < 0.5 * result.history.error[0]
+
+
 def test_progress_is_reported():
     calls: list[tuple[int, int]] = []
     train(target(0), TrainingOptions.repaired(max_epochs=35), progress=lambda done, total: calls.append((done, total)))
@@ -269,7 +309,7 @@ def test_progress_is_reported():
         ({"tolerance": -1.0}, "tolerance must be positive"),
         ({"initial_rate": 1.0}, "initial_rate must lie between min_rate 0.002 and max_rate 0.2"),
         ({"shrink": 1.5}, "shrink must be below 1"),
-        ({"restarts": -1}, "restarts must be at least 1"),
+        ({"restarts": -1}, "restarts must be at least 0"),
         ({"initial_alpha": float("nan")}, "initial_alpha must be finite"),
     ],
 )
@@ -289,6 +329,8 @@ def test_options_say_what_is_wrong(change, message):
         ({"activation": "relu"}, "no activation 'relu'"),
         ({"group": "SE(3)"}, "group must be a MatrixLieGroup or None"),
         ({"seed": -1}, "seed must be a whole number >= 0"),
+        ({"bias": 0.0}, "bias must not be zero"),
+        ({"options": {"period": 3}}, "options must be TrainingOptions, got dict"),
     ],
 )
 def test_bad_input_is_named(arguments, message):

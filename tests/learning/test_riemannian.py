@@ -230,7 +230,7 @@ def test_one_neuron_keeps_the_pitch_and_says_so():
         ({"barrier": 1.0}, "barrier must lie below 1, where the certificate ends, got 1"),
         ({"damping": 0.0}, "damping must be positive, got 0"),
         ({"max_jump": -0.1}, "max_jump must be positive, got -0.1"),
-        ({"restarts": -1}, "restarts must be at least 1, got -1"),
+        ({"restarts": -1}, "restarts must be at least 0, got -1"),
         ({"max_start_epochs": 0}, "max_start_epochs must be at least 1, got 0"),
         ({"stability_interval": 2.5}, "stability_interval must be a whole number, got 2.5"),
         ({"initial_rate": 2.0}, "initial_rate must lie between min_rate 0.0001 and max_rate 1, got 2"),

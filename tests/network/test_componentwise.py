@@ -20,7 +20,7 @@ def certified(seed: int) -> tuple[LieEDNN, np.ndarray]:
 def test_verdict_uses_the_network_s_own_proof_and_equilibrium():
     network, target = certified(0)
     verdict = network.assess()
-    assert verdict.holds
+    assert verdict.globally_stable
     np.testing.assert_array_equal(verdict.certificate.lyapunov_diagonal, network.certificate.lyapunov_diagonal)
     assert verdict["local"].rate == pytest.approx(-network.equilibrium(target).spectral_abscissa)
     assert verdict.best_rate <= verdict["local"].rate
@@ -31,9 +31,7 @@ def test_verdict_uses_the_network_s_own_proof_and_equilibrium():
 
 def test_certify_looks_at_the_rotations_of_se3_and_at_everything_of_another_group():
     network, _ = certified(1)
-    bare = LieEDNN(
-        network.alpha, network.rotation, 1e3 * network.translation, network.bias, network.gamma, network.mu
-    )
+    bare = LieEDNN(network.alpha, network.rotation, 1e3 * network.translation, network.bias, network.gamma, network.mu)
     assert bare.certificate is None
     assert bare.certify().certificate.lyapunov_diagonal.shape == (12,)
     rotations = GroupLieEDNN(group("SO(3)"), network.alpha, network.rotation, network.bias[:, :3], 2.0, 0.5)
@@ -41,7 +39,7 @@ def test_certify_looks_at_the_rotations_of_se3_and_at_everything_of_another_grou
     strong = LieEDNN(100.0 * network.alpha, network.rotation, network.translation, network.bias)
     with pytest.raises(NotCertifiedError, match="no certificate was found"):
         strong.certify()
-    assert not strong.assess().holds
+    assert not strong.assess().globally_stable
 
 
 def test_no_trajectory_leaves_the_invariant_box_and_the_smoothness_bounds_hold_on_it():
