@@ -1,0 +1,165 @@
+"""Formulas of the paper against numbers: each check draws random cases and returns what it measured."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from lieednn_sim import stability
+from lieednn_sim.learning import TrainingOptions, train
+from lieednn_sim.learning.manifold import block_view
+from lieednn_sim.lie import adjoint, hat, project_to_adjoint, project_to_adjoint_exact
+from lieednn_sim.lie.groups import group
+from lieednn_sim.network import (
+    EquivariantLieEDNN,
+    complex_network,
+    complex_state,
+    complex_values,
+    quaternion_network,
+    quaternion_state,
+    quaternion_values,
+)
+
+Scalars = dict[str, Any]
+
+
+def norm_conditions(samples: int) -> Scalars:
+    """Random W just inside both norm conditions: is each certified by a diagonal Lyapunov matrix?"""
+    rng = np.random.default_rng(0)
+    count = max(1, samples // 10)
+    certified = 0
+    for _ in range(count):
+        weight = rng.normal(size=(24, 24))
+        weight *= 0.99 / max(np.linalg.norm(weight, 1), np.linalg.norm(weight, np.inf))
+        certified += stability.find_certificate(weight, gamma=1.0, mu=1.0).valid
+    return {"count": count, "certified": certified}
+
+
+def projection(samples: int) -> Scalars:
+    """Random 6x6 blocks, and their pieces of rank 3: how much nearer is the Frobenius-nearest adjoint matrix?"""
+    rng = np.random.default_rng(0)
+    blocks = rng.normal(size=(samples, 6, 6))
+
+    def distance(pair: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+        return np.linalg.norm(blocks - adjoint(*pair), axis=(1, 2))
+
+    paper, exact = distance(project_to_adjoint(blocks)), distance(project_to_adjoint_exact(blocks))
+    middle = 0.5 * (blocks[:, :3, :3] + blocks[:, 3:, 3:])
+    return {
+        "count": samples,
+        "farther": float(np.mean(paper > exact * (1.0 + 1e-9))),
+        "median_excess": float(np.median(paper / exact - 1.0)),
+        "largest_excess": float((paper / exact).max() - 1.0),
+        "negative": float(np.mean(np.linalg.det(middle) < 0.0)),
+    }
+
+
+def algebras(samples: int) -> Scalars:
+    """Complex and quaternion products as adjoint actions: of C^x and H^x, and of their affine groups."""
+    rng = np.random.default_rng(0)
+    planar, quaternions = group("C^x"), group("H^x")
+    # The Lie algebras of C^x and H^x are C and H themselves.
+    z, q = rng.normal(size=(2, samples, 2)), rng.normal(size=(2, samples, 4))
+    literal_complex = np.abs(_act(planar, z[0], z[1]) - _product(planar, z[0], z[1])).max(axis=-1)
+    literal_quaternion = np.abs(_act(quaternions, q[0], q[1]) - _product(quaternions, q[0], q[1])).max(axis=-1)
+    w, b, x = rng.normal(size=(3, 3)), rng.normal(size=3), rng.normal(size=3)
+    weights = w + 1j * rng.normal(size=(3, 3))
+    found = complex_values(complex_network(weights, b).vector_field(complex_state(x)))
+    worst = [float(np.abs(found - (weights @ np.tanh(x) + b - x)).max())]
+    weights, b, x = rng.normal(size=(3, 3, 4)), rng.normal(size=(3, 4)), rng.normal(size=(3, 4))
+    expected = b - x + sum(_product(quaternions, weights[:, j], np.tanh(x[j])) for j in range(3))
+    network = quaternion_network(weights, b)
+    worst.append(float(np.abs(quaternion_values(network.vector_field(quaternion_state(x))) - expected).max()))
+    return {
+        "count": samples,
+        "complex_identity": float(np.abs(_act(planar, z[0], z[1]) - z[1]).max()),
+        "complex_apart": float(np.mean(literal_complex > 1e-6)),
+        "quaternion_apart": float(np.mean(literal_quaternion > 1e-6)),
+        "affine_error": max(worst),
+    }
+
+
+def _act(algebra: Any, w: np.ndarray, p: np.ndarray) -> np.ndarray:
+    return np.einsum("kab,kb->ka", algebra.adjoint(algebra.hat(w)), p)
+
+
+def _product(algebra: Any, w: np.ndarray, p: np.ndarray) -> np.ndarray:
+    """The product w p: the matrices of the algebra are those of the product."""
+    matrix = algebra.hat(w)
+    return np.einsum("kab,...b->ka", matrix, p) if p.ndim == 1 else np.einsum("kab,kb->ka", matrix, p)
+
+
+def activation(samples: int) -> Scalars:
+    """Equivariance under random frames: of tanh, of the activation in App. N as printed, and of the corrected one."""
+    rng = np.random.default_rng(0)
+    twist = rng.normal(size=(samples, 6))
+    frame = adjoint(Rotation.random(samples, rng=rng).as_matrix(), rng.normal(size=(samples, 3)))
+    moved = np.einsum("kab,kb->ka", frame, twist)
+    still = np.eye(3)[None, None], np.zeros((1, 1, 3))
+    network = EquivariantLieEDNN(np.ones((1, 1)), *still, np.zeros((1, 6)))
+
+    def printed(x: np.ndarray, epsilon: float = 1e-6) -> np.ndarray:
+        size = np.linalg.norm(x[..., :3], axis=-1, keepdims=True)
+        return np.tanh(size) / (size + epsilon) * x
+
+    def apart(phi: Callable[[np.ndarray], np.ndarray]) -> float:
+        return float(np.abs(phi(moved) - np.einsum("kab,kb->ka", frame, phi(twist))).max())
+
+    trace = np.trace(hat(twist) @ hat(twist), axis1=-2, axis2=-1)
+    pure = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0])
+    return {
+        "count": samples,
+        "tanh": apart(np.tanh),
+        "printed": apart(printed),
+        "corrected": apart(lambda x: network.phi(x[:, None])[:, 0]),
+        "negative_trace": float(np.mean(trace < 0.0)),
+        "printed_pure_translation": float(printed(pure)[3]),
+        "corrected_pure_translation": float(network.phi(pure[None])[0, 3]),
+    }
+
+
+def strength_gradient(samples: int) -> Scalars:
+    """dE/dalpha as printed, with w/alpha: against <dE/dW_ij, L_ij>, over the epochs from one projection to the next."""
+    errors = []
+    for seed in range(max(2, samples // 100)):
+        goal = np.random.default_rng(seed).uniform(-0.8, 0.8, (4, 6))
+        network = train(goal, TrainingOptions.repaired(max_epochs=50), seed=seed).network
+        if network is None or not network.equilibrium().success:
+            continue
+        weight, adjoints = network.weight.copy(), adjoint(network.rotation, network.translation)
+        x = network.equilibrium().xi.ravel()
+        for _ in range(9):
+            slope = _weight_gradient(weight, x, goal.ravel(), network.bias.ravel())
+            exact = np.einsum("ijab,ijab->ij", block_view(slope, 6), adjoints)
+            printed = np.einsum(
+                "ijab,ijab->ij", block_view(slope, 6), block_view(weight, 6) / network.alpha[:, :, None, None]
+            )
+            errors.append(np.linalg.norm(printed - exact) / np.linalg.norm(exact))
+            # The least rate of Algorithm 1.
+            weight = weight - 0.002 * slope
+    return {
+        "count": len(errors),
+        "on_manifold": float(np.max(errors[::9])),
+        "median_error": float(np.median(errors)),
+        "largest_error": float(np.max(errors)),
+    }
+
+
+def _weight_gradient(weight: np.ndarray, x: np.ndarray, goal: np.ndarray, bias: np.ndarray) -> np.ndarray:
+    """Gradient of E^2/2 in W at the equilibrium near ``x``, with gamma = mu = 1."""
+    for _ in range(20):
+        matrix = np.eye(len(x)) - weight * (1.0 - np.tanh(x) ** 2)
+        x = x - np.linalg.solve(matrix, x - weight @ np.tanh(x) - bias)
+    return np.outer(np.linalg.solve(matrix.T, x - goal), np.tanh(x))
+
+
+CHECKS: dict[str, Callable[[int], Scalars]] = {
+    "norm conditions": norm_conditions,
+    "projection": projection,
+    "algebras": algebras,
+    "activation": activation,
+    "strength gradient": strength_gradient,
+}

@@ -1,0 +1,66 @@
+"""Claims of the paper, what was measured, and the verdicts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from paper import measures
+from paper.results import Results
+
+
+@dataclass(frozen=True)
+class Claim:
+    """One line of the table.
+
+    Attributes:
+        source: where the paper says it.
+        text: the claim, in our words.
+        measured: what we found.
+        verdict: one of the four of `measures`.
+    """
+
+    source: str
+    text: str
+    measured: str
+    verdict: str
+
+
+def judge(results: Results) -> list[Claim]:
+    """Every claim, those without results as not measured."""
+    found = []
+    for source, text, measure in CLAIMS:
+        try:
+            measured, verdict = measure(results)
+        except measures.Missing as missing:
+            measured, verdict = f"no results of {missing}", measures.UNKNOWN
+        found.append(Claim(source, text, measured, verdict))
+    return found
+
+
+CLAIMS: tuple[tuple[str, str, Callable[[Results], tuple[str, str]]], ...] = (
+    (
+        "Sec. 4, Fig. (a)",
+        "Training with projection converges, with oscillations, for periods P in 8 to 16",
+        measures.oscillating,
+    ),
+    ("Sec. 4, Fig. (a)", "Smaller P take too long", measures.small_periods),
+    ("Sec. 4, Fig. (a)", "Larger P fail", measures.large_periods),
+    ("Sec. 4, Fig. (a)", "Within 8 to 16, larger P converge faster", measures.larger_is_faster),
+    ("Sec. 4, Fig. (b)", "Accuracy reaches 1", measures.accuracy),
+    ("Sec. 4, Fig. (c), (d)", "Projection preserves the block structure, without it is lost", measures.structure),
+    ("Sec. 4, Fig. (d)", "Without projection the target is still reached", measures.ablation),
+    ("Sec. 4, second figure", "The dynamics of the trained network converge to the target", measures.converging),
+    ("Sec. 5", "The norm conditions are enforced in the experiments", measures.norms),
+    ("Sec. 4 and 5", "The trained networks are stable, from every start", measures.stable),
+    ("App. G, I", "The norm conditions imply a unique, stable equilibrium", measures.norm_theorem),
+    ("App. H", "The curvature is bounded, and by 2 gamma (gamma R + gamma + mu b_max)", measures.curvature),
+    ("Sec. 3.3", "The strengths alpha are to be learned with W (Algorithm 1 leaves it out)", measures.alpha),
+    ("Sec. 3.3", "dE/dalpha is the sum of (dE/dw) w/alpha", measures.gradient),
+    ("Sec. 3.3, App. M", "Descent on E itself, not on its square, reaches the tolerance", measures.norm_loss),
+    ("App. M", "Algorithm 1 as printed reaches the tolerance", measures.literal),
+    ("App. M", "A training takes three to five minutes at most", measures.minutes),
+    ("Sec. 3.3, App. F", "The block-wise projection is the metric projection", measures.projection),
+    ("Sec. 5", "Complex and quaternion networks are its networks on C^x and H^x", measures.algebras),
+    ("App. N", "The printed activation is equivariant", measures.activation),
+)

@@ -1,0 +1,205 @@
+"""The figures: those of the paper (loss, accuracy, weights, trajectory, equilibrium), and others beside them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from paper import network_figures, style
+from paper.plan import INSIDE, OUTSIDE, PERIODS, TOLERANCE
+from paper.results import Results, column, curves, wilson
+
+ALGORITHMS = {
+    "no projection": "no projection (ablation)",
+    "stability-aware": "stability-aware, 5 starts",
+    "Riemannian Gauss-Newton": "Riemannian Gauss-Newton, 5 starts",
+    "tracked": "tracked, 5 starts",
+    "tracked, one start": "tracked, 1 start",
+    "tracked, P=10": "tracked, $P=10$, 1 start",
+    "scaled projection": "repaired, scaled projection",
+    "P=10": "repaired, $P=10$",
+    "Riemannian gradient": "Riemannian gradient",
+}
+
+
+def draw(results: Results, directory: Path) -> dict[str, str]:
+    """Draw every figure for which there are results; returns captions by file name, in the order of the report."""
+    makers: dict[str, Callable[[Results], tuple[Figure, str] | None]] = {
+        "training": training,
+        "oscillation": oscillation,
+        "periods": periods,
+        "weights": network_figures.weights,
+        "trajectory": network_figures.trajectories,
+        "equilibrium": network_figures.equilibria,
+        "spread": network_figures.spread,
+        "epochs": epochs,
+        "stability": network_figures.stability,
+    }
+    captions = {}
+    for name, make in makers.items():
+        with style.context():
+            made = make(results)
+            if made is not None:
+                captions[style.save(made[0], directory, name)] = made[1]
+    return captions
+
+
+def training(results: Results) -> tuple[Figure, str] | None:
+    """Loss and accuracy over epochs, paper's Fig. (a) and (b)."""
+    names = [f"P={period}" for period in PERIODS]
+    if not all(results[name] for name in names):
+        return None
+    drawn = style.figure(4.6)
+    axes = drawn.subplots(2, 2, sharex=True, sharey="col")
+    grid = np.unique(np.round(np.geomspace(1, results.plan.max_epochs, 200)))
+    for row, chosen in enumerate((INSIDE, OUTSIDE)):
+        lines = [(f"P={period}", f"$P={period}$", style.COLOURS[k], style.DASHES[k]) for k, period in enumerate(chosen)]
+        if row == 0 and results["literal"]:
+            lines.append(("literal", "as printed, $P=10$", style.GREY, ":"))
+        for name, label, colour, dash in lines:
+            error = curves(results[name], "error_median", grid)
+            style.band(axes[row, 0], grid, error, colour, levels=(0.25, 0.75), ls=dash, label=label)
+            axes[row, 1].plot(grid, curves(results[name], "accuracy", grid).mean(axis=0), color=colour, ls=dash)
+        axes[row, 0].axhline(style.SETTLED, color="0.3", lw=0.8, ls=(0, (1, 2)))
+        axes[row, 0].set_ylabel(r"loss $E = \|\xi^*-\xi_d\|_2$")
+        axes[row, 1].set_ylabel("accuracy, mean over targets")
+        handles, labels = axes[row, 0].get_legend_handles_labels()
+        axes[row, 1].legend(handles, labels, loc="upper left", title=None)
+    axes[0, 0].set(xscale="log", yscale="log")
+    axes[0, 0].text(1.2, style.SETTLED * 1.2, r"$\sqrt{24}\,\tau$", va="bottom")
+    axes[0, 1].set_ylim(-0.03, 1.03)
+    for axis, text in zip(axes.ravel(), "abcd", strict=True):
+        style.letter(axis, text)
+    for axis in axes[1]:
+        axis.set_xlabel("epoch")
+    counts = f"{len(results['P=8'])} targets, {len(results['P=10'])} for P = 10, {len(results['literal'])} as printed"
+    return drawn, (
+        "Training with the repaired Algorithm 1: (a) loss and (b) accuracy for the projection periods that the paper "
+        "recommends, (c) and (d) outside of them. Lines in (a) and (c) are medians over targets, bands their quartiles "
+        f"({counts}); accuracy is the share of the 24 coordinates within tau = {TOLERANCE:g}, and all of them are only "
+        "below the dotted line. A run that stopped keeps its last value."
+    )
+
+
+def oscillation(results: Results) -> tuple[Figure, str] | None:
+    """One target in detail."""
+    seed = results.example()
+    record = results.of("P=10", seed)
+    if record is None:
+        return None
+    drawn = style.figure(2.5)
+    left, right = drawn.subplots(1, 2, width_ratios=(1.25, 1.0))
+    shown = []
+    for k, period in enumerate(INSIDE):
+        one = results.of(f"P={period}", seed)
+        if one is None:
+            continue
+        # Logarithmic axes have no epoch 0.
+        epoch = one.arrays["epoch"] + 1.0
+        left.fill_between(
+            epoch, one.arrays["error_low"], one.arrays["error_high"], color=style.COLOURS[k], alpha=0.2, lw=0
+        )
+        left.plot(epoch, one.arrays["error_median"], color=style.COLOURS[k], ls=style.DASHES[k], label=f"$P={period}$")
+        shown.append(period)
+    left.axhline(style.SETTLED, color="0.3", lw=0.8, ls=(0, (1, 2)))
+    left.set(xscale="log", yscale="log", xlabel="epoch", ylabel=r"loss $E$")
+    left.legend(loc="lower left")
+    first = record.arrays["first_error"][:201]
+    right.plot(np.arange(len(first)), first, color=style.COLOURS[1], lw=1.0)
+    jumps = np.arange(0, len(first), 10)
+    right.plot(jumps, first[jumps], "o", ms=3, color="0.2", label="after a projection")
+    right.set(xlabel="epoch", ylabel=r"loss $E$")
+    right.legend(loc="upper right")
+    style.letter(left, "a")
+    style.letter(right, "b")
+    return drawn, (
+        f"Oscillation of the loss for one target (seed {seed}): (a) whole trainings, lines are medians and bands the "
+        f"range of the loss in bins of epochs; (b) the first 200 epochs with P = 10, where every projection throws the "
+        f"loss back."
+    )
+
+
+def periods(results: Results) -> tuple[Figure, str] | None:
+    """Success and epochs over the projection period."""
+    if not all(results[f"P={period}"] for period in PERIODS):
+        return None
+    drawn = style.figure(2.4)
+    left, right = drawn.subplots(1, 2)
+    rng = np.random.default_rng(0)
+    for k, period in enumerate(PERIODS):
+        records, good = results[f"P={period}"], results.successes(f"P={period}")
+        rate, (low, high) = len(good) / len(records), wilson(len(good), len(records))
+        colour = style.BLUE if period in INSIDE else style.VERMILION
+        mark = "o" if period in INSIDE else "s"
+        left.errorbar(
+            k,
+            rate,
+            [[max(0.0, rate - low)], [max(0.0, high - rate)]],
+            fmt=mark,
+            color=colour,
+            capsize=2.5,
+            ms=4.5,
+            lw=1.0,
+        )
+        spent = column(good, "epochs")
+        right.plot(k + rng.uniform(-0.18, 0.18, len(spent)), spent, mark, ms=2.5, color=colour, alpha=0.5, mew=0)
+        if len(spent):
+            right.plot([k - 0.3, k + 0.3], [np.median(spent)] * 2, color="k", lw=1.4)
+    for axis in (left, right):
+        axis.set_xticks(range(len(PERIODS)), [str(period) for period in PERIODS])
+        axis.set_xlabel("projection period $P$ [epochs]")
+        axis.set_xlim(-0.6, len(PERIODS) - 0.4)
+        axis.grid(axis="x", visible=False)
+    left.set(ylim=(-0.03, 1.2), yticks=np.linspace(0.0, 1.0, 6), ylabel="share of targets learned")
+    right.set(ylabel="epochs to converge")
+    if right.dataLim.ymin > 0.0 and np.isfinite(right.dataLim.ymin):
+        right.set_yscale("log")
+    inside = Line2D([], [], ls="", marker="o", color=style.BLUE, label="recommended, 8 to 16")
+    outside = Line2D([], [], ls="", marker="s", color=style.VERMILION, label="outside")
+    left.legend(handles=[inside, outside], loc="upper center", ncols=2, columnspacing=1.0, handletextpad=0.2)
+    style.letter(left, "a")
+    style.letter(right, "b")
+    return drawn, (
+        "Projection period of the repaired Algorithm 1: (a) share of targets learned within "
+        f"{results.plan.max_epochs} epochs, with 95 % Wilson intervals; (b) epochs of the runs that converged, with "
+        "medians."
+    )
+
+
+def epochs(results: Results) -> tuple[Figure, str] | None:
+    """Share of targets learned within a number of epochs, by algorithm."""
+    shown = [name for name in ALGORITHMS if results[name]]
+    if not shown:
+        return None
+    drawn = style.figure(2.9)
+    axis = drawn.subplots()
+    for k, name in enumerate(shown):
+        spent = np.sort(column(results.successes(name), "epochs"))
+        heights = np.arange(1, len(spent) + 1) / len(results[name])
+        last = max(results.plan.max_epochs, spent[-1] if len(spent) else 1)
+        axis.step(
+            np.concatenate([[1], spent, [last]]),
+            np.concatenate([[0], heights, heights[-1:] if len(spent) else [0]]),
+            where="post",
+            color=style.COLOURS[k % len(style.COLOURS)],
+            ls=style.DASHES[k // 2 % len(style.DASHES)],
+            label=f"{ALGORITHMS[name]} ({len(spent)}/{len(results[name])})",
+        )
+    axis.set(xscale="log", xlabel="epochs, of all starts together", ylabel="share of targets learned")
+    axis.set_xlim(10, results.plan.max_epochs * 1.05)
+    axis.set_ylim(-0.02, 1.03)
+    _legend_beside(drawn, axis)
+    return drawn, (
+        "Share of the random targets learned within a number of epochs (steps for the Riemannian methods); in brackets "
+        "how many in the end. Each has its own limit of epochs, listed in the tables."
+    )
+
+
+def _legend_beside(drawn: Figure, axis: Axes) -> None:
+    handles, labels = axis.get_legend_handles_labels()
+    drawn.legend(handles, labels, loc="outside right center")

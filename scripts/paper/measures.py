@@ -1,0 +1,267 @@
+"""What is measured for each claim: a sentence with the numbers, and the verdict that follows from them."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+
+import numpy as np
+
+from lieednn_sim.learning import StopReason
+from paper.plan import INSIDE, OUTSIDE, TOLERANCE
+from paper.results import Results, column, quantiles, seeds, share, wilson
+from paper.runner import Record
+
+HOLDS, PART, FAILS, UNKNOWN = "holds", "holds in part", "does not hold", "not measured"
+# Shares of targets or networks: from MOST on a claim holds, below FEW it does not.
+MOST, FEW = 0.9, 0.1
+
+# Ends by which the network was lost, unlike a lack of epochs.
+_LOST = (str(StopReason.LOST_EQUILIBRIUM), str(StopReason.UNSTABLE))
+
+
+class Missing(Exception):
+    """A claim has no results to be judged by."""
+
+
+def graded(rate: float) -> str:
+    """Verdict on a share."""
+    if math.isnan(rate):
+        return UNKNOWN
+    return HOLDS if rate >= MOST else PART if rate >= FEW else FAILS
+
+
+def of(records: list[Record]) -> str:
+    """How many succeeded, of how many."""
+    return f"{sum(bool(record['success'] is True) for record in records)} of {len(records)}"
+
+
+def _all(results: Results, *names: str) -> list[Record]:
+    absent = [name for name in names if not results[name]]
+    if absent:
+        raise Missing(", ".join(absent))
+    return [record for name in names for record in results[name]]
+
+
+def _good(results: Results, *names: str) -> list[Record]:
+    _all(results, *names)
+    records = [record for name in names for record in results.successes(name)]
+    if not records:
+        raise Missing(f"a success of {', '.join(names)}")
+    return records
+
+
+def _periods(values: tuple[int, ...]) -> list[str]:
+    return [f"P={period}" for period in values]
+
+
+def oscillating(results: Results) -> tuple[str, str]:
+    records = _all(results, *_periods(INSIDE))
+    counts = "; ".join(f"{name}: {of(results[name])}" for name in _periods(INSIDE))
+    rises = quantiles(column(records, "rises"), 0.5)[0]
+    measured = f"{counts}; E rises in {rises:.0%} of the epochs (median)"
+    return measured, graded(share(records)) if rises > 0.01 else FAILS
+
+
+def small_periods(results: Results) -> tuple[str, str]:
+    inside = _median_epochs(_all(results, *_periods(INSIDE)))
+    names = _periods(tuple(p for p in OUTSIDE if p < min(INSIDE)))
+    middles = [_median_epochs(_all(results, name)) for name in names]
+    slower = [middle > inside for middle in middles]
+    parts = [f"{name}: {of(results[name])}, {_epochs(middle)}" for name, middle in zip(names, middles, strict=True)]
+    measured = f"{'; '.join(parts)}; P = 8 to 16: {_epochs(inside)} (medians, a failure counts as never)"
+    return measured, HOLDS if all(slower) else PART if any(slower) else FAILS
+
+
+def large_periods(results: Results) -> tuple[str, str]:
+    names = _periods(tuple(p for p in OUTSIDE if p > max(INSIDE)))
+    groups = _all(results, *names), _all(results, *_periods(INSIDE))
+    lost = [sum(record["reason"] in _LOST for record in group) for group in groups]
+    apart = wilson(lost[0], len(groups[0]))[0] > wilson(lost[1], len(groups[1]))[1]
+    measured = (
+        f"{'; '.join(f'{name}: {of(results[name])}' for name in names)}; P = 8 to 16: {of(groups[1])}; lost or "
+        f"unstable {lost[0] / len(groups[0]):.0%} against {lost[1] / len(groups[1]):.0%}"
+    )
+    return measured, HOLDS if share(groups[0]) < FEW else PART if apart else FAILS
+
+
+def larger_is_faster(results: Results) -> tuple[str, str]:
+    groups = [_all(results, name) for name in _periods(INSIDE)]
+    common = set.intersection(*(seeds(group) for group in groups))
+    if not common:
+        raise Missing("any target with every P in 8 to 16")
+    middles = [_median_epochs([r for r in group if r.job.parameters["seed"] in common]) for group in groups]
+    parts = [f"{_epochs(middle)} at {name}" for name, middle in zip(_periods(INSIDE), middles, strict=True)]
+    measured = f"medians over {len(common)} common targets, a failure counts as never: {', '.join(parts)}"
+    # All four in order, or at least the largest against the smallest.
+    if all(later < earlier for earlier, later in pairwise(middles)):
+        return measured, HOLDS
+    return measured, PART if middles[-1] < middles[0] else FAILS
+
+
+def _median_epochs(records: list[Record]) -> float:
+    """Median of the epochs to converge over all records; infinite for those that did not."""
+    spent = np.sort([record["epochs"] if record["success"] else np.inf for record in records])
+    return float(spent[len(spent) // 2])
+
+
+def _epochs(count: float) -> str:
+    return f"{count:.0f} epochs" if math.isfinite(count) else "no end"
+
+
+def accuracy(results: Results) -> tuple[str, str]:
+    records = _all(results, "P=10")
+    perfect = [record["accuracy"] == 1.0 for record in records]
+    mean = float(np.mean(column(records, "accuracy")))
+    return (
+        f"P = 10: {sum(perfect)} of {len(records)} targets end with accuracy 1 (all coordinates within {TOLERANCE:g}), "
+        f"mean {mean:.2f}"
+    ), graded(float(np.mean(perfect)))
+
+
+def structure(results: Results) -> tuple[str, str]:
+    kept = column(_all(results, *_periods(INSIDE)), "structure_error").max()
+    lost = quantiles(column(_all(results, "no projection"), "structure_error"), 0.5)[0]
+    measured = f"relative distance to the manifold: at most {kept:.1g} with projection, median {lost:.2f} without"
+    return measured, HOLDS if kept < 1e-9 and lost > 0.1 else PART if kept < 1e-9 or lost > 0.1 else FAILS
+
+
+def ablation(results: Results) -> tuple[str, str]:
+    records = _all(results, "no projection")
+    middle = quantiles(column(results.successes("no projection"), "epochs"), 0.5)[0]
+    return f"{of(records)} targets, median {middle:.0f} epochs", graded(share(records))
+
+
+def converging(results: Results) -> tuple[str, str]:
+    records = _good(results, *_periods(INSIDE))
+    zero = float(np.mean(column(records, "from_zero") < 1e-3))
+    reached = column(records, "reached")
+    everywhere = float(np.mean(reached == 1.0))
+    measured = (
+        f"of {len(records)} trained networks {zero:.0%} arrive from zero; from 100 random starts in (-2, 2) "
+        f"{everywhere:.0%} arrive from all of them, worst network from {reached.min():.0%}"
+    )
+    return measured, HOLDS if min(zero, everywhere) >= MOST else graded(zero) if zero < MOST else PART
+
+
+def norms(results: Results) -> tuple[str, str]:
+    records = _good(results, *_periods(INSIDE), "tracked")
+    met = float(np.mean((column(records, "one_norm") < 1.0) & (column(records, "infinity_norm") < 1.0)))
+    least, middle, most = quantiles(column(records, "one_norm"), 0.0, 0.5, 1.0)
+    targets = _all(results, "P=10")
+    possible = float(np.mean(column(targets, "smallest_one_norm") < 1.0))
+    lowest, typical = quantiles(column(targets, "smallest_one_norm"), 0.0, 0.5)
+    measured = (
+        f"{met:.0%} of {len(records)} trained networks meet them: ||W||_1 is {least:.2g} to {most:.2g} (median "
+        f"{middle:.2g}), where below 1 is asked for; any network with these equilibria has at least {lowest:.2g} to "
+        f"begin with (median {typical:.2g}), so that at most {possible:.0%} of the targets allow it"
+    )
+    return measured, graded(met)
+
+
+def stable(results: Results) -> tuple[str, str]:
+    records = _good(results, *_periods(INSIDE))
+    certified = share(records, "certified")
+    local = float(np.mean(column(records, "abscissa") < 0.0))
+    arriving = float(np.mean(column(records, "reached") == 1.0))
+    measured = (
+        f"of {len(records)} trained networks {certified:.0%} have a diagonal Lyapunov certificate (global), "
+        f"{local:.0%} are locally stable; for {arriving:.0%} all of 100 random starts arrive"
+    )
+    return measured, HOLDS if certified >= MOST else PART if min(local, arriving) >= FEW else FAILS
+
+
+def _check(results: Results, name: str) -> Record:
+    return _all(results, name)[0]
+
+
+def norm_theorem(results: Results) -> tuple[str, str]:
+    record = _check(results, "norm conditions")
+    measured = f"{record['certified']} of {record['count']} random W inside both norms have a diagonal Lyapunov proof"
+    return measured, HOLDS if record["certified"] == record["count"] else FAILS
+
+
+def curvature(results: Results) -> tuple[str, str]:
+    records = _good(results, *_periods(INSIDE), "tracked", "certified synthesis", "retargeting")
+    general = column(records, "acceleration") <= column(records, "acceleration_bound")
+    applies = share(records, "closing_applies")
+    below = float(np.mean(column(records, "acceleration") < column(records, "closing")))
+    measured = (
+        f"first inequality: {general.mean():.0%} of {len(records)} trajectories; the closing one needs ||W||_inf < "
+        f"gamma/mu, which {applies:.0%} of the networks meet; numerically {below:.0%} of the trajectories lie below it"
+    )
+    return measured, FAILS if not general.all() else HOLDS if applies >= MOST else PART
+
+
+def alpha(results: Results) -> tuple[str, str]:
+    fixed, learned = _all(results, "alpha fixed"), _all(results, "P=10")
+    measured = f"alpha fixed: {of(fixed)}; learned: {of(learned)}"
+    return measured, HOLDS if share(fixed) < FEW <= share(learned) else PART if share(fixed) < share(learned) else FAILS
+
+
+def norm_loss(results: Results) -> tuple[str, str]:
+    records = _all(results, "loss E")
+    errors = quantiles(column(records, "error"), 0.0, 0.5)
+    measured = f"{of(records)} targets with alpha learned; smallest error {errors[0]:.2g}, median {errors[1]:.2g}"
+    return measured, graded(share(records))
+
+
+def literal(results: Results) -> tuple[str, str]:
+    records = _all(results, "literal")
+    errors = quantiles(column(records, "error"), 0.0)[0]
+    reasons = sorted({record["reason"] for record in records})
+    measured = f"{of(records)} targets reach tau; smallest error {errors:.2g}; ends: {', '.join(reasons)}"
+    return measured, graded(share(records))
+
+
+def minutes(results: Results) -> tuple[str, str]:
+    parts, times = [], []
+    for name, label in (("literal", "as printed"), ("P=10", "repaired"), ("tracked", "tracked")):
+        records = _all(results, name)
+        middle, most = quantiles(column(records, "seconds"), 0.5, 1.0)
+        each = quantiles(1e6 * column(records, "seconds") / np.maximum(1.0, column(records, "epochs")), 0.5)[0]
+        parts.append(f"{label}: median {middle:.2g} s, at most {most:.2g} s, {each:.0f} us an epoch")
+        times.append(most)
+    return "; ".join(parts) + " (a claim on the authors' code and machine)", HOLDS if max(times) <= 300.0 else FAILS
+
+
+def algebras(results: Results) -> tuple[str, str]:
+    record = _check(results, "algebras")
+    measured = (
+        f"Ad of C^x is the identity (to {record['complex_identity']:.0e}) and differs from the product in "
+        f"{record['complex_apart']:.0%} of random pairs, that of H^x in {record['quaternion_apart']:.0%}; on their "
+        f"affine groups, in the translations, the equations agree to {record['affine_error']:.0e}"
+    )
+    literal = max(record["complex_apart"], record["quaternion_apart"]) < FEW
+    return measured, HOLDS if literal else PART if record["affine_error"] < 1e-9 else FAILS
+
+
+def projection(results: Results) -> tuple[str, str]:
+    record = _check(results, "projection")
+    measured = (
+        f"the nearest point is nearer than the block-wise one for {record['farther']:.0%} of random blocks, by "
+        f"{record['median_excess']:.1%} (median) to {record['largest_excess']:.0%}; for {record['negative']:.0%} "
+        "det((A + D)/2) < 0, where no rotation is near"
+    )
+    return measured, HOLDS if record["farther"] < FEW else PART if record["median_excess"] < 0.1 else FAILS
+
+
+def activation(results: Results) -> tuple[str, str]:
+    record = _check(results, "activation")
+    measured = (
+        f"tanh by coordinates is off by {record['tanh']:.1f}, as the paper says; the form in ||omega|| is equivariant "
+        f"to {record['printed']:.0e}, but sends the pure translation 1 to {record['printed_pure_translation']:.0f} "
+        f"(corrected: {record['corrected_pure_translation']:.0f}); the form in sqrt(tr X^2) is not real for "
+        f"{record['negative_trace']:.0%} of random twists"
+    )
+    sound = record["printed"] < 1e-9
+    return measured, FAILS if not sound else HOLDS if record["negative_trace"] < FEW else PART
+
+
+def gradient(results: Results) -> tuple[str, str]:
+    record = _check(results, "strength gradient")
+    measured = (
+        f"w/alpha for Ad is exact right after a projection (to {record['on_manifold']:.0e}); in between it is off by "
+        f"{record['median_error']:.0%} (median) to {record['largest_error']:.0%}"
+    )
+    return measured, HOLDS if record["largest_error"] < 1e-6 else PART if record["on_manifold"] < 1e-6 else FAILS

@@ -1,0 +1,143 @@
+"""What is run: a list of jobs, each a pure function of its parameters."""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import json
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import lieednn_sim
+from lieednn_sim import learning
+
+INSIDE, OUTSIDE = (8, 10, 12, 16), (1, 4, 24, 40)
+PERIODS = tuple(sorted(INSIDE + OUTSIDE))
+BIAS = 0.125
+TOLERANCE = 1e-5
+
+# Trainings: name, named setting of the package, what is changed of it.
+TRAININGS: dict[str, tuple[str, dict[str, Any]]] = {
+    **{f"P={period}": ("repaired", {"period": period}) for period in PERIODS},
+    "literal": ("literal", {}),
+    "loss E": ("repaired", {"loss": "norm"}),
+    "alpha fixed": ("repaired", {"learn_alpha": False}),
+    "no projection": ("repaired", {"projection": "none"}),
+    "exact projection": ("repaired", {"projection": "exact"}),
+    "scaled projection": ("repaired", {"projection": "scaled"}),
+    "tracked, P=10": ("tracked", {"period": 10, "restarts": 0, "max_start_epochs": 10_000}),
+    "tracked, one start": ("tracked", {"restarts": 0}),
+    "tracked": ("tracked", {}),
+}
+RIEMANNIAN: dict[str, dict[str, Any]] = {
+    "Riemannian gradient": {"method": "gradient", "certified": False},
+    "Riemannian Gauss-Newton": {"method": "gauss-newton", "certified": False},
+    "stability-aware": {"method": "gauss-newton", "certified": True},
+}
+CHECKS = ("norm conditions", "projection", "algebras", "activation", "strength gradient")
+
+
+def _code() -> str:
+    """Digest of the code behind the results, so that none outlives a change of it."""
+    package, here = Path(lieednn_sim.__file__).parent, Path(__file__).parent
+    paths = [path for part in _PARTS for path in sorted((package / part).glob("*.py"))]
+    digest = hashlib.sha256(version("lieednn_sim").encode())
+    for path in [*paths, package / "dynamics.py", here / "experiments.py", here / "checks.py"]:
+        digest.update(normalised(path.read_text(encoding="utf-8")).encode())
+    return digest.hexdigest()
+
+
+def normalised(source: str) -> str:
+    """Python code without comments, docstrings and layout."""
+    tree = ast.parse(source)
+    for node in ast.walk(tree):
+        body = getattr(node, "body", None)
+        first = body[0] if isinstance(body, list) and body else None
+        if isinstance(first, ast.Expr) and isinstance(first.value, ast.Constant):
+            del body[0]
+    return ast.dump(tree)
+
+
+# Of the package, what the experiments use.
+_PARTS = ("lie", "network", "stability", "learning", "synthesis")
+CODE = _code()
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How much is run.
+
+    Attributes:
+        name: for the report.
+        targets: random targets of the comparisons.
+        some_targets: of them, for other projection periods than 10 and for other changes of the repaired algorithm.
+        slow_targets: of them, for the algorithm as printed and the exact projection, which cost milliseconds an epoch.
+        max_epochs: of the trainings with the gradient.
+        slow_epochs: of the slow ones.
+        gradient_steps: of the Riemannian gradient.
+        samples: random matrices or states in each check of a formula.
+    """
+
+    name: str
+    targets: int
+    some_targets: int
+    slow_targets: int
+    max_epochs: int
+    slow_epochs: int
+    gradient_steps: int
+    samples: int
+
+
+FULL = Plan("full", 100, 20, 4, 25_000, 10_000, 1000, 1000)
+QUICK = Plan("quick", 6, 3, 1, 5000, 500, 200, 200)
+
+
+@dataclass(frozen=True)
+class Job:
+    """One unit of work.
+
+    Attributes:
+        name: of the group that it belongs to.
+        kind: which function of `experiments.KINDS` does it.
+        parameters: of that function; JSON values.
+    """
+
+    name: str
+    kind: str
+    parameters: dict[str, Any]
+
+    @property
+    def key(self) -> str:
+        """Name of the result's file: it changes with the parameters and with the code."""
+        content = [self.kind, self.parameters, CODE]
+        digest = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+        return f"{self.kind}-{digest[:20]}"
+
+
+def jobs(plan: Plan) -> list[Job]:
+    """Everything that is run, the longest first, so that no core waits for another at the end."""
+    found = []
+    for name, (algorithm, changes) in TRAININGS.items():
+        count, limits = plan.targets, {}
+        slow = name in ("literal", "exact projection")
+        if slow:
+            count = plan.slow_targets
+        elif algorithm == "repaired" and name not in ("P=10", "no projection", "scaled projection"):
+            count = plan.some_targets
+        if algorithm != "tracked":
+            limits = {"max_epochs": plan.slow_epochs if slow else plan.max_epochs}
+        for seed in range(min(count, plan.targets)):
+            options = {"algorithm": algorithm, "changes": {**changes, **limits}, "seed": seed}
+            found.append(Job(name, "train", options))
+    if hasattr(learning, "train_riemannian"):
+        for name, settings in RIEMANNIAN.items():
+            steps = {"max_start_epochs": plan.gradient_steps, "restarts": 0} if settings["method"] == "gradient" else {}
+            found += [Job(name, "riemannian", {**settings, **steps, "seed": seed}) for seed in range(plan.targets)]
+    for seed in range(plan.targets):
+        found.append(Job("certified synthesis", "synthesis", {"seed": seed}))
+        found.append(Job("retargeting", "retarget", {"seed": seed}))
+    found += [Job(name, "check", {"name": name, "samples": plan.samples}) for name in CHECKS]
+    first = ("exact projection", "literal", "alpha fixed", "loss E")
+    return sorted(found, key=lambda job: first.index(job.name) if job.name in first else len(first))

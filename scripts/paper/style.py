@@ -1,0 +1,82 @@
+"""How the figures look, and how they are written."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.rcsetup import cycler
+
+from lieednn_sim import storage
+from paper.plan import TOLERANCE
+
+# Okabe and Ito's palette, distinguishable by colour-blind readers; the line styles tell the same for print in grey.
+BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY = "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9"
+COLOURS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY)
+DASHES = ("-", "--", "-.", ":")
+GREY = "0.45"
+# With every one of the 24 coordinates within the tolerance E is below this.
+SETTLED = np.sqrt(24.0) * TOLERANCE
+
+# Text width of a page [inch]; at this width the fonts have the sizes given here [pt].
+WIDTH = 6.75
+STYLE: dict[str, Any] = {
+    "font.size": 8.5,
+    "axes.labelsize": 8.5,
+    "xtick.labelsize": 8,
+    "ytick.labelsize": 8,
+    "legend.fontsize": 8,
+    "axes.grid": True,
+    "grid.alpha": 0.3,
+    "grid.linewidth": 0.5,
+    "lines.linewidth": 1.3,
+    "axes.linewidth": 0.7,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.prop_cycle": cycler(color=COLOURS),
+    "legend.frameon": False,
+    "legend.handlelength": 2.2,
+    # Text stays text in the PDF.
+    "pdf.fonttype": 42,
+}
+
+
+def figure(height: float) -> Figure:
+    """An empty figure of the page's width."""
+    return Figure(figsize=(WIDTH, height), layout="constrained")
+
+
+def letter(axis: Axes, text: str) -> None:
+    """The panel's letter, as captions refer to it."""
+    axis.set_title(f"({text})", loc="left", fontsize=8.5, pad=4)
+
+
+def band(
+    axis: Axes, x: np.ndarray, values: np.ndarray, colour: str, *, levels: tuple[float, float], **line: Any
+) -> None:
+    """Median over the first axis, with a band between two quantiles."""
+    low, middle, high = np.quantile(values, [levels[0], 0.5, levels[1]], axis=0)
+    axis.fill_between(x, low, high, color=colour, alpha=0.15, lw=0)
+    axis.plot(x, middle, color=colour, **line)
+
+
+def save(drawn: Figure, directory: Path, name: str) -> str:
+    """Write a PDF for print and a PNG for the report; returns the PNG's name."""
+    # The layout is dear, and the same for both.
+    drawn.get_layout_engine().execute(drawn)
+    drawn.set_layout_engine("none")
+    # No dates in the files: the same results give the same bytes.
+    with storage.atomic_path(directory / f"{name}.pdf") as path:
+        drawn.savefig(path, metadata={"CreationDate": None})
+    with storage.atomic_path(directory / f"{name}.png") as path:
+        drawn.savefig(path, dpi=150, metadata={"Software": None})
+    return f"{name}.png"
+
+
+def context() -> Any:
+    """Matplotlib's settings for a figure."""
+    return matplotlib.rc_context(STYLE)

@@ -1,0 +1,77 @@
+"""Reproduce the experiments of the paper: figures, tables, and a verdict on each claim.
+
+    python scripts/reproduce_paper.py [--quick] [--output results/paper] [--jobs N] [--fresh]
+
+An interrupted run goes on where it was when the same command is given again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+import sys
+import time
+from pathlib import Path
+
+# Before NumPy loads: matrices here are far too small for threads, and the workers inherit this.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+from concurrent.futures.process import BrokenProcessPool
+
+from paper import figures, report, runner
+from paper.plan import FULL, QUICK, Plan, jobs
+from paper.results import Results
+from rich.console import Console
+
+from lieednn_sim import storage
+from lieednn_sim.errors import LieEDNNError
+
+
+def reproduce(plan: Plan, directory: str | os.PathLike[str], workers: int, command: str, console: Console) -> Path:
+    """Run what has not been run, and write figures and report; returns the report's path."""
+    begun = time.perf_counter()
+    output = storage.make_directory(directory)
+    cache = storage.make_directory(output / "jobs")
+    work = jobs(plan)
+    count, failures = runner.run_all(work, cache, workers, console)
+    results = Results.collect(plan, work, lambda job: runner.load(job, cache))
+    console.print("figures and report")
+    drawn = figures.draw(results, output)
+    run = report.Run(command, time.perf_counter() - begun, count, workers, tuple(failures))
+    return report.write(results, drawn, run, output)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="few targets and epochs, in a minute")
+    parser.add_argument("--output", default="results/paper", help="directory (default: %(default)s)")
+    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="worker processes (default: all cores)")
+    parser.add_argument("--fresh", action="store_true", help="use no results of earlier runs")
+    options = parser.parse_args(arguments)
+    if options.jobs < 1:
+        parser.error(f"argument --jobs: must be at least 1, got {options.jobs}")
+    console = Console(stderr=True)
+    plan = QUICK if options.quick else FULL
+    command = "python scripts/reproduce_paper.py" + (" --quick" if options.quick else "")
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        if options.fresh:
+            for path in (Path(options.output) / "jobs").glob("*.npz"):
+                path.unlink()
+        path = reproduce(plan, options.output, options.jobs, command, console)
+    except KeyboardInterrupt:
+        console.print("stopped; finished experiments are kept, the same command goes on from there")
+        return 130
+    except BrokenProcessPool:
+        console.print("a worker process died (out of memory?); the same command goes on, --jobs 1 needs less")
+        return 1
+    except (LieEDNNError, OSError) as error:
+        console.print(f"error: {error}", highlight=False)
+        return 1
+    print(path)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,172 @@
+"""The script that reproduces the paper, on a handful of experiments."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+SCRIPTS = Path(__file__).resolve().parents[1] / "scripts"
+sys.path.insert(0, str(SCRIPTS))
+
+import reproduce_paper  # noqa: E402
+from paper import claims, experiments, measures, plan, report, results, runner  # noqa: E402
+
+TINY = plan.Plan("quick", 5, 1, 1, 150, 20, 10, 100)
+# A training in milliseconds, another kind of job, a check, and a job that cannot be done.
+FEW = [
+    plan.Job("tracked", "train", {"algorithm": "tracked", "changes": {}, "seed": 0}),
+    plan.Job("certified synthesis", "synthesis", {"seed": 0}),
+    plan.Job("activation", "check", {"name": "activation", "samples": 10}),
+]
+BROKEN = plan.Job("broken", "train", {"algorithm": "tracked", "changes": {"period": -1}, "seed": 0})
+
+
+@pytest.fixture
+def few_jobs(monkeypatch):
+    """The first target of each group; one that P = 10 learns soon instead where the figures show an example."""
+    slow = ("Riemannian gradient", "stability-aware", "exact projection")
+    chosen = [job for job in plan.jobs(TINY) if job.parameters.get("seed", 0) == 0 and job.name not in slow]
+    for k, job in enumerate(chosen):
+        if job.name in ("P=10", "no projection"):
+            changes = {**job.parameters["changes"], "max_epochs": 5000}
+            chosen[k] = dataclasses.replace(job, parameters={**job.parameters, "seed": 4, "changes": changes})
+    monkeypatch.setattr(reproduce_paper, "jobs", lambda _: chosen)
+    return chosen
+
+
+def quiet() -> Console:
+    return Console(quiet=True)
+
+
+def test_a_tiny_run_writes_a_report_with_a_verdict_for_every_claim(tmp_path, few_jobs):
+    path = reproduce_paper.reproduce(TINY, tmp_path, 2, "the command", quiet())
+    text = path.read_text(encoding="utf-8")
+    rows = re.findall(r"^\|.*\*\*(.+?)\*\* \|$", text, flags=re.MULTILINE)
+    assert len(rows) == len(claims.CLAIMS)
+    assert set(rows) <= {measures.HOLDS, measures.PART, measures.FAILS, measures.UNKNOWN}
+    assert rows.count(measures.UNKNOWN) < 3
+    assert "have no result" not in text
+    # Links work wherever the directory is copied to.
+    links = re.findall(r"\]\(([^)]+)\)", text)
+    assert len(links) == 2 * 9
+    assert all((tmp_path / link).stat().st_size > 1000 for link in links)
+    assert len(json.loads((tmp_path / "claims.json").read_text())["claims"]) == len(claims.CLAIMS)
+    # A second run finds everything done.
+    assert f"it did {len(few_jobs)} experiments and found 0 done" in text
+    assert runner.run_all(few_jobs, tmp_path / "jobs", 2, quiet()) == (0, [])
+
+
+def test_only_what_is_missing_runs_and_a_failure_loses_nothing(tmp_path):
+    count, failures = runner.run_all([FEW[0], BROKEN], tmp_path, 1, quiet())
+    assert count == 2
+    assert len(failures) == 1
+    assert "period" in failures[0]
+    done = tmp_path / f"{FEW[0].key}.npz"
+    before = done.stat().st_mtime_ns
+    # Damage counts as missing.
+    (tmp_path / f"{FEW[1].key}.npz").write_bytes(b"half a file")
+    assert runner.run_all(FEW, tmp_path, 1, quiet()) == (2, [])
+    assert done.stat().st_mtime_ns == before
+    found = results.Results.collect(TINY, [*FEW, BROKEN], lambda job: runner.load(job, tmp_path))
+    assert found.missing == (BROKEN,)
+    record = found.successes("tracked")[0]
+    again = experiments.KINDS["train"](**FEW[0].parameters)
+    assert np.array_equal(record.arrays["weight"], again[0]["weight"])
+    assert record["epochs"] == again[1]["epochs"]
+
+
+def test_the_key_is_that_of_the_parameters():
+    job = FEW[0]
+    assert job.key == dataclasses.replace(job, parameters=dict(reversed(job.parameters.items()))).key
+    assert job.key != dataclasses.replace(job, parameters={**job.parameters, "seed": 1}).key
+    work = plan.jobs(plan.FULL)
+    assert len({job.key for job in work}) == len(work)
+
+
+def test_only_a_change_of_the_code_itself_makes_results_stale():
+    source = 'def f(x):\n    """Twice."""\n    return 2 * x  # of x\n'
+    assert plan.normalised(source) == plan.normalised("def f(x):\n\n    return (2 * x)")
+    assert plan.normalised(source) != plan.normalised(source.replace("2 * x", "3 * x"))
+
+
+def test_verdicts_follow_from_the_numbers():
+    def made(name, **values):
+        job = plan.Job(name, "train", {"seed": 0})
+        measured = {"accuracy": 1.0, "structure_error": 0.0, "seconds": 1.0, "one_norm": 4.0, "infinity_norm": 4.0}
+        motion = {"smallest_one_norm": 1.2, "reached": 1.0, "from_zero": 0.0, "abscissa": -1.0, "acceleration": 1.0}
+        motion |= {"acceleration_bound": 9.0, "closing": 4.0, "closing_applies": False}
+        return runner.Record(job, {}, {"success": True, "epochs": 100.0, "rises": 0.2, **measured, **motion, **values})
+
+    def verdicts(**groups):
+        found = results.Results(TINY, {f"P={name[1:]}": group for name, group in groups.items()}, ())
+        return {claim.text: claim.verdict for claim in claims.judge(found)}
+
+    texts = {measure: text for _, text, measure in claims.CLAIMS}
+    converging, faster = texts[measures.oscillating], texts[measures.larger_is_faster]
+    good = {f"p{period}": [made(f"P={period}", epochs=float(1000 - period))] * 10 for period in plan.INSIDE}
+    assert verdicts(**good)[converging] == measures.HOLDS
+    assert verdicts(**good)[faster] == measures.HOLDS
+    bad = {name: [made(name, success=False)] * 10 for name in good}
+    assert verdicts(**bad)[converging] == measures.FAILS
+    assert verdicts(**bad)[faster] == measures.FAILS
+    assert verdicts(**{**bad, "p10": good["p10"]})[converging] == measures.PART
+    assert set(verdicts().values()) == {measures.UNKNOWN}
+
+
+def test_a_thinned_history_keeps_the_extremes():
+    from lieednn_sim.learning import TrainingOptions, train
+
+    history = train(experiments.target(0), TrainingOptions.repaired(max_epochs=700), seed=0).history
+    thin = experiments.thinned(history)
+    assert len(thin["epoch"]) <= experiments.N_BINS
+    assert thin["error_low"].min() == history.error.min()
+    assert thin["error_high"].max() == history.error.max()
+    assert (thin["error_low"] <= thin["error_median"]).all()
+    assert thin["accuracy"][-1] == history.accuracy[-1]
+    np.testing.assert_allclose(thin["equilibrium"][-1], history.equilibrium[-1], rtol=1e-6)
+
+
+def test_wilson_interval_against_its_equation():
+    """Both ends solve (rate - p)^2 = z^2 p (1 - p) / n."""
+    for good, count in ((0, 5), (3, 10), (10, 10), (47, 100)):
+        for p in results.wilson(good, count):
+            assert (good / count - p) ** 2 == pytest.approx(1.959964**2 * p * (1 - p) / count, abs=1e-12)
+
+
+def test_bars_do_not_break_a_table():
+    text = report.table(("a", "b"), [("||W||_1 < 1", "x")])
+    assert text.splitlines()[2] == r"| \|\|W\|\|_1 < 1 | x |"
+
+
+def test_an_interrupt_stops_cleanly_and_says_so(tmp_path):
+    command = [sys.executable, str(SCRIPTS / "reproduce_paper.py"), "--output", str(tmp_path), "--jobs", "1"]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    deadline = time.monotonic() + 30.0
+    while not (tmp_path / "jobs").exists() and time.monotonic() < deadline:
+        time.sleep(0.1)
+    time.sleep(1.0)
+    process.send_signal(signal.SIGINT)
+    _, message = process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert "the same command goes on from there" in " ".join(message.split())
+    assert "Traceback" not in message
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"), [(["--jobs", "0"], "must be at least 1, got 0"), (["--jobs", "two"], "invalid int value")]
+)
+def test_bad_options_are_refused(arguments, message, capsys):
+    with pytest.raises(SystemExit) as stopped:
+        reproduce_paper.main(arguments)
+    assert stopped.value.code == 2
+    assert message in capsys.readouterr().err
