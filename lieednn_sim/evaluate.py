@@ -44,13 +44,17 @@ class FrameErrors:
 
 @dataclass(frozen=True)
 class JointUse:
-    """Peak velocity and actuator force of one joint against its limits (rad/s, N m or m/s, N)."""
+    """Peak velocity and actuator force of one joint against its limits (rad/s, N m or m/s, N).
+
+    ``peak_constraint_force`` is what contacts, joint limits and welds exert on it; it has no limit.
+    """
 
     name: str
     peak_velocity: float
     velocity_limit: float
     peak_force: float
     force_limit: float
+    peak_constraint_force: float
 
 
 @dataclass(frozen=True)
@@ -68,6 +72,7 @@ class Evaluation:
         contacts: largest number of simultaneous contacts.
         motion_end: time at which the reference comes to rest [s].
         duration: of the rollout [s].
+        controller: that drove the arm.
     """
 
     frames: tuple[FrameErrors, ...]
@@ -80,6 +85,7 @@ class Evaluation:
     contacts: int
     motion_end: float
     duration: float
+    controller: str
 
     @property
     def end_effector(self) -> FrameErrors:
@@ -136,6 +142,7 @@ def evaluate(arm: Arm, rollout: Rollout, target: ArrayLike, motion: Motion | Non
                 velocity_limit=float(arm.velocity_limits[j]),
                 peak_force=float(np.abs(rollout.force[:, j]).max()),
                 force_limit=float(arm.force_limits[j]),
+                peak_constraint_force=float(np.abs(rollout.constraint_force[:, j]).max()),
             )
             for j, name in enumerate(arm.joint_names)
         ),
@@ -147,6 +154,7 @@ def evaluate(arm: Arm, rollout: Rollout, target: ArrayLike, motion: Motion | Non
         contacts=int(rollout.contacts.max()),
         motion_end=rollout.motion_end,
         duration=float(rollout.t[-1]),
+        controller=rollout.controller,
     )
 
 

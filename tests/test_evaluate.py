@@ -34,6 +34,7 @@ def perfect(arm):
         qd_ref=np.gradient(q, t, axis=0),
         ctrl=q,
         force=np.ones_like(q),
+        constraint_force=np.zeros_like(q),
         link_position=poses.translation,
         link_quaternion=poses.rotation.as_quat(scalar_first=True),
         contacts=np.zeros(len(t), dtype=int),

@@ -30,6 +30,7 @@ class Arm:
 
     Attributes:
         name: name of the model.
+        source: the scene file.
         model: the compiled scene.
         joint_names: names in qpos order.
         joints: the compound joints.
@@ -43,6 +44,7 @@ class Arm:
     """
 
     name: str
+    source: Path
     model: mujoco.MjModel
     joint_names: tuple[str, ...]
     joints: CompoundJoints
@@ -70,7 +72,7 @@ class Arm:
             model = mujoco.MjModel.from_xml_path(str(source))
         except ValueError as error:
             raise FileError(f"MuJoCo cannot compile {source}: {error}") from None
-        return _read(model, name or source.parent.name)
+        return _read(model, source, name or source.parent.name)
 
     @property
     def n_links(self) -> int:
@@ -170,7 +172,7 @@ class Arm:
         return np.repeat([1.0, self.length_scale], 3)
 
 
-def _read(model: mujoco.MjModel, name: str) -> Arm:
+def _read(model: mujoco.MjModel, source: Path, name: str) -> Arm:
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     sites = [_site(model, name, "base_frame")]
@@ -209,6 +211,7 @@ def _read(model: mujoco.MjModel, name: str) -> Arm:
     joint_ids = np.argsort(model.jnt_qposadr)
     return Arm(
         name=name,
+        source=source,
         model=model,
         joint_names=tuple(model.joint(j).name for j in joint_ids),
         joints=CompoundJoints(

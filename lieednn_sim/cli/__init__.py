@@ -160,6 +160,19 @@ def _add_run(parser: argparse.ArgumentParser) -> None:
 
 def _add_simulation(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
+        "--controller",
+        default="position-servo",
+        metavar="NAME",
+        help="position-servo, inverse-dynamics, computed-torque or mocap (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--mass-scale",
+        type=float,
+        default=1.0,
+        metavar="X",
+        help="true masses in units of those that the controller knows (default: %(default)s)",
+    )
+    parser.add_argument(
         "--hold", type=float, default=1.0, metavar="S", help="time simulated after the motion (default: %(default)s)"
     )
 

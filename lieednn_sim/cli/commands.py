@@ -35,7 +35,7 @@ def demo(arguments: argparse.Namespace) -> None:
     if not arguments.no_video:
         _check_video(Arm.load(arguments.arm), arguments)
     run = _synthesize(arguments)
-    _simulate(run, arguments.hold)
+    _simulate(run, arguments)
     _evaluate(run)
     if not arguments.no_video:
         try:
@@ -59,7 +59,7 @@ def train(arguments: argparse.Namespace) -> int:
 
 def simulate(arguments: argparse.Namespace) -> None:
     """Network to rollout."""
-    _simulate(RunDirectory(arguments.run).existing(), arguments.hold)
+    _simulate(RunDirectory(arguments.run).existing(), arguments)
 
 
 def evaluate(arguments: argparse.Namespace) -> None:
@@ -125,7 +125,7 @@ def _plan(arm: Arm, target: Floats, start: Floats, arguments: argparse.Namespace
         )
 
 
-def _simulate(run: RunDirectory, hold: float) -> None:
+def _simulate(run: RunDirectory, arguments: argparse.Namespace) -> None:
     task, arm = run.load_task()
     network = LieEDNN.load(run.network)
     if network.n_neurons == arm.n_links and np.abs(network.vector_field(arm.encode(task.target))).max() > _SAME:
@@ -133,7 +133,15 @@ def _simulate(run: RunDirectory, hold: float) -> None:
     motion = make_motion(arm, network, task.start, task.duration, arm.model.opt.timestep)
     check_motion(arm, motion)
     with progress("simulate") as report:
-        rollout = simulate_motion(arm, motion, hold=hold, dump_directory=run.path, progress=report)
+        rollout = simulate_motion(
+            arm,
+            motion,
+            controller=arguments.controller,
+            hold=arguments.hold,
+            mass_scale=arguments.mass_scale,
+            dump_directory=run.path,
+            progress=report,
+        )
     motion.save(run.motion)
     rollout.save(run.rollout)
     wrote(run.motion, run.rollout)
@@ -193,7 +201,17 @@ def _check_video(arm: Arm, arguments: argparse.Namespace) -> None:
 
 
 def _frames_table(evaluation: Evaluation) -> Table:
-    rows = table("tracking error", "frame", "final mm", "deg", "RMS mm", "deg", "max mm", "deg", "settled s")
+    rows = table(
+        f"tracking error, {evaluation.controller}",
+        "frame",
+        "final mm",
+        "deg",
+        "RMS mm",
+        "deg",
+        "max mm",
+        "deg",
+        "settled s",
+    )
     for frame in evaluation.frames:
         values = (
             frame.final_translation_mm,
@@ -215,7 +233,7 @@ def _frames_table(evaluation: Evaluation) -> Table:
 
 
 def _joints_table(evaluation: Evaluation) -> Table:
-    rows = table("joints", "joint", "peak velocity", "of limit", "peak force", "of limit")
+    rows = table("joints", "joint", "peak velocity", "of limit", "peak force", "of limit", "constraints")
     for joint in evaluation.joints:
         rows.add_row(
             joint.name,
@@ -223,5 +241,6 @@ def _joints_table(evaluation: Evaluation) -> Table:
             f"{joint.peak_velocity / joint.velocity_limit:.0%}",
             f"{joint.peak_force:.1f}",
             f"{joint.peak_force / joint.force_limit:.0%}",
+            f"{joint.peak_constraint_force:.1f}",
         )
     return rows

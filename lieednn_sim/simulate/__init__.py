@@ -1,6 +1,5 @@
 """Simulation of planned motions in MuJoCo."""
 
-from lieednn_sim.simulate.control import PositionServo
-from lieednn_sim.simulate.rollout import Rollout, simulate
+from lieednn_sim.simulate.rollout import CONTROLLERS, Rollout, simulate
 
-__all__ = ["PositionServo", "Rollout", "simulate"]
+__all__ = ["CONTROLLERS", "Rollout", "simulate"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import copy
 import os
 import time
 from collections.abc import Callable, Iterator
@@ -19,10 +20,19 @@ from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import FileError, InputError, SimulationError
 from lieednn_sim.motion import Motion
-from lieednn_sim.simulate.control import PositionServo
-from lieednn_sim.validation import as_floats, as_times
+from lieednn_sim.simulate.control import ComputedTorque, Controller, InverseDynamicsServo, PositionServo, Reference
+from lieednn_sim.simulate.mocap import MocapWelds
+from lieednn_sim.validation import as_choice, as_floats, as_positive, as_times
 
 Floats = NDArray[np.float64]
+
+
+CONTROLLERS: dict[str, Callable[[Arm, Reference], Controller]] = {
+    "position-servo": PositionServo,
+    "inverse-dynamics": InverseDynamicsServo,
+    "computed-torque": ComputedTorque,
+    "mocap": MocapWelds,
+}
 
 
 @dataclass(frozen=True)
@@ -38,10 +48,12 @@ class Rollout:
         qd_ref: ``(K, 2N)`` reference velocities.
         ctrl: ``(K, nu)`` actuator controls.
         force: ``(K, 2N)`` what each joint's drive exerts, gravity compensation included [N m, N].
+        constraint_force: ``(K, 2N)`` what contacts, joint limits and welds exert on each joint [N m, N].
         link_position: ``(K, N, 3)`` simulated link frames, world [m].
         link_quaternion: ``(K, N, 4)`` the same, (w, x, y, z).
         contacts: ``(K,)`` number of contacts.
         motion_end: time at which the reference comes to rest [s].
+        controller: a name of `CONTROLLERS`.
     """
 
     arm: str
@@ -52,17 +64,19 @@ class Rollout:
     qd_ref: Floats
     ctrl: Floats
     force: Floats
+    constraint_force: Floats
     link_position: Floats
     link_quaternion: Floats
     contacts: NDArray[np.int_]
     motion_end: float
+    controller: str = "position-servo"
 
     def __post_init__(self) -> None:
         k = len(as_times("t", self.t))
         n = as_floats("q", self.q, (k, "2N")).shape[1] // 2
         shapes: dict[str, tuple[int, ...]] = {
             "t": (k,),
-            **dict.fromkeys(("q", "qd", "q_ref", "qd_ref", "ctrl", "force"), (k, 2 * n)),
+            **dict.fromkeys(("q", "qd", "q_ref", "qd_ref", "ctrl", "force", "constraint_force"), (k, 2 * n)),
             "link_position": (k, n, 3),
             "link_quaternion": (k, n, 4),
             "contacts": (k,),
@@ -85,7 +99,8 @@ class Rollout:
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write to an ``.npz`` file, atomically."""
-        meta = {"arm": self.arm, "motion_end": self.motion_end, "mujoco": mujoco.__version__}
+        meta = {"arm": self.arm, "motion_end": self.motion_end, "controller": self.controller}
+        meta["mujoco"] = mujoco.__version__
         storage.save_arrays(path, "rollout", {name: getattr(self, name) for name in _ARRAYS}, meta)
 
     @classmethod
@@ -94,7 +109,8 @@ class Rollout:
         arrays, meta = storage.load_arrays(path, "rollout")
         values = dict(zip(_ARRAYS, storage.take(arrays, path, *_ARRAYS), strict=True))
         try:
-            return cls(arm=str(meta["arm"]), motion_end=float(meta["motion_end"]), **values)
+            controller = as_choice("controller", meta["controller"], CONTROLLERS)
+            return cls(arm=str(meta["arm"]), motion_end=float(meta["motion_end"]), controller=controller, **values)
         except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise FileError(f"{path} is not a valid rollout: {error}") from None
 
@@ -108,6 +124,7 @@ _ARRAYS = (
     "qd_ref",
     "ctrl",
     "force",
+    "constraint_force",
     "link_position",
     "link_quaternion",
     "contacts",
@@ -118,11 +135,13 @@ def simulate(
     arm: Arm,
     motion: Motion,
     *,
+    controller: str = "position-servo",
     hold: float = 1.0,
+    mass_scale: float = 1.0,
     dump_directory: str | os.PathLike[str] | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Rollout:
-    """Follow a motion with the arm's position servos, then hold its end.
+    """Follow a motion with a controller, then hold its end.
 
     The simulation starts at rest at the motion's first position, and is a function of its arguments alone: two runs
     are bit-identical.
@@ -130,7 +149,10 @@ def simulate(
     Args:
         arm: the arm; its model is not changed.
         motion: sampled at the model's time step.
+        controller: a name of `CONTROLLERS`.
         hold: time after the end of the motion [s].
+        mass_scale: masses and inertias of the simulated arm in units of those that controller and gravity compensation
+            know.
         dump_directory: where to leave ``divergence.npz`` when the run fails; by default nothing is written.
         progress: called with (done, total) steps, about every tenth of a second.
 
@@ -149,7 +171,9 @@ def simulate(
     extra = round(hold / step)
     q_ref = np.vstack([motion.q, np.repeat(motion.q[-1:], extra, axis=0)])
     qd_ref = np.vstack([motion.qd, np.zeros((extra, model.nv))])
-    ctrl = PositionServo(model).commands(q_ref, qd_ref)
+    as_choice("controller", controller, CONTROLLERS)
+    driver = CONTROLLERS[controller](arm, Reference(q_ref, qd_ref, step))
+    model = _scaled(driver.plant, as_positive("mass_scale", mass_scale))
 
     total, n = len(q_ref), arm.n_links
     log: dict[str, Any] = {
@@ -158,6 +182,7 @@ def simulate(
         "qd": np.zeros((total, model.nv)),
         "ctrl": np.zeros((total, model.nu)),
         "force": np.zeros((total, model.nv)),
+        "constraint_force": np.zeros((total, model.nv)),
         "link_position": np.zeros((total, n, 3)),
         "link_quaternion": np.zeros((total, n, 4)),
         "contacts": np.zeros(total, dtype=int),
@@ -169,7 +194,7 @@ def simulate(
         for k in range(total):
             # The two halves of mj_step: poses and state are read between them, so that all belong to t[k].
             mujoco.mj_step1(model, data)
-            data.ctrl[:] = ctrl[k]
+            driver.act(data, k)
             log["t"][k], log["q"][k], log["qd"][k], log["ctrl"][k] = k * step, data.qpos, data.qvel, data.ctrl
             log["link_position"][k] = data.site_xpos[arm.site_ids]
             for i, site in enumerate(arm.site_ids):
@@ -178,13 +203,27 @@ def simulate(
             mujoco.mj_step2(model, data)
             # Compensation that is not routed through the actuators still has to come from the drives.
             log["force"][k] = data.qfrc_actuator + np.where(model.jnt_actgravcomp, 0.0, data.qfrc_gravcomp)
+            log["constraint_force"][k] = data.qfrc_constraint
             problem = _problem(data)
             if problem:
                 raise SimulationError(_dump(arm, log, q_ref, qd_ref, k, problem, dump_directory))
             if progress is not None and (time.monotonic() - shown > 0.1 or k == total - 1):
                 shown = time.monotonic()
                 progress(k + 1, total)
-    return Rollout(arm=arm.name, q_ref=q_ref, qd_ref=qd_ref, motion_end=float(motion.t[-1]), **log)
+    end = float(motion.t[-1])
+    return Rollout(arm=arm.name, q_ref=q_ref, qd_ref=qd_ref, motion_end=end, controller=controller, **log)
+
+
+def _scaled(model: mujoco.MjModel, mass_scale: float) -> mujoco.MjModel:
+    """The model with other masses, and the gravity compensation of the old ones."""
+    if mass_scale == 1.0:
+        return model
+    scaled = copy.deepcopy(model)
+    scaled.body_mass[:] *= mass_scale
+    scaled.body_inertia[:] *= mass_scale
+    scaled.body_gravcomp[:] /= mass_scale
+    mujoco.mj_setConst(scaled, mujoco.MjData(scaled))
+    return scaled
 
 
 @contextlib.contextmanager
@@ -220,7 +259,8 @@ def _dump(
         return message
     path = Path(directory) / "divergence.npz"
     part = {name: values[: k + 1] for name, values in log.items()}
-    part["force"] = np.nan_to_num(part["force"])
+    for name in ("force", "constraint_force", "ctrl"):
+        part[name] = np.nan_to_num(part[name])
     Rollout(arm=arm.name, q_ref=q_ref[: k + 1], qd_ref=qd_ref[: k + 1], motion_end=float(log["t"][k]), **part).save(
         path
     )
