@@ -12,6 +12,7 @@ from lieednn_sim.validation import as_choice, as_count, as_positive
 DIRECTIONS = ("gradient", "gauss-newton")
 EQUILIBRIA = ("newton", "rk45")
 PROJECTIONS = ("block-wise", "exact", "scaled", "none")
+BLOCK_SCALE = "block-scale"
 STEP_CONTROLS = ("adaptive", "tracked")
 
 
@@ -28,7 +29,8 @@ class TrainingOptions:
             together, alpha of either sign), or ``"none"`` (the ablation).
         period: epochs from one projection to the next.
         learn_alpha: step in alpha with dE/dalpha; without, alpha stays. The scaled projection sets alpha itself.
-        initial_alpha: constant start of alpha, or None for 1/(3N).
+        initial_alpha: constant start of alpha, None for 1/(3N), or ``"block-scale"``, the least-squares scale of each
+            block of the first weights onto its rotation.
         initial_rate: first learning rate.
         min_rate: adaptive: the rate never falls below; tracked: the start is given up there.
         max_rate: the rate never rises above.
@@ -52,7 +54,7 @@ class TrainingOptions:
     projection: str = "block-wise"
     period: int = 10
     learn_alpha: bool = True
-    initial_alpha: float | None = None
+    initial_alpha: float | str | None = None
     initial_rate: float = 0.02
     min_rate: float = 0.002
     max_rate: float = 0.2
@@ -69,7 +71,7 @@ class TrainingOptions:
 
     def __post_init__(self) -> None:
         # What is stored is what was checked: plain numbers, which JSON can hold.
-        def store(name: str, value: float | int) -> None:
+        def store(name: str, value: float) -> None:
             object.__setattr__(self, name, value)
 
         as_choice("direction", self.direction, DIRECTIONS)
@@ -84,7 +86,9 @@ class TrainingOptions:
             store(name, bool(getattr(self, name)))
         for name in ("initial_rate", "min_rate", "max_rate", "grow", "shrink", "max_jump", "tolerance"):
             store(name, as_positive(name, getattr(self, name)))
-        if self.initial_alpha is not None:
+        if isinstance(self.initial_alpha, str):
+            as_choice("initial alpha", self.initial_alpha, (BLOCK_SCALE,))
+        elif self.initial_alpha is not None:
             store("initial_alpha", as_positive("initial_alpha", self.initial_alpha))
         if not self.min_rate <= self.initial_rate <= self.max_rate:
             raise InputError(

@@ -15,11 +15,12 @@ from lieednn_sim.learning import checkpoint as checkpoints
 from lieednn_sim.learning.checkpoint import TrainingState
 from lieednn_sim.learning.equilibria import FlatEquilibrium, SensitivityMatrix
 from lieednn_sim.learning.history import Recorder
-from lieednn_sim.learning.options import TrainingOptions
+from lieednn_sim.learning.options import BLOCK_SCALE, TrainingOptions
 from lieednn_sim.learning.problem import Progress, TrainingProblem
 from lieednn_sim.learning.result import StopReason, TrainingResult, conclude
 from lieednn_sim.learning.sensitivity import gauss_newton_direction, strength_gradient, weight_gradient
 from lieednn_sim.lie.matrix_group import MatrixLieGroup
+from lieednn_sim.validation import as_floats
 
 Floats = NDArray[np.float64]
 
@@ -39,6 +40,7 @@ def train(
     mu: float = 1.0,
     activation: str = "tanh",
     group: MatrixLieGroup | None = None,
+    initial_weight: ArrayLike | None = None,
     seed: int = 0,
     checkpoint: str | os.PathLike[str] | None = None,
     progress: Progress | None = None,
@@ -55,6 +57,8 @@ def train(
         mu: scale of its interaction.
         activation: a name of `network.ACTIVATIONS`.
         group: another group than SE(3).
+        initial_weight: ``(Nd, Nd)`` weights of the first start; by default, and for every other start, random ones of
+            1-norm 1, as in the paper.
         seed: of the initial weights; the same seed gives the same network.
         checkpoint: ``.npz`` file to keep the state in, every ten seconds and when interrupted; see `resume`.
         progress: called with epochs done and epochs at most.
@@ -70,9 +74,11 @@ def train(
     chosen = TrainingOptions() if options is None else options
     if not isinstance(chosen, TrainingOptions):
         raise InputError(f"options must be TrainingOptions, got {type(chosen).__name__}; see train_riemannian")
+    size = problem.target.size
+    first = None if initial_weight is None else as_floats("initial_weight", initial_weight, (size, size))
     training = _Training(problem, chosen)
     with one_blas_thread():
-        training.begin(0)
+        training.begin(0, weight=first)
         return training.run(checkpoint, progress)
 
 
@@ -98,12 +104,15 @@ class _Training:
         self.anchor: TrainingState
         self.seconds = 0.0
 
-    def begin(self, start: int, epoch: int = 0) -> None:
-        """New initial weights."""
+    def begin(self, start: int, epoch: int = 0, weight: Floats | None = None) -> None:
+        """New initial weights: random ones, unless they are given."""
         options, n = self.options, len(self.problem.target)
-        weight = self.problem.initial_weight(start)
-        initial = options.initial_alpha if options.initial_alpha is not None else 1.0 / (3.0 * n)
-        alpha = np.full((n, n), initial)
+        if weight is None:
+            weight = self.problem.initial_weight(start)
+        if options.initial_alpha == BLOCK_SCALE:
+            alpha = self.manifold.project(weight, np.ones((n, n)), "scaled").alpha
+        else:
+            alpha = np.full((n, n), options.initial_alpha or 1.0 / (3.0 * n))
         point = self.manifold.project(
             weight, alpha, "block-wise" if options.projection == "none" else options.projection
         )

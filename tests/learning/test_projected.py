@@ -294,6 +294,23 @@ def test_a_strong_bias_puts_the_first_equilibrium_far_away():
     assert result.history.error[-1] < 0.5 * result.history.error[0]
 
 
+def test_first_weights_and_strengths_can_be_chosen():
+    given = np.random.default_rng(0).normal(size=(24, 24)) / 100.0
+    first = train(target(0), TrainingOptions.repaired(max_epochs=1), initial_weight=given, seed=1).history
+    assert first.one_norm[0] == pytest.approx(np.linalg.norm(given, 1))
+    # Learning goes on from a network that is near: the equilibrium is already there.
+    learned = train(target(0), TrainingOptions.tracked(), seed=0)
+    again = train(target(0), TrainingOptions.tracked(), initial_weight=learned.weight, seed=1)
+    assert again.success
+    assert again.epochs <= 2
+    nearby = train(target(0) + 1e-3, TrainingOptions.tracked(), initial_weight=learned.weight, seed=1)
+    assert nearby.epochs < learned.epochs
+    # The scale of a block of alpha Ad is alpha itself.
+    scaled = TrainingOptions.repaired(initial_alpha="block-scale", learn_alpha=False, max_epochs=20)
+    kept = train(target(0), scaled, initial_weight=learned.weight, seed=1)
+    np.testing.assert_allclose(kept.network.alpha, learned.network.alpha, atol=1e-12)
+
+
 def test_progress_is_reported():
     calls: list[tuple[int, int]] = []
     train(target(0), TrainingOptions.repaired(max_epochs=35), progress=lambda done, total: calls.append((done, total)))
@@ -311,6 +328,7 @@ def test_progress_is_reported():
         ({"shrink": 1.5}, "shrink must be below 1"),
         ({"restarts": -1}, "restarts must be at least 0"),
         ({"initial_alpha": float("nan")}, "initial_alpha must be finite"),
+        ({"initial_alpha": "small"}, "no initial alpha 'small'; allowed: block-scale"),
     ],
 )
 def test_options_say_what_is_wrong(change, message):
@@ -330,6 +348,7 @@ def test_options_say_what_is_wrong(change, message):
         ({"group": "SE(3)"}, "group must be a MatrixLieGroup or None"),
         ({"seed": -1}, "seed must be a whole number >= 0"),
         ({"bias": 0.0}, "bias must not be zero"),
+        ({"initial_weight": np.zeros((6, 6))}, r"initial_weight must have shape \(24, 24\)"),
         ({"options": {"period": 3}}, "options must be TrainingOptions, got dict"),
     ],
 )
