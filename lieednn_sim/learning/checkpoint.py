@@ -79,7 +79,7 @@ def save(
         "x": state.equilibrium.x,
         "error": np.array(state.error),
         **{f"element_{name}": value for name, value in state.point.elements.items()},
-        **{f"history_{name}": value for name, value in recorder.arrays().items()},
+        **{f"history_{name}": value for name, value in recorder.history().arrays().items()},
     }
     meta = {
         "options": options.as_dict(),
@@ -119,7 +119,11 @@ def load(
         point = manifold.point(as_floats("point_alpha", arrays["point_alpha"], (n, n)), elements)
         # A network checks its elements, be they rotations or of another group.
         manifold.network(point, problem.bias, problem.rates)
-        recorder = Recorder.from_arrays({name: arrays[key] for name, key in rows.items()})
+        history = History(**{name: arrays[key] for name, key in rows.items()})
+        if history.equilibrium.shape[1:] != problem.target.shape:
+            raise InputError(f"the history is of states {history.equilibrium.shape[1:]}, not {problem.target.shape}")
+        options = TrainingOptions(**meta["options"])
+        recorder = Recorder.from_history(history, problem.target, options.tolerance)
         counters = {name: as_count(name, meta["state"][name], least=0) for name in _COUNTERS}
         if counters["rows"] > len(recorder):
             raise InputError(f"{counters['rows']} rows of history are promised, {len(recorder)} are there")
@@ -133,6 +137,6 @@ def load(
             reason=None if meta["reason"] is None else StopReason(meta["reason"]),
             **counters,
         )
-        return problem, TrainingOptions(**meta["options"]), state, recorder, float(meta["seconds"])
+        return problem, options, state, recorder, float(meta["seconds"])
     except (KeyError, TypeError, ValueError, AttributeError, InputError) as error:
         raise FileError(f"{path} is not a valid training checkpoint ({type(error).__name__}: {error})") from None

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
 from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lieednn_sim import storage
-from lieednn_sim.errors import InputError
+from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.validation import as_floats
 
 Floats = NDArray[np.float64]
@@ -38,6 +37,13 @@ class History:
     infinity_norm: Floats
     equilibrium: Floats
 
+    def __post_init__(self) -> None:
+        for field in fields(self)[:-1]:
+            object.__setattr__(self, field.name, as_floats(field.name, getattr(self, field.name), ("K",)))
+        object.__setattr__(self, "equilibrium", as_floats("equilibrium", self.equilibrium, ("K", "N", "d")))
+        if len({len(getattr(self, field.name)) for field in fields(self)}) != 1:
+            raise InputError("the columns of a history must have the same length")
+
     def __len__(self) -> int:
         return len(self.error)
 
@@ -54,26 +60,34 @@ class History:
         """Read a file of `save`; `FileError` says what is wrong with it."""
         arrays, _ = storage.load_arrays(path, "training-history")
         names = [field.name for field in fields(cls)]
-        return cls(*storage.take(arrays, path, *names))
+        columns = storage.take(arrays, path, *names)
+        try:
+            return cls(*columns)
+        except InputError as error:
+            raise FileError(f"{path} is not a valid training history: {error}") from None
 
 
 class Recorder:
-    """Collects the rows of a `History`; may be cut back to an earlier length."""
+    """Collects the rows of a `History`; may be cut back to an earlier length.
 
-    def __init__(self, neurons: int, dimension: int) -> None:
-        self._shape = (neurons, dimension)
-        self._scalars: list[tuple[float, ...]] = []
+    Args:
+        target: ``(N, d)`` xi_d.
+        tolerance: tau of the accuracy.
+    """
+
+    def __init__(self, target: Floats, tolerance: float) -> None:
+        self._target, self._tolerance = target, tolerance
+        self._scalars: list[tuple[float, float, float, float]] = []
         self._equilibria: list[Floats] = []
 
     def __len__(self) -> int:
         return len(self._scalars)
 
-    def add(self, epoch: int, x: Floats, goal: Floats, tolerance: float, rate: float, weight: Floats) -> None:
+    def add(self, epoch: int, x: Floats, rate: float, weight: Floats) -> None:
         """Append a row for flat weights with the flat equilibrium ``x``, which is kept, not copied."""
-        size, delta = np.abs(weight), x - goal
-        accuracy = np.count_nonzero(np.abs(delta) < tolerance) / delta.size
-        error = float(np.sqrt(delta @ delta))
-        self._scalars.append((epoch, error, accuracy, rate, float(size.sum(0).max()), float(size.sum(1).max())))
+        size = np.abs(weight)
+        one, infinity = (float(np.maximum.reduce(np.add.reduce(size, axis))) for axis in (0, 1))
+        self._scalars.append((epoch, rate, one, infinity))
         self._equilibria.append(x)
 
     def cut(self, length: int) -> None:
@@ -82,25 +96,17 @@ class Recorder:
 
     def history(self) -> History:
         """The rows so far, as arrays."""
-        scalars = np.array(self._scalars, dtype=np.float64).reshape(-1, 6)
-        equilibria = np.array(self._equilibria, dtype=np.float64).reshape(-1, *self._shape)
-        epoch, error, accuracy, rate, one_norm, infinity_norm = (column.copy() for column in scalars.T)
-        return History(epoch, error, accuracy, rate, one_norm, infinity_norm, equilibria)
-
-    def arrays(self) -> dict[str, Floats]:
-        """The rows as named arrays, for a checkpoint."""
-        return self.history().arrays()
+        epoch, rate, one_norm, infinity_norm = np.array(self._scalars, dtype=np.float64).reshape(-1, 4).T.copy()
+        equilibrium = np.array(self._equilibria, dtype=np.float64).reshape(-1, *self._target.shape)
+        delta = (equilibrium - self._target).reshape(len(epoch), self._target.size)
+        accuracy = (np.abs(delta) < self._tolerance).mean(axis=1)
+        return History(epoch, np.linalg.norm(delta, axis=1), accuracy, rate, one_norm, infinity_norm, equilibrium)
 
     @classmethod
-    def from_arrays(cls, arrays: Mapping[str, Floats]) -> Recorder:
-        """Inverse of `arrays`."""
-        names = [field.name for field in fields(History)]
-        columns = {name: as_floats(name, arrays[name], ("K",)) for name in names[:-1]}
-        equilibrium = as_floats("equilibrium", arrays["equilibrium"], ("K", "N", "d"))
-        if {len(column) for column in columns.values()} != {len(equilibrium)}:
-            raise InputError("the columns of the history differ in length")
-        history = History(**columns, equilibrium=equilibrium)
-        recorder = cls(*history.equilibrium.shape[1:])
-        recorder._scalars = list(zip(*(column.tolist() for column in columns.values()), strict=True))
+    def from_history(cls, history: History, target: Floats, tolerance: float) -> Recorder:
+        """Inverse of `history`."""
+        recorder = cls(target, tolerance)
+        columns = (history.epoch, history.rate, history.one_norm, history.infinity_norm)
+        recorder._scalars = list(zip(*(column.tolist() for column in columns), strict=True))
         recorder._equilibria = [row.ravel() for row in history.equilibrium]
         return recorder

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import time
 from dataclasses import replace
@@ -100,7 +101,7 @@ class _Training:
         self.problem, self.options = problem, options
         self.manifold, self.solver = problem.manifold(), problem.solver()
         self.goal = problem.target.ravel()
-        self.recorder = Recorder(*problem.target.shape)
+        self.recorder = Recorder(problem.target, options.tolerance)
         self.anchor: TrainingState
         self.seconds = 0.0
 
@@ -171,8 +172,9 @@ class _Training:
         """The equilibrium near ``x``, far more exact than it is near the target."""
         if self.options.equilibrium == "rk45":
             return self.solver.flow(weight, x)
-        distance = np.abs(x - self.goal).max()
-        return self.solver.newton(weight, x, nearby, tolerance=max(_RELATIVE_TOLERANCE * distance, _LEAST_TOLERANCE))
+        delta = x - self.goal
+        tolerance = max(_RELATIVE_TOLERANCE * math.sqrt(delta @ delta), _LEAST_TOLERANCE)
+        return self.solver.newton(weight, x, nearby, tolerance=tolerance)
 
     def _may_restart(self) -> bool:
         last = self.anchor
@@ -180,7 +182,7 @@ class _Training:
         return left and last.reason is not StopReason.CONVERGED
 
     def _record(self, epoch: int, weight: Floats, equilibrium: FlatEquilibrium, rate: float) -> None:
-        self.recorder.add(epoch, equilibrium.x, self.goal, self.options.tolerance, rate, weight)
+        self.recorder.add(epoch, equilibrium.x, rate, weight)
 
     def _advance(self) -> None:
         """The epochs from one projection to the next."""
@@ -230,13 +232,14 @@ class _Training:
         options, ratio = self.options, self.problem.ratio
         now = state.equilibrium
         delta = now.x - self.goal
-        error = float(np.sqrt(delta @ delta))
+        error = math.sqrt(delta @ delta)
         rate = state.rate
         if options.step_control == "adaptive":
             factor = options.grow if error < state.error else options.shrink
-            rate = float(np.clip(rate * factor, options.min_rate, options.max_rate))
+            rate = min(max(rate * factor, options.min_rate), options.max_rate)
         self._record(state.epoch, state.weight, now, rate)
-        arrived = bool(np.abs(delta).max() < options.tolerance)
+        # The length is at most sqrt(n) times the largest coordinate, so this is looked at only when it can be.
+        arrived = error < options.tolerance * math.sqrt(delta.size) and bool(np.abs(delta).max() < options.tolerance)
         weight, alpha, nearby = state.weight, state.alpha, None
         if error > 0.0:
             nearby = self.solver.sensitivity(weight, now)

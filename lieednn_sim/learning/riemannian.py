@@ -107,7 +107,7 @@ class _Training:
         self.problem, self.options, self.progress = problem, options, progress
         self.manifold, self.solver = problem.manifold(), problem.solver()
         self.goal, self.ratio = problem.target.ravel(), problem.ratio
-        self.recorder = Recorder(*problem.target.shape)
+        self.recorder = Recorder(problem.target, options.tolerance)
         self.epoch = 0
 
     def run(self) -> TrainingResult:
@@ -156,7 +156,7 @@ class _Training:
         self.recorder.cut(0)
         while now.equilibrium.found:
             delta = now.equilibrium.x - self.goal
-            self.recorder.add(self.epoch, now.equilibrium.x, self.goal, options.tolerance, rate, now.weight)
+            self.recorder.add(self.epoch, now.equilibrium.x, rate, now.weight)
             nearby = self.solver.sensitivity(now.weight, now.equilibrium)
             due = self.epoch - checked >= options.stability_interval
             if self._arrived(now) and (not options.certified or self._proved(now, search=due)):

@@ -1,0 +1,61 @@
+"""What every planner is given: an arm, where it is, where it shall be, and how long that may take."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieednn_sim.arm import Arm
+from lieednn_sim.errors import InputError
+from lieednn_sim.motion import count_steps
+from lieednn_sim.validation import as_positive, as_seed
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class PlanningProblem:
+    """A motion to plan from rest to rest; what is stored is what was checked.
+
+    Attributes:
+        arm: the arm.
+        start: ``(2N,)`` joint position at rest [rad, m].
+        target: ``(2N,)`` joint position to come to rest at, free of contact [rad, m].
+        duration: of the motion [s].
+        seed: of planners that draw; the same seed gives the same motion.
+
+    Raises:
+        InputError: a value is malformed, or start or target are out of the arm's reach.
+    """
+
+    arm: Arm
+    start: Floats
+    target: Floats
+    duration: float = 4.0
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.arm, Arm):
+            raise InputError(f"arm must be an Arm, got {type(self.arm).__name__}; see Arm.load")
+        for name in ("start", "target"):
+            position = self.arm.check_position(getattr(self, name), name).copy()
+            touching = self.arm.contacts(position)
+            if touching:
+                raise InputError(f"{name} is out of reach: {touching[0][0]!r} would touch {touching[0][1]!r} there")
+            position.setflags(write=False)
+            object.__setattr__(self, name, position)
+        object.__setattr__(self, "duration", as_positive("duration", self.duration))
+        object.__setattr__(self, "seed", as_seed("seed", self.seed))
+        count_steps(self.duration, self.timestep)
+
+    @property
+    def timestep(self) -> float:
+        """Time step of the arm's model, the sampling period of every motion [s]."""
+        return float(self.arm.model.opt.timestep)
+
+    def times(self) -> Floats:
+        """Sampling times ``(K,)`` from 0 to the duration, rounded to a whole number of time steps [s]."""
+        count = count_steps(self.duration, self.timestep) + 1
+        return self.timestep * np.arange(count, dtype=np.float64)

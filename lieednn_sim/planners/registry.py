@@ -1,0 +1,58 @@
+"""Planners by name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+
+from lieednn_sim.errors import InputError
+from lieednn_sim.motion import Motion
+from lieednn_sim.network import LieEDNN
+from lieednn_sim.planners import interpolation, lieednn
+from lieednn_sim.planners.problem import PlanningProblem
+from lieednn_sim.validation import as_choice
+
+# Those that run a network, and return it beside the motion.
+NETWORK_PLANNERS: dict[str, Callable[[PlanningProblem], tuple[LieEDNN, Motion]]] = {
+    "linear-law": lieednn.linear_law,
+    "lieednn-certified": lieednn.certified,
+    "lieednn-retargeted": lieednn.retargeted,
+    "lieednn-trained": lieednn.trained,
+}
+
+
+def _motion_of(name: str, problem: PlanningProblem) -> Motion:
+    return NETWORK_PLANNERS[name](problem)[1]
+
+
+# Each returns a motion that `motion.check_motion` passes, sampled at the model's time step, or raises.
+PLANNERS: dict[str, Callable[[PlanningProblem], Motion]] = {
+    "minimum-jerk": interpolation.minimum_jerk,
+    "screw": interpolation.screw,
+    **{name: partial(_motion_of, name) for name in NETWORK_PLANNERS},
+}
+
+
+def plan_with(name: str, problem: PlanningProblem) -> Motion:
+    """Plan with the planner of a name.
+
+    Returns:
+        A motion from rest at the start to rest at the target, within the arm's limits and free of contact, sampled at
+        the time step of the arm's model.
+
+    Raises:
+        InputError: an unknown name; the message lists the known ones.
+        NotCertifiedError: no network could be certified.
+        PlanError: the motion breaks a limit of the arm, or does not arrive.
+    """
+    return plan_network(name, problem)[1]
+
+
+def plan_network(name: str, problem: PlanningProblem) -> tuple[LieEDNN | None, Motion]:
+    """As `plan_with`, with the network that made the motion, or None for a planner that has none."""
+    as_choice("planner", name, PLANNERS)
+    if not isinstance(problem, PlanningProblem):
+        raise InputError(f"problem must be a PlanningProblem, got {type(problem).__name__}")
+    if name in NETWORK_PLANNERS:
+        return NETWORK_PLANNERS[name](problem)
+    return None, PLANNERS[name](problem)
