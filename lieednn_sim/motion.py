@@ -39,7 +39,7 @@ class Motion:
 
     Attributes:
         t: ``(K,)`` [s].
-        tau: ``(K,)`` the network's own time.
+        tau: ``(K,)`` the network's own time; of a planner without a network, its progress from 0 to 1.
         xi: ``(K, N, 6)`` network states.
         xi_target: ``(N, 6)`` the network's equilibrium.
         q: ``(K, 2N)`` joint positions [rad, m].
@@ -143,7 +143,7 @@ def make_motion(arm: Arm, network: LieEDNN, start: ArrayLike, duration: float, t
     speed = PchipInterpolator(grid, np.hypot(np.linalg.norm(rates / weights, axis=-1), to_go))
     length = speed.antiderivative()
     total = float(length(grid[-1]))
-    progress, progress_rate = _minimum_jerk(t / t[-1])
+    progress, progress_rate = minimum_jerk_law(t / t[-1])
     tau = _invert(length, speed, grid, total * progress)
     xi = trajectory(tau)
     decoded = arm.decode(xi, network.vector_field(xi))
@@ -163,7 +163,7 @@ def count_steps(duration: float, timestep: float) -> int:
     return round(ratio)
 
 
-def _minimum_jerk(s: Floats) -> tuple[Floats, Floats]:
+def minimum_jerk_law(s: Floats) -> tuple[Floats, Floats]:
     """Position and slope in s of the minimum-jerk law on [0, 1] (Flash and Hogan, J. Neuroscience 5(7), 1985)."""
     return s**3 * (10.0 - 15.0 * s + 6.0 * s**2), 30.0 * s**2 * (1.0 - s) ** 2
 

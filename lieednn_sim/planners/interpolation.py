@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.lie import exp, left_jacobian_se3, log
-from lieednn_sim.motion import Motion, _minimum_jerk, check_motion
+from lieednn_sim.motion import Motion, minimum_jerk_law, check_motion
 from lieednn_sim.planners.problem import PlanningProblem
 
 Floats = NDArray[np.float64]
@@ -58,7 +58,7 @@ def screw(problem: PlanningProblem) -> Motion:
 def _schedule(problem: PlanningProblem) -> tuple[Floats, Floats, Floats]:
     """Times ``(K,)`` [s], path parameter sigma ``(K,)`` and its rate ``(K,)`` [1/s]."""
     t = problem.times()
-    sigma, slope = _minimum_jerk(t / t[-1])
+    sigma, slope = minimum_jerk_law(t / t[-1])
     return t, sigma, slope / t[-1]
 
 

@@ -1,0 +1,198 @@
+"""Rival planners: one contract for all, and what each is known for."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, reject, settings
+from hypothesis import strategies as st
+
+from lieednn_sim.arm import Arm
+from lieednn_sim.errors import InputError, NotCertifiedError, PlanError
+from lieednn_sim.lie import exp, log
+from lieednn_sim.motion import Motion, check_motion
+from lieednn_sim.planners import (
+    NETWORK_PLANNERS,
+    PLANNERS,
+    PlanningProblem,
+    lieednn,
+    plan_network,
+    plan_with,
+    reference_network,
+)
+
+ARM = Arm.load("telescopic_pr")
+LOW, HIGH = ARM.position_limits.T
+SEEDS = (0, 1)
+
+
+def problem(seed: int, margin: float = 0.35, **changes: object) -> PlanningProblem:
+    """From home to a drawn target, which keeps this share of the range from its limits."""
+    rng = np.random.default_rng(seed)
+    while True:
+        target = rng.uniform(LOW + margin * (HIGH - LOW), HIGH - margin * (HIGH - LOW))
+        if not ARM.contacts(target):
+            break
+    values = {"start": ARM.keyframe("home"), "target": target, "seed": seed, **changes}
+    return PlanningProblem(ARM, **values)
+
+
+@pytest.fixture(scope="module")
+def motions() -> dict[tuple[str, int], Motion]:
+    return {(name, seed): plan_with(name, problem(seed)) for name in PLANNERS for seed in SEEDS}
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("name", PLANNERS)
+def test_every_planner_goes_from_rest_to_rest_within_the_limits(motions, name, seed):
+    task, motion = problem(seed), motions[name, seed]
+    step = ARM.model.opt.timestep
+    np.testing.assert_allclose(motion.t, step * np.arange(round(task.duration / step) + 1), atol=1e-12)
+    np.testing.assert_allclose(motion.q[0], task.start, atol=1e-6)
+    np.testing.assert_allclose(motion.q[-1], task.target, atol=1e-6)
+    np.testing.assert_array_equal(motion.qd[[0, -1]], 0.0)
+    np.testing.assert_allclose(motion.xi_target, ARM.encode(task.target), atol=1e-6)
+    check_motion(ARM, motion)
+    # The states are those that the joints follow: decoded anew they give positions and gap.
+    decoded = ARM.decode(motion.xi)
+    np.testing.assert_allclose(decoded.q, motion.q, atol=1e-9)
+    np.testing.assert_allclose(decoded.gap_translation, motion.gap_translation, atol=1e-9)
+    np.testing.assert_allclose(decoded.gap_rotation, motion.gap_rotation, atol=1e-7)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("name", PLANNERS)
+def test_velocities_are_the_derivatives_of_positions(motions, name, seed):
+    motion = motions[name, seed]
+    numeric = (motion.q[2:] - motion.q[:-2]) / (2.0 * motion.timestep)
+    np.testing.assert_allclose(motion.qd[1:-1], numeric, atol=2e-4 * np.abs(motion.qd).max())
+
+
+def test_the_same_problem_gives_the_same_motion(motions):
+    for name in PLANNERS:
+        again = plan_with(name, problem(1))
+        np.testing.assert_array_equal(again.q, motions[name, 1].q)
+        np.testing.assert_array_equal(again.qd, motions[name, 1].qd)
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=10)
+def test_minimum_jerk_has_no_gap_and_is_straight_in_joint_space(seed):
+    task = problem(seed, margin=0.1, duration=8.0)
+    try:
+        motion = plan_with("minimum-jerk", task)
+    except PlanError:
+        reject()  # something is in the way
+    np.testing.assert_array_equal(motion.gap_translation, 0.0)
+    np.testing.assert_array_equal(motion.gap_rotation, 0.0)
+    way = task.target - task.start
+    middle = len(motion.t) // 2
+    np.testing.assert_allclose(motion.q[middle], task.start + 0.5 * way, atol=1e-12)
+    # sigma' = 30 s^2 (1 - s)^2 peaks at 15/8.
+    np.testing.assert_allclose(motion.qd[middle], 1.875 * way / 8.0, atol=1e-12)
+
+
+def test_the_screw_of_a_pure_slide_is_straight_and_without_gap():
+    start, target = ARM.keyframe("extended").copy(), ARM.keyframe("extended").copy()
+    start[ARM.joints.prismatic], target[ARM.joints.prismatic] = 0.1, 0.25
+    task = problem(0, start=start, target=target)
+    motion = plan_with("screw", task)
+    assert max(motion.gap_translation.max(), motion.gap_rotation.max()) < 1e-7
+    np.testing.assert_allclose(motion.q, plan_with("minimum-jerk", task).q, atol=1e-9)
+
+
+def test_the_screw_is_the_geodesic_of_every_joint(motions):
+    task, motion = problem(0), motions["screw", 0]
+    origin, goal = ARM.joint_poses(task.start), ARM.joint_poses(task.target)
+    way = log(origin.inv() * goal)
+    units = np.repeat([1.0, ARM.length_scale], 3)
+    for k in (0, 700, 1500, len(motion.t) - 1):
+        done = log(origin.inv() * exp(motion.xi[k] * units))
+        np.testing.assert_allclose(done, motion.tau[k] * way, atol=1e-9)
+    assert motion.gap_translation.max() > 1e-3, "turning and sliding at once is no screw of the joint"
+
+
+def test_the_screw_takes_the_shorter_turn_and_is_refused_where_a_stop_is_in_between():
+    start, target = ARM.keyframe("home").copy(), ARM.keyframe("home").copy()
+    base = ARM.joints.revolute[0]
+    start[base], target[base] = -2.5, 2.5
+    task = problem(0, start=start, target=target, duration=8.0)
+    plan_with("minimum-jerk", task)
+    with pytest.raises(PlanError, match=rf"{ARM.joint_names[base]!r} would reach -?3\.1"):
+        plan_with("screw", task)
+
+
+def test_the_linear_law_is_a_straight_line_in_network_coordinates(motions):
+    motion = motions["linear-law", 0]
+    way = motion.xi_target - motion.xi[0]
+    share = ((motion.xi - motion.xi[0]) * way).sum(axis=(1, 2)) / (way**2).sum()
+    np.testing.assert_allclose(motion.xi, motion.xi[0] + share[:, None, None] * way, atol=1e-6)
+    # xi' = -(xi - xi_d) in the network's own time.
+    np.testing.assert_allclose(1.0 - share[:-1], np.exp(-motion.tau[:-1]), atol=1e-6)
+
+
+def test_networks_come_with_their_motions():
+    task = problem(0)
+    assert plan_network("minimum-jerk", task)[0] is None
+    network, motion = plan_network("lieednn-retargeted", task)
+    reference = reference_network(ARM)
+    np.testing.assert_array_equal(network.weight, reference.weight)
+    assert network.certified
+    assert not np.array_equal(network.bias, reference.bias)
+    np.testing.assert_allclose(network.vector_field(motion.xi_target), 0.0, atol=1e-10)
+    for name in ("linear-law", "lieednn-certified"):
+        assert plan_network(name, task)[0].certified
+    assert set(NETWORK_PLANNERS) < set(PLANNERS)
+
+
+def test_refusals_say_why(monkeypatch):
+    with pytest.raises(InputError, match="no planner 'rrt'; allowed: lieednn-certified, lieednn-retargeted, lieednn-t"):
+        plan_with("rrt", problem(0))
+    with pytest.raises(InputError, match="problem must be a PlanningProblem, got str"):
+        plan_with("screw", "there")
+    hurried = problem(0, duration=0.2)
+    for name in ("minimum-jerk", "screw", "linear-law", "lieednn-certified", "lieednn-retargeted"):
+        with pytest.raises(PlanError, match=r"would move at .*its limit is|would reach"):
+            plan_with(name, hurried)
+    monkeypatch.setattr(lieednn, "_LEARNED_CANDIDATES", 1)
+    with pytest.raises(PlanError, match=r"no learned network of 1 can be used: joint .* would move at"):
+        plan_with("lieednn-trained", hurried)
+
+
+def test_a_network_that_ends_elsewhere_is_refused(monkeypatch):
+    task = problem(0)
+    other = reference_network(ARM).retarget(ARM.encode(problem(1).target))
+    monkeypatch.setattr(lieednn, "reference_network", lambda _: other)
+    monkeypatch.setattr(type(other), "retarget", lambda self, _: self)
+    with pytest.raises(PlanError, match="ends at another equilibrium"):
+        plan_with("lieednn-retargeted", task)
+
+
+def test_what_cannot_be_certified_is_no_motion(monkeypatch):
+    def refuse(*_args, **_options):
+        raise NotCertifiedError("none of 24")
+
+    monkeypatch.setattr(lieednn, "plan", refuse)
+    with pytest.raises(NotCertifiedError, match="none of 24"):
+        plan_with("lieednn-certified", problem(0))
+
+
+def test_problems_are_checked():
+    task = problem(0)
+    with pytest.raises(ValueError, match="read-only"):
+        task.target[0] = 0.0
+    beyond = ARM.keyframe("home").copy()
+    beyond[3] = 3.0
+    for name in ("start", "target"):
+        with pytest.raises(InputError, match=f"{name} is out of reach: joint 'extend1' would be at 3 m"):
+            problem(0, **{name: beyond})
+    folded = np.array([0.0, 0.0, -0.6, 0.45, 0.0, 0.4, -1.0, 0.3])
+    assert ARM.contacts(folded)
+    with pytest.raises(InputError, match=r"target is out of reach: '.*' would touch '.*' there"):
+        problem(0, target=folded)
+    with pytest.raises(InputError, match="between 2 and 1000000 time steps"):
+        problem(0, duration=0.001)
+    with pytest.raises(InputError, match="seed must be a whole number"):
+        PlanningProblem(ARM, task.start, task.target, seed=-1)
+    with pytest.raises(InputError, match="arm must be an Arm, got str"):
+        PlanningProblem("telescopic_pr", task.start, task.target)
