@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.lie import exp, left_jacobian_se3, log
-from lieednn_sim.motion import Motion, minimum_jerk_law, check_motion
+from lieednn_sim.motion import Motion, check_motion, minimum_jerk_law
 from lieednn_sim.planners.problem import PlanningProblem
 
 Floats = NDArray[np.float64]
