@@ -204,11 +204,11 @@ class _Training:
                 break
         if state.equilibrium.found and options.projection != "none":
             point = self.manifold.project(state.weight, state.alpha, options.projection, state.point)
-            equilibrium = self._find(point.weight, state.equilibrium.x)
-            state = replace(state, weight=point.weight, alpha=point.alpha, point=point, equilibrium=equilibrium)
+            weight = point.weight
+            equilibrium = self._find(weight, state.equilibrium.x)
+            state = replace(state, weight=weight, alpha=point.alpha, point=point, equilibrium=equilibrium)
         tracked = options.step_control == "tracked"
-        jump = np.abs(state.equilibrium.x - before.equilibrium.x).max()
-        if not state.equilibrium.found or (tracked and jump > options.max_jump):
+        if not state.equilibrium.found or (tracked and self._jump(before, state) > options.max_jump):
             # Back to the last weights that have the equilibrium; one anchor, so that an interruption finds all of it.
             rate = before.rate * options.shrink if tracked else before.rate
             reason: StopReason | None = StopReason.LOST_EQUILIBRIUM
@@ -226,6 +226,9 @@ class _Training:
         elif arrived:
             state = replace(state, reason=StopReason.CONVERGED)
         self.anchor = state
+
+    def _jump(self, before: TrainingState, after: TrainingState) -> float:
+        return float(np.abs(after.equilibrium.x - before.equilibrium.x).max())
 
     def _step(self, state: TrainingState) -> tuple[TrainingState, bool]:
         """One epoch of Algorithm 1 without the projection; whether its stop test passed as printed."""

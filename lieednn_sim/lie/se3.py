@@ -49,9 +49,9 @@ def vee(matrix: ArrayLike) -> Floats:
     if shape[-2:] not in ((3, 3), (4, 4)):
         raise InputError(f"vee needs matrices of shape (..., 3, 3) or (..., 4, 4), got {shape}")
     array = as_floats("matrix", matrix, shape[-2:], batched=True)
-    lower = (array[..., 2, 1], array[..., 0, 2], array[..., 1, 0])
-    upper = (array[..., 1, 2], array[..., 2, 0], array[..., 0, 1])
-    omega = 0.5 * (np.stack(lower, axis=-1) - np.stack(upper, axis=-1))
+    omega = np.empty((*array.shape[:-2], 3))
+    for k, (i, j) in enumerate(((2, 1), (0, 2), (1, 0))):
+        omega[..., k] = 0.5 * (array[..., i, j] - array[..., j, i])
     if shape[-1] == 3:
         return omega
     return np.concatenate([omega, array[..., :3, 3]], axis=-1)
@@ -122,9 +122,11 @@ def left_jacobian_se3(twist: ArrayLike) -> Floats:
 
 
 def _skew(vector: Floats) -> Floats:
-    x, y, z = np.moveaxis(vector, -1, 0)
-    o = np.zeros_like(x)
-    return np.stack([o, -z, y, z, o, -x, -y, x, o], axis=-1).reshape(*vector.shape, 3)
+    # Entry by entry: a training loop comes here often, and stacking takes several times as long.
+    matrix = np.zeros((*vector.shape, 3))
+    matrix[..., 2, 1], matrix[..., 0, 2], matrix[..., 1, 0] = (vector[..., k] for k in range(3))
+    matrix[..., 1, 2], matrix[..., 2, 0], matrix[..., 0, 1] = (-vector[..., k] for k in range(3))
+    return matrix
 
 
 def _coefficients(angle: Floats, *orders: int) -> list[Floats]:
