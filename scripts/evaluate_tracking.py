@@ -12,15 +12,11 @@ from __future__ import annotations
 import argparse
 import csv
 import itertools
-import multiprocessing
 import os
-import signal
 import sys
-import threading
 import time
 from collections.abc import Iterable
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
+from concurrent.futures import as_completed
 from functools import lru_cache
 from pathlib import Path
 
@@ -29,7 +25,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from workers import exit_code, progress_bar, worker_pool
 
 from lieednn_sim import storage
 from lieednn_sim.arm import Arm
@@ -239,20 +235,6 @@ def _line(cells: list[str]) -> str:
     return "| " + " | ".join(cells) + " |"
 
 
-def _prepare_worker() -> None:
-    # Ctrl-C reaches the whole process group; the main process stops the workers.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-
-
-def _end_with_parent() -> None:
-    """A worker would wait for work for ever when the main process is killed."""
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
-
-
 def compare(options: argparse.Namespace, console: Console) -> Path:
     """Compute the rows that are missing; returns the path of the summary."""
     directory = storage.make_directory(options.output)
@@ -264,23 +246,12 @@ def compare(options: argparse.Namespace, console: Console) -> Path:
     }
     jobs = [(*job, missing) for job, missing in wanted.items() if missing]
     if jobs:
-        context = multiprocessing.get_context("spawn")
-        pool = ProcessPoolExecutor(min(options.jobs, len(jobs)), mp_context=context, initializer=_prepare_worker)
-        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-        try:
-            with Progress(*columns, console=console) as progress:
-                shown = progress.add_task("motions", total=len(jobs))
-                for future in as_completed([pool.submit(run, *job) for job in jobs]):
-                    rows |= {(row["planner"], row["controller"], int(row["seed"])): row for row in future.result()}
-                    write_rows(table, rows)
-                    progress.update(shown, advance=1)
-        except BaseException:
-            # Including Ctrl-C, which the workers ignore.
-            pool.shutdown(wait=False, cancel_futures=True)
-            for process in multiprocessing.active_children():
-                process.terminate()
-            raise
-        pool.shutdown()
+        with worker_pool(min(options.jobs, len(jobs))) as pool, progress_bar(console) as progress:
+            shown = progress.add_task("motions", total=len(jobs))
+            for future in as_completed([pool.submit(run, *job) for job in jobs]):
+                rows |= {(row["planner"], row["controller"], int(row["seed"])): row for row in future.result()}
+                write_rows(table, rows)
+                progress.update(shown, advance=1)
     write_summary(summary, rows)
     return summary
 
@@ -297,20 +268,7 @@ def main(arguments: list[str] | None = None) -> int:
         if getattr(options, name) < 1:
             parser.error(f"argument --{name}: must be at least 1, got {getattr(options, name)}")
     console = Console(stderr=True)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
-        path = compare(options, console)
-    except KeyboardInterrupt:
-        console.print("stopped; finished rows are kept, the same command goes on from there")
-        return 130
-    except BrokenProcessPool:
-        console.print("a worker process died (out of memory?); the same command goes on, --jobs 1 needs less")
-        return 1
-    except (LieEDNNError, OSError) as error:
-        console.print(f"error: {error}", highlight=False)
-        return 1
-    print(path)
-    return 0
+    return exit_code(lambda: compare(options, console), console, "rows")
 
 
 if __name__ == "__main__":

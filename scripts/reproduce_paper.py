@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import signal
 import sys
 import time
 from pathlib import Path
@@ -17,15 +16,13 @@ from pathlib import Path
 # Before NumPy loads: matrices here are far too small for threads, and the workers inherit this.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from concurrent.futures.process import BrokenProcessPool
-
 from paper import figures, report, runner
 from paper.plan import FULL, QUICK, Plan, jobs
 from paper.results import Results
 from rich.console import Console
+from workers import exit_code
 
 from lieednn_sim import storage
-from lieednn_sim.errors import LieEDNNError
 
 
 def reproduce(plan: Plan, directory: str | os.PathLike[str], workers: int, command: str, console: Console) -> Path:
@@ -54,23 +51,14 @@ def main(arguments: list[str] | None = None) -> int:
     console = Console(stderr=True)
     plan = QUICK if options.quick else FULL
     command = "python scripts/reproduce_paper.py" + (" --quick" if options.quick else "")
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
+
+    def work() -> Path:
         if options.fresh:
             for path in (Path(options.output) / "jobs").glob("*.npz"):
                 path.unlink()
-        path = reproduce(plan, options.output, options.jobs, command, console)
-    except KeyboardInterrupt:
-        console.print("stopped; finished experiments are kept, the same command goes on from there")
-        return 130
-    except BrokenProcessPool:
-        console.print("a worker process died (out of memory?); the same command goes on, --jobs 1 needs less")
-        return 1
-    except (LieEDNNError, OSError) as error:
-        console.print(f"error: {error}", highlight=False)
-        return 1
-    print(path)
-    return 0
+        return reproduce(plan, options.output, options.jobs, command, console)
+
+    return exit_code(work, console, "experiments")
 
 
 if __name__ == "__main__":

@@ -13,13 +13,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import reproduce_paper
+from paper import claims, experiments, measures, plan, report, results, runner
 from rich.console import Console
 
 SCRIPTS = Path(__file__).resolve().parents[1] / "scripts"
-sys.path.insert(0, str(SCRIPTS))
-
-import reproduce_paper  # noqa: E402
-from paper import claims, experiments, measures, plan, report, results, runner  # noqa: E402
 
 TINY = plan.Plan("quick", 5, 1, 1, 150, 20, 10, 100)
 # A training in milliseconds, another kind of job, a check, and a job that cannot be done.

@@ -7,6 +7,7 @@ import contextlib
 import functools
 import itertools
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +16,7 @@ from lieednn_sim import plots
 from lieednn_sim.arm import Arm
 from lieednn_sim.cli.arguments import start_and_target
 from lieednn_sim.cli.console import console, progress, table, wrote
-from lieednn_sim.errors import FileError, InputError, NotCertifiedError, PlanError
+from lieednn_sim.errors import FileError, InputError, PlanError
 from lieednn_sim.learning import (
     ALGORITHMS,
     RiemannianOptions,
@@ -100,13 +101,16 @@ def _choose(
     best: tuple[TrainingResult, str | None] | None = None
     for learner in learners:
         result = learner()
+        if result.success and isinstance(result.network, LieEDNN):
+            # Learning does not ask for a proof; what is saved and reported carries one where there is one.
+            result = replace(result, network=result.network.try_certify())
         refusal = _refusal(result, arm, task)
         if best is None or (result.success and (refusal is None or not best[0].success)):
             best = result, refusal
             if result.success and isinstance(result.network, LieEDNN):
                 run.forget_results()
                 task.save(run.task)
-                _with_proof(result.network).save(run.network)
+                result.network.save(run.network)
                 _write_history(result, run, xi)
         if result.success and refusal is None:
             break
@@ -176,14 +180,6 @@ def _bias(xi: Floats, arguments: argparse.Namespace) -> Floats:
         raise InputError("the solved bias needs no learning; use 'lieednn-sim synthesize --bias solved'")
     magnitude = as_positive("bias magnitude", arguments.bias_magnitude)
     return bias_for(arguments.bias, xi, np.tanh(xi), 1.0, magnitude)
-
-
-def _with_proof(network: LieEDNN) -> LieEDNN:
-    """The network with a certificate, if there is one; learning does not ask for it."""
-    try:
-        return network.certify()
-    except NotCertifiedError:
-        return network
 
 
 def _report(result: TrainingResult, xi: Floats) -> None:

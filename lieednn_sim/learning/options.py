@@ -16,6 +16,15 @@ BLOCK_SCALE = "block-scale"
 STEP_CONTROLS = ("adaptive", "tracked")
 
 
+def check_rates(initial: float, bounds: tuple[float, float], *, grow: float, shrink: float) -> None:
+    """Raise `InputError` unless a learning rate begins within its bounds and its factors grow and shrink it."""
+    least, largest = bounds
+    if not least <= initial <= largest:
+        raise InputError(f"initial_rate must lie between min_rate {least:g} and max_rate {largest:g}, got {initial:g}")
+    if shrink >= 1.0 or grow < 1.0:
+        raise InputError(f"shrink must be below 1 and grow at least 1, got {shrink:g} and {grow:g}")
+
+
 @dataclass(frozen=True)
 class TrainingOptions:
     """How `train` learns. The defaults are the paper's Algorithm 1, repaired.
@@ -90,13 +99,7 @@ class TrainingOptions:
             as_choice("initial alpha", self.initial_alpha, (BLOCK_SCALE,))
         elif self.initial_alpha is not None:
             store("initial_alpha", as_positive("initial_alpha", self.initial_alpha))
-        if not self.min_rate <= self.initial_rate <= self.max_rate:
-            raise InputError(
-                f"initial_rate must lie between min_rate {self.min_rate:g} and max_rate {self.max_rate:g}, "
-                f"got {self.initial_rate:g}"
-            )
-        if self.shrink >= 1.0 or self.grow < 1.0:
-            raise InputError(f"shrink must be below 1 and grow at least 1, got {self.shrink:g} and {self.grow:g}")
+        check_rates(self.initial_rate, (self.min_rate, self.max_rate), grow=self.grow, shrink=self.shrink)
 
     @classmethod
     def literal(cls, **changes: Any) -> TrainingOptions:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 from lieednn_sim.errors import InputError
+from lieednn_sim.learning.options import check_rates
 from lieednn_sim.validation import as_choice, as_count, as_positive
 
 METHODS = ("gradient", "gauss-newton")
@@ -68,14 +68,4 @@ class RiemannianOptions:
             raise InputError(f"certified training needs the method 'gauss-newton', got {self.method!r}")
         if self.barrier >= 1.0:
             raise InputError(f"barrier must lie below 1, where the certificate ends, got {self.barrier:g}")
-        if not self.min_rate <= self.initial_rate <= self.max_rate:
-            raise InputError(
-                f"initial_rate must lie between min_rate {self.min_rate:g} and max_rate {self.max_rate:g}, "
-                f"got {self.initial_rate:g}"
-            )
-        if self.shrink >= 1.0 or self.grow < 1.0:
-            raise InputError(f"shrink must be below 1 and grow at least 1, got {self.shrink:g} and {self.grow:g}")
-
-    def as_dict(self) -> dict[str, Any]:
-        """Values by name, as JSON can hold them."""
-        return asdict(self)
+        check_rates(self.initial_rate, (self.min_rate, self.max_rate), grow=self.grow, shrink=self.shrink)

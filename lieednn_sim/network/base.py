@@ -159,6 +159,7 @@ class BlockNetwork(ABC):
         """
         target = as_floats("xi", xi, self.bias.shape)
         drive = (self.weight @ self.phi(target).ravel()).reshape(target.shape)
+        # mypy cannot know that every subclass is a dataclass, here and below.
         network: Self = replace(self, bias=self.gamma / self.mu * target - drive)  # type: ignore[type-var]
         # Weights and proof are the same: hand over what has been computed of them.
         vars(network).update({name: vars(self)[name] for name in self._bias_free if name in vars(self)})

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim import stability
+from lieednn_sim.errors import NotCertifiedError
 from lieednn_sim.network.base import BlockNetwork
 from lieednn_sim.validation import as_choice, as_floats
 
@@ -57,6 +58,13 @@ class ComponentwiseNetwork(BlockNetwork):
             NotCertifiedError: none was found; the network may be unstable.
         """
         return self._carrying(stability.find_certificate(self.certifiable_weight, gamma=self.gamma, mu=self.mu))
+
+    def try_certify(self) -> Self:
+        """This network carrying a certificate, where one is found; else as it is."""
+        try:
+            return self.certify()
+        except NotCertifiedError:
+            return self
 
     def assess(self, start: ArrayLike | None = None) -> stability.Verdict:
         """Every stability condition with the rate it proves; the local one at the equilibrium found from ``start``."""

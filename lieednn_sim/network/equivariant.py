@@ -41,8 +41,9 @@ from numpy.typing import ArrayLike
 from lieednn_sim import stability
 from lieednn_sim.dynamics import Equilibrium, find_equilibrium
 from lieednn_sim.lie import adjoint
-from lieednn_sim.network.base import BlockNetwork, Floats, flatten_blocks, read_only
+from lieednn_sim.network.base import Floats
 from lieednn_sim.network.checks import as_poses, as_rates, as_strengths, require_rotations
+from lieednn_sim.network.rigid import RigidNetwork
 from lieednn_sim.validation import as_floats, as_positive
 
 # tanh(r)/r in powers of r^2. Below the angle [rad] the series is used: there the closed form of the derivative
@@ -53,7 +54,7 @@ _SERIES_SLOPE = 2.0 * polynomial.polyder(_SERIES)
 
 
 @dataclass(frozen=True, eq=False)
-class EquivariantLieEDNN(BlockNetwork):
+class EquivariantLieEDNN(RigidNetwork):
     """x_i' = -gamma x_i + mu sum_j alpha_ij Ad(theta_ij) Phi(x_j) + mu b_i, with x_i in se(3) and Phi of App. N.
 
     Attributes:
@@ -80,7 +81,6 @@ class EquivariantLieEDNN(BlockNetwork):
     _kind: ClassVar[str] = "equivariant-network"
     _arrays: ClassVar[tuple[str, ...]] = ("alpha", "rotation", "translation", "bias", "lyapunov_diagonal")
     _scalars: ClassVar[tuple[str, ...]] = ("gamma", "mu")
-    _bias_free: ClassVar[tuple[str, ...]] = ("blocks", "weight", "rotational_weight", "certificate")
 
     def __post_init__(self) -> None:
         alpha = as_strengths(self.alpha)
@@ -93,16 +93,6 @@ class EquivariantLieEDNN(BlockNetwork):
             **as_rates(self.gamma, self.mu),
             lyapunov_diagonal=None if diagonal is None else as_floats("lyapunov_diagonal", diagonal, (n,)),
         )
-
-    @cached_property
-    def blocks(self) -> Floats:
-        """Weight blocks alpha_ij Ad(theta_ij), ``(N, N, 6, 6)``."""
-        return read_only(self.alpha[:, :, None, None] * adjoint(self.rotation, self.translation))
-
-    @cached_property
-    def rotational_weight(self) -> Floats:
-        """W_R = [alpha_ij R_ij], ``(3N, 3N)``: the part that decides stability."""
-        return flatten_blocks(self.blocks[..., :3, :3])
 
     @cached_property
     def certificate(self) -> stability.Certificate | None:

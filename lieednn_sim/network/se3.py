@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import ClassVar
 
-from lieednn_sim.lie import adjoint
-from lieednn_sim.network.base import Floats, flatten_blocks, read_only
+from lieednn_sim.network.base import Floats
 from lieednn_sim.network.checks import as_poses, as_rates, as_strengths
 from lieednn_sim.network.componentwise import ComponentwiseNetwork, as_activation
+from lieednn_sim.network.rigid import RigidNetwork
 from lieednn_sim.validation import as_floats
 
 
 @dataclass(frozen=True, eq=False)
-class LieEDNN(ComponentwiseNetwork):
+class LieEDNN(RigidNetwork, ComponentwiseNetwork):
     """x_i' = -gamma x_i + mu sum_j alpha_ij Ad(theta_ij) phi(x_j) + mu b_i, with x_i in se(3) (paper, eq. 3.9).
 
     The state has shape ``(..., N, 6)``, twists ordered (omega, v); the flat state is its C-order ravel.
@@ -45,7 +44,6 @@ class LieEDNN(ComponentwiseNetwork):
     _kind: ClassVar[str] = "network"
     _arrays: ClassVar[tuple[str, ...]] = ("alpha", "rotation", "translation", "bias", "lyapunov_diagonal")
     _scalars: ClassVar[tuple[str, ...]] = ("gamma", "mu", "activation")
-    _bias_free: ClassVar[tuple[str, ...]] = ("blocks", "weight", "rotational_weight", "certificate")
 
     def __post_init__(self) -> None:
         alpha = as_strengths(self.alpha)
@@ -59,16 +57,6 @@ class LieEDNN(ComponentwiseNetwork):
             activation=as_activation(self.activation),
             lyapunov_diagonal=None if diagonal is None else as_floats("lyapunov_diagonal", diagonal, (3 * n,)),
         )
-
-    @cached_property
-    def blocks(self) -> Floats:
-        """Weight blocks alpha_ij Ad(theta_ij), ``(N, N, 6, 6)``."""
-        return read_only(self.alpha[:, :, None, None] * adjoint(self.rotation, self.translation))
-
-    @cached_property
-    def rotational_weight(self) -> Floats:
-        """W_R = [alpha_ij R_ij], ``(3N, 3N)``: the part that decides stability."""
-        return flatten_blocks(self.blocks[..., :3, :3])
 
     @property
     def certifiable_weight(self) -> Floats:

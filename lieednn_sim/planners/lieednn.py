@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieednn_sim.arm import Arm
-from lieednn_sim.errors import NotCertifiedError, PlanError
+from lieednn_sim.errors import PlanError
 from lieednn_sim.learning import TrainingOptions, train
 from lieednn_sim.motion import Motion, check_motion, make_motion
 from lieednn_sim.network import LieEDNN
@@ -89,7 +89,7 @@ def trained(problem: PlanningProblem) -> tuple[LieEDNN, Motion]:
         except PlanError as error:
             refusal = str(error)
             continue
-        return _with_proof(result.network), motion
+        return result.network.try_certify(), motion
     raise PlanError(f"no learned network of {_LEARNED_CANDIDATES} can be used: {refusal}")
 
 
@@ -123,11 +123,3 @@ def _motion(problem: PlanningProblem, network: LieEDNN) -> Motion:
         )
     check_motion(problem.arm, motion)
     return motion
-
-
-def _with_proof(network: LieEDNN) -> LieEDNN:
-    """The network with a certificate, if there is one."""
-    try:
-        return network.certify()
-    except NotCertifiedError:
-        return network

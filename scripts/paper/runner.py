@@ -3,13 +3,9 @@
 from __future__ import annotations
 
 import math
-import multiprocessing
-import os
-import signal
-import threading
 import time
 from collections.abc import Iterable
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import Future, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +13,7 @@ from typing import Any
 
 import numpy as np
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from workers import progress_bar, worker_pool
 
 from lieednn_sim import storage
 from lieednn_sim.errors import FileError
@@ -78,46 +74,18 @@ def run_all(jobs: Iterable[Job], directory: Path, workers: int, console: Console
     if not todo:
         return 0, []
     failures: list[str] = []
-    context = multiprocessing.get_context("spawn")
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    pool = ProcessPoolExecutor(min(workers, len(todo)), mp_context=context, initializer=_prepare_worker)
-    try:
-        with Progress(*columns, console=console) as progress:
-            task = progress.add_task("experiments", total=len(todo))
-            running: dict[Future[None], Job] = {
-                pool.submit(run, job, directory / f"{job.key}.npz"): job for job in todo.values()
-            }
-            waiting = set(running)
-            while waiting:
-                done, waiting = wait(waiting, return_when=FIRST_COMPLETED)
-                for future in done:
-                    error = future.exception()
-                    if isinstance(error, BrokenProcessPool):
-                        raise error
-                    if error is not None:
-                        job = running[future]
-                        failures.append(f"{job.name} {job.parameters}: {type(error).__name__}: {error}")
-                        console.print(f"[red]failed:[/red] {failures[-1]}", highlight=False)
-                    progress.update(task, advance=1, description=running[future].name)
-    except BaseException:
-        # Including Ctrl-C: a job may take a minute, and its worker ignores the signal.
-        pool.shutdown(wait=False, cancel_futures=True)
-        for process in multiprocessing.active_children():
-            process.terminate()
-        raise
-    pool.shutdown()
+    with worker_pool(min(workers, len(todo))) as pool, progress_bar(console) as progress:
+        task = progress.add_task("experiments", total=len(todo))
+        running: dict[Future[None], Job] = {
+            pool.submit(run, job, directory / f"{job.key}.npz"): job for job in todo.values()
+        }
+        for future in as_completed(running):
+            error = future.exception()
+            if isinstance(error, BrokenProcessPool):
+                raise error
+            if error is not None:
+                job = running[future]
+                failures.append(f"{job.name} {job.parameters}: {type(error).__name__}: {error}")
+                console.print(f"[red]failed:[/red] {failures[-1]}", highlight=False)
+            progress.update(task, advance=1, description=running[future].name)
     return len(todo), failures
-
-
-def _prepare_worker() -> None:
-    # Ctrl-C reaches the whole process group; the main process stops the workers.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-
-
-def _end_with_parent() -> None:
-    """A pool's worker waits for work for ever, also when the main process was killed."""
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
