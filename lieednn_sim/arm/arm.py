@@ -39,6 +39,8 @@ class Arm:
         position_limits: ``(2N, 2)`` [rad, m].
         velocity_limits: ``(2N,)`` [rad/s, m/s].
         force_limits: ``(2N,)`` [N m, N].
+        acceleration_limits: ``(2N,)`` [rad/s^2, m/s^2]; infinite where the model names none.
+        spec: what `model` was compiled from, for whoever adds bodies to a copy of it.
         length_scale: metres per unit of v in the network's coordinates, since the activation sees bare numbers.
         site_ids: ``(N,)`` the link frames' sites.
     """
@@ -54,8 +56,10 @@ class Arm:
     position_limits: Floats
     velocity_limits: Floats
     force_limits: Floats
+    acceleration_limits: Floats
     length_scale: float
     site_ids: NDArray[np.int_]
+    spec: Any
 
     @classmethod
     def load(cls, name: str) -> Arm:
@@ -69,10 +73,11 @@ class Arm:
         if not source.is_file():
             raise FileError(f"no such file: {source}")
         try:
-            model = mujoco.MjModel.from_xml_path(str(source))
+            spec = mujoco.MjSpec.from_file(str(source))
+            model = spec.compile()
         except ValueError as error:
             raise FileError(f"MuJoCo cannot compile {source}: {error}") from None
-        return _read(model, source, name or source.parent.name)
+        return _read(model, spec, source, name or source.parent.name)
 
     @property
     def n_links(self) -> int:
@@ -114,6 +119,18 @@ class Arm:
                 f"{self.unit(worst)}, its range is [{low:.4g}, {high:.4g}]"
             )
         return position
+
+    def qpos(self, q: ArrayLike) -> Floats:
+        """MuJoCo's generalised positions ``(..., nq)`` at joint coordinates ``(..., 2N)``."""
+        return as_floats("q", q, (self.n_joints,), batched=True)
+
+    def qvel(self, q: ArrayLike, qd: ArrayLike) -> Floats:
+        """MuJoCo's generalised velocities ``(..., nv)`` at joint coordinates and their rates, both ``(..., 2N)``."""
+        return as_floats("qd", qd, (self.n_joints,), batched=True)
+
+    def coordinates(self, qpos: ArrayLike) -> Floats:
+        """Joint coordinates ``(..., 2N)`` of MuJoCo's generalised positions ``(..., nq)``."""
+        return as_floats("qpos", qpos, (self.model.nq,), batched=True)
 
     def contacts(self, q: ArrayLike) -> list[tuple[str, str]]:
         """Names of the bodies that touch each other at ``q`` ``(2N,)``."""
@@ -172,7 +189,7 @@ class Arm:
         return np.repeat([1.0, self.length_scale], 3)
 
 
-def _read(model: mujoco.MjModel, source: Path, name: str) -> Arm:
+def _read(model: mujoco.MjModel, spec: Any, source: Path, name: str) -> Arm:
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     sites = [_site(model, name, "base_frame")]
@@ -228,8 +245,10 @@ def _read(model: mujoco.MjModel, source: Path, name: str) -> Arm:
         position_limits=model.jnt_range[joint_ids].copy(),
         velocity_limits=_numeric(model, "velocity_limit", np.full(n_joints, np.inf)),
         force_limits=_force_limits(model, joint_ids),
+        acceleration_limits=_numeric(model, "acceleration_limit", np.full(n_joints, np.inf)),
         length_scale=float(_numeric(model, "length_scale", np.ones(1))[0]),
         site_ids=np.array(sites[1:], dtype=int),
+        spec=spec,
     )
 
 

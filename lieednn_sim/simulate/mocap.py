@@ -46,7 +46,7 @@ class MocapWelds:
 
 
 def _with_ghosts(arm: Arm, start: RigidTransform) -> mujoco.MjModel:
-    spec: Any = mujoco.MjSpec.from_file(str(arm.source))
+    spec: Any = arm.spec.copy()
     for i, site in enumerate(arm.site_ids):
         pose = start[i]
         ghost = spec.worldbody.add_body(
