@@ -42,8 +42,8 @@ class Motion:
         tau: ``(K,)`` the network's own time; of a planner without a network, its progress from 0 to 1.
         xi: ``(K, N, 6)`` network states.
         xi_target: ``(N, 6)`` the network's equilibrium.
-        q: ``(K, 2N)`` joint positions [rad, m].
-        qd: ``(K, 2N)`` joint velocities [rad/s, m/s].
+        q: ``(K, n)`` joint positions [rad, m].
+        qd: ``(K, n)`` joint velocities [rad/s, m/s].
         gap_translation: ``(K, N)`` distance of the decoded poses from the joints' own set [m].
         gap_rotation: ``(K, N)`` the same as an angle [rad].
     """
@@ -60,13 +60,14 @@ class Motion:
     def __post_init__(self) -> None:
         k = len(as_times("t", self.t))
         n = len(as_floats("xi_target", self.xi_target, ("N", 6)))
+        joints = as_floats("q", self.q, (k, "n")).shape[1]
         shapes: dict[str, tuple[int, ...]] = {
             "t": (k,),
             "tau": (k,),
             "xi": (k, n, 6),
             "xi_target": (n, 6),
-            "q": (k, 2 * n),
-            "qd": (k, 2 * n),
+            "q": (k, joints),
+            "qd": (k, joints),
             "gap_translation": (k, n),
             "gap_rotation": (k, n),
         }
@@ -99,7 +100,7 @@ class Motion:
 
 
 def make_motion(arm: Arm, network: LieEDNN, start: ArrayLike, duration: float, timestep: float) -> Motion:
-    """Decode the network's trajectory from joint position ``start`` ``(2N,)`` and time it to ``duration`` [s].
+    """Decode the network's trajectory from joint position ``start`` ``(n,)`` and time it to ``duration`` [s].
 
     Args:
         arm: decodes states to joint positions.
@@ -202,10 +203,8 @@ def check_motion(arm: Arm, motion: Motion) -> None:
     outside = arm.limit_excess(motion.q)
     k, joint = map(int, np.unravel_index(outside.argmax(), outside.shape))
     if outside[k, joint] > LIMIT_TOLERANCE:
-        low, high = arm.position_limits[joint]
         raise PlanError(
-            f"joint {arm.joint_names[joint]!r} would reach {motion.q[k, joint]:.4g} {arm.unit(joint)} at "
-            f"t = {motion.t[k]:.2f} s, its range is [{low:.4g}, {high:.4g}]; try more candidates, "
+            f"at t = {motion.t[k]:.2f} s {arm.describe_excess(motion.q[k], joint)}; try more candidates, "
             "another seed, a larger bias magnitude or the solved bias"
         )
     ratio = np.abs(motion.qd) / arm.velocity_limits

@@ -34,7 +34,7 @@ class Plan:
     Attributes:
         network: certified, with the target as its equilibrium.
         motion: keeps position and velocity limits and touches nothing.
-        target: ``(2N,)`` joint target [rad, m].
+        target: ``(n,)`` joint target [rad, m].
         candidates: networks synthesised.
         within_limits: of these, networks whose transient keeps the position limits.
     """
@@ -70,7 +70,7 @@ def plan(
 
     Args:
         arm: the arm.
-        target: joint target ``(2N,)``.
+        target: joint target ``(n,)``.
         start: joint position at rest, the keyframe ``home`` by default.
         duration: of the motion [s].
         timestep: sampling period [s], the model's time step by default.

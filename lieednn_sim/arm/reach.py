@@ -30,7 +30,7 @@ def reach(
         arm: the arm.
         position: ``(3,)`` of the end effector, world [m].
         rotation: of the end effector; free when omitted.
-        start: ``(2N,)`` posture to stay near, the keyframe ``home`` by default.
+        start: ``(n,)`` posture to stay near, the keyframe ``home`` by default.
         seed: of the further starts tried when the first fails.
 
     Raises:
@@ -46,7 +46,7 @@ def reach(
     site = int(arm.site_ids[-1])
 
     def error(q: Floats) -> Floats:
-        data.qpos[:] = q
+        data.qpos[:] = arm.qpos(q)
         mujoco.mj_kinematics(arm.model, data)
         parts = [data.site_xpos[site] - goal]
         if rotation is not None:
@@ -54,11 +54,13 @@ def reach(
         return np.concatenate(parts)
 
     def jacobian(q: Floats) -> Floats:
-        data.qpos[:] = q
+        data.qpos[:] = arm.qpos(q)
         mujoco.mj_kinematics(arm.model, data)
         mujoco.mj_comPos(arm.model, data)
-        linear, angular = np.zeros((3, arm.n_joints)), np.zeros((3, arm.n_joints))
+        linear, angular = np.zeros((3, arm.model.nv)), np.zeros((3, arm.model.nv))
         mujoco.mj_jacSite(arm.model, data, linear, angular, site)
+        to_rates = arm.qvel(q, np.eye(arm.n_joints)).T
+        linear, angular = linear @ to_rates, angular @ to_rates
         if rotation is None:
             return linear
         turned = rotation.as_matrix().T @ hat(angular.T) @ data.site_xmat[site].reshape(3, 3)

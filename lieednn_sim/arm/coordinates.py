@@ -1,0 +1,84 @@
+"""Joint coordinates: one number for each freedom of the arm, and the way to MuJoCo's own coordinates and back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from lieednn_sim.lie import left_jacobian_so3
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Coordinates:
+    """Coordinates q in R^n: the angle of a hinge, the displacement of a slide, the rotation vector of a ball joint.
+
+    Where stages of a telescope are coupled only the leading one has a coordinate: all scalar joints together are
+    qpos = coupling @ q + offset. Joints that are no part of the arm keep the position that ``offset`` holds for them.
+
+    Attributes:
+        names: n names; those of a ball joint's three end in ``_x``, ``_y``, ``_z``.
+        units: n times ``"rad"`` or ``"m"``.
+        coupling: ``(nq, n)``, zero in the rows of ball joints.
+        rates: ``(nv, n)``, the same for velocities.
+        offset: ``(nq,)``.
+        scalars: indices in q of hinges and slides.
+        scalar_addresses: their addresses in qpos.
+        scalar_rate_addresses: their addresses in qvel.
+        balls: ``(B, 3)`` indices in q of the ball joints.
+        ball_addresses: ``(B, 4)`` their quaternions in qpos.
+        ball_rate_addresses: ``(B, 3)`` their angular velocities, in the frame of the moving body, in qvel.
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    coupling: Floats
+    rates: Floats
+    offset: Floats
+    scalars: NDArray[np.int_]
+    scalar_addresses: NDArray[np.int_]
+    scalar_rate_addresses: NDArray[np.int_]
+    balls: NDArray[np.int_]
+    ball_addresses: NDArray[np.int_]
+    ball_rate_addresses: NDArray[np.int_]
+
+    def __len__(self) -> int:
+        """Return n."""
+        return len(self.names)
+
+    def to_qpos(self, q: Floats) -> Floats:
+        """``(..., n)`` to ``(..., nq)``."""
+        qpos = q @ self.coupling.T + self.offset
+        if len(self.balls):
+            qpos[..., self.ball_addresses] = Rotation.from_rotvec(q[..., self.balls]).as_quat(scalar_first=True)
+        return qpos
+
+    def from_qpos(self, qpos: Floats) -> Floats:
+        """``(..., nq)`` to ``(..., n)``; of coupled joints the leading one counts."""
+        q = np.empty((*qpos.shape[:-1], len(self)))
+        q[..., self.scalars] = qpos[..., self.scalar_addresses]
+        if len(self.balls):
+            q[..., self.balls] = Rotation.from_quat(qpos[..., self.ball_addresses], scalar_first=True).as_rotvec()
+        return q
+
+    def to_qvel(self, q: Floats, qd: Floats) -> Floats:
+        """Rates ``(..., n)`` at q to ``(..., nv)``: a ball turns with J_r(w) dw/dt in the frame of its body."""
+        q, qd = np.broadcast_arrays(q, qd)
+        qvel = qd @ self.rates.T
+        if len(self.balls):
+            right = left_jacobian_so3(-q[..., self.balls])
+            qvel[..., self.ball_rate_addresses] = (right @ qd[..., self.balls, None])[..., 0]
+        return qvel
+
+    def from_qvel(self, q: Floats, qvel: Floats) -> Floats:
+        """Rates ``(..., n)`` at q of velocities ``(..., nv)``, the inverse of `to_qvel`."""
+        qd = np.empty((*np.broadcast_shapes(q.shape[:-1], qvel.shape[:-1]), len(self)))
+        qd[..., self.scalars] = qvel[..., self.scalar_rate_addresses]
+        if len(self.balls):
+            right = left_jacobian_so3(-q[..., self.balls])
+            qd[..., self.balls] = np.linalg.solve(right, qvel[..., self.ball_rate_addresses, None])[..., 0]
+        return qd

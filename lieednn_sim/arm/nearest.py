@@ -1,0 +1,120 @@
+"""Least squares on SE(3): the coordinates of a chain whose poses are nearest to given ones, for whole trajectories."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieednn_sim.arm.joints import CompoundJoint
+from lieednn_sim.lie import hat
+
+Floats = NDArray[np.float64]
+
+# Levenberg-Marquardt to get near, Newton to get exact: with a gap left, Gauss-Newton steps converge linearly only.
+_DAMPED_STEPS, _NEWTON_STEPS = 40, 6
+_DAMPING, _DAMPING_FALL, _DAMPING_RISE = 1e-3, 0.2, 5.0
+# Step of the central differences of the gradient [rad, m], and share of the largest curvature taken for zero.
+_DIFFERENCE, _FLAT = 1e-5, 1e-9
+
+
+class NearestPose:
+    """Minimises f(q) = sum_i ||R_i(q) - R_i||_F^2 / 2 + ||p_i(q) - p_i||^2 / length^2 over a group of compound joints.
+
+    The first term is 4 sin^2(angle / 2), the chordal distance. The minimum is sought from the joints' own linearisation
+    at the reference; of several minima the one found from there is returned.
+
+    Args:
+        joints: the group.
+        indices: ``(c,)`` of its coordinates.
+        size: n, the length of q.
+        length: [m] that weighs as much as one radian.
+    """
+
+    def __init__(self, joints: Sequence[CompoundJoint], indices: NDArray[np.int_], size: int, length: float) -> None:
+        self._joints, self._indices, self._size, self._length = tuple(joints), indices, size, length
+
+    def solve(self, rotation: Floats, translation: Floats) -> Floats:
+        """Displacements ``(..., c)`` from the reference for poses ``(..., m, 3, 3)`` and ``(..., m, 3)``."""
+        shape = translation.shape[:-2]
+        goal = self._stack(rotation, translation).reshape(-1, 12 * len(self._joints))
+        q = np.zeros((len(goal), len(self._indices)))
+        damping = np.full(len(goal), _DAMPING)
+        values, jacobian = self._evaluate(q)
+        residual = values - goal
+        for _ in range(_DAMPED_STEPS):
+            square = np.swapaxes(jacobian, -1, -2) @ jacobian
+            gradient = np.einsum("bri,br->bi", jacobian, residual)
+            scale = np.trace(square, axis1=-2, axis2=-1) / square.shape[-1]
+            weight = (damping * np.maximum(scale, 1e-12))[:, None, None]
+            step = np.linalg.solve(square + weight * np.eye(square.shape[-1]), gradient[..., None])[..., 0]
+            trial = q - step
+            new_values, new_jacobian = self._evaluate(trial)
+            new_residual = new_values - goal
+            better = (new_residual**2).sum(axis=-1) <= (residual**2).sum(axis=-1)
+            q, residual = np.where(better[:, None], trial, q), np.where(better[:, None], new_residual, residual)
+            jacobian = np.where(better[:, None, None], new_jacobian, jacobian)
+            damping = np.clip(np.where(better, _DAMPING_FALL, _DAMPING_RISE) * damping, 1e-12, 1e6)
+            if np.abs(step).max() < 1e-6:
+                break
+        for _ in range(_NEWTON_STEPS):
+            step = self._newton_step(q, goal)
+            q = q - step
+            if np.abs(step).max() < 1e-13:
+                break
+        return q.reshape(*shape, len(self._indices))
+
+    def rates(self, q: Floats, rotation: Floats, translation: Floats, omega: Floats, velocity: Floats) -> Floats:
+        """Derivative ``(..., c)`` of the minimiser along a motion of the poses, by the implicit function theorem."""
+        shape = q.shape
+        goal_rate = self._stack(hat(omega) @ rotation, velocity).reshape(-1, 12 * len(self._joints))
+        goal = self._stack(rotation, translation).reshape(goal_rate.shape)
+        flat = q.reshape(-1, shape[-1])
+        jacobian = self._evaluate(flat)[1]
+        pull = np.einsum("bri,br->bi", jacobian, goal_rate)
+        return (self._inverse_hessian(flat, goal) @ pull[..., None])[..., 0].reshape(shape)
+
+    def _newton_step(self, q: Floats, goal: Floats) -> Floats:
+        step = (self._inverse_hessian(q, goal) @ self._gradient(q, goal)[..., None])[..., 0]
+        # Far from the minimum the quadratic model means nothing.
+        return np.where(np.abs(step).max(axis=-1, keepdims=True) < 0.1, step, 0.0)
+
+    def _inverse_hessian(self, q: Floats, goal: Floats) -> Floats:
+        """Pseudo-inverse, so that freedoms that no pose depends on stay where they are."""
+        columns = []
+        for direction in _DIFFERENCE * np.eye(q.shape[-1]):
+            change = self._gradient(q + direction, goal) - self._gradient(q - direction, goal)
+            columns.append(change / (2.0 * _DIFFERENCE))
+        hessian = np.stack(columns, axis=-1)
+        symmetric = 0.5 * (hessian + np.swapaxes(hessian, -1, -2))
+        return np.asarray(np.linalg.pinv(symmetric, rcond=_FLAT, hermitian=True), dtype=np.float64)
+
+    def _gradient(self, q: Floats, goal: Floats) -> Floats:
+        values, jacobian = self._evaluate(q)
+        return np.einsum("bri,br->bi", jacobian, values - goal)
+
+    def _evaluate(self, q: Floats) -> tuple[Floats, Floats]:
+        """The stacked poses ``(B, 12m)`` and their Jacobian ``(B, 12m, c)``."""
+        offset = np.zeros((len(q), self._size))
+        offset[:, self._indices] = q
+        rotations, translations, columns = [], [], []
+        for joint in self._joints:
+            rotation, translation = joint.pose(offset)
+            omega, v = (part[:, self._indices] for part in joint.twists(offset))
+            turning = hat(omega) @ rotation[:, None]
+            moving = v + np.cross(omega, translation[:, None])
+            columns.append(self._join(turning, moving))
+            rotations.append(rotation)
+            translations.append(translation)
+        values = self._stack(np.stack(rotations, axis=1), np.stack(translations, axis=1))
+        jacobian = np.swapaxes(np.concatenate(columns, axis=-1), -1, -2)
+        return values.reshape(len(q), -1), jacobian
+
+    def _stack(self, rotation: Floats, translation: Floats) -> Floats:
+        joined = self._join(rotation, translation)
+        return joined.reshape(*joined.shape[:-2], -1)
+
+    def _join(self, rotation: Floats, translation: Floats) -> Floats:
+        flat = rotation.reshape(*rotation.shape[:-2], 9) * np.sqrt(0.5)
+        return np.concatenate([flat, translation / self._length], axis=-1)
