@@ -35,17 +35,22 @@ class Preset:
 
 
 _MAX_RATE = 1000.0
+_MAX_WIDTH, _MAX_HEIGHT = 3840, 2160
 PRESETS = {"draft": Preset(shadows=False, samples=0), "nice": Preset(shadows=True, samples=4)}
 
 
-def check_view(arm: Arm, *, camera: str, size: tuple[int, int], preset: str) -> None:
+def check_view(arm: Arm, *, camera: str | None, size: tuple[int, int], preset: str) -> None:
     """Raise `InputError` for an unknown camera or preset, or a size that cannot be rendered."""
-    as_choice("camera", camera, [arm.model.camera(i).name for i in range(arm.model.ncam)])
+    if camera is not None:
+        as_choice("camera", camera, _cameras(arm))
     as_choice("preset", preset, PRESETS)
     width, height = (as_count("size", value) for value in size)
-    limit = arm.model.vis.global_
-    if width % 2 or height % 2 or width > limit.offwidth or height > limit.offheight:
-        raise InputError(f"size must be even and at most {limit.offwidth}x{limit.offheight}, got {width}x{height}")
+    if width % 2 or height % 2 or width > _MAX_WIDTH or height > _MAX_HEIGHT:
+        raise InputError(f"size must be even and at most {_MAX_WIDTH}x{_MAX_HEIGHT}, got {width}x{height}")
+
+
+def _cameras(arm: Arm) -> list[str]:
+    return [arm.model.camera(i).name for i in range(arm.model.ncam)]
 
 
 def check_rate(fps: float, path: str | os.PathLike[str]) -> float:
@@ -63,10 +68,10 @@ class Camera:
 
     Args:
         arm: the arm; its model is not changed.
-        camera: name of a camera of its scene.
-        size: (width, height) in pixels, both even, at most the model's offscreen buffer.
+        camera: name of a camera of its scene; by default ``overview``, or a view of the whole where there is none.
+        size: (width, height) in pixels, both even, at most 3840x2160.
         preset: a name of `PRESETS`.
-        target: joint target ``(2N,)`` to put the scene's marker at.
+        target: joint target ``(n,)`` to put the scene's marker at.
 
     Raises:
         InputError: unknown camera or preset, or a size that cannot be rendered.
@@ -77,15 +82,18 @@ class Camera:
         self,
         arm: Arm,
         *,
-        camera: str = "overview",
+        camera: str | None = None,
         size: tuple[int, int] = (1280, 720),
         preset: str = "nice",
         target: ArrayLike | None = None,
     ) -> None:
         check_view(arm, camera=camera, size=size, preset=preset)
         opengl.require()
-        self._arm, self._camera, self._preset = arm, camera, PRESETS[preset]
+        self._arm, self._preset = arm, PRESETS[preset]
+        # MuJoCo's camera -1 is its own view of the whole model.
+        self._camera: str | int = camera or ("overview" if "overview" in _cameras(arm) else -1)
         self._model = copy.deepcopy(arm.model)
+        self._model.vis.global_.offwidth, self._model.vis.global_.offheight = size
         self._model.vis.quality.offsamples = self._preset.samples
         self._data = mujoco.MjData(self._model)
         if target is not None:
@@ -102,8 +110,8 @@ class Camera:
         self._renderer.close()
 
     def picture(self, q: ArrayLike, draw: Callable[[mujoco.MjvScene], None] | None = None) -> Image:
-        """Image ``(height, width, 3)`` of the arm at ``q`` ``(2N,)``; ``draw`` may add to the scene."""
-        self._data.qpos[:] = q
+        """Image ``(height, width, 3)`` of the arm at ``q`` ``(n,)``; ``draw`` may add to the scene."""
+        self._data.qpos[:] = self._arm.qpos(q)
         mujoco.mj_forward(self._model, self._data)
         self._renderer.update_scene(self._data, self._camera)
         flags = self._renderer.scene.flags
@@ -129,7 +137,7 @@ def render_video(
     target: ArrayLike,
     path: str | os.PathLike[str],
     *,
-    camera: str = "overview",
+    camera: str | None = None,
     size: tuple[int, int] = (1280, 720),
     fps: int = 30,
     preset: str = "nice",
@@ -140,9 +148,9 @@ def render_video(
     Args:
         arm: the arm of the rollout.
         rollout: what was simulated.
-        target: joint target ``(2N,)``, shown by the marker.
+        target: joint target ``(n,)``, shown by the marker.
         path: ``.mp4`` or ``.gif``; it appears only when the video is complete.
-        camera: name of a camera of the scene.
+        camera: as for `Camera`.
         size: (width, height) in pixels.
         fps: frames a second of simulated time.
         preset: a name of `PRESETS`.

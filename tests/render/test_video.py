@@ -87,7 +87,7 @@ def test_bad_input_is_refused_before_rendering(arm, rollout, tmp_path):
         video.render_video(arm, rollout, target, tmp_path / "video.mp4", camera="moon")
     with pytest.raises(InputError, match="no preset 'ugly'; allowed: draft, nice"):
         video.render_video(arm, rollout, target, tmp_path / "video.mp4", preset="ugly")
-    with pytest.raises(InputError, match="even and at most 1920x1080, got 321x180"):
+    with pytest.raises(InputError, match="even and at most 3840x2160, got 321x180"):
         video.render_video(arm, rollout, target, tmp_path / "video.mp4", size=(321, 180))
 
 
