@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import PchipInterpolator
 
 from lieednn_sim import storage
-from lieednn_sim.arm import Arm
+from lieednn_sim.arm import PLANNED_CLEARANCE, Arm
 from lieednn_sim.errors import FileError, InputError, PlanError
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.validation import as_floats, as_positive, as_times
@@ -195,7 +195,7 @@ def _at_rest(arm: Arm, t: Floats, origin: Floats, target: Floats) -> Motion:
 
 
 def check_motion(arm: Arm, motion: Motion) -> None:
-    """Check joint positions, velocities and contacts along the whole motion.
+    """Check position, velocity and acceleration limits and `PLANNED_CLEARANCE` at every sample of a motion.
 
     Raises:
         PlanError: names the joint, the value, the bound, and what would help.
@@ -207,19 +207,29 @@ def check_motion(arm: Arm, motion: Motion) -> None:
             f"at t = {motion.t[k]:.2f} s {arm.describe_excess(motion.q[k], joint)}; try more candidates, "
             "another seed, a larger bias magnitude or the solved bias"
         )
-    ratio = np.abs(motion.qd) / arm.velocity_limits
-    k, joint = map(int, np.unravel_index(ratio.argmax(), ratio.shape))
-    if ratio[k, joint] > 1.0:
-        unit = arm.unit(joint) + "/s"
-        raise PlanError(
-            f"joint {arm.joint_names[joint]!r} would move at {abs(motion.qd[k, joint]):.3g} {unit} at "
-            f"t = {motion.t[k]:.2f} s, its limit is {arm.velocity_limits[joint]:.3g} {unit}; a duration of at least "
-            f"{motion.t[-1] * ratio[k, joint]:.2f} s keeps it"
-        )
-    for k in np.unique(np.linspace(0, len(motion.t) - 1, 60, dtype=int)):
-        touching = arm.contacts(motion.q[k])
+    acceleration = np.diff(motion.qd, axis=0) / motion.timestep
+    too_fast: list[tuple[float, str]] = []
+    # A duration T scales velocities by 1 / T and accelerations by 1 / T^2.
+    for what, values, limits, power, suffix in (
+        ("move", motion.qd, arm.velocity_limits, 1.0, "/s"),
+        ("accelerate", acceleration, arm.acceleration_limits, 0.5, "/s^2"),
+    ):
+        ratio = np.abs(values) / limits
+        k, joint = map(int, np.unravel_index(ratio.argmax(), ratio.shape))
+        if ratio[k, joint] > 1.0 + LIMIT_TOLERANCE:
+            unit = arm.unit(joint) + suffix
+            reason = (
+                f"joint {arm.joint_names[joint]!r} would {what} at {abs(values[k, joint]):.3g} {unit} at "
+                f"t = {motion.t[k]:.2f} s, its limit is {limits[joint]:.3g} {unit}"
+            )
+            too_fast.append((motion.t[-1] * ratio[k, joint] ** power, reason))
+    if too_fast:
+        enough, reason = max(too_fast)
+        raise PlanError(f"{reason}; a duration of at least {enough:.2f} s keeps it")
+    for k, q in enumerate(motion.q):
+        touching = arm.near_contacts(q)
         if touching:
             raise PlanError(
-                f"{touching[0][0]!r} would touch {touching[0][1]!r} at t = {motion.t[k]:.2f} s; try more candidates, "
-                "another seed or another target"
+                f"{touching[0][0]!r} would come within {1e3 * PLANNED_CLEARANCE:g} mm of {touching[0][1]!r} at "
+                f"t = {motion.t[k]:.2f} s; try more candidates, another seed or another target"
             )

@@ -129,7 +129,7 @@ def plan(
 def _reachable(arm: Arm, target: ArrayLike) -> Floats:
     """The joint target, when it keeps the limits and touches nothing."""
     q = arm.check_position(target, "target")
-    touching = arm.contacts(q)
+    touching = arm.near_contacts(q)
     if touching:
         raise InputError(f"target is out of reach: {touching[0][0]!r} would touch {touching[0][1]!r} there")
     return q

@@ -19,16 +19,28 @@ class Task:
     """What a network is made for.
 
     Attributes:
-        arm: name of the arm.
+        arm: name of an arm of the package, or an MJCF file.
         start: joint position at rest [rad, m].
         target: joint target [rad, m].
         duration: of the motion [s].
+        scene: the obstacles around the arm, see `Arm.load`.
+        scene_seed: of their positions.
+        links: bodies or sites that are the link frames of an MJCF file without the package's own.
+        base: body or site of its base frame.
     """
 
     arm: str
     start: tuple[float, ...]
     target: tuple[float, ...]
     duration: float
+    scene: str = "free"
+    scene_seed: int = 0
+    links: tuple[str, ...] = ()
+    base: str | None = None
+
+    def load_arm(self) -> Arm:
+        """The arm among its obstacles; errors as `Arm.load`."""
+        return Arm.load(self.arm, self.scene, self.scene_seed, links=self.links, base=self.base)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write as JSON, atomically."""
@@ -44,6 +56,10 @@ class Task:
                 start=tuple(float(x) for x in value["start"]),
                 target=tuple(float(x) for x in value["target"]),
                 duration=float(value["duration"]),
+                scene=str(value.get("scene", "free")),
+                scene_seed=int(value.get("scene_seed", 0)),
+                links=tuple(str(name) for name in value.get("links", ())),
+                base=None if value.get("base") is None else str(value["base"]),
             )
         except OSError as error:
             raise FileError(f"cannot read {path}: {error.strerror or error}") from None
@@ -96,7 +112,7 @@ class RunDirectory:
     def load_task(self) -> tuple[Task, Arm]:
         """The task and its arm, with start and target checked against the arm's limits."""
         task = Task.load(self.task)
-        arm = Arm.load(task.arm)
+        arm = task.load_arm()
         try:
             arm.check_position(task.start, "start")
             arm.check_position(task.target, "target")

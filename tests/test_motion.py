@@ -70,7 +70,7 @@ def test_a_motion_to_where_the_arm_is_stays_there(arm):
 def test_limits_are_checked_with_joint_value_bound_and_remedy(arm, network, motion):
     check_motion(arm, motion)
     fast = make_motion(arm, network, arm.keyframe("home"), 0.3, 0.002)
-    with pytest.raises(PlanError, match=r"would move at .*its limit is .*a duration of at least") as refused:
+    with pytest.raises(PlanError, match=r"would accelerate at .*its limit is .*a duration of at least") as refused:
         check_motion(arm, fast)
     enough = float(str(refused.value).split("at least ")[1].split(" s")[0])
     check_motion(arm, make_motion(arm, network, arm.keyframe("home"), enough + 0.02, 0.002))
@@ -84,7 +84,7 @@ def test_contact_on_the_way_is_refused(arm, motion):
     down = motion.q.copy()
     down[:, 2], down[:, 6], down[:, 3], down[:, 5], down[:, 7], down[:, 4] = -0.6, -1.0, 0.45, 0.4, 0.3, 0.0
     down[:, 1] = 0.0
-    with pytest.raises(PlanError, match="would touch"):
+    with pytest.raises(PlanError, match="would come within 2 mm of"):
         check_motion(arm, dataclasses.replace(motion, q=down))
 
 

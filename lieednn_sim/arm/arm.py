@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import copy
 import os
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform
 
 from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm.adoption import Adoption, adopt
+from lieednn_sim.arm.contacts import ContactChecker
 from lieednn_sim.arm.coordinates import Coordinates
 from lieednn_sim.arm.joints import CompoundJoints
 from lieednn_sim.arm.models import scene_path
@@ -26,11 +29,15 @@ from lieednn_sim.arm.reading import (
     read_position_limits,
 )
 from lieednn_sim.arm.retraction import Retraction, Retractor
+from lieednn_sim.arm.scenes import SCENES, add_obstacles
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.lie import log
-from lieednn_sim.validation import as_floats
+from lieednn_sim.validation import as_choice, as_floats
 
 Floats = NDArray[np.float64]
+
+# Planned motions keep this distance from contact [m], since what follows them is off by up to a millimetre or two.
+PLANNED_CLEARANCE = 0.002
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,6 +65,7 @@ class Arm:
         site_ids: ``(N,)`` the link frames' sites.
         scene: the obstacles around it, a name of `scenes.SCENES`.
         scene_seed: of their positions.
+        adoption: what was made of an MJCF file without the package's conventions; None for others.
     """
 
     name: str
@@ -77,15 +85,50 @@ class Arm:
     site_ids: NDArray[np.int_]
     scene: str = "free"
     scene_seed: int = 0
+    adoption: Adoption | None = None
 
     @classmethod
-    def load(cls, name: str) -> Arm:
-        """Load an arm of the package; `InputError` lists the known names."""
-        return cls.from_xml(scene_path(name), name)
+    def load(
+        cls, name: str, scene: str = "free", seed: int = 0, *, links: Sequence[str] = (), base: str | None = None
+    ) -> Arm:
+        """Load an arm, with the obstacles of a scene.
+
+        Args:
+            name: of an arm of the package, or an MJCF file (``.xml``), see `from_xml`.
+            scene: a name of `scenes.SCENES`.
+            seed: of the obstacles.
+            links: see `from_xml`.
+            base: see `from_xml`.
+
+        Raises:
+            FileError: there is no such file, or MuJoCo cannot compile it.
+            InputError: an unknown arm or scene, or the file holds no arm.
+        """
+        if Path(name).suffix == ".xml":
+            return cls.from_xml(name, links=links, base=base).among(scene, seed)
+        if links or base is not None:
+            raise InputError(f"arm {name!r} has its own link frames; links and base are for MJCF files")
+        return cls.from_xml(scene_path(name), name).among(scene, seed)
 
     @classmethod
-    def from_xml(cls, path: str | os.PathLike[str], name: str | None = None) -> Arm:
-        """Load a scene file that holds one arm with the conventions of this class.
+    def from_xml(
+        cls,
+        path: str | os.PathLike[str],
+        name: str | None = None,
+        *,
+        links: Sequence[str] = (),
+        base: str | None = None,
+    ) -> Arm:
+        """Load an MJCF file that holds one arm.
+
+        A file with the sites ``base_frame`` and ``link1_frame``, ``link2_frame``, ... is taken as it is. Any other is
+        adopted (`adoption.adopt`): cut into compound joints, given drives where it has none, the rest of it frozen.
+
+        Args:
+            path: of the file.
+            name: of the arm; by default that of the file, or of its folder when the file is ``scene.xml``.
+            links: bodies or sites that are the link frames, from the base outwards; chosen automatically when empty.
+            base: body or site that is the base frame.
 
         Raises:
             FileError: there is no such file, or MuJoCo cannot compile it.
@@ -98,7 +141,11 @@ class Arm:
             spec = mujoco.MjSpec.from_file(str(source))
         except ValueError as error:
             raise FileError(f"MuJoCo cannot compile {source}: {error}") from None
-        return cls.from_spec(spec, source, name or source.parent.name)
+        label = name or (source.parent.name if source.stem == "scene" else source.stem)
+        if links or base is not None or spec.site("link1_frame") is None:
+            spec, adoption = adopt(spec, links=links or None, base=base)
+            return replace(cls.from_spec(spec, source, label), adoption=adoption)
+        return cls.from_spec(spec, source, label)
 
     @classmethod
     def from_spec(cls, spec: Any, source: Path, name: str) -> Arm:
@@ -128,6 +175,21 @@ class Arm:
             length_scale=float(read_numeric(model, name, "length_scale", np.ones(1))[0]),
             site_ids=np.array(chain.sites[1:], dtype=int),
         )
+
+    def among(self, scene: str, seed: int = 0) -> Arm:
+        """This arm with the obstacles of a scene of `scenes.SCENES`, drawn from a seed; itself when it is free.
+
+        Raises:
+            InputError: no such scene, a bad seed, obstacles already there, or no place for them around this arm.
+        """
+        if as_choice("scene", scene, SCENES) == "free":
+            return self
+        if self.scene != "free":
+            raise InputError(f"arm {self.name!r} has the obstacles of scene {self.scene!r} already")
+        spec = self.spec.copy()
+        add_obstacles(spec, self, scene, seed)
+        arm = Arm.from_spec(spec, self.source, self.name)
+        return replace(arm, scene=scene, scene_seed=seed, adoption=self.adoption)
 
     @property
     def n_links(self) -> int:
@@ -207,12 +269,11 @@ class Arm:
 
     def contacts(self, q: ArrayLike) -> list[tuple[str, str]]:
         """Names of the bodies that touch each other at ``q`` ``(n,)``."""
-        data = mujoco.MjData(self.model)
-        data.qpos[:] = self.space.to_qpos(as_floats("q", q, (self.n_joints,)))
-        mujoco.mj_kinematics(self.model, data)
-        mujoco.mj_collision(self.model, data)
-        bodies = self.model.geom_bodyid[data.contact.geom] if data.ncon else []
-        return [(self.model.body(a).name, self.model.body(b).name) for a, b in bodies]
+        return self._touching(self.qpos(as_floats("q", q, (self.n_joints,))))
+
+    def near_contacts(self, q: ArrayLike) -> list[tuple[str, str]]:
+        """Names of the bodies that come closer than `PLANNED_CLEARANCE` to each other at ``q`` ``(n,)``."""
+        return self._nearly_touching(self.qpos(as_floats("q", q, (self.n_joints,))))
 
     def unit(self, joint: int) -> str:
         """``"rad"`` or ``"m"``."""
@@ -254,6 +315,14 @@ class Arm:
         with physics.reset_context():
             mujoco.mj_resetDataKeyframe(self.model, physics.data.ptr, self.model.key("home").id)
         return physics
+
+    @cached_property
+    def _touching(self) -> ContactChecker:
+        return ContactChecker(self.model)
+
+    @cached_property
+    def _nearly_touching(self) -> ContactChecker:
+        return ContactChecker(self.model, PLANNED_CLEARANCE)
 
     @cached_property
     def _retractor(self) -> Retractor:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from lieednn_sim.lie import left_jacobian_so3
+from lieednn_sim.lie import hat, left_jacobian_so3
 
 Floats = NDArray[np.float64]
 
@@ -33,25 +33,21 @@ class Factor:
 
     def motion(self, offset: Floats) -> tuple[Floats, Floats]:
         """Rotation ``(..., 3, 3)`` and translation ``(..., 3)`` at displacements ``(..., n)`` of q."""
-        vector = self._vector(offset)
+        vector = self.ratio * offset[..., self.indices] @ self.axes.T
         if self.kind == "slide":
-            return np.broadcast_to(np.eye(3), (*vector.shape, 3)), vector
+            return np.eye(3), vector
         rotation = Rotation.from_rotvec(vector).as_matrix()
         return rotation, self.anchor - rotation @ self.anchor
 
     def twists(self, offset: Floats) -> tuple[Floats, Floats]:
         """Spatial twists (omega, v) of unit rates of its coordinates, each ``(..., c, 3)``."""
-        vector = self._vector(offset)
-        shape = (*vector.shape[:-1], len(self.indices), 3)
-        directions = np.broadcast_to(self.ratio * self.axes.T, shape)
+        directions = self.ratio * self.axes.T
         if self.kind == "slide":
-            return np.zeros(shape), directions
+            return np.zeros_like(directions), directions
         if self.kind == "ball":
+            vector = self.ratio * offset[..., self.indices] @ self.axes.T
             directions = directions @ np.swapaxes(left_jacobian_so3(vector), -1, -2)
-        return directions, np.cross(self.anchor, directions)
-
-    def _vector(self, offset: Floats) -> Floats:
-        return self.ratio * offset[..., self.indices] @ self.axes.T
+        return directions, directions @ hat(self.anchor).T
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,30 +63,29 @@ class CompoundJoint:
 
     def pose(self, offset: Floats) -> tuple[Floats, Floats]:
         """T as rotation ``(..., 3, 3)`` and translation ``(..., 3)`` at displacements ``(..., n)`` of q."""
-        rotation, translation = self.factors[0].motion(offset)
-        for factor in self.factors[1:]:
-            turn, shift = factor.motion(offset)
-            translation = translation + (rotation @ shift[..., None])[..., 0]
-            rotation = rotation @ turn
+        rotation, translation = np.broadcast_to(np.eye(3), (*offset.shape[:-1], 3, 3)), np.zeros(3)
+        for factor in self.factors:
+            rotation, translation = _compose(rotation, translation, *factor.motion(offset))
         return rotation, translation
 
-    def twists(self, offset: Floats) -> tuple[Floats, Floats]:
-        """The spatial Jacobian of T: omega and v ``(..., n, 3)`` for unit rates of every coordinate of q."""
+    def pose_and_twists(self, offset: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+        """`pose`, and its spatial Jacobian: omega and v ``(..., n, 3)`` for unit rates of every coordinate of q."""
         omega, v = np.zeros((*offset.shape, 3)), np.zeros((*offset.shape, 3))
-        rotation, translation = np.eye(3), np.zeros(3)
+        rotation, translation = np.broadcast_to(np.eye(3), (*offset.shape[:-1], 3, 3)), np.zeros(3)
         for factor in self.factors:
             angular, linear = factor.twists(offset)
             # The adjoint of what comes before carries the joint's twist to the joint frame.
-            turned = angular @ np.swapaxes(rotation, -1, -2)
+            back = np.swapaxes(rotation, -1, -2)
+            turned = angular @ back
             # Coupled joints share a coordinate: their twists add up.
             omega[..., factor.indices, :] += turned
-            v[..., factor.indices, :] += linear @ np.swapaxes(rotation, -1, -2) + np.cross(
-                translation[..., None, :], turned
-            )
-            turn, shift = factor.motion(offset)
-            translation = translation + (rotation @ shift[..., None])[..., 0]
-            rotation = rotation @ turn
-        return omega, v
+            v[..., factor.indices, :] += linear @ back + turned @ np.swapaxes(hat(translation), -1, -2)
+            rotation, translation = _compose(rotation, translation, *factor.motion(offset))
+        return rotation, translation, omega, v
+
+
+def _compose(rotation: Floats, translation: Floats, turn: Floats, shift: Floats) -> tuple[Floats, Floats]:
+    return rotation @ turn, translation + (rotation @ shift[..., None])[..., 0]
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,6 +14,8 @@ Floats = NDArray[np.float64]
 
 # Levenberg-Marquardt to get near, Newton to get exact: with a gap left, Gauss-Newton steps converge linearly only.
 _DAMPED_STEPS, _NEWTON_STEPS = 40, 6
+# Steps [rad, m] below which Newton takes over.
+_NEAR = 1e-3
 _DAMPING, _DAMPING_FALL, _DAMPING_RISE = 1e-3, 0.2, 5.0
 # Step of the central differences of the gradient [rad, m], and share of the largest curvature taken for zero.
 _DIFFERENCE, _FLAT = 1e-5, 1e-9
@@ -56,7 +58,7 @@ class NearestPose:
             q, residual = np.where(better[:, None], trial, q), np.where(better[:, None], new_residual, residual)
             jacobian = np.where(better[:, None, None], new_jacobian, jacobian)
             damping = np.clip(np.where(better, _DAMPING_FALL, _DAMPING_RISE) * damping, 1e-12, 1e6)
-            if np.abs(step).max() < 1e-6:
+            if np.abs(step).max() < _NEAR:
                 break
         for _ in range(_NEWTON_STEPS):
             step = self._newton_step(q, goal)
@@ -82,11 +84,12 @@ class NearestPose:
 
     def _inverse_hessian(self, q: Floats, goal: Floats) -> Floats:
         """Pseudo-inverse, so that freedoms that no pose depends on stay where they are."""
-        columns = []
-        for direction in _DIFFERENCE * np.eye(q.shape[-1]):
-            change = self._gradient(q + direction, goal) - self._gradient(q - direction, goal)
-            columns.append(change / (2.0 * _DIFFERENCE))
-        hessian = np.stack(columns, axis=-1)
+        directions = _DIFFERENCE * np.eye(q.shape[-1])
+        # All neighbours at once: the calls cost more than the numbers in them.
+        neighbours = np.concatenate([q + direction for direction in (*directions, *-directions)])
+        forward, backward = np.split(self._gradient(neighbours, np.tile(goal, (2 * len(directions), 1))), 2)
+        change = (forward - backward).reshape(len(directions), *q.shape) / (2.0 * _DIFFERENCE)
+        hessian = np.moveaxis(change, 0, -1)
         symmetric = 0.5 * (hessian + np.swapaxes(hessian, -1, -2))
         return np.asarray(np.linalg.pinv(symmetric, rcond=_FLAT, hermitian=True), dtype=np.float64)
 
@@ -100,10 +103,11 @@ class NearestPose:
         offset[:, self._indices] = q
         rotations, translations, columns = [], [], []
         for joint in self._joints:
-            rotation, translation = joint.pose(offset)
-            omega, v = (part[:, self._indices] for part in joint.twists(offset))
-            turning = hat(omega) @ rotation[:, None]
-            moving = v + np.cross(omega, translation[:, None])
+            rotation, translation, *twists = joint.pose_and_twists(offset)
+            omega, v = (part[:, self._indices] for part in twists)
+            spin = hat(omega)
+            turning = spin @ rotation[:, None]
+            moving = v + (spin @ translation[:, None, :, None])[..., 0]
             columns.append(self._join(turning, moving))
             rotations.append(rotation)
             translations.append(translation)

@@ -1,0 +1,203 @@
+"""Signed distances between an arm's links and their surroundings, and their derivatives in the joint coordinates.
+
+Distances are MuJoCo's (`mj_geomDistance`), of the geom pairs that its own collision filter lets collide. Boxes around
+the geoms bound them from below, so that few pairs are measured. With witness points a on geom A and b on geom B at a
+distance d, negative in penetration, the normal is n = (b - a) / d, and d changes by n . (b' - a').
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm.arm import Arm
+from lieednn_sim.errors import InputError
+from lieednn_sim.validation import as_floats, as_positive
+
+Floats = NDArray[np.float64]
+Pairs = NDArray[np.int_]
+
+# A plane is half a space: in the bounds a box of this half size [m].
+_PLANE_SIZE = 1e3
+# Rounding of the bounds [m].
+_SLACK = 1e-9
+# The normal of two geoms that just touch is lost in rounding below this distance [m].
+_TOUCHING = 1e-10
+
+
+class Distances(NamedTuple):
+    """Geom pairs closer than a cutoff, the nearest first.
+
+    Attributes:
+        distance: ``(P,)`` signed, negative in penetration [m].
+        jacobian: ``(P, n)`` derivatives in the joint coordinates [m/rad, m/m]; zero for geoms that just touch.
+        pairs: ``(P, 2)`` geom ids.
+    """
+
+    distance: Floats
+    jacobian: Floats
+    pairs: Pairs
+
+
+class Collisions:
+    """Distances of one arm, in the scene that its model holds.
+
+    Holds a `mujoco.MjData` of its own: one instance for each thread.
+
+    Attributes:
+        arm: the arm.
+        pairs: ``(P, 2)`` ids of the geoms that may collide, by MuJoCo's filter: contype and conaffinity, bodies
+            welded together, parent and child, excludes, and the model's explicit pairs.
+    """
+
+    def __init__(self, arm: Arm) -> None:
+        if not isinstance(arm, Arm):
+            raise InputError(f"arm must be an Arm, got {type(arm).__name__}; see Arm.load")
+        self.arm = arm
+        self.pairs = _colliding_pairs(arm.model)
+        self._data = mujoco.MjData(arm.model)
+        used, index = np.unique(self.pairs, return_inverse=True)
+        self._used, self._first, self._second = used, *index.reshape(-1, 2).T
+        model = arm.model
+        self._center, self._half = model.geom_aabb[used, :3].copy(), model.geom_aabb[used, 3:].copy()
+        planes = model.geom_type[used] == mujoco.mjtGeom.mjGEOM_PLANE
+        self._center[planes], self._half[planes] = (0.0, 0.0, -_PLANE_SIZE), _PLANE_SIZE
+        self._radius = np.linalg.norm(self._half, axis=1)
+        # A geom's ball is inside its box's and around the geom's own frame, so it serves where it is centred alike.
+        centred = ~planes & (np.abs(self._center).max(axis=1) < _SLACK) & (model.geom_rbound[used] > 0.0)
+        self._radius[centred] = np.minimum(self._radius, model.geom_rbound[used])[centred]
+        self._identity = np.eye(arm.n_joints)
+        self._segment = np.zeros(6)
+        self._translation = np.zeros((3, model.nv))
+
+    def distances(self, q: ArrayLike, cutoff: float) -> Distances:
+        """Distances and derivatives of all pairs closer than ``cutoff`` [m] at ``q`` ``(n,)``.
+
+        The derivative is exact where geoms are apart. In penetration it is the rate along MuJoCo's direction of
+        separation, which for capsules in boxes is not always the shortest one.
+
+        Raises:
+            InputError: q is malformed, or the cutoff is not positive.
+        """
+        position, limit = self._move(q), as_positive("cutoff", cutoff)
+        near = np.flatnonzero(self._lower_bounds() < limit)
+        model, data = self.arm.model, self._data
+        mujoco.mj_comPos(model, data)
+        distance, rows, found = [], [], []
+        for index in near:
+            first, second = map(int, self.pairs[index])
+            value = mujoco.mj_geomDistance(model, data, first, second, limit, self._segment)
+            if value >= limit:
+                continue
+            rows.append(self._velocity_row(first, second, value))
+            distance.append(value)
+            found.append(index)
+        order = np.argsort(distance, kind="stable")
+        slopes = np.array(rows).reshape(-1, model.nv)[order]
+        rates = self.arm.qvel(np.broadcast_to(position, self._identity.shape), self._identity)
+        return Distances(np.array(distance)[order], slopes @ rates.T, self.pairs[np.array(found, dtype=int)[order]])
+
+    def nearest(self, q: ArrayLike) -> tuple[float, tuple[int, int]]:
+        """The smallest signed distance [m] at ``q`` ``(n,)`` and its geom ids; infinite and (-1, -1) without pairs."""
+        self._move(q)
+        bounds = self._lower_bounds()
+        best, pair = np.inf, (-1, -1)
+        for index in np.argsort(bounds, kind="stable"):
+            if bounds[index] >= best:
+                break
+            first, second = map(int, self.pairs[index])
+            # MuJoCo returns the largest distance asked for when the geoms are further apart.
+            most = best if np.isfinite(best) else bounds[index] + 2.0 * _PLANE_SIZE
+            value = mujoco.mj_geomDistance(self.arm.model, self._data, first, second, most, self._segment)
+            if value < best:
+                best, pair = float(value), (first, second)
+        return best, pair
+
+    def clearance(self, q: ArrayLike) -> float:
+        """The smallest signed distance at ``q`` ``(n,)`` [m]; negative when something penetrates, infinite alone."""
+        return self.nearest(q)[0]
+
+    def free(self, q: ArrayLike, margin: float = 0.0) -> bool:
+        """Whether everything is further apart than ``margin`` [m] at ``q`` ``(n,)``."""
+        self._move(q)
+        limit = float(as_floats("margin", margin, ()))
+        bounds = self._lower_bounds()
+        near = np.flatnonzero(bounds <= limit)
+        model, data, most = self.arm.model, self._data, abs(limit) + 1.0
+        for index in near[np.argsort(bounds[near], kind="stable")]:
+            first, second = map(int, self.pairs[index])
+            if mujoco.mj_geomDistance(model, data, first, second, most, self._segment) <= limit:
+                return False
+        return True
+
+    def names(self, pair: ArrayLike) -> tuple[str, str]:
+        """Names of two geoms by id; a geom without one goes by its body."""
+        return tuple(self._name(int(geom)) for geom in np.asarray(pair))  # type: ignore[return-value]
+
+    def _name(self, geom: int) -> str:
+        model = self.arm.model
+        return model.geom(geom).name or f"a geom of {model.body(model.geom_bodyid[geom]).name}"
+
+    def _move(self, q: ArrayLike) -> Floats:
+        position = as_floats("q", q, (self.arm.n_joints,))
+        self._data.qpos[:] = self.arm.qpos(position)
+        mujoco.mj_kinematics(self.arm.model, self._data)
+        return position
+
+    def _lower_bounds(self) -> Floats:
+        """Lower bounds ``(P,)`` of the distances: of boxes from each other along their faces' normals, and of balls."""
+        count, half, first, second = len(self._used), self._half, self._first, self._second
+        rotation = self._data.geom_xmat[self._used].reshape(-1, 3, 3)
+        center = self._data.geom_xpos[self._used] + (rotation @ self._center[:, :, None])[:, :, 0]
+        # Of all geoms at once, in tables (geom, its axis, other geom): a few large products beat many small ones.
+        axes = np.ascontiguousarray(rotation.transpose(0, 2, 1)).reshape(-1, 3)
+        own = (rotation.transpose(0, 2, 1) @ center[:, :, None]).reshape(-1, 1)
+        beyond = (np.abs(axes @ center.T - own) - half.reshape(-1, 1)).reshape(count, 3, count)
+        extent = np.einsum("ghk,hk->gh", np.abs(axes @ axes.T).reshape(-1, count, 3), half)
+        faces = (beyond - extent.reshape(count, 3, count)).max(axis=1)
+        balls = np.sqrt((np.maximum(beyond, 0.0) ** 2).sum(axis=1)) - self._radius
+        # A ball's centre may be in the box: then it says nothing about the depth.
+        table = np.maximum(faces, np.where(balls > 0.0, balls, -np.inf))
+        return np.asarray(np.maximum(table[first, second], table[second, first]) - _SLACK)
+
+    def _velocity_row(self, first: int, second: int, distance: float) -> Floats:
+        """Derivative ``(nv,)`` of the distance just measured, along MuJoCo's velocities."""
+        model, data = self.arm.model, self._data
+        row = np.zeros(model.nv)
+        if abs(distance) < _TOUCHING:
+            return row
+        points = self._segment[:3], self._segment[3:]
+        normal = (points[1] - points[0]) / distance
+        for geom, point, sign in ((first, points[0], -1.0), (second, points[1], 1.0)):
+            body = model.geom_bodyid[geom]
+            if model.body_weldid[body] == 0:
+                continue
+            mujoco.mj_jac(model, data, self._translation, None, point, body)
+            row += sign * (normal @ self._translation)
+        return row
+
+
+def _colliding_pairs(model: mujoco.MjModel) -> Pairs:
+    """Geom pairs ``(P, 2)`` that pass MuJoCo's filter, and the explicit ones."""
+    first, second = np.triu_indices(model.ngeom, k=1)
+    kind, affinity = model.geom_contype, model.geom_conaffinity
+    meets = ((kind[first] & affinity[second]) | (kind[second] & affinity[first])) != 0
+    first, second = first[meets], second[meets]
+    bodies = model.geom_bodyid[first], model.geom_bodyid[second]
+    weld = model.body_weldid
+    apart = weld[bodies[0]] != weld[bodies[1]]
+    if not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_FILTERPARENT:
+        parent = weld[model.body_parentid[weld]]
+        welds = weld[bodies[0]], weld[bodies[1]]
+        related = (welds[0] == parent[welds[1]]) | (welds[1] == parent[welds[0]])
+        apart &= ~(related & (welds[0] != 0) & (welds[1] != 0))
+    signature = (np.minimum(*bodies).astype(np.int64) << 16) + np.maximum(*bodies)
+    apart &= ~np.isin(signature, model.exclude_signature)
+    implicit = np.stack([first[apart], second[apart]], axis=1)
+    explicit = np.sort(np.stack([model.pair_geom1, model.pair_geom2], axis=1).astype(int), axis=1)
+    pairs = np.unique(np.concatenate([implicit, explicit]), axis=0)
+    pairs.setflags(write=False)
+    return pairs

@@ -1,0 +1,260 @@
+"""Obstacles around an arm: a wall with a window, a shelf, a field of poles; drawn from a seed, scaled to the arm.
+
+All stand on the floor in front of the arm, as seen along its keyframe ``home``, at least `HOME_CLEARANCE` away from the
+arm there. Sites ``obstacle_goal<i>`` are boxes where targets make sense: behind the window, in the compartments of the
+shelf, between the poles (`targets.draw_target`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieednn_sim._mujoco import mujoco
+from lieednn_sim.errors import InputError
+from lieednn_sim.validation import as_choice, as_seed
+
+if TYPE_CHECKING:
+    from lieednn_sim.arm.arm import Arm
+
+Floats = NDArray[np.float64]
+
+SCENES = ("free", "window", "shelf", "poles")
+# Distance that every obstacle keeps from the arm at home [m].
+HOME_CLEARANCE = 0.05
+PREFIX = "obstacle_"
+GOAL_PREFIX = "obstacle_goal"
+
+# The arm of this horizontal reach has obstacles of the sizes written below [m].
+_NOMINAL_REACH = 2.3
+_SAMPLES = 2048
+_MATERIALS = {
+    "obstacle_panel": (0.83, 0.80, 0.74, 1.0),
+    "obstacle_trim": (0.13, 0.30, 0.42, 1.0),
+    "obstacle_wood": (0.72, 0.54, 0.35, 1.0),
+    "obstacle_pole": (0.90, 0.72, 0.18, 1.0),
+}
+
+
+@dataclass(frozen=True)
+class _Surroundings:
+    """What obstacles are fitted to: lengths [m] in a frame on the floor below the base, x towards the tip at home.
+
+    Attributes:
+        origin: ``(3,)`` world position of that frame.
+        yaw: its rotation about the vertical [rad].
+        scale: sizes of obstacles, 1 for an arm of the nominal reach.
+        front: how far the arm at home reaches along x.
+        tip: ``(3,)`` of the end effector at home.
+        reach: how far the end effector can get along the horizontal near the height it has at home.
+    """
+
+    origin: Floats
+    yaw: float
+    scale: float
+    front: float
+    tip: Floats
+    reach: float
+
+
+def add_obstacles(spec: Any, arm: Arm, scene: str, seed: int = 0) -> None:
+    """Add the obstacles of a scene to a copy of an arm's spec; ``free`` adds nothing.
+
+    Args:
+        spec: `mujoco.MjSpec` to add to, a copy of ``arm.spec``. Bodies, geoms, materials and sites are named
+            ``obstacle_...``; the geoms are of group 2 and collide.
+        arm: the arm of the spec, without obstacles.
+        scene: a name of `SCENES`.
+        seed: of positions and sizes; the same seed gives the same scene.
+
+    Raises:
+        InputError: no such scene, a bad seed, or no place for the obstacles around this arm.
+    """
+    as_choice("scene", scene, SCENES)
+    rng = np.random.default_rng([as_seed("seed", seed), SCENES.index(scene)])
+    if scene == "free":
+        return
+    room = _surroundings(arm)
+    for name, colour in _MATERIALS.items():
+        spec.add_material(name=name, rgba=colour, specular=0.25, shininess=0.35)
+    body = spec.worldbody.add_body(
+        name=f"{PREFIX}{scene}",
+        pos=room.origin,
+        quat=[np.cos(room.yaw / 2.0), 0.0, 0.0, np.sin(room.yaw / 2.0)],
+    )
+    {"window": _window, "shelf": _shelf, "poles": _poles}[scene](body, arm, room, rng)
+
+
+def _window(body: Any, arm: Arm, room: _Surroundings, rng: np.random.Generator) -> None:
+    """A wall across x with an opening that the tip at home may or may not look through."""
+    s = room.scale
+    thickness, width = 0.03 * s, 1.3 * s
+    depth = room.reach - room.front
+    near = room.front + HOME_CLEARANCE + rng.uniform(0.05, 0.2) * depth
+    half = s * rng.uniform((0.22, 0.2), (0.34, 0.32))
+    middle = np.array([0.0, room.tip[2]]) + s * rng.uniform((-0.42, -0.3), (0.42, 0.2))
+    top = max(room.tip[2] + 0.9 * s, middle[1] + half[1] + 0.15 * s)
+    x, (y, z) = near + thickness, middle
+    bottom = z - half[1]
+    sides = width - y - half[0], width + y - half[0]
+    panels = {
+        "below": ((x, 0.0, bottom / 2.0), (thickness, width, bottom / 2.0)),
+        "above": ((x, 0.0, (top + z + half[1]) / 2.0), (thickness, width, (top - z - half[1]) / 2.0)),
+        "left": ((x, width - sides[0] / 2.0, z), (thickness, sides[0] / 2.0, half[1])),
+        "right": ((x, -width + sides[1] / 2.0, z), (thickness, sides[1] / 2.0, half[1])),
+    }
+    for name, (pos, size) in panels.items():
+        _box(body, f"wall_{name}", pos, size, "panel")
+    # The frame lies on the panels and only shows where the opening is.
+    bar = 0.025 * s
+    for name, dy, dz, wide, high in (
+        ("left", half[0] + bar, 0.0, bar, half[1] + 2.0 * bar),
+        ("right", -half[0] - bar, 0.0, bar, half[1] + 2.0 * bar),
+        ("upper", 0.0, half[1] + bar, half[0], bar),
+        ("lower", 0.0, -half[1] - bar, half[0], bar),
+    ):
+        _box(body, f"frame_{name}", (x, y + dy, z + dz), (thickness + 0.004, wide, high), "trim", collides=False)
+    far = near + 2.0 * thickness
+    ends = far + 0.06 * s, max(room.reach - 0.1 * s, far + 0.16 * s)
+    _goal(body, 0, ((ends[0] + ends[1]) / 2.0, y, z), ((ends[1] - ends[0]) / 2.0, 0.5 * half[0], 0.5 * half[1]))
+
+
+def _shelf(body: Any, arm: Arm, room: _Surroundings, rng: np.random.Generator) -> None:
+    """A rack of two columns and two rows of compartments, open towards the arm; one of them is where it looks at home."""
+    s = room.scale
+    board = 0.015 * s
+    depth = rng.uniform(0.16, 0.22) * s
+    wide, high = s * rng.uniform((0.6, 0.54), (0.76, 0.68))
+    near = room.front + HOME_CLEARANCE + rng.uniform(0.3, 0.6) * (room.reach - room.front)
+    y = wide * (0.5 * rng.choice([-1.0, 1.0]) + rng.uniform(-0.15, 0.15))
+    bottom = max(room.tip[2] - high * (rng.choice([0.5, 1.5]) + rng.uniform(-0.15, 0.15)), 0.1 * s)
+    x, middle = near + depth, bottom + high
+    for row in range(3):
+        # The uprights cover the ends of the boards.
+        _box(body, f"board{row}", (x, y, bottom + row * high), (depth - 0.002, wide - 0.002, board), "wood")
+    for column in range(3):
+        top = middle + high + board
+        _box(body, f"upright{column}", (x, y + (column - 1) * wide, top / 2.0), (depth, board, top / 2.0), "trim")
+    _box(body, "back", (x + depth + board, y, middle), (board, wide + board, high + board), "panel")
+    for cell in range(4):
+        column, row = cell % 2, cell // 2
+        inside = (near + 0.35 * depth, y + (column - 0.5) * wide, middle + (row - 0.5) * high)
+        _goal(body, cell, inside, (0.3 * depth, 0.2 * wide, 0.2 * high))
+
+
+def _poles(body: Any, arm: Arm, room: _Surroundings, rng: np.random.Generator) -> None:
+    """Vertical poles in a sector of a ring, with gaps that the arm fits through."""
+    s, wanted, trials = room.scale, 9, 60
+    radius = s * rng.uniform(0.02, 0.04, trials)
+    distance = room.reach * np.sqrt(rng.uniform(0.4**2, 0.95**2, trials))
+    angle = rng.uniform(-1.5, 1.5, trials)
+    spots = np.stack([distance * np.cos(angle), distance * np.sin(angle)], axis=1)
+    half = (room.tip[2] + 0.8 * s) / 2.0
+    away = _pole_clearances(arm, room, spots, radius, half) > HOME_CLEARANCE + 0.02
+    chosen: list[int] = []
+    for index in np.flatnonzero(away):
+        gaps = [np.linalg.norm(spots[index] - spots[other]) for other in chosen]
+        if min(gaps, default=np.inf) > 0.42 * s and len(chosen) < wanted:
+            chosen.append(int(index))
+    if not chosen:
+        raise InputError(f"no place for poles around arm {arm.name!r} at home; use another scene or seed")
+    for number, index in enumerate(chosen):
+        place = (*spots[index], half)
+        _geom(body, f"pole{number}", mujoco.mjtGeom.mjGEOM_CYLINDER, place, (radius[index], half, 0.0), "pole")
+        foot = (*spots[index], 0.006 * s)
+        _geom(
+            body,
+            f"foot{number}",
+            mujoco.mjtGeom.mjGEOM_CYLINDER,
+            foot,
+            (0.07 * s, 0.006 * s, 0.0),
+            "trim",
+            collides=False,
+        )
+    for number, side in enumerate((-1.0, 1.0)):
+        # Left and right of where the arm points at home, between the poles and beyond them.
+        turned = side * 0.75
+        middle = 0.68 * room.reach * np.array([np.cos(turned), np.sin(turned)])
+        _goal(body, number, (*middle, room.tip[2]), (0.22 * room.reach, 0.3 * room.reach, 0.4 * s))
+
+
+def _pole_clearances(arm: Arm, room: _Surroundings, spots: Floats, radius: Floats, half: float) -> Floats:
+    """Distances ``(P,)`` of poles at ``(P, 2)`` from what collides of the arm at home."""
+    spec = arm.spec.copy()
+    body = spec.worldbody.add_body(
+        name="trial", pos=room.origin, quat=[np.cos(room.yaw / 2.0), 0.0, 0.0, np.sin(room.yaw / 2.0)]
+    )
+    for number, (spot, size) in enumerate(zip(spots, radius, strict=True)):
+        kind = mujoco.mjtGeom.mjGEOM_CYLINDER
+        body.add_geom(name=f"trial{number}", type=kind, pos=(*spot, half), size=(size, half, 0.0))
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    data.qpos[:] = arm.qpos(arm.keyframe("home"))
+    mujoco.mj_kinematics(model, data)
+    trial = model.body("trial").id
+    parts = [g for g in _solid(model) if model.body_rootid[model.geom_bodyid[g]] != trial and model.geom_rbound[g] > 0]
+    limit = 0.5
+    return np.array(
+        [
+            min(mujoco.mj_geomDistance(model, data, model.geom(f"trial{k}").id, part, limit, None) for part in parts)
+            for k in range(len(spots))
+        ]
+    )
+
+
+def _surroundings(arm: Arm) -> _Surroundings:
+    home = arm.keyframe("home")
+    base = np.asarray(arm.base.translation)
+    tip = np.asarray(arm.link_poses(home).translation)[-1]
+    yaw = float(np.arctan2(tip[1] - base[1], tip[0] - base[0])) if np.hypot(*(tip - base)[:2]) > 1e-6 else 0.0
+    model = arm.model
+    data = mujoco.MjData(model)
+    data.qpos[:] = arm.qpos(home)
+    mujoco.mj_kinematics(model, data)
+    floors = [g for g in range(model.ngeom) if model.geom_type[g] == mujoco.mjtGeom.mjGEOM_PLANE]
+    floor = min((float(data.geom_xpos[g, 2]) for g in floors), default=float(base[2]))
+    origin = np.array([base[0], base[1], floor])
+    ahead = np.array([np.cos(yaw), np.sin(yaw), 0.0])
+    parts = [g for g in _solid(model) if model.geom_rbound[g] > 0.0]
+    turns = data.geom_xmat[parts].reshape(-1, 3, 3)
+    centers = data.geom_xpos[parts] + (turns @ model.geom_aabb[parts, :3, None])[:, :, 0]
+    extents = np.abs(ahead @ turns) * model.geom_aabb[parts, 3:]
+    front = float(((centers - origin) @ ahead + extents.sum(axis=1)).max())
+    # Postures near the ends of the ranges as well: the middle ones reach nowhere far.
+    low, high = arm.position_limits.T
+    draws = np.random.default_rng(0).beta(0.4, 0.4, (_SAMPLES, arm.n_joints))
+    tips = np.asarray(arm.link_poses(low + draws * (high - low)).translation)[:, -1] - origin
+    spread = np.linalg.norm(tips[:, :2], axis=1)
+    level = np.abs(tips[:, 2] - (tip[2] - floor)) < 0.25 * spread.max()
+    reach = float(np.quantile(spread[level] if level.sum() > 50 else spread, 0.99))
+    turned = np.array([np.hypot(*(tip - origin)[:2]), 0.0, tip[2] - floor])
+    return _Surroundings(origin, yaw, reach / _NOMINAL_REACH, front, turned, max(reach, front + 0.15 * reach))
+
+
+def _solid(model: mujoco.MjModel) -> list[int]:
+    return [int(g) for g in np.flatnonzero(model.geom_contype | model.geom_conaffinity)]
+
+
+def _box(body: Any, name: str, pos: Any, size: Any, material: str, *, collides: bool = True) -> None:
+    _geom(body, name, mujoco.mjtGeom.mjGEOM_BOX, pos, size, material, collides=collides)
+
+
+def _geom(body: Any, name: str, kind: Any, pos: Any, size: Any, material: str, *, collides: bool = True) -> None:
+    body.add_geom(
+        name=PREFIX + name,
+        type=kind,
+        pos=pos,
+        size=size,
+        material=PREFIX + material,
+        group=2,
+        contype=int(collides),
+        conaffinity=int(collides),
+    )
+
+
+def _goal(body: Any, number: int, pos: Any, size: Any) -> None:
+    kind = mujoco.mjtGeom.mjGEOM_BOX
+    body.add_site(name=f"{GOAL_PREFIX}{number}", type=kind, pos=pos, size=size, group=5, rgba=(0.1, 0.8, 0.3, 0.15))

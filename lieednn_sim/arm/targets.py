@@ -1,0 +1,95 @@
+"""Random joint targets that make sense in a scene: free ones, behind its window, in its shelf, between its poles."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm.arm import Arm
+from lieednn_sim.arm.collision import Collisions
+from lieednn_sim.arm.scenes import GOAL_PREFIX
+from lieednn_sim.errors import InputError
+from lieednn_sim.validation import as_seed
+
+Floats = NDArray[np.float64]
+
+# Everything keeps this distance at a target among obstacles [m].
+TARGET_CLEARANCE = 0.02
+# Targets keep this share of a joint's range from its limits.
+LIMIT_MARGIN = 0.05
+# Targets of arms whose joints have all six freedoms: U(-0.8, 0.8) in the network's coordinates (paper, section 5).
+NETWORK_SPREAD = 0.8
+_ATTEMPTS = 400
+_STEPS = 25
+# The end effector may be so far from the drawn point [m]: any near it will do.
+_TOLERANCE = 1e-3
+
+
+def draw_target(arm: Arm, seed: int = 0) -> Floats:
+    """A random joint target ``(n,)`` at which the arm touches nothing.
+
+    Without obstacles: uniform within the joint limits, or, where every compound joint has six freedoms, uniform in the
+    network's coordinates. With obstacles the end effector is at a uniform point of one of the scene's goal boxes, in a
+    posture not far from home, and everything keeps `TARGET_CLEARANCE`.
+
+    Raises:
+        InputError: a bad seed, or no target was found.
+    """
+    rng = np.random.default_rng([as_seed("seed", seed), 1])
+    goals = [site for site in range(arm.model.nsite) if arm.model.site(site).name.startswith(GOAL_PREFIX)]
+    if not goals:
+        return _anywhere(arm, np.random.default_rng(seed))
+    collisions = Collisions(arm)
+    data = mujoco.MjData(arm.model)
+    mujoco.mj_kinematics(arm.model, data)
+    places, turns = data.site_xpos.copy(), data.site_xmat.reshape(-1, 3, 3).copy()
+    low, high = arm.position_limits.T
+    inset = LIMIT_MARGIN * (high - low)
+    home = arm.keyframe("home")
+    for _ in range(_ATTEMPTS):
+        site = rng.choice(goals)
+        inside = arm.model.site_size[site] * rng.uniform(-1.0, 1.0, 3)
+        point = places[site] + turns[site] @ inside
+        near = np.clip(home + 0.25 * rng.normal(size=arm.n_joints) * (high - low), low + inset, high - inset)
+        q = _towards(arm, data, near, point, low + inset, high - inset)
+        if q is not None and arm.limit_excess(q).max() <= 0.0 and collisions.free(q, TARGET_CLEARANCE):
+            return q
+    raise InputError(f"no target was found for arm {arm.name!r} among its obstacles; use another seed of the scene")
+
+
+def _anywhere(arm: Arm, rng: np.random.Generator) -> Floats:
+    low, high = arm.position_limits.T
+    inset = LIMIT_MARGIN * (high - low)
+    for _ in range(_ATTEMPTS):
+        if arm.exact:
+            q = arm.decode(rng.uniform(-NETWORK_SPREAD, NETWORK_SPREAD, (arm.n_links, 6))).q
+        else:
+            q = rng.uniform(low + inset, high - inset)
+        if arm.limit_excess(q).max() <= 0.0 and not arm.contacts(q):
+            return q
+    raise InputError(f"no target free of contact was found for arm {arm.name!r}")
+
+
+def _towards(arm: Arm, data: Any, q: Floats, point: Floats, low: Floats, high: Floats) -> Floats | None:
+    """A posture between low and high near ``q`` whose end effector is at a point, by damped steps; or None."""
+    site = int(arm.site_ids[-1])
+    weights = (high - low) ** 2
+    slope = np.zeros((3, arm.model.nv))
+    for _ in range(_STEPS):
+        data.qpos[:] = arm.qpos(q)
+        mujoco.mj_kinematics(arm.model, data)
+        away = point - data.site_xpos[site]
+        if np.linalg.norm(away) < _TOLERANCE:
+            return q
+        mujoco.mj_comPos(arm.model, data)
+        mujoco.mj_jacSite(arm.model, data, slope, None, site)
+        # Stops that are pushed against take no part, or the others would not make up for them.
+        jacobian = slope @ arm.qvel(np.broadcast_to(q, (len(q), len(q))), np.eye(len(q))).T
+        pushed = jacobian.T @ away
+        moving = weights * ~(((q <= low) & (pushed < 0.0)) | ((q >= high) & (pushed > 0.0)))
+        gain = (jacobian * moving) @ jacobian.T + 1e-3 * np.eye(3)
+        q = np.clip(q + moving * (jacobian.T @ np.linalg.solve(gain, away)), low, high)
+    return None
