@@ -14,7 +14,7 @@ from lieednn_sim import storage
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError
 from lieednn_sim.motion import Motion
-from lieednn_sim.simulate import Rollout
+from lieednn_sim.simulate import Following, Push, Rollout
 
 Floats = NDArray[np.float64]
 
@@ -58,6 +58,42 @@ class JointUse:
 
 
 @dataclass(frozen=True)
+class Recovery:
+    """What a push did, up to the next push or the end of the rollout.
+
+    ``peak_deviation_*`` is the largest error of any link frame against its reference since the push began.
+    ``recovery_time`` [s] counts from the push's end to when all frames stay within 1 mm and 0.1 deg of their reference,
+    None when they do not.
+    """
+
+    body: str
+    start: float
+    end: float
+    peak_deviation_mm: float
+    peak_deviation_deg: float
+    recovery_time: float | None
+
+
+@dataclass(frozen=True)
+class FollowingErrors:
+    """Errors behind a moving target; translations in mm, rotations in degrees.
+
+    ``rms_*`` is the end effector's, over the whole run; ``worst_*`` the largest of any link frame. ``lag`` [s] is the
+    delay that explains most of the end effector's distance: sum(e . v) / sum(v . v) over the steps at which the target
+    does not jump, e from its simulated to its target position and v the target's velocity; None when it does not move.
+    ``settling_times`` [s] has for each jump of the target the time until all frames stay within 1 mm and 0.1 deg of it
+    until the next one, None when they do not.
+    """
+
+    rms_translation_mm: float
+    rms_rotation_deg: float
+    worst_translation_mm: float
+    worst_rotation_deg: float
+    lag: float | None
+    settling_times: tuple[float | None, ...]
+
+
+@dataclass(frozen=True)
 class Evaluation:
     """Metrics of one rollout.
 
@@ -70,6 +106,10 @@ class Evaluation:
         max_gap_rotation_deg: the same as an angle.
         network_residual: distance to the equilibrium at which the plan ends.
         contacts: largest number of simultaneous contacts.
+        peak_contact_force: largest normal force of a contact [N].
+        peak_weld_force: largest force between a link and its ghost [N].
+        peak_weld_torque: largest torque between them [N m].
+        recoveries: one entry a push.
         motion_end: time at which the reference comes to rest [s].
         duration: of the rollout [s].
         controller: that drove the arm.
@@ -83,6 +123,10 @@ class Evaluation:
     max_gap_rotation_deg: float | None
     network_residual: float | None
     contacts: int
+    peak_contact_force: float
+    peak_weld_force: float
+    peak_weld_torque: float
+    recoveries: tuple[Recovery, ...]
     motion_end: float
     duration: float
     controller: str
@@ -121,7 +165,7 @@ def evaluate(arm: Arm, rollout: Rollout, target: ArrayLike, motion: Motion | Non
     Args:
         arm: the arm of the rollout.
         rollout: what was simulated.
-        target: joint target ``(2N,)``.
+        target: joint target ``(n,)``.
         motion: the plan behind it, for the mechanism gap.
 
     Raises:
@@ -152,6 +196,10 @@ def evaluate(arm: Arm, rollout: Rollout, target: ArrayLike, motion: Motion | Non
         max_gap_rotation_deg=None if motion is None else float(np.rad2deg(motion.gap_rotation.max())),
         network_residual=None if motion is None else motion.residual,
         contacts=int(rollout.contacts.max()),
+        peak_contact_force=float(rollout.contact_force.max()),
+        peak_weld_force=float(rollout.weld_force.max()),
+        peak_weld_torque=float(rollout.weld_torque.max()),
+        recoveries=_recoveries(rollout, tracking),
         motion_end=rollout.motion_end,
         duration=float(rollout.t[-1]),
         controller=rollout.controller,
@@ -162,11 +210,7 @@ def _frame_errors(
     i: int, name: str, t: Floats, tracking: tuple[Floats, Floats], arrival: tuple[Floats, Floats]
 ) -> FrameErrors:
     distance, angle = 1e3 * tracking[0][:, i], np.rad2deg(tracking[1][:, i])
-    outside = np.flatnonzero((arrival[0][:, i] > SETTLED_TRANSLATION) | (arrival[1][:, i] > SETTLED_ROTATION))
-    if outside.size == 0:
-        settled: float | None = float(t[0])
-    else:
-        settled = float(t[outside[-1] + 1]) if outside[-1] + 1 < len(t) else None
+    settled = _settled(t, arrival[0][:, i : i + 1], arrival[1][:, i : i + 1])
     return FrameErrors(
         name=name,
         final_translation_mm=float(1e3 * arrival[0][-1, i]),
@@ -176,4 +220,64 @@ def _frame_errors(
         max_translation_mm=float(distance.max()),
         max_rotation_deg=float(angle.max()),
         settling_time=settled,
+    )
+
+
+def _settled(t: Floats, distance: Floats, angle: Floats) -> float | None:
+    """Time from which errors ``(K, N)`` stay within the bounds, None when they do not."""
+    outside = np.flatnonzero(((distance > SETTLED_TRANSLATION) | (angle > SETTLED_ROTATION)).any(axis=1))
+    if outside.size == 0:
+        return float(t[0])
+    return float(t[outside[-1] + 1]) if outside[-1] + 1 < len(t) else None
+
+
+def _recoveries(rollout: Rollout, tracking: tuple[Floats, Floats]) -> tuple[Recovery, ...]:
+    """A push that begins after the end of the rollout leaves no entry."""
+    pushes = [push for push in rollout.disturbances.pushes if push.start <= rollout.t[-1]]
+    untils = [*(push.start for push in pushes[1:]), np.inf][: len(pushes)]
+    return tuple(_recovery(push, until, rollout.t, tracking) for push, until in zip(pushes, untils, strict=True))
+
+
+def _recovery(push: Push, until: float, t: Floats, tracking: tuple[Floats, Floats]) -> Recovery:
+    # Samples belong to a push by the step that begins there, whatever the rounding of the times.
+    half = 0.5 * float(t[1] - t[0])
+    since, after = ((t > begin - half) & (t < until - half) for begin in (push.start, push.end))
+    distance, angle = tracking
+    settled = _settled(t[after], distance[after], angle[after]) if after.any() else None
+    return Recovery(
+        body=push.body,
+        start=push.start,
+        end=push.end,
+        peak_deviation_mm=float(1e3 * distance[since].max(initial=0.0)),
+        peak_deviation_deg=float(np.rad2deg(angle[since].max(initial=0.0))),
+        recovery_time=None if settled is None else max(settled - push.end, 0.0),
+    )
+
+
+def evaluate_following(arm: Arm, following: Following) -> FollowingErrors:
+    """Evaluate how a moving target was followed; `InputError` when the rollout is of another arm."""
+    rollout = following.rollout
+    if rollout.arm != arm.name or rollout.q.shape[1] != arm.n_joints:
+        raise InputError(f"the rollout is of arm {rollout.arm!r}, not of {arm.name!r}")
+    t, wanted = rollout.t, arm.link_poses(following.target)
+    distance, angle = pose_errors(rollout.link_poses(), wanted)
+    tip = np.asarray(wanted.translation)[:, -1]
+    velocity, behind = np.diff(tip, axis=0) / np.diff(t)[:, None], (tip - rollout.link_position[:, -1])[1:]
+    starts = np.searchsorted(t, np.asarray(following.jumps) - 0.5 * rollout.timestep)
+    # The follower sees a jump at the next control period: it happened at the fastest step of the last one.
+    steady = np.ones(len(velocity), dtype=bool)
+    for begin in starts:
+        recent = slice(max(begin - following.period, 0), begin)
+        steady[recent.start + int(np.linalg.norm(velocity[recent], axis=1).argmax())] = False
+    moved = float((velocity[steady] ** 2).sum())
+    ends = [*starts[1:], len(t)][: len(starts)]
+    spans = zip(starts, ends, strict=True)
+    settled = [(begin, _settled(t[begin:end], distance[begin:end], angle[begin:end])) for begin, end in spans]
+    return FollowingErrors(
+        rms_translation_mm=float(1e3 * np.sqrt(np.mean(distance[:, -1] ** 2))),
+        rms_rotation_deg=float(np.rad2deg(np.sqrt(np.mean(angle[:, -1] ** 2)))),
+        worst_translation_mm=float(1e3 * distance.max()),
+        worst_rotation_deg=float(np.rad2deg(angle.max())),
+        lag=float((behind * velocity)[steady].sum()) / moved if moved > 0.0 else None,
+        settling_times=tuple(None if time is None else time - float(t[begin]) for begin, time in settled),
     )

@@ -1,5 +1,20 @@
-"""Simulation of planned motions in MuJoCo."""
+"""Simulation of planned and of online motions in MuJoCo."""
 
-from lieednn_sim.simulate.rollout import CONTROLLERS, Rollout, simulate
+from lieednn_sim.simulate.controllers import CONTROLLERS
+from lieednn_sim.simulate.disturbances import Disturbances, Push
+from lieednn_sim.simulate.online import Following, follow
+from lieednn_sim.simulate.rollout import Rollout
+from lieednn_sim.simulate.simulation import Instant, Simulation
+from lieednn_sim.simulate.tracking import simulate
 
-__all__ = ["CONTROLLERS", "Rollout", "simulate"]
+__all__ = [
+    "CONTROLLERS",
+    "Disturbances",
+    "Following",
+    "Instant",
+    "Push",
+    "Rollout",
+    "Simulation",
+    "follow",
+    "simulate",
+]

@@ -1,21 +1,22 @@
 """Controllers: what drives the arm so that it follows a reference.
 
-A controller may need other drives than the arm's model has, so each brings the plant that is simulated. What it knows
-of the dynamics is the arm's model; a plant with other masses can be put in its place by `simulate`.
+A controller may need other drives than the arm's model has, so each changes the plant that is simulated. What it knows
+of the dynamics is the arm's model; the plant may have other masses.
 """
 
 from __future__ import annotations
 
 import copy
-from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
-from lieednn_sim.errors import InputError
+from lieednn_sim.simulate.actuators import Actuators
+from lieednn_sim.simulate.disturbances import Noise
+from lieednn_sim.simulate.reference import Reference
 
 Floats = NDArray[np.float64]
 
@@ -23,144 +24,126 @@ Floats = NDArray[np.float64]
 _TORQUE_LOOP_FREQUENCY = 10.0
 
 
-@dataclass(frozen=True)
-class Reference:
-    """What a controller is to follow, sampled at the simulation's time steps.
-
-    Attributes:
-        q: ``(K, 2N)`` positions [rad, m].
-        qd: ``(K, 2N)`` velocities [rad/s, m/s].
-        timestep: [s].
-    """
-
-    q: Floats
-    qd: Floats
-    timestep: float
-
-    def discrete_rates(self) -> tuple[Floats, Floats]:
-        """Velocities and accelerations ``(K, 2N)`` with which semi-implicit steps land on every q exactly.
-
-        q_{k+1} = q_k + h v_{k+1} and v_{k+1} = v_k + h a_k, from rest.
-        """
-        velocity = np.vstack([np.zeros_like(self.q[:1]), np.diff(self.q, axis=0) / self.timestep])
-        ahead = np.vstack([velocity[1:], np.zeros_like(self.q[:1])])
-        return velocity, (ahead - velocity) / self.timestep
-
-
 class Controller(Protocol):
-    """Drives one rollout.
+    """Drives one rollout along a reference, of which it reads what is known."""
 
-    Attributes:
-        plant: the model to simulate.
-    """
+    def add_bodies(self, spec: Any) -> None:
+        """Add the bodies that the controller needs to a copy of the arm's spec."""
 
-    plant: mujoco.MjModel
+    def equip(self, plant: mujoco.MjModel) -> None:
+        """Give the compiled plant the drives that the controller needs."""
 
-    def act(self, data: mujoco.MjData, step: int) -> None:
-        """Set the controls of a step from the state, after `mj_step1`."""
+    def act(self, data: mujoco.MjData, step: int, noise: Noise) -> None:
+        """Set the controls of a step.
+
+        Called before the step; of ``data`` only time, qpos and qvel belong to it, what follows from them does not yet.
+        """
 
 
-class PositionServo:
-    """Position actuators with velocity feedforward: ctrl = q_ref + (kv / kp) qd_ref.
+class Servo:
+    """What controllers with joint drives share: the arm's own drives, as they are."""
+
+    def __init__(self, arm: Arm, reference: Reference) -> None:
+        self._actuators = Actuators(arm)
+        self._reference = reference
+
+    def add_bodies(self, spec: Any) -> None:
+        """See `Controller`."""
+
+    def equip(self, plant: mujoco.MjModel) -> None:
+        """See `Controller`."""
+
+
+class PositionServo(Servo):
+    """Position actuators with velocity feedforward: ctrl = q_ref + (kv / kp) qd_ref, per unit gear.
 
     A position actuator pulls with kp (ctrl - q) - kv qd, so without the second term it lags a moving reference by
     kv / kp seconds. The velocity is taken one step ahead of the position, because implicitfast damps with the velocity
     at the end of the step.
 
     Raises:
-        InputError: an actuator is not a position actuator on one joint.
+        InputError: the arm is not driven by position actuators on joints or fixed tendons.
     """
 
     def __init__(self, arm: Arm, reference: Reference) -> None:
-        self.plant = arm.model
-        drives = _Drives(arm.model)
-        ahead = np.vstack([reference.qd[1:], reference.qd[-1:]])
-        self._commands = drives.select(reference.q) + drives.lead * drives.select(ahead)
+        super().__init__(arm, reference)
+        self._actuators.require_servos()
 
-    def act(self, data: mujoco.MjData, step: int) -> None:
+    def act(self, data: mujoco.MjData, step: int, noise: Noise) -> None:
         """See `Controller`."""
-        data.ctrl[:] = self._commands[step]
+        reference = self._reference
+        row = reference.row(step)
+        following = min(row + 1, reference.known - 1)
+        data.ctrl[:] = self._actuators.servo_controls(reference.qpos[row], reference.qvel[following])
+        data.ctrl += self._actuators.measurement_error(noise)
 
 
-class InverseDynamicsServo:
+class InverseDynamicsServo(Servo):
     """The position servo with the forces of the reference fed forward: ctrl = q_ref + (kv qd_ref + tau) / kp.
 
     tau is what MuJoCo's inverse dynamics asks for, discretised as the integrator is, so a plant equal to the model
     follows to rounding. Feedback is the servo's own.
 
     Raises:
-        InputError: an actuator is not a position actuator on one joint.
+        InputError: the arm is not driven by position actuators on joints or fixed tendons.
     """
 
     def __init__(self, arm: Arm, reference: Reference) -> None:
-        self.plant = arm.model
-        drives, inverse = _Drives(arm.model), _InverseDynamics(arm.model)
-        velocity, acceleration = reference.discrete_rates()
-        forces = np.array([inverse(*row) for row in zip(reference.q, velocity, acceleration, strict=True)])
-        pull = drives.damping * drives.select(velocity) + drives.select(forces)
-        self._commands = drives.select(reference.q) + pull / drives.stiffness
+        super().__init__(arm, reference)
+        self._actuators.require_servos()
+        self._inverse = _InverseDynamics(arm.model)
 
-    def act(self, data: mujoco.MjData, step: int) -> None:
+    def act(self, data: mujoco.MjData, step: int, noise: Noise) -> None:
         """See `Controller`."""
-        data.ctrl[:] = self._commands[step]
+        qpos = self._reference.qpos[self._reference.row(step)]
+        velocity, acceleration = self._reference.rates(step)
+        forces = self._inverse(qpos, velocity, acceleration)
+        data.ctrl[:] = self._actuators.servo_controls(qpos, velocity, forces)
+        data.ctrl += self._actuators.measurement_error(noise)
 
 
-class ComputedTorque:
+class ComputedTorque(Servo):
     """Torque drives with feedback linearisation: tau = ID(q, qd, a_ref + 2 w (v_ref - qd) + w^2 (q_ref - q)).
 
-    The plant's position actuators become direct drives with the same force limits; w is 2 pi 10 Hz.
+    The plant's actuators become direct drives with the same force limits; w is 2 pi 10 Hz. The difference of positions
+    is the velocity that leads from one to the other in unit time. q and qd are measured.
 
     Raises:
-        InputError: an actuator is not a position actuator on one joint.
+        InputError: the arm's actuators are not on joints or fixed tendons.
     """
 
     def __init__(self, arm: Arm, reference: Reference) -> None:
-        self._drives = _Drives(arm.model)
-        self.plant = copy.deepcopy(arm.model)
-        self.plant.actuator_gainprm[:, 0] = 1.0
-        self.plant.actuator_biasprm[:, :3] = 0.0
-        self.plant.actuator_ctrllimited[:] = 0
-        self._inverse = _InverseDynamics(self.plant)
-        self._q = reference.q
-        self._velocity, self._acceleration = reference.discrete_rates()
+        super().__init__(arm, reference)
+        self._model = copy.deepcopy(arm.model)
+        self._actuators.make_direct(self._model)
+        self._inverse = _InverseDynamics(self._model)
 
-    def act(self, data: mujoco.MjData, step: int) -> None:
+    def equip(self, plant: mujoco.MjModel) -> None:
         """See `Controller`."""
+        self._actuators.make_direct(plant)
+
+    def act(self, data: mujoco.MjData, step: int, noise: Noise) -> None:
+        """See `Controller`."""
+        qpos, qvel = data.qpos.copy(), data.qvel + noise.velocity
+        mujoco.mj_integratePos(self._model, qpos, noise.position, 1.0)
+        error = np.zeros(self._model.nv)
+        mujoco.mj_differentiatePos(self._model, error, 1.0, qpos, self._reference.qpos[self._reference.row(step)])
+        velocity, acceleration = self._reference.rates(step)
         omega = 2.0 * np.pi * _TORQUE_LOOP_FREQUENCY
-        wanted = self._acceleration[step] + 2.0 * omega * (self._velocity[step] - data.qvel)
-        wanted += omega**2 * (self._q[step] - data.qpos)
-        data.ctrl[:] = self._drives.select(self._inverse(data.qpos, data.qvel, wanted))
-
-
-class _Drives:
-    """The position actuators of a model: stiffness kp, damping kv, and which coordinate each one moves."""
-
-    def __init__(self, model: mujoco.MjModel) -> None:
-        self.stiffness, self.damping = model.actuator_gainprm[:, 0].copy(), -model.actuator_biasprm[:, 2]
-        if (
-            (model.actuator_trntype != mujoco.mjtTrn.mjTRN_JOINT).any()
-            or (model.actuator_biasprm[:, 1] != -self.stiffness).any()
-            or (self.stiffness <= 0.0).any()
-        ):
-            raise InputError("the controllers need position actuators on joints, one for each coordinate")
-        self._coordinates = model.jnt_qposadr[model.actuator_trnid[:, 0]]
-        self.lead = self.damping / self.stiffness
-
-    def select(self, values: Floats) -> Floats:
-        """Values ``(..., 2N)`` of the coordinates in the order of the actuators."""
-        return values[..., self._coordinates]
+        wanted = acceleration + 2.0 * omega * (velocity - qvel) + omega**2 * error
+        data.ctrl[:] = self._actuators.direct_controls(self._inverse(qpos, qvel, wanted))
 
 
 class _InverseDynamics:
-    """Joint forces ``(2N,)`` that the drives must exert, in the discrete time of the model's integrator."""
+    """Joint forces ``(nv,)`` that the drives must exert, in the discrete time of the model's integrator."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
         self._model = copy.deepcopy(model)
         self._model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_INVDISCRETE
         self._data = mujoco.MjData(self._model)
 
-    def __call__(self, q: Floats, qd: Floats, acceleration: Floats) -> Floats:
+    def __call__(self, qpos: Floats, velocity: Floats, acceleration: Floats) -> Floats:
         data = self._data
-        data.qpos[:], data.qvel[:], data.qacc[:] = q, qd, acceleration
+        data.qpos[:], data.qvel[:], data.qacc[:] = qpos, velocity, acceleration
         mujoco.mj_inverse(self._model, data)
         return data.qfrc_inverse.copy()

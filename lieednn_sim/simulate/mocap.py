@@ -6,12 +6,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicHermiteSpline
-from scipy.spatial.transform import RigidTransform
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
-from lieednn_sim.simulate.control import Reference
+from lieednn_sim.errors import InputError
+from lieednn_sim.simulate.actuators import driving_actuators
+from lieednn_sim.simulate.disturbances import Noise
+from lieednn_sim.simulate.reference import Reference
 
 Floats = NDArray[np.float64]
 
@@ -26,45 +27,70 @@ class MocapWelds:
 
     The reference's poses are those of joint positions, so the welds ask for nothing that the joints cannot do. A mocap
     body has no velocity, and a weld with time constant T and damping ratio zeta follows it 2 T zeta^2 late: the ghosts
-    run ahead by as much. The forces of the welds are in the rollout's `constraint_force`.
+    run ahead by as much. There is no feedback of joints, so no sensor noise either.
     """
 
     def __init__(self, arm: Arm, reference: Reference) -> None:
-        times = reference.timestep * np.arange(len(reference.q))
-        path = CubicHermiteSpline(times, reference.q, reference.qd)
-        lead = 2.0 * _TIME_CONSTANT * _DAMPING_RATIO**2
-        poses = arm.link_poses(path(np.minimum(times + lead, times[-1])))
-        self._position, self._quaternion = poses.translation, poses.rotation.as_quat(scalar_first=True)
-        self.plant = _with_ghosts(arm, poses[0])
-        ghosts = [self.plant.body(_ghost(i)).id for i in range(arm.n_links)]
-        self._ids = self.plant.body_mocapid[ghosts]
+        self._arm, self._reference = arm, reference
+        self._solref, self._lead = self._weld(reference)
+        self._scratch = mujoco.MjData(arm.model)
+        self._ids: NDArray[np.int_] = np.zeros(0, dtype=int)
 
-    def act(self, data: mujoco.MjData, step: int) -> None:
-        """Place the ghosts for the next step, whose constraints are made before this is called again."""
-        ahead = min(step + 1, len(self._position) - 1)
-        data.mocap_pos[self._ids], data.mocap_quat[self._ids] = self._position[ahead], self._quaternion[ahead]
+    def _weld(self, reference: Reference) -> tuple[tuple[float, float], float]:
+        """Parameters solref of the welds, and the time [s] by which the ghosts run ahead."""
+        return (_TIME_CONSTANT, _DAMPING_RATIO), 2.0 * _TIME_CONSTANT * _DAMPING_RATIO**2
+
+    def add_bodies(self, spec: Any) -> None:
+        """See `Controller`."""
+        for i, site in enumerate(self._arm.site_ids):
+            ghost = spec.worldbody.add_body(name=ghost_name(i), mocap=True)
+            ghost.add_site(name=f"{ghost_name(i)}_frame")
+            weld = spec.add_equality(
+                name=ghost_name(i),
+                type=mujoco.mjtEq.mjEQ_WELD,
+                objtype=mujoco.mjtObj.mjOBJ_SITE,
+                name1=f"{ghost_name(i)}_frame",
+                name2=self._arm.model.site(int(site)).name,
+            )
+            weld.solref[:2], weld.solimp[:] = self._solref, _IMPEDANCE
+
+    def equip(self, plant: mujoco.MjModel) -> None:
+        """See `Controller`."""
+        ghosts = [plant.body(ghost_name(i)).id for i in range(self._arm.n_links)]
+        self._ids = plant.body_mocapid[ghosts]
+        idle = driving_actuators(self._arm)
+        plant.actuator_gainprm[idle], plant.actuator_biasprm[idle] = 0.0, 0.0
+
+    def act(self, data: mujoco.MjData, step: int, noise: Noise) -> None:
+        """Place the ghosts where the reference will be after the lead."""
+        scratch = self._scratch
+        scratch.qpos[:] = self._reference.ahead(step, self._lead)
+        mujoco.mj_kinematics(self._arm.model, scratch)
+        for body, site in zip(self._ids, self._arm.site_ids, strict=True):
+            data.mocap_pos[body] = scratch.site_xpos[site]
+            mujoco.mju_mat2Quat(data.mocap_quat[body], scratch.site_xmat[site])
 
 
-def _with_ghosts(arm: Arm, start: RigidTransform) -> mujoco.MjModel:
-    spec: Any = arm.spec.copy()
-    for i, site in enumerate(arm.site_ids):
-        pose = start[i]
-        ghost = spec.worldbody.add_body(
-            name=_ghost(i), mocap=True, pos=pose.translation, quat=pose.rotation.as_quat(scalar_first=True)
-        )
-        ghost.add_site(name=f"{_ghost(i)}_frame")
-        weld = spec.add_equality(
-            name=_ghost(i),
-            type=mujoco.mjtEq.mjEQ_WELD,
-            objtype=mujoco.mjtObj.mjOBJ_SITE,
-            name1=f"{_ghost(i)}_frame",
-            name2=arm.model.site(int(site)).name,
-        )
-        weld.solref[:2], weld.solimp[:] = (_TIME_CONSTANT, _DAMPING_RATIO), _IMPEDANCE
-    model = spec.compile()
-    model.actuator_gainprm[:], model.actuator_biasprm[:] = 0.0, 0.0
-    return model
+class DeadbeatWelds(MocapWelds):
+    """The same with welds that reach their ghosts within one step.
+
+    With solref (2 h, 1/2) a weld's reference acceleration is -r/h^2 - v/h at the distance r, so the step
+    v' = v + h a = -r/h ends on the ghost, which stands where the reference is one step later. A jump of the ghosts
+    is followed at once, with forces of its size: a reference that is held between samples is refused.
+
+    Raises:
+        InputError: the reference is held.
+    """
+
+    def _weld(self, reference: Reference) -> tuple[tuple[float, float], float]:
+        if reference.hold > 1:
+            raise InputError(
+                "the controller mocap-deadbeat follows every jump of its reference within one step, so it takes none "
+                f"that is held for {reference.hold} steps; use mocap, or leave reference_rate out"
+            )
+        return (2.0 * reference.timestep, 0.5), reference.timestep
 
 
-def _ghost(link: int) -> str:
+def ghost_name(link: int) -> str:
+    """Name of a link's ghost, and of the weld between them."""
     return f"ghost{link + 1}"

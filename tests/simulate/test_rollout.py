@@ -10,7 +10,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError, SimulationError
 from lieednn_sim.evaluate import evaluate
 from lieednn_sim.planning import plan
-from lieednn_sim.simulate import Rollout, simulate
+from lieednn_sim.simulate import Disturbances, Push, Rollout, simulate
 
 
 @pytest.fixture(scope="module")
@@ -83,13 +83,16 @@ def test_bad_input(arm, planned):
     motion = planned.motion
     with pytest.raises(InputError, match=r"every 0\.004 s, the model steps every 0\.002 s"):
         simulate(arm, dataclasses.replace(motion, t=2.0 * motion.t))
-    with pytest.raises(InputError, match=r"q must have shape \(2001, 8\), got \(2001, 3\)"):
-        simulate(arm, dataclasses.replace(motion, q=motion.q[:, :3]))
+    with pytest.raises(InputError, match="the motion has 3 coordinates, arm 'telescopic_pr' has 8"):
+        simulate(arm, dataclasses.replace(motion, q=motion.q[:, :3], qd=motion.qd[:, :3]))
     with pytest.raises(InputError, match="hold"):
         simulate(arm, motion, hold=-1.0)
 
 
-def test_save_and_load(arm, rollout, tmp_path):
+def test_save_and_load(arm, planned, tmp_path):
+    changes = Disturbances(pushes=(Push("link 2", (10, 0, 5), 0.1, 0.2),), payload=1.0, position_noise=1e-4, seed=3)
+    rollout = simulate(arm, planned.motion, hold=0.0, reference_rate=100.0, disturbances=changes, mass_scale=1.1)
+    assert rollout.disturbances == dataclasses.replace(changes, mass_scale=1.1)
     rollout.save(tmp_path / "rollout.npz")
     loaded = Rollout.load(tmp_path / "rollout.npz")
     assert dataclasses.asdict(loaded).keys() == dataclasses.asdict(rollout).keys()

@@ -1,0 +1,151 @@
+"""What a controller does not know of: pushes, a payload, other masses, sensor noise."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm import Arm
+from lieednn_sim.errors import InputError
+from lieednn_sim.validation import as_floats, as_positive, as_seed
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Push:
+    """A constant force on a body for a while.
+
+    Attributes:
+        body: name of a body of the scene, or of a link ("link 1", ..., "end effector").
+        force: ``(3,)`` [N], world frame, at the body's centre of mass.
+        start: [s], from the start of the rollout.
+        duration: [s]; the force acts in the simulation steps whose time t has start <= t < start + duration.
+    """
+
+    body: str
+    force: tuple[float, float, float]
+    start: float
+    duration: float
+
+    def __post_init__(self) -> None:
+        force = as_floats("force", self.force, (3,))
+        object.__setattr__(self, "force", tuple(float(value) for value in force))
+        object.__setattr__(self, "start", _as_least_zero("start", self.start))
+        object.__setattr__(self, "duration", as_positive("duration", self.duration))
+
+    @property
+    def end(self) -> float:
+        """Time at which the force ends [s]."""
+        return self.start + self.duration
+
+    def body_id(self, arm: Arm, model: mujoco.MjModel) -> int:
+        """The pushed body in a model of the arm; `InputError` lists the names."""
+        if self.body in arm.link_names:
+            return int(model.site_bodyid[arm.site_ids[arm.link_names.index(self.body)]])
+        found = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, self.body)
+        if found <= 0:
+            names = sorted(filter(None, (model.body(i).name for i in range(1, model.nbody))))
+            raise InputError(
+                f"no body {self.body!r} to push; links are: {', '.join(arm.link_names)}; bodies are: {', '.join(names)}"
+            )
+        return found
+
+
+@dataclass(frozen=True)
+class Disturbances:
+    """All that happens to one rollout behind the controller's back; the default is nothing.
+
+    Attributes:
+        pushes: forces on bodies.
+        payload: mass at the frame of the end effector [kg], unknown to controller and gravity compensation.
+        mass_scale: masses and inertias of the simulated arm in units of those that controller and gravity compensation
+            know.
+        position_noise: standard deviation of each measured joint position [rad, m], white, new at every step.
+        velocity_noise: the same of the velocities [rad/s, m/s].
+        seed: of the noise.
+    """
+
+    pushes: tuple[Push, ...] = ()
+    payload: float = 0.0
+    mass_scale: float = 1.0
+    position_noise: float = 0.0
+    velocity_noise: float = 0.0
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        pushes = tuple(self.pushes)
+        if not all(isinstance(push, Push) for push in pushes):
+            raise InputError("pushes must be a sequence of Push")
+        object.__setattr__(self, "pushes", tuple(sorted(pushes, key=lambda push: push.start)))
+        object.__setattr__(self, "mass_scale", as_positive("mass_scale", self.mass_scale))
+        for name in ("payload", "position_noise", "velocity_noise"):
+            object.__setattr__(self, name, _as_least_zero(name, getattr(self, name)))
+        object.__setattr__(self, "seed", as_seed("seed", self.seed))
+
+    def to_json(self) -> dict[str, Any]:
+        """The values as JSON can hold them."""
+        return dataclasses.asdict(self)
+
+    @classmethod
+    def from_json(cls, value: Mapping[str, Any]) -> Disturbances:
+        """The inverse of `to_json`; KeyError, TypeError or InputError when it is none."""
+        return cls(**{**value, "pushes": tuple(Push(**push) for push in value["pushes"])})
+
+
+class Noise(NamedTuple):
+    """Errors of one measurement, in MuJoCo's tangent space.
+
+    Attributes:
+        position: ``(nv,)`` [rad, m].
+        velocity: ``(nv,)`` [rad/s, m/s].
+    """
+
+    position: Floats
+    velocity: Floats
+
+
+class Sensors:
+    """Draws the measurement errors of the arm's joints, the same ones after every `reset`."""
+
+    def __init__(self, arm: Arm, disturbances: Disturbances) -> None:
+        self._seed = disturbances.seed
+        # Zero for joints that are no part of the arm.
+        measured = (tangent_basis(arm) != 0.0).any(axis=1)
+        self._deviations = np.outer([disturbances.position_noise, disturbances.velocity_noise], measured)
+        self._silent = not self._deviations.any()
+        self.reset()
+
+    def reset(self) -> None:
+        """Start the sequence again."""
+        self._rng = np.random.default_rng(self._seed)
+
+    def draw(self) -> Noise:
+        """Errors of the next measurement."""
+        if self._silent:
+            return Noise(*self._deviations)
+        return Noise(*(self._deviations * self._rng.standard_normal(self._deviations.shape)))
+
+
+def tangent_basis(arm: Arm) -> Floats:
+    """Generalised velocities ``(nv, n)`` at unit rates of the coordinates, every ball joint at its reference.
+
+    Its columns span the velocities that the arm's joints can have at any position; for the others, and for stages that
+    follow another one, rows are zero and tied. Its transpose turns generalised forces ``(nv,)`` into forces along the
+    coordinates; of ball joints, along the axes of the moving body.
+    """
+    rates = np.eye(arm.n_joints)
+    return arm.qvel(np.zeros_like(rates), rates).T
+
+
+def _as_least_zero(name: str, value: float) -> float:
+    number = float(as_floats(name, value, ()))
+    if number < 0.0:
+        raise InputError(f"{name} must not be negative, got {number:g}")
+    return number
