@@ -2,15 +2,18 @@
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo test lint clean env env-dev gl
+.PHONY: help demo test lint clean env env-dev gl browser
 
-# REQUIRE_RENDERING=1 makes the rendering tests fail, instead of skip, where there is no OpenGL.
+# REQUIRE_RENDERING=1 makes the rendering tests fail, instead of skip, where there is no OpenGL;
+# REQUIRE_BROWSER=1 does the same for the tests of the HTML page, where there is no browser.
 export LIEEDNN_REQUIRE_RENDERING := $(REQUIRE_RENDERING)
+export LIEEDNN_REQUIRE_BROWSER := $(REQUIRE_BROWSER)
 export PYTHON
 
 help:
 	@echo "make demo    plan, simulate, render and report one motion    (ARGS='--help' for its options)"
-	@echo "make test    lint, types and tests                           (REQUIRE_RENDERING=1: no OpenGL is a failure)"
+	@echo "make test    lint, types and tests                           (REQUIRE_RENDERING=1: no OpenGL is a failure;"
+	@echo "                                                              REQUIRE_BROWSER=1: no Chromium is one)"
 	@echo "make lint    lint and types alone"
 	@echo "make clean   remove caches and built packages; keeps .venv and results"
 	@echo "Each makes .venv when it is missing; PYTHON=... chooses the interpreter (3.11 or 3.12)."
@@ -18,7 +21,7 @@ help:
 demo: env gl
 	.venv/bin/lieednn-sim demo $(ARGS)
 
-test: lint gl
+test: lint gl browser
 	.venv/bin/python -m pytest -n 2
 
 lint: env-dev
@@ -39,3 +42,7 @@ env-dev:
 # After the environment, which the callers make first.
 gl:
 	@scripts/ensure_gl.sh
+
+# Chromium for the tests of the HTML page.
+browser:
+	@scripts/ensure_browser.sh

@@ -20,9 +20,9 @@ from paper import figures, report, runner
 from paper.plan import FULL, QUICK, Plan, jobs
 from paper.results import Results
 from rich.console import Console
-from workers import exit_code
 
 from lieednn_sim import storage
+from lieednn_sim.workers import exit_code
 
 
 def reproduce(plan: Plan, directory: str | os.PathLike[str], workers: int, command: str, console: Console) -> Path:

@@ -1,8 +1,9 @@
-"""What every test needs: OpenGL chosen before MuJoCo, one thread for BLAS, and repeatable property tests."""
+"""What every test needs: OpenGL chosen before MuJoCo, one thread for BLAS, repeatable property tests, a browser."""
 
 from __future__ import annotations
 
 import os
+import shutil
 from collections.abc import Generator
 
 import pytest
@@ -15,7 +16,12 @@ for _variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ[_variable] = "1"
 
 _BACKEND = opengl.configure()
-_REQUIRE_RENDERING = os.environ.get("LIEEDNN_REQUIRE_RENDERING", "") not in ("", "0")
+# A skip for want of a marker's means is a failure where its variable is set.
+_REQUIRED = {
+    marker: variable
+    for marker, variable in (("rendering", "LIEEDNN_REQUIRE_RENDERING"), ("browser", "LIEEDNN_REQUIRE_BROWSER"))
+    if os.environ.get(variable, "") not in ("", "0")
+}
 
 settings.register_profile("lieednn", deadline=None, derandomize=True, print_blob=True)
 settings.load_profile("lieednn")
@@ -23,24 +29,25 @@ settings.load_profile("lieednn")
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_setup(item: pytest.Item) -> None:
-    """Skip a rendering test where nothing can be rendered."""
+    """Skip a rendering test where nothing can be rendered, and a browser test where there is no browser."""
     if item.get_closest_marker("rendering") and not _BACKEND.renders:
         pytest.skip(f"no headless OpenGL: {_BACKEND.detail}")
+    if item.get_closest_marker("browser"):
+        missing = [name for name in ("chromium", "chromedriver") if shutil.which(name) is None]
+        if missing:
+            pytest.skip(f"no {' and no '.join(missing)}; scripts/ensure_browser.sh installs them")
 
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_makereport(
     item: pytest.Item, call: pytest.CallInfo[None]
 ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
-    """Turn the skip of a rendering test into a failure when LIEEDNN_REQUIRE_RENDERING is set, whoever skipped it."""
+    """Turn the skip of a test into a failure when what it needs is required, whoever skipped it."""
     report = yield
-    if (
-        _REQUIRE_RENDERING
-        and report.skipped
-        and not hasattr(report, "wasxfail")
-        and item.get_closest_marker("rendering")
-    ):
-        reason = report.longrepr[2] if isinstance(report.longrepr, tuple) else str(report.longrepr)
-        report.outcome = "failed"
-        report.longrepr = f"LIEEDNN_REQUIRE_RENDERING is set, so this must not be skipped.\n{reason}"
+    if report.skipped and not hasattr(report, "wasxfail"):
+        for marker, variable in _REQUIRED.items():
+            if item.get_closest_marker(marker):
+                reason = report.longrepr[2] if isinstance(report.longrepr, tuple) else str(report.longrepr)
+                report.outcome = "failed"
+                report.longrepr = f"{variable} is set, so this must not be skipped.\n{reason}"
     return report

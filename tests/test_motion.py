@@ -76,7 +76,9 @@ def test_limits_are_checked_with_joint_value_bound_and_remedy(arm, network, moti
     check_motion(arm, make_motion(arm, network, arm.keyframe("home"), enough + 0.02, 0.002))
     beyond = motion.q.copy()
     beyond[900, 3] = 0.6
-    with pytest.raises(PlanError, match=r"at t = 1\.80 s joint 'extend1' would be at 0\.6 m, its range is \[0, 0\.45\]"):
+    with pytest.raises(
+        PlanError, match=r"at t = 1\.80 s joint 'extend1' would be at 0\.6 m, its range is \[0, 0\.45\]"
+    ):
         check_motion(arm, dataclasses.replace(motion, q=beyond))
 
 

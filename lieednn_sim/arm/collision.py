@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.arm import Arm
 from lieednn_sim.errors import InputError
-from lieednn_sim.validation import as_floats, as_positive
+from lieednn_sim.validation import as_floats
 
 Floats = NDArray[np.float64]
 Pairs = NDArray[np.int_]
@@ -51,6 +51,7 @@ class Collisions:
         arm: the arm.
         pairs: ``(P, 2)`` ids of the geoms that may collide, by MuJoCo's filter: contype and conaffinity, bodies
             welded together, parent and child, excludes, and the model's explicit pairs.
+        own: ``(P,)`` which of them are parts of the arm both; links may pass each other closely by design.
     """
 
     def __init__(self, arm: Arm) -> None:
@@ -59,6 +60,7 @@ class Collisions:
         self.arm = arm
         self.pairs = _colliding_pairs(arm.model)
         self._data = mujoco.MjData(arm.model)
+        self.own = (arm.model.body_weldid[arm.model.geom_bodyid[self.pairs]] != 0).all(axis=1)
         used, index = np.unique(self.pairs, return_inverse=True)
         self._used, self._first, self._second = used, *index.reshape(-1, 2).T
         model = arm.model
@@ -73,8 +75,8 @@ class Collisions:
         self._segment = np.zeros(6)
         self._translation = np.zeros((3, model.nv))
 
-    def distances(self, q: ArrayLike, cutoff: float) -> Distances:
-        """Distances and derivatives of all pairs closer than ``cutoff`` [m] at ``q`` ``(n,)``.
+    def distances(self, q: ArrayLike, cutoff: ArrayLike) -> Distances:
+        """Distances and derivatives of all pairs closer than ``cutoff`` [m], one or ``(P,)``, at ``q`` ``(n,)``.
 
         The derivative is exact where geoms are apart. In penetration it is the rate along MuJoCo's direction of
         separation, which for capsules in boxes is not always the shortest one.
@@ -82,15 +84,20 @@ class Collisions:
         Raises:
             InputError: q is malformed, or the cutoff is not positive.
         """
-        position, limit = self._move(q), as_positive("cutoff", cutoff)
-        near = np.flatnonzero(self._lower_bounds() < limit)
+        position = self._move(q)
+        limits = np.broadcast_to(
+            as_floats("cutoff", cutoff, () if np.ndim(cutoff) == 0 else self.pairs.shape[:1]), len(self.pairs)
+        )
+        if (limits <= 0.0).any():
+            raise InputError(f"cutoff must be positive, got {limits.min():g}")
+        near = np.flatnonzero(self._lower_bounds() < limits)
         model, data = self.arm.model, self._data
         mujoco.mj_comPos(model, data)
         distance, rows, found = [], [], []
         for index in near:
             first, second = map(int, self.pairs[index])
-            value = mujoco.mj_geomDistance(model, data, first, second, limit, self._segment)
-            if value >= limit:
+            value = mujoco.mj_geomDistance(model, data, first, second, limits[index], self._segment)
+            if value >= limits[index]:
                 continue
             rows.append(self._velocity_row(first, second, value))
             distance.append(value)
@@ -120,16 +127,17 @@ class Collisions:
         """The smallest signed distance at ``q`` ``(n,)`` [m]; negative when something penetrates, infinite alone."""
         return self.nearest(q)[0]
 
-    def free(self, q: ArrayLike, margin: float = 0.0) -> bool:
-        """Whether everything is further apart than ``margin`` [m] at ``q`` ``(n,)``."""
+    def free(self, q: ArrayLike, margin: float = 0.0, *, own: float | None = None) -> bool:
+        """Whether everything is further apart than ``margin`` [m] at ``q`` ``(n,)``; the arm's parts than ``own``."""
         self._move(q)
         limit = float(as_floats("margin", margin, ()))
+        limits = np.where(self.own, limit if own is None else float(as_floats("own", own, ())), limit)
         bounds = self._lower_bounds()
-        near = np.flatnonzero(bounds <= limit)
-        model, data, most = self.arm.model, self._data, abs(limit) + 1.0
+        near = np.flatnonzero(bounds <= limits)
+        model, data, most = self.arm.model, self._data, float(np.abs(limits).max(initial=0.0)) + 1.0
         for index in near[np.argsort(bounds[near], kind="stable")]:
             first, second = map(int, self.pairs[index])
-            if mujoco.mj_geomDistance(model, data, first, second, most, self._segment) <= limit:
+            if mujoco.mj_geomDistance(model, data, first, second, most, self._segment) <= limits[index]:
                 return False
         return True
 

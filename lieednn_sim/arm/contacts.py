@@ -23,9 +23,9 @@ class ContactChecker:
     def __init__(self, model: mujoco.MjModel, margin: float = 0.0) -> None:
         self._margin = margin
         self._model = copy.deepcopy(model)
-        # MuJoCo looks for contacts within the margins of both geoms; which of them count is decided here.
-        self._model.geom_margin[:] = margin
-        self._model.geom_gap[:] = 0.0
+        # Overridden rather than written into the geoms, whose bounding volumes were made for the old margins.
+        self._model.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_OVERRIDE)
+        self._model.opt.o_margin = margin
         self._data = mujoco.MjData(self._model)
 
     def __call__(self, qpos: Floats) -> list[tuple[str, str]]:

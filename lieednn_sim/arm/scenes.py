@@ -123,7 +123,7 @@ def _window(body: Any, arm: Arm, room: _Surroundings, rng: np.random.Generator) 
 
 
 def _shelf(body: Any, arm: Arm, room: _Surroundings, rng: np.random.Generator) -> None:
-    """A rack of two columns and two rows of compartments, open towards the arm; one of them is where it looks at home."""
+    """A rack of two columns and two rows of compartments, open towards the arm, which looks into one at home."""
     s = room.scale
     board = 0.015 * s
     depth = rng.uniform(0.16, 0.22) * s
@@ -155,10 +155,10 @@ def _poles(body: Any, arm: Arm, room: _Surroundings, rng: np.random.Generator) -
     half = (room.tip[2] + 0.8 * s) / 2.0
     away = _pole_clearances(arm, room, spots, radius, half) > HOME_CLEARANCE + 0.02
     chosen: list[int] = []
-    for index in np.flatnonzero(away):
+    for index in map(int, np.flatnonzero(away)):
         gaps = [np.linalg.norm(spots[index] - spots[other]) for other in chosen]
         if min(gaps, default=np.inf) > 0.42 * s and len(chosen) < wanted:
-            chosen.append(int(index))
+            chosen.append(index)
     if not chosen:
         raise InputError(f"no place for poles around arm {arm.name!r} at home; use another scene or seed")
     for number, index in enumerate(chosen):

@@ -16,8 +16,8 @@ from lieednn_sim.validation import as_seed
 
 Floats = NDArray[np.float64]
 
-# Everything keeps this distance at a target among obstacles [m].
-TARGET_CLEARANCE = 0.02
+# At a target the arm keeps this distance from obstacles, and its parts this one from each other [m].
+TARGET_CLEARANCE, OWN_CLEARANCE = 0.02, 0.001
 # Targets keep this share of a joint's range from its limits.
 LIMIT_MARGIN = 0.05
 # Targets of arms whose joints have all six freedoms: U(-0.8, 0.8) in the network's coordinates (paper, section 5).
@@ -33,7 +33,7 @@ def draw_target(arm: Arm, seed: int = 0) -> Floats:
 
     Without obstacles: uniform within the joint limits, or, where every compound joint has six freedoms, uniform in the
     network's coordinates. With obstacles the end effector is at a uniform point of one of the scene's goal boxes, in a
-    posture not far from home, and everything keeps `TARGET_CLEARANCE`.
+    posture not far from home, and at a distance of `TARGET_CLEARANCE` from obstacles.
 
     Raises:
         InputError: a bad seed, or no target was found.
@@ -55,7 +55,11 @@ def draw_target(arm: Arm, seed: int = 0) -> Floats:
         point = places[site] + turns[site] @ inside
         near = np.clip(home + 0.25 * rng.normal(size=arm.n_joints) * (high - low), low + inset, high - inset)
         q = _towards(arm, data, near, point, low + inset, high - inset)
-        if q is not None and arm.limit_excess(q).max() <= 0.0 and collisions.free(q, TARGET_CLEARANCE):
+        if (
+            q is not None
+            and arm.limit_excess(q).max() <= 0.0
+            and collisions.free(q, TARGET_CLEARANCE, own=OWN_CLEARANCE)
+        ):
             return q
     raise InputError(f"no target was found for arm {arm.name!r} among its obstacles; use another seed of the scene")
 

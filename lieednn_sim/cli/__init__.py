@@ -22,7 +22,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     0 well, 1 doctor found a problem, 2 an error, 130 interrupted or terminated, 141 the reader of the output went away.
     """
-    arguments = _parser().parse_args(_join_negative_numbers(sys.argv[1:] if argv is None else argv))
+    words = list(sys.argv[1:] if argv is None else argv)
+    arguments = _parser().parse_args(_join_negative_numbers(words))
+    arguments.words = words
     # A terminated run cleans up like an interrupted one; handlers belong to the main thread alone.
     restore = None
     if threading.current_thread() is threading.main_thread():
@@ -86,6 +88,9 @@ def _parser() -> argparse.ArgumentParser:
 
     evaluate = commands.add_parser("evaluate", help="metrics and plots of a run's simulation")
     _add_run(evaluate)
+
+    compare = commands.add_parser("compare", help="planners x arms x scenes x controllers x seeds: table and page")
+    _add_comparison(compare)
 
     doctor = commands.add_parser("doctor", help="versions, headless OpenGL, and what is missing")
     doctor.add_argument("--json", action="store_true", help="print JSON instead of a table")
@@ -158,6 +163,30 @@ def _add_run(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("run", metavar="DIR", help="run directory, made by 'synthesize', 'train' or 'demo'")
 
 
+def _add_comparison(parser: argparse.ArgumentParser) -> None:
+    for name, default in (
+        ("planners", "all"),
+        ("arms", "all"),
+        ("scenes", "free,window"),
+        ("controllers", "position-servo,inverse-dynamics"),
+    ):
+        parser.add_argument(f"--{name}", metavar="A,B,...", help=f"names, comma-separated (default: {default})")
+    parser.add_argument("--seeds", type=int, default=10, metavar="N", help="from seed 0 on (default: %(default)s)")
+    parser.add_argument("--duration", type=float, default=4.0, metavar="S", help="of motions (default: %(default)s)")
+    _add_conditions(parser)
+    parser.add_argument("--output", default="results/comparison", metavar="DIR", help="(default: %(default)s)")
+    parser.add_argument("--jobs", type=int, metavar="N", help="worker processes (default: all cores)")
+    parser.add_argument("--videos", type=int, default=0, metavar="N", help="cases to show (default: %(default)s)")
+    parser.add_argument(
+        "--video",
+        action="append",
+        default=[],
+        metavar="CASE",
+        help="a case to show, planner:arm:scene:seed; may be given more than once",
+    )
+    parser.add_argument("--date", default="", metavar="TEXT", help="to put into the page's head (default: none)")
+
+
 def _add_simulation(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--controller",
@@ -165,6 +194,10 @@ def _add_simulation(parser: argparse.ArgumentParser) -> None:
         metavar="NAME",
         help="position-servo, inverse-dynamics, computed-torque or mocap (default: %(default)s)",
     )
+    _add_conditions(parser)
+
+
+def _add_conditions(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--mass-scale",
         type=float,

@@ -73,6 +73,13 @@ def render(arguments: argparse.Namespace) -> None:
     _render(run, arguments, arguments.output or str(run.video))
 
 
+def compare(arguments: argparse.Namespace) -> None:
+    """Many planned and simulated motions to one table and one page."""
+    from lieednn_sim.cli.comparison import run
+
+    run(arguments, arguments.words)
+
+
 def doctor(arguments: argparse.Namespace) -> int:
     """Report on the installation; 1 when something is missing."""
     from lieednn_sim.cli.doctor import report

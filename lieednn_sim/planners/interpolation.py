@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from lieednn_sim.arm import Arm
 from lieednn_sim.lie import exp, left_jacobian_se3, log
 from lieednn_sim.motion import Motion, check_motion, minimum_jerk_law
+from lieednn_sim.planners.joint_space import joint_motion
 from lieednn_sim.planners.problem import PlanningProblem
 
 Floats = NDArray[np.float64]
@@ -21,15 +22,9 @@ def minimum_jerk(problem: PlanningProblem) -> Motion:
     Raises:
         PlanError: the motion breaks a limit of the arm.
     """
-    arm, t, sigma, rate = problem.arm, *_schedule(problem)
+    _, sigma, rate = _schedule(problem)
     way = problem.target - problem.start
-    q = problem.start + sigma[:, None] * way
-    # Where sigma is 1, start + (target - start) may miss the target by a rounding and leave a limit.
-    q[-1] = problem.target
-    none = np.zeros((len(t), arm.n_links))
-    motion = Motion(t, sigma, arm.encode(q), arm.encode(problem.target), q, rate[:, None] * way, none, none.copy())
-    check_motion(arm, motion)
-    return motion
+    return joint_motion(problem, problem.start + sigma[:, None] * way, rate[:, None] * way, sigma)
 
 
 def screw(problem: PlanningProblem) -> Motion:

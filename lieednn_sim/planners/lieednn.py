@@ -5,16 +5,19 @@ Each returns the network beside the motion, for its stability can be judged and 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import PlanError
-from lieednn_sim.learning import TrainingOptions, train
+from lieednn_sim.learning import TrainingOptions, TrainingResult, train
 from lieednn_sim.motion import Motion, check_motion, make_motion
-from lieednn_sim.network import LieEDNN
+from lieednn_sim.network import ComponentwiseNetwork, LieEDNN
+from lieednn_sim.planners.hopfield import HopfieldNetwork
 from lieednn_sim.planners.problem import PlanningProblem
 from lieednn_sim.planning import BIAS_MAGNITUDES, plan
 from lieednn_sim.synthesis import bias_for, synthesize
@@ -25,6 +28,8 @@ Floats = NDArray[np.float64]
 _REFERENCE_BIAS = 0.25
 # Networks to learn before giving up on a problem; like the search for certified ones, it goes through the strengths.
 _LEARNED_CANDIDATES = 4
+# Epochs for each network of plain gradient steps.
+_UNPROJECTED_EPOCHS = 20_000
 # Of a learned equilibrium: the motion ends there, and shall end at the target [rad, length_scale m].
 _LEARNED_TOLERANCE = 1e-8
 # A network's equilibrium further away than this is not the target [rad, length_scale m].
@@ -65,7 +70,7 @@ def reference_network(arm: Arm) -> LieEDNN:
     return synthesize(target, bias="sign-matched", bias_magnitude=_REFERENCE_BIAS).unwrap()
 
 
-def trained(problem: PlanningProblem) -> tuple[LieEDNN, Motion]:
+def trained(problem: PlanningProblem) -> tuple[ComponentwiseNetwork, Motion]:
     """The first of a few learned networks whose motion the arm can make; with a certificate where there is one.
 
     The weights are learned by tracked projective learning (`learning.train`) under the sign-matched bias.
@@ -73,23 +78,47 @@ def trained(problem: PlanningProblem) -> tuple[LieEDNN, Motion]:
     Raises:
         PlanError: no network was learned, or every motion breaks a limit of the arm.
     """
-    xi = problem.arm.encode(problem.target)
     options = TrainingOptions.tracked(tolerance=_LEARNED_TOLERANCE)
+    return _learned(problem, options, lambda result, _: result.network)
+
+
+def unprojected(problem: PlanningProblem) -> tuple[ComponentwiseNetwork, Motion]:
+    """As `trained`, by the gradient steps of Algorithm 1 alone: weights that never return to the adjoint matrices.
+
+    What is left is a plain network of 6N neurons (`HopfieldNetwork`), the ablation that shows what the structure is
+    good for. It gets a certificate where there is one.
+
+    Raises:
+        PlanError: no network was learned, or every motion breaks a limit of the arm.
+    """
+    options = TrainingOptions.repaired(
+        projection="none", tolerance=_LEARNED_TOLERANCE, max_epochs=_UNPROJECTED_EPOCHS, restarts=1
+    )
+    return _learned(problem, options, lambda result, bias: HopfieldNetwork(result.weight, bias))
+
+
+def _learned(
+    problem: PlanningProblem,
+    options: TrainingOptions,
+    network_of: Callable[[TrainingResult, Floats], ComponentwiseNetwork | None],
+) -> tuple[ComponentwiseNetwork, Motion]:
+    xi = problem.arm.encode(problem.target)
     refusal = ""
     for candidate in range(_LEARNED_CANDIDATES):
         magnitude = BIAS_MAGNITUDES[candidate % len(BIAS_MAGNITUDES)]
         bias = bias_for("sign-matched", xi, np.tanh(xi), 1.0, magnitude)
         result = train(xi, options, bias=bias, seed=problem.seed + candidate)
-        if not result.success or not isinstance(result.network, LieEDNN):
+        network = network_of(result, bias) if result.success else None
+        if network is None:
             # A refused motion tells more than a failed training.
             refusal = refusal or result.message
             continue
         try:
-            motion = _motion(problem, result.network)
+            motion = _motion(problem, network)
         except PlanError as error:
             refusal = str(error)
             continue
-        return result.network.try_certify(), motion
+        return network.try_certify(), motion
     raise PlanError(f"no learned network of {_LEARNED_CANDIDATES} can be used: {refusal}")
 
 
@@ -112,9 +141,10 @@ def linear_law(problem: PlanningProblem) -> tuple[LieEDNN, Motion]:
     return network.certify(), _motion(problem, network)
 
 
-def _motion(problem: PlanningProblem, network: LieEDNN) -> Motion:
+def _motion(problem: PlanningProblem, network: ComponentwiseNetwork) -> Motion:
     """The checked motion of a network, when it ends at the problem's target."""
-    motion = make_motion(problem.arm, network, problem.start, problem.duration, problem.timestep)
+    # `make_motion` asks for nothing that only a LieEDNN has.
+    motion = make_motion(problem.arm, cast(LieEDNN, network), problem.start, problem.duration, problem.timestep)
     # An uncertified network may have more equilibria than the one it was made for.
     distance = float(np.abs(motion.xi_target - problem.arm.encode(problem.target)).max())
     if distance > _ARRIVAL:

@@ -21,8 +21,8 @@ class PlanningProblem:
 
     Attributes:
         arm: the arm.
-        start: ``(2N,)`` joint position at rest [rad, m].
-        target: ``(2N,)`` joint position to come to rest at, free of contact [rad, m].
+        start: ``(n,)`` joint position at rest [rad, m].
+        target: ``(n,)`` joint position to come to rest at, free of contact [rad, m].
         duration: of the motion [s].
         seed: of planners that draw; the same seed gives the same motion.
 

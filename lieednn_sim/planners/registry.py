@@ -7,17 +7,19 @@ from functools import partial
 
 from lieednn_sim.errors import InputError
 from lieednn_sim.motion import Motion
-from lieednn_sim.network import LieEDNN
-from lieednn_sim.planners import interpolation, lieednn
+from lieednn_sim.network import ComponentwiseNetwork
+from lieednn_sim.planners import filtered, interpolation, lieednn, optimisation, primitives, sampling
 from lieednn_sim.planners.problem import PlanningProblem
 from lieednn_sim.validation import as_choice
 
 # Those that run a network, and return it beside the motion.
-NETWORK_PLANNERS: dict[str, Callable[[PlanningProblem], tuple[LieEDNN, Motion]]] = {
+NETWORK_PLANNERS: dict[str, Callable[[PlanningProblem], tuple[ComponentwiseNetwork, Motion]]] = {
     "linear-law": lieednn.linear_law,
     "lieednn-certified": lieednn.certified,
     "lieednn-retargeted": lieednn.retargeted,
     "lieednn-trained": lieednn.trained,
+    "lieednn-unprojected": lieednn.unprojected,
+    "lieednn-filtered": filtered.filtered,
 }
 
 
@@ -29,6 +31,10 @@ def _motion_of(name: str, problem: PlanningProblem) -> Motion:
 PLANNERS: dict[str, Callable[[PlanningProblem], Motion]] = {
     "minimum-jerk": interpolation.minimum_jerk,
     "screw": interpolation.screw,
+    "dmp": primitives.dmp,
+    "rrt-connect": sampling.rrt_connect,
+    "rrt-star": sampling.rrt_star,
+    "trajectory-optimisation": optimisation.trajectory_optimisation,
     **{name: partial(_motion_of, name) for name in NETWORK_PLANNERS},
 }
 
@@ -44,11 +50,12 @@ def plan_with(name: str, problem: PlanningProblem) -> Motion:
         InputError: an unknown name; the message lists the known ones.
         NotCertifiedError: no network could be certified.
         PlanError: the motion breaks a limit of the arm, or does not arrive.
+        LieEDNNError: a library that the planner needs is not installed; see `missing_planners`.
     """
     return plan_network(name, problem)[1]
 
 
-def plan_network(name: str, problem: PlanningProblem) -> tuple[LieEDNN | None, Motion]:
+def plan_network(name: str, problem: PlanningProblem) -> tuple[ComponentwiseNetwork | None, Motion]:
     """As `plan_with`, with the network that made the motion, or None for a planner that has none."""
     as_choice("planner", name, PLANNERS)
     if not isinstance(problem, PlanningProblem):

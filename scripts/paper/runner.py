@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 from rich.console import Console
-from workers import progress_bar, worker_pool
 
 from lieednn_sim import storage
 from lieednn_sim.errors import FileError
+from lieednn_sim.workers import progress_bar, worker_pool
 from paper import experiments
 from paper.plan import Job
 

@@ -1,0 +1,59 @@
+"""The command ``compare``: planners x arms x scenes x controllers x seeds into a table, a summary and a page."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shlex
+from collections.abc import Sequence
+
+from rich.console import Console
+
+from lieednn_sim.cli.console import console, progress, wrote
+from lieednn_sim.compare import Case, Selection, Settings, Table, compare, write_summary
+from lieednn_sim.errors import LieEDNNError
+from lieednn_sim.planners import missing_planners
+from lieednn_sim.report import Clip, choose_cases, film, write_page
+from lieednn_sim.validation import as_count
+
+
+def run(arguments: argparse.Namespace, command: Sequence[str]) -> None:
+    """Compute what is missing of the table, then write summary and page."""
+    settings = Settings(duration=arguments.duration, hold=arguments.hold, mass_scale=arguments.mass_scale)
+    selection = Selection(
+        planners=_split(arguments.planners),
+        arms=_split(arguments.arms),
+        scenes=_split(arguments.scenes),
+        controllers=_split(arguments.controllers),
+        seeds=arguments.seeds,
+    )
+    jobs = os.cpu_count() or 1 if arguments.jobs is None else arguments.jobs
+    # Bad values stop before the work that comes first.
+    as_count("videos", arguments.videos, least=0)
+    cases = [Case.parse(text) for text in arguments.video]
+    missing = {name: reason for name, reason in missing_planners().items() if name in selection.planners}
+    for name, reason in missing.items():
+        console.print(f"not compared: {name} is not installed ({reason})", highlight=False)
+    table = compare(arguments.output, selection, settings, jobs=jobs, console=Console(stderr=True))
+    summary, page = table.directory / "comparison.md", table.directory / "comparison.html"
+    write_summary(summary, table, missing)
+    clips = _film(table, cases + choose_cases(table, arguments.videos), selection.controllers[0])
+    line = shlex.join(["lieednn-sim", *command])
+    write_page(page, table, missing=missing, clips=clips, command=line, date=arguments.date)
+    wrote(table.csv, summary, page)
+
+
+def _split(text: str | None) -> tuple[str, ...]:
+    return () if text is None else tuple(text.split(","))
+
+
+def _film(table: Table, cases: Sequence[Case], controller: str) -> list[Clip]:
+    """Videos of the cases; of a case that cannot be shown the reason is said."""
+    clips: list[Clip] = []
+    for case in dict.fromkeys(cases):
+        try:
+            with progress(f"video {len(clips) + 1}") as report:
+                clips.append(film(table, case, controller, progress=report))
+        except LieEDNNError as error:
+            console.print(f"no video of {case}: {error}")
+    return clips

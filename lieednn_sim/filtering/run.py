@@ -1,0 +1,177 @@
+"""A network run through the filter in real time: it draws the way, the filter keeps the arm safe on it.
+
+The network is autonomous and proved to arrive, so its path and its pace are known beforehand (`motion.make_motion`);
+what the filter changes is the clock at which the arm follows: it runs slower the further the joints are behind, so the
+network never runs away, and never stands still, so the network arrives and its equilibrium stays the attractor. The
+joints that filter and obstacles leave behind are drawn to the network's present state by a bounded velocity.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.interpolate import CubicHermiteSpline
+
+from lieednn_sim.arm import Arm
+from lieednn_sim.errors import PlanError
+from lieednn_sim.filtering.proof import limits_proved
+from lieednn_sim.filtering.safety import FilterOptions, SafetyFilter
+from lieednn_sim.motion import LIMIT_TOLERANCE, Motion, make_motion
+from lieednn_sim.network import LieEDNN
+from lieednn_sim.validation import as_positive
+
+Floats = NDArray[np.float64]
+
+# Pull of the joints towards the network's state [1/s], and the share of the acceleration limits left for braking.
+_GAIN = 8.0
+_BRAKING_SHARE = 0.5
+# The clock slows down in proportion to how far the joints are behind [s, at full speed], but not below a share.
+_BEHIND = 0.15
+_SLOWEST = 0.3
+# The run has arrived when every joint is this close [rad, m] and this slow [1/s of that].
+_ARRIVED = 1e-4
+_STILL = 5e-3
+# Blocked: after the network's arrival the distance did not shrink by this share in this time [s].
+_PROGRESS = 0.02
+_PATIENCE = 0.4
+
+
+@dataclass(frozen=True)
+class FilteredRun:
+    """Outcome of a network's run through the filter.
+
+    Attributes:
+        success: whether the joints came to rest at the target.
+        message: how it ended; where it is blocked, by what.
+        blocked_by: position limits and pairs of geoms that hold the arm back, the hardest first; empty on success.
+        t: ``(K,)`` times of the control steps [s].
+        q: ``(K, n)`` joint positions [rad, m].
+        qd: ``(K, n)`` joint velocities; linear in between, which makes q's part between two steps quadratic.
+        clock: ``(K,)`` the reference's time that the network had got to [s].
+        clearance: ``(K,)`` smallest distance [m]; infinite beyond the filter's cutoff.
+        filtered_share: share of the steps in which position limits or clearance changed the velocities.
+        brakings: steps in which the limits allowed nothing but braking.
+        limits_proved: whether box invariance proves the position limits, filter or not.
+        reference: the network's own motion, unfiltered.
+    """
+
+    success: bool
+    message: str
+    blocked_by: tuple[str, ...]
+    t: Floats
+    q: Floats
+    qd: Floats
+    clock: Floats
+    clearance: Floats
+    filtered_share: float
+    brakings: int
+    limits_proved: bool
+    reference: Motion
+
+
+def run_filtered(
+    arm: Arm,
+    network: LieEDNN,
+    start: ArrayLike,
+    duration: float,
+    *,
+    timestep: float = 0.01,
+    longest: float = 3.0,
+    options: FilterOptions | None = None,
+) -> FilteredRun:
+    """Run a network from rest at ``start`` ``(n,)`` to its equilibrium, with all limits and clearance enforced.
+
+    Args:
+        arm: the arm, with its obstacles.
+        network: with as many neurons as the arm has links.
+        start: joint position.
+        duration: of the motion where nothing has to be filtered [s].
+        timestep: control step [s].
+        longest: the run ends after this many durations, arrived or not.
+        options: of the filter.
+
+    Raises:
+        InputError: a value is malformed, the start is out of the arm's reach, or something touches at start or end.
+        PlanError: the network has no equilibrium that the arm can be at, or does not arrive there by itself.
+    """
+    factor = as_positive("longest", longest)
+    reference = make_motion(arm, network, start, duration, timestep)
+    path = CubicHermiteSpline(reference.t, reference.q, reference.qd)
+    target = reference.q[-1]
+    filter_ = SafetyFilter(arm, timestep, options)
+    proved = limits_proved(arm, network, reference.xi[0])
+    outside = arm.limit_excess(target)
+    if outside.max() > LIMIT_TOLERANCE:
+        reason = arm.describe_excess(target, int(outside.argmax()))
+        raise PlanError(f"the network ends out of the arm's limits: {reason}")
+    filter_.allow(reference.q[0], target)
+
+    speeds, brakes = filter_.velocity_limits, _BRAKING_SHARE * filter_.acceleration_limits
+    end, h = float(reference.t[-1]), float(timestep)
+    q, v, clock = arm.check_position(start, "start"), np.zeros(arm.n_joints), 0.0
+    positions, velocities, clocks, clearances = [q], [v], [clock], [np.inf]
+    filtered = brakings = 0
+    blocked_by: tuple[str, ...] = ()
+    success, message = False, ""
+    best, since = np.inf, 0.0
+    for k in range(1, int(np.ceil(factor * end / h)) + 1):
+        error = path(clock) - q
+        rate = float(np.clip(1.0 - np.abs(error / speeds).max() / _BEHIND, _SLOWEST, 1.0)) if clock < end else 0.0
+        clock = min(clock + rate * h, end)
+        # Velocities at the end of the step are asked for, so that is where the reference is read.
+        error = path(clock) - q - 0.5 * h * v
+        wanted = _bounded(_towards(error, brakes) + rate * path(clock, 1), speeds)
+        step = filter_.step(q, v, wanted)
+        q, v = q + 0.5 * h * (v + step.velocity), step.velocity
+        filtered, brakings = filtered + step.active, brakings + step.braked
+        positions.append(q)
+        velocities.append(v)
+        clocks.append(clock)
+        clearances.append(step.clearance)
+        if clock < end:
+            continue
+        distance = np.abs(target - q).max()
+        if distance < _ARRIVED and np.abs(v).max() < _STILL:
+            success, message = True, f"arrived after {k * h:.2f} s"
+            break
+        if distance < (1.0 - _PROGRESS) * best:
+            best, since = distance, k * h
+        elif k * h - since > _PATIENCE:
+            blocked_by = step.blocking
+            by = " and ".join(blocked_by[:2]) or "the acceleration limits"
+            message = f"blocked by {by} after {k * h:.2f} s, {distance:.2g} (largest joint difference) from the target"
+            break
+    else:
+        blocked_by = step.blocking
+        message = f"not at the target after {factor:g} times the duration"
+        message += f"; held back by {' and '.join(blocked_by[:2])}" if blocked_by else ""
+    steps = len(positions) - 1
+    return FilteredRun(
+        success=success,
+        message=message,
+        blocked_by=blocked_by,
+        t=h * np.arange(steps + 1, dtype=np.float64),
+        q=np.array(positions),
+        qd=np.array(velocities),
+        clock=np.array(clocks),
+        # A step measures where it begins.
+        clearance=np.array([*clearances[1:], min(filter_.collisions.clearance(q), np.inf)]),
+        filtered_share=filtered / steps,
+        brakings=brakings,
+        limits_proved=proved,
+        reference=reference,
+    )
+
+
+def _towards(error: Floats, brakes: Floats) -> Floats:
+    """Velocities along the error ``(n,)``: in proportion to it, and never more than can be braked on the way."""
+    size = np.abs(error)
+    share = np.sqrt(2.0 * brakes / np.maximum(size, 1e-12)).min()
+    return min(_GAIN, float(share)) * error
+
+
+def _bounded(velocity: Floats, speeds: Floats) -> Floats:
+    """The velocity, slowed down as a whole where a joint is too fast."""
+    return velocity / max(1.0, float(np.abs(velocity / speeds).max()))

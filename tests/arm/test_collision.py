@@ -1,0 +1,113 @@
+"""Collision distances: against MuJoCo's contacts and its measuring of every pair, and derivatives numerically."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm import Arm
+from lieednn_sim.arm.collision import Collisions
+from lieednn_sim.errors import InputError
+
+ARMS = {
+    "poles": Arm.load("telescopic_pr", "poles", 3),
+    "shelf": Arm.load("telescopic_compound", "shelf", 1),
+    "window": Arm.load("telescopic_rrp", "window", 2),
+}
+COLLISIONS = {scene: Collisions(arm) for scene, arm in ARMS.items()}
+SEEDS = st.integers(0, 2**32 - 1)
+
+
+def posture(arm, seed):
+    low, high = arm.position_limits.T
+    q = np.random.default_rng(seed).uniform(low, high)
+    for ball in arm.space.balls:
+        q[ball] *= min(1.0, high[ball[0]] / np.linalg.norm(q[ball]))
+    return q
+
+
+def placed(arm, q):
+    data = mujoco.MjData(arm.model)
+    data.qpos[:] = arm.qpos(q)
+    mujoco.mj_kinematics(arm.model, data)
+    return data
+
+
+@pytest.mark.parametrize("scene", ARMS)
+@given(seed=SEEDS)
+@settings(max_examples=25)
+def test_a_posture_has_contacts_exactly_when_its_clearance_is_negative(scene, seed):
+    arm, collisions = ARMS[scene], COLLISIONS[scene]
+    q = posture(arm, seed)
+    touching = bool(arm.contacts(q))
+    assert (collisions.clearance(q) < 0.0) == touching
+    assert collisions.free(q) != touching
+
+
+@pytest.mark.parametrize("scene", ARMS)
+@given(seed=SEEDS, cutoff=st.sampled_from([0.02, 0.1]))
+@settings(max_examples=5)
+def test_the_bounds_leave_out_no_pair(scene, seed, cutoff):
+    arm, collisions = ARMS[scene], COLLISIONS[scene]
+    q = posture(arm, seed)
+    data = placed(arm, q)
+    every = np.array([mujoco.mj_geomDistance(arm.model, data, *pair, 5.0, None) for pair in collisions.pairs.tolist()])
+    found = collisions.distances(q, cutoff)
+    np.testing.assert_allclose(found.distance, np.sort(every[every < cutoff]), atol=1e-12)
+    nearest, pair = collisions.nearest(q)
+    assert nearest == pytest.approx(every.min(), abs=1e-12)
+    assert collisions.pairs.tolist()[int(every.argmin())] == list(pair) or np.sum(every < nearest + 1e-9) > 1
+    margin = nearest + 1e-6
+    assert not collisions.free(q, margin)
+    assert collisions.free(q, nearest - 1e-6)
+
+
+@pytest.mark.parametrize("scene", ARMS)
+@given(seed=SEEDS)
+@settings(max_examples=8)
+def test_derivatives_agree_with_finite_differences(scene, seed):
+    arm, collisions = ARMS[scene], COLLISIONS[scene]
+    q = posture(arm, seed)
+    way = np.random.default_rng(seed).normal(size=arm.n_joints)
+    found = collisions.distances(q, 0.15)
+    apart = found.distance > 1e-3
+    h = 1e-6
+    sides = []
+    for sign in (-1.0, 1.0):
+        data = placed(arm, q + sign * h * way)
+        sides.append([mujoco.mj_geomDistance(arm.model, data, *pair, 5.0, None) for pair in found.pairs.tolist()])
+    # Where two features are equally near the distance has a kink: both one-sided slopes bound the derivative.
+    down, up = (np.array(side) - found.distance for side in sides)
+    slopes = np.sort(np.stack([-down / h, up / h]), axis=0)
+    exact = found.jacobian @ way
+    tolerance = 2e-3 * np.linalg.norm(way)
+    assert (exact >= slopes[0] - tolerance)[apart].all()
+    assert (exact <= slopes[1] + tolerance)[apart].all()
+
+
+def test_the_pairs_are_those_that_mujoco_lets_collide():
+    arm = ARMS["poles"]
+    names = {frozenset(COLLISIONS["poles"].names(pair)) for pair in COLLISIONS["poles"].pairs}
+    assert frozenset({"floor", "link4_collision_palm"}) in names
+    assert frozenset({"obstacle_pole0", "link4_collision_palm"}) in names
+    # Neither things that stand still, nor what the model excludes, nor what only shows.
+    assert frozenset({"obstacle_pole0", "floor"}) not in names
+    assert frozenset({"link2_collision_tube", "link3_carrier_collision_tube"}) not in names
+    assert not any("foot" in name for pair in names for name in pair)
+    own = {frozenset(COLLISIONS["poles"].names(p)) for p in COLLISIONS["poles"].pairs[COLLISIONS["poles"].own]}
+    assert not any("obstacle" in name or name == "floor" for pair in own for name in pair)
+    assert own
+    free = Collisions(Arm.load("telescopic_pr"))
+    assert len(free.pairs) < len(COLLISIONS["poles"].pairs)
+    assert arm.scene == "poles"
+
+
+def test_refusals_say_why():
+    collisions = COLLISIONS["poles"]
+    with pytest.raises(InputError, match="cutoff must be positive, got 0"):
+        collisions.distances(ARMS["poles"].keyframe("home"), 0.0)
+    with pytest.raises(InputError, match=r"q must have shape \(8\)"):
+        collisions.clearance(np.zeros(3))
+    with pytest.raises(InputError, match="arm must be an Arm, got str"):
+        Collisions("telescopic_pr")

@@ -1,0 +1,85 @@
+"""Scenes: obstacles that leave home free, named and repeatable, and targets that need a way around them."""
+
+import numpy as np
+import pytest
+
+from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm import Arm, arm_names
+from lieednn_sim.arm.collision import Collisions
+from lieednn_sim.arm.scenes import GOAL_PREFIX, HOME_CLEARANCE, SCENES, add_obstacles
+from lieednn_sim.arm.targets import OWN_CLEARANCE, TARGET_CLEARANCE, draw_target
+from lieednn_sim.errors import InputError
+
+BARE = {name: Arm.load(name) for name in arm_names()}
+CASES = [(name, scene) for name in BARE for scene in SCENES if scene != "free"]
+
+
+def obstacles(arm):
+    return [g for g in range(arm.model.ngeom) if arm.model.geom(g).name.startswith("obstacle_")]
+
+
+@pytest.mark.parametrize("name", BARE)
+def test_home_is_free_and_targets_are_behind_the_obstacles(name):
+    blocked, cases = 0, [(scene, seed) for scene in SCENES if scene != "free" for seed in range(4)]
+    for scene, seed in cases:
+        arm = BARE[name].among(scene, seed)
+        collisions, home = Collisions(arm), arm.keyframe("home")
+        assert collisions.free(home, HOME_CLEARANCE, own=0.0)
+        target = draw_target(arm, seed)
+        assert collisions.free(target, TARGET_CLEARANCE, own=OWN_CLEARANCE)
+        assert arm.limit_excess(target).max() <= 0.0
+        tip = arm.link_poses(target).translation[-1]
+        assert any(inside(arm, site, tip) for site in goals(arm))
+        ways = home + np.linspace(0.0, 1.0, 40)[:, None] * (target - home)
+        blocked += not all(collisions.free(q) for q in ways)
+        np.testing.assert_array_equal(home, BARE[name].keyframe("home"))
+    assert 0 < blocked < len(cases), "neither trivial nor hopeless on the straight way"
+
+
+def goals(arm):
+    return [site for site in range(arm.model.nsite) if arm.model.site(site).name.startswith(GOAL_PREFIX)]
+
+
+def inside(arm, site, point):
+    data = mujoco.MjData(arm.model)
+    mujoco.mj_kinematics(arm.model, data)
+    local = data.site_xmat[site].reshape(3, 3).T @ (point - data.site_xpos[site])
+    return bool((np.abs(local) <= arm.model.site_size[site] + 2e-3).all())
+
+
+@pytest.mark.parametrize(("name", "scene"), CASES)
+def test_obstacles_are_named_solid_and_repeatable(name, scene):
+    arm, again, other = (BARE[name].among(scene, seed) for seed in (4, 4, 5))
+    model = arm.model
+    assert model.body(f"obstacle_{scene}").id > 0
+    for geom in obstacles(arm):
+        assert model.geom_group[geom] == 2
+        assert model.mat(model.geom_matid[geom]).name.startswith("obstacle_")
+    assert any(model.geom_contype[geom] for geom in obstacles(arm))
+    np.testing.assert_array_equal(model.geom_pos, again.model.geom_pos)
+    np.testing.assert_array_equal(model.geom_size, again.model.geom_size)
+    assert not np.array_equal(
+        model.geom_pos[obstacles(arm)], other.model.geom_pos[obstacles(other)][: len(obstacles(arm))]
+    )
+    np.testing.assert_array_equal(draw_target(arm, 7), draw_target(again, 7))
+
+
+def test_free_targets_keep_the_law_of_the_comparisons():
+    arm = BARE["telescopic_pr"]
+    rng = np.random.default_rng(5)
+    low, high = arm.position_limits.T
+    inset = 0.05 * (high - low)
+    first = rng.uniform(low + inset, high - inset)
+    while arm.contacts(first):
+        first = rng.uniform(low + inset, high - inset)
+    np.testing.assert_array_equal(draw_target(arm, 5), first)
+    spatial = BARE["telescopic_compound"]
+    assert np.abs(spatial.encode(draw_target(spatial, 5))).max() <= 0.8 + 1e-9
+
+
+def test_refusals_say_why():
+    arm = BARE["telescopic_pr"]
+    with pytest.raises(InputError, match="no scene 'maze'; allowed: free, poles, shelf, window"):
+        add_obstacles(arm.spec.copy(), arm, "maze", 0)
+    with pytest.raises(InputError, match="seed must be a whole number"):
+        add_obstacles(arm.spec.copy(), arm, "poles", -1)

@@ -1,0 +1,47 @@
+"""``lieednn-sim compare`` and the study script: files, messages, refusals."""
+
+from __future__ import annotations
+
+import importlib
+
+import pytest
+
+from lieednn_sim.cli import main
+from lieednn_sim.compare import read_rows
+
+ARGUMENTS = ["--planners", "minimum-jerk", "--arms", "telescopic_pr", "--scenes", "free", "--seeds", "1"]
+ARGUMENTS += ["--controllers", "computed-torque", "--duration", "1", "--hold", "0.1", "--jobs", "1", "--output"]
+
+
+def test_the_command_writes_table_summary_and_page_and_goes_on(tmp_path, capsys):
+    words = [*ARGUMENTS, str(tmp_path / "out"), "--mass-scale", "1.2", "--video", "screw:telescopic_pr:free:0"]
+    assert main(["compare", *words]) == 0
+    printed = capsys.readouterr().out
+    names = {"comparison.csv", "comparison.json", "comparison.md", "comparison.html"}
+    assert {path.name for path in (tmp_path / "out").iterdir()} == names
+    assert "no video of screw:telescopic_pr:free:0: the table has no case" in printed
+    (row,) = read_rows(tmp_path / "out" / "comparison.csv").values()
+    assert (row["planner"], row["controller"], row["mass_scale"]) == ("minimum-jerk", "computed-torque", "1.2")
+    assert "lieednn-sim compare --planners minimum-jerk" in (tmp_path / "out" / "comparison.html").read_text("utf-8")
+    # The study script is the same command; with another option it must not go on.
+    script = importlib.import_module("evaluate_tracking")
+    assert script.main([*ARGUMENTS, str(tmp_path / "out")]) == 2
+    assert "made with mass_scale 1.2, now 1.0; choose another --output" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--planners", "a-star"], "no planner 'a-star'; allowed:"),
+        (["--arms", "crane"], "no arm 'crane'"),
+        (["--seeds", "0"], "seeds must be at least 1"),
+        (["--jobs", "0"], "jobs must be at least 1"),
+        (["--videos", "-1"], "videos must be at least 0"),
+        (["--video", "screw"], "must look like planner:arm:scene:seed"),
+    ],
+)
+def test_bad_options_stop_before_the_work(words, message, tmp_path, capsys):
+    output = tmp_path / "out"
+    assert main(["compare", "--output", str(output), *words]) == 2
+    assert message in capsys.readouterr().err
+    assert not output.exists()
