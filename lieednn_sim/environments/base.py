@@ -1,0 +1,287 @@
+"""An episode on a simulated arm: actions are joint velocities, observations are arrays with names and bounds."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections import OrderedDict
+from typing import Any, NamedTuple
+
+import numpy as np
+from dm_control.utils import rewards
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import RigidTransform
+
+from lieednn_sim.arm import Arm
+from lieednn_sim.errors import InputError, SimulationError
+from lieednn_sim.lie import log
+from lieednn_sim.simulate import Simulation
+from lieednn_sim.simulate.control import PositionServo
+from lieednn_sim.simulate.reference import Reference, steps_in
+from lieednn_sim.validation import as_choice, as_floats, as_positive, as_seed
+
+Floats = NDArray[np.float64]
+Observation = OrderedDict[str, Floats]
+Bounds = dict[str, tuple[Floats, Floats]]
+
+# Frames that must be where they shall be.
+GOALS = ("end-effector", "links")
+_MAX_TIME_LIMIT = 1000.0
+# Errors [m], [rad] at which the near part of a reward is down to a tenth; the far part's are half the reach and pi.
+_NEAR = (0.05, 0.1)
+# Observed joint positions may be beyond their limits by this share of their range, and velocities are observed up to
+# this multiple of theirs: servos overshoot a little, and contacts push.
+_POSITION_SLACK, _VELOCITY_SLACK = 0.1, 5.0
+
+
+class Transition(NamedTuple):
+    """What follows an action.
+
+    Attributes:
+        observation: arrays by name, those of `ArmTask.bounds`.
+        reward: in [0, 1].
+        terminated: the simulation failed, there is no state to go on from.
+        truncated: the time limit is reached, the state is like any other.
+        info: ``success``, ``distance`` [m], ``angle`` [rad]; and ``failure``, why the simulation failed.
+    """
+
+    observation: Observation
+    reward: float
+    terminated: bool
+    truncated: bool
+    info: dict[str, Any]
+
+
+class ArmTask(ABC):
+    """Bring an arm to joint positions that its observations tell, by joint velocities.
+
+    An action in [-1, 1]^n is a joint velocity as a share of the limits. It moves the commanded position, which stays
+    within the position limits, at constant velocity for one control step; the arm's position servos follow it, with
+    velocity feedforward, at every physics step. Actions outside are clipped.
+
+    Observations, of which each has finite bounds and is clipped to them:
+
+    - ``position`` ``(n,)`` [rad, m], ``velocity`` ``(n,)`` [rad/s, m/s] of the joints,
+    - ``command`` ``(n,)``: the commanded position,
+    - ``position_error`` ``(n,)``: target minus position,
+    - ``pose_error`` ``(F, 6)``: for each of the frames that count, Log(T^-1 T_target) as twist (omega, v) [rad, m].
+
+    Args:
+        arm: name of an arm of the package, or an arm.
+        scene: obstacles around it, a name of `arm.scenes.SCENES`.
+        scene_seed: of the obstacles' positions.
+        control_timestep: time between actions [s], a whole number of physics steps.
+        time_limit: of an episode [s].
+        goal: ``"end-effector"``: its frame counts; ``"links"``: all link frames do, and the worst decides.
+        position_tolerance: [m].
+        rotation_tolerance: [rad].
+
+    Attributes:
+        arm: the arm.
+        simulation: of the arm.
+        bounds: lower and upper bounds of the observations, by name.
+        episode: how many episodes have begun.
+        distance: between the frames that count and their targets at the present time, the largest [m].
+        angle: the same [rad].
+
+    Raises:
+        InputError: an argument is malformed, or the arm has infinite position or velocity limits.
+    """
+
+    def __init__(
+        self,
+        arm: str | Arm = "telescopic_pr",
+        *,
+        scene: str = "free",
+        scene_seed: int = 0,
+        control_timestep: float = 0.02,
+        time_limit: float = 6.0,
+        goal: str = "end-effector",
+        position_tolerance: float = 1e-3,
+        rotation_tolerance: float = float(np.deg2rad(0.1)),
+    ) -> None:
+        if isinstance(arm, Arm):
+            self.arm = arm.among(scene, scene_seed)
+        else:
+            self.arm = Arm.load(arm, scene, as_seed("scene_seed", scene_seed))
+        if not (np.isfinite(self.arm.position_limits).all() and np.isfinite(self.arm.velocity_limits).all()):
+            raise InputError(f"arm {self.arm.name!r} needs finite position and velocity limits: they scale the actions")
+        timestep = float(self.arm.model.opt.timestep)
+        self._substeps = steps_in("control_timestep", control_timestep, timestep)
+        self.control_timestep = self._substeps * timestep
+        self.time_limit = as_positive("time_limit", time_limit)
+        if not self.control_timestep <= time_limit <= _MAX_TIME_LIMIT:
+            raise InputError(
+                f"time_limit must be between one control step of {self.control_timestep:g} s and "
+                f"{_MAX_TIME_LIMIT:g} s, got {time_limit:g} s"
+            )
+        self.steps = int(np.ceil(self.time_limit / self.control_timestep - 1e-6))
+        self.goal = as_choice("goal", goal, GOALS)
+        self.position_tolerance = as_positive("position_tolerance", position_tolerance)
+        self.rotation_tolerance = as_positive("rotation_tolerance", rotation_tolerance)
+        self.simulation = Simulation(self.arm)
+        self._reference = Reference(self.arm, self.steps * self._substeps + 1)
+        self._servo = PositionServo(self.arm, self._reference)
+        self._frames = slice(-1, None) if self.goal == "end-effector" else slice(None)
+        self._reach = _reach(self.arm)
+        self.bounds: Bounds = self._common_bounds()
+        self.episode = 0
+        self.distance, self.angle = float("inf"), float(np.pi)
+        self._over = True
+        self._step = 0
+        self._seen: dict[str, Floats] = {}
+
+    @abstractmethod
+    def _draw(self, rng: np.random.Generator, options: dict[str, Any]) -> None:
+        """Draw what is to be done in the episode that begins, unless options tell; unknown ones are errors."""
+
+    @abstractmethod
+    def target(self, time: float) -> Floats:
+        """Joint target ``(n,)`` at a time of the episode [s]."""
+
+    @abstractmethod
+    def _target_poses(self, step: int) -> RigidTransform:
+        """Link frames ``(N,)`` at the joint target of a control step's beginning."""
+
+    @abstractmethod
+    def reward(self) -> float:
+        """Reward at the present time, in [0, 1]."""
+
+    @abstractmethod
+    def success(self) -> bool:
+        """Whether the arm is where it shall be at the present time."""
+
+    @property
+    def time(self) -> float:
+        """Present time of the episode [s]."""
+        return self._step * self.control_timestep
+
+    @property
+    def command(self) -> Floats:
+        """The commanded joint position ``(n,)``."""
+        return self._reference.q[self._step * self._substeps].copy()
+
+    def begin(self, rng: np.random.Generator, options: dict[str, Any] | None = None) -> Observation:
+        """Begin an episode: the arm rests at ``home``, and what is to be done is drawn from the generator.
+
+        Nothing is left of earlier episodes: the episode is a function of the generator's state, options and actions.
+
+        Raises:
+            InputError: unknown or malformed options, or there is no target for this arm in its scene.
+        """
+        self._over = True
+        self._draw(rng, dict(options or {}))
+        home = self.arm.keyframe("home")
+        self.simulation.reset(home)
+        self._reference.known = 0
+        self._reference.extend(home[None], np.zeros((1, self.arm.n_joints)))
+        self._step, self._over = 0, False
+        self.episode += 1
+        self._look()
+        return self.observe()
+
+    def step(self, action: ArrayLike) -> Transition:
+        """Do one control step with an action ``(n,)``.
+
+        Raises:
+            InputError: the action is malformed or not finite, or there is no episode to go on with.
+        """
+        share = np.clip(as_floats("action", action, (self.arm.n_joints,)), -1.0, 1.0)
+        if self._over:
+            raise InputError("the episode is over, or none has begun: reset first")
+        start = self.command
+        end = self._within_limits(start + self.control_timestep * share * self.arm.velocity_limits)
+        parts = np.arange(1, self._substeps + 1)[:, None] / self._substeps
+        rate = np.broadcast_to((end - start) / self.control_timestep, (self._substeps, len(end)))
+        # Not start + 1.0 * (end - start), so that the command is on the limit, not beyond it by rounding.
+        self._reference.extend((1.0 - parts) * start + parts * end, rate)
+        first = self._step * self._substeps
+        try:
+            for step in range(first, first + self._substeps):
+                self._servo.act(self.simulation.data, step, self.simulation.noise)
+                self.simulation.advance()
+        except SimulationError as error:
+            self._over = True
+            return Transition(
+                self.observe(), 0.0, True, False, {**self.info(), "success": False, "failure": str(error)}
+            )
+        self._step += 1
+        self._over = self._step >= self.steps
+        self._look()
+        return Transition(self.observe(), self.reward(), False, self._over, self.info())
+
+    def observe(self) -> Observation:
+        """Observations of the present time; new arrays. After a failure those of the last good time."""
+        return OrderedDict((name, value.copy()) for name, value in self._seen.items())
+
+    def info(self) -> dict[str, Any]:
+        """Whether the arm is where it shall be, and the errors, of the present time; see `Transition`."""
+        return {"success": self.success(), "distance": self.distance, "angle": self.angle}
+
+    def _look(self) -> None:
+        """Take the observations of the present time, and the errors, which cost as much as the physics."""
+        # T^-1 T_target of the frames that count, shape (F,).
+        to_go = self.simulation.link_poses()[self._frames].inv() * self._target_poses(self._step)[self._frames]
+        self.distance = float(np.linalg.norm(to_go.translation, axis=-1).max())
+        self.angle = float(to_go.rotation.magnitude().max())
+        q = self.simulation.q
+        values = {
+            "position": q,
+            "velocity": self.simulation.qd,
+            "command": self.command,
+            "position_error": self.target(self.time) - q,
+            "pose_error": log(to_go),
+            **self._more_observations(),
+        }
+        self._seen = {name: np.clip(values[name], low, high) for name, (low, high) in self.bounds.items()}
+
+    def _more_observations(self) -> dict[str, Floats]:
+        """What a task observes beside what all do; their bounds belong into `bounds`."""
+        return {}
+
+    def _closeness(self) -> float:
+        """1 within the tolerances, else less: the mean of what is seen from afar and of what only counts near by.
+
+        Each is a product of a term for the distance and one for the angle, which fall to a tenth where the error is
+        beyond its tolerance by the margin.
+        """
+        errors = (self.distance, self.angle)
+        tolerances = (self.position_tolerance, self.rotation_tolerance)
+        parts = [
+            rewards.tolerance(error, (0.0, allowed), margin, "long_tail")
+            for margins in ((0.5 * self._reach, np.pi), _NEAR)
+            for error, allowed, margin in zip(errors, tolerances, margins, strict=True)
+        ]
+        return float(0.5 * (parts[0] * parts[1] + parts[2] * parts[3]))
+
+    def _within_tolerance(self) -> bool:
+        return self.distance <= self.position_tolerance and self.angle <= self.rotation_tolerance
+
+    def _within_limits(self, q: Floats) -> Floats:
+        low, high = self.arm.position_limits.T
+        q = np.clip(q, low, high)
+        for ball in self.arm.space.balls:
+            q[ball] *= min(1.0, high[ball[0]] / max(float(np.linalg.norm(q[ball])), 1e-300))
+        return q
+
+    def _common_bounds(self) -> Bounds:
+        arm = self.arm
+        low, high = arm.position_limits.T
+        slack = _POSITION_SLACK * (high - low)
+        velocity = _VELOCITY_SLACK * arm.velocity_limits
+        span = high - low + 2.0 * slack
+        # |v| <= (pi / 2) |p| for a pose with translation p, whose length is at most twice the reach.
+        twist = np.repeat([np.pi, np.pi * self._reach], 3) + np.zeros((len(range(arm.n_links)[self._frames]), 6))
+        return {
+            "position": (low - slack, high + slack),
+            "velocity": (-velocity, velocity),
+            "command": (low.copy(), high.copy()),
+            "position_error": (-span, span),
+            "pose_error": (-twist, twist),
+        }
+
+
+def _reach(arm: Arm) -> float:
+    """No link frame is further from the base than this [m]: the lengths between frames, and what slides add."""
+    lengths = np.linalg.norm(arm.mounts.translation, axis=-1) + np.linalg.norm(arm.tips.translation, axis=-1)
+    slides = np.array([unit == "m" for unit in arm.space.units])
+    return float(lengths.sum() + np.abs(arm.position_limits[slides]).max(axis=1).sum())

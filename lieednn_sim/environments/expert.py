@@ -1,0 +1,78 @@
+"""The expert policy: follows a LieEDNN plan, or the target that moves, in every interface."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieednn_sim.environments.base import ArmTask
+from lieednn_sim.environments.tasks import Track
+from lieednn_sim.environments.trajectories import Trajectory, planned
+from lieednn_sim.errors import InputError
+from lieednn_sim.planners import PLANNERS
+from lieednn_sim.validation import as_choice, as_count, as_seed
+
+Floats = NDArray[np.float64]
+
+
+class Expert:
+    """A policy that knows the arm.
+
+    In `Reach` it plans for each episode's target a certified network's motion from ``home``, through the safety filter
+    where there are obstacles, and commands its positions, as fast as 90 % of the limits allow. In `Track` it commands the target's next position. Its
+    actions are within [-1, 1].
+
+    Args:
+        environment: an `ArmTask`, an environment of `suite.load`, or a Gymnasium one, wrapped or not.
+        planner: a name of `planners.PLANNERS`; by default `planning.plan`, and ``lieednn-filtered`` among obstacles.
+        candidates: networks to draw for a plan at first, see `trajectories.planned`.
+        seed: of the draws.
+
+    Raises:
+        InputError: the environment is none of these, or there is no such planner.
+    """
+
+    def __init__(self, environment: Any, *, planner: str | None = None, candidates: int = 2, seed: int = 0) -> None:
+        inner = getattr(environment, "unwrapped", environment)
+        task = inner if isinstance(inner, ArmTask) else getattr(inner, "task", None)
+        if not isinstance(task, ArmTask):
+            raise InputError(
+                "environment must be an ArmTask, or made by suite.load or gymnasium.make from one of this package's, "
+                f"got {type(environment).__name__}"
+            )
+        self._task = task
+        if planner is None and task.arm.scene != "free":
+            planner = "lieednn-filtered"
+        self._planner = None if planner is None else as_choice("planner", planner, PLANNERS)
+        self._candidates = as_count("candidates", candidates)
+        self._seed = as_seed("seed", seed)
+        self._episode = 0
+        self._plan: Trajectory
+
+    def act(self, observation: Any = None) -> Floats:
+        """Action ``(n,)`` for the present time of the environment.
+
+        Args:
+            observation: not looked at; it is there so that the expert is called like any other policy.
+
+        Raises:
+            PlanError: no plan was found for the episode's target.
+            NotCertifiedError: no network could be certified for it.
+        """
+        task = self._task
+        if task.episode == 0:
+            raise InputError("the environment has not been reset")
+        ahead = task.time + task.control_timestep
+        wanted = task.target(ahead) if isinstance(task, Track) else self._reach(task).position(ahead)
+        action = (wanted - task.command) / (task.control_timestep * task.arm.velocity_limits)
+        return np.clip(action, -1.0, 1.0)
+
+    def _reach(self, task: ArmTask) -> Trajectory:
+        if self._episode != task.episode:
+            self._plan = planned(
+                task.arm, task.target(0.0), planner=self._planner, candidates=self._candidates, seed=self._seed
+            )
+            self._episode = task.episode
+        return self._plan

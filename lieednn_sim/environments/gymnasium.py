@@ -1,0 +1,141 @@
+"""The tasks as Gymnasium environments ``LieEDNN/TelescopicReach-v0`` and ``LieEDNN/TelescopicTrack-v0``.
+
+Gymnasium finds environments of other packages when their module is named or imported::
+
+    import gymnasium
+
+    environment = gymnasium.make("lieednn_sim.environments.gymnasium:LieEDNN/TelescopicReach-v0")
+
+or, after ``import lieednn_sim.environments.gymnasium``, by the name alone.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieednn_sim.arm import Arm
+from lieednn_sim.environments.base import Observation
+from lieednn_sim.environments.tasks import make_task
+from lieednn_sim.errors import InputError, LieEDNNError
+from lieednn_sim.render.video import Camera
+
+try:
+    import gymnasium
+    from gymnasium import spaces
+except ImportError:
+    raise LieEDNNError("this module needs gymnasium: pip install 'lieednn_sim[gymnasium]'") from None
+
+Floats = NDArray[np.float64]
+
+# The task of each environment, by name.
+ENVIRONMENTS = {"LieEDNN/TelescopicReach-v0": "reach", "LieEDNN/TelescopicTrack-v0": "track"}
+
+
+class Environment(gymnasium.Env[Any, Floats]):
+    """A task behind the interface of Gymnasium; the time limit is the task's own and truncates.
+
+    ``reset(options={"target": q})`` chooses the target of a `Reach` episode.
+
+    Args:
+        task: a name of `tasks.TASKS`.
+        arm: name of an arm of the package, or an arm.
+        scene: obstacles around it, a name of `arm.scenes.SCENES`.
+        render_mode: ``"rgb_array"`` or None.
+        size: (width, height) of frames.
+        preset: rendering quality, a name of `render.video.PRESETS`.
+        flat: observe one vector, `gymnasium.spaces.flatten` of the dictionary.
+        options: others of the task, see `ArmTask`, `Reach` and `Track`.
+
+    Attributes:
+        task: the task.
+
+    Raises:
+        InputError: an argument is malformed.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 50}  # noqa: RUF012 (Gymnasium's own)
+
+    def __init__(
+        self,
+        task: str = "reach",
+        *,
+        arm: str | Arm = "telescopic_pr",
+        scene: str = "free",
+        render_mode: str | None = None,
+        size: tuple[int, int] = (640, 480),
+        preset: str = "draft",
+        flat: bool = False,
+        **options: Any,
+    ) -> None:
+        if render_mode is not None and render_mode not in self.metadata["render_modes"]:
+            raise InputError(f"render_mode must be 'rgb_array' or None, got {render_mode!r}")
+        self.task = make_task(task, arm, scene=scene, **options)
+        self.render_mode = render_mode
+        self.metadata = {**self.metadata, "render_fps": round(1.0 / self.task.control_timestep)}
+        self._size, self._preset = size, preset
+        self._camera: _MarkedCamera | None = None
+        self._resources = contextlib.ExitStack()
+        self._space = spaces.Dict(
+            {name: spaces.Box(low, high, dtype=np.float64) for name, (low, high) in self.task.bounds.items()}
+        )
+        self.observation_space = spaces.flatten_space(self._space) if flat else self._space
+        self.action_space = spaces.Box(-1.0, 1.0, (self.task.arm.n_joints,), np.float64)
+        self._flat = flat
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Begin an episode; see Gymnasium, and `Reach` for the option ``target``."""
+        super().reset(seed=seed)
+        observation = self.task.begin(self.np_random, options)
+        return self._shown(observation), self.task.info()
+
+    def step(self, action: Floats) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """Do one control step; terminated when the simulation failed, truncated at the time limit.
+
+        Raises:
+            InputError: the action is malformed or not finite, or the episode is over.
+        """
+        after = self.task.step(action)
+        return self._shown(after.observation), after.reward, after.terminated, after.truncated, after.info
+
+    def render(self) -> Any:
+        """Frame ``(height, width, 3)`` of the present time with the marker at the target, or None without a mode.
+
+        Raises:
+            RenderingUnavailableError: there is no working OpenGL.
+        """
+        if self.render_mode is None:
+            return None
+        if self._camera is None:
+            self._camera = _MarkedCamera(self.task.arm, size=self._size, preset=self._preset)
+            self._resources.push(self._camera)
+        return self._camera.frame(self.task.simulation.q, self.task.target(self.task.time))
+
+    def close(self) -> None:
+        """Free the OpenGL context; the environment may be closed twice, and rendered again."""
+        self._resources.close()
+        self._camera = None
+
+    def _shown(self, observation: Observation) -> Any:
+        return spaces.flatten(self._space, observation) if self._flat else dict(observation)
+
+
+class _MarkedCamera(Camera):
+    """A camera whose scene marks a target that changes."""
+
+    def frame(self, q: Floats, target: Floats) -> NDArray[np.uint8]:
+        self._place_marker(target)
+        return self.picture(q)
+
+
+def register() -> None:
+    """Tell Gymnasium the environments; done at import, harmless when repeated."""
+    for name, task in ENVIRONMENTS.items():
+        if name not in gymnasium.registry:
+            gymnasium.register(name, entry_point=f"{__name__}:Environment", kwargs={"task": task})
+
+
+register()

@@ -1,0 +1,154 @@
+"""The tasks: reach a target and stay there, and track one that moves."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from dm_control.utils import rewards
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
+
+from lieednn_sim.arm import Arm
+from lieednn_sim.arm.targets import draw_target
+from lieednn_sim.environments.base import ArmTask
+from lieednn_sim.environments.trajectories import Trajectory, band_limited, planned
+from lieednn_sim.errors import InputError, NotCertifiedError, PlanError
+from lieednn_sim.validation import as_choice, as_count
+
+Floats = NDArray[np.float64]
+
+# Joints at rest move no faster than this share of their velocity limits.
+REST = 0.01
+# Where a target comes from that moves.
+REFERENCES = ("band-limited", "plan")
+# Share of the velocity limits, beyond the former, at which the reward for resting is down to a tenth.
+_REST_MARGIN = 0.5
+_ATTEMPTS = 10
+
+
+class Reach(ArmTask):
+    """Come to rest at a random target that the arm can reach, drawn for each episode by `arm.targets.draw_target`.
+
+    Success: the frames that count are within the tolerances, and no joint moves faster than `REST` of its limit.
+    The reward is the closeness of distance and angle, at rest all of it, in motion down to half of it; it is 1
+    exactly at success.
+
+    Begin an episode with the option ``target``, a joint position ``(n,)``, to choose it.
+    """
+
+    def _draw(self, rng: np.random.Generator, options: dict[str, Any]) -> None:
+        chosen = options.pop("target", None)
+        _refuse(options, "target")
+        # Drawn in any case, so that what follows in the generator does not depend on the options.
+        seed = int(rng.integers(2**32))
+        self._target = draw_target(self.arm, seed) if chosen is None else self.arm.check_position(chosen, "target")
+        self._poses = self.arm.link_poses(self._target)
+
+    def target(self, time: float) -> Floats:
+        """See `ArmTask`; it does not move."""
+        return self._target.copy()
+
+    def reward(self) -> float:
+        """See `ArmTask`."""
+        still = rewards.tolerance(self._speed(), (0.0, REST), _REST_MARGIN, "long_tail")
+        return self._closeness() * 0.5 * (1.0 + float(still))
+
+    def success(self) -> bool:
+        """See `ArmTask`."""
+        return self._within_tolerance() and self._speed() <= REST
+
+    def _speed(self) -> float:
+        return float(np.abs(self.simulation.qd / self.arm.velocity_limits).max())
+
+    def _target_poses(self, step: int) -> RigidTransform:
+        return self._poses
+
+
+class Track(ArmTask):
+    """Keep up with a target that moves from ``home`` within the arm's limits, free of contact.
+
+    Observations tell beside those of every task ``target_velocity`` ``(n,)`` and ``preview`` ``(P, n)``, where the
+    target will be at the ends of this and the following control steps. Success: the frames that count are within
+    the tolerances now. The reward is the closeness, 1 exactly at success.
+
+    Args:
+        arm: as in `ArmTask`.
+        reference: ``"band-limited"``, a random joint trajectory without end; or ``"plan"``, a LieEDNN plan to a random
+            target, which takes a second to make for each episode.
+        preview: P.
+        position_tolerance: [m]; an error of half a centimetre counts as none, for no servo follows without any.
+        rotation_tolerance: [rad].
+        options: others of `ArmTask`.
+    """
+
+    def __init__(
+        self,
+        arm: str | Arm = "telescopic_pr",
+        *,
+        reference: str = "band-limited",
+        preview: int = 5,
+        position_tolerance: float = 5e-3,
+        rotation_tolerance: float = float(np.deg2rad(0.5)),
+        **options: Any,
+    ) -> None:
+        self.reference = as_choice("reference", reference, REFERENCES)
+        self.preview = as_count("preview", preview)
+        super().__init__(arm, position_tolerance=position_tolerance, rotation_tolerance=rotation_tolerance, **options)
+        velocity = self.arm.velocity_limits
+        low, high = (np.tile(limit, (self.preview, 1)) for limit in self.arm.position_limits.T)
+        self.bounds |= {"target_velocity": (-velocity, velocity), "preview": (low, high)}
+
+    def _draw(self, rng: np.random.Generator, options: dict[str, Any]) -> None:
+        _refuse(options)
+        if self.reference == "band-limited":
+            self._trajectory = band_limited(self.arm, rng, (self.steps + self.preview) * self.control_timestep)
+        else:
+            self._trajectory = self._draw_plan(rng)
+        times = self.control_timestep * np.arange(self.steps + 1)
+        self._poses = self.arm.link_poses(self._trajectory.position(times))
+
+    def _target_poses(self, step: int) -> RigidTransform:
+        return self._poses[step]
+
+    def _draw_plan(self, rng: np.random.Generator) -> Trajectory:
+        refusal = ""
+        for _ in range(_ATTEMPTS):
+            seed = int(rng.integers(2**32))
+            try:
+                return planned(self.arm, draw_target(self.arm, seed), seed=seed)
+            except (PlanError, NotCertifiedError) as error:
+                refusal = str(error)
+        raise InputError(f"no plan was found for {_ATTEMPTS} random targets; the last one: {refusal}")
+
+    def target(self, time: float) -> Floats:
+        """See `ArmTask`."""
+        return self._trajectory.position(time)
+
+    def reward(self) -> float:
+        """See `ArmTask`."""
+        return self._closeness()
+
+    def success(self) -> bool:
+        """See `ArmTask`."""
+        return self._within_tolerance()
+
+    def _more_observations(self) -> dict[str, Floats]:
+        times = self.time + self.control_timestep * np.arange(1, self.preview + 1)
+        return {
+            "target_velocity": self._trajectory.velocity(self.time),
+            "preview": self._trajectory.position(times),
+        }
+
+
+TASKS: dict[str, type[ArmTask]] = {"reach": Reach, "track": Track}
+
+
+def make_task(task: str, arm: str | Arm = "telescopic_pr", **options: Any) -> ArmTask:
+    """A task of `TASKS` by name, with its options; `InputError` lists the names."""
+    return TASKS[as_choice("task", task, TASKS)](arm, **options)
+
+
+def _refuse(options: dict[str, Any], *known: str) -> None:
+    if options:
+        raise InputError(f"unknown reset options: {', '.join(map(repr, options))}; known: {', '.join(known) or 'none'}")

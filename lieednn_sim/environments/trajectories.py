@@ -1,0 +1,163 @@
+"""Joint trajectories in continuous time: LieEDNN plans run as fast as the limits allow, and random smooth ones."""
+
+from __future__ import annotations
+
+import contextlib
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.interpolate import CubicHermiteSpline
+
+from lieednn_sim.arm import Arm
+from lieednn_sim.errors import InputError, NotCertifiedError, PlanError
+from lieednn_sim.motion import Motion, minimum_jerk_law
+from lieednn_sim.planners import PlanningProblem, plan_with
+from lieednn_sim.planning import plan
+from lieednn_sim.validation import as_count, as_positive
+
+Floats = NDArray[np.float64]
+
+# Plans are made this slow [s] and run faster afterwards: minimum jerk draws the same path in any time.
+_PLANNING_DURATION = 10.0
+# Fastest of a plan, as share of the limits of velocities and accelerations. The rest is for the servos.
+_PLAN_SHARE = 0.9
+# Of a random trajectory.
+_RANDOM_SHARE = 0.5
+_SINES = 3
+_BAND = (0.1, 0.5)
+_ONSET = 1.5
+_SPACING = 0.02
+# Share of the joint ranges that a random trajectory takes up, and its part in the next attempt after a contact.
+_SPREAD, _SHRINKAGE = 0.8, 0.85
+_ATTEMPTS = 40
+_POSTURES_PER_SECOND = 10
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """A joint trajectory from t = 0; before it and after its end it rests where it begins and ends.
+
+    Attributes:
+        spline: positions ``(n,)`` [rad, m] over time [s].
+    """
+
+    spline: CubicHermiteSpline
+
+    @classmethod
+    def of(cls, t: Floats, q: Floats, qd: Floats) -> Trajectory:
+        """Through samples ``(K,)``, ``(K, n)``, ``(K, n)`` of time, position and velocity."""
+        return cls(CubicHermiteSpline(t, q, qd))
+
+    @property
+    def duration(self) -> float:
+        """[s]."""
+        return float(self.spline.x[-1])
+
+    def position(self, time: ArrayLike) -> Floats:
+        """Joint positions at times ``(...)``, shape ``(..., n)``."""
+        return np.asarray(self.spline(np.clip(time, 0.0, self.duration)))
+
+    def velocity(self, time: ArrayLike) -> Floats:
+        """Joint velocities at times ``(...)``, shape ``(..., n)``."""
+        inside = (np.asarray(time) >= 0.0) & (np.asarray(time) < self.duration)
+        return np.where(inside[..., None], self.spline(np.clip(time, 0.0, self.duration), 1), 0.0)
+
+
+def planned(
+    arm: Arm,
+    target: ArrayLike,
+    *,
+    start: ArrayLike | None = None,
+    planner: str | None = None,
+    candidates: int = 2,
+    seed: int = 0,
+) -> Trajectory:
+    """A planned motion, as fast as 90 % of the velocity and acceleration limits allow on its path.
+
+    Args:
+        arm: the arm.
+        target: joint target ``(n,)``.
+        start: joint position at rest, the keyframe ``home`` by default.
+        planner: a name of `planners.PLANNERS`; by default `planning.plan`, a certified LieEDNN.
+        candidates: networks to draw at first by default; where their motions break limits, four times as many, and
+            once more.
+        seed: of the draws.
+
+    Raises:
+        InputError: an unknown planner, or target or start are out of the arm's reach.
+        NotCertifiedError: no network could be certified.
+        PlanError: every motion breaks a limit.
+    """
+    count = as_count("candidates", candidates)
+    if planner is None:
+        motion = _patient_plan(arm, target, start, count, seed)
+    else:
+        goal = arm.check_position(target, "target")
+        origin = arm.keyframe("home") if start is None else arm.check_position(start, "start")
+        motion = plan_with(planner, PlanningProblem(arm, origin, goal, _PLANNING_DURATION, seed))
+    pace = _pace(arm, motion.t, motion.qd, _PLAN_SHARE)
+    if not pace > 0.0:
+        return Trajectory.of(motion.t, motion.q, motion.qd)
+    return Trajectory.of(motion.t * pace, motion.q, motion.qd / pace)
+
+
+def _patient_plan(arm: Arm, target: ArrayLike, start: ArrayLike | None, candidates: int, seed: int) -> Motion:
+    # Most targets are easy, and a plan costs its candidates.
+    for total in (candidates, 4 * candidates):
+        with contextlib.suppress(PlanError, NotCertifiedError):
+            return plan(arm, target, start=start, duration=_PLANNING_DURATION, candidates=total, seed=seed).motion
+    return plan(arm, target, start=start, duration=_PLANNING_DURATION, candidates=16 * candidates, seed=seed).motion
+
+
+def band_limited(arm: Arm, rng: np.random.Generator, duration: float) -> Trajectory:
+    """A random trajectory that starts at rest at ``home`` and keeps the limits free of contact.
+
+    q(t) = home + r(t) (m + h u(t) - home), elementwise, where u is a sum of sines of 0.1 to 0.5 Hz with random
+    weights, frequencies and phases, |u| <= 1; m - h and m + h are random positions within the limits; r rises
+    from 0 to 1 by the minimum-jerk law. Where it would be faster than half the velocity and acceleration limits it
+    is slowed down as a whole.
+
+    Raises:
+        InputError: every attempt touches something.
+    """
+    total = as_positive("duration", duration)
+    home, spread = arm.keyframe("home"), _SPREAD
+    for _ in range(_ATTEMPTS):
+        trajectory = _draw(arm, rng, home, total, spread)
+        postures = trajectory.position(np.linspace(0.0, total, int(np.ceil(_POSTURES_PER_SECOND * total)) + 1))
+        if not any(arm.contacts(q) for q in postures):
+            return trajectory
+        spread *= _SHRINKAGE
+    raise InputError(f"no random trajectory of arm {arm.name!r} is free of contact; use another scene or seed")
+
+
+def _draw(arm: Arm, rng: np.random.Generator, home: Floats, total: float, spread: float) -> Trajectory:
+    n = len(home)
+    low, high = arm.position_limits.T.copy()
+    for ball in arm.space.balls:
+        # The cube within the ball.
+        low[ball], high[ball] = low[ball] / np.sqrt(3.0), high[ball] / np.sqrt(3.0)
+    # Towards home as the spread shrinks: convex, so within the limits.
+    ends = np.sort(home + spread * (rng.uniform(low, high, (2, n)) - home), axis=0)
+    middle, half = 0.5 * (ends[0] + ends[1]), 0.5 * (ends[1] - ends[0])
+    weights = rng.dirichlet(np.ones(_SINES), n)
+    omega = 2.0 * np.pi * rng.uniform(*_BAND, (n, _SINES))
+    phase = rng.uniform(0.0, 2.0 * np.pi, (n, _SINES))
+    # Long enough for the part of it that is left when it runs as it is.
+    t = np.linspace(0.0, total, int(np.ceil(total / _SPACING)) + 1)
+    angle = omega * t[:, None, None] + phase
+    wave = middle + half * (weights * np.sin(angle)).sum(axis=-1) - home
+    wave_rate = half * (weights * omega * np.cos(angle)).sum(axis=-1)
+    onset = min(_ONSET, total)
+    rise, slope = (values[:, None] for values in minimum_jerk_law(np.minimum(t / onset, 1.0)))
+    q, qd = home + rise * wave, slope / onset * wave + rise * wave_rate
+    slowdown = max(1.0, _pace(arm, t, qd, _RANDOM_SHARE))
+    return Trajectory.of(t * slowdown, q, qd / slowdown)
+
+
+def _pace(arm: Arm, t: Floats, qd: Floats, share: float) -> float:
+    """Factor of the time [s] with which the fastest joint is at a share of its limits; 0 when nothing moves."""
+    velocity = (np.abs(qd) / arm.velocity_limits).max()
+    acceleration = (np.abs(np.gradient(qd, t, axis=0)) / arm.acceleration_limits).max()
+    return float(max(velocity / share, np.sqrt(acceleration / share)))

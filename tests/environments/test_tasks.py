@@ -1,0 +1,240 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+
+from lieednn_sim.arm import Arm, arm_names
+from lieednn_sim.environments.expert import Expert
+from lieednn_sim.environments.tasks import REST, TASKS, make_task
+from lieednn_sim.environments.trajectories import band_limited, planned
+from lieednn_sim.errors import InputError
+from lieednn_sim.lie import exp
+
+SEEDS = st.integers(0, 2**32 - 1)
+
+
+@pytest.fixture(scope="module", params=arm_names())
+def arm(request):
+    return Arm.load(request.param)
+
+
+@pytest.fixture(scope="module")
+def reach():
+    return make_task("reach", time_limit=0.4)
+
+
+@pytest.fixture(scope="module")
+def track():
+    return make_task("track", time_limit=0.4)
+
+
+def run(task, seed, steps=5):
+    rng = np.random.default_rng(seed)
+    seen = [*task.begin(rng).values()]
+    for _ in range(steps):
+        after = task.step(rng.uniform(-1.0, 1.0, task.arm.n_joints))
+        seen += [*after.observation.values(), np.array([after.reward])]
+    return np.concatenate([np.ravel(value) for value in seen])
+
+
+def test_expert_reaches_targets_with_every_arm_and_random_actions_do_not(arm):
+    task = make_task("reach", arm, time_limit=3.5)
+    rng = np.random.default_rng(1)
+    expert = Expert(task)
+    rewards = {"expert": 0.0, "random": 0.0}
+    for policy in rewards:
+        task.begin(np.random.default_rng(0))
+        over = False
+        while not over:
+            action = expert.act() if policy == "expert" else rng.uniform(-1.0, 1.0, arm.n_joints)
+            assert np.abs(action).max() <= 1.0
+            after = task.step(action)
+            over = after.truncated
+            rewards[policy] += after.reward
+        assert not after.terminated
+        if policy == "expert":
+            assert after.info["success"]
+            assert after.reward == 1.0
+            # Independently of what the task says: forward kinematics of the observed posture.
+            position = after.observation["position"]
+            to_go = arm.link_poses(position)[-1].inv() * arm.link_poses(task.target(task.time))[-1]
+            assert np.linalg.norm(to_go.translation) < 1e-3
+            assert np.rad2deg(to_go.rotation.magnitude()) < 0.1
+    assert rewards["expert"] > 3.0 * rewards["random"]
+
+
+def test_expert_keeps_up_with_moving_targets_with_every_arm(arm):
+    task = make_task("track", arm, time_limit=2.0)
+    task.begin(np.random.default_rng(3))
+    expert = Expert(task)
+    rewards = []
+    for _ in range(task.steps):
+        action = expert.act()
+        assert np.abs(action).max() <= 1.0
+        rewards.append(task.step(action).reward)
+    assert min(rewards) == 1.0
+    # The target moved: standing still would not have done.
+    assert np.abs(task.target(2.0) - arm.keyframe("home")).max() > 0.02
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_observations_keep_their_bounds_and_say_where_the_target_is(arm, name):
+    task = make_task(name, arm, goal="links", time_limit=0.2)
+    rng = np.random.default_rng(0)
+    task.begin(rng)
+    for _ in range(task.steps):
+        after = task.step(rng.uniform(-2.0, 2.0, arm.n_joints))
+        seen = after.observation
+        assert list(seen) == list(task.bounds)
+        for key, (low, high) in task.bounds.items():
+            assert seen[key].shape == low.shape
+            assert (low <= seen[key]).all()
+            assert (seen[key] <= high).all()
+        target = seen["position"] + seen["position_error"]
+        assert_allclose(target, task.target(task.time), atol=1e-12)
+        reached = arm.link_poses(seen["position"]) * exp(seen["pose_error"])
+        assert_allclose(reached.as_matrix(), arm.link_poses(target).as_matrix(), atol=1e-9)
+        assert 0.0 <= after.reward <= 1.0
+        assert arm.limit_excess(seen["command"]).max() <= 1e-12
+    assert after.truncated
+    assert not after.terminated
+    with pytest.raises(InputError, match="reset first"):
+        task.step(np.zeros(arm.n_joints))
+
+
+@pytest.mark.parametrize("name", TASKS)
+@settings(max_examples=5)
+@given(seed=SEEDS, other=SEEDS)
+def test_an_episode_depends_on_its_seed_alone(reach, track, name, seed, other):
+    task = {"reach": reach, "track": track}[name]
+    first = run(task, seed)
+    run(task, other, steps=3)
+    assert_array_equal(run(task, seed), first)
+    assert_array_equal(run(make_task(name, task.arm, time_limit=0.4), seed), first)
+    if seed != other:
+        assert (run(task, other) != first).any()
+
+
+def test_actions_are_velocities_as_shares_of_their_limits(reach):
+    reach.begin(np.random.default_rng(0))
+    before = reach.command
+    action = np.linspace(-0.2, 0.2, 8)
+    for _ in range(10):
+        seen = reach.step(action).observation
+    assert_allclose(seen["command"] - before, 0.2 * action * reach.arm.velocity_limits, atol=1e-12)
+    assert_allclose(seen["position"], seen["command"], atol=1e-3)
+    assert_allclose(seen["velocity"], action * reach.arm.velocity_limits, atol=0.02)
+
+
+def test_commands_stop_at_the_limits_and_actions_at_one():
+    one, other = (make_task("reach", "telescopic_compound") for _ in range(2))
+    for task, action in ((one, 1.0), (other, 7.0)):
+        task.begin(np.random.default_rng(0))
+        for _ in range(40):
+            task.step(np.full(24, action))
+    arm = one.arm
+    assert_allclose(arm.limit_excess(one.command), 0.0, atol=1e-12)
+    assert_array_equal(other.command, one.command)
+
+
+def test_success_needs_rest(reach):
+    target = reach.arm.keyframe("home")
+    reach.begin(np.random.default_rng(0), {"target": target})
+    assert reach.success()
+    assert reach.reward() == 1.0
+    reach.simulation.data.qvel[0] = 2.0 * REST * reach.arm.velocity_limits[0]
+    assert not reach.success()
+    assert 0.5 < reach.reward() < 1.0
+
+
+def test_the_preview_is_where_the_target_will_be(track):
+    seen = track.begin(np.random.default_rng(0))
+    rows = [seen["preview"]]
+    for _ in range(track.preview):
+        now = track.step(np.zeros(8)).observation
+        rows.append(now["preview"])
+        target = now["position"] + now["position_error"]
+        assert_allclose(target, rows[len(rows) - 2][0], atol=1e-12)
+    assert_allclose(rows[0][-1], target, atol=1e-12)
+    rate = (rows[-1][0] - rows[-2][0]) / track.control_timestep
+    assert_allclose(now["target_velocity"], rate, atol=0.05)
+
+
+@settings(max_examples=5)
+@given(seed=SEEDS)
+def test_random_trajectories_keep_limits_and_touch_nothing(seed):
+    arm = Arm.load("telescopic_compound")
+    trajectory = band_limited(arm, np.random.default_rng(seed), 3.1)
+    t = np.linspace(0.0, 3.0, 3001)
+    q, qd = trajectory.position(t), trajectory.velocity(t)
+    assert arm.limit_excess(q).max() <= 0.0
+    assert (np.abs(qd) / arm.velocity_limits).max() <= 0.51
+    assert_allclose(q[0], arm.keyframe("home"))
+    assert_allclose(qd[0], 0.0, atol=1e-12)
+    # The velocity is that of the position: its mean over the way, against the ends.
+    assert_allclose(np.trapezoid(qd, t, axis=0), q[-1] - q[0], atol=1e-4)
+    assert not any(arm.contacts(posture) for posture in q[::100])
+
+
+@pytest.mark.parametrize("planner", [None, "minimum-jerk"])
+def test_plans_are_as_fast_as_the_limits_allow(planner):
+    arm = Arm.load("telescopic_pr")
+    trajectory = planned(arm, arm.keyframe("extended"), planner=planner)
+    t = np.linspace(0.0, trajectory.duration, 2000)
+    velocity = np.abs(trajectory.velocity(t)) / arm.velocity_limits
+    acceleration = np.abs(np.gradient(trajectory.velocity(t), t, axis=0)) / arm.acceleration_limits
+    assert max(velocity.max(), acceleration.max()) == pytest.approx(0.9, abs=0.02)
+    assert_allclose(trajectory.position([-1.0, 99.0]), [arm.keyframe("home"), arm.keyframe("extended")], atol=1e-6)
+    assert_array_equal(trajectory.velocity([-1.0, 99.0]), np.zeros((2, 8)))
+
+
+def test_a_failed_simulation_terminates(reach):
+    seen = reach.begin(np.random.default_rng(0))
+    reach.simulation.data.qvel[0] = np.nan
+    after = reach.step(np.zeros(8))
+    assert after.terminated
+    assert not after.truncated
+    assert after.reward == 0.0
+    assert "failed at t = 0.0000 s" in after.info["failure"]
+    for name, value in after.observation.items():
+        assert_array_equal(value, seen[name])
+    assert_array_equal(run(reach, 7), run(make_task("reach", time_limit=0.4), 7))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"task": "fly"}, "no task 'fly'; allowed: reach, track"),
+        ({"arm": "unknown"}, "no arm 'unknown'; allowed: telescopic_compound"),
+        ({"scene": "moon"}, "no scene 'moon'"),
+        ({"control_timestep": 0.021}, "control_timestep must be a whole number of simulation steps of 0.002 s"),
+        ({"control_timestep": 0.0}, "control_timestep must be positive"),
+        ({"time_limit": 0.01}, "time_limit must be between one control step of 0.02 s"),
+        ({"goal": "elbow"}, "no goal 'elbow'; allowed: end-effector, links"),
+        ({"position_tolerance": -1.0}, "position_tolerance must be positive"),
+        ({"task": "track", "reference": "drawn"}, "no reference 'drawn'; allowed: band-limited, plan"),
+        ({"task": "track", "preview": 0}, "preview must be at least 1"),
+    ],
+)
+def test_malformed_arguments(arguments, message):
+    with pytest.raises(InputError, match=message):
+        make_task(**{"task": "reach", **arguments})
+
+
+def test_malformed_actions_and_options(reach):
+    with pytest.raises(InputError, match="has not been reset"):
+        Expert(make_task("track")).act()
+    reach.begin(np.random.default_rng(0))
+    with pytest.raises(InputError, match=r"action must have shape \(8\), got \(7\)"):
+        reach.step(np.zeros(7))
+    with pytest.raises(InputError, match="action must be finite, got 1 NaN"):
+        reach.step(np.array([np.nan, *np.zeros(7)]))
+    with pytest.raises(InputError, match="unknown reset options: 'goal'; known: target"):
+        reach.begin(np.random.default_rng(0), {"goal": np.zeros(8)})
+    with pytest.raises(InputError, match="target is out of reach: joint 'turn'"):
+        reach.begin(np.random.default_rng(0), {"target": np.array([9.0, *np.zeros(7)])})
+    with pytest.raises(InputError, match="environment must be an ArmTask"):
+        Expert("reach")
+    with pytest.raises(InputError, match="no planner 'wishful'"):
+        Expert(reach, planner="wishful")
