@@ -89,7 +89,14 @@ class Arm:
 
     @classmethod
     def load(
-        cls, name: str, scene: str = "free", seed: int = 0, *, links: Sequence[str] = (), base: str | None = None
+        cls,
+        name: str,
+        scene: str = "free",
+        seed: int = 0,
+        *,
+        links: Sequence[str] = (),
+        base: str | None = None,
+        servos: str = "keep",
     ) -> Arm:
         """Load an arm, with the obstacles of a scene.
 
@@ -99,15 +106,16 @@ class Arm:
             seed: of the obstacles.
             links: see `from_xml`.
             base: see `from_xml`.
+            servos: see `from_xml`.
 
         Raises:
             FileError: there is no such file, or MuJoCo cannot compile it.
             InputError: an unknown arm or scene, or the file holds no arm.
         """
         if Path(name).suffix == ".xml":
-            return cls.from_xml(name, links=links, base=base).among(scene, seed)
-        if links or base is not None:
-            raise InputError(f"arm {name!r} has its own link frames; links and base are for MJCF files")
+            return cls.from_xml(name, links=links, base=base, servos=servos).among(scene, seed)
+        if links or base is not None or servos != "keep":
+            raise InputError(f"arm {name!r} has its own frames and servos; links, base and servos are for MJCF files")
         return cls.from_xml(scene_path(name), name).among(scene, seed)
 
     @classmethod
@@ -118,6 +126,7 @@ class Arm:
         *,
         links: Sequence[str] = (),
         base: str | None = None,
+        servos: str = "keep",
     ) -> Arm:
         """Load an MJCF file that holds one arm.
 
@@ -129,6 +138,7 @@ class Arm:
             name: of the arm; by default that of the file, or of its folder when the file is ``scene.xml``.
             links: bodies or sites that are the link frames, from the base outwards; chosen automatically when empty.
             base: body or site that is the base frame.
+            servos: ``"keep"`` the position servos that an adopted model has, or ``"design"`` all anew.
 
         Raises:
             FileError: there is no such file, or MuJoCo cannot compile it.
@@ -142,8 +152,8 @@ class Arm:
         except ValueError as error:
             raise FileError(f"MuJoCo cannot compile {source}: {error}") from None
         label = name or (source.parent.name if source.stem == "scene" else source.stem)
-        if links or base is not None or spec.site("link1_frame") is None:
-            spec, adoption = adopt(spec, links=links or None, base=base)
+        if links or base is not None or servos != "keep" or spec.site("link1_frame") is None:
+            spec, adoption = adopt(spec, links=links or None, base=base, servos=servos)
             return replace(cls.from_spec(spec, source, label), adoption=adoption)
         return cls.from_spec(spec, source, label)
 

@@ -314,3 +314,19 @@ def test_missing_and_broken_files_are_named(tmp_path):
         adopt(broken)
     with pytest.raises(InputError, match="must be a file or a mujoco"):
         adopt(3)
+
+
+def test_servos_can_all_be_designed_anew_and_follow_a_step():
+    _, kept = arm_of(BY_TENDON)
+    arm, designed = arm_of(BY_TENDON, servos="design")
+    assert any(servo.kept for servo in kept.servos)
+    assert not any(servo.kept for servo in designed.servos)
+    data = mujoco.MjData(arm.model)
+    q = arm.keyframe("home")
+    data.qpos[:] = arm.qpos(q)
+    goal = np.clip(q + 0.03, *arm.position_limits.T)
+    data.ctrl[:] = goal
+    for _ in range(round(3.0 / arm.model.opt.timestep)):
+        mujoco.mj_step(arm.model, data)
+    assert not data.warning.number.any()
+    np.testing.assert_allclose(arm.coordinates(data.qpos), goal, atol=2e-3)

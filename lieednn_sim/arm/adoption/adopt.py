@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -22,7 +22,7 @@ from lieednn_sim.arm.adoption.checks import (
 from lieednn_sim.arm.adoption.freezing import freeze
 from lieednn_sim.arm.adoption.ranges import coordinates_inside, joint_ranges, place
 from lieednn_sim.arm.adoption.serial_chain import Frame, body_frame, cut, joint_groups, longest_chain, named_frames
-from lieednn_sim.arm.adoption.servos import Freedom, Servo, add_servo, design, read_drive
+from lieednn_sim.arm.adoption.servos import Freedom, Servo, add_servo, design, read_drive, soften
 from lieednn_sim.arm.adoption.spec import (
     add_coupling,
     add_frames,
@@ -35,8 +35,12 @@ from lieednn_sim.arm.adoption.spec import (
 )
 from lieednn_sim.arm.adoption.stages import Coupling, Couplings, find_couplings
 from lieednn_sim.errors import InputError
+from lieednn_sim.validation import as_choice
 
 Floats = NDArray[np.float64]
+
+# What becomes of the position servos that a model has.
+SERVOS = ("keep", "design")
 
 
 @dataclass(frozen=True)
@@ -80,6 +84,7 @@ def adopt(
     links: Sequence[str] | None = None,
     base: str | None = None,
     keyframe: str | None = None,
+    servos: str = "keep",
 ) -> tuple[Any, Adoption]:
     """Make a model into an arm: sites at the link frames, one servo per coordinate, all else frozen.
 
@@ -88,8 +93,9 @@ def adopt(
     of `serial_chain.cut`, its link frames the origins of the bodies behind the cuts. Every joint off the arm is frozen.
     Coupled stages count as one coordinate; a fixed tendon that drives several stages becomes equalities between them.
     Plain position servos keep their gains; other drives are replaced by servos of 20 Hz, critically damped, on
-    I = 1 / (M^-1)_ii at the home posture. Gravity compensation is switched on where no body of the arm has any, because
-    a position servo would sag. Hinges are held within 0.99 pi of their reference, where the logarithm is unique.
+    I = 1 / (M^-1)_ii at the home posture, slower where coupled stages could not keep up. Gravity compensation is
+    switched on where no body of the arm has any, because a position servo would sag. Hinges are held within 0.99 pi of
+    their reference, where the logarithm is unique.
 
     Args:
         model: an MJCF or URDF file, or a `mujoco.MjSpec`, which is not changed.
@@ -97,6 +103,7 @@ def adopt(
         base: body or site of the base frame. Default: the body that carries the first moving body of link 1.
         keyframe: posture of the frozen joints, and of the new keyframe ``home``, which keeps 5 % of each range off
             the limits. Default: ``home``, else the first keyframe, else the reference position.
+        servos: ``"keep"`` the position servos of the model, or ``"design"`` all anew.
 
     Returns:
         A `mujoco.MjSpec` for `Arm.from_spec`, and the report.
@@ -105,6 +112,7 @@ def adopt(
         FileError: the file or one of its meshes is missing, or MuJoCo cannot compile it.
         InputError: the names or the mechanism don't make an arm; the message says why.
     """
+    as_choice("choice of servos", servos, SERVOS)
     spec = load_spec(model)
     original = compile_spec(spec)
     posture, qpos = _posture(original, keyframe)
@@ -131,14 +139,16 @@ def adopt(
     home, moved = coordinates_inside(original, joints, couplings, ranges, qpos)
     notes += [f"{name}: moved off its limits in the keyframe 'home'" for name in moved]
     drives = [read_drive(original, given, k) for k in range(len(given))]
+    if servos == "design":
+        drives = [replace(drive, gains=None, remark=drive.remark or "as asked for") for drive in drives]
     for remark in dict.fromkeys(drive.remark for drive in drives if drive.remark):
         affected = [freedom.name for freedom, drive in zip(here, drives, strict=True) if drive.remark == remark]
         notes.append(f"new servos for {', '.join(affected)}: {remark}")
-    servos = design(bare, posture_of(home), here, drives)
+    designed = design(bare, posture_of(home), here, drives)
     samples = [home, *random_samples(original, joints, couplings, ranges, 64)]
-    stabilise(spec, bare, [posture_of(q) for q in samples[:8]], here, servos, notes)
-    for freedom, servo in zip(here, servos, strict=True):
-        add_servo(spec, freedom, servo)
+    stabilise(spec, bare, [posture_of(q) for q in samples[:8]], here, designed, notes)
+    names = [add_servo(spec, freedom, servo) for freedom, servo in zip(here, designed, strict=True)]
+    designed = soften(spec, posture_of(home), here, designed, names)
     keyframes = {"home": home}
     for k in range(original.nkey):
         inside, _ = coordinates_inside(original, joints, couplings, ranges, original.key_qpos[k])
@@ -149,7 +159,7 @@ def adopt(
 
     check_kinematics(original, adopted, qpos, frames, samples[:8], couplings)
     notes += remarks_on_turns(adopted, original, groups, samples, couplings)
-    notes += remarks_at_home(adopted, here, servos)
+    notes += remarks_at_home(adopted, here, designed)
     return spec, Adoption(
         posture=posture,
         base=frames[0].name,
@@ -157,7 +167,7 @@ def adopt(
         groups=tuple(tuple(original.joint(joint).name for joint in group) for group in groups),
         couplings=couplings.named(original),
         frozen=tuple(frozen),
-        servos=servos,
+        servos=designed,
         notes=tuple(dict.fromkeys(notes)),
     )
 

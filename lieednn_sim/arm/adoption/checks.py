@@ -105,7 +105,9 @@ def remarks_at_home(model: mujoco.MjModel, freedoms: list[Freedom], servos: tupl
     for freedom, servo in zip(freedoms, servos, strict=True):
         force = float(load @ freedom.rates)
         if servo.frequency < _SLOW:
-            notes.append(f"{servo.name}: its servo is slow, {servo.frequency:.2g} Hz, and follows motions badly")
+            remedy = "; servos='design' makes another" if servo.kept else ""
+            slow = f"its servo is slow, {servo.frequency:.2g} Hz, and follows motions badly"
+            notes.append(f"{servo.name}: {slow}{remedy}")
         low, high = servo.force_range
         if not low <= force <= high:
             notes.append(f"{servo.name}: needs {force:.4g} at home, more than its force limits allow")

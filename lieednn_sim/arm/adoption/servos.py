@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,8 @@ Floats = NDArray[np.float64]
 _BALL = int(mujoco.mjtJoint.mjJNT_BALL)
 _TRN = mujoco.mjtTrn
 NATURAL_FREQUENCY = 20.0  # of a designed servo [Hz]
+# Growth of a step that is no instability of the servos; by how much those of tied stages are slowed down, how often.
+_STEADY, _SOFTER, _SOFTENINGS = 1.002, 0.8, 12
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,8 +139,8 @@ def design(model: mujoco.MjModel, qpos: Floats, freedoms: list[Freedom], drives:
     return tuple(servos)
 
 
-def add_servo(spec: Any, freedom: Freedom, servo: Servo) -> None:
-    """Add a servo to a spec, its control range that of the coordinate."""
+def add_servo(spec: Any, freedom: Freedom, servo: Servo) -> str:
+    """Add a servo to a spec, its control range that of the coordinate; returns the actuator's name."""
     gear = np.zeros(6)
     gear[freedom.axis] = 1.0
     actuator = spec.add_actuator(
@@ -160,6 +162,45 @@ def add_servo(spec: Any, freedom: Freedom, servo: Servo) -> None:
     actuator.forcelimited = getattr(mujoco.mjtLimited, f"mjLIMITED_{'TRUE' if limited else 'FALSE'}")
     if limited:
         actuator.forcerange = servo.force_range
+    return str(actuator.name)
+
+
+def soften(
+    spec: Any, qpos: Floats, freedoms: list[Freedom], servos: tuple[Servo, ...], names: list[str]
+) -> tuple[Servo, ...]:
+    """Slow down the designed servos of coupled stages, which act on one stage, until their soft ties can keep up.
+
+    Args:
+        spec: with the servos; changed.
+        qpos: ``(nq,)`` posture of the whole model, in which one step is linearised.
+        freedoms: of the arm, with rates of the model of the spec.
+        servos: of the freedoms.
+        names: of their actuators.
+    """
+    tied = [not s.kept and int(np.count_nonzero(f.rates)) > 1 for f, s in zip(freedoms, servos, strict=True)]
+    softened = list(servos)
+    for _ in range(_SOFTENINGS if any(tied) else 0):
+        if _step_growth(spec.compile(), qpos) < _STEADY:
+            break
+        for k in np.flatnonzero(tied):
+            old = softened[k]
+            softened[k] = replace(old, kp=old.kp * _SOFTER**2, kv=old.kv * _SOFTER, frequency=old.frequency * _SOFTER)
+            actuator = spec.actuator(names[k])
+            actuator.gainprm = np.array([softened[k].kp, *np.zeros(9)])
+            actuator.biasprm = np.array([0.0, -softened[k].kp, -softened[k].kv, *np.zeros(7)])
+    return tuple(softened)
+
+
+def _step_growth(model: mujoco.MjModel, qpos: Floats) -> float:
+    """Spectral radius of one step of the whole model, at rest and with the servos at the posture."""
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    mujoco.mj_forward(model, data)
+    data.ctrl[:] = data.actuator_length
+    size = 2 * model.nv + model.na
+    transition = np.zeros((size, size))
+    mujoco.mjd_transitionFD(model, data, 1e-6, True, transition, None, None, None)
+    return float(np.abs(np.linalg.eigvals(transition)).max())
 
 
 def reduced_inertia(model: mujoco.MjModel, qpos: Floats, freedoms: list[Freedom]) -> Floats:
