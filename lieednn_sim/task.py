@@ -27,6 +27,9 @@ class Task:
         scene_seed: of their positions.
         links: bodies or sites that are the link frames of an MJCF file without the package's own.
         base: body or site of its base frame.
+        servos: what becomes of the position servos of such a file, see `Arm.load`.
+        planner: what made the motion beside the network, which is then stored with it; None where the motion is the
+            one that the network draws by itself (`motion.make_motion`).
     """
 
     arm: str
@@ -37,10 +40,12 @@ class Task:
     scene_seed: int = 0
     links: tuple[str, ...] = ()
     base: str | None = None
+    servos: str = "keep"
+    planner: str | None = None
 
     def load_arm(self) -> Arm:
         """The arm among its obstacles; errors as `Arm.load`."""
-        return Arm.load(self.arm, self.scene, self.scene_seed, links=self.links, base=self.base)
+        return Arm.load(self.arm, self.scene, self.scene_seed, links=self.links, base=self.base, servos=self.servos)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write as JSON, atomically."""
@@ -60,6 +65,8 @@ class Task:
                 scene_seed=int(value.get("scene_seed", 0)),
                 links=tuple(str(name) for name in value.get("links", ())),
                 base=None if value.get("base") is None else str(value["base"]),
+                servos=str(value.get("servos", "keep")),
+                planner=None if value.get("planner") is None else str(value["planner"]),
             )
         except OSError as error:
             raise FileError(f"cannot read {path}: {error.strerror or error}") from None

@@ -3,14 +3,54 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lieednn_sim.arm import Arm, reach
+from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.errors import InputError
+from lieednn_sim.simulate import CONTROLLERS, Disturbances, Push
+from lieednn_sim.simulate.reference import steps_of_rate
+from lieednn_sim.task import Task
+from lieednn_sim.validation import as_choice, as_positive
 
 Floats = NDArray[np.float64]
+
+# Before the seed of a random joint position.
+RANDOM = "random:"
+
+
+def load_arm(arguments: argparse.Namespace) -> Arm:
+    """The arm of --arm, --links, --base and --servos, among the obstacles of --scene and --scene-seed."""
+    return Arm.load(
+        arguments.arm,
+        arguments.scene,
+        arguments.scene_seed,
+        links=names(arguments.links),
+        base=arguments.base,
+        servos=arguments.servos,
+    )
+
+
+def make_task(
+    arm: Arm, start: Floats, target: Floats, arguments: argparse.Namespace, planner: str | None = None
+) -> Task:
+    """What a run directory keeps of the arguments; an MJCF file by its absolute path."""
+    path = Path(arguments.arm)
+    return Task(
+        arm=str(path.resolve()) if path.suffix == ".xml" else arm.name,
+        start=tuple(start.tolist()),
+        target=tuple(target.tolist()),
+        duration=as_positive("duration", arguments.duration),
+        scene=arm.scene,
+        scene_seed=arm.scene_seed,
+        links=names(arguments.links),
+        base=arguments.base,
+        servos=arguments.servos,
+        planner=planner,
+    )
 
 
 def start_and_target(arm: Arm, arguments: argparse.Namespace) -> tuple[Floats, Floats]:
@@ -21,11 +61,26 @@ def start_and_target(arm: Arm, arguments: argparse.Namespace) -> tuple[Floats, F
     return start, joint_position(arm, arguments.target, "target")
 
 
+def usual_target(arm: Arm, seed: int) -> str:
+    """The keyframe ``extended``; among obstacles, or where there is none, a random target."""
+    return "extended" if arm.scene == "free" and "extended" in keyframes(arm) else f"{RANDOM}{seed}"
+
+
 def joint_position(arm: Arm, text: str, what: str) -> Floats:
-    """A keyframe's name or comma-separated numbers."""
-    if text and (text[0].isalpha() or text[0] == "_"):
+    """A keyframe's name, ``random:SEED``, or comma-separated numbers."""
+    if text.startswith(RANDOM):
+        seed = text.removeprefix(RANDOM)
+        if not seed.isdecimal():
+            raise InputError(f"a random {what} must look like {RANDOM}7, with a seed >= 0, got {text!r}")
+        return draw_target(arm, int(seed))
+    if text in keyframes(arm) or (text and (text[0].isalpha() or text[0] == "_")):
         return arm.keyframe(text)
     return numbers(text, what, arm.n_joints)
+
+
+def keyframes(arm: Arm) -> list[str]:
+    """Names of the arm's keyframes."""
+    return [arm.model.key(k).name for k in range(arm.model.nkey)]
 
 
 def numbers(text: str, what: str, count: int) -> Floats:
@@ -39,9 +94,44 @@ def numbers(text: str, what: str, count: int) -> Floats:
     return np.array(values)
 
 
+def names(text: str | None) -> tuple[str, ...]:
+    """Comma-separated names; none for None."""
+    return () if text is None else tuple(text.split(","))
+
+
 def size(text: str) -> tuple[int, int]:
     """Width and height in pixels."""
     width, _, height = text.partition("x")
     if not (width.isdecimal() and height.isdecimal() and len(text) < 12):
         raise InputError(f"size must look like 1280x720, got {text!r}")
     return int(width), int(height)
+
+
+def push(text: str) -> Push:
+    """A force on a body: its name, three components [N], start and duration [s]."""
+    body, _, rest = text.partition(",")
+    try:
+        x, y, z, start, duration = (float(part) for part in rest.split(","))
+    except ValueError:
+        raise InputError(
+            f"a push must look like BODY,FX,FY,FZ,START,DURATION, as 'link 2,0,50,0,1.5,0.2', got {text!r}"
+        ) from None
+    return Push(body, (x, y, z), start, duration)
+
+
+def disturbances(arm: Arm, arguments: argparse.Namespace) -> Disturbances:
+    """All that the simulation's options do behind the controller's back; the other options are checked, too."""
+    as_choice("controller", arguments.controller, CONTROLLERS)
+    if arguments.reference_rate is not None:
+        steps_of_rate("reference_rate", arguments.reference_rate, float(arm.model.opt.timestep))
+    made = Disturbances(
+        pushes=tuple(push(text) for text in arguments.push),
+        payload=arguments.payload,
+        mass_scale=arguments.mass_scale,
+        position_noise=arguments.position_noise,
+        velocity_noise=arguments.velocity_noise,
+        seed=arguments.noise_seed,
+    )
+    for one in made.pushes:
+        one.body_id(arm, arm.model)
+    return made

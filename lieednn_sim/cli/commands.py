@@ -6,24 +6,18 @@ import argparse
 import time
 
 import numpy as np
-from numpy.typing import NDArray
-from rich.table import Table
 
 from lieednn_sim import opengl
 from lieednn_sim.arm import Arm
-from lieednn_sim.cli.arguments import size, start_and_target
-from lieednn_sim.cli.console import console, progress, table, wrote
-from lieednn_sim.errors import FileError, RenderingUnavailableError
-from lieednn_sim.evaluate import Evaluation
+from lieednn_sim.cli.arguments import disturbances, load_arm, size
+from lieednn_sim.cli.console import console, progress, wrote
+from lieednn_sim.errors import FileError, InputError, RenderingUnavailableError
 from lieednn_sim.evaluate import evaluate as evaluate_rollout
-from lieednn_sim.motion import Motion, check_motion, make_motion
+from lieednn_sim.motion import LIMIT_TOLERANCE, Motion, check_motion, make_motion
 from lieednn_sim.network import LieEDNN
-from lieednn_sim.planning import Plan, plan
 from lieednn_sim.simulate import Rollout
 from lieednn_sim.simulate import simulate as simulate_motion
 from lieednn_sim.task import RunDirectory, Task
-
-Floats = NDArray[np.float64]
 
 # Targets that differ by less [rad, m] are the same: a trained network may miss its target by its tolerance.
 _SAME = 1e-3
@@ -31,10 +25,15 @@ _SAME = 1e-3
 
 def demo(arguments: argparse.Namespace) -> None:
     """The whole road in one command."""
+    from lieednn_sim.cli.planning import synthesize
+
     begun = time.perf_counter()
+    # Bad options stop before the work that comes first.
+    arm = load_arm(arguments)
+    disturbances(arm, arguments)
     if not arguments.no_video:
-        _check_video(Arm.load(arguments.arm), arguments)
-    run = _synthesize(arguments)
+        _check_video(arm, arguments)
+    run = synthesize(arguments)
     _simulate(run, arguments)
     _evaluate(run)
     if not arguments.no_video:
@@ -47,7 +46,9 @@ def demo(arguments: argparse.Namespace) -> None:
 
 def synthesize(arguments: argparse.Namespace) -> None:
     """Target to certified network."""
-    _synthesize(arguments)
+    from lieednn_sim.cli.planning import synthesize
+
+    synthesize(arguments)
 
 
 def train(arguments: argparse.Namespace) -> int:
@@ -58,7 +59,7 @@ def train(arguments: argparse.Namespace) -> int:
 
 
 def simulate(arguments: argparse.Namespace) -> None:
-    """Network to rollout."""
+    """Network, or a planner's motion, to rollout."""
     _simulate(RunDirectory(arguments.run).existing(), arguments)
 
 
@@ -80,6 +81,13 @@ def compare(arguments: argparse.Namespace) -> None:
     run(arguments, arguments.words)
 
 
+def arms(arguments: argparse.Namespace) -> None:
+    """What arms there are."""
+    from lieednn_sim.cli.arms import arms
+
+    arms(arguments)
+
+
 def doctor(arguments: argparse.Namespace) -> int:
     """Report on the installation; 1 when something is missing."""
     from lieednn_sim.cli.doctor import report
@@ -87,87 +95,71 @@ def doctor(arguments: argparse.Namespace) -> int:
     return report(console, as_json=arguments.json)
 
 
-def _synthesize(arguments: argparse.Namespace) -> RunDirectory:
-    run = RunDirectory(arguments.output)
-    arm = Arm.load(arguments.arm)
-    start, target = start_and_target(arm, arguments)
-    made = not run.path.exists()
-    run.create()
-    try:
-        chosen = _plan(arm, target, start, arguments)
-    except BaseException:
-        if made:
-            run.path.rmdir()
-        raise
-    run.forget_results()
-    Task(arm.name, tuple(start.tolist()), tuple(chosen.target.tolist()), arguments.duration).save(run.task)
-    chosen.network.save(run.network)
-    conditions = chosen.network.norm_conditions(arm.encode(chosen.target))
-    rows = table("network", "quantity", "value")
-    rows.add_row("certificate", str(chosen.network.certificate))
-    rows.add_row("bias", f"{arguments.bias}, largest entry {np.abs(chosen.network.bias).max():.3g}")
-    rows.add_row("candidates", f"{chosen.candidates} networks drawn, {chosen.within_limits} keep the joint limits")
-    rows.add_row("mechanism gap", f"{1e3 * chosen.motion.gap_translation.max():.1f} mm on the way, 0 at the target")
-    rows.add_row(
-        "1-norm of W",
-        f"{conditions.one_norm:.2f} (no network with this equilibrium below {conditions.smallest_one_norm:.2f})",
-    )
-    console.print(rows)
-    wrote(run.task, run.network)
-    return run
-
-
-def _plan(arm: Arm, target: Floats, start: Floats, arguments: argparse.Namespace) -> Plan:
-    with progress("synthesize") as report:
-        return plan(
-            arm,
-            target,
-            start=start,
-            duration=arguments.duration,
-            bias=arguments.bias,
-            bias_magnitude=arguments.bias_magnitude,
-            candidates=arguments.candidates,
-            seed=arguments.seed,
-            progress=report,
-        )
-
-
 def _simulate(run: RunDirectory, arguments: argparse.Namespace) -> None:
     task, arm = run.load_task()
-    network = LieEDNN.load(run.network)
-    if network.n_neurons == arm.n_links and np.abs(network.vector_field(arm.encode(task.target))).max() > _SAME:
-        raise FileError(f"{run.network} has another equilibrium than the target in {run.task}; synthesize again")
-    motion = make_motion(arm, network, task.start, task.duration, arm.model.opt.timestep)
+    changes = disturbances(arm, arguments)
+    drawn = task.planner is None
+    motion = _network_motion(run, task, arm) if drawn else _planned_motion(run, task, arm)
     check_motion(arm, motion)
+    end = motion.t[-1] + arguments.hold
+    for push in changes.pushes:
+        if push.start > end:
+            raise InputError(f"the push on {push.body!r} at {push.start:g} s comes after the run's end at {end:g} s")
     with progress("simulate") as report:
         rollout = simulate_motion(
             arm,
             motion,
             controller=arguments.controller,
             hold=arguments.hold,
-            mass_scale=arguments.mass_scale,
+            reference_rate=arguments.reference_rate,
+            disturbances=changes,
             dump_directory=run.path,
             progress=report,
         )
-    motion.save(run.motion)
+    if drawn:
+        motion.save(run.motion)
     rollout.save(run.rollout)
-    wrote(run.motion, run.rollout)
+    wrote(*([run.motion] if drawn else []), run.rollout)
+
+
+def _network_motion(run: RunDirectory, task: Task, arm: Arm) -> Motion:
+    """What the run's network draws by itself."""
+    network = LieEDNN.load(run.network)
+    if network.n_neurons == arm.n_links and np.abs(network.vector_field(arm.encode(task.target))).max() > _SAME:
+        raise FileError(f"{run.network} has another equilibrium than the target in {run.task}; synthesize again")
+    return make_motion(arm, network, task.start, task.duration, arm.model.opt.timestep)
+
+
+def _planned_motion(run: RunDirectory, task: Task, arm: Arm) -> Motion:
+    """What the task's planner made, when it leads where the task says."""
+    motion = Motion.load(run.motion)
+    ends = ((motion.q[0], task.start), (motion.q[-1], task.target))
+    if motion.q.shape[1] != arm.n_joints or any(np.abs(q - wanted).max() > LIMIT_TOLERANCE for q, wanted in ends):
+        raise FileError(f"{run.motion} was planned for another start or target than {run.task} says; synthesize again")
+    return motion
 
 
 def _evaluate(run: RunDirectory) -> None:
     from lieednn_sim import plots
+    from lieednn_sim.cli.tables import print_evaluation
 
     task, arm = run.load_task()
     rollout, motion = _load_rollout(run, task), Motion.load(run.motion)
     evaluation = evaluate_rollout(arm, rollout, task.target, motion)
-    console.print(_frames_table(evaluation))
-    console.print(_joints_table(evaluation))
+    print_evaluation(evaluation, rollout, None if arm.scene == "free" else _clearance(arm, rollout))
     evaluation.save_json(run.metrics_json)
     evaluation.save_csv(run.metrics_csv)
     plots.plot_network(motion, run.network_plot)
     plots.plot_tracking(arm, rollout, task.target, run.tracking_plot)
     plots.plot_joints(arm, rollout, run.joints_plot)
     wrote(run.metrics_json, run.metrics_csv, run.network_plot, run.tracking_plot, run.joints_plot)
+
+
+def _clearance(arm: Arm, rollout: Rollout) -> float:
+    from lieednn_sim.arm.collision import Collisions
+    from lieednn_sim.compare.metrics import least_clearance
+
+    return least_clearance(rollout, Collisions(arm))
 
 
 def _render(run: RunDirectory, arguments: argparse.Namespace, path: str) -> None:
@@ -205,49 +197,3 @@ def _check_video(arm: Arm, arguments: argparse.Namespace) -> None:
 
     check_view(arm, camera=arguments.camera, size=size(arguments.size), preset=arguments.preset)
     check_rate(arguments.fps, "video.mp4")
-
-
-def _frames_table(evaluation: Evaluation) -> Table:
-    rows = table(
-        f"tracking error, {evaluation.controller}",
-        "frame",
-        "final mm",
-        "deg",
-        "RMS mm",
-        "deg",
-        "max mm",
-        "deg",
-        "settled s",
-    )
-    for frame in evaluation.frames:
-        values = (
-            frame.final_translation_mm,
-            frame.final_rotation_deg,
-            frame.rms_translation_mm,
-            frame.rms_rotation_deg,
-            frame.max_translation_mm,
-            frame.max_rotation_deg,
-        )
-        settled = "never" if frame.settling_time is None else f"{frame.settling_time:.2f}"
-        rows.add_row(frame.name, *(f"{value:.4f}" for value in values), settled)
-    gap = evaluation.max_gap_translation_mm
-    rows.caption = (
-        f"the end effector moves {evaluation.displacement:.2f} m (path {evaluation.travel:.2f} m) in "
-        f"{evaluation.motion_end:g} s, then holds; contacts: {evaluation.contacts}; "
-        + (f"mechanism gap of the plan: {gap:.1f} mm" if gap is not None else "")
-    )
-    return rows
-
-
-def _joints_table(evaluation: Evaluation) -> Table:
-    rows = table("joints", "joint", "peak velocity", "of limit", "peak force", "of limit", "constraints")
-    for joint in evaluation.joints:
-        rows.add_row(
-            joint.name,
-            f"{joint.peak_velocity:.3f}",
-            f"{joint.peak_velocity / joint.velocity_limit:.0%}",
-            f"{joint.peak_force:.1f}",
-            f"{joint.peak_force / joint.force_limit:.0%}",
-            f"{joint.peak_constraint_force:.1f}",
-        )
-    return rows

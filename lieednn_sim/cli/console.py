@@ -40,4 +40,4 @@ def progress(what: str) -> Iterator[Callable[[int, int], None]]:
 def wrote(*paths: object) -> None:
     """Say which files are complete."""
     for path in paths:
-        console.print(f"wrote {path}")
+        console.print(f"wrote {path}", markup=False)

@@ -8,6 +8,7 @@ import sys
 from importlib import metadata
 
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from lieednn_sim import opengl
@@ -17,20 +18,33 @@ from lieednn_sim.errors import FileError
 _PACKAGES = (
     "mujoco",
     "dm-control",
+    "dm-env",
     "numpy",
     "scipy",
+    "daqp",
     "imageio",
     "imageio-ffmpeg",
     "matplotlib",
+    "jinja2",
+    "pillow",
     "rich",
     "threadpoolctl",
 )
+# Optional packages, the extra that brings them, and what they are good for.
+_EXTRAS = {
+    "ompl": ("rivals", "planners rrt-connect and rrt-star"),
+    "movement_primitives": ("rivals", "planner dmp"),
+    "pytransform3d": ("rivals", "planner dmp"),
+    "gymnasium": ("gymnasium", "Gymnasium environments"),
+    "cvxpy": ("lmi", "certificates by matrix inequalities"),
+}
 
 
 def report(console: Console, *, as_json: bool) -> int:
     """Print the report; returns 1 when physics or rendering would not work."""
     versions = {"lieednn-sim": _version("lieednn-sim"), "python": platform.python_version()}
     versions |= {name: _version(name) for name in _PACKAGES}
+    extras = {name: _version(name) for name in _EXTRAS}
     try:
         arms = arm_names()
     except FileError as error:
@@ -48,6 +62,10 @@ def report(console: Console, *, as_json: bool) -> int:
                 {
                     "healthy": healthy,
                     "versions": versions,
+                    "extras": {
+                        name: {"version": version, "install": _install(name), "for": _EXTRAS[name][1]}
+                        for name, version in extras.items()
+                    },
                     "arms": arms,
                     "opengl": {"backend": backend.name, "source": backend.source, "detail": backend.detail, **renderer},
                     "debian_packages_to_install": packages,
@@ -60,6 +78,9 @@ def report(console: Console, *, as_json: bool) -> int:
     table = Table(show_header=False, title="lieednn-sim doctor", title_justify="left")
     for name, version in versions.items():
         table.add_row(name, version or "[red]missing[/red]")
+    for name, version in extras.items():
+        absent = f"not installed (optional, for {_EXTRAS[name][1]}): {escape(_install(name))}"
+        table.add_row(name, version or absent)
     table.add_row("platform", f"{platform.system()} {platform.machine()}, {sys.executable}")
     table.add_row("arms", models)
     table.add_row("OpenGL backend", f"{backend.name} (by {backend.source})")
@@ -75,6 +96,10 @@ def report(console: Console, *, as_json: bool) -> int:
     if healthy:
         console.print("everything works")
     return 0 if healthy else 1
+
+
+def _install(name: str) -> str:
+    return f"pip install 'lieednn_sim[{_EXTRAS[name][0]}]'"
 
 
 def _version(name: str) -> str | None:

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from lieednn_sim import plots
 from lieednn_sim.arm import Arm
-from lieednn_sim.cli.arguments import start_and_target
+from lieednn_sim.cli.arguments import load_arm, make_task, start_and_target
+from lieednn_sim.cli.arms import print_adoption
 from lieednn_sim.cli.console import console, progress, table, wrote
 from lieednn_sim.errors import FileError, InputError, PlanError
 from lieednn_sim.learning import (
@@ -53,15 +54,15 @@ def train(arguments: argparse.Namespace) -> int:
         task, arm = pending.load_task()
         learners = _resumed(pending, arm.encode(task.target))
     else:
-        arm = Arm.load(arguments.arm)
+        arm = load_arm(arguments)
         start, target = start_and_target(arm, arguments)
         arm.check_position(target, "target")
         learner = _learner(arguments, arm.encode(target), pending)
-        duration, seed = as_positive("duration", arguments.duration), as_seed("seed", arguments.seed)
-        task = Task(arm.name, tuple(start.tolist()), tuple(target.tolist()), duration)
+        task, seed = make_task(arm, start, target, arguments), as_seed("seed", arguments.seed)
         learners = (functools.partial(learner, seed + k) for k in itertools.count())
         pending.create()
         task.save(pending.task)
+        print_adoption(arm)
     try:
         result, refusal = _choose(itertools.islice(learners, candidates), run, arm, task)
     except BaseException as error:

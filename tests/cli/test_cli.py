@@ -12,7 +12,8 @@ import time
 import numpy as np
 import pytest
 
-from lieednn_sim.cli import main
+from lieednn_sim.arm import arm_names
+from lieednn_sim.cli import doctor, main
 from lieednn_sim.learning import projected
 from lieednn_sim.network import LieEDNN
 
@@ -185,13 +186,13 @@ def test_a_target_can_be_numbers_or_a_position(tmp_path):
     q = "-0.2,0.1,0.4,0.1,-0.3,0.1,-0.2,0.1"
     assert main(["synthesize", "--target", q, "--output", str(tmp_path / "a"), *FAST]) == 0
     assert json.loads((tmp_path / "a" / "task.json").read_text())["target"][4] == -0.3
-    assert main(["synthesize", "--position", "-.9,1.2,1.2", "--output", str(tmp_path / "b"), *FAST]) == 0
+    assert main(["synthesize", "--position", "-.9,1.2,1.2", "--output", str(tmp_path / "b"), *FAST[:2]]) == 0
 
 
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--target", "extended", "--arm", "crane"], "no arm 'crane'; allowed: telescopic_pr"),
+        (["--target", "extended", "--arm", "crane"], "no arm 'crane'; allowed: telescopic_compound, telescopic_pr"),
         (["--target", "nowhere"], "no keyframe 'nowhere'"),
         (["--target", "1,2,3"], "target must be 8 comma-separated numbers, got 3"),
         (["--target", "0,0,0,x,0,0,0,0"], "target must be 8 comma-separated numbers"),
@@ -292,11 +293,24 @@ def test_help_imports_nothing_heavy():
     assert "synthesize" in done.stdout
 
 
-def test_doctor_reports_in_words_and_json(capsys):
+def test_doctor_reports_in_words_and_json(capsys, monkeypatch):
     code = main(["doctor", "--json"])
     report = json.loads(capsys.readouterr().out)
     assert report["versions"]["mujoco"].startswith("3.")
-    assert report["arms"] == ["telescopic_pr"]
+    assert report["arms"] == arm_names()
     assert report["healthy"] == (code == 0) == ("error" not in report["opengl"])
+    # Optional packages may be absent.
+    versions = doctor.metadata.version
+
+    def version(name):
+        if name in ("ompl", "gymnasium"):
+            raise doctor.metadata.PackageNotFoundError
+        return versions(name)
+
+    monkeypatch.setattr(doctor.metadata, "version", version)
     assert main(["doctor"]) == code
-    assert "OpenGL backend" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "OpenGL backend" in printed
+    assert "not installed (optional, for planners rrt-connect and" in printed
+    assert main(["doctor", "--json"]) == code
+    assert json.loads(capsys.readouterr().out)["extras"]["gymnasium"]["version"] is None

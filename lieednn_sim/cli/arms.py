@@ -1,0 +1,113 @@
+"""The command ``arms``: the arms of the package in a table, or one arm in full."""
+
+from __future__ import annotations
+
+import argparse
+from collections import Counter
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.markup import escape
+from scipy.optimize import minimize
+
+from lieednn_sim.arm import Arm, arm_names
+from lieednn_sim.cli.arguments import keyframes, names
+from lieednn_sim.cli.console import console, table
+from lieednn_sim.errors import InputError
+
+Floats = NDArray[np.float64]
+
+# Starts of the search for the farthest end effector, beside the keyframes; step of its finite differences [rad, m].
+_STARTS, _DIFFERENCE = 4, 1e-6
+
+
+def arms(arguments: argparse.Namespace) -> None:
+    """All arms of the package, or the one that is named."""
+    if arguments.arm is None:
+        if arguments.links is not None or arguments.base is not None or arguments.servos != "keep":
+            raise InputError(
+                "--links, --base and --servos need an MJCF file: lieednn-sim arms FILE.xml --links A,B,..."
+            )
+        _print_summaries([Arm.load(name) for name in arm_names()])
+        return
+    arm = Arm.load(arguments.arm, links=names(arguments.links), base=arguments.base, servos=arguments.servos)
+    _print_summaries([arm])
+    console.print(_coordinates(arm))
+    print_adoption(arm)
+
+
+def print_adoption(arm: Arm) -> None:
+    """What was made of an MJCF file without the package's conventions; nothing for another arm."""
+    if arm.adoption is None:
+        return
+    rows = table(f"{arm.name}: taken from {arm.source.name} as an arm", "what", "how")
+    rows.columns[1].justify = "left"
+    rows.columns[1].overflow = "fold"
+    for line in str(arm.adoption).splitlines():
+        what, _, how = line.partition(": ")
+        rows.add_row(escape(what), escape(how))
+    console.print(rows)
+
+
+def farthest(arm: Arm) -> float:
+    """Largest distance of the end effector from the base frame that a search within the limits finds [m].
+
+    Contacts don't count.
+    """
+    low, high = arm.position_limits.T
+    origin = np.asarray(arm.base.translation)
+
+    def inside(q: Floats) -> Floats:
+        """Rotation vectors of ball joints cut to their largest angle."""
+        q = q.copy()
+        for ball in arm.space.balls:
+            angle = np.linalg.norm(q[..., ball], axis=-1, keepdims=True)
+            q[..., ball] *= np.minimum(1.0, high[ball] / np.maximum(angle, 1e-12))
+        return q
+
+    def distances(q: Floats) -> Floats:
+        tip = np.asarray(arm.link_poses(inside(q)).translation)[..., -1, :]
+        return np.linalg.norm(tip - origin, axis=-1)
+
+    def negative(q: Floats) -> tuple[float, Floats]:
+        values = distances(np.vstack([q, q + _DIFFERENCE * np.eye(len(q))]))
+        return -float(values[0]), -(values[1:] - values[0]) / _DIFFERENCE
+
+    rng = np.random.default_rng(0)
+    starts = [arm.keyframe(name) for name in keyframes(arm)] + list(rng.uniform(low, high, (_STARTS, arm.n_joints)))
+    bounds = list(zip(low, high, strict=True))
+    return max(-float(minimize(negative, q, jac=True, bounds=bounds, method="L-BFGS-B").fun) for q in starts)
+
+
+def _print_summaries(loaded: list[Arm]) -> None:
+    rows = table("arms", "arm", "links", "n", "joints", "reach m", "unit m", "keyframes")
+    for arm in loaded:
+        rows.add_row(
+            escape(arm.name),
+            str(arm.n_links),
+            str(arm.n_joints),
+            _kinds(arm),
+            f"{farthest(arm):.2f}",
+            f"{arm.length_scale:g}",
+            escape(", ".join(keyframes(arm))),
+        )
+    rows.caption = (
+        "n: joint coordinates; reach: farthest end effector found from the base; "
+        "unit: metres per length unit of the network"
+    )
+    console.print(rows)
+
+
+def _kinds(arm: Arm) -> str:
+    kinds = Counter(factor.kind for joint in arm.joints.joints for factor in joint.factors)
+    return ", ".join(f"{count} {kind}{'s' if count > 1 else ''}" for kind, count in sorted(kinds.items()))
+
+
+def _coordinates(arm: Arm) -> object:
+    rows = table("joint coordinates", "coordinate", "unit", "from", "to", "velocity", "acceleration", "force")
+    for j, name in enumerate(arm.joint_names):
+        limits = (arm.velocity_limits[j], arm.acceleration_limits[j], arm.force_limits[j])
+        texts = ("-" if np.isinf(limit) else f"{limit:g}" for limit in limits)
+        rows.add_row(escape(name), arm.unit(j), *(f"{bound:.4g}" for bound in arm.position_limits[j]), *texts)
+    rows.caption = "limits; -: none" + ("; of a ball joint the angle is limited" if len(arm.space.balls) else "")
+    return rows

@@ -1,0 +1,185 @@
+"""The options of each command; nothing heavy is imported here."""
+
+from __future__ import annotations
+
+import argparse
+
+
+def add_task(parser: argparse.ArgumentParser, output: str, *, goal: bool = True) -> argparse._MutuallyExclusiveGroup:
+    """Arm, scene, start and target; without a required ``goal`` the command chooses a target itself."""
+    parser.add_argument(
+        "--arm", default="telescopic_pr", metavar="NAME", help="name of an arm, or an MJCF file (default: %(default)s)"
+    )
+    add_frames(parser)
+    parser.add_argument(
+        "--scene", default="free", metavar="NAME", help="obstacles: free, window, shelf or poles (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--scene-seed", type=int, default=0, metavar="N", help="of the obstacles' positions (default: %(default)s)"
+    )
+    group = parser.add_mutually_exclusive_group(required=goal)
+    group.add_argument(
+        "--target",
+        metavar="Q",
+        help="joint target: a keyframe's name, random:SEED, or comma-separated joint coordinates [rad, m]"
+        + ("" if goal else " (default: extended; among obstacles, or without such a keyframe, random:SEED)"),
+    )
+    group.add_argument("--position", metavar="X,Y,Z", help="end effector target in the world [m] instead")
+    parser.add_argument("--start", default="home", metavar="Q", help="start, as for --target (default: %(default)s)")
+    parser.add_argument("--duration", type=float, default=4.0, metavar="S", help="of the motion (default: %(default)s)")
+    parser.add_argument("--seed", type=int, default=0, help="of the random draws (default: %(default)s)")
+    parser.add_argument("--output", default=output, metavar="DIR", help="run directory (default: %(default)s)")
+    return group
+
+
+def add_frames(parser: argparse.ArgumentParser) -> None:
+    """How an MJCF file becomes an arm."""
+    parser.add_argument(
+        "--links",
+        metavar="A,B,...",
+        help="bodies or sites of an MJCF file that are the link frames, from the base outwards (default: found)",
+    )
+    parser.add_argument("--base", metavar="NAME", help="body or site of the base frame (default: found)")
+    parser.add_argument(
+        "--servos",
+        default="keep",
+        metavar="RULE",
+        help="keep the position servos of an MJCF file, or design all anew (default: %(default)s)",
+    )
+
+
+def add_planning(parser: argparse.ArgumentParser, output: str, *, goal: bool = True) -> None:
+    """Options of ``synthesize`` and ``demo``."""
+    add_task(parser, output, goal=goal)
+    parser.add_argument(
+        "--planner",
+        metavar="NAME",
+        help="a planner that runs a network (default: lieednn-certified; among obstacles lieednn-filtered)",
+    )
+    parser.add_argument("--bias", metavar="RULE", help="uniform, sign-matched or solved (default: sign-matched)")
+    parser.add_argument("--bias-magnitude", type=float, metavar="B", help="of the rule (default: several are tried)")
+    parser.add_argument("--candidates", type=int, metavar="N", help="networks to choose from (default: 24)")
+    parser.set_defaults(usual_bias_magnitude=None)
+
+
+def add_training(parser: argparse.ArgumentParser) -> None:
+    """Options of ``train``."""
+    goal = add_task(parser, output="results/run")
+    goal.add_argument("--resume", metavar="DIR", help="go on with an interrupted training, options as they were")
+    parser.add_argument(
+        "--algorithm",
+        default="tracked",
+        metavar="NAME",
+        help="literal, repaired, tracked, riemannian or stability-aware (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--candidates",
+        type=int,
+        default=4,
+        metavar="N",
+        help="seeds to try until a network's motion keeps the limits (default: %(default)s)",
+    )
+    parser.add_argument("--period", type=int, metavar="P", help="epochs between projections (default: the algorithm's)")
+    parser.add_argument("--epochs", type=int, metavar="K", help="at most (default: 25000)")
+    parser.add_argument(
+        "--tolerance",
+        type=float,
+        default=1e-5,
+        metavar="TAU",
+        help="of the equilibrium [rad, length units] (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--bias", default="sign-matched", metavar="RULE", help="uniform or sign-matched (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--bias-magnitude", type=float, default=0.125, metavar="B", help="of the rule (default: %(default)s)"
+    )
+
+
+def add_run(parser: argparse.ArgumentParser) -> None:
+    """The run directory of a command that reads one."""
+    parser.add_argument("run", metavar="DIR", help="run directory, made by 'synthesize', 'train' or 'demo'")
+
+
+def add_comparison(parser: argparse.ArgumentParser) -> None:
+    """Options of ``compare``."""
+    for name, default in (
+        ("planners", "all"),
+        ("arms", "all"),
+        ("scenes", "free,window"),
+        ("controllers", "position-servo,inverse-dynamics"),
+    ):
+        parser.add_argument(f"--{name}", metavar="A,B,...", help=f"names, comma-separated (default: {default})")
+    parser.add_argument("--seeds", type=int, default=10, metavar="N", help="from seed 0 on (default: %(default)s)")
+    parser.add_argument("--duration", type=float, default=4.0, metavar="S", help="of motions (default: %(default)s)")
+    _add_conditions(parser)
+    parser.add_argument("--output", default="results/comparison", metavar="DIR", help="(default: %(default)s)")
+    parser.add_argument("--jobs", type=int, metavar="N", help="worker processes (default: all cores)")
+    parser.add_argument("--videos", type=int, default=0, metavar="N", help="cases to show (default: %(default)s)")
+    parser.add_argument(
+        "--video",
+        action="append",
+        default=[],
+        metavar="CASE",
+        help="a case to show, planner:arm:scene:seed; may be given more than once",
+    )
+    parser.add_argument("--date", default="", metavar="TEXT", help="to put into the page's head (default: none)")
+
+
+def add_simulation(parser: argparse.ArgumentParser) -> None:
+    """Controller and disturbances."""
+    parser.add_argument(
+        "--controller",
+        default="position-servo",
+        metavar="NAME",
+        help="position-servo, inverse-dynamics, computed-torque, mocap or mocap-deadbeat (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--reference-rate",
+        type=float,
+        metavar="HZ",
+        help="the controller sees samples of the motion taken at this rate and held (default: every step)",
+    )
+    _add_conditions(parser)
+    parser.add_argument(
+        "--payload", type=float, default=0.0, metavar="KG", help="mass at the end effector (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--push",
+        action="append",
+        default=[],
+        metavar="BODY,FX,FY,FZ,START,DURATION",
+        help='force [N] on a body or link ("link 1", ..., "end effector") from START [s] on; may be given again',
+    )
+    for what, unit in (("position", "rad, m"), ("velocity", "rad/s, m/s")):
+        parser.add_argument(
+            f"--{what}-noise",
+            type=float,
+            default=0.0,
+            metavar="SD",
+            help=f"standard deviation of measured joint {what} [{unit}] (default: %(default)s)",
+        )
+    parser.add_argument("--noise-seed", type=int, default=0, metavar="N", help="of that noise (default: %(default)s)")
+
+
+def _add_conditions(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--mass-scale",
+        type=float,
+        default=1.0,
+        metavar="X",
+        help="true masses in units of those that the controller knows (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--hold", type=float, default=1.0, metavar="S", help="time simulated after the motion (default: %(default)s)"
+    )
+
+
+def add_video(parser: argparse.ArgumentParser) -> None:
+    """Quality, size and view of a video."""
+    parser.add_argument("--preset", default="nice", help="draft or nice (default: %(default)s)")
+    parser.add_argument("--size", default="1280x720", metavar="WxH", help="pixels (default: %(default)s)")
+    parser.add_argument("--fps", type=int, default=30, help="frames a second (default: %(default)s)")
+    parser.add_argument(
+        "--camera", metavar="NAME", help="a camera of the scene (default: overview, or a view of the whole)"
+    )

@@ -1,0 +1,210 @@
+"""Arms of one's own, planners, obstacles and disturbances on the command line."""
+
+import json
+import re
+
+import imageio.v3 as imageio
+import numpy as np
+import pytest
+
+from lieednn_sim import plots
+from lieednn_sim.arm import Arm
+from lieednn_sim.cli import main
+from lieednn_sim.cli.arms import farthest
+from lieednn_sim.errors import PlanError
+from lieednn_sim.motion import Motion, make_motion
+from lieednn_sim.network import LieEDNN
+from lieednn_sim.planners import NETWORK_PLANNERS
+from lieednn_sim.simulate import Push, Rollout
+from lieednn_sim.task import Task
+
+# Three hinges; [joint] looks like markup of the terminal.
+OWN = """
+<mujoco>
+  <worldbody>
+    <body name="one"><joint name="a" axis="0 0 1" range="-90 90"/>
+      <geom type="capsule" size="0.02" fromto="0 0 0 0.3 0 0"/>
+      <body name="two" pos="0.3 0 0"><joint name="[b]" axis="0 1 0" range="-90 90"/>
+        <geom type="capsule" size="0.02" fromto="0.05 0 0 0.25 0 0"/>
+        <body name="three" pos="0.3 0 0"><joint name="c" axis="0 1 0" range="-90 90"/>
+          <geom type="capsule" size="0.02" fromto="0.05 0 0 0.3 0 0"/><site name="tool" pos="0.3 0 0"/>
+        </body></body></body>
+  </worldbody>
+</mujoco>
+"""
+
+
+@pytest.fixture
+def own(tmp_path):
+    path = tmp_path / "own.xml"
+    path.write_text(OWN)
+    return path
+
+
+def error(capsys, *arguments):
+    """Run a command that must fail with one line on stderr, and return the line."""
+    capsys.readouterr()
+    assert main([str(argument) for argument in arguments]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    return line
+
+
+def test_an_arm_of_ones_own_goes_the_whole_road_from_another_directory(own, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    arguments = [
+        "demo",
+        "--no-video",
+        "--arm",
+        "own.xml",
+        "--links",
+        "two,tool",
+        "--base",
+        "world",
+        "--servos",
+        "design",
+    ]
+    arguments += ["--output", "run"]
+    assert main([*arguments, "--candidates", "4", "--controller", "inverse-dynamics"]) == 0
+    printed = capsys.readouterr().out
+    assert "target: random:0" in printed
+    assert re.search(r"link 2 +tool, moved by c", printed)
+    assert "[b]" in printed
+    task = Task.load("run/task.json")
+    assert (task.arm, task.links, task.base, task.servos) == (str(own), ("two", "tool"), "world", "design")
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    assert main(["simulate", "../run", "--controller", "mocap", "--hold", "0.5"]) == 0
+    assert main(["evaluate", "../run"]) == 0
+    assert re.search(r"welds up to [\d.]+ N and", capsys.readouterr().out)
+    assert json.loads((tmp_path / "run" / "metrics.json").read_text())["frames"][-1]["final_translation_mm"] < 0.1
+    own.unlink()
+    assert "no such file" in error(capsys, "simulate", tmp_path / "run")
+
+
+def test_arms_are_listed_and_described(own, capsys):
+    assert main(["arms"]) == 0
+    printed = capsys.readouterr().out
+    assert re.search(r"telescopic_pr +4 +8 +4 hinges, 4", printed)
+    assert main(["arms", str(own), "--links", "two,tool", "--base", "one"]) == 0
+    printed = capsys.readouterr().out
+    assert re.search(r"link 1 +two, moved by \[b\]", printed)
+    assert re.search(r"c +rad +-1.571 +1.571 +- +- +-", printed)
+    assert "--links, --base and --servos need an MJCF file" in error(capsys, "arms", "--links", "a")
+    # The arm is straight at its reference, where nothing is further out.
+    assert farthest(Arm.load(str(own), links=("two", "tool"), base="one")) == pytest.approx(0.9, abs=1e-6)
+
+
+def test_a_planners_motion_is_simulated_and_never_a_stale_one(tmp_path, capsys):
+    directory = tmp_path / "run"
+    base = ["synthesize", "--target", "random:3", "--output", str(directory)]
+    assert main([*base, "--planner", "linear-law"]) == 0
+    planned, task = Motion.load(directory / "motion.npz"), Task.load(directory / "task.json")
+    assert task.planner == "linear-law"
+    assert main(["simulate", str(directory), "--hold", "0"]) == 0
+    np.testing.assert_array_equal(Rollout.load(directory / "rollout.npz").q_ref, planned.q)
+    elsewhere = [*task.target[:-1], task.target[-1] - 0.01]
+    (directory / "task.json").write_text(
+        (directory / "task.json").read_text().replace(*map(str, (task.target[-1], elsewhere[-1])))
+    )
+    assert "was planned for another start or target" in error(capsys, "simulate", directory)
+    # Another network: the motion of the old one is gone, and would not be read if it came back.
+    assert main([*base, "--candidates", "3"]) == 0
+    assert {path.name for path in directory.iterdir()} == {"task.json", "network.npz"}
+    planned.save(directory / "motion.npz")
+    assert main(["simulate", str(directory), "--hold", "0"]) == 0
+    arm, network = Arm.load("telescopic_pr"), LieEDNN.load(directory / "network.npz")
+    own = make_motion(arm, network, task.start, task.duration, arm.model.opt.timestep)
+    np.testing.assert_array_equal(Rollout.load(directory / "rollout.npz").q_ref, own.q)
+
+
+def test_disturbances_reach_the_simulation_and_are_reported(tmp_path, capsys):
+    directory = tmp_path / "run"
+    road = [
+        "demo",
+        "--no-video",
+        "--output",
+        str(directory),
+        "--candidates",
+        "3",
+        "--duration",
+        "3",
+        "--payload",
+        "0.5",
+    ]
+    road += ["--push", "end effector,0,-30,5.5,3.1,0.1", "--push", "forearm,1e-9,0,0,0.5,0.1", "--mass-scale", "1.1"]
+    road += ["--reference-rate", "100", "--position-noise", "1e-6", "--velocity-noise", "1e-5", "--noise-seed", "4"]
+    arm = Arm.load("telescopic_pr")
+    body = arm.model.body(arm.model.site_bodyid[arm.site_ids[1]]).name
+    assert main([word.replace("forearm", body) for word in road]) == 0
+    rollout = Rollout.load(directory / "rollout.npz")
+    told = rollout.disturbances
+    assert rollout.reference_rate == 100.0
+    assert told.pushes == (Push(body, (1e-9, 0.0, 0.0), 0.5, 0.1), Push("end effector", (0.0, -30.0, 5.5), 3.1, 0.1))
+    assert (told.payload, told.mass_scale, told.seed) == (0.5, 1.1, 4)
+    assert (told.position_noise, told.velocity_noise) == (1e-6, 1e-5)
+    printed = capsys.readouterr().out
+    assert re.search(r"end effector +3\.1 +3\.2 +\d", printed)
+    assert "reference held at 100 Hz, masses times 1.1, payload 0.5 kg, position noise 1e-06, velocity" in printed
+
+
+def test_among_obstacles_the_filter_plans_and_the_clearance_is_measured(tmp_path, capsys):
+    directory = tmp_path / "run"
+    assert main(["demo", "--no-video", "--scene", "window", "--scene-seed", "2", "--output", str(directory)]) == 0
+    task = Task.load(directory / "task.json")
+    assert (task.scene, task.scene_seed, task.planner) == ("window", 2, "lieednn-filtered")
+    clearance = re.search(r"least clearance ([\d.-]+) mm", capsys.readouterr().out)
+    assert clearance is not None
+    assert float(clearance.group(1)) > 0.0
+
+
+def test_where_the_filter_blocks_nothing_is_left_and_the_line_says_by_what(tmp_path, capsys, monkeypatch):
+    def blocked(problem):
+        raise PlanError("blocked by the clearance of 'hand' from 'wall'")
+
+    monkeypatch.setitem(NETWORK_PLANNERS, "lieednn-filtered", blocked)
+    arguments = ["synthesize", "--scene", "window", "--target", "random:0", "--output", tmp_path / "run"]
+    assert "error: blocked by the clearance of 'hand' from 'wall'" in error(capsys, *arguments)
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--push", "link 1,1,2,3"], "a push must look like BODY,FX,FY,FZ,START,DURATION"),
+        (["--push", "moon,1,2,3,1,1"], "no body 'moon' to push; links are: link 1"),
+        (["--push", "link 1,1,2,3,1,0"], "duration must be positive"),
+        (["--payload", "-1"], "payload must not be negative"),
+        (["--reference-rate", "7"], "reference_rate must divide the simulation's 500 Hz"),
+        (["--controller", "magic"], "no controller 'magic'; allowed: computed-torque"),
+        (["--noise-seed", "-1"], "seed must be a whole number >= 0"),
+        (["--planner", "screw"], "no planner that runs a network 'screw'; allowed: lieednn-certified"),
+        (["--planner", "linear-law", "--bias-magnitude", "1"], "--bias-magnitude is for --planner lieednn-certified"),
+        (["--scene", "cave"], "no scene 'cave'; allowed: free, poles"),
+        (["--scene-seed", "-1", "--scene", "poles"], "seed"),
+        (["--links", "a,b"], "arm 'telescopic_pr' has its own"),
+        (["--arm", "nowhere.xml"], "no such file: nowhere.xml"),
+        (["--target", "random:x"], "a random target must look like random:7"),
+    ],
+)
+def test_bad_options_stop_the_demo_before_the_work(arguments, message, tmp_path, capsys):
+    assert message in error(capsys, "demo", "--output", tmp_path / "run", *arguments)
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_push_after_the_end_is_no_push(tmp_path, capsys):
+    arguments = ["--output", tmp_path / "run", "--candidates", "3", "--push", "link 1,1,2,3,9,1"]
+    assert "at 9 s comes after the run's end at 5 s" in error(capsys, "demo", "--no-video", *arguments)
+
+
+def test_the_joints_of_a_large_arm_stand_in_two_blocks(tmp_path):
+    arm = Arm.load("telescopic_compound")
+    rows, n, links = 3, arm.n_joints, arm.n_links
+    q = np.tile(arm.keyframe("home"), (rows, 1))
+    zeros, unit = np.zeros((rows, n)), np.tile([1.0, 0.0, 0.0, 0.0], (rows, links, 1))
+    log = {"q": q, "qd": zeros, "q_ref": q, "qd_ref": zeros, "ctrl": zeros, "force": zeros, "constraint_force": zeros}
+    poses = {"link_position": np.zeros((rows, links, 3)), "link_quaternion": unit}
+    contacts = np.zeros(rows, dtype=int)
+    rollout = Rollout(arm=arm.name, t=np.arange(3.0), **log, **poses, contacts=contacts, motion_end=1.0)
+    plots.plot_joints(arm, rollout, tmp_path / "joints.png")
+    height, width = imageio.imread(tmp_path / "joints.png").shape[:2]
+    assert 1.0 < width / height < 2.0
