@@ -187,7 +187,7 @@ def test_kept_servos_push_as_the_original_ones_and_force_limits_are_referred_to_
     np.testing.assert_allclose(arm.force_limits, [50, 40, 280, np.inf])
 
 
-def test_designed_servos_have_20_hz_and_critical_damping_on_the_effective_inertia():
+def test_designed_servos_have_20_hz_and_critical_damping_on_the_inertia_held():
     arm, report = arm_of(BY_EQUALITY)
     made = next(servo for servo in report.servos if not servo.kept)
     index = arm.joint_names.index(made.name)
@@ -198,9 +198,23 @@ def test_designed_servos_have_20_hz_and_critical_damping_on_the_effective_inerti
     inertia = np.zeros((arm.n_joints, arm.model.nv))
     for row, rate in zip(inertia, rates, strict=True):
         mujoco.mj_mulM(arm.model, data, row, rate)
-    effective = 1.0 / np.linalg.inv(inertia @ rates.T)[index, index]
-    np.testing.assert_allclose(made.kp, effective * (40 * np.pi) ** 2)
-    np.testing.assert_allclose(made.kv, 2 * np.sqrt(made.kp * effective))
+    held = (inertia @ rates.T)[index, index]
+    # The largest over several postures counts, and home is one of them.
+    assert held * (40 * np.pi) ** 2 <= made.kp * (1.0 + 1e-9) < 10.0 * held * (40 * np.pi) ** 2
+    np.testing.assert_allclose(made.kv, made.kp / (20.0 * np.pi))
+
+
+def test_servos_of_axes_in_line_are_not_weak():
+    """Twice about z and twice about y: at home the first two, and the last two, turn against each other freely."""
+    names = "zzyy"
+    bodies = "".join(
+        f'<body pos="0 0 .2"><joint name="j{i}" axis="0 {int(a == "y")} {int(a == "z")}" range="-2 2"/>'
+        '<geom type="capsule" fromto="0 0 0 0 0 .2" size=".03" contype="0" conaffinity="0"/>'
+        for i, a in enumerate(names)
+    )
+    xml = f'<mujoco><compiler angle="radian"/><worldbody>{bodies}{"</body>" * len(names)}</worldbody></mujoco>'
+    _, report = arm_of(xml)
+    assert min(servo.kp for servo in report.servos) > 0.01 * max(servo.kp for servo in report.servos)
 
 
 @pytest.mark.parametrize("xml", [BY_EQUALITY, BY_TENDON, BALL.replace("ACTIVE", ""), HINGES.format(options="")])

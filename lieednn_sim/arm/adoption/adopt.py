@@ -92,8 +92,8 @@ def adopt(
     the arm is the chain with the most driven joints (`serial_chain.longest_chain`), cut by the rule
     of `serial_chain.cut`, its link frames the origins of the bodies behind the cuts. Every joint off the arm is frozen.
     Coupled stages count as one coordinate; a fixed tendon that drives several stages becomes equalities between them.
-    Plain position servos keep their gains; other drives are replaced by servos of 20 Hz, critically damped, on
-    I = 1 / (M^-1)_ii at the home posture, slower where coupled stages could not keep up. Gravity compensation is
+    Plain position servos keep their gains; other drives are replaced by servos of 20 Hz, critically damped, on the
+    largest inertia M_ii of a few postures, slower where coupled stages could not keep up. Gravity compensation is
     switched on where no body of the arm has any, because a position servo would sag. Hinges are held within 0.99 pi of
     their reference, where the logarithm is unique.
 
@@ -144,8 +144,8 @@ def adopt(
     for remark in dict.fromkeys(drive.remark for drive in drives if drive.remark):
         affected = [freedom.name for freedom, drive in zip(here, drives, strict=True) if drive.remark == remark]
         notes.append(f"new servos for {', '.join(affected)}: {remark}")
-    designed = design(bare, posture_of(home), here, drives)
     samples = [home, *random_samples(original, joints, couplings, ranges, 64)]
+    designed = design(bare, [posture_of(q) for q in samples[:16]], here, drives)
     stabilise(spec, bare, [posture_of(q) for q in samples[:8]], here, designed, notes)
     names = [add_servo(spec, freedom, servo) for freedom, servo in zip(here, designed, strict=True)]
     designed = soften(spec, posture_of(home), here, designed, names)

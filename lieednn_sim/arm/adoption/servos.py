@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -47,7 +48,7 @@ class Servo:
         kp: [N m/rad, N/m].
         kv: [N m s/rad, N s/m].
         force_range: [N m, N]; infinite where nothing limits the drive.
-        frequency: natural frequency on the effective inertia at the home posture [Hz].
+        frequency: natural frequency on the largest inertia of a few postures, the other coordinates held [Hz].
         kept: whether kp and kv are those of the given model.
     """
 
@@ -121,18 +122,21 @@ def read_drive(model: mujoco.MjModel, freedoms: list[Freedom], k: int) -> Drive:
     return Drive(limits, (float(gain * moments[k] ** 2), float(abs(b2) * moments[k] ** 2)), "")
 
 
-def design(model: mujoco.MjModel, qpos: Floats, freedoms: list[Freedom], drives: list[Drive]) -> tuple[Servo, ...]:
+def design(
+    model: mujoco.MjModel, postures: Sequence[Floats], freedoms: list[Freedom], drives: list[Drive]
+) -> tuple[Servo, ...]:
     """One servo for each freedom: the drive's own gains where it has any, else kp = I w^2, kv = 2 I w, w = 2 pi f.
 
-    I = 1 / (M^-1)_ii is the effective inertia at ``qpos`` with all other coordinates free to give way, M the inertia in
-    the independent coordinates, coupled stages and armature included; f = 20 Hz.
+    I = M_ii is the inertia with the other coordinates held, M in the independent coordinates, coupled stages and
+    armature included; the largest over ``postures`` counts, and f = 20 Hz. With the others free to give way the
+    inertia may be next to nothing, as of two axes in line, and a servo made for that is weak when both turn.
     """
-    inertia = 1.0 / np.diag(np.linalg.inv(reduced_inertia(model, qpos, freedoms)))
+    inertia = np.max([np.diag(reduced_inertia(model, qpos, freedoms)) for qpos in postures], axis=0)
     servos = []
-    for freedom, drive, effective in zip(freedoms, drives, inertia, strict=True):
+    for freedom, drive, held in zip(freedoms, drives, inertia, strict=True):
         omega = 2.0 * np.pi * NATURAL_FREQUENCY
-        kp, kv = drive.gains or (effective * omega**2, 2.0 * effective * omega)
-        frequency = np.sqrt(kp / effective) / (2.0 * np.pi)
+        kp, kv = drive.gains or (held * omega**2, 2.0 * held * omega)
+        frequency = np.sqrt(kp / held) / (2.0 * np.pi)
         servos.append(
             Servo(freedom.name, float(kp), float(kv), drive.force_range, float(frequency), drive.gains is not None)
         )
