@@ -20,7 +20,7 @@ from scipy.interpolate import PchipInterpolator
 from lieednn_sim import storage
 from lieednn_sim.arm import PLANNED_CLEARANCE, Arm
 from lieednn_sim.errors import FileError, InputError, PlanError
-from lieednn_sim.network import LieEDNN
+from lieednn_sim.network import ComponentwiseNetwork
 from lieednn_sim.validation import as_floats, as_positive, as_times
 
 Floats = NDArray[np.float64]
@@ -99,7 +99,7 @@ class Motion:
             raise FileError(f"{path} is not a valid motion: {error}") from None
 
 
-def make_motion(arm: Arm, network: LieEDNN, start: ArrayLike, duration: float, timestep: float) -> Motion:
+def make_motion(arm: Arm, network: ComponentwiseNetwork, start: ArrayLike, duration: float, timestep: float) -> Motion:
     """Decode the network's trajectory from joint position ``start`` ``(n,)`` and time it to ``duration`` [s].
 
     Args:

@@ -1,7 +1,5 @@
 """The filter: limits kept whatever is wanted, clearance kept on the way, arrival, and what is said when it blocks."""
 
-import itertools
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -12,10 +10,10 @@ from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.filtering import FilterOptions, SafetyFilter, limits_proved, run_filtered
+from lieednn_sim.filtering.approach import ApproachBounds
 from lieednn_sim.motion import check_motion
-from lieednn_sim.planners import PlanningProblem
+from lieednn_sim.planners import PlanningProblem, missing_planners, plan_network, sampling
 from lieednn_sim.planners import filtered as planner
-from lieednn_sim.planners.waypoints import find_waypoints
 from lieednn_sim.synthesis import synthesize
 
 FREE = Arm.load("telescopic_pr")
@@ -81,40 +79,96 @@ def test_ends_that_touch_or_leave_the_limits_are_refused():
         SafetyFilter(FREE, 0.01).allow(folded)
 
 
-@pytest.mark.parametrize("scene", ["window", "shelf", "poles"])
-def test_the_planner_finds_a_way_around(scene):
-    arm = Arm.load("telescopic_pr", scene, 2)
-    problem = PlanningProblem(arm, arm.keyframe("home"), draw_target(arm, 2), 4.0, 2)
-    network, motion = planner.filtered(problem)
+def test_postures_on_the_way_are_passed_and_the_network_arrives_all_the_same():
+    target, home = draw_target(FREE, 3), FREE.keyframe("home")
+    network = synthesize(FREE.encode(target), bias="sign-matched", bias_magnitude=0.5).unwrap()
+    via = home + np.array([[0.3], [0.7]]) * (target - home)
+    via[0, 0] += 0.4
+    run = run_filtered(FREE, network, home, 4.0, via=via)
+    assert run.success, run.message
+    np.testing.assert_allclose(run.q[-1], target, atol=1e-3)
+    away = np.abs((run.q[:, None] - via) / FREE.velocity_limits).max(axis=2)
+    first, second = away.argmin(axis=0)
+    assert 0 < first < second
+    assert away.min(axis=0).max() < 0.03
+    # It does not stop there.
+    assert np.abs(run.qd[[first, second]] / FREE.velocity_limits).max(axis=1).min() > 1e-3
+    # The reference is of one piece, and ends with the network's own equilibrium.
+    assert (np.diff(run.clock) >= 0.0).all()
+    assert run.clock[-1] <= run.reference.t[-1] + 1e-9
+    np.testing.assert_allclose(run.reference.xi[-1], FREE.encode(target), atol=1e-6)
+    alone = run_filtered(FREE, network, home, 4.0, via=np.zeros((0, FREE.n_joints)))
+    np.testing.assert_array_equal(alone.q, run_filtered(FREE, network, home, 4.0).q)
+    with pytest.raises(InputError, match=r"via must have shape \(V, 8\), got \(2\)"):
+        run_filtered(FREE, network, home, 4.0, via=[0.0, 1.0])
+
+
+@pytest.mark.parametrize("arm", [POLES, Arm.load("telescopic_compound", "window", 0)], ids=lambda arm: arm.name)
+@given(seed=SEEDS)
+@settings(max_examples=8)
+def test_no_pair_approaches_faster_than_its_bound(arm, seed):
+    rng = np.random.default_rng(seed)
+    low, high = arm.position_limits.T
+    q = arm.keyframe("home") + 0.1 * rng.uniform(-1.0, 1.0, arm.n_joints) * (high - low)
+    collisions, speeds = Collisions(arm), rng.uniform(0.1, 1.0, arm.n_joints)
+    near = collisions.distances(q, 0.5)
+    bounds = dict(zip(map(tuple, collisions.pairs), ApproachBounds(arm, collisions.pairs)(q, speeds), strict=True))
+    most = np.abs(near.jacobian) @ speeds
+    allowed = np.array([bounds[tuple(pair)] for pair in near.pairs])
+    assert (most <= allowed + 1e-9).all()
+    assert (most > 0.2 * allowed).any(), "the bounds say nothing"
+
+
+def test_pairs_left_out_change_no_step(monkeypatch):
+    rng = np.random.default_rng(0)
+    home = POLES.keyframe("home")
+    few, all_of_them = SafetyFilter(POLES, 0.01), SafetyFilter(POLES, 0.01)
+    monkeypatch.setattr(all_of_them, "_needed", lambda *_: all_of_them._cutoffs)
+    q, v = home, np.zeros(POLES.n_joints)
+    for k in range(120):
+        if k % 30 == 0:
+            wanted = POLES.velocity_limits * rng.choice([-1.0, 1.0], POLES.n_joints)
+        step, full = few.step(q, v, wanted), all_of_them.step(q, v, wanted)
+        np.testing.assert_allclose(step.velocity, full.velocity, atol=1e-9)
+        assert step.blocking == full.blocking
+        q, v = q + 0.005 * (v + step.velocity), step.velocity
+
+
+@pytest.mark.parametrize(("name", "scene", "seed"), [("lieednn-filtered", "shelf", 1), ("lieednn-guided", "poles", 0)])
+def test_the_planners_find_a_way_around(name, scene, seed):
+    if name in missing_planners():
+        pytest.skip(f"{name} needs {missing_planners()[name]}")
+    arm = Arm.load("telescopic_pr", scene, seed)
+    problem = PlanningProblem(arm, arm.keyframe("home"), draw_target(arm, seed), 4.0, seed)
+    straight = problem.start + np.linspace(0.0, 1.0, 80)[:, None] * (problem.target - problem.start)
+    assert any(arm.contacts(q) for q in straight)
+    network, motion = plan_network(name, problem)
     assert network.certified
     check_motion(arm, motion)
-    collisions = Collisions(arm)
-    assert all(collisions.free(q) for q in motion.q[::3])
     np.testing.assert_array_equal(motion.q[[0, -1]], [problem.start, problem.target])
     np.testing.assert_array_equal(motion.qd[[0, -1]], 0.0)
     assert motion.t[-1] <= planner.LONGEST * problem.duration + 1.0
     # Positions are the integral of the velocities, which never jump.
     middle = 0.5 * motion.timestep * (motion.qd[1:] + motion.qd[:-1])
     np.testing.assert_allclose(np.diff(motion.q, axis=0), middle, atol=1e-6)
-    assert (np.abs(np.diff(motion.qd, axis=0)) <= 1.01 * motion.timestep * arm.acceleration_limits + 1e-3).all()
+
+
+def test_staying_is_a_motion():
+    home = FREE.keyframe("home")
+    _, motion = planner.filtered(PlanningProblem(FREE, home, home, 1.0))
+    np.testing.assert_allclose(motion.q, np.broadcast_to(home, motion.q.shape), atol=1e-3)
 
 
 def test_a_hopeless_problem_says_what_blocks(monkeypatch):
-    monkeypatch.setattr(planner, "find_waypoints", lambda *_, **__: None)
+    monkeypatch.setattr(planner, "_CANDIDATES", 2)
+    monkeypatch.setattr(planner, "optional_module", lambda _: None)
+    monkeypatch.setattr(sampling, "connecting_path", lambda *_: None)
     problem = PlanningProblem(POLES, POLES.keyframe("home"), draw_target(POLES, 0), 4.0)
-    with pytest.raises(
-        PlanError, match=r"no run through the filter arrived; .*the clearance of '.*' from 'obstacle_pole"
-    ):
-        planner.filtered(problem)
-
-
-def test_waypoints_are_free_on_the_way():
-    collisions, home, target = Collisions(POLES), POLES.keyframe("home"), draw_target(POLES, 0)
-    postures = find_waypoints(collisions, home, target, seed=1)
-    corners = [home, *postures, target]
-    for a, b in itertools.pairwise(corners):
-        assert all(collisions.free(a + s * (b - a)) for s in np.linspace(0.0, 1.0, 150))
-    assert find_waypoints(collisions, home, target, seed=1, looks=3) is None
+    for plan in (planner.filtered, planner.guided):
+        with pytest.raises(
+            PlanError, match=r"no run through the filter arrived; .*the clearance of '.*' from 'obstacle_pole"
+        ):
+            plan(problem)
 
 
 def test_limits_are_proved_only_where_they_hold():

@@ -32,7 +32,9 @@ GOAL_PREFIX = "obstacle_goal"
 _NOMINAL_REACH = 2.3
 _SAMPLES = 2048
 _MATERIALS = {
-    "obstacle_panel": (0.83, 0.80, 0.74, 1.0),
+    # What the arm goes behind is seen through.
+    "obstacle_panel": (0.83, 0.80, 0.74, 0.35),
+    "obstacle_side": (0.13, 0.30, 0.42, 0.45),
     "obstacle_trim": (0.13, 0.30, 0.42, 1.0),
     "obstacle_wood": (0.72, 0.54, 0.35, 1.0),
     "obstacle_pole": (0.90, 0.72, 0.18, 1.0),
@@ -108,13 +110,14 @@ def _window(body: Any, arm: Arm, room: _Surroundings, rng: np.random.Generator) 
     }
     for name, (pos, size) in panels.items():
         _box(body, f"wall_{name}", pos, size, "panel")
-    # The frame lies on the panels and only shows where the opening is.
-    bar = 0.025 * s
+    # The frame lies around the panels' edges, with no face in one of theirs, and only shows where the opening is.
+    bar, inset = 0.025 * s, 0.002
+    away, across, along = bar + inset, half[0] + inset, half[1] + inset + 2.0 * bar
     for name, dy, dz, wide, high in (
-        ("left", half[0] + bar, 0.0, bar, half[1] + 2.0 * bar),
-        ("right", -half[0] - bar, 0.0, bar, half[1] + 2.0 * bar),
-        ("upper", 0.0, half[1] + bar, half[0], bar),
-        ("lower", 0.0, -half[1] - bar, half[0], bar),
+        ("left", half[0] + away, 0.0, bar, along),
+        ("right", -half[0] - away, 0.0, bar, along),
+        ("upper", 0.0, half[1] + away, across, bar),
+        ("lower", 0.0, -half[1] - away, across, bar),
     ):
         _box(body, f"frame_{name}", (x, y + dy, z + dz), (thickness + 0.004, wide, high), "trim", collides=False)
     far = near + 2.0 * thickness
@@ -128,32 +131,34 @@ def _shelf(body: Any, arm: Arm, room: _Surroundings, rng: np.random.Generator) -
     board = 0.015 * s
     depth = rng.uniform(0.16, 0.22) * s
     wide, high = s * rng.uniform((0.6, 0.54), (0.76, 0.68))
-    near = room.front + HOME_CLEARANCE + rng.uniform(0.3, 0.6) * (room.reach - room.front)
-    y = wide * (0.5 * rng.choice([-1.0, 1.0]) + rng.uniform(-0.15, 0.15))
-    bottom = max(room.tip[2] - high * (rng.choice([0.5, 1.5]) + rng.uniform(-0.15, 0.15)), 0.1 * s)
+    near = room.front + HOME_CLEARANCE + rng.uniform(0.15, 0.26) * s
+    facing = rng.integers(2, size=2)
+    y = wide * (0.5 - facing[0] + rng.uniform(-0.15, 0.15))
+    bottom = max(room.tip[2] - high * (0.5 + facing[1] + rng.uniform(-0.15, 0.15)), 0.1 * s)
     x, middle = near + depth, bottom + high
     for row in range(3):
         # The uprights cover the ends of the boards.
         _box(body, f"board{row}", (x, y, bottom + row * high), (depth - 0.002, wide - 0.002, board), "wood")
     for column in range(3):
         top = middle + high + board
-        _box(body, f"upright{column}", (x, y + (column - 1) * wide, top / 2.0), (depth, board, top / 2.0), "trim")
+        _box(body, f"upright{column}", (x, y + (column - 1) * wide, top / 2.0), (depth, board, top / 2.0), "side")
     _box(body, "back", (x + depth + board, y, middle), (board, wide + board, high + board), "panel")
-    for cell in range(4):
-        column, row = cell % 2, cell // 2
-        inside = (near + 0.35 * depth, y + (column - 0.5) * wide, middle + (row - 0.5) * high)
-        _goal(body, cell, inside, (0.3 * depth, 0.2 * wide, 0.2 * high))
+    # Straight up or down is easy, and hardly ever blocked: not there.
+    cells = [(column, row) for column in range(2) for row in range(2) if column != facing[0] or row == facing[1]]
+    for number, (column, row) in enumerate(cells):
+        inside = (near + 0.25 * depth, y + (column - 0.5) * wide, middle + (row - 0.5) * high)
+        _goal(body, number, inside, (0.25 * depth, 0.2 * wide, 0.2 * high))
 
 
 def _poles(body: Any, arm: Arm, room: _Surroundings, rng: np.random.Generator) -> None:
     """Vertical poles in a sector of a ring, with gaps that the arm fits through."""
-    s, wanted, trials = room.scale, 9, 60
+    s, wanted, trials = room.scale, 7, 60
     radius = s * rng.uniform(0.02, 0.04, trials)
     distance = room.reach * np.sqrt(rng.uniform(0.4**2, 0.95**2, trials))
     angle = rng.uniform(-1.5, 1.5, trials)
     spots = np.stack([distance * np.cos(angle), distance * np.sin(angle)], axis=1)
     half = (room.tip[2] + 0.8 * s) / 2.0
-    away = _pole_clearances(arm, room, spots, radius, half) > HOME_CLEARANCE + 0.02
+    away = _pole_clearances(arm, room, spots, radius, half) > HOME_CLEARANCE + 0.05
     chosen: list[int] = []
     for index in map(int, np.flatnonzero(away)):
         gaps = [np.linalg.norm(spots[index] - spots[other]) for other in chosen]

@@ -17,7 +17,7 @@ from lieednn_sim.validation import as_seed
 Floats = NDArray[np.float64]
 
 # At a target the arm keeps this distance from obstacles, and its parts this one from each other [m].
-TARGET_CLEARANCE, OWN_CLEARANCE = 0.02, 0.001
+TARGET_CLEARANCE, OWN_CLEARANCE = 0.02, 0.0025
 # Targets keep this share of a joint's range from its limits.
 LIMIT_MARGIN = 0.05
 # Targets of arms whose joints have all six freedoms: U(-0.8, 0.8) in the network's coordinates (paper, section 5).
@@ -29,7 +29,7 @@ _TOLERANCE = 1e-3
 
 
 def draw_target(arm: Arm, seed: int = 0) -> Floats:
-    """A random joint target ``(n,)`` at which the arm touches nothing.
+    """A random joint target ``(n,)`` at which nothing comes closer than `PLANNED_CLEARANCE`.
 
     Without obstacles: uniform within the joint limits, or, where every compound joint has six freedoms, uniform in the
     network's coordinates. With obstacles the end effector is at a uniform point of one of the scene's goal boxes, in a
@@ -72,7 +72,7 @@ def _anywhere(arm: Arm, rng: np.random.Generator) -> Floats:
             q = arm.decode(rng.uniform(-NETWORK_SPREAD, NETWORK_SPREAD, (arm.n_links, 6))).q
         else:
             q = rng.uniform(low + inset, high - inset)
-        if arm.limit_excess(q).max() <= 0.0 and not arm.contacts(q):
+        if arm.limit_excess(q).max() <= 0.0 and not arm.near_contacts(q):
             return q
     raise InputError(f"no target free of contact was found for arm {arm.name!r}")
 

@@ -31,6 +31,7 @@ from numpy.typing import ArrayLike, NDArray
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.collision import Collisions, Distances
 from lieednn_sim.errors import InputError
+from lieednn_sim.filtering.approach import ApproachBounds
 from lieednn_sim.validation import as_floats, as_positive
 
 Floats = NDArray[np.float64]
@@ -50,6 +51,8 @@ _SOFT, _GIVING = 8, 1e-4
 _BRAKING_SHARE = 0.15
 # Parts of the arm this near at home belong to neighbouring links, which close in slowly: a shorter cutoff does [m].
 _NEIGHBOURS, _NEIGHBOUR_CUTOFF = 0.15, 0.04
+# Pairs are looked at up to here at least [m].
+_LEAST_CUTOFF = 0.001
 # Where start or target are nearer than the margin, this share of their distance is kept.
 _MARGIN_SHARE = 0.8
 # Sliding along the limit of a ball joint's angle goes beyond it by second order in a step [rad], and takes most of the
@@ -130,6 +133,7 @@ class SafetyFilter:
         beside = np.zeros_like(self._margins, dtype=bool)
         beside[tuple(neighbours.T)] = True
         self._cutoffs[own & beside[tuple(self.collisions.pairs.T)]] = min(_NEIGHBOUR_CUTOFF, self.options.cutoff)
+        self._approach = ApproachBounds(arm, self.collisions.pairs)
         self.position_limits = arm.position_limits.copy()
         low, high = arm.position_limits.T
         # A ball joint's three coordinates are limited together, by the angle that is their norm.
@@ -180,9 +184,9 @@ class SafetyFilter:
         n, h, options = self.arm.n_joints, self.timestep, self.options
         position, old = as_floats("q", q, (n,)), as_floats("velocity", velocity, (n,))
         goal = as_floats("wanted", wanted, (n,))
-        near = self.collisions.distances(position, self._cutoffs)
-        clearance = float(near.distance[0]) if len(near.distance) else np.inf
         low, high, low_stop, high_stop = self._bounds(position, old)
+        near = self.collisions.distances(position, self._needed(position, np.maximum(np.abs(low), np.abs(high)), old))
+        clearance = float(near.distance[0]) if len(near.distance) else np.inf
         rows, floors, kept = self._rows(position, near, old, low, high)
 
         scale = self.velocity_limits
@@ -224,6 +228,19 @@ class SafetyFilter:
         # Outside a limit, where only a bad start can be, come back as fast as the acceleration allows.
         lower, upper = np.clip(down, lower, upper), np.clip(up, lower, upper)
         return np.minimum(lower, upper), upper, low_stop, high_stop
+
+    def _needed(self, q: Floats, speeds: Floats, old: Floats) -> Floats:
+        """Distances ``(P,)`` from which on no velocities within the bounds can break a pair's barrier, or the cutoff.
+
+        With s the largest rate of the distance, a barrier holds where c room > (1 + c h) s. Either c is the option's,
+        or the root of 2 b / room with the deceleration b >= braking share times s / T, T the longest time to stop.
+        """
+        h, rate = self.timestep, self.options.approach
+        speeds = np.maximum(speeds, np.abs(old))
+        stop = float((speeds / self.acceleration_limits).max())
+        times = max(1.0 / rate + h, (1.0 + h * rate) ** 2 * stop / (2.0 * _BRAKING_SHARE))
+        margins = self._margins[tuple(self.collisions.pairs.T)]
+        return np.minimum(margins + times * self._approach(q, speeds) + _LEAST_CUTOFF, self._cutoffs)
 
     def _stopping(self, distance: Floats, old: Floats) -> Floats:
         """Largest velocities ``(n,)`` at the end of the step from which the distance suffices to brake."""

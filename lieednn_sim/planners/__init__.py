@@ -1,7 +1,6 @@
 """Rival planners behind one interface: from a problem to a checked motion."""
 
 from lieednn_sim.planners.extras import missing_planners
-from lieednn_sim.planners.hopfield import HopfieldNetwork
 from lieednn_sim.planners.lieednn import reference_network
 from lieednn_sim.planners.problem import PlanningProblem
 from lieednn_sim.planners.registry import NETWORK_PLANNERS, PLANNERS, plan_network, plan_with
@@ -9,7 +8,6 @@ from lieednn_sim.planners.registry import NETWORK_PLANNERS, PLANNERS, plan_netwo
 __all__ = [
     "NETWORK_PLANNERS",
     "PLANNERS",
-    "HopfieldNetwork",
     "PlanningProblem",
     "missing_planners",
     "plan_network",

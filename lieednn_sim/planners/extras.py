@@ -12,6 +12,7 @@ from lieednn_sim.errors import LieEDNNError
 REQUIREMENTS: dict[str, tuple[str, ...]] = {
     # The primitives' library imports pytransform3d and does not say so.
     "dmp": ("movement_primitives", "pytransform3d"),
+    "lieednn-guided": ("ompl",),
     "rrt-connect": ("ompl",),
     "rrt-star": ("ompl",),
 }

@@ -8,19 +8,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import mujoco
-from lieednn_sim.arm import Arm
+from lieednn_sim.arm import PLANNED_CLEARANCE, Arm
 from lieednn_sim.arm.collision import Collisions
-from lieednn_sim.errors import PlanError
 from lieednn_sim.motion import Motion, check_motion
 from lieednn_sim.planners.problem import PlanningProblem
 
 Floats = NDArray[np.float64]
 
-# What planners keep away from everything, unless start or target are closer to something [m].
+# What paths keep away from everything, unless start or target are closer to something [m]; motions along them are
+# rounded, and checked for less.
 _MARGIN = 0.01
-# Share of the margin that the finished motion must keep: paths are planned with more, and rounded after.
-_KEPT = 0.5
-_STRIDE = 16
+# Where start or target are nearer than that, this share of their distance is kept.
+_SHARE = 0.8
 _POSTURES = 64
 
 
@@ -32,19 +31,22 @@ class ClearanceTest:
     Args:
         arm: the arm, in its scene.
         margin: smallest allowed distance [m].
+        own: of parts of the arm from each other [m]; by default the same.
 
     Attributes:
         tests: postures tested so far, a measure of work that does not depend on the machine.
     """
 
-    def __init__(self, arm: Arm, margin: float) -> None:
+    def __init__(self, arm: Arm, margin: float, own: float | None = None) -> None:
         self._arm = arm
+        self._margin, self._own = margin, margin if own is None else own
         # The margin of all contacts at once: margins of geoms changed after compiling leave out pairs, since the
         # bounding volumes of bodies keep the old ones. The arm's own model stays as it is.
-        self._model = copy.copy(arm.model)
+        self._model = copy.deepcopy(arm.model)
         self._model.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_OVERRIDE)
-        self._model.opt.o_margin = margin
+        self._model.opt.o_margin = max(self._margin, self._own)
         self._data = mujoco.MjData(self._model)
+        self._moving = arm.model.body_weldid[arm.model.geom_bodyid] != 0
         self.tests = 0
 
     def __call__(self, q: Floats) -> bool:
@@ -59,47 +61,41 @@ class ClearanceTest:
             self._data.qpos[:] = position
             mujoco.mj_kinematics(self._model, self._data)
             mujoco.mj_collision(self._model, self._data)
-            if self._data.ncon:
+            if self._data.ncon and self._near():
                 return index
         return None
+
+    def _near(self) -> bool:
+        contact = self._data.contact
+        own = self._moving[contact.geom].all(axis=1)
+        # Pairs that are just found need not be nearer than the margin.
+        return bool((contact.dist < np.where(own, self._own, self._margin)).any())
 
 
 class Workspace:
     """The problem's clearance: a margin that start and target keep themselves, and tests with it.
 
+    Args:
+        problem: its start and target may be closer to something than the margin, which then is smaller.
+        margin: to plan with [m].
+        own: of parts of the arm from each other [m]; by default the same.
+
     Attributes:
-        margin: that paths are planned with [m].
         clear: test with the margin.
         collisions: signed distances.
     """
 
-    def __init__(self, problem: PlanningProblem) -> None:
+    def __init__(self, problem: PlanningProblem, margin: float = _MARGIN, own: float | None = None) -> None:
         self.collisions = Collisions(problem.arm)
-        nearest = min(self.collisions.clearance(q) for q in (problem.start, problem.target))
-        self.margin = max(0.0, min(_MARGIN, 0.5 * nearest))
-        self.clear = ClearanceTest(problem.arm, self.margin)
-        self._kept = ClearanceTest(problem.arm, _KEPT * self.margin)
-
-    def check(self, t: Floats, q: Floats) -> None:
-        """Check every one of the positions ``(K, n)`` at times ``(K,)``.
-
-        Raises:
-            PlanError: names what comes too close, and when.
-        """
-        # Far apart first: most of what is in the way is found with few tests.
-        order = np.concatenate([np.arange(first, len(q), _STRIDE) for first in range(_STRIDE)])
-        kept = _KEPT * self.margin
-        while (found := self._kept.first_blocked(q[order])) is not None:
-            index = order[found]
-            distance, pair = self.collisions.nearest(q[index])
-            # Contacts within a margin are found more roughly than distances are measured.
-            if distance < kept:
-                first, second = self.collisions.names(pair)
-                raise PlanError(
-                    f"{first!r} would come to {1e3 * distance:.2f} mm of {second!r} at t = {t[index]:.2f} s, "
-                    f"{1e3 * kept:.2f} mm are to be kept; try another seed"
-                )
-            order = order[found + 1 :]
+        margins = np.array([margin, margin if own is None else own])
+        for q in (problem.start, problem.target):
+            near = self.collisions.distances(q, 2.0 * margins.max())
+            of_arm = (problem.arm.model.body_weldid[problem.arm.model.geom_bodyid[near.pairs]] != 0).all(axis=1)
+            nearest = [near.distance[which].min(initial=np.inf) for which in (~of_arm, of_arm)]
+            # With one margin for all, all count for it. What motions are checked for is kept at both ends.
+            most = _SHARE * (np.full(2, min(nearest)) if own is None else np.array(nearest))
+            margins = np.minimum(margins, np.maximum(most, PLANNED_CLEARANCE))
+        self.clear = ClearanceTest(problem.arm, *margins)
 
 
 def joint_scale(arm: Arm) -> Floats:

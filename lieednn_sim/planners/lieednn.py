@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import lru_cache
-from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +16,7 @@ from lieednn_sim.errors import PlanError
 from lieednn_sim.learning import TrainingOptions, TrainingResult, train
 from lieednn_sim.motion import Motion, check_motion, make_motion
 from lieednn_sim.network import ComponentwiseNetwork, LieEDNN
-from lieednn_sim.planners.hopfield import HopfieldNetwork
+from lieednn_sim.network.hopfield import HopfieldNetwork
 from lieednn_sim.planners.problem import PlanningProblem
 from lieednn_sim.planning import BIAS_MAGNITUDES, plan
 from lieednn_sim.synthesis import bias_for, synthesize
@@ -143,8 +142,7 @@ def linear_law(problem: PlanningProblem) -> tuple[LieEDNN, Motion]:
 
 def _motion(problem: PlanningProblem, network: ComponentwiseNetwork) -> Motion:
     """The checked motion of a network, when it ends at the problem's target."""
-    # `make_motion` asks for nothing that only a LieEDNN has.
-    motion = make_motion(problem.arm, cast(LieEDNN, network), problem.start, problem.duration, problem.timestep)
+    motion = make_motion(problem.arm, network, problem.start, problem.duration, problem.timestep)
     # An uncertified network may have more equilibria than the one it was made for.
     distance = float(np.abs(motion.xi_target - problem.arm.encode(problem.target)).max())
     if distance > _ARRIVAL:

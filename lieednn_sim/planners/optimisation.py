@@ -162,7 +162,6 @@ class _Descent:
         control[self.inner] = x.reshape(-1, self.arm.n_joints)
         q, qd = (self.scale * (table @ control) for table in self.sampled)
         t = self.problem.times()
-        self.workspace.check(t, q)
         return joint_motion(self.problem, q, qd, minimum_jerk_law(t / t[-1])[0])
 
     def _closeness(self, q: Floats) -> tuple[Floats, Floats]:

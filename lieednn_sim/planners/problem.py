@@ -22,12 +22,13 @@ class PlanningProblem:
     Attributes:
         arm: the arm.
         start: ``(n,)`` joint position at rest [rad, m].
-        target: ``(n,)`` joint position to come to rest at, free of contact [rad, m].
+        target: ``(n,)`` joint position to come to rest at [rad, m].
         duration: of the motion [s].
         seed: of planners that draw; the same seed gives the same motion.
 
     Raises:
-        InputError: a value is malformed, or start or target are out of the arm's reach.
+        InputError: a value is malformed, or start or target are out of the arm's reach: beyond a limit, or where
+            something comes closer than `PLANNED_CLEARANCE`.
     """
 
     arm: Arm
@@ -41,7 +42,7 @@ class PlanningProblem:
             raise InputError(f"arm must be an Arm, got {type(self.arm).__name__}; see Arm.load")
         for name in ("start", "target"):
             position = self.arm.check_position(getattr(self, name), name).copy()
-            touching = self.arm.contacts(position)
+            touching = self.arm.near_contacts(position)
             if touching:
                 raise InputError(f"{name} is out of reach: {touching[0][0]!r} would touch {touching[0][1]!r} there")
             position.setflags(write=False)

@@ -20,6 +20,7 @@ NETWORK_PLANNERS: dict[str, Callable[[PlanningProblem], tuple[ComponentwiseNetwo
     "lieednn-trained": lieednn.trained,
     "lieednn-unprojected": lieednn.unprojected,
     "lieednn-filtered": filtered.filtered,
+    "lieednn-guided": filtered.guided,
 }
 
 

@@ -16,7 +16,7 @@ from scipy.interpolate import BSpline, CubicHermiteSpline
 
 from lieednn_sim.errors import PlanError
 from lieednn_sim.motion import Motion, minimum_jerk_law
-from lieednn_sim.planners.joint_space import Workspace, joint_motion, joint_scale
+from lieednn_sim.planners.joint_space import joint_motion, joint_scale
 from lieednn_sim.planners.problem import PlanningProblem
 
 Floats = NDArray[np.float64]
@@ -30,7 +30,7 @@ _BEND = 8.0
 _NODES = 4097
 
 
-def motion_along(problem: PlanningProblem, workspace: Workspace, corners: Floats) -> Motion:
+def motion_along(problem: PlanningProblem, corners: Floats) -> Motion:
     """The roundest motion along a polyline ``(M, n)`` from start to target that keeps limits and clearance.
 
     Raises:
@@ -40,7 +40,6 @@ def motion_along(problem: PlanningProblem, workspace: Workspace, corners: Floats
     for count in (*_CONTROL_POINTS, None):
         q, qd, progress = stopping(problem, corners) if count is None else rounded(problem, corners, count)
         try:
-            workspace.check(problem.times(), q)
             return joint_motion(problem, q, qd, progress)
         except PlanError as error:
             refusal = error

@@ -53,28 +53,47 @@ def rrt_star(problem: PlanningProblem) -> Motion:
     return _plan(problem, "RRTstar")
 
 
+def connecting_path(problem: PlanningProblem, workspace: Workspace, attempt: int = 0) -> Floats | None:
+    """Corners ``(M, n)`` of a shortened path of RRT-Connect from start to target, clear in the workspace; or None.
+
+    Args:
+        problem: start, target and seed.
+        workspace: of the problem.
+        attempt: another one draws others, and looks more closely.
+
+    Raises:
+        LieEDNNError: OMPL is not installed.
+    """
+    return _drawn(problem, workspace, "RRTConnect", attempt)
+
+
 def _plan(problem: PlanningProblem, planner: str) -> Motion:
-    util = optional_module("ompl.util")
     workspace = Workspace(problem)
     refusal: PlanError | None = None
+    for attempt in range(len(_SPACINGS)):
+        corners = _drawn(problem, workspace, planner, attempt)
+        if corners is None:
+            break
+        try:
+            return motion_along(problem, corners)
+        except PlanError as error:
+            refusal = error
+    raise refusal or PlanError(f"{planner} found no path free of contact; try another seed or target")
+
+
+def _drawn(problem: PlanningProblem, workspace: Workspace, planner: str, attempt: int) -> Floats | None:
+    """As `_path`, silent, and the same whatever ran before."""
+    util = optional_module("ompl.util")
+    workspace.clear.tests = 0
     level = util.getLogLevel()
     util.setLogLevel(util.LOG_NONE)
     try:
-        for attempt, spacing in enumerate(_SPACINGS):
-            workspace.clear.tests = 0
-            # Every generator made from here on draws its seed from this one, whatever ran before. OMPL warns of that
-            # for those that exist already, which are not ours. It takes no seed of zero.
-            util.RNG.setSeed(1 + int(np.random.SeedSequence([problem.seed, attempt]).generate_state(1)[0] % (2**31)))
-            corners = _path(problem, workspace, planner, spacing)
-            if corners is None:
-                raise refusal or PlanError(f"{planner} found no path free of contact; try another seed or target")
-            try:
-                return motion_along(problem, workspace, corners)
-            except PlanError as error:
-                refusal = error
+        # Every generator made from here on draws its seed from this one. OMPL warns of that for those that exist
+        # already, which are not ours. It takes no seed of zero.
+        util.RNG.setSeed(1 + int(np.random.SeedSequence([problem.seed, attempt]).generate_state(1)[0] % (2**31)))
+        return _path(problem, workspace, planner, _SPACINGS[min(attempt, len(_SPACINGS) - 1)])
     finally:
         util.setLogLevel(level)
-    raise refusal or PlanError(f"{planner} found no path")
 
 
 def _path(problem: PlanningProblem, workspace: Workspace, planner: str, spacing: float) -> Floats | None:
@@ -90,14 +109,21 @@ def _path(problem: PlanningProblem, workspace: Workspace, planner: str, spacing:
     information = base.SpaceInformation(space)
     density = scale * sweeps(problem.arm) / spacing
 
+    def inside(q: Floats) -> bool:
+        # A ball joint's angle is limited, whose limits are no box; but convex, so that ends speak for edges.
+        return bool((problem.arm.limit_excess(q) <= 0.0).all())
+
     def free(state: Any) -> bool:
-        return workspace.clear(scale * np.array(state[0:n]))
+        q = scale * np.array(state[0:n])
+        return inside(q) and workspace.clear(q)
 
     class Edges(base.MotionValidator):  # type: ignore[misc,name-defined]
         """Tests an edge at postures that are evenly spaced in the workspace, not in joint space."""
 
         def checkMotion(self, first: Any, second: Any) -> bool:
             ends = np.array(first[0:n]), np.array(second[0:n])
+            if not inside(scale * ends[1]):
+                return False
             count = max(1, math.ceil(float(np.abs(ends[1] - ends[0]) @ density)))
             # The first end is valid.
             way = _shares(count)[:, None] * (ends[1] - ends[0])

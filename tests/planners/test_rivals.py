@@ -11,20 +11,21 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lieednn_sim.arm import Arm
+from lieednn_sim.arm import PLANNED_CLEARANCE, Arm
 from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.errors import InputError, LieEDNNError, PlanError
 from lieednn_sim.motion import minimum_jerk_law
+from lieednn_sim.network.hopfield import HopfieldNetwork
 from lieednn_sim.planners import (
-    HopfieldNetwork,
     PlanningProblem,
     missing_planners,
+    optimisation,
     plan_network,
     plan_with,
     reference_network,
     sampling,
 )
-from lieednn_sim.planners.joint_space import ClearanceTest, Workspace, joint_scale, sweeps
+from lieednn_sim.planners.joint_space import ClearanceTest, joint_scale, sweeps
 from lieednn_sim.planners.optimisation import _Descent
 from lieednn_sim.planners.rounding import motion_along, rounded, stopping
 
@@ -71,14 +72,12 @@ def test_they_go_around_what_is_in_the_way_with_clearance(name):
         plan_with("minimum-jerk", task)
     motion = plan_with(name, task)
     collisions = Collisions(POSTED)
-    assert min(collisions.clearance(q) for q in motion.q[::8]) > 4.5e-3
+    assert min(collisions.clearance(q) for q in motion.q[::16]) > PLANNED_CLEARANCE - 1e-6
     assert (POSTED.limit_excess(motion.q) <= 1e-9).all()
     np.testing.assert_array_equal(motion.q[[0, -1]], [task.start, task.target])
     # Accelerations stay finite: no velocity jumps from one sample to the next.
     acceleration = np.abs(np.diff(motion.qd, axis=0)) / motion.timestep / joint_scale(POSTED)
     assert acceleration.max() < 10.0
-    again = plan_with(name, task)
-    np.testing.assert_array_equal(again.q, motion.q)
 
 
 def test_sampling_is_the_same_whatever_ran_before_and_silent():
@@ -93,12 +92,11 @@ def test_sampling_is_the_same_whatever_ran_before_and_silent():
     ).format(path=__file__.rpartition("/")[0], module="test_rivals")
     fresh = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     ou.RNG().uniform01()
-    plan_with("rrt-connect", blocked(4))
-    here = np.ascontiguousarray(plan_with("rrt-connect", blocked(3)).q).tobytes().hex()[::997]
-    assert fresh.stdout.strip() == here
-    assert fresh.stderr == ""
     other = plan_with("rrt-connect", blocked(4)).q
-    assert not np.array_equal(other, plan_with("rrt-connect", blocked(3)).q), "the seed is of no effect"
+    here = plan_with("rrt-connect", blocked(3)).q
+    assert fresh.stdout.strip() == np.ascontiguousarray(here).tobytes().hex()[::997]
+    assert fresh.stderr == ""
+    assert not np.array_equal(other, here), "the seed is of no effect"
 
 
 @given(seed=seeds)
@@ -158,16 +156,16 @@ def test_the_polyline_itself_is_followed_with_a_stop_at_every_corner(seed):
 def test_a_straight_polyline_is_run_through_by_minimum_jerk():
     task = PlanningProblem(ARM, ARM.keyframe("home"), ARM.keyframe("extended"), 4.0)
     middle = 0.3 * task.start + 0.7 * task.target
-    motion = motion_along(task, Workspace(task), np.array([task.start, middle, middle, task.target]))
+    motion = motion_along(task, np.array([task.start, middle, middle, task.target]))
     np.testing.assert_allclose(motion.q, plan_with("minimum-jerk", task).q, atol=1e-9)
     still = PlanningProblem(ARM, task.start, task.start, 1.0)
-    np.testing.assert_array_equal(motion_along(still, Workspace(still), np.array([task.start] * 2)).qd, 0.0)
+    np.testing.assert_array_equal(motion_along(still, np.array([task.start] * 2)).qd, 0.0)
 
 
 def test_a_path_that_cannot_be_followed_in_time_says_how_long_it_takes():
     task = PlanningProblem(ARM, ARM.keyframe("home"), ARM.keyframe("extended"), 0.5)
     with pytest.raises(PlanError, match=r"its limit is .* a duration of at least .* keeps it"):
-        motion_along(task, Workspace(task), np.array([task.start, task.target]))
+        motion_along(task, np.array([task.start, task.target]))
 
 
 def test_sweeps_bound_the_motion_of_the_link_frames():
@@ -223,7 +221,11 @@ def test_a_primitive_keeps_its_shape_at_every_amplitude():
 
 @pytest.mark.parametrize(
     ("module", "names"),
-    [("ompl", {"rrt-connect", "rrt-star"}), ("movement_primitives", {"dmp"}), ("pytransform3d", {"dmp"})],
+    [
+        ("ompl", {"lieednn-guided", "rrt-connect", "rrt-star"}),
+        ("movement_primitives", {"dmp"}),
+        ("pytransform3d", {"dmp"}),
+    ],
 )
 def test_what_is_not_installed_is_reported_as_missing(monkeypatch, module, names):
     for loaded in [name for name in sys.modules if name.partition(".")[0] in {module, "movement_primitives"}]:
@@ -241,7 +243,8 @@ def test_what_is_not_installed_is_reported_as_missing(monkeypatch, module, names
 
 
 def test_refusals_say_what_was_tried(monkeypatch):
-    with pytest.raises(PlanError, match=r"no local optimum of 6 first guesses can be followed: joint .* its limit is"):
+    monkeypatch.setattr(optimisation, "_GUESSES", 2)
+    with pytest.raises(PlanError, match=r"no local optimum of 2 first guesses can be followed: joint .* its limit is"):
         plan_with("trajectory-optimisation", PlanningProblem(ARM, LOW, HIGH, 0.3))
     needs("rrt-connect")
     monkeypatch.setattr(sampling, "_CONNECT_TESTS", 1)
