@@ -23,6 +23,18 @@ class PlanError(LieEDNNError):
     """A planned motion breaks a limit of the arm, or does not reach its target."""
 
 
+class TooFastError(PlanError):
+    """A motion that would keep every limit if only it took longer.
+
+    Attributes:
+        duration: that is enough [s].
+    """
+
+    def __init__(self, message: str, duration: float) -> None:
+        super().__init__(message)
+        self.duration = duration
+
+
 class SimulationError(LieEDNNError):
     """The physics diverged or MuJoCo raised a warning."""
 

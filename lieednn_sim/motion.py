@@ -19,7 +19,7 @@ from scipy.interpolate import PchipInterpolator
 
 from lieednn_sim import storage
 from lieednn_sim.arm import PLANNED_CLEARANCE, Arm
-from lieednn_sim.errors import FileError, InputError, PlanError
+from lieednn_sim.errors import FileError, InputError, PlanError, TooFastError
 from lieednn_sim.network import ComponentwiseNetwork
 from lieednn_sim.validation import as_floats, as_positive, as_times
 
@@ -198,7 +198,8 @@ def check_motion(arm: Arm, motion: Motion) -> None:
     """Check position, velocity and acceleration limits and `PLANNED_CLEARANCE` at every sample of a motion.
 
     Raises:
-        PlanError: names the joint, the value, the bound, and what would help.
+        TooFastError: only velocity or acceleration is too high; it knows the duration that keeps them.
+        PlanError: names the joint or bodies, the value, the bound, and what would help.
     """
     outside = arm.limit_excess(motion.q)
     k, joint = map(int, np.unravel_index(outside.argmax(), outside.shape))
@@ -225,7 +226,7 @@ def check_motion(arm: Arm, motion: Motion) -> None:
             too_fast.append((motion.t[-1] * ratio[k, joint] ** power, reason))
     if too_fast:
         enough, reason = max(too_fast)
-        raise PlanError(f"{reason}; a duration of at least {enough:.2f} s keeps it")
+        raise TooFastError(f"{reason}; a duration of at least {enough:.2f} s keeps it", float(enough))
     for k, q in enumerate(motion.q):
         touching = arm.near_contacts(q)
         if touching:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim.arm import Arm
-from lieednn_sim.errors import InputError, NotCertifiedError, PlanError
+from lieednn_sim.errors import InputError, NotCertifiedError, PlanError, TooFastError
 from lieednn_sim.motion import LIMIT_TOLERANCE, Motion, check_motion, count_steps, make_motion
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.synthesis import synthesize
@@ -124,7 +124,10 @@ def plan(
             refusal = refusal or error
             continue
         return Plan(candidate.network, motion, goal, total, kept)
-    raise PlanError(f"{refusal} (best of {total} candidates)")
+    message = f"{refusal} (best of {total} candidates)"
+    if isinstance(refusal, TooFastError):
+        raise TooFastError(message, refusal.duration)
+    raise PlanError(message)
 
 
 def _reachable(arm: Arm, target: ArrayLike) -> Floats:

@@ -54,7 +54,8 @@ def add_planning(parser: argparse.ArgumentParser, output: str, *, goal: bool = T
     parser.add_argument(
         "--planner",
         metavar="NAME",
-        help="a planner that runs a network (default: lieednn-certified; among obstacles lieednn-filtered)",
+        help="a planner that runs a network (default: lieednn-certified; among obstacles lieednn-guided, or "
+        "lieednn-filtered where ompl is missing)",
     )
     parser.add_argument("--bias", metavar="RULE", help="uniform, sign-matched or solved (default: sign-matched)")
     parser.add_argument("--bias-magnitude", type=float, metavar="B", help="of the rule (default: several are tried)")

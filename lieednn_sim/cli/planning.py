@@ -14,7 +14,7 @@ from lieednn_sim.cli.console import console, progress, table, wrote
 from lieednn_sim.errors import InputError
 from lieednn_sim.motion import Motion
 from lieednn_sim.network import ComponentwiseNetwork
-from lieednn_sim.planners import NETWORK_PLANNERS, PlanningProblem
+from lieednn_sim.planners import NETWORK_PLANNERS, PlanningProblem, obstacle_planner
 from lieednn_sim.planning import Plan, plan
 from lieednn_sim.task import RunDirectory
 from lieednn_sim.validation import as_choice
@@ -23,7 +23,6 @@ Floats = NDArray[np.float64]
 
 # The planner whose network draws its motion by itself: `simulate` makes it from the network alone.
 CERTIFIED = "lieednn-certified"
-_AMONG_OBSTACLES = "lieednn-filtered"
 _BIAS, _CANDIDATES = "sign-matched", 24
 
 
@@ -70,7 +69,7 @@ def synthesize(arguments: argparse.Namespace) -> RunDirectory:
 
 def _planner(arm: Arm, arguments: argparse.Namespace) -> str:
     """The planner that is asked for, or fits the scene; the search's options are for one alone."""
-    usual = CERTIFIED if arm.scene == "free" else _AMONG_OBSTACLES
+    usual = CERTIFIED if arm.scene == "free" else obstacle_planner()
     name = as_choice("planner that runs a network", arguments.planner or usual, NETWORK_PLANNERS)
     given = [
         option

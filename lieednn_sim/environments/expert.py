@@ -11,7 +11,7 @@ from lieednn_sim.environments.base import ArmTask
 from lieednn_sim.environments.tasks import Track
 from lieednn_sim.environments.trajectories import Trajectory, planned
 from lieednn_sim.errors import InputError
-from lieednn_sim.planners import PLANNERS
+from lieednn_sim.planners import PLANNERS, obstacle_planner
 from lieednn_sim.validation import as_choice, as_count, as_seed
 
 Floats = NDArray[np.float64]
@@ -20,13 +20,13 @@ Floats = NDArray[np.float64]
 class Expert:
     """A policy that knows the arm.
 
-    In `Reach` it plans for each episode's target a certified network's motion from ``home``, through the safety filter
-    where there are obstacles, and commands its positions, as fast as 90 % of the limits allow. In `Track` it commands the target's next position. Its
-    actions are within [-1, 1].
+    In `Reach` it plans for each episode's target a certified network's motion from ``home``, around obstacles where
+    there are any, and commands its positions, as fast as 90 % of the limits allow. In `Track` it commands the target's
+    next position. Its actions are within [-1, 1].
 
     Args:
         environment: an `ArmTask`, an environment of `suite.load`, or a Gymnasium one, wrapped or not.
-        planner: a name of `planners.PLANNERS`; by default `planning.plan`, and ``lieednn-filtered`` among obstacles.
+        planner: a name of `planners.PLANNERS`; by default `planning.plan`, and among obstacles `obstacle_planner()`.
         candidates: networks to draw for a plan at first, see `trajectories.planned`.
         seed: of the draws.
 
@@ -44,7 +44,7 @@ class Expert:
             )
         self._task = task
         if planner is None and task.arm.scene != "free":
-            planner = "lieednn-filtered"
+            planner = obstacle_planner()
         self._planner = None if planner is None else as_choice("planner", planner, PLANNERS)
         self._candidates = as_count("candidates", candidates)
         self._seed = as_seed("seed", seed)

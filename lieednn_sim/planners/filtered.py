@@ -23,14 +23,12 @@ from lieednn_sim.planners import sampling
 from lieednn_sim.planners.extras import optional_module
 from lieednn_sim.planners.joint_space import Workspace, joint_scale
 from lieednn_sim.planners.legs import motion_of
-from lieednn_sim.planners.problem import PlanningProblem
+from lieednn_sim.planners.problem import LONGEST, PlanningProblem
 from lieednn_sim.planning import BIAS_MAGNITUDES
 from lieednn_sim.synthesis import synthesize
 
 Floats = NDArray[np.float64]
 
-# A motion takes at most this many of the problem's durations, and what is left at the end.
-LONGEST = 3.0
 
 # Networks drawn, starts of `synthesize` for each, and how many of those whose own way is not free are run all the same:
 # where one is blocked the others mostly are.

@@ -14,6 +14,9 @@ from lieednn_sim.validation import as_positive, as_seed
 
 Floats = NDArray[np.float64]
 
+# A motion takes at most this many of the problem's durations.
+LONGEST = 3.0
+
 
 @dataclass(frozen=True, eq=False)
 class PlanningProblem:
@@ -23,7 +26,7 @@ class PlanningProblem:
         arm: the arm.
         start: ``(n,)`` joint position at rest [rad, m].
         target: ``(n,)`` joint position to come to rest at [rad, m].
-        duration: of the motion [s].
+        duration: of the motion [s]; it may take up to `LONGEST` times as long where the arm's limits need it.
         seed: of planners that draw; the same seed gives the same motion.
 
     Raises:

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 
-from lieednn_sim.errors import InputError
+from lieednn_sim.errors import InputError, TooFastError
 from lieednn_sim.motion import Motion
 from lieednn_sim.network import ComponentwiseNetwork
 from lieednn_sim.planners import filtered, interpolation, lieednn, optimisation, primitives, sampling
-from lieednn_sim.planners.problem import PlanningProblem
+from lieednn_sim.planners.extras import missing_planners
+from lieednn_sim.planners.problem import LONGEST, PlanningProblem
 from lieednn_sim.validation import as_choice
+
+# A planner whose motion is too fast gets what it needs and this much more.
+_SLOWER = 1.02
 
 # Those that run a network, and return it beside the motion.
 NETWORK_PLANNERS: dict[str, Callable[[PlanningProblem], tuple[ComponentwiseNetwork, Motion]]] = {
@@ -40,11 +45,17 @@ PLANNERS: dict[str, Callable[[PlanningProblem], Motion]] = {
 }
 
 
+def obstacle_planner() -> str:
+    """The LieEDNN planner that gets furthest among obstacles with the libraries that are installed."""
+    return "lieednn-filtered" if "lieednn-guided" in missing_planners() else "lieednn-guided"
+
+
 def plan_with(name: str, problem: PlanningProblem) -> Motion:
     """Plan with the planner of a name.
 
     Returns:
-        A motion from rest at the start to rest at the target, within the arm's limits and free of contact, sampled at
+        A motion from rest at the start to rest at the target in the problem's duration, or in up to `LONGEST` times
+        that where the arm's limits need it, within the arm's limits and free of contact, sampled at
         the time step of the arm's model.
 
     Raises:
@@ -61,6 +72,13 @@ def plan_network(name: str, problem: PlanningProblem) -> tuple[ComponentwiseNetw
     as_choice("planner", name, PLANNERS)
     if not isinstance(problem, PlanningProblem):
         raise InputError(f"problem must be a PlanningProblem, got {type(problem).__name__}")
-    if name in NETWORK_PLANNERS:
-        return NETWORK_PLANNERS[name](problem)
-    return None, PLANNERS[name](problem)
+    longest = LONGEST * problem.duration
+    while True:
+        try:
+            return NETWORK_PLANNERS[name](problem) if name in NETWORK_PLANNERS else (None, PLANNERS[name](problem))
+        except TooFastError as error:
+            # The same rule for all, so that none is judged by how much time it was given.
+            slower = max(_SLOWER * error.duration, _SLOWER * problem.duration)
+            if slower > longest:
+                raise
+            problem = replace(problem, duration=slower)

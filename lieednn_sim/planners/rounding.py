@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.integrate import cumulative_simpson
 from scipy.interpolate import BSpline, CubicHermiteSpline
 
-from lieednn_sim.errors import PlanError
+from lieednn_sim.errors import PlanError, TooFastError
 from lieednn_sim.motion import Motion, minimum_jerk_law
 from lieednn_sim.planners.joint_space import joint_motion, joint_scale
 from lieednn_sim.planners.problem import PlanningProblem
@@ -36,14 +36,19 @@ def motion_along(problem: PlanningProblem, corners: Floats) -> Motion:
     Raises:
         PlanError: not even the polyline itself can be followed in the problem's duration.
     """
-    refusal: PlanError | None = None
+    refusals: list[PlanError] = []
     for count in (*_CONTROL_POINTS, None):
         q, qd, progress = stopping(problem, corners) if count is None else rounded(problem, corners, count)
         try:
             return joint_motion(problem, q, qd, progress)
         except PlanError as error:
-            refusal = error
-    raise refusal or PlanError("the path cannot be followed")
+            refusals.append(error)
+    # What only needs more time, the least of it, tells more than that a rounder way touches something.
+    raise min((error for error in refusals if isinstance(error, TooFastError)), key=_duration, default=refusals[-1])
+
+
+def _duration(error: TooFastError) -> float:
+    return error.duration
 
 
 def rounded(problem: PlanningProblem, corners: Floats, count: int) -> tuple[Floats, Floats, Floats]:

@@ -163,7 +163,7 @@ def test_refusals_say_why(monkeypatch):
         plan_with("rrt", problem(0))
     with pytest.raises(InputError, match="problem must be a PlanningProblem, got str"):
         plan_with("screw", "there")
-    hurried = problem(0, duration=0.2)
+    hurried = problem(0, duration=0.05)
     for name in ("minimum-jerk", "screw", "linear-law", "lieednn-certified", "lieednn-retargeted"):
         with pytest.raises(PlanError, match=r"would (move|accelerate) at .*its limit is|would be at"):
             plan_with(name, hurried)
@@ -209,3 +209,14 @@ def test_problems_are_checked():
         PlanningProblem(ARM, task.start, task.target, seed=-1)
     with pytest.raises(InputError, match="arm must be an Arm, got str"):
         PlanningProblem("telescopic_pr", task.start, task.target)
+
+
+@pytest.mark.parametrize("name", ["minimum-jerk", "lieednn-retargeted"])
+def test_a_motion_takes_longer_where_the_limits_need_it(name):
+    asked = problem(0, duration=0.3)
+    motion = plan_with(name, asked)
+    assert 0.3 < motion.t[-1] <= 0.9
+    check_motion(asked.arm, motion)
+    # Hardly longer than it must: at the limit of a velocity or an acceleration, less the two percent of slack.
+    acceleration = np.abs(np.diff(motion.qd, axis=0) / motion.timestep) / asked.arm.acceleration_limits
+    assert max((np.abs(motion.qd) / asked.arm.velocity_limits).max(), acceleration.max()) > 0.93
