@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,6 +23,9 @@ BIAS_MAGNITUDES = (0.125, 0.25, 0.5)
 
 # Starts of `synthesize` for a candidate, and for the last one when there is none yet.
 _QUICK_ATTEMPTS, _PATIENT_ATTEMPTS = 3, 16
+
+# Where between two roughly integrated states contact is looked for, too.
+_BETWEEN = (0.25, 0.5, 0.75)
 
 # A network that roughly integrated leaves the limits by more than this [rad, m] need not be tried in full.
 _HOPELESS_EXCESS = 0.01
@@ -49,6 +53,7 @@ class Plan:
 @dataclass(frozen=True)
 class _Candidate:
     network: LieEDNN
+    touches: bool
     excess: float
     gap: float
 
@@ -112,10 +117,10 @@ def plan(
         )
     found = _screen(arm, networks, xi_start)
     kept = sum(candidate.excess <= LIMIT_TOLERANCE for candidate in found)
-    found.sort(key=lambda candidate: (max(candidate.excess, LIMIT_TOLERANCE), candidate.gap))
+    found.sort(key=lambda candidate: (candidate.touches, max(candidate.excess, LIMIT_TOLERANCE), candidate.gap))
     refusal: PlanError | None = None
     for candidate in found:
-        if refusal is not None and candidate.excess > _HOPELESS_EXCESS:
+        if refusal is not None and (candidate.touches or candidate.excess > _HOPELESS_EXCESS):
             break
         try:
             motion = make_motion(arm, candidate.network, origin, duration, step)
@@ -140,7 +145,7 @@ def _reachable(arm: Arm, target: ArrayLike) -> Floats:
 
 
 def _screen(arm: Arm, networks: list[LieEDNN], start: Floats) -> list[_Candidate]:
-    """Largest excess over the position limits and largest mechanism gap along roughly integrated trajectories."""
+    """Contacts, largest excess over the position limits and largest gap along roughly integrated trajectories."""
     runs = [network.trajectory(start, 20.0 / network.gamma, rtol=1e-4, atol=1e-6).xi for network in networks]
     # All at once: a retraction without closed form costs nearly as much for one state as for a hundred.
     decoded = arm.decode(np.concatenate(runs))
@@ -148,4 +153,14 @@ def _screen(arm: Arm, networks: list[LieEDNN], start: Floats) -> list[_Candidate
     gap = decoded.gap_translation.max(axis=-1) + arm.length_scale * decoded.gap_rotation.max(axis=-1)
     firsts = np.cumsum([0, *(len(run) for run in runs[:-1])])
     worst = zip(networks, np.maximum.reduceat(excess, firsts), np.maximum.reduceat(gap, firsts), strict=True)
-    return [_Candidate(network, float(most), float(widest)) for network, most, widest in worst]
+    postures = np.split(decoded.q, firsts[1:])
+    return [
+        _Candidate(network, _touches(arm, way), float(most), float(widest))
+        for (network, most, widest), way in zip(worst, postures, strict=True)
+    ]
+
+
+def _touches(arm: Arm, way: Floats) -> bool:
+    """Whether the postures ``(K, n)``, or some straight in between, come too near to contact."""
+    between = [start + share * (end - start) for start, end in pairwise(way) for share in _BETWEEN]
+    return any(bool(arm.near_contacts(q)) for q in (*way, *between))

@@ -84,7 +84,7 @@ class Case:
         return f"{self.planner}:{self.arm}:{self.scene}:{self.seed}"
 
 
-@lru_cache(maxsize=24)
+@lru_cache(maxsize=4)
 def load_arm(name: str, scene: str, seed: int) -> Arm:
     """The arm in its scene, after what is made once for a process, so that no planning time counts it."""
     arm = Arm.load(name, scene=scene, seed=seed)
@@ -108,7 +108,7 @@ def make_problem(case: Case, settings: Settings) -> PlanningProblem:
     return PlanningProblem(arm, arm.keyframe("home"), target, settings.duration, case.seed)
 
 
-@lru_cache(maxsize=256)
+@lru_cache(maxsize=4)
 def _arm_and_target(name: str, scene: str, seed: int) -> tuple[Arm, Any]:
     arm = load_arm(name, scene, 0 if scene == FREE else seed)
     return arm, draw_target(arm, seed)
@@ -165,7 +165,7 @@ def _track(problem: PlanningProblem, motion: Motion, controller: str, settings: 
     return {"success": "no" if reason else "yes", "reason": reason, **_texts(measured)}
 
 
-@lru_cache(maxsize=24)
+@lru_cache(maxsize=4)
 def _collisions(arm: Arm) -> Collisions:
     return Collisions(arm)
 

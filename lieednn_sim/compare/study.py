@@ -79,7 +79,8 @@ def compare(
 ) -> Table:
     """Compute the rows that the directory's table lacks.
 
-    A case is planned once for all controllers. Cases that take long come first, so that no core waits for the last one.
+    A case is planned once for all controllers. Cases of one arm among the same obstacles come together, so that a worker
+    loads it once, and those that take long first.
     When it is interrupted all finished cases are kept.
 
     Args:
@@ -100,7 +101,10 @@ def compare(
     table = Table(directory, settings)
     wanted = [(case, table.missing(case, selection.controllers)) for case in selection.cases()]
     costs = _planning_costs(table, selection)
-    todo = sorted(((case, names) for case, names in wanted if names), key=lambda job: -costs[job[0].planner])
+    todo = sorted(
+        ((case, names) for case, names in wanted if names),
+        key=lambda job: (job[0].arm, job[0].scene, job[0].seed, -costs[job[0].planner]),
+    )
     if not todo:
         return table
     try:
