@@ -36,6 +36,9 @@ from lieednn_sim.validation import as_choice, as_floats
 
 Floats = NDArray[np.float64]
 
+# Files that are models, and no names of arms.
+MODEL_SUFFIXES = (".xml", ".mjcf", ".urdf")
+
 # Planned motions keep this distance from contact [m], since what follows them is off by up to a millimetre or two.
 PLANNED_CLEARANCE = 0.002
 
@@ -90,7 +93,7 @@ class Arm:
     @classmethod
     def load(
         cls,
-        name: str,
+        name: str | os.PathLike[str],
         scene: str = "free",
         seed: int = 0,
         *,
@@ -101,7 +104,7 @@ class Arm:
         """Load an arm, with the obstacles of a scene.
 
         Args:
-            name: of an arm of the package, or an MJCF file (``.xml``), see `from_xml`.
+            name: of an arm of the package, or an MJCF or URDF file with a suffix of `MODEL_SUFFIXES`, see `from_xml`.
             scene: a name of `scenes.SCENES`.
             seed: of the obstacles.
             links: see `from_xml`.
@@ -112,11 +115,13 @@ class Arm:
             FileError: there is no such file, or MuJoCo cannot compile it.
             InputError: an unknown arm or scene, or the file holds no arm.
         """
-        if Path(name).suffix == ".xml":
+        if not isinstance(name, str | os.PathLike):
+            raise InputError(f"the name of an arm must be a string or a path, got {type(name).__name__}")
+        if Path(name).suffix.lower() in MODEL_SUFFIXES:
             return cls.from_xml(name, links=links, base=base, servos=servos).among(scene, seed)
         if links or base is not None or servos != "keep":
             raise InputError(f"arm {name!r} has its own frames and servos; links, base and servos are for MJCF files")
-        return cls.from_xml(scene_path(name), name).among(scene, seed)
+        return cls.from_xml(scene_path(str(name)), str(name)).among(scene, seed)
 
     @classmethod
     def from_xml(
@@ -150,10 +155,11 @@ class Arm:
         try:
             spec = mujoco.MjSpec.from_file(str(source))
         except ValueError as error:
-            raise FileError(f"MuJoCo cannot compile {source}: {error}") from None
+            raise FileError(f"MuJoCo cannot compile {source}: {str(error).strip()}") from None
         label = name or (source.parent.name if source.stem == "scene" else source.stem)
-        if links or base is not None or servos != "keep" or spec.site("link1_frame") is None:
-            spec, adoption = adopt(spec, links=links or None, base=base, servos=servos)
+        ready = spec.site("base_frame") is not None and spec.site("link1_frame") is not None
+        if links or base is not None or servos != "keep" or not ready:
+            spec, adoption = adopt(source, links=links or None, base=base, servos=servos)
             return replace(cls.from_spec(spec, source, label), adoption=adoption)
         return cls.from_spec(spec, source, label)
 
@@ -163,7 +169,7 @@ class Arm:
         try:
             model = spec.compile()
         except ValueError as error:
-            raise FileError(f"MuJoCo cannot compile {source}: {error}") from None
+            raise FileError(f"MuJoCo cannot compile {source}: {str(error).strip()}") from None
         chain = read_chain(model, name)
         space = read_coordinates(model, name, chain, _rest(model))
         joints, base, mounts, tips = read_joints(model, name, chain, space)

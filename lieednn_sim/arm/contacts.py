@@ -36,4 +36,4 @@ class ContactChecker:
         mujoco.mj_collision(model, data)
         near = data.contact.dist < self._margin if data.ncon else []
         bodies = model.geom_bodyid[data.contact.geom[near]] if data.ncon else []
-        return [(model.body(a).name, model.body(b).name) for a, b in bodies]
+        return list(dict.fromkeys((model.body(a).name, model.body(b).name) for a, b in bodies))

@@ -157,11 +157,13 @@ def read_force_limits(model: mujoco.MjModel, coordinates: Coordinates) -> Floats
 
 
 def read_numeric(model: mujoco.MjModel, arm: str, field: str, default: Floats) -> Floats:
-    """A custom numeric of the model with as many values as ``default``."""
+    """A custom numeric of the model with as many values as ``default``, all of them positive."""
     index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, field)
     values = default if index < 0 else np.array(model.numeric(index).data)
     if len(values) != len(default):
         raise InputError(f"numeric {field!r} of arm {arm!r} has {len(values)} values, expected {len(default)}")
+    if not (values > 0.0).all():
+        raise InputError(f"numeric {field!r} of arm {arm!r} must be positive, got {' '.join(f'{v:g}' for v in values)}")
     return values
 
 

@@ -61,14 +61,15 @@ def draw_target(arm: Arm, seed: int = 0) -> Floats:
             and collisions.free(q, TARGET_CLEARANCE, own=OWN_CLEARANCE)
         ):
             return q
-    raise InputError(f"no target was found for arm {arm.name!r} among its obstacles; use another seed of the scene")
+    raise InputError(f"no target was found for arm {arm.name!r} among its obstacles; use another scene or seed")
 
 
 def _anywhere(arm: Arm, rng: np.random.Generator) -> Floats:
     low, high = arm.position_limits.T
     inset = LIMIT_MARGIN * (high - low)
-    for _ in range(_ATTEMPTS):
-        if arm.exact:
+    for attempt in range(_ATTEMPTS):
+        # Where the joints are too short for the paper's law, within the limits as for any other arm.
+        if arm.exact and attempt < _ATTEMPTS // 2:
             q = arm.decode(rng.uniform(-NETWORK_SPREAD, NETWORK_SPREAD, (arm.n_links, 6))).q
         else:
             q = rng.uniform(low + inset, high - inset)

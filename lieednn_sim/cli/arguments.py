@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieednn_sim.arm import Arm, reach
+from lieednn_sim.arm.arm import MODEL_SUFFIXES
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.errors import InputError
 from lieednn_sim.simulate import CONTROLLERS, Disturbances, Push
@@ -40,7 +41,7 @@ def make_task(
     """What a run directory keeps of the arguments; an MJCF file by its absolute path."""
     path = Path(arguments.arm)
     return Task(
-        arm=str(path.resolve()) if path.suffix == ".xml" else arm.name,
+        arm=str(path.resolve()) if path.suffix.lower() in MODEL_SUFFIXES else arm.name,
         start=tuple(start.tolist()),
         target=tuple(target.tolist()),
         duration=as_positive("duration", arguments.duration),

@@ -79,8 +79,8 @@ def compare(
 ) -> Table:
     """Compute the rows that the directory's table lacks.
 
-    A case is planned once for all controllers. Cases of one arm among the same obstacles come together, so that a worker
-    loads it once, and those that take long first.
+    A case is planned once for all controllers. Cases of one arm among the same obstacles come together, so that a
+    worker loads it once, and those that take long first.
     When it is interrupted all finished cases are kept.
 
     Args:

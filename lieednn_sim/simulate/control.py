@@ -58,8 +58,8 @@ class PositionServo(Servo):
     """Position actuators with velocity feedforward: ctrl = q_ref + (kv / kp) qd_ref, per unit gear.
 
     A position actuator pulls with kp (ctrl - q) - kv qd, so without the second term it lags a moving reference by
-    kv / kp seconds. The velocity is taken one step ahead of the position, because implicitfast damps with the velocity
-    at the end of the step.
+    kv / kp seconds; the damping of the joints themselves, which the model knows, is fed forward with it. The velocity
+    is taken one step ahead of the position, because implicitfast damps with the velocity at the end of the step.
 
     Raises:
         InputError: the arm is not driven by position actuators on joints or fixed tendons.
@@ -68,13 +68,15 @@ class PositionServo(Servo):
     def __init__(self, arm: Arm, reference: Reference) -> None:
         super().__init__(arm, reference)
         self._actuators.require_servos()
+        self._damping = arm.model.dof_damping.copy()
 
     def act(self, data: mujoco.MjData, step: int, noise: Noise) -> None:
         """See `Controller`."""
         reference = self._reference
         row = reference.row(step)
         following = min(row + 1, reference.known - 1)
-        data.ctrl[:] = self._actuators.servo_controls(reference.qpos[row], reference.qvel[following])
+        velocity = reference.qvel[following]
+        data.ctrl[:] = self._actuators.servo_controls(reference.qpos[row], velocity, self._damping * velocity)
         data.ctrl += self._actuators.measurement_error(noise)
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm.adoption.accelerations import set_acceleration_limits
 from lieednn_sim.arm.adoption.checks import (
     check_kinematics,
     random_samples,
@@ -20,9 +21,11 @@ from lieednn_sim.arm.adoption.checks import (
     stabilise,
 )
 from lieednn_sim.arm.adoption.freezing import freeze
-from lieednn_sim.arm.adoption.ranges import coordinates_inside, joint_ranges, place
+from lieednn_sim.arm.adoption.nesting import ignore_nested
+from lieednn_sim.arm.adoption.ranges import coordinates_inside, extremes, joint_ranges, place
 from lieednn_sim.arm.adoption.serial_chain import Frame, body_frame, cut, joint_groups, longest_chain, named_frames
-from lieednn_sim.arm.adoption.servos import Freedom, Servo, add_servo, design, read_drive, soften
+from lieednn_sim.arm.adoption.servos import Freedom, Servo, add_servo, design, read_drive
+from lieednn_sim.arm.adoption.softening import soften
 from lieednn_sim.arm.adoption.spec import (
     add_coupling,
     add_frames,
@@ -32,8 +35,10 @@ from lieednn_sim.arm.adoption.spec import (
     drop_old_limits,
     load_spec,
     set_range,
+    stiffen_couplings,
 )
 from lieednn_sim.arm.adoption.stages import Coupling, Couplings, find_couplings
+from lieednn_sim.arm.adoption.units import set_length_unit
 from lieednn_sim.errors import InputError
 from lieednn_sim.validation import as_choice
 
@@ -91,10 +96,13 @@ def adopt(
     Without ``links`` the link frames are the model's own sites base_frame, link1_frame, ..., if it has them, else
     the arm is the chain with the most driven joints (`serial_chain.longest_chain`), cut by the rule
     of `serial_chain.cut`, its link frames the origins of the bodies behind the cuts. Every joint off the arm is frozen.
-    Coupled stages count as one coordinate; a fixed tendon that drives several stages becomes equalities between them.
+    Coupled stages count as one coordinate; a fixed tendon that drives several stages becomes equalities between them,
+    and soft equalities become stiff, as belts are.
     Plain position servos keep their gains; other drives are replaced by servos of 20 Hz, critically damped, on the
-    largest inertia M_ii of a few postures, slower where coupled stages could not keep up. Gravity compensation is
-    switched on where no body of the arm has any, because a position servo would sag. Hinges are held within 0.99 pi of
+    largest inertia M_ii of a few postures, slower where coupled stages could not keep up. Where drives have force
+    limits, accelerations get limits (`accelerations.set_acceleration_limits`). Gravity compensation is switched on
+    where no body of the arm has any, because a position servo would sag. Tubes of a telescope, and what else overlaps
+    in the robot at home, don't collide with each other (`nesting.ignore_nested`). Hinges are held within 0.99 pi of
     their reference, where the logarithm is unique.
 
     Args:
@@ -117,15 +125,18 @@ def adopt(
     original = compile_spec(spec)
     posture, qpos = _posture(original, keyframe)
     notes: list[str] = []
-    frames, groups, couplings, ranges = _mechanism(original, qpos, _checked(links), base, notes)
+    frames, groups, couplings, ranges = _mechanism(original, qpos, *_checked(links, base), notes)
     joints = [joint for group in groups for joint in group]
     independent = [joint for joint in joints if joint not in couplings.lines]
+    if len(groups) == 1:
+        notes.append("the arm is one link; networks of a single neuron are hard to certify: name more links")
 
     frozen, remarks = freeze(spec, original, qpos, set(joints))
     notes += remarks
     add_frames(spec, original, frames, notes)
     for joint in couplings.added:
         add_coupling(spec, original, couplings, joint)
+    stiffen_couplings(spec, original, couplings, notes)
     for joint in joints:
         set_range(spec.joint(original.joint(joint).name), ranges[joint])
     compensate_gravity(spec, original, joints, notes)
@@ -145,12 +156,18 @@ def adopt(
         affected = [freedom.name for freedom, drive in zip(here, drives, strict=True) if drive.remark == remark]
         notes.append(f"new servos for {', '.join(affected)}: {remark}")
     samples = [home, *random_samples(original, joints, couplings, ranges, 64)]
+    everywhere = [posture_of(q) for q in (*samples, *extremes(original, home, ranges))]
+    notes += ignore_nested(spec, original, bare, posture_of(home), everywhere)
+    notes += set_length_unit(spec, bare, everywhere)
     designed = design(bare, [posture_of(q) for q in samples[:16]], here, drives)
+    notes += set_acceleration_limits(spec, bare, [posture_of(q) for q in samples[:16]], here, designed)
     stabilise(spec, bare, [posture_of(q) for q in samples[:8]], here, designed, notes)
     names = [add_servo(spec, freedom, servo) for freedom, servo in zip(here, designed, strict=True)]
     designed = soften(spec, posture_of(home), here, designed, names)
     keyframes = {"home": home}
     for k in range(original.nkey):
+        if not np.isfinite(original.key_qpos[k]).all():
+            continue
         inside, _ = coordinates_inside(original, joints, couplings, ranges, original.key_qpos[k])
         keyframes.setdefault(original.key(k).name or f"key{k}", inside)
     for name, q in keyframes.items():
@@ -172,12 +189,14 @@ def adopt(
     )
 
 
-def _checked(links: Sequence[str] | None) -> tuple[str, ...] | None:
+def _checked(links: Sequence[str] | None, base: str | None) -> tuple[tuple[str, ...] | None, str | None]:
+    if base is not None and not isinstance(base, str):
+        raise InputError(f"base must be the name of a body or site, got {base!r}")
     if links is None:
-        return None
-    if isinstance(links, str) or not all(isinstance(link, str) for link in links) or not links:
+        return None, base
+    if isinstance(links, str) or not links or not all(isinstance(link, str) for link in links):
         raise InputError(f"links must be a list of names of bodies or sites, from the base outwards; got {links!r}")
-    return tuple(links)
+    return tuple(links), base
 
 
 def _posture(model: mujoco.MjModel, keyframe: str | None) -> tuple[str, Floats]:
@@ -191,6 +210,8 @@ def _posture(model: mujoco.MjModel, keyframe: str | None) -> tuple[str, Floats]:
     else:
         known = ", ".join(repr(name) for name in names if name) or "none"
         raise InputError(f"no keyframe {keyframe!r}; keyframes of the model: {known}")
+    if not np.isfinite(model.key_qpos[k]).all():
+        raise InputError(f"keyframe {names[k] or k!r} holds NaN or infinite positions; correct it, or choose another")
     return f"keyframe {names[k] or k!r}", model.key_qpos[k].copy()
 
 

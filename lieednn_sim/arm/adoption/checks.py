@@ -14,7 +14,7 @@ from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.adoption.freezing import pose
 from lieednn_sim.arm.adoption.ranges import place, random_coordinates
 from lieednn_sim.arm.adoption.serial_chain import Frame
-from lieednn_sim.arm.adoption.servos import Freedom, Servo, growth, reduced_inertia
+from lieednn_sim.arm.adoption.servos import Freedom, Servo, growth, reduced_inertia, resting_load
 from lieednn_sim.arm.adoption.stages import Couplings
 from lieednn_sim.errors import InputError
 
@@ -101,7 +101,7 @@ def remarks_at_home(model: mujoco.MjModel, freedoms: list[Freedom], servos: tupl
     mujoco.mj_resetDataKeyframe(model, data, model.key("home").id)
     mujoco.mj_forward(model, data)
     notes = []
-    load = data.qfrc_bias - data.qfrc_passive
+    load = resting_load(model, data.qpos)
     for freedom, servo in zip(freedoms, servos, strict=True):
         force = float(load @ freedom.rates)
         if servo.frequency < _SLOW:

@@ -100,6 +100,14 @@ def random_coordinates(
     return q
 
 
+def extremes(model: mujoco.MjModel, home: dict[int, Floats], ranges: dict[int, Floats]) -> list[dict[int, Floats]]:
+    """The posture ``home`` with all slides retracted, and with all extended."""
+    return [
+        {joint: ranges[joint][[end]] if model.jnt_type[joint] == _SLIDE else q for joint, q in home.items()}
+        for end in (0, 1)
+    ]
+
+
 def coordinates_inside(
     model: mujoco.MjModel, joints: Sequence[int], couplings: Couplings, ranges: dict[int, Floats], qpos: Floats
 ) -> tuple[dict[int, Floats], list[str]]:

@@ -153,7 +153,8 @@ def cut(
     Coupled joints, and joints of one body, stay together. Each slide, or telescope, closes a compound joint, which
     takes in the hinges or the ball directly inboard as long as the whole turns by less than pi from its reference, so
     that the logarithm is unique, and its freedoms are independent, so that a pose tells the joints. Every other joint
-    is a compound joint of its own.
+    is a compound joint of its own. Where all would be one the first joint is set apart: a network of a single neuron
+    has hardly any target that can be certified.
 
     Args:
         model, data: the model with its kinematics at a representative posture.
@@ -170,6 +171,8 @@ def cut(
                 break
             group = [*groups.pop(), *group]
         groups.append(group)
+    if len(groups) == 1 and len(units) > 1:
+        groups = [units[:1], units[1:]]
     return tuple(tuple(joint for unit in group for joint in unit.joints) for group in groups)
 
 

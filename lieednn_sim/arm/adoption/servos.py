@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,8 +16,6 @@ Floats = NDArray[np.float64]
 _BALL = int(mujoco.mjtJoint.mjJNT_BALL)
 _TRN = mujoco.mjtTrn
 NATURAL_FREQUENCY = 20.0  # of a designed servo [Hz]
-# Growth of a step that is no instability of the servos; by how much those of tied stages are slowed down, how often.
-_STEADY, _SOFTER, _SOFTENINGS = 1.002, 0.8, 12
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,8 +154,7 @@ def add_servo(spec: Any, freedom: Freedom, servo: Servo) -> str:
         dyntype=mujoco.mjtDyn.mjDYN_NONE,
         gear=gear,
     )
-    actuator.gainprm = np.array([servo.kp, *np.zeros(9)])
-    actuator.biasprm = np.array([0.0, -servo.kp, -servo.kv, *np.zeros(7)])
+    actuator.gainprm, actuator.biasprm = gain_parameters(servo)
     actuator.inheritrange = 0.0
     actuator.ctrllimited = mujoco.mjtLimited.mjLIMITED_TRUE
     actuator.ctrlrange = freedom.span
@@ -169,42 +166,9 @@ def add_servo(spec: Any, freedom: Freedom, servo: Servo) -> str:
     return str(actuator.name)
 
 
-def soften(
-    spec: Any, qpos: Floats, freedoms: list[Freedom], servos: tuple[Servo, ...], names: list[str]
-) -> tuple[Servo, ...]:
-    """Slow down the designed servos of coupled stages, which act on one stage, until their soft ties can keep up.
-
-    Args:
-        spec: with the servos; changed.
-        qpos: ``(nq,)`` posture of the whole model, in which one step is linearised.
-        freedoms: of the arm, with rates of the model of the spec.
-        servos: of the freedoms.
-        names: of their actuators.
-    """
-    tied = [not s.kept and int(np.count_nonzero(f.rates)) > 1 for f, s in zip(freedoms, servos, strict=True)]
-    softened = list(servos)
-    for _ in range(_SOFTENINGS if any(tied) else 0):
-        if _step_growth(spec.compile(), qpos) < _STEADY:
-            break
-        for k in np.flatnonzero(tied):
-            old = softened[k]
-            softened[k] = replace(old, kp=old.kp * _SOFTER**2, kv=old.kv * _SOFTER, frequency=old.frequency * _SOFTER)
-            actuator = spec.actuator(names[k])
-            actuator.gainprm = np.array([softened[k].kp, *np.zeros(9)])
-            actuator.biasprm = np.array([0.0, -softened[k].kp, -softened[k].kv, *np.zeros(7)])
-    return tuple(softened)
-
-
-def _step_growth(model: mujoco.MjModel, qpos: Floats) -> float:
-    """Spectral radius of one step of the whole model, at rest and with the servos at the posture."""
-    data = mujoco.MjData(model)
-    data.qpos[:] = qpos
-    mujoco.mj_forward(model, data)
-    data.ctrl[:] = data.actuator_length
-    size = 2 * model.nv + model.na
-    transition = np.zeros((size, size))
-    mujoco.mjd_transitionFD(model, data, 1e-6, True, transition, None, None, None)
-    return float(np.abs(np.linalg.eigvals(transition)).max())
+def gain_parameters(servo: Servo) -> tuple[Floats, Floats]:
+    """MuJoCo's gain and bias parameters, ten each."""
+    return np.array([servo.kp, *np.zeros(9)]), np.array([0.0, -servo.kp, -servo.kv, *np.zeros(7)])
 
 
 def reduced_inertia(model: mujoco.MjModel, qpos: Floats, freedoms: list[Freedom]) -> Floats:
@@ -216,6 +180,16 @@ def reduced_inertia(model: mujoco.MjModel, qpos: Floats, freedoms: list[Freedom]
     for column, freedom in zip(columns, freedoms, strict=True):
         mujoco.mj_mulM(model, data, column, freedom.rates)
     return columns @ np.array([freedom.rates for freedom in freedoms]).T
+
+
+def resting_load(model: mujoco.MjModel, qpos: Floats) -> Floats:
+    """Generalised force ``(nv,)`` by which drives hold the model at rest, gravity compensation and springs apart."""
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    mujoco.mj_forward(model, data)
+    # Compensation by a drive counts as its force in MuJoCo, in addition to that of the servo.
+    by_drive = model.jnt_actgravcomp[model.dof_jntid] != 0
+    return np.asarray(data.qfrc_bias - data.qfrc_passive - np.where(by_drive, data.qfrc_gravcomp, 0.0))
 
 
 def growth(

@@ -27,6 +27,7 @@ def load_spec(model: Any) -> Any:
         InputError: neither a path nor a spec.
     """
     if isinstance(model, mujoco.MjSpec):
+        compile_spec(model)  # a copy leaves out, without a word, what refers to names that aren't there
         spec = model.copy()
     else:
         try:
@@ -38,7 +39,7 @@ def load_spec(model: Any) -> Any:
         try:
             spec = mujoco.MjSpec.from_file(str(source))
         except ValueError as error:
-            raise FileError(f"MuJoCo cannot read {source}: {error}") from None
+            raise FileError(f"MuJoCo cannot read {source}: {str(error).strip()}") from None
     spec.compiler.fusestatic = False  # a link that doesn't move in its parent would vanish
     spec.compiler.alignfree = False  # a frozen object would keep the pose of its principal axes instead of its own
     for kind, elements in (("body", spec.bodies), ("joint", spec.joints)):
@@ -61,7 +62,7 @@ def compile_spec(spec: Any) -> mujoco.MjModel:
         if missing:
             shown = ", ".join(missing[:10]) + (f" and {len(missing) - 10} more" if len(missing) > 10 else "")
             raise FileError(f"files of the model are missing: {shown}") from None
-        raise FileError(f"MuJoCo cannot compile the model: {error}") from None
+        raise FileError(f"MuJoCo cannot compile the model: {str(error).strip()}") from None
 
 
 def add_frames(spec: Any, model: mujoco.MjModel, frames: Sequence[Frame], notes: list[str]) -> None:
@@ -101,8 +102,33 @@ def add_coupling(spec: Any, model: mujoco.MjModel, couplings: Couplings, followe
         type=mujoco.mjtEq.mjEQ_JOINT, name1=model.joint(follower).name, name2=model.joint(leader).name, active=True
     )
     equality.data = np.array([shift - y0 + ratio * x0, ratio, *np.zeros(len(equality.data) - 2)])
-    equality.solref = np.array([max(0.004, 2.0 * model.opt.timestep), 1.0])  # MuJoCo's least is two timesteps
-    equality.solimp = np.array([0.99, 0.999, 0.001, 0.5, 2.0])
+    equality.solref, equality.solimp = _belt(model)
+
+
+def stiffen_couplings(spec: Any, model: mujoco.MjModel, couplings: Couplings, notes: list[str]) -> None:
+    """Make the model's own ties between stages as stiff as those of `add_coupling`, where they are softer.
+
+    MuJoCo's default gives a light stage a spring of a few hundred newtons a metre: friction of a few newtons leaves it
+    centimetres behind the others, where no servo notices.
+    """
+    followers = {model.joint(follower).name for follower in couplings.lines if follower not in couplings.added}
+    reference, impedance = _belt(model)
+    stiffened = []
+    for equality in spec.equalities:
+        if equality.type != mujoco.mjtEq.mjEQ_JOINT or not equality.active or equality.name1 not in followers:
+            continue
+        # Negative numbers are a stiffness and a damping that somebody chose.
+        if 0.0 < equality.solref[0] <= reference[0] or equality.solref[0] < 0.0:
+            continue
+        equality.solref, equality.solimp = reference, impedance
+        stiffened.append(equality.name1)
+    if stiffened:
+        notes.append(f"ties of {', '.join(stiffened)} made stiff, with solref {reference[0]:g} s")
+
+
+def _belt(model: mujoco.MjModel) -> tuple[Floats, Floats]:
+    """Parameters solref and solimp of a tie that passes for rigid; MuJoCo's least time constant is two timesteps."""
+    return np.array([max(0.004, 2.0 * model.opt.timestep), 1.0]), np.array([0.99, 0.999, 0.001, 0.5, 2.0])
 
 
 def set_range(joint: Any, span: Floats) -> None:
