@@ -199,15 +199,12 @@ def check_motion(arm: Arm, motion: Motion) -> None:
 
     Raises:
         TooFastError: only velocity or acceleration is too high; it knows the duration that keeps them.
-        PlanError: names the joint or bodies, the value, the bound, and what would help.
+        PlanError: names the joint or bodies, the value and the bound.
     """
     outside = arm.limit_excess(motion.q)
     k, joint = map(int, np.unravel_index(outside.argmax(), outside.shape))
     if outside[k, joint] > LIMIT_TOLERANCE:
-        raise PlanError(
-            f"at t = {motion.t[k]:.2f} s {arm.describe_excess(motion.q[k], joint)}; try more candidates, "
-            "another seed, a larger bias magnitude or the solved bias"
-        )
+        raise PlanError(f"at t = {motion.t[k]:.2f} s {arm.describe_excess(motion.q[k], joint)}")
     acceleration = np.diff(motion.qd, axis=0) / motion.timestep
     too_fast: list[tuple[float, str]] = []
     # A duration T scales velocities by 1 / T and accelerations by 1 / T^2.
@@ -232,5 +229,5 @@ def check_motion(arm: Arm, motion: Motion) -> None:
         if touching:
             raise PlanError(
                 f"{touching[0][0]!r} would come within {1e3 * PLANNED_CLEARANCE:g} mm of {touching[0][1]!r} at "
-                f"t = {motion.t[k]:.2f} s; try more candidates, another seed or another target"
+                f"t = {motion.t[k]:.2f} s"
             )

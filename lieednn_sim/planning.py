@@ -132,7 +132,7 @@ def plan(
     message = f"{refusal} (best of {total} candidates)"
     if isinstance(refusal, TooFastError):
         raise TooFastError(message, refusal.duration)
-    raise PlanError(message)
+    raise PlanError(f"{message}; try more candidates, another seed, a larger bias magnitude or the solved bias")
 
 
 def _reachable(arm: Arm, target: ArrayLike) -> Floats:

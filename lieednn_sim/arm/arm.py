@@ -32,7 +32,7 @@ from lieednn_sim.arm.retraction import Retraction, Retractor
 from lieednn_sim.arm.scenes import SCENES, add_obstacles
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.lie import log
-from lieednn_sim.validation import as_choice, as_floats
+from lieednn_sim.validation import as_choice, as_floats, as_seed
 
 Floats = NDArray[np.float64]
 
@@ -198,6 +198,7 @@ class Arm:
         Raises:
             InputError: no such scene, a bad seed, obstacles already there, or no place for them around this arm.
         """
+        as_seed("seed", seed)
         if as_choice("scene", scene, SCENES) == "free":
             return self
         if self.scene != "free":

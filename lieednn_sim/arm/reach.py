@@ -11,7 +11,7 @@ from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.arm import Arm
 from lieednn_sim.errors import InputError
 from lieednn_sim.lie import hat
-from lieednn_sim.validation import as_floats
+from lieednn_sim.validation import as_floats, as_seed
 
 Floats = NDArray[np.float64]
 
@@ -34,13 +34,15 @@ def reach(
         seed: of the further starts tried when the first fails.
 
     Raises:
-        InputError: no such joint position was found; says how close one gets.
+        InputError: a value is malformed, or no such joint position was found; says how close one gets.
     """
     goal = as_floats("position", position, (3,))
+    if rotation is not None and not isinstance(rotation, Rotation):
+        raise InputError(f"rotation must be a scipy Rotation, got {type(rotation).__name__}")
     rest = arm.keyframe("home") if start is None else arm.check_position(start, "start")
     low, high = arm.position_limits.T
     spread = high - low
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(as_seed("seed", seed))
 
     data = mujoco.MjData(arm.model)
     site = int(arm.site_ids[-1])
@@ -66,7 +68,7 @@ def reach(
         turned = rotation.as_matrix().T @ hat(angular.T) @ data.site_xmat[site].reshape(3, 3)
         return np.vstack([linear, turned.reshape(arm.n_joints, 9).T])
 
-    best, touching = np.inf, ""
+    best, refused = np.inf, ""
     for attempt in range(_ATTEMPTS):
         q = rest if attempt == 0 else rng.uniform(low, high)
         # With the posture term first: a solution near the start. Then without: an exact one.
@@ -85,13 +87,18 @@ def reach(
             ).x
         distance = float(np.abs(error(q)).max())
         if distance < _TOLERANCE:
-            contacts = arm.contacts(q)
-            if not contacts:
+            # The box that bounds a ball joint's rotation vector has corners beyond its largest angle.
+            excess = arm.limit_excess(q)
+            contacts = arm.near_contacts(q)
+            if excess.max() <= 0.0 and not contacts:
                 return q
-            touching = f"; at the solutions found {contacts[0][0]!r} touches {contacts[0][1]!r}"
+            if excess.max() > 0.0:
+                refused = f"; at the solutions found {arm.describe_excess(q, int(excess.argmax()))}"
+            else:
+                refused = f"; at the solutions found {contacts[0][0]!r} touches {contacts[0][1]!r}"
         best = min(best, distance)
     raise InputError(
         f"the end effector cannot reach ({', '.join(f'{x:g}' for x in goal)}) m"
         + (" with this orientation" if rotation is not None else "")
-        + (touching or f": the nearest posture found is {best:.3g} off")
+        + (refused or f": the nearest posture found is {best:.3g} off")
     )

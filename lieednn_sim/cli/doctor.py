@@ -32,7 +32,7 @@ _PACKAGES = (
 )
 # Optional packages, the extra that brings them, and what they are good for.
 _EXTRAS = {
-    "ompl": ("rivals", "planners rrt-connect and rrt-star"),
+    "ompl": ("rivals", "planners rrt-connect, rrt-star and lieednn-guided"),
     "movement_primitives": ("rivals", "planner dmp"),
     "pytransform3d": ("rivals", "planner dmp"),
     "gymnasium": ("gymnasium", "Gymnasium environments"),

@@ -14,7 +14,7 @@ from lieednn_sim.cli.console import console, progress, table, wrote
 from lieednn_sim.errors import InputError
 from lieednn_sim.motion import Motion
 from lieednn_sim.network import ComponentwiseNetwork
-from lieednn_sim.planners import NETWORK_PLANNERS, PlanningProblem, obstacle_planner
+from lieednn_sim.planners import NETWORK_PLANNERS, PlanningProblem, obstacle_planner, plan_network
 from lieednn_sim.planning import Plan, plan
 from lieednn_sim.task import RunDirectory
 from lieednn_sim.validation import as_choice
@@ -45,9 +45,12 @@ def synthesize(arguments: argparse.Namespace) -> RunDirectory:
             network: ComponentwiseNetwork = chosen.network
         else:
             console.print(f"planning with {planner} ...")
-            network, motion = NETWORK_PLANNERS[planner](
-                PlanningProblem(arm, start, target, arguments.duration, arguments.seed)
+            made_by, motion = plan_network(
+                planner, PlanningProblem(arm, start, target, arguments.duration, arguments.seed)
             )
+            if made_by is None:
+                raise InputError(f"planner {planner!r} runs no network; allowed: {', '.join(NETWORK_PLANNERS)}")
+            network = made_by
             task = make_task(arm, start, target, arguments, planner)
     except BaseException:
         if made:

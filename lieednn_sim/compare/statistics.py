@@ -55,7 +55,7 @@ class Group:
         return float(np.median(found)) if found else None
 
     def verdict(self) -> str:
-        """Stability proved: "global 9 of 10, local 1 of 10"; "-" where no network was made."""
+        """Stability proved: "global 9/10, local 1/10"; "-" where no network was made."""
         found = [row["stability"] for row in motions(self.rows) if row["stability"] not in ("", "-")]
         if not found:
             return "-"

@@ -15,6 +15,7 @@ from lieednn_sim.arm.scenes import SCENES
 from lieednn_sim.compare.cases import FREE, Case, Settings, run_case
 from lieednn_sim.compare.statistics import numbers
 from lieednn_sim.compare.table import Table
+from lieednn_sim.errors import InputError
 from lieednn_sim.planners import PLANNERS, missing_planners
 from lieednn_sim.simulate import CONTROLLERS
 from lieednn_sim.validation import as_choice, as_count
@@ -55,7 +56,10 @@ class Selection:
             ("scenes", list(SCENES), list(DEFAULT_SCENES)),
             ("controllers", list(CONTROLLERS), list(DEFAULT_CONTROLLERS)),
         ):
-            chosen = tuple(dict.fromkeys(getattr(self, name) or default))
+            given = getattr(self, name) or default
+            if isinstance(given, str):
+                raise InputError(f"{name} must be a list of names, got {given!r}")
+            chosen = tuple(dict.fromkeys(given))
             for value in chosen:
                 as_choice(name.removesuffix("s"), value, known)
             object.__setattr__(self, name, chosen)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 
+import numpy as np
+
 from lieednn_sim import storage
 from lieednn_sim.compare.columns import COLUMNS, Column
 from lieednn_sim.compare.statistics import Group, failures, grouped, motions, planned
@@ -57,7 +59,7 @@ def method(table: Table) -> str:
     return (
         f"From home to random reachable targets in {settings.duration:g} s, simulated{masses} until "
         f"{settings.hold:g} s after. A success is a rollout without contact whose every link ends within "
-        f"{1e3 * SETTLED_TRANSLATION:g} mm and {SETTLED_ROTATION * 57.29577951308232:.1g} deg of the target. Tracking "
+        f"{1e3 * SETTLED_TRANSLATION:g} mm and {np.rad2deg(SETTLED_ROTATION):.1g} deg of the target. Tracking "
         "is measured against the planned joints; the mechanism gap is no part of it. Medians are over the seeds that "
         "have the value: a planner that fails on hard targets is judged by the easy. All numbers but the planning time "
         "are the same on every run."

@@ -43,6 +43,10 @@ class Table:
         if self.csv.exists():
             self._check()
             self.rows = read_rows(self.csv)
+        else:
+            # Films of a table that was removed are of other settings, or other code.
+            for film in (self.directory / "videos").glob("*.mp4"):
+                film.unlink()
         self._written = time.monotonic()
         storage.save_json(self.json, self._description())
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from inspect import signature
 from typing import Any
 
 import numpy as np
@@ -146,7 +147,13 @@ TASKS: dict[str, type[ArmTask]] = {"reach": Reach, "track": Track}
 
 def make_task(task: str, arm: str | Arm = "telescopic_pr", **options: Any) -> ArmTask:
     """A task of `TASKS` by name, with its options; `InputError` lists the names."""
-    return TASKS[as_choice("task", task, TASKS)](arm, **options)
+    kind = TASKS[as_choice("task", task, TASKS)]
+    # Options of the task itself, and those that every task takes.
+    known = {*signature(kind).parameters, *signature(ArmTask).parameters} - {"arm", "options"}
+    unknown = sorted(set(options) - known)
+    if unknown:
+        raise InputError(f"unknown options of task {task!r}: {', '.join(unknown)}; known: {', '.join(sorted(known))}")
+    return kind(arm, **options)
 
 
 def _refuse(options: dict[str, Any], *known: str) -> None:

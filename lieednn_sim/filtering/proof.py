@@ -1,4 +1,4 @@
-"""Joint limits proved for a whole transient by an invariant box of the network: there they need no filter."""
+"""Joint limits proved for a whole transient by an invariant box: there the filter has no position to limit."""
 
 from __future__ import annotations
 

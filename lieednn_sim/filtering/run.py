@@ -57,7 +57,8 @@ class FilteredRun:
         q: ``(K, n)`` joint positions [rad, m].
         qd: ``(K, n)`` joint velocities; linear in between, which makes q's part between two steps quadratic.
         clock: ``(K,)`` the reference's time that the network had got to [s].
-        clearance: ``(K,)`` smallest distance [m]; infinite beyond the filter's cutoff.
+        clearance: ``(K,)`` smallest distance [m] among the pairs that could come too near within a step, infinite
+            without any; at the end the smallest of all.
         filtered_share: share of the steps in which position limits or clearance changed the velocities.
         brakings: steps in which the limits allowed nothing but braking.
         limits_proved: whether box invariance proves the position limits, filter or not.

@@ -94,7 +94,8 @@ class FilterStep:
         velocity: ``(n,)`` joint velocities at the end of the step [rad/s, m/s].
         active: whether they differ from the wanted by more than the acceleration limits make them.
         braked: whether clearance could not be kept together with the other limits, and the arm braked.
-        clearance: smallest distance at the beginning of the step [m]; infinite beyond the cutoff.
+        clearance: smallest distance at the beginning of the step [m] among the pairs that its velocities could bring
+            too near; infinite when there are none.
         blocking: what held the arm back, the hardest first: position limits and pairs of geoms.
     """
 

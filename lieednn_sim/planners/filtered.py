@@ -22,7 +22,7 @@ from lieednn_sim.network import LieEDNN
 from lieednn_sim.planners import sampling
 from lieednn_sim.planners.extras import optional_module
 from lieednn_sim.planners.joint_space import Workspace, joint_scale
-from lieednn_sim.planners.legs import motion_of
+from lieednn_sim.planners.legs import CLOSING, motion_of
 from lieednn_sim.planners.problem import LONGEST, PlanningProblem
 from lieednn_sim.planning import BIAS_MAGNITUDES
 from lieednn_sim.synthesis import synthesize
@@ -157,7 +157,7 @@ class _Search:
                 problem.duration,
                 via=via,
                 timestep=self._ratio * problem.timestep,
-                longest=LONGEST,
+                longest=LONGEST - CLOSING / problem.duration,
             )
             if not run.success:
                 raise PlanError(run.message)

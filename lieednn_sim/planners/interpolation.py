@@ -30,9 +30,9 @@ def minimum_jerk(problem: PlanningProblem) -> Motion:
 def screw(problem: PlanningProblem) -> Motion:
     """Every compound joint's pose on the geodesic of SE(3): T_i(t) = T_i(0) exp(sigma(t/T) log(T_i(0)^-1 T_i(1))).
 
-    Such a screw leaves the two freedoms of a joint in general, so it is decoded to the nearest joint position. The
-    shorter of two rotations is taken: between angles more than pi apart it passes the logarithm's cut, outside every
-    joint's limits.
+    Such a screw leaves what a joint with fewer than six freedoms can do, so it is decoded to the nearest joint
+    position. The shorter of two rotations is taken: between angles more than pi apart it passes the logarithm's cut,
+    outside every joint's limits.
 
     Raises:
         PlanError: the motion breaks a limit of the arm.

@@ -11,7 +11,7 @@ from lieednn_sim.motion import Motion
 Floats = NDArray[np.float64]
 
 # The last difference to the target is closed in this time [s].
-_CLOSING = 0.1
+CLOSING = 0.1
 
 
 def motion_of(run: FilteredRun, target: Floats, xi_target: Floats, ratio: int) -> Motion:
@@ -49,7 +49,7 @@ def motion_of(run: FilteredRun, target: Floats, xi_target: Floats, ratio: int) -
 
 def _closing(q: Floats, qd: Floats, goal: Floats, step: float) -> tuple[Floats, Floats]:
     """From nearly at rest near the goal to rest at the goal, by the quintic whose accelerations vanish at both ends."""
-    count = max(round(_CLOSING / step), 2)
+    count = max(round(CLOSING / step), 2)
     s = (np.arange(count + 1) / count)[:, None]
     length = count * step
     ease, slope = s**3 * (10.0 - 15.0 * s + 6.0 * s**2), 30.0 * s**2 * (1.0 - s) ** 2

@@ -25,7 +25,13 @@ _TORQUE_LOOP_FREQUENCY = 10.0
 
 
 class Controller(Protocol):
-    """Drives one rollout along a reference, of which it reads what is known."""
+    """Drives one rollout along a reference, of which it reads what is known.
+
+    Attributes:
+        adds_bodies: whether `add_bodies` does anything; a plant without new bodies need not be compiled again.
+    """
+
+    adds_bodies: bool
 
     def add_bodies(self, spec: Any) -> None:
         """Add the bodies that the controller needs to a copy of the arm's spec."""
@@ -42,6 +48,8 @@ class Controller(Protocol):
 
 class Servo:
     """What controllers with joint drives share: the arm's own drives, as they are."""
+
+    adds_bodies = False
 
     def __init__(self, arm: Arm, reference: Reference) -> None:
         self._actuators = Actuators(arm)

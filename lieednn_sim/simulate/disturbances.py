@@ -35,6 +35,8 @@ class Push:
     duration: float
 
     def __post_init__(self) -> None:
+        if not isinstance(self.body, str):
+            raise InputError(f"body must be the name of a body or link, got {self.body!r}")
         force = as_floats("force", self.force, (3,))
         object.__setattr__(self, "force", tuple(float(value) for value in force))
         object.__setattr__(self, "start", _as_least_zero("start", self.start))
@@ -80,7 +82,7 @@ class Disturbances:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        pushes = tuple(self.pushes)
+        pushes = (self.pushes,) if isinstance(self.pushes, Push) else tuple(self.pushes)
         if not all(isinstance(push, Push) for push in pushes):
             raise InputError("pushes must be a sequence of Push")
         object.__setattr__(self, "pushes", tuple(sorted(pushes, key=lambda push: push.start)))

@@ -30,6 +30,8 @@ class MocapWelds:
     run ahead by as much. There is no feedback of joints, so no sensor noise either.
     """
 
+    adds_bodies = True
+
     def __init__(self, arm: Arm, reference: Reference) -> None:
         self._arm, self._reference = arm, reference
         self._solref, self._lead = self._weld(reference)

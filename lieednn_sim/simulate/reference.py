@@ -62,7 +62,7 @@ class Reference:
     def rates(self, step: int) -> tuple[Floats, Floats]:
         """Velocity and acceleration ``(nv,)`` with which semi-implicit steps land on every position exactly.
 
-        q_{k+1} = q_k (+) h v_{k+1} and v_{k+1} = v_k + h a_k, from rest to rest, where (+) is MuJoCo's integration of
+        q_{k+1} = q_k (+) h v_{k+1} and v_{k+1} = v_k + h a_k, from rest, where (+) is MuJoCo's integration of
         positions: quaternions turn by the exponential map.
         """
         k = self.row(step)
@@ -87,7 +87,8 @@ class Reference:
 
     def _velocity(self, k: int) -> Floats:
         velocity = np.zeros(self._model.nv)
-        if 0 < k < self.known:
+        k = min(k, self.known - 1)
+        if k > 0:
             mujoco.mj_differentiatePos(self._model, velocity, self.timestep, self.qpos[k - 1], self.qpos[k])
         return velocity
 

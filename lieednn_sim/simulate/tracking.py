@@ -21,7 +21,7 @@ from lieednn_sim.simulate.plant import make_plant
 from lieednn_sim.simulate.reference import Reference, steps_of_rate
 from lieednn_sim.simulate.rollout import Recorder, Rollout
 from lieednn_sim.simulate.simulation import Simulation
-from lieednn_sim.validation import as_choice, as_positive
+from lieednn_sim.validation import as_choice, as_floats, as_positive
 
 Floats = NDArray[np.float64]
 
@@ -33,7 +33,7 @@ def make_controlled(
 ) -> tuple[Controller, Simulation]:
     """A controller of `CONTROLLERS` and the simulation of the plant that it drives."""
     driver = CONTROLLERS[as_choice("controller", controller, CONTROLLERS)](arm, reference)
-    plant = make_plant(arm, disturbances, driver.add_bodies if controller.startswith("mocap") else None)
+    plant = make_plant(arm, disturbances, driver.add_bodies if driver.adds_bodies else None)
     driver.equip(plant)
     return driver, Simulation(arm, plant, disturbances=disturbances)
 
@@ -71,6 +71,12 @@ def simulate(
         InputError: the motion does not fit the model.
         SimulationError: a warning of MuJoCo or a state that is not finite; names the time and the dump.
     """
+    for name, value, kind in (("arm", arm, Arm), ("motion", motion, Motion)):
+        if not isinstance(value, kind):
+            raise InputError(f"{name} must be of type {kind.__name__}, got {type(value).__name__}")
+    if disturbances is not None and not isinstance(disturbances, Disturbances):
+        raise InputError(f"disturbances must be of type Disturbances, got {type(disturbances).__name__}")
+    hold = float(as_floats("hold", hold, ()))
     step = float(arm.model.opt.timestep)
     if motion.q.shape[1] != arm.n_joints:
         raise InputError(f"the motion has {motion.q.shape[1]} coordinates, arm {arm.name!r} has {arm.n_joints}")

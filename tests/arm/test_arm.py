@@ -173,6 +173,24 @@ def test_joints_that_would_be_got_wrong_are_refused(change, words, tmp_path):
         Arm.from_xml(tmp_path / "scene.xml")
 
 
+def test_what_reach_returns_can_be_planned_to():
+    """A ball joint's largest angle bounds the norm of its rotation vector, not the box around it."""
+    arm = Arm.load("telescopic_compound")
+    rng = np.random.default_rng(3)
+    found = 0
+    for _ in range(6):
+        q = arm.decode(rng.uniform(-0.8, 0.8, (arm.n_links, 6))).q
+        pose = arm.link_poses(q)[-1]
+        try:
+            reached = reach(arm, pose.translation, pose.rotation)
+        except InputError:
+            continue
+        found += 1
+        arm.check_position(reached)
+        assert arm.near_contacts(reached) == []
+    assert found >= 2
+
+
 def test_errors_name_what_is_allowed(arm, tmp_path):
     with pytest.raises(InputError, match="no arm 'nonsense'; allowed: telescopic_compound, telescopic_pr"):
         Arm.load("nonsense")

@@ -311,6 +311,6 @@ def test_doctor_reports_in_words_and_json(capsys, monkeypatch):
     assert main(["doctor"]) == code
     printed = capsys.readouterr().out
     assert "OpenGL backend" in printed
-    assert "not installed (optional, for planners rrt-connect and" in printed
+    assert "not installed (optional, for planners rrt-connect," in printed
     assert main(["doctor", "--json"]) == code
     assert json.loads(capsys.readouterr().out)["extras"]["gymnasium"]["version"] is None

@@ -63,6 +63,12 @@ def test_behind_a_steady_target_the_error_is_speed_over_gain_and_feedforward_tak
     assert late.lag > 0.02
 
 
+def test_the_end_of_a_moving_target_is_no_sudden_stop(arm, network):
+    following = follow(arm, network, ramp(arm, 0.1), 1.0, speed=10.0, controller="inverse-dynamics")
+    force = following.rollout.force
+    assert np.abs(force[-1] - force[-2]).max() < 0.05 * np.abs(force[-2]).max()
+
+
 def test_a_jump_settles_without_reset_and_joints_keep_their_velocity_limits(arm, network):
     home, extended = arm.keyframe("home"), arm.keyframe("extended")
 

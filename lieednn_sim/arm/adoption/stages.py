@@ -10,8 +10,6 @@ import numpy as np
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.errors import InputError
 
-_JOINT_TYPES = {int(mujoco.mjtJoint.mjJNT_HINGE): "hinge", int(mujoco.mjtJoint.mjJNT_SLIDE): "slide"}
-
 
 @dataclass(frozen=True)
 class Coupling:
