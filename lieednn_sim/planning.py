@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim.arm import Arm
-from lieednn_sim.errors import InputError, NotCertifiedError, PlanError, TooFastError
+from lieednn_sim.errors import NotCertifiedError, PlanError, TooFastError
 from lieednn_sim.motion import LIMIT_TOLERANCE, Motion, check_motion, count_steps, make_motion
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.synthesis import synthesize
@@ -90,7 +90,7 @@ def plan(
         NotCertifiedError: no candidate could be certified.
         PlanError: every candidate breaks a limit; the message is of the best one.
     """
-    goal = _reachable(arm, target)
+    goal = arm.check_reachable(target, "target")
     origin = arm.keyframe("home") if start is None else arm.check_position(start, "start")
     xi_target, xi_start = arm.encode(goal), arm.encode(origin)
     total = as_count("candidates", candidates)
@@ -135,18 +135,14 @@ def plan(
     raise PlanError(f"{message}; try more candidates, another seed, a larger bias magnitude or the solved bias")
 
 
-def _reachable(arm: Arm, target: ArrayLike) -> Floats:
-    """The joint target, when it keeps the limits and touches nothing."""
-    q = arm.check_position(target, "target")
-    touching = arm.near_contacts(q)
-    if touching:
-        raise InputError(f"target is out of reach: {touching[0][0]!r} would touch {touching[0][1]!r} there")
-    return q
+def rough_way(network: LieEDNN, start: Floats) -> Floats:
+    """States ``(K, N, 6)`` of the network from ``start`` ``(N, 6)``, roughly integrated, to look at before planning."""
+    return network.trajectory(start, 20.0 / network.gamma, rtol=1e-4, atol=1e-6).xi
 
 
 def _screen(arm: Arm, networks: list[LieEDNN], start: Floats) -> list[_Candidate]:
     """Contacts, largest excess over the position limits and largest gap along roughly integrated trajectories."""
-    runs = [network.trajectory(start, 20.0 / network.gamma, rtol=1e-4, atol=1e-6).xi for network in networks]
+    runs = [rough_way(network, start) for network in networks]
     # All at once: a retraction without closed form costs nearly as much for one state as for a hundred.
     decoded = arm.decode(np.concatenate(runs))
     excess = arm.limit_excess(decoded.q).max(axis=-1)

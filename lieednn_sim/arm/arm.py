@@ -15,19 +15,12 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform
 
 from lieednn_sim._mujoco import mujoco
-from lieednn_sim.arm.adoption import Adoption, adopt
-from lieednn_sim.arm.contacts import ContactChecker
+from lieednn_sim.arm.adoption import Adoption
+from lieednn_sim.arm.contacts import ContactFinder
 from lieednn_sim.arm.coordinates import Coordinates
 from lieednn_sim.arm.joints import CompoundJoints
-from lieednn_sim.arm.models import scene_path
-from lieednn_sim.arm.reading import (
-    read_chain,
-    read_coordinates,
-    read_force_limits,
-    read_joints,
-    read_numeric,
-    read_position_limits,
-)
+from lieednn_sim.arm.models import MODEL_SUFFIXES, open_model, scene_path
+from lieednn_sim.arm.reading import read_arm
 from lieednn_sim.arm.retraction import Retraction, Retractor
 from lieednn_sim.arm.scenes import SCENES, add_obstacles
 from lieednn_sim.errors import FileError, InputError
@@ -36,8 +29,6 @@ from lieednn_sim.validation import as_choice, as_floats, as_seed
 
 Floats = NDArray[np.float64]
 
-# Files that are models, and no names of arms.
-MODEL_SUFFIXES = (".xml", ".mjcf", ".urdf")
 
 # Planned motions keep this distance from contact [m], since what follows them is off by up to a millimetre or two.
 PLANNED_CLEARANCE = 0.002
@@ -150,18 +141,9 @@ class Arm:
             InputError: it holds no such arm.
         """
         source = Path(path)
-        if not source.is_file():
-            raise FileError(f"no such file: {source}")
-        try:
-            spec = mujoco.MjSpec.from_file(str(source))
-        except ValueError as error:
-            raise FileError(f"MuJoCo cannot compile {source}: {str(error).strip()}") from None
+        spec, adoption = open_model(source, links, base, servos)
         label = name or (source.parent.name if source.stem == "scene" else source.stem)
-        ready = spec.site("base_frame") is not None and spec.site("link1_frame") is not None
-        if links or base is not None or servos != "keep" or not ready:
-            spec, adoption = adopt(source, links=links or None, base=base, servos=servos)
-            return replace(cls.from_spec(spec, source, label), adoption=adoption)
-        return cls.from_spec(spec, source, label)
+        return replace(cls.from_spec(spec, source, label), adoption=adoption)
 
     @classmethod
     def from_spec(cls, spec: Any, source: Path, name: str) -> Arm:
@@ -170,27 +152,7 @@ class Arm:
             model = spec.compile()
         except ValueError as error:
             raise FileError(f"MuJoCo cannot compile {source}: {str(error).strip()}") from None
-        chain = read_chain(model, name)
-        space = read_coordinates(model, name, chain, _rest(model))
-        joints, base, mounts, tips = read_joints(model, name, chain, space)
-        unlimited = np.full(len(space), np.inf)
-        return cls(
-            name=name,
-            source=source,
-            spec=spec,
-            model=model,
-            space=space,
-            joints=joints,
-            base=base,
-            mounts=mounts,
-            tips=tips,
-            position_limits=read_position_limits(model, chain, space),
-            velocity_limits=read_numeric(model, name, "velocity_limit", unlimited),
-            acceleration_limits=read_numeric(model, name, "acceleration_limit", unlimited),
-            force_limits=read_force_limits(model, space),
-            length_scale=float(read_numeric(model, name, "length_scale", np.ones(1))[0]),
-            site_ids=np.array(chain.sites[1:], dtype=int),
-        )
+        return cls(name=name, source=source, spec=spec, model=model, **read_arm(model, name))
 
     def among(self, scene: str, seed: int = 0) -> Arm:
         """This arm with the obstacles of a scene of `scenes.SCENES`, drawn from a seed; itself when it is free.
@@ -241,6 +203,22 @@ class Arm:
             excess[..., ball] = np.linalg.norm(q[..., ball], axis=-1, keepdims=True) - high[ball]
         return excess
 
+    def within_angles(self, q: Floats) -> Floats:
+        """Coordinates ``(..., n)`` with the rotation vectors of ball joints shortened to their largest angles."""
+        high, inside = self.position_limits[:, 1], q.copy()
+        for ball in self.space.balls:
+            angle = np.linalg.norm(q[..., ball], axis=-1, keepdims=True)
+            inside[..., ball] *= np.minimum(1.0, high[ball] / np.maximum(angle, 1e-300))
+        return inside
+
+    def check_reachable(self, q: ArrayLike, what: str = "q") -> Floats:
+        """As `check_position`, and nothing may come closer than `PLANNED_CLEARANCE` at ``q``."""
+        position = self.check_position(q, what)
+        touching = self.near_contacts(position)
+        if touching:
+            raise InputError(f"{what} is out of reach: {touching[0][0]!r} would touch {touching[0][1]!r} there")
+        return position
+
     def keyframe(self, name: str) -> Floats:
         """Joint coordinates ``(n,)`` of a keyframe."""
         key = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_KEY, name)
@@ -286,11 +264,11 @@ class Arm:
 
     def contacts(self, q: ArrayLike) -> list[tuple[str, str]]:
         """Names of the bodies that touch each other at ``q`` ``(n,)``."""
-        return self._touching(self.qpos(as_floats("q", q, (self.n_joints,))))
+        return self._touching.bodies(self.qpos(as_floats("q", q, (self.n_joints,))))
 
     def near_contacts(self, q: ArrayLike) -> list[tuple[str, str]]:
         """Names of the bodies that come closer than `PLANNED_CLEARANCE` to each other at ``q`` ``(n,)``."""
-        return self._nearly_touching(self.qpos(as_floats("q", q, (self.n_joints,))))
+        return self._nearly_touching.bodies(self.qpos(as_floats("q", q, (self.n_joints,))))
 
     def unit(self, joint: int) -> str:
         """``"rad"`` or ``"m"``."""
@@ -315,13 +293,13 @@ class Arm:
 
     def encode(self, q: ArrayLike) -> Floats:
         """Network coordinates (omega, v / length_scale) of Log T_i(q), ``(..., n)`` to ``(..., N, 6)``."""
-        return log(self.joint_poses(q)) / self._units
+        return log(self.joint_poses(q)) / self.twist_units
 
     def decode(self, xi: ArrayLike, xi_dot: ArrayLike | None = None) -> Retraction:
         """Nearest joint positions to network coordinates ``(..., N, 6)``, with rates along ``xi_dot`` and the gap."""
         shape = (self.n_links, 6)
-        twist = as_floats("xi", xi, shape, batched=True) * self._units
-        rate = None if xi_dot is None else as_floats("xi_dot", xi_dot, shape, batched=True) * self._units
+        twist = as_floats("xi", xi, shape, batched=True) * self.twist_units
+        rate = None if xi_dot is None else as_floats("xi_dot", xi_dot, shape, batched=True) * self.twist_units
         return self._retractor(twist, rate)
 
     def physics(self) -> Any:
@@ -334,23 +312,18 @@ class Arm:
         return physics
 
     @cached_property
-    def _touching(self) -> ContactChecker:
-        return ContactChecker(self.model)
+    def _touching(self) -> ContactFinder:
+        return ContactFinder(self.model)
 
     @cached_property
-    def _nearly_touching(self) -> ContactChecker:
-        return ContactChecker(self.model, PLANNED_CLEARANCE)
+    def _nearly_touching(self) -> ContactFinder:
+        return ContactFinder(self.model, PLANNED_CLEARANCE)
 
     @cached_property
     def _retractor(self) -> Retractor:
         return Retractor(self.joints, self.length_scale)
 
     @property
-    def _units(self) -> Floats:
+    def twist_units(self) -> Floats:
+        """``(6,)`` of the network's coordinates (omega, v) in radians and metres."""
         return np.repeat([1.0, self.length_scale], 3)
-
-
-def _rest(model: mujoco.MjModel) -> Floats:
-    """Where joints that are no part of the arm stay: the keyframe ``home``, else the model's reference position."""
-    key = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, "home")
-    return np.array(model.qpos0 if key < 0 else model.key_qpos[key])

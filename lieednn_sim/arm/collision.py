@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.arm import Arm
+from lieednn_sim.arm.contacts import moving_geoms
 from lieednn_sim.errors import InputError
 from lieednn_sim.validation import as_floats
 
@@ -60,7 +61,7 @@ class Collisions:
         self.arm = arm
         self.pairs = _colliding_pairs(arm.model)
         self._data = mujoco.MjData(arm.model)
-        self.own = (arm.model.body_weldid[arm.model.geom_bodyid[self.pairs]] != 0).all(axis=1)
+        self.own = np.asarray(moving_geoms(arm.model)[self.pairs].all(axis=1))
         used, index = np.unique(self.pairs, return_inverse=True)
         self._used, self._first, self._second = used, *index.reshape(-1, 2).T
         model = arm.model

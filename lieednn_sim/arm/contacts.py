@@ -1,4 +1,4 @@
-"""What touches what at a posture, by MuJoCo's collision detection."""
+"""What comes near what at a posture, by MuJoCo's collision detection."""
 
 from __future__ import annotations
 
@@ -12,12 +12,14 @@ from lieednn_sim._mujoco import mujoco
 Floats = NDArray[np.float64]
 
 
-class ContactChecker:
-    """Finds bodies closer to each other than a margin; some ten times faster than distances, and without them.
+class ContactFinder:
+    """Finds what is closer to each other than a margin; some ten times faster than all distances (`Collisions`).
+
+    Holds a `mujoco.MjData` of its own: one instance for each thread.
 
     Args:
         model: is not changed.
-        margin: distance [m] below which bodies count as touching.
+        margin: distance [m] below which geoms count as touching.
     """
 
     def __init__(self, model: mujoco.MjModel, margin: float = 0.0) -> None:
@@ -28,12 +30,27 @@ class ContactChecker:
         self._model.opt.o_margin = margin
         self._data = mujoco.MjData(self._model)
 
-    def __call__(self, qpos: Floats) -> list[tuple[str, str]]:
-        """Names of the bodies closer than the margin at MuJoCo's positions ``(nq,)``."""
+    def geoms(self, qpos: Floats) -> tuple[Floats, NDArray[np.int_]]:
+        """Distances ``(C,)`` and ids ``(C, 2)`` of geoms closer than the margin at MuJoCo's positions ``(nq,)``."""
         model, data = self._model, self._data
         data.qpos[:] = qpos
         mujoco.mj_kinematics(model, data)
         mujoco.mj_collision(model, data)
-        near = data.contact.dist < self._margin if data.ncon else []
-        bodies = model.geom_bodyid[data.contact.geom[near]] if data.ncon else []
-        return list(dict.fromkeys((model.body(a).name, model.body(b).name) for a, b in bodies))
+        if not data.ncon:
+            return np.zeros(0), np.zeros((0, 2), dtype=int)
+        contact = data.contact
+        # Pairs that are just found need not be nearer than the margin.
+        near = contact.dist < self._margin
+        return contact.dist[near], contact.geom[near]
+
+    def bodies(self, qpos: Floats) -> list[tuple[str, str]]:
+        """Names of the bodies closer than the margin at MuJoCo's positions ``(nq,)``."""
+        model = self._model
+        pairs = model.geom_bodyid[self.geoms(qpos)[1]]
+        return list(dict.fromkeys((model.body(a).name, model.body(b).name) for a, b in pairs))
+
+
+def moving_geoms(model: mujoco.MjModel) -> NDArray[np.bool_]:
+    """Which geoms ``(ngeom,)`` are parts of the arm, and not of the world or of what is welded to it."""
+    moving: NDArray[np.bool_] = model.body_weldid[model.geom_bodyid] != 0
+    return moving

@@ -1,11 +1,18 @@
-"""Where the MJCF models live, in a checkout and in an installed wheel."""
+"""Models on disk: those of the package, in a checkout and in an installed wheel, and any other file."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
+from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm.adoption import Adoption, adopt
 from lieednn_sim.errors import FileError
 from lieednn_sim.validation import as_choice
+
+# Files that are models, and no names of arms.
+MODEL_SUFFIXES = (".xml", ".mjcf", ".urdf")
 
 
 def models_directory() -> Path:
@@ -25,3 +32,22 @@ def arm_names() -> list[str]:
 def scene_path(arm: str) -> Path:
     """The scene file of an arm, or `InputError` listing the known arms."""
     return models_directory() / as_choice("arm", arm, arm_names()) / "scene.xml"
+
+
+def open_model(source: Path, links: Sequence[str], base: str | None, servos: str) -> tuple[Any, Adoption | None]:
+    """The spec of a file in the package's conventions, adopted where it has others or where the options ask for it.
+
+    Raises:
+        FileError: there is no such file, or MuJoCo cannot compile it.
+        InputError: it holds no arm.
+    """
+    if not source.is_file():
+        raise FileError(f"no such file: {source}")
+    try:
+        spec = mujoco.MjSpec.from_file(str(source))
+    except ValueError as error:
+        raise FileError(f"MuJoCo cannot compile {source}: {str(error).strip()}") from None
+    ready = spec.site("base_frame") is not None and spec.site("link1_frame") is not None
+    if links or base is not None or servos != "keep" or not ready:
+        return adopt(source, links=links or None, base=base, servos=servos)
+    return spec, None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.coordinates import Coordinates
+from lieednn_sim.arm.couplings import Line, line_of, to_independent_leaders
 from lieednn_sim.arm.joints import CompoundJoint, CompoundJoints, Factor
 from lieednn_sim.errors import InputError
 
@@ -34,6 +36,27 @@ class Chain:
 
     sites: tuple[int, ...]
     groups: tuple[tuple[int, ...], ...]
+
+
+def read_arm(model: mujoco.MjModel, arm: str) -> dict[str, Any]:
+    """The fields of an `Arm` that its model says; `InputError` when the model is none."""
+    chain = read_chain(model, arm)
+    space = read_coordinates(model, arm, chain, _rest(model))
+    joints, base, mounts, tips = read_joints(model, arm, chain, space)
+    unlimited = np.full(len(space), np.inf)
+    return {
+        "space": space,
+        "joints": joints,
+        "base": base,
+        "mounts": mounts,
+        "tips": tips,
+        "position_limits": read_position_limits(model, chain, space),
+        "velocity_limits": read_numeric(model, arm, "velocity_limit", unlimited),
+        "acceleration_limits": read_numeric(model, arm, "acceleration_limit", unlimited),
+        "force_limits": read_force_limits(model, space),
+        "length_scale": float(read_numeric(model, arm, "length_scale", np.ones(1))[0]),
+        "site_ids": np.array(chain.sites[1:], dtype=int),
+    }
 
 
 def read_chain(model: mujoco.MjModel, arm: str) -> Chain:
@@ -167,6 +190,12 @@ def read_numeric(model: mujoco.MjModel, arm: str, field: str, default: Floats) -
     return values
 
 
+def _rest(model: mujoco.MjModel) -> Floats:
+    """Where joints that are no part of the arm stay: the keyframe ``home``, else the model's reference position."""
+    key = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, "home")
+    return np.array(model.qpos0 if key < 0 else model.key_qpos[key])
+
+
 def _coordinate_of(coordinates: Coordinates, dof: int) -> int | None:
     for addresses, indices in (
         (coordinates.scalar_rate_addresses, coordinates.scalars),
@@ -178,34 +207,21 @@ def _coordinate_of(coordinates: Coordinates, dof: int) -> int | None:
     return None
 
 
-def _leaders(model: mujoco.MjModel, arm: str, joints: list[int]) -> dict[int, tuple[int, float, float]]:
+def _leaders(model: mujoco.MjModel, arm: str, joints: list[int]) -> dict[int, Line]:
     """For each coupled joint its leader and the line qpos = ratio * qpos_leader + shift."""
-    direct: dict[int, tuple[int, float, float]] = {}
+    direct: dict[int, Line] = {}
     for equality in np.flatnonzero(model.eq_type == int(mujoco.mjtEq.mjEQ_JOINT)):
         follower, leader = int(model.eq_obj1id[equality]), int(model.eq_obj2id[equality])
         if follower not in joints or not model.eq_active0[equality]:
             continue
-        # MuJoCo: y - y0 = a0 + a1 (x - x0) + a2 (x - x0)^2 + ..., y the first joint and x the second.
-        constant, ratio, *curved = model.eq_data[equality, :5]
-        if leader not in joints or any(curved) or ratio == 0.0:
+        line = line_of(model, int(equality)) if leader in joints else None
+        if line is None:
             raise InputError(
                 f"{_label(model, arm, follower)} is tied by an equality that the arm cannot follow; the arm "
                 "needs polycoef 'a0 a1 0 0 0' with a1 other than 0, between two joints of its chain"
             )
-        y0, x0 = (model.qpos0[model.jnt_qposadr[joint]] for joint in (follower, leader))
-        direct[follower] = leader, float(ratio), float(y0 + constant - ratio * x0)
-    resolved: dict[int, tuple[int, float, float]] = {}
-    for follower in direct:
-        leader, ratio, shift = direct[follower]
-        seen = {follower}
-        while leader in direct:
-            if leader in seen:
-                raise InputError(f"{_label(model, arm, follower)} is coupled in a circle of equalities")
-            seen.add(leader)
-            leader, further, constant = direct[leader]
-            ratio, shift = ratio * further, ratio * constant + shift
-        resolved[follower] = leader, ratio, shift
-    return resolved
+        direct[follower] = line
+    return to_independent_leaders(direct, lambda joint: _label(model, arm, joint))
 
 
 def _factor(

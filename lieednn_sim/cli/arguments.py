@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieednn_sim.arm import Arm, reach
-from lieednn_sim.arm.arm import MODEL_SUFFIXES
+from lieednn_sim.arm.models import MODEL_SUFFIXES
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.errors import InputError
 from lieednn_sim.simulate import CONTROLLERS, Disturbances, Push

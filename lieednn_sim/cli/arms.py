@@ -57,16 +57,8 @@ def farthest(arm: Arm) -> float:
     low, high = arm.position_limits.T
     origin = np.asarray(arm.base.translation)
 
-    def inside(q: Floats) -> Floats:
-        """Rotation vectors of ball joints cut to their largest angle."""
-        q = q.copy()
-        for ball in arm.space.balls:
-            angle = np.linalg.norm(q[..., ball], axis=-1, keepdims=True)
-            q[..., ball] *= np.minimum(1.0, high[ball] / np.maximum(angle, 1e-12))
-        return q
-
     def distances(q: Floats) -> Floats:
-        tip = np.asarray(arm.link_poses(inside(q)).translation)[..., -1, :]
+        tip = np.asarray(arm.link_poses(arm.within_angles(q)).translation)[..., -1, :]
         return np.linalg.norm(tip - origin, axis=-1)
 
     def negative(q: Floats) -> tuple[float, Floats]:

@@ -189,7 +189,9 @@ class ArmTask(ABC):
         if self._over:
             raise InputError("the episode is over, or none has begun: reset first")
         start = self.command
-        end = self._within_limits(start + self.control_timestep * share * self.arm.velocity_limits)
+        end = self.arm.within_angles(
+            np.clip(start + self.control_timestep * share * self.arm.velocity_limits, *self.arm.position_limits.T)
+        )
         parts = np.arange(1, self._substeps + 1)[:, None] / self._substeps
         rate = np.broadcast_to((end - start) / self.control_timestep, (self._substeps, len(end)))
         # Not start + 1.0 * (end - start), so that the command is on the limit, not beyond it by rounding.
@@ -255,13 +257,6 @@ class ArmTask(ABC):
 
     def _within_tolerance(self) -> bool:
         return self.distance <= self.position_tolerance and self.angle <= self.rotation_tolerance
-
-    def _within_limits(self, q: Floats) -> Floats:
-        low, high = self.arm.position_limits.T
-        q = np.clip(q, low, high)
-        for ball in self.arm.space.balls:
-            q[ball] *= min(1.0, high[ball[0]] / max(float(np.linalg.norm(q[ball])), 1e-300))
-        return q
 
     def _common_bounds(self) -> Bounds:
         arm = self.arm

@@ -24,7 +24,7 @@ from lieednn_sim.planners.extras import optional_module
 from lieednn_sim.planners.joint_space import Workspace, joint_scale
 from lieednn_sim.planners.legs import CLOSING, motion_of
 from lieednn_sim.planners.problem import LONGEST, PlanningProblem
-from lieednn_sim.planning import BIAS_MAGNITUDES
+from lieednn_sim.planning import BIAS_MAGNITUDES, rough_way
 from lieednn_sim.synthesis import synthesize
 
 Floats = NDArray[np.float64]
@@ -33,8 +33,8 @@ Floats = NDArray[np.float64]
 # Networks drawn, starts of `synthesize` for each, and how many of those whose own way is not free are run all the same:
 # where one is blocked the others mostly are.
 _CANDIDATES, _ATTEMPTS, _TRIED = 12, 3, 1
-# A network's way is looked at before the filter runs: so many postures of it, for so long [1/gamma].
-_LOOKS, _HORIZON = 40, 20.0
+# A network's way is looked at before the filter runs, at so many postures.
+_LOOKS = 40
 # A control step is the whole number of the model's steps next to this [s].
 _CONTROL_STEP = 0.01
 # Paths for guiding keep this from obstacles, more than the filter does, and from other parts of the arm [m].
@@ -137,9 +137,8 @@ class _Search:
     def _unsafe(self, network: LieEDNN, start: Floats) -> float:
         """The share of a network's own way from a start that is not free."""
         arm = self.problem.arm
-        states = network.trajectory(arm.encode(start), _HORIZON / network.gamma, rtol=1e-4, atol=1e-6).xi
         # From one decoded state to the next the way is nearly straight, and few states are decoded quickly.
-        q = arm.decode(states).q
+        q = arm.decode(rough_way(network, arm.encode(start))).q
         # A little more than the length, so that it increases where nothing moves.
         length = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(q / self._scale, axis=0), axis=1) + 1e-9))
         way = interp1d(length, q, axis=0)(np.linspace(0.0, length[-1], _LOOKS + 2)[1:-1])

@@ -44,7 +44,7 @@ def screw(problem: PlanningProblem) -> Motion:
     twists = log(origin * exp(sigma[:, None, None] * body_twist))
     # T' = T hat(sigma' z) and T = Exp(xi): the body twist is J_r(xi) xi', and J_r(xi) = J_l(-xi).
     twist_rates = np.linalg.solve(left_jacobian_se3(-twists), (rate[:, None, None] * body_twist)[..., None])[..., 0]
-    units = np.repeat([1.0, arm.length_scale], 3)
+    units = arm.twist_units
     motion = _decoded(arm, t, sigma, twists / units, twist_rates / units, arm.encode(problem.target))
     check_motion(arm, motion)
     return motion

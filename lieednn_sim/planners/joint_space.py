@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import copy
-
 import numpy as np
 from numpy.typing import NDArray
 
-from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import PLANNED_CLEARANCE, Arm
 from lieednn_sim.arm.collision import Collisions
+from lieednn_sim.arm.contacts import ContactFinder, moving_geoms
 from lieednn_sim.motion import Motion, check_motion
 from lieednn_sim.planners.problem import PlanningProblem
 
@@ -40,13 +38,8 @@ class ClearanceTest:
     def __init__(self, arm: Arm, margin: float, own: float | None = None) -> None:
         self._arm = arm
         self._margin, self._own = margin, margin if own is None else own
-        # The margin of all contacts at once: margins of geoms changed after compiling leave out pairs, since the
-        # bounding volumes of bodies keep the old ones. The arm's own model stays as it is.
-        self._model = copy.deepcopy(arm.model)
-        self._model.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_OVERRIDE)
-        self._model.opt.o_margin = max(self._margin, self._own)
-        self._data = mujoco.MjData(self._model)
-        self._moving = arm.model.body_weldid[arm.model.geom_bodyid] != 0
+        self._finder = ContactFinder(arm.model, max(self._margin, self._own))
+        self._moving = moving_geoms(arm.model)
         self.tests = 0
 
     def __call__(self, q: Floats) -> bool:
@@ -58,18 +51,10 @@ class ClearanceTest:
         # One conversion for all: it costs as much as a posture's collision pass.
         for index, position in enumerate(self._arm.qpos(q)):
             self.tests += 1
-            self._data.qpos[:] = position
-            mujoco.mj_kinematics(self._model, self._data)
-            mujoco.mj_collision(self._model, self._data)
-            if self._data.ncon and self._near():
+            distance, geoms = self._finder.geoms(position)
+            if (distance < np.where(self._moving[geoms].all(axis=1), self._own, self._margin)).any():
                 return index
         return None
-
-    def _near(self) -> bool:
-        contact = self._data.contact
-        own = self._moving[contact.geom].all(axis=1)
-        # Pairs that are just found need not be nearer than the margin.
-        return bool((contact.dist < np.where(own, self._own, self._margin)).any())
 
 
 class Workspace:
@@ -90,7 +75,7 @@ class Workspace:
         margins = np.array([margin, margin if own is None else own])
         for q in (problem.start, problem.target):
             near = self.collisions.distances(q, 2.0 * margins.max())
-            of_arm = (problem.arm.model.body_weldid[problem.arm.model.geom_bodyid[near.pairs]] != 0).all(axis=1)
+            of_arm = moving_geoms(problem.arm.model)[near.pairs].all(axis=1)
             nearest = [near.distance[which].min(initial=np.inf) for which in (~of_arm, of_arm)]
             # With one margin for all, all count for it. What motions are checked for is kept at both ends.
             most = _SHARE * (np.full(2, min(nearest)) if own is None else np.array(nearest))

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieednn_sim.filtering import FilteredRun
-from lieednn_sim.motion import Motion
+from lieednn_sim.motion import Motion, minimum_jerk_law
 
 Floats = NDArray[np.float64]
 
@@ -52,7 +52,7 @@ def _closing(q: Floats, qd: Floats, goal: Floats, step: float) -> tuple[Floats, 
     count = max(round(CLOSING / step), 2)
     s = (np.arange(count + 1) / count)[:, None]
     length = count * step
-    ease, slope = s**3 * (10.0 - 15.0 * s + 6.0 * s**2), 30.0 * s**2 * (1.0 - s) ** 2
+    ease, slope = minimum_jerk_law(s)
     # Position and slope of the quintic with unit slope at s = 0 and zeros else.
     start, start_slope = s * (1.0 - s) ** 3 * (1.0 + 3.0 * s), (1.0 - s) ** 2 * (1.0 + 2.0 * s - 15.0 * s**2)
     way = goal - q

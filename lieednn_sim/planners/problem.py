@@ -44,10 +44,7 @@ class PlanningProblem:
         if not isinstance(self.arm, Arm):
             raise InputError(f"arm must be an Arm, got {type(self.arm).__name__}; see Arm.load")
         for name in ("start", "target"):
-            position = self.arm.check_position(getattr(self, name), name).copy()
-            touching = self.arm.near_contacts(position)
-            if touching:
-                raise InputError(f"{name} is out of reach: {touching[0][0]!r} would touch {touching[0][1]!r} there")
+            position = self.arm.check_reachable(getattr(self, name), name).copy()
             position.setflags(write=False)
             object.__setattr__(self, name, position)
         object.__setattr__(self, "duration", as_positive("duration", self.duration))

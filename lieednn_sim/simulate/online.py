@@ -134,7 +134,8 @@ class Follower:
         self.gap_rotation = max(self.gap_rotation, float(decoded.gap_rotation.max()))
         outside = self._arm.limit_excess(decoded.q)
         self.limit_excess = max(self.limit_excess, float(outside.max()))
-        q, qd = _within(self._arm, decoded.q, outside), np.where(outside > 0.0, 0.0, decoded.qd)
+        q = np.clip(self._arm.within_angles(decoded.q), *self._arm.position_limits.T)
+        qd = np.where(outside > 0.0, 0.0, decoded.qd)
         return q, qd, states
 
     def _integrate(self, goal: Floats, velocity: Floats) -> tuple[Floats, Floats]:
@@ -249,15 +250,3 @@ def _sampler(arm: Arm, target: Callable[[float], ArrayLike] | ArrayLike, timeste
     if samples is not None and len(samples) == 0:
         raise InputError("target must hold at least one sample")
     return sample
-
-
-def _within(arm: Arm, q: Floats, outside: Floats) -> Floats:
-    """Joint coordinates brought back to their limits; the rotation vector of a ball joint is shortened."""
-    if outside.max() <= 0.0:
-        return q
-    low, high = arm.position_limits.T
-    inside = np.clip(q, low, high)
-    for ball in arm.space.balls:
-        angle = np.linalg.norm(q[..., ball], axis=-1, keepdims=True)
-        inside[..., ball] = q[..., ball] * np.minimum(1.0, high[ball] / np.maximum(angle, 1e-300))
-    return inside

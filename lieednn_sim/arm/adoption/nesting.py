@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import mujoco
-from lieednn_sim.arm.contacts import ContactChecker
+from lieednn_sim.arm.contacts import ContactFinder
 
 Floats = NDArray[np.float64]
 _SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
@@ -40,9 +40,9 @@ def ignore_nested(
     Returns:
         Remarks.
     """
-    touching = ContactChecker(model, _CLOSE)
-    start = _pairs(touching(home))
-    ever = start.union(*(_pairs(touching(qpos)) for qpos in postures))
+    touching = ContactFinder(model, _CLOSE)
+    start = _pairs(touching.bodies(home))
+    ever = start.union(*(_pairs(touching.bodies(qpos)) for qpos in postures))
     data = mujoco.MjData(model)
     data.qpos[:] = home
     mujoco.mj_kinematics(model, data)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm.couplings import Line, line_of, to_independent_leaders
 from lieednn_sim.errors import InputError
 
 
@@ -43,7 +44,7 @@ class Couplings:
         added: followers whose line comes from a fixed tendon, with the tendon; no equality ties them yet.
     """
 
-    lines: dict[int, tuple[int, float, float]] = field(default_factory=dict)
+    lines: dict[int, Line] = field(default_factory=dict)
     added: dict[int, int] = field(default_factory=dict)
 
     def leader(self, joint: int) -> int:
@@ -80,15 +81,15 @@ def tied_joints(model: mujoco.MjModel) -> list[tuple[int, int]]:
 def find_couplings(model: mujoco.MjModel, joints: Sequence[int]) -> Couplings:
     """Couplings among the joints of a chain, by equalities and, where these leave it open, by fixed tendons.
 
-    MuJoCo's equality is y - y0 = a0 + a1 (x - x0) + ..., y the following and x the leading joint. A drive on a fixed
-    tendon of length sum c_i q_i says only how far the stages extend together. It pulls at stage i with c_i times its
-    force, so stages alike (same inertia and friction) move by amounts in the ratio of the c_i, which is also the
-    smallest motion that gives the length. Equal coefficients are equal displacements, as with a belt around all stages.
+    A drive on a fixed tendon of length sum c_i q_i says only how far the stages extend together. It pulls at stage i
+    with c_i times its force, so stages alike (same inertia and friction) move by amounts in the ratio of the c_i, which
+    is also the smallest motion that gives the length. Equal coefficients are equal displacements, as with a belt around
+    all stages.
 
     Raises:
         InputError: a chain joint is tied in another way than by a straight line to one other joint, or in a circle.
     """
-    direct: dict[int, tuple[int, float, float]] = {}
+    direct: dict[int, Line] = {}
     for e in np.flatnonzero(model.eq_type == int(mujoco.mjtEq.mjEQ_JOINT)):
         follower, leader = int(model.eq_obj1id[e]), int(model.eq_obj2id[e])
         if not model.eq_active0[e] or follower not in joints:
@@ -98,18 +99,16 @@ def find_couplings(model: mujoco.MjModel, joints: Sequence[int]) -> Couplings:
             raise InputError(f"joint {name!r} is locked by an equality; delete the equality, or the joint")
         if leader not in joints:
             continue
-        constant, ratio, *curved = model.eq_data[e, :5]
-        if any(curved) or ratio == 0.0:
+        line = line_of(model, int(e))
+        if line is None:
             raise InputError(
                 f"joint {name!r} follows joint {model.joint(leader).name!r} by polycoef "
                 f"{' '.join(f'{c:g}' for c in model.eq_data[e, :5])}; an arm needs a straight line, 'a0 a1 0 0 0'"
             )
         if follower in direct:
             raise InputError(f"joint {name!r} follows two joints; keep one of its equalities")
-        y0, x0 = (float(model.qpos0[model.jnt_qposadr[joint]]) for joint in (follower, leader))
-        direct[follower] = leader, float(ratio), y0 + float(constant) - float(ratio) * x0
-    lines = {follower: _resolve(model, direct, follower) for follower in direct}
-    couplings = Couplings(lines)
+        direct[follower] = line
+    couplings = Couplings(to_independent_leaders(direct, lambda joint: f"joint {model.joint(joint).name!r}"))
     for tendon in dict.fromkeys(_driven_tendons(model)):
         couplings = _along_tendon(model, joints, couplings, tendon)
     return couplings
@@ -120,20 +119,6 @@ def tendon_joints(model: mujoco.MjModel, tendon: int) -> dict[int, float]:
     start, count = int(model.tendon_adr[tendon]), int(model.tendon_num[tendon])
     wraps = [w for w in range(start, start + count) if model.wrap_type[w] == int(mujoco.mjtWrap.mjWRAP_JOINT)]
     return {int(model.wrap_objid[w]): float(model.wrap_prm[w]) for w in wraps}
-
-
-def _resolve(
-    model: mujoco.MjModel, direct: dict[int, tuple[int, float, float]], follower: int
-) -> tuple[int, float, float]:
-    leader, ratio, shift = direct[follower]
-    seen = {follower}
-    while leader in direct:
-        if leader in seen:
-            raise InputError(f"joint {model.joint(follower).name!r} is coupled in a circle of equalities")
-        seen.add(leader)
-        leader, further, constant = direct[leader]
-        ratio, shift = ratio * further, ratio * constant + shift
-    return leader, ratio, shift
 
 
 def _driven_tendons(model: mujoco.MjModel) -> list[int]:
