@@ -33,8 +33,8 @@ _PACKAGES = (
 # Optional packages, the extra that brings them, and what they are good for.
 _EXTRAS = {
     "ompl": ("rivals", "planners rrt-connect, rrt-star and lieednn-guided"),
-    "movement_primitives": ("rivals", "planner dmp"),
-    "pytransform3d": ("rivals", "planner dmp"),
+    "movement_primitives": ("dmp", "planner dmp; needs a C compiler and Python's headers"),
+    "pytransform3d": ("dmp", "planner dmp"),
     "gymnasium": ("gymnasium", "Gymnasium environments"),
     "cvxpy": ("lmi", "certificates by matrix inequalities"),
 }

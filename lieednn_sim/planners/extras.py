@@ -16,16 +16,22 @@ REQUIREMENTS: dict[str, tuple[str, ...]] = {
     "rrt-connect": ("ompl",),
     "rrt-star": ("ompl",),
 }
-_INSTALL = "pip install 'lieednn_sim[rivals]'"
+# What installs each of them.
+INSTALL: dict[str, str] = {
+    "movement_primitives": "pip install 'lieednn_sim[dmp]' (needs a C compiler and Python's headers)",
+    "pytransform3d": "pip install 'lieednn_sim[dmp]' (needs a C compiler and Python's headers)",
+    "ompl": "pip install 'lieednn_sim[rivals]'",
+}
 
 
 def missing_planners() -> dict[str, str]:
     """Names of the planners whose libraries are not installed, with what installs them."""
-    return {
-        name: _INSTALL
-        for name, modules in REQUIREMENTS.items()
-        if any(importlib.util.find_spec(module) is None for module in modules)
-    }
+    missing = {}
+    for planner, modules in REQUIREMENTS.items():
+        absent = [module for module in modules if importlib.util.find_spec(module) is None]
+        if absent:
+            missing[planner] = INSTALL[absent[0]]
+    return missing
 
 
 def optional_module(name: str) -> Any:
@@ -38,5 +44,6 @@ def optional_module(name: str) -> Any:
         return importlib.import_module(name)
     except ImportError:
         library = name.partition(".")[0]
-        users = ", ".join(repr(planner) for planner, modules in REQUIREMENTS.items() if library in modules)
-        raise LieEDNNError(f"the planners {users} need {library}: {_INSTALL}") from None
+        users = [repr(planner) for planner, modules in REQUIREMENTS.items() if library in modules]
+        need = "the planner {} needs" if len(users) == 1 else "the planners {} need"
+        raise LieEDNNError(f"{need.format(', '.join(users))} {library}: {INSTALL[library]}") from None

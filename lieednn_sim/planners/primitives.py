@@ -1,4 +1,4 @@
-"""A dynamic movement primitive, generalised from one demonstration; it needs the extra `rivals`."""
+"""A dynamic movement primitive, generalised from one demonstration; it needs the extra `dmp`."""
 
 from __future__ import annotations
 
