@@ -1,31 +1,43 @@
-"""Files: arrays as ``.npz``, everything else as JSON inside it, written atomically and never pickled."""
+"""Files: arrays as ``.npz``, everything else as JSON inside it, written atomically and never pickled.
+
+Every ``.npz`` carries a fingerprint of its content, and those of the files that it was made from: a file that was
+changed is refused, and files that do not belong together are told apart (`task.RunDirectory`).
+"""
 
 from __future__ import annotations
 
 import contextlib
+import fcntl
+import hashlib
 import json
 import os
+import struct
 import tempfile
 import zipfile
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lieednn_sim.errors import FileError
+from lieednn_sim.errors import FileError, InputError
 
-FORMAT_VERSION = 1
-_META_KEY = "meta_json"
+# 2: with a fingerprint.
+FORMAT_VERSION = 2
+_META_KEY, _FINGERPRINT, _MADE_FROM = "meta_json", "fingerprint", "made_from"
 # What the readers of a damaged archive raise, beside the built-in errors.
 _DAMAGE = (zipfile.BadZipFile, zlib.error, NotImplementedError)
+# An archive's last record: signature, four counters, size and offset of the directory before it, length of a comment.
+_ARCHIVE_END = struct.Struct("<4s4H2LH")
+# No JSON file of the package is nearly as large [bytes].
+_MAX_JSON = 1_000_000
 
 
 def make_directory(path: str | os.PathLike[str]) -> Path:
     """Create ``path`` with its parents, or raise `FileError` that says why not."""
-    directory = Path(path)
+    directory = named_path(path, "directory")
     try:
         directory.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -33,6 +45,57 @@ def make_directory(path: str | os.PathLike[str]) -> Path:
     if not os.access(directory, os.W_OK):
         raise FileError(f"cannot write into {directory}: permission denied; choose another --output")
     return directory
+
+
+def named_path(path: str | os.PathLike[str], what: str) -> Path:
+    """The path of a name; `InputError` for an empty one, which `Path` takes for the current directory, and for NUL."""
+    name = os.fspath(path)
+    if not name or "\0" in name:
+        raise InputError(f"the name of a {what} must be a path, got {name!r}; the current directory is '.'")
+    return Path(name)
+
+
+def check_outputs(paths: Iterable[Path]) -> None:
+    """Raise `FileError` when a file cannot be written where it is to be, before the work for it begins."""
+    for path in paths:
+        try:
+            if path.is_dir():
+                raise FileError(f"cannot write {path}: it is a directory; remove it or choose another name")
+            if not path.parent.is_dir():
+                raise FileError(f"cannot write {path}: there is no directory {path.parent}")
+        except OSError as error:
+            if isinstance(error, FileError):
+                raise
+            raise FileError(f"cannot write {path}: {error.strerror or error}") from None
+        if not os.access(path.parent, os.W_OK):
+            raise FileError(f"cannot write {path}: {path.parent} is read-only")
+
+
+@contextlib.contextmanager
+def locked(directory: str | os.PathLike[str], *, shared: bool = False) -> Iterator[None]:
+    """Keep other processes of the package out of a directory; the lock ends with the process, however that ends.
+
+    Args:
+        directory: that exists. The lock is on itself (flock), no file is made.
+        shared: let others in that want no more than that, either.
+
+    Raises:
+        FileError: another process is at work there.
+    """
+    handle = os.open(directory, os.O_RDONLY)
+    try:
+        try:
+            fcntl.flock(handle, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise FileError(
+                f"another lieednn-sim is at work in {directory}; wait for it, or choose another directory"
+            ) from None
+        except OSError:
+            # Some network file systems lock no directories; what is written is atomic and checked all the same.
+            pass
+        yield
+    finally:
+        os.close(handle)
 
 
 @contextlib.contextmanager
@@ -44,26 +107,40 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     Raises:
         FileError: the directory is missing, read-only or full.
     """
-    target = Path(path)
-    try:
-        handle, name = tempfile.mkstemp(prefix=f".{target.stem}.", suffix=target.suffix, dir=target.parent)
-        os.close(handle)
-    except OSError as error:
-        raise FileError(f"cannot write {target}: {error.strerror or error}") from None
-    temporary = Path(name)
-    try:
+    with atomic_paths([Path(path)]) as (temporary,):
         yield temporary
+
+
+@contextlib.contextmanager
+def atomic_paths(targets: Sequence[Path], outdated: Iterable[Path] = ()) -> Iterator[list[Path]]:
+    """As `atomic_path`, for files that belong together.
+
+    When the block ends well, what they make outdated is removed first, and then they appear in the order given. So a
+    process that is killed in between leaves less, never old beside new.
+    """
+    temporaries: list[Path] = []
+    target = targets[0]
+    try:
+        for target in targets:
+            handle, name = tempfile.mkstemp(prefix=f".{target.stem}.", suffix=target.suffix, dir=target.parent)
+            os.close(handle)
+            temporaries.append(Path(name))
+        yield temporaries
+        for target in outdated:
+            target.unlink(missing_ok=True)
         # mkstemp makes files private; results should have the permissions any new file gets.
         umask = os.umask(0)
         os.umask(umask)
-        temporary.chmod(0o666 & ~umask)
-        temporary.replace(target)
+        for target, temporary in zip(targets, temporaries, strict=True):
+            temporary.chmod(0o666 & ~umask)
+            temporary.replace(target)
     except OSError as error:
         if isinstance(error, FileError):
             raise
         raise FileError(f"cannot write {target}: {error.strerror or error}") from None
     finally:
-        temporary.unlink(missing_ok=True)
+        for temporary in temporaries:
+            temporary.unlink(missing_ok=True)
 
 
 @contextlib.contextmanager
@@ -80,21 +157,55 @@ def save_json(path: str | os.PathLike[str], value: Any) -> None:
         stream.write(text + "\n")
 
 
+def load_json(path: str | os.PathLike[str], what: str) -> dict[str, Any]:
+    """Read a JSON object; `FileError` says what is wrong with the file."""
+    try:
+        with Path(path).open("rb") as stream:
+            content = stream.read(_MAX_JSON + 1)
+        if len(content) > _MAX_JSON:
+            raise ValueError(f"it is larger than {_MAX_JSON} bytes")
+        value = json.loads(content)
+        if not isinstance(value, dict):
+            raise TypeError(f"it holds a {type(value).__name__}")
+        return value
+    except OSError as error:
+        raise FileError(f"cannot read {path}: {error.strerror or error}") from None
+    except (TypeError, ValueError, RecursionError) as error:
+        raise FileError(f"{path} is not a valid {what} ({type(error).__name__}: {error})") from None
+
+
+def fingerprint(arrays: Mapping[str, NDArray[Any]], meta: Mapping[str, Any]) -> str:
+    """SHA-256 of the names, types, shapes and bytes of arrays and of JSON values, in whatever order they come."""
+    digest = hashlib.sha256(json.dumps(meta, sort_keys=True).encode())
+    for name in sorted(arrays):
+        array = np.asarray(arrays[name])
+        digest.update(f"\n{name} {array.dtype.str} {array.shape}\n".encode())
+        digest.update(array.tobytes())
+    return digest.hexdigest()
+
+
 def save_arrays(
-    path: str | os.PathLike[str], kind: str, arrays: Mapping[str, NDArray[Any]], meta: Mapping[str, Any]
+    path: str | os.PathLike[str],
+    kind: str,
+    arrays: Mapping[str, NDArray[Any]],
+    meta: Mapping[str, Any],
+    made_from: Mapping[str, str] | None = None,
 ) -> None:
-    """Write arrays and JSON metadata into one ``.npz``.
+    """Write arrays and JSON metadata into one ``.npz``, with a fingerprint of both.
 
     Args:
         path: file to write; the suffix must be ``.npz``.
         kind: what the file holds (``"network"``, ``"motion"`` ...), checked by `load_arrays`.
         arrays: named arrays; string arrays are allowed, object arrays are not.
         meta: JSON-serialisable values.
+        made_from: fingerprints of what the content was made from, by name.
     """
     target = Path(path)
     if target.suffix != ".npz":
         raise FileError(f"cannot write {target}: the file name must end in .npz")
-    header = json.dumps({"kind": kind, "format": FORMAT_VERSION, **meta}, allow_nan=False)
+    values = {**meta, "kind": kind, "format": FORMAT_VERSION, _MADE_FROM: dict(made_from or {})}
+    values.pop(_FINGERPRINT, None)
+    header = json.dumps({**values, _FINGERPRINT: fingerprint(arrays, values)}, allow_nan=False)
     with atomic_path(target) as temporary, temporary.open("wb") as stream:
         np.savez_compressed(stream, allow_pickle=False, **arrays, **{_META_KEY: np.array(header)})
 
@@ -106,12 +217,35 @@ def load_arrays(path: str | os.PathLike[str], kind: str) -> tuple[dict[str, NDAr
         The arrays by name, and the metadata.
 
     Raises:
-        FileError: missing, not such a file, of another kind, or of a newer format.
+        FileError: missing, not such a file, of another kind or format, or not as it was written.
     """
+    arrays, meta = _read(path, kind, header_only=False)
+    if fingerprint(arrays, {name: value for name, value in meta.items() if name != _FINGERPRINT}) != meta[_FINGERPRINT]:
+        raise FileError(f"{path} was changed after it was written: its content has another fingerprint than it says")
+    return arrays, meta
+
+
+def origin(path: str | os.PathLike[str], kind: str) -> tuple[str, dict[str, str]]:
+    """The fingerprint of a file of `save_arrays`, and those of what it was made from, by name; errors as `load_arrays`.
+
+    The arrays are not read: whether they fit the fingerprint is for `load_arrays` to say.
+    """
+    _, meta = _read(path, kind, header_only=True)
+    made_from = meta.get(_MADE_FROM)
+    if not isinstance(made_from, dict) or not all(isinstance(value, str) for value in made_from.values()):
+        raise FileError(f"{path} is not a readable {kind} file (it was made from {made_from!r})")
+    return meta[_FINGERPRINT], made_from
+
+
+def _read(
+    path: str | os.PathLike[str], kind: str, *, header_only: bool
+) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
     source = Path(path)
     try:
-        with source.open("rb") as stream, np.load(stream, allow_pickle=False) as archive:
-            arrays = {name: archive[name] for name in archive.files}
+        with source.open("rb") as stream:
+            _check_archive_end(stream)
+            with np.load(stream, allow_pickle=False) as archive:
+                arrays = {name: archive[name] for name in ([_META_KEY] if header_only else archive.files)}
         meta = json.loads(str(arrays.pop(_META_KEY)))
     except FileNotFoundError:
         raise FileError(f"no such file: {source}") from None
@@ -119,7 +253,7 @@ def load_arrays(path: str | os.PathLike[str], kind: str) -> tuple[dict[str, NDAr
         raise FileError(f"{source} is a directory, not a {kind} file") from None
     except PermissionError:
         raise FileError(f"cannot read {source}: permission denied") from None
-    except (OSError, EOFError, KeyError, ValueError, TypeError, AttributeError, *_DAMAGE) as error:
+    except (OSError, EOFError, KeyError, ValueError, TypeError, AttributeError, RecursionError, *_DAMAGE) as error:
         raise FileError(f"{source} is not a readable {kind} file ({type(error).__name__}: {error})") from None
     if not isinstance(meta, dict) or meta.get("kind") != kind:
         found = meta.get("kind") if isinstance(meta, dict) else None
@@ -128,7 +262,24 @@ def load_arrays(path: str | os.PathLike[str], kind: str) -> tuple[dict[str, NDAr
         raise FileError(f"{source} is not a readable {kind} file (its format is {meta.get('format')!r}, not a number)")
     if meta["format"] > FORMAT_VERSION:
         raise FileError(f"{source} was written by a newer version (format {meta['format']} > {FORMAT_VERSION})")
+    if meta["format"] < FORMAT_VERSION or not isinstance(meta.get(_FINGERPRINT), str):
+        raise FileError(
+            f"{source} was written by an older version, without a fingerprint of its content; make it again"
+        )
     return arrays, meta
+
+
+def _check_archive_end(stream: IO[bytes]) -> None:
+    """Refuse what stands before or behind an archive, which `zipfile` passes over."""
+    size = stream.seek(0, os.SEEK_END)
+    stream.seek(max(size - _ARCHIVE_END.size, 0))
+    record = stream.read()
+    stream.seek(0)
+    if len(record) < _ARCHIVE_END.size:
+        raise zipfile.BadZipFile("it is too short")
+    signature, *_, length, offset, _ = _ARCHIVE_END.unpack(record)
+    if signature != b"PK\5\6" or offset + length + _ARCHIVE_END.size != size:
+        raise zipfile.BadZipFile("something is missing, or was added to it")
 
 
 def take(arrays: Mapping[str, NDArray[Any]], source: str | os.PathLike[str], *names: str) -> list[NDArray[Any]]:

@@ -9,8 +9,22 @@ import pickle
 import numpy as np
 import pytest
 
-from lieednn_sim.errors import FileError
-from lieednn_sim.storage import atomic_path, atomic_text, load_arrays, make_directory, save_arrays, save_json, take
+from lieednn_sim.errors import FileError, InputError
+from lieednn_sim.storage import (
+    atomic_path,
+    atomic_paths,
+    atomic_text,
+    check_outputs,
+    load_arrays,
+    load_json,
+    locked,
+    make_directory,
+    named_path,
+    origin,
+    save_arrays,
+    save_json,
+    take,
+)
 
 ARRAYS = {
     "x": np.random.default_rng(0).normal(size=(7, 4, 6)),
@@ -69,10 +83,57 @@ def test_any_flipped_byte_is_refused_or_harmless(saved):
             arrays, meta = load_arrays(saved, "thing")
         except FileError:
             refused += 1
-        else:  # time stamps and the like; an altered member name is a missing array
+        else:  # time stamps and the like
             assert meta["gamma"] == META["gamma"]
-            assert all(arrays[name].tobytes() == ARRAYS[name].tobytes() for name in arrays.keys() & ARRAYS.keys())
+            assert {name: array.tobytes() for name, array in arrays.items()} == {
+                name: array.tobytes() for name, array in ARRAYS.items()
+            }
     assert refused > len(content) / 2
+
+
+@pytest.mark.parametrize("around", [(b"", b"x"), (b"", b"\0" * 30), (b"PK\x03\x04", b""), (b"x" * 100, b"")])
+def test_garbage_around_an_archive_is_refused(saved, around):
+    saved.write_bytes(around[0] + saved.read_bytes() + around[1])
+    with pytest.raises(FileError, match="something is missing, or was added"):
+        load_arrays(saved, "thing")
+    with pytest.raises(FileError, match="something is missing, or was added"):
+        origin(saved, "thing")
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda arrays: arrays | {"x": np.nextafter(arrays["x"], 9.0)},
+        lambda arrays: arrays | {"x": arrays["x"].reshape(4, 7, 6)},
+        lambda arrays: arrays | {"edge": arrays["edge"].astype(">f8")},
+        lambda arrays: arrays | {"more": np.zeros(1)},
+        lambda arrays: {name: array for name, array in arrays.items() if name != "x"},
+        lambda arrays: arrays | {"meta_json": np.array(str(arrays["meta_json"]).replace("0.30000000000000004", "0.3"))},
+    ],
+)
+def test_what_was_changed_after_it_was_written_is_refused(saved, change):
+    with np.load(saved) as archive:
+        arrays = dict(archive)
+    np.savez(saved, **arrays)
+    load_arrays(saved, "thing")
+    np.savez(saved, **change(arrays))
+    with pytest.raises(FileError, match=r"x\.npz was changed after it was written"):
+        load_arrays(saved, "thing")
+
+
+def test_a_file_knows_what_it_was_made_from(saved, tmp_path):
+    first, nothing = origin(saved, "thing")
+    assert nothing == {}
+    save_arrays(tmp_path / "y.npz", "child", ARRAYS, META, {"thing": first})
+    second, made_from = origin(tmp_path / "y.npz", "child")
+    assert made_from == {"thing": first}
+    assert second != first
+    # The same content, the same fingerprint, whatever the order.
+    backwards = [dict(reversed(values.items())) for values in (ARRAYS, META)]
+    save_arrays(tmp_path / "z.npz", "child", *backwards, {"thing": first})
+    assert origin(tmp_path / "z.npz", "child") == (second, made_from)
+    save_arrays(tmp_path / "z.npz", "child", ARRAYS, META, {"thing": second})
+    assert origin(tmp_path / "z.npz", "child")[0] != second
 
 
 def test_pickles_are_never_opened(tmp_path):
@@ -102,7 +163,11 @@ def test_a_single_array_is_not_an_archive(tmp_path):
         ("[1]", "holds None, expected 'thing'"),
         ("{}", "holds None, expected 'thing'"),
         ("{", "not a readable thing file"),
-        ('{"kind": "thing", "format": 2}', r"newer version \(format 2 > 1\)"),
+        ('{"kind": "thing", "format": 3}', r"newer version \(format 3 > 2\)"),
+        ('{"kind": "thing", "format": 1}', "written by an older version, without a fingerprint"),
+        ('{"kind": "thing", "format": 2}', "without a fingerprint"),
+        ('{"kind": "thing", "format": 2, "fingerprint": "0"}', "was changed after it was written"),
+        ("[" * 100_000, "not a readable thing file"),
         ('{"kind": "thing", "format": "two"}', "format"),
         ('{"kind": "thing", "format": null}', "format"),
     ],
@@ -189,3 +254,94 @@ def test_unwritable_places_are_named(tmp_path):
 def test_json_round_trip_keeps_every_digit(tmp_path):
     save_json(tmp_path / "x.json", META)
     assert json.loads((tmp_path / "x.json").read_text(encoding="utf-8")) == META
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"[1]", "it holds a list"),
+        (b"[" * 100_000, "RecursionError"),
+        (b'{"a": ' + b"9" * 5000 + b"}", "ValueError"),
+        (b'{"a": "' + b"x" * 1_000_000 + b'"}', "larger than 1000000 bytes"),
+        (b"\xff\xfe\x00", "not a valid thing"),
+    ],
+)
+def test_broken_json_is_named(tmp_path, content, words):
+    (tmp_path / "x.json").write_bytes(content)
+    with pytest.raises(FileError, match=words):
+        load_json(tmp_path / "x.json", "thing")
+
+
+def test_names_that_are_no_paths_are_refused():
+    for name in ("", "a\0b"):
+        with pytest.raises(InputError, match="must be a path"):
+            named_path(name, "directory")
+        with pytest.raises(InputError, match="must be a path"):
+            make_directory(name)
+
+
+def test_outputs_are_checked_before_the_work(tmp_path):
+    (tmp_path / "plot.png").mkdir()
+    check_outputs([tmp_path / "other.png"])
+    for path, words in (
+        (tmp_path / "plot.png", "is a directory"),
+        (tmp_path / "missing" / "x.png", "there is no directory"),
+        (tmp_path / ("x" * 300), "name too long"),
+    ):
+        with pytest.raises(FileError, match=f"(?i)cannot write .*{words}"):
+            check_outputs([tmp_path / "other.png", path])
+
+
+def test_one_process_at_a_time_is_at_work_in_a_directory(tmp_path):
+    # Locks belong to the opened directory: the same process stands for two.
+    with locked(tmp_path):
+        for shared in (False, True):
+            with pytest.raises(FileError, match="another lieednn-sim is at work in"), locked(tmp_path, shared=shared):
+                pass
+    with (
+        locked(tmp_path, shared=True),
+        locked(tmp_path, shared=True),
+        pytest.raises(FileError, match="at work"),
+        locked(tmp_path),
+    ):
+        pass
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_files_that_belong_together_appear_in_order_after_what_they_outdate_is_gone(tmp_path, monkeypatch):
+    """Whenever the process dies, new and old are never there side by side."""
+    names = [tmp_path / name for name in ("old", "a", "b")]
+    real = {name: getattr(type(tmp_path), name) for name in ("unlink", "replace")}
+    for deadly in range(4):
+        for path in names:
+            path.write_text("old")
+        left = [deadly]
+
+        def mortal(name, left=left):
+            def call(self, *arguments, **options):
+                if left[0] == 0:
+                    raise KeyboardInterrupt
+                left[0] -= 1
+                return real[name](self, *arguments, **options)
+
+            return call
+
+        for name in real:
+            monkeypatch.setattr(type(tmp_path), name, mortal(name))
+        try:
+            with atomic_paths(names[1:], outdated=names[:1]) as temporaries:
+                for path in temporaries:
+                    path.write_text("new")
+        except KeyboardInterrupt:
+            pass
+        monkeypatch.undo()
+        found = {path.name: path.read_text() for path in names if path.exists()}
+        assert (
+            found
+            == [
+                {"old": "old", "a": "old", "b": "old"},
+                {"a": "old", "b": "old"},
+                {"a": "new", "b": "old"},
+                {"a": "new", "b": "new"},
+            ][deadly]
+        )
