@@ -20,18 +20,23 @@ from lieednn_sim.errors import LieEDNNError
 
 @contextlib.contextmanager
 def worker_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
-    """A pool of fresh processes; when the block fails or is interrupted they are stopped at once."""
+    """A pool of fresh processes; when the block fails or is interrupted they are stopped at once.
+
+    None of them is left when the block is over, however it ends; other children of this process are left alone.
+    """
     context = multiprocessing.get_context("spawn")
+    others = set(multiprocessing.active_children())
     pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_prepare_worker)
     try:
         yield pool
     except BaseException:
         # Including Ctrl-C: a job may take a minute, and its worker ignores the signal.
-        pool.shutdown(wait=False, cancel_futures=True)
-        for process in multiprocessing.active_children():
+        for process in set(multiprocessing.active_children()) - others:
             process.terminate()
         raise
-    pool.shutdown()
+    finally:
+        # Waits for the workers: they finish what is left to do, or were told to end.
+        pool.shutdown()
 
 
 def progress_bar(console: Console) -> Progress:

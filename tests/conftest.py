@@ -1,10 +1,16 @@
-"""What every test needs: OpenGL chosen before MuJoCo, one thread for BLAS, repeatable property tests, a browser."""
+"""What every test needs: OpenGL chosen before MuJoCo, one thread for BLAS, repeatable property tests, a browser.
+
+No test depends on how fast the machine is: those that interrupt a process wait for its own word that it is at work.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import os
 import shutil
-from collections.abc import Generator
+import subprocess
+import sys
+from collections.abc import Callable, Generator, Iterator
 
 import pytest
 from hypothesis import settings
@@ -51,3 +57,17 @@ def pytest_runtest_makereport(
                 report.outcome = "failed"
                 report.longrepr = f"{variable} is set, so this must not be skipped.\n{reason}"
     return report
+
+
+@pytest.fixture
+def start() -> Iterator[Callable[..., subprocess.Popen[str]]]:
+    """Start a Python process from its arguments; at the end of the test it is gone, and its pipes are closed."""
+    with contextlib.ExitStack() as stack:
+
+        def begin(*arguments: str, **options: object) -> subprocess.Popen[str]:
+            pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+            process = stack.enter_context(subprocess.Popen([sys.executable, *arguments], **{**pipes, **options}))
+            stack.callback(process.kill)
+            return process
+
+        yield begin

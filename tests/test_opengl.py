@@ -47,9 +47,7 @@ def working(monkeypatch: pytest.MonkeyPatch) -> Pretend:
 
 def run_python(code: str, **changes: str) -> subprocess.CompletedProcess[str]:
     environment = {key: value for key, value in os.environ.items() if key not in VARIABLES} | changes
-    return subprocess.run(
-        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, timeout=120, check=False
-    )
+    return subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False)
 
 
 # --- the order ---------------------------------------------------------------------------------------------------
@@ -293,7 +291,7 @@ def test_command_answers_in_one_line(
     ("code", "error"),
     [
         ("import os; os.kill(os.getpid(), 11)", "crashed (signal 11)"),
-        ("import time; time.sleep(60)", "no answer within 0.5 s"),
+        ("import signal; signal.pause()", "no answer within 0.1 s"),
         ("raise SystemExit('libGL: out of memory')", "libGL: out of memory"),
         ("print('no JSON')", "failed (exit status 0): nothing"),
     ],
@@ -302,7 +300,8 @@ def test_broken_driver_becomes_a_text(monkeypatch: pytest.MonkeyPatch, tmp_path:
     broken = tmp_path / "broken.py"
     broken.write_text(code)
     monkeypatch.setattr(opengl, "_PROBE", broken)
-    monkeypatch.setattr(opengl, "_PROBE_TIMEOUT", 0.5 if "sleep" in code else 20.0)
+    if "pause" in code:
+        monkeypatch.setattr(opengl, "_PROBE_TIMEOUT", 0.1)
     assert error in opengl._probe("egl")["error"]
 
 

@@ -6,9 +6,6 @@ import dataclasses
 import json
 import re
 import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -146,18 +143,34 @@ def test_bars_do_not_break_a_table():
     assert text.splitlines()[2] == r"| \|\|W\|\|_1 < 1 | x |"
 
 
-def test_an_interrupt_stops_cleanly_and_says_so(tmp_path):
-    command = [sys.executable, str(SCRIPTS / "reproduce_paper.py"), "--output", str(tmp_path), "--jobs", "1"]
-    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
-    deadline = time.monotonic() + 30.0
-    while not (tmp_path / "jobs").exists() and time.monotonic() < deadline:
-        time.sleep(0.1)
-    time.sleep(1.0)
+def test_an_interrupt_stops_cleanly_and_says_so(tmp_path, start):
+    """One experiment is done, and a worker is busy with one that never ends."""
+    code = (
+        "import sys\n"
+        "import reproduce_paper\n"
+        "from paper import plan, runner\n"
+        "tracked = plan.Job('tracked', 'train', {'algorithm': 'tracked', 'changes': {}, 'seed': 0})\n"
+        "endless = plan.Job('activation', 'check', {'name': 'activation', 'samples': 10**12})\n"
+        "reproduce_paper.jobs = lambda _: [tracked, endless]\n"
+        "as_completed = runner.as_completed\n"
+        "def announcing(futures):\n"
+        "    for future in as_completed(futures):\n"
+        "        print('an experiment is done', flush=True)\n"
+        "        yield future\n"
+        "runner.as_completed = announcing\n"
+        "sys.exit(reproduce_paper.main())"
+    )
+    process = start("-c", code, "--output", str(tmp_path), "--jobs", "1", cwd=SCRIPTS)
+    assert process.stdout.readline() == "an experiment is done\n", process.stderr.read()
     process.send_signal(signal.SIGINT)
-    _, message = process.communicate(timeout=30)
+    # The worker holds its stderr: this returns when it is gone, too.
+    _, message = process.communicate()
     assert process.returncode == 130
     assert "the same command goes on from there" in " ".join(message.split())
     assert "Traceback" not in message
+    (kept,) = (tmp_path / "jobs").iterdir()
+    assert kept.name == f"{FEW[0].key}.npz"
+    assert runner.load(FEW[0], tmp_path / "jobs") is not None
 
 
 @pytest.mark.parametrize(
