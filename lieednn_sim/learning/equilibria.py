@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.integrate import solve_ivp
+from scipy.integrate import RK45, solve_ivp
 from scipy.linalg.lapack import dgetrf, dgetrs
 
 from lieednn_sim.network import ACTIVATIONS
@@ -35,6 +35,9 @@ _HORIZON = 15.0
 _HORIZONS = 10
 # A tenth of the paper's tau, and far above what the integrator's own error leaves.
 _AT_REST = 1e-6
+_SETTLING_STEPS = 2000
+# Newton steps may improve a point of rest by so much; farther off they have found another equilibrium.
+_NEARBY = 1e-2
 
 
 @dataclass(frozen=True)
@@ -137,20 +140,40 @@ class EquilibriumSolver:
         found = self.newton(weight, np.zeros(len(weight)), steps=_PATIENT_STEPS)
         return found if found.found else self.flow(weight, np.zeros(len(weight)))
 
+    def settled(self, weight: Floats, x: Floats, *, tolerance: float = _TOLERANCE) -> FlatEquilibrium:
+        """The equilibrium to which the network itself runs from ``x``: slow, and for where Newton steps fail.
+
+        It may lie far from ``x``, beyond a bifurcation; it attracts its surroundings, as a point found by Newton's
+        method need not. A network that is far faster than its decay, or does not rest at all, is given up after
+        `_SETTLING_STEPS` steps of the integrator.
+        """
+        field = self._field(weight)
+        run = RK45(field, 0.0, x, _HORIZONS * _HORIZON, rtol=1e-7, atol=1e-9)
+        for _ in range(_SETTLING_STEPS):
+            run.step()
+            at_rest = bool(np.abs(field(run.t, run.y)).max() < _AT_REST)
+            if at_rest or run.status != "running":
+                break
+        if not at_rest:
+            return self.at(run.y, found=False)
+        polished = self.newton(weight, run.y, tolerance=tolerance)
+        near = polished.found and np.abs(polished.x - run.y).max() < _NEARBY
+        return polished if near else self.at(run.y)
+
     def flow(self, weight: Floats, x: Floats) -> FlatEquilibrium:
         """Runge-Kutta 4(5) in the time unit 1/gamma until the network rests, for at most 150 units."""
-        coupling = self.ratio * weight
-
-        def field(_: float, state: Floats) -> Floats:
-            return coupling @ self._phi(state) - state + self._drive
-
-        speed = np.inf
+        field, speed = self._field(weight), np.inf
         for _ in range(_HORIZONS):
             speed = np.abs(field(0.0, x)).max()
             if speed < _AT_REST:
                 break
             x = solve_ivp(field, (0.0, _HORIZON), x, rtol=1e-7, atol=1e-9).y[:, -1]
         return self.at(x, found=bool(speed < _AT_REST))
+
+    def _field(self, weight: Floats) -> Callable[[float, Floats], Floats]:
+        """The network's vector field, in the time unit 1/gamma."""
+        coupling = self.ratio * weight
+        return lambda _, state: coupling @ self._phi(state) - state + self._drive
 
 
 _IDENTITIES: dict[int, Floats] = {}

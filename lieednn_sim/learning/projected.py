@@ -169,12 +169,20 @@ class _Training:
         )
 
     def _find(self, weight: Floats, x: Floats, nearby: SensitivityMatrix | None = None) -> FlatEquilibrium:
-        """The equilibrium near ``x``, far more exact than it is near the target."""
+        """The equilibrium near ``x``, far more exact than it is near the target.
+
+        Where Newton's method finds none and the training would end, the network is run, as Algorithm 1 does in every
+        epoch: it often still settles.
+        """
         if self.options.equilibrium == "rk45":
             return self.solver.flow(weight, x)
         delta = x - self.goal
         tolerance = max(_RELATIVE_TOLERANCE * math.sqrt(delta @ delta), _LEAST_TOLERANCE)
-        return self.solver.newton(weight, x, nearby, tolerance=tolerance)
+        found = self.solver.newton(weight, x, nearby, tolerance=tolerance)
+        if found.found or self.options.step_control == "tracked":
+            # A tracked trial is taken back and made smaller instead, which costs less and keeps to the equilibrium.
+            return found
+        return self.solver.settled(weight, x, tolerance=tolerance)
 
     def _may_restart(self) -> bool:
         last = self.anchor

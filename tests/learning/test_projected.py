@@ -11,6 +11,7 @@ from scipy.optimize import root
 from lieednn_sim import storage
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.learning import ALGORITHMS, StopReason, TrainingOptions, projected, resume, train
+from lieednn_sim.learning.equilibria import EquilibriumSolver
 from lieednn_sim.learning.manifold import block_view
 from lieednn_sim.lie import MatrixLieGroup, adjoint, group, project_to_adjoint
 from lieednn_sim.stability import find_certificate
@@ -135,20 +136,25 @@ def test_same_seed_same_result_and_other_seed_another(algorithm):
     assert not np.array_equal(one.weight, other.weight)
 
 
+# In most epochs from 55 to 75 Newton's method fails here, and the network is run instead.
+SETTLING = TrainingOptions.repaired(max_epochs=150, period=1)
+
+
 @pytest.mark.parametrize(
-    "options",
+    ("options", "seed"),
     [
-        TrainingOptions.repaired(max_epochs=400),
-        TrainingOptions.tracked(restarts=2, max_start_epochs=60, max_epochs=400),
-        TrainingOptions.literal(max_epochs=100),
-        TrainingOptions.repaired(max_epochs=100, projection="none"),
+        (TrainingOptions.repaired(max_epochs=400), 2),
+        (TrainingOptions.tracked(restarts=2, max_start_epochs=60, max_epochs=400), 2),
+        (TrainingOptions.literal(max_epochs=100), 2),
+        (TrainingOptions.repaired(max_epochs=100, projection="none"), 2),
+        (SETTLING, 0),
     ],
-    ids=["repaired", "tracked", "literal", "ablation"],
+    ids=["repaired", "tracked", "literal", "ablation", "settling"],
 )
 @pytest.mark.parametrize("interrupted_at", [3, 57, 91])
-def test_interrupted_training_resumes_to_the_same_result(tmp_path, monkeypatch, options, interrupted_at):
-    goal, path = target(2), tmp_path / "training.npz"
-    whole = train(goal, options, seed=1)
+def test_interrupted_training_resumes_to_the_same_result(tmp_path, monkeypatch, options, seed, interrupted_at):
+    goal, path = target(seed), tmp_path / "training.npz"
+    whole = train(goal, options, seed=seed)
     steps = 0
     original = projected._Training._step
 
@@ -161,9 +167,36 @@ def test_interrupted_training_resumes_to_the_same_result(tmp_path, monkeypatch, 
 
     monkeypatch.setattr(projected._Training, "_step", failing)
     with pytest.raises(KeyboardInterrupt):
-        train(goal, options, seed=1, checkpoint=path)
+        train(goal, options, seed=seed, checkpoint=path)
     monkeypatch.undo()
     same(resume(path), whole)
+
+
+def test_where_newton_steps_find_no_equilibrium_the_network_is_run():
+    """The jump is far, so the one from which training goes on must attract: checked by a fresh network."""
+    result = train(target(0), SETTLING, seed=0)
+    assert result.reason is StopReason.EPOCHS_SPENT
+    assert result.epochs == 150
+    # Without it this training ended as lost at epoch 55; after it the equilibrium has jumped by more than 1.
+    jumps = np.abs(np.diff(result.history.equilibrium, axis=0)).max(axis=(1, 2))
+    assert jumps[:50].max() < 0.5 < 1.0 < jumps[54:76].max()
+    # From zero as well: the last point of the history is an equilibrium of the last weights.
+    found = result.network.equilibrium(result.history.equilibrium[-1])
+    assert found.success
+    np.testing.assert_allclose(found.xi, result.history.equilibrium[-1], atol=1e-5)
+    assert found.spectral_abscissa < 0.0
+
+
+def test_a_network_without_rest_is_given_up():
+    """A rotation in the plane of gain 3 has its only equilibrium at zero, and that repels: a limit cycle remains."""
+    turning = 3.0 * np.array([[1.0, -1.0], [1.0, 1.0]])
+    solver = EquilibriumSolver(np.full(2, 1e-3), 1.0, "tanh")
+    assert not solver.settled(turning, np.array([0.5, 0.0])).found
+    still = solver.settled(0.1 * turning, np.array([50.0, -50.0]))
+    assert still.found
+    np.testing.assert_allclose(still.x, 0.1 * turning @ np.tanh(still.x) + 1e-3, atol=1e-12)
+    # Weights beyond all measure: neither a hang nor a false find.
+    assert not solver.settled(1e100 * turning, np.array([0.5, 0.0])).found
 
 
 def test_checkpoint_is_written_on_the_way(tmp_path, monkeypatch):
