@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import operator
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,12 +13,38 @@ from lieednn_sim.errors import InputError
 
 Shape = tuple[int | str, ...]
 
+# No length, angle, rate or weight that means anything is larger; products of three such numbers stay in range, so what
+# is finite does not become infinite on the way.
+LARGEST = 1e100
+# More characters than any name or sentence of the user's own: what is refused is quoted up to here.
+_QUOTED = 80
+_LARGEST_COUNT = 2**53
+# A gibibyte of float64.
+_LARGEST_SIZE = 2**27
+
 
 def _describe(shape: Iterable[int | str]) -> str:
     return "(" + ", ".join(str(size) for size in shape) + ")"
 
 
-def as_floats(name: str, value: ArrayLike, shape: Shape, *, batched: bool = False) -> NDArray[np.float64]:
+def quoted(value: object) -> str:
+    """The ``repr`` of a value, cut where it is long: a message need not repeat a million entries."""
+    if isinstance(value, str | bytes) and len(value) > _QUOTED:
+        return f"{value[:_QUOTED]!r} ... ({len(value)} characters)"
+    if isinstance(value, np.ndarray):
+        return f"an array of shape {_describe(value.shape)}"
+    if isinstance(value, int) and not isinstance(value, bool) and value.bit_length() > 4 * _QUOTED:
+        # Python refuses to write integers beyond some thousands of digits.
+        return f"a whole number of {value.bit_length()} bits"
+    if isinstance(value, list | tuple | set | frozenset | dict):
+        return f"a {type(value).__name__} of {len(value)}"
+    text = repr(value)
+    return text if len(text) <= _QUOTED else f"{text[:_QUOTED]} ... ({len(text)} characters)"
+
+
+def as_floats(
+    name: str, value: ArrayLike, shape: Shape, *, batched: bool = False, largest: float = LARGEST
+) -> NDArray[np.float64]:
     """Return ``value`` as a finite float64 array whose trailing axes match ``shape``.
 
     Args:
@@ -25,28 +52,57 @@ def as_floats(name: str, value: ArrayLike, shape: Shape, *, batched: bool = Fals
         value: anything NumPy can turn into an array of numbers.
         shape: required sizes; a string is a free size and must agree wherever it recurs.
         batched: allow any number of leading axes.
+        largest: no entry may be greater in size.
 
     Raises:
-        InputError: not numeric, not finite, or of another shape.
+        InputError: not numeric, not finite, too large, or of another shape.
     """
+    wanted = ("...", *shape) if batched else shape
     try:
+        # Where the shape is known it decides first: what does not fit need not be copied, however large.
+        if isinstance(value, np.ndarray):
+            _require_shape(name, value.shape, shape, wanted, batched=batched)
+        elif isinstance(value, Sequence) and len(value) > _LARGEST_SIZE:
+            raise InputError(f"{name} must have at most {_LARGEST_SIZE} entries, got {len(value)}")
         if np.iscomplexobj(value):
             raise TypeError("complex numbers have no place here")
         array = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError, OverflowError) as error:
+    except (TypeError, ValueError, OverflowError, MemoryError) as error:
+        if isinstance(error, InputError):
+            raise
         raise InputError(f"{name} must be an array of numbers, got {type(value).__name__}: {error}") from None
-    wanted = ("...", *shape) if batched else shape
-    trailing = array.shape[len(array.shape) - len(shape) :] if batched else array.shape
+    _require_shape(name, array.shape, shape, wanted, batched=batched)
+    # In one pass, since every call of a training loop comes here: a NaN makes the comparison false as well.
+    if not np.abs(array).max(initial=0.0) <= largest:
+        if not np.isfinite(array).all():
+            count = np.count_nonzero(~np.isfinite(array))
+            raise InputError(f"{name} must be finite, got {count} NaN or infinite entries")
+        raise InputError(f"{name} must not exceed {largest:g} in size, got {np.abs(array).max():g}")
+    return array
+
+
+def _require_shape(name: str, given: tuple[int, ...], shape: Shape, wanted: Shape, *, batched: bool) -> None:
+    trailing = given[len(given) - len(shape) :] if batched else given
     sizes: dict[str, int] = {}
     fits = len(trailing) == len(shape) and all(
         sizes.setdefault(want, size) == size if isinstance(want, str) else want == size
         for want, size in zip(shape, trailing, strict=True)
     )
     if not fits:
-        raise InputError(f"{name} must have shape {_describe(wanted)}, got {_describe(array.shape)}")
-    if not np.isfinite(array).all():
-        raise InputError(f"{name} must be finite, got {np.count_nonzero(~np.isfinite(array))} NaN or infinite entries")
-    return array
+        raise InputError(f"{name} must have shape {_describe(wanted)}, got {_describe(given)}")
+    if math.prod(given) > _LARGEST_SIZE:
+        raise InputError(f"{name} must have at most {_LARGEST_SIZE} entries, got shape {_describe(given)}")
+
+
+def as_finite(name: str, result: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return a computed array when all its entries are finite: no result is NaN or infinite without a word.
+
+    Raises:
+        InputError: they are not; the input was too large for double precision.
+    """
+    if not np.isfinite(result).all():
+        raise InputError(f"{name} is beyond the range of double precision for this input; make the input smaller")
+    return result
 
 
 def as_times(name: str, value: ArrayLike) -> NDArray[np.float64]:
@@ -58,11 +114,18 @@ def as_times(name: str, value: ArrayLike) -> NDArray[np.float64]:
 
 
 def as_positive(name: str, value: float) -> float:
-    """Return ``value`` as a positive, finite float, or raise `InputError`."""
+    """Return ``value`` as a positive float from 1 / `LARGEST` to `LARGEST`, or raise `InputError`."""
     number = float(as_floats(name, value, ()))
     if number <= 0:
         raise InputError(f"{name} must be positive, got {number:g}")
+    if number < 1.0 / LARGEST:
+        raise InputError(f"{name} must be at least {1.0 / LARGEST:g}, got {number:g}")
     return number
+
+
+def as_ratio(gamma: float, mu: float) -> float:
+    """Return gamma/mu of two positive floats, from 1 / `LARGEST` to `LARGEST` like them, or raise `InputError`."""
+    return as_positive("gamma/mu", as_positive("gamma", gamma) / as_positive("mu", mu))
 
 
 def as_count(name: str, value: int, least: int = 1) -> int:
@@ -70,16 +133,18 @@ def as_count(name: str, value: int, least: int = 1) -> int:
     try:
         number = operator.index(value)
     except TypeError:
-        raise InputError(f"{name} must be a whole number, got {value!r}") from None
+        raise InputError(f"{name} must be a whole number, got {quoted(value)}") from None
     if number < least:
-        raise InputError(f"{name} must be at least {least}, got {number}")
+        raise InputError(f"{name} must be at least {least}, got {quoted(number)}")
+    if number > _LARGEST_COUNT:
+        raise InputError(f"{name} must be at most {_LARGEST_COUNT}, got {quoted(number)}")
     return number
 
 
 def as_seed(name: str, seed: int) -> int:
     """Return ``seed`` as a whole number >= 0, or raise `InputError`."""
     if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
-        raise InputError(f"{name} must be a whole number >= 0, got {seed!r}")
+        raise InputError(f"{name} must be a whole number >= 0, got {quoted(seed)}")
     return int(seed)
 
 
@@ -88,13 +153,14 @@ def as_generator(name: str, seed: int | np.random.Generator) -> np.random.Genera
     if isinstance(seed, np.random.Generator):
         return seed
     if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
-        raise InputError(f"{name} must be a whole number >= 0 or a numpy.random.Generator, got {seed!r}")
+        raise InputError(f"{name} must be a whole number >= 0 or a numpy.random.Generator, got {quoted(seed)}")
     return np.random.default_rng(seed)
 
 
 def as_choice(name: str, value: str, allowed: Iterable[str]) -> str:
     """Return ``value`` when it is one of ``allowed``, or raise `InputError` that lists them."""
     choices = sorted(allowed)
-    if value not in choices:
-        raise InputError(f"no {name} {value!r}; allowed: {', '.join(choices)}")
+    # Only a string is compared: against an array NumPy would first make one of the choices as well.
+    if not isinstance(value, str) or value not in choices:
+        raise InputError(f"no {name} {quoted(value)}; allowed: {', '.join(choices)}")
     return value

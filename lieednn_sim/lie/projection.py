@@ -19,6 +19,8 @@ _SKEW_BASIS = hat(np.eye(3))
 _CUBE = np.stack(sorted(Rotation.create_group("O").as_matrix(), key=np.trace, reverse=True))
 # Rounding in the scaled value that `project_to_adjoint_exact` minimises.
 _TIE = 1e-13
+# Entries: what is squared is divided by its size first, so that more is allowed than elsewhere.
+_LARGEST = 1e152
 # Of `descend`: steps, their length in the group's coordinates (rad for rotations), and when a point has arrived.
 _MAX_STEPS = 200
 _LONGEST_STEP = 1.0
@@ -34,7 +36,7 @@ def project_to_rotation(matrix: ArrayLike) -> Floats:
     Raises:
         InputError: wrong shape or entries that are not finite.
     """
-    u, _, vt = np.linalg.svd(as_floats("matrix", matrix, (3, 3), batched=True))
+    u, _, vt = np.linalg.svd(as_floats("matrix", matrix, (3, 3), batched=True, largest=_LARGEST))
     u[..., :, 2] *= np.sign(np.linalg.det(u @ vt))[..., None]
     return u @ vt
 
@@ -49,7 +51,7 @@ def project_to_adjoint(matrix: ArrayLike) -> tuple[Floats, Floats]:
     Returns:
         Rotations ``(..., 3, 3)`` and translations ``(..., 3)``; `adjoint` puts them together.
     """
-    blocks = as_floats("matrix", matrix, (6, 6), batched=True)
+    blocks = as_floats("matrix", matrix, (6, 6), batched=True, largest=_LARGEST)
     rotation = project_to_rotation(0.5 * (blocks[..., :3, :3] + blocks[..., 3:, 3:]))
     return rotation, vee(blocks[..., 3:, :3] @ np.swapaxes(rotation, -1, -2))
 
@@ -68,7 +70,7 @@ def project_to_adjoint_exact(matrix: ArrayLike) -> tuple[Floats, Floats]:
     Raises:
         InputError: wrong shape or entries that are not finite.
     """
-    blocks = as_floats("matrix", matrix, (6, 6), batched=True)
+    blocks = as_floats("matrix", matrix, (6, 6), batched=True, largest=_LARGEST)
     flat = blocks.reshape(-1, 6, 6)
     total, lower = flat[:, :3, :3] + flat[:, 3:, 3:], flat[:, 3:, :3]
     # What is minimised is linear in A + D and quadratic in C. Dividing by a common size keeps the squares in range.
@@ -117,7 +119,7 @@ def project_to_scaled_adjoint(matrix: ArrayLike) -> tuple[Floats, Floats, Floats
     Raises:
         InputError: wrong shape or entries that are not finite.
     """
-    blocks = as_floats("matrix", matrix, (6, 6), batched=True)
+    blocks = as_floats("matrix", matrix, (6, 6), batched=True, largest=_LARGEST)
     u, singular, vt = np.linalg.svd(0.5 * (blocks[..., :3, :3] + blocks[..., 3:, 3:]))
     product = u @ vt
     sign = np.sign(np.linalg.det(product))

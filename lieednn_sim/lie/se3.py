@@ -17,6 +17,8 @@ Floats = NDArray[np.float64]
 # digits by cancellation, (theta - sin theta - theta^3/6) / theta^5 already all of them at 1e-3.
 _SERIES_ANGLE = 1.0
 _SERIES_TERMS = 10
+# Of entries that are only moved, or halved and added.
+_LARGEST = 1e300
 
 
 def hat(vector: ArrayLike) -> Floats:
@@ -31,7 +33,7 @@ def hat(vector: ArrayLike) -> Floats:
     size = np.shape(vector)[-1] if np.ndim(vector) else 0
     if size not in (3, 6):
         raise InputError(f"hat needs vectors of shape (..., 3) or (..., 6), got {np.shape(vector)}")
-    array = as_floats("vector", vector, (size,), batched=True)
+    array = as_floats("vector", vector, (size,), batched=True, largest=_LARGEST)
     if size == 3:
         return _skew(array)
     matrix = np.zeros((*array.shape[:-1], 4, 4))
@@ -48,7 +50,7 @@ def vee(matrix: ArrayLike) -> Floats:
     shape = np.shape(matrix)
     if shape[-2:] not in ((3, 3), (4, 4)):
         raise InputError(f"vee needs matrices of shape (..., 3, 3) or (..., 4, 4), got {shape}")
-    array = as_floats("matrix", matrix, shape[-2:], batched=True)
+    array = as_floats("matrix", matrix, shape[-2:], batched=True, largest=_LARGEST)
     omega = np.empty((*array.shape[:-2], 3))
     for k, (i, j) in enumerate(((2, 1), (0, 2), (1, 0))):
         omega[..., k] = 0.5 * (array[..., i, j] - array[..., j, i])

@@ -55,7 +55,7 @@ class BlockNetwork(ABC):
     @cached_property
     def weight(self) -> Floats:
         """Flat weight matrix W, ``(dN, dN)``."""
-        return flatten_blocks(self.blocks)
+        return read_only(as_floats("weight", flatten_blocks(self.blocks), ("n", "n")))
 
     @property
     @abstractmethod

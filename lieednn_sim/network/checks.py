@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim.errors import InputError
-from lieednn_sim.validation import as_floats, as_positive
+from lieednn_sim.validation import as_floats, as_positive, as_ratio
 
 Floats = NDArray[np.float64]
 
@@ -23,16 +23,22 @@ def as_strengths(alpha: ArrayLike) -> Floats:
 
 def as_rates(gamma: float, mu: float) -> dict[str, float]:
     """Return gamma and mu checked, by name."""
+    as_ratio(gamma, mu)
     return {"gamma": as_positive("gamma", gamma), "mu": as_positive("mu", mu)}
 
 
-def as_poses(rotation: ArrayLike, translation: ArrayLike, n: int) -> dict[str, Floats]:
-    """Return the rotations ``(n, n, 3, 3)`` and translations ``(n, n, 3)`` of theta checked, by name."""
+def as_poses(rotation: ArrayLike, translation: ArrayLike, alpha: Floats) -> dict[str, Floats]:
+    """Return the rotations ``(N, N, 3, 3)`` and translations ``(N, N, 3)`` of theta checked, by name.
+
+    Their product with the strengths ``(N, N)``, which the weights are made of, must be in range as well.
+    """
+    n = len(alpha)
     checked = {
         "rotation": as_floats("rotation", rotation, (n, n, 3, 3)),
         "translation": as_floats("translation", translation, (n, n, 3)),
     }
     require_rotations(checked["rotation"])
+    as_floats("alpha times translation", alpha[:, :, None] * checked["translation"], (n, n, 3))
     return checked
 
 

@@ -88,7 +88,7 @@ class EquivariantLieEDNN(RigidNetwork):
         diagonal = self.lyapunov_diagonal
         self._store(
             alpha=alpha,
-            **as_poses(self.rotation, self.translation, n),
+            **as_poses(self.rotation, self.translation, alpha),
             bias=as_floats("bias", self.bias, (n, 6)),
             **as_rates(self.gamma, self.mu),
             lyapunov_diagonal=None if diagonal is None else as_floats("lyapunov_diagonal", diagonal, (n,)),

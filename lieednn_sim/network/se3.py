@@ -51,7 +51,7 @@ class LieEDNN(RigidNetwork, ComponentwiseNetwork):
         diagonal = self.lyapunov_diagonal
         self._store(
             alpha=alpha,
-            **as_poses(self.rotation, self.translation, n),
+            **as_poses(self.rotation, self.translation, alpha),
             bias=as_floats("bias", self.bias, (n, 6)),
             **as_rates(self.gamma, self.mu),
             activation=as_activation(self.activation),

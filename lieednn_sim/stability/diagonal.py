@@ -32,7 +32,7 @@ from scipy.optimize import minimize
 
 from lieednn_sim.errors import InputError
 from lieednn_sim.stability.norms import as_weight, weighted_norm
-from lieednn_sim.validation import as_choice, as_count, as_floats, as_positive
+from lieednn_sim.validation import LARGEST, as_choice, as_count, as_floats, as_positive, as_ratio
 
 Floats = NDArray[np.float64]
 
@@ -40,6 +40,9 @@ METHODS = ("descent", "lmi")
 
 # exp(+-_LOG_SCALE_BOUND) bounds S, so that S W S^-1 keeps its digits.
 _LOG_SCALE_BOUND = 8.0
+# Entries of P further apart prove nothing of use (V then sees one coordinate only), and with `LARGEST`, which bounds W,
+# gamma, mu and their inverses, S W S^-1 stays far from overflow, and gamma/mu far above what underflow can spoil.
+_LARGEST_SPREAD = 1e60
 
 
 @dataclass(frozen=True)
@@ -90,7 +93,8 @@ def verify(lyapunov_diagonal: ArrayLike, weight: ArrayLike, *, gamma: float = 1.
         mu: scale of the interaction, positive.
 
     Raises:
-        InputError: shapes disagree, or an entry of the diagonal is not positive.
+        InputError: shapes disagree, an entry of the diagonal is not positive, or the numbers are so large, small or far
+            apart (entries of P by more than 1e60) that a proof could drown in overflow or underflow.
     """
     diagonal = as_floats("lyapunov_diagonal", lyapunov_diagonal, ("n",))
     if diagonal.size == 0:
@@ -99,18 +103,28 @@ def verify(lyapunov_diagonal: ArrayLike, weight: ArrayLike, *, gamma: float = 1.
     if not (diagonal > 0).all():
         raise InputError(f"lyapunov_diagonal must be positive, its smallest entry is {diagonal.min():g}")
     decay = as_positive("gamma", gamma)
-    log_scale = 0.5 * np.log(diagonal)
-    log_scale -= log_scale.mean()
-    scaled = scale(matrix, log_scale)
-    symmetric = 0.5 * (scaled + scaled.T)
+    spread = diagonal.max() / diagonal.min() if diagonal.min() >= 1.0 / LARGEST else np.inf
+    if spread > _LARGEST_SPREAD:
+        raise InputError(
+            f"lyapunov_diagonal must have entries from {1.0 / LARGEST:g}, none more than {_LARGEST_SPREAD:g} times "
+            f"another, got {diagonal.min():g} to {diagonal.max():g}"
+        )
+    root = np.sqrt(diagonal)
+    # The quotient first: within the bounds on P it neither overflows nor underflows, nor do its products with W.
+    scaled = matrix * (root[:, None] / root)
+    # By a power of two, which is exact, so that the eigensolver and the norm see entries of about 1.
+    exponent = int(np.frexp(np.abs(scaled).max())[1])
+    unit = np.ldexp(scaled, -exponent)
     # Forming an entry rounds at most five times; the symmetric eigensolver is backward stable, with an error
-    # below n eps ||A||_2. Both are taken twice over, in the Frobenius norm.
-    rounding = float((10.0 + 2.0 * diagonal.size) * np.finfo(float).eps * np.linalg.norm(scaled))
+    # below n eps ||A||_2. Both are taken twice over, in the Frobenius norm. What underflows is off by less than the
+    # smallest normal number, entry by entry and in the eigenvalue.
+    relative = (10.0 + 2.0 * diagonal.size) * np.finfo(float).eps * np.linalg.norm(unit)
+    rounding = float(np.ldexp(relative, exponent)) + (diagonal.size + 1.0) * float(np.finfo(float).tiny)
     return Certificate(
-        lyapunov_diagonal=np.exp(2.0 * log_scale),
-        lambda_max=float(np.linalg.eigvalsh(symmetric)[-1]),
+        lyapunov_diagonal=diagonal * np.exp(-np.log(diagonal).mean()),
+        lambda_max=float(np.ldexp(np.linalg.eigvalsh(0.5 * (unit + unit.T))[-1], exponent)),
         rounding=rounding,
-        bound=decay / as_positive("mu", mu),
+        bound=as_ratio(decay, mu),
         gamma=decay,
     )
 

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim.errors import InputError, LieEDNNError
 from lieednn_sim.stability.norms import as_weight
-from lieednn_sim.validation import as_floats, as_positive
+from lieednn_sim.validation import LARGEST, as_floats, as_ratio
 
 Floats = NDArray[np.float64]
 Activation = Callable[[Floats], Floats]
@@ -28,7 +28,7 @@ _EPS = float(np.finfo(float).eps)
 _INWARD = 1e-9
 _MAX_ITERATIONS = 200_000
 # Only an unbounded phi lets a box grow so far.
-_LARGEST = 1e100
+_LARGEST = LARGEST
 
 
 def is_invariant(
@@ -65,7 +65,7 @@ def is_invariant(
     if (high < low).any():
         worst = int(np.argmax(low - high))
         raise InputError(f"upper must not lie below lower, got [{low[worst]:g}, {high[worst]:g}] at entry {worst}")
-    ratio = as_positive("gamma", gamma) / as_positive("mu", mu)
+    ratio = as_ratio(gamma, mu)
     outward_low, outward_high = _outward(matrix, shift, low, high, phi, ratio)
     # Sums of n products with a phi good to a few units in the last place.
     terms = np.abs(matrix) @ np.maximum(np.abs(phi(low)), np.abs(phi(high))) + np.abs(shift)
@@ -104,7 +104,7 @@ def invariant_box(
     points = as_floats("start", start, (n,) if np.ndim(start) < 2 else ("K", n)).reshape(-1, n)
     if not len(points):
         raise InputError("start must hold at least one point, got shape (0, n)")
-    ratio = as_positive("gamma", gamma) / as_positive("mu", mu)
+    ratio = as_ratio(gamma, mu)
     low, high = points.min(axis=0), points.max(axis=0)
     steepest = ratio + np.maximum(-np.diag(matrix), 0.0)
     reach = np.maximum(np.abs(low), np.abs(high))
@@ -118,7 +118,8 @@ def invariant_box(
             break
         low = low - np.maximum(outward_low + inward, 0.0) / steepest
         high = high + np.maximum(outward_high + inward, 0.0) / steepest
-    if not is_invariant(matrix, shift, low, high, phi, gamma=gamma, mu=mu):
+    bounded = max(np.abs(low).max(), np.abs(high).max()) <= _LARGEST
+    if not (bounded and is_invariant(matrix, shift, low, high, phi, gamma=gamma, mu=mu)):
         raise LieEDNNError(
             f"no invariant box found: it still grows after {_MAX_ITERATIONS} steps or beyond {_LARGEST:g}; "
             "is phi bounded?"

@@ -15,8 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim.errors import InputError
 from lieednn_sim.stability.diagonal import Certificate, find_certificate, verify
-from lieednn_sim.stability.norms import as_weight, log_norms, weighted_norm
-from lieednn_sim.validation import as_floats, as_positive
+from lieednn_sim.stability.norms import as_weight, frobenius, log_norms, weighted_norm
+from lieednn_sim.validation import as_floats, as_positive, as_ratio
 
 Floats = NDArray[np.float64]
 
@@ -146,7 +146,7 @@ def assess(
     """
     matrix = as_weight("weight", weight)
     decay, scale = as_positive("gamma", gamma), as_positive("mu", mu)
-    bound = decay / scale
+    bound = as_ratio(decay, scale)
     core = matrix if rotational_weight is None else _rotational_part(matrix, rotational_weight)
     certificate = None
     if lyapunov_diagonal is not None:
@@ -175,7 +175,7 @@ def assess(
     if jacobian is not None:
         slopes = as_floats("jacobian", jacobian, matrix.shape)
         # The backward error of the eigenvalues; what a badly conditioned one makes of it is not bounded.
-        rounding = len(slopes) * np.finfo(float).eps * float(np.linalg.norm(slopes))
+        rounding = len(slopes) * np.finfo(float).eps * frobenius(slopes)
         abscissa = float(np.linalg.eigvals(slopes).real.max() + rounding)
         rungs.append(Rung("local", abscissa < 0.0, abscissa, 0.0, max(0.0, -abscissa), "local"))
     return Verdict(tuple(rungs), certificate)

@@ -8,13 +8,13 @@ A norm bounds the log norm, so it proves the same and never more.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim.errors import InputError
-from lieednn_sim.validation import as_floats, as_positive
+from lieednn_sim.validation import as_floats, as_ratio
 
 Floats = NDArray[np.float64]
 
@@ -62,7 +62,7 @@ def norm_conditions(weight: ArrayLike, smallest: float, *, gamma: float = 1.0, m
     return NormConditions(
         one_norm=float(np.linalg.norm(matrix, 1)),
         infinity_norm=float(np.linalg.norm(matrix, np.inf)),
-        bound=as_positive("gamma", gamma) / as_positive("mu", mu),
+        bound=as_ratio(gamma, mu),
         smallest_one_norm=smallest,
     )
 
@@ -90,6 +90,12 @@ def as_weight(name: str, value: ArrayLike) -> Floats:
     if matrix.size == 0:
         raise InputError(f"{name} must have shape (n, n) with n >= 1, got (0, 0)")
     return matrix
+
+
+def frobenius(matrix: Floats) -> float:
+    """Frobenius norm, of which neither the squares of large entries overflow nor those of small ones underflow."""
+    largest = float(np.abs(matrix).max(initial=0.0))
+    return largest * float(np.linalg.norm(matrix / largest)) if largest > 0.0 else 0.0
 
 
 @dataclass(frozen=True)
@@ -159,6 +165,9 @@ def weighted_norm(weight: ArrayLike) -> WeightedNorm:
     """
     matrix = as_weight("weight", weight)
     n = len(matrix)
+    # By a power of two, which changes no digit: the linear systems are then solved for numbers of about 1.
+    exponent = int(np.frexp(np.abs(matrix).max())[1])
+    matrix = np.ldexp(matrix, -exponent)
     majorant = np.abs(matrix)
     np.fill_diagonal(majorant, np.diag(matrix))
     best = WeightedNorm(_weighted_log_norm(majorant, np.ones(n)), np.ones(n), np.ones(n))
@@ -172,7 +181,9 @@ def weighted_norm(weight: ArrayLike) -> WeightedNorm:
             best = trial
         else:
             low = level
-    return best
+    # What underflowed in between is less than the smallest normal number.
+    value = float(np.ldexp(best.value, exponent))
+    return replace(best, value=value + float(np.finfo(float).tiny) if value > 0.0 else 0.0)
 
 
 def _positive_vectors(majorant: Floats, level: float) -> WeightedNorm | None:

@@ -12,9 +12,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim.errors import InputError
 from lieednn_sim.stability.norms import as_weight, log_norms
-from lieednn_sim.validation import as_floats, as_positive
+from lieednn_sim.validation import as_floats, as_positive, as_ratio
 
 Floats = NDArray[np.float64]
+
+# Of a curve: larger ones than elsewhere do no harm, since they only divide.
+_LARGEST_SLOPE = 1e300
 
 
 @dataclass(frozen=True)
@@ -67,7 +70,7 @@ def smoothness_bounds(
     velocity = decay * size + scale * norm * most + scale * drive
     acceleration = (decay + scale * slope * norm) * velocity
     closing = None
-    if norm < decay / scale:
+    if norm < as_ratio(decay, scale):
         closing = decay * (1.0 + slope) * (decay * size + decay * most + scale * drive)
     return SmoothnessBounds(velocity, acceleration, acceleration, closing)
 
@@ -81,7 +84,7 @@ def curvature(xi_dot: ArrayLike, xi_ddot: ArrayLike) -> Floats:
         xi_dot: first derivatives, any shape.
         xi_ddot: second derivatives, the same shape.
     """
-    first = as_floats("xi_dot", xi_dot, np.shape(xi_dot))
+    first = as_floats("xi_dot", xi_dot, np.shape(xi_dot), largest=_LARGEST_SLOPE)
     second = as_floats("xi_ddot", xi_ddot, np.shape(xi_dot))
     # hypot keeps large velocities from overflowing where the curvature is merely small.
     steepness = np.hypot(1.0, first)

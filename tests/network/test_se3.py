@@ -238,6 +238,13 @@ def test_save_and_load_are_bit_exact(tmp_path, certified):
         ({"mu": lambda mu: 50.0 * mu}, "certificate that does not hold for its weights"),
         ({"lyapunov_diagonal": lambda p: 1e6 ** np.arange(9.0) ** 0.5}, "certificate that does not hold"),
         ({"lyapunov_diagonal": lambda p: -p}, "not a valid network: lyapunov_diagonal must be positive"),
+        ({"lyapunov_diagonal": lambda p: np.array([5e-324, 1.7e308] * 4 + [1.0])}, "not a valid network: lyap"),
+        ({"lyapunov_diagonal": lambda p: np.full(9, 5e-324)}, "lyapunov_diagonal must have entries from 1e-100"),
+        ({"translation": lambda t: np.full_like(t, 1.7e308)}, r"translation must not exceed 1e\+100 in size"),
+        (
+            {"translation": lambda t: np.full_like(t, 9e99), "alpha": lambda a: np.full_like(a, 1e99)},
+            r"alpha times translation must not exceed 1e\+100",
+        ),
         ({"lyapunov_diagonal": lambda p: p[:-1]}, r"lyapunov_diagonal must have shape \(9\), got \(8\)"),
         ({"rotation": lambda r: 1.01 * r}, "not a valid network: rotation must hold rotation matrices"),
         ({"bias": lambda b: np.full_like(b, np.nan)}, "not a valid network: bias must be finite"),
