@@ -11,11 +11,15 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Generator, Iterator
+from typing import TYPE_CHECKING
 
 import pytest
 from hypothesis import settings
 
 from lieednn_sim import opengl
+
+if TYPE_CHECKING:
+    from lieednn_sim.arm import Arm
 
 # NumPy's BLAS reads this when it loads. One thread: the test workers share the cores, and results don't depend on them.
 for _variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
@@ -28,6 +32,54 @@ _REQUIRED = {
     for marker, variable in (("rendering", "LIEEDNN_REQUIRE_RENDERING"), ("browser", "LIEEDNN_REQUIRE_BROWSER"))
     if os.environ.get(variable, "") not in ("", "0")
 }
+
+# An arm for numbers by hand: link 1 is at (x, y, z), the end effector 1 m beside it and turned by the angle about z.
+# The ranges are 2, 4, 5 and 6; the ball around the end effector has a radius of 0.1 m and is over a floor at -1 m.
+_GANTRY = """
+<mujoco model="gantry">
+  <compiler angle="radian" autolimits="true"/>
+  <option timestep="0.01" integrator="implicitfast"/>
+  <custom>
+    <numeric name="velocity_limit" data="1 2 4 8"/>
+    <numeric name="acceleration_limit" data="10 20 40 80"/>
+  </custom>
+  <worldbody>
+    <geom name="floor" type="plane" size="0 0 1" pos="0 0 -1"/>
+    <body name="base"><geom size="0.05" mass="1" contype="0" conaffinity="0"/><site name="base_frame"/>
+      <body name="carriage" gravcomp="1">
+        <joint name="x" type="slide" axis="1 0 0" range="-1 1"/>
+        <joint name="y" type="slide" axis="0 1 0" range="-2 2"/>
+        <joint name="z" type="slide" axis="0 0 1" range="-2 3"/>
+        <geom size="0.05" mass="1" contype="0" conaffinity="0"/>
+        <site name="link1_frame"/>
+        <body name="wrist" pos="1 0 0" gravcomp="1">
+          <joint name="turn" type="hinge" axis="0 0 1" range="-3 3"/>
+          <geom name="ball" size="0.1" mass="1"/>
+          <site name="link2_frame"/>
+        </body>
+      </body>
+    </body>
+  </worldbody>
+  <actuator>
+    <position joint="x" kp="1000" kv="100" gear="2" forcerange="-30 50"/>
+    <position joint="y" kp="1000" kv="100" gear="0.5" forcerange="-50 30"/>
+    <position joint="z" kp="1000" kv="100" forcerange="-40 40"/>
+    <position joint="turn" kp="1000" kv="100"/>
+  </actuator>
+  <keyframe><key name="home" qpos="0 0 0 0"/></keyframe>
+</mujoco>
+"""
+
+
+@pytest.fixture(scope="session")
+def gantry(tmp_path_factory: pytest.TempPathFactory) -> Arm:
+    """Joints x, y, z, turn of two links; see `_GANTRY`."""
+    from lieednn_sim.arm import Arm  # not before OpenGL is chosen and BLAS has its threads
+
+    path = tmp_path_factory.mktemp("gantry") / "gantry.xml"
+    path.write_text(_GANTRY)
+    return Arm.from_xml(path, "gantry")
+
 
 settings.register_profile("lieednn", deadline=None, derandomize=True, print_blob=True)
 settings.load_profile("lieednn")

@@ -12,7 +12,7 @@ from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.filtering import FilterOptions, SafetyFilter, limits_proved, run_filtered
 from lieednn_sim.filtering.approach import ApproachBounds
 from lieednn_sim.motion import check_motion
-from lieednn_sim.planners import PlanningProblem, missing_planners, plan_network, sampling
+from lieednn_sim.planners import PlanningProblem, legs, missing_planners, plan_network, sampling
 from lieednn_sim.planners import filtered as planner
 from lieednn_sim.synthesis import synthesize
 
@@ -184,3 +184,40 @@ def test_limits_are_proved_only_where_they_hold():
     assert not limits_proved(
         FREE, synthesize(FREE.encode(FREE.keyframe("home"))).unwrap(), FREE.encode(FREE.keyframe("home"))
     )
+
+
+def test_approach_bounds_by_hand(tmp_path):
+    """A box on a lever, a ball on a slide behind it and a post: reach and radius of what turns, 1 of what slides."""
+    path = tmp_path / "lever.xml"
+    path.write_text("""
+        <mujoco><compiler angle="radian" autolimits="true"/><worldbody>
+          <geom name="post" type="sphere" size="0.1" pos="5 0 0"/>
+          <body name="base"><geom size="0.01" contype="0" conaffinity="0"/><site name="base_frame"/>
+            <body name="lever"><joint name="turn" type="hinge" axis="0 0 1" range="-3 3"/>
+              <geom name="box" type="box" size="0.3 0.4 1.2" pos="1 0 0"/><site name="link1_frame"/>
+              <body name="rod"><joint name="slide" type="slide" axis="1 0 0" range="0 5"/>
+                <geom name="ball" size="0.2" pos="3 0 0"/><site name="link2_frame"/>
+              </body></body></body>
+        </worldbody></mujoco>""")
+    arm = Arm.from_xml(path, "lever")
+    post, box, ball = (arm.model.geom(name).id for name in ("post", "box", "ball"))
+    bounds = ApproachBounds(arm, np.array([[post, box], [ball, post], [box, ball]]))
+    # The box's ball has a radius of 1.3. Turning carries box and ball together.
+    for q, speeds in (([0.0, 0.0], [2.0, 0.5]), ([1.0, 0.75], [0.25, 3.0])):
+        turning, sliding = speeds
+        expected = [2.3 * turning, (3.2 + q[1]) * turning + sliding, sliding]
+        np.testing.assert_allclose(bounds(np.array(q), np.array(speeds)), expected, rtol=1e-12)
+
+
+def test_the_end_of_a_run_is_closed_by_a_quintic():
+    """Half way: 1/2 of the way and 5/32 of what the velocity brings; slopes 15/8 and -7/16. No jump at either end."""
+    q, qd, goal = np.array([1.0, -2.0]), np.array([0.03, 0.2]), np.array([1.004, -1.99])
+    positions, rates = legs._closing(q, qd, goal, 0.001)
+    assert positions.shape == rates.shape == (101, 2)
+    np.testing.assert_allclose(positions[[0, 50, 100]], [q, q + 0.5 * (goal - q) + 0.1 * 5.0 / 32.0 * qd, goal])
+    np.testing.assert_allclose(rates[[0, 50, 100]], [qd, 1.875 * (goal - q) / 0.1 - 7.0 / 16.0 * qd, [0.0, 0.0]])
+    numeric = np.gradient(positions, 0.001, axis=0)
+    np.testing.assert_allclose(rates[1:-1], numeric[1:-1], atol=1e-3 * np.abs(rates).max())
+    acceleration = np.gradient(rates, 0.001, axis=0)
+    assert np.abs(acceleration[[0, -1]]).max() < 0.1 * np.abs(acceleration).max()
+    assert len(legs._closing(q, qd, goal, 0.2)[0]) == 3, "two steps at least"

@@ -5,8 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
+from lieednn_sim import planning
 from lieednn_sim.arm import Arm
-from lieednn_sim.errors import FileError, InputError, PlanError
+from lieednn_sim.errors import FileError, InputError, PlanError, TooFastError
 from lieednn_sim.lie import exp
 from lieednn_sim.motion import RESIDUAL, Motion, check_motion, make_motion
 from lieednn_sim.network import LieEDNN
@@ -145,3 +146,64 @@ def test_plan_reports_progress_and_refuses_bad_targets(arm):
         plan(arm, arm.keyframe("extended"), bias="none")
     with pytest.raises(PlanError, match="a duration of at least"):
         plan(arm, arm.keyframe("extended"), duration=0.2, candidates=3)
+
+
+def test_position_limits_hold_to_a_micron(arm, motion):
+    for index, side, sign in ((3, 1, 1.0), (4, 0, -1.0)):
+        limit = arm.position_limits[index, side]
+        for beyond, accepted in ((9e-7, True), (2e-6, False)):
+            q = motion.q.copy()
+            q[700, index] = limit + sign * beyond
+            changed = dataclasses.replace(motion, q=q)
+            if accepted:
+                check_motion(arm, changed)
+                continue
+            with pytest.raises(PlanError, match=rf"at t = 1\.40 s joint '{arm.joint_names[index]}' would be at"):
+                check_motion(arm, changed)
+
+
+@pytest.mark.parametrize(("what", "share"), [("move", 1.01), ("accelerate", 1.01)])
+def test_velocity_and_acceleration_limits_are_those_of_the_arm(arm, motion, what, share):
+    """Just below a limit is accepted; just above, the duration that is asked for scales by the law of the quantity."""
+    still = dataclasses.replace(motion, q=np.tile(motion.q[0], (len(motion.t), 1)))
+    for factor, refused in ((2.0 - share, False), (share, True)):
+        qd = np.zeros_like(motion.qd)
+        if what == "move":
+            # Up and down in half of the motion each, as slowly as possible.
+            qd[:, 4] = np.interp(motion.t, [0.0, 2.0, 4.0], [0.0, -factor * arm.velocity_limits[4], 0.0])
+        else:
+            qd[1000:, 4] = factor * arm.acceleration_limits[4] * motion.timestep
+        changed = dataclasses.replace(still, qd=qd)
+        if not refused:
+            check_motion(arm, changed)
+            continue
+        with pytest.raises(TooFastError, match=f"joint '{arm.joint_names[4]}' would {what} at") as error:
+            check_motion(arm, changed)
+        assert error.value.duration == pytest.approx(4.0 * share ** (1.0 if what == "move" else 0.5))
+
+
+def test_the_plan_is_the_candidate_with_the_smallest_gap_that_keeps_the_limits(arm, monkeypatch):
+    """Every candidate run in full: none that would do has a smaller gap than the one that was taken."""
+    drawn = []
+
+    def record(*args, **options):
+        result = synthesize(*args, **options)
+        drawn.append(result.network)
+        return result
+
+    monkeypatch.setattr(planning, "synthesize", record)
+    home, goal = arm.keyframe("home"), arm.keyframe("extended")
+    chosen = plan(arm, goal, candidates=6, seed=2, timestep=0.02)
+    gaps = {}
+    for network in drawn:
+        motion = make_motion(arm, network, home, 4.0, 0.02)
+        try:
+            check_motion(arm, motion)
+        except PlanError:
+            continue
+        gap = motion.gap_translation.max(axis=1) + arm.length_scale * motion.gap_rotation.max(axis=1)
+        gaps[id(network)] = gap.max()
+    assert len(drawn) == chosen.candidates == 6
+    assert chosen.within_limits >= len(gaps) > 2
+    # Candidates are ranked on rough ways, which are good to a few percent.
+    assert gaps[id(chosen.network)] <= 1.05 * min(gaps.values()) < 0.5 * max(gaps.values())

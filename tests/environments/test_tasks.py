@@ -238,3 +238,59 @@ def test_malformed_actions_and_options(reach):
         Expert("reach")
     with pytest.raises(InputError, match="no planner 'wishful'"):
         Expert(reach, planner="wishful")
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_success_needs_distance_and_angle(name):
+    task = make_task(name, time_limit=0.1, position_tolerance=2e-3, rotation_tolerance=0.01)
+    task.begin(np.random.default_rng(0))
+    for distance, angle, expected in (
+        (2e-3, 0.01, True),
+        (2.1e-3, 0.0, False),
+        (0.0, 0.011, False),
+        (2.1e-3, 0.011, False),
+    ):
+        task.distance, task.angle = distance, angle
+        assert task.success() is expected
+        assert task.info() == {"success": expected, "distance": distance, "angle": angle}
+        assert (task.reward() == 1.0) == expected
+
+
+def test_distances_are_in_metres_and_angles_in_radians():
+    """Targets that are a slide of the last link by 0.01 m away, a turn of the whole arm, a slide on the way."""
+    arm = Arm.load("telescopic_pr")
+    task, links = (make_task("reach", arm, goal=goal) for goal in ("end-effector", "links"))
+    home = arm.keyframe("home")
+    slid, turned = home.copy(), home.copy()
+    slid[-1] += 0.01  # extends the last link
+    turned[arm.joint_names.index("turn")] += 0.2
+    for target, expected in ((slid, (0.01, 0.0)), (turned, (None, 0.2))):
+        for either in (task, links):
+            seen = either.begin(np.random.default_rng(0), {"target": target})
+            info = either.info()
+            assert info["angle"] == pytest.approx(expected[1], abs=1e-7)
+            if expected[0] is not None:
+                assert info["distance"] == pytest.approx(expected[0], abs=1e-9)
+                assert np.linalg.norm(seen["pose_error"][-1, 3:]) == pytest.approx(0.01, abs=1e-9)
+    lifted = home.copy()
+    lifted[arm.joint_names.index("extend2")] += 0.05
+    links.begin(np.random.default_rng(0), {"target": lifted})
+    assert links.distance == pytest.approx(0.05, abs=1e-9)
+
+
+def test_rewards_by_hand():
+    """A long tail is a tenth where the error is beyond the tolerance by the margin: 1 / (1 + 9 (error / margin)^2)."""
+    task = make_task("reach", time_limit=0.1)
+    task.begin(np.random.default_rng(0), {"target": task.arm.keyframe("home")})
+    reach = task.bounds["pose_error"][1][0, 3] / np.pi
+    task.distance, task.angle = 1e-3 + 0.05, np.deg2rad(0.1)
+    assert task.reward() == pytest.approx(0.5 * (1.0 / (1.0 + 9.0 * (0.05 / (0.5 * reach)) ** 2) + 0.1))
+    task.distance, task.angle = 1e-3, np.deg2rad(0.1) + 0.1
+    assert task.reward() == pytest.approx(0.5 * (1.0 / (1.0 + 9.0 * (0.1 / np.pi) ** 2) + 0.1))
+    task.distance, task.angle = 1e-3 + 0.05, np.deg2rad(0.1) + 0.1
+    far = 1.0 / (1.0 + 9.0 * (0.05 / (0.5 * reach)) ** 2) / (1.0 + 9.0 * (0.1 / np.pi) ** 2)
+    assert task.reward() == pytest.approx(0.5 * (far + 0.01))
+    # In motion, half a limit beyond rest: half the closeness and a tenth of the other half.
+    task.distance = task.angle = 0.0
+    task.simulation.data.qvel[0] = (REST + 0.5) * task.arm.velocity_limits[0]
+    assert task.reward() == pytest.approx(0.5 * 1.1)
