@@ -1,14 +1,17 @@
 #!/usr/bin/env bash
-# Make .venv with the package in it, or leave it alone when it is up to date.
-#   scripts/ensure_env.sh        what the demo needs
+# Make .venv with the package in it, or leave it alone when it is up to date; then nothing is asked of the network.
+#   scripts/ensure_env.sh        what the demo and the README's examples need
 #   scripts/ensure_env.sh dev    and what the tests need
-# PYTHON=... chooses the interpreter.
+# PYTHON=... chooses the interpreter. A .venv that this script did not make is used when it can be, and never removed.
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 
-extra=${1:-}
+wanted=${1:-demo}
 venv=.venv
-stamp=$venv/.lieednn-sim${extra:+-$extra}
+made_in=$venv/.made-in
+extras=gymnasium,rivals
+if [ "$wanted" = dev ]; then extras=dev; fi
+if [ -n "${PYTHON:-}" ]; then pythons=("$PYTHON"); else pythons=(python3.11 python3.12 python3 python); fi
 
 say() { printf '%s\n' "$*" >&2; }
 die() { say "error: $*"; exit 1; }
@@ -16,25 +19,22 @@ die() { say "error: $*"; exit 1; }
 supported() { "$1" -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 13))' >/dev/null 2>&1; }
 # ensurepip is what Debian leaves out without python3-venv; `import venv` works there.
 can_make_venv() { "$1" -c 'import venv, ensurepip' >/dev/null 2>&1; }
+ours() { [ -f $made_in ] && [ ! -L $venv ]; }
 
-# The environment is whole, its interpreter is still there, and it was made for this directory: a copied or moved
-# checkout carries an environment that points back to the old one.
-usable() {
-    supported $venv/bin/python && $venv/bin/python -m pip --version >/dev/null 2>&1 &&
-        { [ ! -e $venv/.made-in ] || [ "$(cat $venv/.made-in)" = "$PWD" ]; }
-}
-
-fresh() {
-    local made
-    for made in "$stamp" $venv/.lieednn-sim-dev; do
-        if [ -e "$made" ] && [ ! pyproject.toml -nt "$made" ]; then return 0; fi
-    done
-    return 1
+# Why the environment cannot be used; nothing when it can. A copied or moved checkout carries one that points back.
+fault() {
+    if ! supported $venv/bin/python; then
+        echo "has no Python 3.11 or 3.12 that runs"
+    elif ! $venv/bin/python -m pip --version >/dev/null 2>&1; then
+        echo "has no pip (.venv/bin/python -m ensurepip adds it)"
+    elif [ -e $made_in ] && [ "$(cat $made_in)" != "$PWD" ]; then
+        echo "was made for $(cat $made_in)"
+    fi
 }
 
 find_python() {
     local candidate fallback=
-    for candidate in ${PYTHON:-python3.11 python3.12 python3 python}; do
+    for candidate in "${pythons[@]}"; do
         supported "$candidate" || continue
         if can_make_venv "$candidate"; then echo "$candidate"; return; fi
         fallback=${fallback:-$candidate}
@@ -46,7 +46,7 @@ make_venv() {
     local python package
     python=$(find_python)
     if [ -z "$python" ]; then
-        die "no Python 3.11 or 3.12 found (looked for: ${PYTHON:-python3.11 python3.12 python3 python});" \
+        die "no Python 3.11 or 3.12 found (looked for: ${pythons[*]});" \
             "on Debian 12: apt-get install python3 python3-venv; elsewhere: make PYTHON=/path/to/python3.12 ..."
     fi
     if ! can_make_venv "$python"; then
@@ -64,14 +64,73 @@ make_venv() {
         can_make_venv "$python" || die "$python cannot make virtual environments: apt-get install $package"
     fi
     say "Making $venv with $("$python" --version 2>&1)"
-    "$python" -m venv --clear $venv || die "could not make $venv"
-    printf '%s\n' "$PWD" >$venv/.made-in
+    rm -rf $venv
+    # The mark comes first, so that an environment left half made is known for our own.
+    mkdir $venv
+    printf '%s\n' "$PWD" >$made_in
+    "$python" -m venv $venv || die "could not make $venv"
 }
 
-usable || make_venv
+# What an environment is made from: the metadata of the package, wherever it lies. Not the time of the file, which git sets.
+digest() {
+    $venv/bin/python - "$PWD" <<'PYTHON'
+import hashlib, json, sys, tomllib
+with open("pyproject.toml", "rb") as file:
+    content = tomllib.load(file)
+parts = [content["build-system"], content["project"], content.get("tool", {}).get("hatch"), sys.argv[1]]
+print(hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest())
+PYTHON
+}
+
+# Whoever can test can run the demo.
+fresh() {
+    local name
+    for name in "$wanted" dev; do
+        if [ "$(cat $venv/.lieednn-sim-"$name" 2>/dev/null)" = "$now" ]; then return 0; fi
+    done
+    return 1
+}
+
+pip_install() { $venv/bin/python -m pip install --quiet --disable-pip-version-check "$@"; }
+
+# The library of the planner dmp has no wheel; everything else does without a compiler.
+install_dmp() {
+    if $venv/bin/python - <<'PYTHON'
+import os, shutil, sys, sysconfig
+compiler = (os.environ.get("CC") or sysconfig.get_config_var("CC") or "cc").split()[0]
+headers = os.path.join(sysconfig.get_path("include"), "Python.h")
+sys.exit(not (shutil.which(compiler) and os.path.exists(headers)))
+PYTHON
+    then
+        pip_install --only-binary :none: 'lieednn_sim[dmp]' && return
+        say "Going on without movement_primitives, which could not be built (see above): the tests of dmp are skipped."
+    else
+        say "Going on without movement_primitives, which has no wheel: the tests of the planner dmp are skipped."
+        say "To run them: apt-get install gcc python3-dev   (as root), then $venv/bin/pip install 'lieednn_sim[dmp]'"
+    fi
+}
+
+wrong=
+if [ -e $venv ] || [ -L $venv ]; then
+    wrong=$(fault)
+    if [ -n "$wrong" ] && ! ours; then
+        die "$venv $wrong. This script did not make it here, and leaves it alone:" \
+            "mend it, or move it away, and run the same command again"
+    fi
+fi
+if [ -n "$wrong" ] || [ ! -e $venv ]; then make_venv; fi
+
+now=$(digest)
 if ! fresh; then
-    say "Installing lieednn_sim${extra:+ with its $extra tools} into $venv; the first time this takes some minutes"
-    $venv/bin/python -m pip install --quiet --disable-pip-version-check --editable ".${extra:+[$extra]}"
-    printf '%s\n' "$PWD" >$venv/.made-in
-    touch "$stamp"
+    was=$(ls $venv/.lieednn-sim-* 2>/dev/null || true)
+    say "Installing lieednn_sim with the extras $extras into $venv; the first time this takes some minutes"
+    if ! pip_install --editable ".[$extras]"; then
+        if [ -n "$was" ]; then
+            die "pip could not bring $venv up to date with pyproject.toml (its reason is above); without a network," \
+                "try again later, or run what is there, as it is: $venv/bin/lieednn-sim"
+        fi
+        die "pip could not install lieednn_sim (its reason is above); the first time it needs the network"
+    fi
+    if [ "$wanted" = dev ]; then install_dmp; fi
+    printf '%s\n' "$now" >$venv/.lieednn-sim-"$wanted"
 fi
