@@ -1,0 +1,181 @@
+"""Joints whose nearest posture has a closed form: a hinge and a slide, and three slides below a ball joint.
+
+Nearest is meant as in `nearest.NearestPose`: 4 sin^2(angle / 2) + ||shift||^2 / length^2 is least.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from lieednn_sim.arm.joints import CompoundJoint
+from lieednn_sim.lie import exp, hat, left_jacobian_se3, left_jacobian_so3
+
+Floats = NDArray[np.float64]
+
+_SECULAR_STEPS = 50
+# Share of its scale below which a curvature is taken for zero.
+_FLAT = 1e-12
+
+
+@dataclass(frozen=True, eq=False)
+class MovingPoses:
+    """Poses (rotation, translation) with their angular and linear velocities in the joint frame, all ``(..., N, .)``.
+
+    The rates are None for poses at rest.
+    """
+
+    rotation: Rotation
+    translation: Floats
+    omega: Floats | None
+    velocity: Floats | None
+
+    @classmethod
+    def along(cls, xi: Floats, xi_dot: Floats | None) -> MovingPoses:
+        """exp(xi) and its rate along xi_dot, by the left Jacobian of SE(3)."""
+        pose = exp(xi)
+        p = np.asarray(pose.translation)
+        if xi_dot is None:
+            return cls(pose.rotation, p, None, None)
+        spatial = (left_jacobian_se3(xi) @ xi_dot[..., None])[..., 0]
+        omega = spatial[..., :3]
+        return cls(pose.rotation, p, omega, spatial[..., 3:] + np.cross(omega, p))
+
+
+class HingeSlide:
+    """Rot(n, theta) Trans(s d), or the two factors swapped; several coupled stages make one direction s.
+
+    With e = s / |s| the best slide for an angle is the projection m(theta) = e . Rot(theta)^T p (of p itself where the
+    slide comes first), and what is left to maximise is a trigonometric polynomial of degree two:
+
+        g(theta) = x cos theta + y sin theta + (m(theta) / length)^2,  m(theta) = a + b cos theta + c sin theta,
+
+    where tr(Rot(theta)^T R) = x cos theta + y sin theta + const. (cos, sin) turned by atan2(c, b) makes it a quadratic
+    form on the unit circle. Its global maximum is the trust-region subproblem in the plane: the root of a secular
+    equation beyond the largest eigenvalue (More and Sorensen, SIAM J. Sci. Stat. Comput. 4(3), 1983), convex there.
+
+    The maximum is unique and smooth in the pose except where two angles are equally near (the cut locus: the rotation
+    is half a turn away from the joint's own, or a translation against the slide outweighs the rotation). There the
+    posture jumps; `motion.check_motion` refuses a motion that does.
+    """
+
+    def __init__(self, joint: CompoundJoint, link: int, length: float) -> None:
+        hinge = next(factor for factor in joint.factors if factor.kind == "hinge")
+        slides = [factor for factor in joint.factors if factor.kind == "slide"]
+        self.links: tuple[int, ...] = (link,)
+        self.indices = np.concatenate([hinge.indices, slides[0].indices])
+        n = hinge.axes[:, 0]
+        direction = np.sum([slide.ratio * slide.axes[:, 0] for slide in slides], axis=0)
+        self._stretch = float(np.linalg.norm(direction))
+        e = direction / self._stretch
+        along = (n @ e) * n if joint.factors[0] is hinge else e
+        # x, y, a, b, c are linear in the pose: rows for R, flattened, and for p.
+        self._of_rotation = np.stack([np.eye(3) - np.outer(n, n), hat(n)]).reshape(2, 9)
+        self._of_translation = np.stack([along, e - along, np.cross(n, e - along)]) / length
+        self._length = length
+
+    @staticmethod
+    def fits(joint: CompoundJoint) -> bool:
+        """Whether the joint is of this kind: the hinge at one end, its axis through the origin."""
+        kinds = [factor.kind for factor in joint.factors]
+        hinges = [factor for factor in joint.factors if factor.kind == "hinge"]
+        return (
+            len(hinges) == 1
+            and hinges[0].ratio == 1.0
+            and np.abs(hinges[0].anchor).max() < 1e-12
+            and kinds.count("slide") == len(kinds) - 1
+            and "hinge" in (kinds[0], kinds[-1])
+            and len(joint.indices) == 2
+        )
+
+    def __call__(self, poses: MovingPoses) -> tuple[Floats, Floats | None]:
+        """Displacements ``(..., 2)`` (angle, slide) and their rates by the implicit function theorem.
+
+        The rate of an angle that the pose does not determine is zero.
+        """
+        link = self.links[0]
+        rotation = poses.rotation.as_matrix()[..., link, :, :]
+        x, y, a, b, c = self._coefficients(rotation, poses.translation[..., link, :])
+        angle = _highest(x + 2.0 * a * b, y + 2.0 * a * c, b, c)
+        cos, sin = np.cos(angle), np.sin(angle)
+        m, slope, bend = a + b * cos + c * sin, c * cos - b * sin, -(b * cos + c * sin)
+        unit = self._length / self._stretch
+        offset = np.stack([angle, unit * m], axis=-1)
+        if poses.omega is None or poses.velocity is None:
+            return offset, None
+        spin = hat(poses.omega[..., link, :]) @ rotation
+        x_rate, y_rate, a_rate, b_rate, c_rate = self._coefficients(spin, poses.velocity[..., link, :])
+        m_rate, slope_rate = a_rate + b_rate * cos + c_rate * sin, c_rate * cos - b_rate * sin
+        curvature = x * cos + y * sin - 2.0 * (slope**2 + m * bend)
+        pull = y_rate * cos - x_rate * sin + 2.0 * (m_rate * slope + m * slope_rate)
+        scale = np.abs(x) + np.abs(y) + 2.0 * (a**2 + b**2 + c**2)
+        angle_rate = np.divide(pull, curvature, out=np.zeros_like(pull), where=curvature > _FLAT * scale)
+        return offset, np.stack([angle_rate, unit * (m_rate + slope * angle_rate)], axis=-1)
+
+    def _coefficients(self, rotation: Floats, translation: Floats) -> tuple[Floats, ...]:
+        """x, y and, in units of length, a, b, c, each ``(...)``; linear in ``(..., 3, 3)`` and ``(..., 3)``."""
+        flat = rotation.reshape(*rotation.shape[:-2], 9)
+        rows = np.concatenate([flat @ self._of_rotation.T, translation @ self._of_translation.T], axis=-1)
+        return tuple(np.moveaxis(rows, -1, 0))
+
+
+def _highest(p: Floats, q: Floats, b: Floats, c: Floats) -> Floats:
+    """The angle in (-pi, pi] where p cos + q sin + (b cos + c sin)^2 is highest; zero where it is constant.
+
+    Turned by atan2(c, b) that is alpha X + beta Y + strength X^2 on the unit circle, X = alpha / (2 t) and
+    Y = beta / (2 (t + strength)) at the maximum, with the multiplier t >= 0 that makes X^2 + Y^2 = 1. Newton's method
+    on (X^2 + Y^2)^(-1/2) = 1, concave and increasing in t, climbs to the root from any t below it.
+    """
+    turn, strength = np.arctan2(c, b), b**2 + c**2
+    alpha, beta = p * np.cos(turn) + q * np.sin(turn), q * np.cos(turn) - p * np.sin(turn)
+    half, other = 0.5 * np.abs(alpha), 0.5 * np.abs(beta)
+    t = np.maximum(half, other - strength)
+    for _ in range(_SECULAR_STEPS):
+        with np.errstate(divide="ignore", invalid="ignore"):
+            u, v = half / t, other / (t + strength)
+            square = u**2 + v**2
+            step = square * (np.sqrt(square) - 1.0) / (u**2 / t + v**2 / (t + strength))
+        # Where alpha vanishes t may be zero: then Y alone is known, and X up to its sign.
+        step = np.where(np.isfinite(step), step, 0.0)
+        t = t + step
+        if (step <= 1e-12 * t).all():
+            break
+    positive = t > 0.0
+    y = np.clip(0.5 * beta / np.where(t + strength > 0.0, t + strength, 1.0), -1.0, 1.0)
+    x = np.where(positive, 0.5 * alpha / np.where(positive, t, 1.0), np.copysign(np.sqrt(1.0 - y**2), alpha))
+    angle = np.where(positive | (strength > 0.0), np.arctan2(y, x), 0.0) + turn
+    return np.asarray(np.arctan2(np.sin(angle), np.cos(angle)))
+
+
+class SixFreedoms:
+    """Trans(S s) Rot(A w), three slides below a ball joint: every pose is met exactly."""
+
+    def __init__(self, joint: CompoundJoint, link: int) -> None:
+        *slides, ball = joint.factors
+        self.links: tuple[int, ...] = (link,)
+        self.indices = np.concatenate([factor.indices for factor in joint.factors])
+        self._inverse = np.linalg.inv(np.column_stack([slide.ratio * slide.axes[:, 0] for slide in slides]))
+        self._ball = ball.axes
+
+    @staticmethod
+    def fits(joint: CompoundJoint) -> bool:
+        """Whether the joint is of this kind."""
+        if [factor.kind for factor in joint.factors] != ["slide", "slide", "slide", "ball"]:
+            return False
+        if len(joint.indices) != 6 or np.abs(joint.factors[-1].anchor).max() > 1e-12:
+            return False
+        axes = np.column_stack([factor.axes[:, 0] for factor in joint.factors[:3]])
+        return abs(float(np.linalg.det(axes))) > 1e-3
+
+    def __call__(self, poses: MovingPoses) -> tuple[Floats, Floats | None]:
+        """Displacements ``(..., 6)`` and their rates."""
+        link = self.links[0]
+        rotvec = poses.rotation.as_rotvec()[..., link, :]
+        offset = np.concatenate([poses.translation[..., link, :] @ self._inverse.T, rotvec @ self._ball], axis=-1)
+        if poses.omega is None or poses.velocity is None:
+            return offset, None
+        turning = np.linalg.solve(left_jacobian_so3(rotvec), poses.omega[..., link, :, None])[..., 0]
+        return offset, np.concatenate([poses.velocity[..., link, :] @ self._inverse.T, turning @ self._ball], axis=-1)
