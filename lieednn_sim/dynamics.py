@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.integrate import RK45, OdeSolution, solve_ivp
 
+from lieednn_sim.budget import check_time
 from lieednn_sim.errors import InputError, LieEDNNError
 from lieednn_sim.validation import as_choice, as_floats, as_positive
 
@@ -103,6 +104,7 @@ def _follow(vector_field: VectorField, x: Floats, duration: float) -> Floats:
     for _ in range(_FLOW_STEPS):
         if flow.status != "running":
             break
+        check_time()
         flow.step()
     return np.asarray(flow.y, dtype=np.float64)
 
@@ -147,6 +149,7 @@ def integrate(
     Raises:
         InputError: duration not positive, or unknown method.
         LieEDNNError: the integrator gave up.
+        OutOfTimeError: the time budget of the present work is spent.
     """
     as_choice("method", method, INTEGRATORS)
     longest = as_positive("duration", duration)
@@ -161,8 +164,13 @@ def integrate(
             return float(np.abs(x - goal).max()) - distance
 
         events.terminal = True  # type: ignore[attr-defined]  # SciPy's protocol for stopping at an event
+
+    def field(_: float, x: Floats) -> Floats:
+        check_time()
+        return vector_field(x)
+
     solution = solve_ivp(
-        lambda _, x: vector_field(x),
+        field,
         (0.0, longest),
         start.ravel(),
         method=method,

@@ -35,6 +35,10 @@ class TooFastError(PlanError):
         self.duration = duration
 
 
+class OutOfTimeError(LieEDNNError):
+    """The time budget of a planner was spent before it was done; see `budget`."""
+
+
 class SimulationError(LieEDNNError):
     """The physics diverged or MuJoCo raised a warning."""
 

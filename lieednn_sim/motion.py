@@ -11,7 +11,9 @@ equilibrium.
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,16 +21,20 @@ from scipy.interpolate import PchipInterpolator
 
 from lieednn_sim import storage
 from lieednn_sim.arm import PLANNED_CLEARANCE, Arm
+from lieednn_sim.budget import check_time
 from lieednn_sim.errors import FileError, InputError, PlanError, TooFastError
 from lieednn_sim.network import ComponentwiseNetwork
 from lieednn_sim.validation import as_floats, as_positive, as_times
 
 Floats = NDArray[np.float64]
+_Made = TypeVar("_Made")
 
 # Distance to the equilibrium at which the network's path is cut [network coordinates: rad, length_scale m].
 RESIDUAL = 1e-8
 # Positions may exceed a limit by this much [rad, m]: a target on a limit is reached up to the residual.
 LIMIT_TOLERANCE = 1e-6
+# A motion that is too fast gets the time that it needs and this much more.
+_SLOWER = 1.02
 _MAX_STEPS = 1_000_000
 _SAMPLES_PER_STEP = 8
 
@@ -164,6 +170,36 @@ def count_steps(duration: float, timestep: float) -> int:
     return round(ratio)
 
 
+def least_duration(arm: Arm, start: Floats, target: Floats) -> float:
+    """Time [s] from rest at ``start`` to rest at ``target``, both ``(n,)``, at the limits of velocity and acceleration.
+
+    Every joint accelerates, cruises at its limit v where the way d >= v^2 / a, and brakes: d / v + v / a, else
+    2 sqrt(d / a). No motion within the limits is faster.
+    """
+    way, v, a = np.abs(target - start), arm.velocity_limits, arm.acceleration_limits
+    # Without a limit of velocity nothing cruises; without one of acceleration nothing takes time to start.
+    peak = np.minimum(v, np.sqrt(way * np.minimum(a, 1e300)))
+    return float((way / np.maximum(peak, 1e-300) + peak / a).max())
+
+
+def slowed_down(make: Callable[[float], _Made], duration: float, longest: float) -> _Made:
+    """What ``make`` gives for a duration [s], or for the least one up to ``longest`` [s] that it asks for.
+
+    The same rule for all planners, so that none is judged by how much time it was given.
+
+    Raises:
+        TooFastError: even ``longest`` is not enough.
+    """
+    while True:
+        try:
+            return make(duration)
+        except TooFastError as error:
+            slower = _SLOWER * max(error.duration, duration)
+            if slower > longest:
+                raise
+            duration = slower
+
+
 def minimum_jerk_law(s: Floats) -> tuple[Floats, Floats]:
     """Position and slope in s of the minimum-jerk law on [0, 1] (Flash and Hogan, J. Neuroscience 5(7), 1985)."""
     return s**3 * (10.0 - 15.0 * s + 6.0 * s**2), 30.0 * s**2 * (1.0 - s) ** 2
@@ -225,6 +261,7 @@ def check_motion(arm: Arm, motion: Motion) -> None:
         enough, reason = max(too_fast)
         raise TooFastError(f"{reason}; a duration of at least {enough:.2f} s keeps it", float(enough))
     for k, q in enumerate(motion.q):
+        check_time()
         touching = arm.near_contacts(q)
         if touching:
             raise PlanError(

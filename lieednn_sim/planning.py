@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import functools
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -10,8 +11,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim.arm import Arm
+from lieednn_sim.budget import DEFAULT_TIME_BUDGET, as_time_budget, check_time, time_limit
 from lieednn_sim.errors import NotCertifiedError, PlanError, TooFastError
-from lieednn_sim.motion import LIMIT_TOLERANCE, Motion, check_motion, count_steps, make_motion
+from lieednn_sim.motion import (
+    LIMIT_TOLERANCE,
+    Motion,
+    check_motion,
+    count_steps,
+    least_duration,
+    make_motion,
+    slowed_down,
+)
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.synthesis import synthesize
 from lieednn_sim.validation import as_count, as_generator, as_positive
@@ -26,6 +36,12 @@ _QUICK_ATTEMPTS, _PATIENT_ATTEMPTS = 3, 16
 
 # Where between two roughly integrated states contact is looked for, too.
 _BETWEEN = (0.25, 0.5, 0.75)
+
+# At most so many networks are tried in full, where the first ones are refused.
+_TRIED = 8
+# A motion below this share of the time that limits of velocity and acceleration allow at best is too fast, however it
+# is made; sampled ones may seem a little faster than they are.
+_HURRIED = 0.99
 
 # A network that roughly integrated leaves the limits by more than this [rad, m] need not be tried in full.
 _HOPELESS_EXCESS = 0.01
@@ -52,10 +68,23 @@ class Plan:
 
 @dataclass(frozen=True)
 class _Candidate:
+    """A network, its roughly integrated way as postures ``(K, n)``, and the largest excess and gap on it."""
+
+    arm: Arm
     network: LieEDNN
-    touches: bool
+    way: Floats
     excess: float
     gap: float
+
+    @functools.cached_property
+    def touches(self) -> bool:
+        """Whether the postures, or some straight in between, come too near to contact."""
+        between = [start + share * (end - start) for start, end in pairwise(self.way) for share in _BETWEEN]
+        for q in (*self.way, *between):
+            check_time()
+            if self.arm.near_contacts(q):
+                return True
+        return False
 
 
 def plan(
@@ -69,6 +98,8 @@ def plan(
     bias_magnitude: float | None = None,
     candidates: int = 24,
     seed: int = 0,
+    longest: float = 1.0,
+    time_budget: float = DEFAULT_TIME_BUDGET,
     progress: Callable[[int, int], None] | None = None,
 ) -> Plan:
     """Draw certified networks for a joint target and keep the one with the smallest mechanism gap within the limits.
@@ -83,56 +114,86 @@ def plan(
         bias_magnitude: of the rule; by default the search alternates between `BIAS_MAGNITUDES`.
         candidates: networks to draw.
         seed: of the draws; the same seed gives the same plan.
+        longest: the motion may take up to this many durations where the arm's limits need it.
+        time_budget: CPU time that planning may take [s]; infinity for no limit.
         progress: called with (done, total) after every candidate.
 
     Raises:
         InputError: a value is malformed, or the target is out of the arm's reach.
         NotCertifiedError: no candidate could be certified.
         PlanError: every candidate breaks a limit; the message is of the best one.
+        OutOfTimeError: the time budget is spent.
     """
     goal = arm.check_reachable(target, "target")
     origin = arm.keyframe("home") if start is None else arm.check_position(start, "start")
-    xi_target, xi_start = arm.encode(goal), arm.encode(origin)
-    total = as_count("candidates", candidates)
+    total, factor = as_count("candidates", candidates), as_positive("longest", longest)
     step = float(arm.model.opt.timestep) if timestep is None else timestep
     count_steps(duration, step)
-    rng = as_generator("seed", seed)
     magnitudes = BIAS_MAGNITUDES if bias_magnitude is None else (as_positive("bias_magnitude", bias_magnitude),)
-    networks: list[LieEDNN] = []
-    message = ""
-    for index in range(total):
-        magnitude = magnitudes[index % len(magnitudes)]
-        # Patience only where everything else failed: easy candidates are many, hard ones cost seconds.
-        attempts = _PATIENT_ATTEMPTS if index == total - 1 and not networks else _QUICK_ATTEMPTS
-        result = synthesize(xi_target, bias=bias, bias_magnitude=magnitude, seed=rng, max_attempts=attempts)
-        if result.network is None:
-            message = result.message
-        else:
-            networks.append(result.network)
-        if progress is not None:
-            progress(index + 1, total)
-    if not networks:
-        raise NotCertifiedError(
-            f"none of {total} candidates for the target could be certified; the last one: {message}"
+    rng = as_generator("seed", seed)
+    with time_limit(as_time_budget("time_budget", time_budget)):
+        networks: list[LieEDNN] = []
+        message = ""
+        for index in range(total):
+            magnitude = magnitudes[index % len(magnitudes)]
+            # Patience only where everything else failed: easy candidates are many, hard ones cost seconds.
+            attempts = _PATIENT_ATTEMPTS if index == total - 1 and not networks else _QUICK_ATTEMPTS
+            result = synthesize(arm.encode(goal), bias=bias, bias_magnitude=magnitude, seed=rng, max_attempts=attempts)
+            if result.network is None:
+                message = result.message
+            else:
+                networks.append(result.network)
+            if progress is not None:
+                progress(index + 1, total)
+        if not networks:
+            raise NotCertifiedError(
+                f"none of {total} candidates for the target could be certified; the last one: {message}"
+            )
+        found = _screen(arm, networks, arm.encode(origin))
+        # Networks and their ways do not depend on the duration.
+        chosen, motion = slowed_down(
+            lambda seconds: _best(arm, found, total, origin, goal, seconds, step), duration, factor * duration
         )
-    found = _screen(arm, networks, xi_start)
-    kept = sum(candidate.excess <= LIMIT_TOLERANCE for candidate in found)
-    found.sort(key=lambda candidate: (candidate.touches, max(candidate.excess, LIMIT_TOLERANCE), candidate.gap))
-    refusal: PlanError | None = None
-    for candidate in found:
-        if refusal is not None and (candidate.touches or candidate.excess > _HOPELESS_EXCESS):
+    return Plan(chosen, motion, goal, total, sum(candidate.excess <= LIMIT_TOLERANCE for candidate in found))
+
+
+def _best(
+    arm: Arm, found: list[_Candidate], total: int, start: Floats, target: Floats, duration: float, timestep: float
+) -> tuple[LieEDNN, Motion]:
+    """The network with the smallest gap among those whose motion the arm can make; errors as of `plan`."""
+    # Where no motion at all could be fast enough, one refusal tells as much as all of them.
+    tries = _TRIED if duration > _HURRIED * least_duration(arm, start, target) else 1
+    refusals: list[PlanError] = []
+    for candidate in _promising(found):
+        if refusals and (candidate.touches or candidate.excess > _HOPELESS_EXCESS):
             break
         try:
-            motion = make_motion(arm, candidate.network, origin, duration, step)
+            motion = make_motion(arm, candidate.network, start, duration, timestep)
             check_motion(arm, motion)
         except PlanError as error:
-            refusal = refusal or error
+            refusals.append(error)
+            if len(refusals) == tries:
+                break
             continue
-        return Plan(candidate.network, motion, goal, total, kept)
-    message = f"{refusal} (best of {total} candidates)"
-    if isinstance(refusal, TooFastError):
-        raise TooFastError(message, refusal.duration)
+        return candidate.network, motion
+    message = f"{refusals[0]} (best of {total} candidates)"
+    if isinstance(refusals[0], TooFastError):
+        raise TooFastError(message, refusals[0].duration)
     raise PlanError(f"{message}; try more candidates, another seed, a larger bias magnitude or the solved bias")
+
+
+def _promising(found: list[_Candidate]) -> Iterator[_Candidate]:
+    """Those whose way touches nothing first, of these those within the limits, the smallest gap first.
+
+    Contact is looked for posture by posture, which costs more than all else, so only when a candidate's turn has come.
+    """
+    touching = []
+    for candidate in sorted(found, key=lambda one: (max(one.excess, LIMIT_TOLERANCE), one.gap)):
+        if candidate.touches:
+            touching.append(candidate)
+        else:
+            yield candidate
+    yield from touching
 
 
 def rough_way(network: LieEDNN, start: Floats) -> Floats:
@@ -141,7 +202,7 @@ def rough_way(network: LieEDNN, start: Floats) -> Floats:
 
 
 def _screen(arm: Arm, networks: list[LieEDNN], start: Floats) -> list[_Candidate]:
-    """Contacts, largest excess over the position limits and largest gap along roughly integrated trajectories."""
+    """Roughly integrated trajectories, decoded, with their largest excess over the position limits and largest gap."""
     runs = [rough_way(network, start) for network in networks]
     # All at once: a retraction without closed form costs nearly as much for one state as for a hundred.
     decoded = arm.decode(np.concatenate(runs))
@@ -149,14 +210,8 @@ def _screen(arm: Arm, networks: list[LieEDNN], start: Floats) -> list[_Candidate
     gap = decoded.gap_translation.max(axis=-1) + arm.length_scale * decoded.gap_rotation.max(axis=-1)
     firsts = np.cumsum([0, *(len(run) for run in runs[:-1])])
     worst = zip(networks, np.maximum.reduceat(excess, firsts), np.maximum.reduceat(gap, firsts), strict=True)
-    postures = np.split(decoded.q, firsts[1:])
+    ways = np.split(decoded.q, firsts[1:])
     return [
-        _Candidate(network, _touches(arm, way), float(most), float(widest))
-        for (network, most, widest), way in zip(worst, postures, strict=True)
+        _Candidate(arm, network, way, float(most), float(widest))
+        for (network, most, widest), way in zip(worst, ways, strict=True)
     ]
-
-
-def _touches(arm: Arm, way: Floats) -> bool:
-    """Whether the postures ``(K, n)``, or some straight in between, come too near to contact."""
-    between = [start + share * (end - start) for start, end in pairwise(way) for share in _BETWEEN]
-    return any(bool(arm.near_contacts(q)) for q in (*way, *between))

@@ -19,7 +19,12 @@ from lieednn_sim.validation import as_count
 
 def run(arguments: argparse.Namespace, command: Sequence[str]) -> None:
     """Compute what is missing of the table, then write summary and page."""
-    settings = Settings(duration=arguments.duration, hold=arguments.hold, mass_scale=arguments.mass_scale)
+    settings = Settings(
+        duration=arguments.duration,
+        hold=arguments.hold,
+        mass_scale=arguments.mass_scale,
+        time_budget=arguments.time_budget,
+    )
     selection = Selection(
         planners=_split(arguments.planners),
         arms=_split(arguments.arms),

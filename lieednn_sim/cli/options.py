@@ -60,6 +60,7 @@ def add_planning(parser: argparse.ArgumentParser, output: str, *, goal: bool = T
     parser.add_argument("--bias", metavar="RULE", help="uniform, sign-matched or solved (default: sign-matched)")
     parser.add_argument("--bias-magnitude", type=float, metavar="B", help="of the rule (default: several are tried)")
     parser.add_argument("--candidates", type=int, metavar="N", help="networks to choose from (default: 24)")
+    _add_time_budget(parser, "; 'inf' for no limit")
     parser.set_defaults(usual_bias_magnitude=None)
 
 
@@ -113,6 +114,7 @@ def add_comparison(parser: argparse.ArgumentParser) -> None:
         parser.add_argument(f"--{name}", metavar="A,B,...", help=f"names, comma-separated (default: {default})")
     parser.add_argument("--seeds", type=int, default=10, metavar="N", help="from seed 0 on (default: %(default)s)")
     parser.add_argument("--duration", type=float, default=4.0, metavar="S", help="of motions (default: %(default)s)")
+    _add_time_budget(parser)
     _add_conditions(parser)
     parser.add_argument("--output", default="results/comparison", metavar="DIR", help="(default: %(default)s)")
     parser.add_argument("--jobs", type=int, metavar="N", help="worker processes (default: all cores)")
@@ -161,6 +163,16 @@ def add_simulation(parser: argparse.ArgumentParser) -> None:
             help=f"standard deviation of measured joint {what} [{unit}] (default: %(default)s)",
         )
     parser.add_argument("--noise-seed", type=int, default=0, metavar="N", help="of that noise (default: %(default)s)")
+
+
+def _add_time_budget(parser: argparse.ArgumentParser, more: str = "") -> None:
+    parser.add_argument(
+        "--time-budget",
+        type=float,
+        default=60.0,
+        metavar="S",
+        help=f"CPU time that planning a motion may take{more} (default: %(default)s)",
+    )
 
 
 def _add_conditions(parser: argparse.ArgumentParser) -> None:

@@ -46,7 +46,7 @@ def synthesize(arguments: argparse.Namespace) -> RunDirectory:
         else:
             console.print(f"planning with {planner} ...")
             made_by, motion = plan_network(
-                planner, PlanningProblem(arm, start, target, arguments.duration, arguments.seed)
+                planner, PlanningProblem(arm, start, target, arguments.duration, arguments.seed, arguments.time_budget)
             )
             if made_by is None:
                 raise InputError(f"planner {planner!r} runs no network; allowed: {', '.join(NETWORK_PLANNERS)}")
@@ -97,6 +97,7 @@ def _plan(arm: Arm, target: Floats, start: Floats, arguments: argparse.Namespace
             bias_magnitude=magnitude,
             candidates=_CANDIDATES if arguments.candidates is None else arguments.candidates,
             seed=arguments.seed,
+            time_budget=arguments.time_budget,
             progress=report,
         )
 

@@ -13,6 +13,7 @@ from lieednn_sim._blas import one_blas_thread
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.arm.targets import draw_target
+from lieednn_sim.budget import DEFAULT_TIME_BUDGET
 from lieednn_sim.compare.columns import FIELDS
 from lieednn_sim.compare.metrics import motion_metrics, rollout_metrics, shortfall
 from lieednn_sim.errors import InputError, LieEDNNError
@@ -35,6 +36,7 @@ class Settings:
         duration: of every motion [s].
         hold: time simulated after it [s].
         mass_scale: true masses in units of those that the controller knows.
+        time_budget: CPU time that planning a case may take [s].
 
     Raises:
         InputError: a value is out of range.
@@ -43,9 +45,10 @@ class Settings:
     duration: float = 4.0
     hold: float = 1.0
     mass_scale: float = 1.0
+    time_budget: float = DEFAULT_TIME_BUDGET
 
     def __post_init__(self) -> None:
-        for name in ("duration", "mass_scale"):
+        for name in ("duration", "mass_scale", "time_budget"):
             object.__setattr__(self, name, as_positive(name, getattr(self, name)))
         object.__setattr__(self, "hold", float(as_floats("hold", self.hold, ())))
         if self.hold < 0.0:
@@ -105,7 +108,7 @@ def make_problem(case: Case, settings: Settings) -> PlanningProblem:
     """
     # Without obstacles nothing in the arm depends on the seed, and one arm serves all.
     arm, target = _arm_and_target(case.arm, case.scene, case.seed)
-    return PlanningProblem(arm, arm.keyframe("home"), target, settings.duration, case.seed)
+    return PlanningProblem(arm, arm.keyframe("home"), target, settings.duration, case.seed, settings.time_budget)
 
 
 @lru_cache(maxsize=4)

@@ -30,7 +30,12 @@ class Column:
 
 
 COLUMNS = (
-    Column("planning_s", "planning [s]", "CPU time of the planner; the one column that differs between runs", True),
+    Column(
+        "planning_s",
+        "planning [s]",
+        "CPU time of the planner, stopped at its time budget; the one column that differs between runs",
+        True,
+    ),
     Column("motion_s", "motion [s]", "time at which the plan comes to rest", True, ""),
     Column("gap_mm", "gap [mm]", "largest mechanism gap on the way: what the joints cannot follow", True),
     Column("gap_deg", "gap [deg]", "the same as an angle", True),

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicHermiteSpline
 
 from lieednn_sim.arm import Arm
+from lieednn_sim.budget import check_time
 from lieednn_sim.errors import PlanError
 from lieednn_sim.filtering.proof import limits_proved
 from lieednn_sim.filtering.safety import FilterOptions, SafetyFilter
@@ -135,6 +136,7 @@ def run_filtered(
     success, message = False, ""
     best, since = np.inf, 0.0
     for k in range(1, int(np.ceil(factor * duration / h)) + 1):
+        check_time()
         error = leg.path(clock) - q
         rate = float(np.clip(1.0 - np.abs(error / speeds).max() / _BEHIND, _SLOWEST, 1.0)) if clock < leg.end else 0.0
         clock = min(clock + rate * h, leg.end)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim._blas import one_blas_thread
+from lieednn_sim.budget import check_time
 from lieednn_sim.errors import InputError
 from lieednn_sim.learning import checkpoint as checkpoints
 from lieednn_sim.learning.checkpoint import TrainingState
@@ -240,6 +241,7 @@ class _Training:
 
     def _step(self, state: TrainingState) -> tuple[TrainingState, bool]:
         """One epoch of Algorithm 1 without the projection; whether its stop test passed as printed."""
+        check_time()
         options, ratio = self.options, self.problem.ratio
         now = state.equilibrium
         delta = now.x - self.goal

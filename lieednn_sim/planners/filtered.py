@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import interp1d
 
+from lieednn_sim.budget import check_time
 from lieednn_sim.errors import InputError, NotCertifiedError, PlanError
 from lieednn_sim.filtering import FilterOptions, run_filtered
 from lieednn_sim.motion import Motion, check_motion
@@ -136,6 +137,7 @@ class _Search:
 
     def _unsafe(self, network: LieEDNN, start: Floats) -> float:
         """The share of a network's own way from a start that is not free."""
+        check_time()
         arm = self.problem.arm
         # From one decoded state to the next the way is nearly straight, and few states are decoded quickly.
         q = arm.decode(rough_way(network, arm.encode(start))).q

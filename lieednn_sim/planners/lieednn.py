@@ -17,7 +17,7 @@ from lieednn_sim.learning import TrainingOptions, TrainingResult, train
 from lieednn_sim.motion import Motion, check_motion, make_motion
 from lieednn_sim.network import ComponentwiseNetwork, LieEDNN
 from lieednn_sim.network.hopfield import HopfieldNetwork
-from lieednn_sim.planners.problem import PlanningProblem
+from lieednn_sim.planners.problem import LONGEST, PlanningProblem
 from lieednn_sim.planning import BIAS_MAGNITUDES, plan
 from lieednn_sim.synthesis import bias_for, synthesize
 
@@ -42,7 +42,15 @@ def certified(problem: PlanningProblem) -> tuple[LieEDNN, Motion]:
         NotCertifiedError: none could be certified.
         PlanError: every motion breaks a limit of the arm.
     """
-    made = plan(problem.arm, problem.target, start=problem.start, duration=problem.duration, seed=problem.seed)
+    made = plan(
+        problem.arm,
+        problem.target,
+        start=problem.start,
+        duration=problem.duration,
+        seed=problem.seed,
+        longest=LONGEST,
+        time_budget=problem.time_budget,
+    )
     return made.network, made.motion
 
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 from scipy.optimize import least_squares
 
+from lieednn_sim.budget import check_time
 from lieednn_sim.errors import PlanError
 from lieednn_sim.motion import Motion, minimum_jerk_law
 from lieednn_sim.planners.joint_space import ClearanceTest, Workspace, joint_motion, joint_scale
@@ -111,9 +112,13 @@ class _Descent:
             way = rng.uniform(low, high) - self.smoothest[peak]
             control = np.clip(self.smoothest + (shape / shape[peak])[:, None] * rng.uniform() * way, low, high)
             drawn.append(control.ravel())
-            blocked.append(sum(not self.workspace.clear(q) for q in self.positions(control.ravel())))
+            blocked.append(sum(self._blocked(q) for q in self.positions(control.ravel())))
         for index in np.argsort(blocked, kind="stable")[: _GUESSES - 1]:
             yield drawn[index]
+
+    def _blocked(self, q: Floats) -> bool:
+        check_time()
+        return not self.workspace.clear(q)
 
     def positions(self, x: Floats) -> Floats:
         """Joint positions ``(K, n)`` at the instants."""
@@ -168,6 +173,7 @@ class _Descent:
         """Root of the summed squares of (1 - d / influence)_+ over the pairs ``(K,)``, and its slope ``(K, n)``."""
         value, slope = np.zeros(len(q)), np.zeros(q.shape)
         for k, position in enumerate(q):
+            check_time()
             if self.near(position):
                 continue
             found = self.workspace.collisions.distances(position, _INFLUENCE)

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BPoly
 
+from lieednn_sim.budget import check_time
 from lieednn_sim.motion import Motion, minimum_jerk_law
 from lieednn_sim.planners.extras import optional_module
 from lieednn_sim.planners.joint_space import joint_motion
@@ -56,6 +57,7 @@ def dmp(problem: PlanningProblem) -> Motion:
     q, qd = np.empty((2, len(t), len(home)))
     q[0], qd[0] = problem.start, 0.0
     for k in range(1, len(t)):
+        check_time()
         q[k], qd[k] = primitive.step(q[k - 1], qd[k - 1])
     acceleration = (qd[-1] - qd[-2]) / problem.timestep
     rest = np.zeros((3, len(home)))

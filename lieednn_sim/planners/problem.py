@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieednn_sim.arm import Arm
+from lieednn_sim.budget import DEFAULT_TIME_BUDGET, as_time_budget
 from lieednn_sim.errors import InputError
 from lieednn_sim.motion import count_steps
 from lieednn_sim.validation import as_positive, as_seed
@@ -28,6 +29,8 @@ class PlanningProblem:
         target: ``(n,)`` joint position to come to rest at [rad, m].
         duration: of the motion [s]; it may take up to `LONGEST` times as long where the arm's limits need it.
         seed: of planners that draw; the same seed gives the same motion.
+        time_budget: CPU time that a planner may take [s]; infinity for no limit. One that needs less makes the same
+            motion whatever the budget and the machine, one that needs more makes none.
 
     Raises:
         InputError: a value is malformed, or start or target are out of the arm's reach: beyond a limit, or where
@@ -39,6 +42,7 @@ class PlanningProblem:
     target: Floats
     duration: float = 4.0
     seed: int = 0
+    time_budget: float = DEFAULT_TIME_BUDGET
 
     def __post_init__(self) -> None:
         if not isinstance(self.arm, Arm):
@@ -49,6 +53,7 @@ class PlanningProblem:
             object.__setattr__(self, name, position)
         object.__setattr__(self, "duration", as_positive("duration", self.duration))
         object.__setattr__(self, "seed", as_seed("seed", self.seed))
+        object.__setattr__(self, "time_budget", as_time_budget("time_budget", self.time_budget))
         count_steps(self.duration, self.timestep)
 
     @property

@@ -6,16 +6,14 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
-from lieednn_sim.errors import InputError, TooFastError
-from lieednn_sim.motion import Motion
+from lieednn_sim.budget import time_limit
+from lieednn_sim.errors import InputError
+from lieednn_sim.motion import Motion, slowed_down
 from lieednn_sim.network import ComponentwiseNetwork
 from lieednn_sim.planners import filtered, interpolation, lieednn, optimisation, primitives, sampling
 from lieednn_sim.planners.extras import missing_planners
 from lieednn_sim.planners.problem import LONGEST, PlanningProblem
 from lieednn_sim.validation import as_choice
-
-# A planner whose motion is too fast gets what it needs and this much more.
-_SLOWER = 1.02
 
 # Those that run a network, and return it beside the motion.
 NETWORK_PLANNERS: dict[str, Callable[[PlanningProblem], tuple[ComponentwiseNetwork, Motion]]] = {
@@ -62,6 +60,7 @@ def plan_with(name: str, problem: PlanningProblem) -> Motion:
         InputError: an unknown name; the message lists the known ones.
         NotCertifiedError: no network could be certified.
         PlanError: the motion breaks a limit of the arm, or does not arrive.
+        OutOfTimeError: the problem's time budget is spent.
         LieEDNNError: a library that the planner needs is not installed; see `missing_planners`.
     """
     return plan_network(name, problem)[1]
@@ -72,13 +71,10 @@ def plan_network(name: str, problem: PlanningProblem) -> tuple[ComponentwiseNetw
     as_choice("planner", name, PLANNERS)
     if not isinstance(problem, PlanningProblem):
         raise InputError(f"problem must be a PlanningProblem, got {type(problem).__name__}")
-    longest = LONGEST * problem.duration
-    while True:
-        try:
-            return NETWORK_PLANNERS[name](problem) if name in NETWORK_PLANNERS else (None, PLANNERS[name](problem))
-        except TooFastError as error:
-            # The same rule for all, so that none is judged by how much time it was given.
-            slower = max(_SLOWER * error.duration, _SLOWER * problem.duration)
-            if slower > longest:
-                raise
-            problem = replace(problem, duration=slower)
+
+    def made(duration: float) -> tuple[ComponentwiseNetwork | None, Motion]:
+        asked = replace(problem, duration=duration)
+        return NETWORK_PLANNERS[name](asked) if name in NETWORK_PLANNERS else (None, PLANNERS[name](asked))
+
+    with time_limit(problem.time_budget):
+        return slowed_down(made, problem.duration, LONGEST * problem.duration)

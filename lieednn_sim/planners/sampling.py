@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lieednn_sim.budget import check_time, out_of_time
 from lieednn_sim.errors import PlanError
 from lieednn_sim.motion import Motion
 from lieednn_sim.planners.extras import optional_module
@@ -109,9 +110,10 @@ def _path(problem: PlanningProblem, workspace: Workspace, planner: str, spacing:
     information = base.SpaceInformation(space)
     density = scale * sweeps(problem.arm) / spacing
 
+    # No exception may pass through the library: out of time nothing is free, so that it ends soon.
     def inside(q: Floats) -> bool:
         # A ball joint's angle is limited, whose limits are no box; but convex, so that ends speak for edges.
-        return bool((problem.arm.limit_excess(q) <= 0.0).all())
+        return not out_of_time() and bool((problem.arm.limit_excess(q) <= 0.0).all())
 
     def free(state: Any) -> bool:
         q = scale * np.array(state[0:n])
@@ -141,7 +143,10 @@ def _path(problem: PlanningProblem, workspace: Workspace, planner: str, spacing:
     method.setup()
     for tests in (_CONNECT_TESTS,) if planner == "RRTConnect" else (_STAR_TESTS, _STAR_PATIENT_TESTS):
         if not definition.hasExactSolution():
-            method.solve(base.PlannerTerminationCondition(lambda limit=tests: workspace.clear.tests >= limit))
+            method.solve(
+                base.PlannerTerminationCondition(lambda limit=tests: workspace.clear.tests >= limit or out_of_time())
+            )
+            check_time()
     if not definition.hasExactSolution():
         return None
     path = definition.getSolutionPath()
@@ -149,6 +154,7 @@ def _path(problem: PlanningProblem, workspace: Workspace, planner: str, spacing:
     simplifier.reduceVertices(path, _SHORTCUTS, _SHORTCUTS)
     simplifier.partialShortcutPath(path, _SHORTCUTS, _SHORTCUTS)
     simplifier.collapseCloseVertices(path)
+    check_time()
     corners = scale * np.array([path.getState(i)[0:n] for i in range(path.getStateCount())])
     if ends[0] is not problem.start:
         corners = corners[::-1].copy()

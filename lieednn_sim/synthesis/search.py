@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from scipy.linalg import lapack
 from scipy.optimize import minimize
 
+from lieednn_sim.budget import check_time
 from lieednn_sim.lie import hat
 from lieednn_sim.synthesis.problem import Point, Problem
 
@@ -47,6 +48,7 @@ def feasible_point(
     point = problem.evaluate(start)
     damping = 1e-2
     for iteration in range(max_iterations):
+        check_time()
         if point.values[-1] < accept and np.abs(point.residual).max() < _ROUGH:
             return point, iteration
         value = _merit(point, aim, equation_weight)
@@ -112,9 +114,14 @@ def smallest_eigenvalue_point(
     unknowns, iterations = start, 0
     bounds = [(-_QUATERNION_BOUND, _QUATERNION_BOUND)] * problem.n_quaternion
     bounds += [(-_LOG_SCALE_BOUND, _LOG_SCALE_BOUND)] * problem.size
+
+    def largest(trial: Floats, sharpness: float) -> tuple[float, Floats]:
+        check_time()
+        return problem.smooth_largest_eigenvalue(trial, sharpness)
+
     for sharpness in (20.0, 80.0, 320.0, 1280.0):
         found = minimize(
-            problem.smooth_largest_eigenvalue,
+            largest,
             unknowns,
             args=(sharpness,),
             jac=True,

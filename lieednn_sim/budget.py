@@ -1,0 +1,66 @@
+"""Time budgets: how much CPU time a piece of work may take, looked at by the loops that it is made of.
+
+    with time_limit(10.0):
+        ...  # every loop inside calls `check_time`, which raises `OutOfTimeError` once ten seconds are spent
+
+CPU time of the calling thread, so that what else the machine does costs nothing. Nothing but that error depends on the
+clock: work that ends within its budget gives what it gives without one.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import time
+from collections.abc import Iterator
+from contextvars import ContextVar
+
+from lieednn_sim.errors import OutOfTimeError
+from lieednn_sim.validation import as_positive
+
+# Of a planner [s]; far more than any needs for the arms of the package.
+DEFAULT_TIME_BUDGET = 60.0
+
+# When the present work must be done, by `cpu_time`, and the budget that says so [s].
+_LIMIT: ContextVar[tuple[float, float] | None] = ContextVar("lieednn_sim time limit", default=None)
+
+
+def as_time_budget(name: str, value: float) -> float:
+    """Return ``value`` as a positive number of seconds, or infinity for no limit; else raise `InputError`."""
+    return math.inf if isinstance(value, float) and value == math.inf else as_positive(name, value)
+
+
+def cpu_time() -> float:
+    """CPU time that the calling thread has used [s], from an arbitrary zero."""
+    return time.thread_time()
+
+
+@contextlib.contextmanager
+def time_limit(seconds: float) -> Iterator[None]:
+    """Give the block, in this thread, a budget of CPU time [s]; of limits within each other the earlier one counts."""
+    mine, outer = (cpu_time() + seconds, seconds), _LIMIT.get()
+    token = _LIMIT.set(mine if outer is None else min(mine, outer))
+    try:
+        yield
+    finally:
+        _LIMIT.reset(token)
+
+
+def out_of_time() -> bool:
+    """Whether the budget of the present work is spent; for where no exception may be raised."""
+    limit = _LIMIT.get()
+    return limit is not None and cpu_time() > limit[0]
+
+
+def check_time() -> None:
+    """To be called in loops.
+
+    Raises:
+        OutOfTimeError: the budget of the present work is spent.
+    """
+    limit = _LIMIT.get()
+    if limit is not None and cpu_time() > limit[0]:
+        raise OutOfTimeError(
+            f"out of time: the budget of {limit[1]:g} s of CPU time is spent and the planner is not done; "
+            "allow more (time_budget, --time-budget), or take another planner, target or seed"
+        )

@@ -1,0 +1,178 @@
+"""Time budgets, by a clock of the test's own: kept by every planner, reported, of no effect until they are spent."""
+
+from __future__ import annotations
+
+import itertools
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from lieednn_sim import budget, planning
+from lieednn_sim.arm import Arm
+from lieednn_sim.arm.contacts import ContactFinder
+from lieednn_sim.budget import check_time, out_of_time, time_limit
+from lieednn_sim.cli import _parser, main
+from lieednn_sim.compare import Case, Settings, Table, run_case, write_summary
+from lieednn_sim.errors import InputError, OutOfTimeError, PlanError
+from lieednn_sim.motion import least_duration
+from lieednn_sim.planners import PLANNERS, PlanningProblem, missing_planners, plan_with, sampling
+from lieednn_sim.planning import plan
+
+ARM = Arm.load("telescopic_pr")
+INSTALLED = sorted(set(PLANNERS) - set(missing_planners()))
+
+
+@pytest.fixture
+def looks(monkeypatch):
+    """A clock that is a second further at every look; counts the looks."""
+    count = itertools.count(1)
+    seen = []
+
+    def look():
+        seen.append(next(count))
+        return float(seen[-1])
+
+    monkeypatch.setattr(budget, "cpu_time", look)
+    return seen
+
+
+def problem(**changes):
+    return PlanningProblem(ARM, ARM.keyframe("home"), ARM.keyframe("extended"), **changes)
+
+
+def test_of_limits_within_each_other_the_earlier_one_counts(monkeypatch):
+    now = [100.0]
+    monkeypatch.setattr(budget, "cpu_time", lambda: now[0])
+    check_time()
+    with time_limit(5.0):
+        with time_limit(50.0):
+            now[0] = 105.0
+            check_time()
+            now[0] = 105.1
+            assert out_of_time()
+            with pytest.raises(OutOfTimeError, match="out of time: the budget of 5 s of CPU time is spent"):
+                check_time()
+        with time_limit(1.0), pytest.raises(OutOfTimeError, match="the budget of 5 s"):
+            check_time()
+    assert not out_of_time()
+    with time_limit(float("inf")):
+        now[0] = 1e300
+        check_time()
+
+
+@pytest.mark.parametrize("name", INSTALLED)
+def test_every_planner_stops_when_its_time_is_over(name, looks):
+    with pytest.raises(OutOfTimeError, match="the budget of 20 s of CPU time is spent"):
+        plan_with(name, problem(time_budget=20.0))
+    # What is made of other libraries' loops may look a few times more.
+    assert 20 < len(looks) < 60
+
+
+@pytest.mark.parametrize("name", INSTALLED)
+def test_every_planner_looks_at_the_clock_often(name, monkeypatch):
+    """Work between two looks is a bounded number of collision passes, which do not depend on the machine."""
+    passes, at_look = itertools.count(), [0]
+    geoms = ContactFinder.geoms
+
+    def counted(self, qpos):
+        next(passes)
+        return geoms(self, qpos)
+
+    def look():
+        at_look.append(int(repr(passes)[6:-1]))
+        return 0.0
+
+    monkeypatch.setattr(ContactFinder, "geoms", counted)
+    monkeypatch.setattr(budget, "cpu_time", look)
+    monkeypatch.setattr(sampling, "_STAR_TESTS", 3000)
+    plan_with(name, problem(duration=2.0))
+    assert max(np.diff(at_look)) < 150
+
+
+def test_a_budget_that_is_not_spent_changes_nothing(looks):
+    without = plan_with("trajectory-optimisation", problem(time_budget=float("inf")))
+    within = plan_with("trajectory-optimisation", problem(time_budget=1e9))
+    np.testing.assert_array_equal(without.q, within.q)
+
+
+def test_a_case_that_runs_out_of_time_is_a_row_with_the_reason(looks, tmp_path):
+    settings = Settings(time_budget=7.5)
+    rows = run_case(Case("telescopic_pr", "free", "minimum-jerk", 0), ["mocap", "computed-torque"], settings)
+    assert {row["success"] for row in rows} == {"no"}
+    assert all(row["reason"].startswith("plan: out of time: the budget of 7.5 s of CPU time is spent") for row in rows)
+    assert all(float(row["planning_s"]) >= 0.0 for row in rows)
+    table = Table(tmp_path, settings)
+    table.add(rows)
+    write_summary(tmp_path / "summary.md", table)
+    text = (tmp_path / "summary.md").read_text(encoding="utf-8")
+    assert "A planner that has spent 7.5 s of CPU time on a problem has failed." in text
+    assert "- 1 x plan, as: out of time: the budget of 7.5 s" in text
+
+
+@pytest.mark.parametrize("planner", ["lieednn-certified", "linear-law"])
+def test_the_command_stops_with_the_reason_and_leaves_nothing(planner, looks, tmp_path, capsys):
+    words = ["synthesize", "--target", "extended", "--planner", planner, "--time-budget", "9"]
+    assert main([*words, "--output", str(tmp_path / "run")]) == 2
+    assert "error: out of time: the budget of 9 s of CPU time is spent" in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()
+
+
+def test_the_option_has_the_default_of_the_package():
+    for command in (["demo"], ["compare"]):
+        assert _parser().parse_args(command).time_budget == budget.DEFAULT_TIME_BUDGET
+
+
+@pytest.mark.parametrize("value", [0.0, -1.0, float("nan"), "soon"])
+def test_a_budget_is_a_time(value):
+    with pytest.raises(InputError, match="time_budget must be"):
+        problem(time_budget=value)
+    with pytest.raises(InputError, match="time_budget must be"):
+        plan(ARM, ARM.keyframe("extended"), time_budget=value)
+    with pytest.raises(InputError, match="time_budget must be"):
+        Settings(time_budget=value)
+
+
+def calls(monkeypatch, name):
+    """Count the calls of a function of `planning`."""
+    made, original = [], getattr(planning, name)
+    monkeypatch.setattr(planning, name, lambda *given, **named: made.append(1) or original(*given, **named))
+    return made
+
+
+def test_networks_are_drawn_once_and_only_the_best_is_looked_at_closely(monkeypatch):
+    drawn, tried = calls(monkeypatch, "synthesize"), calls(monkeypatch, "make_motion")
+    passes, original = [], Arm.near_contacts
+    monkeypatch.setattr(Arm, "near_contacts", lambda self, q: passes.append(1) or original(self, q))
+    motion = plan_with("lieednn-certified", problem(duration=0.6))
+    assert len(drawn) == 24
+    # Refused once for its haste, and made again with the time that it asks for.
+    assert len(tried) == 2
+    assert 0.6 < motion.t[-1] < 1.8
+    # The samples of the motion, and postures on the way of one candidate, not of 24.
+    assert len(passes) < len(motion.t) + 400
+
+
+def test_where_nothing_can_be_fast_enough_one_refusal_is_enough(monkeypatch):
+    tried = calls(monkeypatch, "make_motion")
+    with pytest.raises(PlanError, match=r"best of 3 candidates"):
+        plan(ARM, ARM.keyframe("extended"), duration=0.1, candidates=3)
+    assert len(tried) == 1
+
+
+def test_the_least_duration_is_that_of_full_speed():
+    v, a = np.full(8, np.inf), np.full(8, np.inf)
+    v[:3], a[1:4] = 2.0, (4.0, 4.0, 9.0)
+    arm = SimpleNamespace(velocity_limits=v, acceleration_limits=a)
+
+    def least(*way):
+        q = np.zeros(8)
+        q[: len(way)] = way
+        return least_duration(arm, np.zeros(8), q)
+
+    assert least(6.0) == 3.0  # 6 m at 2 m/s
+    assert least(0.0, 6.0) == 3.5  # and half a second to start and to brake at 4 m/s^2
+    assert least(0.0, -0.25) == 0.5  # half of it in a quarter of a second, at 4 m/s^2
+    assert least(0.0, 0.0, 0.0, 4.0) == pytest.approx(4.0 / 3.0)  # 2 sqrt(4 / 9)
+    assert least(0.0, 0.0, 0.0, 0.0, 5.0) == pytest.approx(0.0)
+    assert least(1.0, 6.0) == 3.5
