@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import os
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -14,7 +15,8 @@ from lieednn_sim import storage
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError
 from lieednn_sim.motion import Motion
-from lieednn_sim.simulate import Following, Push, Rollout
+from lieednn_sim.simulate import Disturbances, Following, Push, Rollout
+from lieednn_sim.versions import versions
 
 Floats = NDArray[np.float64]
 
@@ -112,7 +114,10 @@ class Evaluation:
         recoveries: one entry a push.
         motion_end: time at which the reference comes to rest [s].
         duration: of the rollout [s].
+        hold: time of it after the motion [s].
         controller: that drove the arm.
+        reference_rate: at which it saw samples of the motion [Hz], None for every step.
+        disturbances: what it did not know of.
     """
 
     frames: tuple[FrameErrors, ...]
@@ -129,16 +134,24 @@ class Evaluation:
     recoveries: tuple[Recovery, ...]
     motion_end: float
     duration: float
+    hold: float
     controller: str
+    reference_rate: float | None
+    disturbances: Disturbances
 
     @property
     def end_effector(self) -> FrameErrors:
         """Errors of the last link frame."""
         return self.frames[-1]
 
-    def save_json(self, path: str | os.PathLike[str]) -> None:
-        """Write all metrics as JSON; unlimited joints have limit null."""
-        value = asdict(self)
+    def save_json(self, path: str | os.PathLike[str], made_from: Mapping[str, str] | None = None) -> None:
+        """Write all metrics and conditions as JSON; unlimited joints have limit null.
+
+        Args:
+            path: of the file.
+            made_from: fingerprints of the files that were evaluated, by name.
+        """
+        value = {**asdict(self), "versions": versions(), "made_from": dict(made_from or {})}
         for joint in value["joints"]:
             for name in ("velocity_limit", "force_limit"):
                 joint[name] = joint[name] if np.isfinite(joint[name]) else None
@@ -173,6 +186,8 @@ def evaluate(arm: Arm, rollout: Rollout, target: ArrayLike, motion: Motion | Non
     """
     if rollout.arm != arm.name or rollout.q.shape[1] != arm.n_joints:
         raise InputError(f"the rollout is of arm {rollout.arm!r}, not of {arm.name!r}")
+    if motion is not None and not np.array_equal(rollout.q_ref[: len(motion.q)], motion.q[: len(rollout.q_ref)]):
+        raise InputError("the motion is another one than the rollout followed")
     simulated = rollout.link_poses()
     tracking = pose_errors(simulated, arm.link_poses(rollout.q_ref))
     arrival = pose_errors(simulated, arm.link_poses(arm.check_position(target, "target")))
@@ -202,7 +217,10 @@ def evaluate(arm: Arm, rollout: Rollout, target: ArrayLike, motion: Motion | Non
         recoveries=_recoveries(rollout, tracking),
         motion_end=rollout.motion_end,
         duration=float(rollout.t[-1]),
+        hold=rollout.hold,
         controller=rollout.controller,
+        reference_rate=rollout.reference_rate,
+        disturbances=rollout.disturbances,
     )
 
 

@@ -11,7 +11,7 @@ equilibrium.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -90,9 +90,9 @@ class Motion:
         """Sampling period [s]."""
         return float(self.t[1] - self.t[0])
 
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write to an ``.npz`` file, atomically."""
-        storage.save_arrays(path, "motion", vars(self), {})
+    def save(self, path: str | os.PathLike[str], made_from: Mapping[str, str] | None = None) -> None:
+        """Write to an ``.npz`` file, atomically; ``made_from`` as for `storage.save_arrays`."""
+        storage.save_arrays(path, "motion", vars(self), {}, made_from)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Motion:

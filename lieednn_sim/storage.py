@@ -225,22 +225,23 @@ def load_arrays(path: str | os.PathLike[str], kind: str) -> tuple[dict[str, NDAr
     return arrays, meta
 
 
-def origin(path: str | os.PathLike[str], kind: str) -> tuple[str, dict[str, str]]:
+def origin(path: str | os.PathLike[str], kind: str | None = None) -> tuple[str, dict[str, str]]:
     """The fingerprint of a file of `save_arrays`, and those of what it was made from, by name; errors as `load_arrays`.
 
-    The arrays are not read: whether they fit the fingerprint is for `load_arrays` to say.
+    Without ``kind`` any will do. The arrays are not read: whether they fit the fingerprint is for `load_arrays` to say.
     """
     _, meta = _read(path, kind, header_only=True)
     made_from = meta.get(_MADE_FROM)
     if not isinstance(made_from, dict) or not all(isinstance(value, str) for value in made_from.values()):
-        raise FileError(f"{path} is not a readable {kind} file (it was made from {made_from!r})")
+        raise FileError(f"{path} is not a readable {kind or 'result'} file (it was made from {made_from!r})")
     return meta[_FINGERPRINT], made_from
 
 
 def _read(
-    path: str | os.PathLike[str], kind: str, *, header_only: bool
+    path: str | os.PathLike[str], kind: str | None, *, header_only: bool
 ) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
     source = Path(path)
+    what = f"{kind or 'result'} file"
     try:
         with source.open("rb") as stream:
             _check_archive_end(stream)
@@ -250,16 +251,16 @@ def _read(
     except FileNotFoundError:
         raise FileError(f"no such file: {source}") from None
     except IsADirectoryError:
-        raise FileError(f"{source} is a directory, not a {kind} file") from None
+        raise FileError(f"{source} is a directory, not a {what}") from None
     except PermissionError:
         raise FileError(f"cannot read {source}: permission denied") from None
     except (OSError, EOFError, KeyError, ValueError, TypeError, AttributeError, RecursionError, *_DAMAGE) as error:
-        raise FileError(f"{source} is not a readable {kind} file ({type(error).__name__}: {error})") from None
-    if not isinstance(meta, dict) or meta.get("kind") != kind:
+        raise FileError(f"{source} is not a readable {what} ({type(error).__name__}: {error})") from None
+    if not isinstance(meta, dict) or meta.get("kind") != (kind or meta.get("kind")):
         found = meta.get("kind") if isinstance(meta, dict) else None
         raise FileError(f"{source} holds {found!r}, expected {kind!r}")
     if not isinstance(meta.get("format"), int):
-        raise FileError(f"{source} is not a readable {kind} file (its format is {meta.get('format')!r}, not a number)")
+        raise FileError(f"{source} is not a readable {what} (its format is {meta.get('format')!r}, not a number)")
     if meta["format"] > FORMAT_VERSION:
         raise FileError(f"{source} was written by a newer version (format {meta['format']} > {FORMAT_VERSION})")
     if meta["format"] < FORMAT_VERSION or not isinstance(meta.get(_FINGERPRINT), str):

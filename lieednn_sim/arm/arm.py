@@ -18,6 +18,7 @@ from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.adoption import Adoption
 from lieednn_sim.arm.contacts import ContactFinder
 from lieednn_sim.arm.coordinates import Coordinates
+from lieednn_sim.arm.fingerprint import arm_fingerprint
 from lieednn_sim.arm.joints import CompoundJoints
 from lieednn_sim.arm.models import MODEL_SUFFIXES, open_model, scene_path
 from lieednn_sim.arm.reading import read_arm
@@ -310,6 +311,11 @@ class Arm:
         with physics.reset_context():
             mujoco.mj_resetDataKeyframe(self.model, physics.data.ptr, self.model.key("home").id)
         return physics
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """What tells this arm among its obstacles from others, see `fingerprint.arm_fingerprint`."""
+        return arm_fingerprint(self)
 
     @cached_property
     def _touching(self) -> ContactFinder:

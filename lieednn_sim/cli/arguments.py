@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +17,7 @@ from lieednn_sim.errors import InputError
 from lieednn_sim.simulate import CONTROLLERS, Disturbances, Push
 from lieednn_sim.simulate.reference import steps_of_rate
 from lieednn_sim.task import Task
-from lieednn_sim.validation import as_choice, as_positive
+from lieednn_sim.validation import as_choice, as_positive, as_seed
 
 Floats = NDArray[np.float64]
 
@@ -36,7 +38,14 @@ def load_arm(arguments: argparse.Namespace) -> Arm:
 
 
 def make_task(
-    arm: Arm, start: Floats, target: Floats, arguments: argparse.Namespace, planner: str | None = None
+    arm: Arm,
+    start: Floats,
+    target: Floats,
+    arguments: argparse.Namespace,
+    *,
+    planner: str,
+    reason: str,
+    options: Mapping[str, Any],
 ) -> Task:
     """What a run directory keeps of the arguments; an MJCF file by its absolute path."""
     path = Path(arguments.arm)
@@ -51,6 +60,10 @@ def make_task(
         base=arguments.base,
         servos=arguments.servos,
         planner=planner,
+        reason=reason,
+        seed=as_seed("seed", arguments.seed),
+        options=options,
+        model=arm.fingerprint,
     )
 
 

@@ -4,23 +4,18 @@ from __future__ import annotations
 
 import argparse
 import time
+from pathlib import Path
 
-import numpy as np
-
-from lieednn_sim import opengl
+from lieednn_sim import opengl, storage
 from lieednn_sim.arm import Arm
 from lieednn_sim.cli.arguments import disturbances, load_arm, size
 from lieednn_sim.cli.console import console, progress, wrote
-from lieednn_sim.errors import FileError, InputError, RenderingUnavailableError
+from lieednn_sim.errors import InputError, RenderingUnavailableError
 from lieednn_sim.evaluate import evaluate as evaluate_rollout
-from lieednn_sim.motion import LIMIT_TOLERANCE, Motion, check_motion, make_motion
-from lieednn_sim.network import LieEDNN
+from lieednn_sim.motion import check_motion, make_motion
+from lieednn_sim.run_directory import RunDirectory
 from lieednn_sim.simulate import Rollout
 from lieednn_sim.simulate import simulate as simulate_motion
-from lieednn_sim.task import RunDirectory, Task
-
-# Targets that differ by less [rad, m] are the same: a trained network may miss its target by its tolerance.
-_SAME = 1e-3
 
 
 def demo(arguments: argparse.Namespace) -> None:
@@ -33,14 +28,16 @@ def demo(arguments: argparse.Namespace) -> None:
     disturbances(arm, arguments)
     if not arguments.no_video:
         _check_video(arm, arguments)
-    run = synthesize(arguments)
-    _simulate(run, arguments)
-    _evaluate(run)
-    if not arguments.no_video:
-        try:
-            _render(run, arguments, str(run.video))
-        except RenderingUnavailableError as error:
-            console.print(f"no video: {error}")
+    run = RunDirectory(arguments.output)
+    with run.made():
+        synthesize(run, arguments)
+        _simulate(run, arguments)
+        _evaluate(run)
+        if not arguments.no_video:
+            try:
+                _render(run, arguments, run.video)
+            except RenderingUnavailableError as error:
+                console.print(f"no video: {error}", markup=False)
     console.print(f"done in {time.perf_counter() - begun:.1f} s")
 
 
@@ -48,7 +45,9 @@ def synthesize(arguments: argparse.Namespace) -> None:
     """Target to certified network."""
     from lieednn_sim.cli.planning import synthesize
 
-    synthesize(arguments)
+    run = RunDirectory(arguments.output)
+    with run.made():
+        synthesize(run, arguments)
 
 
 def train(arguments: argparse.Namespace) -> int:
@@ -60,18 +59,24 @@ def train(arguments: argparse.Namespace) -> int:
 
 def simulate(arguments: argparse.Namespace) -> None:
     """Network, or a planner's motion, to rollout."""
-    _simulate(RunDirectory(arguments.run).existing(), arguments)
+    run = RunDirectory(arguments.run).existing()
+    with run.at_work():
+        _simulate(run, arguments)
 
 
 def evaluate(arguments: argparse.Namespace) -> None:
     """Rollout to metrics and plots."""
-    _evaluate(RunDirectory(arguments.run).existing())
+    run = RunDirectory(arguments.run).existing()
+    with run.at_work(shared=True):
+        _evaluate(run)
 
 
 def render(arguments: argparse.Namespace) -> None:
     """Rollout to video."""
     run = RunDirectory(arguments.run).existing()
-    _render(run, arguments, arguments.output or str(run.video))
+    path = run.video if arguments.output is None else storage.named_path(arguments.output, "video")
+    with run.at_work(shared=True, outputs=[path]):
+        _render(run, arguments, path)
 
 
 def compare(arguments: argparse.Namespace) -> None:
@@ -98,8 +103,10 @@ def doctor(arguments: argparse.Namespace) -> int:
 def _simulate(run: RunDirectory, arguments: argparse.Namespace) -> None:
     task, arm = run.load_task()
     changes = disturbances(arm, arguments)
-    drawn = task.planner is None
-    motion = _network_motion(run, task, arm) if drawn else _planned_motion(run, task, arm)
+    if task.drawn:
+        motion = make_motion(arm, run.load_network(task), task.start, task.duration, arm.model.opt.timestep)
+    else:
+        motion = run.load_motion(task)
     check_motion(arm, motion)
     end = motion.t[-1] + arguments.hold
     for push in changes.pushes:
@@ -116,27 +123,7 @@ def _simulate(run: RunDirectory, arguments: argparse.Namespace) -> None:
             dump_directory=run.path,
             progress=report,
         )
-    if drawn:
-        motion.save(run.motion)
-    rollout.save(run.rollout)
-    wrote(*([run.motion] if drawn else []), run.rollout)
-
-
-def _network_motion(run: RunDirectory, task: Task, arm: Arm) -> Motion:
-    """What the run's network draws by itself."""
-    network = LieEDNN.load(run.network)
-    if network.n_neurons == arm.n_links and np.abs(network.vector_field(arm.encode(task.target))).max() > _SAME:
-        raise FileError(f"{run.network} has another equilibrium than the target in {run.task}; synthesize again")
-    return make_motion(arm, network, task.start, task.duration, arm.model.opt.timestep)
-
-
-def _planned_motion(run: RunDirectory, task: Task, arm: Arm) -> Motion:
-    """What the task's planner made, when it leads where the task says."""
-    motion = Motion.load(run.motion)
-    ends = ((motion.q[0], task.start), (motion.q[-1], task.target))
-    if motion.q.shape[1] != arm.n_joints or any(np.abs(q - wanted).max() > LIMIT_TOLERANCE for q, wanted in ends):
-        raise FileError(f"{run.motion} was planned for another start or target than {run.task} says; synthesize again")
-    return motion
+    wrote(*run.save_rollout(task, motion, rollout))
 
 
 def _evaluate(run: RunDirectory) -> None:
@@ -144,10 +131,10 @@ def _evaluate(run: RunDirectory) -> None:
     from lieednn_sim.cli.tables import print_evaluation
 
     task, arm = run.load_task()
-    rollout, motion = _load_rollout(run, task), Motion.load(run.motion)
+    rollout, motion = run.load_rollout(task), run.load_motion(task)
     evaluation = evaluate_rollout(arm, rollout, task.target, motion)
     print_evaluation(evaluation, rollout, None if arm.scene == "free" else _clearance(arm, rollout))
-    evaluation.save_json(run.metrics_json)
+    evaluation.save_json(run.metrics_json, made_from=run.check(task, "network", "motion", "rollout"))
     evaluation.save_csv(run.metrics_csv)
     plots.plot_network(motion, run.network_plot)
     plots.plot_tracking(arm, rollout, task.target, run.tracking_plot)
@@ -162,7 +149,7 @@ def _clearance(arm: Arm, rollout: Rollout) -> float:
     return least_clearance(rollout, Collisions(arm))
 
 
-def _render(run: RunDirectory, arguments: argparse.Namespace, path: str) -> None:
+def _render(run: RunDirectory, arguments: argparse.Namespace, path: Path) -> None:
     from lieednn_sim.render.video import render_video
 
     task, arm = run.load_task()
@@ -171,7 +158,7 @@ def _render(run: RunDirectory, arguments: argparse.Namespace, path: str) -> None
     with progress("render") as report:
         render_video(
             arm,
-            _load_rollout(run, task),
+            run.load_rollout(task),
             task.target,
             path,
             camera=arguments.camera,
@@ -181,14 +168,6 @@ def _render(run: RunDirectory, arguments: argparse.Namespace, path: str) -> None
             progress=report,
         )
     wrote(path)
-
-
-def _load_rollout(run: RunDirectory, task: Task) -> Rollout:
-    """The rollout, when it is of this task."""
-    rollout = Rollout.load(run.rollout)
-    if rollout.q.shape[1] != len(task.target) or np.abs(rollout.q_ref[-1] - task.target).max() > _SAME:
-        raise FileError(f"{run.rollout} was simulated for another target than {run.task} says; simulate again")
-    return rollout
 
 
 def _check_video(arm: Arm, arguments: argparse.Namespace) -> None:

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import math
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,66 +17,70 @@ from lieednn_sim.cli.console import console, progress, table, wrote
 from lieednn_sim.errors import InputError
 from lieednn_sim.motion import Motion
 from lieednn_sim.network import ComponentwiseNetwork
-from lieednn_sim.planners import NETWORK_PLANNERS, PlanningProblem, obstacle_planner, plan_network
+from lieednn_sim.planners import (
+    NETWORK_PLANNERS,
+    OBSTACLE_PLANNER,
+    PlanningProblem,
+    plan_network,
+    require_planner,
+)
 from lieednn_sim.planning import Plan, plan
-from lieednn_sim.task import RunDirectory
+from lieednn_sim.run_directory import RunDirectory
+from lieednn_sim.task import CERTIFIED
 from lieednn_sim.validation import as_choice
 
 Floats = NDArray[np.float64]
 
-# The planner whose network draws its motion by itself: `simulate` makes it from the network alone.
-CERTIFIED = "lieednn-certified"
 _BIAS, _CANDIDATES = "sign-matched", 24
 
 
-def synthesize(arguments: argparse.Namespace) -> RunDirectory:
-    """Make a run directory with a task, a network, and a planner's motion."""
-    run = RunDirectory(arguments.output)
+def synthesize(run: RunDirectory, arguments: argparse.Namespace) -> None:
+    """Fill a run directory with a task, a network, and a planner's motion."""
     arm = load_arm(arguments)
-    planner = _planner(arm, arguments)
+    planner, reason = _planner(arm, arguments)
+    console.print(f"planner: {planner} ({reason})", markup=False)
     if arguments.target is None and arguments.position is None:
         arguments.target = usual_target(arm, arguments.seed)
         if arguments.target.startswith(RANDOM):
             console.print(f"target: {arguments.target}")
     start, target = start_and_target(arm, arguments)
-    made = not run.path.exists()
-    run.create()
-    try:
-        if planner == CERTIFIED:
-            chosen, motion = _plan(arm, target, start, arguments), None
-            task = make_task(arm, start, chosen.target, arguments)
-            network: ComponentwiseNetwork = chosen.network
-        else:
-            console.print(f"planning with {planner} ...")
-            made_by, motion = plan_network(
-                planner, PlanningProblem(arm, start, target, arguments.duration, arguments.seed, arguments.time_budget)
-            )
-            if made_by is None:
-                raise InputError(f"planner {planner!r} runs no network; allowed: {', '.join(NETWORK_PLANNERS)}")
-            network = made_by
-            task = make_task(arm, start, target, arguments, planner)
-    except BaseException:
-        if made:
-            run.path.rmdir()
-        raise
-    run.forget_results()
-    task.save(run.task)
-    network.save(run.network)
+    options = _options(arguments) if planner == CERTIFIED else {}
+    # JSON has no infinity.
+    budget = None if arguments.time_budget == math.inf else arguments.time_budget
+    task = make_task(
+        arm, start, target, arguments, planner=planner, reason=reason, options={**options, "time_budget": budget}
+    )
+    if planner == CERTIFIED:
+        chosen, motion = _plan(arm, target, start, arguments, options), None
+        network: ComponentwiseNetwork = chosen.network
+    else:
+        problem = PlanningProblem(arm, start, target, arguments.duration, arguments.seed, arguments.time_budget)
+        made_by, motion = plan_network(planner, problem)
+        if made_by is None:
+            raise InputError(f"planner {planner!r} runs no network; allowed: {', '.join(NETWORK_PLANNERS)}")
+        network = made_by
+    written = run.save_network(task, network, motion)
     print_adoption(arm)
     if motion is None:
-        _print_choice(arm, chosen, arguments)
-        wrote(run.task, run.network)
+        _print_choice(arm, chosen, options)
     else:
-        motion.save(run.motion)
         _print_outcome(arm, planner, network, motion)
-        wrote(run.task, run.network, run.motion)
-    return run
+    wrote(*written)
 
 
-def _planner(arm: Arm, arguments: argparse.Namespace) -> str:
-    """The planner that is asked for, or fits the scene; the search's options are for one alone."""
-    usual = CERTIFIED if arm.scene == "free" else obstacle_planner()
-    name = as_choice("planner that runs a network", arguments.planner or usual, NETWORK_PLANNERS)
+def _planner(arm: Arm, arguments: argparse.Namespace) -> tuple[str, str]:
+    """The planner that is asked for, or fits the scene, and why; the search's options are for one alone.
+
+    It does not depend on what is installed: where the usual one cannot run, that is an error.
+    """
+    if arguments.planner is not None:
+        name, reason = arguments.planner, "asked for"
+    elif arm.scene == "free":
+        name, reason = CERTIFIED, "the default without obstacles"
+    else:
+        name, reason = OBSTACLE_PLANNER, "the default among obstacles"
+    as_choice("planner that runs a network", name, NETWORK_PLANNERS)
+    require_planner(name)
     given = [
         option
         for option in ("bias", "bias_magnitude", "candidates")
@@ -82,35 +89,38 @@ def _planner(arm: Arm, arguments: argparse.Namespace) -> str:
     if given:
         option = f"--{given[0].replace('_', '-')}"
         raise InputError(f"{option} is for --planner {CERTIFIED}; {name} chooses by itself")
-    return name
+    return name, reason
 
 
-def _plan(arm: Arm, target: Floats, start: Floats, arguments: argparse.Namespace) -> Plan:
+def _options(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Options of the search for certified networks by name."""
     magnitude = arguments.usual_bias_magnitude if arguments.bias_magnitude is None else arguments.bias_magnitude
+    return {
+        "bias": _BIAS if arguments.bias is None else arguments.bias,
+        "bias_magnitude": magnitude,
+        "candidates": _CANDIDATES if arguments.candidates is None else arguments.candidates,
+    }
+
+
+def _plan(arm: Arm, target: Floats, start: Floats, arguments: argparse.Namespace, options: Mapping[str, Any]) -> Plan:
     with progress("synthesize") as report:
         return plan(
             arm,
             target,
             start=start,
             duration=arguments.duration,
-            bias=_bias(arguments),
-            bias_magnitude=magnitude,
-            candidates=_CANDIDATES if arguments.candidates is None else arguments.candidates,
             seed=arguments.seed,
             time_budget=arguments.time_budget,
             progress=report,
+            **options,
         )
 
 
-def _bias(arguments: argparse.Namespace) -> str:
-    return _BIAS if arguments.bias is None else str(arguments.bias)
-
-
-def _print_choice(arm: Arm, chosen: Plan, arguments: argparse.Namespace) -> None:
+def _print_choice(arm: Arm, chosen: Plan, options: Mapping[str, Any]) -> None:
     conditions = chosen.network.norm_conditions(arm.encode(chosen.target))
     rows = table("network", "quantity", "value")
     rows.add_row("certificate", str(chosen.network.certificate))
-    rows.add_row("bias", f"{_bias(arguments)}, largest entry {np.abs(chosen.network.bias).max():.3g}")
+    rows.add_row("bias", f"{options['bias']}, largest entry {np.abs(chosen.network.bias).max():.3g}")
     rows.add_row("candidates", f"{chosen.candidates} networks drawn, {chosen.within_limits} keep the joint limits")
     rows.add_row("mechanism gap", _gap(chosen.motion))
     rows.add_row(

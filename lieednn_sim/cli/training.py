@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import contextlib
 import functools
 import itertools
 from collections.abc import Callable, Iterable, Iterator
@@ -12,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lieednn_sim import plots
+from lieednn_sim import plots, storage
 from lieednn_sim.arm import Arm
 from lieednn_sim.cli.arguments import load_arm, make_task, start_and_target
 from lieednn_sim.cli.arms import print_adoption
@@ -30,9 +29,10 @@ from lieednn_sim.learning import train as learn
 from lieednn_sim.learning.checkpoint import load as load_checkpoint
 from lieednn_sim.motion import check_motion, make_motion
 from lieednn_sim.network import LieEDNN
+from lieednn_sim.run_directory import RunDirectory
 from lieednn_sim.synthesis import bias_for
-from lieednn_sim.task import RunDirectory, Task
-from lieednn_sim.validation import as_choice, as_count, as_positive, as_seed
+from lieednn_sim.task import TRAINED, Task
+from lieednn_sim.validation import as_choice, as_count, as_positive
 
 Floats = NDArray[np.float64]
 
@@ -40,45 +40,66 @@ Floats = NDArray[np.float64]
 # Learning on the manifold, and whether with a certificate; it keeps no checkpoint, for it takes seconds.
 RIEMANNIAN = {"riemannian": False, "stability-aware": True}
 
+# What a task keeps of the options.
+_OPTIONS = ("algorithm", "period", "epochs", "tolerance", "bias", "bias_magnitude", "candidates")
+
 Learner = Callable[[int], TrainingResult]
+Candidates = Iterable[Callable[[], TrainingResult]]
 
 
 def train(arguments: argparse.Namespace) -> int:
     """Learn a network for a target into a run directory; 1 when none was learned."""
-    candidates = as_count("candidates", arguments.candidates)
-    run = RunDirectory(arguments.resume or arguments.output)
-    pending, made = run.pending, not run.path.exists()
-    if arguments.resume is not None:
-        if not pending.checkpoint.is_file():
-            raise FileError(f"{run.path} holds no interrupted training (no {pending.checkpoint})")
-        task, arm = pending.load_task()
-        learners = _resumed(pending, arm.encode(task.target))
-    else:
-        arm = load_arm(arguments)
-        start, target = start_and_target(arm, arguments)
-        arm.check_position(target, "target")
-        learner = _learner(arguments, arm.encode(target), pending)
-        task, seed = make_task(arm, start, target, arguments), as_seed("seed", arguments.seed)
-        learners = (functools.partial(learner, seed + k) for k in itertools.count())
-        pending.create()
-        task.save(pending.task)
-        print_adoption(arm)
+    run = RunDirectory(arguments.output if arguments.resume is None else arguments.resume)
+    if arguments.resume is None:
+        with run.made():
+            return _train(run, *_begin(run, arguments))
+    if not run.pending.checkpoint.is_file():
+        raise FileError(f"{run.path} holds no interrupted training (no {run.pending.checkpoint})")
+    with run.at_work(), run.pending.at_work():
+        task, arm = run.pending.load_task()
+        return _train(run, task, arm, _resumed(run.pending, task, arm.encode(task.target)))
+
+
+def _begin(run: RunDirectory, arguments: argparse.Namespace) -> tuple[Task, Arm, Candidates]:
+    """The task, its arm, and what learns a network for it from one seed after the other."""
+    arm = load_arm(arguments)
+    start, target = start_and_target(arm, arguments)
+    arm.check_position(target, "target")
+    options = {name: getattr(arguments, name) for name in _OPTIONS}
+    as_count("candidates", options["candidates"])
+    task = make_task(arm, start, target, arguments, planner=TRAINED, reason="asked for", options=options)
+    learner = _learner(arguments, arm.encode(target), run.pending)
+    storage.check_outputs(run.pending.files if run.pending.path.exists() else [run.pending.path])
+    # An interrupted training that is not gone on with.
+    run.pending.remove()
     try:
+        run.pending.create()
+        task.save(run.pending.task)
+    except BaseException:
+        run.pending.remove()
+        raise
+    print_adoption(arm)
+    return task, arm, (functools.partial(learner, task.seed + k) for k in itertools.count())
+
+
+def _train(run: RunDirectory, task: Task, arm: Arm, learners: Candidates) -> int:
+    """Learn from one seed after the other, as often as the task allows."""
+    pending = run.pending
+    try:
+        candidates = as_count("candidates", task.options["candidates"])
         result, refusal = _choose(itertools.islice(learners, candidates), run, arm, task)
     except BaseException as error:
         if isinstance(error, KeyboardInterrupt) and pending.checkpoint.is_file():
-            console.print(f"interrupted; go on with: lieednn-sim train --resume {run.path}")
+            console.print(f"interrupted; go on with: lieednn-sim train --resume {run.path}", markup=False)
         else:
             pending.remove()
-            if made:
-                with contextlib.suppress(OSError):
-                    run.path.rmdir()
         raise
     if result.success:
         pending.remove()
     else:
         # What the run held before stays as it is.
-        _write_history(result, pending, arm.encode(task.target))
+        result.history.save(pending.history, {"task": task.fingerprint})
+        _plot_history(result, pending, arm.encode(task.target))
         pending.checkpoint.unlink(missing_ok=True)
     _report(result, arm.encode(task.target))
     if not result.success:
@@ -91,9 +112,7 @@ def train(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _choose(
-    learners: Iterable[Callable[[], TrainingResult]], run: RunDirectory, arm: Arm, task: Task
-) -> tuple[TrainingResult, str | None]:
+def _choose(learners: Candidates, run: RunDirectory, arm: Arm, task: Task) -> tuple[TrainingResult, str | None]:
     """The first network whose motion keeps the limits, else the first one learned, else the first failure.
 
     A network is saved as soon as it is the best so far. Second comes why the arm would refuse its motion.
@@ -109,10 +128,8 @@ def _choose(
         if best is None or (result.success and (refusal is None or not best[0].success)):
             best = result, refusal
             if result.success and isinstance(result.network, LieEDNN):
-                run.forget_results()
-                task.save(run.task)
-                result.network.save(run.network)
-                _write_history(result, run, xi)
+                run.save_network(task, result.network, history=result.history)
+                _plot_history(result, run, xi)
         if result.success and refusal is None:
             break
     if best is None:
@@ -120,8 +137,7 @@ def _choose(
     return best
 
 
-def _write_history(result: TrainingResult, run: RunDirectory, xi: Floats) -> None:
-    result.history.save(run.history)
+def _plot_history(result: TrainingResult, run: RunDirectory, xi: Floats) -> None:
     plots.plot_training(result.history, xi, result.tolerance, run.training_plot)
 
 
@@ -150,9 +166,12 @@ def _learner(arguments: argparse.Namespace, xi: Floats, pending: RunDirectory) -
                 return train_riemannian(xi, riemannian, bias=bias, seed=seed, progress=report)
 
         return learn_on_manifold
+    return functools.partial(_learn, xi, _training_options(arguments), bias, pending)
+
+
+def _training_options(arguments: argparse.Namespace) -> TrainingOptions:
     changes = {"period": arguments.period, "max_epochs": arguments.epochs, "tolerance": arguments.tolerance}
-    options = ALGORITHMS[name](**{key: value for key, value in changes.items() if value is not None})
-    return functools.partial(_learn, xi, options, bias, pending)
+    return ALGORITHMS[arguments.algorithm](**{key: value for key, value in changes.items() if value is not None})
 
 
 def _learn(xi: Floats, options: TrainingOptions, bias: Floats, pending: RunDirectory, seed: int) -> TrainingResult:
@@ -160,17 +179,25 @@ def _learn(xi: Floats, options: TrainingOptions, bias: Floats, pending: RunDirec
         return learn(xi, options, bias=bias, seed=seed, checkpoint=pending.checkpoint, progress=report)
 
 
-def _resumed(pending: RunDirectory, xi: Floats) -> Iterator[Callable[[], TrainingResult]]:
+def _resumed(pending: RunDirectory, task: Task, xi: Floats) -> Iterator[Callable[[], TrainingResult]]:
     """The interrupted candidate first, then those after it."""
     problem, options, *_ = load_checkpoint(pending.checkpoint)
     if problem.group is not None or problem.target.shape != xi.shape or np.abs(problem.target - xi).max() > 1e-9:
         raise FileError(f"{pending.checkpoint} was learning another target than {pending.task} says; train again")
+    try:
+        asked = argparse.Namespace(**task.options)
+        same = options == _training_options(asked) and bool(np.allclose(problem.bias, _bias(xi, asked), atol=1e-9))
+    except (AttributeError, KeyError, TypeError, InputError) as error:
+        raise FileError(f"{pending.task} does not say how the training was begun ({error}); train again") from None
+    if not same or not 0 <= problem.seed - task.seed < task.options["candidates"]:
+        raise FileError(f"{pending.checkpoint} was learning with other options than {pending.task} says; train again")
 
     def go_on() -> TrainingResult:
         with progress("train") as report:
             return resume(pending.checkpoint, progress=report)
 
-    others = (problem.seed + k for k in itertools.count(1))
+    # Those before it were learned, and refused or worse.
+    others = range(problem.seed + 1, task.seed + task.options["candidates"])
     return itertools.chain(
         [go_on], (functools.partial(_learn, problem.target, options, problem.bias, pending, seed) for seed in others)
     )

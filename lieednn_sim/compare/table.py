@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import csv
-import json
 import os
 import time
 from collections.abc import Iterable
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -15,13 +13,12 @@ from lieednn_sim import storage
 from lieednn_sim.compare.cases import Case, Row, Settings
 from lieednn_sim.compare.columns import COLUMNS, FIELDS
 from lieednn_sim.errors import FileError
+from lieednn_sim.versions import versions
 
 Key = tuple[str, str, str, str, int]
 
 # The file is written anew at most so often [s]; a killed process loses no more, an interrupted one nothing.
 _WRITE_INTERVAL = 2.0
-# Of these the numbers depend on the version.
-_PACKAGES = ("lieednn_sim", "mujoco", "numpy", "scipy")
 
 
 class Table:
@@ -38,7 +35,7 @@ class Table:
     def __init__(self, directory: str | os.PathLike[str], settings: Settings) -> None:
         self.directory = storage.make_directory(directory)
         self.csv, self.json = self.directory / "comparison.csv", self.directory / "comparison.json"
-        self.settings, self.versions = settings, _versions()
+        self.settings, self.versions = settings, versions()
         self.rows: dict[Key, Row] = {}
         if self.csv.exists():
             self._check()
@@ -79,7 +76,7 @@ class Table:
         """Refuse to mix rows that were not made alike."""
         advice = f"choose another --output, or remove {self.csv}"
         try:
-            found = json.loads(self.json.read_text(encoding="utf-8"))
+            found = storage.load_json(self.json, "comparison")
             made = {**found["settings"], **found["versions"]}
             if found["kind"] != "comparison" or found["format"] != 1:
                 raise ValueError("it is of another kind")
@@ -115,7 +112,3 @@ def read_rows(path: str | os.PathLike[str]) -> dict[Key, Row]:
         return {key_of(row): row for row in rows}
     except (OSError, ValueError, csv.Error) as error:
         raise FileError(f"cannot go on from {path}: {error}; remove it or choose another --output") from None
-
-
-def _versions() -> dict[str, str]:
-    return {name: metadata.version(name) for name in _PACKAGES}

@@ -11,7 +11,7 @@ from lieednn_sim.environments.base import ArmTask
 from lieednn_sim.environments.tasks import Track
 from lieednn_sim.environments.trajectories import Trajectory, planned
 from lieednn_sim.errors import InputError
-from lieednn_sim.planners import PLANNERS, obstacle_planner
+from lieednn_sim.planners import OBSTACLE_PLANNER, PLANNERS, require_planner
 from lieednn_sim.validation import as_choice, as_count, as_seed
 
 Floats = NDArray[np.float64]
@@ -26,12 +26,13 @@ class Expert:
 
     Args:
         environment: an `ArmTask`, an environment of `suite.load`, or a Gymnasium one, wrapped or not.
-        planner: a name of `planners.PLANNERS`; by default `planning.plan`, and among obstacles `obstacle_planner()`.
+        planner: a name of `planners.PLANNERS`; by default `planning.plan`, and among obstacles `OBSTACLE_PLANNER`.
         candidates: networks to draw for a plan at first, see `trajectories.planned`.
         seed: of the draws.
 
     Raises:
         InputError: the environment is none of these, or there is no such planner.
+        LieEDNNError: a library that the planner needs is not installed.
     """
 
     def __init__(self, environment: Any, *, planner: str | None = None, candidates: int = 2, seed: int = 0) -> None:
@@ -44,8 +45,10 @@ class Expert:
             )
         self._task = task
         if planner is None and task.arm.scene != "free":
-            planner = obstacle_planner()
+            planner = OBSTACLE_PLANNER
         self._planner = None if planner is None else as_choice("planner", planner, PLANNERS)
+        if self._planner is not None:
+            require_planner(self._planner)
         self._candidates = as_count("candidates", candidates)
         self._seed = as_seed("seed", seed)
         self._episode = 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -52,9 +53,9 @@ class History:
         """The columns by name."""
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write to an ``.npz`` file, atomically."""
-        storage.save_arrays(path, "training-history", self.arrays(), {})
+    def save(self, path: str | os.PathLike[str], made_from: Mapping[str, str] | None = None) -> None:
+        """Write to an ``.npz`` file, atomically; ``made_from`` as for `storage.save_arrays`."""
+        storage.save_arrays(path, "training-history", self.arrays(), {}, made_from)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> History:

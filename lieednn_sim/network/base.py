@@ -173,10 +173,10 @@ class BlockNetwork(ABC):
         network: Self = replace(self, lyapunov_diagonal=diagonal)  # type: ignore[type-var]
         return network
 
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the network to an ``.npz`` file, atomically."""
+    def save(self, path: str | os.PathLike[str], made_from: Mapping[str, str] | None = None) -> None:
+        """Write the network to an ``.npz`` file, atomically; ``made_from`` as for `storage.save_arrays`."""
         arrays = {name: getattr(self, name) for name in self._arrays if getattr(self, name) is not None}
-        storage.save_arrays(path, self._kind, arrays, self._meta())
+        storage.save_arrays(path, self._kind, arrays, self._meta(), made_from)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Self:

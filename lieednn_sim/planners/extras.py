@@ -34,6 +34,19 @@ def missing_planners() -> dict[str, str]:
     return missing
 
 
+def require_planner(name: str) -> None:
+    """Raise `LieEDNNError` when a library that a planner needs is not installed; says what to do.
+
+    No other planner takes its place: what is planned must not depend on what is installed.
+    """
+    missing = missing_planners()
+    if name in missing:
+        raise LieEDNNError(
+            f"planner {name!r} is not installed: {missing[name]}; or name another one, as "
+            "lieednn-filtered, which needs no extra"
+        )
+
+
 def optional_module(name: str) -> Any:
     """Import a module of an optional library.
 

@@ -11,7 +11,6 @@ from lieednn_sim.errors import InputError
 from lieednn_sim.motion import Motion, slowed_down
 from lieednn_sim.network import ComponentwiseNetwork
 from lieednn_sim.planners import filtered, interpolation, lieednn, optimisation, primitives, sampling
-from lieednn_sim.planners.extras import missing_planners
 from lieednn_sim.planners.problem import LONGEST, PlanningProblem
 from lieednn_sim.validation import as_choice
 
@@ -25,6 +24,10 @@ NETWORK_PLANNERS: dict[str, Callable[[PlanningProblem], tuple[ComponentwiseNetwo
     "lieednn-filtered": filtered.filtered,
     "lieednn-guided": filtered.guided,
 }
+
+
+# The LieEDNN planner that gets furthest among obstacles, whether its library is installed or not.
+OBSTACLE_PLANNER = "lieednn-guided"
 
 
 def _motion_of(name: str, problem: PlanningProblem) -> Motion:
@@ -41,11 +44,6 @@ PLANNERS: dict[str, Callable[[PlanningProblem], Motion]] = {
     "trajectory-optimisation": optimisation.trajectory_optimisation,
     **{name: partial(_motion_of, name) for name in NETWORK_PLANNERS},
 }
-
-
-def obstacle_planner() -> str:
-    """The LieEDNN planner that gets furthest among obstacles with the libraries that are installed."""
-    return "lieednn-filtered" if "lieednn-guided" in missing_planners() else "lieednn-guided"
 
 
 def plan_with(name: str, problem: PlanningProblem) -> Motion:

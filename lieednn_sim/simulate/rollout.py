@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -116,13 +117,18 @@ class Rollout:
         """Simulation step [s]."""
         return float(self.t[1] - self.t[0])
 
+    @property
+    def hold(self) -> float:
+        """Time simulated after the motion [s]."""
+        return float(self.t[-1] - self.motion_end)
+
     def link_poses(self) -> RigidTransform:
         """Simulated link frames as poses of shape ``(K, N)``."""
         rotation = Rotation.from_quat(self.link_quaternion, scalar_first=True)
         return RigidTransform.from_components(self.link_position, rotation)
 
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write to an ``.npz`` file, atomically."""
+    def save(self, path: str | os.PathLike[str], made_from: Mapping[str, str] | None = None) -> None:
+        """Write to an ``.npz`` file, atomically; ``made_from`` as for `storage.save_arrays`."""
         meta = {
             "arm": self.arm,
             "motion_end": self.motion_end,
@@ -131,7 +137,7 @@ class Rollout:
             "disturbances": self.disturbances.to_json(),
             "mujoco": mujoco.__version__,
         }
-        storage.save_arrays(path, "rollout", {name: getattr(self, name) for name in _ARRAYS}, meta)
+        storage.save_arrays(path, "rollout", {name: getattr(self, name) for name in _ARRAYS}, meta, made_from)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Rollout:

@@ -14,7 +14,7 @@ from lieednn_sim.cli.arms import farthest
 from lieednn_sim.errors import PlanError
 from lieednn_sim.motion import Motion, make_motion
 from lieednn_sim.network import LieEDNN
-from lieednn_sim.planners import NETWORK_PLANNERS, obstacle_planner
+from lieednn_sim.planners import NETWORK_PLANNERS, OBSTACLE_PLANNER
 from lieednn_sim.simulate import Push, Rollout
 from lieednn_sim.task import Task
 
@@ -106,7 +106,7 @@ def test_a_planners_motion_is_simulated_and_never_a_stale_one(tmp_path, capsys):
     (directory / "task.json").write_text(
         (directory / "task.json").read_text().replace(*map(str, (task.target[-1], elsewhere[-1])))
     )
-    assert "was planned for another start or target" in error(capsys, "simulate", directory)
+    assert "network.npz was made from another task than" in error(capsys, "simulate", directory)
     # Another network: the motion of the old one is gone, and would not be read if it came back.
     assert main([*base, "--candidates", "3"]) == 0
     assert {path.name for path in directory.iterdir()} == {"task.json", "network.npz"}
@@ -151,7 +151,7 @@ def test_among_obstacles_the_filter_plans_and_the_clearance_is_measured(tmp_path
     directory = tmp_path / "run"
     assert main(["demo", "--no-video", "--scene", "window", "--scene-seed", "2", "--output", str(directory)]) == 0
     task = Task.load(directory / "task.json")
-    assert (task.scene, task.scene_seed, task.planner) == ("window", 2, obstacle_planner())
+    assert (task.scene, task.scene_seed, task.planner) == ("window", 2, OBSTACLE_PLANNER)
     clearance = re.search(r"least clearance ([\d.-]+) mm", capsys.readouterr().out)
     assert clearance is not None
     assert float(clearance.group(1)) > 0.0
@@ -161,7 +161,7 @@ def test_where_the_filter_blocks_nothing_is_left_and_the_line_says_by_what(tmp_p
     def blocked(problem):
         raise PlanError("blocked by the clearance of 'hand' from 'wall'")
 
-    monkeypatch.setitem(NETWORK_PLANNERS, obstacle_planner(), blocked)
+    monkeypatch.setitem(NETWORK_PLANNERS, OBSTACLE_PLANNER, blocked)
     arguments = ["synthesize", "--scene", "window", "--target", "random:0", "--output", tmp_path / "run"]
     assert "error: blocked by the clearance of 'hand' from 'wall'" in error(capsys, *arguments)
     assert not (tmp_path / "run").exists()

@@ -1,0 +1,45 @@
+"""What tells one arm from another: a fingerprint of everything that moves or stands in its way."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieednn_sim import storage
+
+if TYPE_CHECKING:
+    from lieednn_sim.arm.arm import Arm
+
+# Beginnings of the names of MuJoCo's arrays that count, and ends of those among them that only look.
+_COUNT = (
+    *("body_", "jnt_", "dof_", "geom_", "site_", "actuator_", "eq_", "tendon_", "wrap_", "pair_", "exclude_"),
+    *("mesh_", "hfield_", "key_", "qpos"),
+)
+_LOOK = ("_rgba", "_matid", "_group", "_user", "_pathadr", "texcoord", "texcoordadr", "texcoordnum")
+# Rounded to so many decimals, so that the last bits of another processor's arithmetic make no other arm.
+_DECIMALS = 9
+
+
+def arm_fingerprint(arm: Arm) -> str:
+    """Fingerprint of an arm: its compiled model with the obstacles, its frames, coordinates and limits.
+
+    Colours do not count, nor where the files lie. Another version of MuJoCo may give another one.
+    """
+    arrays: dict[str, NDArray[Any]] = {}
+    for prefix, holder in (("", arm.model), ("opt_", arm.model.opt)):
+        for name in dir(holder):
+            if prefix or (name.startswith(_COUNT) and not name.endswith(_LOOK)):
+                value = getattr(holder, name)
+                if isinstance(value, int | float | np.ndarray):
+                    arrays[prefix + name] = _rounded(np.asarray(value))
+    for name in ("position_limits", "velocity_limits", "acceleration_limits", "force_limits", "site_ids"):
+        arrays[name] = _rounded(np.asarray(getattr(arm, name)))
+    arrays |= {"base": _rounded(arm.base.as_matrix()), "length_scale": _rounded(np.asarray(arm.length_scale))}
+    return storage.fingerprint(arrays, {"joints": arm.joint_names})
+
+
+def _rounded(values: NDArray[Any]) -> NDArray[Any]:
+    # Zero is added for its sign.
+    return np.round(values, _DECIMALS) + 0.0 if values.dtype.kind == "f" else values
