@@ -252,7 +252,8 @@ def _settled(t: Floats, distance: Floats, angle: Floats) -> float | None:
 def _recoveries(rollout: Rollout, tracking: tuple[Floats, Floats]) -> tuple[Recovery, ...]:
     """A push that begins after the end of the rollout leaves no entry."""
     pushes = [push for push in rollout.disturbances.pushes if push.start <= rollout.t[-1]]
-    untils = [*(push.start for push in pushes[1:]), np.inf][: len(pushes)]
+    # Pushes that begin together share what follows.
+    untils = [min((other.start for other in pushes if other.start > push.start), default=np.inf) for push in pushes]
     return tuple(_recovery(push, until, rollout.t, tracking) for push, until in zip(pushes, untils, strict=True))
 
 

@@ -282,6 +282,21 @@ def test_recovery_from_pushes_by_hand(gantry):
     assert (late.peak_deviation_mm, late.recovery_time) == (pytest.approx(6.0), None)
 
 
+def test_pushes_that_begin_together_share_their_recovery(gantry):
+    pushes = tuple(Push(body, (1.0, 0.0, 0.0), 0.1, 0.02) for body in ("link 1", "end effector"))
+    rollout = moved(moved(still(gantry, 31), 11, 0, 4.0), 15, 1, 2.0)
+    one, other = evaluate(
+        gantry, dataclasses.replace(rollout, disturbances=Disturbances(pushes=pushes)), np.zeros(4)
+    ).recoveries
+    assert dataclasses.astuple(one)[1:] == dataclasses.astuple(other)[1:] == pytest.approx((0.1, 0.12, 4.0, 0.0, 0.04))
+    # Less than a step apart: the first has no instant of its own.
+    pushes = (pushes[0], dataclasses.replace(pushes[1], start=0.101))
+    changed = dataclasses.replace(rollout, disturbances=Disturbances(pushes=pushes))
+    first, second = evaluate(gantry, changed, np.zeros(4)).recoveries
+    assert (first.peak_deviation_mm, first.peak_deviation_deg, first.recovery_time) == (0.0, 0.0, None)
+    assert second.peak_deviation_mm == pytest.approx(4.0)
+
+
 def test_following_errors_by_hand(gantry):
     """A target that runs along x at 0.5 m/s, jumps at 0.05 s and is followed 20 ms late."""
     t, lag = 0.01 * np.arange(21), 0.02

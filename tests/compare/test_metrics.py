@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 
 from lieednn_sim.arm.collision import Collisions
-from lieednn_sim.compare.metrics import least_clearance, motion_metrics, rollout_metrics, shortfall, violations
+from lieednn_sim.compare.metrics import (
+    least_clearance,
+    motion_metrics,
+    rms_curvature,
+    rollout_metrics,
+    shortfall,
+    violations,
+)
 from lieednn_sim.evaluate import Evaluation, FrameErrors, JointUse, evaluate
 from lieednn_sim.motion import Motion
 from lieednn_sim.simulate import Rollout
@@ -75,7 +82,9 @@ def test_a_circle_has_the_curvature_of_its_radius(gantry):
     assert found["jerk_effector"] == pytest.approx(0.5 * 2.0**3, rel=1e-3)
     still = motion_of(gantry, t, np.zeros((101, 4)), np.zeros((101, 4)))
     assert "curvature" not in motion_metrics(gantry, still)
-    # Three samples have no third difference.
+    # Three samples have a curvature, here |(1, 0) x (0, 2)| / 1, and no third difference.
+    assert rms_curvature([[-0.1, 0.1, 0.0], [0.0, 0.0, 0.0], [0.1, 0.1, 0.0]], 0.1) == pytest.approx(20.0)
+    assert rms_curvature(np.zeros((2, 3)), 0.1) is None
     short = motion_metrics(gantry, motion_of(gantry, t[:3], q[:3], qd[:3]))
     assert short["jerk_effector"] == 0.0
 

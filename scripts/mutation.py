@@ -1,0 +1,192 @@
+"""Measure the tests: change the code a little, by mutmut, and count the changes that a room's tests notice.
+
+    pip install 'lieednn_sim[mutation]'
+    python scripts/mutation.py [--rooms lie,motion] [--sample 40] [--seed 0] [--jobs 2] [--output results/mutation]
+
+Of each room a seeded random sample of mutants is tried (0: all of them). Rooms are tested by their own fast tests, in a
+copy of the checkout under the output, so nothing in it changes. Writes ``ROOM.json`` for each room, with the diffs of
+what survived, and the table ``mutation.md``. An interrupted run goes on where it was.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import random
+import re
+import shutil
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from scipy.stats import binomtest
+
+from lieednn_sim import storage
+
+ROOT = Path(__file__).resolve().parents[1]
+# What a room's tests read.
+_COPIED = ("lieednn_sim", "assets", "tests", "scripts", "pyproject.toml", "README.md")
+_BY_CODE = {1: "killed", 3: "killed", 0: "survived", 5: "no tests", 33: "no tests"}
+
+
+@dataclass(frozen=True)
+class Room:
+    """Modules, as globs under the package, the tests that shall notice a change of them, and those too slow for it."""
+
+    modules: tuple[str, ...]
+    tests: tuple[str, ...]
+    slow: tuple[str, ...] = ()
+
+
+_ARM_TESTS = ("tests/arm/test_arm.py", "tests/arm/test_retraction.py", "tests/arm/test_adopt.py")
+ROOMS = {
+    "lie": Room(("lie/*",), ("tests/lie",)),
+    "stability": Room(("stability/*",), ("tests/stability",)),
+    "synthesis": Room(("synthesis/*",), ("tests/synthesis",)),
+    "motion": Room(("motion.py",), ("tests/test_motion.py",)),
+    "planning": Room(("planning.py",), ("tests/test_motion.py",)),
+    "filtering": Room(("filtering/*", "planners/legs.py"), ("tests/test_filtering.py",)),
+    "retraction": Room(("arm/retraction.py", "arm/nearest.py", "arm/joints.py"), _ARM_TESTS[:2]),
+    "couplings": Room(("arm/couplings.py",), ("tests/arm/test_couplings.py", *_ARM_TESTS[1:])),
+    "simulate": Room(
+        ("simulate/*",),
+        ("tests/simulate",),
+        ("tests/simulate/test_rollout.py::test_final_pose_error_and_tracking_over_seeded_targets",),
+    ),
+    "metrics": Room(
+        ("evaluate.py", "compare/metrics.py", "compare/statistics.py"),
+        ("tests/test_evaluate.py", "tests/compare/test_metrics.py", "tests/compare/test_compare.py"),
+        ("tests/compare/test_compare.py::test_interrupting_keeps_what_is_done",),
+    ),
+    "limits": Room(("arm/reading.py", "arm/coordinates.py"), _ARM_TESTS),
+}
+
+
+def measure(name: str, sample: int, seed: int, jobs: int, output: Path) -> dict[str, Any]:
+    """Outcomes of a room's mutants by name, and the diffs of those that are not killed."""
+    place = output / name
+    if not (place / "mutants").exists():
+        prepare(ROOMS[name], place)
+        # Makes the mutants, and runs the tests once for what covers what; there is no mutant of this name.
+        run(place, ["run", "--max-children", "1", "none"], check=False)
+    known = sorted(outcomes(place))
+    chosen = sorted(random.Random(seed).sample(known, min(sample, len(known)) if sample else len(known)))
+    if not chosen:
+        raise SystemExit(f"{name}: no mutants; the tests fail without any, see mutmut's words above")
+    todo = [mutant for mutant in chosen if outcomes(place)[mutant] is None]
+    # In parts, so that an interrupted run keeps what is done and no command is too long.
+    for first in range(0, len(todo), 200):
+        run(place, ["run", "--max-children", str(jobs), *todo[first : first + 200]])
+    codes = outcomes(place)
+    found = {mutant: _BY_CODE.get(codes[mutant], "timeout or crash") for mutant in chosen}
+    alive = {
+        mutant: run(place, ["show", mutant]) for mutant, outcome in found.items() if outcome in ("survived", "no tests")
+    }
+    result = {"room": name, "mutants": len(known), "seed": seed, "outcomes": found, "alive": alive}
+    storage.save_json(output / f"{name}.json", result)
+    return result
+
+
+def prepare(room: Room, place: Path) -> None:
+    """Copy the checkout, and tell mutmut what to change and which tests to run."""
+    shutil.rmtree(place, ignore_errors=True)
+    place.mkdir(parents=True)
+    for name in _COPIED:
+        source = ROOT / name
+        (shutil.copytree if source.is_dir() else shutil.copy2)(source, place / name)
+    values = {
+        "source_paths": ["lieednn_sim"],
+        "only_mutate": [f"lieednn_sim/{module}" for module in room.modules],
+        "pytest_add_cli_args_test_selection": list(room.tests),
+        "pytest_add_cli_args": ["-p", "no:cacheprovider", *(f"--deselect={test}" for test in room.slow)],
+        "also_copy": ["assets", "scripts", "README.md"],
+    }
+    lines = ["[mutmut]", "timeout_multiplier = 10"]
+    for key, entries in values.items():
+        lines += [f"{key} =", *(f"    {entry}" for entry in entries)]
+    (place / "setup.cfg").write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def run(place: Path, arguments: list[str], *, check: bool = True) -> str:
+    """Run mutmut in a copy; returns what it says."""
+    environment = os.environ | {"OPENBLAS_NUM_THREADS": "1", "PYTHONPATH": str(place)}
+    done = subprocess.run(
+        [sys.executable, "-m", "mutmut", *arguments], cwd=place, env=environment, capture_output=True, text=True
+    )
+    if check and done.returncode:
+        raise SystemExit(f"mutmut {arguments[0]} failed in {place}:\n{done.stdout[-3000:]}\n{done.stderr[-3000:]}")
+    return done.stdout
+
+
+def outcomes(place: Path) -> dict[str, int | None]:
+    """Exit codes of the tests by mutant, None for one that was not tried."""
+    codes: dict[str, int | None] = {}
+    for path in sorted((place / "mutants").rglob("*.meta")):
+        codes |= json.loads(path.read_text(encoding="utf-8"))["exit_code_by_key"]
+    return codes
+
+
+def of_words_only(diff: str) -> bool:
+    """Whether a mutant changes text alone: one line whose strings differ, or lose their names for messages."""
+    lines = diff.splitlines()
+    old, new = ([line[1:] for line in lines if re.match(rf"\{sign}(?!\{sign})", line)] for sign in "-+")
+    blank = re.compile(r"""f?(["']).*?\1""")
+    plain = [[blank.sub("_", line) for line in side] for side in (old, new)]
+    return plain[0] == plain[1] and old != new
+
+
+def table(results: list[dict[str, Any]]) -> str:
+    """The results in Markdown."""
+    lines = [
+        "| room | mutants | tried | killed | timeout or crash | words only | alive | killed of those that act |",
+        "| --- | --- | --- | --- | --- | --- | --- | --- |",
+    ]
+    sums = [0] * 6
+    for result in results:
+        found = list(result["outcomes"].values())
+        words = sum(of_words_only(diff) for diff in result["alive"].values())
+        counts = [
+            result["mutants"],
+            len(found),
+            found.count("killed"),
+            found.count("timeout or crash"),
+            words,
+            len(result["alive"]) - words,
+        ]
+        sums = [total + count for total, count in zip(sums, counts, strict=True)]
+        lines.append(_line(result["room"], counts))
+    return "\n".join([*lines, _line("all", sums)]) + "\n"
+
+
+def _line(name: str, counts: list[int]) -> str:
+    noticed, acting = counts[2] + counts[3], counts[1] - counts[4]
+    interval = binomtest(noticed, acting).proportion_ci(0.95, method="wilson")
+    share = f"{noticed / acting:.0%} ({interval.low:.0%} to {interval.high:.0%})"
+    return f"| {name} | {' | '.join(map(str, counts))} | {share} |"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--rooms", default=",".join(ROOMS), help=f"of {', '.join(ROOMS)}")
+    parser.add_argument("--sample", type=int, default=40, help="mutants of each room, 0 for all")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--output", type=Path, default=Path("results/mutation"))
+    options = parser.parse_args()
+    names = options.rooms.split(",")
+    if unknown := sorted(set(names) - set(ROOMS)):
+        parser.error(f"no room {unknown[0]!r}; rooms are: {', '.join(ROOMS)}")
+    output = options.output.resolve()
+    results = []
+    for name in names:
+        results.append(measure(name, options.sample, options.seed, options.jobs, output))
+        print(table(results[-1:]).splitlines()[2], flush=True)
+    with storage.atomic_text(output / "mutation.md") as stream:
+        stream.write(table(results))
+
+
+if __name__ == "__main__":
+    main()

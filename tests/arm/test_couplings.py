@@ -1,0 +1,43 @@
+"""Lines of coupled joints, by hand."""
+
+import pytest
+
+from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm.couplings import line_of, to_independent_leaders
+from lieednn_sim.errors import InputError
+
+_MODEL = """
+<mujoco><worldbody><body><geom size="0.1"/>
+  <joint name="lead" type="slide" ref="0.25"/><joint name="follow" type="slide" ref="-0.5"/>
+</body></worldbody><equality>
+  <joint joint1="follow" joint2="lead" polycoef="0.125 3 0 0 0"/>
+  <joint joint1="follow" joint2="lead" polycoef="0.125 3 0 0 1"/>
+  <joint joint1="follow" joint2="lead" polycoef="0.125 0 0 0 0"/>
+</equality></mujoco>
+"""
+
+
+def test_the_line_of_an_equality():
+    """y + 0.5 = 0.125 + 3 (x - 0.25), so y = 3 x - 1.125; curved or constant ones are none."""
+    model = mujoco.MjModel.from_xml_string(_MODEL)
+    assert line_of(model, 0) == (0, 3.0, -1.125)
+    assert line_of(model, 1) is None
+    assert line_of(model, 2) is None
+
+
+def test_followers_of_followers_follow_their_leader():
+    """q3 = 5 q2 + 7 with q2 = 2 q1 + 3 and q1 = -q0 + 1: q2 = -2 q0 + 5 and q3 = -10 q0 + 32."""
+    direct = {3: (2, 5.0, 7.0), 2: (1, 2.0, 3.0), 1: (0, -1.0, 1.0), 9: (8, 0.5, 0.25)}
+    assert to_independent_leaders(direct, str) == {
+        3: (0, -10.0, 32.0),
+        2: (0, -2.0, 5.0),
+        1: (0, -1.0, 1.0),
+        9: (8, 0.5, 0.25),
+    }
+
+
+@pytest.mark.parametrize("circle", [{1: 1}, {1: 2, 2: 1}, {0: 1, 1: 2, 2: 1}, {0: 1, 1: 2, 2: 3, 3: 2}])
+def test_circles_are_refused_wherever_they_are_entered(circle):
+    direct = {follower: (leader, 1.0, 0.0) for follower, leader in circle.items()}
+    with pytest.raises(InputError, match=f"joint {next(iter(circle))} is coupled in a circle"):
+        to_independent_leaders(direct, lambda joint: f"joint {joint}")

@@ -1,0 +1,97 @@
+"""What the terminal shows of an evaluation, cell by cell."""
+
+from __future__ import annotations
+
+import dataclasses
+import io
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from lieednn_sim.cli import tables
+from lieednn_sim.evaluate import Evaluation, FrameErrors, JointUse, Recovery
+from lieednn_sim.simulate import Disturbances, Rollout
+
+EVALUATION = Evaluation(
+    frames=(
+        FrameErrors("link 1", 1.5, 2.5, 3.5, 4.5, 5.5, 6.5, 7.25),
+        FrameErrors("end effector", 10.0, 20.0, 30.0, 40.0, 50.0, 60.0, None),
+    ),
+    joints=(JointUse("turn", 0.5, 2.0, 30.0, 40.0, 7.5), JointUse("slide", 1.0, np.inf, 25.0, np.inf, 0.0)),
+    travel=2.5,
+    displacement=1.25,
+    max_gap_translation_mm=12.5,
+    max_gap_rotation_deg=3.5,
+    network_residual=1e-9,
+    contacts=2,
+    peak_contact_force=17.5,
+    peak_weld_force=21.5,
+    peak_weld_torque=22.5,
+    recoveries=(Recovery("link 2", 0.5, 0.75, 8.125, 9.25, 0.375), Recovery("hand", 1.5, 2.0, 4.0, 5.0, None)),
+    motion_end=4.0,
+    duration=5.0,
+    controller="mocap",
+)
+
+
+@pytest.fixture
+def rollout(gantry):
+    zeros = np.zeros((2, 4))
+    poses = gantry.link_poses(zeros)
+    return Rollout(
+        arm=gantry.name,
+        t=np.array([0.0, 0.01]),
+        **dict.fromkeys(("q", "qd", "q_ref", "qd_ref", "ctrl", "force", "constraint_force"), zeros),
+        link_position=poses.translation,
+        link_quaternion=poses.rotation.as_quat(scalar_first=True),
+        contacts=np.zeros(2, dtype=int),
+        motion_end=0.0,
+        reference_rate=100.0,
+        disturbances=Disturbances(mass_scale=1.2, payload=0.5, position_noise=1e-3, velocity_noise=2e-3),
+    )
+
+
+@pytest.fixture
+def printed(monkeypatch):
+    """What is printed on a terminal that is wide enough."""
+    stream = io.StringIO()
+    monkeypatch.setattr(tables, "console", Console(file=stream, width=200, soft_wrap=True))
+    return stream
+
+
+def cells(line: str) -> list[str]:
+    """Cells are apart by two blanks or more."""
+    return [cell.strip() for cell in line.split("  ") if cell.strip()]
+
+
+def test_every_cell_is_under_its_heading(rollout, printed):
+    tables.print_evaluation(EVALUATION, rollout, clearance=0.0125)
+    lines = [line for line in printed.getvalue().splitlines() if line.strip(" ─━")]
+    rows = [cells(line) for line in lines]
+    assert lines[0].strip() == "tracking error, mocap"
+    assert rows[1] == ["frame", "final mm", "deg", "RMS mm", "deg", "max mm", "deg", "settled s"]
+    assert rows[2] == ["link 1", "1.5000", "2.5000", "3.5000", "4.5000", "5.5000", "6.5000", "7.25"]
+    assert rows[3] == ["end effector", *(f"{v}.0000" for v in (10, 20, 30, 40, 50, 60)), "never"]
+    caption = "the end effector moves 1.25 m (path 2.50 m) in 4 s, then holds; contacts: 2; "
+    assert caption + "mechanism gap of the plan: 12.5 mm" in " ".join(" ".join(lines).split())
+    assert ["joint", "peak velocity", "of limit", "peak force", "of limit", "constraints"] in rows
+    assert ["turn", "0.500", "25%", "30.0", "75%", "7.5"] in rows
+    assert ["slide", "1.000", "-", "25.0", "-", "0.0"] in rows
+    assert ["body", "from s", "to s", "peak mm", "deg", "recovered after s"] in rows
+    assert ["link 2", "0.5", "0.75", "8.125", "9.2500", "0.38"] in rows
+    assert ["hand", "1.5", "2", "4.000", "5.0000", "never"] in rows
+    conditions = "conditions: reference held at 100 Hz, masses times 1.2, payload 0.5 kg, position noise 0.001, "
+    assert conditions + "velocity noise 0.002" in lines
+    assert "contact force up to 17.5 N; welds up to 21.5 N and 22.5 N m; least clearance 12.5 mm" in lines
+
+
+def test_what_did_not_happen_is_not_shown(rollout, printed):
+    plain = dataclasses.replace(
+        EVALUATION, recoveries=(), contacts=0, peak_weld_force=0.0, peak_weld_torque=0.0, max_gap_translation_mm=None
+    )
+    undisturbed = dataclasses.replace(rollout, reference_rate=None, disturbances=Disturbances())
+    tables.print_evaluation(plain, undisturbed)
+    shown = printed.getvalue()
+    for word in ("pushes", "conditions", "contact force", "welds", "clearance", "mechanism gap"):
+        assert word not in shown
