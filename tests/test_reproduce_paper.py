@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import reproduce_paper
-from paper import claims, experiments, measures, plan, report, results, runner
+from paper import check_measures, claims, experiments, measures, plan, report, results, runner
 from rich.console import Console
 
 SCRIPTS = Path(__file__).resolve().parents[1] / "scripts"
@@ -116,6 +116,46 @@ def test_verdicts_follow_from_the_numbers():
     assert verdicts(**bad)[faster] == measures.FAILS
     assert verdicts(**{**bad, "p10": good["p10"]})[converging] == measures.PART
     assert set(verdicts().values()) == {measures.UNKNOWN}
+    # How soon the runs converge is one thing, how many are lost another: these here are sooner, though most are lost.
+    small, lost = texts[measures.small_periods], {"success": False, "reason": "lost the equilibrium"}
+    few = [made("P=1", epochs=50.0)] * 3 + [made("P=1", **lost)] * 7
+    spent = [made("P=1", epochs=50.0)] * 3 + [made("P=1", success=False, reason="epochs spent")] * 7
+    late = [made("P=4", epochs=5000.0)] * 10
+    assert verdicts(**good, p1=few, p4=few)[small] == measures.FAILS
+    assert verdicts(**good, p1=few, p4=late)[small] == measures.PART
+    assert verdicts(**good, p1=spent, p4=late)[small] == measures.HOLDS
+    assert verdicts(**good, p1=[made("P=1", **lost)] * 3, p4=late)[small] == measures.PART
+    groups = {f"P={name[1:]}": group for name, group in {**good, "p1": few, "p4": late}.items()}
+    row = measures.small_periods(results.Results(TINY, groups, ()))
+    assert "P=1: 3 of 10 in 50 epochs and 1 s (medians), 7 lost the equilibrium" in row[0]
+
+
+def test_verdicts_of_the_checks_follow_from_the_numbers():
+    def verdict(measure, name, **values):
+        record = runner.Record(plan.Job(name, "check", {}), {}, values)
+        return measure(results.Results(TINY, {name: [record]}, ()))[1]
+
+    near = {"count": 1, "nearest": 1.0, "rising": [0.0] * 6, "smallest": 0.5}
+    for loss, expected in ((1.0, measures.HOLDS), (0.98, measures.FAILS)):
+        found = verdict(check_measures.riemannian, "riemannian", loss=[loss] * 6, random=[1.0] * 6, **near)
+        assert found == expected
+    falling = [1.0, 0.9, 0.5, 0.2, 0.1, -0.1]
+    assert verdict(check_measures.riemannian, "riemannian", loss=falling, random=falling, **near) == measures.PART
+    norms = {"count": 5, "columns": 5, "sums": 5, "beyond": 5, "violating": 5}
+    for measure, broken in ((check_measures.columns_alone, "columns"), (check_measures.sums_alone, "sums")):
+        assert verdict(measure, "single norms", **norms) == measures.HOLDS
+        assert verdict(measure, "single norms", **{**norms, broken: 4}) == measures.FAILS
+    assert verdict(check_measures.one_norm_for_both, "single norms", **norms) == measures.PART
+    assert verdict(check_measures.one_norm_for_both, "single norms", **{**norms, "violating": 0}) == measures.HOLDS
+    assert verdict(check_measures.one_norm_for_both, "single norms", **{**norms, "columns": 4}) == measures.FAILS
+    equal = {"count": 2, "tanh": 0.1, "own": 0.5}
+    assert verdict(check_measures.equivariance, "equivariance", largest=1e-11, **equal) == measures.HOLDS
+    assert verdict(check_measures.equivariance, "equivariance", largest=1e-3, **equal) == measures.FAILS
+    assert verdict(check_measures.weight_gradient, "weight gradient", count=1, largest_error=0.01) == measures.FAILS
+
+
+def test_only_checks_go_stale_with_the_checks():
+    assert plan.code("train") == plan.code("synthesis") != plan.code("check")
 
 
 def test_a_thinned_history_keeps_the_extremes():

@@ -14,7 +14,7 @@ from lieednn_sim import learning, stability
 from lieednn_sim.learning import ALGORITHMS, History, TrainingResult, train
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.synthesis import synthesize
-from paper import checks
+from paper.checks import CHECKS
 from paper.plan import BIAS, TOLERANCE
 
 Arrays = dict[str, np.ndarray]
@@ -71,7 +71,7 @@ def retargeted(seed: int) -> Outcome:
 def checked(name: str, samples: int) -> Outcome:
     """A formula of the paper against numbers."""
     with threadpool_limits(1, "blas"):
-        return {}, checks.CHECKS[name](samples)
+        return {}, CHECKS[name](samples)
 
 
 KINDS: dict[str, Callable[..., Outcome]] = {

@@ -6,12 +6,14 @@ import ast
 import hashlib
 import json
 from dataclasses import dataclass
+from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import lieednn_sim
 from lieednn_sim import learning
+from paper.checks import CHECKS
 
 INSIDE, OUTSIDE = (8, 10, 12, 16), (1, 4, 24, 40)
 PERIODS = tuple(sorted(INSIDE + OUTSIDE))
@@ -36,15 +38,17 @@ RIEMANNIAN: dict[str, dict[str, Any]] = {
     "Riemannian Gauss-Newton": {"method": "gauss-newton", "certified": False},
     "stability-aware": {"method": "gauss-newton", "certified": True},
 }
-CHECKS = ("norm conditions", "projection", "algebras", "activation", "strength gradient")
 
 
-def _code() -> str:
-    """Digest of the code behind the results, so that none outlives a change of it."""
+@cache
+def code(kind: str) -> str:
+    """Digest of the code behind the results of a kind of job, so that none outlives a change of it."""
     package, here = Path(lieednn_sim.__file__).parent, Path(__file__).parent
     paths = [path for part in _PARTS for path in sorted((package / part).glob("*.py"))]
+    # A new check must not make the trainings stale.
+    paths += sorted((here / "checks").glob("*.py")) if kind == "check" else [here / "experiments.py"]
     digest = hashlib.sha256(version("lieednn_sim").encode())
-    for path in [*paths, package / "dynamics.py", here / "experiments.py", here / "checks.py"]:
+    for path in [*paths, package / "dynamics.py"]:
         digest.update(normalised(path.read_text(encoding="utf-8")).encode())
     return digest.hexdigest()
 
@@ -62,7 +66,6 @@ def normalised(source: str) -> str:
 
 # Of the package, what the experiments use.
 _PARTS = ("lie", "network", "stability", "learning", "synthesis")
-CODE = _code()
 
 
 @dataclass(frozen=True)
@@ -111,7 +114,7 @@ class Job:
     @property
     def key(self) -> str:
         """Name of the result's file: it changes with the parameters and with the code."""
-        content = [self.kind, self.parameters, CODE]
+        content = [self.kind, self.parameters, code(self.kind)]
         digest = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
         return f"{self.kind}-{digest[:20]}"
 

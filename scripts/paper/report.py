@@ -11,9 +11,10 @@ from pathlib import Path
 import numpy as np
 
 from lieednn_sim import storage
+from paper.checks import CHECKS
 from paper.claims import judge
 from paper.measures import FAILS, FEW, HOLDS, MOST, PART, UNKNOWN
-from paper.plan import BIAS, CHECKS, PERIODS, TOLERANCE
+from paper.plan import BIAS, PERIODS, TOLERANCE
 from paper.results import Results, column, quantiles, seeds, share, wilson
 from paper.runner import Record
 

@@ -1,4 +1,4 @@
-"""Formulas of the paper against numbers: each check draws random cases and returns what it measured."""
+"""Formulas of the paper, and what it says of other number systems, against numbers."""
 
 from __future__ import annotations
 
@@ -8,9 +8,6 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from lieednn_sim import stability
-from lieednn_sim.learning import TrainingOptions, train
-from lieednn_sim.learning.manifold import block_view
 from lieednn_sim.lie import adjoint, hat, project_to_adjoint, project_to_adjoint_exact
 from lieednn_sim.lie.groups import group
 from lieednn_sim.network import (
@@ -24,18 +21,6 @@ from lieednn_sim.network import (
 )
 
 Scalars = dict[str, Any]
-
-
-def norm_conditions(samples: int) -> Scalars:
-    """Random W just inside both norm conditions: is each certified by a diagonal Lyapunov matrix?"""
-    rng = np.random.default_rng(0)
-    count = max(1, samples // 10)
-    certified = 0
-    for _ in range(count):
-        weight = rng.normal(size=(24, 24))
-        weight *= 0.99 / max(np.linalg.norm(weight, 1), np.linalg.norm(weight, np.inf))
-        certified += stability.find_certificate(weight, gamma=1.0, mu=1.0).valid
-    return {"count": count, "certified": certified}
 
 
 def projection(samples: int) -> Scalars:
@@ -119,47 +104,3 @@ def activation(samples: int) -> Scalars:
         "printed_pure_translation": float(printed(pure)[3]),
         "corrected_pure_translation": float(network.phi(pure[None])[0, 3]),
     }
-
-
-def strength_gradient(samples: int) -> Scalars:
-    """dE/dalpha as printed, with w/alpha: against <dE/dW_ij, L_ij>, over the epochs from one projection to the next."""
-    errors = []
-    for seed in range(max(2, samples // 100)):
-        goal = np.random.default_rng(seed).uniform(-0.8, 0.8, (4, 6))
-        network = train(goal, TrainingOptions.repaired(max_epochs=50), seed=seed).network
-        if network is None or not network.equilibrium().success:
-            continue
-        weight, adjoints = network.weight.copy(), adjoint(network.rotation, network.translation)
-        x = network.equilibrium().xi.ravel()
-        for _ in range(9):
-            slope = _weight_gradient(weight, x, goal.ravel(), network.bias.ravel())
-            exact = np.einsum("ijab,ijab->ij", block_view(slope, 6), adjoints)
-            printed = np.einsum(
-                "ijab,ijab->ij", block_view(slope, 6), block_view(weight, 6) / network.alpha[:, :, None, None]
-            )
-            errors.append(np.linalg.norm(printed - exact) / np.linalg.norm(exact))
-            # The least rate of Algorithm 1.
-            weight = weight - 0.002 * slope
-    return {
-        "count": len(errors),
-        "on_manifold": float(np.max(errors[::9])),
-        "median_error": float(np.median(errors)),
-        "largest_error": float(np.max(errors)),
-    }
-
-
-def _weight_gradient(weight: np.ndarray, x: np.ndarray, goal: np.ndarray, bias: np.ndarray) -> np.ndarray:
-    """Gradient of E^2/2 in W at the equilibrium near ``x``, with gamma = mu = 1."""
-    for _ in range(20):
-        matrix = np.eye(len(x)) - weight * (1.0 - np.tanh(x) ** 2)
-        x = x - np.linalg.solve(matrix, x - weight @ np.tanh(x) - bias)
-    return np.outer(np.linalg.solve(matrix.T, x - goal), np.tanh(x))
-
-
-CHECKS: dict[str, Callable[[int], Scalars]] = {
-    "norm conditions": norm_conditions,
-    "projection": projection,
-    "algebras": algebras,
-    "activation": activation,
-    "strength gradient": strength_gradient,
-}
