@@ -35,6 +35,8 @@ RESIDUAL = 1e-8
 LIMIT_TOLERANCE = 1e-6
 # A motion that is too fast gets the time that it needs and this much more.
 _SLOWER = 1.02
+# A step between two samples that the velocities do not explain by this much is a jump [rad, m].
+_JUMP = 0.02
 _MAX_STEPS = 1_000_000
 _SAMPLES_PER_STEP = 8
 
@@ -233,6 +235,9 @@ def _at_rest(arm: Arm, t: Floats, origin: Floats, target: Floats) -> Motion:
 def check_motion(arm: Arm, motion: Motion) -> None:
     """Check position, velocity and acceleration limits and `PLANNED_CLEARANCE` at every sample of a motion.
 
+    A motion whose nearest posture jumps from one sample to the next is refused: where two postures are equally near to
+    the network's state the joints cannot follow, and neither branch is better.
+
     Raises:
         TooFastError: only velocity or acceleration is too high; it knows the duration that keeps them.
         PlanError: names the joint or bodies, the value and the bound.
@@ -241,6 +246,7 @@ def check_motion(arm: Arm, motion: Motion) -> None:
     k, joint = map(int, np.unravel_index(outside.argmax(), outside.shape))
     if outside[k, joint] > LIMIT_TOLERANCE:
         raise PlanError(f"at t = {motion.t[k]:.2f} s {arm.describe_excess(motion.q[k], joint)}")
+    _check_continuity(arm, motion)
     acceleration = np.diff(motion.qd, axis=0) / motion.timestep
     too_fast: list[tuple[float, str]] = []
     # A duration T scales velocities by 1 / T and accelerations by 1 / T^2.
@@ -268,3 +274,16 @@ def check_motion(arm: Arm, motion: Motion) -> None:
                 f"{touching[0][0]!r} would come within {1e3 * PLANNED_CLEARANCE:g} mm of {touching[0][1]!r} at "
                 f"t = {motion.t[k]:.2f} s"
             )
+
+
+def _check_continuity(arm: Arm, motion: Motion) -> None:
+    """Refuse a step that the velocities at its ends cannot explain twice over."""
+    step = np.abs(np.diff(motion.q, axis=0))
+    speed = np.maximum(np.abs(motion.qd[1:]), np.abs(motion.qd[:-1]))
+    unexplained = step - 2.0 * motion.timestep * speed
+    k, joint = map(int, np.unravel_index(unexplained.argmax(), unexplained.shape))
+    if unexplained[k, joint] > _JUMP:
+        raise PlanError(
+            f"joint {arm.joint_names[joint]!r} would jump by {step[k, joint]:.3g} {arm.unit(joint)} at "
+            f"t = {motion.t[k + 1]:.2f} s, where the nearest posture changes abruptly"
+        )

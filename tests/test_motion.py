@@ -152,14 +152,30 @@ def test_position_limits_hold_to_a_micron(arm, motion):
     for index, side, sign in ((3, 1, 1.0), (4, 0, -1.0)):
         limit = arm.position_limits[index, side]
         for beyond, accepted in ((9e-7, True), (2e-6, False)):
-            q = motion.q.copy()
-            q[700, index] = limit + sign * beyond
+            q = np.tile(motion.q[700], (len(motion.t), 1))
+            q[:, index] = limit
+            q[700:, index] += sign * beyond
             changed = dataclasses.replace(motion, q=q)
             if accepted:
                 check_motion(arm, changed)
                 continue
             with pytest.raises(PlanError, match=rf"at t = 1\.40 s joint '{arm.joint_names[index]}' would be at"):
                 check_motion(arm, changed)
+
+
+def test_a_posture_that_jumps_between_two_samples_is_refused(arm, motion):
+    """A jump is seen by its size alone: limits, clearance and the velocities at both samples know nothing of it."""
+    step = 2.0 * motion.timestep * np.abs(motion.qd[999:1001, 4]).max()
+    for jump, refused in ((step + 0.019, False), (step + 0.021, True)):
+        q = motion.q.copy()
+        q[1000:, 4] += q[999, 4] - q[1000, 4] - jump
+        changed = dataclasses.replace(motion, q=q)
+        if not refused:
+            check_motion(arm, changed)
+            continue
+        words = rf"joint '{arm.joint_names[4]}' would jump by {jump:.3g} rad at t = 2\.00 s, where the nearest posture"
+        with pytest.raises(PlanError, match=words):
+            check_motion(arm, changed)
 
 
 @pytest.mark.parametrize(("what", "share"), [("move", 1.01), ("accelerate", 1.01)])
