@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import brentq
 
 from lieednn_sim.validation import as_choice
 
@@ -11,14 +12,13 @@ Floats = NDArray[np.float64]
 
 BIAS_RULES = ("uniform", "sign-matched", "solved")
 
-# Angles below this [rad] are zero up to rounding.
-_NEGLIGIBLE = 1e-6
 # Rotations carry translations through t badly when all their coordinates are below this [rad] ...
 _SMALL_ROTATION = 0.6
 # ... and not at all when a single neuron turns by more than this [rad].
 _TURNING = 0.05
-# How far beyond the least strength that can be certified the sign-matched rule goes, where it must go beyond it.
-_HEADROOM = 1.25
+# Where the strength must be raised: W u = c shall leave room below the bound, u^T P c <= _AIM u^T P u, with a P that
+# weighs what helps at most 1 / _HELP times as much as what hinders.
+_AIM, _HELP = 0.85, 0.2
 
 
 def bias_for(rule: str, xi: Floats, outputs: Floats, bound: float, magnitude: float) -> Floats:
@@ -27,22 +27,35 @@ def bias_for(rule: str, xi: Floats, outputs: Floats, bound: float, magnitude: fl
     - ``"uniform"``: every entry is ``magnitude``, as in the paper.
     - ``"sign-matched"``: ``xi`` clipped to +-``magnitude``, times ``bound``: the sign of the target at full strength
       for every coordinate larger than the magnitude, and continuous through zero, so that a coordinate that is zero up
-      to rounding gets no push that the weights would have to cancel. The magnitude is raised where every coordinate of
-      the target is too large for it: a certificate needs one with |xi_i| - magnitude < phi(|xi_i|) among those of
-      `equation_columns`.
+      to rounding gets no push that the weights would have to cancel. The magnitude is raised where a certificate needs
+      it, see `_least_strength`, for each part of `equation_columns`.
     - ``"solved"``: the bias that makes ``xi`` the equilibrium of weights drawn without regard to it; it starts at zero.
     """
     as_choice("bias rule", rule, BIAS_RULES)
     if rule == "uniform":
         return np.full_like(xi, magnitude)
     if rule == "sign-matched":
-        strength = magnitude
-        for part in equation_columns(xi):
-            needed = np.abs(xi - outputs)[:, part][np.abs(xi[:, part]) > _NEGLIGIBLE]
-            if needed.size:
-                strength = max(strength, _HEADROOM * float(needed.min()))
+        strength = max(_least_strength(xi[:, part], outputs[:, part], magnitude) for part in equation_columns(xi))
         return bound * np.clip(xi, -strength, strength)
     return np.zeros_like(xi)
+
+
+def _least_strength(xi: Floats, outputs: Floats, magnitude: float) -> float:
+    """The least strength, at least ``magnitude``, at which the target leaves room for a certificate.
+
+    With P diagonal, u = phi(xi) and W u = c = xi - clip(xi, -strength, strength), sum_i p_i u_i (c_i - u_i) < 0 is
+    necessary. Coordinate i helps where u_i (c_i - _AIM u_i) < 0, and all that help must outweigh `_HELP` times all that
+    hinder. So an angle next to zero, which always helps but by no more than its square, is not taken for one that
+    carries the certificate. Every term falls with the strength, and all help once it reaches the largest |xi_i|.
+    """
+
+    def surplus(strength: float) -> float:
+        work = outputs * (xi - np.clip(xi, -strength, strength) - _AIM * outputs)
+        return -float(np.minimum(work, 0.0).sum() + _HELP * np.maximum(work, 0.0).sum())
+
+    if surplus(magnitude) >= 0.0:
+        return magnitude
+    return float(brentq(surplus, magnitude, float(np.abs(xi).max())))
 
 
 def equation_columns(xi: Floats) -> list[slice]:

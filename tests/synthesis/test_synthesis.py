@@ -6,6 +6,8 @@ import dataclasses
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from lieednn_sim.errors import InputError, NotCertifiedError
@@ -119,6 +121,33 @@ def test_every_far_start_ends_at_the_target(seed):
 def test_sign_matched_bias_serves_arms(angles, seed):
     xi = arm_target(seed, np.array(angles))
     check(synthesize(xi, bias="sign-matched", seed=seed), xi)
+
+
+@settings(max_examples=40)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    shrunk=st.lists(st.floats(-12.0, 0.0), min_size=4, max_size=4),
+    magnitude=st.sampled_from([0.125, 0.25, 0.5]),
+)
+def test_sign_matched_bias_serves_angles_of_every_size_at_once(seed, shrunk, magnitude):
+    angles = np.random.default_rng(seed).uniform(-2.9, 2.9, 4) * 10.0 ** np.array(shrunk)
+    xi = arm_target(seed, angles)
+    # Four starts take tens of milliseconds; the patient search after them takes seconds.
+    check(synthesize(xi, bias="sign-matched", bias_magnitude=magnitude, seed=seed, max_attempts=4), xi)
+
+
+@pytest.mark.parametrize("magnitude", [0.125, 0.25, 0.5])
+@pytest.mark.parametrize("angle", [0.0, 2e-6, 1e-4, 1e-3, 1e-2, 0.1])
+def test_a_tiny_angle_does_not_stand_in_for_those_that_carry_the_certificate(angle, magnitude):
+    xi = np.zeros((4, 6))
+    xi[:, [2, 3]] = np.array([[2.1, 0.3], [angle, 0.2], [-1.5, 0.1], [1.5, 0.2]])
+    result = synthesize(xi, bias="sign-matched", bias_magnitude=magnitude, max_attempts=4)
+    network = check(result, xi)
+    assert np.abs(network.bias[1, 2] - angle) < 1e-15
+    # The sign of the target at one strength, which is raised far enough for 1.5 - b < tanh(1.5).
+    strength = network.bias.max()
+    assert strength == network.bias[0, 2] == network.bias[3, 2] == -network.bias[2, 2]
+    assert 1.5 - np.tanh(1.5) < strength < 2.1 - 0.85 * np.tanh(2.1)
 
 
 @pytest.mark.parametrize("length", [0.2, 0.6, 0.9, 2.0])
