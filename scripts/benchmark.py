@@ -15,7 +15,8 @@ from pathlib import Path
 import numpy as np
 
 from lieednn_sim import storage
-from lieednn_sim.arm import Arm
+from lieednn_sim.arm import Arm, arm_names
+from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.learning import TrainingOptions, train
 from lieednn_sim.planning import plan
 from lieednn_sim.simulate import simulate
@@ -29,19 +30,24 @@ def random_targets(neurons: int, count: int, seed: int = 0) -> list[np.ndarray]:
 
 
 def arm_targets(arm: Arm, kind: str, count: int, seed: int = 0) -> list[np.ndarray]:
-    """Joint targets within the limits: mixed angles, all angles negative, or all angles zero (pure extension)."""
+    """Joint targets within the limits, as `draw_target` draws them, with their angles changed.
+
+    ``"mixed"`` angles as they are; ``"negative"``, within the limits; ``"tiny"``, each shrunk by 1 to 1e-7; or
+    ``"zero"``, pure extension.
+    """
     rng = np.random.default_rng(seed)
-    low, high = arm.position_limits.T
+    angular = np.array(arm.space.units) == "rad"
+    low = arm.position_limits[:, 0]
     targets = []
-    for _ in range(count):
-        q = rng.uniform(low, high)
-        angles = q[arm.joints.revolute]
-        q[arm.joints.revolute] = {
-            "mixed": angles,
-            "negative": np.maximum(-np.abs(angles), low[arm.joints.revolute]),
-            "zero": 0.0,
+    for k in range(count):
+        q = draw_target(arm, seed + k)
+        changed = {
+            "mixed": q,
+            "negative": np.maximum(-np.abs(q), low),
+            "tiny": q * 10.0 ** rng.uniform(-7.0, 0.0, q.shape),
+            "zero": np.zeros_like(q),
         }[kind]
-        targets.append(arm.encode(q))
+        targets.append(arm.encode(np.where(angular, changed, q)))
     return targets
 
 
@@ -62,8 +68,8 @@ def summarise(name: str, outcomes: list[Synthesis]) -> dict[str, object]:
     }
 
 
-def epoch_costs(epochs: int) -> dict[str, float]:
-    """Microseconds an epoch of each learning algorithm takes at N = 4, the median over five targets."""
+def epoch_costs(epochs: int, count: int) -> dict[str, float]:
+    """Microseconds an epoch of each learning algorithm takes at N = 4, the median over ``count`` targets."""
     runs = {
         "literal Algorithm 1": TrainingOptions.literal(max_epochs=max(epochs // 10, 1)),
         "repaired Algorithm 1": TrainingOptions.repaired(max_epochs=epochs),
@@ -72,35 +78,40 @@ def epoch_costs(epochs: int) -> dict[str, float]:
     }
     costs = {}
     for name, options in runs.items():
-        results = [train(xi, options, seed=k) for k, xi in enumerate(random_targets(4, 5))]
+        results = [train(xi, options, seed=k) for k, xi in enumerate(random_targets(4, count))]
         costs[name] = float(np.median([1e6 * result.seconds / result.epochs for result in results]))
     return costs
 
 
-def main() -> None:
+def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="a tenth of the targets")
     parser.add_argument("--output", default="results/benchmark", help="directory (default: %(default)s)")
-    arguments = parser.parse_args()
-    directory = storage.make_directory(arguments.output)
-    scale = 10 if arguments.quick else 1
-    arm = Arm.load("telescopic_pr")
+    options = parser.parse_args(arguments)
+    write(storage.make_directory(options.output), 10 if options.quick else 1, " --quick" if options.quick else "")
+
+
+def write(directory: Path, scale: int, suffix: str = "") -> Path:
+    """Measure a share 1 / ``scale`` of all targets and write both files; returns the path of the table."""
     synthesize(random_targets(4, 1)[0])  # warm up
 
     rows = []
     for neurons, count in ((4, 1000), (2, 200), (3, 200), (8, 100), (12, 50)):
-        targets = random_targets(neurons, count // scale)
+        targets = random_targets(neurons, max(count // scale, 1))
         outcomes = [synthesize(xi, seed=k) for k, xi in enumerate(targets)]
         rows.append(summarise(f"N = {neurons}, U(-0.8, 0.8), b = 1/8", outcomes))
         print(rows[-1], flush=True)
-    for kind in ("mixed", "negative", "zero"):
-        targets = arm_targets(arm, kind, 100 // scale)
+    studies = [(name, "mixed", 1000) for name in arm_names()]
+    studies += [("telescopic_pr", "negative", 100), ("telescopic_pr", "zero", 100), ("telescopic_pr", "tiny", 1000)]
+    for name, kind, count in studies:
+        targets = arm_targets(Arm.load(name), kind, max(count // scale, 1))
         outcomes = [synthesize(xi, bias="sign-matched", seed=k) for k, xi in enumerate(targets)]
-        rows.append(summarise(f"arm, {kind} angles, sign-matched", outcomes))
+        rows.append(summarise(f"{name}, {kind} angles, sign-matched", outcomes))
         print(rows[-1], flush=True)
 
+    arm = Arm.load("telescopic_pr")
     xi = random_targets(4, 1)[0]
-    repeats = 200 // scale
+    repeats = max(200 // scale, 1)
     begun = time.perf_counter()
     for k in range(repeats):
         network = synthesize(xi, seed=k).unwrap()
@@ -116,7 +127,7 @@ def main() -> None:
     begun = time.perf_counter()
     rollout = simulate(arm, chosen.motion)
     simulation_time = time.perf_counter() - begun
-    costs = epoch_costs(5000 // scale)
+    costs = epoch_costs(max(5000 // scale, 1), min(5, max(1000 // scale, 1)))
     literal, repaired = costs["literal Algorithm 1"], costs["repaired Algorithm 1"]
     learned = train(xi, TrainingOptions.tracked())
     ratios = {
@@ -133,7 +144,7 @@ def main() -> None:
     lines = [
         "# Benchmark of synthesis and learning",
         "",
-        f"`python scripts/benchmark.py{' --quick' if arguments.quick else ''}`, one core, {platform.machine()}, "
+        f"`python scripts/benchmark.py{suffix}`, one core, {platform.machine()}, "
         f"Python {platform.python_version()}, NumPy {np.__version__}.",
         "",
         "| " + " | ".join(rows[0]) + " |",
@@ -148,10 +159,11 @@ def main() -> None:
         "| --- | --- |",
         *(f"| {name} | {value} |" for name, value in ratios.items()),
     ]
-    path = Path(directory) / "benchmark.md"
+    path = directory / "benchmark.md"
     with storage.atomic_text(path) as stream:
         stream.write("\n".join(lines) + "\n")
     print(path.read_text(encoding="utf-8"))
+    return path
 
 
 if __name__ == "__main__":

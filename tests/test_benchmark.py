@@ -1,0 +1,36 @@
+"""The benchmark of synthesis and learning, on one target of each kind."""
+
+from __future__ import annotations
+
+import json
+
+import benchmark
+import numpy as np
+import pytest
+
+from lieednn_sim.arm import Arm, arm_names
+
+
+def test_every_row_is_measured_and_written(tmp_path):
+    table = benchmark.write(tmp_path, 1000).read_text(encoding="utf-8")
+    rows = json.loads((tmp_path / "benchmark.json").read_text(encoding="utf-8"))["synthesis"]
+    assert len(rows) == 11
+    assert all(f"| {row['targets']} | {row['certified']} |" in table for row in rows)
+    studied = [row for row in rows if "sign-matched" in row["targets"]]
+    assert {row["targets"].split(",")[0] for row in studied} == set(arm_names())
+    assert all(row["certified"] == "1 of 1" for row in studied)
+
+
+@pytest.mark.parametrize("kind", ["mixed", "negative", "tiny", "zero"])
+def test_targets_of_arms_keep_the_limits_and_have_the_angles_that_they_say(kind):
+    arm = Arm.load("telescopic_pr")
+    q = arm.decode(np.array(benchmark.arm_targets(arm, kind, 5))).q
+    assert (arm.limit_excess(q) < 1e-9).all()
+    angles = q[:, np.array(arm.space.units) == "rad"]
+    said = {
+        "mixed": angles.min() < -0.1 and angles.max() > 0.1,
+        "negative": (angles < 0.0).all(),
+        "tiny": 1e-12 < np.abs(angles).min() < 1e-4,
+        "zero": np.abs(angles).max() < 1e-9,
+    }
+    assert said[kind]
