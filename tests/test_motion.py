@@ -4,12 +4,13 @@ import dataclasses
 
 import numpy as np
 import pytest
+from scipy.interpolate import PchipInterpolator
 
 from lieednn_sim import planning
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import FileError, InputError, PlanError, TooFastError
 from lieednn_sim.lie import exp
-from lieednn_sim.motion import RESIDUAL, Motion, check_motion, make_motion
+from lieednn_sim.motion import RESIDUAL, Motion, _invert, check_motion, count_steps, make_motion, minimum_jerk_law
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.planning import plan
 from lieednn_sim.synthesis import synthesize
@@ -51,6 +52,42 @@ def test_the_path_is_the_networks_own(arm, network, motion):
     assert (np.diff(motion.tau) >= 0.0).all()
     trajectory = network.trajectory(arm.encode(arm.keyframe("home")), motion.tau[-1], method="DOP853")
     np.testing.assert_allclose(trajectory(motion.tau), motion.xi, atol=1e-6)
+
+
+def test_the_pace_is_a_minimum_jerk_law_of_the_length(arm, network, motion):
+    """|(q'/limits, p |xi - xi_d| tau')| = L sigma'(t/T) / T, p the slowest rate at the end: one L at all times."""
+    equilibrium = network.equilibrium(motion.xi[0])
+    pace = max(-equilibrium.spectral_abscissa, 1e-3 * network.gamma)
+    tau_rate = np.gradient(motion.tau, motion.t, edge_order=2)
+    to_go = pace * np.linalg.norm(motion.xi - motion.xi_target, axis=(-2, -1)) * tau_rate
+    speed = np.hypot(np.linalg.norm(motion.qd / arm.velocity_limits, axis=-1), to_go)
+    s = motion.t / 4.0
+    length = speed[200:-200] / (30.0 * s**2 * (1.0 - s) ** 2 / 4.0)[200:-200]
+    np.testing.assert_allclose(length, np.median(length), rtol=2e-3)
+
+
+def test_the_law_by_hand():
+    np.testing.assert_array_equal(minimum_jerk_law(np.array([0.0, 0.5, 1.0])), [[0.0, 0.5, 1.0], [0.0, 1.875, 0.0]])
+    np.testing.assert_allclose(minimum_jerk_law(np.array([0.25])), [[106.0 / 1024.0], [270.0 / 256.0]], rtol=1e-15)
+
+
+def test_lengths_are_inverted_to_rounding():
+    """Also where the speed changes by orders of magnitude within one piece."""
+    grid = np.array([0.0, 0.5, 1.5, 4.0, 9.0, 10.0])
+    speed = PchipInterpolator(grid, [3.0, 1e-4, 2.0, 1e-6, 1.0, 1e-9])
+    length = speed.antiderivative()
+    wanted = length(grid[-1]) * np.sort(np.append(np.random.default_rng(0).uniform(size=60), [0.0, 1.0]))
+    tau = _invert(length, speed, grid, wanted)
+    np.testing.assert_allclose(length(tau), wanted, atol=1e-13)
+    assert (tau[0], tau[-1]) == (0.0, 10.0)
+
+
+def test_a_duration_is_a_whole_number_of_steps_and_two_at_least():
+    assert [count_steps(duration, 0.002) for duration in (0.003, 0.004, 0.0049, 0.0051, 1.0)] == [2, 2, 2, 3, 500]
+    assert count_steps(2000.0, 0.002) == 1_000_000
+    for duration in (0.0029, 2000.003):
+        with pytest.raises(InputError, match="duration must be between 2 and 1000000 time steps"):
+            count_steps(duration, 0.002)
 
 
 def test_gap_is_the_distance_between_decoded_and_feasible_poses(arm, motion):
