@@ -191,7 +191,9 @@ def test_in_a_browser_filters_hide_rows_and_figures(browser):
     blocks = browser.find_elements("css selector", ".arm")
     assert [block.get_attribute("data-arm") for block in blocks if block.is_displayed()] == ["telescopic_pr"]
     browser.find_element("css selector", ".filters button[type=reset]").click()
-    assert len(column(browser, 0)) == total
+    # The page filters again after the form is reset, which is after the click has returned.
+    wait = pytest.importorskip("selenium.webdriver.support.wait")
+    wait.WebDriverWait(browser, 60.0).until(lambda driver: len(column(driver, 0)) == total)
 
 
 @pytest.mark.browser
