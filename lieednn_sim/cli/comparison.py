@@ -9,6 +9,7 @@ from collections.abc import Sequence
 
 from rich.console import Console
 
+from lieednn_sim import storage
 from lieednn_sim.cli.console import console, progress, wrote
 from lieednn_sim.compare import Case, Selection, Settings, Table, compare, write_summary
 from lieednn_sim.errors import LieEDNNError
@@ -32,19 +33,22 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> None:
         controllers=_split(arguments.controllers),
         seeds=arguments.seeds,
     )
-    jobs = os.cpu_count() or 1 if arguments.jobs is None else arguments.jobs
+    jobs = as_count("jobs", os.cpu_count() or 1 if arguments.jobs is None else arguments.jobs)
     # Bad values stop before the work that comes first.
     as_count("videos", arguments.videos, least=0)
     cases = [Case.parse(text) for text in arguments.video]
     missing = {name: reason for name, reason in missing_planners().items() if name in selection.planners}
     for name, reason in missing.items():
         console.print(f"not compared: {name} is not installed ({reason})", highlight=False)
-    table = compare(arguments.output, selection, settings, jobs=jobs, console=Console(stderr=True))
-    summary, page = table.directory / "comparison.md", table.directory / "comparison.html"
-    write_summary(summary, table, missing)
-    clips = _film(table, cases + choose_cases(table, arguments.videos), selection.controllers[0])
-    line = shlex.join(["lieednn-sim", *command])
-    write_page(page, table, missing=missing, clips=clips, command=line, date=arguments.date)
+    directory = storage.make_directory(arguments.output)
+    summary, page = directory / "comparison.md", directory / "comparison.html"
+    with storage.locked(directory):
+        storage.check_outputs([summary, page, page.with_suffix(".csv"), page.with_suffix(".json")])
+        table = compare(directory, selection, settings, jobs=jobs, console=Console(stderr=True))
+        write_summary(summary, table, missing)
+        clips = _film(table, cases + choose_cases(table, arguments.videos), selection.controllers[0])
+        line = shlex.join(["lieednn-sim", *command])
+        write_page(page, table, missing=missing, clips=clips, command=line, date=arguments.date)
     wrote(table.csv, summary, page)
 
 
