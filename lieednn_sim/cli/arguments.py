@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from lieednn_sim.arm import Arm, reach
 from lieednn_sim.arm.models import MODEL_SUFFIXES
 from lieednn_sim.arm.targets import draw_target
+from lieednn_sim.cli.numerals import decimal
 from lieednn_sim.errors import InputError
 from lieednn_sim.simulate import CONTROLLERS, Disturbances, Push
 from lieednn_sim.simulate.reference import steps_of_rate
@@ -84,7 +85,7 @@ def joint_position(arm: Arm, text: str, what: str) -> Floats:
     """A keyframe's name, ``random:SEED``, or comma-separated numbers."""
     if text.startswith(RANDOM):
         seed = text.removeprefix(RANDOM)
-        if not seed.isdecimal():
+        if not (seed.isascii() and seed.isdecimal()):
             raise InputError(f"a random {what} must look like {RANDOM}7, with a seed >= 0, got {text!r}")
         return draw_target(arm, int(seed))
     if text in keyframes(arm) or (text and (text[0].isalpha() or text[0] == "_")):
@@ -100,9 +101,9 @@ def keyframes(arm: Arm) -> list[str]:
 def numbers(text: str, what: str, count: int) -> Floats:
     """So many comma-separated numbers."""
     try:
-        values = [float(part) for part in text.split(",")]
-    except ValueError:
-        raise InputError(f"{what} must be {count} comma-separated numbers, got {text!r}") from None
+        values = [decimal(part.strip(" ")) for part in text.split(",")]
+    except argparse.ArgumentTypeError as error:
+        raise InputError(f"{what} must be {count} comma-separated numbers, got {text!r}: one {error}") from None
     if len(values) != count:
         raise InputError(f"{what} must be {count} comma-separated numbers, got {len(values)}: {text!r}")
     return np.array(values)
@@ -116,7 +117,7 @@ def names(text: str | None) -> tuple[str, ...]:
 def size(text: str) -> tuple[int, int]:
     """Width and height in pixels."""
     width, _, height = text.partition("x")
-    if not (width.isdecimal() and height.isdecimal() and len(text) < 12):
+    if not (text.isascii() and width.isdecimal() and height.isdecimal() and len(text) < 12):
         raise InputError(f"size must look like 1280x720, got {text!r}")
     return int(width), int(height)
 
@@ -125,8 +126,8 @@ def push(text: str) -> Push:
     """A force on a body: its name, three components [N], start and duration [s]."""
     body, _, rest = text.partition(",")
     try:
-        x, y, z, start, duration = (float(part) for part in rest.split(","))
-    except ValueError:
+        x, y, z, start, duration = (decimal(part.strip(" ")) for part in rest.split(","))
+    except (ValueError, argparse.ArgumentTypeError):
         raise InputError(
             f"a push must look like BODY,FX,FY,FZ,START,DURATION, as 'link 2,0,50,0,1.5,0.2', got {text!r}"
         ) from None

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 
+from lieednn_sim.cli.numerals import decimal, decimal_or_inf, whole
+
 
 def add_task(parser: argparse.ArgumentParser, output: str, *, goal: bool = True) -> argparse._MutuallyExclusiveGroup:
     """Arm, scene, start and target; without a required ``goal`` the command chooses a target itself."""
@@ -15,7 +17,7 @@ def add_task(parser: argparse.ArgumentParser, output: str, *, goal: bool = True)
         "--scene", default="free", metavar="NAME", help="obstacles: free, window, shelf or poles (default: %(default)s)"
     )
     parser.add_argument(
-        "--scene-seed", type=int, default=0, metavar="N", help="of the obstacles' positions (default: %(default)s)"
+        "--scene-seed", type=whole, default=0, metavar="N", help="of the obstacles' positions (default: %(default)s)"
     )
     group = parser.add_mutually_exclusive_group(required=goal)
     group.add_argument(
@@ -26,8 +28,10 @@ def add_task(parser: argparse.ArgumentParser, output: str, *, goal: bool = True)
     )
     group.add_argument("--position", metavar="X,Y,Z", help="end effector target in the world [m] instead")
     parser.add_argument("--start", default="home", metavar="Q", help="start, as for --target (default: %(default)s)")
-    parser.add_argument("--duration", type=float, default=4.0, metavar="S", help="of the motion (default: %(default)s)")
-    parser.add_argument("--seed", type=int, default=0, help="of the random draws (default: %(default)s)")
+    parser.add_argument(
+        "--duration", type=decimal, default=4.0, metavar="S", help="of the motion (default: %(default)s)"
+    )
+    parser.add_argument("--seed", type=whole, default=0, help="of the random draws (default: %(default)s)")
     parser.add_argument("--output", default=output, metavar="DIR", help="run directory (default: %(default)s)")
     return group
 
@@ -58,8 +62,8 @@ def add_planning(parser: argparse.ArgumentParser, output: str, *, goal: bool = T
         "lieednn-filtered where ompl is missing)",
     )
     parser.add_argument("--bias", metavar="RULE", help="uniform, sign-matched or solved (default: sign-matched)")
-    parser.add_argument("--bias-magnitude", type=float, metavar="B", help="of the rule (default: several are tried)")
-    parser.add_argument("--candidates", type=int, metavar="N", help="networks to choose from (default: 24)")
+    parser.add_argument("--bias-magnitude", type=decimal, metavar="B", help="of the rule (default: several are tried)")
+    parser.add_argument("--candidates", type=whole, metavar="N", help="networks to choose from (default: 24)")
     _add_time_budget(parser, "; 'inf' for no limit")
     parser.set_defaults(usual_bias_magnitude=None)
 
@@ -76,16 +80,18 @@ def add_training(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--candidates",
-        type=int,
+        type=whole,
         default=4,
         metavar="N",
         help="seeds to try until a network's motion keeps the limits (default: %(default)s)",
     )
-    parser.add_argument("--period", type=int, metavar="P", help="epochs between projections (default: the algorithm's)")
-    parser.add_argument("--epochs", type=int, metavar="K", help="at most (default: 25000)")
+    parser.add_argument(
+        "--period", type=whole, metavar="P", help="epochs between projections (default: the algorithm's)"
+    )
+    parser.add_argument("--epochs", type=whole, metavar="K", help="at most (default: 25000)")
     parser.add_argument(
         "--tolerance",
-        type=float,
+        type=decimal,
         default=1e-5,
         metavar="TAU",
         help="of the equilibrium [rad, length units] (default: %(default)s)",
@@ -94,7 +100,7 @@ def add_training(parser: argparse.ArgumentParser) -> None:
         "--bias", default="sign-matched", metavar="RULE", help="uniform or sign-matched (default: %(default)s)"
     )
     parser.add_argument(
-        "--bias-magnitude", type=float, default=0.125, metavar="B", help="of the rule (default: %(default)s)"
+        "--bias-magnitude", type=decimal, default=0.125, metavar="B", help="of the rule (default: %(default)s)"
     )
 
 
@@ -112,13 +118,13 @@ def add_comparison(parser: argparse.ArgumentParser) -> None:
         ("controllers", "position-servo,inverse-dynamics"),
     ):
         parser.add_argument(f"--{name}", metavar="A,B,...", help=f"names, comma-separated (default: {default})")
-    parser.add_argument("--seeds", type=int, default=10, metavar="N", help="from seed 0 on (default: %(default)s)")
-    parser.add_argument("--duration", type=float, default=4.0, metavar="S", help="of motions (default: %(default)s)")
+    parser.add_argument("--seeds", type=whole, default=10, metavar="N", help="from seed 0 on (default: %(default)s)")
+    parser.add_argument("--duration", type=decimal, default=4.0, metavar="S", help="of motions (default: %(default)s)")
     _add_time_budget(parser)
     _add_conditions(parser)
     parser.add_argument("--output", default="results/comparison", metavar="DIR", help="(default: %(default)s)")
-    parser.add_argument("--jobs", type=int, metavar="N", help="worker processes (default: all cores)")
-    parser.add_argument("--videos", type=int, default=0, metavar="N", help="cases to show (default: %(default)s)")
+    parser.add_argument("--jobs", type=whole, metavar="N", help="worker processes (default: all cores)")
+    parser.add_argument("--videos", type=whole, default=0, metavar="N", help="cases to show (default: %(default)s)")
     parser.add_argument(
         "--video",
         action="append",
@@ -139,13 +145,13 @@ def add_simulation(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--reference-rate",
-        type=float,
+        type=decimal,
         metavar="HZ",
         help="the controller sees samples of the motion taken at this rate and held (default: every step)",
     )
     _add_conditions(parser)
     parser.add_argument(
-        "--payload", type=float, default=0.0, metavar="KG", help="mass at the end effector (default: %(default)s)"
+        "--payload", type=decimal, default=0.0, metavar="KG", help="mass at the end effector (default: %(default)s)"
     )
     parser.add_argument(
         "--push",
@@ -157,18 +163,18 @@ def add_simulation(parser: argparse.ArgumentParser) -> None:
     for what, unit in (("position", "rad, m"), ("velocity", "rad/s, m/s")):
         parser.add_argument(
             f"--{what}-noise",
-            type=float,
+            type=decimal,
             default=0.0,
             metavar="SD",
             help=f"standard deviation of measured joint {what} [{unit}] (default: %(default)s)",
         )
-    parser.add_argument("--noise-seed", type=int, default=0, metavar="N", help="of that noise (default: %(default)s)")
+    parser.add_argument("--noise-seed", type=whole, default=0, metavar="N", help="of that noise (default: %(default)s)")
 
 
 def _add_time_budget(parser: argparse.ArgumentParser, more: str = "") -> None:
     parser.add_argument(
         "--time-budget",
-        type=float,
+        type=decimal_or_inf,
         default=60.0,
         metavar="S",
         help=f"CPU time that planning a motion may take{more} (default: %(default)s)",
@@ -178,13 +184,13 @@ def _add_time_budget(parser: argparse.ArgumentParser, more: str = "") -> None:
 def _add_conditions(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--mass-scale",
-        type=float,
+        type=decimal,
         default=1.0,
         metavar="X",
         help="true masses in units of those that the controller knows (default: %(default)s)",
     )
     parser.add_argument(
-        "--hold", type=float, default=1.0, metavar="S", help="time simulated after the motion (default: %(default)s)"
+        "--hold", type=decimal, default=1.0, metavar="S", help="time simulated after the motion (default: %(default)s)"
     )
 
 
@@ -192,7 +198,7 @@ def add_video(parser: argparse.ArgumentParser) -> None:
     """Quality, size and view of a video."""
     parser.add_argument("--preset", default="nice", help="draft or nice (default: %(default)s)")
     parser.add_argument("--size", default="1280x720", metavar="WxH", help="pixels (default: %(default)s)")
-    parser.add_argument("--fps", type=int, default=30, help="frames a second (default: %(default)s)")
+    parser.add_argument("--fps", type=whole, default=30, help="frames a second (default: %(default)s)")
     parser.add_argument(
         "--camera", metavar="NAME", help="a camera of the scene (default: overview, or a view of the whole)"
     )

@@ -76,7 +76,7 @@ class Case:
             InputError: not of that form.
         """
         parts = text.split(":")
-        if len(parts) != 4 or not all(parts) or not parts[3].isdecimal():
+        if len(parts) != 4 or not all(parts) or not (parts[3].isascii() and parts[3].isdecimal()):
             raise InputError(
                 f"a case must look like planner:arm:scene:seed, as screw:telescopic_pr:free:0, got {text!r}"
             )
