@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import imageio.v2 as imageio
-import imageio_ffmpeg
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -19,6 +18,7 @@ from lieednn_sim import opengl, storage
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import FileError, InputError, RenderingUnavailableError
+from lieednn_sim.render import ffmpeg
 from lieednn_sim.render.overlay import Overlay
 from lieednn_sim.simulate import Rollout
 from lieednn_sim.validation import as_choice, as_count, as_positive
@@ -170,7 +170,7 @@ def render_video(
     overlay = Overlay(arm.link_poses(rollout.q_ref).as_matrix(), rollout.link_position[:, -1])
     view = Camera(arm, camera=camera, size=size, preset=preset, target=target)
     with view, storage.atomic_path(path) as temporary:
-        with _writer(temporary, rate) as append:
+        with _writer(temporary, size, rate) as append:
             for done, k in enumerate(samples, start=1):
                 append(view.picture(rollout.q[k], functools.partial(overlay.draw, k=int(k))))
                 if progress is not None:
@@ -182,36 +182,20 @@ def render_video(
 def _check_complete(path: Path, total: int) -> None:
     """The encoder's last words go unheard: a disk that fills with the last frame leaves a file that cannot be read."""
     if path.suffix == ".mp4":
-        try:
-            frames, _ = imageio_ffmpeg.count_frames_and_secs(str(path))
-        except (OSError, RuntimeError):
-            frames = 0
+        frames = ffmpeg.count_frames(path)
         if frames != total:
             raise FileError(f"cannot write the video: {frames} of {total} frames arrived; is the disk full?")
 
 
 @contextlib.contextmanager
-def _writer(path: Path, fps: float) -> Iterator[Callable[[Image], None]]:
+def _writer(path: Path, size: tuple[int, int], fps: float) -> Iterator[Callable[[Image], None]]:
+    if path.suffix == ".mp4":
+        with ffmpeg.mp4_writer(path, size, fps) as append:
+            yield append
+        return
     try:
-        if path.suffix == ".gif":
-            writer = imageio.get_writer(path, format="GIF", mode="I", duration=1000.0 / fps, loop=0)
-        else:
-            writer = imageio.get_writer(
-                path,
-                format="FFMPEG",
-                mode="I",
-                fps=fps,
-                codec="libx264",
-                macro_block_size=2,
-                quality=8,
-                ffmpeg_log_level="quiet",
-                ffmpeg_params=["-preset", "veryfast", "-movflags", "+faststart"],
-            )
-        try:
+        with imageio.get_writer(path, format="GIF", mode="I", duration=1000.0 / fps, loop=0) as writer:
             yield writer.append_data
-        finally:
-            # imageio's own `with` leaves the encoder running when the block fails.
-            writer.close()
     except OSError as error:
         reason = str(error).strip().splitlines()[0]
-        raise FileError(f"cannot write the video, the encoder stopped ({reason}); is the disk full?") from None
+        raise FileError(f"cannot write the video ({reason}); is the disk full?") from None

@@ -7,16 +7,15 @@ import io
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-import imageio.v2 as imageio
 from PIL import Image
 
 from lieednn_sim import storage
 from lieednn_sim.compare.cases import Case, Row, replay
 from lieednn_sim.compare.statistics import grouped
 from lieednn_sim.compare.table import Table
-from lieednn_sim.errors import FileError, InputError
+from lieednn_sim.errors import InputError
+from lieednn_sim.render.ffmpeg import count_frames, read_frame
 from lieednn_sim.render.video import render_video
 from lieednn_sim.report.style import in_order
 from lieednn_sim.validation import as_count
@@ -106,14 +105,9 @@ def _case(row: Row) -> Case:
 
 
 def _poster(path: Path) -> bytes:
-    try:
-        reader: Any = imageio.get_reader(path, format="FFMPEG", mode="I")
-        with reader:
-            frame = reader.get_data(int(_POSTER_SHARE * reader.count_frames()))
-    except (OSError, IndexError, RuntimeError) as error:
-        raise FileError(f"cannot read the video {path}: {error}; remove it") from None
+    frame = read_frame(path, int(_POSTER_SHARE * count_frames(path)))
     buffer = io.BytesIO()
-    Image.fromarray(frame).save(buffer, format="JPEG", quality=_POSTER_QUALITY)
+    Image.open(io.BytesIO(frame)).save(buffer, format="JPEG", quality=_POSTER_QUALITY)
     return buffer.getvalue()
 
 

@@ -58,6 +58,7 @@ def test_the_demo_without_video_meets_its_bounds(tmp_path, capsys):
     assert all(f"wrote {directory / name}" in printed for name in expected)
 
 
+@pytest.mark.usefixtures("no_ink")
 def test_a_learned_network_goes_the_same_road(tmp_path, capsys):
     directory = tmp_path / "learned"
     assert main(["train", "--target", "extended", "--duration", "2", "--output", str(directory)]) == 0
@@ -75,6 +76,7 @@ def test_a_learned_network_goes_the_same_road(tmp_path, capsys):
     assert {path.name for path in directory.iterdir()} == {"task.json", "network.npz"}
 
 
+@pytest.mark.usefixtures("no_ink")
 def test_candidates_are_tried_until_a_motion_keeps_the_limits(tmp_path, capsys):
     """The first seed learns this target, but its network overruns a joint; a later one does not."""
     directory = tmp_path / "learned"
@@ -99,6 +101,7 @@ def test_a_training_that_fails_says_so_and_leaves_no_network(tmp_path, capsys):
     assert "holds no run" in fails(capsys, "simulate", directory)
 
 
+@pytest.mark.usefixtures("no_ink")
 def test_a_training_that_fails_leaves_an_earlier_run_as_it_was(run, tmp_path, capsys):
     directory = tmp_path / "run"
     shutil.copytree(run, directory)
@@ -109,6 +112,7 @@ def test_a_training_that_fails_leaves_an_earlier_run_as_it_was(run, tmp_path, ca
     assert before == {path.name: path.read_bytes() for path in directory.iterdir() if path.is_file()}
 
 
+@pytest.mark.usefixtures("no_ink")
 def test_interrupted_training_goes_on_with_resume(tmp_path, capsys, monkeypatch):
     straight, broken = tmp_path / "straight", tmp_path / "broken"
     arguments = ["train", "--target", "extended", "--algorithm", "repaired", "--period", "8", "--output"]
@@ -151,6 +155,7 @@ def test_train_names_what_is_wrong_and_makes_nothing(tmp_path, capsys, arguments
     assert not directory.exists()
 
 
+@pytest.mark.usefixtures("no_ink")
 def test_steps_run_one_by_one_and_again_over_the_first(run, capsys):
     assert main(["evaluate", str(run)]) == 0
     first = (run / "metrics.json").read_bytes()
@@ -250,19 +255,25 @@ def test_bad_video_options_are_refused_before_the_work(tmp_path, capsys):
     assert not output.exists()
 
 
-def test_without_opengl_the_demo_goes_on_without_video(tmp_path):
-    command = [sys.executable, "-m", "lieednn_sim.cli", "demo", "--output", str(tmp_path), *FAST]
+def test_without_opengl_the_demo_goes_on_without_video(tmp_path, start):
+    code = (
+        "import pathlib, sys\n"
+        "from matplotlib.figure import Figure\n"
+        "from lieednn_sim.cli import main\n"
+        "Figure.savefig = lambda self, path, **_: pathlib.Path(path).touch()\n"  # takes longer than all else
+        "print(main(['demo', '--output', *sys.argv[1:]]), flush=True)\n"
+        "sys.exit(main(['render', sys.argv[1]]))"
+    )
     environment = {**os.environ, "MUJOCO_GL": "disable"}
     environment.pop("PYOPENGL_PLATFORM", None)
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    assert "no video: cannot render" in done.stdout
+    process = start("-c", code, str(tmp_path), *FAST, env=environment)
+    printed, message = process.communicate()
+    assert "no video: cannot render" in printed
+    assert printed.splitlines()[-1] == "0", "the demo went well"
     assert (tmp_path / "metrics.json").exists()
     assert not (tmp_path / "video.mp4").exists()
-    command[3:] = ["render", str(tmp_path)]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
-    assert done.returncode == 2
-    assert done.stderr.startswith("lieednn-sim: error: cannot render")
+    assert process.returncode == 2
+    assert message.startswith("lieednn-sim: error: cannot render")
 
 
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])

@@ -49,6 +49,7 @@ def error(capsys, *arguments):
     return line
 
 
+@pytest.mark.usefixtures("no_ink")
 def test_an_arm_of_ones_own_goes_the_whole_road_from_another_directory(own, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     arguments = [
@@ -117,6 +118,7 @@ def test_a_planners_motion_is_simulated_and_never_a_stale_one(tmp_path, capsys):
     np.testing.assert_array_equal(Rollout.load(directory / "rollout.npz").q_ref, own.q)
 
 
+@pytest.mark.usefixtures("no_ink")
 def test_disturbances_reach_the_simulation_and_are_reported(tmp_path, capsys):
     directory = tmp_path / "run"
     road = [
@@ -147,6 +149,7 @@ def test_disturbances_reach_the_simulation_and_are_reported(tmp_path, capsys):
     assert "reference held at 100 Hz, masses times 1.1, payload 0.5 kg, position noise 1e-06, velocity" in printed
 
 
+@pytest.mark.usefixtures("no_ink")
 def test_among_obstacles_the_filter_plans_and_the_clearance_is_measured(tmp_path, capsys):
     directory = tmp_path / "run"
     assert main(["demo", "--no-video", "--scene", "window", "--scene-seed", "2", "--output", str(directory)]) == 0

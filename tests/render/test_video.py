@@ -1,13 +1,18 @@
 """A video that is written, reopened and looked at."""
 
-import imageio.v2 as imageio
+import io
+import re
+import subprocess
+
+import imageio_ffmpeg
 import numpy as np
 import pytest
+from PIL import Image
 
 from lieednn_sim.arm import Arm
-from lieednn_sim.errors import InputError, RenderingUnavailableError
+from lieednn_sim.errors import FileError, InputError, RenderingUnavailableError
 from lieednn_sim.planning import plan
-from lieednn_sim.render import video
+from lieednn_sim.render import ffmpeg, video
 from lieednn_sim.simulate import simulate
 
 
@@ -36,12 +41,11 @@ def test_the_video_has_the_frames_rate_and_size_and_the_arm_moves(arm, rollout, 
     )
     assert count == 26
     assert seen[-1] == (26, 26)
-    with imageio.get_reader(path) as reader:
-        frames = [frame.astype(float) for frame in reader]
-        meta = reader.get_meta_data()
-    assert len(frames) == 26
-    assert meta["fps"] == 10
-    assert tuple(meta["size"]) == (320, 180)
+    command = [imageio_ffmpeg.get_ffmpeg_exe(), "-i", path, "-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
+    read = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, check=True)
+    assert re.search(rb"Video: h264.* yuv420p.*, 320x180.*, 10 fps", read.stderr)
+    assert imageio_ffmpeg.count_frames_and_secs(path) == (26, 2.6)
+    frames = np.frombuffer(read.stdout, np.uint8).reshape(26, 180, 320, 3).astype(float)
     change = [np.abs(frame - frames[0]).mean() for frame in frames]
     assert change[12] > 1.0, "half way the arm has moved"
     assert change[20] > change[6], "and it goes on moving"
@@ -99,3 +103,44 @@ def test_without_opengl_the_error_names_the_packages(arm, rollout, tmp_path, mon
     with pytest.raises(RenderingUnavailableError, match="libegl1"):
         video.render_video(arm, rollout, arm.keyframe("extended"), tmp_path / "video.mp4")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_full_disk_is_an_error_with_the_encoders_words(tmp_path):
+    path = tmp_path / "v.mp4"
+    path.symlink_to("/dev/full")
+    pictures = np.random.default_rng(0).integers(0, 255, (10, 90, 160, 3), np.uint8)
+
+    def write():
+        with ffmpeg.mp4_writer(path, (160, 90), 10.0) as append:
+            for picture in pictures:
+                append(picture)
+
+    with pytest.raises(FileError, match=r"cannot write the video, the encoder stopped \(.*No space left on device"):
+        write()
+
+
+def test_a_stopped_encoder_ends_the_work(tmp_path):
+    def write():
+        with ffmpeg.mp4_writer(tmp_path / "missing" / "v.mp4", (160, 90), 10.0) as append:
+            while True:
+                append(np.zeros((90, 160, 3), np.uint8))
+
+    with pytest.raises(FileError, match=r"encoder stopped \(.*No such file or directory"):
+        write()
+
+
+def test_frames_are_read_one_by_one(tmp_path):
+    path = tmp_path / "v.mp4"
+    with ffmpeg.mp4_writer(path, (160, 90), 10.0) as append:
+        for grey in (20, 90, 160, 230):
+            append(np.full((90, 160, 3), grey, np.uint8))
+    assert ffmpeg.count_frames(path) == 4
+    grey = np.asarray(Image.open(io.BytesIO(ffmpeg.read_frame(path, 2))))
+    assert grey.shape == (90, 160, 3)
+    assert abs(grey.astype(int) - 160).max() < 5
+    with pytest.raises(FileError, match="it has no frame 4; remove it"):
+        ffmpeg.read_frame(path, 4)
+    (tmp_path / "junk.mp4").write_bytes(b"junk")
+    assert ffmpeg.count_frames(tmp_path / "junk.mp4") == 0
+    with pytest.raises(FileError, match="Invalid data"):
+        ffmpeg.read_frame(tmp_path / "junk.mp4", 0)

@@ -1,0 +1,96 @@
+"""MP4 files through ffmpeg, a child process that is gone and whose pipes are closed when the work is over, or stops.
+
+imageio's own writer and reader leave a stopped ffmpeg running and its pipes open, and its reader gives up after ten
+seconds, which a busy machine may need.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import subprocess
+import tempfile
+from collections.abc import Callable, Iterator
+from fractions import Fraction
+from pathlib import Path
+
+import imageio_ffmpeg
+import numpy as np
+from numpy.typing import NDArray
+
+from lieednn_sim.errors import FileError
+
+_CRF = 10  # constant rate factor of H.264, 0 to 51: next to no loss
+
+
+@contextlib.contextmanager
+def mp4_writer(path: Path, size: tuple[int, int], fps: float) -> Iterator[Callable[[NDArray[np.uint8]], None]]:
+    """Yields a function that appends an RGB picture ``(height, width, 3)``; the file is complete after the block.
+
+    Args:
+        path: of the file; one that exists is overwritten, one of a block that fails is left half-written.
+        size: (width, height) in pixels, both even.
+        fps: frames a second.
+
+    Raises:
+        FileError: the encoder stopped; the message has its first words.
+    """
+    width, height = size
+    command = [imageio_ffmpeg.get_ffmpeg_exe(), "-y", "-v", "error"]
+    command += ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}"]
+    command += ["-r", str(Fraction(fps).limit_denominator()), "-i", "-", "-an"]
+    command += ["-vcodec", "libx264", "-pix_fmt", "yuv420p", "-crf", str(_CRF), "-preset", "veryfast"]
+    command += ["-movflags", "+faststart", str(path)]
+    with tempfile.TemporaryFile() as words:
+        # In a session of its own Ctrl-C does not reach it.
+        encoder = subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=words, start_new_session=True
+        )
+        assert encoder.stdin is not None
+        frames = encoder.stdin
+
+        def append(picture: NDArray[np.uint8]) -> None:
+            try:
+                frames.write(np.ascontiguousarray(picture))
+            except BrokenPipeError:
+                encoder.wait()
+                raise stopped() from None
+
+        def stopped() -> FileError:
+            words.seek(0)
+            lines = words.read().decode(errors="replace").strip().splitlines() or [f"status {encoder.returncode}"]
+            return FileError(f"cannot write the video, the encoder stopped ({lines[0]}); is the disk full?")
+
+        try:
+            yield append
+            with contextlib.suppress(BrokenPipeError):
+                frames.close()
+            if encoder.wait() != 0:
+                raise stopped()
+        finally:
+            encoder.kill()
+            encoder.wait()
+            with contextlib.suppress(BrokenPipeError):
+                frames.close()
+
+
+def count_frames(path: Path) -> int:
+    """Number of frames that can be read from a video; 0 where it cannot be read."""
+    try:
+        return int(imageio_ffmpeg.count_frames_and_secs(str(path))[0])
+    except (OSError, RuntimeError):
+        return 0
+
+
+def read_frame(path: Path, index: int) -> bytes:
+    """Frame ``index`` of a video, from 0, as a PNG file.
+
+    Raises:
+        FileError: the file cannot be read, or has no such frame.
+    """
+    command = [imageio_ffmpeg.get_ffmpeg_exe(), "-v", "error", "-i", str(path), "-vf", rf"select=eq(n\,{index})"]
+    command += ["-frames:v", "1", "-f", "image2pipe", "-c:v", "png", "-"]
+    done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, check=False)
+    if done.returncode != 0 or not done.stdout:
+        lines = done.stderr.decode(errors="replace").strip().splitlines() or [f"it has no frame {index}"]
+        raise FileError(f"cannot read the video {path}: {lines[0]}; remove it")
+    return done.stdout
