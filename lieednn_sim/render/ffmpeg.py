@@ -50,7 +50,7 @@ def mp4_writer(path: Path, size: tuple[int, int], fps: float) -> Iterator[Callab
 
         def append(picture: NDArray[np.uint8]) -> None:
             try:
-                frames.write(np.ascontiguousarray(picture))
+                frames.write(np.ascontiguousarray(picture).data)
             except BrokenPipeError:
                 encoder.wait()
                 raise stopped() from None

@@ -9,6 +9,7 @@ import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import imageio.v2 as imageio
 import numpy as np
@@ -194,8 +195,12 @@ def _writer(path: Path, size: tuple[int, int], fps: float) -> Iterator[Callable[
             yield append
         return
     try:
-        with imageio.get_writer(path, format="GIF", mode="I", duration=1000.0 / fps, loop=0) as writer:
+        writer: Any = imageio.get_writer(path, format="GIF", mode="I", duration=1000.0 / fps, loop=0)
+        try:
             yield writer.append_data
+        finally:
+            # imageio's own `with` leaves the file open when the block fails.
+            writer.close()
     except OSError as error:
         reason = str(error).strip().splitlines()[0]
         raise FileError(f"cannot write the video ({reason}); is the disk full?") from None

@@ -142,5 +142,5 @@ def test_frames_are_read_one_by_one(tmp_path):
         ffmpeg.read_frame(path, 4)
     (tmp_path / "junk.mp4").write_bytes(b"junk")
     assert ffmpeg.count_frames(tmp_path / "junk.mp4") == 0
-    with pytest.raises(FileError, match="Invalid data"):
+    with pytest.raises(FileError, match="moov atom not found"):
         ffmpeg.read_frame(tmp_path / "junk.mp4", 0)
