@@ -127,6 +127,9 @@ def _print_choice(arm: Arm, chosen: Plan, options: Mapping[str, Any]) -> None:
         "1-norm of W",
         f"{conditions.one_norm:.2f} (no network with this equilibrium below {conditions.smallest_one_norm:.2f})",
     )
+    warning = chosen.network.assess(chosen.motion.xi_target).warning
+    if warning is not None:
+        rows.add_row("warning", warning)
     console.print(rows)
 
 

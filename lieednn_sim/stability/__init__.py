@@ -8,7 +8,6 @@ from lieednn_sim.stability.diagonal import (
     Certificate,
     find_certificate,
     log_scale_gradient,
-    scale,
     smooth_largest,
     verify,
 )
@@ -20,6 +19,7 @@ from lieednn_sim.stability.norms import (
     WeightedNorm,
     log_norms,
     norm_conditions,
+    scale,
     smallest_one_norm,
     weighted_norm,
 )

@@ -28,9 +28,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import minimize
 
 from lieednn_sim.errors import InputError
+from lieednn_sim.stability.centres import minimise_by_centres
 from lieednn_sim.stability.norms import as_weight, weighted_norm
 from lieednn_sim.validation import LARGEST, as_choice, as_count, as_floats, as_positive, as_ratio
 
@@ -38,8 +38,6 @@ Floats = NDArray[np.float64]
 
 METHODS = ("descent", "lmi")
 
-# exp(+-_LOG_SCALE_BOUND) bounds S, so that S W S^-1 keeps its digits.
-_LOG_SCALE_BOUND = 8.0
 # Entries of P further apart prove nothing of use (V then sees one coordinate only), and with `LARGEST`, which bounds W,
 # gamma, mu and their inverses, S W S^-1 stays far from overflow, and gamma/mu far above what underflow can spoil.
 _LARGEST_SPREAD = 1e60
@@ -134,10 +132,10 @@ def find_certificate(
 ) -> Certificate:
     """Search the diagonal P that makes lambda_max(sym(S W S^-1)) smallest, and verify it.
 
-    `descent` minimises a smoothed largest eigenvalue over log S (L-BFGS-B, analytic gradient), sharpened step by step,
-    from the identity and from the P that weighted norms suggest. In P the problem is quasi-convex, so a failure is
-    strong evidence, though no proof, that no diagonal P exists. `lmi` solves linear matrix inequalities, see
-    `stability.lmi`. Whatever a method answers goes through `verify`.
+    `descent` goes down the path of analytic centres (`stability.centres`) from the P that weighted norms suggest. In P
+    the problem is quasi-convex, so a failure is strong evidence, though no proof, that no diagonal P exists with
+    entries within exp(+-16). `lmi` solves linear matrix inequalities by bisection, see `stability.lmi`; it needs cvxpy,
+    takes longer, and is here to check the first. Whatever a method answers goes through `verify`.
 
     Args:
         weight: W_R (or any square matrix), ``(n, n)``.
@@ -168,15 +166,9 @@ def find_certificate(
         # Diagonals that prove whatever a weighted norm proves: Perron vectors of the majorant, left over right.
         weights = weighted_norm(matrix)
         perron = 0.5 * np.log(weights.left / weights.right).reshape(-1, size).mean(axis=1)
-        candidates += [perron, *_descend(matrix, size, [candidates[0], perron - perron.mean()])]
+        candidates += [perron, minimise_by_centres(matrix, size, perron)]
     certificates = (verify(np.exp(2.0 * np.repeat(c, size)), matrix, gamma=gamma, mu=mu) for c in candidates)
     return min(certificates, key=lambda certificate: certificate.lambda_max + certificate.rounding)
-
-
-def scale(weight: Floats, log_scale: Floats) -> Floats:
-    """S W S^-1 with S = diag(exp(log_scale))."""
-    factor = np.exp(log_scale)
-    return factor[:, None] * weight / factor
 
 
 def smooth_largest(values: Floats, vectors: Floats, sharpness: float) -> tuple[float, Floats]:
@@ -190,33 +182,3 @@ def log_scale_gradient(in_scaled: Floats, scaled: Floats) -> Floats:
     """Gradient in log S from the gradient in M = S W S^-1, for dM = diag(ds) M - M diag(ds)."""
     product = in_scaled * scaled
     return product.sum(axis=1) - product.sum(axis=0)
-
-
-def _descend(weight: Floats, group_size: int, starts: list[Floats]) -> list[Floats]:
-    """Log S of each group ``(n / group_size,)`` after each sharpening, from each start."""
-    found = []
-    for start in starts:
-        log_scale = np.clip(start, -_LOG_SCALE_BOUND, _LOG_SCALE_BOUND)
-        for sharpness in (4.0, 16.0, 64.0, 256.0, 1024.0, 4096.0):
-            # Sharpness counts in eigenvalues as they now are: a badly scaled W shrinks a lot on the way.
-            scaled = scale(weight, np.repeat(log_scale, group_size))
-            magnitude = max(float(np.linalg.norm(scaled + scaled.T, 2)), np.finfo(float).tiny)
-            log_scale = minimize(
-                _smooth_largest_eigenvalue,
-                log_scale,
-                args=(weight / magnitude, sharpness, group_size),
-                jac=True,
-                method="L-BFGS-B",
-                bounds=[(-_LOG_SCALE_BOUND, _LOG_SCALE_BOUND)] * len(log_scale),
-            ).x
-            found.append(log_scale)
-    return found
-
-
-def _smooth_largest_eigenvalue(
-    log_scale: Floats, weight: Floats, sharpness: float, group_size: int
-) -> tuple[float, Floats]:
-    """Log-sum-exp of the eigenvalues of sym(S W S^-1), and its gradient in each group's log S."""
-    scaled = scale(weight, np.repeat(log_scale, group_size))
-    value, in_scaled = smooth_largest(*np.linalg.eigh(0.5 * (scaled + scaled.T)), sharpness)
-    return value, log_scale_gradient(in_scaled, scaled).reshape(-1, group_size).sum(axis=1)

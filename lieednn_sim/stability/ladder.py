@@ -33,6 +33,10 @@ LEVELS = (
     "local",
 )
 
+# Couplings stronger than this against the decay make a network stiff: what its slowest and fastest parts do in the same
+# time differs so much that explicit integrators need very many steps, and little rounding shows up large.
+STIFF = 100.0
+
 # Both diagonal blocks of a twist's adjoint are the same rotation; other orders of multiplication may round differently.
 _BLOCK_TOLERANCE = 1e-12
 
@@ -66,10 +70,23 @@ class Verdict:
     Attributes:
         rungs: in the order of `LEVELS`; "local" only when a Jacobian was given.
         certificate: the diagonal Lyapunov matrix behind its rung, valid or not.
+        stiffness: strongest coupling of two neurons in units of gamma/mu: |alpha_ij| where W_R is known, else the
+            largest entry of W.
     """
 
     rungs: tuple[Rung, ...]
     certificate: Certificate
+    stiffness: float
+
+    @property
+    def warning(self) -> str | None:
+        """What is to be said of couplings more than `STIFF` times as strong as the decay; None of weaker ones."""
+        if self.stiffness <= STIFF:
+            return None
+        return (
+            f"stiff: the strongest coupling is {self.stiffness:.3g} gamma/mu, above {STIFF:g}; proved stable or not, "
+            "integration takes many small steps; make alpha smaller, or integrate with method='Radau'"
+        )
 
     @property
     def globally_stable(self) -> bool:
@@ -113,6 +130,8 @@ class Verdict:
             + (f"{rung.reach:<6} rate {rung.rate:.4g}" if rung.holds else "fails")
             for rung in self.rungs
         ]
+        if self.warning is not None:
+            lines.append(f"  warning: {self.warning}")
         return "\n".join([summary, *lines])
 
 
@@ -178,7 +197,14 @@ def assess(
         rounding = len(slopes) * np.finfo(float).eps * frobenius(slopes)
         abscissa = float(np.linalg.eigvals(slopes).real.max() + rounding)
         rungs.append(Rung("local", abscissa < 0.0, abscissa, 0.0, max(0.0, -abscissa), "local"))
-    return Verdict(tuple(rungs), certificate)
+    return Verdict(tuple(rungs), certificate, _strongest_coupling(core, 1 if core is matrix else 3) / bound)
+
+
+def _strongest_coupling(core: Floats, size: int) -> float:
+    """Largest spectral norm of the blocks of ``core``, which for a block alpha R is |alpha|."""
+    n = len(core) // size
+    blocks = core.reshape(n, size, n, size).transpose(0, 2, 1, 3)
+    return float(np.linalg.norm(blocks, 2, axis=(-2, -1)).max())
 
 
 def _rotational_part(weight: Floats, rotational_weight: ArrayLike) -> Floats:

@@ -92,6 +92,12 @@ def as_weight(name: str, value: ArrayLike) -> Floats:
     return matrix
 
 
+def scale(weight: Floats, log_scale: Floats) -> Floats:
+    """S W S^-1 with S = diag(exp(log_scale))."""
+    factor = np.exp(log_scale)
+    return factor[:, None] * weight / factor
+
+
 def frobenius(matrix: Floats) -> float:
     """Frobenius norm, of which neither the squares of large entries overflow nor those of small ones underflow."""
     largest = float(np.abs(matrix).max(initial=0.0))

@@ -181,3 +181,17 @@ def test_wrong_input_is_named():
     for call, words in cases:
         with pytest.raises(InputError, match=words):
             call()
+
+
+def test_stiff_networks_are_warned_of():
+    """alpha is told from the entries of alpha R: a rotation by 45 degrees has none above 0.71."""
+    whole, core = se3_weight(np.random.default_rng(3), 1, 1.0)
+    strength = np.linalg.norm(core, 2)
+    for factor, stiff in ((99.9, False), (100.1, True)):
+        size = factor * 2.0 / 0.5 / strength
+        verdict = assess(size * whole, gamma=2.0, mu=0.5, rotational_weight=size * core)
+        assert verdict.stiffness == pytest.approx(factor)
+        assert (verdict.warning is not None) == stiff
+        assert ("warning: stiff: the strongest coupling is 100 gamma/mu" in str(verdict)) == stiff
+    # Without neurons to tell apart the largest entry counts.
+    assert assess([[0.0, -300.0], [0.0, 0.0]], gamma=1.0, mu=1.0).stiffness == 300.0
