@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
@@ -18,6 +19,10 @@ Floats = NDArray[np.float64]
 VectorField = Callable[[Floats], Floats]
 
 _FLOW_STEPS = 5000
+# Of the vector field in one integration, which take some seconds; a usual one needs a thousand.
+_MAX_EVALUATIONS = 200_000
+
+_OVERFLOW = "the equilibrium cannot be found in double precision: weights, bias or start are too large"
 
 INTEGRATORS = ("RK45", "DOP853", "Radau", "BDF", "LSODA")
 
@@ -76,7 +81,24 @@ def find_equilibrium(
         start: ``(N, d)`` first guess.
         rate: decay rate of the system, which scales residuals and times.
         tolerance: on the largest entry of the vector field, relative to rate (1 + |x|).
+
+    Raises:
+        LieEDNNError: the numbers are so large that the search overflows.
     """
+    with np.errstate(all="ignore"):
+        # Squares may overflow on the way; a result that is not finite is none.
+        try:
+            found = _search(vector_field, jacobian, start, rate, tolerance)
+        except (np.linalg.LinAlgError, ValueError) as error:
+            raise LieEDNNError(f"{_OVERFLOW} ({error})") from None
+    if not (np.isfinite(found.xi).all() and np.isfinite([found.residual, found.spectral_abscissa]).all()):
+        raise LieEDNNError(_OVERFLOW)
+    return found
+
+
+def _search(
+    vector_field: VectorField, jacobian: VectorField, start: Floats, rate: float, tolerance: float
+) -> Equilibrium:
     x, steps, how = start.ravel().copy(), 0, "Newton converged"
     for attempt in range(3):
         x, n, converged = _newton(vector_field, jacobian, x, rate * tolerance)
@@ -148,10 +170,12 @@ def integrate(
 
     Raises:
         InputError: duration not positive, or unknown method.
-        LieEDNNError: the integrator gave up.
+        LieEDNNError: the integrator gave up, or needed so many evaluations that the network is too stiff for it.
         OutOfTimeError: the time budget of the present work is spent.
     """
     as_choice("method", method, INTEGRATORS)
+    for name, value in (("rtol", rtol), ("atol", atol), ("distance", distance)):
+        as_positive(name, value)
     longest = as_positive("duration", duration)
     events = None
     if until is not None:
@@ -165,20 +189,37 @@ def integrate(
 
         events.terminal = True  # type: ignore[attr-defined]  # SciPy's protocol for stopping at an event
 
+    evaluations = 0
+
     def field(_: float, x: Floats) -> Floats:
+        nonlocal evaluations
         check_time()
+        evaluations += 1
+        if evaluations > _MAX_EVALUATIONS:
+            raise LieEDNNError(
+                f"the network is too stiff for {method}: more than {_MAX_EVALUATIONS} evaluations in a duration of "
+                f"{longest:g}; use method='Radau', a shorter duration or smaller weights"
+            )
         return vector_field(x)
 
-    solution = solve_ivp(
-        field,
-        (0.0, longest),
-        start.ravel(),
-        method=method,
-        events=events,
-        rtol=rtol,
-        atol=atol,
-        dense_output=True,
-    )
+    with warnings.catch_warnings(), np.errstate(all="ignore"):
+        # What overflows ends the integration, or shows up below.
+        warnings.simplefilter("ignore")
+        try:
+            solution = solve_ivp(
+                field,
+                (0.0, longest),
+                start.ravel(),
+                method=method,
+                events=events,
+                rtol=rtol,
+                atol=atol,
+                dense_output=True,
+            )
+        except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
+            raise LieEDNNError(f"integration of the network failed: {error}") from None
     if not solution.success:
         raise LieEDNNError(f"integration of the network failed: {solution.message}")
+    if not (np.isfinite(solution.y).all() and np.isfinite(solution.t).all()):
+        raise LieEDNNError("integration of the network failed: the state left the range of double precision")
     return Trajectory(t=solution.t, xi=solution.y.T.reshape(-1, *start.shape), _dense=solution.sol)

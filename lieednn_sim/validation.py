@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import math
 import operator
+import os
 from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,6 +22,8 @@ LARGEST = 1e100
 # More characters than any name or sentence of the user's own: what is refused is quoted up to here.
 _QUOTED = 80
 _LARGEST_COUNT = 2**53
+# Of Linux, in bytes; a single name has at most 255.
+_LONGEST_PATH = 4095
 # A gibibyte of float64.
 _LARGEST_SIZE = 2**27
 
@@ -94,7 +99,30 @@ def _require_shape(name: str, given: tuple[int, ...], shape: Shape, wanted: Shap
         raise InputError(f"{name} must have at most {_LARGEST_SIZE} entries, got shape {_describe(given)}")
 
 
-def as_finite(name: str, result: NDArray[np.float64]) -> NDArray[np.float64]:
+def as_shape(name: str, value: tuple[int, ...], entries: int = 1) -> tuple[int, ...]:
+    """Return the shape of an array of so many ``entries`` each, or raise `InputError` where it is too large."""
+    try:
+        shape = tuple(as_count(name, size, 0) for size in value)
+    except TypeError:
+        raise InputError(f"{name} must be a tuple of whole numbers, got {quoted(value)}") from None
+    if math.prod(shape) * entries > _LARGEST_SIZE:
+        raise InputError(f"{name} {_describe(shape)} is too large: more than {_LARGEST_SIZE} numbers")
+    return shape
+
+
+def as_path(name: str, value: object) -> Path:
+    """Return ``value`` as a path that the system can be asked about, or raise `InputError`."""
+    if not isinstance(value, str | os.PathLike):
+        raise InputError(f"{name} must be a string or a path, got {type(value).__name__}")
+    text = os.fspath(value)
+    if not isinstance(text, str) or "\0" in text:
+        raise InputError(f"{name} must be a path without NUL characters, got {quoted(text)}")
+    if len(os.fsencode(text)) > _LONGEST_PATH or any(len(os.fsencode(part)) > 255 for part in text.split("/")):
+        raise InputError(f"{name} is too long for a path, got {quoted(text)}")
+    return Path(text)
+
+
+def as_finite(name: str, result: NDArray[Any]) -> NDArray[Any]:
     """Return a computed array when all its entries are finite: no result is NaN or infinite without a word.
 
     Raises:

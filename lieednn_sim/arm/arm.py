@@ -26,7 +26,7 @@ from lieednn_sim.arm.retraction import Retraction, Retractor
 from lieednn_sim.arm.scenes import SCENES, add_obstacles
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.lie import log
-from lieednn_sim.validation import as_choice, as_floats, as_seed
+from lieednn_sim.validation import as_choice, as_floats, as_path, as_seed
 
 Floats = NDArray[np.float64]
 
@@ -107,9 +107,7 @@ class Arm:
             FileError: there is no such file, or MuJoCo cannot compile it.
             InputError: an unknown arm or scene, or the file holds no arm.
         """
-        if not isinstance(name, str | os.PathLike):
-            raise InputError(f"the name of an arm must be a string or a path, got {type(name).__name__}")
-        if Path(name).suffix.lower() in MODEL_SUFFIXES:
+        if as_path("the name of an arm", name).suffix.lower() in MODEL_SUFFIXES:
             return cls.from_xml(name, links=links, base=base, servos=servos).among(scene, seed)
         if links or base is not None or servos != "keep":
             raise InputError(f"arm {name!r} has its own frames and servos; links, base and servos are for MJCF files")
@@ -141,7 +139,7 @@ class Arm:
             FileError: there is no such file, or MuJoCo cannot compile it.
             InputError: it holds no such arm.
         """
-        source = Path(path)
+        source = as_path("path", path)
         spec, adoption = open_model(source, links, base, servos)
         label = name or (source.parent.name if source.stem == "scene" else source.stem)
         return replace(cls.from_spec(spec, source, label), adoption=adoption)
@@ -198,6 +196,7 @@ class Arm:
 
     def limit_excess(self, q: Floats) -> Floats:
         """How far each of the coordinates ``(..., n)`` is outside its limits, negative inside; of a ball its angle."""
+        q = as_floats("q", q, (self.n_joints,), batched=True)
         low, high = self.position_limits.T
         excess = np.maximum(low - q, q - high)
         for ball in self.space.balls:
@@ -206,6 +205,7 @@ class Arm:
 
     def within_angles(self, q: Floats) -> Floats:
         """Coordinates ``(..., n)`` with the rotation vectors of ball joints shortened to their largest angles."""
+        q = as_floats("q", q, (self.n_joints,), batched=True)
         high, inside = self.position_limits[:, 1], q.copy()
         for ball in self.space.balls:
             angle = np.linalg.norm(q[..., ball], axis=-1, keepdims=True)

@@ -14,7 +14,7 @@ from scipy.linalg import expm, logm
 
 from lieednn_sim.errors import InputError
 from lieednn_sim.lie.projection import descend
-from lieednn_sim.validation import as_floats, as_generator, as_positive
+from lieednn_sim.validation import as_finite, as_floats, as_generator, as_positive, as_shape
 
 Floats = NDArray[np.float64]
 Booleans = NDArray[np.bool_]
@@ -104,8 +104,15 @@ class MatrixLieGroup:
         return coordinates
 
     def exp(self, x: ArrayLike) -> Matrices:
-        """Group elements ``(..., m, m)`` of coordinates ``(..., d)``: the matrix exponential of `hat`."""
-        return expm(self.hat(x))
+        """Group elements ``(..., m, m)`` of coordinates ``(..., d)``: the matrix exponential of `hat`.
+
+        Raises:
+            InputError: the coordinates are malformed, or so large that the exponential cannot be had in floating point.
+        """
+        with warnings.catch_warnings(), np.errstate(all="ignore"):
+            # What overflows on the way is said below.
+            warnings.simplefilter("ignore")
+            return as_finite(f"the exponential in {self.name}", expm(self.hat(x)))
 
     def log(self, g: ArrayLike) -> Floats:
         """Coordinates ``(..., d)`` of the principal matrix logarithm: no eigenvalue's angle reaches pi.
@@ -127,15 +134,18 @@ class MatrixLieGroup:
         """Matrices L[Ad_g], ``(..., d, d)``, of g ``(..., m, m)``: column k holds the coordinates of g E_k g^-1.
 
         Raises:
-            InputError: g is singular, or g E_k g^-1 leaves the Lie algebra, so that g is not in the group.
+            InputError: g is singular, out of range, or g E_k g^-1 leaves the Lie algebra: g is not in the group.
         """
         array = self._matrices("g", g)
         try:
             inverse = np.linalg.inv(array)
         except np.linalg.LinAlgError:
             raise InputError(f"g must be in {self.name}, got a singular matrix") from None
-        moved = array[..., None, :, :] @ self.basis @ inverse[..., None, :, :]
-        columns = self._coordinates(moved)
+        with np.errstate(all="ignore"):
+            moved = array[..., None, :, :] @ self.basis @ inverse[..., None, :, :]
+            columns = as_finite(f"the adjoint matrix in {self.name}", self._coordinates(moved))
+        if not np.isfinite(np.linalg.norm(moved)):
+            raise InputError(f"g is too large, or too nearly singular, for its adjoint matrix in {self.name}")
         if (self._outside(moved, columns) > 1.0).any():
             raise InputError(f"g must be in {self.name}: g E_k g^-1 leaves its Lie algebra")
         return np.swapaxes(columns, -1, -2)
@@ -165,6 +175,7 @@ class MatrixLieGroup:
     def random(self, rng: int | np.random.Generator, shape: tuple[int, ...] = (), scale: float = 1.0) -> Matrices:
         """Elements ``(*shape, m, m)``: exponentials of normal coordinates of standard deviation ``scale``."""
         generator, scale = as_generator("rng", rng), as_positive("scale", scale)
+        shape = as_shape("shape", shape, self.size**2)
         return self.exp(scale * generator.normal(size=(*shape, self.dimension)))
 
     def project_to_adjoint(self, theta: ArrayLike, start: ArrayLike | None = None) -> Matrices:
@@ -222,14 +233,16 @@ class MatrixLieGroup:
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             # The result is judged below, for each element; logm only warns that some element is singular or inaccurate.
             warnings.simplefilter("ignore")
-            matrix = logm(g)
+            matrix = _logarithms(g)
         finite = np.isfinite(matrix).all(axis=(-2, -1))
         matrix = np.where(finite[..., None, None], matrix, 0.0)
         # A complex logarithm in a real algebra counts as outside by its imaginary part.
         coordinates = self._coordinates(matrix if np.iscomplexobj(self.basis) else matrix.real)
         inside = self._outside(matrix, coordinates) <= 1.0
         safe = np.where(inside[..., None], coordinates, 0.0)
-        error = np.linalg.norm(self.exp(safe) - g, axis=(-2, -1))
+        with warnings.catch_warnings(), np.errstate(all="ignore"):
+            warnings.simplefilter("ignore")
+            error = np.linalg.norm(expm(self.hat(safe)) - g, axis=(-2, -1))
         return coordinates, finite & inside & (error < _TOLERANCE * np.linalg.norm(g, axis=(-2, -1)))
 
     @cached_property
@@ -254,6 +267,18 @@ class MatrixLieGroup:
         if np.iscomplexobj(self.basis):
             return _as_numbers(name, value, (self.size, self.size), batched=True).astype(np.complex128)
         return as_floats(name, value, (self.size, self.size), batched=True)
+
+
+def _logarithms(g: Matrices) -> Matrices:
+    """Principal logarithms ``(..., m, m)``, NaN where SciPy gives up on one."""
+    try:
+        return np.asarray(logm(g))
+    except Exception:
+        # It raises nothing more special, and for a whole batch when one of it fails.
+        if g.ndim == 2:
+            return np.full_like(g, np.nan)
+        flat = [_logarithms(one) for one in g.reshape(-1, *g.shape[-2:])]
+        return np.stack(flat).reshape(g.shape)
 
 
 def _as_numbers(name: str, value: ArrayLike, shape: tuple[int | str, ...], *, batched: bool = False) -> Matrices:

@@ -59,7 +59,8 @@ def minimise_by_centres(weight: Floats, group_size: int, start: Floats) -> Float
             gap = level - search.largest(entries)
             if not gap > _LAST_GAP:
                 break
-            entries, level = search.lower(entries, np.linalg.solve(hessian, slope), level, gap)
+            tangent = np.asarray(np.linalg.solve(hessian, slope), np.float64)
+            entries, level = search.lower(entries, tangent, level, gap)
     except np.linalg.LinAlgError:
         # So near to the least level that F is singular up to rounding.
         pass

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from lieednn_sim.validation import as_choice
+from lieednn_sim.validation import as_choice, as_floats, as_positive
 
 Floats = NDArray[np.float64]
 
@@ -32,6 +32,9 @@ def bias_for(rule: str, xi: Floats, outputs: Floats, bound: float, magnitude: fl
     - ``"solved"``: the bias that makes ``xi`` the equilibrium of weights drawn without regard to it; it starts at zero.
     """
     as_choice("bias rule", rule, BIAS_RULES)
+    xi = as_floats("xi", xi, ("N", 6))
+    outputs, bound = as_floats("outputs", outputs, xi.shape), as_positive("bound", bound)
+    magnitude = float(as_floats("magnitude", magnitude, ()))
     if rule == "uniform":
         return np.full_like(xi, magnitude)
     if rule == "sign-matched":
