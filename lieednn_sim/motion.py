@@ -37,7 +37,8 @@ LIMIT_TOLERANCE = 1e-6
 _SLOWER = 1.02
 # A step between two samples that the velocities do not explain by this much is a jump [rad, m].
 _JUMP = 0.02
-_MAX_STEPS = 1_000_000
+# At a simulation step of 2 ms this is 200 s: more takes minutes to plan, and a table of results nobody needs.
+_MAX_STEPS = 100_000
 _SAMPLES_PER_STEP = 8
 
 

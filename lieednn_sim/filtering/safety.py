@@ -45,6 +45,8 @@ _ACTIVE = 1e-3
 # Multipliers above this mark a constraint that holds the arm back.
 _PRESSING = 1e-4
 _UNBOUNDED = 1e30
+# Positions and velocities beyond this are none of an arm, and the quadratic program could not tell its bounds apart.
+_LARGEST = 1e9
 # DAQP's mark of a constraint that may give way, and the inverse of the weight of doing so.
 _SOFT, _GIVING = 8, 1e-4
 # Share of the accelerations that braking before obstacles may count on: constraints share them, and normals turn.
@@ -183,8 +185,10 @@ class SafetyFilter:
             InputError: a value is malformed.
         """
         n, h, options = self.arm.n_joints, self.timestep, self.options
-        position, old = as_floats("q", q, (n,)), as_floats("velocity", velocity, (n,))
-        goal = as_floats("wanted", wanted, (n,))
+        position, old, goal = (
+            as_floats(name, value, (n,), largest=_LARGEST)
+            for name, value in (("q", q), ("velocity", velocity), ("wanted", wanted))
+        )
         low, high, low_stop, high_stop = self._bounds(position, old)
         near = self.collisions.distances(position, self._needed(position, np.maximum(np.abs(low), np.abs(high)), old))
         clearance = float(near.distance[0]) if len(near.distance) else np.inf

@@ -234,7 +234,7 @@ class MatrixLieGroup:
             # The result is judged below, for each element; logm only warns that some element is singular or inaccurate.
             warnings.simplefilter("ignore")
             matrix = _logarithms(g)
-        finite = np.isfinite(matrix).all(axis=(-2, -1))
+        finite: Booleans = np.asarray(np.isfinite(matrix).all(axis=(-2, -1)))
         matrix = np.where(finite[..., None, None], matrix, 0.0)
         # A complex logarithm in a real algebra counts as outside by its imaginary part.
         coordinates = self._coordinates(matrix if np.iscomplexobj(self.basis) else matrix.real)

@@ -209,7 +209,7 @@ def test_problems_are_checked():
     assert ARM.contacts(folded)
     with pytest.raises(InputError, match=r"target is out of reach: '.*' would touch '.*' there"):
         problem(0, target=folded)
-    with pytest.raises(InputError, match="between 2 and 1000000 time steps"):
+    with pytest.raises(InputError, match="between 2 and 100000 time steps"):
         problem(0, duration=0.001)
     with pytest.raises(InputError, match="seed must be a whole number"):
         PlanningProblem(ARM, task.start, task.target, seed=-1)
