@@ -83,6 +83,12 @@ class Motion:
         for name, shape in shapes.items():
             object.__setattr__(self, name, as_floats(name, getattr(self, name), shape))
 
+    def __repr__(self) -> str:
+        return (
+            f"<Motion: {len(self.t)} samples in {self.t[-1]:g} s, {self.q.shape[1]} joints, {self.xi.shape[1]} links, "
+            f"mechanism gap up to {1e3 * self.gap_translation.max():.3g} mm>"
+        )
+
     @property
     def residual(self) -> float:
         """Largest coordinate of xi - xi_target left at the end."""

@@ -13,7 +13,7 @@ from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from lieednn_sim.errors import LieEDNNError
 
@@ -41,8 +41,8 @@ def worker_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
 
 def progress_bar(console: Console) -> Progress:
     """What the work shows of itself."""
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    return Progress(*columns, console=console)
+    times = (TimeElapsedColumn(), TextColumn("done, left"), TimeRemainingColumn())
+    return Progress(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), *times, console=console)
 
 
 def exit_code(work: Callable[[], Path], console: Console, kept: str) -> int:
@@ -57,7 +57,7 @@ def exit_code(work: Callable[[], Path], console: Console, kept: str) -> int:
         console.print("a worker process died (out of memory?); the same command goes on, --jobs 1 needs less")
         return 1
     except (LieEDNNError, OSError) as error:
-        console.print(f"error: {error}", highlight=False)
+        console.print(f"error: {error}", markup=False, emoji=False, highlight=False)
         return 1
     print(path)
     return 0

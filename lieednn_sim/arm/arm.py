@@ -169,6 +169,9 @@ class Arm:
         arm = Arm.from_spec(spec, self.source, self.name)
         return replace(arm, scene=scene, scene_seed=seed, adoption=self.adoption)
 
+    def __repr__(self) -> str:
+        return f"<Arm {self.name}: {self.n_links} links, {self.n_joints} joints, scene {self.scene}>"
+
     @property
     def n_links(self) -> int:
         """N."""

@@ -17,6 +17,8 @@ Floats = NDArray[np.float64]
 
 _TOLERANCE = 1e-6
 _ATTEMPTS = 8
+# Nothing reaches further [m], and squares of what is looked for stay far from overflow.
+_FARTHEST = 1e6
 # Weight of the pull towards the start, which picks one of the many solutions of a redundant arm.
 _POSTURE_WEIGHT = 1e-3
 
@@ -37,6 +39,8 @@ def reach(
         InputError: a value is malformed, or no such joint position was found; says how close one gets.
     """
     goal = as_floats("position", position, (3,))
+    if np.abs(goal).max() > _FARTHEST:
+        raise InputError(f"position must be within {_FARTHEST:g} m of the origin, got {np.abs(goal).max():g} m")
     if rotation is not None and not isinstance(rotation, Rotation):
         raise InputError(f"rotation must be a scipy Rotation, got {type(rotation).__name__}")
     rest = arm.keyframe("home") if start is None else arm.check_position(start, "start")

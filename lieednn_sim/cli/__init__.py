@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import argparse
 import re
-import signal
 import sys
-import threading
+import textwrap
 from collections.abc import Sequence
+from typing import Any
 
 from lieednn_sim.cli import options
+from lieednn_sim.cli.interruption import Interruption
 from lieednn_sim.errors import LieEDNNError
 
 _DESCRIPTION = (
@@ -21,32 +22,33 @@ _DESCRIPTION = (
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command; returns its exit code.
 
-    0 well, 1 doctor found a problem, 2 an error, 130 interrupted or terminated, 141 the reader of the output went away.
+    0 well, 1 doctor found a problem, 2 an error, 130 interrupted, 143 terminated, 141 the reader of the output went
+    away.
     """
     words = list(sys.argv[1:] if argv is None else argv)
     arguments = _parser().parse_args(_join_negative_numbers(words))
     arguments.words = words
-    # A terminated run cleans up like an interrupted one; handlers belong to the main thread alone.
-    restore = None
-    if threading.current_thread() is threading.main_thread():
-        restore = signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
-        from lieednn_sim.cli import commands
+    # A terminated run cleans up like an interrupted one.
+    with Interruption() as interruption:
+        try:
+            from lieednn_sim.cli import commands
 
-        return int(getattr(commands, arguments.command)(arguments) or 0)
-    except LieEDNNError as error:
-        print(f"lieednn-sim: error: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print("lieednn-sim: interrupted; files already reported are complete", file=sys.stderr)
-        return 130
-    except BrokenPipeError:
-        # The reader of our output went away, as in `lieednn-sim demo | head`.
-        sys.stderr.close()
-        return 141
-    finally:
-        if restore is not None:
-            signal.signal(signal.SIGTERM, restore)
+            interruption.importing = False
+            return int(getattr(commands, arguments.command)(arguments) or 0)
+        except KeyboardInterrupt:
+            return interruption.report()
+        except Exception as error:
+            if interruption.received is not None:
+                # Libraries make other exceptions of an interruption.
+                return interruption.report()
+            if isinstance(error, BrokenPipeError):
+                # The reader of our output went away, as in `lieednn-sim demo | head`.
+                sys.stderr.close()
+                return 141
+            if not isinstance(error, LieEDNNError):
+                raise
+            print(f"lieednn-sim: error: {error}", file=sys.stderr)
+            return 2
 
 
 def _join_negative_numbers(argv: Sequence[str]) -> list[str]:
@@ -60,43 +62,96 @@ def _join_negative_numbers(argv: Sequence[str]) -> list[str]:
     return joined
 
 
+class _Help(argparse.HelpFormatter):
+    """Leaves names whole that are written with hyphens."""
+
+    def _split_lines(self, text: str, width: int) -> list[str]:
+        return textwrap.wrap(" ".join(text.split()), width, break_on_hyphens=False)
+
+
+class _Version(argparse.Action):
+    """Prints the version, which is not looked up before."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
+        import lieednn_sim
+
+        print(f"lieednn-sim {lieednn_sim.__version__}")
+        parser.exit()
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="lieednn-sim", description=_DESCRIPTION)
+    parser.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
 
-    demo = commands.add_parser("demo", help="the whole road: target, network, motion, simulation, video, report")
-    options.add_planning(demo, output="results/demo", goal=False)
+    def command(name: str, summary: str, more: str) -> argparse.ArgumentParser:
+        text = f"{summary[0].upper()}{summary[1:]}. {more}"
+        return commands.add_parser(name, help=summary, description=text, formatter_class=_Help)
+
+    demo = command(
+        "demo",
+        "the whole road: target, network, motion, simulation, video, report",
+        "Without a target the arm goes to its keyframe 'extended', among obstacles to a random target.",
+    )
     # The paper's bias: the planner's own choice is often stronger, and leaves the weights less to do.
-    demo.set_defaults(usual_bias_magnitude=0.125)
+    options.add_planning(demo, output="results/demo", goal=False, bias_magnitude=0.125)
     options.add_simulation(demo)
     options.add_video(demo)
     demo.add_argument("--no-video", action="store_true", help="skip rendering")
 
-    synthesize = commands.add_parser("synthesize", help="make a certified network for a target, into a run directory")
+    synthesize = command(
+        "synthesize",
+        "make a certified network, or another planner's motion, for a target, into a run directory",
+        "Go on with 'simulate', 'evaluate' and 'render'.",
+    )
     options.add_planning(synthesize, output="results/run")
 
-    train = commands.add_parser("train", help="learn a network for a target by the paper's algorithm, or a better one")
+    train = command(
+        "train",
+        "learn a network for a target by the paper's algorithm, or a better one",
+        "Go on with 'simulate', 'evaluate' and 'render'; what is interrupted goes on with --resume.",
+    )
     options.add_training(train)
 
-    simulate = commands.add_parser("simulate", help="simulate a run's motion, disturbed if wanted")
+    simulate = command(
+        "simulate",
+        "simulate a run's motion, disturbed if wanted",
+        "A new simulation takes the place of the run's last one.",
+    )
     options.add_run(simulate)
     options.add_simulation(simulate)
 
-    render = commands.add_parser("render", help="render a run's simulation")
+    render = command(
+        "render", "render a run's simulation", "It needs OpenGL, see 'lieednn-sim doctor', but no display."
+    )
     options.add_run(render)
     options.add_video(render)
     render.add_argument("--output", metavar="FILE", help=".mp4 or .gif (default: video.mp4 in the run directory)")
 
-    evaluate = commands.add_parser("evaluate", help="metrics and plots of a run's simulation")
+    evaluate = command(
+        "evaluate", "metrics and plots of a run's simulation", "They are printed, and written into the run directory."
+    )
     options.add_run(evaluate)
 
-    compare = commands.add_parser("compare", help="planners x arms x scenes x controllers x seeds: table and page")
+    compare = command(
+        "compare",
+        "planners x arms x scenes x controllers x seeds: table and page",
+        "It can be interrupted: the same command goes on. All cases by default, CPU hours.",
+    )
     options.add_comparison(compare)
 
-    arms = commands.add_parser("arms", help="the arms there are, or what an MJCF file gives as an arm")
+    arms = command(
+        "arms",
+        "the arms there are, or what an MJCF file gives as an arm",
+        "Without a name: all arms of the package in a table.",
+    )
     arms.add_argument("arm", nargs="?", metavar="NAME", help="name of an arm, or an MJCF file, to describe in full")
     options.add_frames(arms)
 
-    doctor = commands.add_parser("doctor", help="versions, headless OpenGL, and what is missing")
+    doctor = command(
+        "doctor",
+        "versions, headless OpenGL, and what is missing",
+        "Exit code 1 where physics or rendering would not work.",
+    )
     doctor.add_argument("--json", action="store_true", help="print JSON instead of a table")
     return parser

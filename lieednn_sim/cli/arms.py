@@ -7,7 +7,6 @@ from collections import Counter
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.markup import escape
 from scipy.optimize import minimize
 
 from lieednn_sim.arm import Arm, arm_names
@@ -45,7 +44,7 @@ def print_adoption(arm: Arm) -> None:
     rows.columns[1].overflow = "fold"
     for line in str(arm.adoption).splitlines():
         what, _, how = line.partition(": ")
-        rows.add_row(escape(what), escape(how))
+        rows.add_row(what, how)
     console.print(rows)
 
 
@@ -75,13 +74,13 @@ def _print_summaries(loaded: list[Arm]) -> None:
     rows = table("arms", "arm", "links", "n", "joints", "reach m", "unit m", "keyframes")
     for arm in loaded:
         rows.add_row(
-            escape(arm.name),
+            arm.name,
             str(arm.n_links),
             str(arm.n_joints),
             _kinds(arm),
             f"{farthest(arm):.2f}",
             f"{arm.length_scale:g}",
-            escape(", ".join(keyframes(arm))),
+            ", ".join(keyframes(arm)),
         )
     rows.caption = (
         "n: joint coordinates; reach: farthest end effector found from the base; "
@@ -100,6 +99,6 @@ def _coordinates(arm: Arm) -> object:
     for j, name in enumerate(arm.joint_names):
         limits = (arm.velocity_limits[j], arm.acceleration_limits[j], arm.force_limits[j])
         texts = ("-" if np.isinf(limit) else f"{limit:g}" for limit in limits)
-        rows.add_row(escape(name), arm.unit(j), *(f"{bound:.4g}" for bound in arm.position_limits[j]), *texts)
+        rows.add_row(name, arm.unit(j), *(f"{bound:.4g}" for bound in arm.position_limits[j]), *texts)
     rows.caption = "limits; -: none" + ("; of a ball joint the angle is limited" if len(arm.space.balls) else "")
     return rows

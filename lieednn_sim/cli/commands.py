@@ -37,7 +37,7 @@ def demo(arguments: argparse.Namespace) -> None:
             try:
                 _render(run, arguments, run.video)
             except RenderingUnavailableError as error:
-                console.print(f"no video: {error}", markup=False)
+                console.print(f"no video: {error}")
     console.print(f"done in {time.perf_counter() - begun:.1f} s")
 
 
@@ -103,11 +103,12 @@ def doctor(arguments: argparse.Namespace) -> int:
 def _simulate(run: RunDirectory, arguments: argparse.Namespace) -> None:
     task, arm = run.load_task()
     changes = disturbances(arm, arguments)
-    if task.drawn:
-        motion = make_motion(arm, run.load_network(task), task.start, task.duration, arm.model.opt.timestep)
-    else:
-        motion = run.load_motion(task)
-    check_motion(arm, motion)
+    with progress("check"):
+        if task.drawn:
+            motion = make_motion(arm, run.load_network(task), task.start, task.duration, arm.model.opt.timestep)
+        else:
+            motion = run.load_motion(task)
+        check_motion(arm, motion)
     end = motion.t[-1] + arguments.hold
     for push in changes.pushes:
         if push.start > end:

@@ -7,10 +7,8 @@ import os
 import shlex
 from collections.abc import Sequence
 
-from rich.console import Console
-
 from lieednn_sim import storage
-from lieednn_sim.cli.console import console, progress, wrote
+from lieednn_sim.cli.console import console, progress, to_stderr, wrote
 from lieednn_sim.compare import Case, Selection, Settings, Table, compare, write_summary
 from lieednn_sim.errors import LieEDNNError
 from lieednn_sim.planners import missing_planners
@@ -39,12 +37,12 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> None:
     cases = [Case.parse(text) for text in arguments.video]
     missing = {name: reason for name, reason in missing_planners().items() if name in selection.planners}
     for name, reason in missing.items():
-        console.print(f"not compared: {name} is not installed ({reason})", highlight=False)
+        console.print(f"not compared: {name} is not installed ({reason})")
     directory = storage.make_directory(arguments.output)
     summary, page = directory / "comparison.md", directory / "comparison.html"
     with storage.locked(directory):
         storage.check_outputs([summary, page, page.with_suffix(".csv"), page.with_suffix(".json")])
-        table = compare(directory, selection, settings, jobs=jobs, console=Console(stderr=True))
+        table = compare(directory, selection, settings, jobs=jobs, console=to_stderr())
         write_summary(summary, table, missing)
         clips = _film(table, cases + choose_cases(table, arguments.videos), selection.controllers[0])
         line = shlex.join(["lieednn-sim", *command])

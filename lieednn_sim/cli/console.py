@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 
 from rich import box
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
 
@@ -16,7 +16,8 @@ class _Console(Console):
         raise BrokenPipeError  # `main` knows what to do; rich would exit with 1
 
 
-console = _Console(highlight=False, soft_wrap=True)
+# What is printed is somebody's text, a path or a message: [brackets] and :colons: in it are no markup.
+console = _Console(markup=False, emoji=False, highlight=False, soft_wrap=True)
 
 
 def table(title: str, *columns: str) -> Table:
@@ -27,11 +28,20 @@ def table(title: str, *columns: str) -> Table:
     return made
 
 
+def to_stderr() -> Console:
+    """A console for what is shown of the work."""
+    return Console(stderr=True, markup=False, emoji=False, highlight=False)
+
+
 @contextlib.contextmanager
 def progress(what: str) -> Iterator[Callable[[int, int], None]]:
-    """A progress bar on a terminal's stderr; yields a function of what is done and of the total."""
-    columns = (TextColumn("{task.description:<10}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    stderr = Console(stderr=True)
+    """A progress bar on a terminal's stderr; yields a function of what is done and of the total.
+
+    Until it is called only the time goes on.
+    """
+    description = TextColumn("{task.description:<10}", markup=False)
+    columns = (description, BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+    stderr = to_stderr()
     with Progress(*columns, console=stderr, transient=True, disable=not stderr.is_terminal) as bar:
         shown = bar.add_task(what, total=None)
         yield lambda done, total: bar.update(shown, completed=done, total=total)
@@ -40,4 +50,4 @@ def progress(what: str) -> Iterator[Callable[[int, int], None]]:
 def wrote(*paths: object) -> None:
     """Say which files are complete."""
     for path in paths:
-        console.print(f"wrote {path}", markup=False)
+        console.print(f"wrote {path}")

@@ -8,8 +8,8 @@ import sys
 from importlib import metadata
 
 from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
+from rich.text import Text
 
 from lieednn_sim import opengl
 from lieednn_sim.arm import arm_names
@@ -77,15 +77,15 @@ def report(console: Console, *, as_json: bool) -> int:
         return 0 if healthy else 1
     table = Table(show_header=False, title="lieednn-sim doctor", title_justify="left")
     for name, version in versions.items():
-        table.add_row(name, version or "[red]missing[/red]")
+        table.add_row(name, version or Text("missing", "red"))
     for name, version in extras.items():
-        absent = f"not installed (optional, for {_EXTRAS[name][1]}): {escape(_install(name))}"
+        absent = f"not installed (optional, for {_EXTRAS[name][1]}): {_install(name)}"
         table.add_row(name, version or absent)
     table.add_row("platform", f"{platform.system()} {platform.machine()}, {sys.executable}")
     table.add_row("arms", models)
     table.add_row("OpenGL backend", f"{backend.name} (by {backend.source})")
     if "error" in renderer:
-        table.add_row("rendering", f"[red]does not work[/red]: {renderer['error']}")
+        table.add_row("rendering", Text.assemble(("does not work", "red"), f": {renderer['error']}"))
     else:
         table.add_row("rendering", f"{renderer['GL_RENDERER']}, a frame of 16x16 in {renderer['frame_ms']:.1f} ms")
     console.print(table)

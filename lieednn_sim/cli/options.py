@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 
 from lieednn_sim.cli.numerals import decimal, decimal_or_inf, whole
+from lieednn_sim.names import ALGORITHMS, ARMS, BIAS_RULES, CONTROLLERS, PLANNERS, SCENES
 
 
 def add_task(parser: argparse.ArgumentParser, output: str, *, goal: bool = True) -> argparse._MutuallyExclusiveGroup:
     """Arm, scene, start and target; without a required ``goal`` the command chooses a target itself."""
     parser.add_argument(
-        "--arm", default="telescopic_pr", metavar="NAME", help="name of an arm, or an MJCF file (default: %(default)s)"
+        "--arm",
+        default="telescopic_pr",
+        metavar="NAME",
+        help=f"{_one_of(ARMS)}, or an MJCF file (default: %(default)s)",
     )
     add_frames(parser)
     parser.add_argument(
-        "--scene", default="free", metavar="NAME", help="obstacles: free, window, shelf or poles (default: %(default)s)"
+        "--scene", default="free", metavar="NAME", help=f"obstacles: {_one_of(SCENES)} (default: %(default)s)"
     )
     parser.add_argument(
         "--scene-seed", type=whole, default=0, metavar="N", help="of the obstacles' positions (default: %(default)s)"
@@ -52,20 +57,22 @@ def add_frames(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def add_planning(parser: argparse.ArgumentParser, output: str, *, goal: bool = True) -> None:
-    """Options of ``synthesize`` and ``demo``."""
+def add_planning(
+    parser: argparse.ArgumentParser, output: str, *, goal: bool = True, bias_magnitude: float | None = None
+) -> None:
+    """Options of ``synthesize`` and ``demo``; by default the planner tries several bias magnitudes."""
     add_task(parser, output, goal=goal)
     parser.add_argument(
         "--planner",
         metavar="NAME",
-        help="a planner that runs a network (default: lieednn-certified; among obstacles lieednn-guided, or "
-        "lieednn-filtered where ompl is missing)",
+        help=f"{_one_of(PLANNERS)} (default: lieednn-certified, among obstacles lieednn-guided)",
     )
-    parser.add_argument("--bias", metavar="RULE", help="uniform, sign-matched or solved (default: sign-matched)")
-    parser.add_argument("--bias-magnitude", type=decimal, metavar="B", help="of the rule (default: several are tried)")
+    parser.add_argument("--bias", metavar="RULE", help=f"{_one_of(BIAS_RULES)} (default: sign-matched)")
+    usual = "several are tried" if bias_magnitude is None else f"{bias_magnitude:g}"
+    parser.add_argument("--bias-magnitude", type=decimal, metavar="B", help=f"of the rule (default: {usual})")
     parser.add_argument("--candidates", type=whole, metavar="N", help="networks to choose from (default: 24)")
     _add_time_budget(parser, "; 'inf' for no limit")
-    parser.set_defaults(usual_bias_magnitude=None)
+    parser.set_defaults(usual_bias_magnitude=bias_magnitude)
 
 
 def add_training(parser: argparse.ArgumentParser) -> None:
@@ -76,7 +83,7 @@ def add_training(parser: argparse.ArgumentParser) -> None:
         "--algorithm",
         default="tracked",
         metavar="NAME",
-        help="literal, repaired, tracked, riemannian or stability-aware (default: %(default)s)",
+        help=f"{_one_of(ALGORITHMS)} (default: %(default)s)",
     )
     parser.add_argument(
         "--candidates",
@@ -111,13 +118,13 @@ def add_run(parser: argparse.ArgumentParser) -> None:
 
 def add_comparison(parser: argparse.ArgumentParser) -> None:
     """Options of ``compare``."""
-    for name, default in (
-        ("planners", "all"),
-        ("arms", "all"),
-        ("scenes", "free,window"),
-        ("controllers", "position-servo,inverse-dynamics"),
+    for name, known, default in (
+        ("planners", PLANNERS, "all"),
+        ("arms", ARMS, "all"),
+        ("scenes", SCENES, "free,window"),
+        ("controllers", CONTROLLERS, "position-servo,inverse-dynamics"),
     ):
-        parser.add_argument(f"--{name}", metavar="A,B,...", help=f"names, comma-separated (default: {default})")
+        parser.add_argument(f"--{name}", metavar="A,B,...", help=f"of {', '.join(known)} (default: {default})")
     parser.add_argument("--seeds", type=whole, default=10, metavar="N", help="from seed 0 on (default: %(default)s)")
     parser.add_argument("--duration", type=decimal, default=4.0, metavar="S", help="of motions (default: %(default)s)")
     _add_time_budget(parser)
@@ -141,7 +148,7 @@ def add_simulation(parser: argparse.ArgumentParser) -> None:
         "--controller",
         default="position-servo",
         metavar="NAME",
-        help="position-servo, inverse-dynamics, computed-torque, mocap or mocap-deadbeat (default: %(default)s)",
+        help=f"{_one_of(CONTROLLERS)} (default: %(default)s)",
     )
     parser.add_argument(
         "--reference-rate",
@@ -169,6 +176,10 @@ def add_simulation(parser: argparse.ArgumentParser) -> None:
             help=f"standard deviation of measured joint {what} [{unit}] (default: %(default)s)",
         )
     parser.add_argument("--noise-seed", type=whole, default=0, metavar="N", help="of that noise (default: %(default)s)")
+
+
+def _one_of(names: Sequence[str]) -> str:
+    return f"{', '.join(names[:-1])} or {names[-1]}"
 
 
 def _add_time_budget(parser: argparse.ArgumentParser, more: str = "") -> None:

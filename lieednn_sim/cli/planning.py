@@ -18,8 +18,8 @@ from lieednn_sim.errors import InputError
 from lieednn_sim.motion import Motion
 from lieednn_sim.network import ComponentwiseNetwork
 from lieednn_sim.planners import (
-    NETWORK_PLANNERS,
     OBSTACLE_PLANNER,
+    PLANNERS,
     PlanningProblem,
     plan_network,
     require_planner,
@@ -35,10 +35,10 @@ _BIAS, _CANDIDATES = "sign-matched", 24
 
 
 def synthesize(run: RunDirectory, arguments: argparse.Namespace) -> None:
-    """Fill a run directory with a task, a network, and a planner's motion."""
+    """Fill a run directory with a task, a network where the planner has one, and the planner's motion."""
     arm = load_arm(arguments)
     planner, reason = _planner(arm, arguments)
-    console.print(f"planner: {planner} ({reason})", markup=False)
+    console.print(f"planner: {planner} ({reason}), at most {arguments.time_budget:g} s of CPU time")
     if arguments.target is None and arguments.position is None:
         arguments.target = usual_target(arm, arguments.seed)
         if arguments.target.startswith(RANDOM):
@@ -52,19 +52,17 @@ def synthesize(run: RunDirectory, arguments: argparse.Namespace) -> None:
     )
     if planner == CERTIFIED:
         chosen, motion = _plan(arm, target, start, arguments, options), None
-        network: ComponentwiseNetwork = chosen.network
+        network: ComponentwiseNetwork | None = chosen.network
     else:
         problem = PlanningProblem(arm, start, target, arguments.duration, arguments.seed, arguments.time_budget)
-        made_by, motion = plan_network(planner, problem)
-        if made_by is None:
-            raise InputError(f"planner {planner!r} runs no network; allowed: {', '.join(NETWORK_PLANNERS)}")
-        network = made_by
+        with progress("plan"):
+            network, motion = plan_network(planner, problem)
     written = run.save_network(task, network, motion)
     print_adoption(arm)
     if motion is None:
         _print_choice(arm, chosen, options)
     else:
-        _print_outcome(arm, planner, network, motion)
+        _print_outcome(planner, network, motion)
     wrote(*written)
 
 
@@ -79,7 +77,7 @@ def _planner(arm: Arm, arguments: argparse.Namespace) -> tuple[str, str]:
         name, reason = CERTIFIED, "the default without obstacles"
     else:
         name, reason = OBSTACLE_PLANNER, "the default among obstacles"
-    as_choice("planner that runs a network", name, NETWORK_PLANNERS)
+    as_choice("planner", name, PLANNERS)
     require_planner(name)
     given = [
         option
@@ -133,13 +131,14 @@ def _print_choice(arm: Arm, chosen: Plan, options: Mapping[str, Any]) -> None:
     console.print(rows)
 
 
-def _print_outcome(arm: Arm, planner: str, network: ComponentwiseNetwork, motion: Motion) -> None:
+def _print_outcome(planner: str, network: ComponentwiseNetwork | None, motion: Motion) -> None:
     rows = table("plan", "quantity", "value")
     rows.add_row("planner", planner)
     rows.add_row("duration", f"{motion.t[-1]:.2f} s")
     rows.add_row("mechanism gap", _gap(motion))
     console.print(rows)
-    console.print(f"stability: {network.assess(motion.xi_target)}", markup=False)
+    if network is not None:
+        console.print(f"stability: {network.assess(motion.xi_target)}")
 
 
 def _gap(motion: Motion) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from rich.markup import escape
 from rich.table import Table
 
 from lieednn_sim.cli.console import console, table
@@ -18,7 +17,7 @@ def print_evaluation(evaluation: Evaluation, rollout: Rollout, clearance: float 
         console.print(_recoveries(evaluation))
     for line in (_conditions(rollout), _forces(evaluation, clearance)):
         if line:
-            console.print(line, markup=False)
+            console.print(line)
 
 
 def _frames(evaluation: Evaluation) -> Table:
@@ -57,7 +56,7 @@ def _joints(evaluation: Evaluation) -> Table:
     rows = table("joints", "joint", "peak velocity", "of limit", "peak force", "of limit", "constraints")
     for joint in evaluation.joints:
         rows.add_row(
-            escape(joint.name),
+            joint.name,
             f"{joint.peak_velocity:.3f}",
             _share(joint.peak_velocity, joint.velocity_limit),
             f"{joint.peak_force:.1f}",
@@ -76,7 +75,7 @@ def _recoveries(evaluation: Evaluation) -> Table:
     for push in evaluation.recoveries:
         recovered = "never" if push.recovery_time is None else f"{push.recovery_time:.2f}"
         peaks = (f"{push.peak_deviation_mm:.3f}", f"{push.peak_deviation_deg:.4f}")
-        rows.add_row(escape(push.body), f"{push.start:g}", f"{push.end:g}", *peaks, recovered)
+        rows.add_row(push.body, f"{push.start:g}", f"{push.end:g}", *peaks, recovered)
     rows.caption = "peak: largest error of any link frame against its reference"
     return rows
 

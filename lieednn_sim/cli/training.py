@@ -90,7 +90,7 @@ def _train(run: RunDirectory, task: Task, arm: Arm, learners: Candidates) -> int
         result, refusal = _choose(itertools.islice(learners, candidates), run, arm, task)
     except BaseException as error:
         if isinstance(error, KeyboardInterrupt) and pending.checkpoint.is_file():
-            console.print(f"interrupted; go on with: lieednn-sim train --resume {run.path}", markup=False)
+            console.print(f"interrupted; go on with: lieednn-sim train --resume {run.path}")
         else:
             pending.remove()
         raise

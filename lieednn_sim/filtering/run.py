@@ -79,6 +79,10 @@ class FilteredRun:
     limits_proved: bool
     reference: Motion
 
+    def __repr__(self) -> str:
+        steps = f"{len(self.t) - 1} control steps, {self.filtered_share:.0%} of them filtered"
+        return f"<FilteredRun: {self.message}; {steps}, clearance at least {1e3 * self.clearance.min():.3g} mm>"
+
 
 def run_filtered(
     arm: Arm,

@@ -46,6 +46,12 @@ class History:
         if len({len(getattr(self, field.name)) for field in fields(self)}) != 1:
             raise InputError("the columns of a history must have the same length")
 
+    def __repr__(self) -> str:
+        if not len(self):
+            return "<History: empty>"
+        last = f"error {self.error[0]:.3g} to {self.error[-1]:.3g}"
+        return f"<History: {len(self)} rows up to epoch {self.epoch[-1]:g}, {last}>"
+
     def __len__(self) -> int:
         return len(self.error)
 

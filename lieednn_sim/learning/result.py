@@ -58,6 +58,9 @@ class TrainingResult:
     starts: int
     seconds: float
 
+    def __repr__(self) -> str:
+        return f"<TrainingResult: {self.message}>"
+
     @property
     def message(self) -> str:
         """The outcome in a sentence."""

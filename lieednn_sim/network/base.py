@@ -42,6 +42,11 @@ class BlockNetwork(ABC):
     # What does not depend on the bias, so that a network with another bias can take it over.
     _bias_free: ClassVar[tuple[str, ...]] = ("blocks", "weight", "certificate")
 
+    def __repr__(self) -> str:
+        n, d = self.bias.shape
+        proof = "certified" if self.certified else "not certified"
+        return f"<{type(self).__name__}: {n} neurons of {d} coordinates, gamma {self.gamma:g}, mu {self.mu:g}, {proof}>"
+
     @property
     def n_neurons(self) -> int:
         """N."""

@@ -53,7 +53,7 @@ _SERIES = np.array([1.0, -1 / 3, 2 / 15, -17 / 315, 62 / 2835, -1382 / 155925, 2
 _SERIES_SLOPE = 2.0 * polynomial.polyder(_SERIES)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class EquivariantLieEDNN(RigidNetwork):
     """x_i' = -gamma x_i + mu sum_j alpha_ij Ad(theta_ij) Phi(x_j) + mu b_i, with x_i in se(3) and Phi of App. N.
 

@@ -19,7 +19,7 @@ from lieednn_sim.network.componentwise import ComponentwiseNetwork, as_activatio
 from lieednn_sim.validation import as_floats
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class GroupLieEDNN(ComponentwiseNetwork):
     """X_i' = -gamma X_i + mu sum_j alpha_ij theta_ij phi(X_j) theta_ij^-1 + mu B_i in a Lie algebra (paper, eq. 3.9).
 

@@ -17,7 +17,7 @@ from lieednn_sim.validation import as_floats
 Floats = NDArray[np.float64]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class HopfieldNetwork(ComponentwiseNetwork):
     """x' = -gamma x + mu (W phi(x) + b) with any matrix W of N neurons with d coordinates (Hopfield, PNAS 81, 1984).
 

@@ -12,7 +12,7 @@ from lieednn_sim.network.rigid import RigidNetwork
 from lieednn_sim.validation import as_floats
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class LieEDNN(RigidNetwork, ComponentwiseNetwork):
     """x_i' = -gamma x_i + mu sum_j alpha_ij Ad(theta_ij) phi(x_j) + mu b_i, with x_i in se(3) (paper, eq. 3.9).
 

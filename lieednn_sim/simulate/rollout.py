@@ -112,6 +112,13 @@ class Rollout:
         if self.reference_rate is not None:
             object.__setattr__(self, "reference_rate", as_positive("reference_rate", self.reference_rate))
 
+    def __repr__(self) -> str:
+        touching = int(np.count_nonzero(self.contacts))
+        return (
+            f"<Rollout of {self.arm} by {self.controller}: {len(self.t)} samples in {self.t[-1]:g} s, "
+            f"{self.q.shape[1]} joints, {self.link_position.shape[1]} links, contact in {touching} samples>"
+        )
+
     @property
     def timestep(self) -> float:
         """Simulation step [s]."""

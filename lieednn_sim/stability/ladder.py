@@ -122,7 +122,10 @@ class Verdict:
 
     def __str__(self) -> str:
         if self.globally_stable:
-            summary = f"globally stable by the {self.level}, at a rate of at least {self.best_rate:.4g}"
+            summary = f"globally stable by the {self.level}, at a rate of at least {self[self.level].rate:.4g}"
+            fastest = self.strongest
+            if fastest is not None and fastest.rate > self[self.level].rate:
+                summary += f"; the {fastest.name} proves {fastest.rate:.4g}"
         else:
             summary = "locally stable only" if self.level == "local" else "no proof of stability"
         lines = [

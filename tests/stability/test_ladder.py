@@ -164,6 +164,19 @@ def test_report_has_one_aligned_line_for_each_rung():
     assert lines[9].split() == ["local", "-1", "<", "0", "local", "rate", "1"]
 
 
+def test_the_verdict_quotes_each_rungs_own_rate():
+    """Of the rates of all rungs the fastest need not be that of the first one that holds."""
+    verdict = assess([[0.3, 0.9], [-0.2, 0.3]], gamma=1.0, mu=1.0)
+    first, fastest = verdict[verdict.level], verdict.strongest
+    assert fastest.name != first.name
+    assert fastest.rate > 1.05 * first.rate
+    summary = str(verdict).splitlines()[0]
+    assert summary == (
+        f"globally stable by the {first.name}, at a rate of at least {first.rate:.4g}; "
+        f"the {fastest.name} proves {fastest.rate:.4g}"
+    )
+
+
 def test_wrong_input_is_named():
     rng = np.random.default_rng(0)
     weight, core = se3_weight(rng, 2, 0.1)

@@ -1,0 +1,24 @@
+"""Names to choose from, for help texts that must not wait for what stands behind them; tests hold them against it."""
+
+from __future__ import annotations
+
+ARMS = ("telescopic_compound", "telescopic_pr", "telescopic_rrp")
+SCENES = ("free", "window", "shelf", "poles")
+PLANNERS = (
+    "minimum-jerk",
+    "screw",
+    "dmp",
+    "rrt-connect",
+    "rrt-star",
+    "trajectory-optimisation",
+    "linear-law",
+    "lieednn-certified",
+    "lieednn-retargeted",
+    "lieednn-trained",
+    "lieednn-unprojected",
+    "lieednn-filtered",
+    "lieednn-guided",
+)
+CONTROLLERS = ("position-servo", "inverse-dynamics", "computed-torque", "mocap", "mocap-deadbeat")
+ALGORITHMS = ("literal", "repaired", "tracked", "riemannian", "stability-aware")
+BIAS_RULES = ("uniform", "sign-matched", "solved")

@@ -1,0 +1,189 @@
+"""Small things that a newcomer meets first: help, version, plain text, a clean end, one planner's run."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import signal
+import subprocess
+import sys
+from importlib import metadata
+
+import numpy as np
+import pytest
+from rich.console import Console
+from rich.progress import TimeRemainingColumn
+
+import lieednn_sim
+from lieednn_sim import names
+from lieednn_sim.arm import Arm, arm_names, reach
+from lieednn_sim.arm.scenes import SCENES
+from lieednn_sim.cli import _parser, main
+from lieednn_sim.cli.console import console, table, to_stderr
+from lieednn_sim.cli.training import RIEMANNIAN
+from lieednn_sim.errors import InputError
+from lieednn_sim.filtering import run_filtered
+from lieednn_sim.learning import ALGORITHMS, TrainingOptions
+from lieednn_sim.learning import train as learn
+from lieednn_sim.motion import Motion
+from lieednn_sim.planners import PLANNERS, reference_network
+from lieednn_sim.planning import Plan
+from lieednn_sim.simulate import CONTROLLERS, Rollout
+from lieednn_sim.synthesis import BIAS_RULES
+from lieednn_sim.task import Task
+from lieednn_sim.workers import progress_bar
+
+
+def commands() -> dict[str, argparse.ArgumentParser]:
+    (actions,) = (action for action in _parser()._actions if isinstance(action, argparse._SubParsersAction))
+    return dict(actions.choices)
+
+
+def test_the_help_lists_what_there_is():
+    known = {
+        names.ARMS: arm_names(),
+        names.SCENES: SCENES,
+        names.PLANNERS: PLANNERS,
+        names.CONTROLLERS: CONTROLLERS,
+        names.ALGORITHMS: [*ALGORITHMS, *RIEMANNIAN],
+        names.BIAS_RULES: BIAS_RULES,
+    }
+    for listed, registered in known.items():
+        assert sorted(listed) == sorted(registered)
+    for command in ("demo", "synthesize"):
+        text = commands()[command].format_help()
+        # Whole, however narrow the terminal.
+        for name in (*names.ARMS, *names.SCENES, *names.PLANNERS, *names.BIAS_RULES):
+            assert name in text
+    assert all(name in commands()["simulate"].format_help() for name in names.CONTROLLERS)
+    assert all(name in commands()["compare"].format_help() for name in names.PLANNERS)
+
+
+def test_every_command_says_what_it_does():
+    for name, parser in commands().items():
+        assert parser.description, name
+        assert parser.description.endswith(".")
+
+
+def test_the_demo_names_the_bias_that_it_uses():
+    for command, said in (("demo", "(default: 0.125)"), ("synthesize", "(default: several are tried)")):
+        parser = commands()[command]
+        (option,) = (action for action in parser._actions if "--bias-magnitude" in action.option_strings)
+        assert said in option.help
+        used = parser.get_default("usual_bias_magnitude")
+        assert said == ("(default: several are tried)" if used is None else f"(default: {used:g})")
+
+
+def test_the_version_is_that_of_the_package(capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(["--version"])
+    assert ended.value.code == 0
+    assert capsys.readouterr().out == f"lieednn-sim {metadata.version('lieednn_sim')}\n"
+    assert lieednn_sim.__version__ == metadata.version("lieednn_sim")
+    with pytest.raises(AttributeError, match="no attribute 'version'"):
+        lieednn_sim.version  # noqa: B018
+
+
+def test_what_is_printed_is_no_markup(capsys):
+    text = "pip install 'lieednn_sim[rivals]' :smile: [red]x[/red] [/]"
+    rows = table("of [bold]arms", "[a]", "[b]")
+    rows.add_row("[c]", "[red]9[/red]")
+    rows.caption = "[d]"
+    console.print(text)
+    console.print(rows)
+    printed = capsys.readouterr().out
+    assert text in printed
+    assert all(part in printed for part in ("of [bold]arms", "[a]", "[b]", "[c]", "[red]9[/red]", "[d]"))
+    to_stderr().print(text)
+    assert text in capsys.readouterr().err.replace("\n", " ")
+
+
+def test_the_bar_of_the_studies_shows_the_time_left():
+    columns = progress_bar(Console(quiet=True)).columns
+    assert any(isinstance(column, TimeRemainingColumn) for column in columns)
+
+
+# While a module is imported a signal comes, and the module makes an error of its own of what that raises.
+IMPORTING = """
+import builtins, os, signal, sys
+from lieednn_sim.cli import main
+original = builtins.__import__
+def hook(name, *rest):
+    if name.partition(".")[0] == {module!r} or name == {module!r}:
+        builtins.__import__ = original
+        try:
+            os.kill(os.getpid(), {number})
+        except BaseException:
+            raise ImportError("cannot load the library") from None
+    return original(name, *rest)
+builtins.__import__ = hook
+sys.exit(main(["demo", "--no-video", "--output", {output!r}]))
+"""
+
+
+@pytest.mark.parametrize("module", ["numpy", "lieednn_sim.cli.planning"])
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_signal_during_an_import_ends_the_command_cleanly(module, number, code, tmp_path):
+    script = IMPORTING.format(module=module, number=int(number), output=str(tmp_path / "run"))
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    assert done.returncode == code, done.stderr
+    (line,) = done.stderr.splitlines()
+    assert line.startswith("lieednn-sim: interrupted")
+    assert done.stdout == ""
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_planner_without_a_network_goes_the_whole_road(tmp_path, capsys):
+    directory = tmp_path / "run"
+    # An earlier run's network must not stay.
+    assert main(["synthesize", "--target", "extended", "--candidates", "2", "--output", str(directory)]) == 0
+    words = ["demo", "--no-video", "--planner", "minimum-jerk", "--duration", "2", "--hold", "0.2"]
+    assert main([*words, "--output", str(directory)]) == 0
+    expected = {"task.json", "motion.npz", "rollout.npz", "metrics.json", "metrics.csv"}
+    expected |= {"network.png", "tracking.png", "joints.png"}
+    assert {path.name for path in directory.iterdir() if path.suffix} == expected
+    assert Task.load(directory / "task.json").planner == "minimum-jerk"
+    printed = capsys.readouterr().out
+    assert "planner: minimum-jerk (asked for), at most 60 s of CPU time" in printed
+    motion, rollout = Motion.load(directory / "motion.npz"), Rollout.load(directory / "rollout.npz")
+    np.testing.assert_array_equal(rollout.q_ref[: len(motion.t)], motion.q)
+    np.testing.assert_array_equal(motion.gap_translation, 0.0)
+    assert json.loads((directory / "metrics.json").read_text())["frames"][-1]["final_translation_mm"] < 1.0
+
+
+def test_large_objects_are_shown_in_a_line():
+    arm = Arm.load("telescopic_pr")
+    network = reference_network(arm)
+    run = run_filtered(arm, network, arm.keyframe("home"), 0.4)
+    motion = run.reference
+    k, n, links = len(motion.t), arm.n_joints, arm.n_links
+    zeros, unit = np.zeros((k, n)), np.tile([1.0, 0.0, 0.0, 0.0], (k, links, 1))
+    log = dict.fromkeys(("q", "qd", "q_ref", "qd_ref", "ctrl", "force", "constraint_force"), zeros)
+    poses = {"link_position": np.zeros((k, links, 3)), "link_quaternion": unit}
+    rollout = Rollout(arm=arm.name, t=motion.t, **log, **poses, contacts=np.zeros(k, dtype=int), motion_end=0.4)
+    learned = learn(0.1 * np.ones((2, 6)), TrainingOptions.tracked(max_epochs=2))
+    shown = {
+        "Rollout of telescopic_pr by position-servo": rollout,
+        "Motion: 41 samples in 0.4 s, 8 joints, 4 links": motion,
+        "Arm telescopic_pr: 4 links, 8 joints, scene free": arm,
+        "LieEDNN: 4 neurons of 6 coordinates, gamma 1, mu 1, certified": network,
+        "FilteredRun: ": run,
+        "History: ": learned.history,
+        "TrainingResult: ": learned,
+        "Trajectory: 4 neurons of 6 coordinates": network.trajectory(np.zeros((4, 6)), 1.0),
+    }
+    for words, value in shown.items():
+        assert words in str(value)
+        assert len(repr(value)) < 200
+        assert "array" not in repr(value)
+        assert "\n" not in repr(value)
+    assert len(str(Plan(network, motion, arm.keyframe("home"), 24, 3)).splitlines()) < 4
+
+
+def test_a_position_beyond_everything_is_refused_without_a_warning():
+    arm = Arm.load("telescopic_pr")
+    for far in (1e308, 1e99, 2e6):
+        with pytest.raises(InputError, match="position must"):
+            reach(arm, [far, 0.0, 0.0])
+    with pytest.raises(InputError, match=r"cannot reach \(1e\+06, 0, 0\) m"):
+        reach(arm, [1e6, 0.0, 0.0])
