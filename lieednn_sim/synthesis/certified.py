@@ -15,7 +15,7 @@ from lieednn_sim.network import ACTIVATIONS, LieEDNN
 from lieednn_sim.stability import Certificate
 from lieednn_sim.synthesis.bias import bias_for, equation_columns, impossibility
 from lieednn_sim.synthesis.problem import Point, Problem
-from lieednn_sim.synthesis.search import feasible_point, polish, smallest_eigenvalue_point
+from lieednn_sim.synthesis.search import QUATERNION_BOUNDS, feasible_point, polish, smallest_eigenvalue_point
 from lieednn_sim.validation import as_choice, as_count, as_floats, as_generator, as_positive
 
 Floats = NDArray[np.float64]
@@ -166,7 +166,9 @@ def synthesize(
             elif attempt < _FAST_ATTEMPTS:
                 point, count = feasible_point(problem, start, aim=0.85, accept=0.97)
             else:
-                point, count = smallest_eigenvalue_point(problem, start, accept=0.9999)
+                # A bound of its own for each kind of columns in turn.
+                bound = QUATERNION_BOUNDS[attempt // len(choices) % len(QUATERNION_BOUNDS)]
+                point, count = smallest_eigenvalue_point(problem, start, accept=0.9999, quaternion_bound=bound)
             iterations += count
             if point is None:
                 continue

@@ -17,7 +17,8 @@ Floats = NDArray[np.float64]
 _ROUGH = 1e-2
 # Bounds that keep S W S^-1 computable; only targets at the very edge of what can be certified come near them.
 _LOG_SCALE_BOUND = 8.0
-_QUATERNION_BOUND = 60.0
+# Of the quaternions in the patient search, tried in turn: most targets have moderate weights, few need large ones.
+QUATERNION_BOUNDS = (3.0, 60.0)
 
 
 def feasible_point(
@@ -104,15 +105,16 @@ def _normal_equations(problem: Problem, point: Point, aim: float, equation_weigh
 
 
 def smallest_eigenvalue_point(
-    problem: Problem, start: Floats, *, accept: float, max_iterations: int = 400
+    problem: Problem, start: Floats, *, accept: float, quaternion_bound: float, max_iterations: int = 400
 ) -> tuple[Point | None, int]:
     """Minimise a smoothed lambda_max under the equations by sequential quadratic programming (SciPy's SLSQP).
 
     Slower than `feasible_point` by an order of magnitude; it finds the large weights that targets near the edge of
-    what can be certified at all need.
+    what can be certified at all need. Where smaller ones do, a start may still run off to weights in the thousands,
+    whose translations are as large: hence a bound on every quaternion, of `QUATERNION_BOUNDS`.
     """
     unknowns, iterations = start, 0
-    bounds = [(-_QUATERNION_BOUND, _QUATERNION_BOUND)] * problem.n_quaternion
+    bounds = [(-quaternion_bound, quaternion_bound)] * problem.n_quaternion
     bounds += [(-_LOG_SCALE_BOUND, _LOG_SCALE_BOUND)] * problem.size
 
     def largest(trial: Floats, sharpness: float) -> tuple[float, Floats]:

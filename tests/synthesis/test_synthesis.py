@@ -81,6 +81,13 @@ def test_two_neurons_are_certified_or_refused_never_in_between():
     assert sum(outcomes) >= 5
 
 
+@pytest.mark.parametrize("index", [12, 33])
+def test_hard_targets_of_two_neurons_are_found_among_moderate_weights(index):
+    """Without a bound the patient search runs off to weights in the thousands, with translations as large."""
+    xi = np.random.default_rng(0).uniform(-0.8, 0.8, (200, 2, 6))[index]
+    check(synthesize(xi, seed=index, max_attempts=6), xi)
+
+
 @pytest.mark.parametrize("rule", BIAS_RULES)
 @pytest.mark.parametrize("rates", [(2.0, 0.5), (0.1, 3.0), (1.0, 10.0)])
 @pytest.mark.parametrize("activation", ["tanh", "arctan"])
