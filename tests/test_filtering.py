@@ -9,9 +9,9 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.errors import InputError, PlanError
-from lieednn_sim.filtering import FilterOptions, SafetyFilter, limits_proved, run_filtered
+from lieednn_sim.filtering import FilteredRun, FilterOptions, SafetyFilter, limits_proved, run_filtered
 from lieednn_sim.filtering.approach import ApproachBounds
-from lieednn_sim.motion import check_motion
+from lieednn_sim.motion import Motion, check_motion
 from lieednn_sim.planners import PlanningProblem, legs, missing_planners, plan_network, sampling
 from lieednn_sim.planners import filtered as planner
 from lieednn_sim.synthesis import synthesize
@@ -221,3 +221,48 @@ def test_the_end_of_a_run_is_closed_by_a_quintic():
     acceleration = np.gradient(rates, 0.001, axis=0)
     assert np.abs(acceleration[[0, -1]]).max() < 0.1 * np.abs(acceleration).max()
     assert len(legs._closing(q, qd, goal, 0.2)[0]) == 3, "two steps at least"
+
+
+def test_a_run_becomes_a_motion_by_hand():
+    """Two samples a control step of 0.02 s: accelerations constant in between, the network's state at the run's clock."""
+    t = 0.02 * np.arange(4)
+    rates = np.array([0.0, 0.2, 0.1, 0.0])[:, None] * [1.0, -2.0]
+    q = np.array([0.0, 0.002, 0.005, 0.006])[:, None] * [1.0, -2.0]
+    states, gaps = np.array([0.0, 1.0, 3.0])[:, None, None] * np.ones((1, 6)), np.array([[0.0], [4.0], [8.0]])
+    reference = Motion(
+        t=0.02 * np.arange(3),
+        tau=np.array([0.0, 1.0, 3.0]),
+        xi=states,
+        xi_target=np.full((1, 6), 3.0),
+        q=q[:3],
+        qd=rates[:3],
+        gap_translation=gaps,
+        gap_rotation=0.5 * gaps,
+    )
+    run = FilteredRun(
+        success=True,
+        message="",
+        blocked_by=(),
+        t=t,
+        q=q,
+        qd=rates,
+        clock=np.array([0.0, 0.01, 0.02, 0.04]),
+        clearance=np.full(4, np.inf),
+        filtered_share=0.0,
+        brakings=0,
+        limits_proved=False,
+        reference=reference,
+    )
+    goal = np.array([0.008, -0.012])
+    motion = legs.motion_of(run, goal, np.full((1, 6), 3.0), 2)
+    np.testing.assert_allclose(motion.t, 0.01 * np.arange(17), atol=1e-15)
+    np.testing.assert_allclose(motion.qd[:7, 0], [0.0, 0.1, 0.2, 0.15, 0.1, 0.05, 0.0], atol=1e-15)
+    np.testing.assert_allclose(motion.q[:7, 0], [0.0, 0.0005, 0.002, 0.00375, 0.005, 0.00575, 0.006], atol=1e-15)
+    np.testing.assert_allclose(motion.q[[11, 16], 0], [0.007, 0.008], atol=1e-15)
+    np.testing.assert_allclose(motion.q[:7, 1], -2.0 * motion.q[:7, 0], atol=1e-15)
+    seen = [0.0, 0.25, 0.5, 0.75, 1.0, 2.0, *[3.0] * 11]
+    np.testing.assert_allclose(motion.tau, seen, atol=1e-12)
+    np.testing.assert_allclose(motion.xi[:, 0, 5], seen, atol=1e-12)
+    at_clock = [0.0, 1.0, 2.0, 3.0, 4.0, 6.0, *[8.0] * 11]
+    np.testing.assert_allclose(motion.gap_translation[:, 0], at_clock, atol=1e-12)
+    np.testing.assert_allclose(motion.gap_rotation[:, 0], 0.5 * np.array(at_clock), atol=1e-12)
