@@ -9,7 +9,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.errors import InputError, PlanError
-from lieednn_sim.filtering import FilteredRun, FilterOptions, SafetyFilter, limits_proved, run_filtered
+from lieednn_sim.filtering import FilteredRun, FilterOptions, SafetyFilter, limits_proved, run, run_filtered
 from lieednn_sim.filtering.approach import ApproachBounds
 from lieednn_sim.motion import Motion, check_motion
 from lieednn_sim.planners import PlanningProblem, legs, missing_planners, plan_network, sampling
@@ -224,7 +224,7 @@ def test_the_end_of_a_run_is_closed_by_a_quintic():
 
 
 def test_a_run_becomes_a_motion_by_hand():
-    """Two samples a control step of 0.02 s: accelerations constant in between, the network's state at the run's clock."""
+    """Two samples a control step of 0.02 s: constant accelerations in between, the network's state at the clock."""
     t = 0.02 * np.arange(4)
     rates = np.array([0.0, 0.2, 0.1, 0.0])[:, None] * [1.0, -2.0]
     q = np.array([0.0, 0.002, 0.005, 0.006])[:, None] * [1.0, -2.0]
@@ -266,3 +266,89 @@ def test_a_run_becomes_a_motion_by_hand():
     at_clock = [0.0, 1.0, 2.0, 3.0, 4.0, 6.0, *[8.0] * 11]
     np.testing.assert_allclose(motion.gap_translation[:, 0], at_clock, atol=1e-12)
     np.testing.assert_allclose(motion.gap_rotation[:, 0], 0.5 * np.array(at_clock), atol=1e-12)
+
+
+def counting(steps, begin=0.0):
+    """A motion of one joint and one neuron whose samples count."""
+    k = np.arange(steps, dtype=np.float64)
+    column = begin + k[:, None]
+    states = column[:, :, None] * np.ones(6)
+    return Motion(0.1 * k, k, states, np.full((1, 6), begin), column, -column, 2.0 * column, 3.0 * column)
+
+
+def test_legs_are_joined_a_step_apart():
+    joined = run._joined([counting(3), counting(2, 10.0), counting(4, 20.0)])
+    samples = [0.0, 1.0, 2.0, 10.0, 11.0, 20.0, 21.0, 22.0, 23.0]
+    np.testing.assert_allclose(joined.t, 0.1 * np.arange(9), atol=1e-15)
+    # The network's own time goes on.
+    np.testing.assert_array_equal(joined.tau, [0.0, 1.0, 2.0, 2.0, 3.0, 3.0, 4.0, 5.0, 6.0])
+    np.testing.assert_array_equal(joined.xi[:, 0, 3], samples)
+    np.testing.assert_array_equal(joined.q[:, 0], samples)
+    np.testing.assert_array_equal(joined.qd[:, 0], np.negative(samples))
+    np.testing.assert_array_equal(joined.gap_translation[:, 0], np.multiply(2.0, samples))
+    np.testing.assert_array_equal(joined.gap_rotation[:, 0], np.multiply(3.0, samples))
+    np.testing.assert_array_equal(joined.xi_target, np.full((1, 6), 20.0))
+    only = counting(3)
+    assert run._joined([only]) is only
+
+
+@pytest.mark.parametrize(("clock", "samples"), [(0.0, 2), (0.25, 3), (0.35, 4), (9.0, 5)])
+def test_a_leg_is_cut_where_the_next_begins(monkeypatch, clock, samples):
+    leg = object.__new__(run._Leg)
+    leg.reference, leg._h, leg.begun = counting(5), 0.1, 2.0
+    monkeypatch.setattr(run, "_Leg", lambda *arguments: arguments)
+    following = leg.next("arm", "network", "q", 1.5, clock)
+    assert following == ("arm", "network", "q", 1.5, 0.1, pytest.approx(2.0 + 0.1 * samples))
+    np.testing.assert_array_equal(leg.reference.q[:, 0], np.arange(samples))
+    np.testing.assert_array_equal(leg.reference.xi_target, np.zeros((1, 6)))
+
+
+def test_times_of_legs_and_velocities_towards_the_network_by_hand():
+    # At least 0.4 of a third: 3/4, 1/4 and 2/15, of 17/15 together.
+    np.testing.assert_allclose(run._shares(np.array([3.0, 1.0, 0.0])), np.array([45.0, 15.0, 8.0]) / 68.0)
+    np.testing.assert_allclose(run._shares(np.zeros(2)), [0.5, 0.5])
+    # sqrt(2 b / |e|) is 4 and 5, then more than the gain of 8.
+    np.testing.assert_allclose(run._towards(np.array([0.5, -0.16]), np.array([4.0, 2.0])), [2.0, -0.64])
+    np.testing.assert_allclose(run._towards(np.array([0.01, 0.0]), np.array([4.0, 2.0])), [0.08, 0.0])
+    np.testing.assert_allclose(run._bounded(np.array([2.0, -6.0]), np.array([1.0, 2.0])), [2.0 / 3.0, -2.0])
+    np.testing.assert_allclose(run._bounded(np.array([0.5, -0.5]), np.array([1.0, 2.0])), [0.5, -0.5])
+
+
+def test_velocities_from_which_joints_can_brake_by_hand(gantry):
+    """Limits of speed 1, 2, 4, 8 and of acceleration 10, 20, 40, 80, steps of 0.02 s."""
+    filter_ = SafetyFilter(gantry, 0.02)
+    h, a = 0.02, gantry.acceleration_limits
+    distance, old = np.array([0.05, 0.1, 0.02, 0.5]), np.array([0.9, -1.0, 1.2, 7.0])
+    most = filter_._stopping(distance, old)
+    np.testing.assert_allclose(most**2 / (2.0 * a) + 0.5 * h * (old + most), distance, rtol=1e-12)
+    # Where the next step leads beyond it: back to the limit within the step.
+    np.testing.assert_allclose(filter_._stopping(np.full(4, 0.001), np.full(4, 0.3)), -0.2)
+    # x brakes for its limit, y for its speed, z is at rest in the middle and turn is as fast as it may be.
+    low, high, low_stop, high_stop = filter_._bounds(np.array([0.99, 0.0, 0.5, 0.0]), np.array([0.5, 1.9, 0.0, 8.0]))
+    at_limit = filter_._stopping(np.array([0.01] * 4), np.array([0.5] * 4))[0]
+    np.testing.assert_allclose(high, [max(at_limit, 0.5 - 0.2), 2.0, 0.8, 8.0])
+    np.testing.assert_allclose(low, [0.3, 1.5, -0.8, 6.4])
+    assert high_stop.tolist() == [True, False, False, False]
+    assert low_stop.tolist() == [False] * 4
+
+
+def test_the_filter_leaves_what_is_allowed_and_names_the_limit_that_is_not(gantry):
+    filter_ = SafetyFilter(gantry, 0.02)
+    home = gantry.keyframe("home")
+    filter_.allow(home)
+    # The nearest to the wanted and, by a weight of 0.05, to the present velocity.
+    old, wanted = np.array([0.1, 0.0, 0.0, 0.0]), np.array([0.2, 0.3, -0.4, 0.5])
+    step = filter_.step(home, old, wanted)
+    np.testing.assert_allclose(step.velocity, (wanted + 0.05 * old) / 1.05, atol=1e-9)
+    assert (step.active, step.braked, step.blocking) == (False, False, ())
+    near = np.array([0.997, 0.0, 0.0, 0.0])
+    step = filter_.step(near, np.zeros(4), np.array([1.0, 0.0, 0.0, 0.0]))
+    distance = filter_.position_limits[0, 1] - 0.997
+    assert step.velocity[0] ** 2 / 20.0 + 0.01 * step.velocity[0] == pytest.approx(distance)
+    assert (step.active, step.blocking) == (True, ("the position limit of joint 'x'",))
+    # Limits are drawn in by what turns round within a step: a h^2 / 4, but not beyond what shall be reached.
+    np.testing.assert_allclose(
+        filter_.position_limits[:, 1] - gantry.position_limits[:, 1], [-1e-3, -2e-3, -4e-3, -8e-3]
+    )
+    filter_.allow(home, np.array([0.9995, 0.0, 0.0, -3.0]))
+    np.testing.assert_allclose(filter_.position_limits[[0, 0, 3], [0, 1, 0]], [-0.999, 0.9995, -3.0])
