@@ -6,6 +6,7 @@ import itertools
 import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import as_completed
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 
 from rich.console import Console
@@ -15,7 +16,7 @@ from lieednn_sim.arm.scenes import SCENES
 from lieednn_sim.compare.cases import FREE, Case, Settings, run_case
 from lieednn_sim.compare.statistics import numbers
 from lieednn_sim.compare.table import Table
-from lieednn_sim.errors import InputError
+from lieednn_sim.errors import InputError, LieEDNNError
 from lieednn_sim.planners import PLANNERS, missing_planners
 from lieednn_sim.simulate import CONTROLLERS
 from lieednn_sim.validation import as_choice, as_count
@@ -100,6 +101,7 @@ def compare(
     Raises:
         InputError: jobs is less than 1.
         FileError: see `Table`.
+        LieEDNNError: a worker process died.
     """
     workers = as_count("jobs", jobs)
     table = Table(directory, settings)
@@ -118,6 +120,11 @@ def compare(
             for future in as_completed([pool.submit(run_case, *job, settings) for job in todo]):
                 table.add(future.result())
                 progress.update(bar, advance=1)
+    except BrokenProcessPool:
+        raise LieEDNNError(
+            f"a worker process died (out of memory?); finished cases are kept in {table.csv}, the same command "
+            "goes on; --jobs 1 needs less"
+        ) from None
     finally:
         table.save()
     return table

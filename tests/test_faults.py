@@ -1,0 +1,176 @@
+"""Faults from outside: killed processes, full and read-only disks. What was there stays whole, work goes on."""
+
+from __future__ import annotations
+
+import errno
+import os
+import resource
+import signal
+import tempfile
+
+import numpy as np
+import pytest
+
+from lieednn_sim import storage
+from lieednn_sim.cli import main
+from lieednn_sim.compare import Selection, Settings, compare, read_rows, study
+from lieednn_sim.errors import FileError, LieEDNNError
+from lieednn_sim.run_directory import RunDirectory
+from lieednn_sim.simulate import Rollout
+
+# A process that ends itself by SIGKILL where it is told to: no moment to wait for, no time to clean up.
+KILL = "import os, signal, sys\nkill = lambda *_: os.kill(os.getpid(), signal.SIGKILL)\n"
+# The progress of one step is where it dies.
+AT_PROGRESS = """
+import contextlib
+from lieednn_sim.cli import main, commands
+stage = sys.argv.pop()
+@contextlib.contextmanager
+def deadly(what):
+    yield kill if what == stage else (lambda *_: None)
+commands.progress = deadly
+sys.exit(main())
+"""
+PLAN = ["--target", "random:3", "--planner", "linear-law", "--duration", "3"]
+
+
+def die(start, code, *words):
+    """Run a command until it kills itself."""
+    process = start("-c", KILL + code, *map(str, words))
+    output, errors = process.communicate()
+    assert process.returncode == -signal.SIGKILL, output + errors
+
+
+def names(directory):
+    return {path.name for path in directory.iterdir()}
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """A short simulated run; tests that change it work on a run of their own."""
+    directory = tmp_path_factory.mktemp("faults") / "run"
+    assert main(["synthesize", *PLAN, "--output", str(directory)]) == 0
+    assert main(["simulate", str(directory), "--hold", "0"]) == 0
+    return RunDirectory(directory)
+
+
+def test_a_demo_that_is_killed_leaves_what_it_had_finished(tmp_path, start):
+    directory = tmp_path / "run"
+    die(start, AT_PROGRESS, "demo", "--no-video", *PLAN, "--output", directory, "simulate")
+    assert names(directory) == {"task.json", "network.npz", "motion.npz"}
+    # The lock died with it, and the next step goes on from there.
+    assert main(["simulate", str(directory), "--hold", "0"]) == 0
+
+
+def test_a_training_that_is_killed_goes_on_with_resume(tmp_path, start, capsys):
+    directory = tmp_path / "run"
+    code = """
+from lieednn_sim.cli import main
+from lieednn_sim.learning import checkpoint
+save = checkpoint.save
+checkpoint.save = lambda *arguments: (save(*arguments), kill())
+sys.exit(main())
+"""
+    words = ["train", "--target", "extended", "--algorithm", "repaired", "--period", "8", "--output", directory]
+    die(start, code, *words)
+    assert names(directory) == {"training"}
+    assert main(["train", "--resume", str(directory)]) == 0
+    assert names(directory) == {"task.json", "network.npz", "history.npz", "training.png"}
+    assert "converged after" in capsys.readouterr().out
+
+
+def test_a_comparison_that_is_killed_goes_on_from_its_table(tmp_path, start):
+    code = """
+from lieednn_sim.cli import main
+from lieednn_sim.compare import table
+table._WRITE_INTERVAL, save = -1.0, table.Table.save
+table.Table.save = lambda self: (save(self), kill())
+if __name__ == "__main__":
+    sys.exit(main())
+"""
+    words = ["--planners", "minimum-jerk", "--arms", "telescopic_pr", "--scenes", "free", "--seeds", "2", "--jobs", "1"]
+    words += ["--controllers", "computed-torque", "--duration", "1", "--hold", "0", "--output", str(tmp_path)]
+    die(start, code, "compare", *words)
+    ((_, row),) = read_rows(tmp_path / "comparison.csv").items()
+    assert main(["compare", *words]) == 0
+    rows = read_rows(tmp_path / "comparison.csv")
+    assert len(rows) == 2
+    # Not computed again, for that takes another time.
+    assert row in rows.values()
+
+
+@pytest.mark.rendering
+def test_a_video_that_is_killed_leaves_none_and_the_next_is_whole(run, start, tmp_path):
+    film = tmp_path / "film.gif"
+    words = ["render", run.path, "--output", film, "--preset", "draft", "--size", "64x48", "--fps", "2"]
+    die(start, AT_PROGRESS, *words, "render")
+    assert not film.exists()
+    assert main([str(word) for word in words]) == 0
+    assert film.stat().st_size > 100
+
+
+def test_a_worker_that_is_killed_loses_no_finished_case(tmp_path, monkeypatch):
+    """The first worker to finish its case dies with the next one."""
+    pool = study.worker_pool
+    rows = []
+
+    class Deadly:
+        def __init__(self, executor):
+            self.executor = executor
+
+        def submit(self, function, case, *arguments):
+            if case.seed > 0:
+                rows.append(self.first.result())
+                return self.executor.submit(os.kill, next(iter(self.executor._processes)), signal.SIGKILL)
+            self.first = self.executor.submit(function, case, *arguments)
+            return self.first
+
+    class Context:
+        def __init__(self, workers):
+            self.inner = pool(workers)
+
+        def __enter__(self):
+            return Deadly(self.inner.__enter__())
+
+        def __exit__(self, *reason):
+            return self.inner.__exit__(*reason)
+
+    monkeypatch.setattr(study, "worker_pool", Context)
+    selection = Selection(("minimum-jerk",), ("telescopic_pr",), ("free",), ("computed-torque",), seeds=2)
+    settings = Settings(duration=1.0, hold=0.0)
+    with pytest.raises(LieEDNNError, match=r"a worker process died .* the same command goes on; --jobs 1 needs less"):
+        compare(tmp_path, selection, settings)
+    assert list(read_rows(tmp_path / "comparison.csv").values()) == rows[0]
+    monkeypatch.undo()
+    assert len(compare(tmp_path, selection, settings).rows) == 2
+
+
+def test_a_full_disk_leaves_the_run_as_it_was(run, capsys):
+    """Files may not grow beyond 20 kB for a while; a rollout has more."""
+    before = {path: path.read_bytes() for path in run.path.iterdir()}
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, limits[1]))
+    try:
+        assert main(["simulate", str(run.path), "--hold", "0", "--payload", "1"]) == 2
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert "cannot write" in capsys.readouterr().err
+    assert {path: path.read_bytes() for path in run.path.iterdir()} == before
+
+
+def test_a_read_only_directory_is_named_before_the_work(run, capsys, monkeypatch):
+    # Root may write everywhere: what the system would say is put into its mouth.
+    monkeypatch.setattr(storage.os, "access", lambda *_: False)
+    assert main(["simulate", str(run.path)]) == 2
+    assert f"{run.path} is read-only" in capsys.readouterr().err
+    monkeypatch.undo()
+
+    def refuse(*_, **__):
+        raise OSError(errno.EROFS, os.strerror(errno.EROFS))
+
+    monkeypatch.setattr(tempfile, "mkstemp", refuse)
+    rollout = Rollout.load(run.rollout)
+    with pytest.raises(FileError, match=r"cannot write .*rollout\.npz: Read-only file system"):
+        rollout.save(run.rollout)
+    monkeypatch.undo()
+    np.testing.assert_array_equal(Rollout.load(run.rollout).q, rollout.q)
