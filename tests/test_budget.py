@@ -87,6 +87,7 @@ def test_every_planner_looks_at_the_clock_often(name, monkeypatch):
     monkeypatch.setattr(budget, "cpu_time", look)
     monkeypatch.setattr(sampling, "_STAR_TESTS", 3000)
     plan_with(name, problem(duration=2.0))
+    look()  # what comes after the last one counts, too
     assert max(np.diff(at_look)) < 150
 
 
