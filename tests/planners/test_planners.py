@@ -8,7 +8,7 @@ from hypothesis import given, reject, settings
 from hypothesis import strategies as st
 
 from lieednn_sim.arm import Arm
-from lieednn_sim.errors import InputError, NotCertifiedError, PlanError
+from lieednn_sim.errors import InputError, NotCertifiedError, PlanError, TooFastError
 from lieednn_sim.lie import exp, log
 from lieednn_sim.motion import Motion, check_motion
 from lieednn_sim.planners import (
@@ -20,6 +20,7 @@ from lieednn_sim.planners import (
     plan_network,
     plan_with,
     reference_network,
+    rounding,
 )
 
 ARM = Arm.load("telescopic_pr")
@@ -226,3 +227,19 @@ def test_a_motion_takes_longer_where_the_limits_need_it(name):
     # Hardly longer than it must: at the limit of a velocity or an acceleration, less the two percent of slack.
     acceleration = np.abs(np.diff(motion.qd, axis=0) / motion.timestep) / asked.arm.acceleration_limits
     assert max((np.abs(motion.qd) / asked.arm.velocity_limits).max(), acceleration.max()) > 0.93
+
+
+def test_of_refused_roundings_the_least_time_is_told(monkeypatch):
+    times = [TooFastError(name, time) for name, time in (("five", 5.0), ("three", 3.0), ("four", 4.0))]
+    refusals = iter([*times, PlanError("touches")])
+
+    def refuse(*_):
+        raise next(refusals, PlanError("the polyline"))
+
+    monkeypatch.setattr(rounding, "rounded", lambda *_: (None, None, None))
+    monkeypatch.setattr(rounding, "stopping", lambda *_: (None, None, None))
+    monkeypatch.setattr(rounding, "joint_motion", refuse)
+    with pytest.raises(TooFastError, match="three"):
+        rounding.motion_along(None, np.zeros((2, 1)))
+    with pytest.raises(PlanError, match="the polyline"):
+        rounding.motion_along(None, np.zeros((2, 1)))

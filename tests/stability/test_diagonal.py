@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from lieednn_sim.errors import InputError
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.stability import find_certificate, norm_conditions, verify
+from lieednn_sim.stability.diagonal import smooth_largest
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -196,3 +197,10 @@ def test_groups_share_one_entry_and_cost_nothing_when_the_weight_has_the_symmetr
 def test_wrong_input_is_named(call, words):
     with pytest.raises(InputError, match=words):
         call()
+
+
+def test_the_smoothed_eigenvalue_and_its_gradient_by_hand():
+    """log(e^0 + e^(s log 3 / s)) / s = log 4 / s, with shares of 1/4 and 3/4."""
+    value, gradient = smooth_largest(np.array([0.0, np.log(3.0) / 5.0]), np.eye(2), 5.0)
+    assert value == pytest.approx(np.log(4.0) / 5.0)
+    np.testing.assert_allclose(gradient, np.diag([0.25, 0.75]), atol=1e-12)
