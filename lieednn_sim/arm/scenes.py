@@ -31,6 +31,8 @@ GOAL_PREFIX = "obstacle_goal"
 # The arm of this horizontal reach has obstacles of the sizes written below [m].
 _NOMINAL_REACH = 2.3
 _SAMPLES = 2048
+# Groups of geoms that are drawn, and that are not.
+_SEEN, _UNSEEN = 2, 3
 _MATERIALS = {
     # What the arm goes behind is seen through.
     "obstacle_panel": (0.83, 0.80, 0.74, 0.35),
@@ -67,7 +69,7 @@ def add_obstacles(spec: Any, arm: Arm, scene: str, seed: int = 0) -> None:
 
     Args:
         spec: `mujoco.MjSpec` to add to, a copy of ``arm.spec``. Bodies, geoms, materials and sites are named
-            ``obstacle_...``; the geoms are of group 2 and collide.
+            ``obstacle_...``; geoms that are drawn are of group 2.
         arm: the arm of the spec, without obstacles.
         scene: a name of `SCENES`.
         seed: of positions and sizes; the same seed gives the same scene.
@@ -87,10 +89,15 @@ def add_obstacles(spec: Any, arm: Arm, scene: str, seed: int = 0) -> None:
         pos=room.origin,
         quat=[np.cos(room.yaw / 2.0), 0.0, 0.0, np.sin(room.yaw / 2.0)],
     )
-    {"window": _window, "shelf": _shelf, "poles": _poles}[scene](body, arm, room, rng)
+    if scene == "window":
+        _window(spec, body, room, rng)
+    elif scene == "shelf":
+        _shelf(body, room, rng)
+    else:
+        _poles(body, arm, room, rng)
 
 
-def _window(body: Any, arm: Arm, room: _Surroundings, rng: np.random.Generator) -> None:
+def _window(spec: Any, body: Any, room: _Surroundings, rng: np.random.Generator) -> None:
     """A wall across x with an opening that the tip at home may or may not look through."""
     s = room.scale
     thickness, width = 0.03 * s, 1.3 * s
@@ -109,7 +116,12 @@ def _window(body: Any, arm: Arm, room: _Surroundings, rng: np.random.Generator) 
         "right": ((x, -width + sides[1] / 2.0, z), (thickness, sides[1] / 2.0, half[1])),
     }
     for name, (pos, size) in panels.items():
-        _box(body, f"wall_{name}", pos, size, "panel")
+        _box(body, f"wall_{name}", pos, size, "panel", group=_UNSEEN)
+    # Touching panels that are seen through show the faces between them: what is seen is one wall with a hole.
+    outline = np.array([(-width, 0.0), (width, 0.0), (width, top), (-width, top)])
+    opening = np.array([y, z]) + half * np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])
+    spec.add_mesh(name=PREFIX + "wall", **_pierced_plate(x, thickness, outline, opening))
+    _geom(body, "wall", mujoco.mjtGeom.mjGEOM_MESH, None, None, "panel", collides=False, meshname=PREFIX + "wall")
     # The frame lies around the panels' edges, with no face in one of theirs, and only shows where the opening is.
     bar, inset = 0.025 * s, 0.002
     away, across, along = bar + inset, half[0] + inset, half[1] + inset + 2.0 * bar
@@ -125,7 +137,7 @@ def _window(body: Any, arm: Arm, room: _Surroundings, rng: np.random.Generator) 
     _goal(body, 0, ((ends[0] + ends[1]) / 2.0, y, z), ((ends[1] - ends[0]) / 2.0, 0.5 * half[0], 0.5 * half[1]))
 
 
-def _shelf(body: Any, arm: Arm, room: _Surroundings, rng: np.random.Generator) -> None:
+def _shelf(body: Any, room: _Surroundings, rng: np.random.Generator) -> None:
     """A rack of two columns and two rows of compartments, open towards the arm, which looks into one at home."""
     s = room.scale
     board = 0.015 * s
@@ -243,20 +255,50 @@ def _solid(model: mujoco.MjModel) -> list[int]:
     return [int(g) for g in np.flatnonzero(model.geom_contype | model.geom_conaffinity)]
 
 
-def _box(body: Any, name: str, pos: Any, size: Any, material: str, *, collides: bool = True) -> None:
-    _geom(body, name, mujoco.mjtGeom.mjGEOM_BOX, pos, size, material, collides=collides)
+def _pierced_plate(x: float, thickness: float, outline: Floats, opening: Floats) -> dict[str, list[float]]:
+    """Vertices and triangles of a plate across x with a hole, its corners ``(4, 2)`` (y, z) in the order of a circle."""
+    rings = [(x + side * thickness, corners) for side in (-1.0, 1.0) for corners in (outline, opening)]
+    vertices = np.concatenate([np.column_stack([np.full(4, at), corners]) for at, corners in rings])
+    # Corners of each quadrilateral counter-clockwise as seen from outside; rings: near outline, opening, far ones.
+    quadrilaterals = []
+    for i in range(4):
+        j = (i + 1) % 4
+        quadrilaterals += [
+            (i, i + 4, j + 4, j),  # near face
+            (i + 8, j + 8, j + 12, i + 12),  # far face
+            (i, j, j + 8, i + 8),  # outer edge
+            (i + 4, i + 12, j + 12, j + 4),  # edge of the opening
+        ]
+    triangles = [(*q[:3], q[0], *q[2:]) for q in quadrilaterals]
+    return {"uservert": vertices.ravel().tolist(), "userface": np.array(triangles).ravel().tolist()}
 
 
-def _geom(body: Any, name: str, kind: Any, pos: Any, size: Any, material: str, *, collides: bool = True) -> None:
+def _box(body: Any, name: str, pos: Any, size: Any, material: str, **options: Any) -> None:
+    _geom(body, name, mujoco.mjtGeom.mjGEOM_BOX, pos, size, material, **options)
+
+
+def _geom(
+    body: Any,
+    name: str,
+    kind: Any,
+    pos: Any,
+    size: Any,
+    material: str,
+    *,
+    collides: bool = True,
+    group: int = _SEEN,
+    **options: Any,
+) -> None:
+    place = {key: value for key, value in (("pos", pos), ("size", size)) if value is not None}
     body.add_geom(
         name=PREFIX + name,
         type=kind,
-        pos=pos,
-        size=size,
+        **place,
         material=PREFIX + material,
-        group=2,
+        group=group,
         contype=int(collides),
         conaffinity=int(collides),
+        **options,
     )
 
 
