@@ -21,13 +21,25 @@ from lieednn_sim.network import LieEDNN
 from lieednn_sim.network.base import BlockNetwork
 from lieednn_sim.simulate import Rollout
 from lieednn_sim.task import Task
+from lieednn_sim.validation import as_choice
 from lieednn_sim.versions import versions
+
+# Formats of the plots; the first is the default.
+PLOT_KINDS = ("png", "pdf", "svg")
+# The first is made of a training, the others of a rollout.
+_PLOTS = ("training", "network", "tracking", "joints")
 
 
 class RunDirectory:
-    """Names of the files of one run, and the one place where they are written, read and checked against each other."""
+    """Names of the files of one run, and the one place where they are written, read and checked against each other.
 
-    def __init__(self, path: str | os.PathLike[str]) -> None:
+    Args:
+        path: of the directory.
+        plots: what plots are written as, one of `PLOT_KINDS`.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], plots: str = PLOT_KINDS[0]) -> None:
+        self._plots = as_choice("plots", plots, PLOT_KINDS)
         self.path = storage.named_path(path, "run directory")
         self.task = self.path / "task.json"
         self.network = self.path / "network.npz"
@@ -37,28 +49,31 @@ class RunDirectory:
         self.video = self.path / "video.mp4"
         self.checkpoint = self.path / "checkpoint.npz"
         self.history = self.path / "history.npz"
-        self.training_plot = self.path / "training.png"
         self.metrics_json = self.path / "metrics.json"
         self.metrics_csv = self.path / "metrics.csv"
-        self.network_plot = self.path / "network.png"
-        self.tracking_plot = self.path / "tracking.png"
-        self.joints_plot = self.path / "joints.png"
+        self.training_plot, self.network_plot, self.tracking_plot, self.joints_plot = (
+            self.path / f"{name}.{plots}" for name in _PLOTS
+        )
 
     @property
     def pending(self) -> RunDirectory:
         """Where a training is at work, until there is a network to replace what the run holds."""
-        return RunDirectory(self.path / "training")
+        return RunDirectory(self.path / "training", self._plots)
 
     @property
     def files(self) -> list[Path]:
         """All files that a run may hold."""
-        return [path for name, path in vars(self).items() if name != "path"]
+        named = [path for name, path in vars(self).items() if isinstance(path, Path) and name != "path"]
+        return named + [path for path in self._plots_of(*_PLOTS) if path not in named]
 
     @property
     def results(self) -> list[Path]:
         """What is made of a rollout; a new one makes it outdated."""
-        plots = [self.network_plot, self.tracking_plot, self.joints_plot]
+        plots = self._plots_of(*_PLOTS[1:])
         return [self.metrics_json, self.metrics_csv, *plots, self.video, self.divergence]
+
+    def _plots_of(self, *names: str) -> list[Path]:
+        return [self.path / f"{name}.{kind}" for name in names for kind in PLOT_KINDS]
 
     @contextlib.contextmanager
     def made(self) -> Iterator[None]:

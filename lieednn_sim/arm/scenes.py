@@ -256,7 +256,7 @@ def _solid(model: mujoco.MjModel) -> list[int]:
 
 
 def _pierced_plate(x: float, thickness: float, outline: Floats, opening: Floats) -> dict[str, list[float]]:
-    """Vertices and triangles of a plate across x with a hole, its corners ``(4, 2)`` (y, z) in the order of a circle."""
+    """Vertices and triangles of a plate across x with a hole; corners ``(4, 2)`` (y, z), counter-clockwise."""
     rings = [(x + side * thickness, corners) for side in (-1.0, 1.0) for corners in (outline, opening)]
     vertices = np.concatenate([np.column_stack([np.full(4, at), corners]) for at, corners in rings])
     # Corners of each quadrilateral counter-clockwise as seen from outside; rings: near outline, opening, far ones.

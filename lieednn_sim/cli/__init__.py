@@ -97,6 +97,7 @@ def _parser() -> argparse.ArgumentParser:
     options.add_planning(demo, output="results/demo", goal=False, bias_magnitude=0.125)
     options.add_simulation(demo)
     options.add_video(demo)
+    options.add_plots(demo)
     demo.add_argument("--no-video", action="store_true", help="skip rendering")
 
     synthesize = command(
@@ -112,6 +113,7 @@ def _parser() -> argparse.ArgumentParser:
         "Go on with 'simulate', 'evaluate' and 'render'; what is interrupted goes on with --resume.",
     )
     options.add_training(train)
+    options.add_plots(train)
 
     simulate = command(
         "simulate",
@@ -132,6 +134,7 @@ def _parser() -> argparse.ArgumentParser:
         "evaluate", "metrics and plots of a run's simulation", "They are printed, and written into the run directory."
     )
     options.add_run(evaluate)
+    options.add_plots(evaluate)
 
     compare = command(
         "compare",

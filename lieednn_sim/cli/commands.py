@@ -28,7 +28,7 @@ def demo(arguments: argparse.Namespace) -> None:
     disturbances(arm, arguments)
     if not arguments.no_video:
         _check_video(arm, arguments)
-    run = RunDirectory(arguments.output)
+    run = RunDirectory(arguments.output, arguments.plots)
     with run.made():
         synthesize(run, arguments)
         _simulate(run, arguments)
@@ -66,7 +66,7 @@ def simulate(arguments: argparse.Namespace) -> None:
 
 def evaluate(arguments: argparse.Namespace) -> None:
     """Rollout to metrics and plots."""
-    run = RunDirectory(arguments.run).existing()
+    run = RunDirectory(arguments.run, arguments.plots).existing()
     with run.at_work(shared=True):
         _evaluate(run)
 
@@ -137,7 +137,7 @@ def _evaluate(run: RunDirectory) -> None:
     print_evaluation(evaluation, rollout, None if arm.scene == "free" else _clearance(arm, rollout))
     evaluation.save_json(run.metrics_json, made_from=run.check(task, "network", "motion", "rollout"))
     evaluation.save_csv(run.metrics_csv)
-    plots.plot_network(motion, run.network_plot)
+    plots.plot_network(arm, motion, run.network_plot)
     plots.plot_tracking(arm, rollout, task.target, run.tracking_plot)
     plots.plot_joints(arm, rollout, run.joints_plot)
     wrote(run.metrics_json, run.metrics_csv, run.network_plot, run.tracking_plot, run.joints_plot)
@@ -166,6 +166,7 @@ def _render(run: RunDirectory, arguments: argparse.Namespace, path: Path) -> Non
             size=size(arguments.size),
             fps=arguments.fps,
             preset=arguments.preset,
+            title=task.planner,
             progress=report,
         )
     wrote(path)

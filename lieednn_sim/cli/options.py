@@ -205,6 +205,11 @@ def _add_conditions(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_plots(parser: argparse.ArgumentParser) -> None:
+    """Format of the plots."""
+    parser.add_argument("--plots", default="png", metavar="KIND", help="png, pdf or svg (default: %(default)s)")
+
+
 def add_video(parser: argparse.ArgumentParser) -> None:
     """Quality, size and view of a video."""
     parser.add_argument("--preset", default="nice", help="draft or nice (default: %(default)s)")

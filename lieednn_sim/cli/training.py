@@ -49,7 +49,7 @@ Candidates = Iterable[Callable[[], TrainingResult]]
 
 def train(arguments: argparse.Namespace) -> int:
     """Learn a network for a target into a run directory; 1 when none was learned."""
-    run = RunDirectory(arguments.output if arguments.resume is None else arguments.resume)
+    run = RunDirectory(arguments.output if arguments.resume is None else arguments.resume, arguments.plots)
     if arguments.resume is None:
         with run.made():
             return _train(run, *_begin(run, arguments))

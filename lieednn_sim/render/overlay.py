@@ -13,8 +13,8 @@ from lieednn_sim._mujoco import mujoco
 Floats = NDArray[np.float64]
 
 _AXIS_COLOURS = ((0.90, 0.22, 0.21, 0.75), (0.26, 0.71, 0.32, 0.75), (0.20, 0.42, 0.92, 0.75))
-_PLANNED_COLOUR = (0.08, 0.75, 0.70, 0.55)
-_TRACED_COLOUR = (0.98, 0.80, 0.10, 1.0)
+PLANNED_COLOUR = (0.08, 0.75, 0.70, 0.55)
+TRACED_COLOUR = (0.98, 0.80, 0.10, 1.0)
 _AXIS_LENGTH = 0.22
 _MAX_SEGMENTS = 150
 
@@ -33,8 +33,8 @@ class Overlay:
 
     def draw(self, scene: mujoco.MjvScene, k: int) -> None:
         """Add the geometry of sample ``k`` to a scene."""
-        _polyline(scene, self.planned_frames[:, -1, :3, 3], 0.004, _PLANNED_COLOUR)
-        _polyline(scene, self.traced_tip[: k + 1], 0.007, _TRACED_COLOUR)
+        _polyline(scene, self.planned_frames[:, -1, :3, 3], 0.004, PLANNED_COLOUR)
+        _polyline(scene, self.traced_tip[: k + 1], 0.007, TRACED_COLOUR)
         for frame in self.planned_frames[k]:
             for axis, colour in enumerate(_AXIS_COLOURS):
                 tip = frame[:3, 3] + _AXIS_LENGTH * frame[:3, axis]

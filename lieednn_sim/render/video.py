@@ -20,6 +20,7 @@ from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import FileError, InputError, RenderingUnavailableError
 from lieednn_sim.render import ffmpeg
+from lieednn_sim.render.caption import write_caption
 from lieednn_sim.render.overlay import Overlay
 from lieednn_sim.simulate import Rollout
 from lieednn_sim.validation import as_choice, as_count, as_positive
@@ -142,9 +143,12 @@ def render_video(
     size: tuple[int, int] = (1280, 720),
     fps: int = 30,
     preset: str = "nice",
+    title: str = "",
     progress: Callable[[int, int], None] | None = None,
 ) -> int:
     """Render a rollout; frame k shows time k / fps. Planned link frames and the tip's path are drawn over the arm.
+
+    The time, the names of arm, scene and controller, and the key of colours stand in a corner.
 
     Args:
         arm: the arm of the rollout.
@@ -155,6 +159,7 @@ def render_video(
         size: (width, height) in pixels.
         fps: frames a second of simulated time.
         preset: a name of `PRESETS`.
+        title: a first line for the corner, the planner's name, say.
         progress: called with (done, total) after every frame.
 
     Returns:
@@ -169,11 +174,15 @@ def render_video(
     total = int(np.floor((rollout.t[-1] - rollout.t[0]) * rate + 1e-6)) + 1
     samples = np.rint(np.arange(total) / rate / rollout.timestep).astype(int)
     overlay = Overlay(arm.link_poses(rollout.q_ref).as_matrix(), rollout.link_position[:, -1])
+    names = [title] if title else []
+    names += [arm.name if arm.scene == "free" else f"{arm.name}, {arm.scene}", rollout.controller]
+    end = rollout.t[-1]
     view = Camera(arm, camera=camera, size=size, preset=preset, target=target)
     with view, storage.atomic_path(path) as temporary:
         with _writer(temporary, size, rate) as append:
             for done, k in enumerate(samples, start=1):
-                append(view.picture(rollout.q[k], functools.partial(overlay.draw, k=int(k))))
+                picture = view.picture(rollout.q[k], functools.partial(overlay.draw, k=int(k)))
+                append(write_caption(picture, [*names, f"{rollout.t[k]:.2f} s of {end:.2f} s"]))
                 if progress is not None:
                     progress(done, total)
         _check_complete(temporary, total)

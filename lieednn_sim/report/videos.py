@@ -96,7 +96,17 @@ def film(
     path = directory / f"{case.planner}-{case.arm}-{case.scene}-{case.seed}-{controller}.mp4"
     if not path.is_file():
         problem, rollout = replay(case, controller, table.settings)
-        render_video(problem.arm, rollout, problem.target, path, size=SIZE, fps=FPS, preset="draft", progress=progress)
+        render_video(
+            problem.arm,
+            rollout,
+            problem.target,
+            path,
+            size=SIZE,
+            fps=FPS,
+            preset="draft",
+            title=case.planner,
+            progress=progress,
+        )
     return Clip(row, path, _poster(path))
 
 
