@@ -31,7 +31,10 @@ EVALUATION = Evaluation(
     recoveries=(Recovery("link 2", 0.5, 0.75, 8.125, 9.25, 0.375), Recovery("hand", 1.5, 2.0, 4.0, 5.0, None)),
     motion_end=4.0,
     duration=5.0,
+    hold=1.0,
     controller="mocap",
+    reference_rate=None,
+    disturbances=Disturbances(),
 )
 
 
