@@ -33,8 +33,8 @@ class Overlay:
 
     def draw(self, scene: mujoco.MjvScene, k: int) -> None:
         """Add the geometry of sample ``k`` to a scene."""
-        _polyline(scene, self.planned_frames[:, -1, :3, 3], 0.006, PLANNED_COLOUR)
-        _polyline(scene, self.traced_tip[: k + 1], 0.009, TRACED_COLOUR)
+        _polyline(scene, self.planned_frames[:, -1, :3, 3], 0.008, PLANNED_COLOUR)
+        _polyline(scene, self.traced_tip[: k + 1], 0.011, TRACED_COLOUR)
         for frame in self.planned_frames[k]:
             for axis, colour in enumerate(_AXIS_COLOURS):
                 tip = frame[:3, 3] + _AXIS_LENGTH * frame[:3, axis]
