@@ -161,7 +161,7 @@ def plot_joints(arm: Arm, rollout: Rollout, path: str | os.PathLike[str]) -> Non
             )
             joints = range(block * rows, min((block + 1) * rows, arm.n_joints))
             _plot_joints(grid.subplots(sharex=True, squeeze=False), arm, rollout, joints)
-        entries = {
+        entries: dict[str, Any] = {
             "simulated": Line2D([], [], color=_COLOURS[0]),
             "reference": Line2D([], [], color=_COLOURS[4], ls="--"),
             "limits": Line2D([], [], color=_COLOURS[1], lw=0.8),
