@@ -115,7 +115,9 @@ class Camera:
         """Image ``(height, width, 3)`` of the arm at ``q`` ``(n,)``; ``draw`` may add to the scene."""
         self._data.qpos[:] = self._arm.qpos(q)
         mujoco.mj_forward(self._model, self._data)
-        self._renderer.update_scene(self._data, self._camera)
+        # Twice, because MuJoCo puts the headlight where the camera was at the update before.
+        for _ in range(2):
+            self._renderer.update_scene(self._data, self._camera)
         flags = self._renderer.scene.flags
         flags[mujoco.mjtRndFlag.mjRND_SHADOW] = self._preset.shadows
         flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = False

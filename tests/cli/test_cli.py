@@ -1,5 +1,6 @@
 """The command line as a user meets it: the whole road, one-line errors, exit code 2, no half-written file."""
 
+import functools
 import itertools
 import json
 import os
@@ -12,6 +13,7 @@ import sys
 import numpy as np
 import pytest
 
+from lieednn_sim import opengl
 from lieednn_sim.arm import arm_names
 from lieednn_sim.cli import doctor, main
 from lieednn_sim.learning import projected
@@ -310,6 +312,8 @@ def test_help_imports_nothing_heavy():
 
 
 def test_doctor_reports_in_words_and_json(capsys, monkeypatch):
+    # One frame in a process of its own is proof enough for three reports.
+    monkeypatch.setattr(opengl, "describe_renderer", functools.cache(opengl.describe_renderer))
     code = main(["doctor", "--json"])
     report = json.loads(capsys.readouterr().out)
     assert report["versions"]["mujoco"].startswith("3.")

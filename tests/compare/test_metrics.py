@@ -16,7 +16,7 @@ from lieednn_sim.compare.metrics import (
 )
 from lieednn_sim.evaluate import Evaluation, FrameErrors, JointUse, evaluate
 from lieednn_sim.motion import Motion
-from lieednn_sim.simulate import Rollout
+from lieednn_sim.simulate import Disturbances, Rollout
 
 LIMITS = ("position", "velocity", "acceleration")
 
@@ -109,7 +109,10 @@ def evaluation_of(frames, joints=(), contacts=0):
         recoveries=(),
         motion_end=1.0,
         duration=2.0,
+        hold=1.0,
         controller="mocap",
+        reference_rate=None,
+        disturbances=Disturbances(),
     )
 
 

@@ -41,7 +41,7 @@ def run(task, seed, steps=5):
 def test_expert_reaches_targets_with_every_arm_and_random_actions_do_not(arm):
     task = make_task("reach", arm, time_limit=3.5)
     rng = np.random.default_rng(1)
-    expert = Expert(task)
+    expert = Expert(task, candidates=6)
     rewards = {"expert": 0.0, "random": 0.0}
     for policy in rewards:
         task.begin(np.random.default_rng(0))
