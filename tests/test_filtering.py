@@ -9,7 +9,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.errors import InputError, PlanError
-from lieednn_sim.filtering import FilteredRun, FilterOptions, SafetyFilter, limits_proved, run, run_filtered
+from lieednn_sim.filtering import FilteredRun, FilterOptions, SafetyFilter, limits_proved, run, run_filtered, safety
 from lieednn_sim.filtering.approach import ApproachBounds
 from lieednn_sim.motion import Motion, check_motion
 from lieednn_sim.planners import PlanningProblem, legs, missing_planners, plan_network, sampling
@@ -352,3 +352,98 @@ def test_the_filter_leaves_what_is_allowed_and_names_the_limit_that_is_not(gantr
     )
     filter_.allow(home, np.array([0.9995, 0.0, 0.0, -3.0]))
     np.testing.assert_allclose(filter_.position_limits[[0, 0, 3], [0, 1, 0]], [-0.999, 0.9995, -3.0])
+
+
+# Beads on a rail: rail -> ball joint -> rail, with a post beside the first one. At home the gaps are as in the test.
+BEADS = """
+<mujoco><compiler angle="radian" autolimits="true"/><worldbody>
+  <geom name="post" size="0.05" pos="0 0.2 0"/>
+  <body name="base"><geom size="0.01" contype="0" conaffinity="0"/><site name="base_frame"/>
+    <body name="a"><joint name="a" type="slide" axis="1 0 0" range="-1 1"/><geom name="first" size="0.05"/>
+      <body name="b"><joint name="b" type="ball" range="0 0.5"/>
+        <geom size="0.01" mass="1" contype="0" conaffinity="0"/><site name="link1_frame"/>
+        <body name="c"><joint name="c" type="slide" axis="1 0 0" range="-1 1"/>
+          <geom name="near" size="0.05" pos="0.2 0 0"/><geom name="far" size="0.05" pos="0.5 0 0"/>
+          <site name="link2_frame"/>
+        </body></body></body></body>
+</worldbody><keyframe><key name="home" qpos="0 1 0 0 0 0"/></keyframe></mujoco>"""
+
+
+@pytest.fixture(scope="module")
+def beads(tmp_path_factory):
+    path = tmp_path_factory.mktemp("beads") / "beads.xml"
+    path.write_text(BEADS)
+    return Arm.from_xml(path, "beads")
+
+
+@pytest.mark.parametrize(("cutoff", "of_neighbours"), [(0.4, 0.04), (0.02, 0.02)])
+def test_only_parts_of_the_arm_that_are_near_at_home_are_looked_at_from_nearer(beads, cutoff, of_neighbours):
+    """Gaps of 0.1 m (first to near, post to first), 0.18 (post to near) and 0.4 (first to far)."""
+    filter_ = SafetyFilter(beads, 0.01, FilterOptions(cutoff=cutoff))
+    names = [set(filter_.collisions.names(pair)) for pair in filter_.collisions.pairs]
+    assert len(names) == 5
+    neighbours = [pair == {"first", "near"} for pair in names]
+    assert sum(neighbours) == 1
+    np.testing.assert_array_equal(filter_._cutoffs, np.where(neighbours, of_neighbours, cutoff))
+
+
+@pytest.mark.parametrize(("angle", "limit"), [(0.0, 0.495), (0.3, 0.495), (0.498, 0.498), (0.5, 0.5)])
+def test_the_angle_of_a_ball_joint_is_drawn_in_but_not_beyond_what_shall_be_reached(beads, angle, limit):
+    filter_ = SafetyFilter(beads, 0.01)
+    position = np.array([0.0, 0.0, 0.6 * angle, 0.8 * angle, 0.0])
+    filter_.allow(np.zeros(5), position)
+    np.testing.assert_allclose(filter_._angle_limits, [limit], atol=1e-15)
+
+
+def test_pairs_are_looked_at_as_far_as_they_can_matter_by_hand(gantry):
+    """The ball is moved by the slides and, around its own centre, by its radius of 0.1: rates of 7.8 and 0.78 m/s."""
+    filter_ = SafetyFilter(gantry, 0.02, FilterOptions(cutoff=100.0))
+    home, fast = np.zeros(4), gantry.velocity_limits
+    # At full speed braking takes 0.1 s, and 1.1^2 0.1 / 0.3 is the longer time; at a tenth 1 / 5 + 0.02 is.
+    longer = 1.21 * 0.1 / 0.3
+    np.testing.assert_allclose(filter_._needed(home, fast, home), [0.01 + 7.8 * longer + 0.001])
+    np.testing.assert_allclose(filter_._needed(home, 0.1 * fast, home), [0.01 + 0.78 * 0.22 + 0.001])
+    np.testing.assert_allclose(filter_._needed(home, 0.1 * fast, -fast), [0.01 + 7.8 * longer + 0.001])
+    np.testing.assert_allclose(SafetyFilter(gantry, 0.02)._needed(home, fast, home), [0.4])
+
+
+@pytest.mark.parametrize("flag", [0, -4])
+def test_where_nothing_is_solved_the_arm_brakes_as_hard_as_it_may(gantry, monkeypatch, flag):
+    filter_ = SafetyFilter(gantry, 0.02)
+    monkeypatch.setattr(safety.daqp, "solve", lambda *_, **__: (np.full(4, 0.7), 0.0, flag, {}))
+    step = filter_.step(np.zeros(4), np.array([0.5, -1.0, 0.1, -8.0]), np.array([1.0, -2.0, 4.0, -8.0]))
+    np.testing.assert_allclose(step.velocity, [0.3, -0.6, 0.0, -6.4], atol=1e-12)
+    assert step.braked
+    assert step.active
+
+
+def test_what_holds_the_arm_back_most_is_named_first(gantry):
+    filter_ = SafetyFilter(gantry, 0.02)
+    filter_.allow(gantry.keyframe("home"))
+    # At the upper ends of x and y, and of the ball over the floor.
+    q = np.array([*filter_.position_limits[:2, 1], -0.89, 0.0])
+    names = [f"the position limit of joint {name!r}" for name in "xy"] + ["the clearance of 'floor' from 'ball'"]
+    # Multipliers are what is wanted beyond, in shares of the limits; over the floor by 4.2, what the limit is worth there.
+    for shares, order in (
+        ((0.2, 0.1, -0.05), [0, 1, 2]),
+        ((0.1, 0.2, -0.05), [1, 0, 2]),
+        ((0.01, 0.02, -0.2), [2, 1, 0]),
+    ):
+        step = filter_.step(q, np.zeros(4), np.array([*shares, 0.0]) * gantry.velocity_limits)
+        assert step.blocking == tuple(names[j] for j in order)
+
+
+def test_the_most_promising_networks_run_first(monkeypatch):
+    """Free ones as soon as they are drawn; of the others the one with the least of its way blocked."""
+    ran = []
+    search = object.__new__(planner._Search)
+    search.networks = []
+    monkeypatch.setattr(search, "_run", lambda network, via=(): ran.append(network))
+    drawn = [("half", 0.5), ("most", 0.8), ("free", 0.0), ("little", 0.2), ("some", 0.4)]
+    monkeypatch.setattr(search, "_candidates", lambda: iter(drawn))
+    monkeypatch.setattr(planner, "_TRIED", 3)
+    assert search.alone() is None
+    assert ran == ["free", "little", "some"]
+    assert search.networks == ["free", "little", "some", "half", "most"]
+    monkeypatch.setattr(search, "_run", lambda network, via=(): network if network == "little" else None)
+    assert search.alone() == ("little", "little")
