@@ -423,7 +423,7 @@ def test_what_holds_the_arm_back_most_is_named_first(gantry):
     # At the upper ends of x and y, and of the ball over the floor.
     q = np.array([*filter_.position_limits[:2, 1], -0.89, 0.0])
     names = [f"the position limit of joint {name!r}" for name in "xy"] + ["the clearance of 'floor' from 'ball'"]
-    # Multipliers are what is wanted beyond, in shares of the limits; over the floor by 4.2, what the limit is worth there.
+    # Multipliers are what is wanted beyond, in shares of the limits, and over the floor a fourth of that.
     for shares, order in (
         ((0.2, 0.1, -0.05), [0, 1, 2]),
         ((0.1, 0.2, -0.05), [1, 0, 2]),
