@@ -21,7 +21,7 @@ from lieednn_sim.network import LieEDNN
 from lieednn_sim.network.base import BlockNetwork
 from lieednn_sim.simulate import Rollout
 from lieednn_sim.task import Task
-from lieednn_sim.validation import as_choice
+from lieednn_sim.validation import as_choice, as_path
 from lieednn_sim.versions import versions
 
 # Formats of the plots; the first is the default.
@@ -40,7 +40,7 @@ class RunDirectory:
 
     def __init__(self, path: str | os.PathLike[str], plots: str = PLOT_KINDS[0]) -> None:
         self._plots = as_choice("plots", plots, PLOT_KINDS)
-        self.path = storage.named_path(path, "run directory")
+        self.path = as_path("the name of a run directory", path)
         self.task = self.path / "task.json"
         self.network = self.path / "network.npz"
         self.motion = self.path / "motion.npz"
@@ -77,16 +77,16 @@ class RunDirectory:
 
     @contextlib.contextmanager
     def made(self) -> Iterator[None]:
-        """Make the directory if need be, and keep others out as `at_work` does; one that stays empty is removed."""
-        made = not self.path.exists()
+        """Make the directory if need be, and keep others out as `at_work` does; what stays empty is removed."""
+        made = [path for path in (self.path, *self.path.parents) if not os.path.lexists(path)]
         storage.make_directory(self.path)
         try:
             with self.at_work():
                 yield
         except BaseException:
-            if made:
-                with contextlib.suppress(OSError):
-                    self.path.rmdir()
+            with contextlib.suppress(OSError):
+                for path in made:
+                    path.rmdir()
             raise
 
     @contextlib.contextmanager
@@ -118,7 +118,7 @@ class RunDirectory:
 
     def existing(self) -> RunDirectory:
         """Return self, or raise `FileError` when there is no such run."""
-        if not self.task.is_file():
+        if not storage.is_file(self.task):
             raise FileError(
                 f"{self.path} holds no run (no {self.task.name}); make one with 'lieednn-sim synthesize' or 'train'"
             )

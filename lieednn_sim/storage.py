@@ -22,7 +22,8 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lieednn_sim.errors import FileError, InputError
+from lieednn_sim.errors import FileError
+from lieednn_sim.validation import as_path
 
 # 2: with a fingerprint.
 FORMAT_VERSION = 2
@@ -37,7 +38,7 @@ _MAX_JSON = 1_000_000
 
 def make_directory(path: str | os.PathLike[str]) -> Path:
     """Create ``path`` with its parents, or raise `FileError` that says why not."""
-    directory = named_path(path, "directory")
+    directory = as_path("the name of a directory", path)
     try:
         directory.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -47,12 +48,12 @@ def make_directory(path: str | os.PathLike[str]) -> Path:
     return directory
 
 
-def named_path(path: str | os.PathLike[str], what: str) -> Path:
-    """The path of a name; `InputError` for an empty one, which `Path` takes for the current directory, and for NUL."""
-    name = os.fspath(path)
-    if not name or "\0" in name:
-        raise InputError(f"the name of a {what} must be a path, got {name!r}; the current directory is '.'")
-    return Path(name)
+def is_file(path: Path) -> bool:
+    """Whether there is a file; `FileError` where the system does not let us look."""
+    try:
+        return path.is_file()
+    except OSError as error:
+        raise FileError(f"cannot look for {path}: {error.strerror or error}") from None
 
 
 def check_outputs(paths: Iterable[Path]) -> None:

@@ -6,6 +6,7 @@ import math
 import operator
 import os
 from collections.abc import Iterable, Sequence
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +23,12 @@ LARGEST = 1e100
 # More characters than any name or sentence of the user's own: what is refused is quoted up to here.
 _QUOTED = 80
 _LARGEST_COUNT = 2**53
-# Of Linux, in bytes; a single name has at most 255.
-_LONGEST_PATH = 4095
+# Of Linux, in bytes; the one of a path counts its final zero.
+_LONGEST_NAME, _LONGEST_PATH = 255, 4096
+# As many as NumPy draws for a seed of its own; all of it can be written into a file.
+_SEED_BITS = 128
+# Of an array of the oldest NumPy that is supported.
+_MOST_AXES = 32
 # A gibibyte of float64.
 _LARGEST_SIZE = 2**27
 
@@ -75,7 +80,9 @@ def as_floats(
     except (TypeError, ValueError, OverflowError, MemoryError) as error:
         if isinstance(error, InputError):
             raise
-        raise InputError(f"{name} must be an array of numbers, got {type(value).__name__}: {error}") from None
+        # NumPy repeats all of a string.
+        why = f": {error}" if len(str(error)) <= 2 * _QUOTED else ""
+        raise InputError(f"{name} must be an array of numbers, got {type(value).__name__}{why}") from None
     _require_shape(name, array.shape, shape, wanted, batched=batched)
     # In one pass, since every call of a training loop comes here: a NaN makes the comparison false as well.
     if not np.abs(array).max(initial=0.0) <= largest:
@@ -102,22 +109,33 @@ def _require_shape(name: str, given: tuple[int, ...], shape: Shape, wanted: Shap
 def as_shape(name: str, value: tuple[int, ...], entries: int = 1) -> tuple[int, ...]:
     """Return the shape of an array of so many ``entries`` each, or raise `InputError` where it is too large."""
     try:
-        shape = tuple(as_count(name, size, 0) for size in value)
+        shape = tuple(as_count(name, size, 0) for size in islice(value, _MOST_AXES + 1))
     except TypeError:
         raise InputError(f"{name} must be a tuple of whole numbers, got {quoted(value)}") from None
+    if len(shape) > _MOST_AXES:
+        raise InputError(f"{name} must have at most {_MOST_AXES} axes, got {quoted(value)}")
     if math.prod(shape) * entries > _LARGEST_SIZE:
         raise InputError(f"{name} {_describe(shape)} is too large: more than {_LARGEST_SIZE} numbers")
     return shape
 
 
 def as_path(name: str, value: object) -> Path:
-    """Return ``value`` as a path that the system can be asked about, or raise `InputError`."""
+    """Return ``value`` as a path that the system can be asked about, or raise `InputError`.
+
+    An empty one is none: `Path` would take it for the current directory.
+    """
     if not isinstance(value, str | os.PathLike):
         raise InputError(f"{name} must be a string or a path, got {type(value).__name__}")
     text = os.fspath(value)
-    if not isinstance(text, str) or "\0" in text:
-        raise InputError(f"{name} must be a path without NUL characters, got {quoted(text)}")
-    if len(os.fsencode(text)) > _LONGEST_PATH or any(len(os.fsencode(part)) > 255 for part in text.split("/")):
+    if not text:
+        raise InputError(f"{name} must be a path, got ''; the current directory is '.'")
+    try:
+        if not isinstance(text, str) or "\0" in text:
+            raise ValueError
+        lengths = [len(os.fsencode(part)) for part in text.split("/")]
+    except ValueError:
+        raise InputError(f"{name} must be a path without NUL or broken characters, got {quoted(text)}") from None
+    if max(lengths) > _LONGEST_NAME or sum(lengths) + len(lengths) > _LONGEST_PATH:
         raise InputError(f"{name} is too long for a path, got {quoted(text)}")
     return Path(text)
 
@@ -170,19 +188,21 @@ def as_count(name: str, value: int, least: int = 1) -> int:
 
 
 def as_seed(name: str, seed: int) -> int:
-    """Return ``seed`` as a whole number >= 0, or raise `InputError`."""
+    """Return ``seed`` as a whole number from 0 on, of at most 128 bits, or raise `InputError`."""
     if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
         raise InputError(f"{name} must be a whole number >= 0, got {quoted(seed)}")
+    if int(seed).bit_length() > _SEED_BITS:
+        raise InputError(f"{name} must be below 2^{_SEED_BITS}, got {quoted(seed)}")
     return int(seed)
 
 
 def as_generator(name: str, seed: int | np.random.Generator) -> np.random.Generator:
-    """Return a random generator from a whole number >= 0, or the generator itself."""
+    """Return a random generator from a seed of `as_seed`, or the generator itself."""
     if isinstance(seed, np.random.Generator):
         return seed
     if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
         raise InputError(f"{name} must be a whole number >= 0 or a numpy.random.Generator, got {quoted(seed)}")
-    return np.random.default_rng(seed)
+    return np.random.default_rng(as_seed(name, seed))
 
 
 def as_choice(name: str, value: str, allowed: Iterable[str]) -> str:

@@ -6,26 +6,32 @@ Bounded here; open-ended by ``pytest tests/test_fuzz.py --hypothesis-profile=fuz
 from __future__ import annotations
 
 import dataclasses
+import functools
+import json
 import warnings
 
 import numpy as np
-from hypothesis import given, settings
+import pytest
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from lieednn_sim import lie
+from lieednn_sim import lie, stability
 from lieednn_sim.arm import Arm
+from lieednn_sim.cli import main
 from lieednn_sim.errors import FileError, LieEDNNError
+from lieednn_sim.filtering.safety import SafetyFilter
 from lieednn_sim.lie import groups
 from lieednn_sim.motion import Motion
 from lieednn_sim.network import EquivariantLieEDNN, GroupLieEDNN, LieEDNN
 from lieednn_sim.synthesis.bias import BIAS_RULES, bias_for
+from lieednn_sim.task import Task
 from lieednn_sim.validation import as_choice, as_count, as_floats, as_seed, as_shape
 
 
-def bounded(examples):
+def bounded(examples, **more):
     """So many examples in the suite, and as many as the profile says in a campaign."""
     most = settings.default.max_examples
-    return settings(max_examples=examples if most <= 100 else most)
+    return settings(max_examples=examples if most <= 100 else most, **more)
 
 
 SIZES = (0.0, 5e-324, 1e-308, 1e-160, 1e-99, 1e-8, 1.0, np.pi, 1e3, 1e8, 1e50, 9e99, 1e101, 1.7e308, np.inf, np.nan)
@@ -105,6 +111,55 @@ def test_lie_groups(data, name):
         check(group.adjoint, element)
 
 
+@bounded(40)
+@given(st.data())
+def test_rigid_motions(data):
+    function, shape = data.draw(
+        st.sampled_from(
+            [
+                (lie.project_to_rotation, (3, 3)),
+                (lie.project_to_adjoint, (6, 6)),
+                (lie.project_to_adjoint_exact, (6, 6)),
+                (lie.project_to_scaled_adjoint, (6, 6)),
+                (lie.left_jacobian_so3, (3,)),
+                (lie.left_jacobian_se3, (6,)),
+                (lie.hat, (3,)),
+                (lie.vee, (3, 3)),
+            ]
+        )
+    )
+    check(function, data.draw(arrays(*shape)))
+    check(lie.adjoint, data.draw(rotations()), data.draw(arrays(3)))
+    pose = check(lie.exp, data.draw(arrays(6)))
+    if pose is not None:
+        assert np.isfinite(pose.as_matrix()).all()
+        check(lie.log, pose)
+
+
+@bounded(40)
+@given(st.data())
+def test_stability(data):
+    n = data.draw(st.integers(1, 3))
+    weight = data.draw(arrays(n, n))
+    rates = {"gamma": data.draw(positive), "mu": data.draw(positive)}
+    call = data.draw(
+        st.sampled_from(
+            [
+                lambda: check(stability.verify, np.abs(data.draw(arrays(n))), weight, **rates),
+                lambda: check(stability.find_certificate, weight, **rates),
+                lambda: check(stability.log_norms, weight),
+                lambda: check(stability.weighted_norm, weight),
+                lambda: check(stability.norm_conditions, weight, data.draw(positive), **rates),
+                lambda: check(stability.smallest_one_norm, weight, data.draw(arrays(n, n))),
+                lambda: check(stability.assess, weight, jacobian=data.draw(arrays(n, n)), **rates),
+                lambda: check(stability.smoothness_bounds, weight, data.draw(arrays(n)), data.draw(positive), **rates),
+                lambda: check(stability.curvature, data.draw(arrays(n)), data.draw(arrays(n))),
+            ]
+        )
+    )
+    call()
+
+
 @bounded(12)
 @given(st.data(), st.sampled_from([LieEDNN, EquivariantLieEDNN, GroupLieEDNN]))
 def test_networks(data, kind):
@@ -134,6 +189,26 @@ def test_biases(rule, xi, bound, magnitude):
     with np.errstate(all="ignore"):
         outputs = np.tanh(xi)
     check(bias_for, rule, xi, outputs, bound, magnitude)
+
+
+@functools.cache
+def safety_filter():
+    return SafetyFilter(Arm.load("telescopic_pr", "poles"), 0.01)
+
+
+@bounded(30)
+@given(st.data())
+def test_arm_and_filter(data):
+    safety = safety_filter()
+    arm = safety.arm
+    q = data.draw(arrays(arm.n_joints))
+    check(arm.limit_excess, q)
+    check(arm.check_position, q)
+    check(arm.encode, q)
+    check(arm.link_poses, q)
+    check(arm.decode, data.draw(arrays(arm.n_links, 6)))
+    # No pair of geoms near enough: an infinite clearance, as documented.
+    check(safety.step, q, data.draw(arrays(arm.n_joints)), data.draw(arrays(arm.n_joints)), infinite=(1,))
 
 
 WORDS = st.one_of(
@@ -168,7 +243,8 @@ def test_checks_of_input_refuse_without_taking_memory_or_time(value):
         lambda: as_shape("shape", value),
         lambda: as_choice("thing", value, ("one", "two")),
         lambda: groups.group(value),
-        lambda: groups.so3().random(0, value),
+        # A list may be a good shape, of as many matrices as memory holds.
+        lambda: None if isinstance(value, list) else groups.so3().random(0, value),
         lambda: Arm.load(value),
     ):
         try:
@@ -197,3 +273,71 @@ def test_damaged_files(tmp_path_factory, data):
                 kind.load(path)
         except FileError:
             pass
+
+
+# What JSON can hold; of a whole number Python writes at most 4300 digits.
+scalars = st.one_of(
+    WORDS, st.integers(), st.sampled_from([10**400, 10**4000, -1]), st.floats(), st.none(), st.booleans()
+)
+values = st.one_of(scalars, st.lists(scalars, max_size=3), st.dictionaries(WORDS, scalars, max_size=2))
+TASK = dataclasses.asdict(Task("telescopic_pr", (0.0,) * 8, (0.1,) * 8, 4.0))
+
+
+@bounded(60)
+@given(
+    st.dictionaries(st.sampled_from([*TASK, "more"]), values, max_size=3), st.sets(st.sampled_from([*TASK]), max_size=1)
+)
+def test_task_files(tmp_path_factory, changed, removed):
+    content = {name: value for name, value in {**TASK, **changed}.items() if name not in removed}
+    path = tmp_path_factory.getbasetemp() / "fuzz.json"
+    path.write_text(json.dumps(content))
+    try:
+        task = Task.load(path)
+    except FileError:
+        return
+    assert not removed
+    task.save(path)
+    assert Task.load(path).fingerprint == task.fingerprint
+    # The arm as it was takes a while to compile, and is good.
+    if changed.keys() & {"arm", "scene", "links", "base", "servos"}:
+        check(task.load_arm)
+
+
+@bounded(40)
+@given(st.binary(max_size=40))
+def test_files_that_are_no_json(tmp_path_factory, content):
+    path = tmp_path_factory.getbasetemp() / "fuzz.json"
+    path.write_bytes(content)
+    with pytest.raises(FileError):
+        Task.load(path)
+
+
+NUMBERS = ("nan", "inf", "1e308", "-1e308", "0", "-1", "1e-320", "5", "1e9", "1,2", "1e308,0,0", "random:-1", "3" * 400)
+OPTIONS = ("arm", "bias", "bias-magnitude", "candidates", "duration", "links", "output", "planner", "position", "scene")
+OPTIONS += ("scene-seed", "seed", "servos", "start", "target", "time-budget", "base", "preset", "plots", "nonsense")
+
+
+@bounded(60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    st.one_of(
+        st.lists(WORDS, max_size=3),
+        st.tuples(st.sampled_from(("simulate", "render", "evaluate")), WORDS),
+        st.tuples(st.just("train"), st.just("--resume"), WORDS),
+        st.tuples(st.just("arms"), WORDS),
+        # Whatever else is asked for, the last option is bad, and found to be before the work.
+        st.builds(
+            lambda options, bad: ("demo", *(f"--{name}={value}" for name, value in options), bad),
+            st.lists(st.tuples(st.sampled_from(OPTIONS), st.one_of(WORDS, st.sampled_from(NUMBERS))), max_size=2),
+            st.sampled_from(("--hold=-1", "--fps=0", "--payload=-1", "--controller=none", "--push=hand", "--size=0x9")),
+        ),
+    )
+)
+def test_command_lines(tmp_path, monkeypatch, capsys, words):
+    monkeypatch.chdir(tmp_path)
+    try:
+        code = main(words)
+    except SystemExit as stop:
+        code = stop.code
+    assert code == 2
+    assert "error: " in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []

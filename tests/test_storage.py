@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import pickle
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,12 +20,12 @@ from lieednn_sim.storage import (
     load_json,
     locked,
     make_directory,
-    named_path,
     origin,
     save_arrays,
     save_json,
     take,
 )
+from lieednn_sim.validation import as_path
 
 ARRAYS = {
     "x": np.random.default_rng(0).normal(size=(7, 4, 6)),
@@ -272,12 +273,20 @@ def test_broken_json_is_named(tmp_path, content, words):
         load_json(tmp_path / "x.json", "thing")
 
 
-def test_names_that_are_no_paths_are_refused():
-    for name in ("", "a\0b"):
-        with pytest.raises(InputError, match="must be a path"):
-            named_path(name, "directory")
-        with pytest.raises(InputError, match="must be a path"):
-            make_directory(name)
+@pytest.mark.parametrize(
+    "name",
+    ["", b"", "a\0b", "\ud800", b"bytes", 3, "x" * 256, "é" * 128, "/".join(["x" * 200] * 21), "x/" * 2047 + "xy"],
+)
+def test_names_that_are_no_paths_are_refused(name):
+    with pytest.raises(InputError, match="the name of a directory"):
+        make_directory(name)
+
+
+@pytest.mark.parametrize(
+    "name", [".", "x" * 255, "é" * 127, "x/" * 2047 + "x", Path("a") / "b", "\udcff"], ids=range(6)
+)
+def test_names_that_are_paths_pass(name):
+    assert as_path("path", name) == Path(name)
 
 
 def test_outputs_are_checked_before_the_work(tmp_path):

@@ -9,6 +9,7 @@ from typing import Any
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.adoption import Adoption, adopt
 from lieednn_sim.errors import FileError
+from lieednn_sim.storage import is_file
 from lieednn_sim.validation import as_choice
 
 # Files that are models, and no names of arms.
@@ -41,7 +42,7 @@ def open_model(source: Path, links: Sequence[str], base: str | None, servos: str
         FileError: there is no such file, or MuJoCo cannot compile it.
         InputError: it holds no arm.
     """
-    if not source.is_file():
+    if not is_file(source):
         raise FileError(f"no such file: {source}")
     try:
         spec = mujoco.MjSpec.from_file(str(source))

@@ -17,6 +17,7 @@ from lieednn_sim.cli.numerals import decimal
 from lieednn_sim.errors import InputError
 from lieednn_sim.simulate import CONTROLLERS, Disturbances, Push
 from lieednn_sim.simulate.reference import steps_of_rate
+from lieednn_sim.simulate.tracking import as_hold
 from lieednn_sim.task import Task
 from lieednn_sim.validation import as_choice, as_positive, as_seed
 
@@ -137,6 +138,7 @@ def push(text: str) -> Push:
 def disturbances(arm: Arm, arguments: argparse.Namespace) -> Disturbances:
     """All that the simulation's options do behind the controller's back; the other options are checked, too."""
     as_choice("controller", arguments.controller, CONTROLLERS)
+    as_hold(arguments.hold)
     if arguments.reference_rate is not None:
         steps_of_rate("reference_rate", arguments.reference_rate, float(arm.model.opt.timestep))
     made = Disturbances(

@@ -6,7 +6,7 @@ import argparse
 import time
 from pathlib import Path
 
-from lieednn_sim import opengl, storage
+from lieednn_sim import opengl
 from lieednn_sim.arm import Arm
 from lieednn_sim.cli.arguments import disturbances, load_arm, size
 from lieednn_sim.cli.console import console, progress, wrote
@@ -16,6 +16,7 @@ from lieednn_sim.motion import check_motion, make_motion
 from lieednn_sim.run_directory import RunDirectory
 from lieednn_sim.simulate import Rollout
 from lieednn_sim.simulate import simulate as simulate_motion
+from lieednn_sim.validation import as_path
 
 
 def demo(arguments: argparse.Namespace) -> None:
@@ -74,7 +75,7 @@ def evaluate(arguments: argparse.Namespace) -> None:
 def render(arguments: argparse.Namespace) -> None:
     """Rollout to video."""
     run = RunDirectory(arguments.run).existing()
-    path = run.video if arguments.output is None else storage.named_path(arguments.output, "video")
+    path = run.video if arguments.output is None else as_path("the name of a video", arguments.output)
     with run.at_work(shared=True, outputs=[path]):
         _render(run, arguments, path)
 

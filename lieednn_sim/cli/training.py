@@ -53,7 +53,7 @@ def train(arguments: argparse.Namespace) -> int:
     if arguments.resume is None:
         with run.made():
             return _train(run, *_begin(run, arguments))
-    if not run.pending.checkpoint.is_file():
+    if not storage.is_file(run.pending.checkpoint):
         raise FileError(f"{run.path} holds no interrupted training (no {run.pending.checkpoint})")
     with run.at_work(), run.pending.at_work():
         task, arm = run.pending.load_task()

@@ -21,7 +21,8 @@ from lieednn_sim.evaluate import evaluate
 from lieednn_sim.motion import Motion
 from lieednn_sim.planners import PlanningProblem, plan_network
 from lieednn_sim.simulate import Rollout, simulate
-from lieednn_sim.validation import as_floats, as_positive
+from lieednn_sim.simulate.tracking import as_hold
+from lieednn_sim.validation import as_positive
 
 Row = dict[str, str]
 
@@ -50,9 +51,7 @@ class Settings:
     def __post_init__(self) -> None:
         for name in ("duration", "mass_scale", "time_budget"):
             object.__setattr__(self, name, as_positive(name, getattr(self, name)))
-        object.__setattr__(self, "hold", float(as_floats("hold", self.hold, ())))
-        if self.hold < 0.0:
-            raise InputError(f"hold must not be negative, got {self.hold:g} s")
+        object.__setattr__(self, "hold", as_hold(self.hold))
 
     def as_dict(self) -> dict[str, float]:
         """For a JSON file."""

@@ -20,12 +20,14 @@ from lieednn_sim.errors import InputError
 from lieednn_sim.lie import se3
 from lieednn_sim.lie.matrix_group import Booleans, Floats, Matrices, MatrixLieGroup
 from lieednn_sim.lie.projection import project_to_adjoint_exact, project_to_rotation
-from lieednn_sim.validation import as_count
+from lieednn_sim.validation import as_count, quoted
 
 _TURN = np.array([[0.0, -1.0], [1.0, 0.0]])
 _PAULI = np.array([[[0, 1], [1, 0]], [[0, -1j], [1j, 0]], [[1, 0], [0, -1]]])
 # GL(n) has n^6 structure constants: beyond this n the arrays grow out of hand.
 _LARGEST_GENERAL_LINEAR = 8
+# The same for affine groups of affine groups.
+_LARGEST_DIMENSION = 128
 
 
 def group(name: str) -> MatrixLieGroup:
@@ -34,14 +36,19 @@ def group(name: str) -> MatrixLieGroup:
     Raises:
         InputError: there is none of that name; the message lists them.
     """
-    if name in GROUPS:
-        return GROUPS[name]()
-    if isinstance(name, str) and name.startswith("affine(") and name.endswith(")"):
-        return affine(group(name.removeprefix("affine(").removesuffix(")")))
-    general = re.fullmatch(r"GL\((\d{1,4})\)", name) if isinstance(name, str) else None
-    if general is None:
-        raise InputError(f"no group {name!r}; allowed: {', '.join(GROUPS)}, GL(n)")
-    return general_linear(int(general[1]))
+    linear, times = name, 0
+    while isinstance(linear, str) and linear.startswith("affine(") and linear.endswith(")"):
+        linear, times = linear.removeprefix("affine(").removesuffix(")"), times + 1
+    general = re.fullmatch(r"GL\(([0-9]{1,4})\)", linear) if isinstance(linear, str) else None
+    if general is not None:
+        one = general_linear(int(general[1]))
+    elif isinstance(linear, str) and linear in GROUPS:
+        one = GROUPS[linear]()
+    else:
+        raise InputError(f"no group {quoted(name)}; allowed: {', '.join(GROUPS)}, GL(n), affine(...)")
+    for _ in range(times):
+        one = affine(one)
+    return one
 
 
 def catalogue_name(one: MatrixLieGroup) -> str:
@@ -163,11 +170,13 @@ def affine(linear: MatrixLieGroup) -> MatrixLieGroup:
     is [[L[Ad_A], 0], [K, A]]: unlike that of G it shows A itself.
 
     Raises:
-        InputError: G is a complex matrix group.
+        InputError: G is a complex matrix group, or the affine group would have more than 128 dimensions.
     """
     if np.iscomplexobj(linear.basis):
         raise InputError(f"affine needs a real matrix group, got {linear.name}")
     d, m = linear.dimension, linear.size
+    if d + m > _LARGEST_DIMENSION:
+        raise InputError(f"an affine group may have up to {_LARGEST_DIMENSION} dimensions, this one has {d + m}")
     basis = np.zeros((d + m, m + 1, m + 1))
     basis[:d, :m, :m] = linear.basis
     basis[d:, :m, m] = np.eye(m)

@@ -19,6 +19,8 @@ _SERIES_ANGLE = 1.0
 _SERIES_TERMS = 10
 # Of entries that are only moved, or halved and added.
 _LARGEST = 1e300
+# Of a twist whose entries are multiplied five times over.
+_LARGEST_TWIST = 1e60
 
 
 def hat(vector: ArrayLike) -> Floats:
@@ -109,7 +111,7 @@ def left_jacobian_se3(twist: ArrayLike) -> Floats:
     Exp(xi + d) = Exp(J d) Exp(xi) to first order, J = [[J_so3, 0], [Q, J_so3]]
     with Q of Barfoot 2017, eq. 7.86, rewritten for this order of the twist.
     """
-    vector = as_floats("twist", twist, (6,), batched=True)
+    vector = as_floats("twist", twist, (6,), batched=True, largest=_LARGEST_TWIST)
     w, v = _skew(vector[..., :3]), _skew(vector[..., 3:])
     angle = np.linalg.norm(vector[..., :3], axis=-1)
     c, d, e = (k[..., None, None] for k in _coefficients(angle, 3, 4, 5))
@@ -137,8 +139,8 @@ def _coefficients(angle: Floats, *orders: int) -> list[Floats]:
     f_2 = (1 - cos)/theta^2, f_3 = (theta - sin)/theta^3, f_4 = (theta^2/2 + cos - 1)/theta^4,
     f_5 = (theta^3/6 + sin - theta)/theta^5.
     """
-    square = angle * angle
     big = angle > _SERIES_ANGLE
+    square = np.where(big, 0.0, angle) ** 2
     x = np.where(big, angle, 1.0)
     closed = {
         2: lambda: (1.0 - np.cos(x)) / x**2,

@@ -38,6 +38,14 @@ def make_controlled(
     return driver, Simulation(arm, plant, disturbances=disturbances)
 
 
+def as_hold(value: float) -> float:
+    """Return the time after a motion [s] when it can be simulated, or raise `InputError`."""
+    hold = float(as_floats("hold", value, ()))
+    if not 0.0 <= hold <= _MAX_HOLD:
+        raise InputError(f"hold must be between 0 and {_MAX_HOLD:g} s, got {hold:g}")
+    return hold
+
+
 def simulate(
     arm: Arm,
     motion: Motion,
@@ -76,14 +84,12 @@ def simulate(
             raise InputError(f"{name} must be of type {kind.__name__}, got {type(value).__name__}")
     if disturbances is not None and not isinstance(disturbances, Disturbances):
         raise InputError(f"disturbances must be of type Disturbances, got {type(disturbances).__name__}")
-    hold = float(as_floats("hold", hold, ()))
+    hold = as_hold(hold)
     step = float(arm.model.opt.timestep)
     if motion.q.shape[1] != arm.n_joints:
         raise InputError(f"the motion has {motion.q.shape[1]} coordinates, arm {arm.name!r} has {arm.n_joints}")
     if not np.isclose(motion.timestep, step, rtol=1e-9):
         raise InputError(f"the motion is sampled every {motion.timestep:g} s, the model steps every {step:g} s")
-    if not 0.0 <= hold <= _MAX_HOLD:
-        raise InputError(f"hold must be between 0 and {_MAX_HOLD:g} s, got {hold:g}")
     extra = round(hold / step)
     rate = None if reference_rate is None else as_positive("reference_rate", reference_rate)
     reference = Reference.of(

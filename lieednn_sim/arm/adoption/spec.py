@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.adoption.serial_chain import Frame
 from lieednn_sim.arm.adoption.stages import Couplings
-from lieednn_sim.errors import FileError, InputError
+from lieednn_sim.errors import FileError
+from lieednn_sim.storage import is_file
+from lieednn_sim.validation import as_path
 
 Floats = NDArray[np.float64]
 _LIMITED = mujoco.mjtLimited.mjLIMITED_TRUE
@@ -30,11 +32,8 @@ def load_spec(model: Any) -> Any:
         compile_spec(model)  # a copy leaves out, without a word, what refers to names that aren't there
         spec = model.copy()
     else:
-        try:
-            source = Path(model)
-        except TypeError:
-            raise InputError(f"the model must be a file or a mujoco.MjSpec, got {type(model).__name__}") from None
-        if not source.is_file():
+        source = as_path("the model, if no mujoco.MjSpec,", model)
+        if not is_file(source):
             raise FileError(f"no such file: {source}")
         try:
             spec = mujoco.MjSpec.from_file(str(source))
