@@ -1,5 +1,9 @@
 """Every arm: kinematics against MuJoCo's own, encoding, retraction, and the contract of the model files."""
 
+import itertools
+import sys
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from dm_control import mjcf
@@ -164,6 +168,32 @@ def test_what_reach_returns_can_be_planned_to():
         arm.check_position(reached)
         assert arm.near_contacts(reached) == []
     assert found >= 2
+
+
+def test_reach_says_how_close_the_best_of_its_attempts_comes(gantry, monkeypatch):
+    """The end effector is at x + 1: attempts end at -0.5, 0 and 0.75 in turn, the last of eight at 0."""
+    module = sys.modules[reach.__module__]
+    ends = itertools.cycle([-0.5, -0.5, 0.0, 0.0, 0.75, 0.75])
+    found = (SimpleNamespace(x=np.array([x, 0.0, 0.0, 0.0])) for x in ends)
+    monkeypatch.setattr(module, "least_squares", lambda *_, **__: next(found))
+    with pytest.raises(InputError, match=r"cannot reach \(5, 0, 0\) m: the nearest posture found is 3\.25 off"):
+        reach(gantry, [5.0, 0.0, 0.0])
+
+
+@pytest.mark.parametrize(("keys", "rest"), [("", 0.25), ('<key name="a" qpos="0 0.5"/>', 0.25), ("{home}", 0.75)])
+def test_joints_that_are_no_part_of_the_arm_stay_at_home(tmp_path, keys, rest):
+    """At the keyframe ``home``, the first or another, else at the reference position of 0.25."""
+    home = '<key name="home" qpos="0 0.75"/>'
+    for number, keyframes in enumerate((keys.format(home=home), '<key name="b" qpos="0 1"/>' + keys.format(home=home))):
+        path = tmp_path / f"{number}.xml"
+        path.write_text(f"""
+            <mujoco><compiler angle="radian" autolimits="true"/><worldbody>
+              <body name="base"><geom size="0.01"/><site name="base_frame"/>
+                <body><joint name="turn" type="hinge" axis="0 0 1" range="-3 3"/><geom size="0.1"/>
+                  <site name="link1_frame"/></body></body>
+              <body pos="0 3 0"><joint name="door" type="hinge" axis="0 0 1" ref="0.25"/><geom size="0.1"/></body>
+            </worldbody><keyframe>{keyframes}</keyframe></mujoco>""")
+        np.testing.assert_array_equal(Arm.from_xml(path, "arm").qpos(np.array([0.5])), [0.5, rest])
 
 
 def test_errors_name_what_is_allowed(arm, tmp_path):

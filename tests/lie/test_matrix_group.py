@@ -278,3 +278,28 @@ def test_independence_is_over_the_reals():
 def test_wrong_input_is_named(call, message):
     with pytest.raises(InputError, match=message):
         call()
+
+
+@pytest.mark.parametrize(("share", "inside"), [(-0.99, True), (0.99, True), (1.01, False), (-1.01, False)])
+def test_adjoint_lets_in_what_is_off_by_the_tolerance_and_no_more(share, inside):
+    """diag(1 + e, 1, 1) takes E_z out of so(3) by sqrt(2) e, and 1e-8 (1 + sqrt 2) is let in."""
+    stretched = np.diag([1.0 + share * 1e-8 * (1.0 + np.sqrt(2.0)) / np.sqrt(2.0), 1.0, 1.0])
+    if inside:
+        np.testing.assert_allclose(group("SO(3)").adjoint(stretched), np.eye(3), atol=1e-7)
+        return
+    with pytest.raises(InputError, match="leaves its Lie algebra"):
+        group("SO(3)").adjoint(stretched)
+
+
+def test_search_runs_from_the_start_alone_when_there_is_one():
+    """So it finds the minimum next to that; the best from many starts is what it finds without any."""
+    searched = replace(group("SE(3)"), projection=None)
+    theta = np.random.default_rng(3).normal(size=(6, 6))
+    best = np.linalg.norm(searched.adjoint(searched.project_to_adjoint(theta)) - theta)
+    starts = searched.random(1, (20,))
+    found = searched.project_to_adjoint(np.broadcast_to(theta, (20, 6, 6)), starts)
+    distances = np.linalg.norm(searched.adjoint(found) - theta, axis=(1, 2))
+    assert distances.min() == pytest.approx(best, rel=1e-9)
+    assert distances.max() > best + 0.1
+    again = searched.project_to_adjoint(np.broadcast_to(theta, (20, 6, 6)), found)
+    np.testing.assert_allclose(again, found, atol=1e-6)

@@ -16,6 +16,7 @@ from lieednn_sim.lie import (
     project_to_rotation,
     project_to_scaled_adjoint,
 )
+from lieednn_sim.lie.projection import descend
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -197,3 +198,15 @@ def test_wrong_input_is_named():
             project(np.zeros((4, 3, 3)))
         with pytest.raises(InputError, match="finite, got 36 NaN"):
             project(np.full((6, 6), np.nan))
+
+
+def test_descent_goes_on_after_a_step_too_far():
+    """sqrt(1 + (10 x)^2): from 0.2 Newton's step, cut to 1, leads up to -0.8; damped it arrives."""
+
+    def evaluate(x, _):
+        value = np.sqrt(1.0 + (10.0 * x[:, 0]) ** 2)
+        return value, 100.0 * x / value[:, None], (100.0 / value**3)[:, None, None]
+
+    points, values = descend(np.array([[0.2], [0.01]]), evaluate, lambda x, step: x + step)
+    np.testing.assert_allclose(points, 0.0, atol=1e-9)
+    np.testing.assert_array_equal(values, 1.0)

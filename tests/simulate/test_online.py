@@ -87,6 +87,15 @@ def test_a_jump_settles_without_reset_and_joints_keep_their_velocity_limits(arm,
     np.testing.assert_allclose(run.rollout.q[:250], np.tile(home, (250, 1)), atol=1e-9)
 
 
+def test_a_follower_is_slowed_down_to_its_velocity_limit_and_not_further(arm, network):
+    home, extended = arm.keyframe("home"), arm.keyframe("extended")
+    follower = Follower(arm, network, home, steps=5, speed=40.0, feedforward=False)
+    for _ in range(3):
+        _, qd, _ = follower.advance(home + 0.5 * (extended - home))
+        assert follower.share < 0.5
+        assert 0.95 < (np.abs(qd) / arm.velocity_limits).max() <= 1.0
+
+
 def test_what_comes_later_is_not_known_and_runs_are_bit_identical(arm, network):
     steady = np.array([ramp(arm, 0.1)(0.002 * k) for k in range(401)])
     other = steady.copy()

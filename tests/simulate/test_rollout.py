@@ -1,6 +1,7 @@
 """Rollouts: exact determinism, alignment of the log, the regression on final pose error, failures."""
 
 import dataclasses
+import itertools
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError, SimulationError
 from lieednn_sim.evaluate import evaluate
 from lieednn_sim.planning import plan
-from lieednn_sim.simulate import Disturbances, Push, Rollout, simulate
+from lieednn_sim.simulate import Disturbances, Push, Rollout, simulate, tracking
 
 
 @pytest.fixture(scope="module")
@@ -77,6 +78,16 @@ def test_divergence_stops_the_run_and_leaves_a_reloadable_dump(arm, planned, tmp
     assert 0.0 < dump.t[-1] < planned.motion.t[-1]
     assert len(dump.q) == len(dump.t)
     assert [path.name for path in tmp_path.iterdir()] == ["divergence.npz"], "MuJoCo's own log file is not left behind"
+
+
+def test_progress_tells_the_steps_done_and_the_last_one(small_arms, travel, monkeypatch):
+    """At 0.04 s a look at the clock every third step is told, two looks for each that is."""
+    seconds = itertools.count(0.0, 0.04)
+    monkeypatch.setattr(tracking.time, "monotonic", lambda: next(seconds))
+    arm, told = small_arms["hanging"], []
+    motion = travel(arm, np.zeros(6), np.full(6, 0.1), 0.02)
+    simulate(arm, motion, controller="mocap", hold=0.008, progress=lambda *values: told.append(values))
+    assert told == [(3, 15), (6, 15), (9, 15), (12, 15), (15, 15)]
 
 
 def test_bad_input(arm, planned):
