@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import os
 import shutil
+import signal
 import subprocess
 import sys
 from collections.abc import Callable, Generator, Iterator
@@ -118,12 +119,17 @@ def pytest_runtest_makereport(
 
 @pytest.fixture
 def start() -> Iterator[Callable[..., subprocess.Popen[str]]]:
-    """Start a Python process from its arguments; at the end of the test it is gone, and its pipes are closed."""
+    """Start a Python process from its arguments; at the end of the test it is gone, and its pipes are closed.
+
+    It may be interrupted, though a shell starts what runs in its background with interrupts ignored, and children
+    inherit that.
+    """
     with contextlib.ExitStack() as stack:
 
         def begin(*arguments: str, **options: object) -> subprocess.Popen[str]:
-            pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-            process = stack.enter_context(subprocess.Popen([sys.executable, *arguments], **{**pipes, **options}))
+            usual = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+            usual["preexec_fn"] = lambda: signal.signal(signal.SIGINT, signal.SIG_DFL)
+            process = stack.enter_context(subprocess.Popen([sys.executable, *arguments], **{**usual, **options}))
             stack.callback(process.kill)
             return process
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 import argparse
 import json
 import signal
-import subprocess
-import sys
 from importlib import metadata
 
 import numpy as np
@@ -123,13 +121,14 @@ sys.exit(main(["demo", "--no-video", "--output", {output!r}]))
 
 @pytest.mark.parametrize("module", ["numpy", "lieednn_sim.cli.planning"])
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_a_signal_during_an_import_ends_the_command_cleanly(module, number, code, tmp_path):
+def test_a_signal_during_an_import_ends_the_command_cleanly(module, number, code, tmp_path, start):
     script = IMPORTING.format(module=module, number=int(number), output=str(tmp_path / "run"))
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
-    assert done.returncode == code, done.stderr
-    (line,) = done.stderr.splitlines()
+    process = start("-c", script)
+    printed, message = process.communicate()
+    assert process.returncode == code, message
+    (line,) = message.splitlines()
     assert line.startswith("lieednn-sim: interrupted")
-    assert done.stdout == ""
+    assert printed == ""
     assert not (tmp_path / "run").exists()
 
 

@@ -1,10 +1,15 @@
-"""Small arms with everything that telescopic_pr has not, and motions that need no planner."""
+"""Small arms with everything that telescopic_pr has not, motions that need no planner, and runs that tests share."""
+
+import functools
 
 import numpy as np
 import pytest
 
 from lieednn_sim.arm import Arm
+from lieednn_sim.evaluate import Evaluation, evaluate
 from lieednn_sim.motion import Motion, minimum_jerk_law
+from lieednn_sim.planning import plan
+from lieednn_sim.simulate import Rollout, simulate
 
 # One joint of six freedoms on a body that is not compensated, and a second link behind it with a servo of gear 2.
 COMPOUND = """
@@ -122,3 +127,31 @@ def travel():
         return Motion(t, t / t[-1], xi, xi[-1], q, qd, gap, gap)
 
     return make
+
+
+class SeededRuns:
+    """Motions of telescopic_pr to random targets, and what controllers make of them: each is computed once."""
+
+    def __init__(self) -> None:
+        self.arm = Arm.load("telescopic_pr")
+        self.motion = functools.cache(self._motion)
+        self.run = functools.cache(self._run)
+
+    def _motion(self, seed: int) -> tuple[np.ndarray, Motion]:
+        """A target and a planned motion of 4 s to it."""
+        rng = np.random.default_rng(seed)
+        low, high = self.arm.position_limits.T
+        while True:
+            target = rng.uniform(low + 0.05 * (high - low), high - 0.05 * (high - low))
+            if not self.arm.contacts(target):
+                return target, plan(self.arm, target, seed=seed, duration=4.0, candidates=6).motion
+
+    def _run(self, seed: int, controller: str) -> tuple[Rollout, Evaluation]:
+        target, motion = self.motion(seed)
+        rollout = simulate(self.arm, motion, controller=controller, hold=0.5)
+        return rollout, evaluate(self.arm, rollout, target, motion)
+
+
+@pytest.fixture(scope="session")
+def seeded():
+    return SeededRuns()

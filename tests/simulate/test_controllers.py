@@ -9,32 +9,12 @@ from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError
 from lieednn_sim.evaluate import evaluate
-from lieednn_sim.planning import plan
 from lieednn_sim.simulate import CONTROLLERS, simulate
 
 
 @pytest.fixture(scope="module")
-def arm():
-    return Arm.load("telescopic_pr")
-
-
-_MOTIONS = {}
-
-
-def fast_motion(arm: Arm, seed: int):
-    """A target and a planned motion to it, planned once for all tests."""
-    if seed not in _MOTIONS:
-        _MOTIONS[seed] = draw_motion(arm, seed)
-    return _MOTIONS[seed]
-
-
-def draw_motion(arm: Arm, seed: int):
-    rng = np.random.default_rng(seed)
-    low, high = arm.position_limits.T
-    while True:
-        target = rng.uniform(low + 0.05 * (high - low), high - 0.05 * (high - low))
-        if not arm.contacts(target):
-            return target, plan(arm, target, seed=seed, duration=4.0).motion
+def arm(seeded):
+    return seeded.arm
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -48,10 +28,8 @@ def draw_motion(arm: Arm, seed: int):
         ("mocap-deadbeat", 0.005, 0.0005),
     ],
 )
-def test_tracking_and_final_error(arm, seed, controller, rms_mm, rms_deg):
-    target, motion = fast_motion(arm, seed)
-    rollout = simulate(arm, motion, controller=controller)
-    result = evaluate(arm, rollout, target, motion)
+def test_tracking_and_final_error(seeded, seed, controller, rms_mm, rms_deg):
+    rollout, result = seeded.run(seed, controller)
     assert result.controller == rollout.controller == controller
     for frame in result.frames:
         assert frame.rms_translation_mm < rms_mm
@@ -64,11 +42,10 @@ def test_tracking_and_final_error(arm, seed, controller, rms_mm, rms_deg):
 
 
 @pytest.mark.parametrize("controller", ["position-servo", "inverse-dynamics", "computed-torque"])
-def test_wrong_masses_leave_a_small_error_that_feedback_bounds(arm, controller):
-    target, motion = fast_motion(arm, 1)
-    right, wrong = (
-        evaluate(arm, simulate(arm, motion, controller=controller, mass_scale=scale), target) for scale in (1.0, 1.2)
-    )
+def test_wrong_masses_leave_a_small_error_that_feedback_bounds(arm, seeded, controller):
+    target, motion = seeded.motion(1)
+    _, right = seeded.run(1, controller)
+    wrong = evaluate(arm, simulate(arm, motion, controller=controller, mass_scale=1.2), target)
     assert wrong.end_effector.rms_translation_mm > right.end_effector.rms_translation_mm
     for frame in wrong.frames:
         assert frame.final_translation_mm < 2.0
@@ -78,8 +55,9 @@ def test_wrong_masses_leave_a_small_error_that_feedback_bounds(arm, controller):
     assert wrong.end_effector.final_translation_mm > 1e-3
 
 
-def test_controllers_are_deterministic_and_leave_the_arm_s_model_alone(arm):
-    _, motion = fast_motion(arm, 2)
+def test_controllers_are_deterministic_and_leave_the_arm_s_model_alone(arm, travel):
+    home = arm.keyframe("home")
+    motion = travel(arm, home, home + 0.05 * (arm.keyframe("extended") - home), 0.4)
     before = arm.model.actuator_gainprm.copy(), arm.model.body_mass.copy(), arm.model.opt.enableflags
     for controller in CONTROLLERS:
         one, two = (simulate(arm, motion, controller=controller, mass_scale=1.1, hold=0.1) for _ in range(2))
@@ -89,9 +67,8 @@ def test_controllers_are_deterministic_and_leave_the_arm_s_model_alone(arm):
     assert arm.model.opt.enableflags == before[2]
 
 
-def test_mocap_ghosts_sit_on_the_reference_and_the_drives_are_idle(arm):
-    _, motion = fast_motion(arm, 3)
-    rollout = simulate(arm, motion, controller="mocap", hold=0.2)
+def test_mocap_ghosts_sit_on_the_reference_and_the_drives_are_idle(arm, seeded):
+    (_, motion), (rollout, _) = seeded.motion(3), seeded.run(3, "mocap")
     drives = rollout.force - mujoco_gravity(arm, rollout)
     assert np.abs(drives).max() < 1e-9
     np.testing.assert_allclose(rollout.q[-1], motion.q[-1], atol=1e-6)

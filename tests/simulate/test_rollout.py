@@ -9,7 +9,6 @@ import pytest
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError, SimulationError
-from lieednn_sim.evaluate import evaluate
 from lieednn_sim.planning import plan
 from lieednn_sim.simulate import Disturbances, Push, Rollout, simulate, tracking
 
@@ -48,21 +47,14 @@ def test_every_row_of_the_log_belongs_to_one_instant(arm, rollout):
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_final_pose_error_and_tracking_over_seeded_targets(arm, seed):
-    rng = np.random.default_rng(seed)
-    low, high = arm.position_limits.T
-    while True:
-        target = rng.uniform(low + 0.05 * (high - low), high - 0.05 * (high - low))
-        if not arm.contacts(target):
-            break
-    planned = plan(arm, target, seed=seed, duration=5.0)
-    result = evaluate(arm, simulate(arm, planned.motion), target, planned.motion)
+def test_final_pose_error_and_tracking_over_seeded_targets(seeded, seed):
+    _, result = seeded.run(seed, "position-servo")
     for frame in result.frames:
         assert frame.final_translation_mm < 1e-3
         assert frame.final_rotation_deg < 1e-4
         assert frame.rms_translation_mm < 1.0
         assert frame.rms_rotation_deg < 0.1
-        assert frame.settling_time <= 5.0
+        assert frame.settling_time <= 4.0
     assert result.contacts == 0
     assert all(joint.peak_velocity <= joint.velocity_limit for joint in result.joints)
     assert all(joint.peak_force <= joint.force_limit for joint in result.joints)
