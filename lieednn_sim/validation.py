@@ -109,6 +109,8 @@ def _require_shape(name: str, given: tuple[int, ...], shape: Shape, wanted: Shap
 def as_shape(name: str, value: tuple[int, ...], entries: int = 1) -> tuple[int, ...]:
     """Return the shape of an array of so many ``entries`` each, or raise `InputError` where it is too large."""
     try:
+        if isinstance(value, str | bytes):
+            raise TypeError
         shape = tuple(as_count(name, size, 0) for size in islice(value, _MOST_AXES + 1))
     except TypeError:
         raise InputError(f"{name} must be a tuple of whole numbers, got {quoted(value)}") from None

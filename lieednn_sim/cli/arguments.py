@@ -15,6 +15,7 @@ from lieednn_sim.arm.models import MODEL_SUFFIXES
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.cli.numerals import decimal
 from lieednn_sim.errors import InputError
+from lieednn_sim.motion import count_steps
 from lieednn_sim.simulate import CONTROLLERS, Disturbances, Push
 from lieednn_sim.simulate.reference import steps_of_rate
 from lieednn_sim.simulate.tracking import as_hold
@@ -51,6 +52,7 @@ def make_task(
 ) -> Task:
     """What a run directory keeps of the arguments; an MJCF file by its absolute path."""
     path = Path(arguments.arm)
+    count_steps(arguments.duration, float(arm.model.opt.timestep))
     return Task(
         arm=str(path.resolve()) if path.suffix.lower() in MODEL_SUFFIXES else arm.name,
         start=tuple(start.tolist()),

@@ -220,6 +220,27 @@ def test_bad_input_gives_one_line_and_no_network(arguments, words, tmp_path, cap
     assert not output.exists() or list(output.iterdir()) == []
 
 
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--duration", "1000"], "duration must be between 2 and 100000 time steps of 0.002 s, got 1000 s"),
+        (["--position", "1e308,0,0"], "position must not exceed 1e+100 in size, got 1e+308"),
+        (["--hold", "-1"], "hold must be between 0 and 1000 s, got -1"),
+    ],
+)
+def test_a_demo_that_cannot_be_is_refused_before_the_work(arguments, words, tmp_path, capsys, monkeypatch):
+    for name in ("lieednn_sim.cli.planning.plan", "lieednn_sim.cli.planning.plan_network"):
+        monkeypatch.setattr(name, lambda *_, **__: pytest.fail("it was planned"))
+    assert words in fails(capsys, "demo", *arguments, "--output", tmp_path / "results" / "demo")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_training_for_too_long_a_motion_is_refused_before_the_work(tmp_path, capsys):
+    words = ["train", "--target", "extended", "--duration", "1000", "--output", tmp_path / "run"]
+    assert "duration must be between" in fails(capsys, *words)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_broken_run_directories(run, tmp_path, capsys):
     assert "holds no run" in fails(capsys, "simulate", tmp_path / "missing")
     for name, damage in (("network.npz", b"junk"), ("task.json", b"{"), ("network.npz", None)):
