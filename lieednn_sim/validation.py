@@ -106,7 +106,7 @@ def _require_shape(name: str, given: tuple[int, ...], shape: Shape, wanted: Shap
         raise InputError(f"{name} must have at most {_LARGEST_SIZE} entries, got shape {_describe(given)}")
 
 
-def as_shape(name: str, value: tuple[int, ...], entries: int = 1) -> tuple[int, ...]:
+def as_shape(name: str, value: Iterable[Any], entries: int = 1) -> tuple[int, ...]:
     """Return the shape of an array of so many ``entries`` each, or raise `InputError` where it is too large."""
     try:
         if isinstance(value, str | bytes):

@@ -75,13 +75,14 @@ def smallest_one_norm(output: ArrayLike, required: ArrayLike) -> float:
         required: (gamma/mu) xi* - b, the same shape.
 
     Returns:
-        The ratio; infinite when the output vanishes and the requirement does not, 0 when both vanish.
+        The ratio; infinite when the output vanishes beside the requirement, 0 when both vanish.
     """
     given = np.abs(as_floats("output", output, np.shape(output))).sum()
     wanted = np.abs(as_floats("required", required, np.shape(output))).sum()
     if given == 0.0:
         return 0.0 if wanted == 0.0 else np.inf
-    return float(wanted / given)
+    with np.errstate(over="ignore"):
+        return float(wanted / given)
 
 
 def as_weight(name: str, value: ArrayLike) -> Floats:
