@@ -137,16 +137,18 @@ class MatrixLieGroup:
             InputError: g is singular, out of range, or g E_k g^-1 leaves the Lie algebra: g is not in the group.
         """
         array = self._matrices("g", g)
-        try:
-            inverse = np.linalg.inv(array)
-        except np.linalg.LinAlgError:
-            raise InputError(f"g must be in {self.name}, got a singular matrix") from None
+        # What overflows on the way is said below.
         with np.errstate(all="ignore"):
+            try:
+                inverse = np.linalg.inv(array)
+            except np.linalg.LinAlgError:
+                raise InputError(f"g must be in {self.name}, got a singular matrix") from None
             moved = array[..., None, :, :] @ self.basis @ inverse[..., None, :, :]
             columns = as_finite(f"the adjoint matrix in {self.name}", self._coordinates(moved))
-        if not np.isfinite(np.linalg.norm(moved)):
+            size, outside = np.linalg.norm(moved), self._outside(moved, columns)
+        if not np.isfinite(size):
             raise InputError(f"g is too large, or too nearly singular, for its adjoint matrix in {self.name}")
-        if (self._outside(moved, columns) > 1.0).any():
+        if not (outside <= 1.0).all():
             raise InputError(f"g must be in {self.name}: g E_k g^-1 leaves its Lie algebra")
         return np.swapaxes(columns, -1, -2)
 
