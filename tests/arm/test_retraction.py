@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.optimize import least_squares
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
+from lieednn_sim.arm.nearest import NearestPose
 from lieednn_sim.errors import InputError
 from lieednn_sim.lie import exp
 
@@ -123,6 +125,60 @@ def test_feasible_poses_are_met_and_others_to_the_nearest(arm, seed, size):
     assert (best <= distance(arm, q, xi) + 1e-15).all()
     for direction in 1e-4 * np.vstack([np.eye(arm.n_joints), -np.eye(arm.n_joints)]):
         assert (best <= distance(arm, decoded.q + direction, xi) + 1e-12).all()
+
+
+TURN, SLIDE = np.linspace(-np.pi, np.pi, 17)[:-1], np.linspace(-2.4, 2.4, 9)
+# A universal joint and a slide, and two links that share a slide.
+UNIVERSAL, SHARED = (TURN, TURN, SLIDE), (TURN, SLIDE)
+
+
+@pytest.mark.parametrize(("spread", "count"), [(1e-6, 2), (0.1, 2), (0.8, 6)])
+@pytest.mark.parametrize(
+    ("name", "links", "indices", "axes"),
+    [
+        ("telescopic_rrp", [1], [3, 4, 5], UNIVERSAL),
+        ("odd", [1], [4, 5, 6], UNIVERSAL),
+        ("odd", [2, 3], [7, 8], SHARED),
+    ],
+    ids=["universal joint", "off its axis", "shared slide"],
+)
+def test_no_posture_of_a_dense_search_is_nearer_than_the_retraction(arm, name, links, indices, axes, spread, count):
+    """A grid over angles and slides, its best polished; the same metric, from the joints' poses alone."""
+    arm = arm if name == "odd" else Arm.load(name)
+
+    def poses(x):
+        offset = np.zeros((len(x), arm.n_joints))
+        offset[:, indices] = x
+        pairs = [arm.joints.joints[link].pose(offset) for link in links]
+        return stacked(*(np.stack(parts, axis=1) for parts in zip(*pairs, strict=True)))
+
+    def stacked(rotation, translation):
+        flat = np.concatenate([rotation * np.sqrt(0.5), translation[..., None] / arm.length_scale], axis=-1)
+        return flat.reshape(len(flat), -1)
+
+    grid = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, len(axes))
+    values = poses(grid)
+    rng = np.random.default_rng(5)
+    low, high = 0.57 * arm.position_limits.T
+    xi = arm.encode(rng.uniform(low, high, (count, arm.n_joints))) + spread * rng.normal(size=(count, arm.n_links, 6))
+    found = poses(arm.decode(xi).q[:, indices] - arm.joints.reference[indices])
+    goals = exp(xi[:, links])
+    goals = stacked(goals.rotation.as_matrix(), np.asarray(goals.translation))
+    for goal, mine in zip(goals, found, strict=True):
+        best = grid[((values - goal) ** 2).sum(axis=1).argmin()]
+        polished = least_squares(lambda x, goal=goal: poses(x[None])[0] - goal, best, method="lm", max_nfev=100)
+        brute = 2.0 * polished.cost
+        assert ((mine - goal) ** 2).sum() <= brute + 1e-9 * (brute + spread**2)
+
+
+@pytest.mark.parametrize("links", [[0], [1], [2, 3]], ids=["ball and telescope", "universal joint", "shared slide"])
+def test_a_far_search_starts_at_the_posture_that_fits_best_with_its_best_slides(arm, links):
+    joints = [arm.joints.joints[link] for link in links]
+    indices = np.unique(np.concatenate([joint.indices for joint in joints]))
+    problem = NearestPose(joints, indices, arm.n_joints, 1.0)
+    postures = problem._spread[0][[3, 100, 255]].copy()
+    postures[:, problem._sliding] = [[0.3], [-0.2], [0.7]]
+    np.testing.assert_allclose(problem._starts(problem._evaluate(postures)[0])[0], postures, atol=1e-12)
 
 
 @settings(max_examples=10)
