@@ -6,17 +6,18 @@ import dataclasses
 import json
 import re
 import signal
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
 import pytest
 import reproduce_paper
-from paper import check_measures, claims, experiments, measures, plan, report, results, runner
+from paper import check_measures, claims, experiments, measures, plan, report, results, runner, style
 from rich.console import Console
 
 SCRIPTS = Path(__file__).resolve().parents[1] / "scripts"
 
-TINY = plan.Plan("quick", 5, 1, 1, 150, 20, 10, 100)
+TINY = plan.Plan("quick", 5, 1, 1, 150, 20, 10, 20)
 # A training in milliseconds, another kind of job, a check, and a job that cannot be done.
 FEW = [
     plan.Job("tracked", "train", {"algorithm": "tracked", "changes": {}, "seed": 0}),
@@ -43,7 +44,10 @@ def quiet() -> Console:
     return Console(quiet=True)
 
 
-def test_a_tiny_run_writes_a_report_with_a_verdict_for_every_claim(tmp_path, few_jobs):
+def test_a_tiny_run_writes_a_report_with_a_verdict_for_every_claim(tmp_path, few_jobs, monkeypatch):
+    # Other tests start worker processes; and to embed a subset of a font takes longer than all else of a figure.
+    monkeypatch.setattr(runner, "worker_pool", lambda _: ThreadPoolExecutor(1))
+    monkeypatch.setitem(style.STYLE, "pdf.fonttype", 3)
     path = reproduce_paper.reproduce(TINY, tmp_path, 2, "the command", quiet())
     text = path.read_text(encoding="utf-8")
     rows = re.findall(r"^\|.*\*\*(.+?)\*\* \|$", text, flags=re.MULTILINE)
@@ -70,7 +74,7 @@ def test_only_what_is_missing_runs_and_a_failure_loses_nothing(tmp_path):
     before = done.stat().st_mtime_ns
     # Damage counts as missing.
     (tmp_path / f"{FEW[1].key}.npz").write_bytes(b"half a file")
-    assert runner.run_all(FEW, tmp_path, 1, quiet()) == (2, [])
+    assert runner.run_all(FEW, tmp_path, 2, quiet()) == (2, [])
     assert done.stat().st_mtime_ns == before
     found = results.Results.collect(TINY, [*FEW, BROKEN], lambda job: runner.load(job, tmp_path))
     assert found.missing == (BROKEN,)

@@ -199,7 +199,7 @@ def test_a_push_after_the_end_is_no_push(tmp_path, capsys):
     assert "at 9 s comes after the run's end at 5 s" in error(capsys, "demo", "--no-video", *arguments)
 
 
-def test_the_joints_of_a_large_arm_stand_in_two_blocks(tmp_path):
+def test_the_joints_of_a_large_arm_stand_in_two_blocks(tmp_path, monkeypatch):
     arm = Arm.load("telescopic_compound")
     rows, n, links = 3, arm.n_joints, arm.n_links
     q = np.tile(arm.keyframe("home"), (rows, 1))
