@@ -12,6 +12,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Generator, Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
@@ -115,6 +116,17 @@ def pytest_runtest_makereport(
                 report.outcome = "failed"
                 report.longrepr = f"{variable} is set, so this must not be skipped.\n{reason}"
     return report
+
+
+@pytest.fixture
+def no_ink(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Plots are composed, and their files written, but not drawn: that takes longer than all else of a run.
+
+    For tests in which plots are by the way; `test_cli.test_the_demo_without_video_meets_its_bounds` draws them.
+    """
+    from matplotlib.figure import Figure
+
+    monkeypatch.setattr(Figure, "savefig", lambda self, path, **_: Path(path).write_bytes(b"a picture"))
 
 
 @pytest.fixture

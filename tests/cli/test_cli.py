@@ -92,6 +92,7 @@ def test_candidates_are_tried_until_a_motion_keeps_the_limits(tmp_path, capsys):
     assert main(["simulate", str(directory), "--hold", "0.5"]) == 0
 
 
+@pytest.mark.usefixtures("no_ink")
 def test_a_training_that_fails_says_so_and_leaves_no_network(tmp_path, capsys):
     directory = tmp_path / "learned"
     arguments = ["train", "--target", "extended", "--algorithm", "literal", "--epochs", "20", "--candidates", "1"]

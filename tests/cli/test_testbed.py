@@ -3,9 +3,9 @@
 import json
 import re
 
-import imageio.v3 as imageio
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from lieednn_sim import plots
 from lieednn_sim.arm import Arm
@@ -208,6 +208,9 @@ def test_the_joints_of_a_large_arm_stand_in_two_blocks(tmp_path, monkeypatch):
     poses = {"link_position": np.zeros((rows, links, 3)), "link_quaternion": unit}
     contacts = np.zeros(rows, dtype=int)
     rollout = Rollout(arm=arm.name, t=np.arange(3.0), **log, **poses, contacts=contacts, motion_end=1.0)
+    drawn = []
+    monkeypatch.setattr(Figure, "savefig", lambda self, path, **_: drawn.append(self))
     plots.plot_joints(arm, rollout, tmp_path / "joints.png")
-    height, width = imageio.imread(tmp_path / "joints.png").shape[:2]
+    (figure,) = drawn
+    width, height = figure.get_size_inches()
     assert 1.0 < width / height < 2.0
