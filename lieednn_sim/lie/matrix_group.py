@@ -164,7 +164,11 @@ class MatrixLieGroup:
         leaves the algebra (see `log`) are then missed.
         """
         array, tolerance = self._matrices("g", g), as_positive("tolerance", tolerance)
-        return self._try_log(array)[1] if self.membership is None else self.membership(array, tolerance)
+        if self.membership is None:
+            return self._try_log(array)[1]
+        # What overflows, or is divided by zero, compares as outside.
+        with np.errstate(all="ignore"):
+            return self.membership(array, tolerance)
 
     def in_kernel(self, g: ArrayLike, tolerance: float = 1e-9) -> Booleans:
         """Whether Ad_g is the identity up to ``tolerance`` in each entry: g is then invisible to the network.
