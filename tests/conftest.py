@@ -12,6 +12,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Generator, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -127,6 +128,19 @@ def no_ink(monkeypatch: pytest.MonkeyPatch) -> None:
     from matplotlib.figure import Figure
 
     monkeypatch.setattr(Figure, "savefig", lambda self, path, **_: Path(path).write_bytes(b"a picture"))
+
+
+@pytest.fixture(scope="session")
+def in_this_process() -> Callable[[], contextlib.AbstractContextManager[None]]:
+    """In this context comparisons start no worker processes, each of which imports everything first."""
+
+    @contextlib.contextmanager
+    def without_workers() -> Iterator[None]:
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr("lieednn_sim.compare.study.worker_pool", lambda _: ThreadPoolExecutor(1))
+            yield
+
+    return without_workers
 
 
 @pytest.fixture

@@ -80,7 +80,7 @@ sys.exit(main())
     assert "converged after" in capsys.readouterr().out
 
 
-def test_a_comparison_that_is_killed_goes_on_from_its_table(tmp_path, start):
+def test_a_comparison_that_is_killed_goes_on_from_its_table(tmp_path, start, in_this_process):
     code = """
 from lieednn_sim.cli import main
 from lieednn_sim.compare import table
@@ -93,7 +93,8 @@ if __name__ == "__main__":
     words += ["--controllers", "computed-torque", "--duration", "1", "--hold", "0", "--output", str(tmp_path)]
     die(start, code, "compare", *words)
     ((_, row),) = read_rows(tmp_path / "comparison.csv").items()
-    assert main(["compare", *words]) == 0
+    with in_this_process():
+        assert main(["compare", *words]) == 0
     rows = read_rows(tmp_path / "comparison.csv")
     assert len(rows) == 2
     # Not computed again, for that takes another time.
@@ -110,7 +111,7 @@ def test_a_video_that_is_killed_leaves_none_and_the_next_is_whole(run, start, tm
     assert film.stat().st_size > 100
 
 
-def test_a_worker_that_is_killed_loses_no_finished_case(tmp_path, monkeypatch):
+def test_a_worker_that_is_killed_loses_no_finished_case(tmp_path, monkeypatch, in_this_process):
     """The first worker to finish its case dies with the next one."""
     pool = study.worker_pool
     rows = []
@@ -143,7 +144,8 @@ def test_a_worker_that_is_killed_loses_no_finished_case(tmp_path, monkeypatch):
         compare(tmp_path, selection, settings)
     assert list(read_rows(tmp_path / "comparison.csv").values()) == rows[0]
     monkeypatch.undo()
-    assert len(compare(tmp_path, selection, settings).rows) == 2
+    with in_this_process():
+        assert len(compare(tmp_path, selection, settings).rows) == 2
 
 
 def test_a_full_disk_leaves_the_run_as_it_was(run, capsys):

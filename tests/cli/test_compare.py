@@ -13,9 +13,10 @@ ARGUMENTS = ["--planners", "minimum-jerk", "--arms", "telescopic_pr", "--scenes"
 ARGUMENTS += ["--controllers", "computed-torque", "--duration", "1", "--hold", "0.1", "--jobs", "1", "--output"]
 
 
-def test_the_command_writes_table_summary_and_page_and_goes_on(tmp_path, capsys):
+def test_the_command_writes_table_summary_and_page_and_goes_on(tmp_path, capsys, in_this_process):
     words = [*ARGUMENTS, str(tmp_path / "out"), "--mass-scale", "1.2", "--video", "screw:telescopic_pr:free:0"]
-    assert main(["compare", *words]) == 0
+    with in_this_process():
+        assert main(["compare", *words]) == 0
     printed = capsys.readouterr().out
     names = {"comparison.csv", "comparison.json", "comparison.md", "comparison.html"}
     assert {path.name for path in (tmp_path / "out").iterdir()} == names

@@ -27,10 +27,12 @@ QUICK = Settings(duration=1.5, hold=0.2)
 
 
 @pytest.fixture(scope="module")
-def finished(tmp_path_factory):
+def finished(tmp_path_factory, in_this_process):
     """The directory of a small comparison."""
     directory = tmp_path_factory.mktemp("comparison")
-    write_summary(directory / "comparison.md", compare(directory, SMALL, QUICK), {"rrt-star": "ompl is not installed"})
+    with in_this_process():
+        table = compare(directory, SMALL, QUICK)
+    write_summary(directory / "comparison.md", table, {"rrt-star": "ompl is not installed"})
     return directory
 
 
@@ -96,14 +98,15 @@ def test_two_runs_differ_in_the_planning_time_only(finished, tmp_path):
         }
 
 
-def test_rows_are_not_computed_again_and_a_larger_selection_adds(finished, tmp_path):
+def test_rows_are_not_computed_again_and_a_larger_selection_adds(finished, tmp_path, in_this_process):
     for name in ("comparison.csv", "comparison.json"):
         (tmp_path / name).write_bytes((finished / name).read_bytes())
     path = tmp_path / "comparison.csv"
     # A mark in a row survives only where the row is not computed again.
     path.write_text(path.read_text(encoding="utf-8").replace(",yes,,", ",no,contact: marked,"), encoding="utf-8")
     larger = Selection(("minimum-jerk",), ("telescopic_pr",), ("free",), ("position-servo", "mocap"), seeds=1)
-    table = compare(tmp_path, larger, QUICK)
+    with in_this_process():
+        table = compare(tmp_path, larger, QUICK)
     assert [(row["planner"], row["controller"], row["reason"]) for row in table.sorted_rows()] == [
         ("minimum-jerk", "mocap", ""),
         ("minimum-jerk", "position-servo", "contact: marked"),

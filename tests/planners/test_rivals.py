@@ -274,7 +274,8 @@ def test_what_is_not_installed_is_reported_as_missing(monkeypatch, module, names
 
 
 def test_refusals_say_what_was_tried(monkeypatch):
-    monkeypatch.setattr(optimisation, "_GUESSES", 2)
+    for name, few in (("_GUESSES", 2), ("_DRAWN", 2), ("_EVALUATIONS", 3)):
+        monkeypatch.setattr(optimisation, name, few)
     with pytest.raises(PlanError, match=r"no local optimum of 2 first guesses can be followed: joint .* its limit is"):
         plan_with("trajectory-optimisation", PlanningProblem(ARM, LOW, HIGH, 0.3))
     needs("rrt-connect")

@@ -18,10 +18,11 @@ SETTINGS = Settings(duration=1.2, hold=0.1)
 
 
 @pytest.fixture(scope="module")
-def table(tmp_path_factory):
+def table(tmp_path_factory, in_this_process):
     """Two planners, two scenes, two controllers, and rows of more arms and failures made up from them."""
     selection = Selection(("minimum-jerk", "screw"), ("telescopic_pr",), ("free",), CONTROLLERS, seeds=1)
-    made = compare(tmp_path_factory.mktemp("table"), selection, SETTINGS)
+    with in_this_process():
+        made = compare(tmp_path_factory.mktemp("table"), selection, SETTINGS)
     for index, row in enumerate(made.sorted_rows()):
         for arm, scene in (("telescopic_pr", "window"), ("another_arm", "free")):
             values = {"tracking_rms_mm": f"{10.0 ** (index - 3):g}", "planning_s": f"{0.5 + index:g}"}
