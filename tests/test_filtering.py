@@ -163,7 +163,7 @@ def test_a_hopeless_problem_says_what_blocks(monkeypatch):
     monkeypatch.setattr(planner, "_CANDIDATES", 2)
     monkeypatch.setattr(planner, "optional_module", lambda _: None)
     monkeypatch.setattr(sampling, "connecting_path", lambda *_: None)
-    problem = PlanningProblem(POLES, POLES.keyframe("home"), draw_target(POLES, 0), 4.0)
+    problem = PlanningProblem(POLES, POLES.keyframe("home"), draw_target(POLES, 0), 2.0)
     for plan in (planner.filtered, planner.guided):
         with pytest.raises(
             PlanError, match=r"no run through the filter arrived; .*the clearance of '.*' from 'obstacle_pole"
