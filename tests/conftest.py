@@ -130,6 +130,15 @@ def no_ink(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Figure, "savefig", lambda self, path, **_: Path(path).write_bytes(b"a picture"))
 
 
+@pytest.fixture
+def no_plots(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Plots are not even composed, though their files are there; for tests whose runs are as any other."""
+    from lieednn_sim import plots
+
+    for name in ("plot_network", "plot_tracking", "plot_joints", "plot_training"):
+        monkeypatch.setattr(plots, name, lambda *given: Path(given[-1]).write_bytes(b"a picture"))
+
+
 @pytest.fixture(scope="session")
 def in_this_process() -> Callable[[], contextlib.AbstractContextManager[None]]:
     """In this context comparisons start no worker processes, each of which imports everything first."""

@@ -20,7 +20,7 @@ from lieednn_sim.run_directory import RunDirectory
 from lieednn_sim.simulate import Rollout, simulate
 from lieednn_sim.task import Task
 
-pytestmark = pytest.mark.usefixtures("no_ink")
+pytestmark = pytest.mark.usefixtures("no_plots")
 
 OWN = """
 <mujoco>

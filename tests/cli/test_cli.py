@@ -78,7 +78,7 @@ def test_a_learned_network_goes_the_same_road(tmp_path, capsys):
     assert {path.name for path in directory.iterdir()} == {"task.json", "network.npz"}
 
 
-@pytest.mark.usefixtures("no_ink")
+@pytest.mark.usefixtures("no_plots")
 def test_candidates_are_tried_until_a_motion_keeps_the_limits(tmp_path, capsys):
     """The first seed learns this target, but its network overruns a joint; a later one does not."""
     directory = tmp_path / "learned"
@@ -104,7 +104,7 @@ def test_a_training_that_fails_says_so_and_leaves_no_network(tmp_path, capsys):
     assert "holds no run" in fails(capsys, "simulate", directory)
 
 
-@pytest.mark.usefixtures("no_ink")
+@pytest.mark.usefixtures("no_plots")
 def test_a_training_that_fails_leaves_an_earlier_run_as_it_was(run, tmp_path, capsys):
     directory = tmp_path / "run"
     shutil.copytree(run, directory)
@@ -115,7 +115,7 @@ def test_a_training_that_fails_leaves_an_earlier_run_as_it_was(run, tmp_path, ca
     assert before == {path.name: path.read_bytes() for path in directory.iterdir() if path.is_file()}
 
 
-@pytest.mark.usefixtures("no_ink")
+@pytest.mark.usefixtures("no_plots")
 def test_interrupted_training_goes_on_with_resume(tmp_path, capsys, monkeypatch):
     straight, broken = tmp_path / "straight", tmp_path / "broken"
     arguments = ["train", "--target", "extended", "--algorithm", "repaired", "--period", "8", "--output"]
@@ -158,7 +158,7 @@ def test_train_names_what_is_wrong_and_makes_nothing(tmp_path, capsys, arguments
     assert not directory.exists()
 
 
-@pytest.mark.usefixtures("no_ink")
+@pytest.mark.usefixtures("no_plots")
 def test_steps_run_one_by_one_and_again_over_the_first(run, capsys):
     assert main(["evaluate", str(run)]) == 0
     first = (run / "metrics.json").read_bytes()
