@@ -268,11 +268,11 @@ class Arm:
 
     def contacts(self, q: ArrayLike) -> list[tuple[str, str]]:
         """Names of the bodies that touch each other at ``q`` ``(n,)``."""
-        return self._touching.bodies(self.qpos(as_floats("q", q, (self.n_joints,))))
+        return self._touching.bodies(self.space.to_qpos(as_floats("q", q, (self.n_joints,))))
 
     def near_contacts(self, q: ArrayLike) -> list[tuple[str, str]]:
         """Names of the bodies that come closer than `PLANNED_CLEARANCE` to each other at ``q`` ``(n,)``."""
-        return self._nearly_touching.bodies(self.qpos(as_floats("q", q, (self.n_joints,))))
+        return self._nearly_touching.bodies(self.space.to_qpos(as_floats("q", q, (self.n_joints,))))
 
     def unit(self, joint: int) -> str:
         """``"rad"`` or ``"m"``."""

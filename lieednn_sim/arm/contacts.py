@@ -46,7 +46,10 @@ class ContactFinder:
     def bodies(self, qpos: Floats) -> list[tuple[str, str]]:
         """Names of the bodies closer than the margin at MuJoCo's positions ``(nq,)``."""
         model = self._model
-        pairs = model.geom_bodyid[self.geoms(qpos)[1]]
+        near = self.geoms(qpos)[1]
+        if not len(near):
+            return []
+        pairs = model.geom_bodyid[near]
         return list(dict.fromkeys((model.body(a).name, model.body(b).name) for a, b in pairs))
 
 
