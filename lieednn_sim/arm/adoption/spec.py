@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.adoption.serial_chain import Frame
 from lieednn_sim.arm.adoption.stages import Couplings
-from lieednn_sim.errors import FileError
+from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.storage import is_file
 from lieednn_sim.validation import as_path
 
@@ -32,7 +33,9 @@ def load_spec(model: Any) -> Any:
         compile_spec(model)  # a copy leaves out, without a word, what refers to names that aren't there
         spec = model.copy()
     else:
-        source = as_path("the model, if no mujoco.MjSpec,", model)
+        if not isinstance(model, str | os.PathLike):
+            raise InputError(f"the model must be a file or a mujoco.MjSpec, got {type(model).__name__}")
+        source = as_path("the model", model)
         if not is_file(source):
             raise FileError(f"no such file: {source}")
         try:
