@@ -40,6 +40,7 @@ class Chain:
 
 def read_arm(model: mujoco.MjModel, arm: str) -> dict[str, Any]:
     """The fields of an `Arm` that its model says; `InputError` when the model is none."""
+    check_integrator(model, arm)
     chain = read_chain(model, arm)
     space = read_coordinates(model, arm, chain, _rest(model))
     joints, base, mounts, tips = read_joints(model, arm, chain, space)
@@ -57,6 +58,18 @@ def read_arm(model: mujoco.MjModel, arm: str) -> dict[str, Any]:
         "length_scale": float(read_numeric(model, arm, "length_scale", np.ones(1))[0]),
         "site_ids": np.array(chain.sites[1:], dtype=int),
     }
+
+
+def check_integrator(model: mujoco.MjModel, arm: str) -> None:
+    """Raise `InputError` for RK4: MuJoCo neither halves its step, as controllers need, nor inverts it.
+
+    `mj_step1` and `mj_step2` would integrate by Euler's rule without a word; inverse dynamics ends in an error.
+    """
+    if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4:
+        raise InputError(
+            f"arm {arm!r} asks for the integrator RK4, which can neither be stepped in halves nor inverted; write "
+            'implicitfast, implicit or Euler into its <option integrator="...">'
+        )
 
 
 def read_chain(model: mujoco.MjModel, arm: str) -> Chain:

@@ -344,3 +344,16 @@ def test_servos_can_all_be_designed_anew_and_follow_a_step():
         mujoco.mj_step(arm.model, data)
     assert not data.warning.number.any()
     np.testing.assert_allclose(arm.coordinates(data.qpos), goal, atol=2e-3)
+
+
+def test_rk4_is_replaced_with_a_note_and_refused_where_nothing_may_be_replaced():
+    rk4 = mujoco.mjtIntegrator.mjINT_RK4
+    own = spec_of(HINGES.format(options='integrator="RK4"'))
+    spec, report = adopt(own)
+    assert Arm.from_spec(spec, Path("adopted.xml"), "adopted").model.opt.integrator != rk4
+    assert own.option.integrator == rk4, "the model that was given stays as it was"
+    assert any("implicitfast in place of RK4" in note for note in report.notes)
+    assert not any("RK4" in note for note in adopt(spec_of(HINGES.format(options="")))[1].notes)
+    spec.option.integrator = rk4
+    with pytest.raises(InputError, match=r"arm 'adopted' asks for the integrator RK4, .*; write implicitfast"):
+        Arm.from_spec(spec, Path("adopted.xml"), "adopted")

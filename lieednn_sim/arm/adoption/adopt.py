@@ -34,6 +34,7 @@ from lieednn_sim.arm.adoption.spec import (
     compile_spec,
     drop_old_limits,
     load_spec,
+    replace_integrator,
     set_range,
     stiffen_couplings,
 )
@@ -122,9 +123,10 @@ def adopt(
     """
     as_choice("choice of servos", servos, SERVOS)
     spec = load_spec(model)
+    notes: list[str] = []
+    replace_integrator(spec, notes)
     original = compile_spec(spec)
     posture, qpos = _posture(original, keyframe)
-    notes: list[str] = []
     frames, groups, couplings, ranges = _mechanism(original, qpos, *_checked(links, base), notes)
     joints = [joint for group in groups for joint in group]
     independent = [joint for joint in joints if joint not in couplings.lines]

@@ -55,6 +55,13 @@ def load_spec(model: Any) -> Any:
     return spec
 
 
+def replace_integrator(spec: Any, notes: list[str]) -> None:
+    """Let a model that asks for RK4 be stepped by implicitfast: see `reading.check_integrator`."""
+    if spec.option.integrator == mujoco.mjtIntegrator.mjINT_RK4:
+        spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+        notes.append("integrator implicitfast in place of RK4, which has no inverse dynamics in discrete time")
+
+
 def compile_spec(spec: Any) -> mujoco.MjModel:
     """Compile; `FileError` says what MuJoCo says, and which files of meshes and textures are missing."""
     try:
