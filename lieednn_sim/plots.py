@@ -50,13 +50,13 @@ def plot_network(arm: Arm, motion: Motion, path: str | os.PathLike[str]) -> None
     # Rows beyond what fits a page stand beside the others.
     blocks = -(-n // _MOST_ROWS)
     rows = -(-n // blocks)
-    columns = (("rotation $\\omega$", "[rad]", "\\omega", 0, 1.0), ("translation $v$", "[m]", "v", 3, arm.length_scale))
+    columns = (("rotation $\\omega$", "[rad]", 0, 1.0), ("translation $v$", "[m]", 3, arm.length_scale))
     with matplotlib.rc_context(_STYLE):
         figure = Figure(figsize=(10 * blocks, 1.2 + 1.7 * rows), layout="constrained")
         axes = figure.subplots(rows, 2 * blocks, sharex=True, sharey="col", squeeze=False)
         for i in range(rows * blocks):
             pair = axes[i % rows, 2 * (i // rows) : 2 * (i // rows) + 2]
-            for axis, (title, unit, symbol, first, scale) in zip(pair, columns, strict=True):
+            for axis, (title, unit, first, scale) in zip(pair, columns, strict=True):
                 if i >= n:
                     axis.set_visible(False)
                     continue
@@ -65,7 +65,7 @@ def plot_network(arm: Arm, motion: Motion, path: str | os.PathLike[str]) -> None
                         motion.t,
                         scale * motion.xi[:, i, first + c],
                         color=_COLOURS[c],
-                        label=f"${symbol}_{coordinate}$" if first else f"$\\omega_{coordinate}$ / $v_{coordinate}$",
+                        label=f"$\\omega_{coordinate}$ / $v_{coordinate}$",
                     )
                     axis.axhline(scale * motion.xi_target[i, first + c], color=_COLOURS[c], ls="--", lw=0.9)
                 axis.set_title(f"{arm.link_names[i]} (neuron {i + 1}): {title}", loc="left", fontsize=9)
