@@ -22,6 +22,7 @@ from scipy.interpolate import PchipInterpolator
 from lieednn_sim import storage
 from lieednn_sim.arm import PLANNED_CLEARANCE, Arm
 from lieednn_sim.budget import check_time
+from lieednn_sim.dynamics import Trajectory
 from lieednn_sim.errors import FileError, InputError, PlanError, TooFastError
 from lieednn_sim.network import ComponentwiseNetwork
 from lieednn_sim.validation import as_floats, as_positive, as_times
@@ -114,6 +115,77 @@ class Motion:
             raise FileError(f"{path} is not a valid motion: {error}") from None
 
 
+@dataclass(frozen=True, eq=False)
+class NetworkPath:
+    """The path that a network draws for an arm, in the network's own time; `timed` makes motions of it.
+
+    Attributes:
+        arm: decodes states to joint positions.
+        network: with as many neurons as the arm has links.
+        origin: ``(N, 6)`` state at the start.
+        target: ``(N, 6)`` the network's equilibrium.
+        way: the states from there to here and the speed along them, over tau; None where both are the same.
+    """
+
+    arm: Arm
+    network: ComponentwiseNetwork
+    origin: Floats
+    target: Floats
+    way: tuple[Trajectory, PchipInterpolator] | None
+
+    @classmethod
+    def drawn(cls, arm: Arm, network: ComponentwiseNetwork, start: ArrayLike) -> NetworkPath:
+        """The path from joint position ``start`` ``(n,)``; errors as of `make_motion`."""
+        if network.n_neurons != arm.n_links:
+            raise InputError(f"the network has {network.n_neurons} neurons, arm {arm.name!r} has {arm.n_links} links")
+        origin = arm.encode(arm.check_position(start, "start"))
+        equilibrium = network.equilibrium(origin)
+        if not equilibrium.success:
+            raise PlanError(f"the network cannot be used for a motion: {equilibrium.message}")
+        target = equilibrium.xi
+        if np.abs(origin - target).max() <= RESIDUAL:
+            return cls(arm, network, origin, target, None)
+        # Far from the equilibrium the pace is gamma's, close to it the slowest eigenvalue's.
+        pace = max(-equilibrium.spectral_abscissa, 1e-3 * network.gamma)
+        trajectory = network.trajectory(origin, 100.0 / network.gamma + 40.0 / pace, until=target, distance=RESIDUAL)
+        if np.abs(trajectory.xi[-1] - target).max() > 2.0 * RESIDUAL:
+            raise PlanError(
+                "the network does not arrive at its equilibrium from this start, or too slowly (spectral abscissa "
+                f"{equilibrium.spectral_abscissa:.2g}); use another network"
+            )
+        fraction = np.arange(_SAMPLES_PER_STEP) / _SAMPLES_PER_STEP
+        grid = (trajectory.t[:-1, None] + np.diff(trajectory.t)[:, None] * fraction).ravel()
+        grid = np.append(grid, trajectory.t[-1])
+        weights = np.where(np.isfinite(arm.velocity_limits), arm.velocity_limits, 1.0)
+        states = trajectory(grid)
+        rates = arm.decode(states, network.vector_field(states)).qd
+        to_go = pace * np.linalg.norm(states - target, axis=(-2, -1))
+        # Shape-preserving, so that the speed stays positive between its samples.
+        speed = PchipInterpolator(grid, np.hypot(np.linalg.norm(rates / weights, axis=-1), to_go))
+        return cls(arm, network, origin, target, (trajectory, speed))
+
+    def timed(self, duration: float, timestep: float) -> Motion:
+        """The motion along the path in ``duration``, sampled every ``timestep`` [s]; see `make_motion`."""
+        steps = count_steps(duration, timestep)
+        t = as_floats("t", timestep * np.arange(steps + 1), (steps + 1,))
+        if self.way is None:
+            xi = np.broadcast_to(self.origin, (len(t), *self.origin.shape)).copy()
+            decoded = self.arm.decode(xi)
+            tau, qd = np.zeros_like(t), decoded.qd
+        else:
+            trajectory, speed = self.way
+            length = speed.antiderivative()
+            total = float(length(speed.x[-1]))
+            progress, progress_rate = minimum_jerk_law(t / t[-1])
+            tau = _invert(length, speed, speed.x, total * progress)
+            xi = trajectory(tau)
+            decoded = self.arm.decode(xi, self.network.vector_field(xi))
+            tau_rate = total * progress_rate / (t[-1] * np.maximum(speed(tau), 1e-300))
+            qd = decoded.qd * tau_rate[:, None]
+            qd[[0, -1]] = 0.0
+        return Motion(t, tau, xi, self.target, decoded.q, qd, decoded.gap_translation, decoded.gap_rotation)
+
+
 def make_motion(arm: Arm, network: ComponentwiseNetwork, start: ArrayLike, duration: float, timestep: float) -> Motion:
     """Decode the network's trajectory from joint position ``start`` ``(n,)`` and time it to ``duration`` [s].
 
@@ -128,45 +200,8 @@ def make_motion(arm: Arm, network: ComponentwiseNetwork, start: ArrayLike, durat
         InputError: start out of limits, or network and arm differ in size.
         PlanError: the network has no equilibrium or does not arrive there.
     """
-    if network.n_neurons != arm.n_links:
-        raise InputError(f"the network has {network.n_neurons} neurons, arm {arm.name!r} has {arm.n_links} links")
-    origin = arm.encode(arm.check_position(start, "start"))
-    steps = count_steps(duration, timestep)
-    equilibrium = network.equilibrium(origin)
-    if not equilibrium.success:
-        raise PlanError(f"the network cannot be used for a motion: {equilibrium.message}")
-    t = as_floats("t", timestep * np.arange(steps + 1), (steps + 1,))
-    target = equilibrium.xi
-    if np.abs(origin - target).max() <= RESIDUAL:
-        return _at_rest(arm, t, origin, target)
-    # Far from the equilibrium the pace is gamma's, close to it the slowest eigenvalue's.
-    pace = max(-equilibrium.spectral_abscissa, 1e-3 * network.gamma)
-    trajectory = network.trajectory(origin, 100.0 / network.gamma + 40.0 / pace, until=target, distance=RESIDUAL)
-    if np.abs(trajectory.xi[-1] - target).max() > 2.0 * RESIDUAL:
-        raise PlanError(
-            "the network does not arrive at its equilibrium from this start, or too slowly (spectral abscissa "
-            f"{equilibrium.spectral_abscissa:.2g}); use another network"
-        )
-    fraction = np.arange(_SAMPLES_PER_STEP) / _SAMPLES_PER_STEP
-    grid = (trajectory.t[:-1, None] + np.diff(trajectory.t)[:, None] * fraction).ravel()
-    grid = np.append(grid, trajectory.t[-1])
-    weights = np.where(np.isfinite(arm.velocity_limits), arm.velocity_limits, 1.0)
-
-    states = trajectory(grid)
-    rates = arm.decode(states, network.vector_field(states)).qd
-    to_go = pace * np.linalg.norm(states - target, axis=(-2, -1))
-    # Shape-preserving, so that the speed stays positive between its samples.
-    speed = PchipInterpolator(grid, np.hypot(np.linalg.norm(rates / weights, axis=-1), to_go))
-    length = speed.antiderivative()
-    total = float(length(grid[-1]))
-    progress, progress_rate = minimum_jerk_law(t / t[-1])
-    tau = _invert(length, speed, grid, total * progress)
-    xi = trajectory(tau)
-    decoded = arm.decode(xi, network.vector_field(xi))
-    tau_rate = total * progress_rate / (t[-1] * np.maximum(speed(tau), 1e-300))
-    qd = decoded.qd * tau_rate[:, None]
-    qd[[0, -1]] = 0.0
-    return Motion(t, tau, xi, target, decoded.q, qd, decoded.gap_translation, decoded.gap_rotation)
+    count_steps(duration, timestep)
+    return NetworkPath.drawn(arm, network, start).timed(duration, timestep)
 
 
 def count_steps(duration: float, timestep: float) -> int:
@@ -230,13 +265,6 @@ def _invert(length: PchipInterpolator, speed: PchipInterpolator, grid: Floats, w
         tau = trial
     tau[0], tau[-1] = grid[0], grid[-1]
     return tau
-
-
-def _at_rest(arm: Arm, t: Floats, origin: Floats, target: Floats) -> Motion:
-    xi = np.broadcast_to(origin, (len(t), *origin.shape)).copy()
-    decoded = arm.decode(xi)
-    gaps = (decoded.gap_translation, decoded.gap_rotation)
-    return Motion(t, np.zeros_like(t), xi, target, decoded.q, decoded.qd, *gaps)
 
 
 def check_motion(arm: Arm, motion: Motion) -> None:

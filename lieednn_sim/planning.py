@@ -16,10 +16,10 @@ from lieednn_sim.errors import NotCertifiedError, PlanError, TooFastError
 from lieednn_sim.motion import (
     LIMIT_TOLERANCE,
     Motion,
+    NetworkPath,
     check_motion,
     count_steps,
     least_duration,
-    make_motion,
     slowed_down,
 )
 from lieednn_sim.network import LieEDNN
@@ -68,10 +68,11 @@ class Plan:
 
 @dataclass(frozen=True)
 class _Candidate:
-    """A network, its roughly integrated way as postures ``(K, n)``, and the largest excess and gap on it."""
+    """A network, its roughly integrated way from a start as postures ``(K, n)``, the largest excess and gap on it."""
 
     arm: Arm
     network: LieEDNN
+    start: Floats
     way: Floats
     excess: float
     gap: float
@@ -85,6 +86,11 @@ class _Candidate:
             if self.arm.near_contacts(q):
                 return True
         return False
+
+    @functools.cached_property
+    def path(self) -> NetworkPath:
+        """Where the network really goes, from which motions of any duration are made."""
+        return NetworkPath.drawn(self.arm, self.network, self.start)
 
 
 def plan(
@@ -149,7 +155,7 @@ def plan(
             raise NotCertifiedError(
                 f"none of {total} candidates for the target could be certified; the last one: {message}"
             )
-        found = _screen(arm, networks, arm.encode(origin))
+        found = _screen(arm, networks, origin)
         # Networks and their ways do not depend on the duration.
         chosen, motion = slowed_down(
             lambda seconds: _best(arm, found, total, origin, goal, seconds, step), duration, factor * duration
@@ -168,7 +174,7 @@ def _best(
         if refusals and (candidate.touches or candidate.excess > _HOPELESS_EXCESS):
             break
         try:
-            motion = make_motion(arm, candidate.network, start, duration, timestep)
+            motion = candidate.path.timed(duration, timestep)
             check_motion(arm, motion)
         except PlanError as error:
             refusals.append(error)
@@ -203,7 +209,8 @@ def rough_way(network: LieEDNN, start: Floats) -> Floats:
 
 def _screen(arm: Arm, networks: list[LieEDNN], start: Floats) -> list[_Candidate]:
     """Roughly integrated trajectories, decoded, with their largest excess over the position limits and largest gap."""
-    runs = [rough_way(network, start) for network in networks]
+    state = arm.encode(start)
+    runs = [rough_way(network, state) for network in networks]
     # All at once: a retraction without closed form costs nearly as much for one state as for a hundred.
     decoded = arm.decode(np.concatenate(runs))
     excess = arm.limit_excess(decoded.q).max(axis=-1)
@@ -212,6 +219,6 @@ def _screen(arm: Arm, networks: list[LieEDNN], start: Floats) -> list[_Candidate
     worst = zip(networks, np.maximum.reduceat(excess, firsts), np.maximum.reduceat(gap, firsts), strict=True)
     ways = np.split(decoded.q, firsts[1:])
     return [
-        _Candidate(arm, network, way, float(most), float(widest))
+        _Candidate(arm, network, start, way, float(most), float(widest))
         for (network, most, widest), way in zip(worst, ways, strict=True)
     ]

@@ -15,7 +15,7 @@ from lieednn_sim.budget import check_time, out_of_time, time_limit
 from lieednn_sim.cli import _parser, main
 from lieednn_sim.compare import Case, Settings, Table, run_case, write_summary
 from lieednn_sim.errors import InputError, OutOfTimeError, PlanError
-from lieednn_sim.motion import least_duration
+from lieednn_sim.motion import NetworkPath, least_duration
 from lieednn_sim.planners import PLANNERS, PlanningProblem, missing_planners, plan_with, sampling
 from lieednn_sim.planning import plan
 
@@ -134,28 +134,29 @@ def test_a_budget_is_a_time(value):
         Settings(time_budget=value)
 
 
-def calls(monkeypatch, name):
-    """Count the calls of a function of `planning`."""
-    made, original = [], getattr(planning, name)
-    monkeypatch.setattr(planning, name, lambda *given, **named: made.append(1) or original(*given, **named))
+def calls(monkeypatch, owner, name):
+    """Count the calls of a function of a module or class."""
+    made, original = [], getattr(owner, name)
+    monkeypatch.setattr(owner, name, lambda *given, **named: made.append(1) or original(*given, **named))
     return made
 
 
 def test_networks_are_drawn_once_and_only_the_best_is_looked_at_closely(monkeypatch):
-    drawn, tried = calls(monkeypatch, "synthesize"), calls(monkeypatch, "make_motion")
+    drawn = calls(monkeypatch, planning, "synthesize")
+    paths, tried = (calls(monkeypatch, NetworkPath, name) for name in ("drawn", "timed"))
     passes, original = [], Arm.near_contacts
     monkeypatch.setattr(Arm, "near_contacts", lambda self, q: passes.append(1) or original(self, q))
     motion = plan_with("lieednn-certified", problem(duration=0.6))
     assert len(drawn) == 24
-    # Refused once for its haste, and made again with the time that it asks for.
-    assert len(tried) == 2
+    # Refused once for its haste, and timed again as it asks for, along the same path.
+    assert (len(paths), len(tried)) == (1, 2)
     assert 0.6 < motion.t[-1] < 1.8
     # The samples of the motion, and postures on the way of one candidate, not of 24.
     assert len(passes) < len(motion.t) + 400
 
 
 def test_where_nothing_can_be_fast_enough_one_refusal_is_enough(monkeypatch):
-    tried = calls(monkeypatch, "make_motion")
+    tried = calls(monkeypatch, NetworkPath, "timed")
     with pytest.raises(PlanError, match=r"best of 3 candidates"):
         plan(ARM, ARM.keyframe("extended"), duration=0.1, candidates=3)
     assert len(tried) == 1

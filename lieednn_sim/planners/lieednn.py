@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import PlanError
 from lieednn_sim.learning import TrainingOptions, TrainingResult, train
-from lieednn_sim.motion import Motion, check_motion, make_motion
+from lieednn_sim.motion import Motion, NetworkPath, check_motion
 from lieednn_sim.network import ComponentwiseNetwork, LieEDNN
 from lieednn_sim.network.hopfield import HopfieldNetwork
-from lieednn_sim.planners.problem import LONGEST, PlanningProblem
+from lieednn_sim.planners.problem import LONGEST, PlanningProblem, in_time
 from lieednn_sim.planning import BIAS_MAGNITUDES, plan
 from lieednn_sim.synthesis import bias_for, synthesize
 
@@ -62,7 +62,8 @@ def retargeted(problem: PlanningProblem) -> tuple[LieEDNN, Motion]:
         PlanError: the motion breaks a limit of the arm.
     """
     network = reference_network(problem.arm).retarget(problem.arm.encode(problem.target))
-    return network, _motion(problem, network)
+    path = _path(problem, network)
+    return network, in_time(lambda asked: _motion(asked, path), problem)
 
 
 @lru_cache(maxsize=8)
@@ -121,7 +122,7 @@ def _learned(
             refusal = refusal or result.message
             continue
         try:
-            motion = _motion(problem, network)
+            motion = _motion(problem, _path(problem, network))
         except PlanError as error:
             refusal = str(error)
             continue
@@ -132,7 +133,7 @@ def _learned(
 def linear_law(problem: PlanningProblem) -> tuple[LieEDNN, Motion]:
     """The linear attractor xi' = -k (xi - xi_d), which is the LieEDNN without weights and with bias xi_d.
 
-    So it shares the network's way through time (`motion.make_motion`), where k has no part: only the path counts,
+    So it shares the network's way through time (`motion.NetworkPath`), where k has no part: only the path counts,
     a straight line in the network's coordinates. Its certificate is trivial.
 
     Raises:
@@ -145,17 +146,24 @@ def linear_law(problem: PlanningProblem) -> tuple[LieEDNN, Motion]:
         translation=np.zeros((n, n, 3)),
         bias=problem.arm.encode(problem.target),
     )
-    return network.certify(), _motion(problem, network)
+    path = _path(problem, network)
+    return network.certify(), in_time(lambda asked: _motion(asked, path), problem)
 
 
-def _motion(problem: PlanningProblem, network: ComponentwiseNetwork) -> Motion:
-    """The checked motion of a network, when it ends at the problem's target."""
-    motion = make_motion(problem.arm, network, problem.start, problem.duration, problem.timestep)
+def _path(problem: PlanningProblem, network: ComponentwiseNetwork) -> NetworkPath:
+    """The path of a network, when it ends at the problem's target."""
+    path = NetworkPath.drawn(problem.arm, network, problem.start)
     # An uncertified network may have more equilibria than the one it was made for.
-    distance = float(np.abs(motion.xi_target - problem.arm.encode(problem.target)).max())
+    distance = float(np.abs(path.target - problem.arm.encode(problem.target)).max())
     if distance > _ARRIVAL:
         raise PlanError(
             f"the network ends at another equilibrium, {distance:.2g} from the target; use a certified network"
         )
+    return path
+
+
+def _motion(problem: PlanningProblem, path: NetworkPath) -> Motion:
+    """The checked motion along a path in the problem's duration."""
+    motion = path.timed(problem.duration, problem.timestep)
     check_motion(problem.arm, motion)
     return motion

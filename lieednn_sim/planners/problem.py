@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,10 +12,11 @@ from numpy.typing import NDArray
 from lieednn_sim.arm import Arm
 from lieednn_sim.budget import DEFAULT_TIME_BUDGET, as_time_budget
 from lieednn_sim.errors import InputError
-from lieednn_sim.motion import count_steps
+from lieednn_sim.motion import count_steps, slowed_down
 from lieednn_sim.validation import as_positive, as_seed
 
 Floats = NDArray[np.float64]
+_Made = TypeVar("_Made")
 
 # A motion takes at most this many of the problem's durations.
 LONGEST = 3.0
@@ -65,3 +68,14 @@ class PlanningProblem:
         """Sampling times ``(K,)`` from 0 to the duration, rounded to a whole number of time steps [s]."""
         count = count_steps(self.duration, self.timestep) + 1
         return self.timestep * np.arange(count, dtype=np.float64)
+
+
+def in_time(make: Callable[[PlanningProblem], _Made], problem: PlanningProblem) -> _Made:
+    """What ``make`` gives for a problem, or with the least duration that it asks for, up to `LONGEST` times as long.
+
+    Raises:
+        TooFastError: even that is not enough.
+    """
+    return slowed_down(
+        lambda duration: make(replace(problem, duration=duration)), problem.duration, LONGEST * problem.duration
+    )

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 
 from lieednn_sim.budget import time_limit
 from lieednn_sim.errors import InputError
-from lieednn_sim.motion import Motion, slowed_down
+from lieednn_sim.motion import Motion
 from lieednn_sim.network import ComponentwiseNetwork
 from lieednn_sim.planners import filtered, interpolation, lieednn, optimisation, primitives, sampling
-from lieednn_sim.planners.problem import LONGEST, PlanningProblem
+from lieednn_sim.planners.problem import PlanningProblem, in_time
 from lieednn_sim.validation import as_choice
 
 # Those that run a network, and return it beside the motion.
@@ -36,12 +35,12 @@ def _motion_of(name: str, problem: PlanningProblem) -> Motion:
 
 # Each returns a motion that `motion.check_motion` passes, sampled at the model's time step, or raises.
 PLANNERS: dict[str, Callable[[PlanningProblem], Motion]] = {
-    "minimum-jerk": interpolation.minimum_jerk,
-    "screw": interpolation.screw,
-    "dmp": primitives.dmp,
+    "minimum-jerk": partial(in_time, interpolation.minimum_jerk),
+    "screw": partial(in_time, interpolation.screw),
+    "dmp": partial(in_time, primitives.dmp),
     "rrt-connect": sampling.rrt_connect,
     "rrt-star": sampling.rrt_star,
-    "trajectory-optimisation": optimisation.trajectory_optimisation,
+    "trajectory-optimisation": partial(in_time, optimisation.trajectory_optimisation),
     **{name: partial(_motion_of, name) for name in NETWORK_PLANNERS},
 }
 
@@ -69,10 +68,5 @@ def plan_network(name: str, problem: PlanningProblem) -> tuple[ComponentwiseNetw
     as_choice("planner", name, PLANNERS)
     if not isinstance(problem, PlanningProblem):
         raise InputError(f"problem must be a PlanningProblem, got {type(problem).__name__}")
-
-    def made(duration: float) -> tuple[ComponentwiseNetwork | None, Motion]:
-        asked = replace(problem, duration=duration)
-        return NETWORK_PLANNERS[name](asked) if name in NETWORK_PLANNERS else (None, PLANNERS[name](asked))
-
     with time_limit(problem.time_budget):
-        return slowed_down(made, problem.duration, LONGEST * problem.duration)
+        return NETWORK_PLANNERS[name](problem) if name in NETWORK_PLANNERS else (None, PLANNERS[name](problem))

@@ -8,7 +8,7 @@ coordinates over velocity limits, so their length is a time. They are shortened,
 from __future__ import annotations
 
 import math
-from functools import lru_cache
+from functools import cache, lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,7 @@ from lieednn_sim.errors import PlanError
 from lieednn_sim.motion import Motion
 from lieednn_sim.planners.extras import optional_module
 from lieednn_sim.planners.joint_space import Workspace, joint_scale, sweeps
-from lieednn_sim.planners.problem import PlanningProblem
+from lieednn_sim.planners.problem import PlanningProblem, in_time
 from lieednn_sim.planners.rounding import motion_along
 
 Floats = NDArray[np.float64]
@@ -69,17 +69,22 @@ def connecting_path(problem: PlanningProblem, workspace: Workspace, attempt: int
 
 
 def _plan(problem: PlanningProblem, planner: str) -> Motion:
-    workspace = Workspace(problem)
-    refusal: PlanError | None = None
-    for attempt in range(len(_SPACINGS)):
-        corners = _drawn(problem, workspace, planner, attempt)
-        if corners is None:
-            break
-        try:
-            return motion_along(problem, corners)
-        except PlanError as error:
-            refusal = error
-    raise refusal or PlanError(f"{planner} found no path free of contact; try another seed or target")
+    # Paths have no part in time: none is searched for again when the motion along it needs more.
+    path = cache(partial(_drawn, problem, Workspace(problem), planner))
+
+    def motion(asked: PlanningProblem) -> Motion:
+        refusal: PlanError | None = None
+        for attempt in range(len(_SPACINGS)):
+            corners = path(attempt)
+            if corners is None:
+                break
+            try:
+                return motion_along(asked, corners)
+            except PlanError as error:
+                refusal = error
+        raise refusal or PlanError(f"{planner} found no path free of contact; try another seed or target")
+
+    return in_time(motion, problem)
 
 
 def _drawn(problem: PlanningProblem, workspace: Workspace, planner: str, attempt: int) -> Floats | None:
