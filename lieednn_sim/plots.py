@@ -15,6 +15,7 @@ from matplotlib.ticker import NullFormatter
 from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim import storage
+from lieednn_sim._layout import settle
 from lieednn_sim.arm import Arm
 from lieednn_sim.evaluate import SETTLED_ROTATION, SETTLED_TRANSLATION, pose_errors
 from lieednn_sim.learning import History
@@ -26,6 +27,7 @@ Floats = NDArray[np.float64]
 # Okabe and Ito's palette, distinguishable by colour-blind readers.
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 _PUSH = "0.85"
+_DPI = 130
 # Names in a row of a legend.
 _MOST_IN_ROW = 7
 # Errors [mm, deg] and shares of a limit [%] below these don't fill the height of an axis.
@@ -273,5 +275,6 @@ def plot_training(history: History, target: ArrayLike, tolerance: float, path: s
 
 
 def _save(figure: Figure, path: str | os.PathLike[str]) -> None:
+    settle(figure, _DPI)
     with storage.atomic_path(path) as temporary:
-        figure.savefig(temporary, dpi=130)
+        figure.savefig(temporary, dpi=_DPI)

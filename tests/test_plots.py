@@ -4,8 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from lieednn_sim import plots
+from lieednn_sim._layout import settle
 from lieednn_sim.arm import Arm
 from lieednn_sim.learning.history import History
 from lieednn_sim.motion import Motion
@@ -113,3 +116,20 @@ def test_plots_are_written_in_the_format_of_the_name(kind, first, tmp_path):
     history = History(one, one, one, one, one, one, np.zeros((1, 1, 6)))
     plots.plot_training(history, np.ones((1, 6)), 1e-5, tmp_path / f"training.{kind}")
     assert (tmp_path / f"training.{kind}").read_bytes().startswith(first)
+
+
+def test_a_settled_figure_is_as_its_layout_engine_leaves_it_and_is_drawn_once(tmp_path, monkeypatch):
+    def made():
+        figure = Figure(figsize=(2, 1.5), layout="constrained")
+        figure.subplots().set_ylabel("two\nlines")
+        figure.legend([Line2D([], [])], ["a"], loc="outside upper center")
+        return figure
+
+    one, other = made(), made()
+    one.savefig(tmp_path / "one.png", dpi=130)
+    settle(other, 130)
+    draws = []
+    monkeypatch.setattr(other, "draw", lambda renderer: (draws.append(1), Figure.draw(other, renderer)))
+    other.savefig(tmp_path / "other.png", dpi=130)
+    assert draws == [1]
+    assert (tmp_path / "one.png").read_bytes() == (tmp_path / "other.png").read_bytes()

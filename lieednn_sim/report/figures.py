@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FormatStrFormatter, LogFormatterMathtext, LogLocator, NullLocator
 
+from lieednn_sim._layout import settle
 from lieednn_sim.compare.cases import Row
 from lieednn_sim.compare.columns import BY_NAME
 from lieednn_sim.compare.statistics import grouped, numbers
@@ -174,6 +175,7 @@ def _offset(scenes: Sequence[str], scene: str) -> float:
 def _svg(figure: Figure) -> str:
     """The figure as an SVG element to stand in a page: no prologue, no styles of its own, no ids that clash."""
     buffer = io.StringIO()
+    settle(figure, 72)  # an SVG's resolution
     figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None})
     text = buffer.getvalue()
     text = text[text.index("<svg") :]

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.rcsetup import cycler
 
 from lieednn_sim import storage
+from lieednn_sim._layout import settle
 from paper.plan import TOLERANCE
 
 # Okabe and Ito's palette, distinguishable by colour-blind readers; the line styles tell the same for print in grey.
@@ -66,9 +67,7 @@ def band(
 
 def save(drawn: Figure, directory: Path, name: str) -> str:
     """Write a PDF for print and a PNG for the report; returns the PNG's name."""
-    # The layout is dear, and the same for both.
-    drawn.get_layout_engine().execute(drawn)
-    drawn.set_layout_engine("none")
+    settle(drawn, drawn.dpi)  # the layout is the same for both
     # No dates in the files: the same results give the same bytes.
     with storage.atomic_path(directory / f"{name}.pdf") as path:
         drawn.savefig(path, metadata={"CreationDate": None})

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from typing import Any
 
@@ -33,20 +32,23 @@ def check_kinematics(
     couplings: Couplings,
 ) -> None:
     """Compare the link frames of both models at ``samples``; `InputError` when they differ by more than 1e-9."""
+    bodies, sites = [frame.body for frame in frames], _frame_sites(adopted, len(frames))
+    fixed = pose(np.array([frame.pos for frame in frames]), np.array([frame.quat for frame in frames]))
+    before, after = mujoco.MjData(original), mujoco.MjData(adopted)
     for q in samples:
-        before, after = mujoco.MjData(original), mujoco.MjData(adopted)
         before.qpos[:] = place(original, original, q, couplings, qpos)
         after.qpos[:] = place(adopted, original, q, couplings, adopted.qpos0)
         mujoco.mj_kinematics(original, before)
         mujoco.mj_kinematics(adopted, after)
-        for i, frame in enumerate(frames):
-            wanted = pose(before.xpos[frame.body], before.xquat[frame.body]) * pose(frame.pos, frame.quat)
-            found = _site_pose(adopted, after, _site_name(i))
-            if not np.allclose(wanted.as_matrix(), found.as_matrix(), rtol=0.0, atol=1e-9):
-                raise InputError(
-                    f"the frame {frame.name!r} moved while other joints were frozen; the model uses a feature that "
-                    "cannot be carried over: remove the joints beside the arm by hand"
-                )
+        wanted = pose(before.xpos[bodies], before.xquat[bodies]) * fixed
+        rotations = Rotation.from_matrix(after.site_xmat[sites].reshape(-1, 3, 3))
+        found = RigidTransform.from_components(after.site_xpos[sites], rotations)
+        same = np.isclose(wanted.as_matrix(), found.as_matrix(), rtol=0.0, atol=1e-9).all(axis=(-2, -1))
+        if not same.all():
+            raise InputError(
+                f"the frame {frames[int(same.argmin())].name!r} moved while other joints were frozen; the model uses a "
+                "feature that cannot be carried over: remove the joints beside the arm by hand"
+            )
 
 
 def stabilise(
@@ -83,11 +85,10 @@ def remarks_on_turns(
     couplings: Couplings,
 ) -> list[str]:
     """Say which compound joints of several hinges come near half a turn at one of ``samples``."""
-    turns = np.zeros(len(groups))
-    reference = _turns(adopted, adopted.qpos0, len(groups))
-    for q in samples:
-        now = _turns(adopted, place(adopted, original, q, couplings, adopted.qpos0), len(groups))
-        turns = np.maximum(turns, [(a.inv() * b).magnitude() for a, b in zip(reference, now, strict=True)])
+    postures = [adopted.qpos0, *(place(adopted, original, q, couplings, adopted.qpos0) for q in samples)]
+    frames = _frame_matrices(adopted, postures, len(groups))
+    relative = Rotation.from_matrix(frames[:, :-1]).inv() * Rotation.from_matrix(frames[:, 1:])
+    turns = (relative[0].inv() * relative).magnitude().max(axis=0)
     return [
         f"link {i} may turn by {turn:.3g} rad against link {i - 1}; the logarithm is unique below pi: cut it finer"
         for i, (group, turn) in enumerate(zip(groups, turns, strict=True), start=1)
@@ -128,20 +129,16 @@ def random_samples(
     return [random_coordinates(model, joints, couplings, ranges, rng) for _ in range(count)]
 
 
-def _site_name(i: int) -> str:
-    return f"link{i}_frame" if i else "base_frame"
+def _frame_sites(model: mujoco.MjModel, count: int) -> list[int]:
+    return [model.site(f"link{i}_frame" if i else "base_frame").id for i in range(count)]
 
 
-def _site_pose(model: mujoco.MjModel, data: mujoco.MjData, name: str) -> RigidTransform:
-    site = model.site(name).id
-    return RigidTransform.from_components(
-        data.site_xpos[site], Rotation.from_matrix(data.site_xmat[site].reshape(3, 3))
-    )
-
-
-def _turns(model: mujoco.MjModel, qpos: Floats, links: int) -> list[Rotation]:
+def _frame_matrices(model: mujoco.MjModel, postures: Sequence[Floats], links: int) -> Floats:
+    """Rotation matrices of the base's and the links' frames at each posture, ``(postures, links + 1, 3, 3)``."""
     data = mujoco.MjData(model)
-    data.qpos[:] = qpos
-    mujoco.mj_kinematics(model, data)
-    rotations = [_site_pose(model, data, _site_name(i)).rotation for i in range(links + 1)]
-    return [a.inv() * b for a, b in itertools.pairwise(rotations)]
+    sites = _frame_sites(model, links + 1)
+    found = np.empty((len(postures), links + 1, 9))
+    for matrices, data.qpos[:] in zip(found, postures, strict=True):
+        mujoco.mj_kinematics(model, data)
+        matrices[:] = data.site_xmat[sites]
+    return found.reshape(-1, links + 1, 3, 3)
