@@ -2,9 +2,10 @@
 
 from lieednn_sim.simulate.controllers import CONTROLLERS
 from lieednn_sim.simulate.disturbances import Disturbances, Push
+from lieednn_sim.simulate.log import Instant
 from lieednn_sim.simulate.online import Following, follow
 from lieednn_sim.simulate.rollout import Rollout
-from lieednn_sim.simulate.simulation import Instant, Simulation
+from lieednn_sim.simulate.simulation import Simulation
 from lieednn_sim.simulate.tracking import simulate
 
 __all__ = [

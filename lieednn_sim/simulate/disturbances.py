@@ -114,14 +114,18 @@ class Noise(NamedTuple):
 
 
 class Sensors:
-    """Draws the measurement errors of the arm's joints, the same ones after every `reset`."""
+    """Draws the measurement errors of the arm's joints, the same ones after every `reset`.
+
+    Attributes:
+        noisy: whether there are any errors; else all of them are zero.
+    """
 
     def __init__(self, arm: Arm, disturbances: Disturbances) -> None:
         self._seed = disturbances.seed
         # Zero for joints that are no part of the arm.
         measured = (tangent_basis(arm) != 0.0).any(axis=1)
         self._deviations = np.outer([disturbances.position_noise, disturbances.velocity_noise], measured)
-        self._silent = not self._deviations.any()
+        self.noisy = bool(self._deviations.any())
         self.reset()
 
     def reset(self) -> None:
@@ -130,7 +134,7 @@ class Sensors:
 
     def draw(self) -> Noise:
         """Errors of the next measurement."""
-        if self._silent:
+        if not self.noisy:
             return Noise(*self._deviations)
         return Noise(*(self._deviations * self._rng.standard_normal(self._deviations.shape)))
 

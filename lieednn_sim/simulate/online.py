@@ -23,8 +23,10 @@ from lieednn_sim.errors import InputError, NotCertifiedError
 from lieednn_sim.motion import count_steps
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.simulate.disturbances import Disturbances
+from lieednn_sim.simulate.log import Log
 from lieednn_sim.simulate.reference import Reference, steps_of_rate
-from lieednn_sim.simulate.rollout import Recorder, Rollout
+from lieednn_sim.simulate.rollout import Rollout, as_rollout
+from lieednn_sim.simulate.simulation import quiet_warnings
 from lieednn_sim.simulate.tracking import make_controlled
 from lieednn_sim.validation import as_floats, as_positive
 
@@ -211,20 +213,27 @@ def follow(
     simulation.reset(origin)
 
     sample = _sampler(arm, target, timestep)
-    recorder, targets, states, jumps, slowed = Recorder(arm, total), [], [follower.xi[None]], [], 0
-    for k in range(total):
-        targets.append(sample(k))
-        if k % period == 0:
-            q, qd, xi = follower.advance(targets[-1])
-            reference.extend(q, qd)
-            states.append(xi)
-            slowed += follower.share < 1.0
-            if follower.jumped:
-                jumps.append(k * timestep)
-        driver.act(simulation.data, k, simulation.noise)
-        recorder.add(simulation.step())
-    rollout = recorder.rollout(
-        reference.q, reference.qd, motion_end=(total - 1) * timestep, controller=controller, disturbances=changes
+    log, targets, states, jumps, slowed = Log(simulation, total), [], [follower.xi[None]], [], 0
+    with quiet_warnings():
+        for k in range(total):
+            targets.append(sample(k))
+            if k % period == 0:
+                q, qd, xi = follower.advance(targets[-1])
+                reference.extend(q, qd)
+                states.append(xi)
+                slowed += follower.share < 1.0
+                if follower.jumped:
+                    jumps.append(k * timestep)
+            driver.act(simulation.data, k, simulation.noise)
+            log.step()
+    rollout = as_rollout(
+        arm,
+        log.instants(),
+        reference.q,
+        reference.qd,
+        motion_end=(total - 1) * timestep,
+        controller=controller,
+        disturbances=changes,
     )
     return Following(
         rollout=rollout,

@@ -17,7 +17,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.simulate.controllers import CONTROLLERS
 from lieednn_sim.simulate.disturbances import Disturbances, tangent_basis
-from lieednn_sim.simulate.simulation import Instant
+from lieednn_sim.simulate.log import Instant
 from lieednn_sim.validation import as_choice, as_floats, as_positive, as_times
 
 Floats = NDArray[np.float64]
@@ -165,40 +165,20 @@ class Rollout:
             raise FileError(f"{path} is not a valid rollout: {error}") from None
 
 
-class Recorder:
-    """Collects instants and makes a rollout of them."""
-
-    def __init__(self, arm: Arm, steps: int) -> None:
-        self._arm, self._steps, self._rows = arm, steps, 0
-        self._log: dict[str, Any] = {}
-
-    def __len__(self) -> int:
-        """Return the number of instants."""
-        return self._rows
-
-    def add(self, instant: Instant) -> None:
-        """Append an instant."""
-        values = instant._asdict()
-        if not self._log:
-            self._log = {name: np.zeros((self._steps, *np.shape(value))) for name, value in values.items()}
-        for name, value in values.items():
-            self._log[name][self._rows] = value
-        self._rows += 1
-
-    def rollout(self, q_ref: Floats, qd_ref: Floats, **meta: Any) -> Rollout:
-        """The rollout of what was recorded, in the arm's coordinates; references have at least as many rows."""
-        log = {name: values[: self._rows] for name, values in self._log.items()}
-        basis = tangent_basis(self._arm)
-        qvel = log.pop("qvel")
-        q = self._arm.coordinates(log.pop("qpos"))
-        return Rollout(
-            arm=self._arm.name,
-            q=q,
-            qd=self._arm.rates(q, qvel),
-            q_ref=q_ref[: self._rows].copy(),
-            qd_ref=qd_ref[: self._rows].copy(),
-            force=np.nan_to_num(log.pop("drive_force")) @ basis,
-            constraint_force=np.nan_to_num(log.pop("constraint_force")) @ basis,
-            **log,
-            **meta,
-        )
+def as_rollout(arm: Arm, instants: Instant, q_ref: Floats, qd_ref: Floats, **meta: Any) -> Rollout:
+    """The rollout of instants along a first axis, in the arm's coordinates; references have at least as many rows."""
+    log = instants._asdict()
+    rows, basis = len(instants.t), tangent_basis(arm)
+    qvel = log.pop("qvel")
+    q = arm.coordinates(log.pop("qpos"))
+    return Rollout(
+        arm=arm.name,
+        q=q,
+        qd=arm.rates(q, qvel),
+        q_ref=q_ref[:rows].copy(),
+        qd_ref=qd_ref[:rows].copy(),
+        force=np.nan_to_num(log.pop("drive_force")) @ basis,
+        constraint_force=np.nan_to_num(log.pop("constraint_force")) @ basis,
+        **log,
+        **meta,
+    )

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Iterator
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,43 +14,11 @@ from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import SimulationError
 from lieednn_sim.simulate.disturbances import Disturbances, Noise, Sensors
-from lieednn_sim.simulate.mocap import ghost_name
+from lieednn_sim.simulate.log import Instant, Log
 from lieednn_sim.simulate.plant import make_plant
 from lieednn_sim.validation import as_count, as_floats
 
 Floats = NDArray[np.float64]
-
-
-class Instant(NamedTuple):
-    """What is true at one time, the forces being those of the step that begins there.
-
-    Attributes:
-        t: [s].
-        qpos: ``(nq,)``.
-        qvel: ``(nv,)``.
-        ctrl: ``(nu,)``.
-        drive_force: ``(nv,)`` of actuators, gravity compensation included [N m, N].
-        constraint_force: ``(nv,)`` of contacts, joint limits, couplings and welds [N m, N].
-        link_position: ``(N, 3)`` link frames, world [m].
-        link_quaternion: ``(N, 4)`` the same, (w, x, y, z).
-        contacts: number of contacts.
-        contact_force: largest normal force among them [N].
-        weld_force: ``(N,)`` force of each link's weld to its ghost [N].
-        weld_torque: ``(N,)`` its torque [N m].
-    """
-
-    t: float
-    qpos: Floats
-    qvel: Floats
-    ctrl: Floats
-    drive_force: Floats
-    constraint_force: Floats
-    link_position: Floats
-    link_quaternion: Floats
-    contacts: int
-    contact_force: float
-    weld_force: Floats
-    weld_torque: Floats
 
 
 class Simulation:
@@ -66,6 +34,7 @@ class Simulation:
     Attributes:
         model: the plant.
         data: its state.
+        steps: done since the last reset.
         noise: errors of the measurement at the present time, to be added to qpos (by `mj_integratePos`) and qvel.
     """
 
@@ -78,19 +47,19 @@ class Simulation:
         self.data = mujoco.MjData(self.model)
         self._pushes = [(push, push.body_id(arm, self.model)) for push in self.disturbances.pushes]
         self._sensors = Sensors(arm, self.disturbances)
-        # Gravity compensation that is not routed through the actuators still has to come from the drives.
-        self._compensated = ~self.model.jnt_actgravcomp[self.model.dof_jntid].astype(bool)
-        self._welds = [
-            mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_EQUALITY, ghost_name(i)) for i in range(arm.n_links)
-        ]
-        self._step = 0
+        self.steps = 0
         self.noise: Noise
         self.reset(arm.coordinates(arm.model.qpos0))
 
     @property
+    def timestep(self) -> float:
+        """Simulation step [s]."""
+        return float(self.model.opt.timestep)
+
+    @property
     def time(self) -> float:
         """Present time [s]: the steps done times the time step, without the rounding of a sum."""
-        return self._step * float(self.model.opt.timestep)
+        return self.steps * self.timestep
 
     @property
     def q(self) -> Floats:
@@ -124,7 +93,7 @@ class Simulation:
         velocity = np.zeros_like(position) if qd is None else as_floats("qd", qd, position.shape)
         mujoco.mj_resetData(self.model, self.data)
         self.data.qpos[:], self.data.qvel[:] = self.arm.qpos(position), self.arm.qvel(position, velocity)
-        self._step = 0
+        self.steps = 0
         self._sensors.reset()
         self.noise = self._sensors.draw()
 
@@ -134,79 +103,49 @@ class Simulation:
         Raises:
             SimulationError: a warning of MuJoCo or a state that is not finite; names the time.
         """
-        with _quiet_warnings():
-            self._begin()
-            model, data, sites = self.model, self.data, self.arm.site_ids
-            qpos, qvel, ctrl = data.qpos.copy(), data.qvel.copy(), data.ctrl.copy()
-            position, quaternion = data.site_xpos[sites], np.empty((len(sites), 4))
-            for i, site in enumerate(sites):
-                mujoco.mju_mat2Quat(quaternion[i], data.site_xmat[site])
-            mujoco.mj_step2(model, data)
-            instant = Instant(
-                self.time,
-                qpos,
-                qvel,
-                ctrl,
-                data.qfrc_actuator + self._compensated * data.qfrc_gravcomp,
-                data.qfrc_constraint.copy(),
-                position,
-                quaternion,
-                int(data.ncon),
-                _largest_contact(model, data),
-                *self._weld_forces(),
-            )
-            self._end()
-        return instant
+        log = Log(self, 1)
+        with quiet_warnings():
+            log.step()
+        return Instant(*(values[0] for values in log.instants()))
 
-    def advance(self, steps: int = 1) -> None:
-        """Do steps with the present controls, without a record; raises as `step` does."""
-        with _quiet_warnings():
-            for _ in range(as_count("steps", steps)):
-                self._begin()
-                mujoco.mj_step2(self.model, self.data)
-                self._end()
+    def advance(self, steps: int = 1, controls: Floats | None = None) -> None:
+        """Do steps without a record; raises as `step` does.
 
-    def _begin(self) -> None:
-        """Pushes, and the first half of mj_step: poses and state are of one instant after it."""
-        now, half = self.time, 0.5 * float(self.model.opt.timestep)
+        Args:
+            steps: how many.
+            controls: ``(steps, nu)`` of each step, by default the present ones for all.
+        """
+        with quiet_warnings():
+            for k in range(as_count("steps", steps)):
+                if controls is not None:
+                    self.data.ctrl[:] = controls[k]
+                self.advance_once()
+
+    def advance_once(self) -> None:
+        """Do one step without a record, as `advance`, by a caller within `quiet_warnings`: it is done for many."""
         if self._pushes:
-            self.data.xfrc_applied[:] = 0.0
-            for push, body in self._pushes:
-                # Halfway between steps, so that rounding of the times does not decide.
-                if push.start - half < now < push.end - half:
-                    self.data.xfrc_applied[body, :3] += push.force
-        mujoco.mj_step1(self.model, self.data)
+            self._push()
+        mujoco.mj_step(self.model, self.data)
+        if np.count_nonzero(self.data.warning.number) or not _is_finite(self.data):
+            raise SimulationError(
+                f"the simulation of {self.arm.name!r} failed at t = {self.time:.4f} s: {_problem(self.data)}"
+            )
+        self.steps += 1
+        if self._sensors.noisy:
+            self.noise = self._sensors.draw()
 
-    def _end(self) -> None:
-        problem = _problem(self.data)
-        if problem:
-            raise SimulationError(f"the simulation of {self.arm.name!r} failed at t = {self.time:.4f} s: {problem}")
-        self._step += 1
-        self.noise = self._sensors.draw()
-
-    def _weld_forces(self) -> tuple[Floats, Floats]:
-        forces, torques = np.zeros(len(self._welds)), np.zeros(len(self._welds))
-        if self._welds[0] >= 0:
-            data = self.data
-            equality = data.efc_type == int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
-            for i, weld in enumerate(self._welds):
-                row = data.efc_force[equality & (data.efc_id == weld)]
-                # The angular rows measure half the angle's sine: what they exert is half a torque.
-                forces[i], torques[i] = np.linalg.norm(row[:3]), 0.5 * np.linalg.norm(row[3:])
-        return forces, torques
-
-
-def _largest_contact(model: mujoco.MjModel, data: mujoco.MjData) -> float:
-    wrench, largest = np.zeros(6), 0.0
-    for i in range(data.ncon):
-        mujoco.mj_contactForce(model, data, i, wrench)
-        largest = max(largest, float(wrench[0]))
-    return largest
+    def _push(self) -> None:
+        now, half = self.time, 0.5 * self.timestep
+        self.data.xfrc_applied[:] = 0.0
+        for push, body in self._pushes:
+            # Halfway between steps, so that rounding of the times does not decide.
+            if push.start - half < now < push.end - half:
+                self.data.xfrc_applied[body, :3] += push.force
 
 
 @contextlib.contextmanager
-def _quiet_warnings() -> Iterator[None]:
-    """Keep MuJoCo from printing its warnings and from leaving a log file behind: `_problem` turns them into errors."""
+def quiet_warnings() -> Iterator[None]:
+    """Keep MuJoCo from printing its warnings and from leaving a log file behind: `Simulation` raises errors instead."""
     before = mujoco.get_mju_user_warning()
     mujoco.set_mju_user_warning(lambda _: None)
     try:
@@ -215,9 +154,17 @@ def _quiet_warnings() -> Iterator[None]:
         mujoco.set_mju_user_warning(before)
 
 
+def _is_finite(data: mujoco.MjData) -> bool:
+    # What is not finite makes the sum so. That of large numbers may overflow, so then each is looked at; sums of lists
+    # are several times as fast as NumPy's for so few.
+    return math.isfinite(sum(data.qpos.tolist()) + sum(data.qvel.tolist())) or bool(
+        np.isfinite(data.qpos).all() and np.isfinite(data.qvel).all()
+    )
+
+
 def _problem(data: mujoco.MjData) -> str:
-    """MuJoCo's warning about the last step, or an empty string."""
+    """MuJoCo's warning about the last step, or what else is wrong."""
     if data.warning.number.any():
         index = int(np.flatnonzero(data.warning.number)[0])
         return str(mujoco.mju_warningText(index, int(data.warning.lastinfo[index])))
-    return "" if np.isfinite(data.qpos).all() and np.isfinite(data.qvel).all() else "the state is not finite"
+    return "the state is not finite"

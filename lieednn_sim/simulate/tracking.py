@@ -17,10 +17,11 @@ from lieednn_sim.motion import Motion
 from lieednn_sim.simulate.control import Controller
 from lieednn_sim.simulate.controllers import CONTROLLERS
 from lieednn_sim.simulate.disturbances import Disturbances
+from lieednn_sim.simulate.log import Log
 from lieednn_sim.simulate.plant import make_plant
 from lieednn_sim.simulate.reference import Reference, steps_of_rate
-from lieednn_sim.simulate.rollout import Recorder, Rollout
-from lieednn_sim.simulate.simulation import Simulation
+from lieednn_sim.simulate.rollout import Rollout, as_rollout
+from lieednn_sim.simulate.simulation import Simulation, quiet_warnings
 from lieednn_sim.validation import as_choice, as_floats, as_positive
 
 Floats = NDArray[np.float64]
@@ -104,21 +105,23 @@ def simulate(
     simulation.reset(reference.q[0])
 
     total = len(reference.q)
-    recorder = Recorder(arm, total)
+    log = Log(simulation, total)
     meta = {"controller": controller, "reference_rate": rate, "disturbances": changes}
     shown = time.monotonic()
-    for k in range(total):
-        driver.act(simulation.data, k, simulation.noise)
-        try:
-            recorder.add(simulation.step())
-        except SimulationError as error:
-            if dump_directory is None or len(recorder) < 2:
-                raise
-            path = Path(dump_directory) / "divergence.npz"
-            end = k * step
-            recorder.rollout(reference.q, reference.qd, motion_end=end, **meta).save(path)
-            raise SimulationError(f"{error}; the run up to there is in {path} (Rollout.load reads it)") from None
-        if progress is not None and (time.monotonic() - shown > 0.1 or k == total - 1):
-            shown = time.monotonic()
-            progress(k + 1, total)
-    return recorder.rollout(reference.q, reference.qd, motion_end=float(motion.t[-1]), **meta)
+    try:
+        with quiet_warnings():
+            for k in range(total):
+                driver.act(simulation.data, k, simulation.noise)
+                log.step()
+                if progress is not None and (time.monotonic() - shown > 0.1 or k == total - 1):
+                    shown = time.monotonic()
+                    progress(k + 1, total)
+    except SimulationError as error:
+        if dump_directory is None or len(log) < 2:
+            raise
+        path = Path(dump_directory) / "divergence.npz"
+        end = len(log) * step
+        as_rollout(arm, log.instants(), reference.q, reference.qd, motion_end=end, **meta).save(path)
+        raise SimulationError(f"{error}; the run up to there is in {path} (Rollout.load reads it)") from None
+    end = float(motion.t[-1])
+    return as_rollout(arm, log.instants(), reference.q, reference.qd, motion_end=end, **meta)
