@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 
 import numpy as np
@@ -35,7 +36,7 @@ def same(one, other) -> None:
 
 
 def test_tracked_learning_reaches_nearly_every_target_on_the_manifold():
-    results = [train(target(seed), TrainingOptions.tracked(), seed=seed) for seed in range(12)]
+    results = [uninterrupted(TrainingOptions.tracked(), seed) for seed in range(12)]
     assert sum(result.success for result in results) >= 11
     for seed, result in enumerate(results):
         assert result.structure_error < 1e-12
@@ -136,6 +137,11 @@ def test_same_seed_same_result_and_other_seed_another(algorithm):
     assert not np.array_equal(one.weight, other.weight)
 
 
+@functools.cache
+def uninterrupted(options, seed):
+    return train(target(seed), options, seed=seed)
+
+
 # In most epochs from 55 to 75 Newton's method fails here, and the network is run instead.
 SETTLING = TrainingOptions.repaired(max_epochs=150, period=1)
 
@@ -154,7 +160,7 @@ SETTLING = TrainingOptions.repaired(max_epochs=150, period=1)
 @pytest.mark.parametrize("interrupted_at", [3, 57, 91])
 def test_interrupted_training_resumes_to_the_same_result(tmp_path, monkeypatch, options, seed, interrupted_at):
     goal, path = target(seed), tmp_path / "training.npz"
-    whole = train(goal, options, seed=seed)
+    whole = uninterrupted(options, seed)
     steps = 0
     original = projected._Training._step
 
@@ -174,7 +180,7 @@ def test_interrupted_training_resumes_to_the_same_result(tmp_path, monkeypatch, 
 
 def test_where_newton_steps_find_no_equilibrium_the_network_is_run():
     """The jump is far, so the one from which training goes on must attract: checked by a fresh network."""
-    result = train(target(0), SETTLING, seed=0)
+    result = uninterrupted(SETTLING, 0)
     assert result.reason is StopReason.EPOCHS_SPENT
     assert result.epochs == 150
     # Without it this training ended as lost at epoch 55; after it the equilibrium has jumped by more than 1.
@@ -227,6 +233,7 @@ def test_training_on_an_affine_group_resumes_and_a_finished_one_stays_finished(t
     path, chosen = tmp_path / "training.npz", group("affine(C^x)")
     result = train(target(0, 2, 4), TrainingOptions.tracked(max_epochs=5), group=chosen, seed=1, checkpoint=path)
     same(resume(path), result)
+    monkeypatch.undo()
     done = train(target(0), TrainingOptions.tracked(), seed=0, checkpoint=path)
     assert done.success
     same(resume(path), done)
@@ -305,7 +312,7 @@ def test_learning_gets_closer_where_the_projection_is_slow(name):
 
 def test_trained_networks_seldom_carry_a_certificate_that_they_could_not_have():
     """A trained network is checked like any other; where the search finds a certificate, it holds."""
-    result = train(target(0), TrainingOptions.tracked(), seed=0)
+    result = uninterrupted(TrainingOptions.tracked(), 0)
     certificate = find_certificate(result.network.rotational_weight)
     abscissa = result.network.equilibrium(target(0)).spectral_abscissa
     assert not certificate.valid or abscissa <= -certificate.rate + 1e-6
@@ -328,7 +335,7 @@ def test_first_weights_and_strengths_can_be_chosen():
     first = train(target(0), TrainingOptions.repaired(max_epochs=1), initial_weight=given, seed=1).history
     assert first.one_norm[0] == pytest.approx(np.linalg.norm(given, 1))
     # Learning goes on from a network that is near: the equilibrium is already there.
-    learned = train(target(0), TrainingOptions.tracked(), seed=0)
+    learned = uninterrupted(TrainingOptions.tracked(), 0)
     again = train(target(0), TrainingOptions.tracked(), initial_weight=learned.weight, seed=1)
     assert again.success
     assert again.epochs <= 2

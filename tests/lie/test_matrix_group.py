@@ -138,6 +138,7 @@ def test_closed_forms_and_search_agree(one, seed):
         np.testing.assert_allclose(found, closed, atol=1e-9)
 
 
+@few
 @given(seeds)
 def test_se3_is_the_one_of_the_package(seed):
     rng = np.random.default_rng(seed)

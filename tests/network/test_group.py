@@ -42,6 +42,7 @@ def test_coordinates_follow_the_matrix_equation_of_the_paper(seed, name, activat
     np.testing.assert_allclose(network.flat_vector_field(xi.ravel()), field.ravel(), rtol=1e-9, atol=1e-9)
 
 
+@settings(max_examples=20)
 @given(seeds)
 def test_on_se3_it_is_the_network_of_the_paper(seed):
     network = random_network(seed, gamma=1.5, mu=0.4, activation="arctan")

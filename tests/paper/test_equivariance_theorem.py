@@ -54,7 +54,7 @@ def test_the_corrected_activation_is_equivariant(seed, size):
     np.testing.assert_allclose(network.phi(moved(frames, xi)), moved(frames, network.phi(xi)), atol=1e-12)
 
 
-@settings(max_examples=25)
+@settings(max_examples=8)
 @given(seeds)
 def test_trajectories_are_equivariant_under_a_common_frame(seed):
     network, frames = random_network(seed), random_frames(seed)
@@ -130,7 +130,7 @@ def test_in_the_form_of_the_paper_one_common_frame_is_needed(seed):
     assert np.abs(found - expected).max() > 1e-3
 
 
-@settings(max_examples=25)
+@settings(max_examples=8)
 @given(seeds)
 def test_with_the_frames_of_sender_and_receiver_each_neuron_may_have_its_own(seed):
     """Beyond the paper: theta_ij -> h_i theta_ij h_j^-1 is a symmetry for independent h_i."""
@@ -142,7 +142,7 @@ def test_with_the_frames_of_sender_and_receiver_each_neuron_may_have_its_own(see
     np.testing.assert_allclose(other, expected, atol=1e-6 * (1.0 + np.abs(expected).max()))
 
 
-@settings(max_examples=25)
+@settings(max_examples=12)
 @given(seeds, st.booleans())
 def test_the_certificate_is_as_invariant_as_the_network(seed, common):
     network = certified_network(seed)
@@ -154,7 +154,7 @@ def test_the_certificate_is_as_invariant_as_the_network(seed, common):
     np.testing.assert_allclose(found, expected, atol=1e-8 * (1.0 + np.abs(expected).max()))
 
 
-@settings(max_examples=8)
+@settings(max_examples=4)
 @given(seeds)
 def test_stability_by_the_cascade(seed):
     """Every start of a certified network ends at the one equilibrium, far ones and pure translations included."""
@@ -169,7 +169,7 @@ def test_stability_by_the_cascade(seed):
         np.testing.assert_allclose(ended, found.xi, atol=1e-5 * (1.0 + np.abs(found.xi).max()))
 
 
-@settings(max_examples=10)
+@settings(max_examples=5)
 @given(seeds)
 def test_the_bregman_divergence_of_the_proof_decreases(seed):
     network = certified_network(seed)

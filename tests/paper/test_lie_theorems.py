@@ -31,6 +31,7 @@ def plane(angle: float) -> np.ndarray:
     return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
 
 
+@few
 @given(seeds)
 def test_closed_subgroup_theorem_applies_to_the_adjoint_matrices_of_se3(seed):
     """Theorem "Closed Subgroup": limits of sequences in L[Ad_SE(3)] lie in it, and its complement is open."""
