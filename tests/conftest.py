@@ -125,9 +125,9 @@ def no_ink(monkeypatch: pytest.MonkeyPatch) -> None:
 
     For tests in which plots are by the way; `test_cli.test_the_demo_without_video_meets_its_bounds` draws them.
     """
-    from matplotlib.figure import Figure
+    from lieednn_sim import plots
 
-    monkeypatch.setattr(Figure, "savefig", lambda self, path, **_: Path(path).write_bytes(b"a picture"))
+    monkeypatch.setattr(plots, "_save", lambda figure, path: Path(path).write_bytes(b"a picture"))
 
 
 @pytest.fixture

@@ -5,7 +5,6 @@ import re
 
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
 
 from lieednn_sim import plots
 from lieednn_sim.arm import Arm
@@ -209,7 +208,7 @@ def test_the_joints_of_a_large_arm_stand_in_two_blocks(tmp_path, monkeypatch):
     contacts = np.zeros(rows, dtype=int)
     rollout = Rollout(arm=arm.name, t=np.arange(3.0), **log, **poses, contacts=contacts, motion_end=1.0)
     drawn = []
-    monkeypatch.setattr(Figure, "savefig", lambda self, path, **_: drawn.append(self))
+    monkeypatch.setattr(plots, "_save", lambda figure, path: drawn.append(figure))
     plots.plot_joints(arm, rollout, tmp_path / "joints.png")
     (figure,) = drawn
     width, height = figure.get_size_inches()

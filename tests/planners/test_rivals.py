@@ -67,9 +67,11 @@ def corners(seed: int, count: int = 5) -> np.ndarray:
 
 
 @pytest.mark.parametrize("name", DETOUR)
-def test_they_go_around_what_is_in_the_way_with_clearance(name):
+def test_they_go_around_what_is_in_the_way_with_clearance(name, monkeypatch):
     needs(name)
-    task = blocked()
+    # RRT* spends the rest on shortening the path that it found.
+    monkeypatch.setattr(sampling, "_STAR_TESTS", sampling._STAR_TESTS // 10)
+    task = blocked(3)
     with pytest.raises(PlanError, match=r"would come within .* of .post. at"):
         plan_with("minimum-jerk", task)
     motion = plan_with(name, task)
