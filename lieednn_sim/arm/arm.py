@@ -25,7 +25,7 @@ from lieednn_sim.arm.reading import read_arm
 from lieednn_sim.arm.retraction import Retraction, Retractor
 from lieednn_sim.arm.scenes import SCENES, add_obstacles
 from lieednn_sim.errors import FileError, InputError
-from lieednn_sim.lie import log
+from lieednn_sim.lie import log, poses
 from lieednn_sim.validation import as_choice, as_floats, as_path, as_seed
 
 Floats = NDArray[np.float64]
@@ -293,7 +293,8 @@ class Arm:
         for i in range(self.n_links):
             frame = frame @ moved[..., i, :, :]
             frames.append(frame)
-        return RigidTransform.from_matrix(np.stack(frames, axis=-3))
+        stacked = np.stack(frames, axis=-3)
+        return poses(stacked[..., :3, :3], stacked[..., :3, 3])
 
     def encode(self, q: ArrayLike) -> Floats:
         """Network coordinates (omega, v / length_scale) of Log T_i(q), ``(..., n)`` to ``(..., N, 6)``."""

@@ -6,13 +6,14 @@ Nearest is meant as in `nearest.NearestPose`: 4 sin^2(angle / 2) + ||shift||^2 /
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from lieednn_sim.arm.joints import CompoundJoint
-from lieednn_sim.lie import exp, hat, left_jacobian_se3, left_jacobian_so3
+from lieednn_sim.lie import exp, hat, left_jacobian_se3, left_jacobian_so3, rotations
 
 Floats = NDArray[np.float64]
 
@@ -36,13 +37,18 @@ class MovingPoses:
     @classmethod
     def along(cls, xi: Floats, xi_dot: Floats | None) -> MovingPoses:
         """exp(xi) and its rate along xi_dot, by the left Jacobian of SE(3)."""
-        pose = exp(xi)
-        p = np.asarray(pose.translation)
+        pose = exp(xi).as_matrix()
+        rotation, p = rotations(pose[..., :3, :3]), pose[..., :3, 3]
         if xi_dot is None:
-            return cls(pose.rotation, p, None, None)
+            return cls(rotation, p, None, None)
         spatial = (left_jacobian_se3(xi) @ xi_dot[..., None])[..., 0]
         omega = spatial[..., :3]
-        return cls(pose.rotation, p, omega, spatial[..., 3:] + np.cross(omega, p))
+        return cls(rotation, p, omega, spatial[..., 3:] + np.cross(omega, p))
+
+    @cached_property
+    def matrix(self) -> Floats:
+        """Of the rotations, ``(..., N, 3, 3)``."""
+        return np.asarray(self.rotation.as_matrix())
 
 
 class HingeSlide:
@@ -97,7 +103,7 @@ class HingeSlide:
         The rate of an angle that the pose does not determine is zero.
         """
         link = self.links[0]
-        rotation = poses.rotation.as_matrix()[..., link, :, :]
+        rotation = poses.matrix[..., link, :, :]
         x, y, a, b, c = self._coefficients(rotation, poses.translation[..., link, :])
         angle = _highest(x + 2.0 * a * b, y + 2.0 * a * c, b, c)
         cos, sin = np.cos(angle), np.sin(angle)

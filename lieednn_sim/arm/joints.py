@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from lieednn_sim.lie import hat, left_jacobian_so3
+from lieednn_sim.lie import hat, left_jacobian_so3, poses, rotations
 
 Floats = NDArray[np.float64]
 
@@ -103,5 +103,5 @@ class CompoundJoints:
     def poses(self, q: Floats) -> RigidTransform:
         """T_i(q), ``(..., n)`` to poses of shape ``(..., N)``."""
         parts = [joint.pose(q - self.reference) for joint in self.joints]
-        rotation = Rotation.from_matrix(np.stack([part[0] for part in parts], axis=-3))
-        return RigidTransform.from_components(np.stack([part[1] for part in parts], axis=-2), rotation)
+        rotation = rotations(np.stack([part[0] for part in parts], axis=-3)).as_matrix()
+        return poses(rotation, np.stack([part[1] for part in parts], axis=-2))

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from lieednn_sim.arm.closed_forms import HingeSlide, MovingPoses, SixFreedoms
 from lieednn_sim.arm.joints import CompoundJoints
 from lieednn_sim.arm.nearest import NearestPose
+from lieednn_sim.lie import rotations
 
 Floats = NDArray[np.float64]
 
@@ -82,9 +83,9 @@ class Retractor:
             q[..., solver.indices] += offset
             if rate is not None:
                 qd[..., solver.indices] = rate
-        found = self._joints.poses(q)
-        gap_translation = np.linalg.norm(given.translation - found.translation, axis=-1)
-        gap_rotation = np.asarray((found.rotation.inv() * given.rotation).magnitude())
+        found = self._joints.poses(q).as_matrix()
+        gap_translation = np.linalg.norm(given.translation - found[..., :3, 3], axis=-1)
+        gap_rotation = np.asarray((rotations(found[..., :3, :3]).inv() * given.rotation).magnitude())
         return Retraction(q, qd, gap_translation, gap_rotation)
 
 
@@ -99,7 +100,7 @@ class _Nearest:
 
     def __call__(self, poses: MovingPoses) -> tuple[Floats, Floats | None]:
         links = list(self.links)
-        rotation, translation = poses.rotation.as_matrix()[..., links, :, :], poses.translation[..., links, :]
+        rotation, translation = poses.matrix[..., links, :, :], poses.translation[..., links, :]
         offset = self._problem.solve(rotation, translation)
         if poses.omega is None or poses.velocity is None:
             return offset, None

@@ -11,7 +11,7 @@ from lieednn_sim.lie.projection import (
     project_to_rotation,
     project_to_scaled_adjoint,
 )
-from lieednn_sim.lie.se3 import adjoint, exp, hat, left_jacobian_se3, left_jacobian_so3, log, vee
+from lieednn_sim.lie.se3 import adjoint, exp, hat, left_jacobian_se3, left_jacobian_so3, log, poses, rotations, vee
 
 __all__ = [
     "GROUPS",
@@ -24,9 +24,11 @@ __all__ = [
     "left_jacobian_se3",
     "left_jacobian_so3",
     "log",
+    "poses",
     "project_to_adjoint",
     "project_to_adjoint_exact",
     "project_to_rotation",
     "project_to_scaled_adjoint",
+    "rotations",
     "vee",
 ]

@@ -6,7 +6,7 @@ from math import factorial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import RigidTransform
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from lieednn_sim.errors import InputError
 from lieednn_sim.validation import as_floats
@@ -69,6 +69,23 @@ def exp(twist: ArrayLike) -> RigidTransform:
 def log(pose: RigidTransform) -> Floats:
     """Principal logarithm ``(..., 6)`` of poses, rotation angle at most pi: SciPy's."""
     return np.asarray(pose.as_exp_coords())
+
+
+def rotations(matrix: Floats) -> Rotation:
+    """`Rotation.from_matrix` of ``(..., 3, 3)`` that are orthogonal up to rounding: unchecked, and in compiled code.
+
+    SciPy's compiled code takes one leading axis; for more it computes the same in NumPy, many times as slowly.
+    """
+    quaternions = Rotation.from_matrix(matrix.reshape(-1, 3, 3), assume_valid=True).as_quat()
+    return Rotation(quaternions.reshape(*matrix.shape[:-2], 4), normalize=False)
+
+
+def poses(rotation: Floats, translation: Floats) -> RigidTransform:
+    """`RigidTransform` of shape ``(...)`` from translations ``(..., 3)`` and matrices as for `rotations`."""
+    turns = Rotation.from_matrix(rotation.reshape(-1, 3, 3), assume_valid=True).as_matrix()
+    matrix = np.zeros((*translation.shape[:-1], 4, 4))
+    matrix[..., :3, :3], matrix[..., :3, 3], matrix[..., 3, 3] = turns.reshape(rotation.shape), translation, 1.0
+    return RigidTransform(matrix, normalize=False, copy=False)
 
 
 def adjoint(rotation: ArrayLike, translation: ArrayLike) -> Floats:

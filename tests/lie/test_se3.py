@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.linalg import expm
-from scipy.spatial.transform import RigidTransform
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from lieednn_sim.errors import InputError
-from lieednn_sim.lie import adjoint, exp, hat, left_jacobian_se3, left_jacobian_so3, log, vee
+from lieednn_sim.lie import adjoint, exp, hat, left_jacobian_se3, left_jacobian_so3, log, poses, rotations, vee
 
 tiny = st.floats(-12.0, -3.0).map(lambda power: 10.0**power)
 # Zero, near zero, where the series hands over to the closed forms, anywhere, and near pi: random draws alone miss bugs.
@@ -131,6 +131,19 @@ def test_adjoint_batches_equal_one_by_one():
     result = adjoint(rotation, translation)
     for index in np.ndindex(2, 3):
         assert np.array_equal(result[index], adjoint(rotation[index], translation[index]))
+
+
+@pytest.mark.parametrize("shape", [(), (50,), (20, 3), (0, 4)])
+def test_rotations_and_poses_are_scipys_to_the_last_bit(shape):
+    rng = np.random.default_rng(3)
+    matrix = np.zeros((*shape, 4, 4))
+    matrix[..., :3, 3], matrix[..., 3, 3] = rng.normal(size=(*shape, 3)), 1.0
+    turns = Rotation.from_rotvec(rng.normal(size=(2, *shape, 3)) * np.pi).as_matrix()
+    matrix[..., :3, :3] = turns[0] @ turns[1]
+    rotation, translation = matrix[..., :3, :3], matrix[..., :3, 3]
+    np.testing.assert_array_equal(rotations(rotation).as_quat(), Rotation.from_matrix(rotation).as_quat())
+    expected = RigidTransform.from_matrix(matrix).as_matrix()
+    np.testing.assert_array_equal(poses(rotation, translation).as_matrix(), expected)
 
 
 @pytest.mark.parametrize(
