@@ -67,25 +67,14 @@ def as_floats(
     Raises:
         InputError: not numeric, not finite, too large, or of another shape.
     """
-    wanted = ("...", *shape) if batched else shape
-    try:
-        # Where the shape is known it decides first: what does not fit need not be copied, however large.
-        if isinstance(value, np.ndarray):
-            _require_shape(name, value.shape, shape, wanted, batched=batched)
-        elif isinstance(value, Sequence) and len(value) > _LARGEST_SIZE:
-            raise InputError(f"{name} must have at most {_LARGEST_SIZE} entries, got {len(value)}")
-        if np.iscomplexobj(value):
-            raise TypeError("complex numbers have no place here")
-        array = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError, OverflowError, MemoryError) as error:
-        if isinstance(error, InputError):
-            raise
-        # NumPy repeats all of a string.
-        why = f": {error}" if len(str(error)) <= 2 * _QUOTED else ""
-        raise InputError(f"{name} must be an array of numbers, got {type(value).__name__}{why}") from None
-    _require_shape(name, array.shape, shape, wanted, batched=batched)
+    # What inner loops hand on is such an array already.
+    if type(value) is np.ndarray and value.dtype == np.float64:
+        array = value
+    else:
+        array = _converted(name, value, shape, batched)
+    _require_shape(name, array.shape, shape, batched)
     # In one pass, since every call of a training loop comes here: a NaN makes the comparison false as well.
-    if not np.abs(array).max(initial=0.0) <= largest:
+    if not np.maximum.reduce(np.abs(array), axis=None, initial=0.0) <= largest:
         if not np.isfinite(array).all():
             count = np.count_nonzero(~np.isfinite(array))
             raise InputError(f"{name} must be finite, got {count} NaN or infinite entries")
@@ -93,14 +82,36 @@ def as_floats(
     return array
 
 
-def _require_shape(name: str, given: tuple[int, ...], shape: Shape, wanted: Shape, *, batched: bool) -> None:
+def _converted(name: str, value: ArrayLike, shape: Shape, batched: bool) -> NDArray[np.float64]:
+    try:
+        # Where the shape is known it decides first: what does not fit need not be copied, however large.
+        if isinstance(value, np.ndarray):
+            _require_shape(name, value.shape, shape, batched)
+        elif isinstance(value, Sequence) and len(value) > _LARGEST_SIZE:
+            raise InputError(f"{name} must have at most {_LARGEST_SIZE} entries, got {len(value)}")
+        if np.iscomplexobj(value):
+            raise TypeError("complex numbers have no place here")
+        return np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError, MemoryError) as error:
+        if isinstance(error, InputError):
+            raise
+        # NumPy repeats all of a string.
+        why = f": {error}" if len(str(error)) <= 2 * _QUOTED else ""
+        raise InputError(f"{name} must be an array of numbers, got {type(value).__name__}{why}") from None
+
+
+def _require_shape(name: str, given: tuple[int, ...], shape: Shape, batched: bool) -> None:
     trailing = given[len(given) - len(shape) :] if batched else given
     sizes: dict[str, int] = {}
-    fits = len(trailing) == len(shape) and all(
-        sizes.setdefault(want, size) == size if isinstance(want, str) else want == size
-        for want, size in zip(shape, trailing, strict=True)
+    fits = trailing == shape or (
+        len(trailing) == len(shape)
+        and all(
+            sizes.setdefault(want, size) == size if isinstance(want, str) else want == size
+            for want, size in zip(shape, trailing, strict=True)
+        )
     )
     if not fits:
+        wanted = ("...", *shape) if batched else shape
         raise InputError(f"{name} must have shape {_describe(wanted)}, got {_describe(given)}")
     if math.prod(given) > _LARGEST_SIZE:
         raise InputError(f"{name} must have at most {_LARGEST_SIZE} entries, got shape {_describe(given)}")
