@@ -58,25 +58,26 @@ class Actuators:
             )
 
     def lengths(self, qpos: Floats) -> Floats:
-        """Lengths ``(nu,)`` at a position ``(nq,)``; zero for actuators that do not move the arm."""
-        x = np.zeros(self._moment.shape[1])
-        x[self._positions[1]] = qpos[self._positions[0]]
+        """Lengths ``(..., nu)`` at positions ``(..., nq)``; zero for actuators that do not move the arm."""
+        x = np.zeros((*qpos.shape[:-1], self._moment.shape[1]))
+        x[..., self._positions[1]] = qpos[..., self._positions[0]]
         for position, dof in self._balls:
-            mujoco.mju_quat2Vel(x[dof : dof + 3], qpos[position : position + 4], 1.0)
-        return self._moment @ x
+            for index in np.ndindex(qpos.shape[:-1]):
+                mujoco.mju_quat2Vel(x[index][dof : dof + 3], qpos[index][position : position + 4], 1.0)
+        return _times(self._moment, x)
 
     def velocities(self, qvel: Floats) -> Floats:
-        """Velocities ``(nu,)`` of lengths at generalised velocities ``(nv,)``."""
-        return self._moment @ qvel
+        """Velocities ``(..., nu)`` of lengths at generalised velocities ``(..., nv)``."""
+        return _times(self._moment, qvel)
 
     def forces(self, generalised: Floats) -> Floats:
-        """Actuator forces ``(nu,)`` that do on the arm's joints what generalised forces ``(nv,)`` do."""
-        return self._allocation @ generalised
+        """Actuator forces ``(..., nu)`` that do on the arm's joints what generalised forces ``(..., nv)`` do."""
+        return _times(self._allocation, generalised)
 
     def servo_controls(self, qpos: Floats, qvel: Floats, generalised: Floats | None = None) -> Floats:
-        """Controls ``(nu,)`` with which the servos exert given forces at a state: (f - b0 - b1 l - b2 v) / g.
+        """Controls ``(..., nu)`` with which the servos exert given forces at states: (f - b0 - b1 l - b2 v) / g.
 
-        Off that state they exert b1 and b2 times the differences on top, which is their feedback.
+        Off such a state they exert b1 and b2 times the differences on top, which is their feedback.
         """
         drive = -(self._bias[:, 0] + self._bias[:, 1] * self.lengths(qpos) + self._bias[:, 2] * self.velocities(qvel))
         if generalised is not None:
@@ -102,6 +103,11 @@ class Actuators:
         model.actuator_gainprm[self.driving, 0] = 1.0
         model.actuator_biasprm[self.driving, :3] = 0.0
         model.actuator_ctrllimited[self.driving] = 0
+
+
+def _times(matrix: Floats, vectors: Floats) -> Floats:
+    """The products with vectors along the last axis, each rounded as it is alone, however many there are."""
+    return (matrix @ vectors[..., None])[..., 0]
 
 
 def driving_actuators(arm: Arm) -> NDArray[np.bool_]:

@@ -16,7 +16,7 @@ from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.simulate.actuators import Actuators
 from lieednn_sim.simulate.disturbances import Noise
-from lieednn_sim.simulate.reference import Reference
+from lieednn_sim.simulate.reference import Foreseen, Reference
 
 Floats = NDArray[np.float64]
 
@@ -62,7 +62,30 @@ class Servo:
         """See `Controller`."""
 
 
-class PositionServo(Servo):
+class FeedforwardServo(Servo):
+    """A servo whose controls follow from the reference alone, but for what the sensors get wrong.
+
+    Raises:
+        InputError: the arm is not driven by position actuators on joints or fixed tendons.
+    """
+
+    def __init__(self, arm: Arm, reference: Reference) -> None:
+        super().__init__(arm, reference)
+        self._actuators.require_servos()
+        self._foreseen = Foreseen(reference, self.controls)
+
+    def controls(self, steps: range) -> Floats:
+        """Controls ``(m, nu)`` of some steps, whose states are measured without error."""
+        raise NotImplementedError
+
+    def act(self, data: mujoco.MjData, step: int, noise: Noise) -> None:
+        """See `Controller`."""
+        data.ctrl[:] = self._foreseen[step]
+        if noise.present:
+            data.ctrl += self._actuators.measurement_error(noise)
+
+
+class PositionServo(FeedforwardServo):
     """Position actuators with velocity feedforward: ctrl = q_ref + (kv / kp) qd_ref, per unit gear.
 
     A position actuator pulls with kp (ctrl - q) - kv qd, so without the second term it lags a moving reference by
@@ -75,20 +98,17 @@ class PositionServo(Servo):
 
     def __init__(self, arm: Arm, reference: Reference) -> None:
         super().__init__(arm, reference)
-        self._actuators.require_servos()
         self._damping = arm.model.dof_damping.copy()
 
-    def act(self, data: mujoco.MjData, step: int, noise: Noise) -> None:
-        """See `Controller`."""
+    def controls(self, steps: range) -> Floats:
+        """See `FeedforwardServo`."""
         reference = self._reference
-        row = reference.row(step)
-        following = min(row + 1, reference.known - 1)
-        velocity = reference.qvel[following]
-        data.ctrl[:] = self._actuators.servo_controls(reference.qpos[row], velocity, self._damping * velocity)
-        data.ctrl += self._actuators.measurement_error(noise)
+        rows = reference.rows(steps)
+        velocity = reference.qvel[np.minimum(rows + 1, reference.known - 1)]
+        return self._actuators.servo_controls(reference.qpos[rows], velocity, self._damping * velocity)
 
 
-class InverseDynamicsServo(Servo):
+class InverseDynamicsServo(FeedforwardServo):
     """The position servo with the forces of the reference fed forward: ctrl = q_ref + (kv qd_ref + tau) / kp.
 
     tau is what MuJoCo's inverse dynamics asks for, discretised as the integrator is, so a plant equal to the model
@@ -100,16 +120,15 @@ class InverseDynamicsServo(Servo):
 
     def __init__(self, arm: Arm, reference: Reference) -> None:
         super().__init__(arm, reference)
-        self._actuators.require_servos()
         self._inverse = _InverseDynamics(arm.model)
 
-    def act(self, data: mujoco.MjData, step: int, noise: Noise) -> None:
-        """See `Controller`."""
-        qpos = self._reference.qpos[self._reference.row(step)]
-        velocity, acceleration = self._reference.rates(step)
-        forces = self._inverse(qpos, velocity, acceleration)
-        data.ctrl[:] = self._actuators.servo_controls(qpos, velocity, forces)
-        data.ctrl += self._actuators.measurement_error(noise)
+    def controls(self, steps: range) -> Floats:
+        """See `FeedforwardServo`."""
+        reference = self._reference
+        qpos, rates = reference.qpos[reference.rows(steps)], [reference.rates(step) for step in steps]
+        velocity = np.array([velocity for velocity, _ in rates])
+        forces = np.array([self._inverse(q, v, a) for q, (v, a) in zip(qpos, rates, strict=True)])
+        return self._actuators.servo_controls(qpos, velocity, forces)
 
 
 class ComputedTorque(Servo):

@@ -107,10 +107,12 @@ class Noise(NamedTuple):
     Attributes:
         position: ``(nv,)`` [rad, m].
         velocity: ``(nv,)`` [rad/s, m/s].
+        present: whether there are any; else all are zero.
     """
 
     position: Floats
     velocity: Floats
+    present: bool = True
 
 
 class Sensors:
@@ -135,7 +137,8 @@ class Sensors:
     def draw(self) -> Noise:
         """Errors of the next measurement."""
         if not self.noisy:
-            return Noise(*self._deviations)
+            position, velocity = self._deviations
+            return Noise(position, velocity, present=False)
         return Noise(*(self._deviations * self._rng.standard_normal(self._deviations.shape)))
 
 

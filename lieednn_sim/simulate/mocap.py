@@ -12,7 +12,8 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError
 from lieednn_sim.simulate.actuators import driving_actuators
 from lieednn_sim.simulate.disturbances import Noise
-from lieednn_sim.simulate.reference import Reference
+from lieednn_sim.simulate.quaternions import quaternions
+from lieednn_sim.simulate.reference import Foreseen, Reference
 
 Floats = NDArray[np.float64]
 
@@ -36,6 +37,7 @@ class MocapWelds:
         self._arm, self._reference = arm, reference
         self._solref, self._lead = self._weld(reference)
         self._scratch = mujoco.MjData(arm.model)
+        self._foreseen = Foreseen(reference, self.ghosts)
         self._ids: NDArray[np.int_] = np.zeros(0, dtype=int)
 
     def _weld(self, reference: Reference) -> tuple[tuple[float, float], float]:
@@ -63,14 +65,20 @@ class MocapWelds:
         idle = driving_actuators(self._arm)
         plant.actuator_gainprm[idle], plant.actuator_biasprm[idle] = 0.0, 0.0
 
+    def ghosts(self, steps: range) -> Floats:
+        """Where the reference will be after the lead: positions and quaternions ``(m, N, 7)`` at some steps."""
+        model, scratch, sites = self._arm.model, self._scratch, self._arm.site_ids
+        position, rotation = np.empty((len(steps), len(sites), 3)), np.empty((len(steps), len(sites), 9))
+        for i, step in enumerate(steps):
+            scratch.qpos[:] = self._reference.ahead(step, self._lead)
+            mujoco.mj_kinematics(model, scratch)
+            position[i], rotation[i] = scratch.site_xpos[sites], scratch.site_xmat[sites]
+        return np.concatenate([position, quaternions(rotation.reshape(*rotation.shape[:2], 3, 3))], axis=-1)
+
     def act(self, data: mujoco.MjData, step: int, noise: Noise) -> None:
         """Place the ghosts where the reference will be after the lead."""
-        scratch = self._scratch
-        scratch.qpos[:] = self._reference.ahead(step, self._lead)
-        mujoco.mj_kinematics(self._arm.model, scratch)
-        for body, site in zip(self._ids, self._arm.site_ids, strict=True):
-            data.mocap_pos[body] = scratch.site_xpos[site]
-            mujoco.mju_mat2Quat(data.mocap_quat[body], scratch.site_xmat[site])
+        ghosts = self._foreseen[step]
+        data.mocap_pos[self._ids], data.mocap_quat[self._ids] = ghosts[:, :3], ghosts[:, 3:]
 
 
 class DeadbeatWelds(MocapWelds):

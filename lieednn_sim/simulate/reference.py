@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -11,6 +13,9 @@ from lieednn_sim.errors import InputError
 from lieednn_sim.validation import as_floats, as_positive
 
 Floats = NDArray[np.float64]
+
+# Steps that are worked out at once: many enough that their number does not matter, few enough to stay in the cache.
+_AHEAD = 256
 
 
 class Reference:
@@ -29,13 +34,15 @@ class Reference:
         timestep: [s].
         hold: rows for which a sample is held, 1 for all rows of its own.
         known: number of rows that are known.
+        revision: grows when rows become known.
     """
 
     def __init__(self, arm: Arm, rows: int, *, hold: int = 1) -> None:
         self._arm, self._model = arm, arm.model
         self.timestep = float(arm.model.opt.timestep)
         self.hold = hold
-        self.known = 0
+        self.known = self.revision = 0
+        self._rates = Foreseen(self, self._velocities)
         self.q, self.qd = np.zeros((rows, arm.n_joints)), np.zeros((rows, arm.n_joints))
         self.qpos, self.qvel = np.zeros((rows, arm.model.nq)), np.zeros((rows, arm.model.nv))
 
@@ -54,10 +61,15 @@ class Reference:
         self.q[rows], self.qd[rows] = q[:count], qd[:count]
         self.qpos[rows], self.qvel[rows] = self._arm.qpos(q[:count]), self._arm.qvel(q[:count], qd[:count])
         self.known += count
+        self.revision += 1
 
     def row(self, step: int) -> int:
         """The row that a controller sees at a step."""
         return step - step % self.hold
+
+    def rows(self, steps: range) -> NDArray[np.int_]:
+        """The same at each of some steps."""
+        return np.array([self.row(step) for step in steps])
 
     def rates(self, step: int) -> tuple[Floats, Floats]:
         """Velocity and acceleration ``(nv,)`` with which semi-implicit steps land on every position exactly.
@@ -65,9 +77,8 @@ class Reference:
         q_{k+1} = q_k (+) h v_{k+1} and v_{k+1} = v_k + h a_k, from rest, where (+) is MuJoCo's integration of
         positions: quaternions turn by the exponential map.
         """
-        k = self.row(step)
-        velocity, ahead = self._velocity(k), self._velocity(k + 1)
-        return velocity, (ahead - velocity) / self.timestep
+        velocity, acceleration = self._rates[self.row(step)]
+        return velocity, acceleration
 
     def ahead(self, step: int, lead: float) -> Floats:
         """Position ``(nq,)`` a time ``lead`` [s] after what is seen at a step, by cubic interpolation between rows."""
@@ -85,12 +96,37 @@ class Reference:
         q += s**2 * ((1.0 + 2.0 * rest) * self.q[k + 1] - rest * self.timestep * self.qd[k + 1])
         return self._arm.qpos(q)
 
-    def _velocity(self, k: int) -> Floats:
-        velocity = np.zeros(self._model.nv)
-        k = min(k, self.known - 1)
-        if k > 0:
-            mujoco.mj_differentiatePos(self._model, velocity, self.timestep, self.qpos[k - 1], self.qpos[k])
-        return velocity
+    def _velocities(self, rows: range) -> Floats:
+        """`rates` at each of some rows, ``(m, 2, nv)``."""
+        velocity = np.zeros((len(rows) + 1, self._model.nv))
+        for i in range(len(rows) + 1):
+            k = min(rows.start + i, self.known - 1)
+            if k > 0:
+                mujoco.mj_differentiatePos(self._model, velocity[i], self.timestep, self.qpos[k - 1], self.qpos[k])
+        return np.stack([velocity[:-1], np.diff(velocity, axis=0) / self.timestep], axis=1)
+
+
+class Foreseen:
+    """Rows, one a step, that follow from a reference: worked out for many steps ahead when one of them is asked for.
+
+    Args:
+        reference: what is worked out is forgotten when more of it becomes known.
+        rows: gives them for a range of steps, along the first axis.
+    """
+
+    def __init__(self, reference: Reference, rows: Callable[[range], Floats]) -> None:
+        self._reference, self._make = reference, rows
+        self._revision, self._steps, self._rows = -1, range(0), np.zeros(0)
+
+    def __getitem__(self, step: int) -> Floats:
+        """The row of a step."""
+        reference = self._reference
+        if self._revision != reference.revision or step not in self._steps:
+            # The last row that is known shows where to go in the step before it.
+            end = max(min(step + _AHEAD, reference.known - 1), step + 1)
+            self._revision, self._steps = reference.revision, range(step, end)
+            self._rows = self._make(self._steps)
+        return self._rows[step - self._steps.start]
 
 
 def steps_in(what: str, period: float, timestep: float) -> int:
