@@ -113,11 +113,13 @@ class EquivariantLieEDNN(RigidNetwork):
 
     def phi(self, x: Floats) -> Floats:
         """Activation Phi of twists ``(..., 6)``: the whole twist, scaled by tanh(||omega||)/||omega||."""
-        return _gain(x[..., :3])[0][..., None] * x
+        return _gain(_length(x[..., :3]))[..., None] * x
 
     def phi_jacobian(self, x: Floats) -> Floats:
         """Jacobian of `phi` on each twist, ``(..., 6)`` to ``(..., 6, 6)``: g I + X [grad g, 0]."""
-        gain, gradient = _gain(x[..., :3])
+        omega = x[..., :3]
+        r = _length(omega)
+        gain, gradient = _gain(r), _slope(r)[..., None] * omega
         result: Floats = gain[..., None, None] * np.eye(6)
         result[..., :3] += x[..., :, None] * gradient[..., None, :]
         return result
@@ -139,7 +141,7 @@ class EquivariantLieEDNN(RigidNetwork):
             self._rotational_field, self._rotational_jacobian, guess[:, :3], rate=self.gamma, tolerance=limit
         )
         omega = rotational.xi
-        gain = _gain(omega)[0]
+        gain = _gain(_length(omega))
         matrix = self.gamma * np.eye(omega.size) - self.mu * self.rotational_weight * np.repeat(gain, 3)
         drive = np.einsum("ijab,jb->ia", self.blocks[..., 3:, :3], gain[:, None] * omega) + self.bias[:, 3:]
         success, message = rotational.success, rotational.message
@@ -187,7 +189,7 @@ class EquivariantLieEDNN(RigidNetwork):
 
     def _rotational_field(self, x: Floats) -> Floats:
         omega = x.reshape(-1, 3)
-        output = _gain(omega)[0][:, None] * omega
+        output = _gain(_length(omega))[:, None] * omega
         return -self.gamma * x + self.mu * (self.rotational_weight @ output.ravel() + self.bias[:, :3].ravel())
 
     def _rotational_jacobian(self, x: Floats) -> Floats:
@@ -197,14 +199,26 @@ class EquivariantLieEDNN(RigidNetwork):
         return -self.gamma * np.eye(x.size) + self.mu * product
 
 
-def _gain(omega: Floats) -> tuple[Floats, Floats]:
-    """Factor g = tanh(r)/r with r = ||omega||, and its gradient: ``(..., 3)`` to ``(...)`` and ``(..., 3)``."""
-    # hypot neither overflows nor underflows.
-    r = np.hypot(np.hypot(omega[..., 0], omega[..., 1]), omega[..., 2])
+def _length(omega: Floats) -> Floats:
+    """The norm r = ||omega||, ``(..., 3)`` to ``(...)``; hypot neither overflows nor underflows."""
+    return np.asarray(np.hypot(np.hypot(omega[..., 0], omega[..., 1]), omega[..., 2]))
+
+
+def _gain(r: Floats) -> Floats:
+    """Factor g = tanh(r)/r."""
     small = r < _SERIES_ANGLE
-    x, square = np.where(small, 1.0, r), np.where(small, r, 0.0) ** 2
-    ratio = np.tanh(x) / x
-    gain = np.where(small, polynomial.polyval(square, _SERIES), ratio)
-    closed = (1.0 / np.cosh(np.minimum(x, 350.0)) ** 2 - ratio) / x / x
-    slope = np.where(small, polynomial.polyval(square, _SERIES_SLOPE), closed)
-    return gain, slope[..., None] * omega
+    x = np.where(small, 1.0, r)
+    closed = np.tanh(x) / x
+    if not small.any():
+        return np.asarray(closed)
+    return np.where(small, polynomial.polyval(np.where(small, r, 0.0) ** 2, _SERIES), closed)
+
+
+def _slope(r: Floats) -> Floats:
+    """Factor s = g'(r)/r: the gradient of g in omega is s omega."""
+    small = r < _SERIES_ANGLE
+    x = np.where(small, 1.0, r)
+    closed = (1.0 / np.cosh(np.minimum(x, 350.0)) ** 2 - np.tanh(x) / x) / x / x
+    if not small.any():
+        return np.asarray(closed)
+    return np.where(small, polynomial.polyval(np.where(small, r, 0.0) ** 2, _SERIES_SLOPE), closed)
