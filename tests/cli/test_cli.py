@@ -1,6 +1,7 @@
 """The command line as a user meets it: the whole road, one-line errors, exit code 2, no half-written file."""
 
 import functools
+import importlib
 import itertools
 import json
 import os
@@ -215,7 +216,9 @@ def test_a_target_can_be_numbers_or_a_position(tmp_path):
         (["--target", "extended", "--seed", "-1"], "seed"),
     ],
 )
-def test_bad_input_gives_one_line_and_no_network(arguments, words, tmp_path, capsys):
+def test_bad_input_gives_one_line_and_no_network(arguments, words, tmp_path, capsys, monkeypatch):
+    # No further start helps where nothing reaches.
+    monkeypatch.setattr(importlib.import_module("lieednn_sim.arm.reach"), "_ATTEMPTS", 2)
     output = tmp_path / "run"
     assert words in fails(capsys, "synthesize", *arguments, "--output", output)
     assert not output.exists() or list(output.iterdir()) == []
