@@ -301,9 +301,8 @@ def check_motion(arm: Arm, motion: Motion) -> None:
     if too_fast:
         enough, reason = max(too_fast)
         raise TooFastError(f"{reason}; a duration of at least {enough:.2f} s keeps it", float(enough))
-    for k, q in enumerate(motion.q):
+    for k, touching in enumerate(arm.near_contacts_along(motion.q)):
         check_time()
-        touching = arm.near_contacts(q)
         if touching:
             raise PlanError(
                 f"{touching[0][0]!r} would come within {1e3 * PLANNED_CLEARANCE:g} mm of {touching[0][1]!r} at "

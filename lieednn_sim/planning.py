@@ -81,9 +81,9 @@ class _Candidate:
     def touches(self) -> bool:
         """Whether the postures, or some straight in between, come too near to contact."""
         between = [start + share * (end - start) for start, end in pairwise(self.way) for share in _BETWEEN]
-        for q in (*self.way, *between):
+        for touching in self.arm.near_contacts_along(np.array([*self.way, *between])):
             check_time()
-            if self.arm.near_contacts(q):
+            if touching:
                 return True
         return False
 

@@ -144,8 +144,7 @@ def calls(monkeypatch, owner, name):
 def test_networks_are_drawn_once_and_only_the_best_is_looked_at_closely(monkeypatch):
     drawn = calls(monkeypatch, planning, "synthesize")
     paths, tried = (calls(monkeypatch, NetworkPath, name) for name in ("drawn", "timed"))
-    passes, original = [], Arm.near_contacts
-    monkeypatch.setattr(Arm, "near_contacts", lambda self, q: passes.append(1) or original(self, q))
+    passes = calls(monkeypatch, ContactFinder, "geoms")
     motion = plan_with("lieednn-certified", problem(duration=0.6))
     assert len(drawn) == 24
     # Refused once for its haste, and timed again as it asks for, along the same path.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -273,6 +273,10 @@ class Arm:
     def near_contacts(self, q: ArrayLike) -> list[tuple[str, str]]:
         """Names of the bodies that come closer than `PLANNED_CLEARANCE` to each other at ``q`` ``(n,)``."""
         return self._nearly_touching.bodies(self.space.to_qpos(as_floats("q", q, (self.n_joints,))))
+
+    def near_contacts_along(self, q: Floats) -> Iterator[list[tuple[str, str]]]:
+        """`near_contacts` at each of the postures ``(K, n)``, one after another; converted all at once."""
+        return map(self._nearly_touching.bodies, self.qpos(q))
 
     def unit(self, joint: int) -> str:
         """``"rad"`` or ``"m"``."""

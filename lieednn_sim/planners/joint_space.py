@@ -52,7 +52,7 @@ class ClearanceTest:
         for index, position in enumerate(self._arm.qpos(q)):
             self.tests += 1
             distance, geoms = self._finder.geoms(position)
-            if (distance < np.where(self._moving[geoms].all(axis=1), self._own, self._margin)).any():
+            if len(distance) and (distance < np.where(self._moving[geoms].all(axis=1), self._own, self._margin)).any():
                 return index
         return None
 
