@@ -8,7 +8,6 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
-from scipy.stats import qmc
 
 from lieednn_sim.arm.joints import CompoundJoint
 from lieednn_sim.lie import hat
@@ -108,6 +107,8 @@ class NearestPose:
     @cached_property
     def _spread(self) -> tuple[Floats, Floats, Floats, Floats]:
         """Postures ``(P, c)`` without slides, stacked poses, their derivatives in the slides, and pseudo-inverses."""
+        from scipy.stats import qmc  # a third of the time in which a command starts; few poses are far
+
         postures = np.pi * (2.0 * qmc.Halton(len(self._indices), scramble=False).random(_POSTURES) - 1.0)
         for factor in (factor for joint in self._joints for factor in joint.factors if factor.kind == "ball"):
             turns = Rotation.random(_POSTURES, rng=np.random.default_rng(0)).as_rotvec()

@@ -148,7 +148,7 @@ def test_disturbances_reach_the_simulation_and_are_reported(tmp_path, capsys):
     assert "reference held at 100 Hz, masses times 1.1, payload 0.5 kg, position noise 1e-06, velocity" in printed
 
 
-@pytest.mark.usefixtures("no_ink")
+@pytest.mark.usefixtures("no_plots")
 def test_among_obstacles_the_filter_plans_and_the_clearance_is_measured(tmp_path, capsys):
     directory = tmp_path / "run"
     assert main(["demo", "--no-video", "--scene", "window", "--scene-seed", "2", "--output", str(directory)]) == 0
