@@ -13,7 +13,7 @@ from scipy.spatial.transform import RigidTransform
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError, SimulationError
-from lieednn_sim.lie import log
+from lieednn_sim.lie import log, poses, rotations
 from lieednn_sim.simulate import Simulation
 from lieednn_sim.simulate.control import PositionServo
 from lieednn_sim.simulate.reference import Reference, steps_in
@@ -198,9 +198,7 @@ class ArmTask(ABC):
         self._reference.extend((1.0 - parts) * start + parts * end, rate)
         first = self._step * self._substeps
         try:
-            for step in range(first, first + self._substeps):
-                self._servo.act(self.simulation.data, step, self.simulation.noise)
-                self.simulation.advance()
+            self.simulation.advance(self._substeps, self._servo.controls(range(first, first + self._substeps)))
         except SimulationError as error:
             self._over = True
             return Transition(
@@ -221,20 +219,31 @@ class ArmTask(ABC):
 
     def _look(self) -> None:
         """Take the observations of the present time, and the errors, which cost as much as the physics."""
-        # T^-1 T_target of the frames that count, shape (F,).
-        to_go = self.simulation.link_poses()[self._frames].inv() * self._target_poses(self._step)[self._frames]
+        # T^-1 T_target of the frames that count, shape (F,); SciPy's product is checked, at many times the cost.
+        wanted = self._target_poses(self._step)[self._frames].as_matrix()
+        product = self.simulation.link_poses(self._frames).inv().as_matrix() @ wanted
+        to_go = poses(product[:, :3, :3], product[:, :3, 3])
         self.distance = float(np.linalg.norm(to_go.translation, axis=-1).max())
-        self.angle = float(to_go.rotation.magnitude().max())
-        q = self.simulation.q
+        self.angle = float(rotations(to_go.as_matrix()[:, :3, :3]).magnitude().max())
+        q, qd = self._joints()
         values = {
             "position": q,
-            "velocity": self.simulation.qd,
+            "velocity": qd,
             "command": self.command,
             "position_error": self.target(self.time) - q,
             "pose_error": log(to_go),
             **self._more_observations(),
         }
-        self._seen = {name: np.clip(values[name], low, high) for name, (low, high) in self.bounds.items()}
+        # As np.clip, twice as fast.
+        self._seen = {
+            name: np.minimum(np.maximum(values[name], low), high) for name, (low, high) in self.bounds.items()
+        }
+
+    def _joints(self) -> tuple[Floats, Floats]:
+        """Joint positions and velocities ``(n,)``, as the simulation's, without their checks."""
+        space, data = self.arm.space, self.simulation.data
+        q = space.from_qpos(data.qpos)
+        return q, space.from_qvel(q, data.qvel)
 
     def _more_observations(self) -> dict[str, Floats]:
         """What a task observes beside what all do; their bounds belong into `bounds`."""

@@ -60,7 +60,7 @@ class Reach(ArmTask):
         return self._within_tolerance() and self._speed() <= REST
 
     def _speed(self) -> float:
-        return float(np.abs(self.simulation.qd / self.arm.velocity_limits).max())
+        return float(np.abs(self._joints()[1] / self.arm.velocity_limits).max())
 
     def _target_poses(self, step: int) -> RigidTransform:
         return self._poses

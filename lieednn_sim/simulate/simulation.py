@@ -8,11 +8,12 @@ from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.spatial.transform import RigidTransform
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import SimulationError
+from lieednn_sim.lie import poses, rotations
 from lieednn_sim.simulate.disturbances import Disturbances, Noise, Sensors
 from lieednn_sim.simulate.log import Instant, Log
 from lieednn_sim.simulate.plant import make_plant
@@ -78,11 +79,12 @@ class Simulation:
         q = self.arm.coordinates(qpos)
         return q, self.arm.rates(q, self.data.qvel + self.noise.velocity)
 
-    def link_poses(self) -> RigidTransform:
-        """Link frames at the present time, poses of shape ``(N,)``."""
+    def link_poses(self, links: slice = slice(None)) -> RigidTransform:
+        """Frames of some links at the present time, poses of shape ``(N,)``, by default of all."""
         mujoco.mj_kinematics(self.model, self.data)
-        rotation = Rotation.from_matrix(self.data.site_xmat[self.arm.site_ids].reshape(-1, 3, 3))
-        return RigidTransform.from_components(self.data.site_xpos[self.arm.site_ids], rotation)
+        sites = self.arm.site_ids[links]
+        matrices = self.data.site_xmat[sites].reshape(-1, 3, 3)
+        return poses(rotations(matrices).as_matrix(), self.data.site_xpos[sites])
 
     def reset(self, q: ArrayLike, qd: ArrayLike | None = None) -> None:
         """Start again at time 0 from joint coordinates ``(n,)`` and their rates, by default zero.
