@@ -66,6 +66,20 @@ def corners(seed: int, count: int = 5) -> np.ndarray:
     return drawn
 
 
+def test_a_path_is_searched_for_once_however_long_the_motion_takes(monkeypatch):
+    start, target = ARM.keyframe("home"), ARM.keyframe("extended")
+    attempts = []
+
+    def straight(_problem, _workspace, _planner, attempt):
+        attempts.append(attempt)
+        return np.array([start, target])
+
+    monkeypatch.setattr(sampling, "_drawn", straight)
+    motion = plan_with("rrt-connect", PlanningProblem(ARM, start, target, 0.5))
+    assert motion.t[-1] > 0.5, "the time asked for is too short"
+    assert attempts == [0, 1]
+
+
 @pytest.mark.parametrize("name", DETOUR)
 def test_they_go_around_what_is_in_the_way_with_clearance(name, monkeypatch):
     needs(name)
