@@ -357,3 +357,19 @@ def test_rk4_is_replaced_with_a_note_and_refused_where_nothing_may_be_replaced()
     spec.option.integrator = rk4
     with pytest.raises(InputError, match=r"arm 'adopted' asks for the integrator RK4, .*; write implicitfast"):
         Arm.from_spec(spec, Path("adopted.xml"), "adopted")
+
+
+@pytest.mark.parametrize(("half", "told"), [(179, True), (150, False)])
+def test_a_compound_joint_that_comes_near_half_a_turn_is_told(half, told):
+    """Among 65 postures one turns by more than 0.95 pi where the limits allow 0.99 pi; slides do not count."""
+    _, report = adopt(
+        spec_of(f"""
+<mujoco><compiler angle="degree"/><worldbody>
+  <body name="still" pos="0 0 1"><joint name="a" range="-9 9"/><geom size="0.05"/>
+    <body name="sliding"><joint name="b" type="slide" range="-9 9"/><geom size="0.05"/>
+      <body name="turning" pos="0.3 0 0"><joint name="c" range="-{half} {half}"/><geom size="0.05" pos="0.2 0 0"/>
+</body></body></body></worldbody></mujoco>"""),
+        links=["still", "turning"],
+    )
+    notes = [note for note in report.notes if "may turn by" in note]
+    assert [note[: len("link 2 may turn by 3")] for note in notes] == ["link 2 may turn by 3"] * told
