@@ -10,16 +10,22 @@ from __future__ import annotations
 import argparse
 import platform
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
 from lieednn_sim import storage
+from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm, arm_names
 from lieednn_sim.arm.targets import draw_target
+from lieednn_sim.environments import suite
 from lieednn_sim.learning import TrainingOptions, train
+from lieednn_sim.motion import Motion
 from lieednn_sim.planning import plan
-from lieednn_sim.simulate import simulate
+from lieednn_sim.simulate import Disturbances, simulate
+from lieednn_sim.simulate.reference import Reference
+from lieednn_sim.simulate.tracking import make_controlled
 from lieednn_sim.synthesis import Synthesis, synthesize
 
 
@@ -83,6 +89,52 @@ def epoch_costs(epochs: int, count: int) -> dict[str, float]:
     return costs
 
 
+def _processor_time(run: Callable[[], object], repeats: int) -> float:
+    """Median of the processor time [s], which other work on the machine disturbs less than the time on the wall."""
+    times = []
+    for _ in range(repeats):
+        begun = time.process_time()
+        run()
+        times.append(time.process_time() - begun)
+    return float(np.median(times))
+
+
+def stepping_ratios(arm: Arm, motion: Motion, repeats: int, actions: int = 50) -> dict[str, str]:
+    """What rollouts and environments cost beside MuJoCo's own steps of the same plant."""
+    ratios = {}
+    for controller in ("position-servo", "inverse-dynamics", "mocap", "computed-torque"):
+        rollout = simulate(arm, motion, controller=controller)
+        steps = len(rollout.t)
+        reference = Reference.of(arm, rollout.q_ref, rollout.qd_ref)
+        driver, simulation = make_controlled(arm, controller, reference, Disturbances())
+        model, data = simulation.model, simulation.data
+        driver.act(data, 0, simulation.noise)
+        if controller == "computed-torque":
+            rival = "bare Python loop of mj_step"
+            bare = _processor_time(lambda m=model, d=data, k=steps: [mujoco.mj_step(m, d) for _ in range(k)], repeats)
+        else:
+            rival = "bare call of mj_step with nstep"
+            bare = _processor_time(lambda m=model, d=data, k=steps: mujoco.mj_step(m, d, k), repeats)
+        whole = _processor_time(lambda name=controller: simulate(arm, motion, controller=name), repeats)
+        ratios[f"steps/s of a rollout by {controller}, in those of a {rival}"] = f"{bare / whole:.2f}"
+    environment = suite.load(arm, "reach", random=0)
+    task, rng = environment.task, np.random.default_rng(0)
+
+    def episode() -> None:
+        environment.reset(seed=0)
+        for _ in range(actions):
+            environment.step(0.3 * rng.uniform(-1.0, 1.0, arm.n_joints))
+
+    begin = _processor_time(lambda: environment.reset(seed=0), repeats)
+    step = (_processor_time(episode, repeats) - begin) / actions
+    environment.reset(seed=0)
+    substeps = round(task.control_timestep / arm.model.opt.timestep)
+    simulation = task.simulation
+    bare = _processor_time(lambda: mujoco.mj_step(simulation.model, simulation.data, substeps * actions), repeats)
+    ratios[f"environment step, in its {substeps} bare substeps"] = f"{step * actions / bare:.1f}"
+    return ratios
+
+
 def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="a tenth of the targets")
@@ -136,6 +188,7 @@ def write(directory: Path, scale: int, suffix: str = "") -> Path:
         "retargeting a certified network, in syntheses": f"1 / {synthesis_time / retarget_time:.0f}",
         "planning with 24 candidates, in syntheses": f"{plan_time / synthesis_time:.0f}",
         "simulation, in real time": f"1 / {rollout.t[-1] / simulation_time:.0f}",
+        **stepping_ratios(arm, chosen.motion, max(10 // scale, 1)),
     }
 
     storage.save_json(

@@ -13,9 +13,13 @@ from lieednn_sim.arm import Arm, arm_names
 
 def test_every_row_is_measured_and_written(tmp_path):
     table = benchmark.write(tmp_path, 1000).read_text(encoding="utf-8")
-    rows = json.loads((tmp_path / "benchmark.json").read_text(encoding="utf-8"))["synthesis"]
+    written = json.loads((tmp_path / "benchmark.json").read_text(encoding="utf-8"))
+    rows = written["synthesis"]
     assert len(rows) == 11
     assert all(f"| {row['targets']} | {row['certified']} |" in table for row in rows)
+    stepping = {name: float(value) for name, value in written["ratios"].items() if "mj_step" in name or "bare" in name}
+    assert len(stepping) == 5
+    assert all(value > 0.0 for value in stepping.values())
     studied = [row for row in rows if "sign-matched" in row["targets"]]
     assert {row["targets"].split(",")[0] for row in studied} == set(arm_names())
     assert all(row["certified"] == "1 of 1" for row in studied)
