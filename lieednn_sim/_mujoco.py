@@ -1,6 +1,6 @@
 """The one place that imports MuJoCo: it reads ``MUJOCO_GL`` at its first import, so OpenGL is chosen before."""
 
-from lieednn_sim import opengl
+from lieednn_sim.rendering import opengl
 
 opengl.configure()
 

@@ -1,7 +1,7 @@
 """Files: arrays as ``.npz``, everything else as JSON inside it, written atomically and never pickled.
 
 Every ``.npz`` carries a fingerprint of its content, and those of the files that it was made from: a file that was
-changed is refused, and files that do not belong together are told apart (`task.RunDirectory`).
+changed is refused, and files that do not belong together are told apart (`cli.run_directory.RunDirectory`).
 """
 
 from __future__ import annotations

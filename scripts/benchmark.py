@@ -21,11 +21,11 @@ from lieednn_sim.arm import Arm, arm_names
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.environments import suite
 from lieednn_sim.learning import TrainingOptions, train
-from lieednn_sim.motion import Motion
-from lieednn_sim.planning import plan
-from lieednn_sim.simulate import Disturbances, simulate
-from lieednn_sim.simulate.reference import Reference
-from lieednn_sim.simulate.tracking import make_controlled
+from lieednn_sim.planning.certified import plan
+from lieednn_sim.planning.motion import Motion
+from lieednn_sim.simulation import Disturbances, simulate
+from lieednn_sim.simulation.reference import Reference
+from lieednn_sim.simulation.tracking import make_controlled
 from lieednn_sim.synthesis import Synthesis, synthesize
 
 

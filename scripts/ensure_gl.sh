@@ -5,7 +5,7 @@ set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 
 say() { printf '%s\n' "$*" >&2; }
-ask() { .venv/bin/python -m lieednn_sim.opengl 2>/dev/null; }
+ask() { .venv/bin/python -m lieednn_sim.rendering.opengl 2>/dev/null; }
 
 if ask >/dev/null; then exit 0; fi
 
@@ -26,5 +26,5 @@ if [ -n "$packages" ] && [ "$as_root" != none ] && command -v apt-get >/dev/null
 fi
 
 say "No rendering: going on without video."
-.venv/bin/python -m lieednn_sim.opengl >/dev/null || true
+.venv/bin/python -m lieednn_sim.rendering.opengl >/dev/null || true
 if [ -n "$packages" ]; then say "To get video: apt-get install $packages   (as root)"; fi

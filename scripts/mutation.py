@@ -41,18 +41,20 @@ class Room:
     slow: tuple[str, ...] = ()
 
 
-_ARM_TESTS = ("tests/arm/test_arm.py", "tests/arm/test_retraction.py", "tests/arm/test_adopt.py")
+_ARM_TESTS = ("tests/arm/test_arm.py", "tests/arm/test_projection.py", "tests/arm/test_importer.py")
 ROOMS = {
-    "lie": Room(("lie/*",), ("tests/lie",)),
+    "lie": Room(
+        ("lie/*", "theory/groups.py", "theory/matrix_group.py"), ("tests/lie", "tests/theory/test_matrix_group.py")
+    ),
     "stability": Room(("stability/*",), ("tests/stability",)),
     "synthesis": Room(("synthesis/*",), ("tests/synthesis",)),
-    "motion": Room(("motion.py",), ("tests/test_motion.py",)),
-    "planning": Room(("planning.py",), ("tests/test_motion.py",)),
+    "motion": Room(("planning/motion.py",), ("tests/planning/test_motion.py",)),
+    "planning": Room(("planning/certified.py",), ("tests/planning/test_motion.py",)),
     "filtering": Room(
-        ("filtering/*", "planners/legs.py"),
-        ("tests/test_filtering.py",),
+        ("planning/filtering/*", "planning/segments.py"),
+        ("tests/planning/test_filtering.py",),
         tuple(
-            f"tests/test_filtering.py::{name}"
+            f"tests/planning/test_filtering.py::{name}"
             for name in (
                 "test_the_planners_find_a_way_around",
                 "test_a_hopeless_problem_says_what_blocks",
@@ -61,17 +63,21 @@ ROOMS = {
             )
         ),
     ),
-    "retraction": Room(("arm/retraction.py", "arm/nearest.py", "arm/joints.py"), _ARM_TESTS[:2]),
+    "projection": Room(("arm/projection.py", "arm/nearest.py", "arm/kinematics.py"), _ARM_TESTS[:2]),
     "couplings": Room(("arm/couplings.py",), ("tests/arm/test_couplings.py", *_ARM_TESTS[1:])),
-    "simulate": Room(
-        ("simulate/*",),
-        ("tests/simulate",),
-        ("tests/simulate/test_rollout.py::test_final_pose_error_and_tracking_over_seeded_targets",),
+    "simulation": Room(
+        ("simulation/*",),
+        ("tests/simulation",),
+        ("tests/simulation/test_rollout.py::test_final_pose_error_and_tracking_over_seeded_targets",),
     ),
     "metrics": Room(
-        ("evaluate.py", "compare/metrics.py", "compare/statistics.py"),
-        ("tests/test_evaluate.py", "tests/compare/test_metrics.py", "tests/compare/test_compare.py"),
-        ("tests/compare/test_compare.py::test_interrupting_keeps_what_is_done",),
+        ("evaluation/metrics.py", "evaluation/motion_metrics.py", "evaluation/statistics.py"),
+        (
+            "tests/evaluation/test_metrics.py",
+            "tests/evaluation/test_motion_metrics.py",
+            "tests/evaluation/test_compare.py",
+        ),
+        ("tests/evaluation/test_compare.py::test_interrupting_keeps_what_is_done",),
     ),
     "limits": Room(("arm/reading.py", "arm/coordinates.py"), _ARM_TESTS),
 }

@@ -13,8 +13,8 @@ from PIL import Image
 from lieednn_sim import storage
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.targets import draw_target
-from lieednn_sim.planners import PlanningProblem, plan_with
-from lieednn_sim.render.video import Camera
+from lieednn_sim.planning import PlanningProblem, plan_with
+from lieednn_sim.rendering.video import Camera
 
 SIZE = (640, 440)
 ALONE = ("telescopic_pr", "telescopic_rrp", "telescopic_compound")

@@ -22,7 +22,7 @@ from paper.results import Results
 from rich.console import Console
 
 from lieednn_sim import storage
-from lieednn_sim.workers import exit_code
+from lieednn_sim.evaluation.workers import exit_code
 
 
 def reproduce(plan: Plan, directory: str | os.PathLike[str], workers: int, command: str, console: Console) -> Path:

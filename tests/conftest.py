@@ -19,7 +19,8 @@ from typing import TYPE_CHECKING
 import pytest
 from hypothesis import settings
 
-from lieednn_sim import budget, opengl
+from lieednn_sim import budget
+from lieednn_sim.rendering import opengl
 
 if TYPE_CHECKING:
     from lieednn_sim.arm import Arm
@@ -125,7 +126,7 @@ def no_ink(monkeypatch: pytest.MonkeyPatch) -> None:
 
     For tests in which plots are by the way; `test_cli.test_the_demo_without_video_meets_its_bounds` draws them.
     """
-    from lieednn_sim import plots
+    from lieednn_sim.evaluation import plots
 
     monkeypatch.setattr(plots, "_save", lambda figure, path: Path(path).write_bytes(b"a picture"))
 
@@ -133,7 +134,7 @@ def no_ink(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def no_plots(monkeypatch: pytest.MonkeyPatch) -> None:
     """Plots are not even composed, though their files are there; for tests whose runs are as any other."""
-    from lieednn_sim import plots
+    from lieednn_sim.evaluation import plots
 
     for name in ("plot_network", "plot_tracking", "plot_joints", "plot_training"):
         monkeypatch.setattr(plots, name, lambda *given: Path(given[-1]).write_bytes(b"a picture"))
@@ -146,7 +147,7 @@ def in_this_process() -> Callable[[], contextlib.AbstractContextManager[None]]:
     @contextlib.contextmanager
     def without_workers() -> Iterator[None]:
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr("lieednn_sim.compare.study.worker_pool", lambda _: ThreadPoolExecutor(1))
+            patch.setattr("lieednn_sim.evaluation.study.worker_pool", lambda _: ThreadPoolExecutor(1))
             yield
 
     return without_workers

@@ -8,16 +8,18 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from lieednn_sim import budget, planning
+from lieednn_sim import budget
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.contacts import ContactFinder
 from lieednn_sim.budget import check_time, out_of_time, time_limit
 from lieednn_sim.cli import _parser, main
-from lieednn_sim.compare import Case, Settings, Table, run_case, write_summary
 from lieednn_sim.errors import InputError, OutOfTimeError, PlanError
-from lieednn_sim.motion import NetworkPath, least_duration
-from lieednn_sim.planners import PLANNERS, PlanningProblem, missing_planners, plan_with, sampling
-from lieednn_sim.planning import plan
+from lieednn_sim.evaluation import Case, Settings, Table, run_case, write_summary
+from lieednn_sim.planning import PLANNERS, PlanningProblem, missing_planners, plan_with
+from lieednn_sim.planning import certified as planning
+from lieednn_sim.planning.baselines import sampling
+from lieednn_sim.planning.certified import plan
+from lieednn_sim.planning.motion import NetworkPath, least_duration
 
 ARM = Arm.load("telescopic_pr")
 INSTALLED = sorted(set(PLANNERS) - set(missing_planners()))

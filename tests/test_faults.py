@@ -13,10 +13,10 @@ import pytest
 
 from lieednn_sim import storage
 from lieednn_sim.cli import main
-from lieednn_sim.compare import Selection, Settings, compare, read_rows, study
+from lieednn_sim.cli.run_directory import RunDirectory
 from lieednn_sim.errors import FileError, LieEDNNError
-from lieednn_sim.run_directory import RunDirectory
-from lieednn_sim.simulate import Rollout
+from lieednn_sim.evaluation import Selection, Settings, compare, read_rows, study
+from lieednn_sim.simulation import Rollout
 
 # A process that ends itself by SIGKILL where it is told to: no moment to wait for, no time to clean up.
 KILL = "import os, signal, sys\nkill = lambda *_: os.kill(os.getpid(), signal.SIGKILL)\n"
@@ -83,7 +83,7 @@ sys.exit(main())
 def test_a_comparison_that_is_killed_goes_on_from_its_table(tmp_path, start, in_this_process):
     code = """
 from lieednn_sim.cli import main
-from lieednn_sim.compare import table
+from lieednn_sim.evaluation import table
 table._WRITE_INTERVAL, save = -1.0, table.Table.save
 table.Table.save = lambda self: (save(self), kill())
 if __name__ == "__main__":

@@ -15,16 +15,16 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from lieednn_sim import lie, stability
+from lieednn_sim import lie, stability, theory
 from lieednn_sim.arm import Arm
 from lieednn_sim.cli import main
+from lieednn_sim.cli.task import Task
 from lieednn_sim.errors import FileError, LieEDNNError
-from lieednn_sim.filtering.safety import SafetyFilter
-from lieednn_sim.lie import groups
-from lieednn_sim.motion import Motion
-from lieednn_sim.network import EquivariantLieEDNN, GroupLieEDNN, LieEDNN
+from lieednn_sim.network import LieEDNN
+from lieednn_sim.planning.filtering.safety import SafetyFilter
+from lieednn_sim.planning.motion import Motion
 from lieednn_sim.synthesis.bias import BIAS_RULES, bias_for
-from lieednn_sim.task import Task
+from lieednn_sim.theory import EquivariantLieEDNN, GroupLieEDNN, groups
 from lieednn_sim.validation import as_choice, as_count, as_floats, as_seed, as_shape
 
 
@@ -154,8 +154,8 @@ def test_stability(data):
                 # Infinite beside an output that vanishes, as documented.
                 lambda: check(stability.smallest_one_norm, weight, data.draw(arrays(n, n)), infinite=(0,)),
                 lambda: check(stability.assess, weight, jacobian=data.draw(arrays(n, n)), **rates),
-                lambda: check(stability.smoothness_bounds, weight, data.draw(arrays(n)), data.draw(positive), **rates),
-                lambda: check(stability.curvature, data.draw(arrays(n)), data.draw(arrays(n))),
+                lambda: check(theory.smoothness_bounds, weight, data.draw(arrays(n)), data.draw(positive), **rates),
+                lambda: check(theory.curvature, data.draw(arrays(n)), data.draw(arrays(n))),
             ]
         )
     )

@@ -1,10 +1,10 @@
 """Arms: MJCF models of compound joints, with their forward map, encoding and retraction."""
 
-from lieednn_sim.arm.adoption import Adoption, adopt
 from lieednn_sim.arm.arm import PLANNED_CLEARANCE, Arm
+from lieednn_sim.arm.importer import Adoption, adopt
+from lieednn_sim.arm.inverse_kinematics import reach
 from lieednn_sim.arm.models import arm_names, models_directory, scene_path
-from lieednn_sim.arm.reach import reach
-from lieednn_sim.arm.retraction import Retraction
+from lieednn_sim.arm.projection import Retraction
 
 __all__ = [
     "PLANNED_CLEARANCE",

@@ -15,14 +15,14 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform
 
 from lieednn_sim._mujoco import mujoco
-from lieednn_sim.arm.adoption import Adoption
 from lieednn_sim.arm.contacts import ContactFinder
 from lieednn_sim.arm.coordinates import Coordinates
 from lieednn_sim.arm.fingerprint import arm_fingerprint
-from lieednn_sim.arm.joints import CompoundJoints
+from lieednn_sim.arm.importer import Adoption
+from lieednn_sim.arm.kinematics import CompoundJoints
 from lieednn_sim.arm.models import MODEL_SUFFIXES, open_model, scene_path
-from lieednn_sim.arm.reading import read_arm
-from lieednn_sim.arm.retraction import Retraction, Retractor
+from lieednn_sim.arm.parsing import read_arm
+from lieednn_sim.arm.projection import Retraction, Retractor
 from lieednn_sim.arm.scenes import SCENES, add_obstacles
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.lie import log, poses
@@ -126,7 +126,7 @@ class Arm:
         """Load an MJCF file that holds one arm.
 
         A file with the sites ``base_frame`` and ``link1_frame``, ``link2_frame``, ... is taken as it is. Any other is
-        adopted (`adoption.adopt`): cut into compound joints, given drives where it has none, the rest of it frozen.
+        adopted (`importer.adopt`): cut into compound joints, given drives where it has none, the rest of it frozen.
 
         Args:
             path: of the file.

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from lieednn_sim.arm.joints import CompoundJoint
+from lieednn_sim.arm.kinematics import CompoundJoint
 from lieednn_sim.lie import exp, hat, left_jacobian_se3, left_jacobian_so3, rotations
 
 Floats = NDArray[np.float64]

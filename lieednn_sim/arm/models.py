@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from lieednn_sim._mujoco import mujoco
-from lieednn_sim.arm.adoption import Adoption, adopt
+from lieednn_sim.arm.importer import Adoption, adopt
 from lieednn_sim.errors import FileError
 from lieednn_sim.storage import is_file
 from lieednn_sim.validation import as_choice

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from lieednn_sim.arm.joints import CompoundJoint
+from lieednn_sim.arm.kinematics import CompoundJoint
 from lieednn_sim.lie import hat
 
 Floats = NDArray[np.float64]

@@ -14,12 +14,12 @@ from lieednn_sim.arm import Arm, reach
 from lieednn_sim.arm.models import MODEL_SUFFIXES
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.cli.numerals import decimal
+from lieednn_sim.cli.task import Task
 from lieednn_sim.errors import InputError
-from lieednn_sim.motion import count_steps
-from lieednn_sim.simulate import CONTROLLERS, Disturbances, Push
-from lieednn_sim.simulate.reference import steps_of_rate
-from lieednn_sim.simulate.tracking import as_hold
-from lieednn_sim.task import Task
+from lieednn_sim.planning.motion import count_steps
+from lieednn_sim.simulation import CONTROLLERS, Disturbances, Push
+from lieednn_sim.simulation.reference import steps_of_rate
+from lieednn_sim.simulation.tracking import as_hold
 from lieednn_sim.validation import as_choice, as_positive, as_seed
 
 Floats = NDArray[np.float64]

@@ -6,16 +6,16 @@ import argparse
 import time
 from pathlib import Path
 
-from lieednn_sim import opengl
 from lieednn_sim.arm import Arm
 from lieednn_sim.cli.arguments import disturbances, load_arm, size
 from lieednn_sim.cli.console import console, progress, wrote
+from lieednn_sim.cli.run_directory import RunDirectory
 from lieednn_sim.errors import InputError, RenderingUnavailableError
-from lieednn_sim.evaluate import evaluate as evaluate_rollout
-from lieednn_sim.motion import check_motion, make_motion
-from lieednn_sim.run_directory import RunDirectory
-from lieednn_sim.simulate import Rollout
-from lieednn_sim.simulate import simulate as simulate_motion
+from lieednn_sim.evaluation.metrics import evaluate as evaluate_rollout
+from lieednn_sim.planning.motion import check_motion, make_motion
+from lieednn_sim.rendering import opengl
+from lieednn_sim.simulation import Rollout
+from lieednn_sim.simulation import simulate as simulate_motion
 from lieednn_sim.validation import as_path
 
 
@@ -129,8 +129,8 @@ def _simulate(run: RunDirectory, arguments: argparse.Namespace) -> None:
 
 
 def _evaluate(run: RunDirectory) -> None:
-    from lieednn_sim import plots
     from lieednn_sim.cli.tables import print_evaluation
+    from lieednn_sim.evaluation import plots
 
     task, arm = run.load_task()
     rollout, motion = run.load_rollout(task), run.load_motion(task)
@@ -146,13 +146,13 @@ def _evaluate(run: RunDirectory) -> None:
 
 def _clearance(arm: Arm, rollout: Rollout) -> float:
     from lieednn_sim.arm.collision import Collisions
-    from lieednn_sim.compare.metrics import least_clearance
+    from lieednn_sim.evaluation.motion_metrics import least_clearance
 
     return least_clearance(rollout, Collisions(arm))
 
 
 def _render(run: RunDirectory, arguments: argparse.Namespace, path: Path) -> None:
-    from lieednn_sim.render.video import render_video
+    from lieednn_sim.rendering.video import render_video
 
     task, arm = run.load_task()
     backend = opengl.require()
@@ -175,7 +175,7 @@ def _render(run: RunDirectory, arguments: argparse.Namespace, path: Path) -> Non
 
 def _check_video(arm: Arm, arguments: argparse.Namespace) -> None:
     """Refuse bad video options before the work that comes first."""
-    from lieednn_sim.render.video import check_rate, check_view
+    from lieednn_sim.rendering.video import check_rate, check_view
 
     check_view(arm, camera=arguments.camera, size=size(arguments.size), preset=arguments.preset)
     check_rate(arguments.fps, "video.mp4")

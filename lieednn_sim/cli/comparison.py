@@ -9,10 +9,10 @@ from collections.abc import Sequence
 
 from lieednn_sim import storage
 from lieednn_sim.cli.console import console, progress, to_stderr, wrote
-from lieednn_sim.compare import Case, Selection, Settings, Table, compare, write_summary
 from lieednn_sim.errors import LieEDNNError
-from lieednn_sim.planners import missing_planners
-from lieednn_sim.report import Clip, choose_cases, film, write_page
+from lieednn_sim.evaluation import Case, Selection, Settings, Table, compare, write_summary
+from lieednn_sim.evaluation.report import Clip, choose_cases, film, write_page
+from lieednn_sim.planning import missing_planners
 from lieednn_sim.validation import as_count
 
 

@@ -11,9 +11,9 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from lieednn_sim import opengl
 from lieednn_sim.arm import arm_names
 from lieednn_sim.errors import FileError
+from lieednn_sim.rendering import opengl
 
 _PACKAGES = (
     "mujoco",

@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 
+from lieednn_sim.cli.names import ALGORITHMS, ARMS, BIAS_RULES, CONTROLLERS, PLANNERS, SCENES
 from lieednn_sim.cli.numerals import decimal, decimal_or_inf, whole
-from lieednn_sim.names import ALGORITHMS, ARMS, BIAS_RULES, CONTROLLERS, PLANNERS, SCENES
 
 
 def add_task(parser: argparse.ArgumentParser, output: str, *, goal: bool = True) -> argparse._MutuallyExclusiveGroup:

@@ -14,19 +14,13 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.cli.arguments import RANDOM, load_arm, make_task, start_and_target, usual_target
 from lieednn_sim.cli.arms import print_adoption
 from lieednn_sim.cli.console import console, progress, table, wrote
+from lieednn_sim.cli.run_directory import RunDirectory
+from lieednn_sim.cli.task import CERTIFIED
 from lieednn_sim.errors import InputError
-from lieednn_sim.motion import Motion
 from lieednn_sim.network import ComponentwiseNetwork
-from lieednn_sim.planners import (
-    OBSTACLE_PLANNER,
-    PLANNERS,
-    PlanningProblem,
-    plan_network,
-    require_planner,
-)
-from lieednn_sim.planning import Plan, plan
-from lieednn_sim.run_directory import RunDirectory
-from lieednn_sim.task import CERTIFIED
+from lieednn_sim.planning import OBSTACLE_PLANNER, PLANNERS, PlanningProblem, plan_network, require_planner
+from lieednn_sim.planning.certified import Plan, plan
+from lieednn_sim.planning.motion import Motion
 from lieednn_sim.validation import as_choice
 
 Floats = NDArray[np.float64]

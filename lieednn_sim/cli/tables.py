@@ -5,8 +5,8 @@ from __future__ import annotations
 from rich.table import Table
 
 from lieednn_sim.cli.console import console, table
-from lieednn_sim.evaluate import Evaluation
-from lieednn_sim.simulate import Rollout
+from lieednn_sim.evaluation.metrics import Evaluation
+from lieednn_sim.simulation import Rollout
 
 
 def print_evaluation(evaluation: Evaluation, rollout: Rollout, clearance: float | None = None) -> None:

@@ -11,12 +11,15 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lieednn_sim import plots, storage
+from lieednn_sim import storage
 from lieednn_sim.arm import Arm
 from lieednn_sim.cli.arguments import load_arm, make_task, start_and_target
 from lieednn_sim.cli.arms import print_adoption
 from lieednn_sim.cli.console import console, progress, table, wrote
+from lieednn_sim.cli.run_directory import RunDirectory
+from lieednn_sim.cli.task import TRAINED, Task
 from lieednn_sim.errors import FileError, InputError, PlanError
+from lieednn_sim.evaluation import plots
 from lieednn_sim.learning import (
     ALGORITHMS,
     RiemannianOptions,
@@ -27,11 +30,9 @@ from lieednn_sim.learning import (
 )
 from lieednn_sim.learning import train as learn
 from lieednn_sim.learning.checkpoint import load as load_checkpoint
-from lieednn_sim.motion import check_motion, make_motion
 from lieednn_sim.network import LieEDNN
-from lieednn_sim.run_directory import RunDirectory
+from lieednn_sim.planning.motion import check_motion, make_motion
 from lieednn_sim.synthesis import bias_for
-from lieednn_sim.task import TRAINED, Task
 from lieednn_sim.validation import as_choice, as_count, as_positive
 
 Floats = NDArray[np.float64]

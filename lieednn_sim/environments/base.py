@@ -14,9 +14,9 @@ from scipy.spatial.transform import RigidTransform
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError, SimulationError
 from lieednn_sim.lie import log, poses, rotations
-from lieednn_sim.simulate import Simulation
-from lieednn_sim.simulate.control import PositionServo
-from lieednn_sim.simulate.reference import Reference, steps_in
+from lieednn_sim.simulation import Simulation
+from lieednn_sim.simulation.controllers.base import PositionServo
+from lieednn_sim.simulation.reference import Reference, steps_in
 from lieednn_sim.validation import as_choice, as_floats, as_positive, as_seed
 
 Floats = NDArray[np.float64]

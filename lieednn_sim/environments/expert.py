@@ -11,7 +11,7 @@ from lieednn_sim.environments.base import ArmTask
 from lieednn_sim.environments.tasks import Track
 from lieednn_sim.environments.trajectories import Trajectory, planned
 from lieednn_sim.errors import InputError
-from lieednn_sim.planners import OBSTACLE_PLANNER, PLANNERS, require_planner
+from lieednn_sim.planning import OBSTACLE_PLANNER, PLANNERS, require_planner
 from lieednn_sim.validation import as_choice, as_count, as_seed
 
 Floats = NDArray[np.float64]
@@ -26,7 +26,7 @@ class Expert:
 
     Args:
         environment: an `ArmTask`, an environment of `suite.load`, or a Gymnasium one, wrapped or not.
-        planner: a name of `planners.PLANNERS`; by default `planning.plan`, and among obstacles `OBSTACLE_PLANNER`.
+        planner: a name of `planning.PLANNERS`; by default `certified.plan`, and among obstacles `OBSTACLE_PLANNER`.
         candidates: networks to draw for a plan at first, see `trajectories.planned`.
         seed: of the draws.
 

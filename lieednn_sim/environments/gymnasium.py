@@ -21,7 +21,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.environments.base import Observation
 from lieednn_sim.environments.tasks import make_task
 from lieednn_sim.errors import InputError, LieEDNNError
-from lieednn_sim.render.video import Camera
+from lieednn_sim.rendering.video import Camera
 
 try:
     import gymnasium
@@ -46,7 +46,7 @@ class Environment(gymnasium.Env[Any, Floats]):
         scene: obstacles around it, a name of `arm.scenes.SCENES`.
         render_mode: ``"rgb_array"`` or None.
         size: (width, height) of frames.
-        preset: rendering quality, a name of `render.video.PRESETS`.
+        preset: rendering quality, a name of `rendering.video.PRESETS`.
         flat: observe one vector, `gymnasium.spaces.flatten` of the dictionary.
         options: others of the task, see `ArmTask`, `Reach` and `Track`.
 

@@ -11,9 +11,9 @@ from scipy.interpolate import CubicHermiteSpline
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError, NotCertifiedError, PlanError
-from lieednn_sim.motion import Motion, minimum_jerk_law
-from lieednn_sim.planners import PlanningProblem, plan_with
-from lieednn_sim.planning import plan
+from lieednn_sim.planning import PlanningProblem, plan_with
+from lieednn_sim.planning.certified import plan
+from lieednn_sim.planning.motion import Motion, minimum_jerk_law
 from lieednn_sim.validation import as_count, as_positive
 
 Floats = NDArray[np.float64]
@@ -79,7 +79,7 @@ def planned(
         arm: the arm.
         target: joint target ``(n,)``.
         start: joint position at rest, the keyframe ``home`` by default.
-        planner: a name of `planners.PLANNERS`; by default `planning.plan`, a certified LieEDNN.
+        planner: a name of `planning.PLANNERS`; by default `certified.plan`, a certified LieEDNN.
         candidates: networks to draw at first by default; where their motions break limits, four times as many, and
             once more.
         seed: of the draws.

@@ -17,8 +17,8 @@ from lieednn_sim.learning.manifold import WeightPoint
 from lieednn_sim.learning.options import TrainingOptions
 from lieednn_sim.learning.problem import TrainingProblem
 from lieednn_sim.learning.result import StopReason
-from lieednn_sim.lie.groups import catalogue_name
-from lieednn_sim.lie.groups import group as group_by_name
+from lieednn_sim.theory.groups import catalogue_name
+from lieednn_sim.theory.groups import group as group_by_name
 from lieednn_sim.validation import as_count, as_floats, as_positive
 
 Floats = NDArray[np.float64]

@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from lieednn_sim.errors import InputError
 from lieednn_sim.lie import adjoint, project_to_adjoint, project_to_adjoint_exact, project_to_scaled_adjoint
-from lieednn_sim.lie.matrix_group import MatrixLieGroup
-from lieednn_sim.network import GroupLieEDNN, LieEDNN
+from lieednn_sim.network import LieEDNN
 from lieednn_sim.network.base import flatten_blocks
+from lieednn_sim.theory import GroupLieEDNN
+from lieednn_sim.theory.matrix_group import MatrixLieGroup
 
 Floats = NDArray[np.float64]
 

@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 from lieednn_sim.errors import InputError
 from lieednn_sim.learning.equilibria import EquilibriumSolver
 from lieednn_sim.learning.manifold import WeightManifold, weight_manifold
-from lieednn_sim.lie.matrix_group import MatrixLieGroup
 from lieednn_sim.network import ACTIVATIONS
+from lieednn_sim.theory.matrix_group import MatrixLieGroup
 from lieednn_sim.validation import as_choice, as_floats, as_positive, as_seed
 
 Floats = NDArray[np.float64]

@@ -21,7 +21,7 @@ from lieednn_sim.learning.options import BLOCK_SCALE, TrainingOptions
 from lieednn_sim.learning.problem import Progress, TrainingProblem
 from lieednn_sim.learning.result import StopReason, TrainingResult, conclude
 from lieednn_sim.learning.sensitivity import gauss_newton_direction, strength_gradient, weight_gradient
-from lieednn_sim.lie.matrix_group import MatrixLieGroup
+from lieednn_sim.theory.matrix_group import MatrixLieGroup
 from lieednn_sim.validation import as_floats
 
 Floats = NDArray[np.float64]

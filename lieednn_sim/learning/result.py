@@ -12,7 +12,8 @@ from lieednn_sim.learning.equilibria import FlatEquilibrium
 from lieednn_sim.learning.history import History
 from lieednn_sim.learning.manifold import WeightPoint
 from lieednn_sim.learning.problem import TrainingProblem
-from lieednn_sim.network import GroupLieEDNN, LieEDNN
+from lieednn_sim.network import LieEDNN
+from lieednn_sim.theory import GroupLieEDNN
 
 Floats = NDArray[np.float64]
 

@@ -1,10 +1,8 @@
-"""Matrix Lie groups, their adjoint representation and projections onto it; most of all SE(3).
+"""SE(3): exponential map, adjoint representation and projections onto it.
 
 Twists of SE(3) are ordered (omega, v), the order of `RigidTransform.from_exp_coords`. Leading batch axes everywhere.
 """
 
-from lieednn_sim.lie.groups import GROUPS, affine, group
-from lieednn_sim.lie.matrix_group import MatrixLieGroup
 from lieednn_sim.lie.projection import (
     project_to_adjoint,
     project_to_adjoint_exact,
@@ -14,12 +12,8 @@ from lieednn_sim.lie.projection import (
 from lieednn_sim.lie.se3 import adjoint, exp, hat, left_jacobian_se3, left_jacobian_so3, log, poses, rotations, vee
 
 __all__ = [
-    "GROUPS",
-    "MatrixLieGroup",
     "adjoint",
-    "affine",
     "exp",
-    "group",
     "hat",
     "left_jacobian_se3",
     "left_jacobian_so3",

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim import stability, storage
-from lieednn_sim.dynamics import Equilibrium, Trajectory, find_equilibrium, integrate
 from lieednn_sim.errors import FileError, InputError, NotCertifiedError
+from lieednn_sim.network.dynamics import Equilibrium, Trajectory, find_equilibrium, integrate
 from lieednn_sim.validation import as_floats, as_positive
 
 Floats = NDArray[np.float64]

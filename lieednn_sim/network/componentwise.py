@@ -92,10 +92,6 @@ class ComponentwiseNetwork(BlockNetwork):
         lower, upper = (side.reshape(self.bias.shape) for side in flat)
         return lower, upper
 
-    def smoothness_bounds(self, radius: float) -> stability.SmoothnessBounds:
-        """Bounds on velocity, acceleration and curvature while no coordinate exceeds ``radius`` (paper, App. H)."""
-        return stability.smoothness_bounds(self.weight, self.bias.ravel(), radius, gamma=self.gamma, mu=self.mu)
-
     def flat_vector_field(self, x: Floats) -> Floats:
         """Right-hand side in flat form, ``(dN,)`` to ``(dN,)``; unchecked, for integrators."""
         return -self.gamma * x + self.mu * (self.weight @ self.phi(x) + self.bias.ravel())

@@ -1,9 +1,10 @@
-"""Proofs about x' = -gamma x + mu W phi(x) + mu b: stability and its rate, limits that hold, smoothness.
+"""Proofs about x' = -gamma x + mu W phi(x) + mu b: stability and its rate, limits that hold.
 
 `assess` evaluates the ladder of conditions; a `Certificate` is the strongest of them, in a form that can be stored.
 """
 
-from lieednn_sim.stability.diagonal import (
+from lieednn_sim.stability.bounds import invariant_box, is_invariant
+from lieednn_sim.stability.certificate import (
     METHODS,
     Certificate,
     find_certificate,
@@ -11,8 +12,7 @@ from lieednn_sim.stability.diagonal import (
     smooth_largest,
     verify,
 )
-from lieednn_sim.stability.invariance import invariant_box, is_invariant
-from lieednn_sim.stability.ladder import LEVELS, Rung, Verdict, assess
+from lieednn_sim.stability.conditions import LEVELS, Rung, Verdict, assess
 from lieednn_sim.stability.norms import (
     LogNorms,
     NormConditions,
@@ -23,7 +23,6 @@ from lieednn_sim.stability.norms import (
     smallest_one_norm,
     weighted_norm,
 )
-from lieednn_sim.stability.smoothness import SmoothnessBounds, curvature, smoothness_bounds
 
 __all__ = [
     "LEVELS",
@@ -32,11 +31,9 @@ __all__ = [
     "LogNorms",
     "NormConditions",
     "Rung",
-    "SmoothnessBounds",
     "Verdict",
     "WeightedNorm",
     "assess",
-    "curvature",
     "find_certificate",
     "invariant_box",
     "is_invariant",
@@ -46,7 +43,6 @@ __all__ = [
     "scale",
     "smallest_one_norm",
     "smooth_largest",
-    "smoothness_bounds",
     "verify",
     "weighted_norm",
 ]

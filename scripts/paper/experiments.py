@@ -10,7 +10,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 from threadpoolctl import threadpool_limits
 
-from lieednn_sim import learning, stability
+from lieednn_sim import learning, stability, theory
 from lieednn_sim.learning import ALGORITHMS, History, TrainingResult, train
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.synthesis import synthesize
@@ -165,7 +165,7 @@ def _dynamics(weight: np.ndarray, bias: np.ndarray, goal: np.ndarray, seed: int)
     # xi'' = J(xi) xi'.
     bend = (slope * (1.0 - np.tanh(states) ** 2)) @ weight.T - slope
     radius = float(np.abs(states).max())
-    bounds = stability.smoothness_bounds(weight, bias, radius, gamma=1.0, mu=1.0)
+    bounds = theory.smoothness_bounds(weight, bias, radius, gamma=1.0, mu=1.0)
     starts = np.random.default_rng([seed, 1]).uniform(-START, START, (N_STARTS, len(goal)))
     # Long enough for the slowest mode near the target, unless that is very slow.
     duration = float(np.clip(15.0 / max(-abscissa, 1e-9), 60.0, 1000.0))
@@ -177,7 +177,7 @@ def _dynamics(weight: np.ndarray, bias: np.ndarray, goal: np.ndarray, seed: int)
         "reached": float(np.mean(final < NEAR)),
         "radius": radius,
         "acceleration": float(np.abs(bend).max()),
-        "curvature": float(stability.curvature(slope, bend).max()),
+        "curvature": float(theory.curvature(slope, bend).max()),
         "acceleration_bound": bounds.acceleration,
         # The paper's closing bound whether or not ||W||_inf < gamma/mu: 2 gamma (gamma R + gamma + mu b_max).
         "closing": 2.0 * (radius + 1.0 + float(np.abs(bias).max())),

@@ -48,7 +48,7 @@ def code(kind: str) -> str:
     # A new check must not make the trainings stale.
     paths += sorted((here / "checks").glob("*.py")) if kind == "check" else [here / "experiments.py"]
     digest = hashlib.sha256(version("lieednn_sim").encode())
-    for path in [*paths, package / "dynamics.py"]:
+    for path in paths:
         digest.update(normalised(path.read_text(encoding="utf-8")).encode())
     return digest.hexdigest()
 
@@ -65,7 +65,7 @@ def normalised(source: str) -> str:
 
 
 # Of the package, what the experiments use.
-_PARTS = ("lie", "network", "stability", "learning", "synthesis")
+_PARTS = ("lie", "stability", "network", "theory", "synthesis", "learning")
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from rich.console import Console
 
 from lieednn_sim import storage
 from lieednn_sim.errors import FileError
-from lieednn_sim.workers import progress_bar, worker_pool
+from lieednn_sim.evaluation.workers import progress_bar, worker_pool
 from paper import experiments
 from paper.plan import Job
 

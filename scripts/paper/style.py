@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.rcsetup import cycler
 
 from lieednn_sim import storage
-from lieednn_sim._layout import settle
+from lieednn_sim.evaluation.figure_layout import settle
 from paper.plan import TOLERANCE
 
 # Okabe and Ito's palette, distinguishable by colour-blind readers; the line styles tell the same for print in grey.

@@ -130,7 +130,7 @@ def test_reach_puts_the_end_effector_where_it_is_asked(arm, monkeypatch):
     assert (found.rotation.inv() * wanted.rotation).magnitude() < 1e-5
     arm.check_position(q)
     # No further start helps where nothing reaches.
-    monkeypatch.setattr(sys.modules["lieednn_sim.arm.reach"], "_ATTEMPTS", 2)
+    monkeypatch.setattr(sys.modules["lieednn_sim.arm.inverse_kinematics"], "_ATTEMPTS", 2)
     with pytest.raises(InputError, match=r"cannot reach \(9, 0, 0\) m.*off"):
         reach(arm, [9.0, 0.0, 0.0])
 

@@ -8,8 +8,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from lieednn_sim.arm.joints import CompoundJoint, CompoundJoints, Factor
-from lieednn_sim.arm.retraction import Retraction, Retractor
+from lieednn_sim.arm.kinematics import CompoundJoint, CompoundJoints, Factor
+from lieednn_sim.arm.projection import Retraction, Retractor
 from lieednn_sim.lie import exp, log
 
 LENGTH = 0.7

@@ -14,11 +14,11 @@ import sys
 import numpy as np
 import pytest
 
-from lieednn_sim import opengl
 from lieednn_sim.arm import arm_names
 from lieednn_sim.cli import doctor, main
 from lieednn_sim.learning import projected
 from lieednn_sim.network import LieEDNN
+from lieednn_sim.rendering import opengl
 
 FAST = ["--candidates", "3", "--duration", "2"]
 
@@ -218,7 +218,7 @@ def test_a_target_can_be_numbers_or_a_position(tmp_path):
 )
 def test_bad_input_gives_one_line_and_no_network(arguments, words, tmp_path, capsys, monkeypatch):
     # No further start helps where nothing reaches.
-    monkeypatch.setattr(importlib.import_module("lieednn_sim.arm.reach"), "_ATTEMPTS", 2)
+    monkeypatch.setattr(importlib.import_module("lieednn_sim.arm.inverse_kinematics"), "_ATTEMPTS", 2)
     output = tmp_path / "run"
     assert words in fails(capsys, "synthesize", *arguments, "--output", output)
     assert not output.exists() or list(output.iterdir()) == []

@@ -7,7 +7,7 @@ import importlib
 import pytest
 
 from lieednn_sim.cli import main
-from lieednn_sim.compare import read_rows
+from lieednn_sim.evaluation import read_rows
 
 ARGUMENTS = ["--planners", "minimum-jerk", "--arms", "telescopic_pr", "--scenes", "free", "--seeds", "1"]
 ARGUMENTS += ["--controllers", "computed-torque", "--duration", "1", "--hold", "0.1", "--jobs", "1", "--output"]

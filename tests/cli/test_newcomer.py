@@ -14,23 +14,22 @@ from rich.console import Console
 from rich.progress import TimeRemainingColumn
 
 import lieednn_sim
-from lieednn_sim import names
 from lieednn_sim.arm import Arm, arm_names, reach
 from lieednn_sim.arm.scenes import SCENES
-from lieednn_sim.cli import _parser, main
+from lieednn_sim.cli import _parser, main, names
 from lieednn_sim.cli.console import console, table, to_stderr
+from lieednn_sim.cli.task import Task
 from lieednn_sim.cli.training import RIEMANNIAN
 from lieednn_sim.errors import InputError
-from lieednn_sim.filtering import run_filtered
+from lieednn_sim.evaluation.workers import progress_bar
 from lieednn_sim.learning import ALGORITHMS, TrainingOptions
 from lieednn_sim.learning import train as learn
-from lieednn_sim.motion import Motion
-from lieednn_sim.planners import PLANNERS, reference_network
-from lieednn_sim.planning import Plan
-from lieednn_sim.simulate import CONTROLLERS, Rollout
+from lieednn_sim.planning import PLANNERS, reference_network
+from lieednn_sim.planning.certified import Plan
+from lieednn_sim.planning.filtering import run_filtered
+from lieednn_sim.planning.motion import Motion
+from lieednn_sim.simulation import CONTROLLERS, Rollout
 from lieednn_sim.synthesis import BIAS_RULES
-from lieednn_sim.task import Task
-from lieednn_sim.workers import progress_bar
 
 
 def commands() -> dict[str, argparse.ArgumentParser]:
@@ -187,6 +186,6 @@ def test_a_position_beyond_everything_is_refused_without_a_warning(monkeypatch):
         with pytest.raises(InputError, match="position must"):
             reach(arm, [far, 0.0, 0.0])
     # No further start helps where nothing reaches.
-    monkeypatch.setattr(importlib.import_module("lieednn_sim.arm.reach"), "_ATTEMPTS", 2)
+    monkeypatch.setattr(importlib.import_module("lieednn_sim.arm.inverse_kinematics"), "_ATTEMPTS", 2)
     with pytest.raises(InputError, match=r"cannot reach \(1e\+06, 0, 0\) m"):
         reach(arm, [1e6, 0.0, 0.0])

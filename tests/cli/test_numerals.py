@@ -13,8 +13,8 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.cli import main
 from lieednn_sim.cli.arguments import joint_position, numbers, push, size
 from lieednn_sim.cli.numerals import decimal, decimal_or_inf, whole
-from lieednn_sim.compare import Case
 from lieednn_sim.errors import InputError
+from lieednn_sim.evaluation import Case
 
 # Underscores, other scripts' digits (Arabic-Indic 12, full-width 1), blanks, infinities, other bases.
 ODD = [

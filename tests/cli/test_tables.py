@@ -10,8 +10,8 @@ import pytest
 from rich.console import Console
 
 from lieednn_sim.cli import tables
-from lieednn_sim.evaluate import Evaluation, FrameErrors, JointUse, Recovery
-from lieednn_sim.simulate import Disturbances, Rollout
+from lieednn_sim.evaluation.metrics import Evaluation, FrameErrors, JointUse, Recovery
+from lieednn_sim.simulation import Disturbances, Rollout
 
 EVALUATION = Evaluation(
     frames=(

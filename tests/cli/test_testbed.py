@@ -6,16 +6,16 @@ import re
 import numpy as np
 import pytest
 
-from lieednn_sim import plots
 from lieednn_sim.arm import Arm
 from lieednn_sim.cli import main
 from lieednn_sim.cli.arms import farthest
+from lieednn_sim.cli.task import Task
 from lieednn_sim.errors import PlanError
-from lieednn_sim.motion import Motion, make_motion
+from lieednn_sim.evaluation import plots
 from lieednn_sim.network import LieEDNN
-from lieednn_sim.planners import NETWORK_PLANNERS, OBSTACLE_PLANNER
-from lieednn_sim.simulate import Push, Rollout
-from lieednn_sim.task import Task
+from lieednn_sim.planning import NETWORK_PLANNERS, OBSTACLE_PLANNER
+from lieednn_sim.planning.motion import Motion, make_motion
+from lieednn_sim.simulation import Push, Rollout
 
 # Three hinges; [joint] looks like markup of the terminal.
 OWN = """

@@ -14,8 +14,9 @@ from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.learning import ALGORITHMS, StopReason, TrainingOptions, projected, resume, train
 from lieednn_sim.learning.equilibria import EquilibriumSolver
 from lieednn_sim.learning.manifold import block_view
-from lieednn_sim.lie import MatrixLieGroup, adjoint, group, project_to_adjoint
+from lieednn_sim.lie import adjoint, project_to_adjoint
 from lieednn_sim.stability import find_certificate
+from lieednn_sim.theory import MatrixLieGroup, group
 
 
 def target(seed: int, neurons: int = 4, dimension: int = 6) -> np.ndarray:
@@ -224,7 +225,7 @@ def test_a_checkpoint_that_cannot_be_written_is_known_before_the_work(tmp_path):
         with pytest.raises(FileError, match="cannot write"):
             train(target(0), TrainingOptions.repaired(max_epochs=10**6), checkpoint=path)
     own = MatrixLieGroup("mine", group("SO(3)").basis)
-    with pytest.raises(InputError, match=r"only a group of lieednn_sim\.lie\.groups can be saved"):
+    with pytest.raises(InputError, match=r"only a group of lieednn_sim\.theory\.groups can be saved"):
         train(target(0, 2, 3), group=own, checkpoint=tmp_path / "training.npz")
 
 

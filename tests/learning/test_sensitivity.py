@@ -11,12 +11,12 @@ from hypothesis import strategies as st
 from scipy.optimize import approx_fprime
 from scipy.spatial.transform import Rotation
 
-from lieednn_sim.dynamics import find_equilibrium
 from lieednn_sim.errors import InputError
 from lieednn_sim.learning import sensitivity
 from lieednn_sim.learning.manifold import block_view
 from lieednn_sim.learning.sensitivity import LOSSES, gauss_newton_direction
 from lieednn_sim.network import LieEDNN
+from lieednn_sim.network.dynamics import find_equilibrium
 
 seeds = st.integers(0, 2**32 - 1)
 

@@ -7,9 +7,9 @@ import pytest
 
 from lieednn_sim import stability
 from lieednn_sim.errors import NotCertifiedError
-from lieednn_sim.lie import group
-from lieednn_sim.network import GroupLieEDNN, LieEDNN
+from lieednn_sim.network import LieEDNN
 from lieednn_sim.synthesis import synthesize
+from lieednn_sim.theory import GroupLieEDNN, group, smoothness_bounds
 
 
 def certified(seed: int) -> tuple[LieEDNN, np.ndarray]:
@@ -49,7 +49,9 @@ def test_no_trajectory_leaves_the_invariant_box_and_the_smoothness_bounds_hold_o
     assert lower.shape == upper.shape == (4, 6)
     assert (lower <= np.minimum(starts.min(axis=0), target)).all()
     assert (upper >= np.maximum(starts.max(axis=0), target)).all()
-    bounds = network.smoothness_bounds(max(-lower.min(), upper.max()))
+    bounds = smoothness_bounds(
+        network.weight, network.bias.ravel(), max(-lower.min(), upper.max()), gamma=network.gamma, mu=network.mu
+    )
     for start in starts:
         trajectory = network.trajectory(start, 20.0)
         states = trajectory(np.linspace(0.0, 20.0, 400))

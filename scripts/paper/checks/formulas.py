@@ -9,8 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from lieednn_sim.lie import adjoint, hat, project_to_adjoint, project_to_adjoint_exact
-from lieednn_sim.lie.groups import group
-from lieednn_sim.network import (
+from lieednn_sim.theory import (
     EquivariantLieEDNN,
     complex_network,
     complex_state,
@@ -19,6 +18,7 @@ from lieednn_sim.network import (
     quaternion_state,
     quaternion_values,
 )
+from lieednn_sim.theory.groups import group
 
 Scalars = dict[str, Any]
 

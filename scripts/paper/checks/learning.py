@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from lieednn_sim import lie
+from lieednn_sim import lie, theory
 from lieednn_sim.learning import TrainingOptions, sensitivity, train
 from lieednn_sim.learning.manifold import block_view
 from lieednn_sim.network import LieEDNN
@@ -102,7 +102,7 @@ def riemannian(samples: int) -> Scalars:
 def tangent(network: LieEDNN, blocks: np.ndarray) -> np.ndarray:
     """Orthogonal projection of ``(N, N, 6, 6)`` onto the tangent spaces of L[Ad_SE(3)] at the network's blocks."""
     base = lie.adjoint(network.rotation, network.translation)
-    generators = lie.group("SE(3)").ad(np.eye(6))
+    generators = theory.group("SE(3)").ad(np.eye(6))
     spanning = (generators[:, None, None] @ base).reshape(6, *base.shape[:2], 36).transpose(1, 2, 3, 0)
     flat = blocks.reshape(*base.shape[:2], 36, 1)
     return (spanning @ (np.linalg.pinv(spanning) @ flat)).reshape(base.shape)

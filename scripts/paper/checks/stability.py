@@ -9,7 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from lieednn_sim import stability
 from lieednn_sim.lie import adjoint
-from lieednn_sim.network import EquivariantLieEDNN, LieEDNN
+from lieednn_sim.network import LieEDNN
+from lieednn_sim.theory import EquivariantLieEDNN
 
 Scalars = dict[str, Any]
 

@@ -9,7 +9,7 @@ from scipy.linalg import expm
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from lieednn_sim import lie
-from lieednn_sim.lie import group
+from lieednn_sim.theory import group
 
 Scalars = dict[str, Any]
 

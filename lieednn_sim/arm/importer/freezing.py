@@ -1,0 +1,176 @@
+"""Reduction of a MuJoCo spec to one arm: every other joint is frozen, and what referred to it goes."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Collection
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm.importer.stages import tendon_joints
+from lieednn_sim.errors import InputError
+
+Floats = NDArray[np.float64]
+_EQ, _OBJ = mujoco.mjtEq, mujoco.mjtObj
+
+
+def pose(pos: Floats, quat: Floats) -> RigidTransform:
+    """A pose from a position ``(..., 3)`` and a quaternion ``(..., 4)``, scalar first."""
+    return RigidTransform.from_components(pos, Rotation.from_quat(quat, scalar_first=True))
+
+
+def freeze(spec: Any, model: mujoco.MjModel, qpos: Floats, chain: Collection[int]) -> tuple[list[str], list[str]]:
+    """Remove from ``spec`` all joints but ``chain``, leaving their bodies at the posture ``qpos`` ``(nq,)``.
+
+    With them go the equalities, tendons, sensors and tuples that refer to them, and all actuators and keyframes.
+    Pairs of bodies that could not touch before, being parent and child, are excluded where freezing would change that:
+    MuJoCo lets the fixed parts of the world touch everything.
+
+    Args:
+        spec: changed in place; ``model`` must have been compiled from it.
+        model: the model with all joints.
+        qpos: of the model.
+        chain: ids of the joints to keep.
+
+    Returns:
+        Names of the frozen joints, and remarks on what else was removed.
+
+    Raises:
+        InputError: an equality closes a loop over the chain.
+    """
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    mujoco.mj_kinematics(model, data)
+    frozen = [joint for joint in spec.joints if joint.id not in chain]
+    names = [joint.name or f"joint of body {joint.parent.name!r}" for joint in frozen]
+    for body_id in {joint.parent.id for joint in frozen}:
+        _place(spec, spec.bodies[body_id], model, data)
+    rigid = _rigid_parts(model, chain)
+    notes = _unlink(spec, model, {joint.id for joint in frozen}, rigid)
+    for joint in frozen:
+        spec.delete(joint)
+    _keep_contact_filter(spec, model, rigid)
+    return names, notes
+
+
+def _place(spec: Any, body: Any, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    """Give a body the pose in its parent that its joints give it now."""
+    parent = int(model.body_parentid[body.id])
+    now = pose(data.xpos[parent], data.xquat[parent]).inv() * pose(data.xpos[body.id], data.xquat[body.id])
+    quat = np.array(body.quat)
+    if body.alt.type != mujoco.mjtOrientation.mjORIENTATION_QUAT:
+        units = body.compiler
+        quat = np.array(spec.resolve_orientation(degree=units.degree, sequence=units.eulerseq, orientation=body.alt))
+    # The spec's pose may be one in a <frame>, the model's is one in the parent body: move the former like the latter.
+    compiled = pose(model.body_pos[body.id], model.body_quat[body.id])
+    local = pose(np.array(body.pos), quat) * compiled.inv() * now
+    body.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+    body.pos, body.quat = local.translation, local.rotation.as_quat(scalar_first=True)
+
+
+def _rigid_parts(model: mujoco.MjModel, chain: Collection[int]) -> NDArray[np.int_]:
+    """For each body the root of the rigid part that it belongs to once only ``chain`` moves; 0 is the world."""
+    part = np.arange(model.nbody)
+    moved = {int(model.jnt_bodyid[joint]) for joint in chain}
+    for body in range(1, model.nbody):
+        if body not in moved:
+            part[body] = part[model.body_parentid[body]]
+    return part
+
+
+def _unlink(spec: Any, model: mujoco.MjModel, frozen: set[int], rigid: NDArray[np.int_]) -> list[str]:
+    """Delete what refers to frozen joints, all actuators and all keyframes; return remarks."""
+    tendons = {t for t in range(model.ntendon) if frozen.intersection(tendon_joints(model, t))}
+    equalities, notes = _superfluous_equalities(model, frozen, tendons, rigid)
+    gone = {
+        int(_OBJ.mjOBJ_JOINT): frozen,
+        int(_OBJ.mjOBJ_TENDON): tendons,
+        int(_OBJ.mjOBJ_ACTUATOR): set(range(model.nu)),
+    }
+    sensors = {s for s in range(model.nsensor) if model.sensor_objid[s] in gone.get(int(model.sensor_objtype[s]), ())}
+    tuples = set()
+    for i in range(model.ntuple):
+        entries = range(model.tuple_adr[i], model.tuple_adr[i] + model.tuple_size[i])
+        if any(model.tuple_objid[e] in gone.get(int(model.tuple_objtype[e]), ()) for e in entries):
+            tuples.add(i)
+    doomed = [
+        *spec.keys,
+        *spec.actuators,
+        *(e for e in spec.tuples if e.id in tuples),
+        *(e for e in spec.sensors if e.id in sensors),
+        *(e for e in spec.equalities if e.id in equalities),
+        *(e for e in spec.tendons if e.id in tendons),
+    ]
+    if sensors:
+        notes.append(f"removed {len(sensors)} sensors of frozen joints and old drives")
+    for element in doomed:
+        spec.delete(element)
+    return notes
+
+
+def _superfluous_equalities(
+    model: mujoco.MjModel, frozen: set[int], tendons: set[int], rigid: NDArray[np.int_]
+) -> tuple[set[int], list[str]]:
+    """Equalities that refer to what is frozen or hold what is rigid anyway, with remarks on the others."""
+    found, notes = set(), []
+    for e in range(model.neq):
+        kind, one, other = int(model.eq_type[e]), int(model.eq_obj1id[e]), int(model.eq_obj2id[e])
+        name = model.equality(e).name or f"number {e}"
+        if not model.eq_active0[e]:
+            found.add(e)
+            notes.append(f"removed the inactive equality {name!r}")
+        elif kind == int(_EQ.mjEQ_JOINT):
+            if frozen.intersection((one, other)):
+                found.add(e)
+                if one not in frozen:
+                    notes.append(f"joint {model.joint(one).name!r} followed a frozen joint and is free of it now")
+        elif kind == int(_EQ.mjEQ_TENDON):
+            if not tendons.intersection((one, other)):
+                raise InputError(
+                    f"equality {name!r} between tendons holds the arm; tie its joints by equalities instead"
+                )
+            found.add(e)
+        elif kind in (int(_EQ.mjEQ_CONNECT), int(_EQ.mjEQ_WELD)):
+            site = model.eq_objtype[e] == int(_OBJ.mjOBJ_SITE)
+            bodies = [int(model.site_bodyid[b]) if site else max(b, 0) for b in (one, other)]
+            if any(model.body_mocapid[model.body_rootid[b]] >= 0 for b in bodies):
+                notes.append(f"removed the equality {name!r} to a mocap body")
+            elif rigid[bodies[0]] != rigid[bodies[1]]:
+                raise InputError(
+                    f"equality {name!r} closes a loop between bodies {model.body(bodies[0]).name!r} and "
+                    f"{model.body(bodies[1]).name!r}, which the arm moves apart; delete it, or choose links beside it"
+                )
+            found.add(e)
+    return found, notes
+
+
+def _keep_contact_filter(spec: Any, model: mujoco.MjModel, rigid: NDArray[np.int_]) -> None:
+    """Exclude the pairs of bodies that MuJoCo filtered as parent and child before, but would no longer filter."""
+    solid = [
+        body
+        for body in range(model.nbody)
+        if any(
+            model.geom_contype[g] or model.geom_conaffinity[g]
+            for g in range(model.body_geomadr[body], model.body_geomadr[body] + model.body_geomnum[body])
+        )
+    ]
+    known = {frozenset((exclude.bodyname1, exclude.bodyname2)) for exclude in spec.excludes}
+    weld = model.body_weldid
+    for one, other in itertools.combinations(solid, 2):
+        pair = frozenset((model.body(one).name, model.body(other).name))
+        if pair in known or not _filtered(model, weld, one, other) or _filtered(model, rigid, one, other):
+            continue
+        spec.add_exclude(bodyname1=model.body(one).name, bodyname2=model.body(other).name)
+
+
+def _filtered(model: mujoco.MjModel, part: NDArray[np.int_], one: int, other: int) -> bool:
+    """MuJoCo's rule: no contact within a rigid part, nor with the part that carries it unless that is the world."""
+    a, b = int(part[one]), int(part[other])
+    if a == b:
+        return True
+    carriers = int(part[model.body_parentid[a]]), int(part[model.body_parentid[b]])
+    return bool(a and b and (a == carriers[1] or b == carriers[0]))

@@ -1,0 +1,162 @@
+"""Ranges of the joints of a foreign arm, and postures inside them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm.importer.stages import Couplings
+from lieednn_sim.errors import InputError
+
+Floats = NDArray[np.float64]
+_BALL, _SLIDE = int(mujoco.mjtJoint.mjJNT_BALL), int(mujoco.mjtJoint.mjJNT_SLIDE)
+_WIDEST = 0.99 * np.pi  # the logarithm of a rotation is unique below pi
+_DEFAULT = 0.95 * np.pi  # of a hinge or ball joint without a range
+_MARGIN = 0.05  # of its range that a keyframe keeps off each limit
+
+
+def joint_ranges(
+    model: mujoco.MjModel, joints: Sequence[int], couplings: Couplings, notes: list[str]
+) -> dict[int, Floats]:
+    """The range ``(2,)`` [rad, m] of each joint; what was made or narrowed is added to ``notes``.
+
+    A coordinate may move as far as all the joints that it moves. A hinge or ball joint without a range gets 0.95 pi
+    either way of its reference; wider ones are narrowed to 0.99 pi, where the logarithm is still unique.
+
+    Raises:
+        InputError: a slide has no range, or nothing is left of a range.
+    """
+    spans = {joint: _span(model, joint, notes) for joint in joints}
+    for lead in dict.fromkeys(couplings.leader(joint) for joint in joints):
+        members = [joint for joint in joints if couplings.leader(joint) == lead]
+        if members == [lead] and np.isfinite(spans[lead]).all():
+            continue
+        low, high = -np.inf, np.inf
+        for joint in members:
+            _, ratio, shift = couplings.lines.get(joint, (lead, 1.0, 0.0))
+            bounds = np.sort((spans[joint] - shift) / ratio)
+            low, high = max(low, bounds[0]), min(high, bounds[1])
+        name = model.joint(lead).name
+        if not np.isfinite([low, high]).all():
+            raise InputError(f'slide {name!r} has no range; give it one, such as range="0 0.5" [m]')
+        if low >= high:
+            raise InputError(f"nothing is left of the range of {name!r} and the joints that follow it; correct them")
+        own = spans[lead]
+        if np.isfinite(own).all() and (low > own[0] + 1e-9 or high < own[1] - 1e-9):
+            notes.append(f"{name}: range narrowed to [{low:.4g}, {high:.4g}] by the joints that follow it")
+        spans[lead] = np.array([low, high])
+        for joint in members:
+            if not np.isfinite(spans[joint]).all():
+                _, ratio, shift = couplings.lines[joint]
+                spans[joint] = np.sort(ratio * spans[lead] + shift)
+    return spans
+
+
+def place(
+    model: mujoco.MjModel, source: mujoco.MjModel, q: dict[int, Floats], couplings: Couplings, qpos: Floats
+) -> Floats:
+    """Set joints in ``qpos`` ``(nq,)`` of ``model``, found by the names that the joints ``q`` have in ``source``.
+
+    Args:
+        model: whose ``qpos`` it is.
+        source: whose joints are the keys of ``q`` and of ``couplings``.
+        q: position ``(1,)`` of each independent hinge or slide, rotation vector ``(3,)`` of each ball joint.
+        couplings: the joints that follow.
+        qpos: changed in a copy.
+    """
+    filled = qpos.copy()
+    values = dict(q)
+    for follower, (leader, ratio, shift) in couplings.lines.items():
+        values[follower] = ratio * q[leader] + shift
+    for joint, value in values.items():
+        address = model.jnt_qposadr[model.joint(source.joint(joint).name).id]
+        if source.jnt_type[joint] == _BALL:
+            filled[address : address + 4] = Rotation.from_rotvec(value).as_quat(scalar_first=True)
+        else:
+            filled[address] = value[0]
+    return filled
+
+
+def random_coordinates(
+    model: mujoco.MjModel,
+    joints: Sequence[int],
+    couplings: Couplings,
+    ranges: dict[int, Floats],
+    rng: np.random.Generator,
+) -> dict[int, Floats]:
+    """Positions of the independent joints, uniform within their ranges (a ball joint: axis and angle)."""
+    q = {}
+    for joint in (joint for joint in joints if joint not in couplings.lines):
+        low, high = ranges[joint]
+        value = rng.uniform(low, high, size=1)
+        if model.jnt_type[joint] == _BALL:
+            axis = rng.normal(size=3)
+            value = value * axis / np.linalg.norm(axis)
+        q[joint] = value
+    return q
+
+
+def extremes(model: mujoco.MjModel, home: dict[int, Floats], ranges: dict[int, Floats]) -> list[dict[int, Floats]]:
+    """The posture ``home`` with all slides retracted, and with all extended."""
+    return [
+        {joint: ranges[joint][[end]] if model.jnt_type[joint] == _SLIDE else q for joint, q in home.items()}
+        for end in (0, 1)
+    ]
+
+
+def coordinates_inside(
+    model: mujoco.MjModel, joints: Sequence[int], couplings: Couplings, ranges: dict[int, Floats], qpos: Floats
+) -> tuple[dict[int, Floats], list[str]]:
+    """Positions of the independent joints at ``qpos``, each 5 % of its range off its limits, and which were moved.
+
+    Stages that only a tendon couples together keep its length: the leader takes the least-squares share.
+    """
+    q, moved = {}, []
+    for joint in (joint for joint in joints if joint not in couplings.lines):
+        low, high = ranges[joint]
+        address = model.jnt_qposadr[joint]
+        if model.jnt_type[joint] == _BALL:
+            given = Rotation.from_quat(qpos[address : address + 4], scalar_first=True).as_rotvec()
+            angle = float(np.linalg.norm(given))
+            value = given * min(1.0, (1.0 - _MARGIN) * high / angle) if angle else given
+        else:
+            stages = [(1.0, 0.0, float(qpos[address]))]
+            for follower in couplings.added:
+                leader, ratio, shift = couplings.lines[follower]
+                if leader == joint:
+                    stages.append((ratio, shift, float(qpos[model.jnt_qposadr[follower]])))
+            given = np.array([sum(r * (x - s) for r, s, x in stages) / sum(r * r for r, _, _ in stages)])
+            margin = _MARGIN * (high - low)
+            value = np.clip(given, low + margin, high - margin)
+        if not np.allclose(value, given, atol=1e-9):
+            moved.append(model.joint(joint).name)
+        q[joint] = value
+    return q, moved
+
+
+def _span(model: mujoco.MjModel, joint: int, notes: list[str]) -> Floats:
+    name, kind = model.joint(joint).name, int(model.jnt_type[joint])
+    given = model.jnt_range[joint].copy() if model.jnt_limited[joint] else np.array([-np.inf, np.inf])
+    if kind == _SLIDE:
+        return given
+    if kind == _BALL:
+        reach = given[1] if model.jnt_limited[joint] else _DEFAULT
+        span = np.array([0.0, min(reach, _WIDEST)])
+    else:
+        reference = float(model.qpos0[model.jnt_qposadr[joint]])
+        most = _WIDEST if model.jnt_limited[joint] else _DEFAULT
+        span = np.clip(given, reference - most, reference + most)
+        if span[0] >= span[1]:
+            raise InputError(
+                f"hinge {name!r} with range [{given[0]:.4g}, {given[1]:.4g}] rad never comes within pi of its "
+                f"reference {reference:.4g}; give it a ref inside its range"
+            )
+    if not model.jnt_limited[joint]:
+        notes.append(f"{name}: had no range and got [{span[0]:.4g}, {span[1]:.4g}] rad")
+    elif not np.array_equal(span, given):
+        notes.append(f"{name}: range [{given[0]:.4g}, {given[1]:.4g}] narrowed to [{span[0]:.4g}, {span[1]:.4g}] rad")
+    return span

@@ -1,0 +1,286 @@
+"""The serial chain of a foreign MJCF: which joints are the arm, and where its compound joints are cut."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm.importer.stages import Couplings, tendon_joints, tied_joints
+from lieednn_sim.errors import InputError
+
+Floats = NDArray[np.float64]
+_FREE, _BALL, _SLIDE, _HINGE = (int(getattr(mujoco.mjtJoint, f"mjJNT_{k}")) for k in ("FREE", "BALL", "SLIDE", "HINGE"))
+_SINGULAR = 1e-3  # smallest relative singular value with which the screws of a compound joint count as independent
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """A named frame fixed to a body: a site, or the body's own origin.
+
+    Attributes:
+        name: of the body or site.
+        body: its id.
+        pos: ``(3,)`` in the body [m].
+        quat: ``(4,)`` in the body, scalar first.
+    """
+
+    name: str
+    body: int
+    pos: Floats
+    quat: Floats
+
+
+def find_frame(model: mujoco.MjModel, name: str) -> Frame:
+    """The frame of a body or, when no body has the name, of a site; `InputError` lists both."""
+    body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name)
+    if body >= 0:
+        return body_frame(model, body)
+    site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, name)
+    if site < 0:
+        bodies = [model.body(i).name for i in range(model.nbody)]
+        sites = [model.site(i).name for i in range(model.nsite)]
+        raise InputError(
+            f"no body or site {name!r}; bodies: {_listed(bodies)}; sites: {_listed(sites) if any(sites) else 'none'}"
+        )
+    return Frame(name, int(model.site_bodyid[site]), model.site_pos[site].copy(), model.site_quat[site].copy())
+
+
+def body_frame(model: mujoco.MjModel, body: int) -> Frame:
+    """The frame at a body's origin."""
+    return Frame(model.body(body).name, body, np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
+
+
+def named_frames(model: mujoco.MjModel, links: Sequence[str], base: str | None) -> tuple[Frame, ...]:
+    """Base and link frames by name, base first; the base may be left out.
+
+    Raises:
+        InputError: a name is unknown or comes twice.
+    """
+    found = [find_frame(model, name) for name in links]
+    inboard = found[0] if base is None else find_frame(model, base)
+    if base is None:
+        moved = [body for body in _ancestry(model, found[0].body) if _chain_joints(model, body)]
+        if not moved:
+            raise InputError(f"no hinge, slide or ball joint moves {links[0]!r}; name a link that moves")
+        inboard = body_frame(model, int(model.body_parentid[moved[0]]))
+    frames = (inboard, *found)
+    for one, other in itertools.combinations(frames, 2):
+        same = np.allclose(one.pos, other.pos, atol=1e-12) and abs(one.quat @ other.quat) > 1.0 - 1e-12
+        if one.body == other.body and same:
+            raise InputError(f"{one.name!r} and {other.name!r} are the same frame; every link needs its own")
+    return frames
+
+
+def joint_groups(model: mujoco.MjModel, frames: Sequence[Frame]) -> tuple[tuple[int, ...], ...]:
+    """The joints between consecutive frames, each group from the base outwards.
+
+    Raises:
+        InputError: the frames lie on no single chain, no joint is between two of them, or one is free.
+    """
+    groups = []
+    for inner, outer in itertools.pairwise(frames):
+        path = _ancestry(model, outer.body)
+        if inner.body not in path:
+            raise InputError(
+                f"{outer.name!r} does not descend from {inner.name!r}; "
+                f"name links along one chain, from the base outwards"
+            )
+        group = [joint for body in path[path.index(inner.body) + 1 :] for joint in _joints_of(model, body)]
+        if not group:
+            raise InputError(f"no joint is between {inner.name!r} and {outer.name!r}; leave one of them out")
+        for joint in group:
+            if model.jnt_type[joint] == _FREE:
+                raise InputError(
+                    f"joint {model.joint(joint).name!r} between {inner.name!r} and {outer.name!r} is free; "
+                    f"choose a base beyond it, such as {model.body(model.jnt_bodyid[joint]).name!r}"
+                )
+        groups.append(tuple(group))
+    return tuple(groups)
+
+
+def longest_chain(model: mujoco.MjModel, base: str | None) -> tuple[Frame, int]:
+    """Base frame and last moving body of the chain with the most driven joints.
+
+    A joint counts when an actuator drives it, directly or through a fixed tendon, or when an equality ties it to such a
+    joint; in a model without such actuators all count. From each path out of the base a hand is cut off: where
+    a path forks, what lies beyond belongs to a hand when it is shorter than what lies before and another branch is at
+    least half as long; so does a last joint that joints off the path follow, as the fingers of a gripper do.
+
+    Raises:
+        InputError: there is no such joint, or several chains are equally long.
+    """
+    driven = _driven_joints(model)
+    start = None if base is None else find_frame(model, base)
+    weight = np.array([len(driven.intersection(_chain_joints(model, b))) for b in range(model.nbody)], dtype=int)
+    reach = weight.copy()  # the most driven joints on a path outwards from a body, its own included
+    for body in range(model.nbody - 1, 0, -1):
+        parent = model.body_parentid[body]
+        reach[parent] = max(reach[parent], weight[parent] + reach[body])
+    tips: dict[int, int] = {}
+    for outermost in np.flatnonzero(weight):
+        path = _ancestry(model, int(outermost))
+        if start is not None:
+            if start.body not in path[:-1]:
+                continue
+            path = path[path.index(start.body) + 1 :]
+        path = _without_hand(model, path, weight, reach)
+        if path:
+            tips[path[-1]] = int(weight[path].sum())
+    if not tips:
+        beyond = "" if base is None else f" beyond {base!r}"
+        raise InputError(f"the model has no hinge, slide or ball joint{beyond} that could be an arm's")
+    best = [tip for tip, count in tips.items() if count == max(tips.values())]
+    if len(best) > 1:
+        raise InputError(
+            f"{len(best)} chains have {max(tips.values())} joints each, they end in "
+            f"{_listed([model.body(tip).name for tip in best])}; name the links of one of them, or its base"
+        )
+    path = _ancestry(model, best[0])
+    first = next(body for body in (path if start is None else path[path.index(start.body) + 1 :]) if weight[body])
+    return start or body_frame(model, int(model.body_parentid[first])), best[0]
+
+
+def cut(
+    model: mujoco.MjModel, data: mujoco.MjData, joints: Sequence[int], ranges: dict[int, Floats], couplings: Couplings
+) -> tuple[tuple[int, ...], ...]:
+    """Cut a chain into compound joints.
+
+    Coupled joints, and joints of one body, stay together. Each slide, or telescope, closes a compound joint, which
+    takes in the hinges or the ball directly inboard as long as the whole turns by less than pi from its reference, so
+    that the logarithm is unique, and its freedoms are independent, so that a pose tells the joints. Every other joint
+    is a compound joint of its own. Where all would be one the first joint is set apart: a network of a single neuron
+    has hardly any target that can be certified.
+
+    Args:
+        model, data: the model with its kinematics at a representative posture.
+        joints: from the base outwards.
+        ranges: of each joint, ``(2,)``.
+        couplings: of the coupled ones.
+    """
+    units = _units(model, data, joints, ranges, couplings)
+    groups: list[list[_Unit]] = []
+    for unit in units:
+        group = [unit]
+        while unit.kind == "slide" and groups and len(groups[-1]) == 1 and groups[-1][0].kind in ("hinge", "ball"):
+            if not _fits([*groups[-1], *group]):
+                break
+            group = [*groups.pop(), *group]
+        groups.append(group)
+    if len(groups) == 1 and len(units) > 1:
+        groups = [units[:1], units[1:]]
+    return tuple(tuple(joint for unit in group for joint in unit.joints) for group in groups)
+
+
+@dataclass(frozen=True, eq=False)
+class _Unit:
+    joints: tuple[int, ...]
+    kind: str
+    turn: float  # how far it turns from its reference at most [rad]
+    screws: Floats  # (6, k), translations in units of the arm's size
+
+
+def _units(
+    model: mujoco.MjModel, data: mujoco.MjData, joints: Sequence[int], ranges: dict[int, Floats], couplings: Couplings
+) -> list[_Unit]:
+    anchors = data.xanchor[list(joints)]
+    size = max(float(np.linalg.norm(anchors - anchors[0], axis=1).max()), 1e-2)
+    runs: list[list[int]] = []
+    leader = [couplings.leader(joint) for joint in joints]
+    last = {lead: i for i, lead in enumerate(leader)}
+    end, bodies = -1, model.jnt_bodyid
+    for i, joint in enumerate(joints):
+        if i > end:
+            runs.append([])
+        runs[-1].append(joint)
+        end = max(end, last[leader[i]], max(k for k, other in enumerate(joints) if bodies[other] == bodies[joint]))
+    units = []
+    for run in runs:
+        kinds = {int(model.jnt_type[joint]) for joint in run}
+        kind = {_SLIDE: "slide", _HINGE: "hinge", _BALL: "ball"}[kinds.pop()] if len(kinds) == 1 else "mixed"
+        turns, columns = 0.0, {couplings.leader(joint): np.zeros((6, 1)) for joint in run}
+        for joint in run:
+            axis, ratio = data.xaxis[joint], couplings.ratio(joint)
+            arm = (data.xanchor[joint] - anchors[0]) / size
+            if model.jnt_type[joint] == _SLIDE:
+                columns[couplings.leader(joint)] += ratio * np.concatenate([np.zeros(3), axis])[:, None]
+                continue
+            reference = 0.0 if model.jnt_type[joint] == _BALL else model.qpos0[model.jnt_qposadr[joint]]
+            turns += float(np.abs(ranges[joint] - reference).max())
+            if model.jnt_type[joint] == _BALL:
+                columns[joint] = np.array([np.concatenate([e, np.cross(arm, e)]) for e in np.eye(3)]).T
+            else:
+                columns[couplings.leader(joint)] += ratio * np.concatenate([axis, np.cross(arm, axis)])[:, None]
+        units.append(_Unit(tuple(run), kind, turns, np.hstack(list(columns.values()))))
+    return units
+
+
+def _fits(units: Sequence[_Unit]) -> bool:
+    screws = np.hstack([unit.screws for unit in units])
+    if screws.shape[1] > 6 or sum(unit.turn for unit in units) >= np.pi:
+        return False
+    sizes = np.linalg.svd(screws / np.linalg.norm(screws, axis=0), compute_uv=False)
+    return bool(sizes[-1] > _SINGULAR * sizes[0])
+
+
+def _driven_joints(model: mujoco.MjModel) -> set[int]:
+    usable = {joint for joint in range(model.njnt) if model.jnt_type[joint] != _FREE}
+    driven: set[int] = set()
+    for actuator in range(model.nu):
+        kind, target = model.actuator_trntype[actuator], int(model.actuator_trnid[actuator, 0])
+        if kind in (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)):
+            driven.add(target)
+        elif kind == int(mujoco.mjtTrn.mjTRN_TENDON):
+            driven.update(tendon_joints(model, target))
+    driven &= usable
+    if not driven:
+        return usable
+    ties = tied_joints(model)
+    while more := {joint for pair in ties if driven.intersection(pair) for joint in pair} - driven:
+        driven |= more
+    return driven
+
+
+def _without_hand(
+    model: mujoco.MjModel, path: list[int], weight: NDArray[np.int_], reach: NDArray[np.int_]
+) -> list[int]:
+    for i, (body, child) in enumerate(itertools.pairwise(path)):
+        before, beyond = weight[path[: i + 1]].sum(), weight[path[i + 1 :]].sum()
+        siblings = [b for b in np.flatnonzero(model.body_parentid == body) if b not in (child, 0)]
+        rival = max((int(reach[sibling]) for sibling in siblings), default=0)
+        if 0 < beyond < before and 2 * rival >= beyond:
+            path = path[: i + 1]
+            break
+    ties = tied_joints(model)
+    while path:
+        last = _joints_of(model, path[-1])
+        on_path = {joint for body in path for joint in _joints_of(model, body)}
+        leads_others = any(leader in last and follower not in on_path for follower, leader in ties)
+        if weight[path[-1]] and not leads_others:
+            break
+        path = path[:-1]
+    return path
+
+
+def _ancestry(model: mujoco.MjModel, body: int) -> list[int]:
+    path = [body]
+    while path[-1]:
+        path.append(int(model.body_parentid[path[-1]]))
+    return path[::-1]
+
+
+def _joints_of(model: mujoco.MjModel, body: int) -> list[int]:
+    start = int(model.body_jntadr[body])
+    return list(range(start, start + int(model.body_jntnum[body])))
+
+
+def _chain_joints(model: mujoco.MjModel, body: int) -> list[int]:
+    return [joint for joint in _joints_of(model, body) if model.jnt_type[joint] != _FREE]
+
+
+def _listed(names: Iterable[str]) -> str:
+    return ", ".join(repr(name) for name in names if name)

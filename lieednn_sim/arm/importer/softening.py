@@ -1,0 +1,73 @@
+"""Servos that are slow enough for the soft ties between the stages of a telescope."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm.importer.servos import Freedom, Servo, gain_parameters
+
+Floats = NDArray[np.float64]
+# How fast motions of tied stages shall decay [1/s], and the factors by which their servos are slowed down for that.
+_DECAY, _SOFTER = 10.0, 0.8 ** np.arange(13)
+
+
+def soften(
+    spec: Any, qpos: Floats, freedoms: list[Freedom], servos: tuple[Servo, ...], names: list[str]
+) -> tuple[Servo, ...]:
+    """Slow down the designed servos of coupled stages, which act on one stage, until their soft ties can keep up.
+
+    Taken are the fastest servos with which the model's slowest motion decays at 10 / s, or nearly as fast as with any
+    slower ones: what else is slow in the model is none of theirs.
+
+    Args:
+        spec: with the servos; changed.
+        qpos: ``(nq,)`` posture of the whole model, in which one step is linearised.
+        freedoms: of the arm, with rates of the model of the spec.
+        servos: of the freedoms.
+        names: of their actuators.
+    """
+    tied = [
+        k
+        for k, (freedom, servo) in enumerate(zip(freedoms, servos, strict=True))
+        if not servo.kept and int(np.count_nonzero(freedom.rates)) > 1
+    ]
+    if not tied:
+        return servos
+    model = spec.compile()
+    choices = [tuple(_slower(s, factor) if k in tied else s for k, s in enumerate(servos)) for factor in _SOFTER]
+    decays: list[float] = []
+    for choice in choices:
+        for k in tied:
+            actuator = model.actuator(names[k]).id
+            gain, bias = gain_parameters(choice[k])
+            model.actuator_gainprm[actuator], model.actuator_biasprm[actuator] = gain, bias
+        decays.append(-np.log(_step_growth(model, qpos)) / model.opt.timestep)
+        if decays[-1] >= _DECAY:
+            break
+    best = max(decays)
+    found = choices[next(i for i, decay in enumerate(decays) if decay >= min(_DECAY, best - 0.1 * abs(best)))]
+    for k in tied:
+        actuator = spec.actuator(names[k])
+        actuator.gainprm, actuator.biasprm = gain_parameters(found[k])
+    return found
+
+
+def _slower(servo: Servo, factor: float) -> Servo:
+    return replace(servo, kp=servo.kp * factor**2, kv=servo.kv * factor, frequency=servo.frequency * factor)
+
+
+def _step_growth(model: mujoco.MjModel, qpos: Floats) -> float:
+    """Spectral radius of one step of the whole model, at rest and with the servos at the posture."""
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    mujoco.mj_forward(model, data)
+    data.ctrl[:] = data.actuator_length
+    size = 2 * model.nv + model.na
+    transition = np.zeros((size, size))
+    mujoco.mjd_transitionFD(model, data, 1e-6, True, transition, None, None, None)
+    return float(np.abs(np.linalg.eigvals(transition)).max())

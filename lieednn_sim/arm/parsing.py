@@ -1,0 +1,307 @@
+"""From a compiled MuJoCo model to what an `Arm` knows of it: frames, compound joints, coordinates and limits."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm.coordinates import Coordinates
+from lieednn_sim.arm.couplings import Line, line_of, to_independent_leaders
+from lieednn_sim.arm.kinematics import CompoundJoint, CompoundJoints, Factor
+from lieednn_sim.errors import InputError
+
+Floats = NDArray[np.float64]
+
+_KINDS = {
+    int(mujoco.mjtJoint.mjJNT_HINGE): "hinge",
+    int(mujoco.mjtJoint.mjJNT_SLIDE): "slide",
+    int(mujoco.mjtJoint.mjJNT_BALL): "ball",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Chain:
+    """Link frames and the joints between them.
+
+    Attributes:
+        sites: N + 1 sites, ``base_frame`` first.
+        groups: N tuples of joints, each from the base outwards.
+    """
+
+    sites: tuple[int, ...]
+    groups: tuple[tuple[int, ...], ...]
+
+
+def read_arm(model: mujoco.MjModel, arm: str) -> dict[str, Any]:
+    """The fields of an `Arm` that its model says; `InputError` when the model is none."""
+    check_integrator(model, arm)
+    chain = read_chain(model, arm)
+    space = read_coordinates(model, arm, chain, _rest(model))
+    joints, base, mounts, tips = read_joints(model, arm, chain, space)
+    unlimited = np.full(len(space), np.inf)
+    return {
+        "space": space,
+        "joints": joints,
+        "base": base,
+        "mounts": mounts,
+        "tips": tips,
+        "position_limits": read_position_limits(model, chain, space),
+        "velocity_limits": read_numeric(model, arm, "velocity_limit", unlimited),
+        "acceleration_limits": read_numeric(model, arm, "acceleration_limit", unlimited),
+        "force_limits": read_force_limits(model, space),
+        "length_scale": float(read_numeric(model, arm, "length_scale", np.ones(1))[0]),
+        "site_ids": np.array(chain.sites[1:], dtype=int),
+    }
+
+
+def check_integrator(model: mujoco.MjModel, arm: str) -> None:
+    """Raise `InputError` for RK4: MuJoCo neither halves its step, as controllers need, nor inverts it.
+
+    `mj_step1` and `mj_step2` would integrate by Euler's rule without a word; inverse dynamics ends in an error.
+    """
+    if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4:
+        raise InputError(
+            f"arm {arm!r} asks for the integrator RK4, which can neither be stepped in halves nor inverted; write "
+            'implicitfast, implicit or Euler into its <option integrator="...">'
+        )
+
+
+def read_chain(model: mujoco.MjModel, arm: str) -> Chain:
+    """Follow the sites base_frame, link1_frame, link2_frame, ...; `InputError` when they are no chain."""
+    sites = [_site(model, arm, "base_frame")]
+    while (found := mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, f"link{len(sites)}_frame")) >= 0:
+        sites.append(found)
+    if len(sites) == 1:
+        raise InputError(f"arm {arm!r} has no sites link1_frame, link2_frame, ... at its link frames")
+    groups = []
+    for i, (parent, child) in enumerate(itertools.pairwise(sites), start=1):
+        group = _joints_between(model, model.site_bodyid[parent], model.site_bodyid[child], arm, i)
+        for joint in group:
+            if int(model.jnt_type[joint]) not in _KINDS:
+                raise InputError(f"{_label(model, arm, joint)} is free; an arm has hinge, slide and ball joints")
+        groups.append(tuple(group))
+    return Chain(tuple(sites), tuple(groups))
+
+
+def read_coordinates(model: mujoco.MjModel, arm: str, chain: Chain, rest: Floats) -> Coordinates:
+    """Coordinates of the chain's joints in qpos order; joints elsewhere stay at ``rest`` ``(nq,)``.
+
+    Raises:
+        InputError: joints are coupled in another way than by a straight line, or in a circle.
+    """
+    joints = sorted(joint for group in chain.groups for joint in group)
+    leaders = _leaders(model, arm, joints)
+    names: list[str] = []
+    units: list[str] = []
+    index: dict[int, NDArray[np.int_]] = {}
+    for joint in (joint for joint in joints if joint not in leaders):
+        name, ball = model.joint(joint).name, _kind(model, joint) == "ball"
+        index[joint] = len(names) + np.arange(3 if ball else 1)
+        names += [f"{name}_{axis}" for axis in "xyz"] if ball else [name]
+        units += ["m"] if _kind(model, joint) == "slide" else ["rad"] * len(index[joint])
+    coupling, rates, offset = np.zeros((model.nq, len(names))), np.zeros((model.nv, len(names))), rest.copy()
+    for joint in joints:
+        if _kind(model, joint) == "ball":
+            offset[_quaternion(model, joint)] = 0.0
+            continue
+        leader, ratio, shift = leaders.get(joint, (joint, 1.0, 0.0))
+        address = model.jnt_qposadr[joint]
+        coupling[address, index[leader]] = rates[model.jnt_dofadr[joint], index[leader]] = ratio
+        offset[address] = shift
+    scalars = [joint for joint in index if _kind(model, joint) != "ball"]
+    balls = [joint for joint in index if _kind(model, joint) == "ball"]
+    return Coordinates(
+        names=tuple(names),
+        units=tuple(units),
+        coupling=coupling,
+        rates=rates,
+        offset=offset,
+        scalars=np.array([index[joint][0] for joint in scalars], dtype=int),
+        scalar_addresses=model.jnt_qposadr[scalars].astype(int),
+        scalar_rate_addresses=model.jnt_dofadr[scalars].astype(int),
+        balls=np.array([index[joint] for joint in balls], dtype=int).reshape(-1, 3),
+        ball_addresses=np.array([_quaternion(model, joint) for joint in balls], dtype=int).reshape(-1, 4),
+        ball_rate_addresses=np.array([model.jnt_dofadr[joint] + np.arange(3) for joint in balls], dtype=int).reshape(
+            -1, 3
+        ),
+    )
+
+
+def read_joints(
+    model: mujoco.MjModel, arm: str, chain: Chain, coordinates: Coordinates
+) -> tuple[CompoundJoints, RigidTransform, RigidTransform, RigidTransform]:
+    """Compound joints, and the fixed poses base, mounts and tips around them, at the model's reference position."""
+    reference = coordinates.from_qpos(model.qpos0)
+    data = mujoco.MjData(model)
+    data.qpos[:] = coordinates.to_qpos(reference)
+    mujoco.mj_kinematics(model, data)
+    joints, mounts, tips = [], [], []
+    for (parent, child), group in zip(itertools.pairwise(chain.sites), chain.groups, strict=True):
+        for joint in group:
+            _check_joint(model, arm, joint)
+        # The joint frame sits on the last axis that turns and takes the axes of the first moving body.
+        turning = [joint for joint in group if _kind(model, joint) != "slide"]
+        orientation = _orientation(data, model.jnt_bodyid[group[0]])
+        frame = RigidTransform.from_components(data.xanchor[(turning or group)[-1]], orientation)
+        joints.append(CompoundJoint(tuple(_factor(model, data, joint, frame, coordinates) for joint in group)))
+        mounts.append((_site_pose(data, parent).inv() * frame).as_matrix())
+        tips.append((frame.inv() * _site_pose(data, child)).as_matrix())
+    return (
+        CompoundJoints(tuple(joints), reference),
+        _site_pose(data, chain.sites[0]),
+        RigidTransform.from_matrix(np.array(mounts)),
+        RigidTransform.from_matrix(np.array(tips)),
+    )
+
+
+def read_position_limits(model: mujoco.MjModel, chain: Chain, coordinates: Coordinates) -> Floats:
+    """Limits ``(n, 2)``: of a coordinate the strictest of the joints it moves, of a ball's three its largest angle."""
+    limits = np.tile([-np.inf, np.inf], (len(coordinates), 1))
+    for joint in (joint for group in chain.groups for joint in group):
+        low, high = model.jnt_range[joint]
+        if _kind(model, joint) == "ball":
+            row = int(np.flatnonzero(coordinates.ball_addresses[:, 0] == model.jnt_qposadr[joint])[0])
+            limits[coordinates.balls[row]] = [-high, high]
+            continue
+        address = model.jnt_qposadr[joint]
+        k = int(np.flatnonzero(coordinates.coupling[address])[0])
+        bounds = np.sort((np.array([low, high]) - coordinates.offset[address]) / coordinates.coupling[address, k])
+        limits[k] = max(limits[k, 0], bounds[0]), min(limits[k, 1], bounds[1])
+    return limits
+
+
+def read_force_limits(model: mujoco.MjModel, coordinates: Coordinates) -> Floats:
+    """What the drives on each coordinate can exert ``(n,)``, infinite where nothing limits them."""
+    limits = np.full(len(coordinates), np.inf)
+    joint_drive = model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_JOINT)
+    for actuator in np.flatnonzero(joint_drive & (model.actuator_forcelimited != 0)):
+        joint = model.actuator_trnid[actuator, 0]
+        dofs = model.jnt_dofadr[joint] + np.arange(3 if _kind(model, joint) == "ball" else 1)
+        gear = np.abs(model.actuator_gear[actuator, : len(dofs)])
+        most = np.abs(model.actuator_forcerange[actuator]).max()
+        for dof, ratio in zip(dofs, gear, strict=True):
+            k = _coordinate_of(coordinates, dof)
+            if k is not None and ratio > 0.0:
+                limits[k] = most * ratio
+    return limits
+
+
+def read_numeric(model: mujoco.MjModel, arm: str, field: str, default: Floats) -> Floats:
+    """A custom numeric of the model with as many values as ``default``, all of them positive."""
+    index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, field)
+    values = default if index < 0 else np.array(model.numeric(index).data)
+    if len(values) != len(default):
+        raise InputError(f"numeric {field!r} of arm {arm!r} has {len(values)} values, expected {len(default)}")
+    if not (values > 0.0).all():
+        raise InputError(f"numeric {field!r} of arm {arm!r} must be positive, got {' '.join(f'{v:g}' for v in values)}")
+    return values
+
+
+def _rest(model: mujoco.MjModel) -> Floats:
+    """Where joints that are no part of the arm stay: the keyframe ``home``, else the model's reference position."""
+    key = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, "home")
+    return np.array(model.qpos0 if key < 0 else model.key_qpos[key])
+
+
+def _coordinate_of(coordinates: Coordinates, dof: int) -> int | None:
+    for addresses, indices in (
+        (coordinates.scalar_rate_addresses, coordinates.scalars),
+        (coordinates.ball_rate_addresses.ravel(), coordinates.balls.ravel()),
+    ):
+        found = np.flatnonzero(addresses == dof)
+        if found.size:
+            return int(indices[found[0]])
+    return None
+
+
+def _leaders(model: mujoco.MjModel, arm: str, joints: list[int]) -> dict[int, Line]:
+    """For each coupled joint its leader and the line qpos = ratio * qpos_leader + shift."""
+    direct: dict[int, Line] = {}
+    for equality in np.flatnonzero(model.eq_type == int(mujoco.mjtEq.mjEQ_JOINT)):
+        follower, leader = int(model.eq_obj1id[equality]), int(model.eq_obj2id[equality])
+        if follower not in joints or not model.eq_active0[equality]:
+            continue
+        line = line_of(model, int(equality)) if leader in joints else None
+        if line is None:
+            raise InputError(
+                f"{_label(model, arm, follower)} is tied by an equality that the arm cannot follow; the arm "
+                "needs polycoef 'a0 a1 0 0 0' with a1 other than 0, between two joints of its chain"
+            )
+        direct[follower] = line
+    return to_independent_leaders(direct, lambda joint: _label(model, arm, joint))
+
+
+def _factor(
+    model: mujoco.MjModel, data: mujoco.MjData, joint: int, frame: RigidTransform, coordinates: Coordinates
+) -> Factor:
+    inverse = frame.inv()
+    anchor = inverse.apply(data.xanchor[joint])
+    if _kind(model, joint) == "ball":
+        row = int(np.flatnonzero(coordinates.ball_addresses[:, 0] == model.jnt_qposadr[joint])[0])
+        axes = (inverse.rotation * _orientation(data, model.jnt_bodyid[joint])).as_matrix()
+        return Factor("ball", axes, anchor, coordinates.balls[row])
+    (index,) = np.flatnonzero(coordinates.coupling[model.jnt_qposadr[joint]])
+    ratio = float(coordinates.coupling[model.jnt_qposadr[joint], index])
+    axis = inverse.rotation.apply(data.xaxis[joint])
+    return Factor(_kind(model, joint), axis[:, None], anchor, np.array([index]), ratio)
+
+
+def _check_joint(model: mujoco.MjModel, arm: str, joint: int) -> None:
+    """Refuse joints that the encoding would get silently wrong."""
+    label, kind = _label(model, arm, joint), _kind(model, joint)
+    if not model.jnt_limited[joint]:
+        raise InputError(f"{label} has no position limits; give it a range")
+    if kind == "slide":
+        return
+    reference = 0.0 if kind == "ball" else model.qpos0[model.jnt_qposadr[joint]]
+    span = np.abs(model.jnt_range[joint] - reference).max()
+    if span >= np.pi:
+        raise InputError(f"{label} may turn by {span:.3g} rad from its reference; the logarithm needs less than pi")
+
+
+def _joints_between(model: mujoco.MjModel, ancestor: int, body: int, arm: str, link: int) -> list[int]:
+    """Joints that move ``body`` relative to ``ancestor``, from the base outwards."""
+    group: list[int] = []
+    while body != ancestor:
+        if body == 0:
+            raise InputError(f"link {link} of arm {arm!r} does not descend from link {link - 1}")
+        start, count = model.body_jntadr[body], model.body_jntnum[body]
+        group = [*range(start, start + count), *group]
+        body = model.body_parentid[body]
+    if not group:
+        raise InputError(f"link {link} of arm {arm!r} is moved by no joint; name frames with joints between them")
+    return group
+
+
+def _site(model: mujoco.MjModel, arm: str, site: str) -> int:
+    found = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, site)
+    if found < 0:
+        raise InputError(f"arm {arm!r} has no site {site!r}")
+    return found
+
+
+def _site_pose(data: mujoco.MjData, site: int) -> RigidTransform:
+    rotation = Rotation.from_matrix(data.site_xmat[site].reshape(3, 3))
+    return RigidTransform.from_components(data.site_xpos[site], rotation)
+
+
+def _orientation(data: mujoco.MjData, body: int) -> Rotation:
+    return Rotation.from_matrix(data.xmat[body].reshape(3, 3))
+
+
+def _kind(model: mujoco.MjModel, joint: int) -> str:
+    return _KINDS[int(model.jnt_type[joint])]
+
+
+def _label(model: mujoco.MjModel, arm: str, joint: int) -> str:
+    return f"joint {model.joint(joint).name!r} of arm {arm!r}"
+
+
+def _quaternion(model: mujoco.MjModel, joint: int) -> NDArray[np.int_]:
+    return model.jnt_qposadr[joint] + np.arange(4)

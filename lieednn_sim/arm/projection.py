@@ -1,0 +1,131 @@
+"""Retraction: the joint position nearest to given per-joint poses, in closed form where there is one.
+
+Nearest is meant in one metric for all joints: with the angle and the shift between the given and the feasible pose,
+4 sin^2(angle / 2) + ||shift||^2 / length^2, which is angle^2 + ||shift||^2 / length^2 up to the fourth order of the
+angle, and smooth at half a turn. Hinge and slide, and six freedoms, are met exactly (`closed_forms`), other joints by
+least squares (`nearest`). Compound joints that share a coordinate (coupled stages on several links) are retracted
+together.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieednn_sim.arm.closed_forms import HingeSlide, MovingPoses, SixFreedoms
+from lieednn_sim.arm.kinematics import CompoundJoints
+from lieednn_sim.arm.nearest import NearestPose
+from lieednn_sim.lie import rotations
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Retraction:
+    """Joint motion nearest to given per-joint poses, with what the mechanism cannot follow.
+
+    Attributes:
+        q: ``(..., n)`` joint coordinates [rad, m].
+        qd: ``(..., n)`` their rates; zero for poses at rest.
+        gap_translation: ``(..., N)`` distance between given and feasible pose [m].
+        gap_rotation: ``(..., N)`` angle between them [rad].
+    """
+
+    q: Floats
+    qd: Floats
+    gap_translation: Floats
+    gap_rotation: Floats
+
+
+class _Solver(Protocol):
+    """Retracts the links ``links`` onto the coordinates ``indices``."""
+
+    links: tuple[int, ...]
+    indices: NDArray[np.int_]
+
+    def __call__(self, poses: MovingPoses) -> tuple[Floats, Floats | None]:
+        """Displacements ``(..., c)`` from the reference and their rates."""
+
+
+class Retractor:
+    """Retracts the poses of an arm's compound joints.
+
+    Args:
+        joints: of the arm.
+        length: [m] that weighs as much as one radian where a pose cannot be met and both must give way.
+    """
+
+    def __init__(self, joints: CompoundJoints, length: float) -> None:
+        self._joints = joints
+        self._solvers = [_solver(joints, links, length) for links in _sharing(joints)]
+
+    @property
+    def exact(self) -> bool:
+        """Whether every compound joint has six freedoms, so that no pose leaves a gap."""
+        return all(isinstance(solver, SixFreedoms) for solver in self._solvers)
+
+    def __call__(self, xi: Floats, xi_dot: Floats | None = None) -> Retraction:
+        """Nearest joint position to exp(xi_i), with its derivative along xi_dot.
+
+        Args:
+            xi: ``(..., N, 6)``.
+            xi_dot: ``(..., N, 6)``, or None for poses at rest.
+        """
+        given = MovingPoses.along(xi, xi_dot)
+        reference = self._joints.reference
+        q = np.broadcast_to(reference, (*xi.shape[:-2], len(reference))).copy()
+        qd = np.zeros_like(q)
+        for solver in self._solvers:
+            offset, rate = solver(given)
+            q[..., solver.indices] += offset
+            if rate is not None:
+                qd[..., solver.indices] = rate
+        found = self._joints.poses(q).as_matrix()
+        gap_translation = np.linalg.norm(given.translation - found[..., :3, 3], axis=-1)
+        gap_rotation = np.asarray((rotations(found[..., :3, :3]).inv() * given.rotation).magnitude())
+        return Retraction(q, qd, gap_translation, gap_rotation)
+
+
+class _Nearest:
+    """Any other joints: least squares, see `NearestPose`."""
+
+    def __init__(self, joints: CompoundJoints, links: tuple[int, ...], length: float) -> None:
+        group = [joints.joints[link] for link in links]
+        self.links = links
+        self.indices = np.unique(np.concatenate([joint.indices for joint in group]))
+        self._problem = NearestPose(group, self.indices, len(joints.reference), length)
+
+    def __call__(self, poses: MovingPoses) -> tuple[Floats, Floats | None]:
+        links = list(self.links)
+        rotation, translation = poses.matrix[..., links, :, :], poses.translation[..., links, :]
+        offset = self._problem.solve(rotation, translation)
+        if poses.omega is None or poses.velocity is None:
+            return offset, None
+        rates = self._problem.rates(
+            offset, rotation, translation, poses.omega[..., links, :], poses.velocity[..., links, :]
+        )
+        return offset, rates
+
+
+def _solver(joints: CompoundJoints, links: tuple[int, ...], length: float) -> _Solver:
+    joint = joints.joints[links[0]]
+    if len(links) == 1 and HingeSlide.fits(joint):
+        return HingeSlide(joint, links[0], length)
+    if len(links) == 1 and SixFreedoms.fits(joint):
+        return SixFreedoms(joint, links[0])
+    return _Nearest(joints, links, length)
+
+
+def _sharing(joints: CompoundJoints) -> list[tuple[int, ...]]:
+    """Links in groups that have no coordinate in common."""
+    groups: list[tuple[set[int], tuple[int, ...]]] = []
+    for link, joint in enumerate(joints.joints):
+        mine: set[int] = set(joint.indices.tolist())
+        joined = [group for group in groups if group[0] & mine]
+        groups = [group for group in groups if not group[0] & mine]
+        links = tuple(sorted({link, *(member for group in joined for member in group[1])}))
+        groups.append((mine.union(*(group[0] for group in joined)), links))
+    return [links for _, links in groups]

@@ -1,0 +1,230 @@
+"""The directory that collects what comes of a task.
+
+Task, network, motion, rollout and metrics are made from each other in that order, and each file carries the
+fingerprints of those before it. `RunDirectory.check` compares them, so that files of different runs are never used
+together.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+
+from lieednn_sim import storage
+from lieednn_sim.arm import Arm
+from lieednn_sim.cli.task import Task
+from lieednn_sim.errors import FileError, InputError
+from lieednn_sim.learning.history import History
+from lieednn_sim.network import LieEDNN
+from lieednn_sim.network.base import BlockNetwork
+from lieednn_sim.planning.motion import Motion
+from lieednn_sim.simulation import Rollout
+from lieednn_sim.validation import as_choice, as_path
+from lieednn_sim.versions import versions
+
+# Formats of the plots; the first is the default.
+PLOT_KINDS = ("png", "pdf", "svg")
+# The first is made of a training, the others of a rollout.
+_PLOTS = ("training", "network", "tracking", "joints")
+
+
+class RunDirectory:
+    """Names of the files of one run, and the one place where they are written, read and checked against each other.
+
+    Args:
+        path: of the directory.
+        plots: what plots are written as, one of `PLOT_KINDS`.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], plots: str = PLOT_KINDS[0]) -> None:
+        self._plots = as_choice("plots", plots, PLOT_KINDS)
+        self.path = as_path("the name of a run directory", path)
+        self.task = self.path / "task.json"
+        self.network = self.path / "network.npz"
+        self.motion = self.path / "motion.npz"
+        self.rollout = self.path / "rollout.npz"
+        self.divergence = self.path / "divergence.npz"
+        self.video = self.path / "video.mp4"
+        self.checkpoint = self.path / "checkpoint.npz"
+        self.history = self.path / "history.npz"
+        self.metrics_json = self.path / "metrics.json"
+        self.metrics_csv = self.path / "metrics.csv"
+        self.training_plot, self.network_plot, self.tracking_plot, self.joints_plot = (
+            self.path / f"{name}.{plots}" for name in _PLOTS
+        )
+
+    @property
+    def pending(self) -> RunDirectory:
+        """Where a training is at work, until there is a network to replace what the run holds."""
+        return RunDirectory(self.path / "training", self._plots)
+
+    @property
+    def files(self) -> list[Path]:
+        """All files that a run may hold."""
+        named = [path for name, path in vars(self).items() if isinstance(path, Path) and name != "path"]
+        return named + [path for path in self._plots_of(*_PLOTS) if path not in named]
+
+    @property
+    def results(self) -> list[Path]:
+        """What is made of a rollout; a new one makes it outdated."""
+        plots = self._plots_of(*_PLOTS[1:])
+        return [self.metrics_json, self.metrics_csv, *plots, self.video, self.divergence]
+
+    def _plots_of(self, *names: str) -> list[Path]:
+        return [self.path / f"{name}.{kind}" for name in names for kind in PLOT_KINDS]
+
+    @contextlib.contextmanager
+    def made(self) -> Iterator[None]:
+        """Make the directory if need be, and keep others out as `at_work` does; what stays empty is removed."""
+        made = [path for path in (self.path, *self.path.parents) if not os.path.lexists(path)]
+        storage.make_directory(self.path)
+        try:
+            with self.at_work():
+                yield
+        except BaseException:
+            with contextlib.suppress(OSError):
+                for path in made:
+                    path.rmdir()
+            raise
+
+    @contextlib.contextmanager
+    def at_work(self, *, shared: bool = False, outputs: Iterable[Path] | None = None) -> Iterator[None]:
+        """Keep other commands out of the run, or with ``shared`` those that write task, network, motion and rollout.
+
+        Raises:
+            FileError: another command is at work there, or one of ``outputs`` (all files of the run) cannot be written.
+        """
+        with storage.locked(self.path, shared=shared):
+            storage.check_outputs(self.files if outputs is None else outputs)
+            if not shared:
+                # What a killed command left half-written; nobody else is here.
+                for path in self.files:
+                    for left in self.path.glob(f".{path.stem}.????????{path.suffix}"):
+                        left.unlink(missing_ok=True)
+            yield
+
+    def create(self) -> None:
+        """Make the directory if need be."""
+        storage.make_directory(self.path)
+
+    def remove(self) -> None:
+        """Remove the files of the run, and the directory when nothing else is in it."""
+        for path in self.files:
+            path.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            self.path.rmdir()
+
+    def existing(self) -> RunDirectory:
+        """Return self, or raise `FileError` when there is no such run."""
+        if not storage.is_file(self.task):
+            raise FileError(
+                f"{self.path} holds no run (no {self.task.name}); make one with 'lieednn-sim synthesize' or 'train'"
+            )
+        return self
+
+    def load_task(self) -> tuple[Task, Arm]:
+        """The task and its arm, with start and target checked against the arm's limits."""
+        task = Task.load(self.task)
+        arm = task.load_arm()
+        if arm.fingerprint != task.model:
+            now, then = versions()["mujoco"], task.versions.get("mujoco")
+            raise FileError(
+                f"arm {task.arm!r} in scene {task.scene!r} is not the one that {self.task} was made for (fingerprint "
+                f"{_short(arm.fingerprint)}, not {_short(task.model)}"
+                + ("" if now == then else f"; MuJoCo {now}, not {then}")
+                + "): its model has changed since; make the run again"
+            )
+        try:
+            arm.check_position(task.start, "start")
+            arm.check_position(task.target, "target")
+        except InputError as error:
+            raise FileError(f"{self.task} does not fit arm {arm.name!r}: {error}") from None
+        return task, arm
+
+    def load_network(self, task: Task) -> LieEDNN:
+        """The network, when it was made for the task."""
+        self.check(task, "network")
+        return LieEDNN.load(self.network)
+
+    def load_motion(self, task: Task) -> Motion:
+        """The motion, when it was made for the task and by the network."""
+        self.check(task, "network", "motion")
+        return Motion.load(self.motion)
+
+    def load_rollout(self, task: Task) -> Rollout:
+        """The rollout, when it, the motion and the network were made from each other and for the task."""
+        self.check(task, "network", "motion", "rollout")
+        return Rollout.load(self.rollout)
+
+    def check(self, task: Task, *names: str) -> dict[str, str]:
+        """Fingerprints of the task and of the named files that are there, in the order in which they were made.
+
+        Raises:
+            FileError: a file was made from another one than the one that is there; names both.
+        """
+        found = {"task": task.fingerprint}
+        for name in names:
+            path: Path = getattr(self, name)
+            if not path.exists():
+                continue
+            own, made_from = storage.origin(path)
+            for source in found:
+                then, now = made_from.get(source), found[source]
+                if then != now:
+                    raise FileError(
+                        f"{path} was made from another {source} than {getattr(self, source)} (fingerprint "
+                        f"{_short(then)}, not {_short(now)}): files of different runs are mixed, or one was changed; "
+                        f"'lieednn-sim {'simulate' if name == 'rollout' else 'synthesize'}' makes it again"
+                    )
+            found[name] = own
+        return found
+
+    def save_network(
+        self, task: Task, network: BlockNetwork | None, motion: Motion | None = None, history: History | None = None
+    ) -> list[Path]:
+        """Write the task and what was made for it, and remove all that the directory held of another one.
+
+        Returns:
+            What was written.
+        """
+        made_from = {"task": task.fingerprint}
+        savers: dict[str, Callable[[Path], None]] = {"task": task.save}
+        for name, made in (("network", network), ("motion", motion), ("history", history)):
+            if made is not None:
+                savers[name] = _saver(made, name, made_from)
+        targets: list[Path] = [getattr(self, name) for name in savers]
+        outdated = [path for path in self.files if path not in targets]
+        with storage.atomic_paths(targets, outdated) as temporaries:
+            for save, temporary in zip(savers.values(), temporaries, strict=True):
+                save(temporary)
+        return targets
+
+    def save_rollout(self, task: Task, motion: Motion, rollout: Rollout) -> list[Path]:
+        """Write a rollout, before it the motion when the network drew it, and remove what was made of an older one.
+
+        Returns:
+            What was written.
+        """
+        made_from = self.check(task, "network", *([] if task.drawn else ["motion"]))
+        targets = [self.motion, self.rollout] if task.drawn else [self.rollout]
+        with storage.atomic_paths(targets, self.results) as temporaries:
+            if task.drawn:
+                _saver(motion, "motion", made_from)(temporaries[0])
+            rollout.save(temporaries[-1], made_from)
+        return targets
+
+
+def _saver(made: BlockNetwork | Motion | History, name: str, made_from: dict[str, str]) -> Callable[[Path], None]:
+    """What saves something and adds its fingerprint to those of what is made from it."""
+
+    def save(path: Path) -> None:
+        made.save(path, dict(made_from))
+        made_from[name] = storage.origin(path)[0]
+
+    return save
+
+
+def _short(fingerprint: str | None) -> str:
+    return "none" if fingerprint is None else fingerprint[:12]

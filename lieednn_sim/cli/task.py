@@ -1,0 +1,109 @@
+"""A task: arm, start, target, duration, and how its network is made."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+from lieednn_sim import storage
+from lieednn_sim.arm import Arm
+from lieednn_sim.errors import FileError
+from lieednn_sim.validation import as_floats, as_positive, as_seed
+from lieednn_sim.versions import versions
+
+# What makes a network that draws its motion by itself (`motion.make_motion`).
+CERTIFIED, TRAINED = "lieednn-certified", "train"
+
+
+@dataclass(frozen=True)
+class Task:
+    """What a run is made for and how, so that it can be made again.
+
+    Attributes:
+        arm: name of an arm of the package, or an MJCF file.
+        start: joint position at rest [rad, m].
+        target: joint target [rad, m].
+        duration: of the motion [s].
+        scene: the obstacles around the arm, see `Arm.load`.
+        scene_seed: of their positions.
+        links: bodies or sites that are the link frames of an MJCF file without the package's own.
+        base: body or site of its base frame.
+        servos: what becomes of the position servos of such a file, see `Arm.load`.
+        planner: a name of `planning.PLANNERS`, or `TRAINED` for the command ``train``. But for that and `CERTIFIED` it
+            makes the motion, too, which is then stored.
+        reason: why this planner.
+        seed: of its random draws.
+        options: its other options by name, as JSON can hold them.
+        model: `Arm.fingerprint` of the arm that it was made for.
+        versions: of the packages that made it.
+    """
+
+    arm: str
+    start: tuple[float, ...]
+    target: tuple[float, ...]
+    duration: float
+    scene: str = "free"
+    scene_seed: int = 0
+    links: tuple[str, ...] = ()
+    base: str | None = None
+    servos: str = "keep"
+    planner: str = CERTIFIED
+    reason: str = ""
+    seed: int = 0
+    options: Mapping[str, Any] = field(default_factory=dict)
+    model: str = ""
+    versions: Mapping[str, str] = field(default_factory=lambda: versions(optional=True))
+
+    @property
+    def drawn(self) -> bool:
+        """Whether the network draws the motion by itself."""
+        return self.planner in (CERTIFIED, TRAINED)
+
+    @property
+    def fingerprint(self) -> str:
+        """Of all values; see `storage.fingerprint`."""
+        return storage.fingerprint({}, asdict(self))
+
+    def load_arm(self) -> Arm:
+        """The arm among its obstacles; errors as `Arm.load`."""
+        return Arm.load(self.arm, self.scene, self.scene_seed, links=self.links, base=self.base, servos=self.servos)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write as JSON, atomically."""
+        storage.save_json(path, asdict(self))
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Task:
+        """Read a file of `save`; `FileError` says what is wrong with it."""
+        value = storage.load_json(path, "task")
+        try:
+            texts = {name: value[name] for name in ("arm", "scene", "servos", "planner", "reason", "model")}
+            links, base = value["links"], value["base"]
+            if not all(isinstance(text, str) for text in (*texts.values(), *links, *([] if base is None else [base]))):
+                raise TypeError("names must be strings")
+            if not all(isinstance(value[name], dict) for name in ("options", "versions")):
+                raise TypeError("options and versions must be objects")
+            return cls(
+                **texts,
+                links=tuple(links),
+                base=base,
+                start=_position(value["start"], "start"),
+                target=_position(value["target"], "target"),
+                duration=as_positive("duration", value["duration"]),
+                scene_seed=as_seed("scene_seed", value["scene_seed"]),
+                seed=as_seed("seed", value["seed"]),
+                options=value["options"],
+                versions=value["versions"],
+            )
+        except KeyError as error:
+            raise FileError(f"{path} is not a valid task (it has no {error}); make the run again") from None
+        except (TypeError, ValueError, OverflowError) as error:
+            raise FileError(f"{path} is not a valid task ({type(error).__name__}: {error})") from None
+
+
+def _position(value: Any, what: str) -> tuple[float, ...]:
+    if not isinstance(value, list) or any(isinstance(x, str | bool) for x in value):
+        raise TypeError(f"{what} must be a list of numbers")
+    return tuple(as_floats(what, value, ("n",)).tolist())

@@ -1,0 +1,199 @@
+"""One case of a comparison: an arm in a scene, a planner and a seed, planned once and tracked by each controller."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from functools import lru_cache
+from typing import Any
+
+from lieednn_sim import planning as planners
+from lieednn_sim._blas import one_blas_thread
+from lieednn_sim.arm import Arm
+from lieednn_sim.arm.collision import Collisions
+from lieednn_sim.arm.targets import draw_target
+from lieednn_sim.budget import DEFAULT_TIME_BUDGET
+from lieednn_sim.errors import InputError, LieEDNNError
+from lieednn_sim.evaluation.columns import FIELDS
+from lieednn_sim.evaluation.metrics import evaluate
+from lieednn_sim.evaluation.motion_metrics import motion_metrics, rollout_metrics, shortfall
+from lieednn_sim.planning import PlanningProblem, plan_network
+from lieednn_sim.planning.motion import Motion
+from lieednn_sim.simulation import Rollout, simulate
+from lieednn_sim.simulation.tracking import as_hold
+from lieednn_sim.validation import as_positive
+
+Row = dict[str, str]
+
+FREE = "free"
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What every row of a table shares.
+
+    Attributes:
+        duration: of every motion [s].
+        hold: time simulated after it [s].
+        mass_scale: true masses in units of those that the controller knows.
+        time_budget: CPU time that planning a case may take [s].
+
+    Raises:
+        InputError: a value is out of range.
+    """
+
+    duration: float = 4.0
+    hold: float = 1.0
+    mass_scale: float = 1.0
+    time_budget: float = DEFAULT_TIME_BUDGET
+
+    def __post_init__(self) -> None:
+        for name in ("duration", "mass_scale", "time_budget"):
+            object.__setattr__(self, name, as_positive(name, getattr(self, name)))
+        object.__setattr__(self, "hold", as_hold(self.hold))
+
+    def as_dict(self) -> dict[str, float]:
+        """For a JSON file."""
+        return asdict(self)
+
+
+@dataclass(frozen=True, order=True)
+class Case:
+    """What is planned once."""
+
+    arm: str
+    scene: str
+    planner: str
+    seed: int
+
+    @classmethod
+    def parse(cls, text: str) -> Case:
+        """Read ``planner:arm:scene:seed``.
+
+        Raises:
+            InputError: not of that form.
+        """
+        parts = text.split(":")
+        if len(parts) != 4 or not all(parts) or not (parts[3].isascii() and parts[3].isdecimal()):
+            raise InputError(
+                f"a case must look like planner:arm:scene:seed, as screw:telescopic_pr:free:0, got {text!r}"
+            )
+        planner, arm, scene, seed = parts
+        return cls(arm, scene, planner, int(seed))
+
+    def __str__(self) -> str:
+        return f"{self.planner}:{self.arm}:{self.scene}:{self.seed}"
+
+
+@lru_cache(maxsize=4)
+def load_arm(name: str, scene: str, seed: int) -> Arm:
+    """The arm in its scene, after what is made once for a process, so that no planning time counts it."""
+    arm = Arm.load(name, scene=scene, seed=seed)
+    try:
+        planners.reference_network(arm)
+        start = arm.keyframe("home")
+        planners.plan_with("minimum-jerk", PlanningProblem(arm, start, start, 100 * float(arm.model.opt.timestep)))
+    except LieEDNNError:
+        pass  # whoever needs what is missing here will say so
+    return arm
+
+
+def make_problem(case: Case, settings: Settings) -> PlanningProblem:
+    """From home to a random target that makes sense in the scene; the same for every planner.
+
+    Raises:
+        InputError: an unknown arm or scene, or no target was found.
+    """
+    # Without obstacles nothing in the arm depends on the seed, and one arm serves all.
+    arm, target = _arm_and_target(case.arm, case.scene, case.seed)
+    return PlanningProblem(arm, arm.keyframe("home"), target, settings.duration, case.seed, settings.time_budget)
+
+
+@lru_cache(maxsize=4)
+def _arm_and_target(name: str, scene: str, seed: int) -> tuple[Arm, Any]:
+    arm = load_arm(name, scene, 0 if scene == FREE else seed)
+    return arm, draw_target(arm, seed)
+
+
+def run_case(case: Case, controllers: Sequence[str], settings: Settings) -> list[Row]:
+    """Plan once and track with every controller: one row each. What fails is a row with the reason.
+
+    The planning time is CPU time of this process, with one BLAS thread.
+    """
+    with one_blas_thread():
+        try:
+            problem = make_problem(case, settings)
+        except LieEDNNError as error:
+            return [_row(case, name, settings, _failed("problem", error)) for name in controllers]
+        begun = time.process_time()
+        try:
+            network, motion = plan_network(case.planner, problem)
+        except LieEDNNError as error:
+            spent = {"planning_s": _text(time.process_time() - begun)}
+            return [_row(case, name, settings, _failed("plan", error) | spent) for name in controllers]
+        except Exception as error:
+            error.add_note(f"while planning the case {case}")
+            raise
+        planned = {"planning_s": _text(time.process_time() - begun), **_stability(network)}
+        planned |= _texts(motion_metrics(problem.arm, motion))
+        return [_row(case, name, settings, planned | _track(problem, motion, name, settings)) for name in controllers]
+
+
+def replay(case: Case, controller: str, settings: Settings) -> tuple[PlanningProblem, Rollout]:
+    """Plan and simulate a case again, for a picture of it.
+
+    Raises:
+        LieEDNNError: it cannot be planned or simulated.
+    """
+    with one_blas_thread():
+        problem = make_problem(case, settings)
+        _, motion = plan_network(case.planner, problem)
+        return problem, _simulate(problem, motion, controller, settings)
+
+
+def _simulate(problem: PlanningProblem, motion: Motion, controller: str, settings: Settings) -> Rollout:
+    return simulate(problem.arm, motion, controller=controller, hold=settings.hold, mass_scale=settings.mass_scale)
+
+
+def _track(problem: PlanningProblem, motion: Motion, controller: str, settings: Settings) -> Row:
+    try:
+        rollout = _simulate(problem, motion, controller, settings)
+        evaluation = evaluate(problem.arm, rollout, problem.target, motion)
+    except LieEDNNError as error:
+        return _failed("simulation", error)
+    reason = shortfall(evaluation)
+    measured = rollout_metrics(problem.arm, rollout, evaluation, _collisions(problem.arm))
+    return {"success": "no" if reason else "yes", "reason": reason, **_texts(measured)}
+
+
+@lru_cache(maxsize=4)
+def _collisions(arm: Arm) -> Collisions:
+    return Collisions(arm)
+
+
+def _stability(network: Any) -> Row:
+    """What is proved of the network at its equilibrium: global, local or none; "-" without a network."""
+    if network is None:
+        return {"stability": "-", "stability_level": "-"}
+    verdict = network.assess()
+    local = "local" if verdict.level == "local" else "none"
+    return {"stability": "global" if verdict.globally_stable else local, "stability_level": verdict.level}
+
+
+def _failed(step: str, error: LieEDNNError) -> Row:
+    return {"success": "no", "reason": f"{step}: {error}"}
+
+
+def _texts(values: dict[str, float]) -> Row:
+    return {name: _text(value) for name, value in values.items()}
+
+
+def _text(value: float) -> str:
+    return f"{value:.6g}"
+
+
+def _row(case: Case, controller: str, settings: Settings, values: Row) -> Row:
+    keys = {"arm": case.arm, "scene": case.scene, "planner": case.planner, "controller": controller}
+    keys |= {"seed": str(case.seed), "mass_scale": _text(settings.mass_scale)}
+    return dict.fromkeys(FIELDS, "") | keys | values

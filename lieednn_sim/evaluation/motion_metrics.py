@@ -1,0 +1,154 @@
+"""Numbers of one motion and of one rollout, as the columns of a comparison name them."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lieednn_sim.arm import Arm
+from lieednn_sim.arm.collision import Collisions
+from lieednn_sim.evaluation.metrics import SETTLED_ROTATION, SETTLED_TRANSLATION, Evaluation
+from lieednn_sim.planning.motion import LIMIT_TOLERANCE, Motion
+from lieednn_sim.simulation import Rollout
+from lieednn_sim.validation import as_floats, as_positive
+
+Floats = NDArray[np.float64]
+
+# Curvature is meant where the path is run through: at rest its direction is noise.
+CURVATURE_SPEED_SHARE = 0.05
+# A simulated rate may exceed its limit by this share before it counts: the ripple of the control loop.
+RATE_TOLERANCE = 1e-3
+# Clearance is looked at on every so-maniest sample (10 ms at the arms' step), and on all with a contact.
+CLEARANCE_STRIDE = 5
+_STANDSTILL = 1e-9  # [m/s]
+# Postures that differ by less [rad, m] have the same clearance, to a micrometre.
+_SAME_POSTURE = 1e-7
+
+
+def motion_metrics(arm: Arm, motion: Motion) -> dict[str, float]:
+    """Of the plan alone; an entry that means nothing is left out (the curvature of a path that does not move)."""
+    ranges = arm.position_limits[:, 1] - arm.position_limits[:, 0]
+    tip = arm.link_poses(motion.q).as_matrix()[:, -1, :3, 3]
+    jerk = np.diff(motion.qd / ranges, n=2, axis=0) / motion.timestep**2
+    tip_jerk = np.diff(tip, n=3, axis=0) / motion.timestep**3
+    curvature = rms_curvature(tip, motion.timestep)
+    values = {
+        "motion_s": float(motion.t[-1]),
+        "gap_mm": 1e3 * motion.gap_translation.max(),
+        "gap_deg": np.rad2deg(motion.gap_rotation.max()),
+        "gap_end_mm": 1e3 * motion.gap_translation[-1].max(),
+        "gap_end_deg": np.rad2deg(motion.gap_rotation[-1].max()),
+        "path_ranges": np.linalg.norm(np.diff(motion.q / ranges, axis=0), axis=1).sum(),
+        "jerk_joints": np.sqrt(np.mean(jerk**2)),
+        "jerk_effector": np.sqrt(np.mean(np.sum(tip_jerk**2, axis=1))) if len(tip_jerk) else 0.0,
+        **({} if curvature is None else {"curvature": curvature}),
+    }
+    return {name: float(value) for name, value in values.items()}
+
+
+def rms_curvature(path: ArrayLike, timestep: float) -> float | None:
+    """Root mean square of kappa = |p' x p''| / |p'|^3 along the arc [1/m], where |p'| exceeds 5 % of its peak.
+
+    Args:
+        path: ``(K, 3)`` positions [m] at constant time steps.
+        timestep: [s].
+
+    Returns:
+        None for a path that does not move.
+
+    Raises:
+        InputError: the path is malformed or the timestep is not positive.
+    """
+    points, step = as_floats("path", path, ("K", 3)), as_positive("timestep", timestep)
+    if len(points) < 3:
+        return None
+    # Central differences, both at the inner samples, so that both belong to one instant.
+    velocity = (points[2:] - points[:-2]) / (2.0 * step)
+    acceleration = (points[2:] - 2.0 * points[1:-1] + points[:-2]) / step**2
+    speed = np.linalg.norm(velocity, axis=1)
+    if speed.max() < _STANDSTILL:
+        return None
+    moving = speed > CURVATURE_SPEED_SHARE * speed.max()
+    speed = speed[moving]
+    kappa = np.linalg.norm(np.cross(velocity[moving], acceleration[moving]), axis=1) / speed**3
+    return float(np.sqrt((kappa**2 * speed).sum() / speed.sum()))
+
+
+def rollout_metrics(arm: Arm, rollout: Rollout, evaluation: Evaluation, collisions: Collisions) -> dict[str, float]:
+    """Of what was simulated; an entry that does not exist is left out (the settling time of what never settles).
+
+    Args:
+        arm: the arm of the rollout.
+        rollout: what was simulated.
+        evaluation: of that rollout.
+        collisions: of the arm.
+    """
+    values: dict[str, float] = {
+        "path_m": evaluation.travel,
+        "velocity_share": max(joint.peak_velocity / joint.velocity_limit for joint in evaluation.joints),
+        "force_share": max(joint.peak_force / joint.force_limit for joint in evaluation.joints),
+    }
+    settled = [frame.settling_time for frame in evaluation.frames]
+    times = [time for time in settled if time is not None]
+    if len(times) == len(settled):
+        values["settling_s"] = max(times)
+    for unit, kind in (("mm", "translation_mm"), ("deg", "rotation_deg")):
+        values[f"final_effector_{unit}"] = getattr(evaluation.end_effector, f"final_{kind}")
+        for column, field in (("final_worst", "final"), ("tracking_rms", "rms"), ("tracking_max", "max")):
+            values[f"{column}_{unit}"] = max(getattr(frame, f"{field}_{kind}") for frame in evaluation.frames)
+    clearance = least_clearance(rollout, collisions)
+    if np.isfinite(clearance):
+        values["clearance_mm"] = 1e3 * clearance
+    return values | violations(arm, rollout)
+
+
+def least_clearance(rollout: Rollout, collisions: Collisions) -> float:
+    """Least clearance along the simulated motion [m]; negative in penetration, infinite where nothing can collide.
+
+    Every fifth sample is looked at, and all with a contact, but not a posture that the arm has just held.
+    """
+    chosen = np.union1d(np.arange(0, len(rollout.t), CLEARANCE_STRIDE), np.flatnonzero(rollout.contacts))
+    least, seen = np.inf, np.full(rollout.q.shape[1], np.inf)
+    for q in rollout.q[chosen]:
+        if np.abs(q - seen).max() > _SAME_POSTURE:
+            least, seen = min(least, collisions.clearance(q)), q
+    return least
+
+
+def violations(arm: Arm, rollout: Rollout) -> dict[str, float]:
+    """Samples at which a joint is beyond its position, velocity or acceleration limit, and the worst excess.
+
+    Positions are in units of the joint's range, velocities and accelerations in units of their limits.
+    """
+    ranges = arm.position_limits[:, 1] - arm.position_limits[:, 0]
+    acceleration = np.diff(rollout.qd, axis=0) / rollout.timestep
+    outside = arm.limit_excess(rollout.q)
+    excesses = {
+        "position": (outside / ranges, outside > LIMIT_TOLERANCE),
+        **{
+            name: (excess, excess > RATE_TOLERANCE)
+            for name, excess in (
+                ("velocity", np.abs(rollout.qd) / arm.velocity_limits - 1.0),
+                ("acceleration", np.abs(acceleration) / arm.acceleration_limits - 1.0),
+            )
+        },
+    }
+    values: dict[str, float] = {}
+    for name, (excess, beyond) in excesses.items():
+        values[f"{name}_violations"] = int(beyond.any(axis=1).sum())
+        values[f"{name}_excess"] = float(excess[beyond].max()) if beyond.any() else 0.0
+    return values
+
+
+def shortfall(evaluation: Evaluation) -> str:
+    """Why a rollout is no success, or an empty string: a contact, or a link that does not end at its target."""
+    if evaluation.contacts:
+        return f"contact: up to {evaluation.contacts} at a time"
+    for frame in evaluation.frames:
+        far = frame.final_translation_mm > 1e3 * SETTLED_TRANSLATION
+        if far or frame.final_rotation_deg > np.rad2deg(SETTLED_ROTATION):
+            return (
+                f"arrival: {frame.name} ends {frame.final_translation_mm:.3g} mm and "
+                f"{frame.final_rotation_deg:.3g} deg off"
+            )
+    return ""

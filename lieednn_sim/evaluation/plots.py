@@ -1,0 +1,280 @@
+"""Plots of a run: network states, tracking error, joint motion, training; PNG, or what the name's ending says."""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.rcsetup import cycler
+from matplotlib.ticker import NullFormatter
+from numpy.typing import ArrayLike, NDArray
+
+from lieednn_sim import storage
+from lieednn_sim.arm import Arm
+from lieednn_sim.evaluation.figure_layout import settle
+from lieednn_sim.evaluation.metrics import SETTLED_ROTATION, SETTLED_TRANSLATION, pose_errors
+from lieednn_sim.learning import History
+from lieednn_sim.planning.motion import Motion
+from lieednn_sim.simulation import Rollout
+
+Floats = NDArray[np.float64]
+
+# Okabe and Ito's palette, distinguishable by colour-blind readers.
+_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+_PUSH = "0.85"
+_DPI = 130
+# Names in a row of a legend.
+_MOST_IN_ROW = 7
+# Errors [mm, deg] and shares of a limit [%] below these don't fill the height of an axis.
+_LEAST_ERROR, _LEAST_PERCENT = 0.01, 10.0
+# A plot of joints has at most this many rows; longer names are written smaller.
+_MOST_ROWS, _LONGEST_NAME = 12, 14
+_STYLE: Any = {
+    "font.size": 9,
+    "axes.grid": True,
+    "grid.alpha": 0.3,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    # Arms may have more links than there are colours.
+    "axes.prop_cycle": cycler(linestyle=["-", "--", ":"]) * cycler(color=_COLOURS),
+    "legend.frameon": False,
+}
+
+
+def plot_network(arm: Arm, motion: Motion, path: str | os.PathLike[str]) -> None:
+    """States xi(t) of each neuron, angles and lengths apart, with their targets dashed; a neuron moves a link."""
+    n = arm.n_links
+    # Rows beyond what fits a page stand beside the others.
+    blocks = -(-n // _MOST_ROWS)
+    rows = -(-n // blocks)
+    columns = (("rotation $\\omega$", "[rad]", 0, 1.0), ("translation $v$", "[m]", 3, arm.length_scale))
+    with matplotlib.rc_context(_STYLE):
+        figure = Figure(figsize=(10 * blocks, 1.2 + 1.7 * rows), layout="constrained")
+        axes = figure.subplots(rows, 2 * blocks, sharex=True, sharey="col", squeeze=False)
+        for i in range(rows * blocks):
+            pair = axes[i % rows, 2 * (i // rows) : 2 * (i // rows) + 2]
+            for axis, (title, unit, first, scale) in zip(pair, columns, strict=True):
+                if i >= n:
+                    axis.set_visible(False)
+                    continue
+                for c, coordinate in enumerate("xyz"):
+                    axis.plot(
+                        motion.t,
+                        scale * motion.xi[:, i, first + c],
+                        color=_COLOURS[c],
+                        label=f"$\\omega_{coordinate}$ / $v_{coordinate}$",
+                    )
+                    axis.axhline(scale * motion.xi_target[i, first + c], color=_COLOURS[c], ls="--", lw=0.9)
+                axis.set_title(f"{arm.link_names[i]} (neuron {i + 1}): {title}", loc="left", fontsize=9)
+                axis.set_ylabel(unit)
+                if i % rows == rows - 1 or i == n - 1:
+                    axis.set_xlabel("time [s]")
+                    axis.tick_params(labelbottom=True)
+        handles, labels = axes[0, 0].get_legend_handles_labels()
+        handles.append(Line2D([], [], color="0.3", ls="--", lw=0.9))
+        figure.legend(handles, [*labels, "target"], loc="outside upper center", ncols=4)
+        _save(figure, path)
+
+
+def plot_tracking(arm: Arm, rollout: Rollout, target: ArrayLike, path: str | os.PathLike[str]) -> None:
+    """Tracking error of every link frame, and the end effector's distance to its target on a logarithmic scale.
+
+    A line marks the end of the motion, grey bands are pushes. What is below a hundredth of the settled error is not
+    shown: it is rounding.
+    """
+    simulated = rollout.link_poses()
+    tracking = pose_errors(simulated, arm.link_poses(rollout.q_ref))
+    to_go = [error[:, -1] for error in pose_errors(simulated, arm.link_poses(target))]
+    columns = (
+        ("translation", "[mm]", 1e3 * tracking[0], 1e3 * to_go[0], 1e3 * SETTLED_TRANSLATION),
+        ("rotation", "[deg]", np.rad2deg(tracking[1]), np.rad2deg(to_go[1]), np.rad2deg(SETTLED_ROTATION)),
+    )
+    with matplotlib.rc_context(_STYLE):
+        figure = Figure(figsize=(10, 6), layout="constrained")
+        axes = figure.subplots(2, 2, sharex=True)
+        for (upper, lower), (what, unit, errors, distance, settled) in zip(axes.T, columns, strict=True):
+            for name, error in zip(arm.link_names, errors.T, strict=True):
+                upper.plot(rollout.t, error, label=name)
+            # A tenth of the settled error fills the height at least: less is not made to look like much.
+            upper.set_ylim(0.0, max(1.08 * float(errors.max()), 0.1 * settled))
+            upper.set_title(f"tracking error, {what}: planned to simulated frame", loc="left")
+            upper.set_ylabel(unit)
+            lower.semilogy(rollout.t, np.maximum(distance, 1e-3 * settled), color=_COLOURS[3])
+            lower.axhline(settled, color="0.4", ls="--", lw=0.9)
+            lower.annotate(
+                f"settled: below {settled:g} {unit[1:-1]}",
+                (0.0, settled),
+                xytext=(4, 3),
+                xycoords=("axes fraction", "data"),
+                textcoords="offset points",
+                color="0.3",
+                fontsize=8,
+            )
+            lower.set_ylim(1e-2 * settled, 2.0 * max(float(distance.max()), settled))
+            lower.set_title(f"end effector to target, {what}", loc="left")
+            lower.set_ylabel(unit)
+            lower.set_xlabel("time [s]")
+        for axis in axes.ravel():
+            _mark_events(axis, rollout)
+        handles, labels = axes[0, 0].get_legend_handles_labels()
+        handles.append(Line2D([], [], color="0.35", lw=0.9, ls="-."))
+        labels.append("end of the motion")
+        if rollout.disturbances.pushes:
+            handles.append(Patch(color=_PUSH))
+            labels.append("push")
+        figure.legend(handles, labels, loc="outside upper center", ncols=min(len(labels), _MOST_IN_ROW))
+        _save(figure, path)
+
+
+def _mark_events(axis: Any, rollout: Rollout) -> None:
+    """A line at the end of the motion, a band for each push."""
+    axis.axvline(rollout.motion_end, color="0.35", lw=0.9, ls="-.")
+    for push in rollout.disturbances.pushes:
+        axis.axvspan(push.start, min(push.end, rollout.t[-1]), color=_PUSH, zorder=0)
+
+
+def plot_joints(arm: Arm, rollout: Rollout, path: str | os.PathLike[str]) -> None:
+    """Reference and simulated position with its limits, error, velocity and drive force of each joint.
+
+    Velocity and force are in percent of their limits, and plain where there is none. Joints of one unit share the
+    scale of each column, so that little looks little. More than `_MOST_ROWS` coordinates stand in several blocks.
+    """
+    blocks = -(-arm.n_joints // _MOST_ROWS)
+    rows = -(-arm.n_joints // blocks)
+    width, height = 14.0 * blocks, 1.3 + 1.25 * rows
+    with matplotlib.rc_context(_STYLE):
+        # Margins in inches: with so many axes an automatic layout takes seconds.
+        figure = Figure(figsize=(width, height))
+        for block in range(blocks):
+            grid = figure.add_gridspec(
+                rows,
+                4,
+                left=(14.0 * block + 0.9) / width,
+                right=(14.0 * block + 13.8) / width,
+                bottom=0.5 / height,
+                top=1.0 - 0.65 / height,
+                wspace=0.26,
+                hspace=0.2,
+            )
+            joints = range(block * rows, min((block + 1) * rows, arm.n_joints))
+            _plot_joints(grid.subplots(sharex=True, squeeze=False), arm, rollout, joints)
+        entries: dict[str, Any] = {
+            "simulated": Line2D([], [], color=_COLOURS[0]),
+            "reference": Line2D([], [], color=_COLOURS[4], ls="--"),
+            "limits": Line2D([], [], color=_COLOURS[1], lw=0.8),
+            "end of the motion": Line2D([], [], color="0.35", lw=0.9, ls="-."),
+        }
+        if rollout.disturbances.pushes:
+            entries["push"] = Patch(color=_PUSH)
+        figure.legend(
+            entries.values(), entries.keys(), loc="upper center", bbox_to_anchor=(0.5, 1.0), ncols=len(entries)
+        )
+        _save(figure, path)
+
+
+def _plot_joints(axes: Any, arm: Arm, rollout: Rollout, joints: range) -> None:
+    """Fill rows of axes ``(rows, 4)``; what is left over is hidden."""
+    angular = np.array([arm.unit(j) == "rad" for j in range(arm.n_joints)])
+    error = np.where(angular, np.rad2deg(1.0), 1e3) * (rollout.q - rollout.q_ref)
+    for row, j in zip(axes, joints, strict=False):
+        row[0].plot(rollout.t, rollout.q[:, j], color=_COLOURS[0])
+        row[0].plot(rollout.t, rollout.q_ref[:, j], color=_COLOURS[4], ls="--")
+        low, high = arm.position_limits[j]
+        for bound in (low, high):
+            row[0].axhline(bound, color=_COLOURS[1], lw=0.8)
+        margin = 0.06 * (high - low)
+        row[0].set_ylim(low - margin, high + margin)
+        name = arm.joint_names[j]
+        row[0].set_ylabel(f"{name}\n[{arm.unit(j)}]", fontsize=min(9.0, 9.0 * _LONGEST_NAME / len(name)))
+        alike = angular == angular[j]
+        row[1].plot(rollout.t, error[:, j], color=_COLOURS[3])
+        row[1].set_ylabel("[deg]" if angular[j] else "[mm]")
+        _from_zero(row[1], error[:, alike], _LEAST_ERROR)
+        force_unit = "N m" if angular[j] else "N"
+        for axis, values, limits, unit in (
+            (row[2], rollout.qd, arm.velocity_limits, f"{arm.unit(j)}/s"),
+            (row[3], rollout.force, arm.force_limits, force_unit),
+        ):
+            limited = np.isfinite(limits)
+            if limited[j]:
+                axis.plot(rollout.t, 100.0 * values[:, j] / limits[j], color=_COLOURS[0])
+                _from_zero(axis, 100.0 * values[:, limited] / limits[limited], _LEAST_PERCENT)
+            else:
+                axis.plot(rollout.t, values[:, j], color=_COLOURS[0])
+                _from_zero(axis, values[:, alike & ~limited], 0.0)
+            axis.set_ylabel("[%]" if limited[j] else f"[{unit}]")
+        for axis in row:
+            _mark_events(axis, rollout)
+    titles = ["position", "error: simulated less reference"]
+    for what, limits in (("velocity", arm.velocity_limits), ("drive force", arm.force_limits)):
+        titles.append(f"{what}, % of its limit" if np.isfinite(limits[joints]).any() else what)
+    for axis, title in zip(axes[0], titles, strict=True):
+        axis.set_title(title, loc="left")
+    for axis in axes[len(joints) :].ravel():
+        axis.set_visible(False)
+    for axis in axes[len(joints) - 1]:
+        axis.set_xlabel("time [s]")
+        axis.tick_params(labelbottom=True)
+    axes[0, 0].figure.align_ylabels(axes[:, 0])
+
+
+def _from_zero(axis: Any, values: Floats, least: float) -> None:
+    """The range of all values, zero and ``least`` to both sides: nothing small fills the height."""
+    low, high = min(-least, float(values.min())), max(least, float(values.max()))
+    margin = 0.06 * (high - low) or 1.0
+    axis.set_ylim(low - margin, high + margin)
+
+
+def plot_training(history: History, target: ArrayLike, tolerance: float, path: str | os.PathLike[str]) -> None:
+    """Error, accuracy and learning rate by epoch, and the equilibrium's distance to the target by coordinate."""
+    goal = np.asarray(target)
+    error = np.abs(history.equilibrium - goal)
+    with matplotlib.rc_context(_STYLE):
+        figure = Figure(figsize=(10, 6.4), layout="constrained")
+        axes = figure.subplots(2, 2, sharex=True)
+        distance, accuracy, rate, equilibrium = axes.ravel()
+        distance.semilogy(history.epoch, history.error, lw=1.2, label="$\\Vert\\xi^*-\\xi_d\\Vert_2$ (loss E)")
+        distance.semilogy(history.epoch, error.max(axis=(-2, -1)), lw=1.2, label="largest coordinate")
+        distance.axhline(tolerance, color="0.4", ls="--", lw=0.9, label="tolerance")
+        distance.set_title("distance of the equilibrium to the target", loc="left")
+        distance.set_ylabel("[rad, length units]")
+        distance.legend()
+        accuracy.plot(history.epoch, 100.0 * history.accuracy)
+        accuracy.set_ylim(-2.0, 102.0)
+        accuracy.set_title("accuracy: coordinates within the tolerance", loc="left")
+        accuracy.set_ylabel("[%]")
+        rate.semilogy(history.epoch, history.rate)
+        # A range of less than a decade has no tick otherwise, or too many.
+        low, high = float(history.rate.min()), float(history.rate.max())
+        rate.set_ylim(10.0 ** np.floor(np.log10(low) - 1e-9), 10.0 ** np.ceil(np.log10(high) + 1e-9))
+        rate.yaxis.set_minor_formatter(NullFormatter())
+        rate.set_title("learning rate", loc="left")
+        rate.set_ylabel("$\\eta$")
+        # Rotation and translation of SE(3) by colour; other groups have one kind of coordinate.
+        spatial = goal.shape[-1] == 6
+        kinds = (("rotation $\\omega$", slice(0, 3)), ("translation $v$", slice(3, 6)))
+        for colour, (name, chosen) in zip(_COLOURS, kinds if spatial else [("coordinates", slice(None))], strict=False):
+            lines = equilibrium.plot(
+                history.epoch, history.equilibrium[..., chosen].reshape(len(history), -1), color=colour, ls="-", lw=0.9
+            )
+            lines[0].set_label(name)
+            for value in goal[..., chosen].ravel():
+                equilibrium.axhline(value, color=colour, ls="--", lw=0.6)
+        equilibrium.plot([], [], color="0.3", ls="--", lw=0.9, label="target")
+        equilibrium.set_title("equilibrium $\\xi^*$ by coordinate", loc="left")
+        equilibrium.set_ylabel("[rad, length units]")
+        equilibrium.legend(ncols=3, loc="upper center", bbox_to_anchor=(0.5, -0.16))
+        for axis in (rate, equilibrium):
+            axis.set_xlabel("epoch")
+        _save(figure, path)
+
+
+def _save(figure: Figure, path: str | os.PathLike[str]) -> None:
+    settle(figure, _DPI)
+    with storage.atomic_path(path) as temporary:
+        figure.savefig(temporary, dpi=_DPI)

@@ -1,0 +1,89 @@
+"""The few numbers that a reader should see first, computed from the table."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from lieednn_sim.evaluation.cases import Row
+from lieednn_sim.evaluation.report.style import in_order, number
+from lieednn_sim.evaluation.statistics import grouped, motions, numbers, wilson
+from lieednn_sim.simulation import CONTROLLERS
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A number, what it is, and the rest of the sentence."""
+
+    value: str
+    label: str
+    detail: str
+
+
+def findings(rows: Sequence[Row]) -> list[Finding]:
+    """What stands out; an entry whose numbers the table lacks is left out."""
+    if not rows:
+        return []
+    # The others may follow to rounding, where nothing is left to compare.
+    controller = next(name for name in CONTROLLERS if any(row["controller"] == name for row in rows))
+    tracked = [row for row in rows if row["controller"] == controller]
+    made = [
+        _success(rows),
+        _best_planners(rows),
+        _least(tracked, "tracking_rms_mm", "mm", f"least median tracking RMS with {controller}"),
+        _least(rows, "planning_s", "s", "least median planning time"),
+        _clearance(rows),
+        _stability(rows),
+    ]
+    return [finding for finding in made if finding is not None]
+
+
+def _success(rows: Sequence[Row]) -> Finding:
+    successes = sum(row["success"] == "yes" for row in rows)
+    low, high = wilson(successes, len(rows))
+    return Finding(
+        f"{successes / len(rows):.1%}",
+        "of all rollouts succeed",
+        f"{successes} of {len(rows)}, 95 % interval {low:.1%} to {high:.1%}",
+    )
+
+
+def _best_planners(rows: Sequence[Row]) -> Finding:
+    groups = grouped(rows, ("planner",))
+    best = max(group.successes / group.total for group in groups)
+    names = in_order(group.key[0] for group in groups if group.successes / group.total == best)
+    return Finding(f"{best:.1%}", "highest success of a planner", ", ".join(names))
+
+
+def _least(rows: Sequence[Row], column: str, unit: str, label: str) -> Finding | None:
+    medians = {group.key[0]: group.median(column) for group in grouped(rows, ("planner",))}
+    found = {name: value for name, value in medians.items() if value is not None}
+    if not found:
+        return None
+    best = min(in_order(found), key=lambda name: found[name])
+    return Finding(f"{number(found[best], rounding=1e-6)} {unit}", label, best)
+
+
+def _clearance(rows: Sequence[Row]) -> Finding | None:
+    worst = min((row for row in rows if row["clearance_mm"]), key=lambda row: float(row["clearance_mm"]), default=None)
+    if worst is None:
+        return None
+    value = float(worst["clearance_mm"])
+    label = "deepest penetration of any rollout" if value < 0.0 else "least clearance of any rollout"
+    return Finding(
+        f"{number(abs(value))} mm",
+        label,
+        f"{worst['planner']} on {worst['arm']}, {worst['scene']}, seed {worst['seed']}",
+    )
+
+
+def _stability(rows: Sequence[Row]) -> Finding | None:
+    verdicts = [row["stability"] for row in motions(rows) if row["stability"] not in ("", "-")]
+    if not verdicts:
+        return None
+    count = verdicts.count("global")
+    excess = numbers(rows, "gap_end_mm")
+    detail = f"{count} of {len(verdicts)} motions of networks"
+    if excess:
+        detail += f"; largest gap at the end of any plan {number(max(excess), rounding=1e-6)} mm"
+    return Finding(f"{count / len(verdicts):.1%}", "proved globally stable", detail)

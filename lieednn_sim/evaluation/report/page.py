@@ -1,0 +1,163 @@
+"""The page: a table of medians, plots, failures and videos in one HTML file that asks the network for nothing."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import jinja2
+
+from lieednn_sim import storage
+from lieednn_sim.errors import InputError
+from lieednn_sim.evaluation.cases import Row
+from lieednn_sim.evaluation.columns import BY_NAME
+from lieednn_sim.evaluation.report.figures import plots
+from lieednn_sim.evaluation.report.findings import findings
+from lieednn_sim.evaluation.report.style import Mark, in_order, marks, number
+from lieednn_sim.evaluation.report.videos import Clip
+from lieednn_sim.evaluation.statistics import Group, failures, grouped
+from lieednn_sim.evaluation.summary import method
+from lieednn_sim.evaluation.table import Table
+from lieednn_sim.simulation import CONTROLLERS
+
+# Columns of the page's table; the rest is in the CSV file.
+_SHOWN = (
+    "final_worst_mm",
+    "final_worst_deg",
+    "tracking_rms_mm",
+    "tracking_rms_deg",
+    "tracking_max_mm",
+    "clearance_mm",
+    "path_ranges",
+    "path_m",
+    "settling_s",
+    "jerk_effector",
+    "curvature",
+    "velocity_share",
+    "force_share",
+    "gap_mm",
+    "gap_deg",
+    "planning_s",
+)
+# A picometre is rounding, and no digit of it means anything [mm, deg].
+_ROUNDING = 1e-6
+_VIOLATIONS = ("position_violations", "velocity_violations", "acceleration_violations")
+
+
+@dataclass(frozen=True)
+class _Cell:
+    text: str
+    value: float | None
+
+
+@dataclass(frozen=True)
+class _Line:
+    arm: str
+    scene: str
+    planner: str
+    controller: str
+    mark: Mark
+    successes: int
+    total: int
+    low: float
+    high: float
+    cells: tuple[_Cell, ...]
+    violations: int
+    stability: str
+
+
+def write_page(
+    path: str | os.PathLike[str],
+    table: Table,
+    *,
+    missing: Mapping[str, str] | None = None,
+    clips: Sequence[Clip] = (),
+    command: str = "",
+    date: str = "",
+    title: str = "Motion planners compared",
+) -> None:
+    """Write the page of a comparison; the same table gives the same page.
+
+    Args:
+        path: the file to write.
+        table: of the comparison.
+        missing: planners that could not be compared, with the reason.
+        clips: videos to put into it.
+        command: that made the table.
+        date: to put into its head; none when empty, so that the page depends on the table alone.
+        title: of the page.
+
+    Raises:
+        InputError: the table is empty.
+        FileError: the file cannot be written.
+    """
+    rows = table.sorted_rows()
+    if not rows:
+        raise InputError(f"the table {table.csv} is empty; there is nothing to show")
+    names = in_order(row["planner"] for row in rows)
+    controllers = [name for name in CONTROLLERS if any(row["controller"] == name for row in rows)]
+    arms = sorted({row["arm"] for row in rows})
+    page = (
+        _environment()
+        .get_template("page.html")
+        .render(
+            title=title,
+            method=method(table),
+            date=date,
+            command=command,
+            arms=arms,
+            scenes=sorted({row["scene"] for row in rows}),
+            planners=names,
+            controllers=controllers,
+            seeds=len({row["seed"] for row in rows}),
+            count=len(rows),
+            settings=table.settings,
+            versions=table.versions,
+            missing=dict(sorted((missing or {}).items())),
+            marks=marks(names),
+            findings=findings(rows),
+            columns=[BY_NAME[name] for name in _SHOWN],
+            lines=_lines(rows),
+            plots={arm: plots([row for row in rows if row["arm"] == arm], controllers[0]) for arm in arms},
+            failures=failures(rows),
+            clips=clips,
+        )
+    )
+    with storage.atomic_text(path) as stream:
+        stream.write(page)
+
+
+def _environment() -> jinja2.Environment:
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("lieednn_sim.evaluation.report"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["rounded"] = lambda text: number(float(text), rounding=_ROUNDING)
+    return environment
+
+
+def _lines(rows: Sequence[Row]) -> list[_Line]:
+    groups = grouped(rows, ("arm", "scene", "planner", "controller"))
+    look, order = marks(row["planner"] for row in rows), in_order(row["planner"] for row in rows)
+    groups.sort(key=lambda group: (*group.key[:2], order.index(group.key[2]), group.key[3]))
+    return [_line(group, look[group.key[2]]) for group in groups]
+
+
+def _line(group: Group, mark: Mark) -> _Line:
+    arm, scene, planner, controller = group.key
+    low, high = group.interval
+    cells = tuple(_cell(name, group.median(name)) for name in _SHOWN)
+    violated = sum(any(float(row[name] or 0) for name in _VIOLATIONS) for row in group.rows)
+    return _Line(
+        arm, scene, planner, controller, mark, group.successes, group.total, low, high, cells, violated, group.verdict()
+    )
+
+
+def _cell(column: str, value: float | None) -> _Cell:
+    if value is None:
+        return _Cell("\N{EN DASH}", None)
+    return _Cell(number(value, rounding=_ROUNDING if column.endswith(("_mm", "_deg")) else 0.0), value)

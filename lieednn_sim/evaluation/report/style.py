@@ -1,0 +1,55 @@
+"""How a page shows planners and numbers: colour and mark of each, the same in all figures and tables; digits."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from lieednn_sim.planning import PLANNERS
+
+# Okabe and Ito's palette, distinguishable by colour-blind readers, less the yellow that is lost on white.
+_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#8C8C8C")
+# With more planners than colours the next round has another mark.
+_MARKS = (("o", "round"), ("D", "diamond"), ("s", "square"))
+
+
+@dataclass(frozen=True)
+class Mark:
+    """How a planner is drawn: colour, Matplotlib's marker and the name of the same shape in the page's styles."""
+
+    colour: str
+    marker: str
+    shape: str
+
+
+def marks(names: Iterable[str]) -> dict[str, Mark]:
+    """A mark for each planner, by its place among all known ones: no selection changes it."""
+    known = list(PLANNERS)
+    order = known + sorted(set(names) - set(known))
+    made = {}
+    for index, name in enumerate(order):
+        marker, shape = _MARKS[index // len(_COLOURS) % len(_MARKS)]
+        made[name] = Mark(_COLOURS[index % len(_COLOURS)], marker, shape)
+    return made
+
+
+def in_order(names: Iterable[str]) -> list[str]:
+    """Planners in the order of the registry, unknown ones last."""
+    found, known = set(names), list(PLANNERS)
+    return [name for name in known if name in found] + sorted(found - set(known))
+
+
+_SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def number(value: float, *, rounding: float = 0.0) -> str:
+    """Three digits, with a power of ten only where zeros would be counted; below ``rounding`` no digits at all."""
+    if 0.0 < abs(value) < rounding:
+        return f"< {number(rounding)}"
+    if value == 0.0 or 1e-3 <= abs(value) < 1e5:
+        text = f"{value:.3g}" if abs(value) < 1e3 else f"{value:.0f}"
+    else:
+        mantissa, _, exponent = f"{value:.1e}".partition("e")
+        factor = "" if mantissa == "1.0" else f"{mantissa}·"
+        text = f"{factor}10{str(int(exponent)).translate(_SUPERSCRIPT)}"
+    return text.replace("-", "\N{MINUS SIGN}")

@@ -1,0 +1,125 @@
+"""Short videos of chosen cases, small enough to stand inside a page."""
+
+from __future__ import annotations
+
+import base64
+import io
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from PIL import Image
+
+from lieednn_sim import storage
+from lieednn_sim.errors import InputError
+from lieednn_sim.evaluation.cases import Case, Row, replay
+from lieednn_sim.evaluation.report.style import in_order
+from lieednn_sim.evaluation.statistics import grouped
+from lieednn_sim.evaluation.table import Table
+from lieednn_sim.rendering.ffmpeg import count_frames, read_frame
+from lieednn_sim.rendering.video import render_video
+from lieednn_sim.validation import as_count
+
+SIZE = (480, 270)
+FPS = 25
+_POSTER_SHARE = 0.55
+_POSTER_QUALITY = 80
+
+
+@dataclass(frozen=True)
+class Clip:
+    """A video of a case.
+
+    Attributes:
+        row: of the table.
+        path: MP4 file.
+        poster: JPEG of one of its frames.
+    """
+
+    row: Row
+    path: Path
+    poster: bytes
+
+    @property
+    def data_uri(self) -> str:
+        """The video as a URI that needs no file."""
+        return _uri("video/mp4", self.path.read_bytes())
+
+    @property
+    def poster_uri(self) -> str:
+        """The picture as a URI that needs no file."""
+        return _uri("image/jpeg", self.poster)
+
+
+def choose_cases(table: Table, count: int) -> list[Case]:
+    """So many cases of a table: planners in turn, each time in another arm and scene, successes first.
+
+    Raises:
+        InputError: count is negative or no whole number.
+    """
+    wanted = as_count("videos", count, least=0)
+    rows = [row for row in table.sorted_rows() if row["tracking_rms_mm"]]
+    rows.sort(key=lambda row: row["success"] != "yes")
+    places = [group.key for group in grouped(table.sorted_rows(), ("arm", "scene"))]
+    planners = in_order(row["planner"] for row in rows)
+    chosen: list[Case] = []
+    for turn in range(len(places)):
+        for index, planner in enumerate(planners):
+            place = places[(index + turn) % len(places)]
+            case = next(
+                (_case(row) for row in rows if (row["arm"], row["scene"]) == place and row["planner"] == planner), None
+            )
+            if case is not None and case not in chosen and len(chosen) < wanted:
+                chosen.append(case)
+    return chosen
+
+
+def film(
+    table: Table,
+    case: Case,
+    controller: str,
+    *,
+    progress: Callable[[int, int], None] | None = None,
+) -> Clip:
+    """Plan and simulate a case of a table again and render it; a video that is there is taken as it is.
+
+    Raises:
+        InputError: the table has no such case, or it has no motion.
+        RenderingUnavailableError: there is no working OpenGL.
+    """
+    row = table.rows.get((case.arm, case.scene, case.planner, controller, case.seed))
+    if row is None:
+        raise InputError(f"the table has no case {case} with {controller}; compare it first")
+    if not row["tracking_rms_mm"]:
+        raise InputError(f"nothing to show of case {case}: {row['reason']}")
+    directory = storage.make_directory(table.directory / "videos")
+    path = directory / f"{case.planner}-{case.arm}-{case.scene}-{case.seed}-{controller}.mp4"
+    if not path.is_file():
+        problem, rollout = replay(case, controller, table.settings)
+        render_video(
+            problem.arm,
+            rollout,
+            problem.target,
+            path,
+            size=SIZE,
+            fps=FPS,
+            preset="draft",
+            title=case.planner,
+            progress=progress,
+        )
+    return Clip(row, path, _poster(path))
+
+
+def _case(row: Row) -> Case:
+    return Case(row["arm"], row["scene"], row["planner"], int(row["seed"]))
+
+
+def _poster(path: Path) -> bytes:
+    frame = read_frame(path, int(_POSTER_SHARE * count_frames(path)))
+    buffer = io.BytesIO()
+    Image.open(io.BytesIO(frame)).save(buffer, format="JPEG", quality=_POSTER_QUALITY)
+    return buffer.getvalue()
+
+
+def _uri(kind: str, content: bytes) -> str:
+    return f"data:{kind};base64,{base64.b64encode(content).decode('ascii')}"

@@ -1,0 +1,144 @@
+"""What is said of many rows at once: groups, medians, success with its interval, and failures by reason."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from lieednn_sim.errors import InputError
+from lieednn_sim.evaluation.cases import Row
+from lieednn_sim.evaluation.columns import BY_NAME
+
+# What varies from case to case in a reason: names in quotes, numbers, ranges.
+_QUOTED = re.compile(r"'[^']*'")
+_NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?")
+
+
+@dataclass(frozen=True)
+class Group:
+    """Rows that agree in some columns.
+
+    Attributes:
+        key: the values they agree in.
+        rows: at least one.
+    """
+
+    key: tuple[str, ...]
+    rows: tuple[Row, ...]
+
+    @property
+    def total(self) -> int:
+        """Number of rows."""
+        return len(self.rows)
+
+    @property
+    def successes(self) -> int:
+        """Rows that succeeded."""
+        return sum(row["success"] == "yes" for row in self.rows)
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Wilson's 95 % confidence interval of the success rate."""
+        return wilson(self.successes, self.total)
+
+    def values(self, column: str) -> list[float]:
+        """The numbers of a column, of the rows that have one."""
+        return numbers(self.rows, column)
+
+    def median(self, column: str) -> float | None:
+        """Median of `values`, None when there are none."""
+        found = self.values(column)
+        return float(np.median(found)) if found else None
+
+    def verdict(self) -> str:
+        """Stability proved: "global 9/10, local 1/10"; "-" where no network was made."""
+        found = [row["stability"] for row in motions(self.rows) if row["stability"] not in ("", "-")]
+        if not found:
+            return "-"
+        if len(set(found)) == 1:
+            return found[0]
+        return ", ".join(
+            f"{name} {found.count(name)}/{len(found)}" for name in ("global", "local", "none") if name in found
+        )
+
+
+@dataclass(frozen=True)
+class Failure:
+    """Failures that differ in names and numbers only.
+
+    Attributes:
+        step: where it failed: "problem", "plan", "simulation", "contact" or "arrival".
+        pattern: the reason with names and numbers replaced by an ellipsis.
+        example: one reason in full.
+        counts: number of rows by planner, largest first.
+    """
+
+    step: str
+    pattern: str
+    example: str
+    counts: tuple[tuple[str, int], ...]
+
+    @property
+    def total(self) -> int:
+        """Number of rows."""
+        return sum(count for _, count in self.counts)
+
+
+def wilson(successes: int, total: int) -> tuple[float, float]:
+    """Wilson's 95 % score interval of a proportion (E. B. Wilson, J. Am. Stat. Assoc. 22, 1927).
+
+    Raises:
+        InputError: not 0 <= successes <= total, or total is 0.
+    """
+    if not 0 <= successes <= total or total == 0:
+        raise InputError(f"need 0 <= successes <= total and total > 0, got {successes} of {total}")
+    from scipy.stats import binomtest  # a third of the time in which a worker process starts
+
+    interval = binomtest(successes, total).proportion_ci(0.95, method="wilson")
+    return float(interval.low), float(interval.high)
+
+
+def grouped(rows: Iterable[Row], columns: Sequence[str]) -> list[Group]:
+    """Rows by the values of some columns, in the order in which these first come."""
+    found: dict[tuple[str, ...], list[Row]] = {}
+    for row in rows:
+        found.setdefault(tuple(row[name] for name in columns), []).append(row)
+    return [Group(key, tuple(members)) for key, members in found.items()]
+
+
+def motions(rows: Iterable[Row]) -> list[Row]:
+    """One row a motion: what belongs to the plan is the same for all its controllers."""
+    return [group.rows[0] for group in grouped(rows, ("arm", "scene", "planner", "seed"))]
+
+
+def planned(row: Row) -> bool:
+    """Whether there was a motion to track."""
+    return not row["reason"].startswith(("plan:", "problem:"))
+
+
+def numbers(rows: Iterable[Row], column: str) -> list[float]:
+    """The numbers of a column, of the rows that have one; of a plan's column one number a motion."""
+    chosen = motions(rows) if BY_NAME[column].of_motion else rows
+    return [float(row[column]) for row in chosen if row[column]]
+
+
+def failures(rows: Iterable[Row]) -> list[Failure]:
+    """Why rows failed, alike reasons together, the most frequent first.
+
+    A plan's failure counts once, not once a controller.
+    """
+    failed = [row for row in rows if row["reason"]]
+    once = [row for row in motions(failed) if not planned(row)] + [row for row in failed if planned(row)]
+    found: dict[str, list[Row]] = {}
+    for row in once:
+        found.setdefault(_NUMBER.sub("…", _QUOTED.sub("…", row["reason"])), []).append(row)
+    made = []
+    for pattern, members in found.items():
+        names = [row["planner"] for row in members]
+        counts = sorted({name: names.count(name) for name in names}.items(), key=lambda item: (-item[1], item[0]))
+        step, _, rest = pattern.partition(": ")
+        made.append(Failure(step, rest, members[0]["reason"].partition(": ")[2], tuple(counts)))
+    return sorted(made, key=lambda failure: (-failure.total, failure.step, failure.pattern))

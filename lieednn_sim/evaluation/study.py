@@ -1,0 +1,138 @@
+"""All cases of a comparison, on several cores, resumable."""
+
+from __future__ import annotations
+
+import itertools
+import os
+from collections.abc import Mapping, Sequence
+from concurrent.futures import as_completed
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+
+from rich.console import Console
+
+from lieednn_sim.arm import arm_names
+from lieednn_sim.arm.scenes import SCENES
+from lieednn_sim.errors import InputError, LieEDNNError
+from lieednn_sim.evaluation.cases import FREE, Case, Settings, run_case
+from lieednn_sim.evaluation.statistics import numbers
+from lieednn_sim.evaluation.table import Table
+from lieednn_sim.evaluation.workers import progress_bar, worker_pool
+from lieednn_sim.planning import PLANNERS, missing_planners
+from lieednn_sim.simulation import CONTROLLERS
+from lieednn_sim.validation import as_choice, as_count
+
+DEFAULT_CONTROLLERS = ("position-servo", "inverse-dynamics")
+DEFAULT_SCENES = (FREE, "window")
+# Planning time of planners that are known to be slow [s], until the table knows better; only the order depends on it.
+_COSTS = {"lieednn-trained": 5.0, "rrt-star": 4.0, "lieednn-certified": 2.0, "lieednn-unprojected": 1.0}
+_COST = 0.2
+
+
+@dataclass(frozen=True)
+class Selection:
+    """What to compare; empty means all (of scenes and controllers, the default ones).
+
+    Attributes:
+        planners: names of `PLANNERS`; one whose package is missing is left out by `compare`.
+        arms: names of `arm_names`.
+        scenes: names of scenes.
+        controllers: names of `CONTROLLERS`.
+        seeds: number of seeds, from 0 on.
+
+    Raises:
+        InputError: an unknown name; the message lists the known ones.
+    """
+
+    planners: Sequence[str] = ()
+    arms: Sequence[str] = ()
+    scenes: Sequence[str] = ()
+    controllers: Sequence[str] = ()
+    seeds: int = 10
+
+    def __post_init__(self) -> None:
+        for name, known, default in (
+            ("planners", list(PLANNERS), list(PLANNERS)),
+            ("arms", arm_names(), arm_names()),
+            ("scenes", list(SCENES), list(DEFAULT_SCENES)),
+            ("controllers", list(CONTROLLERS), list(DEFAULT_CONTROLLERS)),
+        ):
+            given = getattr(self, name) or default
+            if isinstance(given, str):
+                raise InputError(f"{name} must be a list of names, got {given!r}")
+            chosen = tuple(dict.fromkeys(given))
+            for value in chosen:
+                as_choice(name.removesuffix("s"), value, known)
+            object.__setattr__(self, name, chosen)
+        object.__setattr__(self, "seeds", as_count("seeds", self.seeds))
+
+    def cases(self) -> list[Case]:
+        """What can be planned: all combinations but those of planners whose package is missing."""
+        absent = missing_planners()
+        usable = [name for name in self.planners if name not in absent]
+        combinations = itertools.product(self.arms, self.scenes, usable, range(self.seeds))
+        return [Case(*combination) for combination in combinations]
+
+
+def compare(
+    directory: str | os.PathLike[str],
+    selection: Selection,
+    settings: Settings,
+    *,
+    jobs: int = 1,
+    console: Console | None = None,
+) -> Table:
+    """Compute the rows that the directory's table lacks.
+
+    A case is planned once for all controllers. Cases of one arm among the same obstacles come together, so that a
+    worker loads it once, and those that take long first.
+    When it is interrupted all finished cases are kept.
+
+    Args:
+        directory: of the table.
+        selection: what to compare.
+        settings: of all rows; a table made with others is refused.
+        jobs: worker processes.
+        console: for a progress bar; none without.
+
+    Returns:
+        The table, with all rows that it holds, also those of earlier runs.
+
+    Raises:
+        InputError: jobs is less than 1.
+        FileError: see `Table`.
+        LieEDNNError: a worker process died.
+    """
+    workers = as_count("jobs", jobs)
+    table = Table(directory, settings)
+    wanted = [(case, table.missing(case, selection.controllers)) for case in selection.cases()]
+    costs = _planning_costs(table, selection)
+    todo = sorted(
+        ((case, names) for case, names in wanted if names),
+        key=lambda job: (job[0].arm, job[0].scene, job[0].seed, -costs[job[0].planner]),
+    )
+    if not todo:
+        return table
+    try:
+        shown = console or Console(quiet=True)
+        with worker_pool(min(workers, len(todo))) as pool, progress_bar(shown) as progress:
+            bar = progress.add_task("cases", total=len(todo))
+            for future in as_completed([pool.submit(run_case, *job, settings) for job in todo]):
+                table.add(future.result())
+                progress.update(bar, advance=1)
+    except BrokenProcessPool:
+        raise LieEDNNError(
+            f"a worker process died (out of memory?); finished cases are kept in {table.csv}, the same command "
+            "goes on; --jobs 1 needs less"
+        ) from None
+    finally:
+        table.save()
+    return table
+
+
+def _planning_costs(table: Table, selection: Selection) -> Mapping[str, float]:
+    costs = {}
+    for planner in selection.planners:
+        known = numbers([row for row in table.rows.values() if row["planner"] == planner], "planning_s")
+        costs[planner] = max(known) if known else _COSTS.get(planner, _COST)
+    return costs

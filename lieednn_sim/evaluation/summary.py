@@ -1,0 +1,81 @@
+"""The summary of a comparison in Markdown."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from lieednn_sim import storage
+from lieednn_sim.evaluation.columns import COLUMNS, Column
+from lieednn_sim.evaluation.metrics import SETTLED_ROTATION, SETTLED_TRANSLATION
+from lieednn_sim.evaluation.statistics import Group, failures, grouped, motions, planned
+from lieednn_sim.evaluation.table import Table
+
+_NOT_SUMMARISED = ("motion_s", "gap_end_deg", "final_effector_deg")
+
+
+def write_summary(path: str | os.PathLike[str], table: Table, missing: Mapping[str, str] | None = None) -> None:
+    """Success and medians by arm, scene, planner and controller, and why what failed did.
+
+    Args:
+        path: the file to write.
+        table: of the comparison.
+        missing: planners that could not be compared, with the reason.
+    """
+    rows = table.sorted_rows()
+    of_motion = [column for column in COLUMNS if column.of_motion and column.name not in _NOT_SUMMARISED]
+    of_rollout = [column for column in COLUMNS if not column.of_motion and column.name not in _NOT_SUMMARISED]
+    lines = ["# Planners and controllers compared", "", method(table), ""]
+    if missing:
+        lines += ["## Not compared", "", *(f"- {name}: {reason}" for name, reason in sorted(missing.items())), ""]
+    lines += ["## Motions", "", *_head(["arm", "scene", "planner", "made", "stability"], of_motion)]
+    for group in grouped(rows, ("arm", "scene", "planner")):
+        own = motions(group.rows)
+        made = f"{sum(planned(row) for row in own)} of {len(own)}"
+        lines.append(_line([*group.key, made, group.verdict(), *_medians(group, of_motion)]))
+    lines += ["", "## Tracking", "", *_head(["arm", "scene", "planner", "controller", "success", "95 %"], of_rollout)]
+    for group in grouped(rows, ("arm", "scene", "planner", "controller")):
+        low, high = group.interval
+        cells = [*group.key, f"{group.successes} of {group.total}", f"{low:.0%} to {high:.0%}"]
+        lines.append(_line([*cells, *_medians(group, of_rollout)]))
+    lines += ["", "## Failures", ""]
+    for failure in failures(rows):
+        counts = ", ".join(f"{name} {count}" for name, count in failure.counts)
+        lines.append(f"- {failure.total} x {failure.step}, as: {failure.example} ({counts})")
+    if lines[-1] == "":
+        lines.append("- none")
+    with storage.atomic_text(path) as stream:
+        stream.write("\n".join(lines) + "\n")
+
+
+def method(table: Table) -> str:
+    """What was done and how the numbers are meant, for the head of a report."""
+    settings = table.settings
+    masses = (
+        "" if settings.mass_scale == 1.0 else f" with {settings.mass_scale:g} times the masses the controllers know"
+    )
+    return (
+        f"From home to random reachable targets in {settings.duration:g} s, simulated{masses} until "
+        f"{settings.hold:g} s after. A success is a rollout without contact whose every link ends within "
+        f"{1e3 * SETTLED_TRANSLATION:g} mm and {np.rad2deg(SETTLED_ROTATION):.1g} deg of the target. Tracking "
+        "is measured against the planned joints; the mechanism gap is no part of it. Medians are over the seeds that "
+        "have the value: a planner that fails on hard targets is judged by the easy. A planner that has spent "
+        f"{settings.time_budget:g} s of CPU time on a problem has failed. All numbers but the planning time are the "
+        "same on every run."
+    )
+
+
+def _medians(group: Group, columns: Sequence[Column]) -> list[str]:
+    found = [group.median(column.name) for column in columns]
+    return ["-" if value is None else f"{value:.3g}" for value in found]
+
+
+def _head(names: Sequence[str], columns: Sequence[Column]) -> list[str]:
+    cells = [*names, *(column.heading for column in columns)]
+    return [_line(cells), "|" + " --- |" * len(cells)]
+
+
+def _line(cells: Sequence[str]) -> str:
+    return "| " + " | ".join(cells) + " |"

@@ -1,0 +1,114 @@
+"""The table of a comparison on disk: ``comparison.csv``, and ``comparison.json`` with what all its rows share."""
+
+from __future__ import annotations
+
+import csv
+import os
+import time
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from lieednn_sim import storage
+from lieednn_sim.errors import FileError
+from lieednn_sim.evaluation.cases import Case, Row, Settings
+from lieednn_sim.evaluation.columns import COLUMNS, FIELDS
+from lieednn_sim.versions import versions
+
+Key = tuple[str, str, str, str, int]
+
+# The file is written anew at most so often [s]; a killed process loses no more, an interrupted one nothing.
+_WRITE_INTERVAL = 2.0
+
+
+class Table:
+    """Rows by arm, scene, planner, controller and seed, kept in a directory.
+
+    Args:
+        directory: made when it is missing. A table in it is read and gone on with.
+        settings: of all rows.
+
+    Raises:
+        FileError: the directory holds a table made with other settings or versions, or something else.
+    """
+
+    def __init__(self, directory: str | os.PathLike[str], settings: Settings) -> None:
+        self.directory = storage.make_directory(directory)
+        self.csv, self.json = self.directory / "comparison.csv", self.directory / "comparison.json"
+        self.settings, self.versions = settings, versions()
+        self.rows: dict[Key, Row] = {}
+        if self.csv.exists():
+            self._check()
+            self.rows = read_rows(self.csv)
+        else:
+            # Films of a table that was removed are of other settings, or other code.
+            for film in (self.directory / "videos").glob("*.mp4"):
+                film.unlink()
+        self._written = time.monotonic()
+        storage.save_json(self.json, self._description())
+
+    def missing(self, case: Case, controllers: Iterable[str]) -> list[str]:
+        """The controllers whose row of a case is not there yet."""
+        return [name for name in controllers if (case.arm, case.scene, case.planner, name, case.seed) not in self.rows]
+
+    def add(self, rows: Iterable[Row]) -> None:
+        """Add rows; they are on disk after the next `save`, or soon."""
+        self.rows |= {key_of(row): row for row in rows}
+        if time.monotonic() - self._written > _WRITE_INTERVAL:
+            self.save()
+
+    def save(self) -> None:
+        """Write all rows, sorted, atomically."""
+        with storage.atomic_text(self.csv) as stream:
+            writer = csv.DictWriter(stream, fieldnames=FIELDS, lineterminator="\n")
+            writer.writeheader()
+            writer.writerows(self.sorted_rows())
+        self._written = time.monotonic()
+
+    def sorted_rows(self) -> list[Row]:
+        """All rows in the order of their keys."""
+        return [self.rows[key] for key in sorted(self.rows)]
+
+    def _description(self) -> dict[str, Any]:
+        return {"kind": "comparison", "format": 1, "settings": self.settings.as_dict(), "versions": self.versions}
+
+    def _check(self) -> None:
+        """Refuse to mix rows that were not made alike."""
+        advice = f"choose another --output, or remove {self.csv}"
+        try:
+            found = storage.load_json(self.json, "comparison")
+            made = {**found["settings"], **found["versions"]}
+            if found["kind"] != "comparison" or found["format"] != 1:
+                raise ValueError("it is of another kind")
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise FileError(
+                f"cannot go on from {self.csv}, for {self.json} does not say how it was made: {error}; {advice}"
+            ) from None
+        now = {**self.settings.as_dict(), **self.versions}
+        differ = [f"{name} {made.get(name)}, now {value}" for name, value in now.items() if made.get(name) != value]
+        if differ:
+            raise FileError(f"{self.csv} was made with {'; '.join(differ)}; {advice}")
+
+
+def key_of(row: Row) -> Key:
+    """What tells a row from the others."""
+    return row["arm"], row["scene"], row["planner"], row["controller"], int(row["seed"])
+
+
+def read_rows(path: str | os.PathLike[str]) -> dict[Key, Row]:
+    """Rows of a table.
+
+    Raises:
+        FileError: missing, or no such table.
+    """
+    try:
+        with Path(path).open(encoding="utf-8", newline="") as stream:
+            reader = csv.DictReader(stream, strict=True)
+            rows = list(reader)
+        if tuple(reader.fieldnames or ()) != FIELDS or any(None in {*row, *row.values()} for row in rows):
+            raise ValueError("it has other columns")
+        for row in rows:
+            [float(row[column.name]) for column in COLUMNS if row[column.name]]
+        return {key_of(row): row for row in rows}
+    except (OSError, ValueError, csv.Error) as error:
+        raise FileError(f"cannot go on from {path}: {error}; remove it or choose another --output") from None

@@ -1,0 +1,18 @@
+"""Rival planners behind one interface: from a problem to a checked motion."""
+
+from lieednn_sim.planning.extras import missing_planners, require_planner
+from lieednn_sim.planning.network_planners import reference_network
+from lieednn_sim.planning.problem import PlanningProblem
+from lieednn_sim.planning.registry import NETWORK_PLANNERS, OBSTACLE_PLANNER, PLANNERS, plan_network, plan_with
+
+__all__ = [
+    "NETWORK_PLANNERS",
+    "OBSTACLE_PLANNER",
+    "PLANNERS",
+    "PlanningProblem",
+    "missing_planners",
+    "plan_network",
+    "plan_with",
+    "reference_network",
+    "require_planner",
+]

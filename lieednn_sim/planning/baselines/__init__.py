@@ -1,0 +1,1 @@
+"""Planners that LieEDNN is compared with: interpolation, sampling, optimisation and movement primitives."""

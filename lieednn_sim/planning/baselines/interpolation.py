@@ -1,0 +1,62 @@
+"""Planners without a network: from start to target along a path known beforehand, run through by minimum jerk."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieednn_sim.arm import Arm
+from lieednn_sim.lie import exp, left_jacobian_se3, log
+from lieednn_sim.planning.baselines.joint_space import joint_motion
+from lieednn_sim.planning.motion import Motion, check_motion, minimum_jerk_law
+from lieednn_sim.planning.problem import PlanningProblem
+
+Floats = NDArray[np.float64]
+
+
+def minimum_jerk(problem: PlanningProblem) -> Motion:
+    """Straight in joint space: q(t) = q_0 + sigma(t/T) (q_1 - q_0), sigma = 10 s^3 - 15 s^4 + 6 s^5.
+
+    The law is Flash and Hogan's, J. Neuroscience 5(7), 1985. Its poses are the joints' own: there is no mechanism gap.
+
+    Raises:
+        PlanError: the motion breaks a limit of the arm.
+    """
+    _, sigma, rate = _schedule(problem)
+    way = problem.target - problem.start
+    return joint_motion(problem, problem.start + sigma[:, None] * way, rate[:, None] * way, sigma)
+
+
+def screw(problem: PlanningProblem) -> Motion:
+    """Every compound joint's pose on the geodesic of SE(3): T_i(t) = T_i(0) exp(sigma(t/T) log(T_i(0)^-1 T_i(1))).
+
+    Such a screw leaves what a joint with fewer than six freedoms can do, so it is decoded to the nearest joint
+    position. The shorter of two rotations is taken: between angles more than pi apart it passes the logarithm's cut,
+    outside every joint's limits.
+
+    Raises:
+        PlanError: the motion breaks a limit of the arm.
+    """
+    arm, t, sigma, rate = problem.arm, *_schedule(problem)
+    origin, goal = arm.joint_poses(problem.start), arm.joint_poses(problem.target)
+    body_twist = log(origin.inv() * goal)
+    # Twists of the joint poses in metres; the network's coordinates measure v in length scales.
+    twists = log(origin * exp(sigma[:, None, None] * body_twist))
+    # T' = T hat(sigma' z) and T = Exp(xi): the body twist is J_r(xi) xi', and J_r(xi) = J_l(-xi).
+    twist_rates = np.linalg.solve(left_jacobian_se3(-twists), (rate[:, None, None] * body_twist)[..., None])[..., 0]
+    units = arm.twist_units
+    motion = _decoded(arm, t, sigma, twists / units, twist_rates / units, arm.encode(problem.target))
+    check_motion(arm, motion)
+    return motion
+
+
+def _schedule(problem: PlanningProblem) -> tuple[Floats, Floats, Floats]:
+    """Times ``(K,)`` [s], path parameter sigma ``(K,)`` and its rate ``(K,)`` [1/s]."""
+    t = problem.times()
+    sigma, slope = minimum_jerk_law(t / t[-1])
+    return t, sigma, slope / t[-1]
+
+
+def _decoded(arm: Arm, t: Floats, sigma: Floats, xi: Floats, xi_dot: Floats, target: Floats) -> Motion:
+    decoded = arm.decode(xi, xi_dot)
+    return Motion(t, sigma, xi, target, decoded.q, decoded.qd, decoded.gap_translation, decoded.gap_rotation)

@@ -1,0 +1,124 @@
+"""What planners in joint space share: a fast test of clearance, units of path length, the checked motion of a path."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieednn_sim.arm import PLANNED_CLEARANCE, Arm
+from lieednn_sim.arm.collision import Collisions
+from lieednn_sim.arm.contacts import ContactFinder, moving_geoms
+from lieednn_sim.planning.motion import Motion, check_motion
+from lieednn_sim.planning.problem import PlanningProblem
+
+Floats = NDArray[np.float64]
+
+# What paths keep away from everything, unless start or target are closer to something [m]; motions along them are
+# rounded, and checked for less.
+_MARGIN = 0.01
+# Where start or target are nearer than that, this share of their distance is kept.
+_SHARE = 0.8
+_POSTURES = 64
+
+
+class ClearanceTest:
+    """Whether everything is further apart than a margin, by MuJoCo's collision pass.
+
+    It says yes or no, and is an order of magnitude faster than measuring distances (`Collisions`).
+
+    Args:
+        arm: the arm, in its scene.
+        margin: smallest allowed distance [m].
+        own: of parts of the arm from each other [m]; by default the same.
+
+    Attributes:
+        tests: postures tested so far, a measure of work that does not depend on the machine.
+    """
+
+    def __init__(self, arm: Arm, margin: float, own: float | None = None) -> None:
+        self._arm = arm
+        self._margin, self._own = margin, margin if own is None else own
+        self._finder = ContactFinder(arm.model, max(self._margin, self._own))
+        self._moving = moving_geoms(arm.model)
+        self.tests = 0
+
+    def __call__(self, q: Floats) -> bool:
+        """True when nothing is closer than the margin at ``q`` ``(n,)``."""
+        return self.first_blocked(q[None]) is None
+
+    def first_blocked(self, q: Floats) -> int | None:
+        """Index of the first of the positions ``(K, n)`` at which something is closer than the margin, or None."""
+        # One conversion for all: it costs as much as a posture's collision pass.
+        for index, position in enumerate(self._arm.qpos(q)):
+            self.tests += 1
+            distance, geoms = self._finder.geoms(position)
+            if len(distance) and (distance < np.where(self._moving[geoms].all(axis=1), self._own, self._margin)).any():
+                return index
+        return None
+
+
+class Workspace:
+    """The problem's clearance: a margin that start and target keep themselves, and tests with it.
+
+    Args:
+        problem: its start and target may be closer to something than the margin, which then is smaller.
+        margin: to plan with [m].
+        own: of parts of the arm from each other [m]; by default the same.
+
+    Attributes:
+        clear: test with the margin.
+        collisions: signed distances.
+    """
+
+    def __init__(self, problem: PlanningProblem, margin: float = _MARGIN, own: float | None = None) -> None:
+        self.collisions = Collisions(problem.arm)
+        margins = np.array([margin, margin if own is None else own])
+        for q in (problem.start, problem.target):
+            near = self.collisions.distances(q, 2.0 * margins.max())
+            of_arm = moving_geoms(problem.arm.model)[near.pairs].all(axis=1)
+            nearest = [near.distance[which].min(initial=np.inf) for which in (~of_arm, of_arm)]
+            # With one margin for all, all count for it. What motions are checked for is kept at both ends.
+            most = _SHARE * (np.full(2, min(nearest)) if own is None else np.array(nearest))
+            margins = np.minimum(margins, np.maximum(most, PLANNED_CLEARANCE))
+        self.clear = ClearanceTest(problem.arm, *margins)
+
+
+def joint_scale(arm: Arm) -> Floats:
+    """Unit ``(n,)`` of each joint in path lengths: its way in a second at its velocity limit, or its range."""
+    low, high = arm.position_limits.T
+    return np.where(np.isfinite(arm.velocity_limits), arm.velocity_limits, high - low)
+
+
+def sweeps(arm: Arm) -> Floats:
+    """How far a unit of each joint ``(n,)`` may move a link frame [m/rad, m/m]: the most at random postures."""
+    low, high = arm.position_limits.T
+    step = 1e-3 * (high - low)
+    q = np.random.default_rng(0).uniform(low + step, high - step, (_POSTURES, 1, arm.n_joints))
+    ahead, behind = (np.asarray(arm.link_poses(q + side * np.diag(step)).translation) for side in (1.0, -1.0))
+    moved = np.linalg.norm(ahead - behind, axis=-1).max(axis=(0, 2))
+    return np.asarray(moved / (2.0 * step))
+
+
+def joint_motion(problem: PlanningProblem, q: Floats, qd: Floats, progress: Floats) -> Motion:
+    """The checked motion through joint positions ``(K, n)`` at `PlanningProblem.times`.
+
+    Its poses are the joints' own: there is no mechanism gap.
+
+    Args:
+        problem: where it starts and ends.
+        q: ``(K, n)`` [rad, m], from start to target up to rounding.
+        qd: ``(K, n)`` [rad/s, m/s], zero at both ends up to rounding.
+        progress: ``(K,)`` from 0 to 1.
+
+    Raises:
+        PlanError: the motion breaks a limit of the arm.
+    """
+    arm, q, qd = problem.arm, q.copy(), qd.copy()
+    # A rounding may miss the ends and leave a limit there.
+    q[0], q[-1] = problem.start, problem.target
+    qd[[0, -1]] = 0.0
+    none = np.zeros((len(q), arm.n_links))
+    t = problem.times()
+    motion = Motion(t, progress, arm.encode(q), arm.encode(problem.target), q, qd, none, none.copy())
+    check_motion(arm, motion)
+    return motion

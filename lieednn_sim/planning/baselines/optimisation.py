@@ -1,0 +1,195 @@
+"""Trajectory optimisation: the smoothest spline in time that keeps the limits and stays away from everything.
+
+In the style of CHOMP (Zucker et al., Int. J. Robotics Research 32(9-10), 2013) and TrajOpt (Schulman et al., ibid.
+33(9), 2014): smoothness plus hinges on signed distances, descended from several first guesses. Here smoothness is the
+integral of the squared jerk, so that in free space the minimum-jerk motion comes out; the trajectory is a quintic
+B-spline; and as every term is a square, the descent is Gauss and Newton's in a trust region with bounds (SciPy).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import BSpline
+from scipy.optimize import least_squares
+
+from lieednn_sim.budget import check_time
+from lieednn_sim.errors import PlanError
+from lieednn_sim.planning.baselines.joint_space import ClearanceTest, Workspace, joint_motion, joint_scale
+from lieednn_sim.planning.motion import Motion, minimum_jerk_law
+from lieednn_sim.planning.problem import PlanningProblem
+
+Floats = NDArray[np.float64]
+
+_DEGREE = 5
+_INTERVALS = 12
+# Control points that rest at each end takes: position, velocity and acceleration.
+_FIXED = 3
+# Instants at which distances and rates are weighed.
+_INSTANTS = 100
+# The hinge on distances begins here [m]; it is a soft wish, so what is to be kept lies well below.
+_INFLUENCE = 0.04
+# Share of the velocity and acceleration limits at which their hinges begin.
+_RATE_SHARE = 0.95
+# Weight of the hinges against smoothness, from the first descent of a guess to the last.
+_WEIGHTS = (300.0, 3000.0)
+_EVALUATIONS = 20
+_GUESSES = 6
+# Bent guesses drawn; the clearest of them are descended from.
+_DRAWN = 150
+
+
+def trajectory_optimisation(problem: PlanningProblem) -> Motion:
+    """The first of a few locally optimal trajectories that the arm can follow.
+
+    The first guess is minimum jerk, straight in joint space, the others are bent towards drawn postures.
+
+    Raises:
+        PlanError: no local optimum keeps the limits and the clearance; the message is of the first one.
+    """
+    descent = _Descent(problem)
+    refusal: PlanError | None = None
+    for guess in descent.guesses():
+        x = guess
+        for weight in _WEIGHTS:
+            x = descent.minimise(x, weight)
+            try:
+                return descent.motion(x)
+            except PlanError as error:
+                refusal = refusal or error
+    raise PlanError(f"no local optimum of {_GUESSES} first guesses can be followed: {refusal}")
+
+
+class _Descent:
+    """The costs of one problem; the variables are the free control points ``(F, n)`` over the joints' scale, flat."""
+
+    def __init__(self, problem: PlanningProblem) -> None:
+        self.problem, self.arm = problem, problem.arm
+        self.workspace, self.scale = Workspace(problem), joint_scale(problem.arm)
+        self.near = ClearanceTest(problem.arm, _INFLUENCE)
+        knots = np.concatenate([np.zeros(_DEGREE), np.linspace(0.0, 1.0, _INTERVALS + 1), np.ones(_DEGREE)])
+        basis = BSpline(knots, np.eye(_INTERVALS + _DEGREE), _DEGREE)
+        t = problem.times()
+        # Closer together where the motion is fast, or it would jump over what is thin.
+        share = 0.5 * (t / t[-1] + minimum_jerk_law(t / t[-1])[0])
+        instants = np.interp((np.arange(_INSTANTS) + 0.5) / _INSTANTS, share, t / t[-1])
+        # Basis functions and their derivatives in time, at the samples and at the instants.
+        self.sampled = [basis(t / t[-1], nu=nu) / t[-1] ** nu for nu in (0, 1)]
+        self.weighed = [basis(instants, nu=nu) / t[-1] ** nu for nu in (0, 1, 2)]
+        # Gauss's rule of three points is exact for the squared jerk, of degree 4.
+        nodes, weights = np.polynomial.legendre.leggauss(3)
+        u = (np.arange(_INTERVALS)[:, None] + 0.5 * (nodes + 1.0)).ravel() / _INTERVALS
+        jerk = basis(u, nu=3) * np.sqrt(np.tile(weights, _INTERVALS) / (2 * _INTERVALS))[:, None]
+        squared = jerk.T @ jerk
+        self.inner = slice(_FIXED, -_FIXED)
+        start, target = problem.start / self.scale, problem.target / self.scale
+        self.ends = np.zeros((_INTERVALS + _DEGREE, self.arm.n_joints))
+        self.ends[:_FIXED], self.ends[-_FIXED:] = start, target
+        free = squared[self.inner, self.inner]
+        # Of all with these ends: the quintic polynomial, which the splines contain.
+        self.smoothest = -np.linalg.solve(free, squared[self.inner] @ self.ends)
+        # Squared jerk of a unit way is 720: with it cost is a squared length, at least a tenth of the joint space's.
+        spread = np.ptp(self.arm.position_limits, axis=1) / self.scale
+        unit = max(float(np.linalg.norm(target - start)), 0.1 * float(np.linalg.norm(spread)))
+        self.root = np.linalg.cholesky(free).T / (math.sqrt(720.0) * unit)
+        low, high = (np.tile(limit / self.scale, (len(free), 1)) for limit in self.arm.position_limits.T)
+        self.low, self.high = low.ravel(), high.ravel()
+
+    def guesses(self) -> Iterator[Floats]:
+        """First guesses, flat: the smoothest trajectory, then bent ones, the clearest first."""
+        yield self.smoothest.ravel()
+        rng = np.random.default_rng(self.problem.seed)
+        low, high = self.arm.position_limits.T / self.scale
+        u = (np.arange(len(self.smoothest)) + 1.0) / (len(self.smoothest) + 1)
+        drawn, blocked = [], []
+        for _ in range(_DRAWN):
+            # Bent towards a drawn posture, at a drawn instant.
+            shape = u ** (2.0 * rng.uniform(0.4, 1.6)) * (1.0 - u) ** (2.0 * rng.uniform(0.4, 1.6))
+            peak = int(shape.argmax())
+            way = rng.uniform(low, high) - self.smoothest[peak]
+            control = np.clip(self.smoothest + (shape / shape[peak])[:, None] * rng.uniform() * way, low, high)
+            drawn.append(control.ravel())
+            blocked.append(sum(self._blocked(q) for q in self.positions(control.ravel())))
+        for index in np.argsort(blocked, kind="stable")[: _GUESSES - 1]:
+            yield drawn[index]
+
+    def _blocked(self, q: Floats) -> bool:
+        check_time()
+        return not self.workspace.clear(q)
+
+    def positions(self, x: Floats) -> Floats:
+        """Joint positions ``(K, n)`` at the instants."""
+        control = self.ends.copy()
+        control[self.inner] = x.reshape(-1, self.arm.n_joints)
+        return np.asarray(self.scale * (self.weighed[0] @ control))
+
+    def minimise(self, x: Floats, weight: float) -> Floats:
+        """The local optimum ``(F n,)`` near ``x``."""
+        # Gauss and Newton's steps need a start inside the bounds.
+        edge = 1e-6 * (self.high - self.low)
+        found = least_squares(
+            lambda y: self.terms(y, weight)[0],
+            np.clip(x, self.low + edge, self.high - edge),
+            jac=lambda y: self.terms(y, weight)[1],
+            bounds=(self.low, self.high),
+            xtol=1e-4,
+            ftol=1e-4,
+            gtol=1e-6,
+            max_nfev=_EVALUATIONS,
+        )
+        return np.asarray(found.x)
+
+    def terms(self, x: Floats, weight: float) -> tuple[Floats, Floats]:
+        """Terms whose squares are summed, and their Jacobian ``(terms, F n)``."""
+        n = self.arm.n_joints
+        control = self.ends.copy()
+        control[self.inner] = x.reshape(-1, n)
+        smooth = (self.root @ (control[self.inner] - self.smoothest)).ravel()
+        values, rows = [smooth], [np.kron(self.root, np.eye(n))]
+        factor = math.sqrt(weight / _INSTANTS)
+        basis = [table[:, self.inner] for table in self.weighed]
+        hinge, slope = self._closeness(self.scale * (self.weighed[0] @ control))
+        values.append(factor * hinge)
+        rows.append(factor * _chained(basis[0], slope * self.scale))
+        limits = (self.arm.velocity_limits, self.arm.acceleration_limits)
+        for table, rates, limit in zip(basis[1:], self.weighed[1:], limits, strict=True):
+            hinge, slope = _excess(self.scale * (rates @ control), _RATE_SHARE * limit)
+            values.append(factor * hinge)
+            rows.append(factor * _chained(table, slope * self.scale))
+        return np.concatenate(values), np.concatenate(rows)
+
+    def motion(self, x: Floats) -> Motion:
+        """The checked motion of control points ``(F n,)``."""
+        control = self.ends.copy()
+        control[self.inner] = x.reshape(-1, self.arm.n_joints)
+        q, qd = (self.scale * (table @ control) for table in self.sampled)
+        t = self.problem.times()
+        return joint_motion(self.problem, q, qd, minimum_jerk_law(t / t[-1])[0])
+
+    def _closeness(self, q: Floats) -> tuple[Floats, Floats]:
+        """Root of the summed squares of (1 - d / influence)_+ over the pairs ``(K,)``, and its slope ``(K, n)``."""
+        value, slope = np.zeros(len(q)), np.zeros(q.shape)
+        for k, position in enumerate(q):
+            check_time()
+            if self.near(position):
+                continue
+            found = self.workspace.collisions.distances(position, _INFLUENCE)
+            hinge = 1.0 - found.distance / _INFLUENCE
+            value[k] = math.sqrt(hinge @ hinge)
+            slope[k] = -(hinge @ found.jacobian) / (_INFLUENCE * max(value[k], 1e-12))
+        return value, slope
+
+
+def _excess(rate: Floats, limit: Floats) -> tuple[Floats, Floats]:
+    """Root of the summed squares of (|rate| / limit - 1)_+ over the joints ``(K,)``, and its slope ``(K, n)``."""
+    hinge = np.maximum(np.abs(rate) / limit - 1.0, 0.0)
+    value = np.linalg.norm(hinge, axis=1)
+    return value, hinge * np.sign(rate) / (limit * np.maximum(value, 1e-12)[:, None])
+
+
+def _chained(basis: Floats, slope: Floats) -> Floats:
+    """Derivatives ``(K, F n)`` in the control points, from those ``(K, n)`` in the positions."""
+    return np.einsum("kf,kn->kfn", basis, slope).reshape(len(basis), -1)

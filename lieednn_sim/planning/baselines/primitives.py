@@ -1,0 +1,72 @@
+"""A dynamic movement primitive, generalised from one demonstration; it needs the extra `dmp`."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import BPoly
+
+from lieednn_sim.budget import check_time
+from lieednn_sim.planning.baselines.joint_space import joint_motion
+from lieednn_sim.planning.extras import optional_module
+from lieednn_sim.planning.motion import Motion, minimum_jerk_law
+from lieednn_sim.planning.problem import PlanningProblem
+
+Floats = NDArray[np.float64]
+
+# Radial basis functions of each joint's forcing term.
+_WEIGHTS = 20
+# Joints that move by less of their range in the demonstration show no shape.
+_LEAST_SHARE = 0.01
+
+
+def dmp(problem: PlanningProblem) -> Motion:
+    """A primitive that imitates minimum jerk from ``home`` to ``extended``, moved to the problem's start and target.
+
+    A spring and damper to the goal, critically damped, and a learned forcing term that fades (Ijspeert et al., Neural
+    Computation 25(2), 2013), with the smooth start of Pastor et al., ICRA 2009:
+
+        T^2 q'' = alpha (beta (g - q) - T q' - beta (g - q_0) z) + f(z),  z decaying from 1 to 0.01.
+
+    The forces f are multiplied by the joint's way over its way in the demonstration, which keeps the demonstrated shape
+    at every amplitude; unscaled, those of a long demonstration throw a joint with a short way over its limits. A joint
+    that hardly moves in the demonstration, by less than 1 % of its range, has no shape to keep: it gets no forces, and
+    goes from start to target as spring and damper take it.
+
+    The phase has 1 % left when the time is over, and the joints about as much of their way. A quintic polynomial, zero
+    at the start, takes up what is left of position, velocity and acceleration at the end.
+
+    Raises:
+        LieEDNNError: movement_primitives is not installed.
+        PlanError: the motion breaks a limit of the arm; a primitive knows neither limits nor obstacles.
+        InputError: the arm lacks one of the keyframes.
+    """
+    primitive = optional_module("movement_primitives.dmp").DMP(
+        problem.arm.n_joints,
+        execution_time=float(problem.times()[-1]),
+        dt=problem.timestep,
+        n_weights_per_dim=_WEIGHTS,
+        smooth_scaling=True,
+    )
+    t = problem.times()
+    sigma, _ = minimum_jerk_law(t / t[-1])
+    home, extended = problem.arm.keyframe("home"), problem.arm.keyframe("extended")
+    primitive.imitate(t, home + sigma[:, None] * (extended - home))
+    primitive.forcing_term.weights_ *= _amplitudes(problem, extended - home)[:, None]
+    primitive.configure(start_y=problem.start.copy(), goal_y=problem.target.copy())
+    q, qd = np.empty((2, len(t), len(home)))
+    q[0], qd[0] = problem.start, 0.0
+    for k in range(1, len(t)):
+        check_time()
+        q[k], qd[k] = primitive.step(q[k - 1], qd[k - 1])
+    acceleration = (qd[-1] - qd[-2]) / problem.timestep
+    rest = np.zeros((3, len(home)))
+    left = np.stack([problem.target - q[-1], -qd[-1], -acceleration])
+    correction = BPoly.from_derivatives([0.0, t[-1]], [rest, left])
+    return joint_motion(problem, q + correction(t), qd + correction(t, nu=1), sigma)
+
+
+def _amplitudes(problem: PlanningProblem, shown: Floats) -> Floats:
+    """Way of each joint ``(n,)`` over its way in the demonstration; zero where that shows nothing."""
+    moves = np.abs(shown) > _LEAST_SHARE * np.ptp(problem.arm.position_limits, axis=1)
+    return np.where(moves, problem.target - problem.start, 0.0) / np.where(moves, shown, 1.0)

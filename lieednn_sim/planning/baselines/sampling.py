@@ -1,0 +1,185 @@
+"""Sampling-based planners of OMPL in joint space; they need the extra `rivals` (ompl).
+
+RRT-Connect is Kuffner and LaValle's, ICRA 2000; RRT* Karaman and Frazzoli's, Int. J. Robotics Research 30(7), 2011; the
+library Sucan, Moll and Kavraki's, IEEE Robotics and Automation Magazine 19(4), 2012. Paths are measured in joint
+coordinates over velocity limits, so their length is a time. They are shortened, rounded and timed by `rounding`.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cache, lru_cache, partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieednn_sim.budget import check_time, out_of_time
+from lieednn_sim.errors import PlanError
+from lieednn_sim.planning.baselines.joint_space import Workspace, joint_scale, sweeps
+from lieednn_sim.planning.baselines.smoothing import motion_along
+from lieednn_sim.planning.extras import optional_module
+from lieednn_sim.planning.motion import Motion
+from lieednn_sim.planning.problem import PlanningProblem, in_time
+
+Floats = NDArray[np.float64]
+
+# Bounds on postures tested, not on seconds: results must not depend on the machine's speed. RRT* spends the first on
+# shortening what it found, and goes on to the second while it found nothing.
+_CONNECT_TESTS = 120_000
+_STAR_TESTS, _STAR_PATIENT_TESTS = 80_000, 160_000
+_SHORTCUTS = 60
+# A link frame moves at most about this far from one posture tested along an edge to the next [m]. What slips through
+# is found by the dense test of the motion, and the next attempt tests more closely.
+_SPACINGS = (0.04, 0.02)
+
+
+def rrt_connect(problem: PlanningProblem) -> Motion:
+    """Two trees from start and target, grown towards each other until they meet.
+
+    Raises:
+        LieEDNNError: OMPL is not installed.
+        PlanError: no path was found within the work allowed, or it cannot be followed in time.
+    """
+    return _plan(problem, "RRTConnect")
+
+
+def rrt_star(problem: PlanningProblem) -> Motion:
+    """One tree from the start, rewired towards shortest paths for a fixed amount of work.
+
+    Raises:
+        LieEDNNError: OMPL is not installed.
+        PlanError: no path was found within the work allowed, or it cannot be followed in time.
+    """
+    return _plan(problem, "RRTstar")
+
+
+def connecting_path(problem: PlanningProblem, workspace: Workspace, attempt: int = 0) -> Floats | None:
+    """Corners ``(M, n)`` of a shortened path of RRT-Connect from start to target, clear in the workspace; or None.
+
+    Args:
+        problem: start, target and seed.
+        workspace: of the problem.
+        attempt: another one draws others, and looks more closely.
+
+    Raises:
+        LieEDNNError: OMPL is not installed.
+    """
+    return _drawn(problem, workspace, "RRTConnect", attempt)
+
+
+def _plan(problem: PlanningProblem, planner: str) -> Motion:
+    # Paths have no part in time: none is searched for again when the motion along it needs more.
+    path = cache(partial(_drawn, problem, Workspace(problem), planner))
+
+    def motion(asked: PlanningProblem) -> Motion:
+        refusal: PlanError | None = None
+        for attempt in range(len(_SPACINGS)):
+            corners = path(attempt)
+            if corners is None:
+                break
+            try:
+                return motion_along(asked, corners)
+            except PlanError as error:
+                refusal = error
+        raise refusal or PlanError(f"{planner} found no path free of contact; try another seed or target")
+
+    return in_time(motion, problem)
+
+
+def _drawn(problem: PlanningProblem, workspace: Workspace, planner: str, attempt: int) -> Floats | None:
+    """As `_path`, silent, and the same whatever ran before."""
+    util = optional_module("ompl.util")
+    workspace.clear.tests = 0
+    level = util.getLogLevel()
+    util.setLogLevel(util.LOG_NONE)
+    try:
+        # Every generator made from here on draws its seed from this one. OMPL warns of that for those that exist
+        # already, which are not ours. It takes no seed of zero.
+        util.RNG.setSeed(1 + int(np.random.SeedSequence([problem.seed, attempt]).generate_state(1)[0] % (2**31)))
+        return _path(problem, workspace, planner, _SPACINGS[min(attempt, len(_SPACINGS) - 1)])
+    finally:
+        util.setLogLevel(level)
+
+
+def _path(problem: PlanningProblem, workspace: Workspace, planner: str, spacing: float) -> Floats | None:
+    """Corners ``(M, n)`` of a shortened path, or None."""
+    base, geometric = optional_module("ompl.base"), optional_module("ompl.geometric")
+    n, scale = problem.arm.n_joints, joint_scale(problem.arm)
+    space = base.RealVectorStateSpace(n)
+    bounds = base.RealVectorBounds(n)
+    for joint, (low, high) in enumerate(problem.arm.position_limits / scale[:, None]):
+        bounds.setLow(joint, float(low))
+        bounds.setHigh(joint, float(high))
+    space.setBounds(bounds)
+    information = base.SpaceInformation(space)
+    density = scale * sweeps(problem.arm) / spacing
+
+    # No exception may pass through the library: out of time nothing is free, so that it ends soon.
+    def inside(q: Floats) -> bool:
+        # A ball joint's angle is limited, whose limits are no box; but convex, so that ends speak for edges.
+        return not out_of_time() and bool((problem.arm.limit_excess(q) <= 0.0).all())
+
+    def free(state: Any) -> bool:
+        q = scale * np.array(state[0:n])
+        return inside(q) and workspace.clear(q)
+
+    class Edges(base.MotionValidator):  # type: ignore[misc,name-defined]
+        """Tests an edge at postures that are evenly spaced in the workspace, not in joint space."""
+
+        def checkMotion(self, first: Any, second: Any) -> bool:
+            ends = np.array(first[0:n]), np.array(second[0:n])
+            if not inside(scale * ends[1]):
+                return False
+            count = max(1, math.ceil(float(np.abs(ends[1] - ends[0]) @ density)))
+            # The first end is valid.
+            way = _shares(count)[:, None] * (ends[1] - ends[0])
+            return workspace.clear.first_blocked(scale * (ends[0] + way)) is None
+
+    information.setStateValidityChecker(free)
+    information.setMotionValidator(Edges(information))
+    information.setup()
+    definition = base.ProblemDefinition(information)
+    # A tree grows out of a narrow place more easily than into one.
+    ends = sorted((problem.start, problem.target), key=workspace.collisions.clearance)
+    definition.setStartAndGoalStates(*(_state(space, q / scale) for q in ends))
+    method = getattr(geometric, planner)(information)
+    method.setProblemDefinition(definition)
+    method.setup()
+    for tests in (_CONNECT_TESTS,) if planner == "RRTConnect" else (_STAR_TESTS, _STAR_PATIENT_TESTS):
+        if not definition.hasExactSolution():
+            method.solve(
+                base.PlannerTerminationCondition(lambda limit=tests: workspace.clear.tests >= limit or out_of_time())
+            )
+            check_time()
+    if not definition.hasExactSolution():
+        return None
+    path = definition.getSolutionPath()
+    simplifier = geometric.PathSimplifier(information)
+    simplifier.reduceVertices(path, _SHORTCUTS, _SHORTCUTS)
+    simplifier.partialShortcutPath(path, _SHORTCUTS, _SHORTCUTS)
+    simplifier.collapseCloseVertices(path)
+    check_time()
+    corners = scale * np.array([path.getState(i)[0:n] for i in range(path.getStateCount())])
+    if ends[0] is not problem.start:
+        corners = corners[::-1].copy()
+    corners[0], corners[-1] = problem.start, problem.target
+    return corners
+
+
+@lru_cache(maxsize=4096)
+def _shares(count: int) -> Floats:
+    """1/count .. count/count, the last first and the others by halving, so that what is in the way is found soon."""
+    order, gaps = [count], [(0, count)]
+    for low, high in gaps:
+        middle = (low + high) // 2
+        if low < middle:
+            order.append(middle)
+            gaps += [(low, middle), (middle, high)]
+    return np.array(order) / count
+
+
+def _state(space: Any, values: Floats) -> Any:
+    state = space.allocState()
+    state[0 : len(values)] = values.tolist()
+    return state

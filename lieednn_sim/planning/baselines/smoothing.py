@@ -1,0 +1,126 @@
+"""From a polyline in joint space to a motion: corners rounded by a B-spline, run through by minimum jerk.
+
+The control points of a clamped quintic B-spline are laid along the polyline, evenly. The curve stays in the convex hull
+of every six neighbours among them: within the joint limits, which are convex, and on the polyline itself except near
+its corners. More control points round them more tightly. It is run through more slowly where it bends, so that
+accelerations stay bounded; they are continuous, since the curvature has a continuous derivative. What even the tightest
+curve cannot pass is left to the polyline itself, with a stop at every corner.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.integrate import cumulative_simpson
+from scipy.interpolate import BSpline, CubicHermiteSpline
+
+from lieednn_sim.errors import PlanError, TooFastError
+from lieednn_sim.planning.baselines.joint_space import joint_motion, joint_scale
+from lieednn_sim.planning.motion import Motion, minimum_jerk_law
+from lieednn_sim.planning.problem import PlanningProblem
+
+Floats = NDArray[np.float64]
+
+# Control points to lay along the whole polyline, from the roundest curve to the tightest.
+_CONTROL_POINTS = (6, 8, 11, 15, 20, 28, 40, 56, 80, 112, 160, 224)
+_DEGREE = 5
+# Curvature, in units of the inverse length of the whole curve, from which on it is run through more slowly.
+_BEND = 8.0
+# Nodes of the arc length; its inverse is then exact to about 1e-12.
+_NODES = 4097
+
+
+def motion_along(problem: PlanningProblem, corners: Floats) -> Motion:
+    """The roundest motion along a polyline ``(M, n)`` from start to target that keeps limits and clearance.
+
+    Raises:
+        PlanError: not even the polyline itself can be followed in the problem's duration.
+    """
+    refusals: list[PlanError] = []
+    for count in (*_CONTROL_POINTS, None):
+        q, qd, progress = stopping(problem, corners) if count is None else rounded(problem, corners, count)
+        try:
+            return joint_motion(problem, q, qd, progress)
+        except PlanError as error:
+            refusals.append(error)
+    # What only needs more time, the least of it, tells more than that a rounder way touches something.
+    raise min((error for error in refusals if isinstance(error, TooFastError)), key=_duration, default=refusals[-1])
+
+
+def _duration(error: TooFastError) -> float:
+    return error.duration
+
+
+def rounded(problem: PlanningProblem, corners: Floats, count: int) -> tuple[Floats, Floats, Floats]:
+    """Positions, velocities, both ``(K, n)``, and progress ``(K,)`` along a B-spline of about ``count`` points."""
+    t, scale = problem.times(), joint_scale(problem.arm)
+    scaled, lengths = _measured(corners / scale)
+    if not len(lengths):
+        return _resting(problem)
+    control = _laid(scaled, lengths, count)
+    knots = np.concatenate([np.zeros(_DEGREE), np.linspace(0.0, 1.0, len(control) - _DEGREE + 1), np.ones(_DEGREE)])
+    curve = BSpline(knots, control, _DEGREE)
+    u = np.linspace(0.0, 1.0, _NODES)
+    speed = _weighted(curve(u, nu=1), curve(u, nu=2))
+    length = cumulative_simpson(speed, x=u, initial=0.0)
+    inverse = CubicHermiteSpline(length, u, 1.0 / speed)
+    progress, rate = minimum_jerk_law(t / t[-1])
+    way = length[-1] * progress
+    u_t = np.clip(inverse(way), 0.0, 1.0)
+    u_rate = inverse(way, nu=1) * length[-1] * rate / t[-1]
+    return scale * curve(u_t), scale * curve(u_t, nu=1) * u_rate[:, None], progress
+
+
+def _weighted(tangent: Floats, bend: Floats) -> Floats:
+    """Length of the tangents ``(K, n)`` times (1 + (kappa / kappa_0)^2)^(1/4), kappa the curvature, ``(K,)``.
+
+    At a speed v of this measure the acceleration across the curve is at most v^2 kappa_0.
+    """
+    speed = np.linalg.norm(tangent, axis=1)
+    # A path that doubles back on itself comes to rest where it turns.
+    speed = np.maximum(speed, 1e-6 * speed.max())
+    along = (bend * tangent).sum(axis=1)[:, None] * tangent / speed[:, None] ** 2
+    curvature = np.linalg.norm(bend - along, axis=1) / speed**2
+    limit = _BEND / speed.mean()
+    return speed * (1.0 + (curvature / limit) ** 2) ** 0.25
+
+
+def stopping(problem: PlanningProblem, corners: Floats) -> tuple[Floats, Floats, Floats]:
+    """As `rounded`, along the polyline itself: minimum jerk on every edge, in its share of the time by length."""
+    t, scale = problem.times(), joint_scale(problem.arm)
+    scaled, lengths = _measured(corners / scale)
+    if not len(lengths):
+        return _resting(problem)
+    ends = np.concatenate([[0.0], np.cumsum(lengths)]) / lengths.sum()
+    # Its rounding must not put the last sample on an edge that is not there.
+    edge = np.clip(np.searchsorted(ends, t / t[-1], side="right") - 1, 0, len(lengths) - 1)
+    share = ends[edge + 1] - ends[edge]
+    sigma, rate = minimum_jerk_law(np.clip((t / t[-1] - ends[edge]) / share, 0.0, 1.0))
+    way = (scaled[edge + 1] - scaled[edge]) * scale
+    q = scale * scaled[edge] + sigma[:, None] * way
+    return q, (rate / (share * t[-1]))[:, None] * way, ends[edge] + share * sigma
+
+
+def _measured(points: Floats) -> tuple[Floats, Floats]:
+    """Points without repetitions, and the lengths of the edges between them."""
+    lengths = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    kept = lengths > 1e-9
+    # The last point stays; the one before it goes where both are the same.
+    return np.concatenate([points[:-1][kept], points[-1:]]), lengths[kept]
+
+
+def _laid(points: Floats, lengths: Floats, count: int) -> Floats:
+    """Control points ``(M, n)`` on every corner and evenly between, at least six."""
+    pieces = np.maximum(1, np.ceil(lengths / (lengths.sum() / count)).astype(int))
+    pieces[0] += max(0, _DEGREE - pieces.sum())
+    laid = [
+        first + np.arange(k)[:, None] / k * (second - first)
+        for first, second, k in zip(points[:-1], points[1:], pieces, strict=True)
+    ]
+    return np.concatenate([*laid, points[-1:]])
+
+
+def _resting(problem: PlanningProblem) -> tuple[Floats, Floats, Floats]:
+    t = problem.times()
+    q = np.broadcast_to(problem.start, (len(t), len(problem.start)))
+    return q, np.zeros_like(q), minimum_jerk_law(t / t[-1])[0]

@@ -1,0 +1,246 @@
+"""A network run through the filter in real time: it draws the way, the filter keeps the arm safe on it.
+
+The network is autonomous and proved to arrive, so its path and its pace are known beforehand (`motion.make_motion`);
+what the filter changes is the clock at which the arm follows: it runs slower the further the joints are behind, so the
+network never runs away, and never stands still, so the network arrives and its equilibrium stays the attractor. The
+joints that filter and obstacles leave behind are drawn to the network's present state by a bounded velocity.
+
+On the way the network may be given other targets, by its bias alone: then it takes its state from where the arm is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.interpolate import CubicHermiteSpline
+
+from lieednn_sim.arm import Arm
+from lieednn_sim.budget import check_time
+from lieednn_sim.errors import PlanError
+from lieednn_sim.network import LieEDNN
+from lieednn_sim.planning.filtering.proof import limits_proved
+from lieednn_sim.planning.filtering.safety import FilterOptions, SafetyFilter
+from lieednn_sim.planning.motion import LIMIT_TOLERANCE, Motion, make_motion
+from lieednn_sim.validation import as_floats, as_positive
+
+Floats = NDArray[np.float64]
+
+# Pull of the joints towards the network's state [1/s], and the share of the acceleration limits left for braking.
+_GAIN = 8.0
+_BRAKING_SHARE = 0.5
+# The clock slows down in proportion to how far the joints are behind [s, at full speed], but not below a share.
+_BEHIND = 0.15
+_SLOWEST = 0.3
+# The run has arrived when every joint is this close [rad, m] and this slow [1/s of that].
+_ARRIVED = 1e-4
+_STILL = 5e-3
+# A posture on the way is passed when every joint is this close to it [s, at full speed], and no further than a share of
+# the way to the next.
+_PASSING, _LEAST_PASSING, _PASSING_SHARE = 0.02, 0.001, 0.2
+# Each way between postures gets at least this share of the mean time for one.
+_LEAST_SHARE = 0.4
+# Blocked: after the network's arrival the distance did not shrink by this share in this time [s].
+_PROGRESS = 0.02
+_PATIENCE = 0.4
+
+
+@dataclass(frozen=True)
+class FilteredRun:
+    """Outcome of a network's run through the filter.
+
+    Attributes:
+        success: whether the joints came to rest at the target.
+        message: how it ended; where it is blocked, by what.
+        blocked_by: position limits and pairs of geoms that hold the arm back, the hardest first; empty on success.
+        t: ``(K,)`` times of the control steps [s].
+        q: ``(K, n)`` joint positions [rad, m].
+        qd: ``(K, n)`` joint velocities; linear in between, which makes q's part between two steps quadratic.
+        clock: ``(K,)`` the reference's time that the network had got to [s].
+        clearance: ``(K,)`` smallest distance [m] among the pairs that could come too near within a step, infinite
+            without any; at the end the smallest of all.
+        filtered_share: share of the steps in which position limits or clearance changed the velocities.
+        brakings: steps in which the limits allowed nothing but braking.
+        limits_proved: whether box invariance proves the position limits, filter or not.
+        reference: the network's own motion, unfiltered; with postures on the way, those between them.
+    """
+
+    success: bool
+    message: str
+    blocked_by: tuple[str, ...]
+    t: Floats
+    q: Floats
+    qd: Floats
+    clock: Floats
+    clearance: Floats
+    filtered_share: float
+    brakings: int
+    limits_proved: bool
+    reference: Motion
+
+    def __repr__(self) -> str:
+        steps = f"{len(self.t) - 1} control steps, {self.filtered_share:.0%} of them filtered"
+        return f"<FilteredRun: {self.message}; {steps}, clearance at least {1e3 * self.clearance.min():.3g} mm>"
+
+
+def run_filtered(
+    arm: Arm,
+    network: LieEDNN,
+    start: ArrayLike,
+    duration: float,
+    *,
+    via: ArrayLike = (),
+    timestep: float = 0.01,
+    longest: float = 3.0,
+    options: FilterOptions | None = None,
+) -> FilteredRun:
+    """Run a network from rest at ``start`` ``(n,)`` to its equilibrium, with all limits and clearance enforced.
+
+    Args:
+        arm: the arm, with its obstacles.
+        network: with as many neurons as the arm has links.
+        start: joint position.
+        duration: of the motion where nothing has to be filtered [s].
+        via: joint positions ``(V, n)`` to pass: the network is retargeted to one after another, each time from where
+            the arm is when it has come near the one before, and at last back to its own equilibrium.
+        timestep: control step [s].
+        longest: the run ends after this many durations, arrived or not.
+        options: of the filter.
+
+    Raises:
+        InputError: a value is malformed, the start is out of the arm's reach, or something touches at start or end.
+        PlanError: the network has no equilibrium that the arm can be at, or does not arrive there by itself.
+    """
+    factor, n = as_positive("longest", longest), arm.n_joints
+    passed = as_floats("via", np.reshape(via, (-1, n)) if np.size(via) == 0 else via, ("V", n))
+    q, v = arm.check_position(start, "start"), np.zeros(n)
+    equilibrium = network.equilibrium(arm.encode(q))
+    if not equilibrium.success:
+        raise PlanError(f"the network cannot be used for a motion: {equilibrium.message}")
+    target = arm.decode(equilibrium.xi).q
+    outside = arm.limit_excess(target)
+    if outside.max() > LIMIT_TOLERANCE:
+        reason = arm.describe_excess(target, int(outside.argmax()))
+        raise PlanError(f"the network ends out of the arm's limits: {reason}")
+    filter_ = SafetyFilter(arm, timestep, options)
+    filter_.allow(q, target)
+    networks = [*(network.retarget(arm.encode(posture)) for posture in passed), network]
+    speeds, brakes = filter_.velocity_limits, _BRAKING_SHARE * filter_.acceleration_limits
+    lengths = np.abs(np.diff([q, *passed, target], axis=0) / speeds).max(axis=1)
+    durations = as_positive("duration", duration) * _shares(lengths)
+    # Where the next way is short the arm must not start far beside it.
+    closeness = np.clip(_PASSING_SHARE * lengths[1:], _LEAST_PASSING, _PASSING)
+    h = filter_.timestep
+    legs = [_Leg(arm, networks[0], q, float(durations[0]), h)]
+    leg, clock = legs[0], 0.0
+    positions, velocities, clocks, clearances = [q], [v], [clock], [np.inf]
+    filtered = brakings = 0
+    blocked_by: tuple[str, ...] = ()
+    success, message = False, ""
+    best, since = np.inf, 0.0
+    for k in range(1, int(np.ceil(factor * duration / h)) + 1):
+        check_time()
+        error = leg.path(clock) - q
+        rate = float(np.clip(1.0 - np.abs(error / speeds).max() / _BEHIND, _SLOWEST, 1.0)) if clock < leg.end else 0.0
+        clock = min(clock + rate * h, leg.end)
+        # Velocities at the end of the step are asked for, so that is where the reference is read.
+        error = leg.path(clock) - q - 0.5 * h * v
+        wanted = _bounded(_towards(error, brakes) + rate * leg.path(clock, 1), speeds)
+        step = filter_.step(q, v, wanted)
+        q, v = q + 0.5 * h * (v + step.velocity), step.velocity
+        filtered, brakings = filtered + step.active, brakings + step.braked
+        positions.append(q)
+        velocities.append(v)
+        clocks.append(leg.begun + clock)
+        clearances.append(step.clearance)
+        away = np.abs(leg.path(leg.end) - q)
+        if len(legs) < len(networks) and (away / speeds).max() < closeness[len(legs) - 1]:
+            leg = leg.next(arm, networks[len(legs)], q, float(durations[len(legs)]), clock)
+            legs.append(leg)
+            clock, best = 0.0, np.inf
+            continue
+        if clock < leg.end:
+            continue
+        distance = away.max()
+        if distance < _ARRIVED and np.abs(v).max() < _STILL:
+            success, message = True, f"arrived after {k * h:.2f} s"
+            break
+        if distance < (1.0 - _PROGRESS) * best:
+            best, since = distance, k * h
+        elif k * h - since > _PATIENCE:
+            blocked_by = step.blocking
+            by = " and ".join(blocked_by[:2]) or "the acceleration limits"
+            where = "the target" if len(legs) == len(networks) else f"posture {len(legs)} on the way"
+            message = f"blocked by {by} after {k * h:.2f} s, {distance:.2g} (largest joint difference) from {where}"
+            break
+    else:
+        blocked_by = step.blocking
+        message = f"not at the target after {factor:g} times the duration"
+        message += f"; held back by {' and '.join(blocked_by[:2])}" if blocked_by else ""
+    steps = len(positions) - 1
+    return FilteredRun(
+        success=success,
+        message=message,
+        blocked_by=blocked_by,
+        t=h * np.arange(steps + 1, dtype=np.float64),
+        q=np.array(positions),
+        qd=np.array(velocities),
+        clock=np.array(clocks),
+        # A step measures where it begins.
+        clearance=np.array([*clearances[1:], min(filter_.collisions.clearance(q), np.inf)]),
+        filtered_share=filtered / steps,
+        brakings=brakings,
+        limits_proved=all(leg.proved for leg in legs),
+        reference=_joined([leg.reference for leg in legs]),
+    )
+
+
+class _Leg:
+    """One network's own motion from a posture; `reference` is cut where the arm has passed its end."""
+
+    def __init__(self, arm: Arm, network: LieEDNN, q: Floats, duration: float, h: float, begun: float = 0.0) -> None:
+        self.reference = make_motion(arm, network, q, max(duration, 2.0 * h), h)
+        self.path = CubicHermiteSpline(self.reference.t, self.reference.q, self.reference.qd)
+        self.end = float(self.reference.t[-1])
+        self.begun, self._h = begun, h
+        self.proved = limits_proved(arm, network, self.reference.xi[0])
+
+    def next(self, arm: Arm, network: LieEDNN, q: Floats, duration: float, clock: float) -> _Leg:
+        """The leg that follows when this one's clock is at a time."""
+        count = max(min(int(clock / self._h) + 1, len(self.reference.t)), 2)
+        arrays = {name: value[:count] for name, value in vars(self.reference).items() if name != "xi_target"}
+        self.reference = Motion(**arrays, xi_target=self.reference.xi_target)
+        return _Leg(arm, network, q, duration, self._h, self.begun + count * self._h)
+
+
+def _joined(legs: list[Motion]) -> Motion:
+    """Motions one after another, a time step apart."""
+    if len(legs) == 1:
+        return legs[0]
+    tau, step = 0.0, legs[0].timestep
+    arrays: dict[str, list[Floats]] = {name: [] for name in vars(legs[0]) if name not in ("t", "xi_target")}
+    for leg in legs:
+        for name, parts in arrays.items():
+            parts.append(getattr(leg, name) + (tau if name == "tau" else 0.0))
+        tau += leg.tau[-1]
+    whole = {name: np.concatenate(parts) for name, parts in arrays.items()}
+    return Motion(t=step * np.arange(len(whole["q"]), dtype=np.float64), xi_target=legs[-1].xi_target, **whole)
+
+
+def _shares(lengths: Floats) -> Floats:
+    """Shares of the time for the ways between postures, by length, none of them very short."""
+    shares = np.maximum(lengths / max(lengths.sum(), 1e-12), _LEAST_SHARE / len(lengths))
+    return np.asarray(shares / shares.sum())
+
+
+def _towards(error: Floats, brakes: Floats) -> Floats:
+    """Velocities along the error ``(n,)``: in proportion to it, and never more than can be braked on the way."""
+    size = np.abs(error)
+    share = np.sqrt(2.0 * brakes / np.maximum(size, 1e-12)).min()
+    return min(_GAIN, float(share)) * error
+
+
+def _bounded(velocity: Floats, speeds: Floats) -> Floats:
+    """The velocity, slowed down as a whole where a joint is too fast."""
+    return velocity / max(1.0, float(np.abs(velocity / speeds).max()))

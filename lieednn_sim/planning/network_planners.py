@@ -1,0 +1,169 @@
+"""Planners that run a network: certified for its target, certified once and retargeted, learned, and without weights.
+
+Each returns the network beside the motion, for its stability can be judged and the motion's alone cannot.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieednn_sim.arm import Arm
+from lieednn_sim.errors import PlanError
+from lieednn_sim.learning import TrainingOptions, TrainingResult, train
+from lieednn_sim.network import ComponentwiseNetwork, LieEDNN
+from lieednn_sim.network.hopfield import HopfieldNetwork
+from lieednn_sim.planning.certified import BIAS_MAGNITUDES, plan
+from lieednn_sim.planning.motion import Motion, NetworkPath, check_motion
+from lieednn_sim.planning.problem import LONGEST, PlanningProblem, in_time
+from lieednn_sim.synthesis import bias_for, synthesize
+
+Floats = NDArray[np.float64]
+
+# Strength of the sign-matched bias of the reference network, in units of gamma/mu.
+_REFERENCE_BIAS = 0.25
+# Networks to learn before giving up on a problem; like the search for certified ones, it goes through the strengths.
+_LEARNED_CANDIDATES = 4
+# Epochs for each network of plain gradient steps.
+_UNPROJECTED_EPOCHS = 20_000
+# Of a learned equilibrium: the motion ends there, and shall end at the target [rad, length_scale m].
+_LEARNED_TOLERANCE = 1e-8
+# A network's equilibrium further away than this is not the target [rad, length_scale m].
+_ARRIVAL = 1e-6
+
+
+def certified(problem: PlanningProblem) -> tuple[LieEDNN, Motion]:
+    """The best of certified networks drawn for the target; see `certified.plan`.
+
+    Raises:
+        NotCertifiedError: none could be certified.
+        PlanError: every motion breaks a limit of the arm.
+    """
+    made = plan(
+        problem.arm,
+        problem.target,
+        start=problem.start,
+        duration=problem.duration,
+        seed=problem.seed,
+        longest=LONGEST,
+        time_budget=problem.time_budget,
+    )
+    return made.network, made.motion
+
+
+def retargeted(problem: PlanningProblem) -> tuple[LieEDNN, Motion]:
+    """The one network of `reference_network`, made to end at the target by its bias alone.
+
+    Raises:
+        NotCertifiedError: the arm's reference network could not be certified.
+        PlanError: the motion breaks a limit of the arm.
+    """
+    network = reference_network(problem.arm).retarget(problem.arm.encode(problem.target))
+    path = _path(problem, network)
+    return network, in_time(lambda asked: _motion(asked, path), problem)
+
+
+@lru_cache(maxsize=8)
+def reference_network(arm: Arm) -> LieEDNN:
+    """The network certified once for the arm's keyframe ``extended``, for every target and seed the same.
+
+    Raises:
+        InputError: the arm has no such keyframe.
+        NotCertifiedError: it could not be certified.
+    """
+    target = arm.encode(arm.keyframe("extended"))
+    return synthesize(target, bias="sign-matched", bias_magnitude=_REFERENCE_BIAS).unwrap()
+
+
+def trained(problem: PlanningProblem) -> tuple[ComponentwiseNetwork, Motion]:
+    """The first of a few learned networks whose motion the arm can make; with a certificate where there is one.
+
+    The weights are learned by tracked projective learning (`learning.train`) under the sign-matched bias.
+
+    Raises:
+        PlanError: no network was learned, or every motion breaks a limit of the arm.
+    """
+    options = TrainingOptions.tracked(tolerance=_LEARNED_TOLERANCE)
+    return _learned(problem, options, lambda result, _: result.network)
+
+
+def unprojected(problem: PlanningProblem) -> tuple[ComponentwiseNetwork, Motion]:
+    """As `trained`, by the gradient steps of Algorithm 1 alone: weights that never return to the adjoint matrices.
+
+    What is left is a plain network of 6N neurons (`HopfieldNetwork`), the ablation that shows what the structure is
+    good for. It gets a certificate where there is one.
+
+    Raises:
+        PlanError: no network was learned, or every motion breaks a limit of the arm.
+    """
+    options = TrainingOptions.repaired(
+        projection="none", tolerance=_LEARNED_TOLERANCE, max_epochs=_UNPROJECTED_EPOCHS, restarts=1
+    )
+    return _learned(problem, options, lambda result, bias: HopfieldNetwork(result.weight, bias))
+
+
+def _learned(
+    problem: PlanningProblem,
+    options: TrainingOptions,
+    network_of: Callable[[TrainingResult, Floats], ComponentwiseNetwork | None],
+) -> tuple[ComponentwiseNetwork, Motion]:
+    xi = problem.arm.encode(problem.target)
+    refusal = ""
+    for candidate in range(_LEARNED_CANDIDATES):
+        magnitude = BIAS_MAGNITUDES[candidate % len(BIAS_MAGNITUDES)]
+        bias = bias_for("sign-matched", xi, np.tanh(xi), 1.0, magnitude)
+        result = train(xi, options, bias=bias, seed=problem.seed + candidate)
+        network = network_of(result, bias) if result.success else None
+        if network is None:
+            # A refused motion tells more than a failed training.
+            refusal = refusal or result.message
+            continue
+        try:
+            motion = _motion(problem, _path(problem, network))
+        except PlanError as error:
+            refusal = str(error)
+            continue
+        return network.try_certify(), motion
+    raise PlanError(f"no learned network of {_LEARNED_CANDIDATES} can be used: {refusal}")
+
+
+def linear_law(problem: PlanningProblem) -> tuple[LieEDNN, Motion]:
+    """The linear attractor xi' = -k (xi - xi_d), which is the LieEDNN without weights and with bias xi_d.
+
+    So it shares the network's way through time (`motion.NetworkPath`), where k has no part: only the path counts,
+    a straight line in the network's coordinates. Its certificate is trivial.
+
+    Raises:
+        PlanError: the motion breaks a limit of the arm.
+    """
+    n = problem.arm.n_links
+    network = LieEDNN(
+        alpha=np.zeros((n, n)),
+        rotation=np.broadcast_to(np.eye(3), (n, n, 3, 3)),
+        translation=np.zeros((n, n, 3)),
+        bias=problem.arm.encode(problem.target),
+    )
+    path = _path(problem, network)
+    return network.certify(), in_time(lambda asked: _motion(asked, path), problem)
+
+
+def _path(problem: PlanningProblem, network: ComponentwiseNetwork) -> NetworkPath:
+    """The path of a network, when it ends at the problem's target."""
+    path = NetworkPath.drawn(problem.arm, network, problem.start)
+    # An uncertified network may have more equilibria than the one it was made for.
+    distance = float(np.abs(path.target - problem.arm.encode(problem.target)).max())
+    if distance > _ARRIVAL:
+        raise PlanError(
+            f"the network ends at another equilibrium, {distance:.2g} from the target; use a certified network"
+        )
+    return path
+
+
+def _motion(problem: PlanningProblem, path: NetworkPath) -> Motion:
+    """The checked motion along a path in the problem's duration."""
+    motion = path.timed(problem.duration, problem.timestep)
+    check_motion(problem.arm, motion)
+    return motion

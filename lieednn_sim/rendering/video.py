@@ -1,0 +1,217 @@
+"""Videos and pictures of rollouts, rendered headlessly and streamed to disk."""
+
+from __future__ import annotations
+
+import contextlib
+import copy
+import functools
+import os
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import imageio.v2 as imageio
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lieednn_sim import storage
+from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm import Arm
+from lieednn_sim.errors import FileError, InputError, RenderingUnavailableError
+from lieednn_sim.rendering import ffmpeg, opengl
+from lieednn_sim.rendering.caption import write_caption
+from lieednn_sim.rendering.overlay import Overlay
+from lieednn_sim.simulation import Rollout
+from lieednn_sim.validation import as_choice, as_count, as_positive
+
+Image = NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class Preset:
+    """Rendering quality: what software renderers spend their time on."""
+
+    shadows: bool
+    samples: int
+
+
+_MAX_RATE = 1000.0
+_MAX_WIDTH, _MAX_HEIGHT = 3840, 2160
+PRESETS = {"draft": Preset(shadows=False, samples=0), "nice": Preset(shadows=True, samples=4)}
+
+
+def check_view(arm: Arm, *, camera: str | None, size: tuple[int, int], preset: str) -> None:
+    """Raise `InputError` for an unknown camera or preset, or a size that cannot be rendered."""
+    if camera is not None:
+        as_choice("camera", camera, _cameras(arm))
+    as_choice("preset", preset, PRESETS)
+    width, height = (as_count("size", value) for value in size)
+    if width % 2 or height % 2 or width > _MAX_WIDTH or height > _MAX_HEIGHT:
+        raise InputError(f"size must be even and at most {_MAX_WIDTH}x{_MAX_HEIGHT}, got {width}x{height}")
+
+
+def _cameras(arm: Arm) -> list[str]:
+    return [arm.model.camera(i).name for i in range(arm.model.ncam)]
+
+
+def check_rate(fps: float, path: str | os.PathLike[str]) -> float:
+    """Return the frame rate, or raise `InputError` when it is out of range or a GIF cannot hold it."""
+    rate = as_positive("fps", fps)
+    if rate > _MAX_RATE:
+        raise InputError(f"fps must be at most {_MAX_RATE:g}, got {rate:g}")
+    if Path(path).suffix == ".gif" and (rate > 50.0 or 100.0 % rate):
+        raise InputError(f"a GIF counts in hundredths of a second; fps must be 50, 25, 20, 10, 5 ..., got {rate:g}")
+    return rate
+
+
+class Camera:
+    """Renders an arm from a named camera; use as a context manager, which frees the OpenGL context.
+
+    Args:
+        arm: the arm; its model is not changed.
+        camera: name of a camera of its scene; by default ``overview``, or a view of the whole where there is none.
+        size: (width, height) in pixels, both even, at most 3840x2160.
+        preset: a name of `PRESETS`.
+        target: joint target ``(n,)`` to put the scene's marker at.
+
+    Raises:
+        InputError: unknown camera or preset, or a size that cannot be rendered.
+        RenderingUnavailableError: there is no working OpenGL.
+    """
+
+    def __init__(
+        self,
+        arm: Arm,
+        *,
+        camera: str | None = None,
+        size: tuple[int, int] = (1280, 720),
+        preset: str = "nice",
+        target: ArrayLike | None = None,
+    ) -> None:
+        check_view(arm, camera=camera, size=size, preset=preset)
+        opengl.require()
+        self._arm, self._preset = arm, PRESETS[preset]
+        # MuJoCo's camera -1 is its own view of the whole model.
+        self._camera: str | int = camera or ("overview" if "overview" in _cameras(arm) else -1)
+        self._model = copy.deepcopy(arm.model)
+        self._model.vis.global_.offwidth, self._model.vis.global_.offheight = size
+        self._model.vis.quality.offsamples = self._preset.samples
+        self._data = mujoco.MjData(self._model)
+        if target is not None:
+            self._place_marker(target)
+        try:
+            self._renderer = mujoco.Renderer(self._model, size[1], size[0], max_geom=20_000)
+        except Exception as error:  # MuJoCo lets errors of several GL bindings through, with no common base
+            raise RenderingUnavailableError(f"OpenGL failed to start: {error}; run 'lieednn-sim doctor'") from None
+
+    def __enter__(self) -> Camera:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._renderer.close()
+
+    def picture(self, q: ArrayLike, draw: Callable[[mujoco.MjvScene], None] | None = None) -> Image:
+        """Image ``(height, width, 3)`` of the arm at ``q`` ``(n,)``; ``draw`` may add to the scene."""
+        self._data.qpos[:] = self._arm.qpos(q)
+        mujoco.mj_forward(self._model, self._data)
+        # Twice, because MuJoCo puts the headlight where the camera was at the update before.
+        for _ in range(2):
+            self._renderer.update_scene(self._data, self._camera)
+        flags = self._renderer.scene.flags
+        flags[mujoco.mjtRndFlag.mjRND_SHADOW] = self._preset.shadows
+        flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = False
+        if draw is not None:
+            draw(self._renderer.scene)
+        return np.asarray(self._renderer.render())
+
+    def _place_marker(self, target: ArrayLike) -> None:
+        body = mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_BODY, "target")
+        if body < 0 or self._model.body_mocapid[body] < 0:
+            return
+        pose = self._arm.link_poses(target)[-1]
+        index = self._model.body_mocapid[body]
+        self._data.mocap_pos[index] = pose.translation
+        self._data.mocap_quat[index] = pose.rotation.as_quat(scalar_first=True)
+
+
+def render_video(
+    arm: Arm,
+    rollout: Rollout,
+    target: ArrayLike,
+    path: str | os.PathLike[str],
+    *,
+    camera: str | None = None,
+    size: tuple[int, int] = (1280, 720),
+    fps: int = 30,
+    preset: str = "nice",
+    title: str = "",
+    progress: Callable[[int, int], None] | None = None,
+) -> int:
+    """Render a rollout; frame k shows time k / fps. Planned link frames and the tip's path are drawn over the arm.
+
+    The time, the names of arm, scene and controller, and the key of colours stand in a corner.
+
+    Args:
+        arm: the arm of the rollout.
+        rollout: what was simulated.
+        target: joint target ``(n,)``, shown by the marker.
+        path: ``.mp4`` or ``.gif``; it appears only when the video is complete.
+        camera: as for `Camera`.
+        size: (width, height) in pixels.
+        fps: frames a second of simulated time.
+        preset: a name of `PRESETS`.
+        title: a first line for the corner, the planner's name, say.
+        progress: called with (done, total) after every frame.
+
+    Returns:
+        The number of frames.
+    """
+    if Path(path).suffix not in (".mp4", ".gif"):
+        raise InputError(f"a video's name must end in .mp4 or .gif, got {Path(path).name!r}")
+    if rollout.arm != arm.name:
+        raise InputError(f"the rollout is of arm {rollout.arm!r}, not of {arm.name!r}")
+    rate = check_rate(fps, path)
+    # The small slack keeps the last frame when duration * fps is a whole number up to rounding.
+    total = int(np.floor((rollout.t[-1] - rollout.t[0]) * rate + 1e-6)) + 1
+    samples = np.rint(np.arange(total) / rate / rollout.timestep).astype(int)
+    overlay = Overlay(arm.link_poses(rollout.q_ref).as_matrix(), rollout.link_position[:, -1])
+    names = [title] if title else []
+    names += [arm.name if arm.scene == "free" else f"{arm.name}, {arm.scene}", rollout.controller]
+    end = rollout.t[-1]
+    view = Camera(arm, camera=camera, size=size, preset=preset, target=target)
+    with view, storage.atomic_path(path) as temporary:
+        with _writer(temporary, size, rate) as append:
+            for done, k in enumerate(samples, start=1):
+                picture = view.picture(rollout.q[k], functools.partial(overlay.draw, k=int(k)))
+                append(write_caption(picture, [*names, f"{rollout.t[k]:.2f} s of {end:.2f} s"]))
+                if progress is not None:
+                    progress(done, total)
+        _check_complete(temporary, total)
+    return total
+
+
+def _check_complete(path: Path, total: int) -> None:
+    """The encoder's last words go unheard: a disk that fills with the last frame leaves a file that cannot be read."""
+    if path.suffix == ".mp4":
+        frames = ffmpeg.count_frames(path)
+        if frames != total:
+            raise FileError(f"cannot write the video: {frames} of {total} frames arrived; is the disk full?")
+
+
+@contextlib.contextmanager
+def _writer(path: Path, size: tuple[int, int], fps: float) -> Iterator[Callable[[Image], None]]:
+    if path.suffix == ".mp4":
+        with ffmpeg.mp4_writer(path, size, fps) as append:
+            yield append
+        return
+    try:
+        writer: Any = imageio.get_writer(path, format="GIF", mode="I", duration=1000.0 / fps, loop=0)
+        try:
+            yield writer.append_data
+        finally:
+            # imageio's own `with` leaves the file open when the block fails.
+            writer.close()
+    except OSError as error:
+        reason = str(error).strip().splitlines()[0]
+        raise FileError(f"cannot write the video ({reason}); is the disk full?") from None

@@ -1,6 +1,0 @@
-"""One self-contained HTML page of a comparison."""
-
-from lieednn_sim.report.page import write_page
-from lieednn_sim.report.videos import Clip, choose_cases, film
-
-__all__ = ["Clip", "choose_cases", "film", "write_page"]

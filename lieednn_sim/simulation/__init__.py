@@ -1,0 +1,21 @@
+"""Simulation of planned and of online motions in MuJoCo."""
+
+from lieednn_sim.simulation.controllers import CONTROLLERS
+from lieednn_sim.simulation.disturbances import Disturbances, Push
+from lieednn_sim.simulation.following import Following, follow
+from lieednn_sim.simulation.log import Instant
+from lieednn_sim.simulation.rollout import Rollout
+from lieednn_sim.simulation.simulation import Simulation
+from lieednn_sim.simulation.tracking import simulate
+
+__all__ = [
+    "CONTROLLERS",
+    "Disturbances",
+    "Following",
+    "Instant",
+    "Push",
+    "Rollout",
+    "Simulation",
+    "follow",
+    "simulate",
+]

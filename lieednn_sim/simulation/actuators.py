@@ -1,0 +1,171 @@
+"""The drives of an arm: position servos and direct drives, on joints or fixed tendons, of any gear.
+
+With l and v the length and velocity of its transmission an actuator exerts f = g ctrl + b0 + b1 l + b2 v, which moves
+the joints with moment^T f. On hinges, slides, ball joints and fixed tendons the moment is a constant matrix, and
+l = moment x, v = moment qvel, where x holds angles, displacements and rotation vectors.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm import Arm
+from lieednn_sim.errors import InputError
+from lieednn_sim.simulation.disturbances import Noise, tangent_basis
+
+Floats = NDArray[np.float64]
+
+
+class Actuators:
+    """The actuators of an arm's model, and what they must be told.
+
+    Attributes:
+        driving: ``(nu,)`` whether an actuator moves the arm's joints. The others keep the controls of the keyframe
+            ``home``, or zero.
+
+    Raises:
+        InputError: an actuator that moves the arm is not affine, without memory and on joints or fixed tendons; or
+            a joint has no actuator.
+    """
+
+    def __init__(self, arm: Arm) -> None:
+        model = arm.model
+        basis = tangent_basis(arm)
+        self.driving = driving_actuators(arm)
+        self._moment = np.where(self.driving[:, None], _moment(model), 0.0)
+        transmission = self._moment @ basis
+        _check(model, self.driving)
+        _check_complete(arm, transmission)
+        # Forces f of least norm with basis^T moment^T f = basis^T tau: whatever joints outside the arm would need, and
+        # the forces between coupled stages, do no work on what the arm can do.
+        self._allocation = np.linalg.pinv(transmission.T) @ basis.T
+        self._gain = np.where(self.driving, model.actuator_gainprm[:, 0], 1.0)
+        self._bias = np.where(self.driving[:, None], model.actuator_biasprm[:, :3], 0.0)
+        self._idle = np.where(self.driving, 0.0, _home_controls(model))
+        self._scalars = np.flatnonzero(np.isin(model.jnt_type, _SCALAR))
+        self._positions = model.jnt_qposadr[self._scalars], model.jnt_dofadr[self._scalars]
+        balls = np.flatnonzero(model.jnt_type == int(mujoco.mjtJoint.mjJNT_BALL))
+        self._balls = [(int(model.jnt_qposadr[ball]), int(model.jnt_dofadr[ball])) for ball in balls]
+
+    def require_servos(self) -> None:
+        """`InputError` unless every drive is a position servo, whose force falls with the length."""
+        if not (self._bias[self.driving, 1] / self._gain[self.driving] < 0.0).all():
+            raise InputError(
+                "this controller needs position actuators on the arm's joints (biasprm[1] < 0); "
+                "the controller computed-torque does without"
+            )
+
+    def lengths(self, qpos: Floats) -> Floats:
+        """Lengths ``(..., nu)`` at positions ``(..., nq)``; zero for actuators that do not move the arm."""
+        x = np.zeros((*qpos.shape[:-1], self._moment.shape[1]))
+        x[..., self._positions[1]] = qpos[..., self._positions[0]]
+        for position, dof in self._balls:
+            for index in np.ndindex(qpos.shape[:-1]):
+                mujoco.mju_quat2Vel(x[index][dof : dof + 3], qpos[index][position : position + 4], 1.0)
+        return _times(self._moment, x)
+
+    def velocities(self, qvel: Floats) -> Floats:
+        """Velocities ``(..., nu)`` of lengths at generalised velocities ``(..., nv)``."""
+        return _times(self._moment, qvel)
+
+    def forces(self, generalised: Floats) -> Floats:
+        """Actuator forces ``(..., nu)`` that do on the arm's joints what generalised forces ``(..., nv)`` do."""
+        return _times(self._allocation, generalised)
+
+    def servo_controls(self, qpos: Floats, qvel: Floats, generalised: Floats | None = None) -> Floats:
+        """Controls ``(..., nu)`` with which the servos exert given forces at states: (f - b0 - b1 l - b2 v) / g.
+
+        Off such a state they exert b1 and b2 times the differences on top, which is their feedback.
+        """
+        drive = -(self._bias[:, 0] + self._bias[:, 1] * self.lengths(qpos) + self._bias[:, 2] * self.velocities(qvel))
+        if generalised is not None:
+            drive += self.forces(generalised)
+        return drive / self._gain + self._idle
+
+    def measurement_error(self, noise: Noise) -> Floats:
+        """What to add to the controls so that servos act on measured lengths and velocities.
+
+        f = g ctrl + b0 + b1 (l + e_l) + b2 (v + e_v) = g (ctrl + (b1 e_l + b2 e_v) / g) + b0 + b1 l + b2 v; for a
+        position actuator that is ctrl - e_l - (kv / kp) e_v. The servos of a ball joint measure its rotation vector, so
+        there the error is one of it.
+        """
+        error = self._bias[:, 1] * (self._moment @ noise.position) + self._bias[:, 2] * (self._moment @ noise.velocity)
+        return error / self._gain
+
+    def direct_controls(self, generalised: Floats) -> Floats:
+        """Controls ``(nu,)`` of drives made direct by `make_direct`."""
+        return self.forces(generalised) + self._idle
+
+    def make_direct(self, model: mujoco.MjModel) -> None:
+        """Let the drives in a model exert their controls, with the same force limits."""
+        model.actuator_gainprm[self.driving, 0] = 1.0
+        model.actuator_biasprm[self.driving, :3] = 0.0
+        model.actuator_ctrllimited[self.driving] = 0
+
+
+def _times(matrix: Floats, vectors: Floats) -> Floats:
+    """The products with vectors along the last axis, each rounded as it is alone, however many there are."""
+    return (matrix @ vectors[..., None])[..., 0]
+
+
+def driving_actuators(arm: Arm) -> NDArray[np.bool_]:
+    """Which actuators ``(nu,)`` move the arm's joints."""
+    return np.asarray(np.abs(_moment(arm.model) @ tangent_basis(arm)).max(axis=1, initial=0.0) > 1e-9)
+
+
+_SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+
+
+def _moment(model: mujoco.MjModel) -> Floats:
+    """Moments ``(nu, nv)`` at the reference position."""
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    moment = np.zeros((model.nu, model.nv))
+    if model.nu:
+        mujoco.mju_sparse2dense(
+            moment, data.actuator_moment.ravel(), data.moment_rownnz, data.moment_rowadr, data.moment_colind
+        )
+    return moment
+
+
+def _check(model: mujoco.MjModel, driving: NDArray[np.bool_]) -> None:
+    kinds = mujoco.mjtTrn
+    for i in np.flatnonzero(driving):
+        kind, target = int(model.actuator_trntype[i]), int(model.actuator_trnid[i, 0])
+        on_joint = kind == int(kinds.mjTRN_JOINT) or (
+            kind == int(kinds.mjTRN_JOINTINPARENT) and int(model.jnt_type[target]) in _SCALAR
+        )
+        on_tendon = kind == int(kinds.mjTRN_TENDON) and _is_fixed(model, target)
+        affine = (
+            int(model.actuator_gaintype[i]) == int(mujoco.mjtGain.mjGAIN_FIXED)
+            and int(model.actuator_biastype[i]) in (int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE))
+            and int(model.actuator_dyntype[i]) == int(mujoco.mjtDyn.mjDYN_NONE)
+            and model.actuator_gainprm[i, 0] != 0.0
+        )
+        if not (affine and (on_joint or on_tendon)):
+            raise InputError(
+                f"actuator {model.actuator(int(i)).name!r} moves the arm in a way the controllers do not know: they "
+                "need <position>, <motor>, or <general> with fixed gain, affine bias and no dynamics, on joints or "
+                "fixed tendons"
+            )
+
+
+def _is_fixed(model: mujoco.MjModel, tendon: int) -> bool:
+    return int(model.wrap_type[model.tendon_adr[tendon]]) == int(mujoco.mjtWrap.mjWRAP_JOINT)
+
+
+def _check_complete(arm: Arm, transmission: Floats) -> None:
+    if np.linalg.matrix_rank(transmission) == arm.n_joints:
+        return
+    bare = [name for name, column in zip(arm.joint_names, transmission.T, strict=True) if not column.any()]
+    raise InputError(
+        f"arm {arm.name!r} cannot be driven: "
+        + (f"no actuator moves {', '.join(map(repr, bare))}" if bare else "its actuators pull on too few joints apart")
+    )
+
+
+def _home_controls(model: mujoco.MjModel) -> Floats:
+    home = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, "home")
+    return np.zeros(model.nu) if home < 0 else np.array(model.key_ctrl[home])

@@ -1,0 +1,178 @@
+"""Controllers: what drives the arm so that it follows a reference.
+
+A controller may need other drives than the arm's model has, so each changes the plant that is simulated. What it knows
+of the dynamics is the arm's model; the plant may have other masses.
+"""
+
+from __future__ import annotations
+
+import copy
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm import Arm
+from lieednn_sim.simulation.actuators import Actuators
+from lieednn_sim.simulation.disturbances import Noise
+from lieednn_sim.simulation.reference import Foreseen, Reference
+
+Floats = NDArray[np.float64]
+
+# Natural frequency of the computed-torque loop [Hz]; critically damped.
+_TORQUE_LOOP_FREQUENCY = 10.0
+
+
+class Controller(Protocol):
+    """Drives one rollout along a reference, of which it reads what is known.
+
+    Attributes:
+        adds_bodies: whether `add_bodies` does anything; a plant without new bodies need not be compiled again.
+    """
+
+    adds_bodies: bool
+
+    def add_bodies(self, spec: Any) -> None:
+        """Add the bodies that the controller needs to a copy of the arm's spec."""
+
+    def equip(self, plant: mujoco.MjModel) -> None:
+        """Give the compiled plant the drives that the controller needs."""
+
+    def act(self, data: mujoco.MjData, step: int, noise: Noise) -> None:
+        """Set the controls of a step.
+
+        Called before the step; of ``data`` only time, qpos and qvel belong to it, what follows from them does not yet.
+        """
+
+
+class Servo:
+    """What controllers with joint drives share: the arm's own drives, as they are."""
+
+    adds_bodies = False
+
+    def __init__(self, arm: Arm, reference: Reference) -> None:
+        self._actuators = Actuators(arm)
+        self._reference = reference
+
+    def add_bodies(self, spec: Any) -> None:
+        """See `Controller`."""
+
+    def equip(self, plant: mujoco.MjModel) -> None:
+        """See `Controller`."""
+
+
+class FeedforwardServo(Servo):
+    """A servo whose controls follow from the reference alone, but for what the sensors get wrong.
+
+    Raises:
+        InputError: the arm is not driven by position actuators on joints or fixed tendons.
+    """
+
+    def __init__(self, arm: Arm, reference: Reference) -> None:
+        super().__init__(arm, reference)
+        self._actuators.require_servos()
+        self._foreseen = Foreseen(reference, self.controls)
+
+    def controls(self, steps: range) -> Floats:
+        """Controls ``(m, nu)`` of some steps, whose states are measured without error."""
+        raise NotImplementedError
+
+    def act(self, data: mujoco.MjData, step: int, noise: Noise) -> None:
+        """See `Controller`."""
+        data.ctrl[:] = self._foreseen[step]
+        if noise.present:
+            data.ctrl += self._actuators.measurement_error(noise)
+
+
+class PositionServo(FeedforwardServo):
+    """Position actuators with velocity feedforward: ctrl = q_ref + (kv / kp) qd_ref, per unit gear.
+
+    A position actuator pulls with kp (ctrl - q) - kv qd, so without the second term it lags a moving reference by
+    kv / kp seconds; the damping of the joints themselves, which the model knows, is fed forward with it. The velocity
+    is taken one step ahead of the position, because implicitfast damps with the velocity at the end of the step.
+
+    Raises:
+        InputError: the arm is not driven by position actuators on joints or fixed tendons.
+    """
+
+    def __init__(self, arm: Arm, reference: Reference) -> None:
+        super().__init__(arm, reference)
+        self._damping = arm.model.dof_damping.copy()
+
+    def controls(self, steps: range) -> Floats:
+        """See `FeedforwardServo`."""
+        reference = self._reference
+        rows = reference.rows(steps)
+        velocity = reference.qvel[np.minimum(rows + 1, reference.known - 1)]
+        return self._actuators.servo_controls(reference.qpos[rows], velocity, self._damping * velocity)
+
+
+class InverseDynamicsServo(FeedforwardServo):
+    """The position servo with the forces of the reference fed forward: ctrl = q_ref + (kv qd_ref + tau) / kp.
+
+    tau is what MuJoCo's inverse dynamics asks for, discretised as the integrator is, so a plant equal to the model
+    follows to rounding. Feedback is the servo's own.
+
+    Raises:
+        InputError: the arm is not driven by position actuators on joints or fixed tendons.
+    """
+
+    def __init__(self, arm: Arm, reference: Reference) -> None:
+        super().__init__(arm, reference)
+        self._inverse = _InverseDynamics(arm.model)
+
+    def controls(self, steps: range) -> Floats:
+        """See `FeedforwardServo`."""
+        reference = self._reference
+        qpos, rates = reference.qpos[reference.rows(steps)], [reference.rates(step) for step in steps]
+        velocity = np.array([velocity for velocity, _ in rates])
+        forces = np.array([self._inverse(q, v, a) for q, (v, a) in zip(qpos, rates, strict=True)])
+        return self._actuators.servo_controls(qpos, velocity, forces)
+
+
+class ComputedTorque(Servo):
+    """Torque drives with feedback linearisation: tau = ID(q, qd, a_ref + 2 w (v_ref - qd) + w^2 (q_ref - q)).
+
+    The plant's actuators become direct drives with the same force limits; w is 2 pi 10 Hz. The difference of positions
+    is the velocity that leads from one to the other in unit time. q and qd are measured.
+
+    Raises:
+        InputError: the arm's actuators are not on joints or fixed tendons.
+    """
+
+    def __init__(self, arm: Arm, reference: Reference) -> None:
+        super().__init__(arm, reference)
+        self._model = copy.deepcopy(arm.model)
+        self._actuators.make_direct(self._model)
+        self._inverse = _InverseDynamics(self._model)
+
+    def equip(self, plant: mujoco.MjModel) -> None:
+        """See `Controller`."""
+        self._actuators.make_direct(plant)
+
+    def act(self, data: mujoco.MjData, step: int, noise: Noise) -> None:
+        """See `Controller`."""
+        qpos, qvel = data.qpos.copy(), data.qvel + noise.velocity
+        mujoco.mj_integratePos(self._model, qpos, noise.position, 1.0)
+        error = np.zeros(self._model.nv)
+        mujoco.mj_differentiatePos(self._model, error, 1.0, qpos, self._reference.qpos[self._reference.row(step)])
+        velocity, acceleration = self._reference.rates(step)
+        omega = 2.0 * np.pi * _TORQUE_LOOP_FREQUENCY
+        wanted = acceleration + 2.0 * omega * (velocity - qvel) + omega**2 * error
+        data.ctrl[:] = self._actuators.direct_controls(self._inverse(qpos, qvel, wanted))
+
+
+class _InverseDynamics:
+    """Joint forces ``(nv,)`` that the drives must exert, in the discrete time of the model's integrator."""
+
+    def __init__(self, model: mujoco.MjModel) -> None:
+        self._model = copy.deepcopy(model)
+        self._model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_INVDISCRETE
+        self._data = mujoco.MjData(self._model)
+
+    def __call__(self, qpos: Floats, velocity: Floats, acceleration: Floats) -> Floats:
+        data = self._data
+        data.qpos[:], data.qvel[:], data.qacc[:] = qpos, velocity, acceleration
+        mujoco.mj_inverse(self._model, data)
+        return data.qfrc_inverse.copy()

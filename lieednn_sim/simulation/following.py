@@ -1,0 +1,261 @@
+"""A moving target followed while it moves: the network runs in real time and its bias goes with the target.
+
+The certificate of a network does not depend on its bias, so the bias b(x) = (gamma/mu) x - W phi(x) makes any target x
+the global attractor, at any moment. With the network's rate c [1/s], the state follows
+
+    xi' = c (-gamma (xi - x) + mu W (phi(xi) - phi(x))) + x'_ff,
+
+which is c times the field of the network retargeted to x. Behind a target that moves with velocity v in the network's
+coordinates a state near it stays behind by (-c J)^-1 v, J the Jacobian of the field at the target; the feedforward
+x'_ff = v, a stronger bias, takes that away. The joints that decode the state are the reference of a controller.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lieednn_sim.arm import Arm
+from lieednn_sim.errors import InputError, NotCertifiedError
+from lieednn_sim.network import LieEDNN
+from lieednn_sim.planning.motion import count_steps
+from lieednn_sim.simulation.disturbances import Disturbances
+from lieednn_sim.simulation.log import Log
+from lieednn_sim.simulation.reference import Reference, steps_of_rate
+from lieednn_sim.simulation.rollout import Rollout, as_rollout
+from lieednn_sim.simulation.simulation import quiet_warnings
+from lieednn_sim.simulation.tracking import make_controlled
+from lieednn_sim.validation import as_floats, as_positive
+
+Floats = NDArray[np.float64]
+
+# A target that is faster than the joints may be has jumped; without limits, one faster than this [rad/s, m/s].
+_FASTEST = 10.0
+# Largest |c J| h for which RK4 is accurate, far inside its region of stability.
+_LARGEST_STEP = 1.0
+
+
+@dataclass(frozen=True)
+class Following:
+    """A rollout behind a moving target.
+
+    Attributes:
+        rollout: its reference is what the network made of the target; motion_end is its end.
+        target: ``(K, n)`` the target at the rollout's times.
+        xi: ``(K, N, 6)`` the network's states.
+        period: simulation steps between two samples of the target.
+        jumps: times at which the target jumped [s], as the follower saw it.
+        slowed: share of the control periods in which the velocity limits slowed the network down.
+        limit_excess: how far the decoded joints would have left their position limits [rad, m]; the reference stops
+            at the limits. Not positive when they never would have.
+        gap_translation: largest distance of the decoded poses from the joints' own set [m].
+        gap_rotation: the same as an angle [rad].
+    """
+
+    rollout: Rollout
+    target: Floats
+    xi: Floats
+    period: int
+    jumps: tuple[float, ...]
+    slowed: float
+    limit_excess: float
+    gap_translation: float
+    gap_rotation: float
+
+
+class Follower:
+    """A certified network that runs after a target; its state is set once and never again.
+
+    Args:
+        arm: encodes targets and decodes states.
+        network: certified, with as many neurons as the arm has links.
+        start: joint coordinates ``(n,)``.
+        steps: simulation steps in a control period.
+        speed: the network's rate c [1/s].
+        feedforward: whether to add the target's velocity, by the difference of its last two samples.
+
+    Attributes:
+        xi: ``(N, 6)`` state.
+        jumped: whether the last target was faster than the joints may be.
+        share: of its speed at which the network ran in the last period, less than 1 where joints would be too fast.
+
+    Raises:
+        InputError: network and arm differ in size, or the speed is too high for the time step.
+        NotCertifiedError: the network has no proof, so it need not follow.
+    """
+
+    def __init__(
+        self, arm: Arm, network: LieEDNN, start: ArrayLike, *, steps: int, speed: float, feedforward: bool
+    ) -> None:
+        if network.n_neurons != arm.n_links:
+            raise InputError(f"the network has {network.n_neurons} neurons, arm {arm.name!r} has {arm.n_links} links")
+        if not network.certified:
+            raise NotCertifiedError("only a certified network follows every target; see network.certify()")
+        self._arm, self._network, self._steps = arm, network, steps
+        self._speed, self._feedforward = as_positive("speed", speed), feedforward
+        self._timestep = float(arm.model.opt.timestep)
+        stiffness = network.gamma + network.mu * float(np.linalg.norm(network.weight, 2))
+        if self._speed * stiffness * self._timestep > _LARGEST_STEP:
+            raise InputError(
+                f"speed must be at most {_LARGEST_STEP / (stiffness * self._timestep):.3g} per second for this network "
+                f"and steps of {self._timestep:g} s, got {speed:g}"
+            )
+        self._fastest = np.where(np.isfinite(arm.velocity_limits), arm.velocity_limits, _FASTEST)
+        self._last: tuple[Floats, Floats] | None = None
+        self.xi = arm.encode(arm.check_position(start, "start"))
+        self.jumped, self.share = False, 1.0
+        self.limit_excess, self.gap_translation, self.gap_rotation = -np.inf, 0.0, 0.0
+
+    def advance(self, target: Floats) -> tuple[Floats, Floats, Floats]:
+        """Run for a control period after a target ``(n,)``, which was never seen before.
+
+        Returns:
+            Joint coordinates and rates ``(m, n)`` and states ``(m, N, 6)`` after each of the period's m steps.
+        """
+        goal, velocity = self._arm.encode(target), np.zeros_like(self.xi)
+        self.jumped = False
+        if self._last is not None:
+            period = self._steps * self._timestep
+            self.jumped = bool((np.abs(target - self._last[0]) > self._fastest * period).any())
+            if self._feedforward and not self.jumped:
+                velocity = (goal - self._last[1]) / period
+        self._last = target, goal
+        self.share = 1.0
+        for _ in range(8):
+            states, rates = self._integrate(goal, velocity)
+            decoded = self._arm.decode(states, rates)
+            excess = float((np.abs(decoded.qd) / self._arm.velocity_limits).max())
+            if excess <= 1.0:
+                break
+            self.share /= 1.001 * excess
+        self.xi = states[-1]
+        self.gap_translation = max(self.gap_translation, float(decoded.gap_translation.max()))
+        self.gap_rotation = max(self.gap_rotation, float(decoded.gap_rotation.max()))
+        outside = self._arm.limit_excess(decoded.q)
+        self.limit_excess = max(self.limit_excess, float(outside.max()))
+        q = np.clip(self._arm.within_angles(decoded.q), *self._arm.position_limits.T)
+        qd = np.where(outside > 0.0, 0.0, decoded.qd)
+        return q, qd, states
+
+    def _integrate(self, goal: Floats, velocity: Floats) -> tuple[Floats, Floats]:
+        """States and their rates ``(m, N, 6)`` after each step of a period, by RK4."""
+        network, h = self._network, self._timestep
+        shape, weight = goal.shape, network.mu * network.weight
+        scale = self.share * self._speed
+
+        def field(x: Floats, after: float) -> Floats:
+            aim = goal + after * velocity
+            drive = (weight @ (network.phi(x) - network.phi(aim)).ravel()).reshape(shape)
+            return scale * (drive - network.gamma * (x - aim)) + self.share * velocity
+
+        x, states, rates = self.xi, np.empty((self._steps, *shape)), np.empty((self._steps, *shape))
+        for i in range(self._steps):
+            a = field(x, i * h)
+            b = field(x + 0.5 * h * a, (i + 0.5) * h)
+            c = field(x + 0.5 * h * b, (i + 0.5) * h)
+            d = field(x + h * c, (i + 1) * h)
+            x = x + (h / 6.0) * (a + 2.0 * b + 2.0 * c + d)
+            states[i], rates[i] = x, field(x, (i + 1) * h)
+        return states, rates
+
+
+def follow(
+    arm: Arm,
+    network: LieEDNN,
+    target: Callable[[float], ArrayLike] | ArrayLike,
+    duration: float,
+    *,
+    start: ArrayLike | None = None,
+    controller: str = "inverse-dynamics",
+    control_rate: float = 100.0,
+    speed: float = 5.0,
+    feedforward: bool = True,
+    disturbances: Disturbances | None = None,
+) -> Following:
+    """Let the simulated arm follow a moving target that is known only up to the present.
+
+    At every control period the network's bias is set from the target's last sample, and the network runs for the
+    period; the joints that decode its states, at every simulation step, are the controller's reference. Joints are
+    never faster than their limits: the network is slowed down instead. Nothing is ever reset. A run is a function of
+    its arguments alone.
+
+    Args:
+        arm: the arm.
+        network: certified, with as many neurons as the arm has links; its own bias does not matter.
+        target: joint coordinates ``(n,)`` at a time [s], called once for each simulation step in order, but only seen
+            by the follower at the control periods; or samples ``(M, n)``, one a simulation step, the last of which
+            stays.
+        duration: [s].
+        start: joint coordinates at rest, the keyframe ``home`` by default.
+        controller: a name of `CONTROLLERS`.
+        control_rate: rate at which the target is sampled [Hz]; it must divide the rate of the simulation.
+        speed: the network's rate [1/s]: its own time in one second.
+        feedforward: whether the follower adds the target's velocity, by which it follows without lag.
+        disturbances: what the controller does not know of.
+
+    Raises:
+        InputError: a value is malformed, or the target leaves the position limits.
+        NotCertifiedError: the network has no proof.
+        SimulationError: as `simulate`.
+    """
+    timestep = float(arm.model.opt.timestep)
+    total = count_steps(duration, timestep) + 1
+    period = steps_of_rate("control_rate", control_rate, timestep)
+    origin = arm.keyframe("home") if start is None else arm.check_position(start, "start")
+    follower = Follower(arm, network, origin, steps=period, speed=speed, feedforward=feedforward)
+    changes = Disturbances() if disturbances is None else disturbances
+    reference = Reference(arm, total)
+    reference.extend(origin[None], np.zeros((1, arm.n_joints)))
+    driver, simulation = make_controlled(arm, controller, reference, changes)
+    simulation.reset(origin)
+
+    sample = _sampler(arm, target, timestep)
+    log, targets, states, jumps, slowed = Log(simulation, total), [], [follower.xi[None]], [], 0
+    with quiet_warnings():
+        for k in range(total):
+            targets.append(sample(k))
+            if k % period == 0:
+                q, qd, xi = follower.advance(targets[-1])
+                reference.extend(q, qd)
+                states.append(xi)
+                slowed += follower.share < 1.0
+                if follower.jumped:
+                    jumps.append(k * timestep)
+            driver.act(simulation.data, k, simulation.noise)
+            log.step()
+    rollout = as_rollout(
+        arm,
+        log.instants(),
+        reference.q,
+        reference.qd,
+        motion_end=(total - 1) * timestep,
+        controller=controller,
+        disturbances=changes,
+    )
+    return Following(
+        rollout=rollout,
+        target=np.array(targets),
+        xi=np.concatenate(states)[:total],
+        period=period,
+        jumps=tuple(jumps),
+        slowed=slowed / len(states[1:]),
+        limit_excess=follower.limit_excess,
+        gap_translation=follower.gap_translation,
+        gap_rotation=follower.gap_rotation,
+    )
+
+
+def _sampler(arm: Arm, target: Callable[[float], ArrayLike] | ArrayLike, timestep: float) -> Callable[[int], Floats]:
+    """The target ``(n,)`` at a simulation step, checked against the position limits."""
+    samples = None if callable(target) else as_floats("target", target, ("M", arm.n_joints))
+
+    def sample(k: int) -> Floats:
+        value = samples[min(k, len(samples) - 1)] if samples is not None else target(k * timestep)  # type: ignore[operator]
+        return arm.check_position(value, f"the target at t = {k * timestep:.3f} s")
+
+    if samples is not None and len(samples) == 0:
+        raise InputError("target must hold at least one sample")
+    return sample

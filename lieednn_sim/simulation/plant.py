@@ -1,0 +1,62 @@
+"""The model that is simulated: the arm's own, with what a controller adds to it and what a disturbance changes."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm import Arm
+from lieednn_sim.simulation.disturbances import Disturbances
+
+_PAYLOAD = "unknown_payload"
+# The payload is a ball of steel [kg/m^3], so that it has the inertia of something.
+_DENSITY = 7850.0
+
+
+def make_plant(
+    arm: Arm, disturbances: Disturbances | None = None, add_bodies: Callable[[Any], None] | None = None
+) -> mujoco.MjModel:
+    """A model to simulate.
+
+    Args:
+        arm: the arm; neither its model nor its spec is changed.
+        disturbances: of these, payload and mass scale; gravity compensation stays that of the arm without them.
+        add_bodies: called with a copy of the arm's spec, to add bodies behind the arm's.
+    """
+    changes = Disturbances() if disturbances is None else disturbances
+    if add_bodies is None and changes.payload == 0.0:
+        plant = copy.deepcopy(arm.model)
+    else:
+        spec: Any = arm.spec.copy()
+        if add_bodies is not None:
+            add_bodies(spec)
+        if changes.payload > 0.0:
+            _add_payload(spec, arm, changes.payload)
+        plant = spec.compile()
+        # The compiler derives servo damping from the inertia, and would know of the payload.
+        plant.actuator_gainprm[:], plant.actuator_biasprm[:] = arm.model.actuator_gainprm, arm.model.actuator_biasprm
+    if changes.mass_scale != 1.0:
+        known = np.array([plant.body(i).name != _PAYLOAD for i in range(plant.nbody)])
+        plant.body_mass[known] *= changes.mass_scale
+        plant.body_inertia[known] *= changes.mass_scale
+        plant.body_gravcomp[known] /= changes.mass_scale
+        mujoco.mj_setConst(plant, mujoco.MjData(plant))
+    return plant
+
+
+def _add_payload(spec: Any, arm: Arm, mass: float) -> None:
+    """A ball fixed to the end effector's frame; it touches nothing and is not compensated."""
+    site = spec.site(arm.model.site(int(arm.site_ids[-1])).name)
+    radius = (3.0 * mass / (4.0 * np.pi * _DENSITY)) ** (1.0 / 3.0)
+    site.parent.add_body(
+        name=_PAYLOAD,
+        pos=site.pos,
+        mass=mass,
+        ipos=[0.0, 0.0, 0.0],
+        inertia=[0.4 * mass * radius**2] * 3,
+        explicitinertial=True,
+    )

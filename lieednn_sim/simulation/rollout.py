@@ -1,0 +1,184 @@
+"""Rollouts: what MuJoCo did with a planned motion, every row of one instant."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from lieednn_sim import storage
+from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm import Arm
+from lieednn_sim.errors import FileError, InputError
+from lieednn_sim.simulation.controllers import CONTROLLERS
+from lieednn_sim.simulation.disturbances import Disturbances, tangent_basis
+from lieednn_sim.simulation.log import Instant
+from lieednn_sim.validation import as_choice, as_floats, as_positive, as_times
+
+Floats = NDArray[np.float64]
+
+_PER_COORDINATE = ("q", "qd", "q_ref", "qd_ref", "force", "constraint_force")
+_PER_LINK = ("weld_force", "weld_torque")
+_ARRAYS = (
+    "t",
+    *_PER_COORDINATE,
+    "ctrl",
+    "link_position",
+    "link_quaternion",
+    "contacts",
+    "contact_force",
+    *_PER_LINK,
+)
+
+
+def _zeros() -> Floats:
+    return np.zeros(0)
+
+
+@dataclass(frozen=True)
+class Rollout:
+    """Log of a simulation; row k of every array belongs to time t[k].
+
+    Attributes:
+        arm: name of the arm.
+        t: ``(K,)`` [s].
+        q: ``(K, n)`` joint coordinates [rad, m].
+        qd: ``(K, n)`` their rates [rad/s, m/s].
+        q_ref: ``(K, n)`` what was to be followed, whether the controller saw every row of it or held samples.
+        qd_ref: ``(K, n)`` its rates.
+        ctrl: ``(K, nu)`` actuator controls.
+        force: ``(K, n)`` what the drives exert along each coordinate, gravity compensation included [N m, N]; on ball
+            joints about the axes of the moving body.
+        constraint_force: ``(K, n)`` the same of contacts, joint limits and welds.
+        link_position: ``(K, N, 3)`` simulated link frames, world [m].
+        link_quaternion: ``(K, N, 4)`` the same, (w, x, y, z).
+        contacts: ``(K,)`` number of contacts.
+        contact_force: ``(K,)`` largest normal force among the contacts [N]; zero by default.
+        weld_force: ``(K, N)`` force between each link and its ghost [N]; zero by default, and without mocap.
+        weld_torque: ``(K, N)`` torque between them [N m]; likewise.
+        motion_end: time at which the reference comes to rest [s].
+        controller: a name of `CONTROLLERS`.
+        reference_rate: rate at which the controller saw samples of the reference [Hz], None for every step.
+        disturbances: what the controller did not know of.
+    """
+
+    arm: str
+    t: Floats
+    q: Floats
+    qd: Floats
+    q_ref: Floats
+    qd_ref: Floats
+    ctrl: Floats
+    force: Floats
+    constraint_force: Floats
+    link_position: Floats
+    link_quaternion: Floats
+    contacts: NDArray[np.int_]
+    motion_end: float
+    contact_force: Floats = field(default_factory=_zeros)
+    weld_force: Floats = field(default_factory=_zeros)
+    weld_torque: Floats = field(default_factory=_zeros)
+    controller: str = "position-servo"
+    reference_rate: float | None = None
+    disturbances: Disturbances = field(default_factory=Disturbances)
+
+    def __post_init__(self) -> None:
+        k = len(as_times("t", self.t))
+        n = as_floats("q", self.q, (k, "n")).shape[1]
+        links = as_floats("link_position", self.link_position, (k, "N", 3)).shape[1]
+        shapes: dict[str, tuple[int | str, ...]] = {
+            "t": (k,),
+            **dict.fromkeys(_PER_COORDINATE, (k, n)),
+            "ctrl": (k, "nu"),
+            "link_position": (k, links, 3),
+            "link_quaternion": (k, links, 4),
+            "contacts": (k,),
+            "contact_force": (k,),
+            **dict.fromkeys(_PER_LINK, (k, links)),
+        }
+        for name, shape in shapes.items():
+            given = getattr(self, name)
+            if name in ("contact_force", *_PER_LINK) and np.size(given) == 0:
+                given = np.zeros([int(size) for size in shape])
+            value: Any = as_floats(name, given, shape)
+            object.__setattr__(self, name, value.astype(int) if name == "contacts" else value)
+        if not (np.linalg.norm(self.link_quaternion, axis=-1) > 0.5).all():
+            raise InputError("link_quaternion must hold unit quaternions")
+        if self.reference_rate is not None:
+            object.__setattr__(self, "reference_rate", as_positive("reference_rate", self.reference_rate))
+
+    def __repr__(self) -> str:
+        touching = int(np.count_nonzero(self.contacts))
+        return (
+            f"<Rollout of {self.arm} by {self.controller}: {len(self.t)} samples in {self.t[-1]:g} s, "
+            f"{self.q.shape[1]} joints, {self.link_position.shape[1]} links, contact in {touching} samples>"
+        )
+
+    @property
+    def timestep(self) -> float:
+        """Simulation step [s]."""
+        return float(self.t[1] - self.t[0])
+
+    @property
+    def hold(self) -> float:
+        """Time simulated after the motion [s]."""
+        return float(self.t[-1] - self.motion_end)
+
+    def link_poses(self) -> RigidTransform:
+        """Simulated link frames as poses of shape ``(K, N)``."""
+        rotation = Rotation.from_quat(self.link_quaternion, scalar_first=True)
+        return RigidTransform.from_components(self.link_position, rotation)
+
+    def save(self, path: str | os.PathLike[str], made_from: Mapping[str, str] | None = None) -> None:
+        """Write to an ``.npz`` file, atomically; ``made_from`` as for `storage.save_arrays`."""
+        meta = {
+            "arm": self.arm,
+            "motion_end": self.motion_end,
+            "controller": self.controller,
+            "reference_rate": self.reference_rate,
+            "disturbances": self.disturbances.to_json(),
+            "mujoco": mujoco.__version__,
+        }
+        storage.save_arrays(path, "rollout", {name: getattr(self, name) for name in _ARRAYS}, meta, made_from)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Rollout:
+        """Read a file of `save`; `FileError` when it is none."""
+        arrays, meta = storage.load_arrays(path, "rollout")
+        values = dict(zip(_ARRAYS, storage.take(arrays, path, *_ARRAYS), strict=True))
+        try:
+            rate = meta["reference_rate"]
+            return cls(
+                arm=str(meta["arm"]),
+                motion_end=float(meta["motion_end"]),
+                controller=as_choice("controller", meta["controller"], CONTROLLERS),
+                reference_rate=None if rate is None else float(rate),
+                disturbances=Disturbances.from_json(meta["disturbances"]),
+                **values,
+            )
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
+            raise FileError(f"{path} is not a valid rollout: {error}") from None
+
+
+def as_rollout(arm: Arm, instants: Instant, q_ref: Floats, qd_ref: Floats, **meta: Any) -> Rollout:
+    """The rollout of instants along a first axis, in the arm's coordinates; references have at least as many rows."""
+    log = instants._asdict()
+    rows, basis = len(instants.t), tangent_basis(arm)
+    qvel = log.pop("qvel")
+    q = arm.coordinates(log.pop("qpos"))
+    return Rollout(
+        arm=arm.name,
+        q=q,
+        qd=arm.rates(q, qvel),
+        q_ref=q_ref[:rows].copy(),
+        qd_ref=qd_ref[:rows].copy(),
+        force=np.nan_to_num(log.pop("drive_force")) @ basis,
+        constraint_force=np.nan_to_num(log.pop("constraint_force")) @ basis,
+        **log,
+        **meta,
+    )

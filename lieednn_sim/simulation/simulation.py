@@ -1,0 +1,172 @@
+"""One arm in MuJoCo, step by step: what rollouts and environments run on."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import RigidTransform
+
+from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm import Arm
+from lieednn_sim.errors import SimulationError
+from lieednn_sim.lie import poses, rotations
+from lieednn_sim.simulation.disturbances import Disturbances, Noise, Sensors
+from lieednn_sim.simulation.log import Instant, Log
+from lieednn_sim.simulation.plant import make_plant
+from lieednn_sim.validation import as_count, as_floats
+
+Floats = NDArray[np.float64]
+
+
+class Simulation:
+    """An arm that is stepped; everything is a function of the arguments, the resets and the controls given since.
+
+    A user sets ``data.ctrl`` (or a `Controller` does) and calls `step` or `advance`.
+
+    Args:
+        arm: the arm; its model is not changed.
+        plant: what is simulated instead of a copy of the arm's model with the disturbances, of `make_plant`.
+        disturbances: pushes and sensor noise, and what `make_plant` takes of them.
+
+    Attributes:
+        model: the plant.
+        data: its state.
+        steps: done since the last reset.
+        noise: errors of the measurement at the present time, to be added to qpos (by `mj_integratePos`) and qvel.
+    """
+
+    def __init__(
+        self, arm: Arm, plant: mujoco.MjModel | None = None, *, disturbances: Disturbances | None = None
+    ) -> None:
+        self.arm = arm
+        self.disturbances = Disturbances() if disturbances is None else disturbances
+        self.model = make_plant(arm, self.disturbances) if plant is None else plant
+        self.data = mujoco.MjData(self.model)
+        self._pushes = [(push, push.body_id(arm, self.model)) for push in self.disturbances.pushes]
+        self._sensors = Sensors(arm, self.disturbances)
+        self.steps = 0
+        self.noise: Noise
+        self.reset(arm.coordinates(arm.model.qpos0))
+
+    @property
+    def timestep(self) -> float:
+        """Simulation step [s]."""
+        return float(self.model.opt.timestep)
+
+    @property
+    def time(self) -> float:
+        """Present time [s]: the steps done times the time step, without the rounding of a sum."""
+        return self.steps * self.timestep
+
+    @property
+    def q(self) -> Floats:
+        """Joint coordinates ``(n,)`` [rad, m]."""
+        return self.arm.coordinates(self.data.qpos)
+
+    @property
+    def qd(self) -> Floats:
+        """Their rates ``(n,)`` [rad/s, m/s]."""
+        return self.arm.rates(self.q, self.data.qvel)
+
+    def measured(self) -> tuple[Floats, Floats]:
+        """Joint coordinates and rates ``(n,)`` as the sensors see them."""
+        qpos = self.data.qpos.copy()
+        mujoco.mj_integratePos(self.model, qpos, self.noise.position, 1.0)
+        q = self.arm.coordinates(qpos)
+        return q, self.arm.rates(q, self.data.qvel + self.noise.velocity)
+
+    def link_poses(self, links: slice = slice(None)) -> RigidTransform:
+        """Frames of some links at the present time, poses of shape ``(N,)``, by default of all."""
+        mujoco.mj_kinematics(self.model, self.data)
+        sites = self.arm.site_ids[links]
+        matrices = self.data.site_xmat[sites].reshape(-1, 3, 3)
+        return poses(rotations(matrices).as_matrix(), self.data.site_xpos[sites])
+
+    def reset(self, q: ArrayLike, qd: ArrayLike | None = None) -> None:
+        """Start again at time 0 from joint coordinates ``(n,)`` and their rates, by default zero.
+
+        Nothing is left of what was before: controls, mocap poses, warm starts, warnings, the noise's generator.
+        """
+        position = as_floats("q", q, (self.arm.n_joints,))
+        velocity = np.zeros_like(position) if qd is None else as_floats("qd", qd, position.shape)
+        mujoco.mj_resetData(self.model, self.data)
+        self.data.qpos[:], self.data.qvel[:] = self.arm.qpos(position), self.arm.qvel(position, velocity)
+        self.steps = 0
+        self._sensors.reset()
+        self.noise = self._sensors.draw()
+
+    def step(self) -> Instant:
+        """Do one step; returns the instant before it.
+
+        Raises:
+            SimulationError: a warning of MuJoCo or a state that is not finite; names the time.
+        """
+        log = Log(self, 1)
+        with quiet_warnings():
+            log.step()
+        return Instant(*(values[0] for values in log.instants()))
+
+    def advance(self, steps: int = 1, controls: Floats | None = None) -> None:
+        """Do steps without a record; raises as `step` does.
+
+        Args:
+            steps: how many.
+            controls: ``(steps, nu)`` of each step, by default the present ones for all.
+        """
+        with quiet_warnings():
+            for k in range(as_count("steps", steps)):
+                if controls is not None:
+                    self.data.ctrl[:] = controls[k]
+                self.advance_once()
+
+    def advance_once(self) -> None:
+        """Do one step without a record, as `advance`, by a caller within `quiet_warnings`: it is done for many."""
+        if self._pushes:
+            self._push()
+        mujoco.mj_step(self.model, self.data)
+        if np.count_nonzero(self.data.warning.number) or not _is_finite(self.data):
+            raise SimulationError(
+                f"the simulation of {self.arm.name!r} failed at t = {self.time:.4f} s: {_problem(self.data)}"
+            )
+        self.steps += 1
+        if self._sensors.noisy:
+            self.noise = self._sensors.draw()
+
+    def _push(self) -> None:
+        now, half = self.time, 0.5 * self.timestep
+        self.data.xfrc_applied[:] = 0.0
+        for push, body in self._pushes:
+            # Halfway between steps, so that rounding of the times does not decide.
+            if push.start - half < now < push.end - half:
+                self.data.xfrc_applied[body, :3] += push.force
+
+
+@contextlib.contextmanager
+def quiet_warnings() -> Iterator[None]:
+    """Keep MuJoCo from printing its warnings and from leaving a log file behind: `Simulation` raises errors instead."""
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda _: None)
+    try:
+        yield
+    finally:
+        mujoco.set_mju_user_warning(before)
+
+
+def _is_finite(data: mujoco.MjData) -> bool:
+    # What is not finite makes the sum so. That of large numbers may overflow, so then each is looked at; sums of lists
+    # are several times as fast as NumPy's for so few.
+    return math.isfinite(sum(data.qpos.tolist()) + sum(data.qvel.tolist())) or bool(
+        np.isfinite(data.qpos).all() and np.isfinite(data.qvel).all()
+    )
+
+
+def _problem(data: mujoco.MjData) -> str:
+    """MuJoCo's warning about the last step, or what else is wrong."""
+    if data.warning.number.any():
+        index = int(np.flatnonzero(data.warning.number)[0])
+        return str(mujoco.mju_warningText(index, int(data.warning.lastinfo[index])))
+    return "the state is not finite"

@@ -1,0 +1,127 @@
+"""A planned motion followed by the simulated arm, with a controller chosen by name."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieednn_sim.arm import Arm
+from lieednn_sim.errors import InputError, SimulationError
+from lieednn_sim.planning.motion import Motion
+from lieednn_sim.simulation.controllers import CONTROLLERS
+from lieednn_sim.simulation.controllers.base import Controller
+from lieednn_sim.simulation.disturbances import Disturbances
+from lieednn_sim.simulation.log import Log
+from lieednn_sim.simulation.plant import make_plant
+from lieednn_sim.simulation.reference import Reference, steps_of_rate
+from lieednn_sim.simulation.rollout import Rollout, as_rollout
+from lieednn_sim.simulation.simulation import Simulation, quiet_warnings
+from lieednn_sim.validation import as_choice, as_floats, as_positive
+
+Floats = NDArray[np.float64]
+
+_MAX_HOLD = 1000.0
+
+
+def make_controlled(
+    arm: Arm, controller: str, reference: Reference, disturbances: Disturbances
+) -> tuple[Controller, Simulation]:
+    """A controller of `CONTROLLERS` and the simulation of the plant that it drives."""
+    driver = CONTROLLERS[as_choice("controller", controller, CONTROLLERS)](arm, reference)
+    plant = make_plant(arm, disturbances, driver.add_bodies if driver.adds_bodies else None)
+    driver.equip(plant)
+    return driver, Simulation(arm, plant, disturbances=disturbances)
+
+
+def as_hold(value: float) -> float:
+    """Return the time after a motion [s] when it can be simulated, or raise `InputError`."""
+    hold = float(as_floats("hold", value, ()))
+    if not 0.0 <= hold <= _MAX_HOLD:
+        raise InputError(f"hold must be between 0 and {_MAX_HOLD:g} s, got {hold:g}")
+    return hold
+
+
+def simulate(
+    arm: Arm,
+    motion: Motion,
+    *,
+    controller: str = "position-servo",
+    hold: float = 1.0,
+    mass_scale: float = 1.0,
+    reference_rate: float | None = None,
+    disturbances: Disturbances | None = None,
+    dump_directory: str | os.PathLike[str] | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Rollout:
+    """Follow a motion with a controller, then hold its end.
+
+    The simulation starts at rest at the motion's first position, and is a function of its arguments alone: two runs
+    are bit-identical.
+
+    Args:
+        arm: the arm; its model is not changed.
+        motion: sampled at the model's time step.
+        controller: a name of `CONTROLLERS`.
+        hold: time after the end of the motion [s].
+        mass_scale: short for `Disturbances.mass_scale`, and multiplied with it.
+        reference_rate: the controller sees samples of the motion taken at this rate [Hz] and held in between; a
+            divisor of the simulation's rate. By default it sees every step.
+        disturbances: what the controller does not know of.
+        dump_directory: where to leave ``divergence.npz`` when the run fails; by default nothing is written.
+        progress: called with (done, total) steps, about every tenth of a second.
+
+    Raises:
+        InputError: the motion does not fit the model.
+        SimulationError: a warning of MuJoCo or a state that is not finite; names the time and the dump.
+    """
+    for name, value, kind in (("arm", arm, Arm), ("motion", motion, Motion)):
+        if not isinstance(value, kind):
+            raise InputError(f"{name} must be of type {kind.__name__}, got {type(value).__name__}")
+    if disturbances is not None and not isinstance(disturbances, Disturbances):
+        raise InputError(f"disturbances must be of type Disturbances, got {type(disturbances).__name__}")
+    hold = as_hold(hold)
+    step = float(arm.model.opt.timestep)
+    if motion.q.shape[1] != arm.n_joints:
+        raise InputError(f"the motion has {motion.q.shape[1]} coordinates, arm {arm.name!r} has {arm.n_joints}")
+    if not np.isclose(motion.timestep, step, rtol=1e-9):
+        raise InputError(f"the motion is sampled every {motion.timestep:g} s, the model steps every {step:g} s")
+    extra = round(hold / step)
+    rate = None if reference_rate is None else as_positive("reference_rate", reference_rate)
+    reference = Reference.of(
+        arm,
+        np.vstack([motion.q, np.repeat(motion.q[-1:], extra, axis=0)]),
+        np.vstack([motion.qd, np.zeros((extra, arm.n_joints))]),
+        hold=1 if rate is None else steps_of_rate("reference_rate", rate, step),
+    )
+    changes = Disturbances() if disturbances is None else disturbances
+    changes = dataclasses.replace(changes, mass_scale=as_positive("mass_scale", mass_scale) * changes.mass_scale)
+    driver, simulation = make_controlled(arm, controller, reference, changes)
+    simulation.reset(reference.q[0])
+
+    total = len(reference.q)
+    log = Log(simulation, total)
+    meta = {"controller": controller, "reference_rate": rate, "disturbances": changes}
+    shown = time.monotonic()
+    try:
+        with quiet_warnings():
+            for k in range(total):
+                driver.act(simulation.data, k, simulation.noise)
+                log.step()
+                if progress is not None and (time.monotonic() - shown > 0.1 or k == total - 1):
+                    shown = time.monotonic()
+                    progress(k + 1, total)
+    except SimulationError as error:
+        if dump_directory is None or len(log) < 2:
+            raise
+        path = Path(dump_directory) / "divergence.npz"
+        end = len(log) * step
+        as_rollout(arm, log.instants(), reference.q, reference.qd, motion_end=end, **meta).save(path)
+        raise SimulationError(f"{error}; the run up to there is in {path} (Rollout.load reads it)") from None
+    end = float(motion.t[-1])
+    return as_rollout(arm, log.instants(), reference.q, reference.qd, motion_end=end, **meta)

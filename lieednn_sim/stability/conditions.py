@@ -1,0 +1,226 @@
+"""The ladder of stability conditions: which proofs hold for a network, and how fast each one proves it to be.
+
+Rungs go from conditions on sums of weights to the best diagonal Lyapunov matrix, then to local stability. Implications,
+for one matrix: the paper's norms imply the log norms; those imply the weighted norm; that, as well as the sum condition
+by way of the Euclidean log norm, implies the diagonal Lyapunov rung. No converse holds. A later rung need not prove a
+higher rate than an earlier one in its own distance, so the verdict names both the first that holds and the fastest.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lieednn_sim.errors import InputError
+from lieednn_sim.stability.certificate import Certificate, find_certificate, verify
+from lieednn_sim.stability.norms import as_weight, frobenius, log_norms, weighted_norm
+from lieednn_sim.validation import as_floats, as_positive, as_ratio
+
+Floats = NDArray[np.float64]
+
+# In the order of the ladder; a verdict's level is one of these or "none".
+LEVELS = (
+    "1-norm",
+    "infinity norm",
+    "norm sum",
+    "log norm 1",
+    "log norm infinity",
+    "weighted log norm",
+    "log norm 2",
+    "diagonal Lyapunov",
+    "local",
+)
+
+# Couplings stronger than this against the decay make a network stiff: what its slowest and fastest parts do in the same
+# time differs so much that explicit integrators need very many steps, and little rounding shows up large.
+STIFF = 100.0
+
+# Both diagonal blocks of a twist's adjoint are the same rotation; other orders of multiplication may round differently.
+_BLOCK_TOLERANCE = 1e-12
+
+
+@dataclass(frozen=True)
+class Rung:
+    """One condition, evaluated.
+
+    Attributes:
+        name: one of `LEVELS`.
+        holds: whether value < bound.
+        value: left side of the condition, rounded up.
+        bound: right side.
+        rate: proven exponential rate, in 1 / (the network's time); 0 when the condition fails.
+        reach: "global" when it proves one equilibrium that attracts every start, whatever the bias; "local" when it
+            proves that one equilibrium attracts its neighbourhood.
+    """
+
+    name: str
+    holds: bool
+    value: float
+    bound: float
+    rate: float
+    reach: str
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """All rungs of one network.
+
+    Attributes:
+        rungs: in the order of `LEVELS`; "local" only when a Jacobian was given.
+        certificate: the diagonal Lyapunov matrix behind its rung, valid or not.
+        stiffness: strongest coupling of two neurons in units of gamma/mu: |alpha_ij| where W_R is known, else the
+            largest entry of W.
+    """
+
+    rungs: tuple[Rung, ...]
+    certificate: Certificate
+    stiffness: float
+
+    @property
+    def warning(self) -> str | None:
+        """What is to be said of couplings more than `STIFF` times as strong as the decay; None of weaker ones."""
+        if self.stiffness <= STIFF:
+            return None
+        return (
+            f"stiff: the strongest coupling is {self.stiffness:.3g} gamma/mu, above {STIFF:g}; proved stable or not, "
+            "integration takes many small steps; make alpha smaller, or integrate with method='Radau'"
+        )
+
+    @property
+    def globally_stable(self) -> bool:
+        """Whether any rung proves global stability."""
+        return any(rung.holds for rung in self.rungs if rung.reach == "global")
+
+    @property
+    def level(self) -> str:
+        """Name of the first rung that holds, which is the simplest proof there is; "none" if none does."""
+        return next((rung.name for rung in self.rungs if rung.holds), "none")
+
+    @property
+    def strongest(self) -> Rung | None:
+        """The global rung that proves the highest rate; the local one if no other holds, None if none does."""
+        held = [rung for rung in self.rungs if rung.holds]
+        return max(held, key=lambda rung: (rung.reach == "global", rung.rate), default=None)
+
+    @property
+    def best_rate(self) -> float:
+        """Highest rate proved from every start; 0 when global stability is not proved."""
+        return max(rung.rate for rung in self.rungs if rung.reach == "global")
+
+    def __getitem__(self, name: str) -> Rung:
+        """Rung of that name.
+
+        Raises:
+            InputError: no such rung here.
+        """
+        for rung in self.rungs:
+            if rung.name == name:
+                return rung
+        raise InputError(f"no rung {name!r}; rungs are: {', '.join(rung.name for rung in self.rungs)}")
+
+    def __str__(self) -> str:
+        if self.globally_stable:
+            summary = f"globally stable by the {self.level}, at a rate of at least {self[self.level].rate:.4g}"
+            fastest = self.strongest
+            if fastest is not None and fastest.rate > self[self.level].rate:
+                summary += f"; the {fastest.name} proves {fastest.rate:.4g}"
+        else:
+            summary = "locally stable only" if self.level == "local" else "no proof of stability"
+        lines = [
+            f"  {rung.name:<17} {rung.value:>11.5g} < {rung.bound:<9.5g} "
+            + (f"{rung.reach:<6} rate {rung.rate:.4g}" if rung.holds else "fails")
+            for rung in self.rungs
+        ]
+        if self.warning is not None:
+            lines.append(f"  warning: {self.warning}")
+        return "\n".join([summary, *lines])
+
+
+def assess(
+    weight: ArrayLike,
+    *,
+    gamma: float,
+    mu: float,
+    rotational_weight: ArrayLike | None = None,
+    jacobian: ArrayLike | None = None,
+    lyapunov_diagonal: ArrayLike | None = None,
+) -> Verdict:
+    """Evaluate every rung for x' = -gamma x + mu W phi(x) + mu b, each slope of phi in (0, 1].
+
+    The adjoint of SE(3) makes W block triangular once all omega are sorted before all v, with W_R twice on the
+    diagonal; weighting v little against omega then makes W_C as small as one likes, so the weighted and the Lyapunov
+    rungs hold for W exactly when they hold for W_R, at the same rate up to any small epsilon. The log norm 2 on W_R
+    proves the same for W through diag(I, eps I). Only unweighted norms see W_C, and need the whole W.
+
+    Args:
+        weight: W, ``(n, n)``; n = 6N with interleaved twists (omega, v) when `rotational_weight` is given.
+        gamma: decay rate, positive.
+        mu: scale of the interaction, positive.
+        rotational_weight: W_R, ``(3N, 3N)``, which the last global rungs then look at.
+        jacobian: ``(n, n)`` of the vector field at an equilibrium, for the local rung.
+        lyapunov_diagonal: a known diagonal P, of the size of `rotational_weight` or else of `weight`; it spares the
+            search when it is valid.
+
+    Raises:
+        InputError: shapes disagree, or `rotational_weight` is not what `weight` is made of.
+    """
+    matrix = as_weight("weight", weight)
+    decay, scale = as_positive("gamma", gamma), as_positive("mu", mu)
+    bound = as_ratio(decay, scale)
+    core = matrix if rotational_weight is None else _rotational_part(matrix, rotational_weight)
+    certificate = None
+    if lyapunov_diagonal is not None:
+        certificate = verify(lyapunov_diagonal, core, gamma=decay, mu=scale)
+    if certificate is None or not certificate.valid:
+        certificate = find_certificate(core, gamma=decay, mu=scale)
+    euclidean = verify(np.ones(len(core)), core, gamma=decay, mu=scale)
+    norms = log_norms(matrix)
+
+    def rung(name: str, value: float, *, factor: float = 1.0) -> Rung:
+        holds = value < factor * bound
+        # Every one of these is a bound v on the interaction, and proves the rate gamma - mu max(v, 0).
+        rate = decay - scale * max(value, 0.0) / factor if holds else 0.0
+        return Rung(name, holds, value, factor * bound, rate, "global")
+
+    rungs = [
+        rung("1-norm", norms.one_norm),
+        rung("infinity norm", norms.infinity_norm),
+        rung("norm sum", norms.norm_sum, factor=2.0),
+        rung("log norm 1", norms.log_norm_one),
+        rung("log norm infinity", norms.log_norm_infinity),
+        rung("weighted log norm", weighted_norm(core).value),
+        rung("log norm 2", euclidean.lambda_max + euclidean.rounding),
+        rung("diagonal Lyapunov", certificate.lambda_max + certificate.rounding),
+    ]
+    if jacobian is not None:
+        slopes = as_floats("jacobian", jacobian, matrix.shape)
+        # The backward error of the eigenvalues; what a badly conditioned one makes of it is not bounded.
+        rounding = len(slopes) * np.finfo(float).eps * frobenius(slopes)
+        abscissa = float(np.linalg.eigvals(slopes).real.max() + rounding)
+        rungs.append(Rung("local", abscissa < 0.0, abscissa, 0.0, max(0.0, -abscissa), "local"))
+    return Verdict(tuple(rungs), certificate, _strongest_coupling(core, 1 if core is matrix else 3) / bound)
+
+
+def _strongest_coupling(core: Floats, size: int) -> float:
+    """Largest spectral norm of the blocks of ``core``, which for a block alpha R is |alpha|."""
+    n = len(core) // size
+    blocks = core.reshape(n, size, n, size).transpose(0, 2, 1, 3)
+    return float(np.linalg.norm(blocks, 2, axis=(-2, -1)).max())
+
+
+def _rotational_part(weight: Floats, rotational_weight: ArrayLike) -> Floats:
+    """Check W_R against W; a proof about another matrix would be none."""
+    given = as_weight("rotational_weight", rotational_weight)
+    n = len(given)
+    if n % 3 or len(weight) != 2 * n:
+        raise InputError(f"rotational_weight must be (3N, 3N) for a weight (6N, 6N), got {given.shape}, {weight.shape}")
+    blocks = weight.reshape(n // 3, 2, 3, n // 3, 2, 3)
+    if blocks[:, 0, :, :, 1].any():
+        raise InputError("weight must have no entry by which v drives omega, since rotational_weight is given")
+    for part in (0, 1):
+        difference = np.abs(blocks[:, part, :, :, part].reshape(n, n) - given).max()
+        if difference > _BLOCK_TOLERANCE * np.abs(given).max():
+            raise InputError(f"rotational_weight must be the rotational blocks of weight, differs by {difference:.2g}")
+    return given

@@ -1,0 +1,224 @@
+"""LieEDNN with an activation that commutes with the adjoint action (paper, App. N).
+
+Phi(X) = tanh(||omega||)/||omega|| X scales the whole twist X = (omega, v). Ad_h turns omega by a rotation, so the
+factor is invariant and Phi(Ad_h X) = Ad_h Phi(X). It is continuous at omega = 0, with value X. (Printed are
+tanh(||omega||)/(||omega|| + eps), which sends every pure translation to 0, and sqrt(tr X^2)/2 in place of ||omega||,
+which is not real: tr X^2 = -2 ||omega||^2, so ||omega|| = sqrt(-tr(X^2)/2).)
+
+Frames: if each neuron is written in a frame of its own, X_i -> Ad(h_i) X_i, then theta_ij -> h_i theta_ij h_j^-1 and
+b_i -> Ad(h_i) b_i describe the same network. The paper's theta_ij -> h theta_ij h^-1 is the case of one common h.
+
+Stability. Phi is unbounded and not globally Lipschitz in (omega, v), so the theorem of `stability` does not apply to W.
+It follows by the cascade, from a P = diag(p_i I_3) with P (W_R - (gamma/mu) I) negative definite in its symmetric part:
+
+1. The omega_i run on their own, with W_R and phi(omega) = tanh(||omega||)/||omega|| omega, the gradient of the convex
+   H(omega) = log cosh ||omega||. The Hessian of H has the eigenvalues 1/cosh^2 r and (twice) tanh(r)/r, all in (0, 1],
+   so phi is cocoercive: (phi(a) - phi(b)).(a - b) >= ||phi(a) - phi(b)||^2. An equilibrium omega* exists, since phi is
+   bounded (Brouwer). Let V = sum_i p_i D(omega_i, omega*_i) with D(a, b) = H(a) - H(b) - phi(b).(a - b), and
+   u_i = phi(omega_i) - phi(omega*_i). Then V' <= -gamma sum_i p_i ||u_i||^2 + mu u^T P W_R u
+   = mu u^T P (W_R - (gamma/mu) I) u < 0 unless omega = omega*. V is radially unbounded because ||phi(omega*_i)|| < 1.
+   So omega* is unique and attracts every start.
+2. v' = (-gamma I + mu W_R G) v + mu (W_C G omega + b_v), linear in v, with G = diag(g_i I_3), g_i = tanh(r_i)/r_i in
+   (0, 1]. Along omega -> omega* matrix and input converge. The limit matrix is mu A G* with
+   A = W_R - (gamma/mu) G*^-1; P A is negative definite since P and G* commute and G*^-1 >= I, hence x^T G* P x is a
+   Lyapunov function of x' = mu A G* x, and the matrix is Hurwitz. So v converges to the one solution of the limit.
+
+P is constant on each neuron, so rotating the frames leaves the inequality as it is: the proof is as invariant as the
+network. It is a diagonal P like any other, and so proves `LieEDNN` with the same weights too; a P that tells axes apart
+proves nothing here (there are networks that are stable with tanh on each axis and not with Phi).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import ClassVar
+
+import numpy as np
+from numpy.polynomial import polynomial
+from numpy.typing import ArrayLike
+
+from lieednn_sim import stability
+from lieednn_sim.lie import adjoint
+from lieednn_sim.network.base import Floats
+from lieednn_sim.network.checks import as_poses, as_rates, as_strengths, require_rotations
+from lieednn_sim.network.dynamics import Equilibrium, find_equilibrium
+from lieednn_sim.network.rigid import RigidNetwork
+from lieednn_sim.validation import as_floats, as_positive
+
+# tanh(r)/r in powers of r^2. Below the angle [rad] the series is used: there the closed form of the derivative
+# cancels, and both are good to 3e-14.
+_SERIES_ANGLE = 0.1
+_SERIES = np.array([1.0, -1 / 3, 2 / 15, -17 / 315, 62 / 2835, -1382 / 155925, 21844 / 6081075])
+_SERIES_SLOPE = 2.0 * polynomial.polyder(_SERIES)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class EquivariantLieEDNN(RigidNetwork):
+    """x_i' = -gamma x_i + mu sum_j alpha_ij Ad(theta_ij) Phi(x_j) + mu b_i, with x_i in se(3) and Phi of App. N.
+
+    Attributes:
+        alpha: ``(N, N)`` connection strengths.
+        rotation: ``(N, N, 3, 3)`` rotations of theta_ij; i receives, j sends.
+        translation: ``(N, N, 3)`` translations of theta_ij.
+        bias: ``(N, 6)``, twists ordered (omega, v).
+        gamma: decay rate, positive.
+        mu: scale of the interaction, positive.
+        lyapunov_diagonal: ``(N,)`` p with P = diag(p_i I_3) certifying W_R, or None. Checked by `certificate`.
+
+    Raises:
+        InputError: wrong shapes, entries that are not finite, or rotations that are none.
+    """
+
+    alpha: Floats
+    rotation: Floats
+    translation: Floats
+    bias: Floats
+    gamma: float = 1.0
+    mu: float = 1.0
+    lyapunov_diagonal: Floats | None = None
+
+    _kind: ClassVar[str] = "equivariant-network"
+    _arrays: ClassVar[tuple[str, ...]] = ("alpha", "rotation", "translation", "bias", "lyapunov_diagonal")
+    _scalars: ClassVar[tuple[str, ...]] = ("gamma", "mu")
+
+    def __post_init__(self) -> None:
+        alpha = as_strengths(self.alpha)
+        n = len(alpha)
+        diagonal = self.lyapunov_diagonal
+        self._store(
+            alpha=alpha,
+            **as_poses(self.rotation, self.translation, alpha),
+            bias=as_floats("bias", self.bias, (n, 6)),
+            **as_rates(self.gamma, self.mu),
+            lyapunov_diagonal=None if diagonal is None else as_floats("lyapunov_diagonal", diagonal, (n,)),
+        )
+
+    @cached_property
+    def certificate(self) -> stability.Certificate | None:
+        """The stored diagonal, each entry for the three rows of its neuron, checked against W_R; None without one."""
+        if self.lyapunov_diagonal is None:
+            return None
+        diagonal = np.repeat(self.lyapunov_diagonal, 3)
+        return stability.verify(diagonal, self.rotational_weight, gamma=self.gamma, mu=self.mu)
+
+    def certify(self) -> EquivariantLieEDNN:
+        """Search a certificate, and return this network carrying it.
+
+        Raises:
+            NotCertifiedError: none was found; the network may be unstable.
+        """
+        found = stability.find_certificate(self.rotational_weight, gamma=self.gamma, mu=self.mu, group_size=3)
+        return self._carrying(found, every=3)
+
+    def phi(self, x: Floats) -> Floats:
+        """Activation Phi of twists ``(..., 6)``: the whole twist, scaled by tanh(||omega||)/||omega||."""
+        return _gain(_length(x[..., :3]))[..., None] * x
+
+    def phi_jacobian(self, x: Floats) -> Floats:
+        """Jacobian of `phi` on each twist, ``(..., 6)`` to ``(..., 6, 6)``: g I + X [grad g, 0]."""
+        omega = x[..., :3]
+        r = _length(omega)
+        gain, gradient = _gain(r), _slope(r)[..., None] * omega
+        result: Floats = gain[..., None, None] * np.eye(6)
+        result[..., :3] += x[..., :, None] * gradient[..., None, :]
+        return result
+
+    def equilibrium(self, start: ArrayLike | None = None, *, tolerance: float = 1e-12) -> Equilibrium:
+        """Find an equilibrium by the cascade: Newton's method for omega, then one linear system for v.
+
+        Args:
+            start: ``(N, 6)`` first guess, of which the rotational half is used; zero by default.
+            tolerance: on the largest entry of the vector field, as in `LieEDNN.equilibrium`.
+
+        Returns:
+            The point found and whether it converged; a certified network has exactly one equilibrium.
+        """
+        shape = self.bias.shape
+        guess = np.zeros(shape) if start is None else as_floats("start", start, shape)
+        limit = as_positive("tolerance", tolerance)
+        rotational = find_equilibrium(
+            self._rotational_field, self._rotational_jacobian, guess[:, :3], rate=self.gamma, tolerance=limit
+        )
+        omega = rotational.xi
+        gain = _gain(_length(omega))
+        matrix = self.gamma * np.eye(omega.size) - self.mu * self.rotational_weight * np.repeat(gain, 3)
+        drive = np.einsum("ijab,jb->ia", self.blocks[..., 3:, :3], gain[:, None] * omega) + self.bias[:, 3:]
+        success, message = rotational.success, rotational.message
+        try:
+            v = np.linalg.solve(matrix, self.mu * drive.ravel()).reshape(omega.shape)
+        except np.linalg.LinAlgError:
+            success, message, v = False, "no equilibrium found: v is not determined at this omega", guess[:, 3:]
+        xi = np.concatenate([omega, v], axis=1)
+        residual = float(np.abs(self.vector_field(xi)).max())
+        if success and residual > 100.0 * limit * self.gamma * (1.0 + np.abs(xi).max()):
+            success, message = False, "no equilibrium found: the linear system for v is too badly conditioned"
+        return Equilibrium(
+            success=success,
+            message=message,
+            xi=xi,
+            residual=residual,
+            # The Jacobian is block triangular: its eigenvalues are those of the two diagonal blocks.
+            spectral_abscissa=max(rotational.spectral_abscissa, float(np.linalg.eigvals(-matrix).real.max())),
+            n_newton=rotational.n_newton,
+        )
+
+    def transform(self, rotation: ArrayLike, translation: ArrayLike) -> EquivariantLieEDNN:
+        """The same network seen from other frames: theta_ij -> h_i theta_ij h_j^-1 and b_i -> Ad(h_i) b_i.
+
+        The trajectory from Ad(h_i) xi_i(0) of the returned network is Ad(h_i) xi_i(t), and its certificate is the same.
+
+        Args:
+            rotation: of h, ``(3, 3)`` for one frame common to all neurons (the paper's case), or ``(N, 3, 3)``.
+            translation: of h, ``(3,)`` or ``(N, 3)``.
+        """
+        n = self.n_neurons
+        turns = as_floats("rotation", rotation, (n, 3, 3) if np.ndim(rotation) == 3 else (3, 3))
+        moves = as_floats("translation", translation, (n, 3) if np.ndim(translation) == 2 else (3,))
+        require_rotations(turns)
+        q, s = np.broadcast_to(turns, (n, 3, 3)), np.broadcast_to(moves, (n, 3))
+        turned = q[:, None] @ self.rotation @ np.swapaxes(q, -1, -2)
+        moved = np.einsum("iab,ijb->ija", q, self.translation) + s[:, None] - np.einsum("ijab,jb->ija", turned, s)
+        bias = np.einsum("iab,ib->ia", adjoint(q, s), self.bias)
+        return replace(self, rotation=turned, translation=moved, bias=bias)
+
+    def _driven(self, state: Floats) -> Floats:
+        size = self.bias.size
+        product = np.einsum("ijab,...jbc->...iajc", self.blocks, self.phi_jacobian(state))
+        return product.reshape(*state.shape[:-2], size, size)
+
+    def _rotational_field(self, x: Floats) -> Floats:
+        omega = x.reshape(-1, 3)
+        output = _gain(_length(omega))[:, None] * omega
+        return -self.gamma * x + self.mu * (self.rotational_weight @ output.ravel() + self.bias[:, :3].ravel())
+
+    def _rotational_jacobian(self, x: Floats) -> Floats:
+        twists = np.concatenate([x.reshape(-1, 3), np.zeros((self.n_neurons, 3))], axis=1)
+        slopes = self.phi_jacobian(twists)[:, :3, :3]
+        product = np.einsum("ijab,jbc->iajc", self.blocks[..., :3, :3], slopes).reshape(x.size, x.size)
+        return -self.gamma * np.eye(x.size) + self.mu * product
+
+
+def _length(omega: Floats) -> Floats:
+    """The norm r = ||omega||, ``(..., 3)`` to ``(...)``; hypot neither overflows nor underflows."""
+    return np.asarray(np.hypot(np.hypot(omega[..., 0], omega[..., 1]), omega[..., 2]))
+
+
+def _gain(r: Floats) -> Floats:
+    """Factor g = tanh(r)/r."""
+    small = r < _SERIES_ANGLE
+    x = np.where(small, 1.0, r)
+    closed = np.tanh(x) / x
+    if not small.any():
+        return np.asarray(closed)
+    return np.where(small, polynomial.polyval(np.where(small, r, 0.0) ** 2, _SERIES), closed)
+
+
+def _slope(r: Floats) -> Floats:
+    """Factor s = g'(r)/r: the gradient of g in omega is s omega."""
+    small = r < _SERIES_ANGLE
+    x = np.where(small, 1.0, r)
+    closed = (1.0 / np.cosh(np.minimum(x, 350.0)) ** 2 - np.tanh(x) / x) / x / x
+    if not small.any():
+        return np.asarray(closed)
+    return np.where(small, polynomial.polyval(np.where(small, r, 0.0) ** 2, _SERIES_SLOPE), closed)

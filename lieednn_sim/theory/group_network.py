@@ -1,0 +1,135 @@
+"""LieEDNN on any matrix Lie group (paper, Sec. 3.2 and App. D)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lieednn_sim.errors import InputError
+from lieednn_sim.network.base import Floats, read_only
+from lieednn_sim.network.checks import as_rates, as_strengths
+from lieednn_sim.network.componentwise import ComponentwiseNetwork, as_activation
+from lieednn_sim.theory import groups
+from lieednn_sim.theory.matrix_group import MatrixLieGroup
+from lieednn_sim.validation import as_floats
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class GroupLieEDNN(ComponentwiseNetwork):
+    """X_i' = -gamma X_i + mu sum_j alpha_ij theta_ij phi(X_j) theta_ij^-1 + mu B_i in a Lie algebra (paper, eq. 3.9).
+
+    The state ``(..., N, d)`` holds the coordinates of X_i in the basis of the group, and phi acts on each of them: the
+    network depends on the basis. theta_ij counts up to the kernel of Ad: SU(2) gives the networks of SO(3).
+
+    Attributes:
+        group: with d coordinates and m x m matrices.
+        alpha: ``(N, N)`` connection strengths.
+        theta: ``(N, N, m, m)`` group elements; i receives, j sends.
+        bias: ``(N, d)``.
+        gamma: decay rate, positive.
+        mu: scale of the interaction, positive.
+        activation: a name of `ACTIVATIONS`.
+        lyapunov_diagonal: ``(dN,)`` diagonal P that certifies the whole W, or None. Checked by `certificate`.
+
+    Raises:
+        InputError: wrong shapes, entries that are not finite, or theta outside the group.
+    """
+
+    group: MatrixLieGroup
+    alpha: Floats
+    theta: NDArray[Any]
+    bias: Floats
+    gamma: float = 1.0
+    mu: float = 1.0
+    activation: str = "tanh"
+    lyapunov_diagonal: Floats | None = None
+
+    _kind: ClassVar[str] = "group-network"
+    _arrays: ClassVar[tuple[str, ...]] = ("alpha", "theta", "bias", "lyapunov_diagonal")
+    _scalars: ClassVar[tuple[str, ...]] = ("gamma", "mu", "activation")
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.group, MatrixLieGroup):
+            raise InputError(f"group must be a MatrixLieGroup, got {self.group!r}; see lieednn_sim.theory.groups.group")
+        alpha = as_strengths(self.alpha)
+        n, d = len(alpha), self.group.dimension
+        diagonal = self.lyapunov_diagonal
+        self._store(
+            alpha=alpha,
+            theta=_as_elements(self.group, self.theta, n),
+            bias=as_floats("bias", self.bias, (n, d)),
+            **as_rates(self.gamma, self.mu),
+            activation=as_activation(self.activation),
+            lyapunov_diagonal=None if diagonal is None else as_floats("lyapunov_diagonal", diagonal, (n * d,)),
+        )
+
+    @classmethod
+    def from_blocks(
+        cls,
+        group: MatrixLieGroup,
+        alpha: ArrayLike,
+        blocks: ArrayLike,
+        bias: ArrayLike,
+        *,
+        gamma: float = 1.0,
+        mu: float = 1.0,
+        activation: str = "tanh",
+    ) -> GroupLieEDNN:
+        """Project arbitrary weight blocks: theta_ij is the element whose adjoint matrix is nearest to W_ij / alpha_ij.
+
+        Where alpha_ij = 0 there is no such quotient; theta_ij is the identity there, and the block of the network 0.
+
+        Args:
+            group: the group of the network.
+            alpha: ``(N, N)`` connection strengths.
+            blocks: W_ij, ``(N, N, d, d)``.
+            bias: ``(N, d)``.
+            gamma, mu, activation: of the network.
+
+        Raises:
+            InputError: wrong shapes, or an alpha_ij so small that W_ij / alpha_ij overflows.
+        """
+        strengths = as_strengths(alpha)
+        n, d = len(strengths), group.dimension
+        weights = as_floats("blocks", blocks, (n, n, d, d))
+        theta = np.zeros((n, n, group.size, group.size), dtype=group.basis.dtype) + np.eye(group.size)
+        linked = strengths != 0.0
+        with np.errstate(over="ignore"):
+            quotients = weights[linked] / strengths[linked][:, None, None]
+        if not np.isfinite(quotients).all():
+            raise InputError(f"alpha is too small for its blocks, down to {np.abs(strengths[linked]).min():g}; use 0")
+        if linked.any():
+            theta[linked] = group.project_to_adjoint(quotients)
+        return cls(group, strengths, theta, np.asarray(bias), gamma, mu, activation)
+
+    @cached_property
+    def blocks(self) -> Floats:
+        """Weight blocks alpha_ij L[Ad(theta_ij)], ``(N, N, d, d)``."""
+        return read_only(self.alpha[:, :, None, None] * self.group.adjoint(self.theta))
+
+    def _meta(self) -> dict[str, Any]:
+        return {"group": groups.catalogue_name(self.group), **super()._meta()}
+
+    @classmethod
+    def _from_meta(cls, meta: Mapping[str, Any]) -> dict[str, Any]:
+        return {"group": groups.group(str(meta["group"])), **super()._from_meta(meta)}
+
+
+def _as_elements(group: MatrixLieGroup, theta: ArrayLike, n: int) -> NDArray[Any]:
+    wanted = (n, n, group.size, group.size)
+    if np.shape(theta) != wanted:
+        raise InputError(f"theta must have shape {wanted}, got {np.shape(theta)}")
+    # Without a closed form `contains` misses elements that have no principal logarithm; `adjoint` refuses the worst.
+    if group.membership is None:
+        group.adjoint(theta)
+    elif not (inside := group.contains(theta)).all():
+        raise InputError(
+            f"theta must hold elements of {group.name}, {np.count_nonzero(~inside)} of {inside.size} are none; "
+            "GroupLieEDNN.from_blocks projects onto them"
+        )
+    return np.array(theta, dtype=group.basis.dtype)

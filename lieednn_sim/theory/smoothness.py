@@ -1,0 +1,91 @@
+"""How fast and how sharply a trajectory may turn: the paper's bounds on velocity, acceleration and curvature (App. H).
+
+All hold while |xi|_inf <= R; `stability.bounds.invariant_box` gives such an R for all time.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lieednn_sim.errors import InputError
+from lieednn_sim.stability.norms import as_weight, log_norms
+from lieednn_sim.validation import as_floats, as_positive, as_ratio
+
+Floats = NDArray[np.float64]
+
+# Of a curve: larger ones than elsewhere do no harm, since they only divide.
+_LARGEST_SLOPE = 1e300
+
+
+@dataclass(frozen=True)
+class SmoothnessBounds:
+    """Bounds in the largest coordinate, in the network's own time.
+
+    Attributes:
+        velocity: on |xi'|_inf: gamma R + mu ||W||_inf M + mu |b|_inf.
+        acceleration: on |xi''|_inf: (gamma + mu L ||W||_inf) times that.
+        curvature: on each component's curvature, the same number: the denominator (1 + xi_i'^2)^(3/2) is at least 1.
+        closing: the paper's closing bound gamma (1 + L) (gamma R + gamma M + mu |b|_inf), which for tanh is
+            2 gamma (gamma R + gamma + mu b_max). Valid only when ||W||_inf < gamma/mu, None otherwise.
+    """
+
+    velocity: float
+    acceleration: float
+    curvature: float
+    closing: float | None
+
+
+def smoothness_bounds(
+    weight: ArrayLike,
+    bias: ArrayLike,
+    radius: float,
+    *,
+    gamma: float,
+    mu: float,
+    output_bound: float = 1.0,
+    lipschitz: float = 1.0,
+) -> SmoothnessBounds:
+    """Evaluate the paper's smoothness and curvature theorem.
+
+    Args:
+        weight: W, ``(n, n)``.
+        bias: b, ``(n,)``.
+        radius: R, largest |xi_i(t)| on the interval looked at.
+        gamma: decay rate, positive.
+        mu: scale of the interaction, positive.
+        output_bound: M, largest |phi| there.
+        lipschitz: L, largest slope of phi there.
+    """
+    matrix = as_weight("weight", weight)
+    drive = float(np.abs(as_floats("bias", bias, (len(matrix),))).max())
+    decay, scale = as_positive("gamma", gamma), as_positive("mu", mu)
+    size = float(as_floats("radius", radius, ()))
+    if size < 0.0:
+        raise InputError(f"radius must not be negative, got {size:g}")
+    most, slope = as_positive("output_bound", output_bound), as_positive("lipschitz", lipschitz)
+    norm = log_norms(matrix).infinity_norm
+    velocity = decay * size + scale * norm * most + scale * drive
+    acceleration = (decay + scale * slope * norm) * velocity
+    closing = None
+    if norm < as_ratio(decay, scale):
+        closing = decay * (1.0 + slope) * (decay * size + decay * most + scale * drive)
+    return SmoothnessBounds(velocity, acceleration, acceleration, closing)
+
+
+def curvature(xi_dot: ArrayLike, xi_ddot: ArrayLike) -> Floats:
+    """Curvature |xi_i''| / (1 + xi_i'^2)^(3/2) of each graph t -> xi_i(t), entry by entry.
+
+    It depends on the units of time and of xi: it is the bend of the plotted curve, not that of the path in space.
+
+    Args:
+        xi_dot: first derivatives, any shape.
+        xi_ddot: second derivatives, the same shape.
+    """
+    first = as_floats("xi_dot", xi_dot, np.shape(xi_dot), largest=_LARGEST_SLOPE)
+    second = as_floats("xi_ddot", xi_ddot, np.shape(xi_dot))
+    # hypot keeps large velocities from overflowing where the curvature is merely small.
+    steepness = np.hypot(1.0, first)
+    return np.abs(second) / steepness / steepness / steepness

@@ -1,0 +1,375 @@
+"""Foreign models made into arms: kinematics against the original, couplings, cuts, servos, and the error messages."""
+
+import functools
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm import Arm
+from lieednn_sim.arm.importer.adopt import adopt
+from lieednn_sim.errors import FileError, InputError
+
+EQUALITY = '<equality><joint name="belt" joint1="stage2" joint2="stage1" polycoef="0.01 0.8 0 0 0"/>'
+ROBOT = """
+<mujoco>
+  <compiler angle="degree"/>
+  <option integrator="implicitfast"/>
+  <default><geom density="800"/></default>
+  <worldbody>
+    <geom name="floor" type="plane" size="0 0 1"/>
+    <frame pos="0.3 0 0" euler="0 0 30">
+    <body name="cart" pos="0 0 0.2" euler="0 0 10">
+      <freejoint name="drive"/>
+      <geom type="box" size="0.2 0.2 0.1"/>
+      <body name="wheel" pos="0 0.23 -0.08"><joint name="wheel" axis="0 1 0"/><geom type="sphere" size="0.05"/></body>
+      <body name="head" pos="0 0 0.9"><joint name="pan" range="-90 90"/><geom type="sphere" size="0.05"/>
+        <frame pos="0.1 0 0"><body euler="0 20 0"><joint name="tilt" axis="0 1 0" range="-40 40"/>
+          <geom type="sphere" size="0.03"/></body></frame></body>
+      <body name="column" pos="0.1 0 0.11">
+        <joint name="swing" axis="0 0 1" range="-100 100"/>
+        <geom type="cylinder" size="0.04 0.2" pos="0 0 0.2"/>
+        <body name="shoulder" pos="0 0 0.4" euler="0 90 0">
+          <joint name="raise" axis="0 1 0" range="-30 60" ref="10"/>
+          <geom type="capsule" size="0.03" fromto="0 0 0 0 0 0.2"/>
+          <body name="tube1" pos="0 0 0.1"><joint name="stage1" type="slide" range="0 0.3"/>
+            <geom type="capsule" size="0.025" fromto="0 0 0 0 0 0.3"/>
+            <body name="tube2" pos="0 0 0.1"><joint name="stage2" type="slide" range="0 0.2"/>
+              <geom type="capsule" size="0.02" fromto="0 0 0 0 0 0.3"/>
+              <body name="wrist" pos="0 0 0.35"><joint name="wrist" axis="1 0 0" range="-250 120"/>
+                <geom type="box" size="0.03 0.03 0.03"/><site name="tool" pos="0 0 0.08" euler="0 0 45"/>
+                <body name="left" pos="0.03 0 0.05"><joint name="left" type="slide" axis="1 0 0" range="0 0.03"/>
+                  <geom type="box" size="0.005 0.01 0.03"/></body>
+                <body name="right" pos="-0.03 0 0.05"><joint name="right" type="slide" axis="-1 0 0" range="0 0.03"/>
+                  <geom type="box" size="0.005 0.01 0.03"/></body>
+              </body></body></body></body></body>
+    </body></frame>
+  </worldbody>
+  <tendon><fixed name="extend"><joint joint="stage1" coef="1"/><joint joint="stage2" coef="0.5"/></fixed>
+    <fixed name="grip"><joint joint="left" coef="1"/><joint joint="right" coef="1"/></fixed></tendon>
+  COUPLING
+  <actuator>
+    <velocity name="roll" joint="wheel"/><position name="pan" joint="pan"/><position name="tilt" joint="tilt"/>
+    <position name="swing" joint="swing" kp="900" kv="90" forcerange="-50 50"/>
+    <motor name="raise" joint="raise" gear="40" ctrlrange="-1 1"/>
+    <position name="extend" tendon="extend" gear="2" kp="3000" kv="300" forcerange="-100 100"/>
+    <position name="wrist" joint="wrist" kp="50" kv="2"/><position name="grip" tendon="grip"/>
+  </actuator>
+  <sensor><jointpos joint="pan"/><actuatorfrc actuator="roll"/><framepos objtype="site" objname="tool"/></sensor>
+  <keyframe><key name="home" qpos="1 2 0.3 0.9 0.1 0.2 0 0.7 0.4 -0.3 0 0.3 0.05 0.05 0.2 0.01 0.02"/></keyframe>
+</mujoco>
+"""
+GRIPPER_EQUALITY = '<joint joint1="right" joint2="left"/></equality>'
+BY_EQUALITY = ROBOT.replace("COUPLING", EQUALITY + GRIPPER_EQUALITY)
+BY_TENDON = ROBOT.replace("COUPLING", "<equality>" + GRIPPER_EQUALITY)
+BALL = """
+<mujoco>
+  <worldbody><body name="trunk" pos="0 0 1"><geom size="0.05"/>
+    <body name="upper" pos="0 0.1 0" quat="1 1 0 0"><joint name="shoulder" type="ball" ACTIVE/>
+      <geom type="capsule" size="0.03" fromto="0.05 0 0 0.3 0 0"/>
+      <body name="fore" pos="0.35 0 0"><joint name="elbow" axis="0 0 1"/>
+        <geom type="capsule" size="0.03" fromto="0.05 0 0 0.3 0 0"/></body></body></body></worldbody>
+</mujoco>
+"""
+HINGES = """
+<mujoco><option {options}/>
+  <worldbody>
+    <body name="one"><joint name="a" axis="0 0 1"/><geom type="capsule" size="0.02" fromto="0 0 0 0.3 0 0"/>
+      <body name="two" pos="0.3 0 0"><joint name="b" axis="0 1 0"/>
+        <geom type="capsule" size="0.02" fromto="0 0 0 0.3 0 0"/>
+        <body name="three" pos="0.3 0 0"><joint name="c" axis="0 1 0"/>
+          <geom type="capsule" size="0.02" fromto="0 0 0 0.3 0 0"/></body></body></body>
+  </worldbody>
+</mujoco>
+"""
+
+
+def spec_of(xml):
+    return mujoco.MjSpec.from_string(xml)
+
+
+def arm_of(xml, **options):
+    spec, report = adopt(spec_of(xml), **options)
+    return Arm.from_spec(spec, Path("adopted.xml"), "adopted"), report
+
+
+def frame_poses(model, data, names):
+    """Positions and axes of bodies or sites."""
+    poses = []
+    for name in names:
+        body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name)
+        found = data.body(name) if body >= 0 else data.site(name)
+        poses.append(np.concatenate([found.xpos, found.xmat]))
+    return np.array(poses)
+
+
+MODELS = [
+    (BY_EQUALITY, {}),
+    (BY_TENDON, {"links": ["tube2", "tool"]}),
+    (BY_EQUALITY, {"links": ["column", "tube2", "tool"], "base": "cart"}),
+    (BALL.replace("ACTIVE", 'range="0 2" limited="true"'), {}),
+]
+
+
+@functools.cache
+def adopted_and_original(number):
+    xml, options = MODELS[number]
+    return *arm_of(xml, **options), spec_of(xml).compile()
+
+
+@pytest.mark.parametrize("number", range(len(MODELS)))
+@settings(max_examples=20)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_link_frames_are_where_the_original_has_them(number, seed):
+    arm, report, original = adopted_and_original(number)
+    before, after = mujoco.MjData(original), mujoco.MjData(arm.model)
+    before.qpos[:] = original.key_qpos[0] if original.nkey else original.qpos0
+    low, high = arm.position_limits.T
+    q = np.random.default_rng(seed).uniform(low, high) / np.sqrt(3.0)  # a ball joint's three within its largest angle
+    after.qpos[:] = arm.qpos(np.clip(q, low, high))
+    for j in range(arm.model.njnt):
+        name = arm.model.joint(j).name
+        before.joint(name).qpos[:] = after.joint(name).qpos
+    mujoco.mj_kinematics(original, before)
+    mujoco.mj_kinematics(arm.model, after)
+    sites = ["base_frame", *(f"link{i}_frame" for i in range(1, arm.n_links + 1))]
+    wanted = frame_poses(original, before, (report.base, *report.links))
+    np.testing.assert_allclose(frame_poses(arm.model, after, sites), wanted, atol=1e-9)
+    np.testing.assert_allclose(arm.link_poses(arm.coordinates(after.qpos)).translation, wanted[1:, :3], atol=1e-9)
+
+
+def test_the_arm_of_a_mobile_robot_is_found_cut_and_reduced():
+    arm, report = arm_of(BY_EQUALITY)
+    assert report.posture == "keyframe 'home'"
+    assert report.base == "cart"
+    assert report.links == ("tube2", "wrist")
+    assert report.groups == (("swing", "raise", "stage1", "stage2"), ("wrist",))
+    assert set(report.frozen) == {"drive", "wheel", "pan", "tilt", "left", "right"}
+    (coupling,) = report.couplings
+    assert (coupling.follower, coupling.leader, coupling.source) == ("stage2", "stage1", "equality")
+    np.testing.assert_allclose([coupling.ratio, coupling.shift], [0.8, 0.01])
+    # stage2 = 0.01 + 0.8 stage1 <= 0.2, and the wrist's 250 degrees are beyond half a turn from its reference.
+    np.testing.assert_allclose(arm.position_limits[2], [0.0, 0.2375])
+    np.testing.assert_allclose(arm.position_limits[3], [-0.99 * np.pi, np.deg2rad(120)])
+    assert arm.joint_names == tuple(servo.name for servo in report.servos)
+    np.testing.assert_allclose(arm.keyframe("home"), [0.0, 0.3, 0.05, 0.2])
+    assert arm.model.nsensor == 1
+    text = str(report)
+    assert "link 1: tube2, moved by swing, raise, stage1, stage2" in text
+    assert "note: gravity compensation switched on" in text
+
+
+def test_stages_on_a_tendon_share_its_length_by_its_coefficients():
+    arm, report = arm_of(BY_TENDON)
+    (coupling,) = report.couplings
+    assert (coupling.follower, coupling.leader, coupling.ratio) == ("stage2", "stage1", 0.5)
+    assert coupling.source == "tendon 'extend'"
+    data = mujoco.MjData(arm.model)
+    data.qpos[:] = arm.qpos(arm.keyframe("home"))
+    data.ctrl[:] = arm.keyframe("home") + np.array([0.0, 0.0, 0.1, 0.0])
+    mujoco.mj_step(arm.model, data, 1000)
+    moved = data.qpos - arm.qpos(arm.keyframe("home"))
+    np.testing.assert_allclose(moved[2:4], [0.1, 0.05], atol=1e-3)
+
+
+def test_kept_servos_push_as_the_original_ones_and_force_limits_are_referred_to_the_joints():
+    arm, report = arm_of(BY_EQUALITY)
+    swing, raised, stage, wrist = report.servos
+    assert [servo.kept for servo in report.servos] == [True, False, True, True]
+    assert swing.force_range == (-50.0, 50.0)
+    assert raised.force_range == (-40.0, 40.0)
+    # Tendon length 2 (stage1 + 0.5 stage2) moves by 2 (1 + 0.5 * 0.8) per metre of stage1.
+    np.testing.assert_allclose([stage.kp, stage.kv, stage.force_range[1]], [3000 * 2.8**2, 300 * 2.8**2, 280])
+    assert (wrist.kp, wrist.kv, wrist.force_range) == (50.0, 2.0, (-np.inf, np.inf))
+    np.testing.assert_allclose(arm.force_limits, [50, 40, 280, np.inf])
+
+
+def test_designed_servos_have_20_hz_and_critical_damping_on_the_inertia_held():
+    arm, report = arm_of(BY_EQUALITY)
+    made = next(servo for servo in report.servos if not servo.kept)
+    index = arm.joint_names.index(made.name)
+    data = mujoco.MjData(arm.model)
+    data.qpos[:] = arm.qpos(arm.keyframe("home"))
+    mujoco.mj_forward(arm.model, data)
+    rates = arm.qvel(arm.keyframe("home"), np.eye(arm.n_joints))
+    inertia = np.zeros((arm.n_joints, arm.model.nv))
+    for row, rate in zip(inertia, rates, strict=True):
+        mujoco.mj_mulM(arm.model, data, row, rate)
+    held = (inertia @ rates.T)[index, index]
+    # The largest over several postures counts, and home is one of them.
+    assert held * (40 * np.pi) ** 2 <= made.kp * (1.0 + 1e-9) < 10.0 * held * (40 * np.pi) ** 2
+    np.testing.assert_allclose(made.kv, made.kp / (20.0 * np.pi))
+
+
+def test_servos_of_axes_in_line_are_not_weak():
+    """Twice about z and twice about y: at home the first two, and the last two, turn against each other freely."""
+    names = "zzyy"
+    bodies = "".join(
+        f'<body pos="0 0 .2"><joint name="j{i}" axis="0 {int(a == "y")} {int(a == "z")}" range="-2 2"/>'
+        '<geom type="capsule" fromto="0 0 0 0 0 .2" size=".03" contype="0" conaffinity="0"/>'
+        for i, a in enumerate(names)
+    )
+    xml = f'<mujoco><compiler angle="radian"/><worldbody>{bodies}{"</body>" * len(names)}</worldbody></mujoco>'
+    _, report = arm_of(xml)
+    assert min(servo.kp for servo in report.servos) > 0.01 * max(servo.kp for servo in report.servos)
+
+
+@pytest.mark.parametrize("xml", [BY_EQUALITY, BY_TENDON, BALL.replace("ACTIVE", ""), HINGES.format(options="")])
+def test_the_adopted_arm_holds_its_home_under_gravity(xml):
+    arm, _ = arm_of(xml)
+    home = arm.keyframe("home")
+    data = mujoco.MjData(arm.model)
+    data.qpos[:] = arm.qpos(home)
+    data.qvel[:] = 0.01  # a small push, so that an unstable servo shows
+    data.ctrl[:] = home
+    mujoco.mj_step(arm.model, data, round(2.0 / arm.model.opt.timestep))
+    assert np.abs(arm.coordinates(data.qpos) - home).max() < 1e-3
+    assert not any(warning.number for warning in data.warning)
+
+
+def test_freezing_makes_no_bodies_touch_that_could_not_before():
+    # The cart was the shoulder's carrier, now it is a fixed part of the world, which may touch everything.
+    xml = BY_EQUALITY.replace('name="column" pos="0.1 0 0.11"', 'name="column" pos="0.1 0 0.05"')
+    arm, _ = arm_of(xml)
+    assert arm.contacts(arm.keyframe("home")) == []
+    original = spec_of(xml).compile()
+    before = mujoco.MjData(original)
+    mujoco.mj_resetDataKeyframe(original, before, 0)
+    mujoco.mj_forward(original, before)
+    touching = {original.geom_bodyid[g] for g in before.contact.geom.ravel()}
+    assert original.body("column").id not in touching
+
+
+def test_a_house_arm_is_adopted_as_it_is():
+    house = Arm.load("telescopic_pr")
+    spec, report = adopt(house.spec)
+    arm = Arm.from_spec(spec, house.source, house.name)
+    assert report.links == ("link1_frame", "link2_frame", "link3_frame", "link4_frame")
+    assert all(servo.kept for servo in report.servos)
+    q = house.keyframe("extended")
+    np.testing.assert_allclose(arm.link_poses(q).as_matrix(), house.link_poses(q).as_matrix(), atol=1e-12)
+    np.testing.assert_allclose(arm.velocity_limits, house.velocity_limits)
+    # Two compound joints of four joints each: the sites of the old link frames must not pass for the new ones.
+    coarse, _ = adopt(house.spec, links=["link2_frame", "link4_frame"])
+    assert Arm.from_spec(coarse, house.source, house.name).n_links == 2
+
+
+def test_a_chain_without_actuators_is_an_arm_of_single_joints():
+    arm, report = arm_of(HINGES.format(options='timestep="0.01"'))
+    assert report.groups == (("a",), ("b",), ("c",))
+    assert "new servos for a, b, c: there was no drive" in report.notes
+    assert any("implicitfast" in note for note in report.notes)
+    assert arm.model.opt.integrator == mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+
+
+def bad(xml, *replacements):
+    for old, new in replacements:
+        assert old in xml
+        xml = xml.replace(old, new)
+    return xml
+
+
+@pytest.mark.parametrize(
+    ("xml", "options", "message"),
+    [
+        (BY_EQUALITY, {"links": ["elbow"]}, r"no body or site 'elbow'; bodies: .*'cart'.*; sites: 'tool'"),
+        (BY_EQUALITY, {"links": "wrist"}, "links must be a list of names"),
+        (BY_EQUALITY, {"links": []}, "links must be a list of names"),
+        (BY_EQUALITY, {"links": ["tube2", "head"]}, "'head' does not descend from 'tube2'"),
+        (BY_EQUALITY, {"links": ["wrist", "tool"]}, "no joint is between 'wrist' and 'tool'"),
+        (BY_EQUALITY, {"links": ["wrist", "wrist"]}, "'wrist' and 'wrist' are the same frame"),
+        (BY_EQUALITY, {"links": ["cart"]}, "no hinge, slide or ball joint moves 'cart'"),
+        (BY_EQUALITY, {"links": ["wrist"], "base": "world"}, "joint 'drive' between 'world' and 'wrist' is free"),
+        (BY_EQUALITY, {"links": ["tube1", "tube2"]}, "'stage2' moves link 2 and follows joint 'stage1'"),
+        (BY_EQUALITY, {"keyframe": "fold"}, "no keyframe 'fold'; keyframes of the model: 'home'"),
+        (bad(BY_EQUALITY, ("0.01 0.8 0 0 0", "0 1 2 0 0")), {}, "needs a straight line"),
+        (bad(BY_EQUALITY, ('joint2="stage1" ', "")), {}, "'stage2' is locked by an equality"),
+        (bad(BY_TENDON, ('type="slide" range="0 0.3"', 'type="slide"'), ('"0 0.2"', '"0 0"')), {}, "no range"),
+        (bad(BY_EQUALITY, ('range="-250 120"', 'range="200 250"')), {}, r"'wrist' with range .* ref inside its range"),
+        (
+            bad(BY_EQUALITY, ("<equality>", '<equality><weld name="w" body1="wrist" body2="cart"/>')),
+            {},
+            "closes a loop",
+        ),
+        ("<mujoco><worldbody><body><geom size='1'/></body></worldbody></mujoco>", {}, "no hinge, slide or ball joint"),
+    ],
+)
+def test_errors_say_what_to_do(xml, options, message):
+    with pytest.raises(InputError, match=message):
+        adopt(spec_of(xml), **options)
+
+
+def test_two_equal_arms_are_listed():
+    arms = "".join(
+        f'<body name="{side}" pos="0 {y} 0"><joint range="-1 1"/><geom size="0.1"/></body>'
+        for side, y in (("port", -1), ("starboard", 1))
+    )
+    xml = f"<mujoco><worldbody>{arms}</worldbody></mujoco>"
+    with pytest.raises(InputError, match="2 chains have 1 joints each, they end in 'port', 'starboard'"):
+        adopt(spec_of(xml))
+    _, report = adopt(spec_of(xml), links=["starboard"])
+    assert (report.base, len(report.frozen)) == ("world", 1)
+
+
+def test_missing_and_broken_files_are_named(tmp_path):
+    with pytest.raises(FileError, match="no such file"):
+        adopt(tmp_path / "arm.xml")
+    broken = tmp_path / "broken.xml"
+    broken.write_text("<mujoco><worldbody>")
+    with pytest.raises(FileError, match="cannot read"):
+        adopt(broken)
+    mesh = '<compiler meshdir="meshes"/><asset><mesh file="tube.obj"/><mesh file="fork.obj"/></asset>'
+    body = '<worldbody><body><joint/><geom type="mesh" mesh="tube"/></body></worldbody>'
+    broken.write_text(f"<mujoco>{mesh}{body}</mujoco>")
+    with pytest.raises(FileError, match=r"files of the model are missing: .*meshes/tube\.obj, .*meshes/fork\.obj"):
+        adopt(broken)
+    with pytest.raises(InputError, match="must be a file or a mujoco"):
+        adopt(3)
+
+
+def test_servos_can_all_be_designed_anew_and_follow_a_step():
+    _, kept = arm_of(BY_TENDON)
+    arm, designed = arm_of(BY_TENDON, servos="design")
+    assert any(servo.kept for servo in kept.servos)
+    assert not any(servo.kept for servo in designed.servos)
+    data = mujoco.MjData(arm.model)
+    q = arm.keyframe("home")
+    data.qpos[:] = arm.qpos(q)
+    goal = np.clip(q + 0.03, *arm.position_limits.T)
+    data.ctrl[:] = goal
+    for _ in range(round(3.0 / arm.model.opt.timestep)):
+        mujoco.mj_step(arm.model, data)
+    assert not data.warning.number.any()
+    np.testing.assert_allclose(arm.coordinates(data.qpos), goal, atol=2e-3)
+
+
+def test_rk4_is_replaced_with_a_note_and_refused_where_nothing_may_be_replaced():
+    rk4 = mujoco.mjtIntegrator.mjINT_RK4
+    own = spec_of(HINGES.format(options='integrator="RK4"'))
+    spec, report = adopt(own)
+    assert Arm.from_spec(spec, Path("adopted.xml"), "adopted").model.opt.integrator != rk4
+    assert own.option.integrator == rk4, "the model that was given stays as it was"
+    assert any("implicitfast in place of RK4" in note for note in report.notes)
+    assert not any("RK4" in note for note in adopt(spec_of(HINGES.format(options="")))[1].notes)
+    spec.option.integrator = rk4
+    with pytest.raises(InputError, match=r"arm 'adopted' asks for the integrator RK4, .*; write implicitfast"):
+        Arm.from_spec(spec, Path("adopted.xml"), "adopted")
+
+
+@pytest.mark.parametrize(("half", "told"), [(179, True), (150, False)])
+def test_a_compound_joint_that_comes_near_half_a_turn_is_told(half, told):
+    """Among 65 postures one turns by more than 0.95 pi where the limits allow 0.99 pi; slides do not count."""
+    _, report = adopt(
+        spec_of(f"""
+<mujoco><compiler angle="degree"/><worldbody>
+  <body name="still" pos="0 0 1"><joint name="a" range="-9 9"/><geom size="0.05"/>
+    <body name="sliding"><joint name="b" type="slide" range="-9 9"/><geom size="0.05"/>
+      <body name="turning" pos="0.3 0 0"><joint name="c" range="-{half} {half}"/><geom size="0.05" pos="0.2 0 0"/>
+</body></body></body></worldbody></mujoco>"""),
+        links=["still", "turning"],
+    )
+    notes = [note for note in report.notes if "may turn by" in note]
+    assert [note[: len("link 2 may turn by 3")] for note in notes] == ["link 2 may turn by 3"] * told

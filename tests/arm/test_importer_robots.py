@@ -1,0 +1,209 @@
+"""What robots brought by users broke: nested tubes, sizes, weak drives, heavy tied booms, odd files."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm import Arm
+from lieednn_sim.arm.importer import adopt
+from lieednn_sim.errors import FileError, InputError
+from lieednn_sim.synthesis import synthesize
+
+TELESCOPE = """
+<mujoco><compiler angle="degree"/>
+  <worldbody><geom name="floor" type="plane" size="9 9 1" pos="0 0 -1.7"/>
+    <body name="mast"><joint name="pan" range="-90 90"/><geom name="mast" type="box" size=".06 .06 .06"/>
+      <body name="tube1"><joint name="raise" axis="0 -1 0" range="-60 60"/>
+        <geom name="tube1" type="box" size=".3 .05 .05" pos=".4 0 0"/>
+        <body name="tube2"><joint name="s2" type="slide" axis="1 0 0" range="0 .5"/>
+          <geom name="tube2" type="box" size=".3 .04 .04" pos=".42 0 0"/>
+          <body name="tube3"><joint name="s3" type="slide" axis="1 0 0" range="0 .5"/>
+            <geom name="tube3" type="box" size=".3 .03 .03" pos=".44 0 0"/>
+            <body name="fork" pos=".8 0 0"><joint name="fold" axis="0 1 0" range="-170 170"/>
+              <geom name="fork" type="box" size=".15 .02 .02" pos=".15 0 0"/></body></body></body></body></body>
+  </worldbody>
+  <contact><pair geom1="tube1" geom2="tube3"/><pair geom1="fork" geom2="floor"/></contact>
+  <equality><joint joint1="s3" joint2="s2"/></equality>
+</mujoco>
+"""
+# Tubes of tonnes, tied by MuJoCo's soft default, that a 20 Hz servo on the first one sets swinging.
+CRANE = """
+<mujoco><compiler angle="degree"/><option timestep=".005"/>
+  <worldbody><body name="house"><joint name="slew" range="-150 150"/><geom type="box" size="1 1 .5" mass="8000"/>
+    <body name="boom1" pos="0 0 1"><joint name="luff" axis="0 -1 0" range="0 80"/>
+      <geom type="box" size="4 .4 .4" pos="4 0 0" mass="3000"/>
+      <body name="boom2"><joint name="s2" type="slide" axis="1 0 0" range="0 6"/>
+        <geom type="box" size="4 .3 .3" pos="4 0 0" mass="2000"/>
+        <body name="boom3"><joint name="s3" type="slide" axis="1 0 0" range="0 5"/>
+          <geom type="box" size="4 .2 .2" pos="4 0 0" mass="1500"/>
+          <body name="boom4"><joint name="s4" type="slide" axis="1 0 0" range="0 3"/>
+            <geom type="box" size="4 .1 .1" pos="4 0 0" mass="900"/></body></body></body></body></body></worldbody>
+  <equality><joint joint1="s3" joint2="s2" polycoef="0 .8 0 0 0"/>
+    <joint joint1="s4" joint2="s2" polycoef=".1 .45 0 0 0"/></equality>
+  <actuator><motor joint="slew" gear="200000" ctrlrange="-1 1"/><motor joint="luff"/><motor joint="s2"/></actuator>
+</mujoco>
+"""
+# A lift of 5 kg that carries an arm of 2 kg with nothing that could turn its inertia into another.
+LIFT = """
+<mujoco>
+  <worldbody>
+    <body name="lift" {compensation}>
+      <joint name="lift" type="slide" axis="0 0 1" range="0 1" {joint}/><geom type="box" size=".1 .1 .1" mass="5"/>
+      <body name="arm" pos=".3 0 0" {compensation}><joint name="reach" type="slide" axis="1 0 0" range="0 1"/>
+        <geom type="box" size=".1 .1 .1" mass="2"/></body></body>
+  </worldbody>
+  <actuator><position joint="lift" kp="4000" kv="300" forcerange="-90 120"/>
+    <position joint="reach" kp="2000" kv="90"/></actuator>
+</mujoco>
+"""
+URDF = """
+<robot name="derrick">
+  <link name="foot"/><link name="post">{mass}</link><link name="tube1">{mass}</link><link name="tube2">{mass}</link>
+  <joint name="turn" type="continuous"><parent link="foot"/><child link="post"/><axis xyz="0 0 1"/></joint>
+  <joint name="out1" type="prismatic"><parent link="post"/><child link="tube1"/><origin xyz=".3 0 .4"/>
+    <axis xyz="1 0 0"/><limit lower="0" upper=".4" effort="100" velocity="1"/></joint>
+  <joint name="out2" type="prismatic"><parent link="tube1"/><child link="tube2"/><axis xyz="1 0 0"/>
+    <limit lower="0" upper=".4" effort="100" velocity="1"/><mimic joint="out1" multiplier=".5" offset=".01"/></joint>
+</robot>
+""".replace(
+    "{mass}",
+    '<inertial><mass value="1"/><inertia ixx=".1" iyy=".1" izz=".1" ixy="0" ixz="0" iyz="0"/></inertial>',
+)
+
+
+def arm_of(xml, **options):
+    spec, report = adopt(mujoco.MjSpec.from_string(xml), **options)
+    return Arm.from_spec(spec, Path("robot.xml"), "robot"), report
+
+
+def test_nested_tubes_may_overlap_and_all_else_still_collides():
+    original = mujoco.MjSpec.from_string(TELESCOPE).compile()
+    data = mujoco.MjData(original)
+    mujoco.mj_forward(original, data)
+    assert data.ncon  # as the model stands, no motion could start
+
+    arm, report = arm_of(TELESCOPE)
+    low, high = arm.position_limits.T
+    for extension in (low[2], high[2]):
+        assert arm.near_contacts([0.0, 0.0, extension, 0.0]) == []
+    assert any("'tube1' and 'tube3': stages of a telescope" in note for note in report.notes)
+    # Folded back the fork meets the tubes that it is no part of, and pointing down the floor, by the model's own pair.
+    folded = arm.contacts([0.0, 0.0, 0.0, np.deg2rad(170)])
+    assert {frozenset(pair) for pair in folded} == {frozenset(("fork", "tube1")), frozenset(("fork", "tube2"))}
+    down = [0.0, -np.deg2rad(60), high[2], 0.0]
+    assert {frozenset(pair) for pair in arm.contacts(down)} == {frozenset(("fork", "world"))}
+
+
+def test_parts_that_overlap_at_home_are_named_and_the_world_stays_an_obstacle():
+    xml = TELESCOPE.replace('size=".06 .06 .06"', 'size=".06 .06 .06" pos=".4 0 .08"')
+    arm, report = arm_of(xml)
+    assert any("'mast' and 'tube2'" in note and "they overlap at home" in note for note in report.notes)
+    assert arm.near_contacts(arm.keyframe("home")) == []
+    post = '<geom type="box" size=".01 .01 .5" pos=".9 0 0"/><body name="mast">'
+    blocked, report = arm_of(xml.replace('<body name="mast">', post))
+    assert ("world", "fork") in blocked.contacts(blocked.keyframe("home"))
+    assert any("touch at home" in note for note in report.notes)
+
+
+def test_a_crane_is_encoded_in_units_of_its_size_and_can_be_certified():
+    arm, report = arm_of(CRANE)
+    rng = np.random.default_rng(0)
+    q = rng.uniform(*arm.position_limits.T, (200, arm.n_joints))
+    assert 0.9 < np.abs(arm.encode(q)[..., 3:]).max() < 1.1
+    np.testing.assert_allclose(arm.decode(arm.encode(q)).q, q, atol=1e-9)
+    assert f"unit of length in the network's coordinates: {arm.length_scale:g} m, the furthest" in str(report)
+    certified = [
+        synthesize(arm.encode(x), bias="sign-matched", bias_magnitude=0.5, seed=0).network is not None for x in q[:10]
+    ]
+    assert sum(certified) >= 9
+    assert arm_of(TELESCOPE)[0].length_scale == 1.0
+
+
+def test_servos_of_heavy_tied_stages_come_to_rest():
+    arm, _ = arm_of(CRANE)
+    home = arm.keyframe("home")
+    goal = home + np.array([0.0, 0.0, 0.05])
+    data = mujoco.MjData(arm.model)
+    data.qpos[:], data.ctrl[:] = arm.qpos(home), goal
+    mujoco.mj_step(arm.model, data, round(1.0 / arm.model.opt.timestep))
+    # Of the stages that follow as well, which no servo acts on.
+    np.testing.assert_allclose(data.qpos, arm.qpos(goal), atol=1e-4)
+
+
+def test_soft_ties_between_stages_are_made_stiff_unless_somebody_chose_a_stiffness():
+    light = TELESCOPE.replace('size=".3 .03 .03"', 'size=".3 .03 .03" mass=".1"').replace(
+        '.02 .02"', '.02 .02" mass=".1"'
+    )
+    chosen = light.replace('joint2="s2"', 'joint2="s2" solref="-100 -20"')
+    lag = {}
+    for xml in (light, chosen):
+        arm, report = arm_of(xml)
+        data = mujoco.MjData(arm.model)
+        home = arm.keyframe("home")
+        data.qpos[:], data.ctrl[:] = arm.qpos(home), home
+        data.xfrc_applied[arm.model.body("tube3").id, 0] = 5.0
+        mujoco.mj_step(arm.model, data, round(2.0 / arm.model.opt.timestep))
+        lag[xml] = data.joint("s3").qpos[0] - data.joint("s2").qpos[0]
+        assert any("ties of s3 made stiff" in note for note in report.notes) == (xml == light)
+    assert abs(lag[light]) < 1e-3 < 0.01 < lag[chosen]
+
+
+def test_accelerations_are_limited_by_the_force_that_is_left():
+    bare, report = arm_of(LIFT.format(compensation="", joint=""))
+    # Compensated: 90 N for 7 kg, half of it.
+    np.testing.assert_allclose(bare.acceleration_limits, [0.5 * 90.0 / 7.0, np.inf])
+    assert "acceleration limits from force limits [rad/s^2, m/s^2]: lift 6.43" in report.notes
+    # Half compensated by the model itself: that much less is left. Compensation by the drive counts the same.
+    left = 0.5 * (90.0 - 0.5 * 7.0 * 9.81) / 7.0
+    for joint in ("", 'actuatorgravcomp="true"'):
+        own, report = arm_of(LIFT.format(compensation='gravcomp=".5"', joint=joint))
+        np.testing.assert_allclose(own.acceleration_limits, [left, np.inf])
+        assert any("lift: sags by 0.0086" in note for note in report.notes)
+
+
+def test_a_chain_that_fits_one_joint_makes_two_neurons():
+    tail = TELESCOPE.index('<body name="fork"')
+    xml = TELESCOPE[:tail] + TELESCOPE[TELESCOPE.index("</body></body></body></body></body>") + len("</body>") :]
+    xml = xml.replace('<pair geom1="fork" geom2="floor"/>', "")
+    _, report = arm_of(xml)
+    assert report.groups == (("pan",), ("raise", "s2", "s3"))
+    _, report = arm_of(xml, links=["tube3"])
+    assert report.groups == (("pan", "raise", "s2", "s3"),)
+    assert any("single neuron" in note for note in report.notes)
+
+
+def test_an_urdf_with_mimic_joints_is_an_arm(tmp_path):
+    path = tmp_path / "derrick.urdf"
+    path.write_text(URDF)
+    arm = Arm.load(path)
+    assert arm.name == "derrick"
+    assert arm.joint_names == ("turn", "out1")
+    tip = arm.link_poses([0.5 * np.pi, 0.2]).translation[-1]
+    np.testing.assert_allclose(tip, [0.0, 0.3 + 0.2 + 0.5 * 0.2 + 0.01, 0.4], atol=1e-12)
+
+
+def test_a_site_by_the_name_of_a_link_frame_alone_makes_no_house_arm(tmp_path):
+    path = tmp_path / "robot.xml"
+    path.write_text(TELESCOPE.replace('<geom name="fork"', '<site name="link1_frame"/><geom name="fork"'))
+    arm = Arm.load(str(path))
+    assert arm.adoption is not None
+    assert any("'link1_frame' of the model is now called" in note for note in arm.adoption.notes)
+
+
+def test_wrong_files_and_names_are_refused():
+    # MuJoCo's copy of a spec leaves the broken equality out, and would compile.
+    broken = mujoco.MjSpec.from_string(TELESCOPE.replace('joint1="s3" joint2="s2"', 'joint1="s3" joint2="s3"'))
+    with pytest.raises(FileError, match="repeated in equality"):
+        adopt(broken)
+    nan = TELESCOPE.replace("</mujoco>", '<keyframe><key name="home" qpos="0 nan 0 0 0"/></keyframe></mujoco>')
+    with pytest.raises(InputError, match="keyframe 'home' holds NaN"):
+        arm_of(nan)
+    with pytest.raises(InputError, match="base must be the name of a body or site, got 3"):
+        arm_of(TELESCOPE, base=3)
+    with pytest.raises(InputError, match="must be a string or a path, got NoneType"):
+        Arm.load(None)
+    scale = TELESCOPE.replace("<worldbody>", '<custom><numeric name="length_scale" data="-1"/></custom><worldbody>')
+    with pytest.raises(InputError, match="'length_scale' of arm 'robot' must be positive, got -1"):
+        arm_of(scale)

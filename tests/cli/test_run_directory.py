@@ -1,0 +1,363 @@
+"""Run directories: what belongs together is used together, what is outdated is gone, and a run can be made again."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import shutil
+
+import numpy as np
+import pytest
+
+from lieednn_sim import planning as planners
+from lieednn_sim import storage
+from lieednn_sim.arm import Arm
+from lieednn_sim.cli import main
+from lieednn_sim.cli.run_directory import RunDirectory
+from lieednn_sim.cli.task import Task
+from lieednn_sim.errors import FileError, LieEDNNError
+from lieednn_sim.planning import PlanningProblem, plan_network
+from lieednn_sim.planning.motion import Motion
+from lieednn_sim.simulation import Rollout, simulate
+
+pytestmark = pytest.mark.usefixtures("no_plots")
+
+OWN = """
+<mujoco>
+  <worldbody>
+    <body name="one"><joint name="a" axis="0 0 1" range="-90 90"/>
+      <geom type="capsule" size="0.02" fromto="0 0 0 0.3 0 0" rgba="1 0 0 1" mass="1"/>
+      <body name="two" pos="0.3 0 0"><joint name="b" axis="0 1 0" range="-90 90"/>
+        <geom type="capsule" size="0.02" fromto="0.05 0 0 0.25 0 0" mass="1"/>
+        <site name="tool" pos="0.3 0 0"/>
+      </body></body>
+  </worldbody>
+</mujoco>
+"""
+
+
+@pytest.fixture(scope="module")
+def made():
+    """A task whose planner made the motion, so that every step reads what the one before it wrote."""
+    arm = Arm.load("telescopic_pr")
+    start = arm.keyframe("home")
+    target = start + 0.05 * (arm.keyframe("extended") - start)
+    network, motion = plan_network("linear-law", PlanningProblem(arm, start, target, 0.6))
+    rollout = simulate(arm, motion, hold=0.05)
+    task = Task(arm.name, tuple(start), tuple(target), 0.6, planner="linear-law", model=arm.fingerprint)
+    return task, network, motion, rollout
+
+
+def save(path, made, **changes):
+    """A run directory with what was made, as if for a changed task."""
+    task, network, motion, rollout = made
+    task = dataclasses.replace(task, **changes)
+    run = RunDirectory(path)
+    run.create()
+    run.save_network(task, network, motion)
+    run.save_rollout(task, motion, rollout)
+    return run, task
+
+
+def fails(capsys, *words):
+    """Run a command that must fail, and return its one line on stderr."""
+    capsys.readouterr()
+    assert main([str(word) for word in words]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    return line
+
+
+def test_what_was_made_from_each_other_is_read_back(tmp_path, made):
+    run, task = save(tmp_path, made)
+    assert run.load_task()[0] == task
+    np.testing.assert_array_equal(run.load_network(task).bias, made[1].bias)
+    np.testing.assert_array_equal(run.load_motion(task).q, made[2].q)
+    np.testing.assert_array_equal(run.load_rollout(task).q, made[3].q)
+    assert list(run.check(task, "network", "motion", "rollout")) == ["task", "network", "motion", "rollout"]
+
+
+@pytest.mark.parametrize("changes", [{"arm": "telescopic_rrp"}, {"scene": "poles"}, {"seed": 1}], ids=str)
+@pytest.mark.parametrize("name", ["network", "motion", "rollout"])
+def test_files_of_different_runs_are_refused_and_both_named(tmp_path, made, changes, name):
+    run, task = save(tmp_path / "run", made)
+    other, _ = save(tmp_path / "other", made, **changes)
+    shutil.copy(getattr(other, name), getattr(run, name))
+    source = "task"
+    with pytest.raises(FileError, match=rf"{name}\.npz was made from another {source} than .*task\.json \(fingerprint"):
+        run.load_rollout(task)
+
+
+def test_a_motion_of_another_network_and_a_rollout_of_another_motion_are_refused(tmp_path, made):
+    run, task = save(tmp_path / "run", made)
+    _, network, motion, rollout = made
+    later = dataclasses.replace(motion, tau=motion.tau + 1.0)
+    other, _ = save(tmp_path / "other", (task, network, later, rollout))
+    shutil.copy(other.motion, run.motion)
+    with pytest.raises(FileError, match=r"rollout\.npz was made from another motion than .*motion\.npz"):
+        run.load_rollout(task)
+    other.save_network(task, network.retarget(motion.xi[0]), motion)
+    shutil.copy(other.motion, run.motion)
+    with pytest.raises(FileError, match=r"motion\.npz was made from another network than .*network\.npz"):
+        run.load_motion(task)
+    # One that says nothing of where it is from belongs to no run, though anybody may load it.
+    motion.save(run.motion)
+    np.testing.assert_array_equal(Motion.load(run.motion).q, motion.q)
+    with pytest.raises(FileError, match=r"motion\.npz was made from another task .* \(fingerprint none, not"):
+        run.load_motion(task)
+
+
+def test_every_command_asks_whether_the_files_belong_together(tmp_path, made, capsys):
+    run, _ = save(tmp_path / "run", made)
+    other, _ = save(tmp_path / "other", made, seed=1)
+    shutil.copy(other.motion, run.motion)
+    for command in ("simulate", "evaluate", "render"):
+        assert f"{run.motion} was made from another task than {run.task}" in fails(capsys, command, run.path)
+    run, _ = save(tmp_path / "run", made)
+    value = json.loads(run.task.read_text())
+    run.task.write_text(json.dumps(value | {"duration": 0.7}))
+    for command in ("simulate", "evaluate", "render"):
+        assert f"{run.network} was made from another task than {run.task}" in fails(capsys, command, run.path)
+    run, _ = save(tmp_path / "run", made)
+    run.rollout.write_bytes(run.rollout.read_bytes() + b"more")
+    for command in ("evaluate", "render"):
+        assert f"{run.rollout} is not a readable" in fails(capsys, command, run.path)
+
+
+def test_an_arm_that_changed_since_is_refused(tmp_path, made, capsys):
+    path = tmp_path / "own.xml"
+    path.write_text(OWN)
+    arm = Arm.load(str(path))
+    task = Task(str(path), (0.0, 0.0), (0.1, 0.1), 1.0, model=arm.fingerprint)
+    run = RunDirectory(tmp_path)
+    task.save(run.task)
+    assert run.load_task()[0] == task
+    # Looks do not count.
+    path.write_text(OWN.replace("1 0 0 1", "0 1 0 1"))
+    assert run.load_task()[0] == task
+    for old, new in (
+        ('mass="1"/>\n        <site', 'mass="1.000001"/>\n        <site'),
+        ("-90 90", "-90 80"),
+        ('"b"', '"c"'),
+    ):
+        path.write_text(OWN.replace(old, new))
+        assert f"is not the one that {run.task} was made for" in fails(capsys, "simulate", tmp_path)
+
+
+def test_obstacles_belong_to_the_arm():
+    arm = Arm.load("telescopic_pr")
+    seen = {arm.fingerprint, *(arm.among("poles", seed).fingerprint for seed in range(3))}
+    assert len(seen) == 4
+    assert arm.among("poles", 1).fingerprint == Arm.load("telescopic_pr", "poles", 1).fingerprint
+
+
+def test_a_new_simulation_leaves_nothing_of_the_first(tmp_path, made, capsys):
+    run, _ = save(tmp_path, made)
+    assert main(["evaluate", str(tmp_path)]) == 0
+    for path in (run.video, run.divergence):
+        path.write_bytes(b"of the first")
+    first = json.loads(run.metrics_json.read_text())
+    assert main(["simulate", str(tmp_path), "--payload", "2", "--hold", "0.05"]) == 0
+    assert {path.name for path in tmp_path.iterdir()} == {"task.json", "network.npz", "motion.npz", "rollout.npz"}
+    assert main(["evaluate", str(tmp_path)]) == 0
+    second = json.loads(run.metrics_json.read_text())
+    assert [value["disturbances"]["payload"] for value in (first, second)] == [0.0, 2.0]
+    assert second["frames"][-1]["rms_translation_mm"] > 2.0 * first["frames"][-1]["rms_translation_mm"]
+    assert first["made_from"]["motion"] == second["made_from"]["motion"]
+    assert second["made_from"]["rollout"] == storage.origin(run.rollout)[0] != first["made_from"]["rollout"]
+
+
+class _Killed(BaseException):
+    pass
+
+
+def test_a_run_that_is_killed_while_it_replaces_another_leaves_no_mixture(tmp_path, made, monkeypatch):
+    """Killed before its k-th step on the disk, whatever k is."""
+    task, network, motion, rollout = made
+    real = {name: getattr(type(tmp_path), name) for name in ("unlink", "replace")}
+    outcomes = []
+    for deadly in range(100):
+        run, old = save(tmp_path / str(deadly), made)
+        for path in run.results:
+            path.write_text("old")
+        new = dataclasses.replace(task, seed=1)
+        steps = iter(range(deadly))
+
+        def mortal(name, steps=steps):
+            def call(self, *arguments, **options):
+                if next(steps, None) is None:
+                    raise _Killed
+                return real[name](self, *arguments, **options)
+
+            return call
+
+        with monkeypatch.context() as patch:
+            for name in real:
+                patch.setattr(type(tmp_path), name, mortal(name))
+            try:
+                run.save_network(new, network, motion)
+                run.save_rollout(new, motion, rollout)
+                finished = True
+            except _Killed:
+                finished = False
+        now = Task.load(run.task)
+        assert now in (old, new)
+        # Either what is there is of one run, or the check says that it is not.
+        try:
+            found = run.check(now, "network", "motion", "rollout")
+            outcomes.append("whole" if "rollout" in found else "begun")
+        except FileError:
+            outcomes.append("refused")
+        if now == new:
+            assert not any(path.exists() for path in run.results)
+        if finished:
+            break
+    assert finished
+    assert outcomes[0] == outcomes[-1] == "whole"
+    assert {"begun", "refused"} <= set(outcomes)
+
+
+def command_line(task, metrics):
+    """The words that make a run again, from its two JSON files alone."""
+    numbers = {name: ",".join(map(repr, task[name])) for name in ("start", "target")}
+    words = ["synthesize", "--arm", task["arm"], "--scene", task["scene"], "--scene-seed", str(task["scene_seed"])]
+    words += [f"--start={numbers['start']}", f"--target={numbers['target']}", "--duration", repr(task["duration"])]
+    words += ["--planner", task["planner"], "--seed", str(task["seed"]), "--servos", task["servos"]]
+    for name, value in task["options"].items():
+        if value is not None:
+            words += [f"--{name.replace('_', '-')}", str(value)]
+    told = metrics["disturbances"]
+    again = ["--controller", metrics["controller"], "--hold", repr(metrics["hold"])]
+    if metrics["reference_rate"] is not None:
+        again += ["--reference-rate", repr(metrics["reference_rate"])]
+    for option in ("payload", "mass_scale", "position_noise", "velocity_noise"):
+        again += [f"--{option.replace('_', '-')}", repr(told[option])]
+    again += ["--noise-seed", str(told["seed"])]
+    for push in told["pushes"]:
+        parts = [push["body"], *push["force"], push["start"], push["duration"]]
+        again += ["--push", ",".join(map(str, parts))]
+    return words, again
+
+
+def test_a_run_can_be_made_again_from_task_and_metrics(tmp_path, capsys):
+    first, second = tmp_path / "first", tmp_path / "second"
+    road = ["--target", "random:3", "--duration", "3", "--candidates", "2", "--bias-magnitude", "0.5", "--seed", "5"]
+    assert main(["synthesize", *road, "--output", str(first)]) == 0
+    conditions = ["--controller", "computed-torque", "--payload", "0.3", "--mass-scale", "1.05", "--hold", "0.2"]
+    conditions += ["--push", "end effector,0,-3,5.5,0.4,0.1", "--reference-rate", "250", "--position-noise", "1e-5"]
+    conditions += ["--velocity-noise", "1e-4", "--noise-seed", "4"]
+    assert main(["simulate", str(first), *conditions]) == 0
+    assert main(["evaluate", str(first)]) == 0
+    task, metrics = (json.loads((first / name).read_text()) for name in ("task.json", "metrics.json"))
+    assert (task["planner"], task["reason"]) == ("lieednn-certified", "the default without obstacles")
+    assert {"lieednn_sim", "mujoco", "numpy", "scipy"} <= task["versions"].keys()
+    assert metrics["versions"]["mujoco"] == task["versions"]["mujoco"]
+    words, again = command_line(task, metrics)
+    assert main([*words, "--output", str(second)]) == 0
+    assert main(["simulate", str(second), *again]) == 0
+    for name in ("network.npz", "motion.npz", "rollout.npz"):
+        contents = []
+        for directory in (first, second):
+            with np.load(directory / name) as archive:
+                contents.append({key: archive[key].tobytes() for key in archive.files if key != "meta_json"})
+        assert contents[0] == contents[1], name
+    assert Rollout.load(second / "rollout.npz").disturbances == Rollout.load(first / "rollout.npz").disturbances
+    assert "planner: lieednn-certified (asked for)" in capsys.readouterr().out
+
+
+def test_no_planner_takes_the_place_of_one_that_is_not_installed(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("lieednn_sim.planning.extras.importlib.util.find_spec", lambda _: None)
+    line = fails(capsys, "synthesize", "--scene", "window", "--target", "random:0", "--output", tmp_path / "run")
+    assert "planner 'lieednn-guided' is not installed: pip install 'lieednn_sim[rivals]'; or name another one" in line
+    assert "lieednn-filtered" in line
+    assert not (tmp_path / "run").exists()
+    with pytest.raises(LieEDNNError, match="'lieednn-guided' is not installed"):
+        planners.require_planner(planners.OBSTACLE_PLANNER)
+
+
+@pytest.mark.parametrize("command", ["demo", "synthesize", "train", "compare"])
+def test_an_empty_output_is_no_directory(command, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    goal = ["--target", "extended"] if command in ("synthesize", "train") else []
+    assert "must be a path, got ''" in fails(capsys, command, *goal, "--output", "")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_empty_name_is_no_run_and_no_video(tmp_path, made, capsys, monkeypatch):
+    save(tmp_path, made)
+    monkeypatch.chdir(tmp_path)
+    for command in ("simulate", "evaluate", "render"):
+        assert "must be a path, got ''" in fails(capsys, command, "")
+    assert "must be a path, got ''" in fails(capsys, "render", ".", "--output", "")
+    assert "must be a path, got ''" in fails(capsys, "train", "--resume", "")
+
+
+def test_every_output_is_looked_at_before_the_work(tmp_path, made, capsys):
+    run, _ = save(tmp_path / "run", made)
+    run.joints_plot.mkdir()
+    before = {path.name: path.stat().st_mtime_ns for path in run.path.iterdir()}
+    again = ["--target", "extended", "--output", run.path]
+    for words in (["simulate", run.path], ["evaluate", run.path], ["synthesize", *again], ["train", *again]):
+        assert f"cannot write {run.joints_plot}: it is a directory" in fails(capsys, *words)
+    for output, words in ((run.joints_plot, "it is a directory"), (tmp_path / "no" / "x.gif", "there is no directory")):
+        assert words in fails(capsys, "render", run.path, "--output", output)
+    assert {path.name: path.stat().st_mtime_ns for path in run.path.iterdir()} == before
+    (tmp_path / "table" / "comparison.html").mkdir(parents=True)
+    assert "comparison.html: it is a directory" in fails(capsys, "compare", "--output", tmp_path / "table")
+
+
+def test_a_command_waits_for_no_other_but_says_that_one_is_at_work(tmp_path, made, capsys):
+    run, task = save(tmp_path / "run", made)
+    again = ["--target", "extended", "--output", run.path]
+    busy = f"another lieednn-sim is at work in {run.path}"
+    with run.at_work():
+        for words in (["simulate", run.path], ["evaluate", run.path], ["synthesize", *again], ["train", *again]):
+            assert busy in fails(capsys, *words)
+    # A video takes minutes; the plots may be made meanwhile, another rollout may not.
+    with run.at_work(shared=True), run.at_work(shared=True):
+        assert busy in fails(capsys, "simulate", run.path)
+    with storage.locked(tmp_path):
+        assert f"at work in {tmp_path}" in fails(capsys, "compare", "--output", tmp_path)
+    run.load_rollout(task)
+
+
+def test_what_a_killed_command_left_half_written_is_removed_by_the_next(tmp_path, made):
+    run, _ = save(tmp_path, made)
+    (tmp_path / ".rollout.a1b2c3d4.npz").write_bytes(b"half")
+    (tmp_path / ".mine.npz").write_bytes(b"of somebody else")
+    with run.at_work(shared=True):
+        assert (tmp_path / ".rollout.a1b2c3d4.npz").exists()
+    with run.at_work():
+        assert {path.name for path in tmp_path.iterdir() if path.name.startswith(".")} == {".mine.npz"}
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"start": ["0"] * 8}, "start must be a list of numbers"),
+        ({"start": [True] * 8}, "start must be a list of numbers"),
+        ({"target": [[0.0]]}, "target must have shape"),
+        ({"target": [10**400]}, "target must be an array of numbers"),
+        ({"duration": math.inf}, "duration must be finite"),
+        ({"duration": -1.0}, "duration must be positive"),
+        ({"seed": 1.5}, "seed must be a whole number"),
+        ({"scene_seed": -1}, "scene_seed must be a whole number"),
+        ({"arm": 3}, "names must be strings"),
+        ({"links": [1]}, "names must be strings"),
+        ({"options": []}, "must be objects"),
+        ({"model": None}, "names must be strings"),
+    ],
+)
+def test_a_broken_task_is_named(tmp_path, made, change, words):
+    path = tmp_path / "task.json"
+    path.write_text(json.dumps({**dataclasses.asdict(made[0]), **change}))
+    with pytest.raises(FileError, match=f"task.json is not a valid task .*{words}"):
+        Task.load(path)
+
+
+def test_a_task_without_its_values_is_named(tmp_path, made):
+    path = tmp_path / "task.json"
+    for name in dataclasses.asdict(made[0]):
+        path.write_text(json.dumps({key: value for key, value in dataclasses.asdict(made[0]).items() if key != name}))
+        with pytest.raises(FileError, match=f"it has no '{name}'"):
+            Task.load(path)

@@ -1,0 +1,149 @@
+"""The page's numbers and choices, from rows that are made up."""
+
+from __future__ import annotations
+
+import html
+import re
+
+import numpy as np
+import pytest
+
+from lieednn_sim.evaluation import Settings, Table, write_summary
+from lieednn_sim.evaluation.columns import BY_NAME, COLUMNS, FIELDS
+from lieednn_sim.evaluation.report import choose_cases, figures, write_page
+from lieednn_sim.evaluation.report.findings import findings
+from lieednn_sim.evaluation.report.page import _SHOWN
+
+# In this order in the registry, and so in what is shown.
+FIRST, SECOND, THIRD = "minimum-jerk", "screw", "rrt-connect"
+
+
+def row(planner, seed, controller="position-servo", scene="free", **values):
+    """A success whose columns hold their place among the columns, and a half."""
+    numbers = {column.name: f"{index + 0.5:g}" for index, column in enumerate(COLUMNS)}
+    numbers |= {column.name: "0" for column in COLUMNS if column.name.endswith(("_violations", "_excess"))}
+    keys = {"arm": "an_arm", "scene": scene, "planner": planner, "controller": controller, "seed": str(seed)}
+    words = {"mass_scale": "1", "success": "yes", "stability": "-", "stability_level": "-"}
+    return dict.fromkeys(FIELDS, "") | keys | words | numbers | {name: f"{value}" for name, value in values.items()}
+
+
+ROWS = [
+    # The median of the second is the least tracking error, of the third the least time; the means are others.
+    *(row(FIRST, k, tracking_rms_mm=v, planning_s=4, clearance_mm=9) for k, v in enumerate((5, 6, 0.001))),
+    *(row(SECOND, k, tracking_rms_mm=v, planning_s=7, clearance_mm=8) for k, v in enumerate((2, 3, 9000))),
+    *(row(THIRD, k, tracking_rms_mm=40, planning_s=v, clearance_mm=3) for k, v in enumerate((0.5, 0.25, 99))),
+]
+ROWS[1] |= {"success": "no", "reason": "contact: up to 1 at a time", "clearance_mm": "-2.5", "velocity_violations": "7"}
+ROWS[8] |= {"success": "no", "reason": "arrival: link 1 ends 2 mm and 0 deg off"}
+# Another controller follows better; what is said of tracking is of the first one.
+ROWS += [row(THIRD, k, "computed-torque", tracking_rms_mm=1e-9, planning_s=99, clearance_mm=7) for k in range(3)]
+
+
+@pytest.fixture
+def table(tmp_path):
+    made = Table(tmp_path / "table", Settings())
+    made.add(ROWS)
+    return made
+
+
+def test_findings_name_the_best_and_the_worst():
+    found = {finding.label: (finding.value, finding.detail) for finding in findings(ROWS)}
+    assert found["of all rollouts succeed"] == ("83.3%", "10 of 12, 95 % interval 55.2% to 95.3%")
+    assert found["highest success of a planner"] == ("100.0%", SECOND)
+    assert found["least median tracking RMS with position-servo"] == ("3 mm", SECOND)
+    assert found["least median planning time"] == ("0.5 s", THIRD)
+    assert found["deepest penetration of any rollout"] == ("2.5 mm", f"{FIRST} on an_arm, free, seed 1")
+    clear = [{**row, "clearance_mm": row["clearance_mm"].lstrip("-")} for row in ROWS]
+    assert {finding.label: finding.value for finding in findings(clear)}["least clearance of any rollout"] == "2.5 mm"
+    proofs = [row(FIRST, k, stability=s, gap_end_mm=k) for k, s in enumerate(["global", "local", "global", "none"])]
+    (finding,) = (finding for finding in findings(proofs) if finding.label == "proved globally stable")
+    assert finding.value == "50.0%"
+    assert finding.detail == "2 of 4 motions of networks; largest gap at the end of any plan 3 mm"
+
+
+def test_the_page_has_each_median_in_its_column(table, tmp_path):
+    write_page(tmp_path / "page.html", table)
+    text = (tmp_path / "page.html").read_text(encoding="utf-8")
+    body = re.search(r'<table.*?id="medians".*?</table>|id="medians".*?</table>', text, re.DOTALL)[0]
+    lines = re.findall(r"<tr data-arm.*?</tr>", body, re.DOTALL)
+    assert [re.search(r'data-planner="([^"]*)" data-controller="([^"]*)"', line).groups() for line in lines] == [
+        (FIRST, "position-servo"),
+        (SECOND, "position-servo"),
+        (THIRD, "computed-torque"),
+        (THIRD, "position-servo"),
+    ]
+    medians = ((2, 4.0, 5.0, 9.0, 1), (3, 7.0, 3.0, 8.0, 0), (3, 99.0, 1e-9, 7.0, 0), (2, 0.5, 40.0, 3.0, 0))
+    for line, (successes, planning, tracking, clearance, violations) in zip(lines, medians, strict=True):
+        values = [float(value) for value in re.findall(r'data-value="([^"]*)"', line)]
+        expected = {name: float(row(FIRST, 0)[name]) for name in _SHOWN}
+        expected |= {"planning_s": planning, "tracking_rms_mm": tracking, "clearance_mm": clearance}
+        assert values == pytest.approx([successes / 3, *expected.values(), violations])
+        low, high = {2: (21, 94), 3: (44, 100)}[successes]
+        assert f"{successes}/3" in line
+        assert f"{low}\N{EN DASH}{high} %" in line
+    titles = [html.unescape(title) for title in re.findall(r'title="([^"]*)"', body[: body.index("</thead>")])]
+    assert titles[1 : len(_SHOWN) + 1] == [BY_NAME[name].meaning for name in _SHOWN]
+
+
+def test_the_summary_has_each_median_in_its_column(table, tmp_path):
+    write_summary(tmp_path / "s.md", table)
+    lines = [line.strip("| ").split(" | ") for line in (tmp_path / "s.md").read_text(encoding="utf-8").splitlines()]
+    for names, headings, expected in (
+        (
+            ["an_arm", "free", SECOND, "3 of 3", "-"],
+            ["arm", "scene", "planner", "made"],
+            {"planning [s]": "planning_s", "gap [mm]": "gap_mm", "effector jerk [m/s³]": "jerk_effector"},
+        ),
+        (
+            ["an_arm", "free", SECOND, "position-servo", "3 of 3", "44% to 100%"],
+            ["arm", "scene", "planner", "controller"],
+            {"tracking RMS [mm]": "tracking_rms_mm", "clearance [mm]": "clearance_mm", "effector path [m]": "path_m"},
+        ),
+    ):
+        heading = next(line for line in lines if line[:4] == headings)
+        values = next(line for line in lines if line[: len(names)] == names)
+        made = row(SECOND, 0, tracking_rms_mm=3, planning_s=7, clearance_mm=8)
+        for title, column in expected.items():
+            assert float(values[heading.index(title)]) == pytest.approx(float(made[column]))
+
+
+def test_figures_draw_values_medians_and_shares(monkeypatch):
+    drawn = []
+
+    def keep(figure):
+        drawn.append(figure)
+        return "<svg/>"
+
+    monkeypatch.setattr(figures, "_svg", keep)
+    made = figures.plots(ROWS, "position-servo")
+    by_title = {plot.title: figure.axes[0] for plot, figure in zip(made, drawn, strict=True)}
+    success = by_title["Success"]
+    assert [label.get_text() for label in success.get_yticklabels()] == [FIRST, SECOND, THIRD]
+    points = [line.get_xdata()[0] for line in success.lines if len(line.get_xdata()) == 1]
+    assert points == pytest.approx([200 / 3, 100.0, 200 / 3])
+    bars = [tuple(line.get_xdata()) for line in success.lines if len(line.get_xdata()) == 2]
+    assert bars[1] == pytest.approx((43.8, 100.0), abs=0.1)
+    tracking = by_title["Tracking error"]
+    assert tracking.get_xlabel().endswith("[mm]")
+    lines = [np.asarray(line.get_xdata()) for line in tracking.lines]
+    # Of each planner: quartiles, values, the median.
+    np.testing.assert_allclose(lines[0], [2.5005, 5.5])
+    np.testing.assert_allclose(lines[1], [5.0, 6.0, 0.001])
+    np.testing.assert_allclose(lines[2], [5.0, 5.0])
+    np.testing.assert_allclose(lines[5], [3.0, 3.0])
+    for title, unit in (("Least clearance", "[mm]"), ("Planning time", "[s]"), ("Path length", "[ranges]")):
+        assert by_title[title].get_xlabel().endswith(unit)
+
+
+def test_cases_to_show_take_planners_in_turn_and_successes_first(table):
+    table.add([row(planner, seed, scene="window") for planner in (FIRST, SECOND) for seed in (4, 5)])
+    table.add([row(FIRST, 3, scene="window") | {"success": "no", "reason": "contact: up to 1 at a time"}])
+    chosen = choose_cases(table, 9)
+    assert [(case.planner, case.scene, case.seed) for case in chosen] == [
+        (FIRST, "free", 0),
+        (SECOND, "window", 4),
+        (THIRD, "free", 0),
+        (FIRST, "window", 4),
+        (SECOND, "free", 0),
+    ]
+    assert choose_cases(table, 2) == chosen[:2]

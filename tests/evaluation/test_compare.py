@@ -1,0 +1,252 @@
+"""The comparison: rows and their numbers, resumption, refusals, statistics."""
+
+from __future__ import annotations
+
+import csv
+import json
+import signal
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lieednn_sim.arm import Arm
+from lieednn_sim.arm.collision import Collisions
+from lieednn_sim.errors import FileError, InputError, PlanError
+from lieednn_sim.evaluation import Case, Selection, Settings, Table, cases, compare, read_rows, run_case, write_summary
+from lieednn_sim.evaluation.columns import BY_NAME, FIELDS, TIMING
+from lieednn_sim.evaluation.motion_metrics import least_clearance, rms_curvature, violations
+from lieednn_sim.evaluation.statistics import failures, numbers, wilson
+from lieednn_sim.planning import PlanningProblem, plan_with
+from lieednn_sim.simulation import simulate
+
+CASE = Case("telescopic_pr", "free", "minimum-jerk", 0)
+SMALL = Selection(("minimum-jerk", "screw"), ("telescopic_pr",), ("free",), ("position-servo",), seeds=1)
+QUICK = Settings(duration=1.5, hold=0.2)
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory, in_this_process):
+    """The directory of a small comparison."""
+    directory = tmp_path_factory.mktemp("comparison")
+    with in_this_process():
+        table = compare(directory, SMALL, QUICK)
+    write_summary(directory / "comparison.md", table, {"rrt-star": "ompl is not installed"})
+    return directory
+
+
+def test_a_row_holds_what_the_plan_says_of_itself():
+    (row,) = run_case(CASE, ["computed-torque"], Settings())
+    assert tuple(row) == FIELDS
+    assert (row["success"], row["reason"], row["stability"], row["mass_scale"]) == ("yes", "", "-", "1")
+    value = {name: float(row[name]) for name in BY_NAME}
+    assert value["gap_mm"] == value["gap_end_deg"] == 0.0
+    assert value["final_worst_mm"] < 1e-6
+    # A straight line in joint space, and the peak of its law: 15/8 of the mean velocity.
+    problem = cases.make_problem(CASE, Settings())
+    arm, way = problem.arm, problem.target - problem.start
+    ranges = arm.position_limits[:, 1] - arm.position_limits[:, 0]
+    assert value["path_ranges"] == pytest.approx(np.linalg.norm(way / ranges), rel=1e-5)
+    assert value["velocity_share"] == pytest.approx((1.875 * abs(way) / 4.0 / arm.velocity_limits).max(), rel=1e-3)
+    # The third derivative of sigma is 60 - 360 s + 360 s^2, whose mean square is 720.
+    assert value["jerk_joints"] == pytest.approx((720.0 * ((way / ranges) ** 2).mean()) ** 0.5 / 4.0**3, rel=2e-3)
+    assert value["motion_s"] == 4.0
+    assert 3.0 < value["settling_s"] < 4.0
+
+
+def test_masses_that_the_controller_does_not_know_show_in_the_row():
+    (right,), (wrong,) = (
+        run_case(CASE, ["inverse-dynamics"], replace(QUICK, mass_scale=scale)) for scale in (1.0, 1.2)
+    )
+    assert wrong["mass_scale"] == "1.2"
+    assert float(wrong["tracking_rms_mm"]) > 1e3 * float(right["tracking_rms_mm"])
+    # The plan is the same.
+    assert [right[name] for name in ("path_ranges", "curvature")] == [
+        wrong[name] for name in ("path_ranges", "curvature")
+    ]
+
+
+def test_a_planner_that_fails_is_a_row_with_the_reason(monkeypatch, tmp_path):
+    def refuse(*_):
+        raise PlanError("joint 'turn1' would reach 2.5 rad")
+
+    monkeypatch.setattr(cases, "plan_network", refuse)
+    rows = run_case(CASE, ["mocap", "computed-torque"], QUICK)
+    assert [row["reason"] for row in rows] == ["plan: joint 'turn1' would reach 2.5 rad"] * 2
+    assert {(row["success"], row["final_worst_mm"]) for row in rows} == {("no", "")}
+    table = Table(tmp_path, QUICK)
+    table.add(rows)
+    write_summary(tmp_path / "s.md", table)
+    text = (tmp_path / "s.md").read_text(encoding="utf-8")
+    assert "| minimum-jerk | 0 of 1 |" in text
+    assert "- 1 x plan, as: joint 'turn1' would reach 2.5 rad (minimum-jerk 1)" in text
+
+
+def test_a_bug_in_a_planner_is_not_swallowed_and_names_the_case(monkeypatch):
+    monkeypatch.setattr(cases, "plan_network", lambda *_: 1 / 0)
+    with pytest.raises(ZeroDivisionError) as caught:
+        run_case(CASE, ["mocap"], QUICK)
+    assert caught.value.__notes__ == ["while planning the case minimum-jerk:telescopic_pr:free:0"]
+
+
+def test_two_runs_differ_in_the_planning_time_only(finished, tmp_path):
+    again = compare(tmp_path, SMALL, QUICK, jobs=2).rows
+    before = read_rows(finished / "comparison.csv")
+    assert before.keys() == again.keys()
+    for key, row in before.items():
+        assert {n: v for n, v in row.items() if n not in TIMING} == {
+            n: v for n, v in again[key].items() if n not in TIMING
+        }
+
+
+def test_rows_are_not_computed_again_and_a_larger_selection_adds(finished, tmp_path, in_this_process):
+    for name in ("comparison.csv", "comparison.json"):
+        (tmp_path / name).write_bytes((finished / name).read_bytes())
+    path = tmp_path / "comparison.csv"
+    # A mark in a row survives only where the row is not computed again.
+    path.write_text(path.read_text(encoding="utf-8").replace(",yes,,", ",no,contact: marked,"), encoding="utf-8")
+    larger = Selection(("minimum-jerk",), ("telescopic_pr",), ("free",), ("position-servo", "mocap"), seeds=1)
+    with in_this_process():
+        table = compare(tmp_path, larger, QUICK)
+    assert [(row["planner"], row["controller"], row["reason"]) for row in table.sorted_rows()] == [
+        ("minimum-jerk", "mocap", ""),
+        ("minimum-jerk", "position-servo", "contact: marked"),
+        ("screw", "position-servo", "contact: marked"),
+    ]
+    with path.open(encoding="utf-8", newline="") as stream:
+        assert list(csv.DictReader(stream)) == table.sorted_rows()
+
+
+def test_other_settings_versions_and_files_are_refused(finished, tmp_path):
+    with pytest.raises(FileError, match=r"made with mass_scale 1.0, now 1.2; choose another --output"):
+        Table(finished, Settings(duration=1.5, hold=0.2, mass_scale=1.2))
+    for name in ("comparison.csv", "comparison.json"):
+        (tmp_path / name).write_bytes((finished / name).read_bytes())
+    path, description = tmp_path / "comparison.csv", tmp_path / "comparison.json"
+    value = json.loads(description.read_text(encoding="utf-8"))
+    value["versions"]["mujoco"] = "3.0.0"
+    for text, message in ((json.dumps(value), "made with mujoco 3.0.0, now"), ("[]", "does not say how it was made")):
+        description.write_text(text, encoding="utf-8")
+        with pytest.raises(FileError, match=message):
+            Table(tmp_path, QUICK)
+    description.write_bytes((finished / "comparison.json").read_bytes())
+    for text in ("a,b\n1,2\n", ",".join(FIELDS) + "\nscrew,mocap\n"):
+        path.write_text(text, encoding="utf-8")
+        with pytest.raises(FileError, match="cannot go on from"):
+            Table(tmp_path, QUICK)
+        assert path.read_text(encoding="utf-8") == text
+
+
+def test_the_summary_says_what_is_missing_and_what_is_proved(finished):
+    text = (finished / "comparison.md").read_text(encoding="utf-8")
+    assert "- rrt-star: ompl is not installed" in text
+    assert "| telescopic_pr | free | screw | position-servo | 1 of 1 | 21% to 100% |" in text
+    assert text.rstrip().endswith("- none")
+
+
+def test_interrupting_keeps_what_is_done(tmp_path, start):
+    code = (
+        "import sys\n"
+        "from lieednn_sim.cli import main\n"
+        "from lieednn_sim.evaluation import Table\n"
+        "add = Table.add\n"
+        "def announcing(self, rows):\n"
+        "    add(self, rows)\n"
+        "    print('a case is done', flush=True)\n"
+        "Table.add = announcing\n"
+        "sys.exit(main())"
+    )
+    options = "--planners minimum-jerk --arms telescopic_pr --scenes free --controllers position-servo --seeds 999"
+    options += " --jobs 1 --duration 1 --hold 0"
+    process = start("-c", code, "compare", *options.split(), "--output", str(tmp_path))
+    assert process.stdout.readline() == "a case is done\n", process.stderr.read()
+    process.send_signal(signal.SIGINT)
+    # The workers hold its stderr: this returns when they are gone, too.
+    _, message = process.communicate()
+    assert process.returncode == 130
+    assert "Traceback" not in message
+    assert 0 < len(read_rows(tmp_path / "comparison.csv")) < 999
+    assert {path.name for path in tmp_path.iterdir()} == {"comparison.csv", "comparison.json"}
+
+
+@given(radius=st.floats(0.1, 10.0), speed=st.floats(0.1, 2.0), tilt=st.floats(0.0, 3.0))
+def test_curvature_of_a_circle_is_one_over_its_radius(radius, speed, tilt):
+    angle = np.linspace(0.0, 2.0, 400) ** 2 * speed / radius  # at a varying speed
+    circle = radius * np.stack([np.cos(angle), np.sin(angle) * np.cos(tilt), np.sin(angle) * np.sin(tilt)], axis=1)
+    assert rms_curvature(circle, 2.0 / 399) == pytest.approx(1.0 / radius, rel=0.02)
+
+
+def test_curvature_of_paths_that_have_none():
+    line = np.linspace(0.0, 1.0, 50)[:, None] ** 2 * np.array([1.0, 2.0, 3.0])
+    assert rms_curvature(line, 0.01) == pytest.approx(0.0, abs=1e-9)
+    assert rms_curvature(np.ones((50, 3)), 0.01) is None
+    with pytest.raises(InputError, match="path must have shape"):
+        rms_curvature(np.ones((50, 2)), 0.01)
+
+
+def test_violations_and_clearance_see_the_simulated_motion():
+    arm = Arm.load("telescopic_pr")
+    motion = plan_with("minimum-jerk", PlanningProblem(arm, arm.keyframe("home"), arm.keyframe("extended"), 1.5))
+    rollout = simulate(arm, motion, hold=0.1)
+    assert all(value == 0.0 for value in violations(arm, rollout).values())
+    # The same motion within half the speed limits: count and excess by another road.
+    slow = Arm.load("telescopic_pr")
+    share = np.abs(rollout.qd).max(axis=0) / slow.velocity_limits
+    object.__setattr__(slow, "velocity_limits", slow.velocity_limits * share.max() / 2.0)
+    found = violations(slow, rollout)
+    assert found["velocity_excess"] == pytest.approx(1.0)
+    over = [any(abs(row) > 1.001 * slow.velocity_limits) for row in rollout.qd]
+    assert found["velocity_violations"] == sum(over) > 10
+    collisions = Collisions(arm)
+    everywhere = min(collisions.clearance(q) for q in rollout.q[::5])
+    assert least_clearance(rollout, collisions) == pytest.approx(everywhere, abs=1e-6)
+
+
+@given(st.integers(1, 300).flatmap(lambda n: st.tuples(st.integers(0, n), st.just(n))))
+def test_wilson_interval_solves_its_quadratic(count):
+    """Its ends are where |p - k/n| = z sqrt(p (1 - p) / n)."""
+    successes, total = count
+    rate = successes / total
+    for end in wilson(successes, total):
+        assert abs(end - rate) == pytest.approx(1.959963985 * (end * (1.0 - end) / total) ** 0.5, abs=1e-7)
+    with pytest.raises(InputError, match="successes <= total"):
+        wilson(total + 1, total)
+
+
+def test_failures_that_differ_in_names_and_numbers_are_counted_together():
+    def row(planner, controller, seed, reason):
+        values = {"arm": "a", "scene": "s", "planner": planner, "controller": controller, "seed": str(seed)}
+        return dict.fromkeys(FIELDS, "") | values | {"reason": reason, "planning_s": "1.0"}
+
+    rows = [row("p", c, 0, "plan: joint 'a' at 1.5 rad, range [-1, 1e-3]") for c in ("x", "y")]
+    rows += [row("r", c, 0, "plan: joint 'b' at -2 rad, range [-.5, 1]") for c in ("x", "y")]
+    rows += [row("p", c, 1, "arrival: end effector ends 3 mm and 0 deg off") for c in ("x", "y")]
+    arrival, plan = failures(rows)
+    assert (plan.step, plan.total, plan.counts) == ("plan", 2, (("p", 1), ("r", 1)))
+    assert (arrival.step, arrival.total) == ("arrival", 2)
+    # A plan's number counts once, whatever the number of controllers.
+    assert numbers(rows, "planning_s") == [1.0, 1.0, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Selection(planners=("a-star",)), "no planner 'a-star'; allowed: dmp"),
+        (lambda: Selection(scenes=("sea",)), "no scene 'sea'"),
+        (lambda: Selection(seeds=0), "seeds must be at least 1, got 0"),
+        (lambda: Settings(mass_scale=0.0), "mass_scale must be positive"),
+        (lambda: Settings(hold=-1.0), "hold must be between 0 and"),
+        (lambda: Case.parse("screw:free:0"), "must look like planner:arm:scene:seed"),
+    ],
+)
+def test_bad_input_is_named(make, message):
+    with pytest.raises(InputError, match=message):
+        make()
+
+
+def test_missing_planners_are_left_out(monkeypatch):
+    monkeypatch.setattr("lieednn_sim.evaluation.study.missing_planners", lambda: {"rrt-star": "pip install it"})
+    made = Selection(("rrt-star", "screw"), ("telescopic_pr",), ("free",), seeds=1).cases()
+    assert made == [Case("telescopic_pr", "free", "screw", 0)]

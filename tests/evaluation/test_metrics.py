@@ -1,0 +1,339 @@
+"""Metrics against cases whose answer is known."""
+
+import csv
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+
+from lieednn_sim.arm import Arm
+from lieednn_sim.errors import InputError
+from lieednn_sim.evaluation.metrics import evaluate, evaluate_following
+from lieednn_sim.planning.motion import Motion
+from lieednn_sim.simulation import Disturbances, Following, Push, Rollout
+
+
+@pytest.fixture
+def arm():
+    return Arm.load("telescopic_pr")
+
+
+@pytest.fixture
+def perfect(arm):
+    """A rollout that follows exactly, from home to extended in 1 s, then holds for 1 s."""
+    t = np.linspace(0.0, 2.0, 201)
+    share = np.clip(t, 0.0, 1.0)[:, None]
+    q = (1.0 - share) * arm.keyframe("home") + share * arm.keyframe("extended")
+    poses = arm.link_poses(q)
+    return Rollout(
+        arm=arm.name,
+        t=t,
+        q=q,
+        qd=np.gradient(q, t, axis=0),
+        q_ref=q,
+        qd_ref=np.gradient(q, t, axis=0),
+        ctrl=q,
+        force=np.ones_like(q),
+        constraint_force=np.zeros_like(q),
+        link_position=poses.translation,
+        link_quaternion=poses.rotation.as_quat(scalar_first=True),
+        contacts=np.zeros(len(t), dtype=int),
+        motion_end=1.0,
+    )
+
+
+def test_a_perfect_rollout_has_no_error(arm, perfect):
+    result = evaluate(arm, perfect, arm.keyframe("extended"))
+    for frame in result.frames:
+        assert frame.final_translation_mm < 1e-9
+        assert frame.max_translation_mm < 1e-9
+        assert frame.max_rotation_deg < 1e-5
+        assert 0.9 < frame.settling_time <= 1.0
+    tips = arm.link_poses(np.stack([arm.keyframe("home"), arm.keyframe("extended")])).translation[:, -1]
+    assert result.displacement == pytest.approx(np.linalg.norm(tips[1] - tips[0]))
+    assert result.travel >= result.displacement
+    assert result.max_gap_translation_mm is None
+
+
+def test_a_known_offset_is_measured(arm, perfect):
+    shifted = perfect.link_position.copy()
+    shifted[:, -1, 2] += 3e-3
+    result = evaluate(arm, dataclasses.replace(perfect, link_position=shifted), arm.keyframe("extended"))
+    tip = result.end_effector
+    assert (tip.rms_translation_mm, tip.max_translation_mm, tip.final_translation_mm) == pytest.approx((3.0, 3.0, 3.0))
+    assert tip.settling_time is None
+    assert result.frames[0].max_translation_mm < 1e-9
+
+
+def test_json_and_csv_hold_the_same_numbers(arm, perfect, tmp_path):
+    result = evaluate(arm, perfect, arm.keyframe("extended"))
+    result.save_json(tmp_path / "metrics.json")
+    result.save_csv(tmp_path / "metrics.csv")
+    frames = json.loads((tmp_path / "metrics.json").read_text())["frames"]
+    with (tmp_path / "metrics.csv").open() as stream:
+        rows = list(csv.DictReader(stream))
+    assert (
+        [row["name"] for row in rows] == [f["name"] for f in frames] == ["link 1", "link 2", "link 3", "end effector"]
+    )
+    assert float(rows[-1]["settling_time"]) == frames[-1]["settling_time"]
+
+
+def test_rollouts_of_another_arm_are_refused(arm, perfect):
+    with pytest.raises(InputError, match="of arm 'other'"):
+        evaluate(arm, dataclasses.replace(perfect, arm="other"), arm.keyframe("extended"))
+
+
+def test_every_number_of_an_evaluation_by_hand(gantry, tmp_path):
+    """Errors that are known, in every unit: what the JSON file and the CSV file hold, to the last entry."""
+    rollout = by_hand(gantry)
+    motion = Motion(
+        t=rollout.t,
+        tau=rollout.t,
+        xi=np.full((5, 2, 6), 0.25),
+        xi_target=np.full((2, 6), 0.125),
+        q=rollout.q,
+        qd=rollout.qd,
+        gap_translation=np.array([[0.001, 0.003], [0.002, 0.007], [0.004, 0.001], [0.0, 0.0], [0.0, 0.0]]),
+        gap_rotation=np.deg2rad([[1.0, 2.0], [5.0, 3.0], [4.0, 1.0], [0.0, 0.0], [0.0, 0.0]]),
+    )
+    result = evaluate(gantry, rollout, [0.0, 0.0, 0.008, np.deg2rad(7.0)], motion)
+    result.save_json(tmp_path / "metrics.json")
+    found = json.loads((tmp_path / "metrics.json").read_text())
+    expected = {
+        "frames": [
+            {
+                "name": "link 1",
+                "final_translation_mm": 8.0,
+                "final_rotation_deg": 0.0,
+                "rms_translation_mm": 5.0,
+                "rms_rotation_deg": 0.0,
+                "max_translation_mm": 10.0,
+                "max_rotation_deg": 0.0,
+                "settling_time": None,
+            },
+            {
+                "name": "end effector",
+                "final_translation_mm": 8.0,
+                "final_rotation_deg": 7.0,
+                "rms_translation_mm": 2.0,
+                "rms_rotation_deg": 30.0,
+                "max_translation_mm": 4.0,
+                "max_rotation_deg": 60.0,
+                "settling_time": None,
+            },
+        ],
+        "joints": [
+            {
+                "name": name,
+                "peak_velocity": velocity,
+                "velocity_limit": fastest,
+                "peak_force": force,
+                "force_limit": strongest,
+                "peak_constraint_force": constraint,
+            }
+            for name, velocity, fastest, force, strongest, constraint in (
+                ("x", 0.5, 1.0, 11.0, 100.0, 0.25),
+                ("y", 0.75, 2.0, 12.0, 25.0, 0.0),
+                ("z", 0.0, 4.0, 13.0, 40.0, 1.5),
+                ("turn", 3.0, 8.0, 14.0, None, 0.0),
+            )
+        ],
+        "travel": 0.008,
+        "displacement": 0.0,
+        "max_gap_translation_mm": 7.0,
+        "max_gap_rotation_deg": 5.0,
+        "network_residual": 0.125,
+        "contacts": 2,
+        "peak_contact_force": 9.0,
+        "peak_weld_force": 21.0,
+        "peak_weld_torque": 22.0,
+        "recoveries": [],
+        "motion_end": 0.02,
+        "duration": 0.04,
+        "controller": "mocap",
+    }
+    assert flat({name: found[name] for name in expected}) == {
+        path: leaf if leaf is None or isinstance(leaf, str) else pytest.approx(leaf, rel=1e-9, abs=1e-9)
+        for path, leaf in flat(expected).items()
+    }
+    result.save_csv(tmp_path / "metrics.csv")
+    with (tmp_path / "metrics.csv").open() as stream:
+        rows = list(csv.DictReader(stream))
+    assert [list(row) for row in rows] == [list(frame) for frame in expected["frames"]]
+    assert [list(row.values()) for row in rows] == [
+        ["" if value is None else str(value) for value in frame.values()] for frame in found["frames"]
+    ]
+
+
+def by_hand(arm):
+    """Five instants of the gantry, whose reference stays at zero: errors of both frames in x, y, z and about z."""
+    t = 0.01 * np.arange(5)
+    zeros = np.zeros((5, 4))
+    position = np.zeros((5, 2, 3))
+    # Of link 1 the root of the mean of 0, 100, 25, 0, 0 is 5 mm; of the end effector that of 16, 0, 4, 0, 0 is 2 mm.
+    position[:, 0] = 1e-3 * np.array([[0, 0, 0], [6, 8, 0], [0, 3, 4], [0, 0, 0], [0, 0, 0]])
+    position[:, 1] = [1.0, 0.0, 0.0] + 1e-3 * np.array([[0, 0, 0], [0, 0, 4], [0, 0, 2], [0, 0, 0], [0, 0, 0]])
+    # The root of the mean of 900, 3600, 0, 0, 0 is 30 degrees.
+    half = 0.5 * np.deg2rad([30.0, -60.0, 0.0, 0.0, 0.0])
+    quaternion = np.zeros((5, 2, 4))
+    quaternion[:, 0, 0] = 1.0
+    quaternion[:, 1, 0], quaternion[:, 1, 3] = np.cos(half), np.sin(half)
+    rates = zeros.copy()
+    rates[1], rates[2] = [-0.5, 0.75, 0.0, -2.0], [0.25, 0.5, 0.0, 3.0]
+    forces = zeros.copy()
+    forces[0], forces[3] = [-11.0, 1.0, 13.0, 1.0], [1.0, 12.0, -2.0, -14.0]
+    pulls = zeros.copy()
+    pulls[4] = [-0.25, 0.0, 1.5, 0.0]
+    return Rollout(
+        arm=arm.name,
+        t=t,
+        q=zeros,
+        qd=rates,
+        q_ref=zeros,
+        qd_ref=zeros,
+        ctrl=zeros,
+        force=forces,
+        constraint_force=pulls,
+        link_position=position,
+        link_quaternion=quaternion,
+        contacts=np.array([0, 1, 2, 1, 0]),
+        contact_force=np.array([0.0, 9.0, 4.0, 1.0, 0.0]),
+        weld_force=np.array([[1.0, 21.0], [2.0, 3.0], [0.0, 0.0], [0.0, 0.0], [5.0, 0.0]]),
+        weld_torque=np.array([[22.0, 1.0], [2.0, 3.0], [0.0, 0.0], [0.0, 0.0], [5.0, 0.0]]),
+        motion_end=0.02,
+        controller="mocap",
+    )
+
+
+def flat(value, name=""):
+    """Leaves of nested dictionaries and lists by their path."""
+    if isinstance(value, dict | list):
+        items = value.items() if isinstance(value, dict) else enumerate(value)
+        return {path: leaf for key, part in items for path, leaf in flat(part, f"{name}/{key}").items()}
+    return {name: value}
+
+
+def still(arm, steps, timestep=0.01):
+    """A rollout of the gantry at rest at zero, to put errors into."""
+    zeros = np.zeros((steps, arm.n_joints))
+    poses = arm.link_poses(zeros)
+    return Rollout(
+        arm=arm.name,
+        t=timestep * np.arange(steps),
+        q=zeros,
+        qd=zeros,
+        q_ref=zeros,
+        qd_ref=zeros,
+        ctrl=zeros,
+        force=zeros,
+        constraint_force=zeros,
+        link_position=poses.translation.copy(),
+        link_quaternion=poses.rotation.as_quat(scalar_first=True),
+        contacts=np.zeros(steps, dtype=int),
+        motion_end=0.0,
+    )
+
+
+def turned(rollout, row, link, degrees):
+    """A copy with a link turned about z at an instant."""
+    quaternion = rollout.link_quaternion.copy()
+    half = 0.5 * np.deg2rad(degrees)
+    quaternion[row, link] = [np.cos(half), 0.0, 0.0, np.sin(half)]
+    return dataclasses.replace(rollout, link_quaternion=quaternion)
+
+
+def moved(rollout, row, link, millimetres):
+    """A copy with a link moved along x at an instant."""
+    position = rollout.link_position.copy()
+    position[row, link, 0] += 1e-3 * millimetres
+    return dataclasses.replace(rollout, link_position=position)
+
+
+def test_the_time_of_settling_is_of_the_worse_of_distance_and_angle(gantry):
+    rollout = still(gantry, 10)
+    target = np.zeros(4)
+    assert [frame.settling_time for frame in evaluate(gantry, rollout, target).frames] == [0.0, 0.0]
+    for change, size in ((moved, 1.0), (turned, 0.1)):
+        # Within the bound at 0.03 s, beyond it before and at 0.05 s: settled at the instant after.
+        touched = change(change(rollout, 3, 1, 0.99 * size), 5, 1, 1.01 * size)
+        assert [frame.settling_time for frame in evaluate(gantry, touched, target).frames] == [0.0, pytest.approx(0.06)]
+        within = change(rollout, 3, 1, 0.99 * size)
+        assert evaluate(gantry, within, target).end_effector.settling_time == 0.0
+        never = change(rollout, 9, 0, 1.01 * size)
+        assert evaluate(gantry, never, target).frames[0].settling_time is None
+
+
+def test_recovery_from_pushes_by_hand(gantry):
+    """Pushes at 0.1 to 0.12 s and 0.2 to 0.23 s; the third begins after the end."""
+    pushes = tuple(
+        Push(body, (1.0, 0.0, 0.0), start, duration)
+        for body, start, duration in (("link 1", 0.1, 0.02), ("end effector", 0.2, 0.03), ("link 1", 0.5, 0.1))
+    )
+    rollout = dataclasses.replace(still(gantry, 31), disturbances=Disturbances(pushes=pushes))
+    rollout = moved(moved(moved(rollout, 9, 0, 50.0), 11, 0, 4.0), 15, 1, 2.0)
+    rollout = turned(turned(rollout, 12, 1, 8.0), 19, 0, 0.09)
+    # The second push: 30 degrees while it lasts, 3 mm at its last instant and in the last step.
+    rollout = turned(moved(rollout, 22, 0, 3.0), 20, 1, 30.0)
+    first, second = evaluate(gantry, rollout, np.zeros(4)).recoveries
+    assert dataclasses.astuple(first) == pytest.approx(("link 1", 0.1, 0.12, 4.0, 8.0, 0.04))
+    assert dataclasses.astuple(second) == pytest.approx(("end effector", 0.2, 0.23, 3.0, 30.0, 0.0))
+    late = evaluate(gantry, moved(rollout, 30, 1, 6.0), np.zeros(4)).recoveries[1]
+    assert (late.peak_deviation_mm, late.recovery_time) == (pytest.approx(6.0), None)
+
+
+def test_pushes_that_begin_together_share_their_recovery(gantry):
+    pushes = tuple(Push(body, (1.0, 0.0, 0.0), 0.1, 0.02) for body in ("link 1", "end effector"))
+    rollout = moved(moved(still(gantry, 31), 11, 0, 4.0), 15, 1, 2.0)
+    one, other = evaluate(
+        gantry, dataclasses.replace(rollout, disturbances=Disturbances(pushes=pushes)), np.zeros(4)
+    ).recoveries
+    assert dataclasses.astuple(one)[1:] == dataclasses.astuple(other)[1:] == pytest.approx((0.1, 0.12, 4.0, 0.0, 0.04))
+    # Less than a step apart: the first has no instant of its own.
+    pushes = (pushes[0], dataclasses.replace(pushes[1], start=0.101))
+    changed = dataclasses.replace(rollout, disturbances=Disturbances(pushes=pushes))
+    first, second = evaluate(gantry, changed, np.zeros(4)).recoveries
+    assert (first.peak_deviation_mm, first.peak_deviation_deg, first.recovery_time) == (0.0, 0.0, None)
+    assert second.peak_deviation_mm == pytest.approx(4.0)
+
+
+def test_following_errors_by_hand(gantry):
+    """A target that runs along x at 0.5 m/s, jumps at 0.05 s and is followed 20 ms late."""
+    t, lag = 0.01 * np.arange(21), 0.02
+    target = np.zeros((21, 4))
+    target[:, 0] = 0.5 * t + np.where(t > 0.095, 0.1, 0.0)
+    rollout = still(gantry, 21)
+    position = rollout.link_position.copy()
+    # After the jump both links are where they shall be from 0.13 s on, but for one instant of link 1.
+    position[:, :, 0] += (target[:, 0] - 0.5 * lag)[:, None]
+    position[10:13, :, 0] -= 0.05
+    position[13:, :, 0] += 0.5 * lag
+    position[15, 0, 1] += 0.06
+    rollout = dataclasses.replace(rollout, link_position=position)
+    rollout = turned(turned(rollout, 4, 1, 21.0), 2, 0, 33.0)
+    following = Following(
+        rollout=rollout,
+        target=target,
+        xi=np.zeros((21, 2, 6)),
+        period=2,
+        jumps=(0.1,),
+        slowed=0.0,
+        limit_excess=0.0,
+        gap_translation=0.0,
+        gap_rotation=0.0,
+    )
+    errors = evaluate_following(gantry, following)
+    # Ten instants 10 mm behind, three 60 mm.
+    assert errors.rms_translation_mm == pytest.approx(np.sqrt((10 * 10.0**2 + 3 * 60.0**2) / 21))
+    assert errors.rms_rotation_deg == pytest.approx(21.0 / np.sqrt(21.0))
+    assert errors.worst_translation_mm == pytest.approx(60.0)
+    assert errors.worst_rotation_deg == pytest.approx(33.0)
+    # Of the steps without the jump nine are 10 mm late, two 60 mm and eight on time, all at 0.5 m/s.
+    assert errors.lag == pytest.approx((9 * 0.01 + 2 * 0.06) * 0.5 / (19 * 0.25))
+    assert errors.settling_times == (pytest.approx(0.06),)
+    away = moved(rollout, 20, 0, 1.5)
+    assert evaluate_following(gantry, dataclasses.replace(following, rollout=away)).settling_times == (None,)
+    rest = dataclasses.replace(following, target=np.zeros((21, 4)), jumps=())
+    assert evaluate_following(gantry, rest).lag is None
+    with pytest.raises(InputError, match="of arm 'other'"):
+        evaluate_following(gantry, dataclasses.replace(following, rollout=dataclasses.replace(rollout, arm="other")))

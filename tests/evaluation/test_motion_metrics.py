@@ -1,0 +1,199 @@
+"""Numbers of plans and rollouts by hand, in the units that the columns name."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from lieednn_sim.arm.collision import Collisions
+from lieednn_sim.evaluation.metrics import Evaluation, FrameErrors, JointUse, evaluate
+from lieednn_sim.evaluation.motion_metrics import (
+    least_clearance,
+    motion_metrics,
+    rms_curvature,
+    rollout_metrics,
+    shortfall,
+    violations,
+)
+from lieednn_sim.planning.motion import Motion
+from lieednn_sim.simulation import Disturbances, Rollout
+
+LIMITS = ("position", "velocity", "acceleration")
+
+
+def motion_of(arm, t, q, qd):
+    zeros = np.zeros((len(t), arm.n_links))
+    return Motion(t, t, np.zeros((len(t), 2, 6)), np.zeros((2, 6)), q, qd, zeros, zeros)
+
+
+def rollout_of(arm, q, qd, contacts=None):
+    poses = arm.link_poses(q)
+    return Rollout(
+        arm=arm.name,
+        t=0.01 * np.arange(len(q)),
+        q=q,
+        qd=qd,
+        q_ref=q,
+        qd_ref=qd,
+        ctrl=q,
+        force=np.zeros_like(q),
+        constraint_force=np.zeros_like(q),
+        link_position=poses.translation,
+        link_quaternion=poses.rotation.as_quat(scalar_first=True),
+        contacts=np.zeros(len(q), dtype=int) if contacts is None else contacts,
+        motion_end=0.0,
+    )
+
+
+def test_a_cubic_has_its_jerk_length_and_gaps(gantry):
+    """x, y, z = (1, 2, -2) t^3 in ranges of 2, 4, 5: a jerk of 6 times these, the effector's 18 m/s^3 at all times."""
+    t = 0.01 * np.arange(61)
+    rates = np.array([1.0, 2.0, -2.0, 0.0])
+    motion = motion_of(gantry, t, np.outer(t**3, rates), np.outer(3.0 * t**2, rates))
+    gaps = np.zeros((2, 61, 2))
+    gaps[0, 20], gaps[0, -1] = [0.004, 0.009], [0.002, 0.001]
+    gaps[1, 30], gaps[1, -1] = np.deg2rad([11.0, 5.0]), np.deg2rad([0.5, 0.7])
+    motion = dataclasses.replace(motion, gap_translation=gaps[0], gap_rotation=gaps[1])
+    found = motion_metrics(gantry, motion)
+    assert found.pop("curvature") == pytest.approx(0.0, abs=1e-6)
+    assert found == pytest.approx(
+        {
+            "motion_s": 0.6,
+            "gap_mm": 9.0,
+            "gap_deg": 11.0,
+            "gap_end_mm": 2.0,
+            "gap_end_deg": 0.7,
+            "path_ranges": 0.6**3 * np.sqrt(0.5**2 + 0.5**2 + 0.4**2),
+            "jerk_joints": 6.0 * np.sqrt((0.5**2 + 0.5**2 + 0.4**2 + 0.0) / 4.0),
+            "jerk_effector": 18.0,
+        },
+        rel=1e-6,
+    )
+
+
+def test_a_circle_has_the_curvature_of_its_radius(gantry):
+    t = 0.01 * np.arange(101)
+    angle = 2.0 * t
+    q, qd = np.zeros((101, 4)), np.zeros((101, 4))
+    q[:, 0], q[:, 1] = 0.5 * np.cos(angle), 0.5 * np.sin(angle)
+    qd[:, 0], qd[:, 1] = -np.sin(angle), np.cos(angle)
+    found = motion_metrics(gantry, motion_of(gantry, t, q, qd))
+    assert found["curvature"] == pytest.approx(2.0, rel=1e-3)
+    assert found["jerk_effector"] == pytest.approx(0.5 * 2.0**3, rel=1e-3)
+    still = motion_of(gantry, t, np.zeros((101, 4)), np.zeros((101, 4)))
+    assert "curvature" not in motion_metrics(gantry, still)
+    # Three samples have a curvature, here |(1, 0) x (0, 2)| / 1, and no third difference.
+    assert rms_curvature([[-0.1, 0.1, 0.0], [0.0, 0.0, 0.0], [0.1, 0.1, 0.0]], 0.1) == pytest.approx(20.0)
+    assert rms_curvature(np.zeros((2, 3)), 0.1) is None
+    short = motion_metrics(gantry, motion_of(gantry, t[:3], q[:3], qd[:3]))
+    assert short["jerk_effector"] == 0.0
+
+
+def frame(name, *values, settled=1.0):
+    return FrameErrors(name, *values, settling_time=settled)
+
+
+def evaluation_of(frames, joints=(), contacts=0):
+    return Evaluation(
+        frames=tuple(frames),
+        joints=tuple(joints),
+        travel=2.5,
+        displacement=1.0,
+        max_gap_translation_mm=None,
+        max_gap_rotation_deg=None,
+        network_residual=None,
+        contacts=contacts,
+        peak_contact_force=0.0,
+        peak_weld_force=0.0,
+        peak_weld_torque=0.0,
+        recoveries=(),
+        motion_end=1.0,
+        duration=2.0,
+        hold=1.0,
+        controller="mocap",
+        reference_rate=None,
+        disturbances=Disturbances(),
+    )
+
+
+def test_a_row_takes_the_worst_link_the_effector_and_the_hardest_joint(gantry):
+    # In each column another frame is the worst; the effector is the last.
+    frames = (
+        frame("link 1", 9.0, 1.0, 3.0, 60.0, 50.0, 6.0, settled=1.25),
+        frame("link 2", 1.0, 8.0, 70.0, 4.0, 5.0, 90.0, settled=1.75),
+        frame("end effector", 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, settled=1.5),
+    )
+    joints = (JointUse("x", 1.0, 2.0, 9.0, 10.0, 0.0), JointUse("turn", 3.0, 4.0, 1.0, np.inf, 0.0))
+    rest = rollout_of(gantry, np.tile([0.0, 0.0, -0.5, 0.0], (7, 1)), np.zeros((7, 4)))
+    found = rollout_metrics(gantry, rest, evaluation_of(frames, joints), Collisions(gantry))
+    assert found == pytest.approx(
+        {
+            "path_m": 2.5,
+            "velocity_share": 0.75,
+            "force_share": 0.9,
+            "settling_s": 1.75,
+            "final_effector_mm": 2.0,
+            "final_effector_deg": 3.0,
+            "final_worst_mm": 9.0,
+            "final_worst_deg": 8.0,
+            "tracking_rms_mm": 70.0,
+            "tracking_rms_deg": 60.0,
+            "tracking_max_mm": 50.0,
+            "tracking_max_deg": 90.0,
+            # A ball of 0.1 m at -0.5 m over a floor at -1 m.
+            "clearance_mm": 400.0,
+            **{f"{what}_{kind}": 0 for what in LIMITS for kind in ("violations", "excess")},
+        }
+    )
+    frames = (*frames[:2], frame("end effector", 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, settled=None))
+    assert "settling_s" not in rollout_metrics(gantry, rest, evaluation_of(frames, joints), Collisions(gantry))
+
+
+def test_clearance_is_looked_at_every_fifth_sample_and_at_contacts(gantry):
+    q = np.zeros((12, 4))
+    q[:, 2] = 0.1 * np.arange(12) + 1.0
+    q[5, 2], q[7, 2], q[8, 2] = -0.25, -0.75, -1.0
+    collisions = Collisions(gantry)
+    assert least_clearance(rollout_of(gantry, q, np.zeros_like(q)), collisions) == pytest.approx(0.65)
+    touching = np.zeros(12, dtype=int)
+    touching[8] = 3
+    assert least_clearance(rollout_of(gantry, q, np.zeros_like(q), touching), collisions) == pytest.approx(-0.1)
+
+
+def test_violations_by_hand(gantry):
+    q, qd = np.zeros((6, 4)), np.zeros((6, 4))
+    # Beyond ranges of 2, 4, 5 by less than a micron, by 2 microns and by a quarter of the range; twice in one sample.
+    q[0, 0], q[1, 0], q[2, 1], q[2, 2] = 1.0 + 9e-7, 1.0 + 2e-6, -3.0, 3.5
+    # Limits are 1, 2, 4, 8 and 10, 20, 40, 80 with steps of 0.01 s.
+    qd[:, 0], qd[3:, 1] = 1.0009, -2.5
+    found = violations(gantry, rollout_of(gantry, q, qd))
+    assert found == pytest.approx(
+        {
+            "position_violations": 2,
+            "position_excess": 0.25,
+            "velocity_violations": 3,
+            "velocity_excess": 0.25,
+            "acceleration_violations": 1,
+            "acceleration_excess": 250.0 / 20.0 - 1.0,
+        }
+    )
+
+
+def test_success_needs_every_link_within_both_bounds_and_no_contact(gantry):
+    good = frame("link 1", 1.0, 0.1, 9.0, 9.0, 9.0, 9.0)
+    far = frame("link 2", 1.001, 0.0, 0.0, 0.0, 0.0, 0.0)
+    skew = frame("link 2", 0.0, 0.1001, 0.0, 0.0, 0.0, 0.0)
+    assert shortfall(evaluation_of([good, good])) == ""
+    assert shortfall(evaluation_of([good, far, good])) == "arrival: link 2 ends 1 mm and 0 deg off"
+    assert shortfall(evaluation_of([good, skew])) == "arrival: link 2 ends 0 mm and 0.1 deg off"
+    assert shortfall(evaluation_of([far], contacts=3)) == "contact: up to 3 at a time"
+
+
+def test_evaluations_and_rows_agree_on_units(gantry):
+    """The same offset through both: 0.02 m in y and 0.05 rad from the target at the end."""
+    q = np.tile([0.0, 0.02, 0.0, 0.05], (5, 1))
+    rollout = rollout_of(gantry, q, np.zeros((5, 4)))
+    found = rollout_metrics(gantry, rollout, evaluate(gantry, rollout, np.zeros(4)), Collisions(gantry))
+    assert found["final_worst_mm"] == found["final_effector_mm"] == pytest.approx(20.0)
+    assert found["final_worst_deg"] == found["final_effector_deg"] == pytest.approx(np.rad2deg(0.05))
+    assert found["tracking_max_mm"] == pytest.approx(0.0, abs=1e-9)

@@ -1,0 +1,142 @@
+"""What the plots show: units, names and scales, read from the figures themselves."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from lieednn_sim.arm import Arm
+from lieednn_sim.evaluation import plots
+from lieednn_sim.evaluation.figure_layout import settle
+from lieednn_sim.learning.history import History
+from lieednn_sim.planning.motion import Motion
+from lieednn_sim.simulation import Disturbances, Push, Rollout
+
+
+@pytest.fixture
+def drawn(monkeypatch):
+    """The figures, kept instead of written."""
+    figures = []
+    monkeypatch.setattr(plots, "_save", lambda figure, path: figures.append(figure))
+    return figures
+
+
+@pytest.fixture(scope="module")
+def arm():
+    return replace(Arm.load("telescopic_pr"), length_scale=2.0)
+
+
+def rollout_of(arm, q, q_ref):
+    zeros = np.zeros_like(q)
+    poses = arm.link_poses(q)
+    return Rollout(
+        arm=arm.name,
+        t=np.linspace(0.0, 1.0, len(q)),
+        q=q,
+        qd=zeros,
+        q_ref=q_ref,
+        qd_ref=zeros,
+        ctrl=zeros,
+        force=zeros + 0.05 * arm.force_limits,
+        constraint_force=zeros,
+        link_position=poses.translation,
+        link_quaternion=poses.rotation.as_quat(scalar_first=True),
+        contacts=np.zeros(len(q), dtype=int),
+        motion_end=0.5,
+        disturbances=Disturbances(pushes=(Push("link 1", (1.0, 0.0, 0.0), 0.25, 0.5),)),
+    )
+
+
+def test_the_network_s_plot_names_links_and_shows_radians_and_metres(arm, drawn):
+    t, target = np.array([0.0, 1.0]), np.arange(24.0).reshape(4, 6) / 24.0
+    xi = np.stack([np.zeros((4, 6)), target])
+    zeros = np.zeros((2, 8))
+    motion = Motion(t, t, xi, target, zeros, zeros, np.zeros((2, 4)), np.zeros((2, 4)))
+    plots.plot_network(arm, motion, "network.png")
+    axes = [axis for axis in drawn[0].axes if axis.get_visible()]
+    assert len(axes) == 8
+    for i, (angle, length) in enumerate(zip(axes[::2], axes[1::2], strict=True)):
+        assert angle.get_title("left").startswith(f"{arm.link_names[i]} (neuron {i + 1})")
+        assert (angle.get_ylabel(), length.get_ylabel()) == ("[rad]", "[m]")
+        assert [line.get_ydata()[-1] for line in angle.lines[::2]] == pytest.approx(target[i, :3])
+        # Twists are stored in units of the arm's length scale.
+        assert [line.get_ydata()[-1] for line in length.lines[::2]] == pytest.approx(2.0 * target[i, 3:])
+        assert [line.get_ydata()[0] for line in length.lines[1::2]] == pytest.approx(2.0 * target[i, 3:])
+    assert "target" in [text.get_text() for text in drawn[0].legends[0].texts]
+
+
+def test_the_joints_plot_tells_the_error_and_does_not_exaggerate(arm, drawn):
+    reference = np.tile(arm.keyframe("home"), (3, 1))
+    q = reference.copy()
+    q[:, 0] += np.deg2rad([0.0, 0.5, 0.2])
+    q[:, 1] += [0.0, 0.002, 0.001]
+    plots.plot_joints(arm, rollout_of(arm, q, reference), "joints.png")
+    rows = np.array(drawn[0].axes).reshape(-1, 4)
+    turn, lift = rows[0], rows[1]
+    assert turn[1].lines[0].get_ydata() == pytest.approx([0.0, 0.5, 0.2])
+    assert lift[1].lines[0].get_ydata() == pytest.approx([0.0, 2.0, 1.0])
+    assert (turn[1].get_ylabel(), lift[1].get_ylabel()) == ("[deg]", "[mm]")
+    np.testing.assert_allclose(turn[3].lines[0].get_ydata(), 5.0)
+    assert turn[3].get_ylim()[1] >= 10.0, "a twentieth of the limit does not fill the height"
+    assert turn[0].lines[0].get_color() != turn[0].lines[1].get_color()
+    words = [text.get_text() for text in drawn[0].legends[0].texts]
+    assert words == ["simulated", "reference", "limits", "end of the motion", "push"]
+
+
+def test_the_tracking_plot_ends_where_nothing_matters(arm, drawn):
+    q = np.tile(arm.keyframe("home"), (3, 1))
+    plots.plot_tracking(arm, rollout_of(arm, q, q), arm.keyframe("home"), "tracking.png")
+    upper, lower = drawn[0].axes[:2], drawn[0].axes[2:]
+    # Errors of rounding: the axes still span a tenth of what counts as settled, 1 mm and 0.1 degrees.
+    assert [axis.get_ylim() for axis in upper] == [(0.0, 0.1), (0.0, pytest.approx(0.01))]
+    assert [axis.get_ylim()[0] for axis in lower] == pytest.approx([0.01, 0.001])
+    assert [axis.get_ylabel() for axis in drawn[0].axes] == ["[mm]", "[deg]"] * 2
+    assert {"end of the motion", "push"} <= {text.get_text() for text in drawn[0].legends[0].texts}
+    assert [line.get_xdata()[0] for line in upper[0].lines[-1:]] == [0.5]
+
+
+def test_the_training_s_plot_has_units_and_ticks(drawn):
+    epochs = np.arange(1.0, 4.0)
+    xi = np.stack([np.full((1, 6), value) for value in (0.5, 0.9, 1.0)])
+    history = History(epochs, [3.0, 2.0, 1e-6], [0.0, 0.5, 1.0], [0.5, 0.8, 0.8], epochs, epochs, xi)
+    plots.plot_training(history, np.ones((1, 6)), 1e-5, "training.png")
+    distance, accuracy, rate, equilibrium = drawn[0].axes
+    assert distance.lines[1].get_ydata() == pytest.approx([0.5, 0.1, 0.0])
+    assert accuracy.lines[0].get_ydata() == pytest.approx([0.0, 50.0, 100.0])
+    assert rate.get_ylim() == pytest.approx((0.1, 1.0)), "whole decades, so that ticks have numbers"
+    assert all(axis.get_ylabel() for axis in drawn[0].axes)
+    assert [text.get_text() for text in equilibrium.get_legend().texts][-1] == "target"
+
+
+@pytest.mark.parametrize(("kind", "first"), [("pdf", b"%PDF"), ("svg", b"<?xml"), ("png", b"\x89PNG")])
+def test_plots_are_written_in_the_format_of_the_name(kind, first, tmp_path):
+    figure = Figure(figsize=(1, 1), layout="constrained")
+    figure.subplots().set_title("$\\xi$")
+    plots._save(figure, tmp_path / f"plot.{kind}")
+    assert (tmp_path / f"plot.{kind}").read_bytes().startswith(first)
+
+
+def test_the_training_s_plot_can_be_drawn_of_a_single_epoch(tmp_path):
+    one = np.ones(1)
+    history = History(one, one, one, one, one, one, np.zeros((1, 1, 6)))
+    plots.plot_training(history, np.ones((1, 6)), 1e-5, tmp_path / "training.png")
+    assert (tmp_path / "training.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_settled_figure_is_as_its_layout_engine_leaves_it_and_is_drawn_once(tmp_path, monkeypatch):
+    def made():
+        figure = Figure(figsize=(2, 1.5), layout="constrained")
+        figure.subplots().set_ylabel("two\nlines")
+        figure.legend([Line2D([], [])], ["a"], loc="outside upper center")
+        return figure
+
+    one, other = made(), made()
+    one.savefig(tmp_path / "one.png", dpi=130)
+    settle(other, 130)
+    draws = []
+    monkeypatch.setattr(other, "draw", lambda renderer: (draws.append(1), Figure.draw(other, renderer)))
+    other.savefig(tmp_path / "other.png", dpi=130)
+    assert draws == [1]
+    assert (tmp_path / "one.png").read_bytes() == (tmp_path / "other.png").read_bytes()

@@ -1,0 +1,459 @@
+"""The filter: limits kept whatever is wanted, clearance kept on the way, arrival, and what is said when it blocks."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from lieednn_sim.arm import Arm
+from lieednn_sim.arm.collision import Collisions
+from lieednn_sim.arm.targets import draw_target
+from lieednn_sim.errors import InputError, PlanError
+from lieednn_sim.planning import PlanningProblem, missing_planners, plan_network
+from lieednn_sim.planning import filtered as planner
+from lieednn_sim.planning import segments as legs
+from lieednn_sim.planning.baselines import sampling
+from lieednn_sim.planning.filtering import (
+    FilteredRun,
+    FilterOptions,
+    SafetyFilter,
+    limits_proved,
+    run,
+    run_filtered,
+    safety,
+)
+from lieednn_sim.planning.filtering.approach import ApproachBounds
+from lieednn_sim.planning.motion import Motion, check_motion
+from lieednn_sim.synthesis import synthesize
+
+FREE = Arm.load("telescopic_pr")
+POLES = Arm.load("telescopic_pr", "poles", 0)
+SPATIAL = Arm.load("telescopic_compound")
+SEEDS = st.integers(0, 2**32 - 1)
+
+
+@pytest.mark.parametrize("arm", [POLES, SPATIAL], ids=lambda arm: arm.name)
+@given(seed=SEEDS)
+@settings(max_examples=4)
+def test_no_wanted_velocity_breaks_a_limit_or_touches(arm, seed):
+    """Adversarial: full speed in a random direction, changed every 0.3 s; what is wanted never settles."""
+    rng = np.random.default_rng(seed)
+    filter_ = SafetyFilter(arm, 0.01)
+    q, v = arm.keyframe("home"), np.zeros(arm.n_joints)
+    filter_.allow(q)
+    for k in range(150):
+        if k % 30 == 0:
+            wanted = 3.0 * arm.velocity_limits * rng.choice([-1.0, 1.0], arm.n_joints)
+        step = filter_.step(q, v, wanted)
+        assert (np.abs(step.velocity) <= arm.velocity_limits + 1e-12).all()
+        assert (np.abs(step.velocity - v) <= 0.01 * arm.acceleration_limits + 1e-9).all()
+        q, v = q + 0.005 * (v + step.velocity), step.velocity
+        assert arm.limit_excess(q).max() <= 1e-6
+        assert filter_.collisions.free(q)
+
+
+def test_a_free_way_is_left_alone():
+    target = draw_target(FREE, 3)
+    network = synthesize(FREE.encode(target), bias="sign-matched", bias_magnitude=0.5).unwrap()
+    run = run_filtered(FREE, network, FREE.keyframe("home"), 6.0)
+    assert run.success, run.message
+    assert run.filtered_share == 0.0
+    assert run.brakings == 0
+    assert run.blocked_by == ()
+    np.testing.assert_allclose(run.q[-1], target, atol=1e-3)
+    # Exactly what the network draws, as long as the accelerations allow it.
+    assert np.abs(run.q[:600] - run.reference.q[:600]).max() < 0.05
+
+
+def test_a_blocked_run_names_what_blocks_it_and_penetrates_nothing():
+    target = draw_target(POLES, 0)
+    network = synthesize(POLES.encode(target), bias="sign-matched", bias_magnitude=0.5).unwrap()
+    run = run_filtered(POLES, network, POLES.keyframe("home"), 4.0)
+    assert not run.success
+    assert any("obstacle_pole" in name for name in run.blocked_by)
+    assert run.blocked_by[0] in run.message
+    assert run.clearance.min() > 0.009
+    assert 0.0 < run.filtered_share <= 1.0
+
+
+def test_ends_that_touch_or_leave_the_limits_are_refused():
+    beyond = FREE.keyframe("home")
+    beyond[3] = 1.2
+    network = synthesize(FREE.encode(beyond), bias="solved").unwrap()
+    with pytest.raises(PlanError, match=r"ends out of the arm's limits: joint 'extend1' would be at 1\.2 m"):
+        run_filtered(FREE, network, FREE.keyframe("home"), 4.0)
+    with pytest.raises(InputError, match="margin must be positive, got 0"):
+        FilterOptions(margin=0.0)
+    folded = np.array([0.0, 0.0, -0.6, 0.45, 0.0, 0.4, -1.0, 0.3])
+    with pytest.raises(InputError, match=r"touches '.*' at a position to reach"):
+        SafetyFilter(FREE, 0.01).allow(folded)
+
+
+def test_postures_on_the_way_are_passed_and_the_network_arrives_all_the_same():
+    target, home = draw_target(FREE, 3), FREE.keyframe("home")
+    network = synthesize(FREE.encode(target), bias="sign-matched", bias_magnitude=0.5).unwrap()
+    via = home + np.array([[0.3], [0.7]]) * (target - home)
+    via[0, 0] += 0.4
+    run = run_filtered(FREE, network, home, 4.0, via=via)
+    assert run.success, run.message
+    np.testing.assert_allclose(run.q[-1], target, atol=1e-3)
+    away = np.abs((run.q[:, None] - via) / FREE.velocity_limits).max(axis=2)
+    first, second = away.argmin(axis=0)
+    assert 0 < first < second
+    assert away.min(axis=0).max() < 0.03
+    # It does not stop there.
+    assert np.abs(run.qd[[first, second]] / FREE.velocity_limits).max(axis=1).min() > 1e-3
+    # The reference is of one piece, and ends with the network's own equilibrium.
+    assert (np.diff(run.clock) >= 0.0).all()
+    assert run.clock[-1] <= run.reference.t[-1] + 1e-9
+    np.testing.assert_allclose(run.reference.xi[-1], FREE.encode(target), atol=1e-6)
+    alone = run_filtered(FREE, network, home, 4.0, via=np.zeros((0, FREE.n_joints)))
+    np.testing.assert_array_equal(alone.q, run_filtered(FREE, network, home, 4.0).q)
+    with pytest.raises(InputError, match=r"via must have shape \(V, 8\), got \(2\)"):
+        run_filtered(FREE, network, home, 4.0, via=[0.0, 1.0])
+
+
+@pytest.mark.parametrize("arm", [POLES, Arm.load("telescopic_compound", "window", 0)], ids=lambda arm: arm.name)
+@given(seed=SEEDS)
+@settings(max_examples=8)
+def test_no_pair_approaches_faster_than_its_bound(arm, seed):
+    rng = np.random.default_rng(seed)
+    low, high = arm.position_limits.T
+    q = arm.keyframe("home") + 0.1 * rng.uniform(-1.0, 1.0, arm.n_joints) * (high - low)
+    collisions, speeds = Collisions(arm), rng.uniform(0.1, 1.0, arm.n_joints)
+    near = collisions.distances(q, 0.5)
+    bounds = dict(zip(map(tuple, collisions.pairs), ApproachBounds(arm, collisions.pairs)(q, speeds), strict=True))
+    most = np.abs(near.jacobian) @ speeds
+    allowed = np.array([bounds[tuple(pair)] for pair in near.pairs])
+    assert (most <= allowed + 1e-9).all()
+    assert (most > 0.2 * allowed).any(), "the bounds say nothing"
+
+
+def test_pairs_left_out_change_no_step(monkeypatch):
+    rng = np.random.default_rng(0)
+    home = POLES.keyframe("home")
+    few, all_of_them = SafetyFilter(POLES, 0.01), SafetyFilter(POLES, 0.01)
+    monkeypatch.setattr(all_of_them, "_needed", lambda *_: all_of_them._cutoffs)
+    q, v = home, np.zeros(POLES.n_joints)
+    for k in range(120):
+        if k % 30 == 0:
+            wanted = POLES.velocity_limits * rng.choice([-1.0, 1.0], POLES.n_joints)
+        step, full = few.step(q, v, wanted), all_of_them.step(q, v, wanted)
+        np.testing.assert_allclose(step.velocity, full.velocity, atol=1e-9)
+        assert step.blocking == full.blocking
+        q, v = q + 0.005 * (v + step.velocity), step.velocity
+
+
+@pytest.mark.parametrize(("name", "scene", "seed"), [("lieednn-filtered", "shelf", 1), ("lieednn-guided", "poles", 0)])
+def test_the_planners_find_a_way_around(name, scene, seed):
+    if name in missing_planners():
+        pytest.skip(f"{name} needs {missing_planners()[name]}")
+    arm = Arm.load("telescopic_pr", scene, seed)
+    problem = PlanningProblem(arm, arm.keyframe("home"), draw_target(arm, seed), 4.0, seed)
+    straight = problem.start + np.linspace(0.0, 1.0, 80)[:, None] * (problem.target - problem.start)
+    assert any(arm.contacts(q) for q in straight)
+    network, motion = plan_network(name, problem)
+    assert network.certified
+    check_motion(arm, motion)
+    np.testing.assert_array_equal(motion.q[[0, -1]], [problem.start, problem.target])
+    np.testing.assert_array_equal(motion.qd[[0, -1]], 0.0)
+    assert motion.t[-1] <= planner.LONGEST * problem.duration + 2.0 * problem.timestep
+    # Positions are the integral of the velocities, which never jump.
+    middle = 0.5 * motion.timestep * (motion.qd[1:] + motion.qd[:-1])
+    np.testing.assert_allclose(np.diff(motion.q, axis=0), middle, atol=1e-6)
+
+
+def test_staying_is_a_motion():
+    home = FREE.keyframe("home")
+    _, motion = planner.filtered(PlanningProblem(FREE, home, home, 1.0))
+    np.testing.assert_allclose(motion.q, np.broadcast_to(home, motion.q.shape), atol=1e-3)
+
+
+def test_a_hopeless_problem_says_what_blocks(monkeypatch):
+    monkeypatch.setattr(planner, "_CANDIDATES", 2)
+    monkeypatch.setattr(planner, "optional_module", lambda _: None)
+    monkeypatch.setattr(sampling, "connecting_path", lambda *_: None)
+    problem = PlanningProblem(POLES, POLES.keyframe("home"), draw_target(POLES, 0), 2.0)
+    for plan in (planner.filtered, planner.guided):
+        with pytest.raises(
+            PlanError, match=r"no run through the filter arrived; .*the clearance of '.*' from 'obstacle_pole"
+        ):
+            plan(problem)
+
+
+def test_limits_are_proved_only_where_they_hold():
+    home = SPATIAL.encode(SPATIAL.keyframe("home"))
+    near = synthesize(home, bias="sign-matched", bias_magnitude=0.5).unwrap()
+    target = np.full((SPATIAL.n_links, 6), 0.3)
+    small = synthesize(target, bias="sign-matched", bias_magnitude=2.0).unwrap()
+    proofs = [limits_proved(SPATIAL, network, start) for network, start in ((near, home), (small, target))]
+    assert any(proofs)
+    for network, start, proved in zip((near, small), (home, target), proofs, strict=True):
+        q = SPATIAL.decode(network.trajectory(start, 20.0).xi).q
+        assert not proved or SPATIAL.limit_excess(q).max() <= 0.0
+    assert not limits_proved(
+        FREE, synthesize(FREE.encode(FREE.keyframe("home"))).unwrap(), FREE.encode(FREE.keyframe("home"))
+    )
+
+
+def test_approach_bounds_by_hand(tmp_path):
+    """A box on a lever, a ball on a slide behind it and a post: reach and radius of what turns, 1 of what slides."""
+    path = tmp_path / "lever.xml"
+    path.write_text("""
+        <mujoco><compiler angle="radian" autolimits="true"/><worldbody>
+          <geom name="post" type="sphere" size="0.1" pos="5 0 0"/>
+          <body name="base"><geom size="0.01" contype="0" conaffinity="0"/><site name="base_frame"/>
+            <body name="lever"><joint name="turn" type="hinge" axis="0 0 1" range="-3 3"/>
+              <geom name="box" type="box" size="0.3 0.4 1.2" pos="1 0 0"/><site name="link1_frame"/>
+              <body name="rod"><joint name="slide" type="slide" axis="1 0 0" range="0 5"/>
+                <geom name="ball" size="0.2" pos="3 0 0"/><site name="link2_frame"/>
+              </body></body></body>
+        </worldbody></mujoco>""")
+    arm = Arm.from_xml(path, "lever")
+    post, box, ball = (arm.model.geom(name).id for name in ("post", "box", "ball"))
+    bounds = ApproachBounds(arm, np.array([[post, box], [ball, post], [box, ball]]))
+    # The box's ball has a radius of 1.3. Turning carries box and ball together.
+    for q, speeds in (([0.0, 0.0], [2.0, 0.5]), ([1.0, 0.75], [0.25, 3.0])):
+        turning, sliding = speeds
+        expected = [2.3 * turning, (3.2 + q[1]) * turning + sliding, sliding]
+        np.testing.assert_allclose(bounds(np.array(q), np.array(speeds)), expected, rtol=1e-12)
+
+
+def test_the_end_of_a_run_is_closed_by_a_quintic():
+    """Half way: 1/2 of the way and 5/32 of what the velocity brings; slopes 15/8 and -7/16. No jump at either end."""
+    q, qd, goal = np.array([1.0, -2.0]), np.array([0.03, 0.2]), np.array([1.004, -1.99])
+    positions, rates = legs._closing(q, qd, goal, 0.001)
+    assert positions.shape == rates.shape == (101, 2)
+    np.testing.assert_allclose(positions[[0, 50, 100]], [q, q + 0.5 * (goal - q) + 0.1 * 5.0 / 32.0 * qd, goal])
+    np.testing.assert_allclose(rates[[0, 50, 100]], [qd, 1.875 * (goal - q) / 0.1 - 7.0 / 16.0 * qd, [0.0, 0.0]])
+    numeric = np.gradient(positions, 0.001, axis=0)
+    np.testing.assert_allclose(rates[1:-1], numeric[1:-1], atol=1e-3 * np.abs(rates).max())
+    acceleration = np.gradient(rates, 0.001, axis=0)
+    assert np.abs(acceleration[[0, -1]]).max() < 0.1 * np.abs(acceleration).max()
+    assert len(legs._closing(q, qd, goal, 0.2)[0]) == 3, "two steps at least"
+
+
+def test_a_run_becomes_a_motion_by_hand():
+    """Two samples a control step of 0.02 s: constant accelerations in between, the network's state at the clock."""
+    t = 0.02 * np.arange(4)
+    rates = np.array([0.0, 0.2, 0.1, 0.0])[:, None] * [1.0, -2.0]
+    q = np.array([0.0, 0.002, 0.005, 0.006])[:, None] * [1.0, -2.0]
+    states, gaps = np.array([0.0, 1.0, 3.0])[:, None, None] * np.ones((1, 6)), np.array([[0.0], [4.0], [8.0]])
+    reference = Motion(
+        t=0.02 * np.arange(3),
+        tau=np.array([0.0, 1.0, 3.0]),
+        xi=states,
+        xi_target=np.full((1, 6), 3.0),
+        q=q[:3],
+        qd=rates[:3],
+        gap_translation=gaps,
+        gap_rotation=0.5 * gaps,
+    )
+    run = FilteredRun(
+        success=True,
+        message="",
+        blocked_by=(),
+        t=t,
+        q=q,
+        qd=rates,
+        clock=np.array([0.0, 0.01, 0.02, 0.04]),
+        clearance=np.full(4, np.inf),
+        filtered_share=0.0,
+        brakings=0,
+        limits_proved=False,
+        reference=reference,
+    )
+    goal = np.array([0.008, -0.012])
+    motion = legs.motion_of(run, goal, np.full((1, 6), 3.0), 2)
+    np.testing.assert_allclose(motion.t, 0.01 * np.arange(17), atol=1e-15)
+    np.testing.assert_allclose(motion.qd[:7, 0], [0.0, 0.1, 0.2, 0.15, 0.1, 0.05, 0.0], atol=1e-15)
+    np.testing.assert_allclose(motion.q[:7, 0], [0.0, 0.0005, 0.002, 0.00375, 0.005, 0.00575, 0.006], atol=1e-15)
+    np.testing.assert_allclose(motion.q[[11, 16], 0], [0.007, 0.008], atol=1e-15)
+    np.testing.assert_allclose(motion.q[:7, 1], -2.0 * motion.q[:7, 0], atol=1e-15)
+    seen = [0.0, 0.25, 0.5, 0.75, 1.0, 2.0, *[3.0] * 11]
+    np.testing.assert_allclose(motion.tau, seen, atol=1e-12)
+    np.testing.assert_allclose(motion.xi[:, 0, 5], seen, atol=1e-12)
+    at_clock = [0.0, 1.0, 2.0, 3.0, 4.0, 6.0, *[8.0] * 11]
+    np.testing.assert_allclose(motion.gap_translation[:, 0], at_clock, atol=1e-12)
+    np.testing.assert_allclose(motion.gap_rotation[:, 0], 0.5 * np.array(at_clock), atol=1e-12)
+
+
+def counting(steps, begin=0.0):
+    """A motion of one joint and one neuron whose samples count."""
+    k = np.arange(steps, dtype=np.float64)
+    column = begin + k[:, None]
+    states = column[:, :, None] * np.ones(6)
+    return Motion(0.1 * k, k, states, np.full((1, 6), begin), column, -column, 2.0 * column, 3.0 * column)
+
+
+def test_legs_are_joined_a_step_apart():
+    joined = run._joined([counting(3), counting(2, 10.0), counting(4, 20.0)])
+    samples = [0.0, 1.0, 2.0, 10.0, 11.0, 20.0, 21.0, 22.0, 23.0]
+    np.testing.assert_allclose(joined.t, 0.1 * np.arange(9), atol=1e-15)
+    # The network's own time goes on.
+    np.testing.assert_array_equal(joined.tau, [0.0, 1.0, 2.0, 2.0, 3.0, 3.0, 4.0, 5.0, 6.0])
+    np.testing.assert_array_equal(joined.xi[:, 0, 3], samples)
+    np.testing.assert_array_equal(joined.q[:, 0], samples)
+    np.testing.assert_array_equal(joined.qd[:, 0], np.negative(samples))
+    np.testing.assert_array_equal(joined.gap_translation[:, 0], np.multiply(2.0, samples))
+    np.testing.assert_array_equal(joined.gap_rotation[:, 0], np.multiply(3.0, samples))
+    np.testing.assert_array_equal(joined.xi_target, np.full((1, 6), 20.0))
+    only = counting(3)
+    assert run._joined([only]) is only
+
+
+@pytest.mark.parametrize(("clock", "samples"), [(0.0, 2), (0.25, 3), (0.35, 4), (9.0, 5)])
+def test_a_leg_is_cut_where_the_next_begins(monkeypatch, clock, samples):
+    leg = object.__new__(run._Leg)
+    leg.reference, leg._h, leg.begun = counting(5), 0.1, 2.0
+    monkeypatch.setattr(run, "_Leg", lambda *arguments: arguments)
+    following = leg.next("arm", "network", "q", 1.5, clock)
+    assert following == ("arm", "network", "q", 1.5, 0.1, pytest.approx(2.0 + 0.1 * samples))
+    np.testing.assert_array_equal(leg.reference.q[:, 0], np.arange(samples))
+    np.testing.assert_array_equal(leg.reference.xi_target, np.zeros((1, 6)))
+
+
+def test_times_of_legs_and_velocities_towards_the_network_by_hand():
+    # At least 0.4 of a third: 3/4, 1/4 and 2/15, of 17/15 together.
+    np.testing.assert_allclose(run._shares(np.array([3.0, 1.0, 0.0])), np.array([45.0, 15.0, 8.0]) / 68.0)
+    np.testing.assert_allclose(run._shares(np.zeros(2)), [0.5, 0.5])
+    # sqrt(2 b / |e|) is 4 and 5, then more than the gain of 8.
+    np.testing.assert_allclose(run._towards(np.array([0.5, -0.16]), np.array([4.0, 2.0])), [2.0, -0.64])
+    np.testing.assert_allclose(run._towards(np.array([0.01, 0.0]), np.array([4.0, 2.0])), [0.08, 0.0])
+    np.testing.assert_allclose(run._bounded(np.array([2.0, -6.0]), np.array([1.0, 2.0])), [2.0 / 3.0, -2.0])
+    np.testing.assert_allclose(run._bounded(np.array([0.5, -0.5]), np.array([1.0, 2.0])), [0.5, -0.5])
+
+
+def test_velocities_from_which_joints_can_brake_by_hand(gantry):
+    """Limits of speed 1, 2, 4, 8 and of acceleration 10, 20, 40, 80, steps of 0.02 s."""
+    filter_ = SafetyFilter(gantry, 0.02)
+    h, a = 0.02, gantry.acceleration_limits
+    distance, old = np.array([0.05, 0.1, 0.02, 0.5]), np.array([0.9, -1.0, 1.2, 7.0])
+    most = filter_._stopping(distance, old)
+    np.testing.assert_allclose(most**2 / (2.0 * a) + 0.5 * h * (old + most), distance, rtol=1e-12)
+    # Where the next step leads beyond it: back to the limit within the step.
+    np.testing.assert_allclose(filter_._stopping(np.full(4, 0.001), np.full(4, 0.3)), -0.2)
+    # x brakes for its limit, y for its speed, z is at rest in the middle and turn is as fast as it may be.
+    low, high, low_stop, high_stop = filter_._bounds(np.array([0.99, 0.0, 0.5, 0.0]), np.array([0.5, 1.9, 0.0, 8.0]))
+    at_limit = filter_._stopping(np.array([0.01] * 4), np.array([0.5] * 4))[0]
+    np.testing.assert_allclose(high, [max(at_limit, 0.5 - 0.2), 2.0, 0.8, 8.0])
+    np.testing.assert_allclose(low, [0.3, 1.5, -0.8, 6.4])
+    assert high_stop.tolist() == [True, False, False, False]
+    assert low_stop.tolist() == [False] * 4
+
+
+def test_the_filter_leaves_what_is_allowed_and_names_the_limit_that_is_not(gantry):
+    filter_ = SafetyFilter(gantry, 0.02)
+    home = gantry.keyframe("home")
+    filter_.allow(home)
+    # The nearest to the wanted and, by a weight of 0.05, to the present velocity.
+    old, wanted = np.array([0.1, 0.0, 0.0, 0.0]), np.array([0.2, 0.3, -0.4, 0.5])
+    step = filter_.step(home, old, wanted)
+    np.testing.assert_allclose(step.velocity, (wanted + 0.05 * old) / 1.05, atol=1e-9)
+    assert (step.active, step.braked, step.blocking) == (False, False, ())
+    near = np.array([0.997, 0.0, 0.0, 0.0])
+    step = filter_.step(near, np.zeros(4), np.array([1.0, 0.0, 0.0, 0.0]))
+    distance = filter_.position_limits[0, 1] - 0.997
+    assert step.velocity[0] ** 2 / 20.0 + 0.01 * step.velocity[0] == pytest.approx(distance)
+    assert (step.active, step.blocking) == (True, ("the position limit of joint 'x'",))
+    # Limits are drawn in by what turns round within a step: a h^2 / 4, but not beyond what shall be reached.
+    np.testing.assert_allclose(
+        filter_.position_limits[:, 1] - gantry.position_limits[:, 1], [-1e-3, -2e-3, -4e-3, -8e-3]
+    )
+    filter_.allow(home, np.array([0.9995, 0.0, 0.0, -3.0]))
+    np.testing.assert_allclose(filter_.position_limits[[0, 0, 3], [0, 1, 0]], [-0.999, 0.9995, -3.0])
+
+
+# Beads on a rail: rail -> ball joint -> rail, with a post beside the first one. At home the gaps are as in the test.
+BEADS = """
+<mujoco><compiler angle="radian" autolimits="true"/><worldbody>
+  <geom name="post" size="0.05" pos="0 0.2 0"/>
+  <body name="base"><geom size="0.01" contype="0" conaffinity="0"/><site name="base_frame"/>
+    <body name="a"><joint name="a" type="slide" axis="1 0 0" range="-1 1"/><geom name="first" size="0.05"/>
+      <body name="b"><joint name="b" type="ball" range="0 0.5"/>
+        <geom size="0.01" mass="1" contype="0" conaffinity="0"/><site name="link1_frame"/>
+        <body name="c"><joint name="c" type="slide" axis="1 0 0" range="-1 1"/>
+          <geom name="near" size="0.05" pos="0.2 0 0"/><geom name="far" size="0.05" pos="0.5 0 0"/>
+          <site name="link2_frame"/>
+        </body></body></body></body>
+</worldbody><keyframe><key name="home" qpos="0 1 0 0 0 0"/></keyframe></mujoco>"""
+
+
+@pytest.fixture(scope="module")
+def beads(tmp_path_factory):
+    path = tmp_path_factory.mktemp("beads") / "beads.xml"
+    path.write_text(BEADS)
+    return Arm.from_xml(path, "beads")
+
+
+@pytest.mark.parametrize(("cutoff", "of_neighbours"), [(0.4, 0.04), (0.02, 0.02)])
+def test_only_parts_of_the_arm_that_are_near_at_home_are_looked_at_from_nearer(beads, cutoff, of_neighbours):
+    """Gaps of 0.1 m (first to near, post to first), 0.18 (post to near) and 0.4 (first to far)."""
+    filter_ = SafetyFilter(beads, 0.01, FilterOptions(cutoff=cutoff))
+    names = [set(filter_.collisions.names(pair)) for pair in filter_.collisions.pairs]
+    assert len(names) == 5
+    neighbours = [pair == {"first", "near"} for pair in names]
+    assert sum(neighbours) == 1
+    np.testing.assert_array_equal(filter_._cutoffs, np.where(neighbours, of_neighbours, cutoff))
+
+
+@pytest.mark.parametrize(("angle", "limit"), [(0.0, 0.495), (0.3, 0.495), (0.498, 0.498), (0.5, 0.5)])
+def test_the_angle_of_a_ball_joint_is_drawn_in_but_not_beyond_what_shall_be_reached(beads, angle, limit):
+    filter_ = SafetyFilter(beads, 0.01)
+    position = np.array([0.0, 0.0, 0.6 * angle, 0.8 * angle, 0.0])
+    filter_.allow(np.zeros(5), position)
+    np.testing.assert_allclose(filter_._angle_limits, [limit], atol=1e-15)
+
+
+def test_pairs_are_looked_at_as_far_as_they_can_matter_by_hand(gantry):
+    """The ball is moved by the slides and, around its own centre, by its radius of 0.1: rates of 7.8 and 0.78 m/s."""
+    filter_ = SafetyFilter(gantry, 0.02, FilterOptions(cutoff=100.0))
+    home, fast = np.zeros(4), gantry.velocity_limits
+    # At full speed braking takes 0.1 s, and 1.1^2 0.1 / 0.3 is the longer time; at a tenth 1 / 5 + 0.02 is.
+    longer = 1.21 * 0.1 / 0.3
+    np.testing.assert_allclose(filter_._needed(home, fast, home), [0.01 + 7.8 * longer + 0.001])
+    np.testing.assert_allclose(filter_._needed(home, 0.1 * fast, home), [0.01 + 0.78 * 0.22 + 0.001])
+    np.testing.assert_allclose(filter_._needed(home, 0.1 * fast, -fast), [0.01 + 7.8 * longer + 0.001])
+    np.testing.assert_allclose(SafetyFilter(gantry, 0.02)._needed(home, fast, home), [0.4])
+
+
+@pytest.mark.parametrize("flag", [0, -4])
+def test_where_nothing_is_solved_the_arm_brakes_as_hard_as_it_may(gantry, monkeypatch, flag):
+    filter_ = SafetyFilter(gantry, 0.02)
+    monkeypatch.setattr(safety.daqp, "solve", lambda *_, **__: (np.full(4, 0.7), 0.0, flag, {}))
+    step = filter_.step(np.zeros(4), np.array([0.5, -1.0, 0.1, -8.0]), np.array([1.0, -2.0, 4.0, -8.0]))
+    np.testing.assert_allclose(step.velocity, [0.3, -0.6, 0.0, -6.4], atol=1e-12)
+    assert step.braked
+    assert step.active
+
+
+def test_what_holds_the_arm_back_most_is_named_first(gantry):
+    filter_ = SafetyFilter(gantry, 0.02)
+    filter_.allow(gantry.keyframe("home"))
+    # At the upper ends of x and y, and of the ball over the floor.
+    q = np.array([*filter_.position_limits[:2, 1], -0.89, 0.0])
+    names = [f"the position limit of joint {name!r}" for name in "xy"] + ["the clearance of 'floor' from 'ball'"]
+    # Multipliers are what is wanted beyond, in shares of the limits, and over the floor a fourth of that.
+    for shares, order in (
+        ((0.2, 0.1, -0.05), [0, 1, 2]),
+        ((0.1, 0.2, -0.05), [1, 0, 2]),
+        ((0.01, 0.02, -0.2), [2, 1, 0]),
+    ):
+        step = filter_.step(q, np.zeros(4), np.array([*shares, 0.0]) * gantry.velocity_limits)
+        assert step.blocking == tuple(names[j] for j in order)
+
+
+def test_the_most_promising_networks_run_first(monkeypatch):
+    """Free ones as soon as they are drawn; of the others the one with the least of its way blocked."""
+    ran = []
+    search = object.__new__(planner._Search)
+    search.networks = []
+    monkeypatch.setattr(search, "_run", lambda network, via=(): ran.append(network))
+    drawn = [("half", 0.5), ("most", 0.8), ("free", 0.0), ("little", 0.2), ("some", 0.4)]
+    monkeypatch.setattr(search, "_candidates", lambda: iter(drawn))
+    monkeypatch.setattr(planner, "_TRIED", 3)
+    assert search.alone() is None
+    assert ran == ["free", "little", "some"]
+    assert search.networks == ["free", "little", "some", "half", "most"]
+    monkeypatch.setattr(search, "_run", lambda network, via=(): network if network == "little" else None)
+    assert search.alone() == ("little", "little")

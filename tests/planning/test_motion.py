@@ -1,0 +1,270 @@
+"""From network to joint trajectory: rest at both ends, consistent derivatives, limits."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy.interpolate import PchipInterpolator
+
+from lieednn_sim.arm import Arm
+from lieednn_sim.errors import FileError, InputError, PlanError, TooFastError
+from lieednn_sim.lie import exp
+from lieednn_sim.network import LieEDNN
+from lieednn_sim.planning import certified as planning
+from lieednn_sim.planning.certified import plan
+from lieednn_sim.planning.motion import (
+    RESIDUAL,
+    Motion,
+    _invert,
+    check_motion,
+    count_steps,
+    make_motion,
+    minimum_jerk_law,
+)
+from lieednn_sim.synthesis import synthesize
+
+
+@pytest.fixture(scope="module")
+def arm():
+    return Arm.load("telescopic_pr")
+
+
+@pytest.fixture(scope="module")
+def network(arm):
+    return synthesize(arm.encode(arm.keyframe("extended")), bias="sign-matched", bias_magnitude=0.25).unwrap()
+
+
+@pytest.fixture(scope="module")
+def motion(arm, network):
+    return make_motion(arm, network, arm.keyframe("home"), 4.0, 0.002)
+
+
+def test_the_motion_goes_from_rest_to_rest_in_the_stated_time(arm, motion):
+    assert motion.t[0] == 0.0
+    assert motion.t[-1] == pytest.approx(4.0, abs=1e-12)
+    np.testing.assert_allclose(motion.q[0], arm.keyframe("home"), atol=1e-9)
+    np.testing.assert_allclose(motion.q[-1], arm.keyframe("extended"), atol=10 * RESIDUAL)
+    assert motion.residual <= 2 * RESIDUAL
+    np.testing.assert_array_equal(motion.qd[[0, -1]], 0.0)
+    # Minimum jerk: the acceleration vanishes at both ends too.
+    assert np.abs(motion.qd[[1, -2]]).max() < 1e-3 * np.abs(motion.qd).max()
+
+
+def test_velocities_are_the_derivative_of_positions(motion):
+    numeric = np.gradient(motion.q, motion.t, axis=0, edge_order=2)
+    np.testing.assert_allclose(motion.qd[2:-2], numeric[2:-2], atol=2e-4 * np.abs(motion.qd).max())
+
+
+def test_the_path_is_the_networks_own(arm, network, motion):
+    # The time law changes when, never where: states lie on the trajectory in the network's own time.
+    assert (np.diff(motion.tau) >= 0.0).all()
+    trajectory = network.trajectory(arm.encode(arm.keyframe("home")), motion.tau[-1], method="DOP853")
+    np.testing.assert_allclose(trajectory(motion.tau), motion.xi, atol=1e-6)
+
+
+def test_the_pace_is_a_minimum_jerk_law_of_the_length(arm, network, motion):
+    """|(q'/limits, p |xi - xi_d| tau')| = L sigma'(t/T) / T, p the slowest rate at the end: one L at all times."""
+    equilibrium = network.equilibrium(motion.xi[0])
+    pace = max(-equilibrium.spectral_abscissa, 1e-3 * network.gamma)
+    tau_rate = np.gradient(motion.tau, motion.t, edge_order=2)
+    to_go = pace * np.linalg.norm(motion.xi - motion.xi_target, axis=(-2, -1)) * tau_rate
+    speed = np.hypot(np.linalg.norm(motion.qd / arm.velocity_limits, axis=-1), to_go)
+    s = motion.t / 4.0
+    length = speed[200:-200] / (30.0 * s**2 * (1.0 - s) ** 2 / 4.0)[200:-200]
+    np.testing.assert_allclose(length, np.median(length), rtol=2e-3)
+
+
+def test_the_law_by_hand():
+    np.testing.assert_array_equal(minimum_jerk_law(np.array([0.0, 0.5, 1.0])), [[0.0, 0.5, 1.0], [0.0, 1.875, 0.0]])
+    np.testing.assert_allclose(minimum_jerk_law(np.array([0.25])), [[106.0 / 1024.0], [270.0 / 256.0]], rtol=1e-15)
+
+
+def test_lengths_are_inverted_to_rounding():
+    """Also where the speed changes by orders of magnitude within one piece."""
+    grid = np.array([0.0, 0.5, 1.5, 4.0, 9.0, 10.0])
+    speed = PchipInterpolator(grid, [3.0, 1e-4, 2.0, 1e-6, 1.0, 1e-9])
+    length = speed.antiderivative()
+    wanted = length(grid[-1]) * np.sort(np.append(np.random.default_rng(0).uniform(size=60), [0.0, 1.0]))
+    tau = _invert(length, speed, grid, wanted)
+    np.testing.assert_allclose(length(tau), wanted, atol=1e-13)
+    assert (tau[0], tau[-1]) == (0.0, 10.0)
+
+
+def test_a_duration_is_a_whole_number_of_steps_and_two_at_least():
+    assert [count_steps(duration, 0.002) for duration in (0.003, 0.004, 0.0049, 0.0051, 1.0)] == [2, 2, 2, 3, 500]
+    assert count_steps(200.0, 0.002) == 100_000
+    for duration in (0.0029, 200.003):
+        with pytest.raises(InputError, match="duration must be between 2 and 100000 time steps"):
+            count_steps(duration, 0.002)
+
+
+def test_gap_is_the_distance_between_decoded_and_feasible_poses(arm, motion):
+    difference = arm.joint_poses(motion.q).inv() * exp(motion.xi)
+    np.testing.assert_allclose(motion.gap_translation, np.linalg.norm(difference.translation, axis=-1), atol=1e-9)
+    np.testing.assert_allclose(motion.gap_rotation, difference.rotation.magnitude(), atol=1e-7)
+    assert motion.gap_translation.max() > 1e-3, "a mechanism of two freedoms cannot follow se(3) exactly on the way"
+    assert motion.gap_translation[-1].max() < 10 * RESIDUAL
+
+
+def test_a_motion_to_where_the_arm_is_stays_there(arm):
+    home = arm.keyframe("home")
+    still = make_motion(arm, synthesize(arm.encode(home), bias="sign-matched").unwrap(), home, 1.0, 0.002)
+    np.testing.assert_allclose(still.q, np.broadcast_to(home, still.q.shape), atol=1e-9)
+    np.testing.assert_array_equal(still.qd, 0.0)
+
+
+def test_limits_are_checked_with_joint_value_bound_and_remedy(arm, network, motion):
+    check_motion(arm, motion)
+    fast = make_motion(arm, network, arm.keyframe("home"), 0.3, 0.002)
+    with pytest.raises(PlanError, match=r"would accelerate at .*its limit is .*a duration of at least") as refused:
+        check_motion(arm, fast)
+    enough = float(str(refused.value).split("at least ")[1].split(" s")[0])
+    check_motion(arm, make_motion(arm, network, arm.keyframe("home"), enough + 0.02, 0.002))
+    beyond = motion.q.copy()
+    beyond[900, 3] = 0.6
+    with pytest.raises(
+        PlanError, match=r"at t = 1\.80 s joint 'extend1' would be at 0\.6 m, its range is \[0, 0\.45\]"
+    ):
+        check_motion(arm, dataclasses.replace(motion, q=beyond))
+
+
+def test_contact_on_the_way_is_refused(arm, motion):
+    down = motion.q.copy()
+    down[:, 2], down[:, 6], down[:, 3], down[:, 5], down[:, 7], down[:, 4] = -0.6, -1.0, 0.45, 0.4, 0.3, 0.0
+    down[:, 1] = 0.0
+    with pytest.raises(PlanError, match="would come within 2 mm of"):
+        check_motion(arm, dataclasses.replace(motion, q=down))
+
+
+def test_bad_input(arm, network):
+    home = arm.keyframe("home")
+    for duration in (0.0, -1.0, np.nan):
+        with pytest.raises(InputError, match="duration"):
+            make_motion(arm, network, home, duration, 0.002)
+    with pytest.raises(InputError, match="between 2 and 100000 time steps"):
+        make_motion(arm, network, home, 0.001, 0.002)
+    with pytest.raises(InputError, match=r"start must have shape \(8\)"):
+        make_motion(arm, network, home[:3], 1.0, 0.002)
+    small = synthesize(np.full((2, 6), 0.3), bias="sign-matched").unwrap()
+    with pytest.raises(InputError, match=r"2 neurons.*4 links"):
+        make_motion(arm, small, home, 1.0, 0.002)
+
+
+def test_a_network_that_does_not_arrive_is_refused(arm):
+    n = arm.n_links
+    rotation = np.broadcast_to(np.eye(3), (n, n, 3, 3))
+    rising = LieEDNN(alpha=4.0 * np.eye(n), rotation=rotation, translation=np.zeros((n, n, 3)), bias=np.zeros((n, 6)))
+    with pytest.raises(PlanError, match=r"does not arrive|cannot be used"):
+        make_motion(arm, rising, arm.keyframe("home"), 1.0, 0.002)
+
+
+def test_save_and_load(motion, tmp_path):
+    motion.save(tmp_path / "motion.npz")
+    loaded = Motion.load(tmp_path / "motion.npz")
+    for name, value in vars(motion).items():
+        np.testing.assert_array_equal(getattr(loaded, name), value)
+    (tmp_path / "motion.npz").write_bytes(b"PK not a zip")
+    with pytest.raises(FileError, match="not a readable motion file"):
+        Motion.load(tmp_path / "motion.npz")
+
+
+def test_plans_are_reproducible_and_keep_the_limits(arm):
+    first, second = (plan(arm, arm.keyframe("extended"), candidates=6, seed=3) for _ in range(2))
+    np.testing.assert_array_equal(first.motion.q, second.motion.q)
+    assert first.network.certified
+    check_motion(arm, first.motion)
+    other = plan(arm, arm.keyframe("extended"), candidates=6, seed=4)
+    assert not np.array_equal(first.network.alpha, other.network.alpha)
+
+
+def test_plan_reports_progress_and_refuses_bad_targets(arm):
+    seen = []
+    plan(arm, arm.keyframe("extended"), candidates=3, progress=lambda done, total: seen.append((done, total)))
+    assert seen == [(1, 3), (2, 3), (3, 3)]
+    beyond = arm.keyframe("home")
+    beyond[3] = 3.0
+    with pytest.raises(InputError, match="target is out of reach: joint 'extend1' would be at 3 m"):
+        plan(arm, beyond)
+    with pytest.raises(InputError, match="candidates must be at least 1"):
+        plan(arm, arm.keyframe("extended"), candidates=0)
+    with pytest.raises(InputError, match="no bias rule 'none'; allowed: sign-matched, solved, uniform"):
+        plan(arm, arm.keyframe("extended"), bias="none")
+    with pytest.raises(PlanError, match="a duration of at least"):
+        plan(arm, arm.keyframe("extended"), duration=0.2, candidates=3)
+
+
+def test_position_limits_hold_to_a_micron(arm, motion):
+    for index, side, sign in ((3, 1, 1.0), (4, 0, -1.0)):
+        limit = arm.position_limits[index, side]
+        for beyond, accepted in ((9e-7, True), (2e-6, False)):
+            q = np.tile(motion.q[700], (len(motion.t), 1))
+            q[:, index] = limit
+            q[700:, index] += sign * beyond
+            changed = dataclasses.replace(motion, q=q)
+            if accepted:
+                check_motion(arm, changed)
+                continue
+            with pytest.raises(PlanError, match=rf"at t = 1\.40 s joint '{arm.joint_names[index]}' would be at"):
+                check_motion(arm, changed)
+
+
+def test_a_posture_that_jumps_between_two_samples_is_refused(arm, motion):
+    """A jump is seen by its size alone: limits, clearance and the velocities at both samples know nothing of it."""
+    step = 2.0 * motion.timestep * np.abs(motion.qd[999:1001, 4]).max()
+    for jump, refused in ((step + 0.019, False), (step + 0.021, True)):
+        q = motion.q.copy()
+        q[1000:, 4] += q[999, 4] - q[1000, 4] - jump
+        changed = dataclasses.replace(motion, q=q)
+        if not refused:
+            check_motion(arm, changed)
+            continue
+        words = rf"joint '{arm.joint_names[4]}' would jump by {jump:.3g} rad at t = 2\.00 s, where the nearest posture"
+        with pytest.raises(PlanError, match=words):
+            check_motion(arm, changed)
+
+
+@pytest.mark.parametrize(("what", "share"), [("move", 1.01), ("accelerate", 1.01)])
+def test_velocity_and_acceleration_limits_are_those_of_the_arm(arm, motion, what, share):
+    """Just below a limit is accepted; just above, the duration that is asked for scales by the law of the quantity."""
+    still = dataclasses.replace(motion, q=np.tile(motion.q[0], (len(motion.t), 1)))
+    for factor, refused in ((2.0 - share, False), (share, True)):
+        qd = np.zeros_like(motion.qd)
+        if what == "move":
+            # Up and down in half of the motion each, as slowly as possible.
+            qd[:, 4] = np.interp(motion.t, [0.0, 2.0, 4.0], [0.0, -factor * arm.velocity_limits[4], 0.0])
+        else:
+            qd[1000:, 4] = factor * arm.acceleration_limits[4] * motion.timestep
+        changed = dataclasses.replace(still, qd=qd)
+        if not refused:
+            check_motion(arm, changed)
+            continue
+        with pytest.raises(TooFastError, match=f"joint '{arm.joint_names[4]}' would {what} at") as error:
+            check_motion(arm, changed)
+        assert error.value.duration == pytest.approx(4.0 * share ** (1.0 if what == "move" else 0.5))
+
+
+def test_the_plan_is_the_candidate_with_the_smallest_gap_that_keeps_the_limits(arm, monkeypatch):
+    """Every candidate run in full: none that would do has a smaller gap than the one that was taken."""
+    drawn = []
+
+    def record(*args, **options):
+        result = synthesize(*args, **options)
+        drawn.append(result.network)
+        return result
+
+    monkeypatch.setattr(planning, "synthesize", record)
+    home, goal = arm.keyframe("home"), arm.keyframe("extended")
+    chosen = plan(arm, goal, candidates=6, seed=2, timestep=0.02)
+    gaps = {}
+    for network in drawn:
+        motion = make_motion(arm, network, home, 4.0, 0.02)
+        try:
+            check_motion(arm, motion)
+        except PlanError:
+            continue
+        gap = motion.gap_translation.max(axis=1) + arm.length_scale * motion.gap_rotation.max(axis=1)
+        gaps[id(network)] = gap.max()
+    assert len(drawn) == chosen.candidates == 6
+    assert chosen.within_limits >= len(gaps) > 2
+    # Candidates are ranked on rough ways, which are good to a few percent.
+    assert gaps[id(chosen.network)] <= 1.05 * min(gaps.values()) < 0.5 * max(gaps.values())

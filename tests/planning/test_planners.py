@@ -1,0 +1,265 @@
+"""Rival planners: one contract for all, and what each is known for."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from hypothesis import given, reject, settings
+from hypothesis import strategies as st
+
+from lieednn_sim.arm import Arm
+from lieednn_sim.errors import InputError, NotCertifiedError, PlanError, TooFastError
+from lieednn_sim.lie import exp, log
+from lieednn_sim.planning import (
+    NETWORK_PLANNERS,
+    PLANNERS,
+    PlanningProblem,
+    missing_planners,
+    plan_network,
+    plan_with,
+    reference_network,
+)
+from lieednn_sim.planning import network_planners as lieednn
+from lieednn_sim.planning.baselines import sampling
+from lieednn_sim.planning.baselines import smoothing as rounding
+from lieednn_sim.planning.motion import Motion, check_motion
+
+ARM = Arm.load("telescopic_pr")
+LOW, HIGH = ARM.position_limits.T
+SEEDS = (0,)
+# Their motions may deviate from the network's, and end later.
+FILTERED = ("lieednn-filtered", "lieednn-guided")
+MISSING = missing_planners()
+INSTALLED = sorted(set(PLANNERS) - set(MISSING))
+# A planner that is not installed is seen to be skipped, with what it needs.
+EACH = [
+    pytest.param(name, marks=pytest.mark.skipif(name in MISSING, reason=f"{name} needs {MISSING.get(name)}"))
+    for name in sorted(PLANNERS)
+]
+
+
+def problem(seed: int, margin: float = 0.35, **changes: object) -> PlanningProblem:
+    """From home to a drawn target, which keeps this share of the range from its limits."""
+    rng = np.random.default_rng(seed)
+    while True:
+        target = rng.uniform(LOW + margin * (HIGH - LOW), HIGH - margin * (HIGH - LOW))
+        if not ARM.near_contacts(target):
+            break
+    values = {"start": ARM.keyframe("home"), "target": target, "seed": seed, **changes}
+    return PlanningProblem(ARM, **values)
+
+
+class Motions(dict[tuple[str, int], Motion]):
+    """Motions by planner and seed, planned when they are first asked for."""
+
+    def __missing__(self, key: tuple[str, int]) -> Motion:
+        name, seed = key
+        self[key] = plan_with(name, problem(seed))
+        return self[key]
+
+
+@pytest.fixture(scope="module")
+def motions() -> Motions:
+    return Motions()
+
+
+@pytest.fixture(scope="module", autouse=True)
+def little_work() -> Iterator[None]:
+    """RRT* spends what work it is given on shortening the path that it found: a tenth of that here."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sampling, "_STAR_TESTS", sampling._STAR_TESTS // 10)
+        yield
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("name", EACH)
+def test_every_planner_goes_from_rest_to_rest_within_the_limits(motions, name, seed):
+    task, motion = problem(seed), motions[name, seed]
+    step = ARM.model.opt.timestep
+    np.testing.assert_allclose(motion.t, step * np.arange(len(motion.t)), atol=1e-12)
+    filtered = name in FILTERED
+    assert motion.t[-1] == pytest.approx(task.duration, abs=0.5 if filtered else 1e-9)
+    np.testing.assert_allclose(motion.q[0], task.start, atol=1e-6)
+    np.testing.assert_allclose(motion.q[-1], task.target, atol=1e-6)
+    np.testing.assert_array_equal(motion.qd[[0, -1]], 0.0)
+    np.testing.assert_allclose(motion.xi_target, ARM.encode(task.target), atol=1e-6)
+    check_motion(ARM, motion)
+    # The states are those that the joints follow: decoded anew they give positions and gap.
+    decoded = ARM.decode(motion.xi)
+    # What has to be filtered are at most the accelerations.
+    np.testing.assert_allclose(decoded.q, motion.q, atol=0.05 if filtered else 1e-9)
+    if filtered:
+        return
+    np.testing.assert_allclose(decoded.gap_translation, motion.gap_translation, atol=1e-9)
+    np.testing.assert_allclose(decoded.gap_rotation, motion.gap_rotation, atol=1e-7)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("name", EACH)
+def test_velocities_are_the_derivatives_of_positions(motions, name, seed):
+    motion = motions[name, seed]
+    numeric = (motion.q[2:] - motion.q[:-2]) / (2.0 * motion.timestep)
+    np.testing.assert_allclose(motion.qd[1:-1], numeric, atol=2e-4 * np.abs(motion.qd).max())
+
+
+@pytest.mark.parametrize("name", EACH)
+def test_the_same_problem_gives_the_same_motion(motions, name):
+    again = plan_with(name, problem(0))
+    np.testing.assert_array_equal(again.q, motions[name, 0].q)
+    np.testing.assert_array_equal(again.qd, motions[name, 0].qd)
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=10)
+def test_minimum_jerk_has_no_gap_and_is_straight_in_joint_space(seed):
+    task = problem(seed, margin=0.1, duration=8.0)
+    try:
+        motion = plan_with("minimum-jerk", task)
+    except PlanError:
+        reject()  # something is in the way
+    np.testing.assert_array_equal(motion.gap_translation, 0.0)
+    np.testing.assert_array_equal(motion.gap_rotation, 0.0)
+    way = task.target - task.start
+    middle = len(motion.t) // 2
+    np.testing.assert_allclose(motion.q[middle], task.start + 0.5 * way, atol=1e-12)
+    # sigma' = 30 s^2 (1 - s)^2 peaks at 15/8.
+    np.testing.assert_allclose(motion.qd[middle], 1.875 * way / 8.0, atol=1e-12)
+
+
+def test_the_screw_of_a_pure_slide_is_straight_and_without_gap():
+    start, target = ARM.keyframe("extended").copy(), ARM.keyframe("extended").copy()
+    slides = [joint for joint in range(ARM.n_joints) if ARM.unit(joint) == "m"]
+    start[slides], target[slides] = 0.1, 0.25
+    task = problem(0, start=start, target=target)
+    motion = plan_with("screw", task)
+    assert max(motion.gap_translation.max(), motion.gap_rotation.max()) < 1e-7
+    np.testing.assert_allclose(motion.q, plan_with("minimum-jerk", task).q, atol=1e-9)
+
+
+def test_the_screw_is_the_geodesic_of_every_joint(motions):
+    task, motion = problem(0), motions["screw", 0]
+    origin, goal = ARM.joint_poses(task.start), ARM.joint_poses(task.target)
+    way = log(origin.inv() * goal)
+    units = np.repeat([1.0, ARM.length_scale], 3)
+    for k in (0, 700, 1500, len(motion.t) - 1):
+        done = log(origin.inv() * exp(motion.xi[k] * units))
+        np.testing.assert_allclose(done, motion.tau[k] * way, atol=1e-9)
+    assert motion.gap_translation.max() > 1e-3, "turning and sliding at once is no screw of the joint"
+
+
+def test_the_screw_takes_the_shorter_turn_and_is_refused_where_a_stop_is_in_between():
+    start, target = ARM.keyframe("home").copy(), ARM.keyframe("home").copy()
+    base = ARM.joint_names.index("turn")
+    start[base], target[base] = -2.5, 2.5
+    task = problem(0, start=start, target=target, duration=8.0)
+    plan_with("minimum-jerk", task)
+    with pytest.raises(PlanError, match=rf"{ARM.joint_names[base]!r} would be at -?3\.1"):
+        plan_with("screw", task)
+
+
+def test_the_linear_law_is_a_straight_line_in_network_coordinates(motions):
+    motion = motions["linear-law", 0]
+    way = motion.xi_target - motion.xi[0]
+    share = ((motion.xi - motion.xi[0]) * way).sum(axis=(1, 2)) / (way**2).sum()
+    np.testing.assert_allclose(motion.xi, motion.xi[0] + share[:, None, None] * way, atol=1e-6)
+    # xi' = -(xi - xi_d) in the network's own time.
+    np.testing.assert_allclose(1.0 - share[:-1], np.exp(-motion.tau[:-1]), atol=1e-6)
+
+
+def test_networks_come_with_their_motions():
+    task = problem(0)
+    assert plan_network("minimum-jerk", task)[0] is None
+    network, motion = plan_network("lieednn-retargeted", task)
+    reference = reference_network(ARM)
+    np.testing.assert_array_equal(network.weight, reference.weight)
+    assert network.certified
+    assert not np.array_equal(network.bias, reference.bias)
+    np.testing.assert_allclose(network.vector_field(motion.xi_target), 0.0, atol=1e-10)
+    for name in ("linear-law", "lieednn-certified"):
+        assert plan_network(name, task)[0].certified
+    assert set(NETWORK_PLANNERS) < set(PLANNERS)
+
+
+def test_refusals_say_why(monkeypatch):
+    with pytest.raises(
+        InputError,
+        match="no planner 'rrt'; allowed: dmp, lieednn-certified, lieednn-filtered, lieednn-g",
+    ):
+        plan_with("rrt", problem(0))
+    with pytest.raises(InputError, match="problem must be a PlanningProblem, got str"):
+        plan_with("screw", "there")
+    hurried = problem(0, duration=0.05)
+    for name in ("minimum-jerk", "screw", "linear-law", "lieednn-certified", "lieednn-retargeted"):
+        with pytest.raises(PlanError, match=r"would (move|accelerate) at .*its limit is|would be at"):
+            plan_with(name, hurried)
+    monkeypatch.setattr(lieednn, "_LEARNED_CANDIDATES", 1)
+    with pytest.raises(PlanError, match=r"no learned network of 1 can be used: joint .* would (move|accelerate) at"):
+        plan_with("lieednn-trained", hurried)
+
+
+def test_a_network_that_ends_elsewhere_is_refused(monkeypatch):
+    task = problem(0)
+    other = reference_network(ARM).retarget(ARM.encode(problem(1).target))
+    monkeypatch.setattr(lieednn, "reference_network", lambda _: other)
+    monkeypatch.setattr(type(other), "retarget", lambda self, _: self)
+    with pytest.raises(PlanError, match="ends at another equilibrium"):
+        plan_with("lieednn-retargeted", task)
+
+
+def test_what_cannot_be_certified_is_no_motion(monkeypatch):
+    def refuse(*_args, **_options):
+        raise NotCertifiedError("none of 24")
+
+    monkeypatch.setattr(lieednn, "plan", refuse)
+    with pytest.raises(NotCertifiedError, match="none of 24"):
+        plan_with("lieednn-certified", problem(0))
+
+
+def test_problems_are_checked():
+    task = problem(0)
+    with pytest.raises(ValueError, match="read-only"):
+        task.target[0] = 0.0
+    beyond = ARM.keyframe("home").copy()
+    beyond[3] = 3.0
+    for name in ("start", "target"):
+        with pytest.raises(InputError, match=f"{name} is out of reach: joint 'extend1' would be at 3 m"):
+            problem(0, **{name: beyond})
+    folded = np.array([0.0, 0.0, -0.6, 0.45, 0.0, 0.4, -1.0, 0.3])
+    assert ARM.contacts(folded)
+    with pytest.raises(InputError, match=r"target is out of reach: '.*' would touch '.*' there"):
+        problem(0, target=folded)
+    with pytest.raises(InputError, match="between 2 and 100000 time steps"):
+        problem(0, duration=0.001)
+    with pytest.raises(InputError, match="seed must be a whole number"):
+        PlanningProblem(ARM, task.start, task.target, seed=-1)
+    with pytest.raises(InputError, match="arm must be an Arm, got str"):
+        PlanningProblem("telescopic_pr", task.start, task.target)
+
+
+@pytest.mark.parametrize("name", ["minimum-jerk", "lieednn-retargeted"])
+def test_a_motion_takes_longer_where_the_limits_need_it(name):
+    asked = problem(0, duration=0.3)
+    motion = plan_with(name, asked)
+    assert 0.3 < motion.t[-1] <= 0.9
+    check_motion(asked.arm, motion)
+    # Hardly longer than it must: at the limit of a velocity or an acceleration, less the two percent of slack.
+    acceleration = np.abs(np.diff(motion.qd, axis=0) / motion.timestep) / asked.arm.acceleration_limits
+    assert max((np.abs(motion.qd) / asked.arm.velocity_limits).max(), acceleration.max()) > 0.93
+
+
+def test_of_refused_roundings_the_least_time_is_told(monkeypatch):
+    times = [TooFastError(name, time) for name, time in (("five", 5.0), ("three", 3.0), ("four", 4.0))]
+    refusals = iter([*times, PlanError("touches")])
+
+    def refuse(*_):
+        raise next(refusals, PlanError("the polyline"))
+
+    monkeypatch.setattr(rounding, "rounded", lambda *_: (None, None, None))
+    monkeypatch.setattr(rounding, "stopping", lambda *_: (None, None, None))
+    monkeypatch.setattr(rounding, "joint_motion", refuse)
+    with pytest.raises(TooFastError, match="three"):
+        rounding.motion_along(None, np.zeros((2, 1)))
+    with pytest.raises(PlanError, match="the polyline"):
+        rounding.motion_along(None, np.zeros((2, 1)))

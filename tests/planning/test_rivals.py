@@ -1,0 +1,325 @@
+"""Sampling, optimisation and primitives: what each promises beyond the contract of all planners."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from types import SimpleNamespace
+from unittest.mock import MagicMock
+
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from lieednn_sim.arm import PLANNED_CLEARANCE, Arm
+from lieednn_sim.arm.collision import Collisions
+from lieednn_sim.errors import InputError, LieEDNNError, PlanError
+from lieednn_sim.network.hopfield import HopfieldNetwork
+from lieednn_sim.planning import PlanningProblem, missing_planners, plan_network, plan_with, reference_network
+from lieednn_sim.planning.baselines import optimisation, sampling
+from lieednn_sim.planning.baselines.joint_space import ClearanceTest, joint_scale, sweeps
+from lieednn_sim.planning.baselines.optimisation import _Descent
+from lieednn_sim.planning.baselines.smoothing import motion_along, rounded, stopping
+from lieednn_sim.planning.motion import minimum_jerk_law
+
+ARM = Arm.load("telescopic_pr")
+LOW, HIGH = ARM.position_limits.T
+DETOUR = ("rrt-connect", "rrt-star", "trajectory-optimisation")
+seeds = st.integers(0, 2**32 - 1)
+
+
+def needs(name: str) -> None:
+    if name in missing_planners():
+        pytest.skip(f"{name} needs {missing_planners()[name]}")
+
+
+def with_post() -> Arm:
+    """The arm with a post in the way of the half turn that `blocked` asks for."""
+    spec = ARM.spec.copy()
+    post = spec.worldbody.add_body(name="post", pos=(0.0, 0.95, 1.0))
+    post.add_geom(name="post", type=mujoco.mjtGeom.mjGEOM_BOX, size=(0.06, 0.06, 1.0))
+    return Arm.from_spec(spec, ARM.source, ARM.name)
+
+
+POSTED = with_post()
+
+
+def blocked(seed: int = 0, duration: float = 8.0) -> PlanningProblem:
+    start, target = ARM.keyframe("extended").copy(), ARM.keyframe("extended").copy()
+    turn = ARM.joint_names.index("turn")
+    start[turn], target[turn] = 0.5, 2.6
+    return PlanningProblem(POSTED, start, target, duration, seed)
+
+
+def corners(seed: int, count: int = 5) -> np.ndarray:
+    drawn = np.random.default_rng(seed).uniform(LOW, HIGH, (count, len(LOW)))
+    drawn[0] = ARM.keyframe("home")
+    return drawn
+
+
+def test_a_path_is_searched_for_once_however_long_the_motion_takes(monkeypatch):
+    start, target = ARM.keyframe("home"), ARM.keyframe("extended")
+    attempts = []
+
+    def straight(_problem, _workspace, _planner, attempt):
+        attempts.append(attempt)
+        return np.array([start, target])
+
+    monkeypatch.setattr(sampling, "_drawn", straight)
+    motion = plan_with("rrt-connect", PlanningProblem(ARM, start, target, 0.5))
+    assert motion.t[-1] > 0.5, "the time asked for is too short"
+    assert attempts == [0, 1]
+
+
+@pytest.mark.parametrize("name", DETOUR)
+def test_they_go_around_what_is_in_the_way_with_clearance(name, monkeypatch):
+    needs(name)
+    # RRT* spends the rest on shortening the path that it found.
+    monkeypatch.setattr(sampling, "_STAR_TESTS", sampling._STAR_TESTS // 10)
+    task = blocked(3)
+    with pytest.raises(PlanError, match=r"would come within .* of .post. at"):
+        plan_with("minimum-jerk", task)
+    motion = plan_with(name, task)
+    collisions = Collisions(POSTED)
+    assert min(collisions.clearance(q) for q in motion.q[::16]) > PLANNED_CLEARANCE - 1e-6
+    assert (POSTED.limit_excess(motion.q) <= 1e-9).all()
+    np.testing.assert_array_equal(motion.q[[0, -1]], [task.start, task.target])
+    # Accelerations stay finite: no velocity jumps from one sample to the next.
+    acceleration = np.abs(np.diff(motion.qd, axis=0)) / motion.timestep / joint_scale(POSTED)
+    assert acceleration.max() < 10.0
+
+
+def test_sampling_is_the_same_whatever_ran_before_and_silent():
+    needs("rrt-connect")
+    ou = pytest.importorskip("ompl.util")
+    script = (
+        "import sys; sys.path.insert(0, {path!r})\n"
+        "import numpy as np\n"
+        "import {module} as t\n"
+        "q = t.plan_with('rrt-connect', t.blocked(3)).q\n"
+        "print(np.ascontiguousarray(q).tobytes().hex()[::997])"
+    ).format(path=__file__.rpartition("/")[0], module="test_rivals")
+    fresh = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    ou.RNG().uniform01()
+    other = plan_with("rrt-connect", blocked(4)).q
+    here = plan_with("rrt-connect", blocked(3)).q
+    assert fresh.stdout.strip() == np.ascontiguousarray(here).tobytes().hex()[::997]
+    assert fresh.stderr == ""
+    assert not np.array_equal(other, here), "the seed is of no effect"
+
+
+@pytest.mark.parametrize("narrow", ["start", "target"])
+def test_the_tree_grows_from_the_narrower_end_and_the_path_from_the_start(gantry, monkeypatch, narrow):
+    """The library is played: it finds one corner near the end that it was given as the start, one near the other."""
+    base = MagicMock(MotionValidator=type("MotionValidator", (), {"__init__": lambda *_: None}))
+    definition = base.ProblemDefinition.return_value
+    monkeypatch.setattr(sampling, "optional_module", lambda name: base if name == "ompl.base" else MagicMock())
+    monkeypatch.setattr(sampling, "_state", lambda _, values: values)
+    start, target = np.array([-0.5, 0.0, 0.0, 0.0]), np.array([0.5, 1.0, 1.0, 1.0])
+    asked = PlanningProblem(gantry, start, target, 4.0)
+    near = {"start": start, "target": target}[narrow]
+    rooms = SimpleNamespace(clearance=lambda q: 0.1 if np.array_equal(q, near) else 0.2)
+    workspace = SimpleNamespace(collisions=rooms, clear=MagicMock())
+
+    def path():
+        first, last = definition.setStartAndGoalStates.call_args.args
+        corners = [first, 0.75 * first + 0.25 * last, 0.5 * (first + last), last]
+        return MagicMock(getState=lambda i: corners[i], getStateCount=lambda: len(corners))
+
+    definition.getSolutionPath.side_effect = path
+    corners = sampling._path(asked, workspace, "RRTConnect", 0.1)
+    scale = joint_scale(gantry)
+    given_first, given_last = (np.asarray(end) * scale for end in definition.setStartAndGoalStates.call_args.args)
+    other = target if narrow == "start" else start
+    np.testing.assert_allclose([given_first, given_last], [near, other])
+    share = 0.25 if narrow == "start" else 0.75
+    shares = np.sort([0.0, share, 0.5, 1.0])[:, None]
+    np.testing.assert_allclose(corners, start + shares * (target - start), atol=1e-12)
+
+
+@given(seed=seeds)
+@settings(max_examples=10)
+def test_the_fast_test_of_clearance_agrees_with_measured_distances(seed):
+    rng = np.random.default_rng(seed)
+    collisions, margin = Collisions(POSTED), 0.03
+    clear = ClearanceTest(POSTED, margin)
+    q = rng.uniform(LOW, HIGH, (20, len(LOW)))
+    distance = np.array([collisions.clearance(position) for position in q])
+    for position, value in zip(q, distance, strict=True):
+        # Between the two, contacts are found more roughly than distances are measured.
+        if abs(value - margin) > 2e-3:
+            assert clear(position) == (value > margin)
+    assert clear.first_blocked(q[distance > margin + 2e-3]) is None
+    assert not POSTED.model.opt.enableflags & mujoco.mjtEnableBit.mjENBL_OVERRIDE, "the arm's own model was changed"
+
+
+@given(seed=seeds, count=st.sampled_from([6, 15, 80]))
+@settings(max_examples=10)
+def test_rounded_paths_stay_within_limits_and_come_close_to_the_polyline(seed, count):
+    polyline = corners(seed)
+    task = PlanningProblem(ARM, polyline[0], ARM.keyframe("extended"), 8.0)
+    polyline[-1] = task.target
+    scale, times = joint_scale(ARM), task.times()
+    q, qd, progress = rounded(task, polyline, count)
+    np.testing.assert_allclose(q[[0, -1]], polyline[[0, -1]], atol=1e-9)
+    np.testing.assert_array_equal(qd[[0, -1]], 0.0)
+    assert (ARM.limit_excess(q) <= 1e-9).all()
+    assert (np.diff(progress) >= 0.0).all()
+    numeric = (q[2:] - q[:-2]) / (times[2:] - times[:-2])[:, None]
+    np.testing.assert_allclose(qd[1:-1], numeric, atol=1e-3 * np.abs(qd).max())
+    length = np.linalg.norm(np.diff(polyline / scale, axis=0), axis=1).sum()
+    assert np.linalg.norm(np.diff(q / scale, axis=0), axis=1).sum() <= length + 1e-9
+    along = stopping(task, polyline)[0] / scale
+    far = np.linalg.norm(q[::80, None] / scale - along[None, ::4], axis=2).min(axis=1).max()
+    # Six control points span each piece of the curve, and they are a share of the length apart.
+    assert far <= 3.0 * length / count + 0.02 * length
+
+
+@given(seed=seeds)
+@settings(max_examples=5)
+def test_the_polyline_itself_is_followed_with_a_stop_at_every_corner(seed):
+    polyline = corners(seed)
+    task = PlanningProblem(ARM, polyline[0], ARM.keyframe("extended"), 8.0)
+    polyline[-1] = task.target
+    q, qd, _ = stopping(task, polyline)
+    scale = joint_scale(ARM)
+    for corner in polyline:
+        nearest = np.linalg.norm((q - corner) / scale, axis=1).argmin()
+        np.testing.assert_allclose(q[nearest], corner, atol=1e-4)
+        assert np.abs(qd[nearest] / scale).max() < 1e-2
+    numeric = (q[2:] - q[:-2]) / (2.0 * task.timestep)
+    np.testing.assert_allclose(qd[1:-1], numeric, atol=1e-3 * np.abs(qd).max())
+
+
+def test_a_straight_polyline_is_run_through_by_minimum_jerk():
+    task = PlanningProblem(ARM, ARM.keyframe("home"), ARM.keyframe("extended"), 4.0)
+    middle = 0.3 * task.start + 0.7 * task.target
+    motion = motion_along(task, np.array([task.start, middle, middle, task.target]))
+    np.testing.assert_allclose(motion.q, plan_with("minimum-jerk", task).q, atol=1e-9)
+    still = PlanningProblem(ARM, task.start, task.start, 1.0)
+    np.testing.assert_array_equal(motion_along(still, np.array([task.start] * 2)).qd, 0.0)
+
+
+def test_a_path_that_cannot_be_followed_in_time_says_how_long_it_takes():
+    task = PlanningProblem(ARM, ARM.keyframe("home"), ARM.keyframe("extended"), 0.5)
+    with pytest.raises(PlanError, match=r"its limit is .* a duration of at least .* keeps it"):
+        motion_along(task, np.array([task.start, task.target]))
+
+
+def test_sweeps_bound_the_motion_of_the_link_frames():
+    slide = [ARM.joint_names.index(name) for name in ("lift", "extend1")]
+    np.testing.assert_allclose(sweeps(ARM)[slide], 1.0, rtol=1e-6)
+    radius = np.linalg.norm(np.asarray(ARM.link_poses(ARM.keyframe("extended")).translation)[-1, :2])
+    assert sweeps(ARM)[ARM.joint_names.index("turn")] > 0.9 * radius
+
+
+def test_optimisation_finds_minimum_jerk_where_nothing_is_in_the_way():
+    task = PlanningProblem(ARM, ARM.keyframe("home"), ARM.keyframe("extended"), 4.0)
+    motion = plan_with("trajectory-optimisation", task)
+    np.testing.assert_allclose(motion.q, plan_with("minimum-jerk", task).q, atol=1e-6)
+
+
+@given(seed=seeds)
+@settings(max_examples=5)
+def test_the_optimiser_descends_along_its_true_derivatives(seed):
+    descent = _Descent(blocked(seed % 1000, duration=2.5))
+    rng = np.random.default_rng(seed)
+    x = next(descent.guesses())
+    x = np.clip(x + 0.05 * rng.normal(size=x.shape), descent.low, descent.high)
+    way = rng.normal(size=x.shape)
+    _, jacobian = descent.terms(x, 8.0)
+    step = 1e-6
+    ahead, behind = (descent.terms(x + side * step * way, 8.0)[0] for side in (1.0, -1.0))
+    numeric = (ahead - behind) / (2.0 * step)
+    wrong = np.abs(jacobian @ way - numeric) > 1e-3 * np.abs(numeric).max()
+    # Where the nearest features of two boxes change, and in penetration, distances have kinks.
+    assert wrong.sum() <= 3
+
+
+def test_a_primitive_keeps_its_shape_at_every_amplitude():
+    needs("dmp")
+    home, extended = ARM.keyframe("home"), ARM.keyframe("extended")
+    task = PlanningProblem(ARM, home, extended, 4.0)
+    motion = plan_with("dmp", task)
+    sigma, _ = minimum_jerk_law(task.times() / 4.0)
+    shown = home + sigma[:, None] * (extended - home)
+    # It imitates what it was shown, up to the basis functions of its forces.
+    np.testing.assert_allclose(motion.q, shown, atol=0.02 * np.abs(extended - home).max())
+    half = PlanningProblem(ARM, home, home + 0.5 * (extended - home), 4.0)
+    np.testing.assert_allclose(plan_with("dmp", half).q - home, 0.5 * (motion.q - home), atol=1e-9)
+    turned = extended.copy()
+    turn = ARM.joint_names.index("turn")
+    assert extended[turn] == home[turn]
+    turned[turn] = 1.0
+    way = plan_with("dmp", PlanningProblem(ARM, home, turned, 4.0)).q[:, turn]
+    # Never shown: spring and damper, critically damped, do not overshoot.
+    assert (np.diff(way) >= -1e-6).all()
+    assert way.max() <= 1.0 + 1e-9
+
+
+@pytest.mark.parametrize(
+    ("module", "names", "extra"),
+    [
+        ("ompl", {"lieednn-guided", "rrt-connect", "rrt-star"}, "rivals"),
+        ("movement_primitives", {"dmp"}, "dmp"),
+        ("pytransform3d", {"dmp"}, "dmp"),
+    ],
+)
+def test_what_is_not_installed_is_reported_as_missing(monkeypatch, module, names, extra):
+    for loaded in [name for name in sys.modules if name.partition(".")[0] in {module, "movement_primitives"}]:
+        monkeypatch.delitem(sys.modules, loaded)
+    monkeypatch.setitem(sys.modules, module, None)
+    missing = missing_planners()
+    assert names <= set(missing)
+    for name in names:
+        assert f"pip install 'lieednn_sim[{extra}]'" in missing[name]
+        with pytest.raises(
+            LieEDNNError, match=rf"planners? .*'{name}'.* pip install 'lieednn_sim\[{extra}\]'"
+        ) as caught:
+            plan_with(name, blocked())
+        assert not isinstance(caught.value, PlanError | InputError), "a missing library is no failed plan"
+
+
+def test_refusals_say_what_was_tried(monkeypatch):
+    for name, few in (("_GUESSES", 2), ("_DRAWN", 2), ("_EVALUATIONS", 3)):
+        monkeypatch.setattr(optimisation, name, few)
+    with pytest.raises(PlanError, match=r"no local optimum of 2 first guesses can be followed: joint .* its limit is"):
+        plan_with("trajectory-optimisation", PlanningProblem(ARM, LOW, HIGH, 0.3))
+    needs("rrt-connect")
+    monkeypatch.setattr(sampling, "_CONNECT_TESTS", 1)
+    with pytest.raises(PlanError, match="RRTConnect found no path free of contact; try another seed or target"):
+        plan_with("rrt-connect", blocked())
+
+
+@given(seed=seeds)
+@settings(max_examples=5)
+def test_a_plain_network_is_the_structured_one_when_its_weights_are(seed):
+    rng = np.random.default_rng(seed)
+    twin = reference_network(ARM).retarget(rng.uniform(-0.8, 0.8, (ARM.n_links, 6)))
+    plain = HopfieldNetwork(twin.weight, twin.bias)
+    xi = rng.normal(size=(3, *twin.bias.shape))
+    np.testing.assert_allclose(plain.vector_field(xi), twin.vector_field(xi), atol=1e-12)
+    np.testing.assert_allclose(plain.jacobian(xi), twin.jacobian(xi), atol=1e-12)
+    np.testing.assert_array_equal(plain.weight, twin.weight)
+
+
+def test_plain_networks_are_checked_stored_and_certified(tmp_path):
+    network = HopfieldNetwork(0.5 * np.eye(12), np.full((2, 6), 0.1)).try_certify()
+    assert network.certified
+    network.save(tmp_path / "plain.npz")
+    again = HopfieldNetwork.load(tmp_path / "plain.npz")
+    np.testing.assert_array_equal(again.weight, network.weight)
+    assert again.certified
+    assert not HopfieldNetwork(3.0 * np.eye(12), np.full((2, 6), 0.1)).try_certify().certified
+    with pytest.raises(InputError, match=r"matrix must have shape \(12, 12\), got \(6, 6\)"):
+        HopfieldNetwork(np.eye(6), np.zeros((2, 6)))
+
+
+def test_learning_without_projection_leaves_the_adjoint_matrices():
+    task = PlanningProblem(ARM, ARM.keyframe("home"), ARM.keyframe("extended"), 8.0)
+    network, motion = plan_network("lieednn-unprojected", task)
+    np.testing.assert_allclose(motion.xi_target, ARM.encode(task.target), atol=1e-6)
+    # A scaled adjoint matrix has a zero block on the upper right; these weights do not.
+    assert np.abs(network.blocks[..., :3, 3:]).max() > 1e-3

@@ -1,0 +1,369 @@
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from lieednn_sim.errors import RenderingUnavailableError
+from lieednn_sim.rendering import opengl
+
+Pretend = Callable[..., list[str]]
+VARIABLES = ("MUJOCO_GL", "PYOPENGL_PLATFORM", "LIEEDNN_SIM_GL", "DISPLAY", "WAYLAND_DISPLAY")
+
+
+@pytest.fixture(autouse=True)
+def fresh(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A process in which nothing has been chosen and MuJoCo has not been imported."""
+    for variable in VARIABLES:
+        # Set before deleting, so that what `configure` writes is undone too.
+        monkeypatch.setenv(variable, "")
+        monkeypatch.delenv(variable)
+    monkeypatch.setattr(opengl, "_configured", None)
+    monkeypatch.delitem(sys.modules, "mujoco", raising=False)
+
+
+@pytest.fixture
+def working(monkeypatch: pytest.MonkeyPatch) -> Pretend:
+    """Pretend that just the named libraries work; returns the list of probes made."""
+
+    def pretend(*names: str) -> list[str]:
+        asked: list[str] = []
+
+        def probe(name: str) -> dict[str, Any]:
+            asked.append(name)
+            return {"GL_RENDERER": f"{name} renderer"} if name in names else {"error": f"no {name} here"}
+
+        monkeypatch.setattr(opengl, "_probe", probe)
+        return asked
+
+    return pretend
+
+
+def run_python(code: str, **changes: str) -> subprocess.CompletedProcess[str]:
+    environment = {key: value for key, value in os.environ.items() if key not in VARIABLES} | changes
+    return subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False)
+
+
+# --- the order ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("libraries", "expected", "probes"),
+    [
+        (("egl", "osmesa"), "egl", ["egl"]),
+        (("osmesa",), "osmesa", ["egl", "osmesa"]),
+        ((), "disable", ["egl", "osmesa"]),
+    ],
+)
+def test_probe_order(working: Pretend, libraries: tuple[str, ...], expected: str, probes: list[str]) -> None:
+    asked = working(*libraries)
+    backend = opengl.choose_backend()
+    assert (backend.name, backend.source, asked) == (expected, "probe", probes)
+
+
+def test_failed_probes_are_all_in_the_detail(working: Pretend) -> None:
+    working()
+    assert "egl: no egl here; osmesa: no osmesa here" in opengl.choose_backend().detail
+
+
+def test_choosing_leaves_the_environment_alone(working: Pretend) -> None:
+    working("egl")
+    before = dict(os.environ)
+    opengl.choose_backend()
+    assert dict(os.environ) == before
+
+
+# --- the user's choice -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["egl", "osmesa"])
+def test_users_choice_wins(working: Pretend, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    asked = working("egl", "osmesa")
+    monkeypatch.setenv("MUJOCO_GL", name)
+    backend = opengl.choose_backend()
+    assert (backend.name, backend.source, backend.detail) == (name, "MUJOCO_GL", f"{name} renderer")
+    assert asked == [name]
+
+
+@pytest.mark.parametrize("value", ["EGL", " egl ", "Egl"])
+def test_users_choice_is_normalised_for_dm_control(
+    working: Pretend, monkeypatch: pytest.MonkeyPatch, value: str
+) -> None:
+    working("egl")
+    monkeypatch.setenv("MUJOCO_GL", value)
+    assert opengl.configure().name == "egl"
+    assert os.environ["MUJOCO_GL"] == "egl"
+
+
+def test_empty_choice_is_no_choice(working: Pretend, monkeypatch: pytest.MonkeyPatch) -> None:
+    working("osmesa")
+    monkeypatch.setenv("MUJOCO_GL", "  ")
+    assert opengl.choose_backend().source == "probe"
+
+
+@pytest.mark.parametrize("name", ["egl", "osmesa"])
+def test_unusable_choice_falls_back_to_physics_alone(
+    working: Pretend, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    working(*({"egl", "osmesa"} - {name}))  # the other one would work, but was not asked for
+    monkeypatch.setenv("MUJOCO_GL", name)
+    backend = opengl.configure()
+    assert (backend.name, backend.source) == ("disable", "MUJOCO_GL")
+    assert f"MUJOCO_GL={name} is unusable: no {name} here" in backend.detail
+    assert os.environ["MUJOCO_GL"] == "disable"
+
+
+def test_unknown_choice_falls_back_and_lists_the_known(working: Pretend, monkeypatch: pytest.MonkeyPatch) -> None:
+    working("egl")
+    monkeypatch.setenv("MUJOCO_GL", "elg")
+    backend = opengl.choose_backend()
+    assert backend.name == "disable"
+    assert "MUJOCO_GL=elg is not one of: egl, osmesa, glfw, disable" in backend.detail
+
+
+@pytest.mark.parametrize(("display", "expected"), [("", "disable"), (":0", "glfw")])
+def test_glfw_needs_a_display(working: Pretend, monkeypatch: pytest.MonkeyPatch, display: str, expected: str) -> None:
+    asked = working()
+    monkeypatch.setattr(sys, "platform", "linux")
+    monkeypatch.setenv("MUJOCO_GL", "glfw")
+    monkeypatch.setenv("DISPLAY", display)
+    assert opengl.choose_backend().name == expected
+    assert asked == []
+
+
+@pytest.mark.parametrize("value", ["disable", "off", "0"])
+def test_user_can_turn_rendering_off(working: Pretend, monkeypatch: pytest.MonkeyPatch, value: str) -> None:
+    asked = working("egl")
+    monkeypatch.setenv("MUJOCO_GL", value)
+    assert opengl.choose_backend().name == "disable"
+    assert asked == []
+    assert opengl.missing_packages() == []
+    with pytest.raises(RenderingUnavailableError, match="Unset MUJOCO_GL"):
+        opengl.require()
+
+
+# --- configure ---------------------------------------------------------------------------------------------------
+
+
+def test_configure_probes_once(working: Pretend) -> None:
+    asked = working("osmesa")
+    first = opengl.configure()
+    assert opengl.configure() is first
+    assert asked == ["egl", "osmesa"]
+    assert (os.environ["MUJOCO_GL"], os.environ["PYOPENGL_PLATFORM"]) == ("osmesa", "osmesa")
+
+
+def test_configure_overrules_another_pyopengl_platform(working: Pretend, monkeypatch: pytest.MonkeyPatch) -> None:
+    working("egl")
+    monkeypatch.setenv("PYOPENGL_PLATFORM", "osmesa")  # with it, mujoco would refuse to be imported
+    opengl.configure()
+    assert os.environ["PYOPENGL_PLATFORM"] == "egl"
+
+
+@pytest.mark.parametrize("libraries", [("egl",), ()])
+def test_child_process_inherits_the_answer(
+    working: Pretend, monkeypatch: pytest.MonkeyPatch, libraries: tuple[str, ...]
+) -> None:
+    asked = working(*libraries)
+    parent = opengl.configure()
+    asked.clear()
+    monkeypatch.setattr(opengl, "_configured", None)
+    assert opengl.configure() == parent  # the reason too, and not taken for the user's choice
+    assert asked == []
+
+
+def test_users_later_choice_beats_the_inherited(working: Pretend, monkeypatch: pytest.MonkeyPatch) -> None:
+    working("egl", "osmesa")
+    opengl.configure()
+    monkeypatch.setattr(opengl, "_configured", None)
+    monkeypatch.setenv("MUJOCO_GL", "osmesa")
+    assert opengl.configure().requested == "osmesa"
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", "{}", '{"name": "egl"}', "null"])
+def test_broken_inheritance_is_ignored(working: Pretend, monkeypatch: pytest.MonkeyPatch, text: str) -> None:
+    working("egl")
+    monkeypatch.setenv("LIEEDNN_SIM_GL", text)
+    assert opengl.choose_backend().detail == "egl renderer"
+
+
+def test_too_late_when_mujoco_is_imported(working: Pretend, monkeypatch: pytest.MonkeyPatch) -> None:
+    working("egl")
+    monkeypatch.setattr(sys, "platform", "linux")
+    monkeypatch.setitem(sys.modules, "mujoco", sys)
+    with pytest.raises(RenderingUnavailableError, match=r"before the first import of mujoco, or export MUJOCO_GL"):
+        opengl.require()
+    assert "MUJOCO_GL" not in os.environ
+
+
+# --- what to install ---------------------------------------------------------------------------------------------
+
+
+def test_require_names_the_packages(working: Pretend) -> None:
+    working()
+    with pytest.raises(RenderingUnavailableError) as caught:
+        opengl.require()
+    message = str(caught.value)
+    assert "apt-get install libegl1 libgl1 (EGL)" in message
+    assert "apt-get install libosmesa6 (OSMesa)" in message
+    assert "no egl here" in message
+
+
+def test_require_returns_what_works(working: Pretend) -> None:
+    working("osmesa")
+    assert opengl.require().name == "osmesa"
+    assert opengl.missing_packages() == []
+
+
+@pytest.mark.parametrize(
+    ("requested", "gpu", "in_release", "expected"),
+    [
+        ("", False, True, ["libosmesa6"]),
+        ("", True, True, ["libegl1", "libgl1"]),
+        ("", False, False, ["libegl1", "libgl1"]),
+        ("egl", False, True, ["libegl1", "libgl1"]),
+        ("osmesa", True, True, ["libosmesa6"]),
+        ("glfw", False, True, []),
+        ("elg", False, True, []),
+    ],
+)
+def test_missing_packages(
+    working: Pretend, monkeypatch: pytest.MonkeyPatch, requested: str, gpu: bool, in_release: bool, expected: list[str]
+) -> None:
+    working()
+    monkeypatch.setattr(sys, "platform", "linux")
+    monkeypatch.setattr(opengl, "_has_gpu", lambda: gpu)
+    monkeypatch.setattr(opengl, "_has_osmesa_package", lambda: in_release)
+    monkeypatch.setenv("MUJOCO_GL", requested)
+    assert opengl.missing_packages() == expected
+
+
+KNOWN = "  Installed: (none)\n  Candidate: 22.3.6\n  Version table:\n     22.3.6 500\n"
+UNKNOWN = "  Installed: (none)\n  Candidate: (none)\n  Version table:\n"
+
+
+@pytest.mark.parametrize(
+    ("policy", "expected"),
+    [
+        ("", True),  # no package lists yet: believe in OSMesa
+        (f"libegl1:\n{KNOWN}libgl1:\n{KNOWN}libosmesa6:\n{KNOWN}", True),
+        (f"libegl1:\n{KNOWN}libgl1:\n{KNOWN}", False),
+        (f"libegl1:\n{KNOWN}libgl1:\n{KNOWN}libosmesa6:\n{UNKNOWN}", False),
+    ],
+)
+def test_osmesa_in_this_release(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, policy: str, expected: bool) -> None:
+    apt_cache = tmp_path / "apt-cache"
+    apt_cache.write_text(f"#!/bin/sh\ncat <<'END'\n{policy}\nEND\n")
+    apt_cache.chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path), prepend=os.pathsep)
+    assert opengl._has_osmesa_package() is expected
+
+
+@pytest.mark.parametrize(
+    ("libraries", "status", "line"), [(("egl",), 0, "egl"), ((), 1, "libosmesa6")], ids=["works", "nothing"]
+)
+def test_command_answers_in_one_line(
+    working: Pretend,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    libraries: tuple[str, ...],
+    status: int,
+    line: str,
+) -> None:
+    working(*libraries)
+    monkeypatch.setattr(sys, "platform", "linux")
+    monkeypatch.setattr(opengl, "_has_gpu", lambda: False)
+    monkeypatch.setattr(opengl, "_has_osmesa_package", lambda: True)
+    assert opengl.main() == status
+    assert capsys.readouterr().out == line + "\n"
+
+
+# --- child processes ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("code", "error"),
+    [
+        ("import os; os.kill(os.getpid(), 11)", "crashed (signal 11)"),
+        ("import signal; signal.pause()", "no answer within 0.1 s"),
+        ("raise SystemExit('libGL: out of memory')", "libGL: out of memory"),
+        ("print('no JSON')", "failed (exit status 0): nothing"),
+    ],
+)
+def test_broken_driver_becomes_a_text(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, code: str, error: str) -> None:
+    broken = tmp_path / "broken.py"
+    broken.write_text(code)
+    monkeypatch.setattr(opengl, "_PROBE", broken)
+    if "pause" in code:
+        monkeypatch.setattr(opengl, "_PROBE_TIMEOUT", 0.1)
+    assert error in opengl._probe("egl")["error"]
+
+
+def test_broken_driver_does_not_break_describe(
+    working: Pretend, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    working("egl")
+    broken = tmp_path / "broken.py"
+    broken.write_text("import os; os.abort()")
+    monkeypatch.setattr(opengl, "_PROBE", broken)
+    assert opengl.describe_renderer() == {"backend": "egl", "error": "crashed (signal 6)"}
+
+
+def test_describe_without_backend(working: Pretend) -> None:
+    working()
+    described = opengl.describe_renderer()
+    assert described["backend"] == "disable"
+    assert "no egl here" in described["error"]
+
+
+def test_gl_imports_the_standard_library_alone() -> None:
+    done = run_python(
+        "import sys; import lieednn_sim.rendering.opengl; print('numpy' in sys.modules, 'mujoco' in sys.modules)"
+    )
+    assert done.stdout == "False False\n", done.stderr
+
+
+@pytest.mark.parametrize("value", ["egl", "osmesa", "glfw", "disable", "elg"])
+def test_mujoco_imports_whatever_the_user_exports(value: str) -> None:
+    code = (
+        "from lieednn_sim.rendering import opengl; opengl.configure(); import mujoco; from dm_control import mjcf; "
+        "print('fine')"
+    )
+    done = run_python(code, MUJOCO_GL=value)
+    assert done.stdout == "fine\n", done.stderr
+
+
+@pytest.mark.rendering
+def test_proof_by_a_frame() -> None:
+    described = opengl.describe_renderer()
+    assert set(described) == {"backend", "GL_VENDOR", "GL_RENDERER", "GL_VERSION", "frame_ms"}, described
+    assert described["frame_ms"] > 0
+    # The probe and MuJoCo meet the same driver.
+    assert opengl.choose_backend().detail == described["GL_RENDERER"]
+
+
+@pytest.mark.rendering
+def test_command_as_the_makefile_runs_it() -> None:
+    environment = {key: value for key, value in os.environ.items() if key not in VARIABLES}
+    done = subprocess.run(
+        [sys.executable, "-m", "lieednn_sim.rendering.opengl"],
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (done.returncode, done.stdout.strip()) in [(0, "egl"), (0, "osmesa")], done.stderr
+    assert "Warning" not in done.stderr
+
+
+@pytest.mark.rendering
+def test_probe_says_what_mujoco_will_find() -> None:
+    report = opengl._probe(opengl.configure().name)
+    assert json.dumps(report)
+    assert set(report) == {"GL_VENDOR", "GL_RENDERER", "GL_VERSION"}

@@ -1,0 +1,146 @@
+"""A video that is written, reopened and looked at."""
+
+import io
+import re
+import subprocess
+
+import imageio_ffmpeg
+import numpy as np
+import pytest
+from PIL import Image
+
+from lieednn_sim.arm import Arm
+from lieednn_sim.errors import FileError, InputError, RenderingUnavailableError
+from lieednn_sim.planning.certified import plan
+from lieednn_sim.rendering import ffmpeg, video
+from lieednn_sim.simulation import simulate
+
+
+@pytest.fixture(scope="module")
+def arm():
+    return Arm.load("telescopic_pr")
+
+
+@pytest.fixture(scope="module")
+def rollout(arm):
+    return simulate(arm, plan(arm, arm.keyframe("extended"), candidates=3, duration=2.0).motion, hold=0.5)
+
+
+@pytest.mark.rendering
+def test_the_video_has_the_frames_rate_and_size_and_the_arm_moves(arm, rollout, tmp_path):
+    path, seen = tmp_path / "video.mp4", []
+    count = video.render_video(
+        arm,
+        rollout,
+        arm.keyframe("extended"),
+        path,
+        size=(320, 180),
+        fps=10,
+        preset="draft",
+        progress=lambda done, total: seen.append((done, total)),
+    )
+    assert count == 26
+    assert seen[-1] == (26, 26)
+    command = [imageio_ffmpeg.get_ffmpeg_exe(), "-i", path, "-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
+    read = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, check=True)
+    assert re.search(rb"Video: h264.* yuv420p.*, 320x180.*, 10 fps", read.stderr)
+    assert imageio_ffmpeg.count_frames_and_secs(path) == (26, 2.6)
+    frames = np.frombuffer(read.stdout, np.uint8).reshape(26, 180, 320, 3).astype(float)
+    change = [np.abs(frame - frames[0]).mean() for frame in frames]
+    assert change[12] > 1.0, "half way the arm has moved"
+    assert change[20] > change[6], "and it goes on moving"
+    assert np.abs(frames[-1] - frames[-2]).mean() < 0.3, "during the hold it rests"
+    assert frames[0].std() > 20, "the picture is not blank"
+    assert list(tmp_path.iterdir()) == [path], "no temporary file is left"
+
+
+@pytest.mark.rendering
+def test_the_planned_path_is_drawn_over_the_arm(arm, rollout):
+    with video.Camera(arm, size=(320, 180), preset="draft") as camera:
+        plain = camera.picture(rollout.q[0]).astype(int)
+        overlay = video.Overlay(arm.link_poses(rollout.q_ref).as_matrix(), rollout.link_position[:, -1])
+        drawn = camera.picture(rollout.q[0], draw=lambda scene: overlay.draw(scene, 0)).astype(int)
+    assert (np.abs(drawn - plain).max(axis=-1) > 40).sum() > 30
+
+
+@pytest.mark.rendering
+def test_an_interrupted_rendering_leaves_no_file(arm, rollout, tmp_path):
+    def interrupt(done, total):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        video.render_video(
+            arm,
+            rollout,
+            arm.keyframe("extended"),
+            tmp_path / "v.mp4",
+            size=(160, 90),
+            preset="draft",
+            progress=interrupt,
+        )
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_bad_input_is_refused_before_rendering(arm, rollout, tmp_path):
+    target = arm.keyframe("extended")
+    with pytest.raises(InputError, match=r"\.mp4 or \.gif"):
+        video.render_video(arm, rollout, target, tmp_path / "video.avi")
+    with pytest.raises(InputError, match=r"a GIF counts in hundredths of a second.*got 30"):
+        video.render_video(arm, rollout, target, tmp_path / "video.gif", fps=30)
+    with pytest.raises(InputError, match=r"no camera 'moon'; allowed: .*overview"):
+        video.render_video(arm, rollout, target, tmp_path / "video.mp4", camera="moon")
+    with pytest.raises(InputError, match="no preset 'ugly'; allowed: draft, nice"):
+        video.render_video(arm, rollout, target, tmp_path / "video.mp4", preset="ugly")
+    with pytest.raises(InputError, match="even and at most 3840x2160, got 321x180"):
+        video.render_video(arm, rollout, target, tmp_path / "video.mp4", size=(321, 180))
+
+
+def test_without_opengl_the_error_names_the_packages(arm, rollout, tmp_path, monkeypatch):
+    def missing():
+        raise RenderingUnavailableError("install libegl1 libgl1")
+
+    monkeypatch.setattr(video.opengl, "require", missing)
+    with pytest.raises(RenderingUnavailableError, match="libegl1"):
+        video.render_video(arm, rollout, arm.keyframe("extended"), tmp_path / "video.mp4")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_full_disk_is_an_error_with_the_encoders_words(tmp_path):
+    path = tmp_path / "v.mp4"
+    path.symlink_to("/dev/full")
+    pictures = np.random.default_rng(0).integers(0, 255, (10, 90, 160, 3), np.uint8)
+
+    def write():
+        with ffmpeg.mp4_writer(path, (160, 90), 10.0) as append:
+            for picture in pictures:
+                append(picture)
+
+    with pytest.raises(FileError, match=r"cannot write the video, the encoder stopped \(.*No space left on device"):
+        write()
+
+
+def test_a_stopped_encoder_ends_the_work(tmp_path):
+    def write():
+        with ffmpeg.mp4_writer(tmp_path / "missing" / "v.mp4", (160, 90), 10.0) as append:
+            while True:
+                append(np.zeros((90, 160, 3), np.uint8))
+
+    with pytest.raises(FileError, match=r"encoder stopped \(.*No such file or directory"):
+        write()
+
+
+def test_frames_are_read_one_by_one(tmp_path):
+    path = tmp_path / "v.mp4"
+    with ffmpeg.mp4_writer(path, (160, 90), 10.0) as append:
+        for grey in (20, 90, 160, 230):
+            append(np.full((90, 160, 3), grey, np.uint8))
+    assert ffmpeg.count_frames(path) == 4
+    grey = np.asarray(Image.open(io.BytesIO(ffmpeg.read_frame(path, 2))))
+    assert grey.shape == (90, 160, 3)
+    assert abs(grey.astype(int) - 160).max() < 5
+    with pytest.raises(FileError, match="it has no frame 4; remove it"):
+        ffmpeg.read_frame(path, 4)
+    (tmp_path / "junk.mp4").write_bytes(b"junk")
+    assert ffmpeg.count_frames(tmp_path / "junk.mp4") == 0
+    with pytest.raises(FileError, match="moov atom not found"):
+        ffmpeg.read_frame(tmp_path / "junk.mp4", 0)

@@ -1,0 +1,78 @@
+"""Single steps by hand: what a push, a controller and the follower do at one instant."""
+
+import numpy as np
+import pytest
+
+from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm import Arm
+from lieednn_sim.simulation import Disturbances, Push, Simulation
+from lieednn_sim.simulation.controllers.base import PositionServo
+from lieednn_sim.simulation.disturbances import Noise
+from lieednn_sim.simulation.following import Follower
+from lieednn_sim.simulation.reference import Reference
+from lieednn_sim.synthesis import synthesize
+
+
+@pytest.mark.parametrize(
+    ("start", "duration", "steps"), [(0.0, 0.03, [0, 1, 2]), (0.05, 0.01, [5]), (0.07, 9.0, [7, 8, 9])]
+)
+def test_a_push_acts_in_the_steps_from_its_start_to_before_its_end(gantry, start, duration, steps):
+    pushes = (Push("end effector", (1.0, -2.0, 3.0), start, duration), Push("base", (0.0, 5.0, 0.0), 0.02, 0.02))
+    simulation = Simulation(gantry, disturbances=Disturbances(pushes=pushes))
+    wrist, base = (mujoco.mj_name2id(gantry.model, mujoco.mjtObj.mjOBJ_BODY, name) for name in ("wrist", "base"))
+    expected = np.zeros((2, 10, 6))
+    expected[0, steps, :3], expected[1, [2, 3], :3] = [1.0, -2.0, 3.0], [0.0, 5.0, 0.0]
+    for k in range(10):
+        simulation.step()
+        np.testing.assert_array_equal(simulation.data.xfrc_applied[[wrist, base]], expected[:, k])
+
+
+def test_a_servo_is_told_the_position_of_now_and_the_velocity_of_the_next_step(gantry):
+    """Gears 2, 1/2, 1, 1 with kp 1000 and kv 100: ctrl = gear q + 0.1 gear qd, with the velocity one row ahead."""
+    rows = np.arange(5.0)[:, None]
+    q, qd = 0.01 * rows * [1.0, 2.0, 3.0, 4.0], 0.1 * (rows + 1.0) ** 2 * [1.0, -1.0, 2.0, 1.0]
+    gear = np.array([2.0, 0.5, 1.0, 1.0])
+    reference = Reference.of(gantry, q, qd)
+    servo = PositionServo(gantry, reference)
+    data, silent = mujoco.MjData(gantry.model), Noise(np.zeros(4), np.zeros(4))
+    for step, ahead in ((0, 1), (2, 3), (4, 4)):
+        servo.act(data, step, silent)
+        np.testing.assert_allclose(data.ctrl, gear * (q[step] + 0.1 * qd[ahead]), atol=1e-12)
+    # A held reference is seen at its sample, and with the velocity behind that.
+    servo = PositionServo(gantry, Reference.of(gantry, q, qd, hold=2))
+    servo.act(data, 3, Noise(np.full(4, 0.01), np.full(4, 0.3)))
+    np.testing.assert_allclose(data.ctrl, gear * (q[2] + 0.1 * qd[3] - 0.01 - 0.1 * 0.3), atol=1e-12)
+
+
+def test_the_damping_of_the_joints_is_fed_forward(gantry):
+    damped = Arm.from_spec(gantry.spec.copy(), gantry.source, "damped")
+    damped.model.dof_damping[:] = [40.0, 0.0, 20.0, 0.0]
+    qd = np.full((3, 4), 0.5)
+    servo = PositionServo(damped, Reference.of(damped, np.zeros((3, 4)), qd))
+    data = mujoco.MjData(damped.model)
+    servo.act(data, 0, Noise(np.zeros(4), np.zeros(4)))
+    # A force f on a joint is f / gear of its actuator, which 1 / 1000 of the control makes.
+    np.testing.assert_allclose(data.ctrl, [0.1 + 20.0 / 2.0 / 1000.0, 0.025, 0.05 + 10.0 / 1000.0, 0.05], atol=1e-12)
+
+
+def test_a_follower_rests_where_a_limit_stops_it():
+    """Its state is beyond the end of a stage and comes back: the reference stays on the limit, at no velocity."""
+    arm = Arm.load("telescopic_pr")
+    home = arm.keyframe("home")
+    network = synthesize(arm.encode(home), bias="sign-matched", bias_magnitude=0.25).unwrap()
+    follower = Follower(arm, network, home, steps=3, speed=2.0, feedforward=False)
+    stage, beyond = arm.joint_names.index("extend1"), home.copy()
+    beyond[stage] = arm.position_limits[stage, 1] + 0.02
+    follower.xi = arm.encode(beyond)
+    goal = home.copy()
+    goal[0] += 0.2
+    q, qd, states = follower.advance(goal)
+    free = arm.decode(states, states).q
+    assert (free[:, stage] > arm.position_limits[stage, 1] + 0.01).all()
+    np.testing.assert_array_equal(q[:, stage], arm.position_limits[stage, 1])
+    np.testing.assert_array_equal(qd[:, stage], 0.0)
+    others = np.arange(arm.n_joints) != stage
+    np.testing.assert_allclose(q[:, others], free[:, others], atol=1e-12)
+    assert np.abs(qd[:, 0]).min() > 0.1, "the other joints go on"
+    assert follower.limit_excess == pytest.approx((free - arm.position_limits[:, 1])[:, stage].max(), abs=1e-12)
+    assert follower.share == 1.0

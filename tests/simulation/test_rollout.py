@@ -1,0 +1,103 @@
+"""Rollouts: exact determinism, alignment of the log, the regression on final pose error, failures."""
+
+import dataclasses
+import itertools
+
+import numpy as np
+import pytest
+
+from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm import Arm
+from lieednn_sim.errors import InputError, SimulationError
+from lieednn_sim.planning.certified import plan
+from lieednn_sim.simulation import Disturbances, Push, Rollout, simulate, tracking
+
+
+@pytest.fixture(scope="module")
+def arm():
+    return Arm.load("telescopic_pr")
+
+
+@pytest.fixture(scope="module")
+def planned(arm):
+    return plan(arm, arm.keyframe("extended"), candidates=6)
+
+
+@pytest.fixture(scope="module")
+def rollout(arm, planned):
+    return simulate(arm, planned.motion)
+
+
+def test_two_runs_are_bit_identical(arm, planned, rollout):
+    again = simulate(Arm.load(arm.name), plan(arm, arm.keyframe("extended"), candidates=6).motion)
+    for name, value in vars(rollout).items():
+        np.testing.assert_array_equal(getattr(again, name), value)
+
+
+def test_every_row_of_the_log_belongs_to_one_instant(arm, rollout):
+    np.testing.assert_allclose(rollout.t, 0.002 * np.arange(len(rollout.t)), atol=1e-12)
+    data = mujoco.MjData(arm.model)
+    for k in (0, 700, len(rollout.t) - 1):
+        data.qpos[:], data.qvel[:], data.ctrl[:] = rollout.q[k], rollout.qd[k], rollout.ctrl[k]
+        mujoco.mj_forward(arm.model, data)
+        np.testing.assert_allclose(rollout.link_position[k], data.site_xpos[arm.site_ids], atol=1e-12)
+        np.testing.assert_allclose(rollout.force[k], data.qfrc_actuator + data.qfrc_gravcomp, atol=1e-6)
+    poses = rollout.link_poses().as_matrix()
+    np.testing.assert_allclose(poses, arm.link_poses(rollout.q).as_matrix(), atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_final_pose_error_and_tracking_over_seeded_targets(seeded, seed):
+    _, result = seeded.run(seed, "position-servo")
+    for frame in result.frames:
+        assert frame.final_translation_mm < 1e-3
+        assert frame.final_rotation_deg < 1e-4
+        assert frame.rms_translation_mm < 1.0
+        assert frame.rms_rotation_deg < 0.1
+        assert frame.settling_time <= 4.0
+    assert result.contacts == 0
+    assert all(joint.peak_velocity <= joint.velocity_limit for joint in result.joints)
+    assert all(joint.peak_force <= joint.force_limit for joint in result.joints)
+
+
+def test_divergence_stops_the_run_and_leaves_a_reloadable_dump(arm, planned, tmp_path, monkeypatch):
+    unstable = Arm.load(arm.name)
+    unstable.model.dof_damping[:] = 1.5 * unstable.model.actuator_biasprm[:, 2]  # negative, stronger than the servo
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SimulationError, match=r"failed at t = \d\.\d+ s: .+; the run up to there is in .*\.npz"):
+        simulate(unstable, planned.motion, dump_directory=tmp_path)
+    dump = Rollout.load(tmp_path / "divergence.npz")
+    assert 0.0 < dump.t[-1] < planned.motion.t[-1]
+    assert len(dump.q) == len(dump.t)
+    assert [path.name for path in tmp_path.iterdir()] == ["divergence.npz"], "MuJoCo's own log file is not left behind"
+
+
+def test_progress_tells_the_steps_done_and_the_last_one(small_arms, travel, monkeypatch):
+    """At 0.04 s a look at the clock every third step is told, two looks for each that is."""
+    seconds = itertools.count(0.0, 0.04)
+    monkeypatch.setattr(tracking.time, "monotonic", lambda: next(seconds))
+    arm, told = small_arms["hanging"], []
+    motion = travel(arm, np.zeros(6), np.full(6, 0.1), 0.02)
+    simulate(arm, motion, controller="mocap", hold=0.008, progress=lambda *values: told.append(values))
+    assert told == [(3, 15), (6, 15), (9, 15), (12, 15), (15, 15)]
+
+
+def test_bad_input(arm, planned):
+    motion = planned.motion
+    with pytest.raises(InputError, match=r"every 0\.004 s, the model steps every 0\.002 s"):
+        simulate(arm, dataclasses.replace(motion, t=2.0 * motion.t))
+    with pytest.raises(InputError, match="the motion has 3 coordinates, arm 'telescopic_pr' has 8"):
+        simulate(arm, dataclasses.replace(motion, q=motion.q[:, :3], qd=motion.qd[:, :3]))
+    with pytest.raises(InputError, match="hold"):
+        simulate(arm, motion, hold=-1.0)
+
+
+def test_save_and_load(arm, planned, tmp_path):
+    changes = Disturbances(pushes=(Push("link 2", (10, 0, 5), 0.1, 0.2),), payload=1.0, position_noise=1e-4, seed=3)
+    rollout = simulate(arm, planned.motion, hold=0.0, reference_rate=100.0, disturbances=changes, mass_scale=1.1)
+    assert rollout.disturbances == dataclasses.replace(changes, mass_scale=1.1)
+    rollout.save(tmp_path / "rollout.npz")
+    loaded = Rollout.load(tmp_path / "rollout.npz")
+    assert dataclasses.asdict(loaded).keys() == dataclasses.asdict(rollout).keys()
+    for name, value in vars(rollout).items():
+        np.testing.assert_array_equal(getattr(loaded, name), value)
