@@ -1,12 +1,66 @@
-"""LieEDNN on a telescopic manipulator: certified neural planners on se(3), simulated and rendered in MuJoCo."""
+"""LieEDNN on a telescopic manipulator: certified neural planners on se(3), simulated and rendered in MuJoCo.
+
+    import lieednn_sim as ls
+
+    arm = ls.Arm.load("telescopic_pr")
+    plan = ls.plan(arm, arm.keyframe("extended"))
+    rollout = ls.simulate(arm, plan.motion)
+
+The names below are imported when they are asked for; everything else is in its room: `lie`, `stability`, `network`,
+`theory`, `synthesis`, `learning`, `arm`, `planning`, `simulation`, `rendering`, `evaluation`, `environments`, `cli`.
+"""
 
 from __future__ import annotations
 
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
-def __getattr__(name: str) -> str:
-    """``__version__``, read when it is asked for."""
+if TYPE_CHECKING:
+    from lieednn_sim.arm import Arm, solve_ik
+    from lieednn_sim.evaluation import compare, evaluate
+    from lieednn_sim.learning import train
+    from lieednn_sim.network import LieEDNN
+    from lieednn_sim.planning import plan
+    from lieednn_sim.rendering.video import render_video
+    from lieednn_sim.simulation import Disturbances, Push, follow, simulate
+    from lieednn_sim.synthesis import synthesize
+
+__all__ = [
+    "Arm",
+    "Disturbances",
+    "LieEDNN",
+    "Push",
+    "compare",
+    "evaluate",
+    "follow",
+    "plan",
+    "render_video",
+    "simulate",
+    "solve_ik",
+    "synthesize",
+    "train",
+]
+
+_ROOMS = {
+    "arm": ("Arm", "solve_ik"),
+    "evaluation": ("compare", "evaluate"),
+    "learning": ("train",),
+    "network": ("LieEDNN",),
+    "planning": ("plan",),
+    "rendering.video": ("render_video",),
+    "simulation": ("Disturbances", "Push", "follow", "simulate"),
+    "synthesis": ("synthesize",),
+}
+_ROOM_OF = {name: room for room, names in _ROOMS.items() for name in names}
+
+
+def __getattr__(name: str) -> Any:
     if name == "__version__":
-        from importlib import metadata
+        return import_module("importlib.metadata").version("lieednn_sim")
+    if name in _ROOM_OF:
+        return getattr(import_module(f"lieednn_sim.{_ROOM_OF[name]}"), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}; names: {', '.join(__all__)}")
 
-        return metadata.version("lieednn_sim")
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__, "__version__"})

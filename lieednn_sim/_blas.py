@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 from contextlib import AbstractContextManager
+from functools import cache
 from typing import Any
 
-from threadpoolctl import ThreadpoolController
 
-_CONTROLLER = ThreadpoolController()
+@cache
+def _controller() -> Any:
+    # At the first use: importing threadpoolctl sets an environment variable, which an import of this package shall not.
+    from threadpoolctl import ThreadpoolController
+
+    return ThreadpoolController()
 
 
 def one_blas_thread() -> AbstractContextManager[Any]:
     """Context in which BLAS uses one thread."""
-    return _CONTROLLER.limit(limits=1, user_api="blas")
+    return _controller().limit(limits=1, user_api="blas")

@@ -1,9 +1,22 @@
-"""The one place that imports MuJoCo: it reads ``MUJOCO_GL`` at its first import, so OpenGL is chosen before."""
+"""MuJoCo, imported even where ``MUJOCO_GL`` names an OpenGL that is not there: physics needs none.
 
-from lieednn_sim.rendering import opengl
+MuJoCo imports the OpenGL bindings that the variable names, and fails when they do. What rendering takes is decided when
+something is rendered, in `rendering.opengl`.
+"""
 
-opengl.configure()
+import os
 
-import mujoco  # noqa: E402  (must follow the choice above)
+try:
+    import mujoco
+except Exception:  # of several OpenGL bindings, with no common base
+    asked = os.environ.get("MUJOCO_GL")
+    os.environ["MUJOCO_GL"] = "disable"
+    try:
+        import mujoco
+    finally:
+        if asked is None:
+            del os.environ["MUJOCO_GL"]
+        else:
+            os.environ["MUJOCO_GL"] = asked
 
 __all__ = ["mujoco"]

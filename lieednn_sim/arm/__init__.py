@@ -2,7 +2,7 @@
 
 from lieednn_sim.arm.arm import PLANNED_CLEARANCE, Arm
 from lieednn_sim.arm.importer import Adoption, adopt
-from lieednn_sim.arm.inverse_kinematics import reach
+from lieednn_sim.arm.inverse_kinematics import solve_ik
 from lieednn_sim.arm.models import arm_names, models_directory, scene_path
 from lieednn_sim.arm.projection import Retraction
 
@@ -14,6 +14,6 @@ __all__ = [
     "adopt",
     "arm_names",
     "models_directory",
-    "reach",
     "scene_path",
+    "solve_ik",
 ]

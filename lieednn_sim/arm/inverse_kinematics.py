@@ -23,7 +23,7 @@ _FARTHEST = 1e6
 _POSTURE_WEIGHT = 1e-3
 
 
-def reach(
+def solve_ik(
     arm: Arm, position: ArrayLike, rotation: Rotation | None = None, *, start: ArrayLike | None = None, seed: int = 0
 ) -> Floats:
     """Joint position within the limits, free of contact, that puts the end effector at a pose.

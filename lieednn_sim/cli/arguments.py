@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lieednn_sim.arm import Arm, reach
+from lieednn_sim.arm import Arm, solve_ik
 from lieednn_sim.arm.models import MODEL_SUFFIXES
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.cli.numerals import decimal
@@ -75,7 +75,7 @@ def start_and_target(arm: Arm, arguments: argparse.Namespace) -> tuple[Floats, F
     """Joint positions of --start, and of --target or --position."""
     start = arm.check_position(joint_position(arm, arguments.start, "start"), "start")
     if arguments.position is not None:
-        return start, reach(arm, numbers(arguments.position, "position", 3), start=start)
+        return start, solve_ik(arm, numbers(arguments.position, "position", 3), start=start)
     return start, joint_position(arm, arguments.target, "target")
 
 

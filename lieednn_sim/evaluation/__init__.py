@@ -1,16 +1,19 @@
-"""Planners compared: arms, scenes, planners, controllers and seeds, measured into one table."""
+"""Metrics of a rollout, and planners compared: arms, scenes, planners, controllers and seeds in one table."""
 
 from lieednn_sim.evaluation.cases import Case, Settings, replay, run_case
+from lieednn_sim.evaluation.metrics import Evaluation, evaluate
 from lieednn_sim.evaluation.study import Selection, compare
 from lieednn_sim.evaluation.summary import write_summary
 from lieednn_sim.evaluation.table import Table, read_rows
 
 __all__ = [
     "Case",
+    "Evaluation",
     "Selection",
     "Settings",
     "Table",
     "compare",
+    "evaluate",
     "read_rows",
     "replay",
     "run_case",

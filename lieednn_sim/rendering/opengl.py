@@ -1,13 +1,8 @@
-"""Headless OpenGL: choose a backend that works, before MuJoCo is imported.
+"""Headless OpenGL: choose a backend that works, when something is to be rendered.
 
-MuJoCo reads ``MUJOCO_GL`` once, at its first import. With ``egl`` or ``osmesa`` and no such library that import fails
-and physics is lost too; with nothing set MuJoCo takes GLFW, which needs a display. So whatever imports MuJoCo starts
-with::
-
-    from lieednn_sim.rendering import opengl
-
-    opengl.configure()
-    import mujoco
+MuJoCo reads ``MUJOCO_GL`` at its import; with nothing set it takes GLFW, which needs a display. `configure` finds a
+backend by asking the drivers in child processes, and lets MuJoCo choose again. Until then nothing is asked and nothing
+is set.
 
 ``python -m lieednn_sim.rendering.opengl`` prints the backend; when there is none it prints the packages to install and
 fails. The module needs the standard library alone.
@@ -15,6 +10,7 @@ fails. The module needs the standard library alone.
 
 from __future__ import annotations
 
+import importlib
 import json
 import os
 import shutil
@@ -54,6 +50,9 @@ _RENDER_TIMEOUT = 120.0  # [s]
 
 # Tells child processes what `configure` found, so that they neither probe again nor take our choice for the user's.
 _INHERITED = "LIEEDNN_SIM_GL"
+
+# The module in which MuJoCo decides which OpenGL context its renderer makes.
+_CONTEXTS = "mujoco.rendering.classic.gl_context"
 
 _configured: Backend | None = None
 
@@ -105,19 +104,22 @@ def choose_backend() -> Backend:
 
 
 def configure() -> Backend:
-    """Set ``MUJOCO_GL`` (and ``PYOPENGL_PLATFORM`` to match) for this process and its children.
+    """Set ``MUJOCO_GL`` (and ``PYOPENGL_PLATFORM`` to match) for this process and its children, and tell MuJoCo.
 
-    Later calls change nothing. It never fails: without OpenGL it turns rendering off, and MuJoCo can still be imported.
+    Later calls change nothing. It never fails: without OpenGL it turns rendering off.
     """
     global _configured
     if _configured is None:
-        _configured = _late_backend() if "mujoco" in sys.modules else choose_backend()
-        if "mujoco" not in sys.modules:
-            os.environ["MUJOCO_GL"] = _configured.name
-            os.environ[_INHERITED] = json.dumps(asdict(_configured))
-            # MuJoCo refuses to import when PyOpenGL is told another platform than its own.
-            if _configured.name in ("egl", "osmesa"):
-                os.environ["PYOPENGL_PLATFORM"] = _configured.name
+        _configured = choose_backend()
+        os.environ["MUJOCO_GL"] = _configured.name
+        os.environ[_INHERITED] = json.dumps(asdict(_configured))
+        # MuJoCo refuses a PyOpenGL that is told another platform than its own.
+        if _configured.name in ("egl", "osmesa"):
+            os.environ["PYOPENGL_PLATFORM"] = _configured.name
+        contexts = sys.modules.get(_CONTEXTS)
+        if contexts is not None and _configured.renders:
+            # It was imported before, with whatever was set then.
+            importlib.reload(contexts)
     return _configured
 
 
@@ -198,17 +200,6 @@ def _check_requested(requested: str) -> Backend:
     return Backend("disable", "MUJOCO_GL", f"MUJOCO_GL={requested} is unusable: {error}", requested)
 
 
-def _late_backend() -> Backend:
-    """What MuJoCo chose by itself, when it was imported before `configure`."""
-    if os.environ.get("MUJOCO_GL", "").strip():
-        return choose_backend()
-    if not sys.platform.startswith("linux") or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
-        return Backend("glfw", "probe", "MuJoCo's own choice: it was imported before a backend was chosen")
-    return Backend(
-        "disable", "probe", "mujoco was imported before a backend was chosen, and took one that needs a display"
-    )
-
-
 def _inherited() -> Backend | None:
     """What `configure` found in the parent process, as long as ``MUJOCO_GL`` still says the same."""
     try:
@@ -221,10 +212,6 @@ def _inherited() -> Backend | None:
 def _remedy(backend: Backend) -> str:
     """What the user can do about it."""
     name = _SYNONYMS.get(backend.requested.lower())
-    if "mujoco was imported" in backend.detail:
-        return (
-            "Call lieednn_sim.rendering.opengl.configure() before the first import of mujoco, or export MUJOCO_GL=egl"
-        )
     if backend.requested and name not in _PACKAGES:
         return "Unset MUJOCO_GL to let lieednn_sim choose"
     ways = [

@@ -9,7 +9,7 @@ import pytest
 from dm_control import mjcf
 
 from lieednn_sim._mujoco import mujoco
-from lieednn_sim.arm import Arm, arm_names, reach, scene_path
+from lieednn_sim.arm import Arm, arm_names, scene_path, solve_ik
 from lieednn_sim.errors import FileError, InputError
 
 
@@ -124,7 +124,7 @@ def test_dm_control_reads_the_model(arm):
 
 def test_reach_puts_the_end_effector_where_it_is_asked(arm, monkeypatch):
     wanted = arm.link_poses(arm.keyframe("extended"))[-1]
-    q = reach(arm, wanted.translation, wanted.rotation)
+    q = solve_ik(arm, wanted.translation, wanted.rotation)
     found = arm.link_poses(q)[-1]
     np.testing.assert_allclose(found.translation, wanted.translation, atol=1e-5)
     assert (found.rotation.inv() * wanted.rotation).magnitude() < 1e-5
@@ -132,7 +132,7 @@ def test_reach_puts_the_end_effector_where_it_is_asked(arm, monkeypatch):
     # No further start helps where nothing reaches.
     monkeypatch.setattr(sys.modules["lieednn_sim.arm.inverse_kinematics"], "_ATTEMPTS", 2)
     with pytest.raises(InputError, match=r"cannot reach \(9, 0, 0\) m.*off"):
-        reach(arm, [9.0, 0.0, 0.0])
+        solve_ik(arm, [9.0, 0.0, 0.0])
 
 
 @pytest.mark.parametrize(
@@ -163,7 +163,7 @@ def test_what_reach_returns_can_be_planned_to():
         q = arm.decode(rng.uniform(-0.8, 0.8, (arm.n_links, 6))).q
         pose = arm.link_poses(q)[-1]
         try:
-            reached = reach(arm, pose.translation, pose.rotation)
+            reached = solve_ik(arm, pose.translation, pose.rotation)
         except InputError:
             continue
         found += 1
@@ -174,12 +174,12 @@ def test_what_reach_returns_can_be_planned_to():
 
 def test_reach_says_how_close_the_best_of_its_attempts_comes(gantry, monkeypatch):
     """The end effector is at x + 1: attempts end at -0.5, 0 and 0.75 in turn, the last of eight at 0."""
-    module = sys.modules[reach.__module__]
+    module = sys.modules[solve_ik.__module__]
     ends = itertools.cycle([-0.5, -0.5, 0.0, 0.0, 0.75, 0.75])
     found = (SimpleNamespace(x=np.array([x, 0.0, 0.0, 0.0])) for x in ends)
     monkeypatch.setattr(module, "least_squares", lambda *_, **__: next(found))
     with pytest.raises(InputError, match=r"cannot reach \(5, 0, 0\) m: the nearest posture found is 3\.25 off"):
-        reach(gantry, [5.0, 0.0, 0.0])
+        solve_ik(gantry, [5.0, 0.0, 0.0])
 
 
 @pytest.mark.parametrize(("keys", "rest"), [("", 0.25), ('<key name="a" qpos="0 0.5"/>', 0.25), ("{home}", 0.75)])

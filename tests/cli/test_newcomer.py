@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.progress import TimeRemainingColumn
 
 import lieednn_sim
-from lieednn_sim.arm import Arm, arm_names, reach
+from lieednn_sim.arm import Arm, arm_names, solve_ik
 from lieednn_sim.arm.scenes import SCENES
 from lieednn_sim.cli import _parser, main, names
 from lieednn_sim.cli.console import console, table, to_stderr
@@ -184,8 +184,8 @@ def test_a_position_beyond_everything_is_refused_without_a_warning(monkeypatch):
     arm = Arm.load("telescopic_pr")
     for far in (1e308, 1e99, 2e6):
         with pytest.raises(InputError, match="position must"):
-            reach(arm, [far, 0.0, 0.0])
+            solve_ik(arm, [far, 0.0, 0.0])
     # No further start helps where nothing reaches.
     monkeypatch.setattr(importlib.import_module("lieednn_sim.arm.inverse_kinematics"), "_ATTEMPTS", 2)
     with pytest.raises(InputError, match=r"cannot reach \(1e\+06, 0, 0\) m"):
-        reach(arm, [1e6, 0.0, 0.0])
+        solve_ik(arm, [1e6, 0.0, 0.0])

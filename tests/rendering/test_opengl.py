@@ -19,13 +19,13 @@ VARIABLES = ("MUJOCO_GL", "PYOPENGL_PLATFORM", "LIEEDNN_SIM_GL", "DISPLAY", "WAY
 
 @pytest.fixture(autouse=True)
 def fresh(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A process in which nothing has been chosen and MuJoCo has not been imported."""
+    """A process in which nothing has been chosen."""
     for variable in VARIABLES:
         # Set before deleting, so that what `configure` writes is undone too.
         monkeypatch.setenv(variable, "")
         monkeypatch.delenv(variable)
     monkeypatch.setattr(opengl, "_configured", None)
-    monkeypatch.delitem(sys.modules, "mujoco", raising=False)
+    monkeypatch.setattr(opengl, "_CONTEXTS", "")
 
 
 @pytest.fixture
@@ -193,13 +193,37 @@ def test_broken_inheritance_is_ignored(working: Pretend, monkeypatch: pytest.Mon
     assert opengl.choose_backend().detail == "egl renderer"
 
 
-def test_too_late_when_mujoco_is_imported(working: Pretend, monkeypatch: pytest.MonkeyPatch) -> None:
-    working("egl")
-    monkeypatch.setattr(sys, "platform", "linux")
-    monkeypatch.setitem(sys.modules, "mujoco", sys)
-    with pytest.raises(RenderingUnavailableError, match=r"before the first import of mujoco, or export MUJOCO_GL"):
-        opengl.require()
-    assert "MUJOCO_GL" not in os.environ
+def test_importing_the_package_starts_no_process_and_sets_no_variable() -> None:
+    code = """
+import os, subprocess
+before = dict(os.environ)
+def refuse(*_, **__):
+    raise AssertionError("a process was started")
+subprocess.Popen.__init__ = refuse
+import lieednn_sim.arm, lieednn_sim.simulation
+assert dict(os.environ) == before, set(os.environ.items()) ^ set(before.items())
+lieednn_sim.Arm.load("telescopic_pr")
+print("fine")
+"""
+    done = run_python(code)
+    assert done.stdout == "fine\n", done.stderr
+
+
+@pytest.mark.rendering
+@pytest.mark.parametrize("first", ["import mujoco", "import lieednn_sim.arm"])
+def test_it_is_not_too_late_when_mujoco_is_imported(first: str) -> None:
+    code = f"""
+{first}
+from lieednn_sim.rendering import opengl
+opengl.require()
+import mujoco
+model = mujoco.MjModel.from_xml_string("<mujoco><worldbody><geom size='1'/></worldbody></mujoco>")
+with mujoco.Renderer(model, 16, 16) as renderer:
+    renderer.update_scene(mujoco.MjData(model))
+    print(renderer.render().shape)
+"""
+    done = run_python(code)
+    assert done.stdout == "(16, 16, 3)\n", done.stderr
 
 
 # --- what to install ---------------------------------------------------------------------------------------------
@@ -331,12 +355,20 @@ def test_gl_imports_the_standard_library_alone() -> None:
 
 @pytest.mark.parametrize("value", ["egl", "osmesa", "glfw", "disable", "elg"])
 def test_mujoco_imports_whatever_the_user_exports(value: str) -> None:
-    code = (
-        "from lieednn_sim.rendering import opengl; opengl.configure(); import mujoco; from dm_control import mjcf; "
-        "print('fine')"
-    )
+    # With OpenGL's bindings broken, too, as where its library is missing.
+    code = """
+import importlib.abc, os, sys
+class Broken(importlib.abc.MetaPathFinder):
+    def find_spec(self, name, path=None, target=None):
+        if name.split(".")[0] in ("OpenGL", "glfw"):
+            raise AttributeError(f"no {name} here")
+sys.meta_path.insert(0, Broken())
+from lieednn_sim.arm import Arm
+Arm.load("telescopic_pr")
+print(os.environ["MUJOCO_GL"])
+"""
     done = run_python(code, MUJOCO_GL=value)
-    assert done.stdout == "fine\n", done.stderr
+    assert done.stdout == f"{value}\n", done.stderr
 
 
 @pytest.mark.rendering

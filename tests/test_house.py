@@ -1,0 +1,67 @@
+"""The house: a room uses only what stands below it, and the front door opens onto each name."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import lieednn_sim as ls
+
+PACKAGE = Path(ls.__file__).parent
+GROUND = ("errors", "validation", "versions", "storage", "budget", "_blas", "_mujoco")
+ROOMS = (
+    "lie",
+    "stability",
+    "network",
+    "theory",
+    "synthesis",
+    "learning",
+    "arm",
+    "planning",
+    "simulation",
+    "rendering",
+    "evaluation",
+    "environments",
+    "cli",
+)
+
+
+def imported(path: Path) -> set[str]:
+    """What of the package, by the name of its room, a module imports anywhere in it."""
+    rooms = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom) and node.module == "lieednn_sim":
+            rooms |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("lieednn_sim."):
+            rooms.add(node.module.split(".")[1])
+        elif isinstance(node, ast.Import):
+            rooms |= {alias.name.split(".")[1] for alias in node.names if alias.name.startswith("lieednn_sim.")}
+    return rooms
+
+
+def test_there_are_no_other_rooms():
+    found = {
+        path.name.removesuffix(".py") for path in PACKAGE.iterdir() if path.suffix == ".py" or any(path.rglob("*.py"))
+    }
+    assert found - {"__pycache__", "__init__", "assets"} == {*GROUND, *ROOMS}
+
+
+def test_nothing_is_imported_from_a_room_above():
+    order = (*GROUND, *ROOMS)
+    upwards = {
+        f"{path.relative_to(PACKAGE)} imports {room}"
+        for path in PACKAGE.rglob("*.py")
+        if path.parent != PACKAGE or path.stem != "__init__"
+        for room in imported(path)
+        if order.index(room) > order.index(path.relative_to(PACKAGE).parts[0].removesuffix(".py"))
+    }
+    assert upwards == set()
+
+
+def test_the_front_door_knows_each_name_and_where_it_lives():
+    assert set(ls.__all__) == set(ls._ROOM_OF)
+    for name in ls.__all__:
+        value = getattr(ls, name)
+        assert value.__name__ == name
+        assert value.__module__.startswith(f"lieednn_sim.{ls._ROOM_OF[name]}")
+    assert {*ls.__all__, "__version__"} <= set(dir(ls))
