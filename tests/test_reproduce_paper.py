@@ -45,8 +45,9 @@ def quiet() -> Console:
 
 
 def test_a_tiny_run_writes_a_report_with_a_verdict_for_every_claim(tmp_path, few_jobs, monkeypatch):
-    # Other tests start worker processes; and to embed a subset of a font takes longer than all else of a figure.
+    # Other tests start worker processes and lay figures out; to embed a subset of a font takes as long as all else.
     monkeypatch.setattr(runner, "worker_pool", lambda _: ThreadPoolExecutor(1))
+    monkeypatch.setattr(style, "settle", lambda figure, _: figure.set_layout_engine(None))
     monkeypatch.setitem(style.STYLE, "pdf.fonttype", 3)
     path = reproduce_paper.reproduce(TINY, tmp_path, 2, "the command", quiet())
     text = path.read_text(encoding="utf-8")
@@ -65,7 +66,8 @@ def test_a_tiny_run_writes_a_report_with_a_verdict_for_every_claim(tmp_path, few
     assert runner.run_all(few_jobs, tmp_path / "jobs", 2, quiet()) == (0, [])
 
 
-def test_only_what_is_missing_runs_and_a_failure_loses_nothing(tmp_path):
+def test_only_what_is_missing_runs_and_a_failure_loses_nothing(tmp_path, monkeypatch):
+    monkeypatch.setattr(runner, "worker_pool", ThreadPoolExecutor)
     count, failures = runner.run_all([FEW[0], BROKEN], tmp_path, 1, quiet())
     assert count == 2
     assert len(failures) == 1

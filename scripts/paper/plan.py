@@ -53,6 +53,7 @@ def code(kind: str) -> str:
     return digest.hexdigest()
 
 
+@cache
 def normalised(source: str) -> str:
     """Python code without comments, docstrings and layout."""
     tree = ast.parse(source)

@@ -285,7 +285,7 @@ def test_bad_video_options_are_refused_before_the_work(tmp_path, capsys):
 def test_without_opengl_the_demo_goes_on_without_video(tmp_path, start):
     code = (
         "import pathlib, sys\n"
-        "from lieednn_sim import plots\n"
+        "from lieednn_sim.evaluation import plots\n"
         "from lieednn_sim.cli import main\n"
         "made = lambda *given: pathlib.Path(given[-1]).touch()\n"  # to plot takes longer than all else
         "plots.plot_network = plots.plot_tracking = plots.plot_joints = made\n"

@@ -210,13 +210,11 @@ print("fine")
 
 
 @pytest.mark.rendering
-@pytest.mark.parametrize("first", ["import mujoco", "import lieednn_sim.arm"])
-def test_it_is_not_too_late_when_mujoco_is_imported(first: str) -> None:
-    code = f"""
-{first}
+def test_it_is_not_too_late_when_mujoco_is_imported() -> None:
+    code = """
+import mujoco
 from lieednn_sim.rendering import opengl
 opengl.require()
-import mujoco
 model = mujoco.MjModel.from_xml_string("<mujoco><worldbody><geom size='1'/></worldbody></mujoco>")
 with mujoco.Renderer(model, 16, 16) as renderer:
     renderer.update_scene(mujoco.MjData(model))
@@ -363,8 +361,8 @@ class Broken(importlib.abc.MetaPathFinder):
         if name.split(".")[0] in ("OpenGL", "glfw"):
             raise AttributeError(f"no {name} here")
 sys.meta_path.insert(0, Broken())
-from lieednn_sim.arm import Arm
-Arm.load("telescopic_pr")
+from lieednn_sim._mujoco import mujoco
+mujoco.MjData(mujoco.MjModel.from_xml_string("<mujoco/>"))
 print(os.environ["MUJOCO_GL"])
 """
     done = run_python(code, MUJOCO_GL=value)

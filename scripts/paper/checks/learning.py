@@ -73,7 +73,7 @@ def riemannian(samples: int) -> Scalars:
     gradient (in the Frobenius metric) and what the block-wise projection makes of a step along the gradient of E^2/2,
     or of any loss (a random gradient); and the same of the nearest projection.
     """
-    count, few = max(5, samples // 20), 5
+    count, few = max(2, samples // 20), max(1, samples // 200)
     cosines = {name: np.empty((len(TRANSLATIONS), count)) for name in ("loss", "random")}
     nearest = np.empty((len(TRANSLATIONS), few))
     for k, size in enumerate(TRANSLATIONS):
