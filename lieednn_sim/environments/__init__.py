@@ -2,7 +2,7 @@
 
 - `tasks`: what is asked of the arm, whatever the interface: `make_task("reach")`, `make_task("track")`.
 - `suite`: the same in the manner of the dm_control suite: `suite.load("telescopic_pr", "reach")` is a
-  `dm_env.Environment`.
+  `dm_control.rl.control.Environment`, with `physics` and rendering.
 - `gymnasium`: the same as Gymnasium environments ``LieEDNN/TelescopicReach-v0`` and ``LieEDNN/TelescopicTrack-v0``;
   needs the extra ``gymnasium``.
 - `expert`: the policy that follows a LieEDNN plan, for any of them.

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections import OrderedDict
 from typing import Any, NamedTuple
 
 import numpy as np
+from dm_control.rl import control
 from dm_control.utils import rewards
+from dm_env import specs
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform
 
@@ -51,8 +53,10 @@ class Transition(NamedTuple):
     info: dict[str, Any]
 
 
-class ArmTask(ABC):
+class ArmTask(control.Task):  # type: ignore[misc]  # dm_control has no types
     """Bring an arm to joint positions that its observations tell, by joint velocities.
+
+    It is a task of dm_control, of which it leaves the physics aside: it steps the `simulation` that it has.
 
     An action in [-1, 1]^n is a joint velocity as a share of the limits. It moves the commanded position, which stays
     within the position limits, at constant velocity for one control step; the arm's position servos follow it, with
@@ -78,10 +82,13 @@ class ArmTask(ABC):
     Attributes:
         arm: the arm.
         simulation: of the arm.
+        substeps: physics steps in a control step.
         bounds: lower and upper bounds of the observations, by name.
+        random: draws the episodes of dm_control's interface.
         episode: how many episodes have begun.
         distance: between the frames that count and their targets at the present time, the largest [m].
         angle: the same [rad].
+        failure: why the simulation failed in this episode; empty while it has not.
 
     Raises:
         InputError: an argument is malformed, or the arm has infinite position or velocity limits.
@@ -106,8 +113,8 @@ class ArmTask(ABC):
         if not (np.isfinite(self.arm.position_limits).all() and np.isfinite(self.arm.velocity_limits).all()):
             raise InputError(f"arm {self.arm.name!r} needs finite position and velocity limits: they scale the actions")
         timestep = float(self.arm.model.opt.timestep)
-        self._substeps = steps_in("control_timestep", control_timestep, timestep)
-        self.control_timestep = self._substeps * timestep
+        self.substeps = steps_in("control_timestep", control_timestep, timestep)
+        self.control_timestep = self.substeps * timestep
         self.time_limit = as_positive("time_limit", time_limit)
         if not self.control_timestep <= time_limit <= _MAX_TIME_LIMIT:
             raise InputError(
@@ -119,13 +126,16 @@ class ArmTask(ABC):
         self.position_tolerance = as_positive("position_tolerance", position_tolerance)
         self.rotation_tolerance = as_positive("rotation_tolerance", rotation_tolerance)
         self.simulation = Simulation(self.arm)
-        self._reference = Reference(self.arm, self.steps * self._substeps + 1)
+        self._reference = Reference(self.arm, self.steps * self.substeps + 1)
         self._servo = PositionServo(self.arm, self._reference)
         self._frames = slice(-1, None) if self.goal == "end-effector" else slice(None)
         self._reach = _reach(self.arm)
         self.bounds: Bounds = self._common_bounds()
+        self.random = np.random.default_rng()
         self.episode = 0
         self.distance, self.angle = float("inf"), float(np.pi)
+        self.failure = ""
+        self._controls: Floats | None = None
         self._over = True
         self._step = 0
         self._seen: dict[str, Floats] = {}
@@ -158,7 +168,7 @@ class ArmTask(ABC):
     @property
     def command(self) -> Floats:
         """The commanded joint position ``(n,)``."""
-        return self._reference.q[self._step * self._substeps].copy()
+        return self._reference.q[self._step * self.substeps].copy()
 
     def begin(self, rng: np.random.Generator, options: dict[str, Any] | None = None) -> Observation:
         """Begin an episode: the arm rests at ``home``, and what is to be done is drawn from the generator.
@@ -174,7 +184,7 @@ class ArmTask(ABC):
         self.simulation.reset(home)
         self._reference.known = 0
         self._reference.extend(home[None], np.zeros((1, self.arm.n_joints)))
-        self._step, self._over = 0, False
+        self._step, self._over, self.failure = 0, False, ""
         self.episode += 1
         self._look()
         return self.observe()
@@ -185,6 +195,14 @@ class ArmTask(ABC):
         Raises:
             InputError: the action is malformed or not finite, or there is no episode to go on with.
         """
+        self.before_step(action)
+        self.advance(self.substeps)
+        self.after_step()
+        failed = bool(self.failure)
+        return Transition(self.observe(), self.get_reward(), failed, self._over and not failed, self.info())
+
+    def before_step(self, action: ArrayLike, physics: Any = None) -> None:
+        """Move the command by an action ``(n,)``; errors as of `step`."""
         share = np.clip(as_floats("action", action, (self.arm.n_joints,)), -1.0, 1.0)
         if self._over:
             raise InputError("the episode is over, or none has begun: reset first")
@@ -192,22 +210,55 @@ class ArmTask(ABC):
         end = self.arm.within_angles(
             np.clip(start + self.control_timestep * share * self.arm.velocity_limits, *self.arm.position_limits.T)
         )
-        parts = np.arange(1, self._substeps + 1)[:, None] / self._substeps
-        rate = np.broadcast_to((end - start) / self.control_timestep, (self._substeps, len(end)))
+        parts = np.arange(1, self.substeps + 1)[:, None] / self.substeps
+        rate = np.broadcast_to((end - start) / self.control_timestep, (self.substeps, len(end)))
         # Not start + 1.0 * (end - start), so that the command is on the limit, not beyond it by rounding.
         self._reference.extend((1.0 - parts) * start + parts * end, rate)
-        first = self._step * self._substeps
+        first = self._step * self.substeps
+        self._controls = self._servo.controls(range(first, first + self.substeps))
+
+    def advance(self, steps: int) -> None:
+        """Do physics steps, with the controls of the last `before_step` once; where one fails, `failure` says why."""
+        controls, self._controls = self._controls, None
         try:
-            self.simulation.advance(self._substeps, self._servo.controls(range(first, first + self._substeps)))
+            self.simulation.advance(steps, controls)
         except SimulationError as error:
-            self._over = True
-            return Transition(
-                self.observe(), 0.0, True, False, {**self.info(), "success": False, "failure": str(error)}
-            )
-        self._step += 1
-        self._over = self._step >= self.steps
-        self._look()
-        return Transition(self.observe(), self.reward(), False, self._over, self.info())
+            self.failure = str(error)
+
+    def after_step(self, physics: Any = None) -> None:
+        """Take the observations, unless the simulation failed."""
+        self._step += not self.failure
+        self._over = bool(self.failure) or self._step >= self.steps
+        if not self.failure:
+            self._look()
+
+    def initialize_episode(self, physics: Any = None) -> None:
+        """`begin` with the generator `random`."""
+        self.begin(self.random)
+
+    def get_observation(self, physics: Any = None) -> Observation:
+        """`observe`."""
+        return self.observe()
+
+    def get_reward(self, physics: Any = None) -> float:
+        """`reward`, 0 where the simulation failed."""
+        return 0.0 if self.failure else self.reward()
+
+    def get_termination(self, physics: Any = None) -> float | None:
+        """Discount at the end of an episode: 0 where the simulation failed, 1 at the time limit."""
+        return None if not self._over else 0.0 if self.failure else 1.0
+
+    def action_spec(self, physics: Any = None) -> specs.BoundedArray:
+        """Joint velocities as shares of their limits."""
+        joints = ", ".join(self.arm.joint_names)
+        return specs.BoundedArray((self.arm.n_joints,), np.float64, -1.0, 1.0, name=f"joint velocities ({joints})")
+
+    def observation_spec(self, physics: Any = None) -> OrderedDict[str, specs.BoundedArray]:
+        """Arrays by name, with their bounds."""
+        return OrderedDict(
+            (name, specs.BoundedArray(low.shape, np.float64, low, high, name=name))
+            for name, (low, high) in self.bounds.items()
+        )
 
     def observe(self) -> Observation:
         """Observations of the present time; new arrays. After a failure those of the last good time."""
@@ -215,7 +266,8 @@ class ArmTask(ABC):
 
     def info(self) -> dict[str, Any]:
         """Whether the arm is where it shall be, and the errors, of the present time; see `Transition`."""
-        return {"success": self.success(), "distance": self.distance, "angle": self.angle}
+        info = {"success": self.success() and not self.failure, "distance": self.distance, "angle": self.angle}
+        return info | ({"failure": self.failure} if self.failure else {})
 
     def _look(self) -> None:
         """Take the observations of the present time, and the errors, which cost as much as the physics."""

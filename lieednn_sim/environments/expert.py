@@ -54,11 +54,8 @@ class Expert:
         self._episode = 0
         self._plan: Trajectory
 
-    def act(self, observation: Any = None) -> Floats:
-        """Action ``(n,)`` for the present time of the environment.
-
-        Args:
-            observation: not looked at; it is there so that the expert is called like any other policy.
+    def act(self) -> Floats:
+        """Action ``(n,)`` for the present time of the environment, of whose task it knows more than is observed.
 
         Raises:
             PlanError: no plan was found for the episode's target.

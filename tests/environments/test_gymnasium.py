@@ -77,7 +77,7 @@ def test_the_expert_reaches_a_chosen_target_through_wrappers():
     expert = Expert(environment)
     truncated = False
     while not truncated:
-        observation, _, _, truncated, info = environment.step(expert.act(observation))
+        observation, _, _, truncated, info = environment.step(expert.act())
     assert info["success"]
     np.testing.assert_allclose(observation["position"], target, atol=1e-4)
 

@@ -2,6 +2,7 @@ import dm_env
 import numpy as np
 import pytest
 from absl.testing import absltest
+from dm_control.rl import control
 from dm_env.test_utils import EnvironmentTestMixin
 from numpy.testing import assert_array_equal
 
@@ -85,12 +86,51 @@ def test_specs_name_what_they_are():
     assert all(item.name == name and item.dtype == np.float64 for name, item in spec.items())
 
 
+def test_physics_is_what_is_simulated():
+    environment = suite.load(random=0, time_limit=0.1)
+    assert isinstance(environment, control.Environment)
+    data, physics = environment.task.simulation.data, environment.physics
+    for k in range(4):
+        step = environment.step(np.full(8, 0.5)) if k else environment.reset()
+        np.testing.assert_allclose(physics.position()[:8], step.observation["position"], atol=1e-12)
+        assert physics.data.ptr is data
+        assert physics.time() == pytest.approx(environment.task.time)
+        # What follows from the positions belongs to the present time too.
+        ahead = physics.copy()
+        ahead.forward()
+        assert_array_equal(physics.data.xpos, ahead.data.xpos)
+        assert_array_equal(physics.data.cam_xpos, ahead.data.cam_xpos)
+        assert_array_equal(physics.data.qfrc_bias, ahead.data.qfrc_bias)
+    # A copy goes on by itself.
+    before = data.qpos.copy()
+    ahead.step(3)
+    assert_array_equal(data.qpos, before)
+    assert ahead.time() == pytest.approx(physics.time() + 0.006)
+
+
+@pytest.mark.rendering
+def test_the_pixel_wrapper_of_dm_control_sees_the_arm_move():
+    from dm_control.suite.wrappers import pixels
+
+    environment = suite.load("telescopic_compound", random=0, time_limit=1.0)
+    options = {"height": 48, "width": 64, "camera_id": "side"}
+    wrapped = pixels.Wrapper(environment, pixels_only=False, render_kwargs=options)
+    assert wrapped.observation_spec()["pixels"].shape == (48, 64, 3)
+    first = wrapped.reset().observation
+    assert {"pixels", "position"} < set(first)
+    assert first["pixels"].std() > 5.0
+    for _ in range(20):
+        step = wrapped.step(np.ones(24))
+    assert (step.observation["pixels"] != first["pixels"]).any()
+    assert_array_equal(step.observation["pixels"], environment.physics.render(**options))
+
+
 def test_the_expert_works_here_too():
     environment = suite.load(random=0, task="track", reference="plan", time_limit=0.2)
     expert = Expert(environment)
     step = environment.reset()
     while not step.last():
-        step = environment.step(expert.act(step.observation))
+        step = environment.step(expert.act())
     assert step.reward == 1.0
 
 
