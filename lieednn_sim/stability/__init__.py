@@ -1,6 +1,6 @@
 """Proofs about x' = -gamma x + mu W phi(x) + mu b: stability and its rate, limits that hold.
 
-`assess` evaluates the ladder of conditions; a `Certificate` is the strongest of them, in a form that can be stored.
+`assess` evaluates the hierarchy of conditions; a `Certificate` is the strongest of them, in a form that can be stored.
 """
 
 from lieednn_sim.stability.bounds import invariant_box, is_invariant
@@ -12,7 +12,7 @@ from lieednn_sim.stability.certificate import (
     smooth_largest,
     verify,
 )
-from lieednn_sim.stability.conditions import LEVELS, Rung, Verdict, assess
+from lieednn_sim.stability.conditions import CONDITIONS, Condition, Verdict, assess
 from lieednn_sim.stability.norms import (
     LogNorms,
     NormConditions,
@@ -25,12 +25,12 @@ from lieednn_sim.stability.norms import (
 )
 
 __all__ = [
-    "LEVELS",
+    "CONDITIONS",
     "METHODS",
     "Certificate",
+    "Condition",
     "LogNorms",
     "NormConditions",
-    "Rung",
     "Verdict",
     "WeightedNorm",
     "assess",

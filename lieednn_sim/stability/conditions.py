@@ -1,9 +1,9 @@
-"""The ladder of stability conditions: which proofs hold for a network, and how fast each one proves it to be.
+"""The hierarchy of stability conditions: which proofs hold for a network, and how fast each one proves it to be.
 
-Rungs go from conditions on sums of weights to the best diagonal Lyapunov matrix, then to local stability. Implications,
-for one matrix: the paper's norms imply the log norms; those imply the weighted norm; that, as well as the sum condition
-by way of the Euclidean log norm, implies the diagonal Lyapunov rung. No converse holds. A later rung need not prove a
-higher rate than an earlier one in its own distance, so the verdict names both the first that holds and the fastest.
+They go from sums of weights to the best diagonal Lyapunov matrix, then to local stability. Implications, for one
+matrix: the paper's norms imply the log norms; those imply the weighted norm; that, as well as the sum condition by way
+of the Euclidean log norm, implies the diagonal Lyapunov condition. No converse holds. A later condition need not prove
+a higher rate than an earlier one in its own distance, so the verdict names both the first that holds and the fastest.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from lieednn_sim.validation import as_floats, as_positive, as_ratio
 
 Floats = NDArray[np.float64]
 
-# In the order of the ladder; a verdict's level is one of these or "none".
-LEVELS = (
+# In the order of the hierarchy; a verdict's level is one of these or "none".
+CONDITIONS = (
     "1-norm",
     "infinity norm",
     "norm sum",
@@ -42,16 +42,16 @@ _BLOCK_TOLERANCE = 1e-12
 
 
 @dataclass(frozen=True)
-class Rung:
+class Condition:
     """One condition, evaluated.
 
     Attributes:
-        name: one of `LEVELS`.
+        name: one of `CONDITIONS`.
         holds: whether value < bound.
         value: left side of the condition, rounded up.
         bound: right side.
         rate: proven exponential rate, in 1 / (the network's time); 0 when the condition fails.
-        reach: "global" when it proves one equilibrium that attracts every start, whatever the bias; "local" when it
+        scope: "global" when it proves one equilibrium that attracts every start, whatever the bias; "local" when it
             proves that one equilibrium attracts its neighbourhood.
     """
 
@@ -60,21 +60,21 @@ class Rung:
     value: float
     bound: float
     rate: float
-    reach: str
+    scope: str
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """All rungs of one network.
+    """All conditions of one network.
 
     Attributes:
-        rungs: in the order of `LEVELS`; "local" only when a Jacobian was given.
-        certificate: the diagonal Lyapunov matrix behind its rung, valid or not.
+        conditions: in the order of `CONDITIONS`; "local" only when a Jacobian was given.
+        certificate: the diagonal Lyapunov matrix behind its condition, valid or not.
         stiffness: strongest coupling of two neurons in units of gamma/mu: |alpha_ij| where W_R is known, else the
             largest entry of W.
     """
 
-    rungs: tuple[Rung, ...]
+    conditions: tuple[Condition, ...]
     certificate: Certificate
     stiffness: float
 
@@ -90,35 +90,37 @@ class Verdict:
 
     @property
     def globally_stable(self) -> bool:
-        """Whether any rung proves global stability."""
-        return any(rung.holds for rung in self.rungs if rung.reach == "global")
+        """Whether any condition proves global stability."""
+        return any(condition.holds for condition in self.conditions if condition.scope == "global")
 
     @property
     def level(self) -> str:
-        """Name of the first rung that holds, which is the simplest proof there is; "none" if none does."""
-        return next((rung.name for rung in self.rungs if rung.holds), "none")
+        """Name of the first condition that holds, which is the simplest proof there is; "none" if none does."""
+        return next((condition.name for condition in self.conditions if condition.holds), "none")
 
     @property
-    def strongest(self) -> Rung | None:
-        """The global rung that proves the highest rate; the local one if no other holds, None if none does."""
-        held = [rung for rung in self.rungs if rung.holds]
-        return max(held, key=lambda rung: (rung.reach == "global", rung.rate), default=None)
+    def strongest(self) -> Condition | None:
+        """The global condition that proves the highest rate; the local one if no other holds, None if none does."""
+        held = [condition for condition in self.conditions if condition.holds]
+        return max(held, key=lambda condition: (condition.scope == "global", condition.rate), default=None)
 
     @property
     def best_rate(self) -> float:
         """Highest rate proved from every start; 0 when global stability is not proved."""
-        return max(rung.rate for rung in self.rungs if rung.reach == "global")
+        return max(condition.rate for condition in self.conditions if condition.scope == "global")
 
-    def __getitem__(self, name: str) -> Rung:
-        """Rung of that name.
+    def __getitem__(self, name: str) -> Condition:
+        """Condition of that name.
 
         Raises:
-            InputError: no such rung here.
+            InputError: no such condition here.
         """
-        for rung in self.rungs:
-            if rung.name == name:
-                return rung
-        raise InputError(f"no rung {name!r}; rungs are: {', '.join(rung.name for rung in self.rungs)}")
+        for condition in self.conditions:
+            if condition.name == name:
+                return condition
+        raise InputError(
+            f"no condition {name!r}; conditions are: {', '.join(condition.name for condition in self.conditions)}"
+        )
 
     def __str__(self) -> str:
         if self.globally_stable:
@@ -129,9 +131,9 @@ class Verdict:
         else:
             summary = "locally stable only" if self.level == "local" else "no proof of stability"
         lines = [
-            f"  {rung.name:<17} {rung.value:>11.5g} < {rung.bound:<9.5g} "
-            + (f"{rung.reach:<6} rate {rung.rate:.4g}" if rung.holds else "fails")
-            for rung in self.rungs
+            f"  {condition.name:<17} {condition.value:>11.5g} < {condition.bound:<9.5g} "
+            + (f"{condition.scope:<6} rate {condition.rate:.4g}" if condition.holds else "fails")
+            for condition in self.conditions
         ]
         if self.warning is not None:
             lines.append(f"  warning: {self.warning}")
@@ -147,19 +149,19 @@ def assess(
     jacobian: ArrayLike | None = None,
     lyapunov_diagonal: ArrayLike | None = None,
 ) -> Verdict:
-    """Evaluate every rung for x' = -gamma x + mu W phi(x) + mu b, each slope of phi in (0, 1].
+    """Evaluate every condition for x' = -gamma x + mu W phi(x) + mu b, each slope of phi in (0, 1].
 
     The adjoint of SE(3) makes W block triangular once all omega are sorted before all v, with W_R twice on the
     diagonal; weighting v little against omega then makes W_C as small as one likes, so the weighted and the Lyapunov
-    rungs hold for W exactly when they hold for W_R, at the same rate up to any small epsilon. The log norm 2 on W_R
-    proves the same for W through diag(I, eps I). Only unweighted norms see W_C, and need the whole W.
+    conditions hold for W exactly when they hold for W_R, at the same rate up to any small epsilon. The log norm 2 on
+    W_R proves the same for W through diag(I, eps I). Only unweighted norms see W_C, and need the whole W.
 
     Args:
         weight: W, ``(n, n)``; n = 6N with interleaved twists (omega, v) when `rotational_weight` is given.
         gamma: decay rate, positive.
         mu: scale of the interaction, positive.
-        rotational_weight: W_R, ``(3N, 3N)``, which the last global rungs then look at.
-        jacobian: ``(n, n)`` of the vector field at an equilibrium, for the local rung.
+        rotational_weight: W_R, ``(3N, 3N)``, which the last global conditions then look at.
+        jacobian: ``(n, n)`` of the vector field at an equilibrium, for the local condition.
         lyapunov_diagonal: a known diagonal P, of the size of `rotational_weight` or else of `weight`; it spares the
             search when it is valid.
 
@@ -178,29 +180,29 @@ def assess(
     euclidean = verify(np.ones(len(core)), core, gamma=decay, mu=scale)
     norms = log_norms(matrix)
 
-    def rung(name: str, value: float, *, factor: float = 1.0) -> Rung:
+    def condition(name: str, value: float, *, factor: float = 1.0) -> Condition:
         holds = value < factor * bound
         # Every one of these is a bound v on the interaction, and proves the rate gamma - mu max(v, 0).
         rate = decay - scale * max(value, 0.0) / factor if holds else 0.0
-        return Rung(name, holds, value, factor * bound, rate, "global")
+        return Condition(name, holds, value, factor * bound, rate, "global")
 
-    rungs = [
-        rung("1-norm", norms.one_norm),
-        rung("infinity norm", norms.infinity_norm),
-        rung("norm sum", norms.norm_sum, factor=2.0),
-        rung("log norm 1", norms.log_norm_one),
-        rung("log norm infinity", norms.log_norm_infinity),
-        rung("weighted log norm", weighted_norm(core).value),
-        rung("log norm 2", euclidean.lambda_max + euclidean.rounding),
-        rung("diagonal Lyapunov", certificate.lambda_max + certificate.rounding),
+    conditions = [
+        condition("1-norm", norms.one_norm),
+        condition("infinity norm", norms.infinity_norm),
+        condition("norm sum", norms.norm_sum, factor=2.0),
+        condition("log norm 1", norms.log_norm_one),
+        condition("log norm infinity", norms.log_norm_infinity),
+        condition("weighted log norm", weighted_norm(core).value),
+        condition("log norm 2", euclidean.lambda_max + euclidean.rounding),
+        condition("diagonal Lyapunov", certificate.lambda_max + certificate.rounding),
     ]
     if jacobian is not None:
         slopes = as_floats("jacobian", jacobian, matrix.shape)
         # The backward error of the eigenvalues; what a badly conditioned one makes of it is not bounded.
         rounding = len(slopes) * np.finfo(float).eps * frobenius(slopes)
         abscissa = float(np.linalg.eigvals(slopes).real.max() + rounding)
-        rungs.append(Rung("local", abscissa < 0.0, abscissa, 0.0, max(0.0, -abscissa), "local"))
-    return Verdict(tuple(rungs), certificate, _strongest_coupling(core, 1 if core is matrix else 3) / bound)
+        conditions.append(Condition("local", abscissa < 0.0, abscissa, 0.0, max(0.0, -abscissa), "local"))
+    return Verdict(tuple(conditions), certificate, _strongest_coupling(core, 1 if core is matrix else 3) / bound)
 
 
 def _strongest_coupling(core: Floats, size: int) -> float:

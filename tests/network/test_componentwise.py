@@ -26,7 +26,7 @@ def test_verdict_uses_the_network_s_own_proof_and_equilibrium():
     assert verdict.best_rate <= verdict["local"].rate
     report = str(verdict)
     assert report.startswith("globally stable by the")
-    assert len(report.splitlines()) == 1 + len(stability.LEVELS)
+    assert len(report.splitlines()) == 1 + len(stability.CONDITIONS)
 
 
 def test_certify_looks_at_the_rotations_of_se3_and_at_everything_of_another_group():

@@ -1,4 +1,4 @@
-"""The ladder: implications between its rungs, rates along trajectories, and the text that people read."""
+"""The hierarchy of conditions: implications, rates along trajectories, and the text that people read."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from lieednn_sim.errors import InputError
 from lieednn_sim.lie import adjoint
-from lieednn_sim.stability import LEVELS, assess, find_certificate, verify, weighted_norm
+from lieednn_sim.stability import CONDITIONS, assess, find_certificate, verify, weighted_norm
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -51,11 +51,13 @@ def test_each_rung_implies_the_later_ones(seed, with_rotations, rates):
         slack = 1e-6 * max(1.0, np.abs(weight).max())
         assert max(second.value, 0.0) / second.bound <= max(first.value, 0.0) / first.bound + slack, (weaker, stronger)
         assert second.holds or not first.holds or first.value > first.bound * (1.0 - 1e-6)
-    assert [rung.name for rung in verdict.rungs] == [name for name in LEVELS if name != "local"]
-    for rung in verdict.rungs:
-        assert rung.holds == (rung.value < rung.bound)
-        assert rung.rate == pytest.approx(gamma * (1.0 - max(rung.value, 0.0) / rung.bound) if rung.holds else 0.0)
-    assert verdict.globally_stable == any(rung.holds for rung in verdict.rungs)
+    assert [condition.name for condition in verdict.conditions] == [name for name in CONDITIONS if name != "local"]
+    for condition in verdict.conditions:
+        assert condition.holds == (condition.value < condition.bound)
+        assert condition.rate == pytest.approx(
+            gamma * (1.0 - max(condition.value, 0.0) / condition.bound) if condition.holds else 0.0
+        )
+    assert verdict.globally_stable == any(condition.holds for condition in verdict.conditions)
     assert verdict.best_rate == (verdict.strongest.rate if verdict.globally_stable else 0.0)
 
 
@@ -85,11 +87,11 @@ def test_no_global_proof_leaves_the_local_one():
     jacobian = np.diag([-1.0 + 2.0 / np.cosh(equilibrium) ** 2, -1.0])
     verdict = assess(weight, gamma=1.0, mu=1.0, jacobian=jacobian)
     assert (verdict.level, verdict.globally_stable, verdict.best_rate) == ("local", False, 0.0)
-    assert verdict.strongest.reach == "local"
+    assert verdict.strongest.scope == "local"
     assert verdict.strongest.rate == pytest.approx(1.0 - 2.0 / np.cosh(equilibrium) ** 2)
     assert str(verdict).startswith("locally stable only")
     # A faster local rate never hides a global proof.
-    assert assess([[0.5]], gamma=1.0, mu=1.0, jacobian=[[-0.9]]).strongest.reach == "global"
+    assert assess([[0.5]], gamma=1.0, mu=1.0, jacobian=[[-0.9]]).strongest.scope == "global"
     unstable = assess(weight, gamma=1.0, mu=1.0, jacobian=np.eye(2))
     assert (unstable.level, unstable.strongest) == ("none", None)
     assert str(unstable).startswith("no proof of stability")
@@ -135,7 +137,7 @@ def test_translations_matter_to_unweighted_norms_alone(seed):
     moved[:, 3:, :, :3] *= 50.0
     near = assess(weight, gamma=1.0, mu=1.0, rotational_weight=core)
     far = assess(moved.reshape(12, 12), gamma=1.0, mu=1.0, rotational_weight=core)
-    for name in LEVELS[5:8]:
+    for name in CONDITIONS[5:8]:
         assert far[name] == near[name]
     assert not far["1-norm"].holds
     # On the whole W, without being told of its structure, the weighted norm comes to the same.
@@ -157,7 +159,7 @@ def test_a_given_diagonal_is_used_when_it_proves_and_replaced_when_it_does_not()
 def test_report_has_one_aligned_line_for_each_rung():
     lines = str(assess([[0.5, 30.0], [-3.0, 0.5]], gamma=2.0, mu=2.0, jacobian=-np.eye(2))).splitlines()
     assert lines[0] == "globally stable by the diagonal Lyapunov, at a rate of at least 1"
-    assert len(lines) == 1 + len(LEVELS)
+    assert len(lines) == 1 + len(CONDITIONS)
     assert len({line.index("<") for line in lines[1:]}) == 1
     assert lines[1].split() == ["1-norm", "30.5", "<", "1", "fails"]
     assert lines[8].split() == ["diagonal", "Lyapunov", "0.5", "<", "1", "global", "rate", "1"]
@@ -165,7 +167,7 @@ def test_report_has_one_aligned_line_for_each_rung():
 
 
 def test_the_verdict_quotes_each_rungs_own_rate():
-    """Of the rates of all rungs the fastest need not be that of the first one that holds."""
+    """Of the rates of all conditions the fastest need not be that of the first one that holds."""
     verdict = assess([[0.3, 0.9], [-0.2, 0.3]], gamma=1.0, mu=1.0)
     first, fastest = verdict[verdict.level], verdict.strongest
     assert fastest.name != first.name
@@ -189,7 +191,7 @@ def test_wrong_input_is_named():
         (lambda: assess(weight, gamma=1.0, mu=1.0, rotational_weight=np.eye(3)), r"\(3N, 3N\) for a weight \(6N, 6N\)"),
         (lambda: assess(weight, gamma=1.0, mu=1.0, rotational_weight=1.1 * core), "must be the rotational blocks"),
         (lambda: assess(both_ways, gamma=1.0, mu=1.0, rotational_weight=core), "v drives omega"),
-        (lambda: assess(weight, gamma=1.0, mu=1.0)["log norm 3"], "no rung 'log norm 3'; rungs are: 1-norm"),
+        (lambda: assess(weight, gamma=1.0, mu=1.0)["log norm 3"], "no condition 'log norm 3'; conditions are: 1-norm"),
     ]
     for call, words in cases:
         with pytest.raises(InputError, match=words):

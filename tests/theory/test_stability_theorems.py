@@ -71,7 +71,7 @@ def test_theorem_equilibrium_condition_and_asymptotic_stability_each_norm_alone_
     weight = weight.T if transpose else weight
     verdict = assess(weight, gamma=1.0, mu=1.0)
     name = "infinity norm" if transpose else "1-norm"
-    assert [rung.holds for rung in verdict.rungs[:3]] == [not transpose, transpose, False]
+    assert [condition.holds for condition in verdict.conditions[:3]] == [not transpose, transpose, False]
     bias = rng.normal(size=8)
     assert_one_attractor(weight, bias, rng, 1.0, 1.0, verdict[name].rate)
     t, x = solve(weight, bias, 3.0 * rng.normal(size=(2, 8)), 1.0, 1.0, 10.0)
