@@ -4,7 +4,7 @@
 
     arm = ls.Arm.load("telescopic_pr")
     plan = ls.plan(arm, arm.keyframe("extended"))
-    rollout = ls.simulate(arm, plan.motion)
+    rollout = ls.simulate(arm, plan)
 
 The names below are imported when they are asked for; everything else is in its room: `lie`, `stability`, `network`,
 `theory`, `synthesis`, `learning`, `arm`, `planning`, `simulation`, `rendering`, `evaluation`, `environments`, `cli`.

@@ -238,6 +238,11 @@ def origin(path: str | os.PathLike[str], kind: str | None = None) -> tuple[str, 
     return meta[_FINGERPRINT], made_from
 
 
+def short(fingerprint: object) -> str:
+    """The beginning of a fingerprint, for messages; "none" of anything else."""
+    return fingerprint[:12] if isinstance(fingerprint, str) else "none"
+
+
 def _read(
     path: str | os.PathLike[str], kind: str | None, *, header_only: bool
 ) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:

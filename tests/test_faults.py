@@ -16,7 +16,6 @@ from lieednn_sim.cli import main
 from lieednn_sim.cli.run_directory import RunDirectory
 from lieednn_sim.errors import FileError, LieEDNNError
 from lieednn_sim.evaluation import Selection, Settings, compare, read_rows, study
-from lieednn_sim.simulation import Rollout
 
 # A process that ends itself by SIGKILL where it is told to: no moment to wait for, no time to clean up.
 KILL = "import os, signal, sys\nkill = lambda *_: os.kill(os.getpid(), signal.SIGKILL)\n"
@@ -172,8 +171,8 @@ def test_a_read_only_directory_is_named_before_the_work(run, capsys, monkeypatch
         raise OSError(errno.EROFS, os.strerror(errno.EROFS))
 
     monkeypatch.setattr(tempfile, "mkstemp", refuse)
-    rollout = Rollout.load(run.rollout)
+    rollout = run.load_rollout(*run.load_task())
     with pytest.raises(FileError, match=r"cannot write .*rollout\.npz: Read-only file system"):
         rollout.save(run.rollout)
     monkeypatch.undo()
-    np.testing.assert_array_equal(Rollout.load(run.rollout).q, rollout.q)
+    np.testing.assert_array_equal(run.load_rollout(*run.load_task()).q, rollout.q)

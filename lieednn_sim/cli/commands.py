@@ -118,6 +118,7 @@ def _simulate(run: RunDirectory, arguments: argparse.Namespace) -> None:
         rollout = simulate_motion(
             arm,
             motion,
+            target=task.target,
             controller=arguments.controller,
             hold=arguments.hold,
             reference_rate=arguments.reference_rate,
@@ -125,7 +126,7 @@ def _simulate(run: RunDirectory, arguments: argparse.Namespace) -> None:
             dump_directory=run.path,
             progress=report,
         )
-    wrote(*run.save_rollout(task, motion, rollout))
+    wrote(*run.save_rollout(task, rollout))
 
 
 def _evaluate(run: RunDirectory) -> None:
@@ -133,22 +134,22 @@ def _evaluate(run: RunDirectory) -> None:
     from lieednn_sim.evaluation import plots
 
     task, arm = run.load_task()
-    rollout, motion = run.load_rollout(task), run.load_motion(task)
-    evaluation = evaluate_rollout(arm, rollout, task.target, motion)
-    print_evaluation(evaluation, rollout, None if arm.scene == "free" else _clearance(arm, rollout))
+    rollout = run.load_rollout(task, arm)
+    evaluation = evaluate_rollout(rollout)
+    print_evaluation(evaluation, rollout, None if arm.scene == "free" else _clearance(rollout))
     evaluation.save_json(run.metrics_json, made_from=run.check(task, "network", "motion", "rollout"))
     evaluation.save_csv(run.metrics_csv)
-    plots.plot_network(arm, motion, run.network_plot)
-    plots.plot_tracking(arm, rollout, task.target, run.tracking_plot)
-    plots.plot_joints(arm, rollout, run.joints_plot)
+    plots.plot_network(rollout, run.network_plot)
+    plots.plot_tracking(rollout, run.tracking_plot)
+    plots.plot_joints(rollout, run.joints_plot)
     wrote(run.metrics_json, run.metrics_csv, run.network_plot, run.tracking_plot, run.joints_plot)
 
 
-def _clearance(arm: Arm, rollout: Rollout) -> float:
+def _clearance(rollout: Rollout) -> float:
     from lieednn_sim.arm.collision import Collisions
     from lieednn_sim.evaluation.motion_metrics import least_clearance
 
-    return least_clearance(rollout, Collisions(arm))
+    return least_clearance(rollout, Collisions(rollout.arm))
 
 
 def _render(run: RunDirectory, arguments: argparse.Namespace, path: Path) -> None:
@@ -159,9 +160,7 @@ def _render(run: RunDirectory, arguments: argparse.Namespace, path: Path) -> Non
     console.print(f"rendering with {backend.name}: {backend.detail}")
     with progress("render") as report:
         render_video(
-            arm,
-            run.load_rollout(task),
-            task.target,
+            run.load_rollout(task, arm),
             path,
             camera=arguments.camera,
             size=size(arguments.size),

@@ -132,7 +132,7 @@ class RunDirectory:
             now, then = versions()["mujoco"], task.versions.get("mujoco")
             raise FileError(
                 f"arm {task.arm!r} in scene {task.scene!r} is not the one that {self.task} was made for (fingerprint "
-                f"{_short(arm.fingerprint)}, not {_short(task.model)}"
+                f"{storage.short(arm.fingerprint)}, not {storage.short(task.model)}"
                 + ("" if now == then else f"; MuJoCo {now}, not {then}")
                 + "): its model has changed since; make the run again"
             )
@@ -153,10 +153,10 @@ class RunDirectory:
         self.check(task, "network", "motion")
         return Motion.load(self.motion)
 
-    def load_rollout(self, task: Task) -> Rollout:
-        """The rollout, when it, the motion and the network were made from each other and for the task."""
+    def load_rollout(self, task: Task, arm: Arm) -> Rollout:
+        """The rollout, when it, the motion and the network were made from each other and for the task of the arm."""
         self.check(task, "network", "motion", "rollout")
-        return Rollout.load(self.rollout)
+        return Rollout.load(self.rollout, arm, Motion.load(self.motion))
 
     def check(self, task: Task, *names: str) -> dict[str, str]:
         """Fingerprints of the task and of the named files that are there, in the order in which they were made.
@@ -175,8 +175,8 @@ class RunDirectory:
                 if then != now:
                     raise FileError(
                         f"{path} was made from another {source} than {getattr(self, source)} (fingerprint "
-                        f"{_short(then)}, not {_short(now)}): files of different runs are mixed, or one was changed; "
-                        f"'lieednn-sim {'simulate' if name == 'rollout' else 'synthesize'}' makes it again"
+                        f"{storage.short(then)}, not {storage.short(now)}): files of different runs are mixed, or one "
+                        f"was changed; 'lieednn-sim {'simulate' if name == 'rollout' else 'synthesize'}' makes it again"
                     )
             found[name] = own
         return found
@@ -201,16 +201,17 @@ class RunDirectory:
                 save(temporary)
         return targets
 
-    def save_rollout(self, task: Task, motion: Motion, rollout: Rollout) -> list[Path]:
-        """Write a rollout, before it the motion when the network drew it, and remove what was made of an older one.
+    def save_rollout(self, task: Task, rollout: Rollout) -> list[Path]:
+        """Write a rollout, before it its motion when the network drew it, and remove what was made of an older one.
 
         Returns:
             What was written.
         """
         made_from = self.check(task, "network", *([] if task.drawn else ["motion"]))
-        targets = [self.motion, self.rollout] if task.drawn else [self.rollout]
+        motion = rollout.motion if task.drawn else None
+        targets = [self.rollout] if motion is None else [self.motion, self.rollout]
         with storage.atomic_paths(targets, self.results) as temporaries:
-            if task.drawn:
+            if motion is not None:
                 _saver(motion, "motion", made_from)(temporaries[0])
             rollout.save(temporaries[-1], made_from)
         return targets
@@ -224,7 +225,3 @@ def _saver(made: BlockNetwork | Motion | History, name: str, made_from: dict[str
         made_from[name] = storage.origin(path)[0]
 
     return save
-
-
-def _short(fingerprint: str | None) -> str:
-    return "none" if fingerprint is None else fingerprint[:12]

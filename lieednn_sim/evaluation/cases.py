@@ -140,7 +140,7 @@ def run_case(case: Case, controllers: Sequence[str], settings: Settings) -> list
         return [_row(case, name, settings, planned | _track(problem, motion, name, settings)) for name in controllers]
 
 
-def replay(case: Case, controller: str, settings: Settings) -> tuple[PlanningProblem, Rollout]:
+def replay(case: Case, controller: str, settings: Settings) -> Rollout:
     """Plan and simulate a case again, for a picture of it.
 
     Raises:
@@ -149,21 +149,28 @@ def replay(case: Case, controller: str, settings: Settings) -> tuple[PlanningPro
     with one_blas_thread():
         problem = make_problem(case, settings)
         _, motion = plan_network(case.planner, problem)
-        return problem, _simulate(problem, motion, controller, settings)
+        return _simulate(problem, motion, controller, settings)
 
 
 def _simulate(problem: PlanningProblem, motion: Motion, controller: str, settings: Settings) -> Rollout:
-    return simulate(problem.arm, motion, controller=controller, hold=settings.hold, mass_scale=settings.mass_scale)
+    return simulate(
+        problem.arm,
+        motion,
+        target=problem.target,
+        controller=controller,
+        hold=settings.hold,
+        mass_scale=settings.mass_scale,
+    )
 
 
 def _track(problem: PlanningProblem, motion: Motion, controller: str, settings: Settings) -> Row:
     try:
         rollout = _simulate(problem, motion, controller, settings)
-        evaluation = evaluate(problem.arm, rollout, problem.target, motion)
+        evaluation = evaluate(rollout)
     except LieEDNNError as error:
         return _failed("simulation", error)
     reason = shortfall(evaluation)
-    measured = rollout_metrics(problem.arm, rollout, evaluation, _collisions(problem.arm))
+    measured = rollout_metrics(rollout, evaluation, _collisions(problem.arm))
     return {"success": "no" if reason else "yes", "reason": reason, **_texts(measured)}
 
 

@@ -8,13 +8,10 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from lieednn_sim import storage
-from lieednn_sim.arm import Arm
-from lieednn_sim.errors import InputError
-from lieednn_sim.planning.motion import Motion
 from lieednn_sim.simulation import Disturbances, Following, Push, Rollout
 from lieednn_sim.versions import versions
 
@@ -172,25 +169,12 @@ def pose_errors(actual: RigidTransform, wanted: RigidTransform) -> tuple[Floats,
     return np.linalg.norm(difference.translation, axis=-1), np.asarray(difference.rotation.magnitude())
 
 
-def evaluate(arm: Arm, rollout: Rollout, target: ArrayLike, motion: Motion | None = None) -> Evaluation:
-    """Evaluate a rollout.
-
-    Args:
-        arm: the arm of the rollout.
-        rollout: what was simulated.
-        target: joint target ``(n,)``.
-        motion: the plan behind it, for the mechanism gap.
-
-    Raises:
-        InputError: rollout and arm do not belong together.
-    """
-    if rollout.arm != arm.name or rollout.q.shape[1] != arm.n_joints:
-        raise InputError(f"the rollout is of arm {rollout.arm!r}, not of {arm.name!r}")
-    if motion is not None and not np.array_equal(rollout.q_ref[: len(motion.q)], motion.q[: len(rollout.q_ref)]):
-        raise InputError("the motion is another one than the rollout followed")
+def evaluate(rollout: Rollout) -> Evaluation:
+    """Evaluate a rollout: its arm against its reference, its target and its limits."""
+    arm, motion = rollout.arm, rollout.motion
     simulated = rollout.link_poses()
     tracking = pose_errors(simulated, arm.link_poses(rollout.q_ref))
-    arrival = pose_errors(simulated, arm.link_poses(arm.check_position(target, "target")))
+    arrival = pose_errors(simulated, arm.link_poses(rollout.target))
     tip = rollout.link_position[:, -1]
     return Evaluation(
         frames=tuple(_frame_errors(i, name, rollout.t, tracking, arrival) for i, name in enumerate(arm.link_names)),
@@ -273,12 +257,10 @@ def _recovery(push: Push, until: float, t: Floats, tracking: tuple[Floats, Float
     )
 
 
-def evaluate_following(arm: Arm, following: Following) -> FollowingErrors:
-    """Evaluate how a moving target was followed; `InputError` when the rollout is of another arm."""
+def evaluate_following(following: Following) -> FollowingErrors:
+    """Evaluate how a moving target was followed."""
     rollout = following.rollout
-    if rollout.arm != arm.name or rollout.q.shape[1] != arm.n_joints:
-        raise InputError(f"the rollout is of arm {rollout.arm!r}, not of {arm.name!r}")
-    t, wanted = rollout.t, arm.link_poses(following.target)
+    t, wanted = rollout.t, rollout.arm.link_poses(following.target)
     distance, angle = pose_errors(rollout.link_poses(), wanted)
     tip = np.asarray(wanted.translation)[:, -1]
     velocity, behind = np.diff(tip, axis=0) / np.diff(t)[:, None], (tip - rollout.link_position[:, -1])[1:]

@@ -74,11 +74,10 @@ def rms_curvature(path: ArrayLike, timestep: float) -> float | None:
     return float(np.sqrt((kappa**2 * speed).sum() / speed.sum()))
 
 
-def rollout_metrics(arm: Arm, rollout: Rollout, evaluation: Evaluation, collisions: Collisions) -> dict[str, float]:
+def rollout_metrics(rollout: Rollout, evaluation: Evaluation, collisions: Collisions) -> dict[str, float]:
     """Of what was simulated; an entry that does not exist is left out (the settling time of what never settles).
 
     Args:
-        arm: the arm of the rollout.
         rollout: what was simulated.
         evaluation: of that rollout.
         collisions: of the arm.
@@ -99,7 +98,7 @@ def rollout_metrics(arm: Arm, rollout: Rollout, evaluation: Evaluation, collisio
     clearance = least_clearance(rollout, collisions)
     if np.isfinite(clearance):
         values["clearance_mm"] = 1e3 * clearance
-    return values | violations(arm, rollout)
+    return values | violations(rollout)
 
 
 def least_clearance(rollout: Rollout, collisions: Collisions) -> float:
@@ -115,11 +114,12 @@ def least_clearance(rollout: Rollout, collisions: Collisions) -> float:
     return least
 
 
-def violations(arm: Arm, rollout: Rollout) -> dict[str, float]:
+def violations(rollout: Rollout) -> dict[str, float]:
     """Samples at which a joint is beyond its position, velocity or acceleration limit, and the worst excess.
 
     Positions are in units of the joint's range, velocities and accelerations in units of their limits.
     """
+    arm = rollout.arm
     ranges = arm.position_limits[:, 1] - arm.position_limits[:, 0]
     acceleration = np.diff(rollout.qd, axis=0) / rollout.timestep
     outside = arm.limit_excess(rollout.q)

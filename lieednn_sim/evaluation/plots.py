@@ -15,11 +15,10 @@ from matplotlib.ticker import NullFormatter
 from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim import storage
-from lieednn_sim.arm import Arm
+from lieednn_sim.errors import InputError
 from lieednn_sim.evaluation.figure_layout import settle
 from lieednn_sim.evaluation.metrics import SETTLED_ROTATION, SETTLED_TRANSLATION, pose_errors
 from lieednn_sim.learning import History
-from lieednn_sim.planning.motion import Motion
 from lieednn_sim.simulation import Rollout
 
 Floats = NDArray[np.float64]
@@ -46,8 +45,15 @@ _STYLE: Any = {
 }
 
 
-def plot_network(arm: Arm, motion: Motion, path: str | os.PathLike[str]) -> None:
-    """States xi(t) of each neuron, angles and lengths apart, with their targets dashed; a neuron moves a link."""
+def plot_network(rollout: Rollout, path: str | os.PathLike[str]) -> None:
+    """States xi(t) of each neuron, angles and lengths apart, with their targets dashed; a neuron moves a link.
+
+    Raises:
+        InputError: the rollout followed no plan.
+    """
+    arm, motion = rollout.arm, rollout.motion
+    if motion is None:
+        raise InputError("the rollout does not know the plan that it followed, so there are no states to plot")
     n = arm.n_links
     # Rows beyond what fits a page stand beside the others.
     blocks = -(-n // _MOST_ROWS)
@@ -81,15 +87,15 @@ def plot_network(arm: Arm, motion: Motion, path: str | os.PathLike[str]) -> None
         _save(figure, path)
 
 
-def plot_tracking(arm: Arm, rollout: Rollout, target: ArrayLike, path: str | os.PathLike[str]) -> None:
+def plot_tracking(rollout: Rollout, path: str | os.PathLike[str]) -> None:
     """Tracking error of every link frame, and the end effector's distance to its target on a logarithmic scale.
 
     A line marks the end of the motion, grey bands are pushes. What is below a hundredth of the settled error is not
     shown: it is rounding.
     """
-    simulated = rollout.link_poses()
+    arm, simulated = rollout.arm, rollout.link_poses()
     tracking = pose_errors(simulated, arm.link_poses(rollout.q_ref))
-    to_go = [error[:, -1] for error in pose_errors(simulated, arm.link_poses(target))]
+    to_go = [error[:, -1] for error in pose_errors(simulated, arm.link_poses(rollout.target))]
     columns = (
         ("translation", "[mm]", 1e3 * tracking[0], 1e3 * to_go[0], 1e3 * SETTLED_TRANSLATION),
         ("rotation", "[deg]", np.rad2deg(tracking[1]), np.rad2deg(to_go[1]), np.rad2deg(SETTLED_ROTATION)),
@@ -138,12 +144,13 @@ def _mark_events(axis: Any, rollout: Rollout) -> None:
         axis.axvspan(push.start, min(push.end, rollout.t[-1]), color=_PUSH, zorder=0)
 
 
-def plot_joints(arm: Arm, rollout: Rollout, path: str | os.PathLike[str]) -> None:
+def plot_joints(rollout: Rollout, path: str | os.PathLike[str]) -> None:
     """Reference and simulated position with its limits, error, velocity and drive force of each joint.
 
     Velocity and force are in percent of their limits, and plain where there is none. Joints of one unit share the
     scale of each column, so that little looks little. More than `_MOST_ROWS` coordinates stand in several blocks.
     """
+    arm = rollout.arm
     blocks = -(-arm.n_joints // _MOST_ROWS)
     rows = -(-arm.n_joints // blocks)
     width, height = 14.0 * blocks, 1.3 + 1.25 * rows
@@ -162,7 +169,7 @@ def plot_joints(arm: Arm, rollout: Rollout, path: str | os.PathLike[str]) -> Non
                 hspace=0.2,
             )
             joints = range(block * rows, min((block + 1) * rows, arm.n_joints))
-            _plot_joints(grid.subplots(sharex=True, squeeze=False), arm, rollout, joints)
+            _plot_joints(grid.subplots(sharex=True, squeeze=False), rollout, joints)
         entries: dict[str, Any] = {
             "simulated": Line2D([], [], color=_COLOURS[0]),
             "reference": Line2D([], [], color=_COLOURS[4], ls="--"),
@@ -177,8 +184,9 @@ def plot_joints(arm: Arm, rollout: Rollout, path: str | os.PathLike[str]) -> Non
         _save(figure, path)
 
 
-def _plot_joints(axes: Any, arm: Arm, rollout: Rollout, joints: range) -> None:
+def _plot_joints(axes: Any, rollout: Rollout, joints: range) -> None:
     """Fill rows of axes ``(rows, 4)``; what is left over is hidden."""
+    arm = rollout.arm
     angular = np.array([arm.unit(j) == "rad" for j in range(arm.n_joints)])
     error = np.where(angular, np.rad2deg(1.0), 1e3) * (rollout.q - rollout.q_ref)
     for row, j in zip(axes, joints, strict=False):

@@ -136,9 +136,7 @@ class Camera:
 
 
 def render_video(
-    arm: Arm,
     rollout: Rollout,
-    target: ArrayLike,
     path: str | os.PathLike[str],
     *,
     camera: str | None = None,
@@ -153,9 +151,7 @@ def render_video(
     The time, the names of arm, scene and controller, and the key of colours stand in a corner.
 
     Args:
-        arm: the arm of the rollout.
-        rollout: what was simulated.
-        target: joint target ``(n,)``, shown by the marker.
+        rollout: what was simulated; the marker shows its target.
         path: ``.mp4`` or ``.gif``; it appears only when the video is complete.
         camera: as for `Camera`.
         size: (width, height) in pixels.
@@ -169,8 +165,7 @@ def render_video(
     """
     if Path(path).suffix not in (".mp4", ".gif"):
         raise InputError(f"a video's name must end in .mp4 or .gif, got {Path(path).name!r}")
-    if rollout.arm != arm.name:
-        raise InputError(f"the rollout is of arm {rollout.arm!r}, not of {arm.name!r}")
+    arm = rollout.arm
     rate = check_rate(fps, path)
     # The small slack keeps the last frame when duration * fps is a whole number up to rounding.
     total = int(np.floor((rollout.t[-1] - rollout.t[0]) * rate + 1e-6)) + 1
@@ -179,7 +174,7 @@ def render_video(
     names = [title] if title else []
     names += [arm.name if arm.scene == "free" else f"{arm.name}, {arm.scene}", rollout.controller]
     end = rollout.t[-1]
-    view = Camera(arm, camera=camera, size=size, preset=preset, target=target)
+    view = Camera(arm, camera=camera, size=size, preset=preset, target=rollout.target)
     with view, storage.atomic_path(path) as temporary:
         with _writer(temporary, size, rate) as append:
             for done, k in enumerate(samples, start=1):

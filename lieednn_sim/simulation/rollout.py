@@ -15,6 +15,7 @@ from lieednn_sim import storage
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import FileError, InputError
+from lieednn_sim.planning.motion import Motion
 from lieednn_sim.simulation.controllers import CONTROLLERS
 from lieednn_sim.simulation.disturbances import Disturbances, tangent_basis
 from lieednn_sim.simulation.log import Instant
@@ -33,6 +34,7 @@ _ARRAYS = (
     "contacts",
     "contact_force",
     *_PER_LINK,
+    "target",
 )
 
 
@@ -42,10 +44,10 @@ def _zeros() -> Floats:
 
 @dataclass(frozen=True)
 class Rollout:
-    """Log of a simulation; row k of every array belongs to time t[k].
+    """Log of a simulation and what it was made from; row k of every array over time belongs to time t[k].
 
     Attributes:
-        arm: name of the arm.
+        arm: what was simulated, among its obstacles.
         t: ``(K,)`` [s].
         q: ``(K, n)`` joint coordinates [rad, m].
         qd: ``(K, n)`` their rates [rad/s, m/s].
@@ -65,9 +67,14 @@ class Rollout:
         controller: a name of `CONTROLLERS`.
         reference_rate: rate at which the controller saw samples of the reference [Hz], None for every step.
         disturbances: what the controller did not know of.
+        motion: the plan that was followed, None where there was none.
+        target: ``(n,)`` joint position that was to be reached; by default the reference's last one.
+
+    Raises:
+        InputError: arrays are malformed, or arm, motion and what was simulated do not belong together.
     """
 
-    arm: str
+    arm: Arm
     t: Floats
     q: Floats
     qd: Floats
@@ -86,11 +93,12 @@ class Rollout:
     controller: str = "position-servo"
     reference_rate: float | None = None
     disturbances: Disturbances = field(default_factory=Disturbances)
+    motion: Motion | None = None
+    target: Floats = field(default_factory=_zeros)
 
     def __post_init__(self) -> None:
         k = len(as_times("t", self.t))
-        n = as_floats("q", self.q, (k, "n")).shape[1]
-        links = as_floats("link_position", self.link_position, (k, "N", 3)).shape[1]
+        n, links = self.arm.n_joints, self.arm.n_links
         shapes: dict[str, tuple[int | str, ...]] = {
             "t": (k,),
             **dict.fromkeys(_PER_COORDINATE, (k, n)),
@@ -100,22 +108,27 @@ class Rollout:
             "contacts": (k,),
             "contact_force": (k,),
             **dict.fromkeys(_PER_LINK, (k, links)),
+            "target": (n,),
         }
         for name, shape in shapes.items():
             given = getattr(self, name)
             if name in ("contact_force", *_PER_LINK) and np.size(given) == 0:
                 given = np.zeros([int(size) for size in shape])
+            if name == "target" and np.size(given) == 0:
+                given = self.q_ref[-1]
             value: Any = as_floats(name, given, shape)
             object.__setattr__(self, name, value.astype(int) if name == "contacts" else value)
         if not (np.linalg.norm(self.link_quaternion, axis=-1) > 0.5).all():
             raise InputError("link_quaternion must hold unit quaternions")
         if self.reference_rate is not None:
             object.__setattr__(self, "reference_rate", as_positive("reference_rate", self.reference_rate))
+        if self.motion is not None and not np.array_equal(self.q_ref[: len(self.motion.q)], self.motion.q[:k]):
+            raise InputError("the motion is another one than the rollout followed")
 
     def __repr__(self) -> str:
         touching = int(np.count_nonzero(self.contacts))
         return (
-            f"<Rollout of {self.arm} by {self.controller}: {len(self.t)} samples in {self.t[-1]:g} s, "
+            f"<Rollout of {self.arm.name} by {self.controller}: {len(self.t)} samples in {self.t[-1]:g} s, "
             f"{self.q.shape[1]} joints, {self.link_position.shape[1]} links, contact in {touching} samples>"
         )
 
@@ -137,7 +150,9 @@ class Rollout:
     def save(self, path: str | os.PathLike[str], made_from: Mapping[str, str] | None = None) -> None:
         """Write to an ``.npz`` file, atomically; ``made_from`` as for `storage.save_arrays`."""
         meta = {
-            "arm": self.arm,
+            "arm": self.arm.name,
+            "scene": self.arm.scene,
+            "model": self.arm.fingerprint,
             "motion_end": self.motion_end,
             "controller": self.controller,
             "reference_rate": self.reference_rate,
@@ -147,14 +162,30 @@ class Rollout:
         storage.save_arrays(path, "rollout", {name: getattr(self, name) for name in _ARRAYS}, meta, made_from)
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> Rollout:
-        """Read a file of `save`; `FileError` when it is none."""
+    def load(cls, path: str | os.PathLike[str], arm: Arm, motion: Motion | None = None) -> Rollout:
+        """Read a file of `save`.
+
+        Args:
+            path: of the file.
+            arm: that was simulated, in the same scene.
+            motion: the plan that was followed, which the file does not hold.
+
+        Raises:
+            FileError: it is no such file, or it was made with another arm, scene or motion.
+        """
         arrays, meta = storage.load_arrays(path, "rollout")
+        if meta.get("model") != arm.fingerprint:
+            raise FileError(
+                f"{path} is of arm {meta.get('arm')!r} in scene {meta.get('scene')!r} (fingerprint "
+                f"{storage.short(meta.get('model'))}), not of {arm.name!r} in scene {arm.scene!r} "
+                f"({storage.short(arm.fingerprint)}); load it with its own arm, or simulate it again"
+            )
         values = dict(zip(_ARRAYS, storage.take(arrays, path, *_ARRAYS), strict=True))
         try:
             rate = meta["reference_rate"]
             return cls(
-                arm=str(meta["arm"]),
+                arm=arm,
+                motion=motion,
                 motion_end=float(meta["motion_end"]),
                 controller=as_choice("controller", meta["controller"], CONTROLLERS),
                 reference_rate=None if rate is None else float(rate),
@@ -172,7 +203,7 @@ def as_rollout(arm: Arm, instants: Instant, q_ref: Floats, qd_ref: Floats, **met
     qvel = log.pop("qvel")
     q = arm.coordinates(log.pop("qpos"))
     return Rollout(
-        arm=arm.name,
+        arm=arm,
         q=q,
         qd=arm.rates(q, qvel),
         q_ref=q_ref[:rows].copy(),

@@ -7,12 +7,14 @@ import os
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError, SimulationError
+from lieednn_sim.planning import Plan
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.simulation.controllers import CONTROLLERS
 from lieednn_sim.simulation.controllers.base import Controller
@@ -49,8 +51,9 @@ def as_hold(value: float) -> float:
 
 def simulate(
     arm: Arm,
-    motion: Motion,
+    motion: Plan | Motion,
     *,
+    target: ArrayLike | None = None,
     controller: str = "position-servo",
     hold: float = 1.0,
     mass_scale: float = 1.0,
@@ -66,7 +69,8 @@ def simulate(
 
     Args:
         arm: the arm; its model is not changed.
-        motion: sampled at the model's time step.
+        motion: sampled at the model's time step; or the plan that holds it.
+        target: ``(n,)`` joint position that the motion shall reach; by default the plan's, or where the motion ends.
         controller: a name of `CONTROLLERS`.
         hold: time after the end of the motion [s].
         mass_scale: short for `Disturbances.mass_scale`, and multiplied with it.
@@ -80,6 +84,8 @@ def simulate(
         InputError: the motion does not fit the model.
         SimulationError: a warning of MuJoCo or a state that is not finite; names the time and the dump.
     """
+    if isinstance(motion, Plan):
+        target, motion = motion.target if target is None else target, motion.motion
     for name, value, kind in (("arm", arm, Arm), ("motion", motion, Motion)):
         if not isinstance(value, kind):
             raise InputError(f"{name} must be of type {kind.__name__}, got {type(value).__name__}")
@@ -101,12 +107,14 @@ def simulate(
     )
     changes = Disturbances() if disturbances is None else disturbances
     changes = dataclasses.replace(changes, mass_scale=as_positive("mass_scale", mass_scale) * changes.mass_scale)
+    meta: dict[str, Any] = {"motion": motion, "controller": controller, "reference_rate": rate, "disturbances": changes}
+    if target is not None:
+        meta["target"] = arm.check_position(target, "target")
     driver, simulation = make_controlled(arm, controller, reference, changes)
     simulation.reset(reference.q[0])
 
     total = len(reference.q)
     log = Log(simulation, total)
-    meta = {"controller": controller, "reference_rate": rate, "disturbances": changes}
     shown = time.monotonic()
     try:
         with quiet_warnings():

@@ -145,7 +145,8 @@ def test_a_planner_without_a_network_goes_the_whole_road(tmp_path, capsys):
     assert Task.load(directory / "task.json").planner == "minimum-jerk"
     printed = capsys.readouterr().out
     assert "planner: minimum-jerk (asked for), at most 60 s of CPU time" in printed
-    motion, rollout = Motion.load(directory / "motion.npz"), Rollout.load(directory / "rollout.npz")
+    motion = Motion.load(directory / "motion.npz")
+    rollout = Rollout.load(directory / "rollout.npz", Arm.load("telescopic_pr"))
     np.testing.assert_array_equal(rollout.q_ref[: len(motion.t)], motion.q)
     np.testing.assert_array_equal(motion.gap_translation, 0.0)
     assert json.loads((directory / "metrics.json").read_text())["frames"][-1]["final_translation_mm"] < 1.0
@@ -160,7 +161,7 @@ def test_large_objects_are_shown_in_a_line():
     zeros, unit = np.zeros((k, n)), np.tile([1.0, 0.0, 0.0, 0.0], (k, links, 1))
     log = dict.fromkeys(("q", "qd", "q_ref", "qd_ref", "ctrl", "force", "constraint_force"), zeros)
     poses = {"link_position": np.zeros((k, links, 3)), "link_quaternion": unit}
-    rollout = Rollout(arm=arm.name, t=motion.t, **log, **poses, contacts=np.zeros(k, dtype=int), motion_end=0.4)
+    rollout = Rollout(arm=arm, t=motion.t, **log, **poses, contacts=np.zeros(k, dtype=int), motion_end=0.4)
     learned = learn(0.1 * np.ones((2, 6)), TrainingOptions.tracked(max_epochs=2))
     shown = {
         "Rollout of telescopic_pr by position-servo": rollout,

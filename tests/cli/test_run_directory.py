@@ -56,7 +56,7 @@ def save(path, made, **changes):
     run = RunDirectory(path)
     run.create()
     run.save_network(task, network, motion)
-    run.save_rollout(task, motion, rollout)
+    run.save_rollout(task, dataclasses.replace(rollout, motion=motion))
     return run, task
 
 
@@ -73,7 +73,7 @@ def test_what_was_made_from_each_other_is_read_back(tmp_path, made):
     assert run.load_task()[0] == task
     np.testing.assert_array_equal(run.load_network(task).bias, made[1].bias)
     np.testing.assert_array_equal(run.load_motion(task).q, made[2].q)
-    np.testing.assert_array_equal(run.load_rollout(task).q, made[3].q)
+    np.testing.assert_array_equal(run.load_rollout(task, made[3].arm).q, made[3].q)
     assert list(run.check(task, "network", "motion", "rollout")) == ["task", "network", "motion", "rollout"]
 
 
@@ -85,7 +85,7 @@ def test_files_of_different_runs_are_refused_and_both_named(tmp_path, made, chan
     shutil.copy(getattr(other, name), getattr(run, name))
     source = "task"
     with pytest.raises(FileError, match=rf"{name}\.npz was made from another {source} than .*task\.json \(fingerprint"):
-        run.load_rollout(task)
+        run.load_rollout(task, made[3].arm)
 
 
 def test_a_motion_of_another_network_and_a_rollout_of_another_motion_are_refused(tmp_path, made):
@@ -95,7 +95,7 @@ def test_a_motion_of_another_network_and_a_rollout_of_another_motion_are_refused
     other, _ = save(tmp_path / "other", (task, network, later, rollout))
     shutil.copy(other.motion, run.motion)
     with pytest.raises(FileError, match=r"rollout\.npz was made from another motion than .*motion\.npz"):
-        run.load_rollout(task)
+        run.load_rollout(task, made[3].arm)
     other.save_network(task, network.retarget(motion.xi[0]), motion)
     shutil.copy(other.motion, run.motion)
     with pytest.raises(FileError, match=r"motion\.npz was made from another network than .*network\.npz"):
@@ -196,7 +196,7 @@ def test_a_run_that_is_killed_while_it_replaces_another_leaves_no_mixture(tmp_pa
                 patch.setattr(type(tmp_path), name, mortal(name))
             try:
                 run.save_network(new, network, motion)
-                run.save_rollout(new, motion, rollout)
+                run.save_rollout(new, rollout)
                 finished = True
             except _Killed:
                 finished = False
@@ -261,7 +261,9 @@ def test_a_run_can_be_made_again_from_task_and_metrics(tmp_path, capsys):
             with np.load(directory / name) as archive:
                 contents.append({key: archive[key].tobytes() for key in archive.files if key != "meta_json"})
         assert contents[0] == contents[1], name
-    assert Rollout.load(second / "rollout.npz").disturbances == Rollout.load(first / "rollout.npz").disturbances
+    arm = Arm.load(task["arm"])
+    one, other = (Rollout.load(directory / "rollout.npz", arm) for directory in (first, second))
+    assert one.disturbances == other.disturbances
     assert "planner: lieednn-certified (asked for)" in capsys.readouterr().out
 
 
@@ -318,7 +320,7 @@ def test_a_command_waits_for_no_other_but_says_that_one_is_at_work(tmp_path, mad
         assert busy in fails(capsys, "simulate", run.path)
     with storage.locked(tmp_path):
         assert f"at work in {tmp_path}" in fails(capsys, "compare", "--output", tmp_path)
-    run.load_rollout(task)
+    run.load_rollout(task, made[3].arm)
 
 
 def test_what_a_killed_command_left_half_written_is_removed_by_the_next(tmp_path, made):

@@ -43,7 +43,7 @@ def rollout(gantry):
     zeros = np.zeros((2, 4))
     poses = gantry.link_poses(zeros)
     return Rollout(
-        arm=gantry.name,
+        arm=gantry,
         t=np.array([0.0, 0.01]),
         **dict.fromkeys(("q", "qd", "q_ref", "qd_ref", "ctrl", "force", "constraint_force"), zeros),
         link_position=poses.translation,

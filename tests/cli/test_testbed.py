@@ -101,7 +101,7 @@ def test_a_planners_motion_is_simulated_and_never_a_stale_one(tmp_path, capsys):
     planned, task = Motion.load(directory / "motion.npz"), Task.load(directory / "task.json")
     assert task.planner == "linear-law"
     assert main(["simulate", str(directory), "--hold", "0"]) == 0
-    np.testing.assert_array_equal(Rollout.load(directory / "rollout.npz").q_ref, planned.q)
+    np.testing.assert_array_equal(Rollout.load(directory / "rollout.npz", task.load_arm()).q_ref, planned.q)
     elsewhere = [*task.target[:-1], task.target[-1] - 0.01]
     (directory / "task.json").write_text(
         (directory / "task.json").read_text().replace(*map(str, (task.target[-1], elsewhere[-1])))
@@ -114,7 +114,7 @@ def test_a_planners_motion_is_simulated_and_never_a_stale_one(tmp_path, capsys):
     assert main(["simulate", str(directory), "--hold", "0"]) == 0
     arm, network = Arm.load("telescopic_pr"), LieEDNN.load(directory / "network.npz")
     own = make_motion(arm, network, task.start, task.duration, arm.model.opt.timestep)
-    np.testing.assert_array_equal(Rollout.load(directory / "rollout.npz").q_ref, own.q)
+    np.testing.assert_array_equal(Rollout.load(directory / "rollout.npz", arm, own).q_ref, own.q)
 
 
 @pytest.mark.usefixtures("no_ink")
@@ -137,7 +137,7 @@ def test_disturbances_reach_the_simulation_and_are_reported(tmp_path, capsys):
     arm = Arm.load("telescopic_pr")
     body = arm.model.body(arm.model.site_bodyid[arm.site_ids[1]]).name
     assert main([word.replace("forearm", body) for word in road]) == 0
-    rollout = Rollout.load(directory / "rollout.npz")
+    rollout = Rollout.load(directory / "rollout.npz", arm)
     told = rollout.disturbances
     assert rollout.reference_rate == 100.0
     assert told.pushes == (Push(body, (1e-9, 0.0, 0.0), 0.5, 0.1), Push("end effector", (0.0, -30.0, 5.5), 3.1, 0.1))
@@ -206,10 +206,10 @@ def test_the_joints_of_a_large_arm_stand_in_two_blocks(tmp_path, monkeypatch):
     log = {"q": q, "qd": zeros, "q_ref": q, "qd_ref": zeros, "ctrl": zeros, "force": zeros, "constraint_force": zeros}
     poses = {"link_position": np.zeros((rows, links, 3)), "link_quaternion": unit}
     contacts = np.zeros(rows, dtype=int)
-    rollout = Rollout(arm=arm.name, t=np.arange(3.0), **log, **poses, contacts=contacts, motion_end=1.0)
+    rollout = Rollout(arm=arm, t=np.arange(3.0), **log, **poses, contacts=contacts, motion_end=1.0)
     drawn = []
     monkeypatch.setattr(plots, "_save", lambda figure, path: drawn.append(figure))
-    plots.plot_joints(arm, rollout, tmp_path / "joints.png")
+    plots.plot_joints(rollout, tmp_path / "joints.png")
     (figure,) = drawn
     width, height = figure.get_size_inches()
     assert 1.0 < width / height < 2.0

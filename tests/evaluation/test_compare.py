@@ -190,12 +190,12 @@ def test_violations_and_clearance_see_the_simulated_motion():
     arm = Arm.load("telescopic_pr")
     motion = plan_with("minimum-jerk", PlanningProblem(arm, arm.keyframe("home"), arm.keyframe("extended"), 1.5))
     rollout = simulate(arm, motion, hold=0.1)
-    assert all(value == 0.0 for value in violations(arm, rollout).values())
+    assert all(value == 0.0 for value in violations(rollout).values())
     # The same motion within half the speed limits: count and excess by another road.
     slow = Arm.load("telescopic_pr")
     share = np.abs(rollout.qd).max(axis=0) / slow.velocity_limits
     object.__setattr__(slow, "velocity_limits", slow.velocity_limits * share.max() / 2.0)
-    found = violations(slow, rollout)
+    found = violations(replace(rollout, arm=slow))
     assert found["velocity_excess"] == pytest.approx(1.0)
     over = [any(abs(row) > 1.001 * slow.velocity_limits) for row in rollout.qd]
     assert found["velocity_violations"] == sum(over) > 10

@@ -27,7 +27,7 @@ def perfect(arm):
     q = (1.0 - share) * arm.keyframe("home") + share * arm.keyframe("extended")
     poses = arm.link_poses(q)
     return Rollout(
-        arm=arm.name,
+        arm=arm,
         t=t,
         q=q,
         qd=np.gradient(q, t, axis=0),
@@ -44,7 +44,7 @@ def perfect(arm):
 
 
 def test_a_perfect_rollout_has_no_error(arm, perfect):
-    result = evaluate(arm, perfect, arm.keyframe("extended"))
+    result = evaluate(perfect)
     for frame in result.frames:
         assert frame.final_translation_mm < 1e-9
         assert frame.max_translation_mm < 1e-9
@@ -59,7 +59,7 @@ def test_a_perfect_rollout_has_no_error(arm, perfect):
 def test_a_known_offset_is_measured(arm, perfect):
     shifted = perfect.link_position.copy()
     shifted[:, -1, 2] += 3e-3
-    result = evaluate(arm, dataclasses.replace(perfect, link_position=shifted), arm.keyframe("extended"))
+    result = evaluate(dataclasses.replace(perfect, link_position=shifted))
     tip = result.end_effector
     assert (tip.rms_translation_mm, tip.max_translation_mm, tip.final_translation_mm) == pytest.approx((3.0, 3.0, 3.0))
     assert tip.settling_time is None
@@ -67,7 +67,7 @@ def test_a_known_offset_is_measured(arm, perfect):
 
 
 def test_json_and_csv_hold_the_same_numbers(arm, perfect, tmp_path):
-    result = evaluate(arm, perfect, arm.keyframe("extended"))
+    result = evaluate(perfect)
     result.save_json(tmp_path / "metrics.json")
     result.save_csv(tmp_path / "metrics.csv")
     frames = json.loads((tmp_path / "metrics.json").read_text())["frames"]
@@ -79,9 +79,15 @@ def test_json_and_csv_hold_the_same_numbers(arm, perfect, tmp_path):
     assert float(rows[-1]["settling_time"]) == frames[-1]["settling_time"]
 
 
-def test_rollouts_of_another_arm_are_refused(arm, perfect):
-    with pytest.raises(InputError, match="of arm 'other'"):
-        evaluate(arm, dataclasses.replace(perfect, arm="other"), arm.keyframe("extended"))
+def test_a_rollout_of_another_arm_or_motion_cannot_be_made(gantry, perfect):
+    with pytest.raises(InputError, match=r"q must have shape \(201, 4\)"):
+        dataclasses.replace(perfect, arm=gantry)
+    rest = still(gantry, 5)
+    zeros = np.zeros((3, 4))
+    planned = Motion(rest.t[:3], rest.t[:3], np.zeros((3, 2, 6)), np.zeros((2, 6)), zeros, zeros, *np.zeros((2, 3, 2)))
+    assert evaluate(dataclasses.replace(rest, motion=planned)).max_gap_translation_mm == 0.0
+    with pytest.raises(InputError, match="the motion is another one"):
+        dataclasses.replace(rest, motion=dataclasses.replace(planned, q=zeros + 1e-9))
 
 
 def test_every_number_of_an_evaluation_by_hand(gantry, tmp_path):
@@ -97,7 +103,7 @@ def test_every_number_of_an_evaluation_by_hand(gantry, tmp_path):
         gap_translation=np.array([[0.001, 0.003], [0.002, 0.007], [0.004, 0.001], [0.0, 0.0], [0.0, 0.0]]),
         gap_rotation=np.deg2rad([[1.0, 2.0], [5.0, 3.0], [4.0, 1.0], [0.0, 0.0], [0.0, 0.0]]),
     )
-    result = evaluate(gantry, rollout, [0.0, 0.0, 0.008, np.deg2rad(7.0)], motion)
+    result = evaluate(dataclasses.replace(rollout, motion=motion, target=[0.0, 0.0, 0.008, np.deg2rad(7.0)]))
     result.save_json(tmp_path / "metrics.json")
     found = json.loads((tmp_path / "metrics.json").read_text())
     expected = {
@@ -186,7 +192,7 @@ def by_hand(arm):
     pulls = zeros.copy()
     pulls[4] = [-0.25, 0.0, 1.5, 0.0]
     return Rollout(
-        arm=arm.name,
+        arm=arm,
         t=t,
         q=zeros,
         qd=rates,
@@ -219,7 +225,7 @@ def still(arm, steps, timestep=0.01):
     zeros = np.zeros((steps, arm.n_joints))
     poses = arm.link_poses(zeros)
     return Rollout(
-        arm=arm.name,
+        arm=arm,
         t=timestep * np.arange(steps),
         q=zeros,
         qd=zeros,
@@ -252,16 +258,15 @@ def moved(rollout, row, link, millimetres):
 
 def test_the_time_of_settling_is_of_the_worse_of_distance_and_angle(gantry):
     rollout = still(gantry, 10)
-    target = np.zeros(4)
-    assert [frame.settling_time for frame in evaluate(gantry, rollout, target).frames] == [0.0, 0.0]
+    assert [frame.settling_time for frame in evaluate(rollout).frames] == [0.0, 0.0]
     for change, size in ((moved, 1.0), (turned, 0.1)):
         # Within the bound at 0.03 s, beyond it before and at 0.05 s: settled at the instant after.
         touched = change(change(rollout, 3, 1, 0.99 * size), 5, 1, 1.01 * size)
-        assert [frame.settling_time for frame in evaluate(gantry, touched, target).frames] == [0.0, pytest.approx(0.06)]
+        assert [frame.settling_time for frame in evaluate(touched).frames] == [0.0, pytest.approx(0.06)]
         within = change(rollout, 3, 1, 0.99 * size)
-        assert evaluate(gantry, within, target).end_effector.settling_time == 0.0
+        assert evaluate(within).end_effector.settling_time == 0.0
         never = change(rollout, 9, 0, 1.01 * size)
-        assert evaluate(gantry, never, target).frames[0].settling_time is None
+        assert evaluate(never).frames[0].settling_time is None
 
 
 def test_recovery_from_pushes_by_hand(gantry):
@@ -275,24 +280,22 @@ def test_recovery_from_pushes_by_hand(gantry):
     rollout = turned(turned(rollout, 12, 1, 8.0), 19, 0, 0.09)
     # The second push: 30 degrees while it lasts, 3 mm at its last instant and in the last step.
     rollout = turned(moved(rollout, 22, 0, 3.0), 20, 1, 30.0)
-    first, second = evaluate(gantry, rollout, np.zeros(4)).recoveries
+    first, second = evaluate(rollout).recoveries
     assert dataclasses.astuple(first) == pytest.approx(("link 1", 0.1, 0.12, 4.0, 8.0, 0.04))
     assert dataclasses.astuple(second) == pytest.approx(("end effector", 0.2, 0.23, 3.0, 30.0, 0.0))
-    late = evaluate(gantry, moved(rollout, 30, 1, 6.0), np.zeros(4)).recoveries[1]
+    late = evaluate(moved(rollout, 30, 1, 6.0)).recoveries[1]
     assert (late.peak_deviation_mm, late.recovery_time) == (pytest.approx(6.0), None)
 
 
 def test_pushes_that_begin_together_share_their_recovery(gantry):
     pushes = tuple(Push(body, (1.0, 0.0, 0.0), 0.1, 0.02) for body in ("link 1", "end effector"))
     rollout = moved(moved(still(gantry, 31), 11, 0, 4.0), 15, 1, 2.0)
-    one, other = evaluate(
-        gantry, dataclasses.replace(rollout, disturbances=Disturbances(pushes=pushes)), np.zeros(4)
-    ).recoveries
+    one, other = evaluate(dataclasses.replace(rollout, disturbances=Disturbances(pushes=pushes))).recoveries
     assert dataclasses.astuple(one)[1:] == dataclasses.astuple(other)[1:] == pytest.approx((0.1, 0.12, 4.0, 0.0, 0.04))
     # Less than a step apart: the first has no instant of its own.
     pushes = (pushes[0], dataclasses.replace(pushes[1], start=0.101))
     changed = dataclasses.replace(rollout, disturbances=Disturbances(pushes=pushes))
-    first, second = evaluate(gantry, changed, np.zeros(4)).recoveries
+    first, second = evaluate(changed).recoveries
     assert (first.peak_deviation_mm, first.peak_deviation_deg, first.recovery_time) == (0.0, 0.0, None)
     assert second.peak_deviation_mm == pytest.approx(4.0)
 
@@ -322,7 +325,7 @@ def test_following_errors_by_hand(gantry):
         gap_translation=0.0,
         gap_rotation=0.0,
     )
-    errors = evaluate_following(gantry, following)
+    errors = evaluate_following(following)
     # Ten instants 10 mm behind, three 60 mm.
     assert errors.rms_translation_mm == pytest.approx(np.sqrt((10 * 10.0**2 + 3 * 60.0**2) / 21))
     assert errors.rms_rotation_deg == pytest.approx(21.0 / np.sqrt(21.0))
@@ -332,8 +335,6 @@ def test_following_errors_by_hand(gantry):
     assert errors.lag == pytest.approx((9 * 0.01 + 2 * 0.06) * 0.5 / (19 * 0.25))
     assert errors.settling_times == (pytest.approx(0.06),)
     away = moved(rollout, 20, 0, 1.5)
-    assert evaluate_following(gantry, dataclasses.replace(following, rollout=away)).settling_times == (None,)
+    assert evaluate_following(dataclasses.replace(following, rollout=away)).settling_times == (None,)
     rest = dataclasses.replace(following, target=np.zeros((21, 4)), jumps=())
-    assert evaluate_following(gantry, rest).lag is None
-    with pytest.raises(InputError, match="of arm 'other'"):
-        evaluate_following(gantry, dataclasses.replace(following, rollout=dataclasses.replace(rollout, arm="other")))
+    assert evaluate_following(rest).lag is None

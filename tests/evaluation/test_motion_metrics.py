@@ -29,7 +29,7 @@ def motion_of(arm, t, q, qd):
 def rollout_of(arm, q, qd, contacts=None):
     poses = arm.link_poses(q)
     return Rollout(
-        arm=arm.name,
+        arm=arm,
         t=0.01 * np.arange(len(q)),
         q=q,
         qd=qd,
@@ -125,7 +125,7 @@ def test_a_row_takes_the_worst_link_the_effector_and_the_hardest_joint(gantry):
     )
     joints = (JointUse("x", 1.0, 2.0, 9.0, 10.0, 0.0), JointUse("turn", 3.0, 4.0, 1.0, np.inf, 0.0))
     rest = rollout_of(gantry, np.tile([0.0, 0.0, -0.5, 0.0], (7, 1)), np.zeros((7, 4)))
-    found = rollout_metrics(gantry, rest, evaluation_of(frames, joints), Collisions(gantry))
+    found = rollout_metrics(rest, evaluation_of(frames, joints), Collisions(gantry))
     assert found == pytest.approx(
         {
             "path_m": 2.5,
@@ -146,7 +146,7 @@ def test_a_row_takes_the_worst_link_the_effector_and_the_hardest_joint(gantry):
         }
     )
     frames = (*frames[:2], frame("end effector", 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, settled=None))
-    assert "settling_s" not in rollout_metrics(gantry, rest, evaluation_of(frames, joints), Collisions(gantry))
+    assert "settling_s" not in rollout_metrics(rest, evaluation_of(frames, joints), Collisions(gantry))
 
 
 def test_clearance_is_looked_at_every_fifth_sample_and_at_contacts(gantry):
@@ -166,7 +166,7 @@ def test_violations_by_hand(gantry):
     q[0, 0], q[1, 0], q[2, 1], q[2, 2] = 1.0 + 9e-7, 1.0 + 2e-6, -3.0, 3.5
     # Limits are 1, 2, 4, 8 and 10, 20, 40, 80 with steps of 0.01 s.
     qd[:, 0], qd[3:, 1] = 1.0009, -2.5
-    found = violations(gantry, rollout_of(gantry, q, qd))
+    found = violations(rollout_of(gantry, q, qd))
     assert found == pytest.approx(
         {
             "position_violations": 2,
@@ -192,8 +192,8 @@ def test_success_needs_every_link_within_both_bounds_and_no_contact(gantry):
 def test_evaluations_and_rows_agree_on_units(gantry):
     """The same offset through both: 0.02 m in y and 0.05 rad from the target at the end."""
     q = np.tile([0.0, 0.02, 0.0, 0.05], (5, 1))
-    rollout = rollout_of(gantry, q, np.zeros((5, 4)))
-    found = rollout_metrics(gantry, rollout, evaluate(gantry, rollout, np.zeros(4)), Collisions(gantry))
+    rollout = dataclasses.replace(rollout_of(gantry, q, np.zeros((5, 4))), target=np.zeros(4))
+    found = rollout_metrics(rollout, evaluate(rollout), Collisions(gantry))
     assert found["final_worst_mm"] == found["final_effector_mm"] == pytest.approx(20.0)
     assert found["final_worst_deg"] == found["final_effector_deg"] == pytest.approx(np.rad2deg(0.05))
     assert found["tracking_max_mm"] == pytest.approx(0.0, abs=1e-9)

@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from lieednn_sim.arm import Arm
+from lieednn_sim.errors import InputError
 from lieednn_sim.evaluation import plots
 from lieednn_sim.evaluation.figure_layout import settle
 from lieednn_sim.learning.history import History
@@ -32,7 +33,7 @@ def rollout_of(arm, q, q_ref):
     zeros = np.zeros_like(q)
     poses = arm.link_poses(q)
     return Rollout(
-        arm=arm.name,
+        arm=arm,
         t=np.linspace(0.0, 1.0, len(q)),
         q=q,
         qd=zeros,
@@ -54,7 +55,9 @@ def test_the_network_s_plot_names_links_and_shows_radians_and_metres(arm, drawn)
     xi = np.stack([np.zeros((4, 6)), target])
     zeros = np.zeros((2, 8))
     motion = Motion(t, t, xi, target, zeros, zeros, np.zeros((2, 4)), np.zeros((2, 4)))
-    plots.plot_network(arm, motion, "network.png")
+    with pytest.raises(InputError, match="does not know the plan"):
+        plots.plot_network(rollout_of(arm, zeros, zeros), "network.png")
+    plots.plot_network(replace(rollout_of(arm, zeros, zeros), motion=motion), "network.png")
     axes = [axis for axis in drawn[0].axes if axis.get_visible()]
     assert len(axes) == 8
     for i, (angle, length) in enumerate(zip(axes[::2], axes[1::2], strict=True)):
@@ -72,7 +75,7 @@ def test_the_joints_plot_tells_the_error_and_does_not_exaggerate(arm, drawn):
     q = reference.copy()
     q[:, 0] += np.deg2rad([0.0, 0.5, 0.2])
     q[:, 1] += [0.0, 0.002, 0.001]
-    plots.plot_joints(arm, rollout_of(arm, q, reference), "joints.png")
+    plots.plot_joints(rollout_of(arm, q, reference), "joints.png")
     rows = np.array(drawn[0].axes).reshape(-1, 4)
     turn, lift = rows[0], rows[1]
     assert turn[1].lines[0].get_ydata() == pytest.approx([0.0, 0.5, 0.2])
@@ -87,7 +90,7 @@ def test_the_joints_plot_tells_the_error_and_does_not_exaggerate(arm, drawn):
 
 def test_the_tracking_plot_ends_where_nothing_matters(arm, drawn):
     q = np.tile(arm.keyframe("home"), (3, 1))
-    plots.plot_tracking(arm, rollout_of(arm, q, q), arm.keyframe("home"), "tracking.png")
+    plots.plot_tracking(rollout_of(arm, q, q), "tracking.png")
     upper, lower = drawn[0].axes[:2], drawn[0].axes[2:]
     # Errors of rounding: the axes still span a tenth of what counts as settled, 1 mm and 0.1 degrees.
     assert [axis.get_ylim() for axis in upper] == [(0.0, 0.1), (0.0, pytest.approx(0.01))]

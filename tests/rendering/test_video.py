@@ -30,9 +30,7 @@ def rollout(arm):
 def test_the_video_has_the_frames_rate_and_size_and_the_arm_moves(arm, rollout, tmp_path):
     path, seen = tmp_path / "video.mp4", []
     count = video.render_video(
-        arm,
         rollout,
-        arm.keyframe("extended"),
         path,
         size=(320, 180),
         fps=10,
@@ -70,9 +68,7 @@ def test_an_interrupted_rendering_leaves_no_file(arm, rollout, tmp_path):
 
     with pytest.raises(KeyboardInterrupt):
         video.render_video(
-            arm,
             rollout,
-            arm.keyframe("extended"),
             tmp_path / "v.mp4",
             size=(160, 90),
             preset="draft",
@@ -82,17 +78,16 @@ def test_an_interrupted_rendering_leaves_no_file(arm, rollout, tmp_path):
 
 
 def test_bad_input_is_refused_before_rendering(arm, rollout, tmp_path):
-    target = arm.keyframe("extended")
     with pytest.raises(InputError, match=r"\.mp4 or \.gif"):
-        video.render_video(arm, rollout, target, tmp_path / "video.avi")
+        video.render_video(rollout, tmp_path / "video.avi")
     with pytest.raises(InputError, match=r"a GIF counts in hundredths of a second.*got 30"):
-        video.render_video(arm, rollout, target, tmp_path / "video.gif", fps=30)
+        video.render_video(rollout, tmp_path / "video.gif", fps=30)
     with pytest.raises(InputError, match=r"no camera 'moon'; allowed: .*overview"):
-        video.render_video(arm, rollout, target, tmp_path / "video.mp4", camera="moon")
+        video.render_video(rollout, tmp_path / "video.mp4", camera="moon")
     with pytest.raises(InputError, match="no preset 'ugly'; allowed: draft, nice"):
-        video.render_video(arm, rollout, target, tmp_path / "video.mp4", preset="ugly")
+        video.render_video(rollout, tmp_path / "video.mp4", preset="ugly")
     with pytest.raises(InputError, match="even and at most 3840x2160, got 321x180"):
-        video.render_video(arm, rollout, target, tmp_path / "video.mp4", size=(321, 180))
+        video.render_video(rollout, tmp_path / "video.mp4", size=(321, 180))
 
 
 def test_without_opengl_the_error_names_the_packages(arm, rollout, tmp_path, monkeypatch):
@@ -101,7 +96,7 @@ def test_without_opengl_the_error_names_the_packages(arm, rollout, tmp_path, mon
 
     monkeypatch.setattr(video.opengl, "require", missing)
     with pytest.raises(RenderingUnavailableError, match="libegl1"):
-        video.render_video(arm, rollout, arm.keyframe("extended"), tmp_path / "video.mp4")
+        video.render_video(rollout, tmp_path / "video.mp4")
     assert list(tmp_path.iterdir()) == []
 
 

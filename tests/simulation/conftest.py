@@ -148,8 +148,8 @@ class SeededRuns:
 
     def _run(self, seed: int, controller: str) -> tuple[Rollout, Evaluation]:
         target, motion = self.motion(seed)
-        rollout = simulate(self.arm, motion, controller=controller, hold=0.5)
-        return rollout, evaluate(self.arm, rollout, target, motion)
+        rollout = simulate(self.arm, motion, target=target, controller=controller, hold=0.5)
+        return rollout, evaluate(rollout)
 
 
 @pytest.fixture(scope="session")

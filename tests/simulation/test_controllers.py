@@ -45,7 +45,7 @@ def test_tracking_and_final_error(seeded, seed, controller, rms_mm, rms_deg):
 def test_wrong_masses_leave_a_small_error_that_feedback_bounds(arm, seeded, controller):
     target, motion = seeded.motion(1)
     _, right = seeded.run(1, controller)
-    wrong = evaluate(arm, simulate(arm, motion, controller=controller, mass_scale=1.2), target)
+    wrong = evaluate(simulate(arm, motion, target=target, controller=controller, mass_scale=1.2))
     assert wrong.end_effector.rms_translation_mm > right.end_effector.rms_translation_mm
     for frame in wrong.frames:
         assert frame.final_translation_mm < 2.0
@@ -92,8 +92,8 @@ def test_ball_joints_gears_tendons_and_coupled_stages(small_arms, travel, name, 
     low, high = arm.position_limits.T
     goal = low + 0.7 * (high - low) if name == "telescope" else 0.5 * high
     start = arm.coordinates(arm.model.key_qpos[0]) if name == "telescope" else -0.2 * high
-    rollout = simulate(arm, travel(arm, start, goal), controller=controller, hold=0.5)
-    result = evaluate(arm, rollout, goal)
+    rollout = simulate(arm, travel(arm, start, goal), target=goal, controller=controller, hold=0.5)
+    result = evaluate(rollout)
     # The stages are tied by a soft constraint that no controller knows of.
     exact = controller in ("inverse-dynamics", "computed-torque") and name == "compound"
     for frame in result.frames:
@@ -141,7 +141,7 @@ def test_held_references_are_steps_for_the_controller_and_not_for_the_log(small_
     np.testing.assert_array_equal(held.q_ref, smooth.q_ref)
     if controller == "position-servo":
         np.testing.assert_array_equal(held.ctrl, np.repeat(smooth.ctrl[::5], 5, axis=0)[: len(held.t)])
-    lagging, following = (evaluate(arm, rollout, motion.q[-1]).end_effector for rollout in (held, smooth))
+    lagging, following = (evaluate(rollout).end_effector for rollout in (held, smooth))
     # The mean age of a sample is two of its five steps.
     speed = np.linalg.norm(np.diff(arm.link_poses(motion.q).translation[:, -1], axis=0), axis=1).max() / 0.002
     assert following.rms_translation_mm < lagging.rms_translation_mm < 1e3 * speed * 0.01

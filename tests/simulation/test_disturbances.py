@@ -56,7 +56,7 @@ def test_a_push_acts_while_it_lasts_and_recovery_is_measured(arm, travel):
     shift = np.subtract(*(frames @ [*centre, 1.0]))[:3]
     energy = (arm.model.actuator_gainprm[:, 0] * (rollout.q[k] - q) ** 2).sum()
     assert energy == pytest.approx(shift @ first.force, rel=1e-2)
-    one, two = evaluate(arm, rollout, q).recoveries
+    one, two = evaluate(rollout).recoveries
     assert (one.body, two.body) == ("end effector", hand)
     assert one.peak_deviation_mm > two.peak_deviation_mm > 0.0
     for recovery in (one, two):
@@ -67,7 +67,7 @@ def test_a_push_acts_while_it_lasts_and_recovery_is_measured(arm, travel):
     assert distance[still].max() <= 1e-3
     # A rollout that ends under the push has not recovered.
     lasting = Disturbances(pushes=(dataclasses.replace(first, duration=9.0),))
-    held = evaluate(arm, simulate(arm, travel(arm, q, q, 0.02), hold=0.5, disturbances=lasting), q).recoveries[0]
+    held = evaluate(simulate(arm, travel(arm, q, q, 0.02), hold=0.5, disturbances=lasting)).recoveries[0]
     assert held.recovery_time is None
     assert held.peak_deviation_mm == pytest.approx(one.peak_deviation_mm, rel=0.2)
 

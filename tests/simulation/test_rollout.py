@@ -8,7 +8,7 @@ import pytest
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
-from lieednn_sim.errors import InputError, SimulationError
+from lieednn_sim.errors import FileError, InputError, SimulationError
 from lieednn_sim.planning.certified import plan
 from lieednn_sim.simulation import Disturbances, Push, Rollout, simulate, tracking
 
@@ -30,8 +30,16 @@ def rollout(arm, planned):
 
 def test_two_runs_are_bit_identical(arm, planned, rollout):
     again = simulate(Arm.load(arm.name), plan(arm, arm.keyframe("extended"), candidates=6).motion)
-    for name, value in vars(rollout).items():
-        np.testing.assert_array_equal(getattr(again, name), value)
+    assert_equal(again, rollout)
+
+
+def assert_equal(one, other):
+    """To the bit, in all that was logged and what it was made from."""
+    assert one.arm.fingerprint == other.arm.fingerprint
+    for first, second in ((one, other), (one.motion, other.motion)):
+        for name, value in vars(first).items():
+            if name not in ("arm", "motion"):
+                np.testing.assert_array_equal(value, getattr(second, name))
 
 
 def test_every_row_of_the_log_belongs_to_one_instant(arm, rollout):
@@ -66,7 +74,7 @@ def test_divergence_stops_the_run_and_leaves_a_reloadable_dump(arm, planned, tmp
     monkeypatch.chdir(tmp_path)
     with pytest.raises(SimulationError, match=r"failed at t = \d\.\d+ s: .+; the run up to there is in .*\.npz"):
         simulate(unstable, planned.motion, dump_directory=tmp_path)
-    dump = Rollout.load(tmp_path / "divergence.npz")
+    dump = Rollout.load(tmp_path / "divergence.npz", unstable, planned.motion)
     assert 0.0 < dump.t[-1] < planned.motion.t[-1]
     assert len(dump.q) == len(dump.t)
     assert [path.name for path in tmp_path.iterdir()] == ["divergence.npz"], "MuJoCo's own log file is not left behind"
@@ -97,7 +105,22 @@ def test_save_and_load(arm, planned, tmp_path):
     rollout = simulate(arm, planned.motion, hold=0.0, reference_rate=100.0, disturbances=changes, mass_scale=1.1)
     assert rollout.disturbances == dataclasses.replace(changes, mass_scale=1.1)
     rollout.save(tmp_path / "rollout.npz")
-    loaded = Rollout.load(tmp_path / "rollout.npz")
-    assert dataclasses.asdict(loaded).keys() == dataclasses.asdict(rollout).keys()
-    for name, value in vars(rollout).items():
-        np.testing.assert_array_equal(getattr(loaded, name), value)
+    assert_equal(Rollout.load(tmp_path / "rollout.npz", arm, planned.motion), rollout)
+    assert Rollout.load(tmp_path / "rollout.npz", arm).motion is None
+
+
+def test_a_rollout_knows_its_plan_and_is_loaded_with_its_own_arm_scene_and_motion(arm, planned, rollout, tmp_path):
+    whole = simulate(arm, planned, hold=0.0)
+    assert whole.motion is planned.motion
+    np.testing.assert_array_equal(whole.target, planned.target)
+    np.testing.assert_array_equal(rollout.target, planned.motion.q[-1])
+    whole.save(tmp_path / "rollout.npz")
+    for other, scene in ((Arm.load("telescopic_rrp"), "free"), (arm.among("poles", 1), "poles")):
+        with pytest.raises(
+            FileError, match=f"is of arm 'telescopic_pr' in scene 'free' .*not of .* in scene '{scene}'"
+        ):
+            Rollout.load(tmp_path / "rollout.npz", other)
+    with pytest.raises(FileError, match="the motion is another one than the rollout followed"):
+        Rollout.load(tmp_path / "rollout.npz", arm, dataclasses.replace(planned.motion, q=planned.motion.q + 1e-9))
+    with pytest.raises(InputError, match="target is out of reach"):
+        simulate(arm, planned, target=planned.target + 100.0)

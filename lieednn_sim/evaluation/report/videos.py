@@ -95,11 +95,8 @@ def film(
     directory = storage.make_directory(table.directory / "videos")
     path = directory / f"{case.planner}-{case.arm}-{case.scene}-{case.seed}-{controller}.mp4"
     if not path.is_file():
-        problem, rollout = replay(case, controller, table.settings)
         render_video(
-            problem.arm,
-            rollout,
-            problem.target,
+            replay(case, controller, table.settings),
             path,
             size=SIZE,
             fps=FPS,
