@@ -1,18 +1,18 @@
 """Arms: MJCF models of compound joints, with their forward map, encoding and retraction."""
 
 from lieednn_sim.arm.arm import PLANNED_CLEARANCE, Arm
-from lieednn_sim.arm.importer import Adoption, adopt
+from lieednn_sim.arm.importer import ImportReport, import_arm
 from lieednn_sim.arm.inverse_kinematics import solve_ik
 from lieednn_sim.arm.models import arm_names, models_directory, scene_path
 from lieednn_sim.arm.projection import Retraction
 
 __all__ = [
     "PLANNED_CLEARANCE",
-    "Adoption",
     "Arm",
+    "ImportReport",
     "Retraction",
-    "adopt",
     "arm_names",
+    "import_arm",
     "models_directory",
     "scene_path",
     "solve_ik",

@@ -18,7 +18,7 @@ from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.contacts import ContactFinder
 from lieednn_sim.arm.coordinates import Coordinates
 from lieednn_sim.arm.fingerprint import arm_fingerprint
-from lieednn_sim.arm.importer import Adoption
+from lieednn_sim.arm.importer import ImportReport
 from lieednn_sim.arm.kinematics import CompoundJoints
 from lieednn_sim.arm.models import MODEL_SUFFIXES, open_model, scene_path
 from lieednn_sim.arm.parsing import read_arm
@@ -60,7 +60,7 @@ class Arm:
         site_ids: ``(N,)`` the link frames' sites.
         scene: the obstacles around it, a name of `scenes.SCENES`.
         scene_seed: of their positions.
-        adoption: what was made of an MJCF file without the package's conventions; None for others.
+        import_report: what was made of an MJCF file without the package's conventions; None for others.
     """
 
     name: str
@@ -80,7 +80,7 @@ class Arm:
     site_ids: NDArray[np.int_]
     scene: str = "free"
     scene_seed: int = 0
-    adoption: Adoption | None = None
+    import_report: ImportReport | None = None
 
     @classmethod
     def load(
@@ -126,23 +126,23 @@ class Arm:
         """Load an MJCF file that holds one arm.
 
         A file with the sites ``base_frame`` and ``link1_frame``, ``link2_frame``, ... is taken as it is. Any other is
-        adopted (`importer.adopt`): cut into compound joints, given drives where it has none, the rest of it frozen.
+        imported (`importer.import_arm`): cut into compound joints, given servos where it has none, other joints locked.
 
         Args:
             path: of the file.
             name: of the arm; by default that of the file, or of its folder when the file is ``scene.xml``.
             links: bodies or sites that are the link frames, from the base outwards; chosen automatically when empty.
             base: body or site that is the base frame.
-            servos: ``"keep"`` the position servos that an adopted model has, or ``"design"`` all anew.
+            servos: ``"keep"`` the position servos that an imported model has, or ``"design"`` all anew.
 
         Raises:
             FileError: there is no such file, or MuJoCo cannot compile it.
             InputError: it holds no such arm.
         """
         source = as_path("path", path)
-        spec, adoption = open_model(source, links, base, servos)
+        spec, import_report = open_model(source, links, base, servos)
         label = name or (source.parent.name if source.stem == "scene" else source.stem)
-        return replace(cls.from_spec(spec, source, label), adoption=adoption)
+        return replace(cls.from_spec(spec, source, label), import_report=import_report)
 
     @classmethod
     def from_spec(cls, spec: Any, source: Path, name: str) -> Arm:
@@ -167,7 +167,7 @@ class Arm:
         spec = self.spec.copy()
         add_obstacles(spec, self, scene, seed)
         arm = Arm.from_spec(spec, self.source, self.name)
-        return replace(arm, scene=scene, scene_seed=seed, adoption=self.adoption)
+        return replace(arm, scene=scene, scene_seed=seed, import_report=self.import_report)
 
     def __repr__(self) -> str:
         return f"<Arm {self.name}: {self.n_links} links, {self.n_joints} joints, scene {self.scene}>"
@@ -189,7 +189,7 @@ class Arm:
 
     @property
     def exact(self) -> bool:
-        """Whether every compound joint has six freedoms: then any network state is a posture, without a gap."""
+        """Whether every compound joint has six degrees of freedom: any network state is a posture then, no gap."""
         return self._retractor.exact
 
     @property

@@ -1,4 +1,4 @@
-"""Joint coordinates: one number for each freedom of the arm, and the way to MuJoCo's own coordinates and back."""
+"""Joint coordinates: one number for each degree of freedom, and the way to MuJoCo's coordinates and back."""
 
 from __future__ import annotations
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from lieednn_sim._mujoco import mujoco
-from lieednn_sim.arm.importer import Adoption, adopt
+from lieednn_sim.arm.importer import ImportReport, import_arm
 from lieednn_sim.errors import FileError
 from lieednn_sim.storage import is_file
 from lieednn_sim.validation import as_choice
@@ -35,8 +35,8 @@ def scene_path(arm: str) -> Path:
     return models_directory() / as_choice("arm", arm, arm_names()) / "scene.xml"
 
 
-def open_model(source: Path, links: Sequence[str], base: str | None, servos: str) -> tuple[Any, Adoption | None]:
-    """The spec of a file in the package's conventions, adopted where it has others or where the options ask for it.
+def open_model(source: Path, links: Sequence[str], base: str | None, servos: str) -> tuple[Any, ImportReport | None]:
+    """The spec of a file in the package's conventions, imported where it has others or where the options ask for it.
 
     Raises:
         FileError: there is no such file, or MuJoCo cannot compile it.
@@ -50,5 +50,5 @@ def open_model(source: Path, links: Sequence[str], base: str | None, servos: str
         raise FileError(f"MuJoCo cannot compile {source}: {str(error).strip()}") from None
     ready = spec.site("base_frame") is not None and spec.site("link1_frame") is not None
     if links or base is not None or servos != "keep" or not ready:
-        return adopt(source, links=links or None, base=base, servos=servos)
+        return import_arm(source, links=links or None, base=base, servos=servos)
     return spec, None

@@ -134,7 +134,7 @@ class NearestPose:
         return np.where(np.abs(step).max(axis=-1, keepdims=True) < 0.1, step, 0.0)
 
     def _inverse_hessian(self, q: Floats, goal: Floats) -> Floats:
-        """Pseudo-inverse, so that freedoms that no pose depends on stay where they are."""
+        """Pseudo-inverse, so that directions that no pose depends on stay where they are."""
         directions = _DIFFERENCE * np.eye(q.shape[-1])
         # All neighbours at once: the calls cost more than the numbers in them.
         neighbours = np.concatenate([q + direction for direction in (*directions, *-directions)])

@@ -2,7 +2,7 @@
 
 Nearest is meant in one metric for all joints: with the angle and the shift between the given and the feasible pose,
 4 sin^2(angle / 2) + ||shift||^2 / length^2, which is angle^2 + ||shift||^2 / length^2 up to the fourth order of the
-angle, and smooth at half a turn. Hinge and slide, and six freedoms, are met exactly (`closed_forms`), other joints by
+angle, and smooth at half a turn. Hinge and slide, and six dofs, are met exactly (`closed_forms`), other joints by
 least squares (`nearest`). Compound joints that share a coordinate (coupled stages on several links) are retracted
 together.
 """
@@ -64,7 +64,7 @@ class Retractor:
 
     @property
     def exact(self) -> bool:
-        """Whether every compound joint has six freedoms, so that no pose leaves a gap."""
+        """Whether every compound joint has six degrees of freedom, so that no pose leaves a gap."""
         return all(isinstance(solver, SixFreedoms) for solver in self._solvers)
 
     def __call__(self, xi: Floats, xi_dot: Floats | None = None) -> Retraction:

@@ -20,7 +20,7 @@ Floats = NDArray[np.float64]
 TARGET_CLEARANCE, OWN_CLEARANCE = 0.02, 0.0025
 # Targets keep this share of a joint's range from its limits.
 LIMIT_MARGIN = 0.05
-# Targets of arms whose joints have all six freedoms: U(-0.8, 0.8) in the network's coordinates (paper, section 5).
+# Targets of arms whose joints have six dofs each: U(-0.8, 0.8) in the network's coordinates (paper, section 5).
 NETWORK_SPREAD = 0.8
 _ATTEMPTS = 400
 _STEPS = 25
@@ -31,7 +31,7 @@ _TOLERANCE = 1e-3
 def draw_target(arm: Arm, seed: int = 0) -> Floats:
     """A random joint target ``(n,)`` at which nothing comes closer than `PLANNED_CLEARANCE`.
 
-    Without obstacles: uniform within the joint limits, or, where every compound joint has six freedoms, uniform in the
+    Without obstacles: uniform within the joint limits, or, where every compound joint has six dofs, uniform in the
     network's coordinates. With obstacles the end effector is at a uniform point of one of the scene's goal boxes, in a
     posture not far from home, and at a distance of `TARGET_CLEARANCE` from obstacles.
 

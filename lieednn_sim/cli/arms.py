@@ -32,17 +32,17 @@ def arms(arguments: argparse.Namespace) -> None:
     arm = Arm.load(arguments.arm, links=names(arguments.links), base=arguments.base, servos=arguments.servos)
     _print_summaries([arm])
     console.print(_coordinates(arm))
-    print_adoption(arm)
+    print_import_report(arm)
 
 
-def print_adoption(arm: Arm) -> None:
+def print_import_report(arm: Arm) -> None:
     """What was made of an MJCF file without the package's conventions; nothing for another arm."""
-    if arm.adoption is None:
+    if arm.import_report is None:
         return
-    rows = table(f"{arm.name}: taken from {arm.source.name} as an arm", "what", "how")
+    rows = table(f"{arm.name}: imported from {arm.source.name}", "what", "how")
     rows.columns[1].justify = "left"
     rows.columns[1].overflow = "fold"
-    for line in str(arm.adoption).splitlines():
+    for line in str(arm.import_report).splitlines():
         what, _, how = line.partition(": ")
         rows.add_row(what, how)
     console.print(rows)

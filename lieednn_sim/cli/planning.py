@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.cli.arguments import RANDOM, load_arm, make_task, start_and_target, usual_target
-from lieednn_sim.cli.arms import print_adoption
+from lieednn_sim.cli.arms import print_import_report
 from lieednn_sim.cli.console import console, progress, table, wrote
 from lieednn_sim.cli.run_directory import RunDirectory
 from lieednn_sim.cli.task import CERTIFIED
@@ -52,7 +52,7 @@ def synthesize(run: RunDirectory, arguments: argparse.Namespace) -> None:
         with progress("plan"):
             network, motion = plan_network(planner, problem)
     written = run.save_network(task, network, motion)
-    print_adoption(arm)
+    print_import_report(arm)
     if motion is None:
         _print_choice(arm, chosen, options)
     else:

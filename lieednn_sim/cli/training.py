@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from lieednn_sim import storage
 from lieednn_sim.arm import Arm
 from lieednn_sim.cli.arguments import load_arm, make_task, start_and_target
-from lieednn_sim.cli.arms import print_adoption
+from lieednn_sim.cli.arms import print_import_report
 from lieednn_sim.cli.console import console, progress, table, wrote
 from lieednn_sim.cli.run_directory import RunDirectory
 from lieednn_sim.cli.task import TRAINED, Task
@@ -79,7 +79,7 @@ def _begin(run: RunDirectory, arguments: argparse.Namespace) -> tuple[Task, Arm,
     except BaseException:
         run.pending.remove()
         raise
-    print_adoption(arm)
+    print_import_report(arm)
     return task, arm, (functools.partial(learner, task.seed + k) for k in itertools.count())
 
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
-from lieednn_sim.arm.importer.adopt import adopt
+from lieednn_sim.arm.importer import import_arm
 from lieednn_sim.errors import FileError, InputError
 
 EQUALITY = '<equality><joint name="belt" joint1="stage2" joint2="stage1" polycoef="0.01 0.8 0 0 0"/>'
@@ -92,8 +92,8 @@ def spec_of(xml):
 
 
 def arm_of(xml, **options):
-    spec, report = adopt(spec_of(xml), **options)
-    return Arm.from_spec(spec, Path("adopted.xml"), "adopted"), report
+    spec, report = import_arm(spec_of(xml), **options)
+    return Arm.from_spec(spec, Path("imported.xml"), "imported"), report
 
 
 def frame_poses(model, data, names):
@@ -115,7 +115,7 @@ MODELS = [
 
 
 @functools.cache
-def adopted_and_original(number):
+def imported_and_original(number):
     xml, options = MODELS[number]
     return *arm_of(xml, **options), spec_of(xml).compile()
 
@@ -124,7 +124,7 @@ def adopted_and_original(number):
 @settings(max_examples=20)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_link_frames_are_where_the_original_has_them(number, seed):
-    arm, report, original = adopted_and_original(number)
+    arm, report, original = imported_and_original(number)
     before, after = mujoco.MjData(original), mujoco.MjData(arm.model)
     before.qpos[:] = original.key_qpos[0] if original.nkey else original.qpos0
     low, high = arm.position_limits.T
@@ -147,7 +147,7 @@ def test_the_arm_of_a_mobile_robot_is_found_cut_and_reduced():
     assert report.base == "cart"
     assert report.links == ("tube2", "wrist")
     assert report.groups == (("swing", "raise", "stage1", "stage2"), ("wrist",))
-    assert set(report.frozen) == {"drive", "wheel", "pan", "tilt", "left", "right"}
+    assert set(report.locked) == {"drive", "wheel", "pan", "tilt", "left", "right"}
     (coupling,) = report.couplings
     assert (coupling.follower, coupling.leader, coupling.source) == ("stage2", "stage1", "equality")
     np.testing.assert_allclose([coupling.ratio, coupling.shift], [0.8, 0.01])
@@ -218,7 +218,7 @@ def test_servos_of_axes_in_line_are_not_weak():
 
 
 @pytest.mark.parametrize("xml", [BY_EQUALITY, BY_TENDON, BALL.replace("ACTIVE", ""), HINGES.format(options="")])
-def test_the_adopted_arm_holds_its_home_under_gravity(xml):
+def test_the_imported_arm_holds_its_home_under_gravity(xml):
     arm, _ = arm_of(xml)
     home = arm.keyframe("home")
     data = mujoco.MjData(arm.model)
@@ -230,7 +230,7 @@ def test_the_adopted_arm_holds_its_home_under_gravity(xml):
     assert not any(warning.number for warning in data.warning)
 
 
-def test_freezing_makes_no_bodies_touch_that_could_not_before():
+def test_locking_makes_no_bodies_touch_that_could_not_before():
     # The cart was the shoulder's carrier, now it is a fixed part of the world, which may touch everything.
     xml = BY_EQUALITY.replace('name="column" pos="0.1 0 0.11"', 'name="column" pos="0.1 0 0.05"')
     arm, _ = arm_of(xml)
@@ -243,9 +243,9 @@ def test_freezing_makes_no_bodies_touch_that_could_not_before():
     assert original.body("column").id not in touching
 
 
-def test_a_house_arm_is_adopted_as_it_is():
+def test_a_house_arm_is_imported_as_it_is():
     house = Arm.load("telescopic_pr")
-    spec, report = adopt(house.spec)
+    spec, report = import_arm(house.spec)
     arm = Arm.from_spec(spec, house.source, house.name)
     assert report.links == ("link1_frame", "link2_frame", "link3_frame", "link4_frame")
     assert all(servo.kept for servo in report.servos)
@@ -253,14 +253,14 @@ def test_a_house_arm_is_adopted_as_it_is():
     np.testing.assert_allclose(arm.link_poses(q).as_matrix(), house.link_poses(q).as_matrix(), atol=1e-12)
     np.testing.assert_allclose(arm.velocity_limits, house.velocity_limits)
     # Two compound joints of four joints each: the sites of the old link frames must not pass for the new ones.
-    coarse, _ = adopt(house.spec, links=["link2_frame", "link4_frame"])
+    coarse, _ = import_arm(house.spec, links=["link2_frame", "link4_frame"])
     assert Arm.from_spec(coarse, house.source, house.name).n_links == 2
 
 
 def test_a_chain_without_actuators_is_an_arm_of_single_joints():
     arm, report = arm_of(HINGES.format(options='timestep="0.01"'))
     assert report.groups == (("a",), ("b",), ("c",))
-    assert "new servos for a, b, c: there was no drive" in report.notes
+    assert "new servos for a, b, c: there was no actuator" in report.notes
     assert any("implicitfast" in note for note in report.notes)
     assert arm.model.opt.integrator == mujoco.mjtIntegrator.mjINT_IMPLICITFAST
 
@@ -299,7 +299,7 @@ def bad(xml, *replacements):
 )
 def test_errors_say_what_to_do(xml, options, message):
     with pytest.raises(InputError, match=message):
-        adopt(spec_of(xml), **options)
+        import_arm(spec_of(xml), **options)
 
 
 def test_two_equal_arms_are_listed():
@@ -309,25 +309,25 @@ def test_two_equal_arms_are_listed():
     )
     xml = f"<mujoco><worldbody>{arms}</worldbody></mujoco>"
     with pytest.raises(InputError, match="2 chains have 1 joints each, they end in 'port', 'starboard'"):
-        adopt(spec_of(xml))
-    _, report = adopt(spec_of(xml), links=["starboard"])
-    assert (report.base, len(report.frozen)) == ("world", 1)
+        import_arm(spec_of(xml))
+    _, report = import_arm(spec_of(xml), links=["starboard"])
+    assert (report.base, len(report.locked)) == ("world", 1)
 
 
 def test_missing_and_broken_files_are_named(tmp_path):
     with pytest.raises(FileError, match="no such file"):
-        adopt(tmp_path / "arm.xml")
+        import_arm(tmp_path / "arm.xml")
     broken = tmp_path / "broken.xml"
     broken.write_text("<mujoco><worldbody>")
     with pytest.raises(FileError, match="cannot read"):
-        adopt(broken)
+        import_arm(broken)
     mesh = '<compiler meshdir="meshes"/><asset><mesh file="tube.obj"/><mesh file="fork.obj"/></asset>'
     body = '<worldbody><body><joint/><geom type="mesh" mesh="tube"/></body></worldbody>'
     broken.write_text(f"<mujoco>{mesh}{body}</mujoco>")
     with pytest.raises(FileError, match=r"files of the model are missing: .*meshes/tube\.obj, .*meshes/fork\.obj"):
-        adopt(broken)
+        import_arm(broken)
     with pytest.raises(InputError, match="must be a file or a mujoco"):
-        adopt(3)
+        import_arm(3)
 
 
 def test_servos_can_all_be_designed_anew_and_follow_a_step():
@@ -349,20 +349,20 @@ def test_servos_can_all_be_designed_anew_and_follow_a_step():
 def test_rk4_is_replaced_with_a_note_and_refused_where_nothing_may_be_replaced():
     rk4 = mujoco.mjtIntegrator.mjINT_RK4
     own = spec_of(HINGES.format(options='integrator="RK4"'))
-    spec, report = adopt(own)
-    assert Arm.from_spec(spec, Path("adopted.xml"), "adopted").model.opt.integrator != rk4
+    spec, report = import_arm(own)
+    assert Arm.from_spec(spec, Path("imported.xml"), "imported").model.opt.integrator != rk4
     assert own.option.integrator == rk4, "the model that was given stays as it was"
     assert any("implicitfast in place of RK4" in note for note in report.notes)
-    assert not any("RK4" in note for note in adopt(spec_of(HINGES.format(options="")))[1].notes)
+    assert not any("RK4" in note for note in import_arm(spec_of(HINGES.format(options="")))[1].notes)
     spec.option.integrator = rk4
-    with pytest.raises(InputError, match=r"arm 'adopted' asks for the integrator RK4, .*; write implicitfast"):
-        Arm.from_spec(spec, Path("adopted.xml"), "adopted")
+    with pytest.raises(InputError, match=r"arm 'imported' asks for the integrator RK4, .*; write implicitfast"):
+        Arm.from_spec(spec, Path("imported.xml"), "imported")
 
 
 @pytest.mark.parametrize(("half", "told"), [(179, True), (150, False)])
 def test_a_compound_joint_that_comes_near_half_a_turn_is_told(half, told):
     """Among 65 postures one turns by more than 0.95 pi where the limits allow 0.99 pi; slides do not count."""
-    _, report = adopt(
+    _, report = import_arm(
         spec_of(f"""
 <mujoco><compiler angle="degree"/><worldbody>
   <body name="still" pos="0 0 1"><joint name="a" range="-9 9"/><geom size="0.05"/>

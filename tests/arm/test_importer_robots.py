@@ -1,4 +1,4 @@
-"""What robots brought by users broke: nested tubes, sizes, weak drives, heavy tied booms, odd files."""
+"""What robots brought by users broke: nested tubes, sizes, weak actuators, heavy tied booms, odd files."""
 
 from pathlib import Path
 
@@ -7,7 +7,7 @@ import pytest
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
-from lieednn_sim.arm.importer import adopt
+from lieednn_sim.arm.importer import import_arm
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.synthesis import synthesize
 
@@ -74,7 +74,7 @@ URDF = """
 
 
 def arm_of(xml, **options):
-    spec, report = adopt(mujoco.MjSpec.from_string(xml), **options)
+    spec, report = import_arm(mujoco.MjSpec.from_string(xml), **options)
     return Arm.from_spec(spec, Path("robot.xml"), "robot"), report
 
 
@@ -155,7 +155,7 @@ def test_accelerations_are_limited_by_the_force_that_is_left():
     # Compensated: 90 N for 7 kg, half of it.
     np.testing.assert_allclose(bare.acceleration_limits, [0.5 * 90.0 / 7.0, np.inf])
     assert "acceleration limits from force limits [rad/s^2, m/s^2]: lift 6.43" in report.notes
-    # Half compensated by the model itself: that much less is left. Compensation by the drive counts the same.
+    # Half compensated by the model itself: that much less is left. Compensation by the actuator counts the same.
     left = 0.5 * (90.0 - 0.5 * 7.0 * 9.81) / 7.0
     for joint in ("", 'actuatorgravcomp="true"'):
         own, report = arm_of(LIFT.format(compensation='gravcomp=".5"', joint=joint))
@@ -188,15 +188,15 @@ def test_a_site_by_the_name_of_a_link_frame_alone_makes_no_house_arm(tmp_path):
     path = tmp_path / "robot.xml"
     path.write_text(TELESCOPE.replace('<geom name="fork"', '<site name="link1_frame"/><geom name="fork"'))
     arm = Arm.load(str(path))
-    assert arm.adoption is not None
-    assert any("'link1_frame' of the model is now called" in note for note in arm.adoption.notes)
+    assert arm.import_report is not None
+    assert any("'link1_frame' of the model is now called" in note for note in arm.import_report.notes)
 
 
 def test_wrong_files_and_names_are_refused():
     # MuJoCo's copy of a spec leaves the broken equality out, and would compile.
     broken = mujoco.MjSpec.from_string(TELESCOPE.replace('joint1="s3" joint2="s2"', 'joint1="s3" joint2="s3"'))
     with pytest.raises(FileError, match="repeated in equality"):
-        adopt(broken)
+        import_arm(broken)
     nan = TELESCOPE.replace("</mujoco>", '<keyframe><key name="home" qpos="0 nan 0 0 0"/></keyframe></mujoco>')
     with pytest.raises(InputError, match="keyframe 'home' holds NaN"):
         arm_of(nan)

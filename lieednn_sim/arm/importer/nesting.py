@@ -6,13 +6,13 @@ MuJoCo lets a body overlap its parent only. The third tube of a telescope sits i
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.contacts import ContactFinder
+from lieednn_sim.arm.importer.draft import Draft
 
 Floats = NDArray[np.float64]
 _SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
@@ -21,34 +21,25 @@ _CLOSE = 0.0025
 _PARALLEL = 1e-6
 
 
-def ignore_nested(
-    spec: Any, original: mujoco.MjModel, model: mujoco.MjModel, home: Floats, postures: Sequence[Floats]
-) -> list[str]:
+def ignore_nested(draft: Draft) -> None:
     """Exclude contacts between parts of one robot that overlap, and say which.
 
     Stages of one telescope, bodies with nothing but parallel slides between them, overlap by design where they do at
-    one of ``postures``. Any other two bodies of one kinematic tree do where they overlap at ``home``: no motion could
-    start there.
-
-    Args:
-        spec: changed; its bodies have names.
-        original: the model with all joints, which says what is one robot.
-        model: compiled from the spec.
-        home: ``(nq,)`` posture of ``model``.
-        postures: further ones, ``(nq,)`` each.
-
-    Returns:
-        Remarks.
+    one of the draft's postures. Any other two bodies of one kinematic tree do where they overlap at home: no motion
+    could start there.
     """
+    spec, original, model = draft.spec, draft.original, draft.bare
+    home, *further = draft.postures([*draft.samples, *draft.extremes])
     touching = ContactFinder(model, _CLOSE)
     start = _pairs(touching.bodies(home))
-    ever = start.union(*(_pairs(touching.bodies(qpos)) for qpos in postures))
+    ever = start.union(*(_pairs(touching.bodies(qpos)) for qpos in further))
     data = mujoco.MjData(model)
     data.qpos[:] = home
     mujoco.mj_kinematics(model, data)
     stages, others = [], []
     for pair in sorted(ever):
         one, other = (model.body(name).id for name in pair)
+        # What is one robot the model with all joints says.
         root, same = (int(original.body_rootid[original.body(name).id]) for name in pair)
         if root != same or not root:
             continue
@@ -56,11 +47,10 @@ def ignore_nested(
             stages.append(pair)
         elif pair in start:
             others.append(pair)
-    nested = {frozenset(pair) for pair in (*stages, *others)}
     for one_name, other_name in (*stages, *others):
         spec.add_exclude(bodyname1=one_name, bodyname2=other_name)
-    _drop_pairs(spec, model, nested)
-    return [
+    _drop_pairs(spec, model, {frozenset(pair) for pair in (*stages, *others)})
+    draft.notes += [
         f"contacts ignored between {', '.join(f'{a!r} and {b!r}' for a, b in found)}: {why}"
         for found, why in ((stages, "stages of a telescope that overlap"), (others, "they overlap at home"))
         if found
@@ -89,7 +79,7 @@ def _carriers(model: mujoco.MjModel, body: int) -> set[int]:
     return joints
 
 
-def _drop_pairs(spec: Any, model: mujoco.MjModel, nested: Collection[frozenset[str]]) -> None:
+def _drop_pairs(spec: mujoco.MjSpec, model: mujoco.MjModel, nested: Collection[frozenset[str]]) -> None:
     """Delete the explicit contact pairs between nested bodies, which excludes don't concern."""
     for pair in list(spec.pairs):
         geoms = (model.geom(name) for name in (pair.geomname1, pair.geomname2))

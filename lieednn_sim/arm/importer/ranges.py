@@ -1,4 +1,4 @@
-"""Ranges of the joints of a foreign arm, and postures inside them."""
+"""Ranges of the joints of a foreign arm."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.importer.stages import Couplings
@@ -16,7 +15,6 @@ Floats = NDArray[np.float64]
 _BALL, _SLIDE = int(mujoco.mjtJoint.mjJNT_BALL), int(mujoco.mjtJoint.mjJNT_SLIDE)
 _WIDEST = 0.99 * np.pi  # the logarithm of a rotation is unique below pi
 _DEFAULT = 0.95 * np.pi  # of a hinge or ball joint without a range
-_MARGIN = 0.05  # of its range that a keyframe keeps off each limit
 
 
 def joint_ranges(
@@ -54,88 +52,6 @@ def joint_ranges(
                 _, ratio, shift = couplings.lines[joint]
                 spans[joint] = np.sort(ratio * spans[lead] + shift)
     return spans
-
-
-def place(
-    model: mujoco.MjModel, source: mujoco.MjModel, q: dict[int, Floats], couplings: Couplings, qpos: Floats
-) -> Floats:
-    """Set joints in ``qpos`` ``(nq,)`` of ``model``, found by the names that the joints ``q`` have in ``source``.
-
-    Args:
-        model: whose ``qpos`` it is.
-        source: whose joints are the keys of ``q`` and of ``couplings``.
-        q: position ``(1,)`` of each independent hinge or slide, rotation vector ``(3,)`` of each ball joint.
-        couplings: the joints that follow.
-        qpos: changed in a copy.
-    """
-    filled = qpos.copy()
-    values = dict(q)
-    for follower, (leader, ratio, shift) in couplings.lines.items():
-        values[follower] = ratio * q[leader] + shift
-    for joint, value in values.items():
-        address = model.jnt_qposadr[model.joint(source.joint(joint).name).id]
-        if source.jnt_type[joint] == _BALL:
-            filled[address : address + 4] = Rotation.from_rotvec(value).as_quat(scalar_first=True)
-        else:
-            filled[address] = value[0]
-    return filled
-
-
-def random_coordinates(
-    model: mujoco.MjModel,
-    joints: Sequence[int],
-    couplings: Couplings,
-    ranges: dict[int, Floats],
-    rng: np.random.Generator,
-) -> dict[int, Floats]:
-    """Positions of the independent joints, uniform within their ranges (a ball joint: axis and angle)."""
-    q = {}
-    for joint in (joint for joint in joints if joint not in couplings.lines):
-        low, high = ranges[joint]
-        value = rng.uniform(low, high, size=1)
-        if model.jnt_type[joint] == _BALL:
-            axis = rng.normal(size=3)
-            value = value * axis / np.linalg.norm(axis)
-        q[joint] = value
-    return q
-
-
-def extremes(model: mujoco.MjModel, home: dict[int, Floats], ranges: dict[int, Floats]) -> list[dict[int, Floats]]:
-    """The posture ``home`` with all slides retracted, and with all extended."""
-    return [
-        {joint: ranges[joint][[end]] if model.jnt_type[joint] == _SLIDE else q for joint, q in home.items()}
-        for end in (0, 1)
-    ]
-
-
-def coordinates_inside(
-    model: mujoco.MjModel, joints: Sequence[int], couplings: Couplings, ranges: dict[int, Floats], qpos: Floats
-) -> tuple[dict[int, Floats], list[str]]:
-    """Positions of the independent joints at ``qpos``, each 5 % of its range off its limits, and which were moved.
-
-    Stages that only a tendon couples together keep its length: the leader takes the least-squares share.
-    """
-    q, moved = {}, []
-    for joint in (joint for joint in joints if joint not in couplings.lines):
-        low, high = ranges[joint]
-        address = model.jnt_qposadr[joint]
-        if model.jnt_type[joint] == _BALL:
-            given = Rotation.from_quat(qpos[address : address + 4], scalar_first=True).as_rotvec()
-            angle = float(np.linalg.norm(given))
-            value = given * min(1.0, (1.0 - _MARGIN) * high / angle) if angle else given
-        else:
-            stages = [(1.0, 0.0, float(qpos[address]))]
-            for follower in couplings.added:
-                leader, ratio, shift = couplings.lines[follower]
-                if leader == joint:
-                    stages.append((ratio, shift, float(qpos[model.jnt_qposadr[follower]])))
-            given = np.array([sum(r * (x - s) for r, s, x in stages) / sum(r * r for r, _, _ in stages)])
-            margin = _MARGIN * (high - low)
-            value = np.clip(given, low + margin, high - margin)
-        if not np.allclose(value, given, atol=1e-9):
-            moved.append(model.joint(joint).name)
-        q[joint] = value
-    return q, moved
 
 
 def _span(model: mujoco.MjModel, joint: int, notes: list[str]) -> Floats:

@@ -152,7 +152,7 @@ def cut(
 
     Coupled joints, and joints of one body, stay together. Each slide, or telescope, closes a compound joint, which
     takes in the hinges or the ball directly inboard as long as the whole turns by less than pi from its reference, so
-    that the logarithm is unique, and its freedoms are independent, so that a pose tells the joints. Every other joint
+    that the logarithm is unique, and its dofs are independent, so that a pose tells the joints. Every other joint
     is a compound joint of its own. Where all would be one the first joint is set apart: a network of a single neuron
     has hardly any target that can be certified.
 

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import mujoco
-from lieednn_sim.arm.importer.servos import Freedom, Servo, gain_parameters
+from lieednn_sim.arm.importer.servos import Dof, Servo, gain_parameters
 
 Floats = NDArray[np.float64]
 # How fast motions of tied stages shall decay [1/s], and the factors by which their servos are slowed down for that.
@@ -17,7 +16,7 @@ _DECAY, _SOFTER = 10.0, 0.8 ** np.arange(13)
 
 
 def soften(
-    spec: Any, qpos: Floats, freedoms: list[Freedom], servos: tuple[Servo, ...], names: list[str]
+    spec: mujoco.MjSpec, qpos: Floats, dofs: list[Dof], servos: tuple[Servo, ...], names: list[str]
 ) -> tuple[Servo, ...]:
     """Slow down the designed servos of coupled stages, which act on one stage, until their soft ties can keep up.
 
@@ -27,14 +26,14 @@ def soften(
     Args:
         spec: with the servos; changed.
         qpos: ``(nq,)`` posture of the whole model, in which one step is linearised.
-        freedoms: of the arm, with rates of the model of the spec.
-        servos: of the freedoms.
+        dofs: of the arm, with rates of the model of the spec.
+        servos: of the dofs.
         names: of their actuators.
     """
     tied = [
         k
-        for k, (freedom, servo) in enumerate(zip(freedoms, servos, strict=True))
-        if not servo.kept and int(np.count_nonzero(freedom.rates)) > 1
+        for k, (dof, servo) in enumerate(zip(dofs, servos, strict=True))
+        if not servo.kept and int(np.count_nonzero(dof.rates)) > 1
     ]
     if not tied:
         return servos

@@ -81,7 +81,7 @@ def tied_joints(model: mujoco.MjModel) -> list[tuple[int, int]]:
 def find_couplings(model: mujoco.MjModel, joints: Sequence[int]) -> Couplings:
     """Couplings among the joints of a chain, by equalities and, where these leave it open, by fixed tendons.
 
-    A drive on a fixed tendon of length sum c_i q_i says only how far the stages extend together. It pulls at stage i
+    An actuator on a fixed tendon of length sum c_i q_i says only how far the stages extend together. It pulls stage i
     with c_i times its force, so stages alike (same inertia and friction) move by amounts in the ratio of the c_i, which
     is also the smallest motion that gives the length. Equal coefficients are equal displacements, as with a belt around
     all stages.

@@ -1,16 +1,16 @@
-"""Reduction of a MuJoCo spec to one arm: every other joint is frozen, and what referred to it goes."""
+"""Joint locking: every joint that is not the arm's is removed, and what referred to it."""
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Collection
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm.importer.draft import Draft
 from lieednn_sim.arm.importer.stages import tendon_joints
 from lieednn_sim.errors import InputError
 
@@ -23,41 +23,32 @@ def pose(pos: Floats, quat: Floats) -> RigidTransform:
     return RigidTransform.from_components(pos, Rotation.from_quat(quat, scalar_first=True))
 
 
-def freeze(spec: Any, model: mujoco.MjModel, qpos: Floats, chain: Collection[int]) -> tuple[list[str], list[str]]:
-    """Remove from ``spec`` all joints but ``chain``, leaving their bodies at the posture ``qpos`` ``(nq,)``.
+def lock_other_joints(draft: Draft) -> None:
+    """Remove all joints but the arm's from the spec, leaving their bodies at the posture of the draft.
 
     With them go the equalities, tendons, sensors and tuples that refer to them, and all actuators and keyframes.
-    Pairs of bodies that could not touch before, being parent and child, are excluded where freezing would change that:
+    Pairs of bodies that could not touch before, being parent and child, are excluded where locking would change that:
     MuJoCo lets the fixed parts of the world touch everything.
 
-    Args:
-        spec: changed in place; ``model`` must have been compiled from it.
-        model: the model with all joints.
-        qpos: of the model.
-        chain: ids of the joints to keep.
-
-    Returns:
-        Names of the frozen joints, and remarks on what else was removed.
-
     Raises:
-        InputError: an equality closes a loop over the chain.
+        InputError: an equality closes a loop over the arm.
     """
+    spec, model, chain = draft.spec, draft.original, set(draft.joints)
     data = mujoco.MjData(model)
-    data.qpos[:] = qpos
+    data.qpos[:] = draft.qpos
     mujoco.mj_kinematics(model, data)
-    frozen = [joint for joint in spec.joints if joint.id not in chain]
-    names = [joint.name or f"joint of body {joint.parent.name!r}" for joint in frozen]
-    for body_id in {joint.parent.id for joint in frozen}:
+    locked = [joint for joint in spec.joints if joint.id not in chain]
+    draft.locked = tuple(joint.name for joint in locked)
+    for body_id in {joint.parent.id for joint in locked}:
         _place(spec, spec.bodies[body_id], model, data)
     rigid = _rigid_parts(model, chain)
-    notes = _unlink(spec, model, {joint.id for joint in frozen}, rigid)
-    for joint in frozen:
+    draft.notes += _unlink(spec, model, {joint.id for joint in locked}, rigid)
+    for joint in locked:
         spec.delete(joint)
     _keep_contact_filter(spec, model, rigid)
-    return names, notes
 
 
-def _place(spec: Any, body: Any, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+def _place(spec: mujoco.MjSpec, body: mujoco.MjsBody, model: mujoco.MjModel, data: mujoco.MjData) -> None:
     """Give a body the pose in its parent that its joints give it now."""
     parent = int(model.body_parentid[body.id])
     now = pose(data.xpos[parent], data.xquat[parent]).inv() * pose(data.xpos[body.id], data.xquat[body.id])
@@ -82,12 +73,12 @@ def _rigid_parts(model: mujoco.MjModel, chain: Collection[int]) -> NDArray[np.in
     return part
 
 
-def _unlink(spec: Any, model: mujoco.MjModel, frozen: set[int], rigid: NDArray[np.int_]) -> list[str]:
-    """Delete what refers to frozen joints, all actuators and all keyframes; return remarks."""
-    tendons = {t for t in range(model.ntendon) if frozen.intersection(tendon_joints(model, t))}
-    equalities, notes = _superfluous_equalities(model, frozen, tendons, rigid)
+def _unlink(spec: mujoco.MjSpec, model: mujoco.MjModel, locked: set[int], rigid: NDArray[np.int_]) -> list[str]:
+    """Delete what refers to locked joints, all actuators and all keyframes; return remarks."""
+    tendons = {t for t in range(model.ntendon) if locked.intersection(tendon_joints(model, t))}
+    equalities, notes = _superfluous_equalities(model, locked, tendons, rigid)
     gone = {
-        int(_OBJ.mjOBJ_JOINT): frozen,
+        int(_OBJ.mjOBJ_JOINT): locked,
         int(_OBJ.mjOBJ_TENDON): tendons,
         int(_OBJ.mjOBJ_ACTUATOR): set(range(model.nu)),
     }
@@ -106,16 +97,16 @@ def _unlink(spec: Any, model: mujoco.MjModel, frozen: set[int], rigid: NDArray[n
         *(e for e in spec.tendons if e.id in tendons),
     ]
     if sensors:
-        notes.append(f"removed {len(sensors)} sensors of frozen joints and old drives")
+        notes.append(f"removed {len(sensors)} sensors of locked joints and old actuators")
     for element in doomed:
         spec.delete(element)
     return notes
 
 
 def _superfluous_equalities(
-    model: mujoco.MjModel, frozen: set[int], tendons: set[int], rigid: NDArray[np.int_]
+    model: mujoco.MjModel, locked: set[int], tendons: set[int], rigid: NDArray[np.int_]
 ) -> tuple[set[int], list[str]]:
-    """Equalities that refer to what is frozen or hold what is rigid anyway, with remarks on the others."""
+    """Equalities that refer to what is locked or hold what is rigid anyway, with remarks on the others."""
     found, notes = set(), []
     for e in range(model.neq):
         kind, one, other = int(model.eq_type[e]), int(model.eq_obj1id[e]), int(model.eq_obj2id[e])
@@ -124,10 +115,10 @@ def _superfluous_equalities(
             found.add(e)
             notes.append(f"removed the inactive equality {name!r}")
         elif kind == int(_EQ.mjEQ_JOINT):
-            if frozen.intersection((one, other)):
+            if locked.intersection((one, other)):
                 found.add(e)
-                if one not in frozen:
-                    notes.append(f"joint {model.joint(one).name!r} followed a frozen joint and is free of it now")
+                if one not in locked:
+                    notes.append(f"joint {model.joint(one).name!r} followed a locked joint and is free of it now")
         elif kind == int(_EQ.mjEQ_TENDON):
             if not tendons.intersection((one, other)):
                 raise InputError(
@@ -148,7 +139,7 @@ def _superfluous_equalities(
     return found, notes
 
 
-def _keep_contact_filter(spec: Any, model: mujoco.MjModel, rigid: NDArray[np.int_]) -> None:
+def _keep_contact_filter(spec: mujoco.MjSpec, model: mujoco.MjModel, rigid: NDArray[np.int_]) -> None:
     """Exclude the pairs of bodies that MuJoCo filtered as parent and child before, but would no longer filter."""
     solid = [
         body

@@ -1,0 +1,135 @@
+"""Edits that give a spec this package's conventions: sites at the frames, stiff ties, ranges, no gravity."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm.importer.draft import Draft
+from lieednn_sim.arm.importer.loading import unused
+from lieednn_sim.arm.importer.serial_chain import Frame
+
+Floats = NDArray[np.float64]
+_SITE = mujoco.mjtObj.mjOBJ_SITE
+
+
+def replace_integrator(draft: Draft) -> None:
+    """Let a model that asks for RK4 be stepped by implicitfast: see `parsing.check_integrator`."""
+    if draft.spec.option.integrator == mujoco.mjtIntegrator.mjINT_RK4:
+        draft.spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+        draft.notes.append("integrator implicitfast in place of RK4, which has no inverse dynamics in discrete time")
+
+
+def add_frames(draft: Draft) -> None:
+    """Add the sites ``base_frame``, ``link1_frame``, ... at the frames; sites of these names elsewhere are renamed."""
+    spec, model, frames = draft.spec, draft.original, draft.frames
+    names = ("base_frame", *(f"link{i}_frame" for i in range(1, len(frames))))
+    # By name: a spec forgets the ids of a compiled model as soon as something is added to it.
+    bodies = {body.name: body for body in spec.bodies}
+    missing = {name: frame for name, frame in zip(names, frames, strict=True) if not _is_there(model, name, frame)}
+    for name in (*missing, f"link{len(frames)}_frame"):
+        site = spec.site(name)
+        if site is not None:
+            other = unused(f"original_{name}", {site.name for site in spec.sites})
+            _rename_site(spec, site, other)
+            draft.notes.append(f"the site {name!r} of the model is now called {other!r}")
+    for name, frame in missing.items():
+        body = bodies[model.body(frame.body).name]
+        site = body.add_site(name=name, pos=frame.pos, quat=frame.quat, size=[0.008, 0.0, 0.0], group=4)
+        site.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+        site.fromto = np.full(6, np.nan)
+
+
+def tie_stages(draft: Draft) -> None:
+    """Tie stages of a telescope to their leaders by equalities stiff enough to pass for rigid belts.
+
+    Those that only a tendon ties get one. Where the model's own are softer they are made as stiff: MuJoCo's default
+    gives a light stage a spring of a few hundred newtons a metre, and friction of a few newtons leaves it centimetres
+    behind the others, where no servo notices.
+    """
+    spec, model, couplings = draft.spec, draft.original, draft.couplings
+    # MuJoCo's least time constant is two timesteps.
+    reference = np.array([max(0.004, 2.0 * model.opt.timestep), 1.0])
+    impedance = np.array([0.99, 0.999, 0.001, 0.5, 2.0])
+    for follower in couplings.added:
+        leader, ratio, shift = couplings.lines[follower]
+        y0, x0 = (float(model.qpos0[model.jnt_qposadr[joint]]) for joint in (follower, leader))
+        equality = spec.add_equality(
+            type=mujoco.mjtEq.mjEQ_JOINT, name1=model.joint(follower).name, name2=model.joint(leader).name, active=True
+        )
+        equality.data = np.array([shift - y0 + ratio * x0, ratio, *np.zeros(len(equality.data) - 2)])
+        equality.solref, equality.solimp = reference, impedance
+    followers = {model.joint(follower).name for follower in couplings.lines if follower not in couplings.added}
+    stiffened = []
+    for equality in spec.equalities:
+        if equality.type != mujoco.mjtEq.mjEQ_JOINT or not equality.active or equality.name1 not in followers:
+            continue
+        # Negative numbers are a stiffness and a damping that somebody chose.
+        if equality.solref[0] > reference[0] or equality.solref[0] == 0.0:
+            equality.solref, equality.solimp = reference, impedance
+            stiffened.append(equality.name1)
+    if stiffened:
+        draft.notes.append(f"ties of {', '.join(stiffened)} made stiff, with solref {reference[0]:g} s")
+
+
+def set_ranges(draft: Draft) -> None:
+    """Limit the arm's joints to their ranges, whatever unit the spec is in."""
+    for identifier in draft.joints:
+        joint = draft.spec.joint(draft.original.joint(identifier).name)
+        degrees = joint.compiler.degree and joint.type != mujoco.mjtJoint.mjJNT_SLIDE
+        joint.range = np.rad2deg(draft.ranges[identifier]) if degrees else draft.ranges[identifier]
+        joint.limited = mujoco.mjtLimited.mjLIMITED_TRUE
+
+
+def compensate_gravity(draft: Draft) -> None:
+    """Switch gravity compensation on for all that moves with the arm, unless the model has it somewhere there."""
+    model = draft.original
+    if model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_GRAVITY) or not np.any(model.opt.gravity):
+        return
+    first = int(model.jnt_bodyid[draft.joints[0]])
+    moving = {first}
+    for body in range(first + 1, model.nbody):
+        if int(model.body_parentid[body]) in moving:
+            moving.add(body)
+    if np.any(model.body_gravcomp[list(moving)]):
+        draft.notes.append("gravity compensation is the model's own")
+        return
+    names = {model.body(body).name for body in moving}
+    for body in draft.spec.bodies:
+        if body.name in names:
+            body.gravcomp = 1.0
+    draft.notes.append(f"gravity compensation switched on for {len(moving)} moving bodies")
+
+
+def drop_old_limits(draft: Draft) -> None:
+    """Delete custom velocity and acceleration limits that are not for as many coordinates as the arm has."""
+    size = sum(3 if draft.is_ball(joint) else 1 for joint in draft.independent)
+    for name in ("velocity_limit", "acceleration_limit"):
+        numeric = draft.spec.numeric(name)
+        if numeric is not None and max(int(numeric.size), len(numeric.data)) != size:
+            draft.spec.delete(numeric)
+            draft.notes.append(f"removed the custom numeric {name!r}, which is not for {size} coordinates")
+
+
+def _is_there(model: mujoco.MjModel, name: str, frame: Frame) -> bool:
+    site = mujoco.mj_name2id(model, _SITE, name)
+    return (
+        site >= 0
+        and int(model.site_bodyid[site]) == frame.body
+        and np.allclose(model.site_pos[site], frame.pos, rtol=0.0, atol=1e-12)
+        and abs(float(model.site_quat[site] @ frame.quat)) > 1.0 - 1e-12
+    )
+
+
+def _rename_site(spec: mujoco.MjSpec, site: mujoco.MjsSite, name: str) -> None:
+    for sensor in spec.sensors:
+        if sensor.objtype == _SITE and sensor.objname == site.name:
+            sensor.objname = name
+        if sensor.reftype == _SITE and sensor.refname == site.name:
+            sensor.refname = name
+    for equality in spec.equalities:
+        if equality.objtype == _SITE:
+            equality.name1 = name if equality.name1 == site.name else equality.name1
+            equality.name2 = name if equality.name2 == site.name else equality.name2
+    site.name = name

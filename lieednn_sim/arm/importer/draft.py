@@ -1,0 +1,128 @@
+"""An arm in the making: what the importer's steps share."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm.importer.report import ImportReport
+from lieednn_sim.arm.importer.serial_chain import Frame
+from lieednn_sim.arm.importer.servos import Actuation, Dof, Servo
+from lieednn_sim.arm.importer.stages import Couplings
+
+Floats = NDArray[np.float64]
+_BALL = int(mujoco.mjtJoint.mjJNT_BALL)
+
+
+@dataclass(eq=False)
+class Draft:
+    """A spec on its way to an arm, and what is known of it so far: each step uses what those before it have found.
+
+    Joints are ids in ``original``; positions ``q`` of the independent ones are ``(1,)`` for a hinge or slide and
+    a rotation vector ``(3,)`` for a ball joint.
+
+    Attributes:
+        spec: changed by the steps.
+        links, base, keyframe, servo_rule: as the caller of `import_arm` gave them.
+        notes: remarks for the report.
+        original: the model as it came.
+        posture: name of the posture of the locked joints.
+        qpos: ``(nq,)`` that posture in ``original``.
+        frames: of the base and the links.
+        groups: of each link the joints that move it.
+        couplings: of joints that follow others.
+        ranges: of each joint, ``(2,)`` [rad, m].
+        locked: names of the joints that are gone.
+        bare: the model with the arm's joints, without actuators.
+        dofs: the independent coordinates, with rates in ``bare``.
+        samples: positions of the independent joints: ``home``, then random ones within the ranges.
+        extremes: ``home`` with all slides retracted, and with all extended.
+        actuations: what moved each coordinate in ``original``.
+        servos: what moves it now.
+        model: the arm.
+    """
+
+    spec: mujoco.MjSpec
+    links: tuple[str, ...] | None
+    base: str | None
+    keyframe: str | None
+    servo_rule: str
+    notes: list[str] = field(default_factory=list)
+    original: mujoco.MjModel = field(init=False)
+    posture: str = field(init=False)
+    qpos: Floats = field(init=False)
+    frames: tuple[Frame, ...] = field(init=False)
+    groups: tuple[tuple[int, ...], ...] = field(init=False)
+    couplings: Couplings = field(init=False)
+    ranges: dict[int, Floats] = field(init=False)
+    locked: tuple[str, ...] = field(init=False)
+    bare: mujoco.MjModel = field(init=False)
+    dofs: list[Dof] = field(init=False)
+    samples: list[dict[int, Floats]] = field(init=False)
+    extremes: list[dict[int, Floats]] = field(init=False)
+    actuations: list[Actuation] = field(init=False)
+    servos: tuple[Servo, ...] = field(init=False)
+    model: mujoco.MjModel = field(init=False)
+
+    @property
+    def joints(self) -> list[int]:
+        """The joints of the arm, from the base outwards."""
+        return [joint for group in self.groups for joint in group]
+
+    @property
+    def independent(self) -> list[int]:
+        """Those that follow no other."""
+        return [joint for joint in self.joints if joint not in self.couplings.lines]
+
+    def is_ball(self, joint: int) -> bool:
+        """Whether a joint is a ball joint."""
+        return bool(self.original.jnt_type[joint] == _BALL)
+
+    def dofs_of(self, model: mujoco.MjModel) -> list[Dof]:
+        """The independent coordinates with their rates in ``model``, which has joints of the same names."""
+        dofs = []
+        for joint in self.independent:
+            name, ball = self.original.joint(joint).name, self.is_ball(joint)
+            followers = {f: ratio for f, (leader, ratio, _) in self.couplings.lines.items() if leader == joint}
+            span = np.array([-1.0, 1.0]) * self.ranges[joint][1] if ball else self.ranges[joint]
+            for axis in range(3 if ball else 1):
+                rates = np.zeros(model.nv)
+                for moved, ratio in {joint: 1.0, **followers}.items():
+                    rates[model.jnt_dofadr[model.joint(self.original.joint(moved).name).id] + axis] = ratio
+                dofs.append(Dof(f"{name}_{'xyz'[axis]}" if ball else name, name, axis, rates, span))
+        return dofs
+
+    def place(self, model: mujoco.MjModel, q: dict[int, Floats], qpos: Floats) -> Floats:
+        """A copy of ``qpos`` ``(nq,)`` of ``model`` with the arm's joints, found by name, at ``q``."""
+        filled, values = qpos.copy(), dict(q)
+        for follower, (leader, ratio, shift) in self.couplings.lines.items():
+            values[follower] = ratio * q[leader] + shift
+        for joint, value in values.items():
+            address = model.jnt_qposadr[model.joint(self.original.joint(joint).name).id]
+            if self.is_ball(joint):
+                filled[address : address + 4] = Rotation.from_rotvec(value).as_quat(scalar_first=True)
+            else:
+                filled[address] = value[0]
+        return filled
+
+    def postures(self, positions: Sequence[dict[int, Floats]]) -> list[Floats]:
+        """``(nq,)`` of ``bare`` at each of the positions."""
+        return [self.place(self.bare, q, self.bare.qpos0) for q in positions]
+
+    def report(self) -> ImportReport:
+        """All of it in words; every remark once."""
+        return ImportReport(
+            posture=self.posture,
+            base=self.frames[0].name,
+            links=tuple(frame.name for frame in self.frames[1:]),
+            groups=tuple(tuple(self.original.joint(joint).name for joint in group) for group in self.groups),
+            couplings=self.couplings.named(self.original),
+            locked=self.locked,
+            servos=self.servos,
+            notes=tuple(dict.fromkeys(self.notes)),
+        )

@@ -1,0 +1,104 @@
+"""Bring your own arm: any MJCF with a serial chain of hinge, slide and ball joints, made into one that `Arm` reads."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+
+from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm.importer.accelerations import limit_accelerations
+from lieednn_sim.arm.importer.actuators import add_servos, design_servos, read_actuators, stabilise
+from lieednn_sim.arm.importer.checks import check_kinematics, look_at_home, look_for_half_turns
+from lieednn_sim.arm.importer.conventions import (
+    add_frames,
+    compensate_gravity,
+    drop_old_limits,
+    replace_integrator,
+    set_ranges,
+    tie_stages,
+)
+from lieednn_sim.arm.importer.draft import Draft
+from lieednn_sim.arm.importer.loading import load_spec
+from lieednn_sim.arm.importer.locking import lock_other_joints
+from lieednn_sim.arm.importer.mechanism import choose_posture, find_mechanism
+from lieednn_sim.arm.importer.nesting import ignore_nested
+from lieednn_sim.arm.importer.postures import add_keyframes, draw_postures
+from lieednn_sim.arm.importer.report import ImportReport
+from lieednn_sim.arm.importer.units import set_length_unit
+from lieednn_sim.errors import InputError
+from lieednn_sim.validation import as_choice
+
+# What becomes of the position servos that a model has.
+SERVOS = ("keep", "design")
+
+STEPS: tuple[Callable[[Draft], None], ...] = (
+    replace_integrator,
+    choose_posture,
+    find_mechanism,
+    lock_other_joints,
+    add_frames,
+    tie_stages,
+    set_ranges,
+    compensate_gravity,
+    drop_old_limits,
+    draw_postures,
+    read_actuators,
+    ignore_nested,
+    set_length_unit,
+    design_servos,
+    limit_accelerations,
+    stabilise,
+    add_servos,
+    add_keyframes,
+    check_kinematics,
+    look_for_half_turns,
+    look_at_home,
+)
+
+
+def import_arm(
+    model: str | os.PathLike[str] | mujoco.MjSpec,
+    *,
+    links: Sequence[str] | None = None,
+    base: str | None = None,
+    keyframe: str | None = None,
+    servos: str = "keep",
+) -> tuple[mujoco.MjSpec, ImportReport]:
+    """Make a model into an arm by `STEPS`: sites at the link frames, one servo per coordinate, all else locked.
+
+    Without ``links`` the link frames are the model's own sites base_frame, link1_frame, ..., if it has them, else
+    the arm is the chain with the most driven joints (`serial_chain.longest_chain`), cut by the rule
+    of `serial_chain.cut`, its link frames the origins of the bodies behind the cuts. Every joint off the arm is locked.
+    Coupled stages count as one coordinate; a fixed tendon that drives several stages becomes equalities between them,
+    and soft equalities become stiff, as belts are.
+    Plain position servos keep their gains; other actuators are replaced by servos of 20 Hz, critically damped, on the
+    largest inertia M_ii of a few postures, slower where coupled stages could not keep up. Where actuators have force
+    limits, accelerations get limits (`accelerations.limit_accelerations`). Gravity compensation is switched on
+    where no body of the arm has any, because a position servo would sag. Tubes of a telescope, and what else overlaps
+    in the robot at home, don't collide with each other (`nesting.ignore_nested`). Hinges are held within 0.99 pi of
+    their reference, where the logarithm is unique.
+
+    Args:
+        model: an MJCF or URDF file, or a `mujoco.MjSpec`, which is not changed.
+        links: bodies or sites, in order from the base outwards; the frame of a body is its origin.
+        base: body or site of the base frame. Default: the body that carries the first moving body of link 1.
+        keyframe: posture of the locked joints, and of the new keyframe ``home``, which keeps 5 % of each range off
+            the limits. Default: ``home``, else the first keyframe, else the reference position.
+        servos: ``"keep"`` the position servos of the model, or ``"design"`` all anew.
+
+    Returns:
+        A spec for `Arm.from_spec`, and the report.
+
+    Raises:
+        FileError: the file or one of its meshes is missing, or MuJoCo cannot compile it.
+        InputError: the names or the mechanism don't make an arm; the message says why.
+    """
+    as_choice("choice of servos", servos, SERVOS)
+    if base is not None and not isinstance(base, str):
+        raise InputError(f"base must be the name of a body or site, got {base!r}")
+    if links is not None and (isinstance(links, str) or not links or not all(isinstance(link, str) for link in links)):
+        raise InputError(f"links must be a list of names of bodies or sites, from the base outwards; got {links!r}")
+    draft = Draft(load_spec(model), None if links is None else tuple(links), base, keyframe, servos)
+    for step in STEPS:
+        step(draft)
+    return draft.spec, draft.report()

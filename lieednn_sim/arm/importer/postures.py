@@ -1,0 +1,85 @@
+"""Postures of the arm: home, those that limits and servos are judged at, and its keyframes."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm.importer.draft import Draft
+from lieednn_sim.arm.importer.loading import compile_spec
+
+Floats = NDArray[np.float64]
+_SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
+_MARGIN = 0.05  # of its range that a keyframe keeps off each limit
+_SAMPLES = 64
+
+
+def draw_postures(draft: Draft) -> None:
+    """Compile the arm's joints without actuators, and choose home, random postures with a fixed seed, and extremes."""
+    draft.bare = compile_spec(draft.spec)
+    draft.dofs = draft.dofs_of(draft.bare)
+    home, moved = _coordinates_inside(draft, draft.qpos)
+    draft.notes += [f"{name}: moved off its limits in the keyframe 'home'" for name in moved]
+    rng = np.random.default_rng(0)
+    draft.samples = [home, *(_random_coordinates(draft, rng) for _ in range(_SAMPLES))]
+    kinds, ranges = draft.original.jnt_type, draft.ranges
+    draft.extremes = [
+        {joint: ranges[joint][[end]] if kinds[joint] == _SLIDE else q for joint, q in home.items()} for end in (0, 1)
+    ]
+
+
+def add_keyframes(draft: Draft) -> None:
+    """Add ``home`` and the model's own keyframes, at rest, as the keyframes of the arm; compile it."""
+    keyframes, original = {"home": draft.samples[0]}, draft.original
+    for k in range(original.nkey):
+        if np.isfinite(original.key_qpos[k]).all():
+            inside, _ = _coordinates_inside(draft, original.key_qpos[k])
+            keyframes.setdefault(original.key(k).name or f"key{k}", inside)
+    for name, q in keyframes.items():
+        (qpos,) = draft.postures([q])
+        draft.spec.add_key(name=name, qpos=qpos, ctrl=np.concatenate([q[joint] for joint in draft.independent]))
+    draft.model = compile_spec(draft.spec)
+
+
+def _random_coordinates(draft: Draft, rng: np.random.Generator) -> dict[int, Floats]:
+    """Positions of the independent joints, uniform within their ranges (a ball joint: axis and angle)."""
+    q = {}
+    for joint in draft.independent:
+        low, high = draft.ranges[joint]
+        value = rng.uniform(low, high, size=1)
+        if draft.is_ball(joint):
+            axis = rng.normal(size=3)
+            value = value * axis / np.linalg.norm(axis)
+        q[joint] = value
+    return q
+
+
+def _coordinates_inside(draft: Draft, qpos: Floats) -> tuple[dict[int, Floats], list[str]]:
+    """Positions of the independent joints at ``qpos``, each 5 % of its range off its limits, and which were moved.
+
+    Stages that only a tendon couples together keep its length: the leader takes the least-squares share.
+    """
+    q, moved = {}, []
+    model, couplings = draft.original, draft.couplings
+    for joint in draft.independent:
+        low, high = draft.ranges[joint]
+        address = model.jnt_qposadr[joint]
+        if draft.is_ball(joint):
+            given = Rotation.from_quat(qpos[address : address + 4], scalar_first=True).as_rotvec()
+            angle = float(np.linalg.norm(given))
+            value = given * min(1.0, (1.0 - _MARGIN) * high / angle) if angle else given
+        else:
+            stages = [(1.0, 0.0, float(qpos[address]))]
+            for follower in couplings.added:
+                leader, ratio, shift = couplings.lines[follower]
+                if leader == joint:
+                    stages.append((ratio, shift, float(qpos[model.jnt_qposadr[follower]])))
+            given = np.array([sum(r * (x - s) for r, s, x in stages) / sum(r * r for r, _, _ in stages)])
+            margin = _MARGIN * (high - low)
+            value = np.clip(given, low + margin, high - margin)
+        if not np.allclose(value, given, atol=1e-9):
+            moved.append(model.joint(joint).name)
+        q[joint] = value
+    return q, moved
