@@ -11,6 +11,7 @@ import argparse
 import platform
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -89,6 +90,11 @@ def epoch_costs(epochs: int, count: int) -> dict[str, float]:
     return costs
 
 
+def _step_by_step(model: mujoco.MjModel, data: mujoco.MjData, steps: int) -> None:
+    for _ in range(steps):
+        mujoco.mj_step(model, data)
+
+
 def _processor_time(run: Callable[[], object], repeats: int) -> float:
     """Median of the processor time [s], which other work on the machine disturbs less than the time on the wall."""
     times = []
@@ -111,11 +117,11 @@ def stepping_ratios(arm: Arm, motion: Motion, repeats: int, actions: int = 50) -
         driver.act(data, 0, simulation.noise)
         if controller == "computed-torque":
             rival = "bare Python loop of mj_step"
-            bare = _processor_time(lambda m=model, d=data, k=steps: [mujoco.mj_step(m, d) for _ in range(k)], repeats)
+            bare = _processor_time(partial(_step_by_step, model, data, steps), repeats)
         else:
             rival = "bare call of mj_step with nstep"
-            bare = _processor_time(lambda m=model, d=data, k=steps: mujoco.mj_step(m, d, k), repeats)
-        whole = _processor_time(lambda name=controller: simulate(arm, motion, controller=name), repeats)
+            bare = _processor_time(partial(mujoco.mj_step, model, data, steps), repeats)
+        whole = _processor_time(partial(simulate, arm, motion, controller=controller), repeats)
         ratios[f"steps/s of a rollout by {controller}, in those of a {rival}"] = f"{bare / whole:.2f}"
     environment = suite.load(arm, "reach", random=0)
     task, rng = environment.task, np.random.default_rng(0)

@@ -99,7 +99,8 @@ def measure(name: str, sample: int, seed: int, jobs: int, output: Path) -> dict[
     for first in range(0, len(todo), 200):
         run(place, ["run", "--max-children", str(jobs), *todo[first : first + 200]])
     codes = outcomes(place)
-    found = {mutant: _BY_CODE.get(codes[mutant], "timeout or crash") for mutant in chosen}
+    found = dict.fromkeys(chosen, "timeout or crash")
+    found |= {mutant: _BY_CODE[code] for mutant, code in codes.items() if mutant in found and code in _BY_CODE}
     alive = {}
     for mutant, outcome in found.items():
         if outcome in ("survived", "no tests"):

@@ -104,7 +104,9 @@ def _training(result: TrainingResult, seconds: float, seed: int) -> Outcome:
         "accuracy": float(history.accuracy[-1]),
         "rises": rises,
     }
-    arrays, scalars = _described(result.network, result.weight, seed, scalars)
+    # On SE(3), where there is a network at all.
+    network = result.network if isinstance(result.network, LieEDNN) else None
+    arrays, scalars = _described(network, result.weight, seed, scalars)
     return {**arrays, **thinned(history)}, scalars
 
 

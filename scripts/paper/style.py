@@ -25,7 +25,7 @@ SETTLED = np.sqrt(24.0) * TOLERANCE
 
 # Text width of a page [inch]; at this width the fonts have the sizes given here [pt].
 WIDTH = 6.75
-STYLE: dict[str, Any] = {
+STYLE: Any = {
     "font.size": 8.5,
     "axes.labelsize": 8.5,
     "xtick.labelsize": 8,

@@ -44,7 +44,7 @@ def strength_gradient(samples: int) -> Scalars:
     for seed in range(max(2, samples // 100)):
         goal = np.random.default_rng(seed).uniform(-0.8, 0.8, (4, 6))
         network = train(goal, TrainingOptions.repaired(max_epochs=50), seed=seed).network
-        if network is None or not network.equilibrium().success:
+        if not isinstance(network, LieEDNN) or not network.equilibrium().success:
             continue
         weight, adjoints = network.weight.copy(), lie.adjoint(network.rotation, network.translation)
         x = network.equilibrium().xi.ravel()
