@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 from pathlib import Path
 
 import lieednn_sim as ls
@@ -65,3 +66,18 @@ def test_the_front_door_knows_each_name_and_where_it_lives():
         assert value.__name__ == name
         assert value.__module__.startswith(f"lieednn_sim.{ls._ROOM_OF[name]}")
     assert {*ls.__all__, "__version__"} <= set(dir(ls))
+
+
+def test_the_tests_that_the_documents_name_are_there():
+    root = PACKAGE.parent
+    named = [
+        (document.name, *reference)
+        for document in (*root.glob("docs/*.md"), *root.glob("results/reference/*.md"), *root.glob("*.md"))
+        for reference in re.findall(r"(tests/[\w/]+\.py)(?:::(\w+))?", document.read_text(encoding="utf-8"))
+    ]
+    assert len(named) > 10
+    for document, path, test in named:
+        assert (root / path).is_file(), f"{document} names {path}"
+        assert not test or f"def {test}(" in (root / path).read_text(encoding="utf-8"), (
+            f"{document} names {path}::{test}"
+        )
