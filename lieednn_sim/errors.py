@@ -15,11 +15,15 @@ class FileError(LieEDNNError, OSError):
     """A file is missing, unreadable, corrupt or cannot be written."""
 
 
-class NotCertifiedError(LieEDNNError):
+class NoSolutionError(LieEDNNError):
+    """Base of every search that failed on input that was good; another seed, target or planner may succeed."""
+
+
+class NotCertifiedError(NoSolutionError):
     """No network with a proof of global stability could be made for the target."""
 
 
-class PlanError(LieEDNNError):
+class PlanError(NoSolutionError):
     """A planned motion breaks a limit of the arm, or does not reach its target."""
 
 
@@ -35,7 +39,7 @@ class TooFastError(PlanError):
         self.duration = duration
 
 
-class OutOfTimeError(LieEDNNError):
+class OutOfTimeError(NoSolutionError):
     """The time budget of a planner was spent before it was done; see `budget`."""
 
 

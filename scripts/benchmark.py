@@ -22,7 +22,7 @@ from lieednn_sim.arm import Arm, arm_names
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.environments import suite
 from lieednn_sim.learning import TrainingOptions, train
-from lieednn_sim.planning.certified import plan
+from lieednn_sim.planning import plan
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.simulation import Disturbances, simulate
 from lieednn_sim.simulation.reference import Reference

@@ -13,7 +13,7 @@ from PIL import Image
 from lieednn_sim import storage
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.targets import draw_target
-from lieednn_sim.planning import PlanningProblem, plan_with
+from lieednn_sim.planning import plan
 from lieednn_sim.rendering.video import Camera
 
 SIZE = (640, 440)
@@ -35,7 +35,7 @@ def main(path: str = "results/arms.jpg") -> None:
     for name, scene, seed in AMONG:
         arm = Arm.load(name, scene, seed)
         target = draw_target(arm, seed)
-        motion = plan_with("lieednn-guided", PlanningProblem(arm, arm.keyframe("home"), target, 4.0, seed))
+        motion = plan(arm, target, planner="lieednn-guided", seed=seed).motion
         below.append(picture(arm, motion.q[int(0.7 * len(motion.q))], target))
     with storage.atomic_path(path) as temporary:
         Image.fromarray(np.vstack([np.hstack(above), np.hstack(below)])).save(temporary, quality=86)

@@ -15,10 +15,9 @@ from lieednn_sim.budget import check_time, out_of_time, time_limit
 from lieednn_sim.cli import _parser, main
 from lieednn_sim.errors import InputError, OutOfTimeError, PlanError
 from lieednn_sim.evaluation import Case, Settings, Table, run_case, write_summary
-from lieednn_sim.planning import PLANNERS, PlanningProblem, missing_planners, plan_with
+from lieednn_sim.planning import PLANNERS, CertifiedOptions, missing_planners, plan
 from lieednn_sim.planning import certified as planning
 from lieednn_sim.planning.baselines import sampling
-from lieednn_sim.planning.certified import plan
 from lieednn_sim.planning.motion import NetworkPath, least_duration
 
 ARM = Arm.load("telescopic_pr")
@@ -39,8 +38,8 @@ def looks(monkeypatch):
     return seen
 
 
-def problem(**changes):
-    return PlanningProblem(ARM, ARM.keyframe("home"), ARM.keyframe("extended"), **changes)
+def planned(name="lieednn-certified", **changes):
+    return plan(ARM, ARM.keyframe("extended"), planner=name, **changes).motion
 
 
 def test_of_limits_within_each_other_the_earlier_one_counts(monkeypatch):
@@ -66,7 +65,7 @@ def test_of_limits_within_each_other_the_earlier_one_counts(monkeypatch):
 @pytest.mark.parametrize("name", INSTALLED)
 def test_every_planner_stops_when_its_time_is_over(name, looks):
     with pytest.raises(OutOfTimeError, match="the budget of 20 s of CPU time is spent"):
-        plan_with(name, problem(time_budget=20.0))
+        planned(name, time_budget=20.0)
     # What is made of other libraries' loops may look a few times more.
     assert 20 < len(looks) < 60
 
@@ -88,14 +87,14 @@ def test_every_planner_looks_at_the_clock_often(name, monkeypatch):
     monkeypatch.setattr(ContactFinder, "geoms", counted)
     monkeypatch.setattr(budget, "cpu_time", look)
     monkeypatch.setattr(sampling, "_STAR_TESTS", 3000)
-    plan_with(name, problem(duration=2.0))
+    planned(name, duration=2.0)
     look()  # what comes after the last one counts, too
     assert max(np.diff(at_look)) < 150
 
 
 def test_a_budget_that_is_not_spent_changes_nothing(looks):
-    without = plan_with("trajectory-optimisation", problem(time_budget=float("inf")))
-    within = plan_with("trajectory-optimisation", problem(time_budget=1e9))
+    without = planned("trajectory-optimisation", time_budget=float("inf"))
+    within = planned("trajectory-optimisation", time_budget=1e9)
     np.testing.assert_array_equal(without.q, within.q)
 
 
@@ -129,9 +128,7 @@ def test_the_option_has_the_default_of_the_package():
 @pytest.mark.parametrize("value", [0.0, -1.0, float("nan"), "soon"])
 def test_a_budget_is_a_time(value):
     with pytest.raises(InputError, match="time_budget must be"):
-        problem(time_budget=value)
-    with pytest.raises(InputError, match="time_budget must be"):
-        plan(ARM, ARM.keyframe("extended"), time_budget=value)
+        planned(time_budget=value)
     with pytest.raises(InputError, match="time_budget must be"):
         Settings(time_budget=value)
 
@@ -147,7 +144,7 @@ def test_networks_are_drawn_once_and_only_the_best_is_looked_at_closely(monkeypa
     drawn = calls(monkeypatch, planning, "synthesize")
     paths, tried = (calls(monkeypatch, NetworkPath, name) for name in ("drawn", "timed"))
     passes = calls(monkeypatch, ContactFinder, "geoms")
-    motion = plan_with("lieednn-certified", problem(duration=0.6))
+    motion = planned(duration=0.6)
     assert len(drawn) == 24
     # Refused once for its haste, and timed again as it asks for, along the same path.
     assert (len(paths), len(tried)) == (1, 2)
@@ -159,7 +156,7 @@ def test_networks_are_drawn_once_and_only_the_best_is_looked_at_closely(monkeypa
 def test_where_nothing_can_be_fast_enough_one_refusal_is_enough(monkeypatch):
     tried = calls(monkeypatch, NetworkPath, "timed")
     with pytest.raises(PlanError, match=r"best of 3 candidates"):
-        plan(ARM, ARM.keyframe("extended"), duration=0.1, candidates=3)
+        planned(duration=0.1, options=CertifiedOptions(candidates=3))
     assert len(tried) == 1
 
 

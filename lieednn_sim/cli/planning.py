@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.cli.arguments import RANDOM, load_arm, make_task, start_and_target, usual_target
@@ -17,15 +15,9 @@ from lieednn_sim.cli.console import console, progress, table, wrote
 from lieednn_sim.cli.run_directory import RunDirectory
 from lieednn_sim.cli.task import CERTIFIED
 from lieednn_sim.errors import InputError
-from lieednn_sim.network import ComponentwiseNetwork
-from lieednn_sim.planning import OBSTACLE_PLANNER, PLANNERS, PlanningProblem, plan_network, require_planner
-from lieednn_sim.planning.certified import Plan, plan
+from lieednn_sim.planning import OBSTACLE_PLANNER, PLANNERS, CertifiedOptions, Plan, plan, require_planner
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.validation import as_choice
-
-Floats = NDArray[np.float64]
-
-_BIAS, _CANDIDATES = "sign-matched", 24
 
 
 def synthesize(run: RunDirectory, arguments: argparse.Namespace) -> None:
@@ -38,25 +30,32 @@ def synthesize(run: RunDirectory, arguments: argparse.Namespace) -> None:
         if arguments.target.startswith(RANDOM):
             console.print(f"target: {arguments.target}")
     start, target = start_and_target(arm, arguments)
-    options = _options(arguments) if planner == CERTIFIED else {}
+    chosen, shown = _options(arguments) if planner == CERTIFIED else (None, {})
     # JSON has no infinity.
     budget = None if arguments.time_budget == math.inf else arguments.time_budget
     task = make_task(
-        arm, start, target, arguments, planner=planner, reason=reason, options={**options, "time_budget": budget}
+        arm, start, target, arguments, planner=planner, reason=reason, options={**shown, "time_budget": budget}
     )
-    if planner == CERTIFIED:
-        chosen, motion = _plan(arm, target, start, arguments, options), None
-        network: ComponentwiseNetwork | None = chosen.network
-    else:
-        problem = PlanningProblem(arm, start, target, arguments.duration, arguments.seed, arguments.time_budget)
-        with progress("plan"):
-            network, motion = plan_network(planner, problem)
-    written = run.save_network(task, network, motion)
+    with progress("synthesize" if planner == CERTIFIED else "plan") as report:
+        made = plan(
+            arm,
+            target,
+            planner=planner,
+            start=start,
+            duration=arguments.duration,
+            # The run keeps the certified network alone, which draws the motion again in the task's duration.
+            longest=1.0 if planner == CERTIFIED else 3.0,
+            seed=arguments.seed,
+            time_budget=arguments.time_budget,
+            options=chosen,
+            progress=report,
+        )
+    written = run.save_network(task, made.network, None if planner == CERTIFIED else made.motion)
     print_import_report(arm)
-    if motion is None:
-        _print_choice(arm, chosen, options)
+    if planner == CERTIFIED:
+        _print_choice(arm, made, shown["bias"])
     else:
-        _print_outcome(planner, network, motion)
+        _print_outcome(made)
     wrote(*written)
 
 
@@ -84,55 +83,43 @@ def _planner(arm: Arm, arguments: argparse.Namespace) -> tuple[str, str]:
     return name, reason
 
 
-def _options(arguments: argparse.Namespace) -> dict[str, Any]:
-    """Options of the search for certified networks by name."""
+def _options(arguments: argparse.Namespace) -> tuple[CertifiedOptions, dict[str, Any]]:
+    """Options of the search for certified networks, and as they stand in the task."""
     magnitude = arguments.usual_bias_magnitude if arguments.bias_magnitude is None else arguments.bias_magnitude
-    return {
-        "bias": _BIAS if arguments.bias is None else arguments.bias,
-        "bias_magnitude": magnitude,
-        "candidates": _CANDIDATES if arguments.candidates is None else arguments.candidates,
-    }
+    given = {name: getattr(arguments, name) for name in ("bias", "candidates") if getattr(arguments, name) is not None}
+    if magnitude is not None:
+        given["bias_magnitudes"] = (magnitude,)
+    options = CertifiedOptions(**given)
+    return options, {"bias": options.bias, "bias_magnitude": magnitude, "candidates": options.candidates}
 
 
-def _plan(arm: Arm, target: Floats, start: Floats, arguments: argparse.Namespace, options: Mapping[str, Any]) -> Plan:
-    with progress("synthesize") as report:
-        return plan(
-            arm,
-            target,
-            start=start,
-            duration=arguments.duration,
-            seed=arguments.seed,
-            time_budget=arguments.time_budget,
-            progress=report,
-            **options,
-        )
-
-
-def _print_choice(arm: Arm, chosen: Plan, options: Mapping[str, Any]) -> None:
-    conditions = chosen.network.norm_conditions(arm.encode(chosen.target))
+def _print_choice(arm: Arm, made: Plan, bias: str) -> None:
+    network = made.network
+    assert network is not None
+    conditions = network.norm_conditions(arm.encode(made.target))
     rows = table("network", "quantity", "value")
-    rows.add_row("certificate", str(chosen.network.certificate))
-    rows.add_row("bias", f"{options['bias']}, largest entry {np.abs(chosen.network.bias).max():.3g}")
-    rows.add_row("candidates", f"{chosen.candidates} networks drawn, {chosen.within_limits} keep the joint limits")
-    rows.add_row("mechanism gap", _gap(chosen.motion))
+    rows.add_row("certificate", str(network.certificate))
+    rows.add_row("bias", f"{bias}, largest entry {np.abs(network.bias).max():.3g}")
+    rows.add_row("candidates", f"{made.candidates} networks drawn, {made.within_limits} keep the joint limits")
+    rows.add_row("mechanism gap", _gap(made.motion))
     rows.add_row(
         "1-norm of W",
         f"{conditions.one_norm:.2f} (no network with this equilibrium below {conditions.smallest_one_norm:.2f})",
     )
-    warning = chosen.network.assess(chosen.motion.xi_target).warning
+    warning = network.assess(made.motion.xi_target).warning
     if warning is not None:
         rows.add_row("warning", warning)
     console.print(rows)
 
 
-def _print_outcome(planner: str, network: ComponentwiseNetwork | None, motion: Motion) -> None:
+def _print_outcome(made: Plan) -> None:
     rows = table("plan", "quantity", "value")
-    rows.add_row("planner", planner)
-    rows.add_row("duration", f"{motion.t[-1]:.2f} s")
-    rows.add_row("mechanism gap", _gap(motion))
+    rows.add_row("planner", made.planner)
+    rows.add_row("duration", f"{made.motion.t[-1]:.2f} s")
+    rows.add_row("mechanism gap", _gap(made.motion))
     console.print(rows)
-    if network is not None:
-        console.print(f"stability: {network.assess(motion.xi_target)}")
+    if made.network is not None:
+        console.print(f"stability: {made.network.assess(made.motion.xi_target)}")
 
 
 def _gap(motion: Motion) -> str:

@@ -26,7 +26,7 @@ class Expert:
 
     Args:
         environment: an `ArmTask`, an environment of `suite.load`, or a Gymnasium one, wrapped or not.
-        planner: a name of `planning.PLANNERS`; by default `certified.plan`, and among obstacles `OBSTACLE_PLANNER`.
+        planner: a name of `planning.PLANNERS`; by default a certified LieEDNN, and among obstacles `OBSTACLE_PLANNER`.
         candidates: networks to draw for a plan at first, see `trajectories.planned`.
         seed: of the draws.
 

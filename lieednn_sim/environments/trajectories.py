@@ -11,8 +11,7 @@ from scipy.interpolate import CubicHermiteSpline
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError, NotCertifiedError, PlanError
-from lieednn_sim.planning import PlanningProblem, plan_with
-from lieednn_sim.planning.certified import plan
+from lieednn_sim.planning import CertifiedOptions, plan
 from lieednn_sim.planning.motion import Motion, minimum_jerk_law
 from lieednn_sim.validation import as_count, as_positive
 
@@ -79,7 +78,7 @@ def planned(
         arm: the arm.
         target: joint target ``(n,)``.
         start: joint position at rest, the keyframe ``home`` by default.
-        planner: a name of `planning.PLANNERS`; by default `certified.plan`, a certified LieEDNN.
+        planner: a name of `planning.PLANNERS`; by default a certified LieEDNN, which `candidates` belongs to.
         candidates: networks to draw at first by default; where their motions break limits, four times as many, and
             once more.
         seed: of the draws.
@@ -93,9 +92,7 @@ def planned(
     if planner is None:
         motion = _patient_plan(arm, target, start, count, seed)
     else:
-        goal = arm.check_position(target, "target")
-        origin = arm.keyframe("home") if start is None else arm.check_position(start, "start")
-        motion = plan_with(planner, PlanningProblem(arm, origin, goal, _PLANNING_DURATION, seed))
+        motion = plan(arm, target, planner=planner, start=start, duration=_PLANNING_DURATION, seed=seed).motion
     pace = _pace(arm, motion.t, motion.qd, _PLAN_SHARE)
     if not pace > 0.0:
         return Trajectory.of(motion.t, motion.q, motion.qd)
@@ -103,11 +100,17 @@ def planned(
 
 
 def _patient_plan(arm: Arm, target: ArrayLike, start: ArrayLike | None, candidates: int, seed: int) -> Motion:
+    def drawn(total: int) -> Motion:
+        options = CertifiedOptions(candidates=total)
+        return plan(
+            arm, target, start=start, duration=_PLANNING_DURATION, longest=1.0, seed=seed, options=options
+        ).motion
+
     # Most targets are easy, and a plan costs its candidates.
     for total in (candidates, 4 * candidates):
         with contextlib.suppress(PlanError, NotCertifiedError):
-            return plan(arm, target, start=start, duration=_PLANNING_DURATION, candidates=total, seed=seed).motion
-    return plan(arm, target, start=start, duration=_PLANNING_DURATION, candidates=16 * candidates, seed=seed).motion
+            return drawn(total)
+    return drawn(16 * candidates)
 
 
 def band_limited(arm: Arm, rng: np.random.Generator, duration: float) -> Trajectory:

@@ -8,7 +8,9 @@ from dataclasses import asdict, dataclass
 from functools import lru_cache
 from typing import Any
 
-from lieednn_sim import planning as planners
+import numpy as np
+from numpy.typing import NDArray
+
 from lieednn_sim._blas import one_blas_thread
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.collision import Collisions
@@ -18,12 +20,12 @@ from lieednn_sim.errors import InputError, LieEDNNError
 from lieednn_sim.evaluation.columns import FIELDS
 from lieednn_sim.evaluation.metrics import evaluate
 from lieednn_sim.evaluation.motion_metrics import motion_metrics, rollout_metrics, shortfall
-from lieednn_sim.planning import PlanningProblem, plan_network
-from lieednn_sim.planning.motion import Motion
+from lieednn_sim.planning import Plan, plan, reference_network
 from lieednn_sim.simulation import Rollout, simulate
 from lieednn_sim.simulation.tracking import as_hold
 from lieednn_sim.validation import as_positive
 
+Floats = NDArray[np.float64]
 Row = dict[str, str]
 
 FREE = "free"
@@ -91,29 +93,34 @@ def load_arm(name: str, scene: str, seed: int) -> Arm:
     """The arm in its scene, after what is made once for a process, so that no planning time counts it."""
     arm = Arm.load(name, scene=scene, seed=seed)
     try:
-        planners.reference_network(arm)
-        start = arm.keyframe("home")
-        planners.plan_with("minimum-jerk", PlanningProblem(arm, start, start, 100 * float(arm.model.opt.timestep)))
+        reference_network(arm)
+        plan(arm, arm.keyframe("home"), planner="minimum-jerk", duration=100 * float(arm.model.opt.timestep))
     except LieEDNNError:
         pass  # whoever needs what is missing here will say so
     return arm
 
 
-def make_problem(case: Case, settings: Settings) -> PlanningProblem:
-    """From home to a random target that makes sense in the scene; the same for every planner.
+@lru_cache(maxsize=4)
+def arm_and_target(name: str, scene: str, seed: int) -> tuple[Arm, Floats]:
+    """The arm, and a random target ``(n,)`` that makes sense in the scene; the same for every planner.
 
     Raises:
         InputError: an unknown arm or scene, or no target was found.
     """
     # Without obstacles nothing in the arm depends on the seed, and one arm serves all.
-    arm, target = _arm_and_target(case.arm, case.scene, case.seed)
-    return PlanningProblem(arm, arm.keyframe("home"), target, settings.duration, case.seed, settings.time_budget)
-
-
-@lru_cache(maxsize=4)
-def _arm_and_target(name: str, scene: str, seed: int) -> tuple[Arm, Any]:
     arm = load_arm(name, scene, 0 if scene == FREE else seed)
     return arm, draw_target(arm, seed)
+
+
+def _plan(case: Case, arm: Arm, target: Floats, settings: Settings) -> Plan:
+    return plan(
+        arm,
+        target,
+        planner=case.planner,
+        duration=settings.duration,
+        seed=case.seed,
+        time_budget=settings.time_budget,
+    )
 
 
 def run_case(case: Case, controllers: Sequence[str], settings: Settings) -> list[Row]:
@@ -123,21 +130,21 @@ def run_case(case: Case, controllers: Sequence[str], settings: Settings) -> list
     """
     with one_blas_thread():
         try:
-            problem = make_problem(case, settings)
+            arm, target = arm_and_target(case.arm, case.scene, case.seed)
         except LieEDNNError as error:
             return [_row(case, name, settings, _failed("problem", error)) for name in controllers]
         begun = time.process_time()
         try:
-            network, motion = plan_network(case.planner, problem)
+            made = _plan(case, arm, target, settings)
         except LieEDNNError as error:
             spent = {"planning_s": _text(time.process_time() - begun)}
             return [_row(case, name, settings, _failed("plan", error) | spent) for name in controllers]
         except Exception as error:
             error.add_note(f"while planning the case {case}")
             raise
-        planned = {"planning_s": _text(time.process_time() - begun), **_stability(network)}
-        planned |= _texts(motion_metrics(problem.arm, motion))
-        return [_row(case, name, settings, planned | _track(problem, motion, name, settings)) for name in controllers]
+        planned = {"planning_s": _text(time.process_time() - begun), **_stability(made.network)}
+        planned |= _texts(motion_metrics(arm, made.motion))
+        return [_row(case, name, settings, planned | _track(arm, made, name, settings)) for name in controllers]
 
 
 def replay(case: Case, controller: str, settings: Settings) -> Rollout:
@@ -147,30 +154,22 @@ def replay(case: Case, controller: str, settings: Settings) -> Rollout:
         LieEDNNError: it cannot be planned or simulated.
     """
     with one_blas_thread():
-        problem = make_problem(case, settings)
-        _, motion = plan_network(case.planner, problem)
-        return _simulate(problem, motion, controller, settings)
+        arm, target = arm_and_target(case.arm, case.scene, case.seed)
+        return _simulate(arm, _plan(case, arm, target, settings), controller, settings)
 
 
-def _simulate(problem: PlanningProblem, motion: Motion, controller: str, settings: Settings) -> Rollout:
-    return simulate(
-        problem.arm,
-        motion,
-        target=problem.target,
-        controller=controller,
-        hold=settings.hold,
-        mass_scale=settings.mass_scale,
-    )
+def _simulate(arm: Arm, made: Plan, controller: str, settings: Settings) -> Rollout:
+    return simulate(arm, made, controller=controller, hold=settings.hold, mass_scale=settings.mass_scale)
 
 
-def _track(problem: PlanningProblem, motion: Motion, controller: str, settings: Settings) -> Row:
+def _track(arm: Arm, made: Plan, controller: str, settings: Settings) -> Row:
     try:
-        rollout = _simulate(problem, motion, controller, settings)
+        rollout = _simulate(arm, made, controller, settings)
         evaluation = evaluate(rollout)
     except LieEDNNError as error:
         return _failed("simulation", error)
     reason = shortfall(evaluation)
-    measured = rollout_metrics(rollout, evaluation, _collisions(problem.arm))
+    measured = rollout_metrics(rollout, evaluation, _collisions(arm))
     return {"success": "no" if reason else "yes", "reason": reason, **_texts(measured)}
 
 

@@ -24,7 +24,7 @@ from lieednn_sim.planning.certified import BIAS_MAGNITUDES, rough_way
 from lieednn_sim.planning.extras import optional_module
 from lieednn_sim.planning.filtering import FilterOptions, run_filtered
 from lieednn_sim.planning.motion import Motion, check_motion
-from lieednn_sim.planning.problem import LONGEST, PlanningProblem
+from lieednn_sim.planning.problem import Plan, PlanningProblem
 from lieednn_sim.planning.segments import CLOSING, motion_of
 from lieednn_sim.synthesis import synthesize
 
@@ -45,10 +45,10 @@ _PATH_MARGIN, _PATH_OWN_MARGIN = 0.02, 0.004
 _PATHS, _GUIDED, _HALVINGS = 2, 2, 4
 
 
-def filtered(problem: PlanningProblem) -> tuple[LieEDNN, Motion]:
+def filtered(problem: PlanningProblem) -> Plan:
     """The first motion of a certified network through the filter that arrives.
 
-    It may take up to `LONGEST` times the problem's duration.
+    It takes what time it needs, up to ``problem.longest`` durations.
 
     Raises:
         NotCertifiedError: no network could be certified.
@@ -58,7 +58,7 @@ def filtered(problem: PlanningProblem) -> tuple[LieEDNN, Motion]:
     return search.alone() or search.refuse()
 
 
-def guided(problem: PlanningProblem) -> tuple[LieEDNN, Motion]:
+def guided(problem: PlanningProblem) -> Plan:
     """As `filtered`; where that does not arrive, the network is retargeted along a path of RRT-Connect.
 
     Raises:
@@ -88,23 +88,23 @@ class _Search:
         self._scale = joint_scale(problem.arm)
         self._ratio = max(round(_CONTROL_STEP / problem.timestep), 1)
 
-    def alone(self) -> tuple[LieEDNN, Motion] | None:
+    def alone(self) -> Plan | None:
         """Certified networks whose own way is free as soon as they are drawn, then the most promising other one."""
         drawn: list[tuple[float, LieEDNN]] = []
         for network, unsafe in self._candidates():
             drawn.append((unsafe, network))
             if unsafe == 0.0 and (motion := self._run(network)) is not None:
-                return network, motion
+                return Plan(motion, network)
         if not drawn:
             raise NotCertifiedError(f"none of {_CANDIDATES} candidates for the target could be certified and followed")
         drawn.sort(key=lambda candidate: candidate[0])
         self.networks = [network for _, network in drawn]
         for unsafe, network in drawn[:_TRIED]:
             if unsafe > 0.0 and (motion := self._run(network)) is not None:
-                return network, motion
+                return Plan(motion, network)
         return None
 
-    def guided(self) -> tuple[LieEDNN, Motion] | None:
+    def guided(self) -> Plan | None:
         """The most promising networks, retargeted along paths."""
         workspace = Workspace(self.problem, _PATH_MARGIN, _PATH_OWN_MARGIN)
         for attempt in range(_PATHS):
@@ -114,10 +114,10 @@ class _Search:
             for network in self.networks[:_GUIDED]:
                 motion = self._run(network, self._postures(network, corners))
                 if motion is not None:
-                    return network, motion
+                    return Plan(motion, network)
         return None
 
-    def refuse(self) -> tuple[LieEDNN, Motion]:
+    def refuse(self) -> Plan:
         """Raise `PlanError`: nothing arrived."""
         first = self.refusals[0] if self.refusals else "none could be tried"
         raise PlanError(f"no run through the filter arrived; the most promising: {first}")
@@ -158,7 +158,7 @@ class _Search:
                 problem.duration,
                 via=via,
                 timestep=self._ratio * problem.timestep,
-                longest=LONGEST - CLOSING / problem.duration,
+                longest=problem.longest - CLOSING / problem.duration,
             )
             if not run.success:
                 raise PlanError(run.message)

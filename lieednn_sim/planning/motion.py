@@ -11,9 +11,8 @@ equilibrium.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -28,14 +27,11 @@ from lieednn_sim.network.dynamics import Trajectory
 from lieednn_sim.validation import as_floats, as_positive, as_times
 
 Floats = NDArray[np.float64]
-_Made = TypeVar("_Made")
 
 # Distance to the equilibrium at which the network's path is cut [network coordinates: rad, length_scale m].
 RESIDUAL = 1e-8
 # Positions may exceed a limit by this much [rad, m]: a target on a limit is reached up to the residual.
 LIMIT_TOLERANCE = 1e-6
-# A motion that is too fast gets the time that it needs and this much more.
-_SLOWER = 1.02
 # A step between two samples that the velocities do not explain by this much is a jump [rad, m].
 _JUMP = 0.02
 # At a simulation step of 2 ms this is 200 s: more takes minutes to plan, and a table of results nobody needs.
@@ -224,24 +220,6 @@ def least_duration(arm: Arm, start: Floats, target: Floats) -> float:
     # Without a limit of velocity nothing cruises; without one of acceleration nothing takes time to start.
     peak = np.minimum(v, np.sqrt(way * np.minimum(a, 1e300)))
     return float((way / np.maximum(peak, 1e-300) + peak / a).max())
-
-
-def slowed_down(make: Callable[[float], _Made], duration: float, longest: float) -> _Made:
-    """What ``make`` gives for a duration [s], or for the least one up to ``longest`` [s] that it asks for.
-
-    The same rule for all planners, so that none is judged by how much time it was given.
-
-    Raises:
-        TooFastError: even ``longest`` is not enough.
-    """
-    while True:
-        try:
-            return make(duration)
-        except TooFastError as error:
-            slower = _SLOWER * max(error.duration, duration)
-            if slower > longest:
-                raise
-            duration = slower
 
 
 def minimum_jerk_law(s: Floats) -> tuple[Floats, Floats]:

@@ -1,7 +1,4 @@
-"""Planners that run a network: certified for its target, certified once and retargeted, learned, and without weights.
-
-Each returns the network beside the motion, for its stability can be judged and the motion's alone cannot.
-"""
+"""Planners that run a network: certified once and retargeted, learned, and without weights."""
 
 from __future__ import annotations
 
@@ -16,9 +13,9 @@ from lieednn_sim.errors import PlanError
 from lieednn_sim.learning import TrainingOptions, TrainingResult, train
 from lieednn_sim.network import ComponentwiseNetwork, LieEDNN
 from lieednn_sim.network.hopfield import HopfieldNetwork
-from lieednn_sim.planning.certified import BIAS_MAGNITUDES, plan
+from lieednn_sim.planning.certified import BIAS_MAGNITUDES
 from lieednn_sim.planning.motion import Motion, NetworkPath, check_motion
-from lieednn_sim.planning.problem import LONGEST, PlanningProblem, in_time
+from lieednn_sim.planning.problem import Plan, PlanningProblem, in_time
 from lieednn_sim.synthesis import bias_for, synthesize
 
 Floats = NDArray[np.float64]
@@ -35,26 +32,7 @@ _LEARNED_TOLERANCE = 1e-8
 _ARRIVAL = 1e-6
 
 
-def certified(problem: PlanningProblem) -> tuple[LieEDNN, Motion]:
-    """The best of certified networks drawn for the target; see `certified.plan`.
-
-    Raises:
-        NotCertifiedError: none could be certified.
-        PlanError: every motion breaks a limit of the arm.
-    """
-    made = plan(
-        problem.arm,
-        problem.target,
-        start=problem.start,
-        duration=problem.duration,
-        seed=problem.seed,
-        longest=LONGEST,
-        time_budget=problem.time_budget,
-    )
-    return made.network, made.motion
-
-
-def retargeted(problem: PlanningProblem) -> tuple[LieEDNN, Motion]:
+def retargeted(problem: PlanningProblem) -> Plan:
     """The one network of `reference_network`, made to end at the target by its bias alone.
 
     Raises:
@@ -62,8 +40,7 @@ def retargeted(problem: PlanningProblem) -> tuple[LieEDNN, Motion]:
         PlanError: the motion breaks a limit of the arm.
     """
     network = reference_network(problem.arm).retarget(problem.arm.encode(problem.target))
-    path = _path(problem, network)
-    return network, in_time(lambda asked: _motion(asked, path), problem)
+    return Plan(in_time(_motion, problem, _path(problem, network)), network)
 
 
 @lru_cache(maxsize=8)
@@ -78,7 +55,7 @@ def reference_network(arm: Arm) -> LieEDNN:
     return synthesize(target, bias="sign-matched", bias_magnitude=_REFERENCE_BIAS).unwrap()
 
 
-def trained(problem: PlanningProblem) -> tuple[ComponentwiseNetwork, Motion]:
+def trained(problem: PlanningProblem) -> Plan:
     """The first of a few learned networks whose motion the arm can make; with a certificate where there is one.
 
     The weights are learned by tracked projective learning (`learning.train`) under the sign-matched bias.
@@ -90,7 +67,7 @@ def trained(problem: PlanningProblem) -> tuple[ComponentwiseNetwork, Motion]:
     return _learned(problem, options, lambda result, _: result.network)
 
 
-def unprojected(problem: PlanningProblem) -> tuple[ComponentwiseNetwork, Motion]:
+def unprojected(problem: PlanningProblem) -> Plan:
     """As `trained`, by the gradient steps of Algorithm 1 alone: weights that never return to the adjoint matrices.
 
     What is left is a plain network of 6N neurons (`HopfieldNetwork`), the ablation that shows what the structure is
@@ -109,7 +86,7 @@ def _learned(
     problem: PlanningProblem,
     options: TrainingOptions,
     network_of: Callable[[TrainingResult, Floats], ComponentwiseNetwork | None],
-) -> tuple[ComponentwiseNetwork, Motion]:
+) -> Plan:
     xi = problem.arm.encode(problem.target)
     refusal = ""
     for candidate in range(_LEARNED_CANDIDATES):
@@ -126,11 +103,11 @@ def _learned(
         except PlanError as error:
             refusal = str(error)
             continue
-        return network.try_certify(), motion
+        return Plan(motion, network.try_certify())
     raise PlanError(f"no learned network of {_LEARNED_CANDIDATES} can be used: {refusal}")
 
 
-def linear_law(problem: PlanningProblem) -> tuple[LieEDNN, Motion]:
+def linear_law(problem: PlanningProblem) -> Plan:
     """The linear attractor xi' = -k (xi - xi_d), which is the LieEDNN without weights and with bias xi_d.
 
     So it shares the network's way through time (`motion.NetworkPath`), where k has no part: only the path counts,
@@ -146,8 +123,7 @@ def linear_law(problem: PlanningProblem) -> tuple[LieEDNN, Motion]:
         translation=np.zeros((n, n, 3)),
         bias=problem.arm.encode(problem.target),
     )
-    path = _path(problem, network)
-    return network.certify(), in_time(lambda asked: _motion(asked, path), problem)
+    return Plan(in_time(_motion, problem, _path(problem, network)), network.certify())
 
 
 def _path(problem: PlanningProblem, network: ComponentwiseNetwork) -> NetworkPath:

@@ -1,39 +1,42 @@
-"""What every planner is given: an arm, where it is, where it shall be, and how long that may take."""
+"""What every planner is given and what it makes: a problem, a plan, and the one rule for motions that are too fast."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import TypeVar
+from dataclasses import dataclass, field, replace
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.budget import DEFAULT_TIME_BUDGET, as_time_budget
-from lieednn_sim.errors import InputError
-from lieednn_sim.planning.motion import count_steps, slowed_down
+from lieednn_sim.errors import InputError, TooFastError
+from lieednn_sim.network import ComponentwiseNetwork
+from lieednn_sim.planning.motion import Motion, count_steps
 from lieednn_sim.validation import as_positive, as_seed
 
 Floats = NDArray[np.float64]
 _Made = TypeVar("_Made")
 
-# A motion takes at most this many of the problem's durations.
-LONGEST = 3.0
+# A motion that is too fast gets the time that it needs and this much more: that time is estimated from samples.
+_SLOWER = 1.02
 
 
 @dataclass(frozen=True, eq=False)
 class PlanningProblem:
-    """A motion to plan from rest to rest; what is stored is what was checked.
+    """A motion to plan from rest to rest; what is stored is what was checked. The values are those of `plan`.
 
     Attributes:
         arm: the arm.
         start: ``(n,)`` joint position at rest [rad, m].
         target: ``(n,)`` joint position to come to rest at [rad, m].
-        duration: of the motion [s]; it may take up to `LONGEST` times as long where the arm's limits need it.
-        seed: of planners that draw; the same seed gives the same motion.
-        time_budget: CPU time that a planner may take [s]; infinity for no limit. One that needs less makes the same
-            motion whatever the budget and the machine, one that needs more makes none.
+        duration: of the motion [s].
+        seed: of planners that draw.
+        time_budget: CPU time that a planner may take [s].
+        longest: durations that the motion may take at most.
+        progress: called with (done, total) after every candidate, by planners that draw a number of them.
 
     Raises:
         InputError: a value is malformed, or start or target are out of the arm's reach: beyond a limit, or where
@@ -46,6 +49,8 @@ class PlanningProblem:
     duration: float = 4.0
     seed: int = 0
     time_budget: float = DEFAULT_TIME_BUDGET
+    longest: float = 3.0
+    progress: Callable[[int, int], None] | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.arm, Arm):
@@ -54,7 +59,10 @@ class PlanningProblem:
             position = self.arm.check_reachable(getattr(self, name), name).copy()
             position.setflags(write=False)
             object.__setattr__(self, name, position)
-        object.__setattr__(self, "duration", as_positive("duration", self.duration))
+        for name in ("duration", "longest"):
+            object.__setattr__(self, name, as_positive(name, getattr(self, name)))
+        if self.longest < 1.0:
+            raise InputError(f"longest must be at least 1, the duration itself, got {self.longest:g}")
         object.__setattr__(self, "seed", as_seed("seed", self.seed))
         object.__setattr__(self, "time_budget", as_time_budget("time_budget", self.time_budget))
         count_steps(self.duration, self.timestep)
@@ -70,12 +78,44 @@ class PlanningProblem:
         return self.timestep * np.arange(count, dtype=np.float64)
 
 
-def in_time(make: Callable[[PlanningProblem], _Made], problem: PlanningProblem) -> _Made:
-    """What ``make`` gives for a problem, or with the least duration that it asks for, up to `LONGEST` times as long.
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """What a planner made of a problem; `plan` adds the target, the planner's name and the time.
+
+    Attributes:
+        motion: from rest at the start to rest at the target; keeps the limits and touches nothing, see
+            `motion.check_motion`.
+        network: that made the motion, with the target as its equilibrium; None of planners without one.
+        candidates: networks synthesised by ``lieednn-certified``; None of other planners.
+        within_limits: of these, networks whose transient keeps the position limits.
+        target: ``(n,)`` joint target [rad, m].
+        planner: its name.
+        cpu_time: that it took [s].
+    """
+
+    motion: Motion
+    network: ComponentwiseNetwork | None = None
+    candidates: int | None = None
+    within_limits: int | None = None
+    target: Floats = field(default_factory=lambda: np.empty(0), repr=False)
+    planner: str = ""
+    cpu_time: float = math.nan
+
+
+def in_time(make: Callable[..., _Made], problem: PlanningProblem, *options: Any) -> _Made:
+    """What ``make(problem, *options)`` gives, or with the least duration that it asks for where it is too fast.
+
+    The same rule for all planners, so that none is judged by how much time it was given.
 
     Raises:
-        TooFastError: even that is not enough.
+        TooFastError: even ``problem.longest`` durations are not enough.
     """
-    return slowed_down(
-        lambda duration: make(replace(problem, duration=duration)), problem.duration, LONGEST * problem.duration
-    )
+    latest = problem.longest * problem.duration
+    while True:
+        try:
+            return make(problem, *options)
+        except TooFastError as error:
+            slower = _SLOWER * max(error.duration, problem.duration)
+            if slower > latest:
+                raise
+            problem = replace(problem, duration=slower, longest=latest / slower)

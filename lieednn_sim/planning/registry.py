@@ -1,74 +1,108 @@
-"""Planners by name."""
+"""One way to plan: planners by name, all asked alike."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
+from typing import Any, NamedTuple
 
-from lieednn_sim.budget import time_limit
+from numpy.typing import ArrayLike
+
+from lieednn_sim.arm import Arm
+from lieednn_sim.budget import DEFAULT_TIME_BUDGET, cpu_time, time_limit
 from lieednn_sim.errors import InputError
-from lieednn_sim.network import ComponentwiseNetwork
 from lieednn_sim.planning import filtered
 from lieednn_sim.planning import network_planners as lieednn
 from lieednn_sim.planning.baselines import interpolation, optimisation, primitives, sampling
+from lieednn_sim.planning.certified import CertifiedOptions, certified
 from lieednn_sim.planning.motion import Motion
-from lieednn_sim.planning.problem import PlanningProblem, in_time
+from lieednn_sim.planning.problem import Plan, PlanningProblem, in_time
 from lieednn_sim.validation import as_choice
 
-# Those that run a network, and return it beside the motion.
-NETWORK_PLANNERS: dict[str, Callable[[PlanningProblem], tuple[ComponentwiseNetwork, Motion]]] = {
-    "linear-law": lieednn.linear_law,
-    "lieednn-certified": lieednn.certified,
-    "lieednn-retargeted": lieednn.retargeted,
-    "lieednn-trained": lieednn.trained,
-    "lieednn-unprojected": lieednn.unprojected,
-    "lieednn-filtered": filtered.filtered,
-    "lieednn-guided": filtered.guided,
-}
 
+class Planner(NamedTuple):
+    """A function of a problem, and of options where it has any.
+
+    Attributes:
+        solve: returns a plan, or where there is no network the motion alone, or raises; the motion is sampled at the
+            model's time step, and `motion.check_motion` passes it.
+        options: class of its options, its second argument; None where it has none.
+    """
+
+    solve: Callable[..., Plan | Motion]
+    options: type[Any] | None = None
+
+
+PLANNERS: dict[str, Planner] = {
+    "minimum-jerk": Planner(partial(in_time, interpolation.minimum_jerk)),
+    "screw": Planner(partial(in_time, interpolation.screw)),
+    "dmp": Planner(partial(in_time, primitives.dmp)),
+    "rrt-connect": Planner(sampling.rrt_connect),
+    "rrt-star": Planner(sampling.rrt_star),
+    "trajectory-optimisation": Planner(partial(in_time, optimisation.trajectory_optimisation)),
+    "linear-law": Planner(lieednn.linear_law),
+    "lieednn-certified": Planner(certified, CertifiedOptions),
+    "lieednn-retargeted": Planner(lieednn.retargeted),
+    "lieednn-trained": Planner(lieednn.trained),
+    "lieednn-unprojected": Planner(lieednn.unprojected),
+    "lieednn-filtered": Planner(filtered.filtered),
+    "lieednn-guided": Planner(filtered.guided),
+}
 
 # The LieEDNN planner that gets furthest among obstacles, whether its library is installed or not.
 OBSTACLE_PLANNER = "lieednn-guided"
 
 
-def _motion_of(name: str, problem: PlanningProblem) -> Motion:
-    return NETWORK_PLANNERS[name](problem)[1]
+def plan(
+    arm: Arm,
+    target: ArrayLike,
+    *,
+    planner: str = "lieednn-certified",
+    start: ArrayLike | None = None,
+    duration: float = 4.0,
+    longest: float = 3.0,
+    seed: int = 0,
+    time_budget: float = DEFAULT_TIME_BUDGET,
+    options: Any = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Plan:
+    """Plan a motion from rest to rest within the arm's limits and free of contact.
 
-
-# Each returns a motion that `motion.check_motion` passes, sampled at the model's time step, or raises.
-PLANNERS: dict[str, Callable[[PlanningProblem], Motion]] = {
-    "minimum-jerk": partial(in_time, interpolation.minimum_jerk),
-    "screw": partial(in_time, interpolation.screw),
-    "dmp": partial(in_time, primitives.dmp),
-    "rrt-connect": sampling.rrt_connect,
-    "rrt-star": sampling.rrt_star,
-    "trajectory-optimisation": partial(in_time, optimisation.trajectory_optimisation),
-    **{name: partial(_motion_of, name) for name in NETWORK_PLANNERS},
-}
-
-
-def plan_with(name: str, problem: PlanningProblem) -> Motion:
-    """Plan with the planner of a name.
-
-    Returns:
-        A motion from rest at the start to rest at the target in the problem's duration, or in up to `LONGEST` times
-        that where the arm's limits need it, within the arm's limits and free of contact, sampled at
-        the time step of the arm's model.
+    Args:
+        arm: the arm, in its scene.
+        target: joint target ``(n,)`` [rad, m].
+        planner: a name of `PLANNERS`.
+        start: joint position at rest ``(n,)`` [rad, m], the keyframe ``home`` by default.
+        duration: of the motion [s], rounded to a whole number of the model's time steps.
+        longest: durations that the motion may take at most, where the arm's limits need more time; with 1 one that is
+            too fast is refused, with the time that would do. Learned networks are never given more than one.
+        seed: of planners that draw; the same seed gives the same plan.
+        time_budget: CPU time that planning may take [s]; infinity for no limit. A planner that needs less makes the
+            same motion whatever the budget and the machine, one that needs more makes none.
+        options: of the planner, an object of its class in `PLANNERS`; by default that class's defaults.
+        progress: called with (done, total) after every candidate, by planners that draw a number of them.
 
     Raises:
-        InputError: an unknown name; the message lists the known ones.
+        InputError: a value is malformed, an unknown planner or options of another one, or start or target are out of
+            the arm's reach.
         NotCertifiedError: no network could be certified.
-        PlanError: the motion breaks a limit of the arm, or does not arrive.
-        OutOfTimeError: the problem's time budget is spent.
+        PlanError: the motion breaks a limit of the arm, or does not arrive; `TooFastError` where more time would do.
+        OutOfTimeError: the time budget is spent.
         LieEDNNError: a library that the planner needs is not installed; see `missing_planners`.
     """
-    return plan_network(name, problem)[1]
-
-
-def plan_network(name: str, problem: PlanningProblem) -> tuple[ComponentwiseNetwork | None, Motion]:
-    """As `plan_with`, with the network that made the motion, or None for a planner that has none."""
-    as_choice("planner", name, PLANNERS)
-    if not isinstance(problem, PlanningProblem):
-        raise InputError(f"problem must be a PlanningProblem, got {type(problem).__name__}")
+    solve, kind = PLANNERS[as_choice("planner", planner, PLANNERS)]
+    if options is not None and (kind is None or not isinstance(options, kind)):
+        wanted = "has no options" if kind is None else f"takes options of class {kind.__name__}"
+        raise InputError(f"the planner {planner!r} {wanted}, got {type(options).__name__}")
+    given = () if kind is None else (kind() if options is None else options,)
+    if not isinstance(arm, Arm):
+        raise InputError(f"arm must be an Arm, got {type(arm).__name__}; see Arm.load")
+    origin = arm.keyframe("home") if start is None else start
+    # Checked, and made arrays, by the problem.
+    problem = PlanningProblem(arm, origin, target, duration, seed, time_budget, longest, progress)  # type: ignore[arg-type]
+    begun = cpu_time()
     with time_limit(problem.time_budget):
-        return NETWORK_PLANNERS[name](problem) if name in NETWORK_PLANNERS else (None, PLANNERS[name](problem))
+        made = solve(problem, *given)
+    found = Plan(made) if isinstance(made, Motion) else made
+    return replace(found, target=problem.target, planner=planner, cpu_time=cpu_time() - begun)

@@ -24,8 +24,7 @@ from lieednn_sim.errors import InputError
 from lieednn_sim.evaluation.workers import progress_bar
 from lieednn_sim.learning import ALGORITHMS, TrainingOptions
 from lieednn_sim.learning import train as learn
-from lieednn_sim.planning import PLANNERS, reference_network
-from lieednn_sim.planning.certified import Plan
+from lieednn_sim.planning import PLANNERS, Plan, reference_network
 from lieednn_sim.planning.filtering import run_filtered
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.simulation import CONTROLLERS, Rollout
@@ -178,7 +177,7 @@ def test_large_objects_are_shown_in_a_line():
         assert len(repr(value)) < 200
         assert "array" not in repr(value)
         assert "\n" not in repr(value)
-    assert len(str(Plan(network, motion, arm.keyframe("home"), 24, 3)).splitlines()) < 4
+    assert len(str(Plan(motion, network, 24, 3)).splitlines()) < 4
 
 
 def test_a_position_beyond_everything_is_refused_without_a_warning(monkeypatch):

@@ -17,7 +17,7 @@ from lieednn_sim.cli import main
 from lieednn_sim.cli.run_directory import RunDirectory
 from lieednn_sim.cli.task import Task
 from lieednn_sim.errors import FileError, LieEDNNError
-from lieednn_sim.planning import PlanningProblem, plan_network
+from lieednn_sim.planning import plan
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.simulation import Rollout, simulate
 
@@ -43,7 +43,8 @@ def made():
     arm = Arm.load("telescopic_pr")
     start = arm.keyframe("home")
     target = start + 0.05 * (arm.keyframe("extended") - start)
-    network, motion = plan_network("linear-law", PlanningProblem(arm, start, target, 0.6))
+    made = plan(arm, target, planner="linear-law", start=start, duration=0.6)
+    network, motion = made.network, made.motion
     rollout = simulate(arm, motion, hold=0.05)
     task = Task(arm.name, tuple(start), tuple(target), 0.6, planner="linear-law", model=arm.fingerprint)
     return task, network, motion, rollout

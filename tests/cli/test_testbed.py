@@ -13,7 +13,7 @@ from lieednn_sim.cli.task import Task
 from lieednn_sim.errors import PlanError
 from lieednn_sim.evaluation import plots
 from lieednn_sim.network import LieEDNN
-from lieednn_sim.planning import NETWORK_PLANNERS, OBSTACLE_PLANNER
+from lieednn_sim.planning import OBSTACLE_PLANNER, PLANNERS, Planner
 from lieednn_sim.planning.motion import Motion, make_motion
 from lieednn_sim.simulation import Push, Rollout
 
@@ -163,7 +163,7 @@ def test_where_the_filter_blocks_nothing_is_left_and_the_line_says_by_what(tmp_p
     def blocked(problem):
         raise PlanError("blocked by the clearance of 'hand' from 'wall'")
 
-    monkeypatch.setitem(NETWORK_PLANNERS, OBSTACLE_PLANNER, blocked)
+    monkeypatch.setitem(PLANNERS, OBSTACLE_PLANNER, Planner(blocked))
     arguments = ["synthesize", "--scene", "window", "--target", "random:0", "--output", tmp_path / "run"]
     assert "error: blocked by the clearance of 'hand' from 'wall'" in error(capsys, *arguments)
     assert not (tmp_path / "run").exists()

@@ -19,7 +19,7 @@ from lieednn_sim.evaluation import Case, Selection, Settings, Table, cases, comp
 from lieednn_sim.evaluation.columns import BY_NAME, FIELDS, TIMING
 from lieednn_sim.evaluation.motion_metrics import least_clearance, rms_curvature, violations
 from lieednn_sim.evaluation.statistics import failures, numbers, wilson
-from lieednn_sim.planning import PlanningProblem, plan_with
+from lieednn_sim.planning import plan
 from lieednn_sim.simulation import simulate
 
 CASE = Case("telescopic_pr", "free", "minimum-jerk", 0)
@@ -45,8 +45,8 @@ def test_a_row_holds_what_the_plan_says_of_itself():
     assert value["gap_mm"] == value["gap_end_deg"] == 0.0
     assert value["final_worst_mm"] < 1e-6
     # A straight line in joint space, and the peak of its law: 15/8 of the mean velocity.
-    problem = cases.make_problem(CASE, Settings())
-    arm, way = problem.arm, problem.target - problem.start
+    arm, target = cases.arm_and_target(CASE.arm, CASE.scene, CASE.seed)
+    way = target - arm.keyframe("home")
     ranges = arm.position_limits[:, 1] - arm.position_limits[:, 0]
     assert value["path_ranges"] == pytest.approx(np.linalg.norm(way / ranges), rel=1e-5)
     assert value["velocity_share"] == pytest.approx((1.875 * abs(way) / 4.0 / arm.velocity_limits).max(), rel=1e-3)
@@ -69,10 +69,10 @@ def test_masses_that_the_controller_does_not_know_show_in_the_row():
 
 
 def test_a_planner_that_fails_is_a_row_with_the_reason(monkeypatch, tmp_path):
-    def refuse(*_):
+    def refuse(*_, **__):
         raise PlanError("joint 'turn1' would reach 2.5 rad")
 
-    monkeypatch.setattr(cases, "plan_network", refuse)
+    monkeypatch.setattr(cases, "plan", refuse)
     rows = run_case(CASE, ["mocap", "computed-torque"], QUICK)
     assert [row["reason"] for row in rows] == ["plan: joint 'turn1' would reach 2.5 rad"] * 2
     assert {(row["success"], row["final_worst_mm"]) for row in rows} == {("no", "")}
@@ -85,7 +85,7 @@ def test_a_planner_that_fails_is_a_row_with_the_reason(monkeypatch, tmp_path):
 
 
 def test_a_bug_in_a_planner_is_not_swallowed_and_names_the_case(monkeypatch):
-    monkeypatch.setattr(cases, "plan_network", lambda *_: 1 / 0)
+    monkeypatch.setattr(cases, "plan", lambda *_, **__: 1 / 0)
     with pytest.raises(ZeroDivisionError) as caught:
         run_case(CASE, ["mocap"], QUICK)
     assert caught.value.__notes__ == ["while planning the case minimum-jerk:telescopic_pr:free:0"]
@@ -188,7 +188,7 @@ def test_curvature_of_paths_that_have_none():
 
 def test_violations_and_clearance_see_the_simulated_motion():
     arm = Arm.load("telescopic_pr")
-    motion = plan_with("minimum-jerk", PlanningProblem(arm, arm.keyframe("home"), arm.keyframe("extended"), 1.5))
+    motion = plan(arm, arm.keyframe("extended"), planner="minimum-jerk", duration=1.5).motion
     rollout = simulate(arm, motion, hold=0.1)
     assert all(value == 0.0 for value in violations(rollout).values())
     # The same motion within half the speed limits: count and excess by another road.

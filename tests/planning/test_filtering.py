@@ -9,7 +9,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.errors import InputError, PlanError
-from lieednn_sim.planning import PlanningProblem, missing_planners, plan_network
+from lieednn_sim.planning import PlanningProblem, missing_planners, plan
 from lieednn_sim.planning import filtered as planner
 from lieednn_sim.planning import segments as legs
 from lieednn_sim.planning.baselines import sampling
@@ -149,15 +149,16 @@ def test_the_planners_find_a_way_around(name, scene, seed):
     if name in missing_planners():
         pytest.skip(f"{name} needs {missing_planners()[name]}")
     arm = Arm.load("telescopic_pr", scene, seed)
-    problem = PlanningProblem(arm, arm.keyframe("home"), draw_target(arm, seed), 4.0, seed)
-    straight = problem.start + np.linspace(0.0, 1.0, 80)[:, None] * (problem.target - problem.start)
+    start, target = arm.keyframe("home"), draw_target(arm, seed)
+    straight = start + np.linspace(0.0, 1.0, 80)[:, None] * (target - start)
     assert any(arm.contacts(q) for q in straight)
-    network, motion = plan_network(name, problem)
-    assert network.certified
+    made = plan(arm, target, planner=name, seed=seed)
+    motion = made.motion
+    assert made.network.certified
     check_motion(arm, motion)
-    np.testing.assert_array_equal(motion.q[[0, -1]], [problem.start, problem.target])
+    np.testing.assert_array_equal(motion.q[[0, -1]], [start, target])
     np.testing.assert_array_equal(motion.qd[[0, -1]], 0.0)
-    assert motion.t[-1] <= planner.LONGEST * problem.duration + 2.0 * problem.timestep
+    assert motion.t[-1] <= 3.0 * 4.0 + 2.0 * motion.timestep
     # Positions are the integral of the velocities, which never jump.
     middle = 0.5 * motion.timestep * (motion.qd[1:] + motion.qd[:-1])
     np.testing.assert_allclose(np.diff(motion.q, axis=0), middle, atol=1e-6)
@@ -165,7 +166,7 @@ def test_the_planners_find_a_way_around(name, scene, seed):
 
 def test_staying_is_a_motion():
     home = FREE.keyframe("home")
-    _, motion = planner.filtered(PlanningProblem(FREE, home, home, 1.0))
+    motion = planner.filtered(PlanningProblem(FREE, home, home, 1.0)).motion
     np.testing.assert_allclose(motion.q, np.broadcast_to(home, motion.q.shape), atol=1e-3)
 
 
@@ -174,11 +175,11 @@ def test_a_hopeless_problem_says_what_blocks(monkeypatch):
     monkeypatch.setattr(planner, "optional_module", lambda _: None)
     monkeypatch.setattr(sampling, "connecting_path", lambda *_: None)
     problem = PlanningProblem(POLES, POLES.keyframe("home"), draw_target(POLES, 0), 2.0)
-    for plan in (planner.filtered, planner.guided):
+    for make in (planner.filtered, planner.guided):
         with pytest.raises(
             PlanError, match=r"no run through the filter arrived; .*the clearance of '.*' from 'obstacle_pole"
         ):
-            plan(problem)
+            make(problem)
 
 
 def test_limits_are_proved_only_where_they_hold():
@@ -456,4 +457,5 @@ def test_the_most_promising_networks_run_first(monkeypatch):
     assert ran == ["free", "little", "some"]
     assert search.networks == ["free", "little", "some", "half", "most"]
     monkeypatch.setattr(search, "_run", lambda network, via=(): network if network == "little" else None)
-    assert search.alone() == ("little", "little")
+    found = search.alone()
+    assert found.network == found.motion == "little"

@@ -10,8 +10,8 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.errors import FileError, InputError, PlanError, TooFastError
 from lieednn_sim.lie import exp
 from lieednn_sim.network import LieEDNN
+from lieednn_sim.planning import CertifiedOptions, plan
 from lieednn_sim.planning import certified as planning
-from lieednn_sim.planning.certified import plan
 from lieednn_sim.planning.motion import (
     RESIDUAL,
     Motion,
@@ -169,28 +169,35 @@ def test_save_and_load(motion, tmp_path):
 
 
 def test_plans_are_reproducible_and_keep_the_limits(arm):
-    first, second = (plan(arm, arm.keyframe("extended"), candidates=6, seed=3) for _ in range(2))
+    first, second = (
+        plan(arm, arm.keyframe("extended"), options=CertifiedOptions(candidates=6), seed=3) for _ in range(2)
+    )
     np.testing.assert_array_equal(first.motion.q, second.motion.q)
     assert first.network.certified
     check_motion(arm, first.motion)
-    other = plan(arm, arm.keyframe("extended"), candidates=6, seed=4)
+    other = plan(arm, arm.keyframe("extended"), options=CertifiedOptions(candidates=6), seed=4)
     assert not np.array_equal(first.network.alpha, other.network.alpha)
 
 
 def test_plan_reports_progress_and_refuses_bad_targets(arm):
     seen = []
-    plan(arm, arm.keyframe("extended"), candidates=3, progress=lambda done, total: seen.append((done, total)))
+    plan(
+        arm,
+        arm.keyframe("extended"),
+        options=CertifiedOptions(candidates=3),
+        progress=lambda done, total: seen.append((done, total)),
+    )
     assert seen == [(1, 3), (2, 3), (3, 3)]
     beyond = arm.keyframe("home")
     beyond[3] = 3.0
     with pytest.raises(InputError, match="target is out of reach: joint 'extend1' would be at 3 m"):
         plan(arm, beyond)
     with pytest.raises(InputError, match="candidates must be at least 1"):
-        plan(arm, arm.keyframe("extended"), candidates=0)
+        CertifiedOptions(candidates=0)
     with pytest.raises(InputError, match="no bias rule 'none'; allowed: sign-matched, solved, uniform"):
-        plan(arm, arm.keyframe("extended"), bias="none")
+        CertifiedOptions(bias="none")
     with pytest.raises(PlanError, match="a duration of at least"):
-        plan(arm, arm.keyframe("extended"), duration=0.2, candidates=3)
+        plan(arm, arm.keyframe("extended"), duration=0.2, longest=1.0, options=CertifiedOptions(candidates=3))
 
 
 def test_position_limits_hold_to_a_micron(arm, motion):
@@ -253,8 +260,11 @@ def test_the_plan_is_the_candidate_with_the_smallest_gap_that_keeps_the_limits(a
         return result
 
     monkeypatch.setattr(planning, "synthesize", record)
+    spec = arm.spec.copy()
+    spec.option.timestep = 0.02
+    arm = Arm.from_spec(spec, arm.source, arm.name)
     home, goal = arm.keyframe("home"), arm.keyframe("extended")
-    chosen = plan(arm, goal, candidates=6, seed=2, timestep=0.02)
+    chosen = plan(arm, goal, options=CertifiedOptions(candidates=6), seed=2)
     gaps = {}
     for network in drawn:
         motion = make_motion(arm, network, home, 4.0, 0.02)

@@ -10,16 +10,18 @@ from hypothesis import given, reject, settings
 from hypothesis import strategies as st
 
 from lieednn_sim.arm import Arm
-from lieednn_sim.errors import InputError, NotCertifiedError, PlanError, TooFastError
+from lieednn_sim.errors import InputError, NoSolutionError, NotCertifiedError, PlanError, TooFastError
 from lieednn_sim.lie import exp, log
 from lieednn_sim.planning import (
-    NETWORK_PLANNERS,
     PLANNERS,
+    CertifiedOptions,
+    Plan,
+    Planner,
     PlanningProblem,
     missing_planners,
-    plan_network,
-    plan_with,
+    plan,
     reference_network,
+    registry,
 )
 from lieednn_sim.planning import network_planners as lieednn
 from lieednn_sim.planning.baselines import sampling
@@ -49,6 +51,17 @@ def problem(seed: int, margin: float = 0.35, **changes: object) -> PlanningProbl
             break
     values = {"start": ARM.keyframe("home"), "target": target, "seed": seed, **changes}
     return PlanningProblem(ARM, **values)
+
+
+def planned(name: str, task: PlanningProblem, **more: object) -> Plan:
+    """The plan of a planner for a problem."""
+    names = ("start", "duration", "longest", "seed", "time_budget")
+    return plan(task.arm, task.target, planner=name, **{name: getattr(task, name) for name in names}, **more)
+
+
+def plan_with(name: str, task: PlanningProblem, **more: object) -> Motion:
+    """Its motion."""
+    return planned(name, task, **more).motion
 
 
 class Motions(dict[tuple[str, int], Motion]):
@@ -170,16 +183,16 @@ def test_the_linear_law_is_a_straight_line_in_network_coordinates(motions):
 
 def test_networks_come_with_their_motions():
     task = problem(0)
-    assert plan_network("minimum-jerk", task)[0] is None
-    network, motion = plan_network("lieednn-retargeted", task)
+    assert planned("minimum-jerk", task).network is None
+    made = planned("lieednn-retargeted", task)
+    network, motion = made.network, made.motion
     reference = reference_network(ARM)
     np.testing.assert_array_equal(network.weight, reference.weight)
     assert network.certified
     assert not np.array_equal(network.bias, reference.bias)
     np.testing.assert_allclose(network.vector_field(motion.xi_target), 0.0, atol=1e-10)
     for name in ("linear-law", "lieednn-certified"):
-        assert plan_network(name, task)[0].certified
-    assert set(NETWORK_PLANNERS) < set(PLANNERS)
+        assert planned(name, task).network.certified
 
 
 def test_refusals_say_why(monkeypatch):
@@ -188,8 +201,8 @@ def test_refusals_say_why(monkeypatch):
         match="no planner 'rrt'; allowed: dmp, lieednn-certified, lieednn-filtered, lieednn-g",
     ):
         plan_with("rrt", problem(0))
-    with pytest.raises(InputError, match="problem must be a PlanningProblem, got str"):
-        plan_with("screw", "there")
+    with pytest.raises(InputError, match="arm must be an Arm, got str"):
+        plan("telescopic_pr", problem(0).target)
     hurried = problem(0, duration=0.05)
     for name in ("minimum-jerk", "screw", "linear-law", "lieednn-certified", "lieednn-retargeted"):
         with pytest.raises(PlanError, match=r"would (move|accelerate) at .*its limit is|would be at"):
@@ -197,6 +210,42 @@ def test_refusals_say_why(monkeypatch):
     monkeypatch.setattr(lieednn, "_LEARNED_CANDIDATES", 1)
     with pytest.raises(PlanError, match=r"no learned network of 1 can be used: joint .* would (move|accelerate) at"):
         plan_with("lieednn-trained", hurried)
+
+
+def test_a_plan_says_what_it_was_made_of(monkeypatch):
+    task = problem(0)
+    monkeypatch.setattr(registry, "cpu_time", iter([3.0, 5.5, 6.0, 7.0]).__next__)
+    made = plan(ARM, list(task.target), planner="minimum-jerk")
+    assert (made.planner, made.network, made.candidates, made.within_limits) == ("minimum-jerk", None, None, None)
+    np.testing.assert_array_equal(made.target, task.target)
+    assert made.cpu_time == 2.5
+    np.testing.assert_array_equal(made.motion.q[0], ARM.keyframe("home"))
+    assert made.motion.t[-1] == 4.0
+    made = planned("lieednn-certified", task, options=CertifiedOptions(candidates=2))
+    assert (made.planner, made.candidates) == ("lieednn-certified", 2)
+    assert 1 <= made.within_limits <= 2
+
+
+def test_options_of_another_planner_are_refused_with_the_name_of_the_right_ones():
+    with pytest.raises(InputError, match=r"'lieednn-certified' takes options of class CertifiedOptions, got dict"):
+        plan(ARM, problem(0).target, options={"candidates": 8})
+    with pytest.raises(InputError, match="'screw' has no options, got CertifiedOptions"):
+        plan(ARM, problem(0).target, planner="screw", options=CertifiedOptions())
+
+
+@pytest.mark.parametrize("name", ["minimum-jerk", "lieednn-certified", "lieednn-retargeted"])
+def test_how_much_longer_a_motion_may_take_is_one_rule(name):
+    """A motion is refused with the time that it needs, and made where that and the two percent of slack are allowed."""
+    with pytest.raises(TooFastError) as refused:
+        plan_with(name, problem(0, duration=0.5, longest=1.0))
+    assert isinstance(refused.value, NoSolutionError)
+    share = 1.02 * refused.value.duration / 0.5
+    with pytest.raises(TooFastError):
+        plan_with(name, problem(0, duration=0.5, longest=0.999 * share))
+    motion = plan_with(name, problem(0, duration=0.5, longest=1.001 * share))
+    assert motion.t[-1] == pytest.approx(0.5 * share, abs=ARM.model.opt.timestep)
+    with pytest.raises(InputError, match=r"longest must be at least 1, the duration itself, got 0\.5"):
+        problem(0, longest=0.5)
 
 
 def test_a_network_that_ends_elsewhere_is_refused(monkeypatch):
@@ -212,7 +261,7 @@ def test_what_cannot_be_certified_is_no_motion(monkeypatch):
     def refuse(*_args, **_options):
         raise NotCertifiedError("none of 24")
 
-    monkeypatch.setattr(lieednn, "plan", refuse)
+    monkeypatch.setitem(PLANNERS, "lieednn-certified", Planner(refuse))
     with pytest.raises(NotCertifiedError, match="none of 24"):
         plan_with("lieednn-certified", problem(0))
 

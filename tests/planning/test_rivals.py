@@ -17,12 +17,12 @@ from lieednn_sim.arm import PLANNED_CLEARANCE, Arm
 from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.errors import InputError, LieEDNNError, PlanError
 from lieednn_sim.network.hopfield import HopfieldNetwork
-from lieednn_sim.planning import PlanningProblem, missing_planners, plan_network, plan_with, reference_network
+from lieednn_sim.planning import Plan, PlanningProblem, missing_planners, plan, reference_network
 from lieednn_sim.planning.baselines import optimisation, sampling
 from lieednn_sim.planning.baselines.joint_space import ClearanceTest, joint_scale, sweeps
 from lieednn_sim.planning.baselines.optimisation import _Descent
 from lieednn_sim.planning.baselines.smoothing import motion_along, rounded, stopping
-from lieednn_sim.planning.motion import minimum_jerk_law
+from lieednn_sim.planning.motion import Motion, minimum_jerk_law
 
 ARM = Arm.load("telescopic_pr")
 LOW, HIGH = ARM.position_limits.T
@@ -51,6 +51,17 @@ def blocked(seed: int = 0, duration: float = 8.0) -> PlanningProblem:
     turn = ARM.joint_names.index("turn")
     start[turn], target[turn] = 0.5, 2.6
     return PlanningProblem(POSTED, start, target, duration, seed)
+
+
+def planned(name: str, task: PlanningProblem, **more: object) -> Plan:
+    """The plan of a planner for a problem."""
+    names = ("start", "duration", "longest", "seed", "time_budget")
+    return plan(task.arm, task.target, planner=name, **{name: getattr(task, name) for name in names}, **more)
+
+
+def plan_with(name: str, task: PlanningProblem, **more: object) -> Motion:
+    """Its motion."""
+    return planned(name, task, **more).motion
 
 
 def corners(seed: int, count: int = 5) -> np.ndarray:
@@ -319,7 +330,7 @@ def test_plain_networks_are_checked_stored_and_certified(tmp_path):
 
 def test_learning_without_projection_leaves_the_adjoint_matrices():
     task = PlanningProblem(ARM, ARM.keyframe("home"), ARM.keyframe("extended"), 8.0)
-    network, motion = plan_network("lieednn-unprojected", task)
-    np.testing.assert_allclose(motion.xi_target, ARM.encode(task.target), atol=1e-6)
+    made = planned("lieednn-unprojected", task)
+    np.testing.assert_allclose(made.motion.xi_target, ARM.encode(task.target), atol=1e-6)
     # A scaled adjoint matrix has a zero block on the upper right; these weights do not.
-    assert np.abs(network.blocks[..., :3, 3:]).max() > 1e-3
+    assert np.abs(made.network.blocks[..., :3, 3:]).max() > 1e-3

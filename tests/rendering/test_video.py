@@ -11,7 +11,7 @@ from PIL import Image
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import FileError, InputError, RenderingUnavailableError
-from lieednn_sim.planning.certified import plan
+from lieednn_sim.planning import CertifiedOptions, plan
 from lieednn_sim.rendering import ffmpeg, video
 from lieednn_sim.simulation import simulate
 
@@ -23,7 +23,9 @@ def arm():
 
 @pytest.fixture(scope="module")
 def rollout(arm):
-    return simulate(arm, plan(arm, arm.keyframe("extended"), candidates=3, duration=2.0).motion, hold=0.5)
+    return simulate(
+        arm, plan(arm, arm.keyframe("extended"), options=CertifiedOptions(candidates=3), duration=2.0).motion, hold=0.5
+    )
 
 
 @pytest.mark.rendering

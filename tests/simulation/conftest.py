@@ -7,7 +7,7 @@ import pytest
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.evaluation.metrics import Evaluation, evaluate
-from lieednn_sim.planning.certified import plan
+from lieednn_sim.planning import CertifiedOptions, plan
 from lieednn_sim.planning.motion import Motion, minimum_jerk_law
 from lieednn_sim.simulation import Rollout, simulate
 
@@ -144,7 +144,9 @@ class SeededRuns:
         while True:
             target = rng.uniform(low + 0.05 * (high - low), high - 0.05 * (high - low))
             if not self.arm.contacts(target):
-                return target, plan(self.arm, target, seed=seed, duration=4.0, candidates=6).motion
+                return target, plan(
+                    self.arm, target, seed=seed, longest=1.0, options=CertifiedOptions(candidates=6)
+                ).motion
 
     def _run(self, seed: int, controller: str) -> tuple[Rollout, Evaluation]:
         target, motion = self.motion(seed)

@@ -9,7 +9,7 @@ import pytest
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import FileError, InputError, SimulationError
-from lieednn_sim.planning.certified import plan
+from lieednn_sim.planning import CertifiedOptions, plan
 from lieednn_sim.simulation import Disturbances, Push, Rollout, simulate, tracking
 
 
@@ -20,7 +20,7 @@ def arm():
 
 @pytest.fixture(scope="module")
 def planned(arm):
-    return plan(arm, arm.keyframe("extended"), candidates=6)
+    return plan(arm, arm.keyframe("extended"), options=CertifiedOptions(candidates=6))
 
 
 @pytest.fixture(scope="module")
@@ -29,7 +29,9 @@ def rollout(arm, planned):
 
 
 def test_two_runs_are_bit_identical(arm, planned, rollout):
-    again = simulate(Arm.load(arm.name), plan(arm, arm.keyframe("extended"), candidates=6).motion)
+    again = simulate(
+        Arm.load(arm.name), plan(arm, arm.keyframe("extended"), options=CertifiedOptions(candidates=6)).motion
+    )
     assert_equal(again, rollout)
 
 
