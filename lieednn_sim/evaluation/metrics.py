@@ -106,7 +106,7 @@ class Evaluation:
         network_residual: distance to the equilibrium at which the plan ends.
         contacts: largest number of simultaneous contacts.
         peak_contact_force: largest normal force of a contact [N].
-        peak_weld_force: largest force between a link and its ghost [N].
+        peak_weld_force: largest force between a link and its mocap body [N]; zero without.
         peak_weld_torque: largest torque between them [N m].
         recoveries: one entry a push.
         motion_end: time at which the reference comes to rest [s].
@@ -196,8 +196,8 @@ def evaluate(rollout: Rollout) -> Evaluation:
         network_residual=None if motion is None else motion.residual,
         contacts=int(rollout.contacts.max()),
         peak_contact_force=float(rollout.contact_force.max()),
-        peak_weld_force=float(rollout.weld_force.max()),
-        peak_weld_torque=float(rollout.weld_torque.max()),
+        peak_weld_force=_peak(rollout, "weld_force"),
+        peak_weld_torque=_peak(rollout, "weld_torque"),
         recoveries=_recoveries(rollout, tracking),
         motion_end=rollout.motion_end,
         duration=float(rollout.t[-1]),
@@ -231,6 +231,10 @@ def _settled(t: Floats, distance: Floats, angle: Floats) -> float | None:
     if outside.size == 0:
         return float(t[0])
     return float(t[outside[-1] + 1]) if outside[-1] + 1 < len(t) else None
+
+
+def _peak(rollout: Rollout, channel: str) -> float:
+    return float(rollout.channels.get(channel, np.zeros(1)).max())
 
 
 def _recoveries(rollout: Rollout, tracking: tuple[Floats, Floats]) -> tuple[Recovery, ...]:

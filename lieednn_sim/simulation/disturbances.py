@@ -101,6 +101,33 @@ class Disturbances:
         return cls(**{**value, "pushes": tuple(Push(**push) for push in value["pushes"])})
 
 
+class Pushes:
+    """Applies pushes to a plant. They log ``push_force`` ``(K, B, 3)`` on each of the B pushed bodies, world frame."""
+
+    def __init__(self, arm: Arm, model: mujoco.MjModel, pushes: tuple[Push, ...]) -> None:
+        self._pushes = [(push, push.body_id(arm, model)) for push in pushes]
+        self._bodies = list(dict.fromkeys(body for _, body in self._pushes))
+        self._half_step = 0.5 * float(model.opt.timestep)
+        self.channel_units: Mapping[str, str] = {"push_force": "N"} if pushes else {}
+
+    def apply(self, data: mujoco.MjData, now: float) -> None:
+        """Set the forces of the step that begins now [s]."""
+        half = self._half_step
+        data.xfrc_applied[:] = 0.0
+        for push, body in self._pushes:
+            # Halfway between steps, so that rounding of the times does not decide.
+            if push.start - half < now < push.end - half:
+                data.xfrc_applied[body, :3] += push.force
+
+    def sample(self, data: mujoco.MjData) -> Floats:
+        """See `log.ChannelSource`."""
+        return data.xfrc_applied[self._bodies, :3]
+
+    def channel_values(self, samples: Floats) -> tuple[Floats, ...]:
+        """See `log.ChannelSource`."""
+        return (samples,)
+
+
 class Noise(NamedTuple):
     """Errors of one measurement, in MuJoCo's tangent space.
 

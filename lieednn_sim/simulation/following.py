@@ -213,7 +213,7 @@ def follow(
     simulation.reset(origin)
 
     sample = _sampler(arm, target, timestep)
-    log, targets, states, jumps, slowed = Log(simulation, total), [], [follower.xi[None]], [], 0
+    log, targets, states, jumps, slowed = Log(simulation, total, driver), [], [follower.xi[None]], [], 0
     with quiet_warnings():
         for k in range(total):
             targets.append(sample(k))
@@ -228,7 +228,7 @@ def follow(
             log.step()
     rollout = as_rollout(
         arm,
-        log.instants(),
+        log,
         reference.q,
         reference.qd,
         motion_end=(total - 1) * timestep,

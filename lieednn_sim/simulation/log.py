@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import mujoco
-from lieednn_sim.simulation.controllers.mocap import ghost_name
 from lieednn_sim.simulation.quaternions import quaternions
 
 if TYPE_CHECKING:
@@ -16,7 +16,21 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-_EQUALITY = int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
+
+class ChannelSource(Protocol):
+    """What adds channels to a log beside those of every simulation: a controller, or a disturbance.
+
+    Attributes:
+        channel_units: of its channels, by name; empty where it has none.
+    """
+
+    channel_units: Mapping[str, str]
+
+    def sample(self, data: mujoco.MjData) -> Floats:
+        """A new array of what the channels are worked out from, after each step, of that step."""
+
+    def channel_values(self, samples: Floats) -> tuple[Floats, ...]:
+        """The channels in the order of their units, with K steps along the first axis, as of the samples."""
 
 
 class Instant(NamedTuple):
@@ -33,8 +47,6 @@ class Instant(NamedTuple):
         link_quaternion: ``(N, 4)`` the same, (w, x, y, z).
         contacts: number of contacts.
         contact_force: largest normal force among them [N].
-        weld_force: ``(N,)`` force of each link's weld to its ghost [N].
-        weld_torque: ``(N,)`` its torque [N m].
     """
 
     t: Floats
@@ -47,8 +59,6 @@ class Instant(NamedTuple):
     link_quaternion: Floats
     contacts: NDArray[np.int_]
     contact_force: Floats
-    weld_force: Floats
-    weld_torque: Floats
 
 
 class Log:
@@ -60,11 +70,12 @@ class Log:
     Args:
         simulation: to be stepped by nothing else meanwhile.
         rows: steps for which there is room.
+        sources: of channels, beside the simulation's pushes.
     """
 
-    def __init__(self, simulation: Simulation, rows: int) -> None:
+    def __init__(self, simulation: Simulation, rows: int, *sources: ChannelSource) -> None:
         self._simulation, self._rows = simulation, 0
-        arm, model, data = simulation.arm, simulation.model, simulation.data
+        arm, data = simulation.arm, simulation.data
         self._data, self._first = data, simulation.steps
         # Of all sites in a block: a slice of it is copied ten times as fast as picked rows.
         low, high = int(arm.site_ids.min()), int(arm.site_ids.max()) + 1
@@ -81,10 +92,9 @@ class Log:
         self._before = [(self._log[name], view) for name, view in before.items()]
         self._after = [(self._log[name], view) for name, view in after.items()]
         self._contacts, self._contact_force = np.zeros(rows, dtype=int), np.zeros(rows)
-        found = [mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_EQUALITY, ghost_name(i)) for i in range(arm.n_links)]
-        self._welds = np.array(found) if found[0] >= 0 else None
-        self._weld_wrench = np.zeros((rows if found[0] >= 0 else 0, arm.n_links, 6))
-        self._equalities = -1
+        self._sources: list[tuple[ChannelSource, list[Floats]]] = [
+            (source, []) for source in (*sources, simulation.pushes) if source.channel_units
+        ]
 
     def __len__(self) -> int:
         """Return the number of instants."""
@@ -100,8 +110,8 @@ class Log:
             log[k] = view
         if data.ncon:
             self._contacts[k], self._contact_force[k] = data.ncon, self._largest_contact()
-        if self._welds is not None:
-            self._keep_welds(self._welds, k)
+        for source, samples in self._sources:
+            samples.append(source.sample(data))
         self._rows += 1
 
     def instants(self) -> Instant:
@@ -120,10 +130,16 @@ class Log:
             link_quaternion=quaternions(rotations),
             contacts=self._contacts[rows],
             contact_force=self._contact_force[rows],
-            weld_force=self._weld_norms(slice(3)),
-            # The angular rows measure half the angle's sine: what they exert is half a torque.
-            weld_torque=0.5 * self._weld_norms(slice(3, 6)),
         )
+
+    def channels(self) -> tuple[dict[str, Floats], dict[str, str]]:
+        """The sources' channels, with the instants along the first axis, and their units; both by name."""
+        values: dict[str, Floats] = {}
+        units: dict[str, str] = {}
+        for source, samples in self._sources:
+            units |= source.channel_units
+            values |= zip(source.channel_units, source.channel_values(np.array(samples)), strict=True)
+        return values, units
 
     @property
     def _compensated(self) -> NDArray[np.bool_]:
@@ -137,18 +153,3 @@ class Log:
             mujoco.mj_contactForce(self._simulation.model, self._data, i, wrench)
             largest = max(largest, float(wrench[0]))
         return largest
-
-    def _keep_welds(self, welds: NDArray[np.int_], k: int) -> None:
-        data = self._data
-        # Equalities come first among the constraints, and stay where they are while none is switched on or off.
-        if data.ne != self._equalities:
-            self._equalities = data.ne
-            of_weld = (data.efc_type == _EQUALITY) & (data.efc_id == welds[:, None])
-            self._pulling, self._weld_rows = of_weld.any(axis=1), np.flatnonzero(of_weld.any(axis=0))
-        self._weld_wrench[k, self._pulling] = data.efc_force[self._weld_rows].reshape(-1, 6)
-
-    def _weld_norms(self, part: slice) -> Floats:
-        if self._welds is None:
-            return np.zeros((self._rows, len(self._sites)))
-        wrench = self._weld_wrench[: self._rows, :, part]
-        return np.asarray(np.sqrt(np.vecdot(wrench, wrench)))

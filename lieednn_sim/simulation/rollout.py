@@ -18,13 +18,12 @@ from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.simulation.controllers import CONTROLLERS
 from lieednn_sim.simulation.disturbances import Disturbances, tangent_basis
-from lieednn_sim.simulation.log import Instant
+from lieednn_sim.simulation.log import Log
 from lieednn_sim.validation import as_choice, as_floats, as_positive, as_times
 
 Floats = NDArray[np.float64]
 
 _PER_COORDINATE = ("q", "qd", "q_ref", "qd_ref", "force", "constraint_force")
-_PER_LINK = ("weld_force", "weld_torque")
 _ARRAYS = (
     "t",
     *_PER_COORDINATE,
@@ -33,9 +32,10 @@ _ARRAYS = (
     "link_quaternion",
     "contacts",
     "contact_force",
-    *_PER_LINK,
     "target",
 )
+# Before the names of channels in a file.
+_CHANNEL = "channel "
 
 
 def _zeros() -> Floats:
@@ -61,8 +61,8 @@ class Rollout:
         link_quaternion: ``(K, N, 4)`` the same, (w, x, y, z).
         contacts: ``(K,)`` number of contacts.
         contact_force: ``(K,)`` largest normal force among the contacts [N]; zero by default.
-        weld_force: ``(K, N)`` force between each link and its ghost [N]; zero by default, and without mocap.
-        weld_torque: ``(K, N)`` torque between them [N m]; likewise.
+        channels: ``(K, ...)`` what controller and disturbances log beside that, by name; see `MocapWelds` and `Pushes`.
+        channel_units: their units, by name.
         motion_end: time at which the reference comes to rest [s].
         controller: a name of `CONTROLLERS`.
         reference_rate: rate at which the controller saw samples of the reference [Hz], None for every step.
@@ -88,8 +88,8 @@ class Rollout:
     contacts: NDArray[np.int_]
     motion_end: float
     contact_force: Floats = field(default_factory=_zeros)
-    weld_force: Floats = field(default_factory=_zeros)
-    weld_torque: Floats = field(default_factory=_zeros)
+    channels: Mapping[str, Floats] = field(default_factory=dict)
+    channel_units: Mapping[str, str] = field(default_factory=dict)
     controller: str = "position-servo"
     reference_rate: float | None = None
     disturbances: Disturbances = field(default_factory=Disturbances)
@@ -107,19 +107,22 @@ class Rollout:
             "link_quaternion": (k, links, 4),
             "contacts": (k,),
             "contact_force": (k,),
-            **dict.fromkeys(_PER_LINK, (k, links)),
             "target": (n,),
         }
         for name, shape in shapes.items():
             given = getattr(self, name)
-            if name in ("contact_force", *_PER_LINK) and np.size(given) == 0:
-                given = np.zeros([int(size) for size in shape])
+            if name == "contact_force" and np.size(given) == 0:
+                given = np.zeros(k)
             if name == "target" and np.size(given) == 0:
                 given = self.q_ref[-1]
             value: Any = as_floats(name, given, shape)
             object.__setattr__(self, name, value.astype(int) if name == "contacts" else value)
         if not (np.linalg.norm(self.link_quaternion, axis=-1) > 0.5).all():
             raise InputError("link_quaternion must hold unit quaternions")
+        if self.channels.keys() != self.channel_units.keys():
+            raise InputError("channels and channel_units must have the same names")
+        channels = {name: as_floats(name, v, (k, *np.shape(v)[1:])) for name, v in self.channels.items()}
+        object.__setattr__(self, "channels", channels)
         if self.reference_rate is not None:
             object.__setattr__(self, "reference_rate", as_positive("reference_rate", self.reference_rate))
         if self.motion is not None and not np.array_equal(self.q_ref[: len(self.motion.q)], self.motion.q[:k]):
@@ -157,9 +160,12 @@ class Rollout:
             "controller": self.controller,
             "reference_rate": self.reference_rate,
             "disturbances": self.disturbances.to_json(),
+            "channel_units": dict(self.channel_units),
             "mujoco": mujoco.__version__,
         }
-        storage.save_arrays(path, "rollout", {name: getattr(self, name) for name in _ARRAYS}, meta, made_from)
+        arrays = {name: getattr(self, name) for name in _ARRAYS}
+        arrays |= {_CHANNEL + name: values for name, values in self.channels.items()}
+        storage.save_arrays(path, "rollout", arrays, meta, made_from)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str], arm: Arm, motion: Motion | None = None) -> Rollout:
@@ -174,6 +180,9 @@ class Rollout:
             FileError: it is no such file, or it was made with another arm, scene or motion.
         """
         arrays, meta = storage.load_arrays(path, "rollout")
+        units = meta.get("channel_units")
+        if not isinstance(units, dict):
+            raise FileError(f"{path} was written by an older version, without channels; simulate again")
         if meta.get("model") != arm.fingerprint:
             raise FileError(
                 f"{path} is of arm {meta.get('arm')!r} in scene {meta.get('scene')!r} (fingerprint "
@@ -181,6 +190,7 @@ class Rollout:
                 f"({storage.short(arm.fingerprint)}); load it with its own arm, or simulate it again"
             )
         values = dict(zip(_ARRAYS, storage.take(arrays, path, *_ARRAYS), strict=True))
+        channels = dict(zip(units, storage.take(arrays, path, *(_CHANNEL + name for name in units)), strict=True))
         try:
             rate = meta["reference_rate"]
             return cls(
@@ -190,26 +200,30 @@ class Rollout:
                 controller=as_choice("controller", meta["controller"], CONTROLLERS),
                 reference_rate=None if rate is None else float(rate),
                 disturbances=Disturbances.from_json(meta["disturbances"]),
+                channels=channels,
+                channel_units=units,
                 **values,
             )
         except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise FileError(f"{path} is not a valid rollout: {error}") from None
 
 
-def as_rollout(arm: Arm, instants: Instant, q_ref: Floats, qd_ref: Floats, **meta: Any) -> Rollout:
-    """The rollout of instants along a first axis, in the arm's coordinates; references have at least as many rows."""
-    log = instants._asdict()
-    rows, basis = len(instants.t), tangent_basis(arm)
-    qvel = log.pop("qvel")
-    q = arm.coordinates(log.pop("qpos"))
+def as_rollout(arm: Arm, log: Log, q_ref: Floats, qd_ref: Floats, **meta: Any) -> Rollout:
+    """The rollout of a log, in the arm's coordinates; references have at least as many rows."""
+    core, (channels, units) = log.instants()._asdict(), log.channels()
+    rows, basis = len(log), tangent_basis(arm)
+    qvel = core.pop("qvel")
+    q = arm.coordinates(core.pop("qpos"))
     return Rollout(
         arm=arm,
         q=q,
         qd=arm.rates(q, qvel),
         q_ref=q_ref[:rows].copy(),
         qd_ref=qd_ref[:rows].copy(),
-        force=np.nan_to_num(log.pop("drive_force")) @ basis,
-        constraint_force=np.nan_to_num(log.pop("constraint_force")) @ basis,
-        **log,
+        force=np.nan_to_num(core.pop("drive_force")) @ basis,
+        constraint_force=np.nan_to_num(core.pop("constraint_force")) @ basis,
+        channels=channels,
+        channel_units=units,
+        **core,
         **meta,
     )

@@ -14,7 +14,7 @@ from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import SimulationError
 from lieednn_sim.lie import poses, rotations
-from lieednn_sim.simulation.disturbances import Disturbances, Noise, Sensors
+from lieednn_sim.simulation.disturbances import Disturbances, Noise, Pushes, Sensors
 from lieednn_sim.simulation.log import Instant, Log
 from lieednn_sim.simulation.plant import make_plant
 from lieednn_sim.validation import as_count, as_floats
@@ -35,6 +35,7 @@ class Simulation:
     Attributes:
         model: the plant.
         data: its state.
+        pushes: of the disturbances.
         steps: done since the last reset.
         noise: errors of the measurement at the present time, to be added to qpos (by `mj_integratePos`) and qvel.
     """
@@ -46,7 +47,7 @@ class Simulation:
         self.disturbances = Disturbances() if disturbances is None else disturbances
         self.model = make_plant(arm, self.disturbances) if plant is None else plant
         self.data = mujoco.MjData(self.model)
-        self._pushes = [(push, push.body_id(arm, self.model)) for push in self.disturbances.pushes]
+        self.pushes = Pushes(arm, self.model, self.disturbances.pushes)
         self._sensors = Sensors(arm, self.disturbances)
         self.steps = 0
         self.noise: Noise
@@ -125,8 +126,8 @@ class Simulation:
 
     def advance_once(self) -> None:
         """Do one step without a record, as `advance`, by a caller within `quiet_warnings`: it is done for many."""
-        if self._pushes:
-            self._push()
+        if self.disturbances.pushes:
+            self.pushes.apply(self.data, self.time)
         mujoco.mj_step(self.model, self.data)
         if np.count_nonzero(self.data.warning.number) or not _is_finite(self.data):
             raise SimulationError(
@@ -135,14 +136,6 @@ class Simulation:
         self.steps += 1
         if self._sensors.noisy:
             self.noise = self._sensors.draw()
-
-    def _push(self) -> None:
-        now, half = self.time, 0.5 * self.timestep
-        self.data.xfrc_applied[:] = 0.0
-        for push, body in self._pushes:
-            # Halfway between steps, so that rounding of the times does not decide.
-            if push.start - half < now < push.end - half:
-                self.data.xfrc_applied[body, :3] += push.force
 
 
 @contextlib.contextmanager

@@ -114,7 +114,7 @@ def simulate(
     simulation.reset(reference.q[0])
 
     total = len(reference.q)
-    log = Log(simulation, total)
+    log = Log(simulation, total, driver)
     shown = time.monotonic()
     try:
         with quiet_warnings():
@@ -129,7 +129,7 @@ def simulate(
             raise
         path = Path(dump_directory) / "divergence.npz"
         end = len(log) * step
-        as_rollout(arm, log.instants(), reference.q, reference.qd, motion_end=end, **meta).save(path)
+        as_rollout(arm, log, reference.q, reference.qd, motion_end=end, **meta).save(path)
         raise SimulationError(f"{error}; the run up to there is in {path} (Rollout.load reads it)") from None
     end = float(motion.t[-1])
-    return as_rollout(arm, log.instants(), reference.q, reference.qd, motion_end=end, **meta)
+    return as_rollout(arm, log, reference.q, reference.qd, motion_end=end, **meta)

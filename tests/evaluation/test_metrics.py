@@ -205,8 +205,11 @@ def by_hand(arm):
         link_quaternion=quaternion,
         contacts=np.array([0, 1, 2, 1, 0]),
         contact_force=np.array([0.0, 9.0, 4.0, 1.0, 0.0]),
-        weld_force=np.array([[1.0, 21.0], [2.0, 3.0], [0.0, 0.0], [0.0, 0.0], [5.0, 0.0]]),
-        weld_torque=np.array([[22.0, 1.0], [2.0, 3.0], [0.0, 0.0], [0.0, 0.0], [5.0, 0.0]]),
+        channels={
+            "weld_force": np.array([[1.0, 21.0], [2.0, 3.0], [0.0, 0.0], [0.0, 0.0], [5.0, 0.0]]),
+            "weld_torque": np.array([[22.0, 1.0], [2.0, 3.0], [0.0, 0.0], [0.0, 0.0], [5.0, 0.0]]),
+        },
+        channel_units={"weld_force": "N", "weld_torque": "N m"},
         motion_end=0.02,
         controller="mocap",
     )

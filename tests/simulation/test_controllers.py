@@ -67,7 +67,7 @@ def test_controllers_are_deterministic_and_leave_the_arm_s_model_alone(arm, trav
     assert arm.model.opt.enableflags == before[2]
 
 
-def test_mocap_ghosts_sit_on_the_reference_and_the_drives_are_idle(arm, seeded):
+def test_mocap_bodies_sit_on_the_reference_and_the_drives_are_idle(arm, seeded):
     (_, motion), (rollout, _) = seeded.motion(3), seeded.run(3, "mocap")
     drives = rollout.force - mujoco_gravity(arm, rollout)
     assert np.abs(drives).max() < 1e-9
@@ -116,8 +116,8 @@ def test_welds_carry_what_hangs_on_them(small_arms, travel):
     rest = np.zeros(6)
     rollout = simulate(arm, travel(arm, rest, rest, 0.2), controller="mocap", hold=1.0)
     weight = 2.0 * 9.81
-    np.testing.assert_allclose(rollout.weld_force[-1], weight, rtol=1e-4)
-    np.testing.assert_allclose(rollout.weld_torque[-1], weight * 0.1, rtol=1e-3)
+    np.testing.assert_allclose(rollout.channels["weld_force"][-1], weight, rtol=1e-4)
+    np.testing.assert_allclose(rollout.channels["weld_torque"][-1], weight * 0.1, rtol=1e-3)
     assert rollout.contacts.max() == 0
     assert rollout.contact_force.max() == 0.0
 

@@ -6,6 +6,7 @@ import itertools
 import numpy as np
 import pytest
 
+from lieednn_sim import storage
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import FileError, InputError, SimulationError
@@ -41,7 +42,7 @@ def assert_equal(one, other):
     for first, second in ((one, other), (one.motion, other.motion)):
         for name, value in vars(first).items():
             if name not in ("arm", "motion"):
-                np.testing.assert_array_equal(value, getattr(second, name))
+                np.testing.assert_equal(value, getattr(second, name))
 
 
 def test_every_row_of_the_log_belongs_to_one_instant(arm, rollout):
@@ -126,3 +127,28 @@ def test_a_rollout_knows_its_plan_and_is_loaded_with_its_own_arm_scene_and_motio
         Rollout.load(tmp_path / "rollout.npz", arm, dataclasses.replace(planned.motion, q=planned.motion.q + 1e-9))
     with pytest.raises(InputError, match="target is out of reach"):
         simulate(arm, planned, target=planned.target + 100.0)
+
+
+def test_channels_are_saved_and_files_without_them_are_refused(small_arms, travel, tmp_path):
+    arm, path = small_arms["hanging"], tmp_path / "rollout.npz"
+    changes = Disturbances(pushes=(Push("end effector", (0, 0, 9), 0.008, 0.01), Push("base", (1, 0, 0), 0.0, 0.01)))
+    motion = travel(arm, np.zeros(6), np.full(6, 0.1), 0.02)
+    rollout = simulate(arm, motion, controller="mocap", hold=0.0, disturbances=changes)
+    assert rollout.channel_units == {"weld_force": "N", "weld_torque": "N m", "push_force": "N"}
+    # Of the bodies in the order in which they are pushed first, at the steps that begin within a push.
+    pushed = np.zeros((11, 2, 3))
+    pushed[:5, 0, 0], pushed[4:9, 1, 2] = 1.0, 9.0
+    np.testing.assert_array_equal(rollout.channels["push_force"], pushed)
+    assert rollout.channels["weld_force"].shape == rollout.channels["weld_torque"].shape == (11, 1)
+    assert rollout.channels["weld_force"].min() > 1.0
+    rollout.save(path)
+    assert_equal(Rollout.load(path, arm, motion), rollout)
+    arrays, meta = storage.load_arrays(path, "rollout")
+    del meta["channel_units"]
+    storage.save_arrays(path, "rollout", arrays, meta)
+    with pytest.raises(FileError, match="written by an older version, without channels; simulate again"):
+        Rollout.load(path, arm)
+    with pytest.raises(InputError, match="channels and channel_units must have the same names"):
+        dataclasses.replace(rollout, channel_units={})
+    with pytest.raises(InputError, match=r"push_force must have shape \(11, 2, 3\), got \(10, 2, 3\)"):
+        dataclasses.replace(rollout, channels={**rollout.channels, "push_force": pushed[1:]})

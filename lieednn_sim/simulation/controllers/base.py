@@ -7,6 +7,8 @@ of the dynamics is the arm's model; the plant may have other masses.
 from __future__ import annotations
 
 import copy
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any, Protocol
 
 import numpy as np
@@ -16,6 +18,7 @@ from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.simulation.actuators import Actuators
 from lieednn_sim.simulation.disturbances import Noise
+from lieednn_sim.simulation.log import ChannelSource
 from lieednn_sim.simulation.reference import Foreseen, Reference
 
 Floats = NDArray[np.float64]
@@ -24,8 +27,8 @@ Floats = NDArray[np.float64]
 _TORQUE_LOOP_FREQUENCY = 10.0
 
 
-class Controller(Protocol):
-    """Drives one rollout along a reference, of which it reads what is known.
+class Controller(ChannelSource, Protocol):
+    """Drives one rollout along a reference, of which it reads what is known, and may log channels of its own.
 
     Attributes:
         adds_bodies: whether `add_bodies` does anything; a plant without new bodies need not be compiled again.
@@ -50,6 +53,7 @@ class Servo:
     """What controllers with joint drives share: the arm's own drives, as they are."""
 
     adds_bodies = False
+    channel_units: Mapping[str, str] = MappingProxyType({})
 
     def __init__(self, arm: Arm, reference: Reference) -> None:
         self._actuators = Actuators(arm)
@@ -60,6 +64,14 @@ class Servo:
 
     def equip(self, plant: mujoco.MjModel) -> None:
         """See `Controller`."""
+
+    def sample(self, data: mujoco.MjData) -> Floats:
+        """See `ChannelSource`."""
+        return np.zeros(0)
+
+    def channel_values(self, samples: Floats) -> tuple[Floats, ...]:
+        """See `ChannelSource`."""
+        return ()
 
 
 class FeedforwardServo(Servo):
