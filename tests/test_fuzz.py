@@ -301,7 +301,7 @@ def test_task_files(tmp_path_factory, changed, removed):
     task.save(path)
     assert Task.load(path).fingerprint == task.fingerprint
     # The arm as it was takes a while to compile, and is good.
-    if changed.keys() & {"arm", "scene", "links", "base", "servos"}:
+    if changed.keys() & {"arm", "scene", "imported"}:
         check(task.load_arm)
 
 
@@ -316,7 +316,20 @@ def test_files_that_are_no_json(tmp_path_factory, content):
 
 NUMBERS = ("nan", "inf", "1e308", "-1e308", "0", "-1", "1e-320", "5", "1e9", "1,2", "1e308,0,0", "random:-1", "3" * 400)
 OPTIONS = ("arm", "bias", "bias-magnitude", "candidates", "duration", "links", "output", "planner", "position", "scene")
-OPTIONS += ("scene-seed", "seed", "servos", "start", "target", "time-budget", "base", "preset", "plots", "nonsense")
+OPTIONS += (
+    "scene-seed",
+    "seed",
+    "servos",
+    "start",
+    "target",
+    "time-budget",
+    "base",
+    "preset",
+    "plots",
+    "nonsense",
+    "keyframe",
+    "home",
+)
 
 
 @bounded(60, suppress_health_check=[HealthCheck.function_scoped_fixture])

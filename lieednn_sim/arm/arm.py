@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import copy
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,9 +18,9 @@ from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.contacts import ContactFinder
 from lieednn_sim.arm.coordinates import Coordinates
 from lieednn_sim.arm.fingerprint import arm_fingerprint
-from lieednn_sim.arm.importer import ImportReport
+from lieednn_sim.arm.importer import ImportOptions, ImportReport
 from lieednn_sim.arm.kinematics import CompoundJoints
-from lieednn_sim.arm.models import MODEL_SUFFIXES, open_model, scene_path
+from lieednn_sim.arm.models import MODEL_SUFFIXES, chosen, open_model, scene_path
 from lieednn_sim.arm.parsing import read_arm
 from lieednn_sim.arm.projection import Retraction, Retractor
 from lieednn_sim.arm.scenes import SCENES, add_obstacles
@@ -65,7 +65,7 @@ class Arm:
 
     name: str
     source: Path
-    spec: Any
+    spec: mujoco.MjSpec
     model: mujoco.MjModel
     space: Coordinates
     joints: CompoundJoints
@@ -88,10 +88,7 @@ class Arm:
         name: str | os.PathLike[str],
         scene: str = "free",
         seed: int = 0,
-        *,
-        links: Sequence[str] = (),
-        base: str | None = None,
-        servos: str = "keep",
+        **options: Unpack[ImportOptions],
     ) -> Arm:
         """Load an arm, with the obstacles of a scene.
 
@@ -99,18 +96,16 @@ class Arm:
             name: of an arm of the package, or an MJCF or URDF file with a suffix of `MODEL_SUFFIXES`, see `from_xml`.
             scene: a name of `scenes.SCENES`.
             seed: of the obstacles.
-            links: see `from_xml`.
-            base: see `from_xml`.
-            servos: see `from_xml`.
+            options: of such a file, see `from_xml`.
 
         Raises:
             FileError: there is no such file, or MuJoCo cannot compile it.
             InputError: an unknown arm or scene, or the file holds no arm.
         """
         if as_path("the name of an arm", name).suffix.lower() in MODEL_SUFFIXES:
-            return cls.from_xml(name, links=links, base=base, servos=servos).among(scene, seed)
-        if links or base is not None or servos != "keep":
-            raise InputError(f"arm {name!r} has its own frames and servos; links, base and servos are for MJCF files")
+            return cls.from_xml(name, **options).among(scene, seed)
+        if given := chosen(options):
+            raise InputError(f"arm {name!r} has its own frames, servos and home; for files only: {', '.join(given)}")
         return cls.from_xml(scene_path(str(name)), str(name)).among(scene, seed)
 
     @classmethod
@@ -118,10 +113,7 @@ class Arm:
         cls,
         path: str | os.PathLike[str],
         name: str | None = None,
-        *,
-        links: Sequence[str] = (),
-        base: str | None = None,
-        servos: str = "keep",
+        **options: Unpack[ImportOptions],
     ) -> Arm:
         """Load an MJCF file that holds one arm.
 
@@ -131,27 +123,31 @@ class Arm:
         Args:
             path: of the file.
             name: of the arm; by default that of the file, or of its folder when the file is ``scene.xml``.
-            links: bodies or sites that are the link frames, from the base outwards; chosen automatically when empty.
-            base: body or site that is the base frame.
-            servos: ``"keep"`` the position servos that an imported model has, or ``"design"`` all anew.
+            options: ``links``, ``base``, ``keyframe``, ``home`` and ``servos`` of `importer.import_arm`, for a
+                file that is to be imported.
 
         Raises:
             FileError: there is no such file, or MuJoCo cannot compile it.
             InputError: it holds no such arm.
         """
         source = as_path("path", path)
-        spec, import_report = open_model(source, links, base, servos)
+        spec, import_report = open_model(source, **options)
         label = name or (source.parent.name if source.stem == "scene" else source.stem)
-        return replace(cls.from_spec(spec, source, label), import_report=import_report)
+        return cls.from_spec(spec, source, label, import_report)
 
     @classmethod
-    def from_spec(cls, spec: Any, source: Path, name: str) -> Arm:
-        """Compile a spec that holds one arm with the conventions of this class; errors as `from_xml`."""
+    def from_spec(cls, spec: mujoco.MjSpec, source: Path, name: str, import_report: ImportReport | None = None) -> Arm:
+        """Compile a spec that holds one arm with the conventions of this class, such as one of `import_arm`.
+
+        Errors as `from_xml`.
+        """
         try:
             model = spec.compile()
         except ValueError as error:
             raise FileError(f"MuJoCo cannot compile {source}: {str(error).strip()}") from None
-        return cls(name=name, source=source, spec=spec, model=model, **read_arm(model, name))
+        return cls(
+            name=name, source=source, spec=spec, model=model, import_report=import_report, **read_arm(model, name)
+        )
 
     def among(self, scene: str, seed: int = 0) -> Arm:
         """This arm with the obstacles of a scene of `scenes.SCENES`, drawn from a seed; itself when it is free.
@@ -166,8 +162,8 @@ class Arm:
             raise InputError(f"arm {self.name!r} has the obstacles of scene {self.scene!r} already")
         spec = self.spec.copy()
         add_obstacles(spec, self, scene, seed)
-        arm = Arm.from_spec(spec, self.source, self.name)
-        return replace(arm, scene=scene, scene_seed=seed, import_report=self.import_report)
+        arm = Arm.from_spec(spec, self.source, self.name, self.import_report)
+        return replace(arm, scene=scene, scene_seed=seed)
 
     def __repr__(self) -> str:
         return f"<Arm {self.name}: {self.n_links} links, {self.n_joints} joints, scene {self.scene}>"

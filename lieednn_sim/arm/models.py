@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Unpack
 
 from lieednn_sim._mujoco import mujoco
-from lieednn_sim.arm.importer import ImportReport, import_arm
+from lieednn_sim.arm.importer import ImportOptions, ImportReport, import_arm
 from lieednn_sim.errors import FileError
 from lieednn_sim.storage import is_file
 from lieednn_sim.validation import as_choice
@@ -35,7 +34,12 @@ def scene_path(arm: str) -> Path:
     return models_directory() / as_choice("arm", arm, arm_names()) / "scene.xml"
 
 
-def open_model(source: Path, links: Sequence[str], base: str | None, servos: str) -> tuple[Any, ImportReport | None]:
+def chosen(options: ImportOptions) -> ImportOptions:
+    """The options that are not as by default."""
+    return {name: value for name, value in options.items() if value not in (None, (), [], {}, "keep")}  # type: ignore[return-value]
+
+
+def open_model(source: Path, **options: Unpack[ImportOptions]) -> tuple[mujoco.MjSpec, ImportReport | None]:
     """The spec of a file in the package's conventions, imported where it has others or where the options ask for it.
 
     Raises:
@@ -48,7 +52,6 @@ def open_model(source: Path, links: Sequence[str], base: str | None, servos: str
         spec = mujoco.MjSpec.from_file(str(source))
     except ValueError as error:
         raise FileError(f"MuJoCo cannot compile {source}: {str(error).strip()}") from None
-    ready = spec.site("base_frame") is not None and spec.site("link1_frame") is not None
-    if links or base is not None or servos != "keep" or not ready:
-        return import_arm(source, links=links or None, base=base, servos=servos)
+    if chosen(options) or spec.site("base_frame") is None or spec.site("link1_frame") is None:
+        return import_arm(source, **chosen(options))
     return spec, None

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieednn_sim.arm import Arm, solve_ik
-from lieednn_sim.arm.models import MODEL_SUFFIXES
+from lieednn_sim.arm.importer import ImportOptions
+from lieednn_sim.arm.models import MODEL_SUFFIXES, chosen
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.cli.numerals import decimal
 from lieednn_sim.cli.task import Task
@@ -29,14 +30,20 @@ RANDOM = "random:"
 
 
 def load_arm(arguments: argparse.Namespace) -> Arm:
-    """The arm of --arm, --links, --base and --servos, among the obstacles of --scene and --scene-seed."""
-    return Arm.load(
-        arguments.arm,
-        arguments.scene,
-        arguments.scene_seed,
-        links=names(arguments.links),
-        base=arguments.base,
-        servos=arguments.servos,
+    """The arm of --arm and the options of a model file, among the obstacles of --scene and --scene-seed."""
+    return Arm.load(arguments.arm, arguments.scene, arguments.scene_seed, **import_options(arguments))
+
+
+def import_options(arguments: argparse.Namespace) -> ImportOptions:
+    """How an MJCF or URDF file becomes an arm."""
+    return chosen(
+        {
+            "links": list(names(arguments.links)),
+            "base": arguments.base,
+            "keyframe": arguments.keyframe,
+            "home": named_numbers(arguments.home, "home"),
+            "servos": arguments.servos,
+        }
     )
 
 
@@ -60,9 +67,7 @@ def make_task(
         duration=as_positive("duration", arguments.duration),
         scene=arm.scene,
         scene_seed=arm.scene_seed,
-        links=names(arguments.links),
-        base=arguments.base,
-        servos=arguments.servos,
+        imported=import_options(arguments),
         planner=planner,
         reason=reason,
         seed=as_seed("seed", arguments.seed),
@@ -115,6 +120,15 @@ def numbers(text: str, what: str, count: int) -> Floats:
 def names(text: str | None) -> tuple[str, ...]:
     """Comma-separated names; none for None."""
     return () if text is None else tuple(text.split(","))
+
+
+def named_numbers(text: str | None, what: str) -> dict[str, float]:
+    """Numbers by name, as ``NAME=1,OTHER=2``; none for None."""
+    pairs = [] if text is None else [part.rpartition("=") for part in text.split(",")]
+    try:
+        return {name.strip(" "): decimal(value.strip(" ")) for name, _, value in pairs}
+    except argparse.ArgumentTypeError as error:
+        raise InputError(f"{what} must look like JOINT=0.3,OTHER=-1, got {text!r}: a number {error}") from None
 
 
 def size(text: str) -> tuple[int, int]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from lieednn_sim.arm import Arm, arm_names
-from lieednn_sim.cli.arguments import keyframes, names
+from lieednn_sim.cli.arguments import import_options, keyframes
 from lieednn_sim.cli.console import console, table
 from lieednn_sim.errors import InputError
 
@@ -23,13 +23,12 @@ _STARTS, _DIFFERENCE = 4, 1e-6
 def arms(arguments: argparse.Namespace) -> None:
     """All arms of the package, or the one that is named."""
     if arguments.arm is None:
-        if arguments.links is not None or arguments.base is not None or arguments.servos != "keep":
-            raise InputError(
-                "--links, --base and --servos need an MJCF file: lieednn-sim arms FILE.xml --links A,B,..."
-            )
+        if given := import_options(arguments):
+            options = ", ".join(f"--{name}" for name in given)
+            raise InputError(f"{options}: of an MJCF or URDF file only, as lieednn-sim arms FILE.xml --links A,B,...")
         _print_summaries([Arm.load(name) for name in arm_names()])
         return
-    arm = Arm.load(arguments.arm, links=names(arguments.links), base=arguments.base, servos=arguments.servos)
+    arm = Arm.load(arguments.arm, **import_options(arguments))
     _print_summaries([arm])
     console.print(_coordinates(arm))
     print_import_report(arm)

@@ -50,6 +50,12 @@ def add_frames(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--base", metavar="NAME", help="body or site of the base frame (default: found)")
     parser.add_argument(
+        "--keyframe", metavar="NAME", help="of an MJCF file, which home and the locked joints are taken from"
+    )
+    parser.add_argument(
+        "--home", metavar="J=X,...", help="positions at home of joints of an MJCF or URDF file, by name [rad, m]"
+    )
+    parser.add_argument(
         "--servos",
         default="keep",
         metavar="RULE",

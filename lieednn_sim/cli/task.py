@@ -9,6 +9,7 @@ from typing import Any
 
 from lieednn_sim import storage
 from lieednn_sim.arm import Arm
+from lieednn_sim.arm.importer import ImportOptions
 from lieednn_sim.errors import FileError
 from lieednn_sim.validation import as_floats, as_positive, as_seed
 from lieednn_sim.versions import versions
@@ -28,9 +29,7 @@ class Task:
         duration: of the motion [s].
         scene: the obstacles around the arm, see `Arm.load`.
         scene_seed: of their positions.
-        links: bodies or sites that are the link frames of an MJCF file without the package's own.
-        base: body or site of its base frame.
-        servos: what becomes of the position servos of such a file, see `Arm.load`.
+        imported: how such a file became an arm, the options of `Arm.load`.
         planner: a name of `planning.PLANNERS`, or `TRAINED` for the command ``train``. But for that and `CERTIFIED` it
             makes the motion, too, which is then stored.
         reason: why this planner.
@@ -46,9 +45,7 @@ class Task:
     duration: float
     scene: str = "free"
     scene_seed: int = 0
-    links: tuple[str, ...] = ()
-    base: str | None = None
-    servos: str = "keep"
+    imported: ImportOptions = field(default_factory=ImportOptions)
     planner: str = CERTIFIED
     reason: str = ""
     seed: int = 0
@@ -68,7 +65,7 @@ class Task:
 
     def load_arm(self) -> Arm:
         """The arm among its obstacles; errors as `Arm.load`."""
-        return Arm.load(self.arm, self.scene, self.scene_seed, links=self.links, base=self.base, servos=self.servos)
+        return Arm.load(self.arm, self.scene, self.scene_seed, **self.imported)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write as JSON, atomically."""
@@ -79,16 +76,16 @@ class Task:
         """Read a file of `save`; `FileError` says what is wrong with it."""
         value = storage.load_json(path, "task")
         try:
-            texts = {name: value[name] for name in ("arm", "scene", "servos", "planner", "reason", "model")}
-            links, base = value["links"], value["base"]
-            if not all(isinstance(text, str) for text in (*texts.values(), *links, *([] if base is None else [base]))):
+            texts = {name: value[name] for name in ("arm", "scene", "planner", "reason", "model")}
+            if not all(isinstance(text, str) for text in texts.values()):
                 raise TypeError("names must be strings")
-            if not all(isinstance(value[name], dict) for name in ("options", "versions")):
-                raise TypeError("options and versions must be objects")
+            if not all(isinstance(value[name], dict) for name in ("imported", "options", "versions")):
+                raise TypeError("imported, options and versions must be objects")
+            if unknown := value["imported"].keys() - ImportOptions.__optional_keys__:
+                raise TypeError(f"no options of an import: {', '.join(sorted(unknown))}")
             return cls(
                 **texts,
-                links=tuple(links),
-                base=base,
+                imported=value["imported"],
                 start=_position(value["start"], "start"),
                 target=_position(value["target"], "target"),
                 duration=as_positive("duration", value["duration"]),

@@ -93,7 +93,7 @@ def spec_of(xml):
 
 def arm_of(xml, **options):
     spec, report = import_arm(spec_of(xml), **options)
-    return Arm.from_spec(spec, Path("imported.xml"), "imported"), report
+    return Arm.from_spec(spec, Path("imported.xml"), "imported", report), report
 
 
 def frame_poses(model, data, names):
@@ -173,6 +173,40 @@ def test_stages_on_a_tendon_share_its_length_by_its_coefficients():
     mujoco.mj_step(arm.model, data, 1000)
     moved = data.qpos - arm.qpos(arm.keyframe("home"))
     np.testing.assert_allclose(moved[2:4], [0.1, 0.05], atol=1e-3)
+
+
+KEYFRAMES = """
+<mujoco><compiler angle="radian"/><worldbody>
+  <body name="one"><joint name="a" axis="0 0 1" range="-2 2" ref=".5"/>
+    <geom type="capsule" size=".02" fromto="0 0 0 .3 0 0"/>
+    <body name="two" pos=".3 0 0"><joint name="b" axis="0 1 0" range="-2 2"/><geom size=".02"/>
+      <body name="grip"><joint name="c" type="slide" axis="0 0 1" range="0 .1"/><geom size=".01" pos=".1 0 0"/></body>
+    </body></body></worldbody>
+  <actuator><position joint="a" kp="50" kv="9"/><position joint="b" kp="50" kv="9"/></actuator>
+  <keyframe>KEYS<key name="stow" qpos="1 -1 .02"/><key name="still" ctrl=".5 0"/></keyframe>
+</mujoco>
+"""
+COMMANDED = KEYFRAMES.replace("KEYS", '<key name="home" ctrl=".5 .3"/>')
+
+
+def test_home_is_taken_from_a_keyframe_and_given_joints():
+    arm, report = arm_of(COMMANDED, links=["one", "two"], keyframe="still", home={"b": -0.25, "c": 0.03})
+    assert report.posture == "keyframe 'still', with b, c as given"
+    np.testing.assert_allclose(arm.keyframe("home"), [0.5, -0.25])
+    np.testing.assert_allclose(arm.keyframe("stow"), [1.0, -1.0])
+    np.testing.assert_allclose(arm.model.body("grip").pos, [0.0, 0.0, 0.03], err_msg="the gripper's joint is locked")
+    assert arm.import_report is report
+    assert arm.among("poles").import_report is report
+
+
+def test_a_keyframe_of_controls_alone_is_no_posture_unless_they_hold_the_one_it_has():
+    """MuJoCo takes such a keyframe for the reference position, where b is 0; its servo would move b to 0.3."""
+    _, report = arm_of(COMMANDED, links=["one", "two"])
+    assert report.posture == "keyframe 'stow'"
+    assert any(note.startswith("keyframes left out: home; they have controls") for note in report.notes)
+    assert not any("left out" in note for note in arm_of(KEYFRAMES.replace("KEYS", ""))[1].notes)
+    with pytest.raises(InputError, match="no keyframe 'home' with positions; keyframes of the model: 'stow', 'still'"):
+        arm_of(COMMANDED, keyframe="home")
 
 
 def test_kept_servos_push_as_the_original_ones_and_force_limits_are_referred_to_the_joints():
@@ -285,6 +319,12 @@ def bad(xml, *replacements):
         (BY_EQUALITY, {"links": ["wrist"], "base": "world"}, "joint 'drive' between 'world' and 'wrist' is free"),
         (BY_EQUALITY, {"links": ["tube1", "tube2"]}, "'stage2' moves link 2 and follows joint 'stage1'"),
         (BY_EQUALITY, {"keyframe": "fold"}, "no keyframe 'fold'; keyframes of the model: 'home'"),
+        (BY_EQUALITY, {"keyframe": 3}, "keyframe must be the name of a keyframe, got 3"),
+        (BY_EQUALITY, {"home": ["wrist"]}, "home must give positions of joints by name"),
+        (BY_EQUALITY, {"home": {"hip": 0.0}}, "no joint of the home posture 'hip'; allowed: .*, pan, "),
+        (BY_EQUALITY, {"home": {"pan": 2.0}}, r"home position 2 of joint 'pan' is outside of \[-1.571, 1.571\]"),
+        (BY_EQUALITY, {"home": {"pan": "left"}}, "home position of joint 'pan'"),
+        (BY_EQUALITY, {"home": {"stage2": 0.1}}, "'stage2' of the home posture follows joint 'stage1'"),
         (bad(BY_EQUALITY, ("0.01 0.8 0 0 0", "0 1 2 0 0")), {}, "needs a straight line"),
         (bad(BY_EQUALITY, ('joint2="stage1" ', "")), {}, "'stage2' is locked by an equality"),
         (bad(BY_TENDON, ('type="slide" range="0 0.3"', 'type="slide"'), ('"0 0.2"', '"0 0"')), {}, "no range"),

@@ -177,8 +177,9 @@ def test_a_chain_that_fits_one_joint_makes_two_neurons():
 def test_an_urdf_with_mimic_joints_is_an_arm(tmp_path):
     path = tmp_path / "derrick.urdf"
     path.write_text(URDF)
-    arm = Arm.load(path)
+    arm = Arm.load(path, home={"turn": 0.5, "out1": 0.1})
     assert arm.name == "derrick"
+    np.testing.assert_allclose(arm.keyframe("home"), [0.5, 0.1])
     assert arm.joint_names == ("turn", "out1")
     tip = arm.link_poses([0.5 * np.pi, 0.2]).translation[-1]
     np.testing.assert_allclose(tip, [0.0, 0.3 + 0.2 + 0.5 * 0.2 + 0.01, 0.4], atol=1e-12)

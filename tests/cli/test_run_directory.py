@@ -223,7 +223,7 @@ def command_line(task, metrics):
     numbers = {name: ",".join(map(repr, task[name])) for name in ("start", "target")}
     words = ["synthesize", "--arm", task["arm"], "--scene", task["scene"], "--scene-seed", str(task["scene_seed"])]
     words += [f"--start={numbers['start']}", f"--target={numbers['target']}", "--duration", repr(task["duration"])]
-    words += ["--planner", task["planner"], "--seed", str(task["seed"]), "--servos", task["servos"]]
+    words += ["--planner", task["planner"], "--seed", str(task["seed"])]
     for name, value in task["options"].items():
         if value is not None:
             words += [f"--{name.replace('_', '-')}", str(value)]
@@ -346,7 +346,7 @@ def test_what_a_killed_command_left_half_written_is_removed_by_the_next(tmp_path
         ({"seed": 1.5}, "seed must be a whole number"),
         ({"scene_seed": -1}, "scene_seed must be a whole number"),
         ({"arm": 3}, "names must be strings"),
-        ({"links": [1]}, "names must be strings"),
+        ({"imported": {"link": []}}, "no options of an import: link"),
         ({"options": []}, "must be objects"),
         ({"model": None}, "names must be strings"),
     ],

@@ -29,6 +29,7 @@ OWN = """
           <geom type="capsule" size="0.02" fromto="0.05 0 0 0.3 0 0"/><site name="tool" pos="0.3 0 0"/>
         </body></body></body>
   </worldbody>
+  <keyframe><key name="bent" qpos="0.1 0.2 0.3"/></keyframe>
 </mujoco>
 """
 
@@ -62,15 +63,22 @@ def test_an_arm_of_ones_own_goes_the_whole_road_from_another_directory(own, tmp_
         "world",
         "--servos",
         "design",
+        "--keyframe",
+        "bent",
+        "--home",
+        "c=0.5",
     ]
     arguments += ["--output", "run"]
     assert main([*arguments, "--candidates", "4", "--controller", "inverse-dynamics"]) == 0
     printed = capsys.readouterr().out
     assert "target: random:0" in printed
     assert re.search(r"link 2 +tool, moved by c", printed)
+    assert re.search(r"posture +keyframe 'bent', with c as given", printed)
     assert "[b]" in printed
     task = Task.load("run/task.json")
-    assert (task.arm, task.links, task.base, task.servos) == (str(own), ("two", "tool"), "world", "design")
+    assert task.arm == str(own)
+    imported = {"links": ["two", "tool"], "base": "world", "keyframe": "bent", "home": {"c": 0.5}, "servos": "design"}
+    assert task.imported == imported
     (tmp_path / "elsewhere").mkdir()
     monkeypatch.chdir(tmp_path / "elsewhere")
     assert main(["simulate", "../run", "--controller", "mocap", "--hold", "0.5"]) == 0
@@ -89,7 +97,9 @@ def test_arms_are_listed_and_described(own, capsys):
     printed = capsys.readouterr().out
     assert re.search(r"link 1 +two, moved by \[b\]", printed)
     assert re.search(r"c +rad +-1.571 +1.571 +- +- +-", printed)
-    assert "--links, --base and --servos need an MJCF file" in error(capsys, "arms", "--links", "a")
+    assert "--links, --home: of an MJCF" in error(capsys, "arms", "--links", "a", "--home", "c=1")
+    assert "home must look like JOINT=0.3" in error(capsys, "arms", str(own), "--home", "c")
+    assert "no keyframe 'stow'; keyframes of the model: 'bent'" in error(capsys, "arms", str(own), "--keyframe", "stow")
     # The arm is straight at its reference, where nothing is further out.
     assert farthest(Arm.load(str(own), links=("two", "tool"), base="one")) == pytest.approx(0.9, abs=1e-6)
 

@@ -1,6 +1,6 @@
 """Bring your own arm: any MJCF with a serial chain of hinge, slide and ball joints, made into one that `Arm` reads."""
 
-from lieednn_sim.arm.importer.importing import import_arm
+from lieednn_sim.arm.importer.importing import ImportOptions, import_arm
 from lieednn_sim.arm.importer.report import ImportReport
 
-__all__ = ["ImportReport", "import_arm"]
+__all__ = ["ImportOptions", "ImportReport", "import_arm"]

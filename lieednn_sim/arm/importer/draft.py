@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -28,9 +28,10 @@ class Draft:
 
     Attributes:
         spec: changed by the steps.
-        links, base, keyframe, servo_rule: as the caller of `import_arm` gave them.
+        links, base, keyframe, home, servo_rule: as the caller of `import_arm` gave them.
         notes: remarks for the report.
         original: the model as it came.
+        keyframes: of ``original``, those that are postures.
         posture: name of the posture of the locked joints.
         qpos: ``(nq,)`` that posture in ``original``.
         frames: of the base and the links.
@@ -40,8 +41,8 @@ class Draft:
         locked: names of the joints that are gone.
         bare: the model with the arm's joints, without actuators.
         dofs: the independent coordinates, with rates in ``bare``.
-        samples: positions of the independent joints: ``home``, then random ones within the ranges.
-        extremes: ``home`` with all slides retracted, and with all extended.
+        samples: positions of the independent joints: at home, then random ones within the ranges.
+        extremes: at home but with all slides retracted, and with all extended.
         actuations: what moved each coordinate in ``original``.
         servos: what moves it now.
         model: the arm.
@@ -51,9 +52,11 @@ class Draft:
     links: tuple[str, ...] | None
     base: str | None
     keyframe: str | None
+    home: Mapping[str, float]
     servo_rule: str
     notes: list[str] = field(default_factory=list)
     original: mujoco.MjModel = field(init=False)
+    keyframes: list[int] = field(init=False)
     posture: str = field(init=False)
     qpos: Floats = field(init=False)
     frames: tuple[Frame, ...] = field(init=False)

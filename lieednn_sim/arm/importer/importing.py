@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import TypedDict
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.importer.accelerations import limit_accelerations
@@ -56,12 +57,23 @@ STEPS: tuple[Callable[[Draft], None], ...] = (
 )
 
 
+class ImportOptions(TypedDict, total=False):
+    """The options of `import_arm`, for whoever passes them on."""
+
+    links: Sequence[str] | None
+    base: str | None
+    keyframe: str | None
+    home: Mapping[str, float] | None
+    servos: str
+
+
 def import_arm(
     model: str | os.PathLike[str] | mujoco.MjSpec,
     *,
     links: Sequence[str] | None = None,
     base: str | None = None,
     keyframe: str | None = None,
+    home: Mapping[str, float] | None = None,
     servos: str = "keep",
 ) -> tuple[mujoco.MjSpec, ImportReport]:
     """Make a model into an arm by `STEPS`: sites at the link frames, one servo per coordinate, all else locked.
@@ -83,7 +95,9 @@ def import_arm(
         links: bodies or sites, in order from the base outwards; the frame of a body is its origin.
         base: body or site of the base frame. Default: the body that carries the first moving body of link 1.
         keyframe: posture of the locked joints, and of the new keyframe ``home``, which keeps 5 % of each range off
-            the limits. Default: ``home``, else the first keyframe, else the reference position.
+            the limits. Default: ``home``, else the first keyframe, else the reference position. Keyframes that have
+            controls for another posture and no positions don't count.
+        home: positions of joints in place of those of the keyframe, by name [rad, m]; for a URDF, which has none.
         servos: ``"keep"`` the position servos of the model, or ``"design"`` all anew.
 
     Returns:
@@ -94,11 +108,15 @@ def import_arm(
         InputError: the names or the mechanism don't make an arm; the message says why.
     """
     as_choice("choice of servos", servos, SERVOS)
-    if base is not None and not isinstance(base, str):
-        raise InputError(f"base must be the name of a body or site, got {base!r}")
-    if links is not None and (isinstance(links, str) or not links or not all(isinstance(link, str) for link in links)):
+    for what, kind, value in (("base", "body or site", base), ("keyframe", "keyframe", keyframe)):
+        if value is not None and not isinstance(value, str):
+            raise InputError(f"{what} must be the name of a {kind}, got {value!r}")
+    if home is not None and not isinstance(home, Mapping):
+        raise InputError(f"home must give positions of joints by name, got {home!r}")
+    named = isinstance(links, list | tuple) and all(isinstance(link, str) for link in links)
+    if links is not None and (not links or not named):
         raise InputError(f"links must be a list of names of bodies or sites, from the base outwards; got {links!r}")
-    draft = Draft(load_spec(model), None if links is None else tuple(links), base, keyframe, servos)
+    draft = Draft(load_spec(model), None if links is None else tuple(links), base, keyframe, home or {}, servos)
     for step in STEPS:
         step(draft)
     return draft.spec, draft.report()

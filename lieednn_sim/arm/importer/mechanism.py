@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Mapping
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.importer.draft import Draft
@@ -13,25 +15,42 @@ from lieednn_sim.arm.importer.ranges import joint_ranges
 from lieednn_sim.arm.importer.serial_chain import body_frame, cut, joint_groups, longest_chain, named_frames
 from lieednn_sim.arm.importer.stages import find_couplings
 from lieednn_sim.errors import InputError
+from lieednn_sim.validation import as_choice, as_floats
+
+_SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+_SAME = 1e-3  # controls so near to a position hold it [rad, m]
 
 
 def choose_posture(draft: Draft) -> None:
-    """Compile the model as it came, and take the posture of a keyframe; `InputError` lists those there are."""
+    """Compile the model as it came, and take the posture of a keyframe, of given joint positions, or of reference.
+
+    Raises:
+        InputError: there is no such keyframe or joint, or its position is none; the message lists those there are.
+    """
     model = draft.original = compile_spec(draft.spec)
-    names = [model.key(k).name for k in range(model.nkey)]
-    if draft.keyframe is None:
-        if not names:
-            draft.posture, draft.qpos = "the reference position", model.qpos0.copy()
-            return
-        k = names.index("home") if "home" in names else 0
-    elif draft.keyframe in names:
-        k = names.index(draft.keyframe)
+    names = [model.key(k).name or f"key{k}" for k in range(model.nkey)]
+    commanded = {k for k, key in enumerate(draft.spec.keys) if not len(key.qpos) and _holds_another(model, k)}
+    draft.keyframes = [k for k in range(model.nkey) if k not in commanded]
+    if commanded:
+        draft.notes.append(
+            f"keyframes left out: {', '.join(names[k] for k in sorted(commanded))}; they have controls for another "
+            "posture, and no positions; name another keyframe, or give the positions of joints at home"
+        )
+    choice = {names[k]: k for k in reversed(draft.keyframes)}
+    if draft.keyframe is not None and draft.keyframe not in choice:
+        why = " with positions" if draft.keyframe in names else ""
+        known = ", ".join(map(repr, reversed(choice))) or "none"
+        raise InputError(f"no keyframe {draft.keyframe!r}{why}; keyframes of the model: {known}")
+    if choice:
+        name = draft.keyframe or ("home" if "home" in choice else names[draft.keyframes[0]])
+        draft.posture, draft.qpos = f"keyframe {name!r}", model.key_qpos[choice[name]].copy()
+        if not np.isfinite(draft.qpos).all():
+            raise InputError(f"{draft.posture} holds NaN or infinite positions; correct it, or choose another")
     else:
-        known = ", ".join(repr(name) for name in names if name) or "none"
-        raise InputError(f"no keyframe {draft.keyframe!r}; keyframes of the model: {known}")
-    draft.posture, draft.qpos = f"keyframe {names[k] or k!r}", model.key_qpos[k].copy()
-    if not np.isfinite(draft.qpos).all():
-        raise InputError(f"{draft.posture} holds NaN or infinite positions; correct it, or choose another")
+        draft.posture, draft.qpos = "the reference position", model.qpos0.copy()
+    if draft.home:
+        draft.posture += f", with {', '.join(map(str, draft.home))} as given"
+        _set_joints(model, draft.qpos, draft.home)
 
 
 def find_mechanism(draft: Draft) -> None:
@@ -65,6 +84,11 @@ def find_mechanism(draft: Draft) -> None:
                 f"{model.joint(leader).name!r}, which moves link {link[leader]}; "
                 "choose links so that coupled joints move the same link"
             )
+        if model.joint(follower).name in draft.home and follower not in draft.couplings.added:
+            raise InputError(
+                f"joint {model.joint(follower).name!r} of the home posture follows joint {model.joint(leader).name!r}; "
+                "give the position of that one"
+            )
     if len(draft.groups) == 1:
         draft.notes.append("the arm is one link; networks of a single neuron are hard to certify: name more links")
 
@@ -74,3 +98,25 @@ def _frames_of_the_model(model: mujoco.MjModel) -> tuple[tuple[str, ...] | None,
     sites = {model.site(i).name for i in range(model.nsite)}
     links = tuple(itertools.takewhile(sites.__contains__, (f"link{i}_frame" for i in itertools.count(1))))
     return (links, "base_frame") if links and "base_frame" in sites else (None, None)
+
+
+def _holds_another(model: mujoco.MjModel, keyframe: int) -> bool:
+    """Whether the controls of a keyframe let position servos hold another posture than the keyframe's own."""
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, keyframe)
+    mujoco.mj_forward(model, data)
+    offset, stiffness = model.actuator_biasprm[:, 0], -model.actuator_biasprm[:, 1]
+    rest = model.actuator_gainprm[:, 0] * data.ctrl + offset - stiffness * data.actuator_length
+    return bool(np.any(np.abs(rest) > _SAME * stiffness, where=stiffness > 0.0))
+
+
+def _set_joints(model: mujoco.MjModel, qpos: NDArray[np.float64], home: Mapping[str, float]) -> None:
+    """Set hinges and slides in ``qpos`` ``(nq,)`` by name."""
+    joints = {model.joint(j).name: j for j in range(model.njnt) if model.jnt_type[j] in _SCALAR}
+    for name, value in home.items():
+        joint = joints[as_choice("joint of the home posture", name, joints)]
+        position = float(as_floats(f"home position of joint {name!r}", value, ()))
+        low, high = model.jnt_range[joint]
+        if model.jnt_limited[joint] and not low <= position <= high:
+            raise InputError(f"home position {position:g} of joint {name!r} is outside of [{low:.4g}, {high:.4g}]")
+        qpos[model.jnt_qposadr[joint]] = position

@@ -33,7 +33,7 @@ def draw_postures(draft: Draft) -> None:
 def add_keyframes(draft: Draft) -> None:
     """Add ``home`` and the model's own keyframes, at rest, as the keyframes of the arm; compile it."""
     keyframes, original = {"home": draft.samples[0]}, draft.original
-    for k in range(original.nkey):
+    for k in draft.keyframes:
         if np.isfinite(original.key_qpos[k]).all():
             inside, _ = _coordinates_inside(draft, original.key_qpos[k])
             keyframes.setdefault(original.key(k).name or f"key{k}", inside)
