@@ -159,6 +159,8 @@ class Collisions:
     def _lower_bounds(self) -> Floats:
         """Lower bounds ``(P,)`` of the distances: of boxes from each other along their faces' normals, and of balls."""
         count, half, first, second = len(self._used), self._half, self._first, self._second
+        if not count:
+            return np.zeros(0)
         rotation = self._data.geom_xmat[self._used].reshape(-1, 3, 3)
         center = self._data.geom_xpos[self._used] + (rotation @ self._center[:, :, None])[:, :, 0]
         # Of all geoms at once, in tables (geom, its axis, other geom): a few large products beat many small ones.

@@ -11,8 +11,9 @@ from scipy.optimize import minimize
 
 from lieednn_sim.arm import Arm, arm_names
 from lieednn_sim.cli.arguments import import_options, keyframes
-from lieednn_sim.cli.console import console, table
+from lieednn_sim.cli.console import console
 from lieednn_sim.errors import InputError
+from lieednn_sim.evaluation.display import table
 
 Floats = NDArray[np.float64]
 

@@ -14,7 +14,6 @@ from lieednn_sim.errors import InputError, RenderingUnavailableError
 from lieednn_sim.evaluation.metrics import evaluate as evaluate_rollout
 from lieednn_sim.planning.motion import check_motion, make_motion
 from lieednn_sim.rendering import opengl
-from lieednn_sim.simulation import Rollout
 from lieednn_sim.simulation import simulate as simulate_motion
 from lieednn_sim.validation import as_path
 
@@ -130,26 +129,18 @@ def _simulate(run: RunDirectory, arguments: argparse.Namespace) -> None:
 
 
 def _evaluate(run: RunDirectory) -> None:
-    from lieednn_sim.cli.tables import print_evaluation
     from lieednn_sim.evaluation import plots
 
     task, arm = run.load_task()
     rollout = run.load_rollout(task, arm)
     evaluation = evaluate_rollout(rollout)
-    print_evaluation(evaluation, rollout, None if arm.scene == "free" else _clearance(rollout))
+    console.print(evaluation)
     evaluation.save_json(run.metrics_json, made_from=run.check(task, "network", "motion", "rollout"))
     evaluation.save_csv(run.metrics_csv)
     plots.plot_network(rollout, run.network_plot)
     plots.plot_tracking(rollout, run.tracking_plot)
     plots.plot_joints(rollout, run.joints_plot)
     wrote(run.metrics_json, run.metrics_csv, run.network_plot, run.tracking_plot, run.joints_plot)
-
-
-def _clearance(rollout: Rollout) -> float:
-    from lieednn_sim.arm.collision import Collisions
-    from lieednn_sim.evaluation.motion_metrics import least_clearance
-
-    return least_clearance(rollout, Collisions(rollout.arm))
 
 
 def _render(run: RunDirectory, arguments: argparse.Namespace, path: Path) -> None:

@@ -1,14 +1,12 @@
-"""What every command prints with: one console, its tables and its progress bar."""
+"""What every command prints with: one console and its progress bar."""
 
 from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterator
 
-from rich import box
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-from rich.table import Table
 
 
 class _Console(Console):
@@ -18,14 +16,6 @@ class _Console(Console):
 
 # What is printed is somebody's text, a path or a message: [brackets] and :colons: in it are no markup.
 console = _Console(markup=False, emoji=False, highlight=False, soft_wrap=True)
-
-
-def table(title: str, *columns: str) -> Table:
-    """An empty table; the first column is for names, the others for numbers."""
-    made = Table(title=title, title_justify="left", caption_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
-    for index, column in enumerate(columns):
-        made.add_column(column, justify="left" if index == 0 else "right", no_wrap=index == 0)
-    return made
 
 
 def to_stderr() -> Console:

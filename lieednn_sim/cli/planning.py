@@ -11,10 +11,11 @@ import numpy as np
 from lieednn_sim.arm import Arm
 from lieednn_sim.cli.arguments import RANDOM, load_arm, make_task, start_and_target, usual_target
 from lieednn_sim.cli.arms import print_import_report
-from lieednn_sim.cli.console import console, progress, table, wrote
+from lieednn_sim.cli.console import console, progress, wrote
 from lieednn_sim.cli.run_directory import RunDirectory
 from lieednn_sim.cli.task import CERTIFIED
 from lieednn_sim.errors import InputError
+from lieednn_sim.evaluation.display import table
 from lieednn_sim.planning import OBSTACLE_PLANNER, PLANNERS, CertifiedOptions, Plan, plan, require_planner
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.validation import as_choice

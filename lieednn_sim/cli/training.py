@@ -15,11 +15,12 @@ from lieednn_sim import storage
 from lieednn_sim.arm import Arm
 from lieednn_sim.cli.arguments import load_arm, make_task, start_and_target
 from lieednn_sim.cli.arms import print_import_report
-from lieednn_sim.cli.console import console, progress, table, wrote
+from lieednn_sim.cli.console import console, progress, wrote
 from lieednn_sim.cli.run_directory import RunDirectory
 from lieednn_sim.cli.task import TRAINED, Task
 from lieednn_sim.errors import FileError, InputError, PlanError
 from lieednn_sim.evaluation import plots
+from lieednn_sim.evaluation.display import table
 from lieednn_sim.learning import (
     ALGORITHMS,
     RiemannianOptions,

@@ -1,6 +1,7 @@
 """Metrics of a rollout, and planners compared: arms, scenes, planners, controllers and seeds in one table."""
 
 from lieednn_sim.evaluation.cases import Case, Settings, replay, run_case
+from lieednn_sim.evaluation.following import evaluate_following
 from lieednn_sim.evaluation.metrics import Evaluation, evaluate
 from lieednn_sim.evaluation.study import Selection, compare
 from lieednn_sim.evaluation.summary import write_summary
@@ -14,6 +15,7 @@ __all__ = [
     "Table",
     "compare",
     "evaluate",
+    "evaluate_following",
     "read_rows",
     "replay",
     "run_case",

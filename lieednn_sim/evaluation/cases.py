@@ -13,13 +13,12 @@ from numpy.typing import NDArray
 
 from lieednn_sim._blas import one_blas_thread
 from lieednn_sim.arm import Arm
-from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.budget import DEFAULT_TIME_BUDGET
 from lieednn_sim.errors import InputError, LieEDNNError
-from lieednn_sim.evaluation.columns import FIELDS
-from lieednn_sim.evaluation.metrics import evaluate
-from lieednn_sim.evaluation.motion_metrics import motion_metrics, rollout_metrics, shortfall
+from lieednn_sim.evaluation.columns import COLUMNS, FIELDS, TIMING
+from lieednn_sim.evaluation.metrics import Evaluation, evaluate
+from lieednn_sim.evaluation.motion_metrics import MotionMetrics, motion_metrics
 from lieednn_sim.planning import Plan, plan, reference_network
 from lieednn_sim.simulation import Rollout, simulate
 from lieednn_sim.simulation.tracking import as_hold
@@ -143,7 +142,7 @@ def run_case(case: Case, controllers: Sequence[str], settings: Settings) -> list
             error.add_note(f"while planning the case {case}")
             raise
         planned = {"planning_s": _text(time.process_time() - begun), **_stability(made.network)}
-        planned |= _texts(motion_metrics(arm, made.motion))
+        planned |= _texts(motion_metrics(arm, made.motion), of_motion=True)
         return [_row(case, name, settings, planned | _track(arm, made, name, settings)) for name in controllers]
 
 
@@ -168,14 +167,8 @@ def _track(arm: Arm, made: Plan, controller: str, settings: Settings) -> Row:
         evaluation = evaluate(rollout)
     except LieEDNNError as error:
         return _failed("simulation", error)
-    reason = shortfall(evaluation)
-    measured = rollout_metrics(rollout, evaluation, _collisions(arm))
-    return {"success": "no" if reason else "yes", "reason": reason, **_texts(measured)}
-
-
-@lru_cache(maxsize=4)
-def _collisions(arm: Arm) -> Collisions:
-    return Collisions(arm)
+    reason = evaluation.shortfall
+    return {"success": "no" if reason else "yes", "reason": reason, **_texts(evaluation, of_motion=False)}
 
 
 def _stability(network: Any) -> Row:
@@ -191,8 +184,10 @@ def _failed(step: str, error: LieEDNNError) -> Row:
     return {"success": "no", "reason": f"{step}: {error}"}
 
 
-def _texts(values: dict[str, float]) -> Row:
-    return {name: _text(value) for name, value in values.items()}
+def _texts(metrics: MotionMetrics | Evaluation, *, of_motion: bool) -> Row:
+    names = [column.name for column in COLUMNS if column.of_motion is of_motion and column.name not in TIMING]
+    values = {name: getattr(metrics, name) for name in names}
+    return {name: _text(value) for name, value in values.items() if value is not None}
 
 
 def _text(value: float) -> str:

@@ -1,19 +1,25 @@
-"""Tracking metrics of a rollout: planned against simulated link frames, and the arrival at the target."""
+"""Metrics of a rollout: each number once, under one name, for prints, tables, files and pages."""
 
 from __future__ import annotations
 
 import csv
 import os
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from lieednn_sim import storage
-from lieednn_sim.simulation import Disturbances, Following, Push, Rollout
+from lieednn_sim.evaluation import display
+from lieednn_sim.evaluation.motion_metrics import MotionMetrics, least_clearance, motion_metrics, violations
+from lieednn_sim.simulation import Disturbances, Push, Rollout
 from lieednn_sim.versions import versions
+
+if TYPE_CHECKING:
+    from rich.console import Group
 
 Floats = NDArray[np.float64]
 
@@ -24,21 +30,21 @@ SETTLED_ROTATION = np.deg2rad(0.1)
 
 @dataclass(frozen=True)
 class FrameErrors:
-    """Errors of one link frame; translations in mm, rotations in degrees.
+    """Errors of one link frame.
 
-    ``final_*`` compares the last simulated frame with the target, ``rms_*`` and ``max_*`` the simulated with the
-    planned frame of the same instant over the whole rollout. ``settling_time`` [s] is the time from which the frame
-    stays within 1 mm and 0.1 deg of its target, None when it does not.
+    ``final_*`` compares the last simulated frame with the target, ``tracking_*`` the simulated with the planned frame
+    of the same instant over the whole rollout. ``settling_s`` is the time from which the frame stays within 1 mm and
+    0.1 deg of its target, None when it does not.
     """
 
     name: str
-    final_translation_mm: float
-    final_rotation_deg: float
-    rms_translation_mm: float
-    rms_rotation_deg: float
-    max_translation_mm: float
-    max_rotation_deg: float
-    settling_time: float | None
+    final_mm: float
+    final_deg: float
+    tracking_rms_mm: float
+    tracking_rms_deg: float
+    tracking_max_mm: float
+    tracking_max_deg: float
+    settling_s: float | None
 
 
 @dataclass(frozen=True)
@@ -61,85 +67,135 @@ class Recovery:
     """What a push did, up to the next push or the end of the rollout.
 
     ``peak_deviation_*`` is the largest error of any link frame against its reference since the push began.
-    ``recovery_time`` [s] counts from the push's end to when all frames stay within 1 mm and 0.1 deg of their reference,
-    None when they do not.
+    ``recovery_s`` counts from the push's end to when all frames stay within 1 mm and 0.1 deg of their reference, None
+    when they do not.
     """
 
     body: str
-    start: float
-    end: float
+    start_s: float
+    end_s: float
     peak_deviation_mm: float
     peak_deviation_deg: float
-    recovery_time: float | None
-
-
-@dataclass(frozen=True)
-class FollowingErrors:
-    """Errors behind a moving target; translations in mm, rotations in degrees.
-
-    ``rms_*`` is the end effector's, over the whole run; ``worst_*`` the largest of any link frame. ``lag`` [s] is the
-    delay that explains most of the end effector's distance: sum(e . v) / sum(v . v) over the steps at which the target
-    does not jump, e from its simulated to its target position and v the target's velocity; None when it does not move.
-    ``settling_times`` [s] has for each jump of the target the time until all frames stay within 1 mm and 0.1 deg of it
-    until the next one, None when they do not.
-    """
-
-    rms_translation_mm: float
-    rms_rotation_deg: float
-    worst_translation_mm: float
-    worst_rotation_deg: float
-    lag: float | None
-    settling_times: tuple[float | None, ...]
+    recovery_s: float | None
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Metrics of one rollout.
+    """Metrics of one rollout; `print` shows them as tables. The names are those of a comparison's columns.
+
+    Conditions are called as the arguments of `simulate`.
 
     Attributes:
-        frames: one entry a link, the last one being the end effector.
-        joints: one entry a joint.
-        travel: length of the end effector's simulated path [m].
-        displacement: distance between its first and last position [m].
-        max_gap_translation_mm: largest mechanism gap of the plan; it is no tracking error. None without a motion.
-        max_gap_rotation_deg: the same as an angle.
-        network_residual: distance to the equilibrium at which the plan ends.
-        contacts: largest number of simultaneous contacts.
-        peak_contact_force: largest normal force of a contact [N].
-        peak_weld_force: largest force between a link and its mocap body [N]; zero without.
-        peak_weld_torque: largest torque between them [N m].
-        recoveries: one entry a push.
-        motion_end: time at which the reference comes to rest [s].
-        duration: of the rollout [s].
-        hold: time of it after the motion [s].
-        controller: that drove the arm.
+        arm: that was simulated.
+        scene: around it.
+        controller: that drove it.
         reference_rate: at which it saw samples of the motion [Hz], None for every step.
         disturbances: what it did not know of.
+        hold: time of the rollout after the motion [s].
+        duration_s: of the rollout.
+        motion_s: time at which the reference comes to rest.
+        plan: of the motion that was followed, None without one.
+        frames: one entry a link, the last one being the end effector.
+        joints: one entry a joint.
+        path_m: length of the end effector's simulated path.
+        displacement_m: distance between its first and last position.
+        clearance_mm: least clearance on the way, negative in penetration; None where nothing can collide or nobody
+            looked.
+        contacts: largest number of simultaneous contacts.
+        peak_contact_force_n: largest normal force of a contact.
+        peak_weld_force_n: largest force between a link and its mocap body; zero without.
+        peak_weld_torque_n_m: largest torque between them.
+        recoveries: one entry a push.
+        position_violations: samples at which a joint is outside its range.
+        position_excess: the worst of them, in units of the range.
+        velocity_violations: samples at which a joint is above its velocity limit.
+        velocity_excess: the worst of them, in units of the limit.
+        acceleration_violations: samples at which a joint is above its acceleration limit.
+        acceleration_excess: the worst of them, in units of the limit.
+        settling_s: time from which every link stays at its target, None when one does not.
+        final_effector_mm: distance of the end effector from its target at the end.
+        final_effector_deg: the same as an angle.
+        final_worst_mm: distance of the worst link from its target at the end; likewise the next ones of the worst link.
+        final_worst_deg: the same as an angle.
+        tracking_rms_mm: simulated against planned frames, root mean square in time.
+        tracking_rms_deg: the same as an angle.
+        tracking_max_mm: the largest such distance.
+        tracking_max_deg: the same as an angle.
+        velocity_share: largest joint velocity in units of its limit.
+        force_share: largest drive force or torque in units of its limit.
     """
 
-    frames: tuple[FrameErrors, ...]
-    joints: tuple[JointUse, ...]
-    travel: float
-    displacement: float
-    max_gap_translation_mm: float | None
-    max_gap_rotation_deg: float | None
-    network_residual: float | None
-    contacts: int
-    peak_contact_force: float
-    peak_weld_force: float
-    peak_weld_torque: float
-    recoveries: tuple[Recovery, ...]
-    motion_end: float
-    duration: float
-    hold: float
+    arm: str
+    scene: str
     controller: str
     reference_rate: float | None
     disturbances: Disturbances
+    hold: float
+    duration_s: float
+    motion_s: float
+    plan: MotionMetrics | None
+    frames: tuple[FrameErrors, ...]
+    joints: tuple[JointUse, ...]
+    path_m: float
+    displacement_m: float
+    clearance_mm: float | None
+    contacts: int
+    peak_contact_force_n: float
+    peak_weld_force_n: float
+    peak_weld_torque_n_m: float
+    recoveries: tuple[Recovery, ...]
+    position_violations: int
+    position_excess: float
+    velocity_violations: int
+    velocity_excess: float
+    acceleration_violations: int
+    acceleration_excess: float
+    settling_s: float | None = field(init=False)
+    final_effector_mm: float = field(init=False)
+    final_effector_deg: float = field(init=False)
+    final_worst_mm: float = field(init=False)
+    final_worst_deg: float = field(init=False)
+    tracking_rms_mm: float = field(init=False)
+    tracking_rms_deg: float = field(init=False)
+    tracking_max_mm: float = field(init=False)
+    tracking_max_deg: float = field(init=False)
+    velocity_share: float = field(init=False)
+    force_share: float = field(init=False)
+
+    def __post_init__(self) -> None:
+        times = [frame.settling_s for frame in self.frames if frame.settling_s is not None]
+        found = {
+            "settling_s": max(times) if len(times) == len(self.frames) else None,
+            "velocity_share": max(joint.peak_velocity / joint.velocity_limit for joint in self.joints),
+            "force_share": max(joint.peak_force / joint.force_limit for joint in self.joints),
+        }
+        for unit in ("mm", "deg"):
+            found[f"final_effector_{unit}"] = getattr(self.end_effector, f"final_{unit}")
+            for name, of_frame in (("final_worst", "final"), ("tracking_rms",) * 2, ("tracking_max",) * 2):
+                found[f"{name}_{unit}"] = max(getattr(frame, f"{of_frame}_{unit}") for frame in self.frames)
+        for name, value in found.items():
+            object.__setattr__(self, name, value)
+
+    def __rich__(self) -> Group:
+        return display.of_evaluation(self)
+
+    def __str__(self) -> str:
+        return display.as_text(self)
 
     @property
     def end_effector(self) -> FrameErrors:
         """Errors of the last link frame."""
         return self.frames[-1]
+
+    @property
+    def shortfall(self) -> str:
+        """Why the rollout is no success, or an empty string: a contact, or a link that does not end at its target."""
+        if self.contacts:
+            return f"contact: up to {self.contacts} at a time"
+        for frame in self.frames:
+            if frame.final_mm > 1e3 * SETTLED_TRANSLATION or frame.final_deg > np.rad2deg(SETTLED_ROTATION):
+                return f"arrival: {frame.name} ends {frame.final_mm:.3g} mm and {frame.final_deg:.3g} deg off"
+        return ""
 
     def save_json(self, path: str | os.PathLike[str], made_from: Mapping[str, str] | None = None) -> None:
         """Write all metrics and conditions as JSON; unlimited joints have limit null.
@@ -169,14 +225,29 @@ def pose_errors(actual: RigidTransform, wanted: RigidTransform) -> tuple[Floats,
     return np.linalg.norm(difference.translation, axis=-1), np.asarray(difference.rotation.magnitude())
 
 
-def evaluate(rollout: Rollout) -> Evaluation:
-    """Evaluate a rollout: its arm against its reference, its target and its limits."""
+def evaluate(rollout: Rollout, *, clearance: bool = True) -> Evaluation:
+    """Evaluate a rollout: its arm against its reference, its target, its obstacles and its limits.
+
+    Args:
+        rollout: what was simulated.
+        clearance: whether to look for the least clearance, which takes longer than all else.
+    """
     arm, motion = rollout.arm, rollout.motion
     simulated = rollout.link_poses()
     tracking = pose_errors(simulated, arm.link_poses(rollout.q_ref))
     arrival = pose_errors(simulated, arm.link_poses(rollout.target))
     tip = rollout.link_position[:, -1]
+    least = least_clearance(rollout) if clearance else np.inf
     return Evaluation(
+        arm=arm.name,
+        scene=arm.scene,
+        controller=rollout.controller,
+        reference_rate=rollout.reference_rate,
+        disturbances=rollout.disturbances,
+        hold=rollout.hold,
+        duration_s=float(rollout.t[-1]),
+        motion_s=rollout.motion_end,
+        plan=None if motion is None else motion_metrics(arm, motion),
         frames=tuple(_frame_errors(i, name, rollout.t, tracking, arrival) for i, name in enumerate(arm.link_names)),
         joints=tuple(
             JointUse(
@@ -189,22 +260,15 @@ def evaluate(rollout: Rollout) -> Evaluation:
             )
             for j, name in enumerate(arm.joint_names)
         ),
-        travel=float(np.linalg.norm(np.diff(tip, axis=0), axis=1).sum()),
-        displacement=float(np.linalg.norm(tip[-1] - tip[0])),
-        max_gap_translation_mm=None if motion is None else float(1e3 * motion.gap_translation.max()),
-        max_gap_rotation_deg=None if motion is None else float(np.rad2deg(motion.gap_rotation.max())),
-        network_residual=None if motion is None else motion.residual,
+        path_m=float(np.linalg.norm(np.diff(tip, axis=0), axis=1).sum()),
+        displacement_m=float(np.linalg.norm(tip[-1] - tip[0])),
+        clearance_mm=1e3 * least if np.isfinite(least) else None,
         contacts=int(rollout.contacts.max()),
-        peak_contact_force=float(rollout.contact_force.max()),
-        peak_weld_force=_peak(rollout, "weld_force"),
-        peak_weld_torque=_peak(rollout, "weld_torque"),
+        peak_contact_force_n=float(rollout.contact_force.max()),
+        peak_weld_force_n=_peak(rollout, "weld_force"),
+        peak_weld_torque_n_m=_peak(rollout, "weld_torque"),
         recoveries=_recoveries(rollout, tracking),
-        motion_end=rollout.motion_end,
-        duration=float(rollout.t[-1]),
-        hold=rollout.hold,
-        controller=rollout.controller,
-        reference_rate=rollout.reference_rate,
-        disturbances=rollout.disturbances,
+        **violations(rollout),
     )
 
 
@@ -212,20 +276,19 @@ def _frame_errors(
     i: int, name: str, t: Floats, tracking: tuple[Floats, Floats], arrival: tuple[Floats, Floats]
 ) -> FrameErrors:
     distance, angle = 1e3 * tracking[0][:, i], np.rad2deg(tracking[1][:, i])
-    settled = _settled(t, arrival[0][:, i : i + 1], arrival[1][:, i : i + 1])
     return FrameErrors(
         name=name,
-        final_translation_mm=float(1e3 * arrival[0][-1, i]),
-        final_rotation_deg=float(np.rad2deg(arrival[1][-1, i])),
-        rms_translation_mm=float(np.sqrt(np.mean(distance**2))),
-        rms_rotation_deg=float(np.sqrt(np.mean(angle**2))),
-        max_translation_mm=float(distance.max()),
-        max_rotation_deg=float(angle.max()),
-        settling_time=settled,
+        final_mm=float(1e3 * arrival[0][-1, i]),
+        final_deg=float(np.rad2deg(arrival[1][-1, i])),
+        tracking_rms_mm=float(np.sqrt(np.mean(distance**2))),
+        tracking_rms_deg=float(np.sqrt(np.mean(angle**2))),
+        tracking_max_mm=float(distance.max()),
+        tracking_max_deg=float(angle.max()),
+        settling_s=settled(t, arrival[0][:, i : i + 1], arrival[1][:, i : i + 1]),
     )
 
 
-def _settled(t: Floats, distance: Floats, angle: Floats) -> float | None:
+def settled(t: Floats, distance: Floats, angle: Floats) -> float | None:
     """Time from which errors ``(K, N)`` stay within the bounds, None when they do not."""
     outside = np.flatnonzero(((distance > SETTLED_TRANSLATION) | (angle > SETTLED_ROTATION)).any(axis=1))
     if outside.size == 0:
@@ -250,39 +313,12 @@ def _recovery(push: Push, until: float, t: Floats, tracking: tuple[Floats, Float
     half = 0.5 * float(t[1] - t[0])
     since, after = ((t > begin - half) & (t < until - half) for begin in (push.start, push.end))
     distance, angle = tracking
-    settled = _settled(t[after], distance[after], angle[after]) if after.any() else None
+    recovered = settled(t[after], distance[after], angle[after]) if after.any() else None
     return Recovery(
         body=push.body,
-        start=push.start,
-        end=push.end,
+        start_s=push.start,
+        end_s=push.end,
         peak_deviation_mm=float(1e3 * distance[since].max(initial=0.0)),
         peak_deviation_deg=float(np.rad2deg(angle[since].max(initial=0.0))),
-        recovery_time=None if settled is None else max(settled - push.end, 0.0),
-    )
-
-
-def evaluate_following(following: Following) -> FollowingErrors:
-    """Evaluate how a moving target was followed."""
-    rollout = following.rollout
-    t, wanted = rollout.t, rollout.arm.link_poses(following.target)
-    distance, angle = pose_errors(rollout.link_poses(), wanted)
-    tip = np.asarray(wanted.translation)[:, -1]
-    velocity, behind = np.diff(tip, axis=0) / np.diff(t)[:, None], (tip - rollout.link_position[:, -1])[1:]
-    starts = np.searchsorted(t, np.asarray(following.jumps) - 0.5 * rollout.timestep)
-    # The follower sees a jump at the next control period: it happened at the fastest step of the last one.
-    steady = np.ones(len(velocity), dtype=bool)
-    for begin in starts:
-        recent = slice(max(begin - following.period, 0), begin)
-        steady[recent.start + int(np.linalg.norm(velocity[recent], axis=1).argmax())] = False
-    moved = float((velocity[steady] ** 2).sum())
-    ends = [*starts[1:], len(t)][: len(starts)]
-    spans = zip(starts, ends, strict=True)
-    settled = [(begin, _settled(t[begin:end], distance[begin:end], angle[begin:end])) for begin, end in spans]
-    return FollowingErrors(
-        rms_translation_mm=float(1e3 * np.sqrt(np.mean(distance[:, -1] ** 2))),
-        rms_rotation_deg=float(np.rad2deg(np.sqrt(np.mean(angle[:, -1] ** 2)))),
-        worst_translation_mm=float(1e3 * distance.max()),
-        worst_rotation_deg=float(np.rad2deg(angle.max())),
-        lag=float((behind * velocity)[steady].sum()) / moved if moved > 0.0 else None,
-        settling_times=tuple(None if time is None else time - float(t[begin]) for begin, time in settled),
+        recovery_s=None if recovered is None else max(recovered - push.end, 0.0),
     )

@@ -1,13 +1,15 @@
-"""Numbers of one motion and of one rollout, as the columns of a comparison name them."""
+"""Numbers of a plan alone, and how near a rollout came to obstacles and limits."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.collision import Collisions
-from lieednn_sim.evaluation.metrics import SETTLED_ROTATION, SETTLED_TRANSLATION, Evaluation
 from lieednn_sim.planning.motion import LIMIT_TOLERANCE, Motion
 from lieednn_sim.simulation import Rollout
 from lieednn_sim.validation import as_floats, as_positive
@@ -25,25 +27,53 @@ _STANDSTILL = 1e-9  # [m/s]
 _SAME_POSTURE = 1e-7
 
 
-def motion_metrics(arm: Arm, motion: Motion) -> dict[str, float]:
-    """Of the plan alone; an entry that means nothing is left out (the curvature of a path that does not move)."""
+@dataclass(frozen=True)
+class MotionMetrics:
+    """Numbers of a plan alone.
+
+    Attributes:
+        motion_s: time at which it comes to rest.
+        gap_mm: largest mechanism gap on the way: what the joints cannot follow. It is no tracking error.
+        gap_deg: the same as an angle.
+        gap_end_mm: mechanism gap of the last poses.
+        gap_end_deg: the same as an angle.
+        path_ranges: length in joint space, each joint in units of its range.
+        jerk_joints: root mean square of the joints' jerk, in units of their ranges [1/s^3].
+        jerk_effector: the same of the end effector's path [m/s^3].
+        curvature: of that path, see `rms_curvature` [1/m]; None when it does not move.
+        network_residual: distance to the equilibrium at which the motion ends [network coordinates].
+    """
+
+    motion_s: float
+    gap_mm: float
+    gap_deg: float
+    gap_end_mm: float
+    gap_end_deg: float
+    path_ranges: float
+    jerk_joints: float
+    jerk_effector: float
+    curvature: float | None
+    network_residual: float
+
+
+def motion_metrics(arm: Arm, motion: Motion) -> MotionMetrics:
+    """Evaluate a plan."""
     ranges = arm.position_limits[:, 1] - arm.position_limits[:, 0]
     tip = arm.link_poses(motion.q).as_matrix()[:, -1, :3, 3]
     jerk = np.diff(motion.qd / ranges, n=2, axis=0) / motion.timestep**2
     tip_jerk = np.diff(tip, n=3, axis=0) / motion.timestep**3
-    curvature = rms_curvature(tip, motion.timestep)
-    values = {
-        "motion_s": float(motion.t[-1]),
-        "gap_mm": 1e3 * motion.gap_translation.max(),
-        "gap_deg": np.rad2deg(motion.gap_rotation.max()),
-        "gap_end_mm": 1e3 * motion.gap_translation[-1].max(),
-        "gap_end_deg": np.rad2deg(motion.gap_rotation[-1].max()),
-        "path_ranges": np.linalg.norm(np.diff(motion.q / ranges, axis=0), axis=1).sum(),
-        "jerk_joints": np.sqrt(np.mean(jerk**2)),
-        "jerk_effector": np.sqrt(np.mean(np.sum(tip_jerk**2, axis=1))) if len(tip_jerk) else 0.0,
-        **({} if curvature is None else {"curvature": curvature}),
-    }
-    return {name: float(value) for name, value in values.items()}
+    return MotionMetrics(
+        motion_s=float(motion.t[-1]),
+        gap_mm=float(1e3 * motion.gap_translation.max()),
+        gap_deg=float(np.rad2deg(motion.gap_rotation.max())),
+        gap_end_mm=float(1e3 * motion.gap_translation[-1].max()),
+        gap_end_deg=float(np.rad2deg(motion.gap_rotation[-1].max())),
+        path_ranges=float(np.linalg.norm(np.diff(motion.q / ranges, axis=0), axis=1).sum()),
+        jerk_joints=float(np.sqrt(np.mean(jerk**2))),
+        jerk_effector=float(np.sqrt(np.mean(np.sum(tip_jerk**2, axis=1)))) if len(tip_jerk) else 0.0,
+        curvature=rms_curvature(tip, motion.timestep),
+        network_residual=motion.residual,
+    )
 
 
 def rms_curvature(path: ArrayLike, timestep: float) -> float | None:
@@ -74,38 +104,12 @@ def rms_curvature(path: ArrayLike, timestep: float) -> float | None:
     return float(np.sqrt((kappa**2 * speed).sum() / speed.sum()))
 
 
-def rollout_metrics(rollout: Rollout, evaluation: Evaluation, collisions: Collisions) -> dict[str, float]:
-    """Of what was simulated; an entry that does not exist is left out (the settling time of what never settles).
-
-    Args:
-        rollout: what was simulated.
-        evaluation: of that rollout.
-        collisions: of the arm.
-    """
-    values: dict[str, float] = {
-        "path_m": evaluation.travel,
-        "velocity_share": max(joint.peak_velocity / joint.velocity_limit for joint in evaluation.joints),
-        "force_share": max(joint.peak_force / joint.force_limit for joint in evaluation.joints),
-    }
-    settled = [frame.settling_time for frame in evaluation.frames]
-    times = [time for time in settled if time is not None]
-    if len(times) == len(settled):
-        values["settling_s"] = max(times)
-    for unit, kind in (("mm", "translation_mm"), ("deg", "rotation_deg")):
-        values[f"final_effector_{unit}"] = getattr(evaluation.end_effector, f"final_{kind}")
-        for column, field in (("final_worst", "final"), ("tracking_rms", "rms"), ("tracking_max", "max")):
-            values[f"{column}_{unit}"] = max(getattr(frame, f"{field}_{kind}") for frame in evaluation.frames)
-    clearance = least_clearance(rollout, collisions)
-    if np.isfinite(clearance):
-        values["clearance_mm"] = 1e3 * clearance
-    return values | violations(rollout)
-
-
-def least_clearance(rollout: Rollout, collisions: Collisions) -> float:
+def least_clearance(rollout: Rollout) -> float:
     """Least clearance along the simulated motion [m]; negative in penetration, infinite where nothing can collide.
 
     Every fifth sample is looked at, and all with a contact, but not a posture that the arm has just held.
     """
+    collisions = Collisions(rollout.arm)
     chosen = np.union1d(np.arange(0, len(rollout.t), CLEARANCE_STRIDE), np.flatnonzero(rollout.contacts))
     least, seen = np.inf, np.full(rollout.q.shape[1], np.inf)
     for q in rollout.q[chosen]:
@@ -114,7 +118,7 @@ def least_clearance(rollout: Rollout, collisions: Collisions) -> float:
     return least
 
 
-def violations(rollout: Rollout) -> dict[str, float]:
+def violations(rollout: Rollout) -> dict[str, Any]:
     """Samples at which a joint is beyond its position, velocity or acceleration limit, and the worst excess.
 
     Positions are in units of the joint's range, velocities and accelerations in units of their limits.
@@ -133,22 +137,8 @@ def violations(rollout: Rollout) -> dict[str, float]:
             )
         },
     }
-    values: dict[str, float] = {}
+    values: dict[str, Any] = {}
     for name, (excess, beyond) in excesses.items():
         values[f"{name}_violations"] = int(beyond.any(axis=1).sum())
         values[f"{name}_excess"] = float(excess[beyond].max()) if beyond.any() else 0.0
     return values
-
-
-def shortfall(evaluation: Evaluation) -> str:
-    """Why a rollout is no success, or an empty string: a contact, or a link that does not end at its target."""
-    if evaluation.contacts:
-        return f"contact: up to {evaluation.contacts} at a time"
-    for frame in evaluation.frames:
-        far = frame.final_translation_mm > 1e3 * SETTLED_TRANSLATION
-        if far or frame.final_rotation_deg > np.rad2deg(SETTLED_ROTATION):
-            return (
-                f"arrival: {frame.name} ends {frame.final_translation_mm:.3g} mm and "
-                f"{frame.final_rotation_deg:.3g} deg off"
-            )
-    return ""

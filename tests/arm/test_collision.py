@@ -111,3 +111,13 @@ def test_refusals_say_why():
         collisions.clearance(np.zeros(3))
     with pytest.raises(InputError, match="arm must be an Arm, got str"):
         Collisions("telescopic_pr")
+
+
+def test_what_has_nothing_to_collide_with_is_infinitely_clear(tmp_path):
+    path = tmp_path / "arm.xml"
+    path.write_text(
+        '<mujoco><worldbody><body name="b"><joint axis="0 0 1" range="-90 90" name="a"/>'
+        '<geom size="0.1" fromto="0 0 0 1 0 0" type="capsule" contype="0" conaffinity="0"/>'
+        '<site name="tool" pos="1 0 0"/></body></worldbody></mujoco>'
+    )
+    assert Collisions(Arm.load(path)).clearance([0.0]) == np.inf

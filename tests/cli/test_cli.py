@@ -47,12 +47,12 @@ def test_the_demo_without_video_meets_its_bounds(tmp_path, capsys):
     assert main(["demo", "--no-video", "--output", str(directory)]) == 0
     metrics = json.loads((directory / "metrics.json").read_text())
     tip = metrics["frames"][-1]
-    assert metrics["displacement"] > 1.0
+    assert metrics["displacement_m"] > 1.0
     assert metrics["motion_end"] == pytest.approx(4.0)
-    assert tip["final_translation_mm"] < 1.0
-    assert tip["final_rotation_deg"] < 0.1
-    assert tip["rms_translation_mm"] < 1.0
-    assert tip["rms_rotation_deg"] < 0.1
+    assert tip["final_mm"] < 1.0
+    assert tip["final_deg"] < 0.1
+    assert tip["tracking_rms_mm"] < 1.0
+    assert tip["tracking_rms_deg"] < 0.1
     expected = {"task.json", "network.npz", "motion.npz", "rollout.npz", "metrics.json", "metrics.csv"}
     expected |= {"network.png", "tracking.png", "joints.png"}
     assert {path.name for path in directory.iterdir()} == expected
@@ -72,8 +72,8 @@ def test_a_learned_network_goes_the_same_road(tmp_path, capsys):
     assert main(["simulate", str(directory), "--hold", "0.5"]) == 0
     assert main(["evaluate", str(directory)]) == 0
     tip = json.loads((directory / "metrics.json").read_text())["frames"][-1]
-    assert tip["final_translation_mm"] < 0.1
-    assert tip["final_rotation_deg"] < 0.01
+    assert tip["final_mm"] < 0.1
+    assert tip["final_deg"] < 0.01
     # The next network must not inherit the history of this one.
     assert main(["synthesize", "--target", "extended", "--output", str(directory), *FAST]) == 0
     assert {path.name for path in directory.iterdir()} == {"task.json", "network.npz"}

@@ -148,7 +148,7 @@ def test_a_planner_without_a_network_goes_the_whole_road(tmp_path, capsys):
     rollout = Rollout.load(directory / "rollout.npz", Arm.load("telescopic_pr"))
     np.testing.assert_array_equal(rollout.q_ref[: len(motion.t)], motion.q)
     np.testing.assert_array_equal(motion.gap_translation, 0.0)
-    assert json.loads((directory / "metrics.json").read_text())["frames"][-1]["final_translation_mm"] < 1.0
+    assert json.loads((directory / "metrics.json").read_text())["frames"][-1]["final_mm"] < 1.0
 
 
 def test_large_objects_are_shown_in_a_line():

@@ -163,7 +163,7 @@ def test_a_new_simulation_leaves_nothing_of_the_first(tmp_path, made, capsys):
     assert main(["evaluate", str(tmp_path)]) == 0
     second = json.loads(run.metrics_json.read_text())
     assert [value["disturbances"]["payload"] for value in (first, second)] == [0.0, 2.0]
-    assert second["frames"][-1]["rms_translation_mm"] > 2.0 * first["frames"][-1]["rms_translation_mm"]
+    assert second["frames"][-1]["tracking_rms_mm"] > 2.0 * first["frames"][-1]["tracking_rms_mm"]
     assert first["made_from"]["motion"] == second["made_from"]["motion"]
     assert second["made_from"]["rollout"] == storage.origin(run.rollout)[0] != first["made_from"]["rollout"]
 

@@ -84,7 +84,7 @@ def test_an_arm_of_ones_own_goes_the_whole_road_from_another_directory(own, tmp_
     assert main(["simulate", "../run", "--controller", "mocap", "--hold", "0.5"]) == 0
     assert main(["evaluate", "../run"]) == 0
     assert re.search(r"welds up to [\d.]+ N and", capsys.readouterr().out)
-    assert json.loads((tmp_path / "run" / "metrics.json").read_text())["frames"][-1]["final_translation_mm"] < 0.1
+    assert json.loads((tmp_path / "run" / "metrics.json").read_text())["frames"][-1]["final_mm"] < 0.1
     own.unlink()
     assert "no such file" in error(capsys, "simulate", tmp_path / "run")
 

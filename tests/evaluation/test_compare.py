@@ -201,7 +201,7 @@ def test_violations_and_clearance_see_the_simulated_motion():
     assert found["velocity_violations"] == sum(over) > 10
     collisions = Collisions(arm)
     everywhere = min(collisions.clearance(q) for q in rollout.q[::5])
-    assert least_clearance(rollout, collisions) == pytest.approx(everywhere, abs=1e-6)
+    assert least_clearance(rollout) == pytest.approx(everywhere, abs=1e-6)
 
 
 @given(st.integers(1, 300).flatmap(lambda n: st.tuples(st.integers(0, n), st.just(n))))

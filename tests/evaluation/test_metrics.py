@@ -9,7 +9,7 @@ import pytest
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError
-from lieednn_sim.evaluation.metrics import evaluate, evaluate_following
+from lieednn_sim.evaluation import evaluate, evaluate_following
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.simulation import Disturbances, Following, Push, Rollout
 
@@ -46,14 +46,14 @@ def perfect(arm):
 def test_a_perfect_rollout_has_no_error(arm, perfect):
     result = evaluate(perfect)
     for frame in result.frames:
-        assert frame.final_translation_mm < 1e-9
-        assert frame.max_translation_mm < 1e-9
-        assert frame.max_rotation_deg < 1e-5
-        assert 0.9 < frame.settling_time <= 1.0
+        assert frame.final_mm < 1e-9
+        assert frame.tracking_max_mm < 1e-9
+        assert frame.tracking_max_deg < 1e-5
+        assert 0.9 < frame.settling_s <= 1.0
     tips = arm.link_poses(np.stack([arm.keyframe("home"), arm.keyframe("extended")])).translation[:, -1]
-    assert result.displacement == pytest.approx(np.linalg.norm(tips[1] - tips[0]))
-    assert result.travel >= result.displacement
-    assert result.max_gap_translation_mm is None
+    assert result.displacement_m == pytest.approx(np.linalg.norm(tips[1] - tips[0]))
+    assert result.path_m >= result.displacement_m
+    assert result.plan is None
 
 
 def test_a_known_offset_is_measured(arm, perfect):
@@ -61,9 +61,9 @@ def test_a_known_offset_is_measured(arm, perfect):
     shifted[:, -1, 2] += 3e-3
     result = evaluate(dataclasses.replace(perfect, link_position=shifted))
     tip = result.end_effector
-    assert (tip.rms_translation_mm, tip.max_translation_mm, tip.final_translation_mm) == pytest.approx((3.0, 3.0, 3.0))
-    assert tip.settling_time is None
-    assert result.frames[0].max_translation_mm < 1e-9
+    assert (tip.tracking_rms_mm, tip.tracking_max_mm, tip.final_mm) == pytest.approx((3.0, 3.0, 3.0))
+    assert tip.settling_s is None
+    assert result.frames[0].tracking_max_mm < 1e-9
 
 
 def test_json_and_csv_hold_the_same_numbers(arm, perfect, tmp_path):
@@ -76,7 +76,7 @@ def test_json_and_csv_hold_the_same_numbers(arm, perfect, tmp_path):
     assert (
         [row["name"] for row in rows] == [f["name"] for f in frames] == ["link 1", "link 2", "link 3", "end effector"]
     )
-    assert float(rows[-1]["settling_time"]) == frames[-1]["settling_time"]
+    assert float(rows[-1]["settling_s"]) == frames[-1]["settling_s"]
 
 
 def test_a_rollout_of_another_arm_or_motion_cannot_be_made(gantry, perfect):
@@ -85,7 +85,7 @@ def test_a_rollout_of_another_arm_or_motion_cannot_be_made(gantry, perfect):
     rest = still(gantry, 5)
     zeros = np.zeros((3, 4))
     planned = Motion(rest.t[:3], rest.t[:3], np.zeros((3, 2, 6)), np.zeros((2, 6)), zeros, zeros, *np.zeros((2, 3, 2)))
-    assert evaluate(dataclasses.replace(rest, motion=planned)).max_gap_translation_mm == 0.0
+    assert evaluate(dataclasses.replace(rest, motion=planned)).plan.gap_mm == 0.0
     with pytest.raises(InputError, match="the motion is another one"):
         dataclasses.replace(rest, motion=dataclasses.replace(planned, q=zeros + 1e-9))
 
@@ -106,27 +106,31 @@ def test_every_number_of_an_evaluation_by_hand(gantry, tmp_path):
     result = evaluate(dataclasses.replace(rollout, motion=motion, target=[0.0, 0.0, 0.008, np.deg2rad(7.0)]))
     result.save_json(tmp_path / "metrics.json")
     found = json.loads((tmp_path / "metrics.json").read_text())
+    # Second differences of the rates 0, a, b, 0, 0 of x, y and turn, in units of their ranges.
+    jerks = sum(
+        (b - 2.0 * a) ** 2 + (a - 2.0 * b) ** 2 + b**2 for a, b in ((-0.25, 0.125), (0.1875, 0.125), (-1.0 / 3.0, 0.5))
+    )
     expected = {
         "frames": [
             {
                 "name": "link 1",
-                "final_translation_mm": 8.0,
-                "final_rotation_deg": 0.0,
-                "rms_translation_mm": 5.0,
-                "rms_rotation_deg": 0.0,
-                "max_translation_mm": 10.0,
-                "max_rotation_deg": 0.0,
-                "settling_time": None,
+                "final_mm": 8.0,
+                "final_deg": 0.0,
+                "tracking_rms_mm": 5.0,
+                "tracking_rms_deg": 0.0,
+                "tracking_max_mm": 10.0,
+                "tracking_max_deg": 0.0,
+                "settling_s": None,
             },
             {
                 "name": "end effector",
-                "final_translation_mm": 8.0,
-                "final_rotation_deg": 7.0,
-                "rms_translation_mm": 2.0,
-                "rms_rotation_deg": 30.0,
-                "max_translation_mm": 4.0,
-                "max_rotation_deg": 60.0,
-                "settling_time": None,
+                "final_mm": 8.0,
+                "final_deg": 7.0,
+                "tracking_rms_mm": 2.0,
+                "tracking_rms_deg": 30.0,
+                "tracking_max_mm": 4.0,
+                "tracking_max_deg": 60.0,
+                "settling_s": None,
             },
         ],
         "joints": [
@@ -145,18 +149,43 @@ def test_every_number_of_an_evaluation_by_hand(gantry, tmp_path):
                 ("turn", 3.0, 8.0, 14.0, None, 0.0),
             )
         ],
-        "travel": 0.008,
-        "displacement": 0.0,
-        "max_gap_translation_mm": 7.0,
-        "max_gap_rotation_deg": 5.0,
-        "network_residual": 0.125,
+        "path_m": 0.008,
+        "displacement_m": 0.0,
+        "plan": {
+            "motion_s": 0.04,
+            "gap_mm": 7.0,
+            "gap_deg": 5.0,
+            "gap_end_mm": 0.0,
+            "gap_end_deg": 0.0,
+            "path_ranges": 0.0,
+            "jerk_joints": 1e4 * np.sqrt(jerks / 12.0),
+            "jerk_effector": 0.0,
+            "curvature": None,
+            "network_residual": 0.125,
+        },
         "contacts": 2,
-        "peak_contact_force": 9.0,
-        "peak_weld_force": 21.0,
-        "peak_weld_torque": 22.0,
+        "peak_contact_force_n": 9.0,
+        "peak_weld_force_n": 21.0,
+        "peak_weld_torque_n_m": 22.0,
         "recoveries": [],
-        "motion_end": 0.02,
-        "duration": 0.04,
+        "motion_s": 0.02,
+        "duration_s": 0.04,
+        "hold": 0.02,
+        "reference_rate": None,
+        "arm": "gantry",
+        "scene": "free",
+        "clearance_mm": 900.0,
+        "settling_s": None,
+        "final_effector_mm": 8.0,
+        "final_effector_deg": 7.0,
+        "final_worst_mm": 8.0,
+        "final_worst_deg": 7.0,
+        "tracking_rms_mm": 5.0,
+        "tracking_rms_deg": 30.0,
+        "tracking_max_mm": 10.0,
+        "tracking_max_deg": 60.0,
+        "velocity_share": 0.5,
+        "force_share": 0.48,
         "controller": "mocap",
     }
     assert flat({name: found[name] for name in expected}) == {
@@ -261,15 +290,15 @@ def moved(rollout, row, link, millimetres):
 
 def test_the_time_of_settling_is_of_the_worse_of_distance_and_angle(gantry):
     rollout = still(gantry, 10)
-    assert [frame.settling_time for frame in evaluate(rollout).frames] == [0.0, 0.0]
+    assert [frame.settling_s for frame in evaluate(rollout).frames] == [0.0, 0.0]
     for change, size in ((moved, 1.0), (turned, 0.1)):
         # Within the bound at 0.03 s, beyond it before and at 0.05 s: settled at the instant after.
         touched = change(change(rollout, 3, 1, 0.99 * size), 5, 1, 1.01 * size)
-        assert [frame.settling_time for frame in evaluate(touched).frames] == [0.0, pytest.approx(0.06)]
+        assert [frame.settling_s for frame in evaluate(touched).frames] == [0.0, pytest.approx(0.06)]
         within = change(rollout, 3, 1, 0.99 * size)
-        assert evaluate(within).end_effector.settling_time == 0.0
+        assert evaluate(within).end_effector.settling_s == 0.0
         never = change(rollout, 9, 0, 1.01 * size)
-        assert evaluate(never).frames[0].settling_time is None
+        assert evaluate(never).frames[0].settling_s is None
 
 
 def test_recovery_from_pushes_by_hand(gantry):
@@ -287,7 +316,7 @@ def test_recovery_from_pushes_by_hand(gantry):
     assert dataclasses.astuple(first) == pytest.approx(("link 1", 0.1, 0.12, 4.0, 8.0, 0.04))
     assert dataclasses.astuple(second) == pytest.approx(("end effector", 0.2, 0.23, 3.0, 30.0, 0.0))
     late = evaluate(moved(rollout, 30, 1, 6.0)).recoveries[1]
-    assert (late.peak_deviation_mm, late.recovery_time) == (pytest.approx(6.0), None)
+    assert (late.peak_deviation_mm, late.recovery_s) == (pytest.approx(6.0), None)
 
 
 def test_pushes_that_begin_together_share_their_recovery(gantry):
@@ -299,7 +328,7 @@ def test_pushes_that_begin_together_share_their_recovery(gantry):
     pushes = (pushes[0], dataclasses.replace(pushes[1], start=0.101))
     changed = dataclasses.replace(rollout, disturbances=Disturbances(pushes=pushes))
     first, second = evaluate(changed).recoveries
-    assert (first.peak_deviation_mm, first.peak_deviation_deg, first.recovery_time) == (0.0, 0.0, None)
+    assert (first.peak_deviation_mm, first.peak_deviation_deg, first.recovery_s) == (0.0, 0.0, None)
     assert second.peak_deviation_mm == pytest.approx(4.0)
 
 
@@ -330,14 +359,14 @@ def test_following_errors_by_hand(gantry):
     )
     errors = evaluate_following(following)
     # Ten instants 10 mm behind, three 60 mm.
-    assert errors.rms_translation_mm == pytest.approx(np.sqrt((10 * 10.0**2 + 3 * 60.0**2) / 21))
-    assert errors.rms_rotation_deg == pytest.approx(21.0 / np.sqrt(21.0))
-    assert errors.worst_translation_mm == pytest.approx(60.0)
-    assert errors.worst_rotation_deg == pytest.approx(33.0)
+    assert errors.rms_mm == pytest.approx(np.sqrt((10 * 10.0**2 + 3 * 60.0**2) / 21))
+    assert errors.rms_deg == pytest.approx(21.0 / np.sqrt(21.0))
+    assert errors.worst_mm == pytest.approx(60.0)
+    assert errors.worst_deg == pytest.approx(33.0)
     # Of the steps without the jump nine are 10 mm late, two 60 mm and eight on time, all at 0.5 m/s.
-    assert errors.lag == pytest.approx((9 * 0.01 + 2 * 0.06) * 0.5 / (19 * 0.25))
-    assert errors.settling_times == (pytest.approx(0.06),)
+    assert errors.lag_s == pytest.approx((9 * 0.01 + 2 * 0.06) * 0.5 / (19 * 0.25))
+    assert errors.settling_s == (pytest.approx(0.06),)
     away = moved(rollout, 20, 0, 1.5)
-    assert evaluate_following(dataclasses.replace(following, rollout=away)).settling_times == (None,)
+    assert evaluate_following(dataclasses.replace(following, rollout=away)).settling_s == (None,)
     rest = dataclasses.replace(following, target=np.zeros((21, 4)), jumps=())
-    assert evaluate_following(rest).lag is None
+    assert evaluate_following(rest).lag_s is None

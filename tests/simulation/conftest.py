@@ -151,7 +151,7 @@ class SeededRuns:
     def _run(self, seed: int, controller: str) -> tuple[Rollout, Evaluation]:
         target, motion = self.motion(seed)
         rollout = simulate(self.arm, motion, target=target, controller=controller, hold=0.5)
-        return rollout, evaluate(rollout)
+        return rollout, evaluate(rollout, clearance=False)
 
 
 @pytest.fixture(scope="session")

@@ -32,12 +32,12 @@ def test_tracking_and_final_error(seeded, seed, controller, rms_mm, rms_deg):
     rollout, result = seeded.run(seed, controller)
     assert result.controller == rollout.controller == controller
     for frame in result.frames:
-        assert frame.rms_translation_mm < rms_mm
-        assert frame.rms_rotation_deg < rms_deg
-        assert frame.final_translation_mm < 1e-3
-        assert frame.final_rotation_deg < 1e-4
+        assert frame.tracking_rms_mm < rms_mm
+        assert frame.tracking_rms_deg < rms_deg
+        assert frame.final_mm < 1e-3
+        assert frame.final_deg < 1e-4
     led = controller.startswith("mocap")
-    assert (result.peak_weld_force > 1.0) == (result.peak_weld_torque > 1.0) == led
+    assert (result.peak_weld_force_n > 1.0) == (result.peak_weld_torque_n_m > 1.0) == led
     assert (max(joint.peak_constraint_force for joint in result.joints) > 1.0) == led
 
 
@@ -46,13 +46,13 @@ def test_wrong_masses_leave_a_small_error_that_feedback_bounds(arm, seeded, cont
     target, motion = seeded.motion(1)
     _, right = seeded.run(1, controller)
     wrong = evaluate(simulate(arm, motion, target=target, controller=controller, mass_scale=1.2))
-    assert wrong.end_effector.rms_translation_mm > right.end_effector.rms_translation_mm
+    assert wrong.end_effector.tracking_rms_mm > right.end_effector.tracking_rms_mm
     for frame in wrong.frames:
-        assert frame.final_translation_mm < 2.0
-        assert frame.final_rotation_deg < 0.2
-        assert frame.rms_translation_mm < 2.5
+        assert frame.final_mm < 2.0
+        assert frame.final_deg < 0.2
+        assert frame.tracking_rms_mm < 2.5
     # Gravity compensation of the wrong masses is no compensation: the servo sags, by the missing weight over kp.
-    assert wrong.end_effector.final_translation_mm > 1e-3
+    assert wrong.end_effector.final_mm > 1e-3
 
 
 def test_controllers_are_deterministic_and_leave_the_arm_s_model_alone(arm, travel):
@@ -97,10 +97,10 @@ def test_ball_joints_gears_tendons_and_coupled_stages(small_arms, travel, name, 
     # The stages are tied by a soft constraint that no controller knows of.
     exact = controller in ("inverse-dynamics", "computed-torque") and name == "compound"
     for frame in result.frames:
-        assert frame.rms_translation_mm < (1e-8 if exact else 3.0)
-        assert frame.rms_rotation_deg < (1e-8 if exact else 0.3)
-        assert frame.final_translation_mm < 0.01
-        assert frame.final_rotation_deg < 1e-3
+        assert frame.tracking_rms_mm < (1e-8 if exact else 3.0)
+        assert frame.tracking_rms_deg < (1e-8 if exact else 0.3)
+        assert frame.final_mm < 0.01
+        assert frame.final_deg < 1e-3
     if exact:
         np.testing.assert_allclose(rollout.q, rollout.q_ref, atol=1e-11)
         # The last row of a minimum-jerk motion and the first at rest have the same velocity, up to a step.
@@ -144,8 +144,8 @@ def test_held_references_are_steps_for_the_controller_and_not_for_the_log(small_
     lagging, following = (evaluate(rollout).end_effector for rollout in (held, smooth))
     # The mean age of a sample is two of its five steps.
     speed = np.linalg.norm(np.diff(arm.link_poses(motion.q).translation[:, -1], axis=0), axis=1).max() / 0.002
-    assert following.rms_translation_mm < lagging.rms_translation_mm < 1e3 * speed * 0.01
-    assert lagging.final_translation_mm < 1e-3
+    assert following.tracking_rms_mm < lagging.tracking_rms_mm < 1e3 * speed * 0.01
+    assert lagging.final_mm < 1e-3
 
 
 def test_bad_input(arm, small_arms, travel):

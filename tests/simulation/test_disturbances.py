@@ -60,15 +60,15 @@ def test_a_push_acts_while_it_lasts_and_recovery_is_measured(arm, travel):
     assert (one.body, two.body) == ("end effector", hand)
     assert one.peak_deviation_mm > two.peak_deviation_mm > 0.0
     for recovery in (one, two):
-        assert 0.0 < recovery.recovery_time < 0.4
-    settled = rollout.t >= one.end + one.recovery_time - 1e-9
-    still = settled & (rollout.t < two.start - 1e-9)
+        assert 0.0 < recovery.recovery_s < 0.4
+    settled = rollout.t >= one.end_s + one.recovery_s - 1e-9
+    still = settled & (rollout.t < two.start_s - 1e-9)
     distance = np.linalg.norm(rollout.link_position - arm.link_poses(q).translation, axis=-1).max(axis=1)
     assert distance[still].max() <= 1e-3
     # A rollout that ends under the push has not recovered.
     lasting = Disturbances(pushes=(dataclasses.replace(first, duration=9.0),))
     held = evaluate(simulate(arm, travel(arm, q, q, 0.02), hold=0.5, disturbances=lasting)).recoveries[0]
-    assert held.recovery_time is None
+    assert held.recovery_s is None
     assert held.peak_deviation_mm == pytest.approx(one.peak_deviation_mm, rel=0.2)
 
 

@@ -61,11 +61,11 @@ def test_every_row_of_the_log_belongs_to_one_instant(arm, rollout):
 def test_final_pose_error_and_tracking_over_seeded_targets(seeded, seed):
     _, result = seeded.run(seed, "position-servo")
     for frame in result.frames:
-        assert frame.final_translation_mm < 1e-3
-        assert frame.final_rotation_deg < 1e-4
-        assert frame.rms_translation_mm < 1.0
-        assert frame.rms_rotation_deg < 0.1
-        assert frame.settling_time <= 4.0
+        assert frame.final_mm < 1e-3
+        assert frame.final_deg < 1e-4
+        assert frame.tracking_rms_mm < 1.0
+        assert frame.tracking_rms_deg < 0.1
+        assert frame.settling_s <= 4.0
     assert result.contacts == 0
     assert all(joint.peak_velocity <= joint.velocity_limit for joint in result.joints)
     assert all(joint.peak_force <= joint.force_limit for joint in result.joints)
