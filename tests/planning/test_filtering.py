@@ -14,8 +14,10 @@ from lieednn_sim.planning import filtered as planner
 from lieednn_sim.planning import segments as legs
 from lieednn_sim.planning.baselines import sampling
 from lieednn_sim.planning.filtering import (
+    Barrier,
     FilteredRun,
     FilterOptions,
+    Limit,
     SafetyFilter,
     limits_proved,
     run,
@@ -49,7 +51,7 @@ def test_no_wanted_velocity_breaks_a_limit_or_touches(arm, seed):
         assert (np.abs(step.velocity - v) <= 0.01 * arm.acceleration_limits + 1e-9).all()
         q, v = q + 0.005 * (v + step.velocity), step.velocity
         assert arm.limit_excess(q).max() <= 1e-6
-        assert filter_.collisions.free(q)
+        assert filter_.clearance.collisions.free(q)
 
 
 def test_a_free_way_is_left_alone():
@@ -133,7 +135,7 @@ def test_pairs_left_out_change_no_step(monkeypatch):
     rng = np.random.default_rng(0)
     home = POLES.keyframe("home")
     few, all_of_them = SafetyFilter(POLES, 0.01), SafetyFilter(POLES, 0.01)
-    monkeypatch.setattr(all_of_them, "_needed", lambda *_: all_of_them._cutoffs)
+    monkeypatch.setattr(all_of_them.clearance, "needed", lambda *_: all_of_them.clearance.cutoffs)
     q, v = home, np.zeros(POLES.n_joints)
     for k in range(120):
         if k % 30 == 0:
@@ -330,17 +332,20 @@ def test_velocities_from_which_joints_can_brake_by_hand(gantry):
     filter_ = SafetyFilter(gantry, 0.02)
     h, a = 0.02, gantry.acceleration_limits
     distance, old = np.array([0.05, 0.1, 0.02, 0.5]), np.array([0.9, -1.0, 1.2, 7.0])
-    most = filter_._stopping(distance, old)
+    most = filter_.position.stopping(distance, old)
     np.testing.assert_allclose(most**2 / (2.0 * a) + 0.5 * h * (old + most), distance, rtol=1e-12)
     # Where the next step leads beyond it: back to the limit within the step.
-    np.testing.assert_allclose(filter_._stopping(np.full(4, 0.001), np.full(4, 0.3)), -0.2)
+    np.testing.assert_allclose(filter_.position.stopping(np.full(4, 0.001), np.full(4, 0.3)), -0.2)
     # x brakes for its limit, y for its speed, z is at rest in the middle and turn is as fast as it may be.
-    low, high, low_stop, high_stop = filter_._bounds(np.array([0.99, 0.0, 0.5, 0.0]), np.array([0.5, 1.9, 0.0, 8.0]))
-    at_limit = filter_._stopping(np.array([0.01] * 4), np.array([0.5] * 4))[0]
+    low, high, low_makers, high_makers = filter_._bounds(
+        np.array([0.99, 0.0, 0.5, 0.0]), np.array([0.5, 1.9, 0.0, 8.0])
+    )
+    at_limit = filter_.position.stopping(np.array([0.01] * 4), np.array([0.5] * 4))[0]
     np.testing.assert_allclose(high, [max(at_limit, 0.5 - 0.2), 2.0, 0.8, 8.0])
     np.testing.assert_allclose(low, [0.3, 1.5, -0.8, 6.4])
-    assert high_stop.tolist() == [True, False, False, False]
-    assert low_stop.tolist() == [False] * 4
+    # Of velocity, acceleration and position.
+    assert high_makers.tolist() == [2, 0, 1, 0]
+    assert low_makers.tolist() == [1] * 4
 
 
 def test_the_filter_leaves_what_is_allowed_and_names_the_limit_that_is_not(gantry):
@@ -354,15 +359,49 @@ def test_the_filter_leaves_what_is_allowed_and_names_the_limit_that_is_not(gantr
     assert (step.active, step.braked, step.blocking) == (False, False, ())
     near = np.array([0.997, 0.0, 0.0, 0.0])
     step = filter_.step(near, np.zeros(4), np.array([1.0, 0.0, 0.0, 0.0]))
-    distance = filter_.position_limits[0, 1] - 0.997
+    distance = filter_.position.limits[0, 1] - 0.997
     assert step.velocity[0] ** 2 / 20.0 + 0.01 * step.velocity[0] == pytest.approx(distance)
     assert (step.active, step.blocking) == (True, ("the position limit of joint 'x'",))
     # Limits are drawn in by what turns round within a step: a h^2 / 4, but not beyond what shall be reached.
     np.testing.assert_allclose(
-        filter_.position_limits[:, 1] - gantry.position_limits[:, 1], [-1e-3, -2e-3, -4e-3, -8e-3]
+        filter_.position.limits[:, 1] - gantry.position_limits[:, 1], [-1e-3, -2e-3, -4e-3, -8e-3]
     )
     filter_.allow(home, np.array([0.9995, 0.0, 0.0, -3.0]))
-    np.testing.assert_allclose(filter_.position_limits[[0, 0, 3], [0, 1, 0]], [-0.999, 0.9995, -3.0])
+    np.testing.assert_allclose(filter_.position.limits[[0, 0, 3], [0, 1, 0]], [-0.999, 0.9995, -3.0])
+
+
+class Plane(Barrier):
+    """x + y of the gantry stays below 0.3 m."""
+
+    def values(self, q, velocity, speeds):
+        return np.array([0.3 - q[0] - q[1]]), np.array([[-1.0, -1.0, 0.0, 0.0]])
+
+
+class Slow(Limit):
+    """No joint is faster than this, where the others let it."""
+
+    def bounds(self, q, velocity):
+        return np.full(4, -0.25), np.full(4, 0.25)
+
+    def name(self, joint):
+        return f"slow {joint}"
+
+
+def test_limits_and_barriers_of_the_user_are_kept_and_named(gantry):
+    filter_ = SafetyFilter(gantry, 0.02, limits=[Slow()], barriers=[Plane()])
+    q, v, blocking = gantry.keyframe("home"), np.zeros(4), set()
+    for _ in range(200):
+        step = filter_.step(q, v, np.array([1.0, 1.0, 1.0, 0.0]))
+        q, v = q + 0.01 * (v + step.velocity), step.velocity
+        assert (v <= 0.25 + 1e-12).all()
+        blocking |= set(step.blocking)
+    assert q[0] + q[1] == pytest.approx(0.3, abs=1e-4)
+    assert blocking == {"slow 0", "slow 1", "slow 2", "Plane 0"}
+    # It yields to the acceleration limits: from full speed the arm brakes as it can.
+    fast = filter_.step(np.zeros(4), np.array([-1.0, 0.0, 0.0, 0.0]), np.zeros(4)).velocity[0]
+    assert fast == pytest.approx(-0.8)
+    with pytest.raises(InputError, match=r"limits must be objects of .*\.filtering\.limits\.Limit"):
+        SafetyFilter(gantry, 0.02, limits=[Plane()])
 
 
 # Beads on a rail: rail -> ball joint -> rail, with a post beside the first one. At home the gaps are as in the test.
@@ -391,11 +430,11 @@ def beads(tmp_path_factory):
 def test_only_parts_of_the_arm_that_are_near_at_home_are_looked_at_from_nearer(beads, cutoff, of_neighbours):
     """Gaps of 0.1 m (first to near, post to first), 0.18 (post to near) and 0.4 (first to far)."""
     filter_ = SafetyFilter(beads, 0.01, FilterOptions(cutoff=cutoff))
-    names = [set(filter_.collisions.names(pair)) for pair in filter_.collisions.pairs]
+    names = [set(filter_.clearance.collisions.names(pair)) for pair in filter_.clearance.collisions.pairs]
     assert len(names) == 5
     neighbours = [pair == {"first", "near"} for pair in names]
     assert sum(neighbours) == 1
-    np.testing.assert_array_equal(filter_._cutoffs, np.where(neighbours, of_neighbours, cutoff))
+    np.testing.assert_array_equal(filter_.clearance.cutoffs, np.where(neighbours, of_neighbours, cutoff))
 
 
 @pytest.mark.parametrize(("angle", "limit"), [(0.0, 0.495), (0.3, 0.495), (0.498, 0.498), (0.5, 0.5)])
@@ -403,7 +442,7 @@ def test_the_angle_of_a_ball_joint_is_drawn_in_but_not_beyond_what_shall_be_reac
     filter_ = SafetyFilter(beads, 0.01)
     position = np.array([0.0, 0.0, 0.6 * angle, 0.8 * angle, 0.0])
     filter_.allow(np.zeros(5), position)
-    np.testing.assert_allclose(filter_._angle_limits, [limit], atol=1e-15)
+    np.testing.assert_allclose(filter_.angles.limits, [limit], atol=1e-15)
 
 
 def test_pairs_are_looked_at_as_far_as_they_can_matter_by_hand(gantry):
@@ -412,10 +451,10 @@ def test_pairs_are_looked_at_as_far_as_they_can_matter_by_hand(gantry):
     home, fast = np.zeros(4), gantry.velocity_limits
     # At full speed braking takes 0.1 s, and 1.1^2 0.1 / 0.3 is the longer time; at a tenth 1 / 5 + 0.02 is.
     longer = 1.21 * 0.1 / 0.3
-    np.testing.assert_allclose(filter_._needed(home, fast, home), [0.01 + 7.8 * longer + 0.001])
-    np.testing.assert_allclose(filter_._needed(home, 0.1 * fast, home), [0.01 + 0.78 * 0.22 + 0.001])
-    np.testing.assert_allclose(filter_._needed(home, 0.1 * fast, -fast), [0.01 + 7.8 * longer + 0.001])
-    np.testing.assert_allclose(SafetyFilter(gantry, 0.02)._needed(home, fast, home), [0.4])
+    np.testing.assert_allclose(filter_.clearance.needed(home, home, fast), [0.01 + 7.8 * longer + 0.001])
+    np.testing.assert_allclose(filter_.clearance.needed(home, home, 0.1 * fast), [0.01 + 0.78 * 0.22 + 0.001])
+    np.testing.assert_allclose(filter_.clearance.needed(home, -fast, 0.1 * fast), [0.01 + 7.8 * longer + 0.001])
+    np.testing.assert_allclose(SafetyFilter(gantry, 0.02).clearance.needed(home, home, fast), [0.4])
 
 
 @pytest.mark.parametrize("flag", [0, -4])
@@ -432,7 +471,7 @@ def test_what_holds_the_arm_back_most_is_named_first(gantry):
     filter_ = SafetyFilter(gantry, 0.02)
     filter_.allow(gantry.keyframe("home"))
     # At the upper ends of x and y, and of the ball over the floor.
-    q = np.array([*filter_.position_limits[:2, 1], -0.89, 0.0])
+    q = np.array([*filter_.position.limits[:2, 1], -0.89, 0.0])
     names = [f"the position limit of joint {name!r}" for name in "xy"] + ["the clearance of 'floor' from 'ball'"]
     # Multipliers are what is wanted beyond, in shares of the limits, and over the floor a fourth of that.
     for shares, order in (

@@ -1,7 +1,19 @@
 """Limits and clearance enforced while a network runs: a filter on joint velocities, and runs through it."""
 
+from lieednn_sim.planning.filtering.barriers import Barrier
+from lieednn_sim.planning.filtering.limits import Limit
+from lieednn_sim.planning.filtering.options import FilterOptions
 from lieednn_sim.planning.filtering.proof import limits_proved
 from lieednn_sim.planning.filtering.run import FilteredRun, run_filtered
-from lieednn_sim.planning.filtering.safety import FilterOptions, FilterStep, SafetyFilter
+from lieednn_sim.planning.filtering.safety import FilterStep, SafetyFilter
 
-__all__ = ["FilterOptions", "FilterStep", "FilteredRun", "SafetyFilter", "limits_proved", "run_filtered"]
+__all__ = [
+    "Barrier",
+    "FilterOptions",
+    "FilterStep",
+    "FilteredRun",
+    "Limit",
+    "SafetyFilter",
+    "limits_proved",
+    "run_filtered",
+]

@@ -20,8 +20,9 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.budget import check_time
 from lieednn_sim.errors import PlanError
 from lieednn_sim.network import LieEDNN
+from lieednn_sim.planning.filtering.options import FilterOptions
 from lieednn_sim.planning.filtering.proof import limits_proved
-from lieednn_sim.planning.filtering.safety import FilterOptions, SafetyFilter
+from lieednn_sim.planning.filtering.safety import SafetyFilter
 from lieednn_sim.planning.motion import LIMIT_TOLERANCE, Motion, make_motion
 from lieednn_sim.validation import as_floats, as_positive
 
@@ -188,7 +189,7 @@ def run_filtered(
         qd=np.array(velocities),
         clock=np.array(clocks),
         # A step measures where it begins.
-        clearance=np.array([*clearances[1:], min(filter_.collisions.clearance(q), np.inf)]),
+        clearance=np.array([*clearances[1:], min(filter_.clearance.collisions.clearance(q), np.inf)]),
         filtered_share=filtered / steps,
         brakings=brakings,
         limits_proved=all(leg.proved for leg in legs),

@@ -1,0 +1,162 @@
+"""Barriers: functions of the joint positions that shall stay positive, each a row of the filter's quadratic program.
+
+With a barrier's value d and gradient, the filter asks for d' + c (d + h (d' + d'_old) / 2) >= 0, a control barrier
+function (Ames et al., European Control Conference 2019) that is linear in the velocities v' by d' = grad d . v'. Its
+rate c is at most what the accelerations can brake, sqrt(2 a_n / d) with a share a_n of |grad d| . a.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieednn_sim.arm import Arm
+from lieednn_sim.arm.collision import Collisions, Distances
+from lieednn_sim.errors import InputError
+from lieednn_sim.planning.filtering.approach import ApproachBounds
+from lieednn_sim.planning.filtering.options import FilterOptions
+
+Floats = NDArray[np.float64]
+
+# Share of the accelerations that braking before obstacles may count on: constraints share them, and normals turn.
+_BRAKING_SHARE = 0.15
+# Parts of the arm this near at home belong to neighbouring links, which close in slowly: a shorter cutoff does [m].
+_NEIGHBOURS, _NEIGHBOUR_CUTOFF = 0.15, 0.04
+# Pairs are looked at up to here at least [m].
+_LEAST_CUTOFF = 0.001
+# Where start or target are nearer than the margin, this share of their distance is kept.
+_MARGIN_SHARE = 0.8
+# Sliding along the limit of a ball joint's angle goes beyond it by second order in a step [rad], and takes most of the
+# acceleration to stay inside.
+_ANGLE_INSET, _ANGLE_BRAKING_SHARE = 5e-3, 0.05
+
+
+class Barrier(ABC):
+    """Functions of the joint positions that shall stay positive.
+
+    Attributes:
+        braking_share: of the joints' accelerations that braking may count on.
+    """
+
+    braking_share = _BRAKING_SHARE
+
+    @abstractmethod
+    def values(self, q: Floats, velocity: Floats, speeds: Floats) -> tuple[Floats, Floats]:
+        """Values ``(m,)`` [m, rad] and gradients ``(m, n)`` of those that matter in a step.
+
+        Args:
+            q: ``(n,)`` at its beginning.
+            velocity: ``(n,)`` there.
+            speeds: ``(n,)`` no joint can be faster at its end.
+        """
+
+    def allow(self, positions: Floats) -> None:  # noqa: B027 (few barriers need it)
+        """Fit the barrier to positions ``(P, n)`` that shall be reached; `InputError` where it cannot be."""
+
+    def name(self, row: int) -> str:
+        """What is said where one of the last `values` holds the arm back."""
+        return f"{type(self).__name__} {row}"
+
+
+class ClearanceBarrier(Barrier):
+    """Distances of pairs of geoms, less the margins that are kept.
+
+    Attributes:
+        collisions: the pairs.
+        clearance: smallest distance [m] among the last `values`, infinite without any.
+
+    Args:
+        arm: the arm, with its obstacles.
+        acceleration_limits: ``(n,)``, finite.
+        timestep: h [s].
+        options: settings of the filter.
+    """
+
+    def __init__(self, arm: Arm, acceleration_limits: Floats, timestep: float, options: FilterOptions) -> None:
+        self._acceleration, self._timestep, self._options = acceleration_limits, timestep, options
+        self.collisions = Collisions(arm)
+        # By geom ids; what is no pair is never looked up.
+        self._margins = np.zeros((arm.model.ngeom, arm.model.ngeom))
+        own, pairs = self.collisions.own, tuple(self.collisions.pairs.T)
+        self._margins[pairs] = np.where(own, options.own_margin, options.margin)
+        self.cutoffs = np.full(len(own), options.cutoff)
+        beside = np.zeros_like(self._margins, dtype=bool)
+        beside[tuple(self.collisions.distances(arm.keyframe("home"), _NEIGHBOURS).pairs.T)] = True
+        self.cutoffs[own & beside[pairs]] = min(_NEIGHBOUR_CUTOFF, options.cutoff)
+        self._approach = ApproachBounds(arm, self.collisions.pairs)
+        self._near: Distances
+        self.clearance = np.inf
+
+    def values(self, q: Floats, velocity: Floats, speeds: Floats) -> tuple[Floats, Floats]:
+        """See `Barrier`."""
+        near = self._near = self.collisions.distances(q, self.needed(q, velocity, speeds))
+        self.clearance = float(near.distance[0]) if len(near.distance) else np.inf
+        return near.distance - self._margins[tuple(near.pairs.T)], near.jacobian
+
+    def needed(self, q: Floats, velocity: Floats, speeds: Floats) -> Floats:
+        """Distances ``(P,)`` from which on no velocities within the bounds can break a pair's barrier, or the cutoff.
+
+        With s the largest rate of the distance, a barrier holds where c room > (1 + c h) s. Either c is the option's,
+        or the root of 2 b / room with the deceleration b >= braking share times s / T, T the longest time to stop.
+        """
+        h, rate = self._timestep, self._options.approach
+        speeds = np.maximum(speeds, np.abs(velocity))
+        stop = float((speeds / self._acceleration).max())
+        times = max(1.0 / rate + h, (1.0 + h * rate) ** 2 * stop / (2.0 * self.braking_share))
+        margins = self._margins[tuple(self.collisions.pairs.T)]
+        return np.minimum(margins + times * self._approach(q, speeds) + _LEAST_CUTOFF, self.cutoffs)
+
+    def allow(self, positions: Floats) -> None:
+        """Let pairs that are nearer there than their margin keep a share of that distance.
+
+        Raises:
+            InputError: something touches at a position.
+        """
+        for position in positions:
+            near = self.collisions.distances(
+                position, max(self._options.margin, self._options.own_margin) / _MARGIN_SHARE
+            )
+            if len(near.distance) and near.distance[0] <= 0.0:
+                first, second = self.collisions.names(near.pairs[0])
+                raise InputError(f"{first!r} touches {second!r} at a position to reach")
+            where = tuple(near.pairs.T)
+            self._margins[where] = np.minimum(self._margins[where], _MARGIN_SHARE * near.distance)
+
+    def name(self, row: int) -> str:
+        """See `Barrier`."""
+        first, second = self.collisions.names(self._near.pairs[row])
+        return f"the clearance of {first!r} from {second!r}"
+
+
+class AngleBarrier(Barrier):
+    """Angles left to ball joints, whose three coordinates are limited together, by their norm.
+
+    Attributes:
+        limits: ``(B,)`` in use [rad].
+    """
+
+    braking_share = _ANGLE_BRAKING_SHARE
+
+    def __init__(self, arm: Arm) -> None:
+        self._arm, self._balls = arm, arm.space.balls.reshape(-1, 3)
+        self._largest = self.limits = arm.position_limits[self._balls[:, 0], 1]
+
+    def values(self, q: Floats, velocity: Floats, speeds: Floats) -> tuple[Floats, Floats]:
+        """See `Barrier`."""
+        vectors = q[self._balls]
+        angles = np.linalg.norm(vectors, axis=1)
+        inward = np.zeros((len(angles), len(q)))
+        np.put_along_axis(inward, self._balls, -vectors / np.maximum(angles, 1e-9)[:, None], axis=1)
+        return self.limits - angles, inward
+
+    def allow(self, positions: Floats) -> None:
+        """Draw the limits in, but not beyond the positions."""
+        angles = np.linalg.norm(positions[:, self._balls], axis=-1).max(axis=0, initial=0.0)
+        self.limits = np.minimum(np.maximum(self._largest - _ANGLE_INSET, angles), self._largest)
+
+    def name(self, row: int) -> str:
+        """See `Barrier`."""
+        # Of a ball joint's three coordinates the names differ in their last two letters.
+        return f"the position limit of joint {self._arm.joint_names[self._balls[row, 0]][:-2]!r}"

@@ -1,0 +1,119 @@
+"""Limits of the joints: bounds of their velocities at the end of a control step of constant acceleration."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieednn_sim.arm import Arm
+
+Floats = NDArray[np.float64]
+
+# Where an arm names no acceleration limits, its joints get up to their velocity limits in this time [s].
+_ACCELERATION_TIME = 0.25
+# And where it names no velocity limit either, a joint crosses its range in this time [s].
+_RANGE_TIME = 1.0
+
+
+class Limit(ABC):
+    """Bounds of the joint velocities at the end of a step.
+
+    Attributes:
+        yields: whether it gives way to the limits before it where it contradicts them.
+    """
+
+    yields = True
+
+    @abstractmethod
+    def bounds(self, q: Floats, velocity: Floats) -> tuple[Floats, Floats]:
+        """Lower and upper ends ``(n,)`` for a step that begins at ``q`` with ``velocity``, both ``(n,)``."""
+
+    def allow(self, positions: Floats) -> None:  # noqa: B027 (few limits need it)
+        """Fit the limit to positions ``(P, n)`` that shall be reached."""
+
+    def name(self, joint: int) -> str:
+        """What is said where it holds a joint back; empty for nothing."""
+        return ""
+
+
+class VelocityLimit(Limit):
+    """|v'| <= limits ``(n,)``."""
+
+    yields = False
+
+    def __init__(self, limits: Floats) -> None:
+        self.limits = limits
+
+    def bounds(self, q: Floats, velocity: Floats) -> tuple[Floats, Floats]:
+        """See `Limit`."""
+        return -self.limits, self.limits
+
+
+class AccelerationLimit(Limit):
+    """|v' - v| <= a h with limits a ``(n,)`` and a step of h seconds."""
+
+    yields = False
+
+    def __init__(self, limits: Floats, timestep: float) -> None:
+        self._change = limits * timestep
+
+    def bounds(self, q: Floats, velocity: Floats) -> tuple[Floats, Floats]:
+        """See `Limit`."""
+        return velocity - self._change, velocity + self._change
+
+
+class PositionLimit(Limit):
+    """The braking rule: v'^2 / (2 a) + h (v + v') / 2 <= d for the distance d to a position limit.
+
+    A joint that keeps it can still stop before its limit; it bounds v' from above and, where v keeps it, can be kept by
+    braking, so that it never contradicts the limits of velocity and acceleration. Such bounds, which make joint
+    limits viable under bounded accelerations, are those of Flacco, De Luca and Khatib (ICRA 2012; IEEE Transactions on
+    Robotics 31(3), 2015), and in discrete time of Del Prete (Joint position and velocity bounds in discrete-time
+    acceleration/torque control of robot manipulators, IEEE Robotics and Automation Letters 3(1), 2018).
+
+    Attributes:
+        limits: ``(n, 2)`` in use [rad, m].
+
+    Args:
+        arm: whose position limits are kept.
+        acceleration_limits: a ``(n,)``.
+        timestep: h [s].
+    """
+
+    def __init__(self, arm: Arm, acceleration_limits: Floats, timestep: float) -> None:
+        self._arm, self._acceleration, self._timestep = arm, acceleration_limits, timestep
+        self.limits = arm.position_limits.copy()
+
+    def bounds(self, q: Floats, velocity: Floats) -> tuple[Floats, Floats]:
+        """See `Limit`; outside a limit, where only a bad start can be, back as fast as the others allow."""
+        low, high = self.limits.T
+        return -self.stopping(q - low, -velocity), self.stopping(high - q, velocity)
+
+    def stopping(self, distance: Floats, velocity: Floats) -> Floats:
+        """Largest velocities ``(n,)`` at the end of the step from which the distance suffices to brake."""
+        h, a = self._timestep, self._acceleration
+        left = distance - 0.5 * h * velocity
+        root = np.sqrt(np.maximum((0.5 * a * h) ** 2 + 2.0 * a * left, 0.0)) - 0.5 * a * h
+        return np.where(left >= 0.0, root, 2.0 * left / h)
+
+    def allow(self, positions: Floats) -> None:
+        """Draw the limits in, so that joints that turn round within a step keep the arm's; not beyond the positions."""
+        inset = self._acceleration * self._timestep**2 / 4.0
+        low, high = self._arm.position_limits.T
+        lower = np.maximum(np.minimum(low + inset, positions.min(axis=0)), low)
+        upper = np.minimum(np.maximum(high - inset, positions.max(axis=0)), high)
+        self.limits = np.stack([lower, upper], axis=1)
+
+    def name(self, joint: int) -> str:
+        """See `Limit`."""
+        return f"the position limit of joint {self._arm.joint_names[joint]!r}"
+
+
+def finite_rates(arm: Arm) -> tuple[Floats, Floats]:
+    """Limits of velocity and acceleration ``(n,)``, finite also where the arm names none."""
+    low, high = arm.position_limits.T
+    velocity = np.where(np.isfinite(arm.velocity_limits), arm.velocity_limits, (high - low) / _RANGE_TIME)
+    named = np.isfinite(arm.acceleration_limits)
+    return velocity, np.where(named, arm.acceleration_limits, velocity / _ACCELERATION_TIME)
