@@ -112,7 +112,7 @@ def test_a_case_that_runs_out_of_time_is_a_row_with_the_reason(looks, tmp_path):
     assert "- 1 x plan, as: out of time: the budget of 7.5 s" in text
 
 
-@pytest.mark.parametrize("planner", ["lieednn-certified", "linear-law"])
+@pytest.mark.parametrize("planner", ["lieednn-certified", "linear-attractor"])
 def test_the_command_stops_with_the_reason_and_leaves_nothing(planner, looks, tmp_path, capsys):
     words = ["synthesize", "--target", "extended", "--planner", planner, "--time-budget", "9"]
     assert main([*words, "--output", str(tmp_path / "run")]) == 2

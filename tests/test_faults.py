@@ -30,7 +30,7 @@ def deadly(what):
 commands.progress = deadly
 sys.exit(main())
 """
-PLAN = ["--target", "random:3", "--planner", "linear-law", "--duration", "3"]
+PLAN = ["--target", "random:3", "--planner", "linear-attractor", "--duration", "3"]
 
 
 def die(start, code, *words):

@@ -6,12 +6,12 @@ ARMS = ("telescopic_compound", "telescopic_pr", "telescopic_rrp")
 SCENES = ("free", "window", "shelf", "poles")
 PLANNERS = (
     "minimum-jerk",
-    "screw",
+    "se3-geodesic",
     "dmp",
     "rrt-connect",
     "rrt-star",
     "trajectory-optimisation",
-    "linear-law",
+    "linear-attractor",
     "lieednn-certified",
     "lieednn-retargeted",
     "lieednn-trained",

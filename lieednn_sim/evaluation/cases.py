@@ -78,7 +78,7 @@ class Case:
         parts = text.split(":")
         if len(parts) != 4 or not all(parts) or not (parts[3].isascii() and parts[3].isdecimal()):
             raise InputError(
-                f"a case must look like planner:arm:scene:seed, as screw:telescopic_pr:free:0, got {text!r}"
+                f"a case must look like planner:arm:scene:seed, as se3-geodesic:telescopic_pr:free:0, got {text!r}"
             )
         planner, arm, scene, seed = parts
         return cls(arm, scene, planner, int(seed))

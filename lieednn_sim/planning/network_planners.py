@@ -107,7 +107,7 @@ def _learned(
     raise PlanError(f"no learned network of {_LEARNED_CANDIDATES} can be used: {refusal}")
 
 
-def linear_law(problem: PlanningProblem) -> Plan:
+def linear_attractor(problem: PlanningProblem) -> Plan:
     """The linear attractor xi' = -k (xi - xi_d), which is the LieEDNN without weights and with bias xi_d.
 
     So it shares the network's way through time (`motion.NetworkPath`), where k has no part: only the path counts,

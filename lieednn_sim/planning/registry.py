@@ -36,12 +36,12 @@ class Planner(NamedTuple):
 
 PLANNERS: dict[str, Planner] = {
     "minimum-jerk": Planner(partial(in_time, interpolation.minimum_jerk)),
-    "screw": Planner(partial(in_time, interpolation.screw)),
+    "se3-geodesic": Planner(partial(in_time, interpolation.se3_geodesic)),
     "dmp": Planner(partial(in_time, primitives.dmp)),
     "rrt-connect": Planner(sampling.rrt_connect),
     "rrt-star": Planner(sampling.rrt_star),
     "trajectory-optimisation": Planner(partial(in_time, optimisation.trajectory_optimisation)),
-    "linear-law": Planner(lieednn.linear_law),
+    "linear-attractor": Planner(lieednn.linear_attractor),
     "lieednn-certified": Planner(certified, CertifiedOptions),
     "lieednn-retargeted": Planner(lieednn.retargeted),
     "lieednn-trained": Planner(lieednn.trained),

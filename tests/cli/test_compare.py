@@ -14,13 +14,13 @@ ARGUMENTS += ["--controllers", "computed-torque", "--duration", "1", "--hold", "
 
 
 def test_the_command_writes_table_summary_and_page_and_goes_on(tmp_path, capsys, in_this_process):
-    words = [*ARGUMENTS, str(tmp_path / "out"), "--mass-scale", "1.2", "--video", "screw:telescopic_pr:free:0"]
+    words = [*ARGUMENTS, str(tmp_path / "out"), "--mass-scale", "1.2", "--video", "se3-geodesic:telescopic_pr:free:0"]
     with in_this_process():
         assert main(["compare", *words]) == 0
     printed = capsys.readouterr().out
     names = {"comparison.csv", "comparison.json", "comparison.md", "comparison.html"}
     assert {path.name for path in (tmp_path / "out").iterdir()} == names
-    assert "no video of screw:telescopic_pr:free:0: the table has no case" in printed
+    assert "no video of se3-geodesic:telescopic_pr:free:0: the table has no case" in printed
     (row,) = read_rows(tmp_path / "out" / "comparison.csv").values()
     assert (row["planner"], row["controller"], row["mass_scale"]) == ("minimum-jerk", "computed-torque", "1.2")
     assert "lieednn-sim compare --planners minimum-jerk" in (tmp_path / "out" / "comparison.html").read_text("utf-8")
@@ -38,7 +38,7 @@ def test_the_command_writes_table_summary_and_page_and_goes_on(tmp_path, capsys,
         (["--seeds", "0"], "seeds must be at least 1"),
         (["--jobs", "0"], "jobs must be at least 1"),
         (["--videos", "-1"], "videos must be at least 0"),
-        (["--video", "screw"], "must look like planner:arm:scene:seed"),
+        (["--video", "se3-geodesic"], "must look like planner:arm:scene:seed"),
     ],
 )
 def test_bad_options_stop_before_the_work(words, message, tmp_path, capsys):

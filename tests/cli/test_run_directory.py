@@ -43,10 +43,10 @@ def made():
     arm = Arm.load("telescopic_pr")
     start = arm.keyframe("home")
     target = start + 0.05 * (arm.keyframe("extended") - start)
-    made = plan(arm, target, planner="linear-law", start=start, duration=0.6)
+    made = plan(arm, target, planner="linear-attractor", start=start, duration=0.6)
     network, motion = made.network, made.motion
     rollout = simulate(arm, motion, hold=0.05)
-    task = Task(arm.name, tuple(start), tuple(target), 0.6, planner="linear-law", model=arm.fingerprint)
+    task = Task(arm.name, tuple(start), tuple(target), 0.6, planner="linear-attractor", model=arm.fingerprint)
     return task, network, motion, rollout
 
 

@@ -107,9 +107,9 @@ def test_arms_are_listed_and_described(own, capsys):
 def test_a_planners_motion_is_simulated_and_never_a_stale_one(tmp_path, capsys):
     directory = tmp_path / "run"
     base = ["synthesize", "--target", "random:3", "--output", str(directory)]
-    assert main([*base, "--planner", "linear-law"]) == 0
+    assert main([*base, "--planner", "linear-attractor"]) == 0
     planned, task = Motion.load(directory / "motion.npz"), Task.load(directory / "task.json")
-    assert task.planner == "linear-law"
+    assert task.planner == "linear-attractor"
     assert main(["simulate", str(directory), "--hold", "0"]) == 0
     np.testing.assert_array_equal(Rollout.load(directory / "rollout.npz", task.load_arm()).q_ref, planned.q)
     elsewhere = [*task.target[:-1], task.target[-1] - 0.01]
@@ -190,7 +190,10 @@ def test_where_the_filter_blocks_nothing_is_left_and_the_line_says_by_what(tmp_p
         (["--controller", "magic"], "no controller 'magic'; allowed: computed-torque"),
         (["--noise-seed", "-1"], "seed must be a whole number >= 0"),
         (["--planner", "magic"], "no planner 'magic'; allowed: dmp, lieednn-certified"),
-        (["--planner", "linear-law", "--bias-magnitude", "1"], "--bias-magnitude is for --planner lieednn-certified"),
+        (
+            ["--planner", "linear-attractor", "--bias-magnitude", "1"],
+            "--bias-magnitude is for --planner lieednn-certified",
+        ),
         (["--scene", "cave"], "no scene 'cave'; allowed: free, poles"),
         (["--scene-seed", "-1", "--scene", "poles"], "seed"),
         (["--links", "a,b"], "arm 'telescopic_pr' has its own"),

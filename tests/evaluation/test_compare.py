@@ -23,7 +23,7 @@ from lieednn_sim.planning import plan
 from lieednn_sim.simulation import simulate
 
 CASE = Case("telescopic_pr", "free", "minimum-jerk", 0)
-SMALL = Selection(("minimum-jerk", "screw"), ("telescopic_pr",), ("free",), ("position-servo",), seeds=1)
+SMALL = Selection(("minimum-jerk", "se3-geodesic"), ("telescopic_pr",), ("free",), ("position-servo",), seeds=1)
 QUICK = Settings(duration=1.5, hold=0.2)
 
 
@@ -113,7 +113,7 @@ def test_rows_are_not_computed_again_and_a_larger_selection_adds(finished, tmp_p
     assert [(row["planner"], row["controller"], row["reason"]) for row in table.sorted_rows()] == [
         ("minimum-jerk", "mocap", ""),
         ("minimum-jerk", "position-servo", "contact: marked"),
-        ("screw", "position-servo", "contact: marked"),
+        ("se3-geodesic", "position-servo", "contact: marked"),
     ]
     with path.open(encoding="utf-8", newline="") as stream:
         assert list(csv.DictReader(stream)) == table.sorted_rows()
@@ -132,7 +132,7 @@ def test_other_settings_versions_and_files_are_refused(finished, tmp_path):
         with pytest.raises(FileError, match=message):
             Table(tmp_path, QUICK)
     description.write_bytes((finished / "comparison.json").read_bytes())
-    for text in ("a,b\n1,2\n", ",".join(FIELDS) + "\nscrew,mocap\n"):
+    for text in ("a,b\n1,2\n", ",".join(FIELDS) + "\nse3-geodesic,mocap\n"):
         path.write_text(text, encoding="utf-8")
         with pytest.raises(FileError, match="cannot go on from"):
             Table(tmp_path, QUICK)
@@ -142,7 +142,7 @@ def test_other_settings_versions_and_files_are_refused(finished, tmp_path):
 def test_the_summary_says_what_is_missing_and_what_is_proved(finished):
     text = (finished / "comparison.md").read_text(encoding="utf-8")
     assert "- rrt-star: ompl is not installed" in text
-    assert "| telescopic_pr | free | screw | position-servo | 1 of 1 | 21% to 100% |" in text
+    assert "| telescopic_pr | free | se3-geodesic | position-servo | 1 of 1 | 21% to 100% |" in text
     assert text.rstrip().endswith("- none")
 
 
@@ -238,7 +238,7 @@ def test_failures_that_differ_in_names_and_numbers_are_counted_together():
         (lambda: Selection(seeds=0), "seeds must be at least 1, got 0"),
         (lambda: Settings(mass_scale=0.0), "mass_scale must be positive"),
         (lambda: Settings(hold=-1.0), "hold must be between 0 and"),
-        (lambda: Case.parse("screw:free:0"), "must look like planner:arm:scene:seed"),
+        (lambda: Case.parse("se3-geodesic:free:0"), "must look like planner:arm:scene:seed"),
     ],
 )
 def test_bad_input_is_named(make, message):
@@ -248,5 +248,5 @@ def test_bad_input_is_named(make, message):
 
 def test_missing_planners_are_left_out(monkeypatch):
     monkeypatch.setattr("lieednn_sim.evaluation.study.missing_planners", lambda: {"rrt-star": "pip install it"})
-    made = Selection(("rrt-star", "screw"), ("telescopic_pr",), ("free",), seeds=1).cases()
-    assert made == [Case("telescopic_pr", "free", "screw", 0)]
+    made = Selection(("rrt-star", "se3-geodesic"), ("telescopic_pr",), ("free",), seeds=1).cases()
+    assert made == [Case("telescopic_pr", "free", "se3-geodesic", 0)]

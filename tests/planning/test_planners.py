@@ -146,13 +146,13 @@ def test_the_screw_of_a_pure_slide_is_straight_and_without_gap():
     slides = [joint for joint in range(ARM.n_joints) if ARM.unit(joint) == "m"]
     start[slides], target[slides] = 0.1, 0.25
     task = problem(0, start=start, target=target)
-    motion = plan_with("screw", task)
+    motion = plan_with("se3-geodesic", task)
     assert max(motion.gap_translation.max(), motion.gap_rotation.max()) < 1e-7
     np.testing.assert_allclose(motion.q, plan_with("minimum-jerk", task).q, atol=1e-9)
 
 
 def test_the_screw_is_the_geodesic_of_every_joint(motions):
-    task, motion = problem(0), motions["screw", 0]
+    task, motion = problem(0), motions["se3-geodesic", 0]
     origin, goal = ARM.joint_poses(task.start), ARM.joint_poses(task.target)
     way = log(origin.inv() * goal)
     units = np.repeat([1.0, ARM.length_scale], 3)
@@ -169,11 +169,11 @@ def test_the_screw_takes_the_shorter_turn_and_is_refused_where_a_stop_is_in_betw
     task = problem(0, start=start, target=target, duration=8.0)
     plan_with("minimum-jerk", task)
     with pytest.raises(PlanError, match=rf"{ARM.joint_names[base]!r} would be at -?3\.1"):
-        plan_with("screw", task)
+        plan_with("se3-geodesic", task)
 
 
-def test_the_linear_law_is_a_straight_line_in_network_coordinates(motions):
-    motion = motions["linear-law", 0]
+def test_the_linear_attractor_is_a_straight_line_in_network_coordinates(motions):
+    motion = motions["linear-attractor", 0]
     way = motion.xi_target - motion.xi[0]
     share = ((motion.xi - motion.xi[0]) * way).sum(axis=(1, 2)) / (way**2).sum()
     np.testing.assert_allclose(motion.xi, motion.xi[0] + share[:, None, None] * way, atol=1e-6)
@@ -191,7 +191,7 @@ def test_networks_come_with_their_motions():
     assert network.certified
     assert not np.array_equal(network.bias, reference.bias)
     np.testing.assert_allclose(network.vector_field(motion.xi_target), 0.0, atol=1e-10)
-    for name in ("linear-law", "lieednn-certified"):
+    for name in ("linear-attractor", "lieednn-certified"):
         assert planned(name, task).network.certified
 
 
@@ -204,7 +204,7 @@ def test_refusals_say_why(monkeypatch):
     with pytest.raises(InputError, match="arm must be an Arm, got str"):
         plan("telescopic_pr", problem(0).target)
     hurried = problem(0, duration=0.05)
-    for name in ("minimum-jerk", "screw", "linear-law", "lieednn-certified", "lieednn-retargeted"):
+    for name in ("minimum-jerk", "se3-geodesic", "linear-attractor", "lieednn-certified", "lieednn-retargeted"):
         with pytest.raises(PlanError, match=r"would (move|accelerate) at .*its limit is|would be at"):
             plan_with(name, hurried)
     monkeypatch.setattr(lieednn, "_LEARNED_CANDIDATES", 1)
@@ -230,7 +230,7 @@ def test_options_of_another_planner_are_refused_with_the_name_of_the_right_ones(
     with pytest.raises(InputError, match=r"'lieednn-certified' takes options of class CertifiedOptions, got dict"):
         plan(ARM, problem(0).target, options={"candidates": 8})
     with pytest.raises(InputError, match="'screw' has no options, got CertifiedOptions"):
-        plan(ARM, problem(0).target, planner="screw", options=CertifiedOptions())
+        plan(ARM, problem(0).target, planner="se3-geodesic", options=CertifiedOptions())
 
 
 @pytest.mark.parametrize("name", ["minimum-jerk", "lieednn-certified", "lieednn-retargeted"])

@@ -27,10 +27,10 @@ def minimum_jerk(problem: PlanningProblem) -> Motion:
     return joint_motion(problem, problem.start + sigma[:, None] * way, rate[:, None] * way, sigma)
 
 
-def screw(problem: PlanningProblem) -> Motion:
+def se3_geodesic(problem: PlanningProblem) -> Motion:
     """Every compound joint's pose on the geodesic of SE(3): T_i(t) = T_i(0) exp(sigma(t/T) log(T_i(0)^-1 T_i(1))).
 
-    Such a screw leaves what a joint with fewer than six freedoms can do, so it is decoded to the nearest joint
+    Such a geodesic leaves what a joint with fewer than six freedoms can do, so it is decoded to the nearest joint
     position. The shorter of two rotations is taken: between angles more than pi apart it passes the logarithm's cut,
     outside every joint's limits.
 

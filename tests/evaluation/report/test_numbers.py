@@ -15,7 +15,7 @@ from lieednn_sim.evaluation.report.findings import findings
 from lieednn_sim.evaluation.report.page import _SHOWN
 
 # In this order in the registry, and so in what is shown.
-FIRST, SECOND, THIRD = "minimum-jerk", "screw", "rrt-connect"
+FIRST, SECOND, THIRD = "minimum-jerk", "se3-geodesic", "rrt-connect"
 
 
 def row(planner, seed, controller="position-servo", scene="free", **values):

@@ -20,7 +20,7 @@ SETTINGS = Settings(duration=1.2, hold=0.1)
 @pytest.fixture(scope="module")
 def table(tmp_path_factory, in_this_process):
     """Two planners, two scenes, two controllers, and rows of more arms and failures made up from them."""
-    selection = Selection(("minimum-jerk", "screw"), ("telescopic_pr",), ("free",), CONTROLLERS, seeds=1)
+    selection = Selection(("minimum-jerk", "se3-geodesic"), ("telescopic_pr",), ("free",), CONTROLLERS, seeds=1)
     with in_this_process():
         made = compare(tmp_path_factory.mktemp("table"), selection, SETTINGS)
     for index, row in enumerate(made.sorted_rows()):
@@ -79,7 +79,7 @@ def test_an_empty_table_is_refused(tmp_path):
 def test_planners_keep_their_marks_and_none_is_used_twice():
     everyone = marks(["zzz"])
     assert len({(mark.colour, mark.shape) for mark in everyone.values()}) == len(everyone)
-    assert marks([])["screw"] == everyone["screw"]
+    assert marks([])["se3-geodesic"] == everyone["se3-geodesic"]
 
 
 @pytest.mark.parametrize(
@@ -94,11 +94,11 @@ def test_numbers_for_readers(value, text):
 def test_cases_to_show_differ_in_planner_and_place(table):
     chosen = choose_cases(table, 4)
     assert len(set(chosen)) == 4
-    assert {case.planner for case in chosen[:2]} == {"minimum-jerk", "screw"}
+    assert {case.planner for case in chosen[:2]} == {"minimum-jerk", "se3-geodesic"}
     assert chosen[0].scene != chosen[1].scene or chosen[0].arm != chosen[1].arm
     assert choose_cases(table, 0) == []
     with pytest.raises(InputError, match="compare it first"):
-        film(table, Case("telescopic_pr", "free", "screw", 77), "position-servo")
+        film(table, Case("telescopic_pr", "free", "se3-geodesic", 77), "position-servo")
     with pytest.raises(InputError, match="nothing to show of case rrt-connect"):
         film(table, Case("another_arm", "free", "rrt-connect", 0), "position-servo")
 
@@ -108,7 +108,7 @@ def browser(table, tmp_path_factory):
     """The page with a video, open in a headless Chromium."""
     webdriver = pytest.importorskip("selenium.webdriver")
     path = tmp_path_factory.mktemp("page") / "page.html"
-    clip = film(table, Case("telescopic_pr", "free", "screw", 0), "position-servo")
+    clip = film(table, Case("telescopic_pr", "free", "se3-geodesic", 0), "position-servo")
     write_page(path, table, clips=[clip, replace(clip)])
     options = webdriver.ChromeOptions()
     options.binary_location = shutil.which("chromium")
