@@ -13,6 +13,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.coordinates import Coordinates
 from lieednn_sim.arm.couplings import Line, line_of, to_independent_leaders
+from lieednn_sim.arm.forces import force_ranges
 from lieednn_sim.arm.kinematics import CompoundJoint, CompoundJoints, Factor
 from lieednn_sim.errors import InputError
 
@@ -177,19 +178,11 @@ def read_position_limits(model: mujoco.MjModel, chain: Chain, coordinates: Coord
 
 
 def read_force_limits(model: mujoco.MjModel, coordinates: Coordinates) -> Floats:
-    """What the drives on each coordinate can exert ``(n,)``, infinite where nothing limits them."""
-    limits = np.full(len(coordinates), np.inf)
-    joint_drive = model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_JOINT)
-    for actuator in np.flatnonzero(joint_drive & (model.actuator_forcelimited != 0)):
-        joint = model.actuator_trnid[actuator, 0]
-        dofs = model.jnt_dofadr[joint] + np.arange(3 if _kind(model, joint) == "ball" else 1)
-        gear = np.abs(model.actuator_gear[actuator, : len(dofs)])
-        most = np.abs(model.actuator_forcerange[actuator]).max()
-        for dof, ratio in zip(dofs, gear, strict=True):
-            k = _coordinate_of(coordinates, dof)
-            if k is not None and ratio > 0.0:
-                limits[k] = most * ratio
-    return limits
+    """What the actuators can exert on each coordinate in both directions ``(n,)``, infinite where nothing limits it."""
+    rates = coordinates.rates.copy()
+    rates[coordinates.ball_rate_addresses, coordinates.balls] = 1.0
+    low, high = force_ranges(model, rates).T
+    return np.minimum(-low, high)
 
 
 def read_numeric(model: mujoco.MjModel, arm: str, field: str, default: Floats) -> Floats:
@@ -207,17 +200,6 @@ def _rest(model: mujoco.MjModel) -> Floats:
     """Where joints that are no part of the arm stay: the keyframe ``home``, else the model's reference position."""
     key = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, "home")
     return np.array(model.qpos0 if key < 0 else model.key_qpos[key])
-
-
-def _coordinate_of(coordinates: Coordinates, dof: int) -> int | None:
-    for addresses, indices in (
-        (coordinates.scalar_rate_addresses, coordinates.scalars),
-        (coordinates.ball_rate_addresses.ravel(), coordinates.balls.ravel()),
-    ):
-        found = np.flatnonzero(addresses == dof)
-        if found.size:
-            return int(indices[found[0]])
-    return None
 
 
 def _leaders(model: mujoco.MjModel, arm: str, joints: list[int]) -> dict[int, Line]:

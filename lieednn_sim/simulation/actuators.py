@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
+from lieednn_sim.arm.forces import actuator_moments, on_fixed_tendon
 from lieednn_sim.errors import InputError
 from lieednn_sim.simulation.disturbances import Noise, tangent_basis
 
@@ -34,7 +35,7 @@ class Actuators:
         model = arm.model
         basis = tangent_basis(arm)
         self.driving = driving_actuators(arm)
-        self._moment = np.where(self.driving[:, None], _moment(model), 0.0)
+        self._moment = np.where(self.driving[:, None], actuator_moments(model), 0.0)
         transmission = self._moment @ basis
         _check(model, self.driving)
         _check_complete(arm, transmission)
@@ -112,22 +113,10 @@ def _times(matrix: Floats, vectors: Floats) -> Floats:
 
 def driving_actuators(arm: Arm) -> NDArray[np.bool_]:
     """Which actuators ``(nu,)`` move the arm's joints."""
-    return np.asarray(np.abs(_moment(arm.model) @ tangent_basis(arm)).max(axis=1, initial=0.0) > 1e-9)
+    return np.asarray(np.abs(actuator_moments(arm.model) @ tangent_basis(arm)).max(axis=1, initial=0.0) > 1e-9)
 
 
 _SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
-
-
-def _moment(model: mujoco.MjModel) -> Floats:
-    """Moments ``(nu, nv)`` at the reference position."""
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    moment = np.zeros((model.nu, model.nv))
-    if model.nu:
-        mujoco.mju_sparse2dense(
-            moment, data.actuator_moment.ravel(), data.moment_rownnz, data.moment_rowadr, data.moment_colind
-        )
-    return moment
 
 
 def _check(model: mujoco.MjModel, driving: NDArray[np.bool_]) -> None:
@@ -137,23 +126,18 @@ def _check(model: mujoco.MjModel, driving: NDArray[np.bool_]) -> None:
         on_joint = kind == int(kinds.mjTRN_JOINT) or (
             kind == int(kinds.mjTRN_JOINTINPARENT) and int(model.jnt_type[target]) in _SCALAR
         )
-        on_tendon = kind == int(kinds.mjTRN_TENDON) and _is_fixed(model, target)
         affine = (
             int(model.actuator_gaintype[i]) == int(mujoco.mjtGain.mjGAIN_FIXED)
             and int(model.actuator_biastype[i]) in (int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE))
             and int(model.actuator_dyntype[i]) == int(mujoco.mjtDyn.mjDYN_NONE)
             and model.actuator_gainprm[i, 0] != 0.0
         )
-        if not (affine and (on_joint or on_tendon)):
+        if not (affine and (on_joint or on_fixed_tendon(model, int(i)))):
             raise InputError(
                 f"actuator {model.actuator(int(i)).name!r} moves the arm in a way the controllers do not know: they "
                 "need <position>, <motor>, or <general> with fixed gain, affine bias and no dynamics, on joints or "
                 "fixed tendons"
             )
-
-
-def _is_fixed(model: mujoco.MjModel, tendon: int) -> bool:
-    return int(model.wrap_type[model.tendon_adr[tendon]]) == int(mujoco.mjtWrap.mjWRAP_JOINT)
 
 
 def _check_complete(arm: Arm, transmission: Floats) -> None:

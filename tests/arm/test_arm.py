@@ -220,9 +220,9 @@ def test_errors_name_what_is_allowed(arm, tmp_path):
         Arm.from_xml(broken)
 
 
-def test_force_limits_are_the_larger_end_of_the_range_times_the_gear(gantry):
-    """Ranges -30 to 50 with gear 2, -50 to 30 with gear 1/2, -40 to 40; the last drive has none."""
-    np.testing.assert_array_equal(gantry.force_limits, [100.0, 25.0, 40.0, np.inf])
+def test_limits_of_the_gantry(gantry):
+    """Forces -30 to 50 with gear 2, -50 to 30 with gear 1/2, -40 to 40, the smaller end counts; the last has none."""
+    np.testing.assert_array_equal(gantry.force_limits, [60.0, 15.0, 40.0, np.inf])
     np.testing.assert_array_equal(gantry.velocity_limits, [1.0, 2.0, 4.0, 8.0])
     np.testing.assert_array_equal(gantry.acceleration_limits, [10.0, 20.0, 40.0, 80.0])
     np.testing.assert_array_equal(gantry.position_limits, [[-1.0, 1.0], [-2.0, 2.0], [-2.0, 3.0], [-3.0, 3.0]])

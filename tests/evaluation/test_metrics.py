@@ -143,8 +143,8 @@ def test_every_number_of_an_evaluation_by_hand(gantry, tmp_path):
                 "peak_constraint_force": constraint,
             }
             for name, velocity, fastest, force, strongest, constraint in (
-                ("x", 0.5, 1.0, 11.0, 100.0, 0.25),
-                ("y", 0.75, 2.0, 12.0, 25.0, 0.0),
+                ("x", 0.5, 1.0, 11.0, 60.0, 0.25),
+                ("y", 0.75, 2.0, 12.0, 15.0, 0.0),
                 ("z", 0.0, 4.0, 13.0, 40.0, 1.5),
                 ("turn", 3.0, 8.0, 14.0, None, 0.0),
             )

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm.forces import constant_moments, force_ranges
 from lieednn_sim.arm.importer.draft import Draft
 from lieednn_sim.arm.importer.loading import unused
 from lieednn_sim.arm.importer.servos import (
@@ -21,11 +21,8 @@ from lieednn_sim.arm.importer.servos import (
     reduced_inertia,
 )
 from lieednn_sim.arm.importer.softening import soften
-from lieednn_sim.arm.importer.stages import tendon_joints
 
 Floats = NDArray[np.float64]
-_BALL = int(mujoco.mjtJoint.mjJNT_BALL)
-_TRN = mujoco.mjtTrn
 _EXPLICIT = (int(mujoco.mjtIntegrator.mjINT_EULER), int(mujoco.mjtIntegrator.mjINT_RK4))
 _NATURAL_FREQUENCY = 20.0  # of a designed servo [Hz]
 _HALVINGS = 6  # of the timestep at most
@@ -33,8 +30,10 @@ _HALVINGS = 6  # of the timestep at most
 
 def read_actuators(draft: Draft) -> None:
     """What moves each coordinate in the model as it came, and which coordinates need new servos for what reason."""
-    dofs = draft.dofs_of(draft.original)
-    found = [_actuation(draft.original, dofs, k) for k in range(len(dofs))]
+    dofs, model = draft.dofs_of(draft.original), draft.original
+    rates = np.array([dof.rates for dof in dofs]).T
+    moments, ranges = constant_moments(model) @ rates, force_ranges(model, rates)
+    found = [_actuation(model, moments, (float(low), float(high)), k) for k, (low, high) in enumerate(ranges)]
     if draft.servo_rule == "design":
         found = [replace(one, gains=None, remark=one.remark or "as asked for") for one in found]
     for remark in dict.fromkeys(one.remark for one in found if one.remark):
@@ -92,7 +91,7 @@ def _add_servo(spec: mujoco.MjSpec, dof: Dof, servo: Servo) -> str:
     actuator = spec.add_actuator(
         name=unused(servo.name, {actuator.name for actuator in spec.actuators}, "_servo"),
         target=dof.joint,
-        trntype=_TRN.mjTRN_JOINT,
+        trntype=mujoco.mjtTrn.mjTRN_JOINT,
         gaintype=mujoco.mjtGain.mjGAIN_FIXED,
         biastype=mujoco.mjtBias.mjBIAS_AFFINE,
         dyntype=mujoco.mjtDyn.mjDYN_NONE,
@@ -110,32 +109,19 @@ def _add_servo(spec: mujoco.MjSpec, dof: Dof, servo: Servo) -> str:
     return str(actuator.name)
 
 
-def _actuation(model: mujoco.MjModel, dofs: Sequence[Dof], k: int) -> Actuation:
-    """What moves coordinate ``k`` in the given model; ``rates`` of the dofs must be those of this model.
+def _actuation(model: mujoco.MjModel, moments: Floats, limits: tuple[float, float], k: int) -> Actuation:
+    """What moves coordinate ``k``; ``moments`` ``(nu, n)`` of the actuators are on the coordinates.
 
     An actuator of moment r on the coordinate, r = gear times d(transmission length)/dq, exerts r F. A position servo
     F = kp (ctrl - l) - kv dl/dt with l = r q is one on q with the gains r^2 kp and r^2 kv.
     """
-    acting = []
-    for a in range(model.nu):
-        moments = np.array([_moment(model, a) @ dof.rates for dof in dofs])
-        if moments[k]:
-            acting.append((a, moments))
-    if not acting:
-        return Actuation((-np.inf, np.inf), None, "there was no actuator")
-    force = np.sum([np.sort(_force_range(model, a) * moments[k]) for a, moments in acting], axis=0)
-    joint = model.joint(dofs[k].joint).id
-    if model.jnt_actfrclimited[joint]:
-        force = np.array(
-            [max(force[0], model.jnt_actfrcrange[joint, 0]), min(force[1], model.jnt_actfrcrange[joint, 1])]
-        )
-    limits = float(force[0]), float(force[1])
-    if not limits[0] < 0.0 < limits[1]:
-        limits = (-np.inf, np.inf)
-    (a, moments), *others = acting
-    if others:
-        return Actuation(limits, None, f"there were {len(acting)} actuators each")
-    if np.count_nonzero(moments) > 1:
+    acting = np.flatnonzero(moments[:, k])
+    if not acting.size:
+        return Actuation(limits, None, "there was no actuator")
+    if acting.size > 1:
+        return Actuation(limits, None, f"there were {acting.size} actuators each")
+    (a,) = acting
+    if np.count_nonzero(moments[a]) > 1:
         return Actuation(limits, None, "the actuator moves other joints, too")
     gain, (b0, b1, b2) = model.actuator_gainprm[a, 0], model.actuator_biasprm[a, :3]
     plain = (
@@ -145,30 +131,4 @@ def _actuation(model: mujoco.MjModel, dofs: Sequence[Dof], k: int) -> Actuation:
     )
     if not (plain and gain > 0.0 and np.isclose(gain, -b1) and b0 == 0.0 and b2 <= 0.0):
         return Actuation(limits, None, "the actuator is no position servo with ctrl = position")
-    return Actuation(limits, (float(gain * moments[k] ** 2), float(abs(b2) * moments[k] ** 2)), "")
-
-
-def _moment(model: mujoco.MjModel, actuator: int) -> Floats:
-    """Generalised force per unit force ``(nv,)`` of an actuator on a joint or fixed tendon; zero for other kinds."""
-    moment, gear = np.zeros(model.nv), model.actuator_gear[actuator]
-    kind, target = int(model.actuator_trntype[actuator]), int(model.actuator_trnid[actuator, 0])
-    if kind in (int(_TRN.mjTRN_JOINT), int(_TRN.mjTRN_JOINTINPARENT)):
-        width = {0: 6, _BALL: 3}.get(int(model.jnt_type[target]), 1)
-        moment[model.jnt_dofadr[target] : model.jnt_dofadr[target] + width] = gear[:width]
-    elif kind == int(_TRN.mjTRN_TENDON):
-        for joint, coefficient in tendon_joints(model, target).items():
-            moment[model.jnt_dofadr[joint]] = gear[0] * coefficient
-    return moment
-
-
-def _force_range(model: mujoco.MjModel, actuator: int) -> Floats:
-    if model.actuator_forcelimited[actuator]:
-        return model.actuator_forcerange[actuator].copy()
-    motor = (
-        model.actuator_gaintype[actuator] == int(mujoco.mjtGain.mjGAIN_FIXED)
-        and model.actuator_biastype[actuator] == int(mujoco.mjtBias.mjBIAS_NONE)
-        and model.actuator_ctrllimited[actuator]
-    )
-    if motor:
-        return np.sort(model.actuator_gainprm[actuator, 0] * model.actuator_ctrlrange[actuator])
-    return np.array([-np.inf, np.inf])
+    return Actuation(limits, (float(gain * moments[a, k] ** 2), float(abs(b2) * moments[a, k] ** 2)), "")

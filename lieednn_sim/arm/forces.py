@@ -1,0 +1,83 @@
+"""What the actuators of a model can exert on the coordinates of an arm."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieednn_sim._mujoco import mujoco
+
+Floats = NDArray[np.float64]
+_ON_JOINTS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+
+
+def actuator_moments(model: mujoco.MjModel) -> Floats:
+    """Generalised force per unit force of each actuator, ``(nu, nv)``, at the reference position."""
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    moments = np.zeros((model.nu, model.nv))
+    if model.nu:
+        mujoco.mju_sparse2dense(
+            moments, data.actuator_moment.ravel(), data.moment_rownnz, data.moment_rowadr, data.moment_colind
+        )
+    return moments
+
+
+def on_fixed_tendon(model: mujoco.MjModel, actuator: int) -> bool:
+    """Whether an actuator pulls at a tendon whose length is a sum of joint positions."""
+    tendon = int(model.actuator_trnid[actuator, 0])
+    return bool(
+        model.actuator_trntype[actuator] == int(mujoco.mjtTrn.mjTRN_TENDON)
+        and model.wrap_type[model.tendon_adr[tendon]] == int(mujoco.mjtWrap.mjWRAP_JOINT)
+    )
+
+
+def constant_moments(model: mujoco.MjModel) -> Floats:
+    """The `actuator_moments` of those on joints and fixed tendons, whose moments are constant; zero for the others."""
+    constant = [model.actuator_trntype[a] in _ON_JOINTS or on_fixed_tendon(model, a) for a in range(model.nu)]
+    return np.where(np.array(constant, dtype=bool)[:, None], actuator_moments(model), 0.0)
+
+
+def force_ranges(model: mujoco.MjModel, rates: Floats) -> Floats:
+    """Least and largest force ``(n, 2)`` [N m, N] of the actuators on each coordinate.
+
+    The ranges of all actuators that act on a coordinate add up, each times its moment; the ``actfrcrange`` of a joint
+    bounds what arrives there. Where one direction would have no force at all nothing is known of the limits, and they
+    are infinite, as where there is no actuator.
+
+    Args:
+        model: with the actuators, on joints or fixed tendons; others don't count.
+        rates: ``(nv, n)`` how fast its dofs move with each coordinate, coupled stages included.
+    """
+    moments = constant_moments(model)
+    single = np.array([_force_range(model, a) for a in range(model.nu)]).reshape(-1, 2)
+    on_dofs, together = _sum_of_ranges(moments, single), _sum_of_ranges(moments @ rates, single)
+    limited = np.flatnonzero(model.jnt_actfrclimited)
+    dofs, bounds = model.jnt_dofadr[limited], model.jnt_actfrcrange[limited]
+    on_dofs[dofs] = np.clip(on_dofs[dofs], bounds[:, :1], bounds[:, 1:])
+    through_dofs = _sum_of_ranges(rates, on_dofs)
+    low = np.maximum(together[:, 0], through_dofs[:, 0])
+    high = np.minimum(together[:, 1], through_dofs[:, 1])
+    known = (low < 0.0) & (high > 0.0)
+    return np.where(known[:, None], np.stack([low, high], axis=1), [-np.inf, np.inf])
+
+
+def _sum_of_ranges(weights: Floats, ranges: Floats) -> Floats:
+    """Ranges ``(n, 2)`` of sums with weights ``(m, n)`` of independent numbers in ``(m, 2)`` ranges."""
+    factors = np.repeat(weights[..., None], 2, axis=-1)
+    scaled = np.multiply(factors, ranges[:, None], where=factors != 0.0, out=np.zeros_like(factors))
+    return np.sort(scaled, axis=-1).sum(axis=0)
+
+
+def _force_range(model: mujoco.MjModel, actuator: int) -> Floats:
+    """Of one actuator: its own, or that of the controls of a motor."""
+    if model.actuator_forcelimited[actuator]:
+        return model.actuator_forcerange[actuator].copy()
+    motor = (
+        model.actuator_gaintype[actuator] == int(mujoco.mjtGain.mjGAIN_FIXED)
+        and model.actuator_biastype[actuator] == int(mujoco.mjtBias.mjBIAS_NONE)
+        and model.actuator_ctrllimited[actuator]
+    )
+    if motor:
+        return np.sort(model.actuator_gainprm[actuator, 0] * model.actuator_ctrlrange[actuator])
+    return np.array([-np.inf, np.inf])

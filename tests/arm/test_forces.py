@@ -1,0 +1,75 @@
+"""Force limits by hand: what can be relied on in both directions, of native and of imported arms."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm import Arm, import_arm
+
+CARRIAGE = """
+<mujoco><compiler angle="radian"/><option gravity="0 0 0"/>
+  <worldbody><body name="base"><geom size=".05"/>{base}
+    <body name="carriage"><joint name="x" type="slide" axis="1 0 0" range="-1 1" {joint}/><geom size=".05"/>{link1}
+      <body name="stage" pos="0 0 1"><joint name="y" type="slide" axis="1 0 0" range="-2 2" {follower}/>
+        <geom size=".05"/>{link2}</body></body></body></worldbody>
+  {tie}
+  <tendon><fixed name="belt"><joint joint="x" coef="1"/><joint joint="y" coef="3"/></fixed></tendon>
+  <actuator>{actuators}</actuator>
+  <keyframe><key name="home" qpos="0 0"/></keyframe>
+</mujoco>
+"""
+TIE = '<equality><joint joint1="y" joint2="x" polycoef="0 2 0 0 0"/></equality>'
+SERVO = '<position joint="x" kp="100" kv="9" {}/>'
+BELT = '<motor tendon="belt" gear="2" ctrlrange="-5 4"/>'
+
+
+def both_arms(actuators, joint="", follower="", tie=""):
+    """An arm with the package's sites, and the same imported without them."""
+    fields = {"actuators": actuators, "joint": joint, "follower": follower, "tie": tie}
+    last = "link1" if tie else "link2"
+    sites = {"base": '<site name="base_frame"/>', "link1": '<site name="link1_frame"/>', "link2": "", last: ""}
+    sites["link2"] = f'<site name="link{1 if tie else 2}_frame"/>'
+    native = mujoco.MjSpec.from_string(CARRIAGE.format(**fields, **sites))
+    foreign = mujoco.MjSpec.from_string(CARRIAGE.format(**fields, base="", link1="", link2=""))
+    spec, report = import_arm(foreign, links=["stage"] if tie else ["carriage", "stage"], base="base")
+    arms = [Arm.from_spec(s, Path("a.xml"), "a") for s in (native, spec)]
+    assert [arm.joint_names for arm in arms] == [("x",) if tie else ("x", "y")] * 2
+    return arms, report
+
+
+@pytest.mark.parametrize(
+    ("actuators", "joint", "wanted", "span"),
+    [
+        (SERVO.format('forcerange="-10 200"'), "", 10.0, (-10.0, 200.0)),
+        (SERVO.format('forcerange="-10 200" gear="-3"'), "", 30.0, (-600.0, 30.0)),
+        # Two actuators on one joint: -10 - 60 to 200 + 40.
+        (SERVO.format('forcerange="-10 200"') + '<motor joint="x" gear="20" ctrlrange="-3 2"/>', "", 70.0, (-70, 240)),
+        # Two cables that can only pull: 0..50 and -80..0.
+        ('<motor joint="x" ctrlrange="0 50"/><motor joint="x" gear="-2" ctrlrange="0 40"/>', "", 50.0, (-80.0, 50.0)),
+        # One of them without a limit.
+        (SERVO.format('forcerange="-10 200"') + '<motor joint="x"/>', "", np.inf, (-np.inf, np.inf)),
+        # The joint's own range lies within the actuator's, and clamps a sum.
+        (SERVO.format('forcerange="-30 200"'), 'actuatorfrcrange="-25 40"', 25.0, (-25.0, 40.0)),
+        (SERVO.format("") + '<motor joint="x"/>', 'actuatorfrcrange="-25 40"', 25.0, (-25.0, 40.0)),
+        # No force in one direction: nothing is known.
+        (SERVO.format('forcerange="1 200"'), "", np.inf, (-np.inf, np.inf)),
+    ],
+)
+def test_limits_are_the_smaller_end_of_the_sum_of_the_ranges(actuators, joint, wanted, span):
+    arms, report = both_arms(actuators, joint)
+    for arm in arms:
+        np.testing.assert_allclose(arm.force_limits, [wanted, np.inf])
+    np.testing.assert_allclose(report.servos[0].force_range, span)
+
+
+def test_a_belt_of_two_stages_pulls_at_one_coordinate_through_both():
+    """y = 2 x: the tendon's length is 2 (x + 3 y) = 14 x, and its force -5 to 4 makes -70 to 56."""
+    arms, report = both_arms(BELT, tie=TIE)
+    assert [arm.force_limits.tolist() for arm in arms] == [[56.0], [56.0]]
+    assert report.servos[0].force_range == (-70.0, 56.0)
+    # At y arrives -30 to 24, of which the joint lets 3 through, twice as much on x; at x itself -10 to 8.
+    (native, _), report = both_arms(BELT, follower='actuatorfrcrange="-3 3"', tie=TIE)
+    np.testing.assert_allclose(native.force_limits, [8.0 + 2.0 * 3.0])
+    np.testing.assert_allclose(report.servos[0].force_range, (-16.0, 14.0))
