@@ -229,7 +229,7 @@ def test_a_plan_says_what_it_was_made_of(monkeypatch):
 def test_options_of_another_planner_are_refused_with_the_name_of_the_right_ones():
     with pytest.raises(InputError, match=r"'lieednn-certified' takes options of class CertifiedOptions, got dict"):
         plan(ARM, problem(0).target, options={"candidates": 8})
-    with pytest.raises(InputError, match="'screw' has no options, got CertifiedOptions"):
+    with pytest.raises(InputError, match="'se3-geodesic' has no options, got CertifiedOptions"):
         plan(ARM, problem(0).target, planner="se3-geodesic", options=CertifiedOptions())
 
 
