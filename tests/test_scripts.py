@@ -1,0 +1,19 @@
+"""Scripts that no other test runs, each on as little as it can do."""
+
+from __future__ import annotations
+
+import picture_arms
+import pytest
+from PIL import Image
+
+
+@pytest.mark.rendering
+def test_the_picture_of_the_arms(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(picture_arms, "SIZE", (64, 48))
+    monkeypatch.setattr(picture_arms, "ALONE", ("telescopic_pr",))
+    monkeypatch.setattr(picture_arms, "AMONG", (("telescopic_pr", "free", 1),))
+    path = tmp_path / "arms.jpg"
+    picture_arms.main(str(path))
+    assert capsys.readouterr().out == f"{path}\n"
+    with Image.open(path) as picture:
+        assert picture.size == (64, 96)
