@@ -15,9 +15,8 @@ from lieednn_sim.budget import check_time, out_of_time, time_limit
 from lieednn_sim.cli import _parser, main
 from lieednn_sim.errors import InputError, OutOfTimeError, PlanError
 from lieednn_sim.evaluation import Case, Settings, Table, run_case, write_summary
-from lieednn_sim.planning import PLANNERS, CertifiedOptions, missing_planners, plan
+from lieednn_sim.planning import PLANNERS, CertifiedOptions, RrtStarOptions, missing_planners, plan
 from lieednn_sim.planning import certified as planning
-from lieednn_sim.planning.baselines import sampling
 from lieednn_sim.planning.motion import NetworkPath, least_duration
 
 ARM = Arm.load("telescopic_pr")
@@ -86,8 +85,8 @@ def test_every_planner_looks_at_the_clock_often(name, monkeypatch):
 
     monkeypatch.setattr(ContactFinder, "geoms", counted)
     monkeypatch.setattr(budget, "cpu_time", look)
-    monkeypatch.setattr(sampling, "_STAR_TESTS", 3000)
-    planned(name, duration=2.0)
+    options = RrtStarOptions(tests=(3_000, 160_000)) if name == "rrt-star" else None
+    planned(name, duration=2.0, options=options)
     look()  # what comes after the last one counts, too
     assert max(np.diff(at_look)) < 150
 

@@ -1,8 +1,17 @@
 """From a joint target to a checked motion: certified networks, the safety filter, and rival planners."""
 
+from lieednn_sim.planning.baselines.optimisation import OptimisationOptions
+from lieednn_sim.planning.baselines.primitives import DmpOptions
+from lieednn_sim.planning.baselines.sampling import RrtConnectOptions, RrtStarOptions
 from lieednn_sim.planning.certified import CertifiedOptions
 from lieednn_sim.planning.extras import missing_planners, require_planner
-from lieednn_sim.planning.network_planners import reference_network
+from lieednn_sim.planning.filtered import FilteredOptions, GuidedOptions
+from lieednn_sim.planning.network_planners import (
+    RetargetedOptions,
+    TrainedOptions,
+    UnprojectedOptions,
+    reference_network,
+)
 from lieednn_sim.planning.problem import Plan, PlanningProblem
 from lieednn_sim.planning.registry import OBSTACLE_PLANNER, PLANNERS, Planner, plan
 
@@ -10,9 +19,18 @@ __all__ = [
     "OBSTACLE_PLANNER",
     "PLANNERS",
     "CertifiedOptions",
+    "DmpOptions",
+    "FilteredOptions",
+    "GuidedOptions",
+    "OptimisationOptions",
     "Plan",
     "Planner",
     "PlanningProblem",
+    "RetargetedOptions",
+    "RrtConnectOptions",
+    "RrtStarOptions",
+    "TrainedOptions",
+    "UnprojectedOptions",
     "missing_planners",
     "plan",
     "reference_network",

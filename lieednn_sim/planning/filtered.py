@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,32 +21,67 @@ from lieednn_sim.errors import InputError, NotCertifiedError, PlanError
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.planning.baselines import sampling
 from lieednn_sim.planning.baselines.joint_space import Workspace, joint_scale
+from lieednn_sim.planning.baselines.sampling import SearchOptions
 from lieednn_sim.planning.certified import BIAS_MAGNITUDES, rough_way
 from lieednn_sim.planning.extras import optional_module
 from lieednn_sim.planning.filtering import FilterOptions, run_filtered
 from lieednn_sim.planning.motion import Motion, check_motion
+from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.problem import Plan, PlanningProblem
 from lieednn_sim.planning.segments import CLOSING, motion_of
 from lieednn_sim.synthesis import synthesize
 
 Floats = NDArray[np.float64]
 
-
-# Networks drawn, starts of `synthesize` for each, and how many of those whose own way is not free are run all the same:
-# where one is blocked the others mostly are.
-_CANDIDATES, _ATTEMPTS, _TRIED = 12, 3, 1
-# A network's way is looked at before the filter runs, at so many postures.
-_LOOKS = 40
-# A control step is the whole number of the model's steps next to this [s].
-_CONTROL_STEP = 0.01
-# Paths for guiding keep this from obstacles, more than the filter does, and from other parts of the arm [m].
-_PATH_MARGIN, _PATH_OWN_MARGIN = 0.02, 0.004
-# Paths are searched for this often, and followed by so many networks each; on edges where the network's own way is not
-# free there are more postures, at the ends of this many halvings.
-_PATHS, _GUIDED, _HALVINGS = 2, 2, 4
+_FILTER = FilterOptions()
+# More clearance than the filter keeps, so that it need not hold back what follows the path.
+_SEARCH = SearchOptions(margin=0.02)
 
 
-def filtered(problem: PlanningProblem) -> Plan:
+@dataclass(frozen=True)
+class FilteredOptions(PlannerOptions):
+    """Of the planner ``lieednn-filtered``.
+
+    Attributes:
+        candidates: networks to draw.
+        bias_magnitudes: of their sign-matched bias, in turn [gamma/mu].
+        attempts: starts of `synthesize` for each.
+        tried: of those whose own way is not free, how many are run all the same; where one is blocked the others mostly
+            are.
+        looks: postures on a network's own way that are looked at before the filter runs.
+        control_step: of the filter [s], rounded to a whole number of the model's time steps.
+        filter: of the filter.
+    """
+
+    candidates: int = 12
+    bias_magnitudes: tuple[float, ...] = BIAS_MAGNITUDES
+    attempts: int = 3
+    tried: int = 1
+    looks: int = 40
+    control_step: float = 0.01
+    filter: FilterOptions = _FILTER
+
+
+@dataclass(frozen=True)
+class GuidedOptions(FilteredOptions):
+    """Of the planner ``lieednn-guided``, beside those of `FilteredOptions`.
+
+    Attributes:
+        paths: searched for.
+        followers: networks that follow each.
+        halvings: of an edge on which the network's own way is not free; there are more postures to pass at their ends.
+        search: of the paths; by default they keep 0.02 m of clearance.
+        own_margin: what they keep between parts of the arm [m].
+    """
+
+    paths: int = 2
+    followers: int = 2
+    halvings: int = 4
+    search: SearchOptions = _SEARCH
+    own_margin: float = 0.004
+
+
+def filtered(problem: PlanningProblem, options: FilteredOptions) -> Plan:
     """The first motion of a certified network through the filter that arrives.
 
     It takes what time it needs, up to ``problem.longest`` durations.
@@ -54,11 +90,11 @@ def filtered(problem: PlanningProblem) -> Plan:
         NotCertifiedError: no network could be certified.
         PlanError: no run arrived; the message says what blocked the most promising one.
     """
-    search = _Search(problem)
+    search = _Search(problem, options)
     return search.alone() or search.refuse()
 
 
-def guided(problem: PlanningProblem) -> Plan:
+def guided(problem: PlanningProblem, options: GuidedOptions) -> Plan:
     """As `filtered`; where that does not arrive, the network is retargeted along a path of RRT-Connect.
 
     Raises:
@@ -67,8 +103,8 @@ def guided(problem: PlanningProblem) -> Plan:
         PlanError: no run arrived; the message says what blocked the most promising one.
     """
     optional_module("ompl")
-    search = _Search(problem)
-    return search.alone() or search.guided() or search.refuse()
+    search = _Search(problem, options)
+    return search.alone() or search.guided(options) or search.refuse()
 
 
 class _Search:
@@ -79,14 +115,13 @@ class _Search:
         refusals: of the runs that did not arrive.
     """
 
-    def __init__(self, problem: PlanningProblem) -> None:
-        self.problem = problem
+    def __init__(self, problem: PlanningProblem, options: FilteredOptions) -> None:
+        self.problem, self.options = problem, options
         self.networks: list[LieEDNN] = []
         self.refusals: list[str] = []
-        margins = FilterOptions()
-        self._clear = Workspace(problem, margins.margin, margins.own_margin).clear
+        self._clear = Workspace(problem, options.filter.margin, options.filter.own_margin).clear
         self._scale = joint_scale(problem.arm)
-        self._ratio = max(round(_CONTROL_STEP / problem.timestep), 1)
+        self._ratio = max(round(options.control_step / problem.timestep), 1)
 
     def alone(self) -> Plan | None:
         """Certified networks whose own way is free as soon as they are drawn, then the most promising other one."""
@@ -96,23 +131,25 @@ class _Search:
             if unsafe == 0.0 and (motion := self._run(network)) is not None:
                 return Plan(motion, network)
         if not drawn:
-            raise NotCertifiedError(f"none of {_CANDIDATES} candidates for the target could be certified and followed")
+            raise NotCertifiedError(
+                f"none of {self.options.candidates} candidates for the target could be certified and followed"
+            )
         drawn.sort(key=lambda candidate: candidate[0])
         self.networks = [network for _, network in drawn]
-        for unsafe, network in drawn[:_TRIED]:
+        for unsafe, network in drawn[: self.options.tried]:
             if unsafe > 0.0 and (motion := self._run(network)) is not None:
                 return Plan(motion, network)
         return None
 
-    def guided(self) -> Plan | None:
+    def guided(self, options: GuidedOptions) -> Plan | None:
         """The most promising networks, retargeted along paths."""
-        workspace = Workspace(self.problem, _PATH_MARGIN, _PATH_OWN_MARGIN)
-        for attempt in range(_PATHS):
-            corners = sampling.connecting_path(self.problem, workspace, attempt)
+        workspace = Workspace(self.problem, options.search.margin, options.own_margin)
+        for attempt in range(options.paths):
+            corners = sampling.connecting_path(self.problem, workspace, options.search, attempt)
             if corners is None:
                 continue
-            for network in self.networks[:_GUIDED]:
-                motion = self._run(network, self._postures(network, corners))
+            for network in self.networks[: options.followers]:
+                motion = self._run(network, self._postures(network, corners, options.halvings))
                 if motion is not None:
                     return Plan(motion, network)
         return None
@@ -126,10 +163,11 @@ class _Search:
         """Certified networks for the target, with the share of their own motion that is not free."""
         problem, arm = self.problem, self.problem.arm
         xi, rng = arm.encode(problem.target), np.random.default_rng(problem.seed)
-        for index in range(_CANDIDATES):
-            magnitude = BIAS_MAGNITUDES[index % len(BIAS_MAGNITUDES)]
+        magnitudes = self.options.bias_magnitudes
+        for index in range(self.options.candidates):
+            magnitude = magnitudes[index % len(magnitudes)]
             network = synthesize(
-                xi, bias="sign-matched", bias_magnitude=magnitude, seed=rng, max_attempts=_ATTEMPTS
+                xi, bias="sign-matched", bias_magnitude=magnitude, seed=rng, max_attempts=self.options.attempts
             ).network
             if network is None:
                 continue
@@ -143,7 +181,7 @@ class _Search:
         q = arm.decode(rough_way(network, arm.encode(start))).q
         # A little more than the length, so that it increases where nothing moves.
         length = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(q / self._scale, axis=0), axis=1) + 1e-9))
-        way = interp1d(length, q, axis=0)(np.linspace(0.0, length[-1], _LOOKS + 2)[1:-1])
+        way = interp1d(length, q, axis=0)(np.linspace(0.0, length[-1], self.options.looks + 2)[1:-1])
         inside = arm.limit_excess(way).max(axis=1) <= 0.0
         return 1.0 - float(np.mean(inside & [self._clear(position) for position in way]))
 
@@ -159,6 +197,7 @@ class _Search:
                 via=via,
                 timestep=self._ratio * problem.timestep,
                 longest=problem.longest - CLOSING / problem.duration,
+                options=self.options.filter,
             )
             if not run.success:
                 raise PlanError(run.message)
@@ -169,9 +208,9 @@ class _Search:
             return None
         return motion
 
-    def _postures(self, network: LieEDNN, corners: Floats) -> Floats:
+    def _postures(self, network: LieEDNN, corners: Floats, halvings: int) -> Floats:
         """Postures to pass ``(V, n)``: the inner corners, and others between where the network leaves the edges."""
-        parts = [self._between(network, *edge, _HALVINGS) for edge in itertools.pairwise(corners)]
+        parts = [self._between(network, *edge, halvings) for edge in itertools.pairwise(corners)]
         return np.array([posture for part in parts for posture in part][:-1])
 
     def _between(self, network: LieEDNN, first: Floats, second: Floats, halvings: int) -> list[Floats]:

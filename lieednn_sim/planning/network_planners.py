@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -15,47 +16,86 @@ from lieednn_sim.network import ComponentwiseNetwork, LieEDNN
 from lieednn_sim.network.hopfield import HopfieldNetwork
 from lieednn_sim.planning.certified import BIAS_MAGNITUDES
 from lieednn_sim.planning.motion import Motion, NetworkPath, check_motion
+from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.problem import Plan, PlanningProblem, in_time
 from lieednn_sim.synthesis import bias_for, synthesize
 
 Floats = NDArray[np.float64]
 
-# Strength of the sign-matched bias of the reference network, in units of gamma/mu.
-_REFERENCE_BIAS = 0.25
-# Networks to learn before giving up on a problem; like the search for certified ones, it goes through the strengths.
-_LEARNED_CANDIDATES = 4
-# Epochs for each network of plain gradient steps.
-_UNPROJECTED_EPOCHS = 20_000
-# Of a learned equilibrium: the motion ends there, and shall end at the target [rad, length_scale m].
+# Where a learned network has its equilibrium the motion ends, and it shall end at the target [rad, length_scale m].
 _LEARNED_TOLERANCE = 1e-8
-# A network's equilibrium further away than this is not the target [rad, length_scale m].
+_TRACKED = TrainingOptions.tracked(tolerance=_LEARNED_TOLERANCE)
+_PLAIN = TrainingOptions.repaired(projection="none", tolerance=_LEARNED_TOLERANCE, max_epochs=20_000, restarts=1)
+# A network's equilibrium further away than this is not the target [rad, length_scale m]: a hundred times what learning
+# leaves, and as much as a position may exceed a limit.
 _ARRIVAL = 1e-6
 
 
-def retargeted(problem: PlanningProblem) -> Plan:
+@dataclass(frozen=True)
+class RetargetedOptions(PlannerOptions):
+    """Of the planner ``lieednn-retargeted``.
+
+    Attributes:
+        bias_magnitude: of the sign-matched bias under which the reference network is certified [gamma/mu].
+    """
+
+    bias_magnitude: float = 0.25
+
+
+@dataclass(frozen=True)
+class TrainedOptions(PlannerOptions):
+    """Of the planner ``lieednn-trained``.
+
+    Attributes:
+        candidates: networks to learn before giving up on a problem.
+        bias_magnitudes: of their sign-matched bias, in turn [gamma/mu].
+        training: how each is learned.
+    """
+
+    candidates: int = 4
+    bias_magnitudes: tuple[float, ...] = BIAS_MAGNITUDES
+    training: TrainingOptions = _TRACKED
+
+
+@dataclass(frozen=True)
+class UnprojectedOptions(TrainedOptions):
+    """Of the planner ``lieednn-unprojected``; as `TrainedOptions`, by gradient steps that are never projected."""
+
+    training: TrainingOptions = _PLAIN
+
+
+def retargeted(problem: PlanningProblem, options: RetargetedOptions) -> Plan:
     """The one network of `reference_network`, made to end at the target by its bias alone.
 
     Raises:
         NotCertifiedError: the arm's reference network could not be certified.
         PlanError: the motion breaks a limit of the arm.
     """
-    network = reference_network(problem.arm).retarget(problem.arm.encode(problem.target))
+    network = reference_network(problem.arm, options.bias_magnitude).retarget(problem.arm.encode(problem.target))
     return Plan(in_time(_motion, problem, _path(problem, network)), network)
 
 
-@lru_cache(maxsize=8)
-def reference_network(arm: Arm) -> LieEDNN:
+def reference_network(arm: Arm, bias_magnitude: float = RetargetedOptions.bias_magnitude) -> LieEDNN:
     """The network certified once for the arm's keyframe ``extended``, for every target and seed the same.
+
+    Args:
+        arm: the arm.
+        bias_magnitude: of its sign-matched bias [gamma/mu].
 
     Raises:
         InputError: the arm has no such keyframe.
         NotCertifiedError: it could not be certified.
     """
+    return _reference_network(arm, bias_magnitude)
+
+
+@lru_cache(maxsize=8)
+def _reference_network(arm: Arm, bias_magnitude: float) -> LieEDNN:
     target = arm.encode(arm.keyframe("extended"))
-    return synthesize(target, bias="sign-matched", bias_magnitude=_REFERENCE_BIAS).unwrap()
+    return synthesize(target, bias="sign-matched", bias_magnitude=bias_magnitude).unwrap()
 
 
-def trained(problem: PlanningProblem) -> Plan:
+def trained(problem: PlanningProblem, options: TrainedOptions) -> Plan:
     """The first of a few learned networks whose motion the arm can make; with a certificate where there is one.
 
     The weights are learned by tracked projective learning (`learning.train`) under the sign-matched bias.
@@ -63,11 +103,10 @@ def trained(problem: PlanningProblem) -> Plan:
     Raises:
         PlanError: no network was learned, or every motion breaks a limit of the arm.
     """
-    options = TrainingOptions.tracked(tolerance=_LEARNED_TOLERANCE)
     return _learned(problem, options, lambda result, _: result.network)
 
 
-def unprojected(problem: PlanningProblem) -> Plan:
+def unprojected(problem: PlanningProblem, options: UnprojectedOptions) -> Plan:
     """As `trained`, by the gradient steps of Algorithm 1 alone: weights that never return to the adjoint matrices.
 
     What is left is a plain network of 6N neurons (`HopfieldNetwork`), the ablation that shows what the structure is
@@ -76,23 +115,20 @@ def unprojected(problem: PlanningProblem) -> Plan:
     Raises:
         PlanError: no network was learned, or every motion breaks a limit of the arm.
     """
-    options = TrainingOptions.repaired(
-        projection="none", tolerance=_LEARNED_TOLERANCE, max_epochs=_UNPROJECTED_EPOCHS, restarts=1
-    )
     return _learned(problem, options, lambda result, bias: HopfieldNetwork(result.weight, bias))
 
 
 def _learned(
     problem: PlanningProblem,
-    options: TrainingOptions,
+    options: TrainedOptions,
     network_of: Callable[[TrainingResult, Floats], ComponentwiseNetwork | None],
 ) -> Plan:
     xi = problem.arm.encode(problem.target)
     refusal = ""
-    for candidate in range(_LEARNED_CANDIDATES):
-        magnitude = BIAS_MAGNITUDES[candidate % len(BIAS_MAGNITUDES)]
+    for candidate in range(options.candidates):
+        magnitude = options.bias_magnitudes[candidate % len(options.bias_magnitudes)]
         bias = bias_for("sign-matched", xi, np.tanh(xi), 1.0, magnitude)
-        result = train(xi, options, bias=bias, seed=problem.seed + candidate)
+        result = train(xi, options.training, bias=bias, seed=problem.seed + candidate)
         network = network_of(result, bias) if result.success else None
         if network is None:
             # A refused motion tells more than a failed training.
@@ -104,7 +140,7 @@ def _learned(
             refusal = str(error)
             continue
         return Plan(motion, network.try_certify())
-    raise PlanError(f"no learned network of {_LEARNED_CANDIDATES} can be used: {refusal}")
+    raise PlanError(f"no learned network of {options.candidates} can be used: {refusal}")
 
 
 def linear_attractor(problem: PlanningProblem) -> Plan:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from numpy.typing import ArrayLike
 
@@ -17,6 +17,7 @@ from lieednn_sim.planning import network_planners as lieednn
 from lieednn_sim.planning.baselines import interpolation, optimisation, primitives, sampling
 from lieednn_sim.planning.certified import CertifiedOptions, certified
 from lieednn_sim.planning.motion import Motion
+from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.problem import Plan, PlanningProblem, in_time
 from lieednn_sim.validation import as_choice
 
@@ -31,23 +32,25 @@ class Planner(NamedTuple):
     """
 
     solve: Callable[..., Plan | Motion]
-    options: type[Any] | None = None
+    options: type[PlannerOptions] | None = None
 
 
 PLANNERS: dict[str, Planner] = {
     "minimum-jerk": Planner(partial(in_time, interpolation.minimum_jerk)),
     "se3-geodesic": Planner(partial(in_time, interpolation.se3_geodesic)),
-    "dmp": Planner(partial(in_time, primitives.dmp)),
-    "rrt-connect": Planner(sampling.rrt_connect),
-    "rrt-star": Planner(sampling.rrt_star),
-    "trajectory-optimisation": Planner(partial(in_time, optimisation.trajectory_optimisation)),
+    "dmp": Planner(partial(in_time, primitives.dmp), primitives.DmpOptions),
+    "rrt-connect": Planner(sampling.rrt_connect, sampling.RrtConnectOptions),
+    "rrt-star": Planner(sampling.rrt_star, sampling.RrtStarOptions),
+    "trajectory-optimisation": Planner(
+        partial(in_time, optimisation.trajectory_optimisation), optimisation.OptimisationOptions
+    ),
     "linear-attractor": Planner(lieednn.linear_attractor),
     "lieednn-certified": Planner(certified, CertifiedOptions),
-    "lieednn-retargeted": Planner(lieednn.retargeted),
-    "lieednn-trained": Planner(lieednn.trained),
-    "lieednn-unprojected": Planner(lieednn.unprojected),
-    "lieednn-filtered": Planner(filtered.filtered),
-    "lieednn-guided": Planner(filtered.guided),
+    "lieednn-retargeted": Planner(lieednn.retargeted, lieednn.RetargetedOptions),
+    "lieednn-trained": Planner(lieednn.trained, lieednn.TrainedOptions),
+    "lieednn-unprojected": Planner(lieednn.unprojected, lieednn.UnprojectedOptions),
+    "lieednn-filtered": Planner(filtered.filtered, filtered.FilteredOptions),
+    "lieednn-guided": Planner(filtered.guided, filtered.GuidedOptions),
 }
 
 # The LieEDNN planner that gets furthest among obstacles, whether its library is installed or not.
@@ -64,7 +67,7 @@ def plan(
     longest: float = 3.0,
     seed: int = 0,
     time_budget: float = DEFAULT_TIME_BUDGET,
-    options: Any = None,
+    options: PlannerOptions | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Plan:
     """Plan a motion from rest to rest within the arm's limits and free of contact.

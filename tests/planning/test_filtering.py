@@ -9,7 +9,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.errors import InputError, PlanError
-from lieednn_sim.planning import PlanningProblem, missing_planners, plan
+from lieednn_sim.planning import FilteredOptions, GuidedOptions, missing_planners, plan
 from lieednn_sim.planning import filtered as planner
 from lieednn_sim.planning import segments as legs
 from lieednn_sim.planning.baselines import sampling
@@ -168,20 +168,19 @@ def test_the_planners_find_a_way_around(name, scene, seed):
 
 def test_staying_is_a_motion():
     home = FREE.keyframe("home")
-    motion = planner.filtered(PlanningProblem(FREE, home, home, 1.0)).motion
+    motion = plan(FREE, home, planner="lieednn-filtered", duration=1.0).motion
     np.testing.assert_allclose(motion.q, np.broadcast_to(home, motion.q.shape), atol=1e-3)
 
 
 def test_a_hopeless_problem_says_what_blocks(monkeypatch):
-    monkeypatch.setattr(planner, "_CANDIDATES", 2)
     monkeypatch.setattr(planner, "optional_module", lambda _: None)
     monkeypatch.setattr(sampling, "connecting_path", lambda *_: None)
-    problem = PlanningProblem(POLES, POLES.keyframe("home"), draw_target(POLES, 0), 2.0)
-    for make in (planner.filtered, planner.guided):
+    target = draw_target(POLES, 0)
+    for name, options in (("filtered", FilteredOptions(candidates=2)), ("guided", GuidedOptions(candidates=2))):
         with pytest.raises(
             PlanError, match=r"no run through the filter arrived; .*the clearance of '.*' from 'obstacle_pole"
         ):
-            make(problem)
+            plan(POLES, target, planner=f"lieednn-{name}", duration=2.0, options=options)
 
 
 def test_limits_are_proved_only_where_they_hold():
@@ -487,11 +486,10 @@ def test_the_most_promising_networks_run_first(monkeypatch):
     """Free ones as soon as they are drawn; of the others the one with the least of its way blocked."""
     ran = []
     search = object.__new__(planner._Search)
-    search.networks = []
+    search.networks, search.options = [], FilteredOptions(tried=3)
     monkeypatch.setattr(search, "_run", lambda network, via=(): ran.append(network))
     drawn = [("half", 0.5), ("most", 0.8), ("free", 0.0), ("little", 0.2), ("some", 0.4)]
     monkeypatch.setattr(search, "_candidates", lambda: iter(drawn))
-    monkeypatch.setattr(planner, "_TRIED", 3)
     assert search.alone() is None
     assert ran == ["free", "little", "some"]
     assert search.networks == ["free", "little", "some", "half", "most"]

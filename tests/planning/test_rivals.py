@@ -17,15 +17,25 @@ from lieednn_sim.arm import PLANNED_CLEARANCE, Arm
 from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.errors import InputError, LieEDNNError, PlanError
 from lieednn_sim.network.hopfield import HopfieldNetwork
-from lieednn_sim.planning import Plan, PlanningProblem, missing_planners, plan, reference_network
-from lieednn_sim.planning.baselines import optimisation, sampling
+from lieednn_sim.planning import (
+    OptimisationOptions,
+    Plan,
+    PlanningProblem,
+    RrtConnectOptions,
+    RrtStarOptions,
+    missing_planners,
+    plan,
+    reference_network,
+)
+from lieednn_sim.planning.baselines import sampling
 from lieednn_sim.planning.baselines.joint_space import ClearanceTest, joint_scale, sweeps
 from lieednn_sim.planning.baselines.optimisation import _Descent
-from lieednn_sim.planning.baselines.smoothing import motion_along, rounded, stopping
+from lieednn_sim.planning.baselines.smoothing import SmoothingOptions, motion_along, rounded, stopping
 from lieednn_sim.planning.motion import Motion, minimum_jerk_law
 
 ARM = Arm.load("telescopic_pr")
 LOW, HIGH = ARM.position_limits.T
+SMOOTHING = SmoothingOptions()
 DETOUR = ("rrt-connect", "rrt-star", "trajectory-optimisation")
 seeds = st.integers(0, 2**32 - 1)
 
@@ -74,7 +84,7 @@ def test_a_path_is_searched_for_once_however_long_the_motion_takes(monkeypatch):
     start, target = ARM.keyframe("home"), ARM.keyframe("extended")
     attempts = []
 
-    def straight(_problem, _workspace, _planner, attempt):
+    def straight(_problem, _workspace, _options, _planner, attempt):
         attempts.append(attempt)
         return np.array([start, target])
 
@@ -85,14 +95,14 @@ def test_a_path_is_searched_for_once_however_long_the_motion_takes(monkeypatch):
 
 
 @pytest.mark.parametrize("name", DETOUR)
-def test_they_go_around_what_is_in_the_way_with_clearance(name, monkeypatch):
+def test_they_go_around_what_is_in_the_way_with_clearance(name):
     needs(name)
     # RRT* spends the rest on shortening the path that it found.
-    monkeypatch.setattr(sampling, "_STAR_TESTS", sampling._STAR_TESTS // 10)
+    options = RrtStarOptions(tests=(8_000, 160_000)) if name == "rrt-star" else None
     task = blocked(3)
     with pytest.raises(PlanError, match=r"would come within .* of .post. at"):
         plan_with("minimum-jerk", task)
-    motion = plan_with(name, task)
+    motion = plan_with(name, task, options=options)
     collisions = Collisions(POSTED)
     assert min(collisions.clearance(q) for q in motion.q[::16]) > PLANNED_CLEARANCE - 1e-6
     assert (POSTED.limit_excess(motion.q) <= 1e-9).all()
@@ -140,7 +150,7 @@ def test_the_tree_grows_from_the_narrower_end_and_the_path_from_the_start(gantry
         return MagicMock(getState=lambda i: corners[i], getStateCount=lambda: len(corners))
 
     definition.getSolutionPath.side_effect = path
-    corners = sampling._path(asked, workspace, "RRTConnect", 0.1)
+    corners = sampling._path(asked, workspace, RrtConnectOptions(), "RRTConnect", 0.1)
     scale = joint_scale(gantry)
     given_first, given_last = (np.asarray(end) * scale for end in definition.setStartAndGoalStates.call_args.args)
     other = target if narrow == "start" else start
@@ -173,7 +183,7 @@ def test_rounded_paths_stay_within_limits_and_come_close_to_the_polyline(seed, c
     task = PlanningProblem(ARM, polyline[0], ARM.keyframe("extended"), 8.0)
     polyline[-1] = task.target
     scale, times = joint_scale(ARM), task.times()
-    q, qd, progress = rounded(task, polyline, count)
+    q, qd, progress = rounded(task, polyline, count, SMOOTHING.bend)
     np.testing.assert_allclose(q[[0, -1]], polyline[[0, -1]], atol=1e-9)
     np.testing.assert_array_equal(qd[[0, -1]], 0.0)
     assert (ARM.limit_excess(q) <= 1e-9).all()
@@ -207,16 +217,16 @@ def test_the_polyline_itself_is_followed_with_a_stop_at_every_corner(seed):
 def test_a_straight_polyline_is_run_through_by_minimum_jerk():
     task = PlanningProblem(ARM, ARM.keyframe("home"), ARM.keyframe("extended"), 4.0)
     middle = 0.3 * task.start + 0.7 * task.target
-    motion = motion_along(task, np.array([task.start, middle, middle, task.target]))
+    motion = motion_along(task, np.array([task.start, middle, middle, task.target]), SMOOTHING)
     np.testing.assert_allclose(motion.q, plan_with("minimum-jerk", task).q, atol=1e-9)
     still = PlanningProblem(ARM, task.start, task.start, 1.0)
-    np.testing.assert_array_equal(motion_along(still, np.array([task.start] * 2)).qd, 0.0)
+    np.testing.assert_array_equal(motion_along(still, np.array([task.start] * 2), SMOOTHING).qd, 0.0)
 
 
 def test_a_path_that_cannot_be_followed_in_time_says_how_long_it_takes():
     task = PlanningProblem(ARM, ARM.keyframe("home"), ARM.keyframe("extended"), 0.5)
     with pytest.raises(PlanError, match=r"its limit is .* a duration of at least .* keeps it"):
-        motion_along(task, np.array([task.start, task.target]))
+        motion_along(task, np.array([task.start, task.target]), SMOOTHING)
 
 
 def test_sweeps_bound_the_motion_of_the_link_frames():
@@ -235,7 +245,7 @@ def test_optimisation_finds_minimum_jerk_where_nothing_is_in_the_way():
 @given(seed=seeds)
 @settings(max_examples=5)
 def test_the_optimiser_descends_along_its_true_derivatives(seed):
-    descent = _Descent(blocked(seed % 1000, duration=2.5))
+    descent = _Descent(blocked(seed % 1000, duration=2.5), OptimisationOptions())
     rng = np.random.default_rng(seed)
     x = next(descent.guesses())
     x = np.clip(x + 0.05 * rng.normal(size=x.shape), descent.low, descent.high)
@@ -293,15 +303,13 @@ def test_what_is_not_installed_is_reported_as_missing(monkeypatch, module, names
         assert not isinstance(caught.value, PlanError | InputError), "a missing library is no failed plan"
 
 
-def test_refusals_say_what_was_tried(monkeypatch):
-    for name, few in (("_GUESSES", 2), ("_DRAWN", 2), ("_EVALUATIONS", 3)):
-        monkeypatch.setattr(optimisation, name, few)
+def test_refusals_say_what_was_tried():
+    few = OptimisationOptions(guesses=2, drawn=2, evaluations=3)
     with pytest.raises(PlanError, match=r"no local optimum of 2 first guesses can be followed: joint .* its limit is"):
-        plan_with("trajectory-optimisation", PlanningProblem(ARM, LOW, HIGH, 0.3))
+        plan_with("trajectory-optimisation", PlanningProblem(ARM, LOW, HIGH, 0.3), options=few)
     needs("rrt-connect")
-    monkeypatch.setattr(sampling, "_CONNECT_TESTS", 1)
     with pytest.raises(PlanError, match="RRTConnect found no path free of contact; try another seed or target"):
-        plan_with("rrt-connect", blocked())
+        plan_with("rrt-connect", blocked(), options=RrtConnectOptions(tests=(1,)))
 
 
 @given(seed=seeds)

@@ -13,11 +13,9 @@ from lieednn_sim.planning.problem import PlanningProblem
 
 Floats = NDArray[np.float64]
 
-# What paths keep away from everything, unless start or target are closer to something [m]; motions along them are
-# rounded, and checked for less.
-_MARGIN = 0.01
 # Where start or target are nearer than that, this share of their distance is kept.
 _SHARE = 0.8
+# Enough for the most at random postures to come within a few percent of the most there is.
 _POSTURES = 64
 
 
@@ -70,7 +68,7 @@ class Workspace:
         collisions: signed distances.
     """
 
-    def __init__(self, problem: PlanningProblem, margin: float = _MARGIN, own: float | None = None) -> None:
+    def __init__(self, problem: PlanningProblem, margin: float, own: float | None = None) -> None:
         self.collisions = Collisions(problem.arm)
         margins = np.array([margin, margin if own is None else own])
         for q in (problem.start, problem.target):

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,29 +21,53 @@ from lieednn_sim.budget import check_time
 from lieednn_sim.errors import PlanError
 from lieednn_sim.planning.baselines.joint_space import ClearanceTest, Workspace, joint_motion, joint_scale
 from lieednn_sim.planning.motion import Motion, minimum_jerk_law
+from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.problem import PlanningProblem
+from lieednn_sim.validation import as_count
 
 Floats = NDArray[np.float64]
 
+# Of the spline: the quintic that minimum jerk is in free space.
 _DEGREE = 5
-_INTERVALS = 12
 # Control points that rest at each end takes: position, velocity and acceleration.
 _FIXED = 3
-# Instants at which distances and rates are weighed.
-_INSTANTS = 100
-# The hinge on distances begins here [m]; it is a soft wish, so what is to be kept lies well below.
-_INFLUENCE = 0.04
-# Share of the velocity and acceleration limits at which their hinges begin.
-_RATE_SHARE = 0.95
-# Weight of the hinges against smoothness, from the first descent of a guess to the last.
-_WEIGHTS = (300.0, 3000.0)
-_EVALUATIONS = 20
-_GUESSES = 6
-# Bent guesses drawn; the clearest of them are descended from.
-_DRAWN = 150
 
 
-def trajectory_optimisation(problem: PlanningProblem) -> Motion:
+@dataclass(frozen=True)
+class OptimisationOptions(PlannerOptions):
+    """Of the planner ``trajectory-optimisation``.
+
+    Attributes:
+        margin: what first guesses are judged by, as far as start and target keep it [m].
+        intervals: of the spline, at least 2.
+        instants: at which distances and rates are weighed.
+        influence: distance at which its hinge begins [m]; it is a soft wish, so what is to be kept lies well below.
+        rate_share: of the velocity and acceleration limits, at which their hinges begin.
+        weights: of the hinges against smoothness, from the first descent of a guess to the last.
+        evaluations: of the cost in a descent.
+        guesses: first ones, from which it descends.
+        drawn: bent guesses drawn, of which the clearest are descended from.
+
+    Raises:
+        InputError: a value is out of range.
+    """
+
+    margin: float = 0.01
+    intervals: int = 12
+    instants: int = 100
+    influence: float = 0.04
+    rate_share: float = 0.95
+    weights: tuple[float, ...] = (300.0, 3000.0)
+    evaluations: int = 20
+    guesses: int = 6
+    drawn: int = 150
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        as_count("intervals", self.intervals, least=2)
+
+
+def trajectory_optimisation(problem: PlanningProblem, options: OptimisationOptions) -> Motion:
     """The first of a few locally optimal trajectories that the arm can follow.
 
     The first guess is minimum jerk, straight in joint space, the others are bent towards drawn postures.
@@ -50,43 +75,44 @@ def trajectory_optimisation(problem: PlanningProblem) -> Motion:
     Raises:
         PlanError: no local optimum keeps the limits and the clearance; the message is of the first one.
     """
-    descent = _Descent(problem)
+    descent = _Descent(problem, options)
     refusal: PlanError | None = None
     for guess in descent.guesses():
         x = guess
-        for weight in _WEIGHTS:
+        for weight in options.weights:
             x = descent.minimise(x, weight)
             try:
                 return descent.motion(x)
             except PlanError as error:
                 refusal = refusal or error
-    raise PlanError(f"no local optimum of {_GUESSES} first guesses can be followed: {refusal}")
+    raise PlanError(f"no local optimum of {options.guesses} first guesses can be followed: {refusal}")
 
 
 class _Descent:
     """The costs of one problem; the variables are the free control points ``(F, n)`` over the joints' scale, flat."""
 
-    def __init__(self, problem: PlanningProblem) -> None:
-        self.problem, self.arm = problem, problem.arm
-        self.workspace, self.scale = Workspace(problem), joint_scale(problem.arm)
-        self.near = ClearanceTest(problem.arm, _INFLUENCE)
-        knots = np.concatenate([np.zeros(_DEGREE), np.linspace(0.0, 1.0, _INTERVALS + 1), np.ones(_DEGREE)])
-        basis = BSpline(knots, np.eye(_INTERVALS + _DEGREE), _DEGREE)
+    def __init__(self, problem: PlanningProblem, options: OptimisationOptions) -> None:
+        self.problem, self.arm, self.options = problem, problem.arm, options
+        intervals, count = options.intervals, options.instants
+        self.workspace, self.scale = Workspace(problem, options.margin), joint_scale(problem.arm)
+        self.near = ClearanceTest(problem.arm, options.influence)
+        knots = np.concatenate([np.zeros(_DEGREE), np.linspace(0.0, 1.0, intervals + 1), np.ones(_DEGREE)])
+        basis = BSpline(knots, np.eye(intervals + _DEGREE), _DEGREE)
         t = problem.times()
         # Closer together where the motion is fast, or it would jump over what is thin.
         share = 0.5 * (t / t[-1] + minimum_jerk_law(t / t[-1])[0])
-        instants = np.interp((np.arange(_INSTANTS) + 0.5) / _INSTANTS, share, t / t[-1])
+        instants = np.interp((np.arange(count) + 0.5) / count, share, t / t[-1])
         # Basis functions and their derivatives in time, at the samples and at the instants.
         self.sampled = [basis(t / t[-1], nu=nu) / t[-1] ** nu for nu in (0, 1)]
         self.weighed = [basis(instants, nu=nu) / t[-1] ** nu for nu in (0, 1, 2)]
         # Gauss's rule of three points is exact for the squared jerk, of degree 4.
         nodes, weights = np.polynomial.legendre.leggauss(3)
-        u = (np.arange(_INTERVALS)[:, None] + 0.5 * (nodes + 1.0)).ravel() / _INTERVALS
-        jerk = basis(u, nu=3) * np.sqrt(np.tile(weights, _INTERVALS) / (2 * _INTERVALS))[:, None]
+        u = (np.arange(intervals)[:, None] + 0.5 * (nodes + 1.0)).ravel() / intervals
+        jerk = basis(u, nu=3) * np.sqrt(np.tile(weights, intervals) / (2 * intervals))[:, None]
         squared = jerk.T @ jerk
         self.inner = slice(_FIXED, -_FIXED)
         start, target = problem.start / self.scale, problem.target / self.scale
-        self.ends = np.zeros((_INTERVALS + _DEGREE, self.arm.n_joints))
+        self.ends = np.zeros((intervals + _DEGREE, self.arm.n_joints))
         self.ends[:_FIXED], self.ends[-_FIXED:] = start, target
         free = squared[self.inner, self.inner]
         # Of all with these ends: the quintic polynomial, which the splines contain.
@@ -105,7 +131,7 @@ class _Descent:
         low, high = self.arm.position_limits.T / self.scale
         u = (np.arange(len(self.smoothest)) + 1.0) / (len(self.smoothest) + 1)
         drawn, blocked = [], []
-        for _ in range(_DRAWN):
+        for _ in range(self.options.drawn):
             # Bent towards a drawn posture, at a drawn instant.
             shape = u ** (2.0 * rng.uniform(0.4, 1.6)) * (1.0 - u) ** (2.0 * rng.uniform(0.4, 1.6))
             peak = int(shape.argmax())
@@ -113,7 +139,7 @@ class _Descent:
             control = np.clip(self.smoothest + (shape / shape[peak])[:, None] * rng.uniform() * way, low, high)
             drawn.append(control.ravel())
             blocked.append(sum(self._blocked(q) for q in self.positions(control.ravel())))
-        for index in np.argsort(blocked, kind="stable")[: _GUESSES - 1]:
+        for index in np.argsort(blocked, kind="stable")[: self.options.guesses - 1]:
             yield drawn[index]
 
     def _blocked(self, q: Floats) -> bool:
@@ -138,7 +164,7 @@ class _Descent:
             xtol=1e-4,
             ftol=1e-4,
             gtol=1e-6,
-            max_nfev=_EVALUATIONS,
+            max_nfev=self.options.evaluations,
         )
         return np.asarray(found.x)
 
@@ -149,14 +175,14 @@ class _Descent:
         control[self.inner] = x.reshape(-1, n)
         smooth = (self.root @ (control[self.inner] - self.smoothest)).ravel()
         values, rows = [smooth], [np.kron(self.root, np.eye(n))]
-        factor = math.sqrt(weight / _INSTANTS)
+        factor = math.sqrt(weight / self.options.instants)
         basis = [table[:, self.inner] for table in self.weighed]
         hinge, slope = self._closeness(self.scale * (self.weighed[0] @ control))
         values.append(factor * hinge)
         rows.append(factor * _chained(basis[0], slope * self.scale))
         limits = (self.arm.velocity_limits, self.arm.acceleration_limits)
         for table, rates, limit in zip(basis[1:], self.weighed[1:], limits, strict=True):
-            hinge, slope = _excess(self.scale * (rates @ control), _RATE_SHARE * limit)
+            hinge, slope = _excess(self.scale * (rates @ control), self.options.rate_share * limit)
             values.append(factor * hinge)
             rows.append(factor * _chained(table, slope * self.scale))
         return np.concatenate(values), np.concatenate(rows)
@@ -172,14 +198,15 @@ class _Descent:
     def _closeness(self, q: Floats) -> tuple[Floats, Floats]:
         """Root of the summed squares of (1 - d / influence)_+ over the pairs ``(K,)``, and its slope ``(K, n)``."""
         value, slope = np.zeros(len(q)), np.zeros(q.shape)
+        influence = self.options.influence
         for k, position in enumerate(q):
             check_time()
             if self.near(position):
                 continue
-            found = self.workspace.collisions.distances(position, _INFLUENCE)
-            hinge = 1.0 - found.distance / _INFLUENCE
+            found = self.workspace.collisions.distances(position, influence)
+            hinge = 1.0 - found.distance / influence
             value[k] = math.sqrt(hinge @ hinge)
-            slope[k] = -(hinge @ found.jacobian) / (_INFLUENCE * max(value[k], 1e-12))
+            slope[k] = -(hinge @ found.jacobian) / (influence * max(value[k], 1e-12))
         return value, slope
 
 

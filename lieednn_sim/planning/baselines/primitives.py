@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BPoly
@@ -10,17 +12,26 @@ from lieednn_sim.budget import check_time
 from lieednn_sim.planning.baselines.joint_space import joint_motion
 from lieednn_sim.planning.extras import optional_module
 from lieednn_sim.planning.motion import Motion, minimum_jerk_law
+from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.problem import PlanningProblem
 
 Floats = NDArray[np.float64]
 
-# Radial basis functions of each joint's forcing term.
-_WEIGHTS = 20
-# Joints that move by less of their range in the demonstration show no shape.
-_LEAST_SHARE = 0.01
+
+@dataclass(frozen=True)
+class DmpOptions(PlannerOptions):
+    """Of the planner ``dmp``.
+
+    Attributes:
+        basis_functions: radial ones, of each joint's forcing term.
+        least_share: joints that move by less of their range in the demonstration show no shape.
+    """
+
+    basis_functions: int = 20
+    least_share: float = 0.01
 
 
-def dmp(problem: PlanningProblem) -> Motion:
+def dmp(problem: PlanningProblem, options: DmpOptions) -> Motion:
     """A primitive that imitates minimum jerk from ``home`` to ``extended``, moved to the problem's start and target.
 
     A spring and damper to the goal, critically damped, and a learned forcing term that fades (Ijspeert et al., Neural
@@ -30,8 +41,8 @@ def dmp(problem: PlanningProblem) -> Motion:
 
     The forces f are multiplied by the joint's way over its way in the demonstration, which keeps the demonstrated shape
     at every amplitude; unscaled, those of a long demonstration throw a joint with a short way over its limits. A joint
-    that hardly moves in the demonstration, by less than 1 % of its range, has no shape to keep: it gets no forces, and
-    goes from start to target as spring and damper take it.
+    that hardly moves in the demonstration, by less than ``least_share`` of its range, has no shape to keep: it gets no
+    forces, and goes from start to target as spring and damper take it.
 
     The phase has 1 % left when the time is over, and the joints about as much of their way. A quintic polynomial, zero
     at the start, takes up what is left of position, velocity and acceleration at the end.
@@ -45,14 +56,14 @@ def dmp(problem: PlanningProblem) -> Motion:
         problem.arm.n_joints,
         execution_time=float(problem.times()[-1]),
         dt=problem.timestep,
-        n_weights_per_dim=_WEIGHTS,
+        n_weights_per_dim=options.basis_functions,
         smooth_scaling=True,
     )
     t = problem.times()
     sigma, _ = minimum_jerk_law(t / t[-1])
     home, extended = problem.arm.keyframe("home"), problem.arm.keyframe("extended")
     primitive.imitate(t, home + sigma[:, None] * (extended - home))
-    primitive.forcing_term.weights_ *= _amplitudes(problem, extended - home)[:, None]
+    primitive.forcing_term.weights_ *= _amplitudes(problem, extended - home, options.least_share)[:, None]
     primitive.configure(start_y=problem.start.copy(), goal_y=problem.target.copy())
     q, qd = np.empty((2, len(t), len(home)))
     q[0], qd[0] = problem.start, 0.0
@@ -66,7 +77,7 @@ def dmp(problem: PlanningProblem) -> Motion:
     return joint_motion(problem, q + correction(t), qd + correction(t, nu=1), sigma)
 
 
-def _amplitudes(problem: PlanningProblem, shown: Floats) -> Floats:
+def _amplitudes(problem: PlanningProblem, shown: Floats, least: float) -> Floats:
     """Way of each joint ``(n,)`` over its way in the demonstration; zero where that shows nothing."""
-    moves = np.abs(shown) > _LEAST_SHARE * np.ptp(problem.arm.position_limits, axis=1)
+    moves = np.abs(shown) > least * np.ptp(problem.arm.position_limits, axis=1)
     return np.where(moves, problem.target - problem.start, 0.0) / np.where(moves, shown, 1.0)

@@ -2,12 +2,13 @@
 
 RRT-Connect is Kuffner and LaValle's, ICRA 2000; RRT* Karaman and Frazzoli's, Int. J. Robotics Research 30(7), 2011; the
 library Sucan, Moll and Kavraki's, IEEE Robotics and Automation Magazine 19(4), 2012. Paths are measured in joint
-coordinates over velocity limits, so their length is a time. They are shortened, rounded and timed by `rounding`.
+coordinates over velocity limits, so their length is a time. They are shortened, rounded and timed by `smoothing`.
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from functools import cache, lru_cache, partial
 from typing import Any
 
@@ -17,69 +18,96 @@ from numpy.typing import NDArray
 from lieednn_sim.budget import check_time, out_of_time
 from lieednn_sim.errors import PlanError
 from lieednn_sim.planning.baselines.joint_space import Workspace, joint_scale, sweeps
-from lieednn_sim.planning.baselines.smoothing import motion_along
+from lieednn_sim.planning.baselines.smoothing import SmoothingOptions, motion_along
 from lieednn_sim.planning.extras import optional_module
 from lieednn_sim.planning.motion import Motion
+from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.problem import PlanningProblem, in_time
 
 Floats = NDArray[np.float64]
 
-# Bounds on postures tested, not on seconds: results must not depend on the machine's speed. RRT* spends the first on
-# shortening what it found, and goes on to the second while it found nothing.
-_CONNECT_TESTS = 120_000
-_STAR_TESTS, _STAR_PATIENT_TESTS = 80_000, 160_000
-_SHORTCUTS = 60
-# A link frame moves at most about this far from one posture tested along an edge to the next [m]. What slips through
-# is found by the dense test of the motion, and the next attempt tests more closely.
-_SPACINGS = (0.04, 0.02)
+
+@dataclass(frozen=True)
+class SearchOptions(PlannerOptions):
+    """How paths are searched for.
+
+    Attributes:
+        margin: what paths keep away from everything, unless start or target are closer to something [m]; motions along
+            them are rounded, and checked for less.
+        tests: postures tested at most, not seconds, for results must not depend on the machine's speed; while nothing
+            is found the search goes on to the next number. RRT* spends the first on shortening what it found.
+        shortcuts: tried on the path that was found.
+        spacings: a link frame moves at most about this far from one posture tested along an edge to the next [m]. What
+            slips through is found by the dense test of the motion; then the next attempt is made, with the next one.
+    """
+
+    margin: float = 0.01
+    tests: tuple[int, ...] = (120_000,)
+    shortcuts: int = 60
+    spacings: tuple[float, ...] = (0.04, 0.02)
 
 
-def rrt_connect(problem: PlanningProblem) -> Motion:
+@dataclass(frozen=True)
+class RrtConnectOptions(SearchOptions, SmoothingOptions):
+    """Of the planner ``rrt-connect``; see the two classes that it is made of."""
+
+
+@dataclass(frozen=True)
+class RrtStarOptions(RrtConnectOptions):
+    """Of the planner ``rrt-star``; as `RrtConnectOptions`."""
+
+    tests: tuple[int, ...] = (80_000, 160_000)
+
+
+def rrt_connect(problem: PlanningProblem, options: RrtConnectOptions) -> Motion:
     """Two trees from start and target, grown towards each other until they meet.
 
     Raises:
         LieEDNNError: OMPL is not installed.
         PlanError: no path was found within the work allowed, or it cannot be followed in time.
     """
-    return _plan(problem, "RRTConnect")
+    return _plan(problem, options, "RRTConnect")
 
 
-def rrt_star(problem: PlanningProblem) -> Motion:
+def rrt_star(problem: PlanningProblem, options: RrtStarOptions) -> Motion:
     """One tree from the start, rewired towards shortest paths for a fixed amount of work.
 
     Raises:
         LieEDNNError: OMPL is not installed.
         PlanError: no path was found within the work allowed, or it cannot be followed in time.
     """
-    return _plan(problem, "RRTstar")
+    return _plan(problem, options, "RRTstar")
 
 
-def connecting_path(problem: PlanningProblem, workspace: Workspace, attempt: int = 0) -> Floats | None:
+def connecting_path(
+    problem: PlanningProblem, workspace: Workspace, options: SearchOptions, attempt: int = 0
+) -> Floats | None:
     """Corners ``(M, n)`` of a shortened path of RRT-Connect from start to target, clear in the workspace; or None.
 
     Args:
         problem: start, target and seed.
-        workspace: of the problem.
+        workspace: of the problem, with the margin.
+        options: of the search.
         attempt: another one draws others, and looks more closely.
 
     Raises:
         LieEDNNError: OMPL is not installed.
     """
-    return _drawn(problem, workspace, "RRTConnect", attempt)
+    return _drawn(problem, workspace, options, "RRTConnect", attempt)
 
 
-def _plan(problem: PlanningProblem, planner: str) -> Motion:
+def _plan(problem: PlanningProblem, options: RrtConnectOptions, planner: str) -> Motion:
     # Paths have no part in time: none is searched for again when the motion along it needs more.
-    path = cache(partial(_drawn, problem, Workspace(problem), planner))
+    path = cache(partial(_drawn, problem, Workspace(problem, options.margin), options, planner))
 
     def motion(asked: PlanningProblem) -> Motion:
         refusal: PlanError | None = None
-        for attempt in range(len(_SPACINGS)):
+        for attempt in range(len(options.spacings)):
             corners = path(attempt)
             if corners is None:
                 break
             try:
-                return motion_along(asked, corners)
+                return motion_along(asked, corners, options)
             except PlanError as error:
                 refusal = error
         raise refusal or PlanError(f"{planner} found no path free of contact; try another seed or target")
@@ -87,7 +115,9 @@ def _plan(problem: PlanningProblem, planner: str) -> Motion:
     return in_time(motion, problem)
 
 
-def _drawn(problem: PlanningProblem, workspace: Workspace, planner: str, attempt: int) -> Floats | None:
+def _drawn(
+    problem: PlanningProblem, workspace: Workspace, options: SearchOptions, planner: str, attempt: int
+) -> Floats | None:
     """As `_path`, silent, and the same whatever ran before."""
     util = optional_module("ompl.util")
     workspace.clear.tests = 0
@@ -97,12 +127,14 @@ def _drawn(problem: PlanningProblem, workspace: Workspace, planner: str, attempt
         # Every generator made from here on draws its seed from this one. OMPL warns of that for those that exist
         # already, which are not ours. It takes no seed of zero.
         util.RNG.setSeed(1 + int(np.random.SeedSequence([problem.seed, attempt]).generate_state(1)[0] % (2**31)))
-        return _path(problem, workspace, planner, _SPACINGS[min(attempt, len(_SPACINGS) - 1)])
+        return _path(problem, workspace, options, planner, options.spacings[min(attempt, len(options.spacings) - 1)])
     finally:
         util.setLogLevel(level)
 
 
-def _path(problem: PlanningProblem, workspace: Workspace, planner: str, spacing: float) -> Floats | None:
+def _path(
+    problem: PlanningProblem, workspace: Workspace, options: SearchOptions, planner: str, spacing: float
+) -> Floats | None:
     """Corners ``(M, n)`` of a shortened path, or None."""
     base, geometric = optional_module("ompl.base"), optional_module("ompl.geometric")
     n, scale = problem.arm.n_joints, joint_scale(problem.arm)
@@ -146,7 +178,7 @@ def _path(problem: PlanningProblem, workspace: Workspace, planner: str, spacing:
     method = getattr(geometric, planner)(information)
     method.setProblemDefinition(definition)
     method.setup()
-    for tests in (_CONNECT_TESTS,) if planner == "RRTConnect" else (_STAR_TESTS, _STAR_PATIENT_TESTS):
+    for tests in options.tests:
         if not definition.hasExactSolution():
             method.solve(
                 base.PlannerTerminationCondition(lambda limit=tests: workspace.clear.tests >= limit or out_of_time())
@@ -156,8 +188,8 @@ def _path(problem: PlanningProblem, workspace: Workspace, planner: str, spacing:
         return None
     path = definition.getSolutionPath()
     simplifier = geometric.PathSimplifier(information)
-    simplifier.reduceVertices(path, _SHORTCUTS, _SHORTCUTS)
-    simplifier.partialShortcutPath(path, _SHORTCUTS, _SHORTCUTS)
+    simplifier.reduceVertices(path, options.shortcuts, options.shortcuts)
+    simplifier.partialShortcutPath(path, options.shortcuts, options.shortcuts)
     simplifier.collapseCloseVertices(path)
     check_time()
     corners = scale * np.array([path.getState(i)[0:n] for i in range(path.getStateCount())])

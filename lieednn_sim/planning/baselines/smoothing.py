@@ -9,6 +9,8 @@ curve cannot pass is left to the polyline itself, with a stop at every corner.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import cumulative_simpson
@@ -17,30 +19,41 @@ from scipy.interpolate import BSpline, CubicHermiteSpline
 from lieednn_sim.errors import PlanError, TooFastError
 from lieednn_sim.planning.baselines.joint_space import joint_motion, joint_scale
 from lieednn_sim.planning.motion import Motion, minimum_jerk_law
+from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.problem import PlanningProblem
 
 Floats = NDArray[np.float64]
 
-# Control points to lay along the whole polyline, from the roundest curve to the tightest.
-_CONTROL_POINTS = (6, 8, 11, 15, 20, 28, 40, 56, 80, 112, 160, 224)
+# The least with which curvature has a continuous derivative.
 _DEGREE = 5
-# Curvature, in units of the inverse length of the whole curve, from which on it is run through more slowly.
-_BEND = 8.0
 # Nodes of the arc length; its inverse is then exact to about 1e-12.
 _NODES = 4097
 
 
-def motion_along(problem: PlanningProblem, corners: Floats) -> Motion:
+@dataclass(frozen=True)
+class SmoothingOptions(PlannerOptions):
+    """How polylines are rounded.
+
+    Attributes:
+        control_points: to lay along the whole polyline, from the roundest curve to the tightest.
+        bend: curvature, in units of the inverse length of the whole curve, from which on it is run through more slowly.
+    """
+
+    control_points: tuple[int, ...] = (6, 8, 11, 15, 20, 28, 40, 56, 80, 112, 160, 224)
+    bend: float = 8.0
+
+
+def motion_along(problem: PlanningProblem, corners: Floats, options: SmoothingOptions) -> Motion:
     """The roundest motion along a polyline ``(M, n)`` from start to target that keeps limits and clearance.
 
     Raises:
         PlanError: not even the polyline itself can be followed in the problem's duration.
     """
     refusals: list[PlanError] = []
-    for count in (*_CONTROL_POINTS, None):
-        q, qd, progress = stopping(problem, corners) if count is None else rounded(problem, corners, count)
+    for count in (*options.control_points, None):
+        curve = stopping(problem, corners) if count is None else rounded(problem, corners, count, options.bend)
         try:
-            return joint_motion(problem, q, qd, progress)
+            return joint_motion(problem, *curve)
         except PlanError as error:
             refusals.append(error)
     # What only needs more time, the least of it, tells more than that a rounder way touches something.
@@ -51,7 +64,7 @@ def _duration(error: TooFastError) -> float:
     return error.duration
 
 
-def rounded(problem: PlanningProblem, corners: Floats, count: int) -> tuple[Floats, Floats, Floats]:
+def rounded(problem: PlanningProblem, corners: Floats, count: int, bend: float) -> tuple[Floats, Floats, Floats]:
     """Positions, velocities, both ``(K, n)``, and progress ``(K,)`` along a B-spline of about ``count`` points."""
     t, scale = problem.times(), joint_scale(problem.arm)
     scaled, lengths = _measured(corners / scale)
@@ -61,7 +74,7 @@ def rounded(problem: PlanningProblem, corners: Floats, count: int) -> tuple[Floa
     knots = np.concatenate([np.zeros(_DEGREE), np.linspace(0.0, 1.0, len(control) - _DEGREE + 1), np.ones(_DEGREE)])
     curve = BSpline(knots, control, _DEGREE)
     u = np.linspace(0.0, 1.0, _NODES)
-    speed = _weighted(curve(u, nu=1), curve(u, nu=2))
+    speed = _weighted(curve(u, nu=1), curve(u, nu=2), bend)
     length = cumulative_simpson(speed, x=u, initial=0.0)
     inverse = CubicHermiteSpline(length, u, 1.0 / speed)
     progress, rate = minimum_jerk_law(t / t[-1])
@@ -71,7 +84,7 @@ def rounded(problem: PlanningProblem, corners: Floats, count: int) -> tuple[Floa
     return scale * curve(u_t), scale * curve(u_t, nu=1) * u_rate[:, None], progress
 
 
-def _weighted(tangent: Floats, bend: Floats) -> Floats:
+def _weighted(tangent: Floats, second: Floats, bend: float) -> Floats:
     """Length of the tangents ``(K, n)`` times (1 + (kappa / kappa_0)^2)^(1/4), kappa the curvature, ``(K,)``.
 
     At a speed v of this measure the acceleration across the curve is at most v^2 kappa_0.
@@ -79,9 +92,9 @@ def _weighted(tangent: Floats, bend: Floats) -> Floats:
     speed = np.linalg.norm(tangent, axis=1)
     # A path that doubles back on itself comes to rest where it turns.
     speed = np.maximum(speed, 1e-6 * speed.max())
-    along = (bend * tangent).sum(axis=1)[:, None] * tangent / speed[:, None] ** 2
-    curvature = np.linalg.norm(bend - along, axis=1) / speed**2
-    limit = _BEND / speed.mean()
+    along = (second * tangent).sum(axis=1)[:, None] * tangent / speed[:, None] ** 2
+    curvature = np.linalg.norm(second - along, axis=1) / speed**2
+    limit = bend / speed.mean()
     return speed * (1.0 + (curvature / limit) ** 2) ** 0.25
 
 
