@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.arm import Arm
-from lieednn_sim.errors import InputError
+from lieednn_sim.errors import InputError, NoSolutionError
 from lieednn_sim.lie import hat
 from lieednn_sim.validation import as_floats, as_seed
 
@@ -36,7 +36,8 @@ def solve_ik(
         seed: of the further starts tried when the first fails.
 
     Raises:
-        InputError: a value is malformed, or no such joint position was found; says how close one gets.
+        InputError: a value is malformed.
+        NoSolutionError: no such joint position was found; says how close one gets.
     """
     goal = as_floats("position", position, (3,))
     if np.abs(goal).max() > _FARTHEST:
@@ -101,7 +102,7 @@ def solve_ik(
             else:
                 refused = f"; at the solutions found {contacts[0][0]!r} touches {contacts[0][1]!r}"
         best = min(best, distance)
-    raise InputError(
+    raise NoSolutionError(
         f"the end effector cannot reach ({', '.join(f'{x:g}' for x in goal)}) m"
         + (" with this orientation" if rotation is not None else "")
         + (refused or f": the nearest posture found is {best:.3g} off")

@@ -11,7 +11,7 @@ from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.arm import Arm
 from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.arm.scenes import GOAL_PREFIX
-from lieednn_sim.errors import InputError
+from lieednn_sim.errors import NoSolutionError
 from lieednn_sim.validation import as_seed
 
 Floats = NDArray[np.float64]
@@ -36,7 +36,8 @@ def draw_target(arm: Arm, seed: int = 0) -> Floats:
     posture not far from home, and at a distance of `TARGET_CLEARANCE` from obstacles.
 
     Raises:
-        InputError: a bad seed, or no target was found.
+        InputError: a bad seed.
+        NoSolutionError: no target was found.
     """
     rng = np.random.default_rng([as_seed("seed", seed), 1])
     goals = [site for site in range(arm.model.nsite) if arm.model.site(site).name.startswith(GOAL_PREFIX)]
@@ -61,7 +62,7 @@ def draw_target(arm: Arm, seed: int = 0) -> Floats:
             and collisions.free(q, TARGET_CLEARANCE, own=OWN_CLEARANCE)
         ):
             return q
-    raise InputError(f"no target was found for arm {arm.name!r} among its obstacles; use another scene or seed")
+    raise NoSolutionError(f"no target was found for arm {arm.name!r} among its obstacles; use another scene or seed")
 
 
 def _anywhere(arm: Arm, rng: np.random.Generator) -> Floats:
@@ -75,7 +76,7 @@ def _anywhere(arm: Arm, rng: np.random.Generator) -> Floats:
             q = rng.uniform(low + inset, high - inset)
         if arm.limit_excess(q).max() <= 0.0 and not arm.near_contacts(q):
             return q
-    raise InputError(f"no target free of contact was found for arm {arm.name!r}")
+    raise NoSolutionError(f"no target free of contact was found for arm {arm.name!r}")
 
 
 def _towards(arm: Arm, data: Any, q: Floats, point: Floats, low: Floats, high: Floats) -> Floats | None:

@@ -176,7 +176,8 @@ class ArmTask(control.Task):  # type: ignore[misc]  # dm_control has no types
         Nothing is left of earlier episodes: the episode is a function of the generator's state, options and actions.
 
         Raises:
-            InputError: unknown or malformed options, or there is no target for this arm in its scene.
+            InputError: unknown or malformed options.
+            NoSolutionError: no target or motion was found for this arm in its scene.
         """
         self._over = True
         self._draw(rng, dict(options or {}))

@@ -14,7 +14,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.environments.base import ArmTask
 from lieednn_sim.environments.trajectories import Trajectory, band_limited, planned
-from lieednn_sim.errors import InputError, NotCertifiedError, PlanError
+from lieednn_sim.errors import InputError, NoSolutionError, NotCertifiedError, PlanError
 from lieednn_sim.validation import as_choice, as_count
 
 Floats = NDArray[np.float64]
@@ -120,7 +120,7 @@ class Track(ArmTask):
                 return planned(self.arm, draw_target(self.arm, seed), seed=seed)
             except (PlanError, NotCertifiedError) as error:
                 refusal = str(error)
-        raise InputError(f"no plan was found for {_ATTEMPTS} random targets; the last one: {refusal}")
+        raise NoSolutionError(f"no plan was found for {_ATTEMPTS} random targets; the last one: {refusal}")
 
     def target(self, time: float) -> Floats:
         """See `ArmTask`."""

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicHermiteSpline
 
 from lieednn_sim.arm import Arm
-from lieednn_sim.errors import InputError, NotCertifiedError, PlanError
+from lieednn_sim.errors import NoSolutionError, NotCertifiedError, PlanError
 from lieednn_sim.planning import CertifiedOptions, plan
 from lieednn_sim.planning.motion import Motion, minimum_jerk_law
 from lieednn_sim.validation import as_count, as_positive
@@ -122,7 +122,7 @@ def band_limited(arm: Arm, rng: np.random.Generator, duration: float) -> Traject
     is slowed down as a whole.
 
     Raises:
-        InputError: every attempt touches something.
+        NoSolutionError: every attempt touches something.
     """
     total = as_positive("duration", duration)
     home, spread = arm.keyframe("home"), _SPREAD
@@ -132,7 +132,7 @@ def band_limited(arm: Arm, rng: np.random.Generator, duration: float) -> Traject
         if not any(arm.contacts(q) for q in postures):
             return trajectory
         spread *= _SHRINKAGE
-    raise InputError(f"no random trajectory of arm {arm.name!r} is free of contact; use another scene or seed")
+    raise NoSolutionError(f"no random trajectory of arm {arm.name!r} is free of contact; use another scene or seed")
 
 
 def _draw(arm: Arm, rng: np.random.Generator, home: Floats, total: float, spread: float) -> Trajectory:

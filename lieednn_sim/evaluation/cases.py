@@ -104,7 +104,8 @@ def arm_and_target(name: str, scene: str, seed: int) -> tuple[Arm, Floats]:
     """The arm, and a random target ``(n,)`` that makes sense in the scene; the same for every planner.
 
     Raises:
-        InputError: an unknown arm or scene, or no target was found.
+        InputError: an unknown arm or scene.
+        NoSolutionError: no target was found.
     """
     # Without obstacles nothing in the arm depends on the seed, and one arm serves all.
     arm = load_arm(name, scene, 0 if scene == FREE else seed)

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim.arm import Arm
-from lieednn_sim.errors import InputError, NotCertifiedError
+from lieednn_sim.errors import InputError
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.planning.motion import count_steps
 from lieednn_sim.simulation.disturbances import Disturbances
@@ -83,8 +83,8 @@ class Follower:
         share: of its speed at which the network ran in the last period, less than 1 where joints would be too fast.
 
     Raises:
-        InputError: network and arm differ in size, or the speed is too high for the time step.
-        NotCertifiedError: the network has no proof, so it need not follow.
+        InputError: network and arm differ in size, the network has no proof and need not follow, or the speed is
+            too high for the time step.
     """
 
     def __init__(
@@ -93,7 +93,7 @@ class Follower:
         if network.n_neurons != arm.n_links:
             raise InputError(f"the network has {network.n_neurons} neurons, arm {arm.name!r} has {arm.n_links} links")
         if not network.certified:
-            raise NotCertifiedError("only a certified network follows every target; see network.certify()")
+            raise InputError("only a certified network follows every target; see network.certify()")
         self._arm, self._network, self._steps = arm, network, steps
         self._speed, self._feedforward = as_positive("speed", speed), feedforward
         self._timestep = float(arm.model.opt.timestep)
@@ -197,8 +197,7 @@ def follow(
         disturbances: what the controller does not know of.
 
     Raises:
-        InputError: a value is malformed, or the target leaves the position limits.
-        NotCertifiedError: the network has no proof.
+        InputError: a value is malformed, the network has no proof, or the target leaves the position limits.
         SimulationError: as `simulate`.
     """
     timestep = float(arm.model.opt.timestep)

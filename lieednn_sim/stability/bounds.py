@@ -16,7 +16,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lieednn_sim.errors import InputError, LieEDNNError
+from lieednn_sim.errors import InputError, NoSolutionError
 from lieednn_sim.stability.norms import as_weight
 from lieednn_sim.validation import LARGEST, as_floats, as_ratio
 
@@ -95,7 +95,7 @@ def invariant_box(
 
     Raises:
         InputError: wrong shapes.
-        LieEDNNError: the box did not stop growing; with a bounded phi it does, though slowly where an invariant box
+        NoSolutionError: the box did not stop growing; with a bounded phi it does, though slowly where an invariant box
             has only just ceased to exist.
     """
     matrix = as_weight("weight", weight)
@@ -120,7 +120,7 @@ def invariant_box(
         high = high + np.maximum(outward_high + inward, 0.0) / steepest
     bounded = max(np.abs(low).max(), np.abs(high).max()) <= _LARGEST
     if not (bounded and is_invariant(matrix, shift, low, high, phi, gamma=gamma, mu=mu)):
-        raise LieEDNNError(
+        raise NoSolutionError(
             f"no invariant box found: it still grows after {_MAX_ITERATIONS} steps or beyond {_LARGEST:g}; "
             "is phi bounded?"
         )

@@ -10,7 +10,7 @@ from dm_control import mjcf
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm, arm_names, scene_path, solve_ik
-from lieednn_sim.errors import FileError, InputError
+from lieednn_sim.errors import FileError, InputError, NoSolutionError
 
 
 @pytest.fixture(scope="module", params=arm_names())
@@ -131,7 +131,7 @@ def test_reach_puts_the_end_effector_where_it_is_asked(arm, monkeypatch):
     arm.check_position(q)
     # No further start helps where nothing reaches.
     monkeypatch.setattr(sys.modules["lieednn_sim.arm.inverse_kinematics"], "_ATTEMPTS", 2)
-    with pytest.raises(InputError, match=r"cannot reach \(9, 0, 0\) m.*off"):
+    with pytest.raises(NoSolutionError, match=r"cannot reach \(9, 0, 0\) m.*off"):
         solve_ik(arm, [9.0, 0.0, 0.0])
 
 
@@ -164,7 +164,7 @@ def test_what_reach_returns_can_be_planned_to():
         pose = arm.link_poses(q)[-1]
         try:
             reached = solve_ik(arm, pose.translation, pose.rotation)
-        except InputError:
+        except NoSolutionError:
             continue
         found += 1
         arm.check_position(reached)
@@ -178,7 +178,7 @@ def test_reach_says_how_close_the_best_of_its_attempts_comes(gantry, monkeypatch
     ends = itertools.cycle([-0.5, -0.5, 0.0, 0.0, 0.75, 0.75])
     found = (SimpleNamespace(x=np.array([x, 0.0, 0.0, 0.0])) for x in ends)
     monkeypatch.setattr(module, "least_squares", lambda *_, **__: next(found))
-    with pytest.raises(InputError, match=r"cannot reach \(5, 0, 0\) m: the nearest posture found is 3\.25 off"):
+    with pytest.raises(NoSolutionError, match=r"cannot reach \(5, 0, 0\) m: the nearest posture found is 3\.25 off"):
         solve_ik(gantry, [5.0, 0.0, 0.0])
 
 

@@ -20,7 +20,7 @@ from lieednn_sim.cli import _parser, main, names
 from lieednn_sim.cli.console import console, table, to_stderr
 from lieednn_sim.cli.task import Task
 from lieednn_sim.cli.training import RIEMANNIAN
-from lieednn_sim.errors import InputError
+from lieednn_sim.errors import InputError, NoSolutionError
 from lieednn_sim.evaluation.workers import progress_bar
 from lieednn_sim.learning import ALGORITHMS, TrainingOptions
 from lieednn_sim.learning import train as learn
@@ -187,5 +187,5 @@ def test_a_position_beyond_everything_is_refused_without_a_warning(monkeypatch):
             solve_ik(arm, [far, 0.0, 0.0])
     # No further start helps where nothing reaches.
     monkeypatch.setattr(importlib.import_module("lieednn_sim.arm.inverse_kinematics"), "_ATTEMPTS", 2)
-    with pytest.raises(InputError, match=r"cannot reach \(1e\+06, 0, 0\) m"):
+    with pytest.raises(NoSolutionError, match=r"cannot reach \(1e\+06, 0, 0\) m"):
         solve_ik(arm, [1e6, 0.0, 0.0])

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lieednn_sim.arm import Arm
-from lieednn_sim.errors import InputError, NotCertifiedError
+from lieednn_sim.errors import InputError
 from lieednn_sim.evaluation import evaluate_following
 from lieednn_sim.simulation import Disturbances, Push, follow
 from lieednn_sim.simulation.following import Follower
@@ -120,7 +120,7 @@ def test_ball_joints_follow_too(small_arms):
 def test_bad_input(arm, network):
     home = arm.keyframe("home")
     uncertified = dataclasses.replace(network, lyapunov_diagonal=None)
-    with pytest.raises(NotCertifiedError, match="only a certified network follows every target"):
+    with pytest.raises(InputError, match="only a certified network follows every target"):
         follow(arm, uncertified, lambda t: home, 1.0)
     with pytest.raises(InputError, match=r"the target at t = 0\.050 s is out of reach"):
         follow(arm, network, lambda t: home + 100.0 * (t > 0.049), 1.0)
