@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-SCENES = ("free", "window", "shelf", "poles")
 # Distance that every obstacle keeps from the arm at home [m].
 HOME_CLEARANCE = 0.05
 PREFIX = "obstacle_"
@@ -48,6 +47,7 @@ class _Surroundings:
     """What obstacles are fitted to: lengths [m] in a frame on the floor below the base, x towards the tip at home.
 
     Attributes:
+        arm: without obstacles.
         origin: ``(3,)`` world position of that frame.
         yaw: its rotation about the vertical [rad].
         scale: sizes of obstacles, 1 for an arm of the nominal reach.
@@ -56,6 +56,7 @@ class _Surroundings:
         reach: how far the end effector can get along the horizontal near the height it has at home.
     """
 
+    arm: Arm
     origin: Floats
     yaw: float
     scale: float
@@ -64,11 +65,11 @@ class _Surroundings:
     reach: float
 
 
-def add_obstacles(spec: Any, arm: Arm, scene: str, seed: int = 0) -> None:
+def add_obstacles(spec: mujoco.MjSpec, arm: Arm, scene: str, seed: int = 0) -> None:
     """Add the obstacles of a scene to a copy of an arm's spec; ``free`` adds nothing.
 
     Args:
-        spec: `mujoco.MjSpec` to add to, a copy of ``arm.spec``. Bodies, geoms, materials and sites are named
+        spec: to add to, a copy of ``arm.spec``. Bodies, geoms, materials and sites are named
             ``obstacle_...``; geoms that are drawn are of group 2.
         arm: the arm of the spec, without obstacles.
         scene: a name of `SCENES`.
@@ -89,15 +90,10 @@ def add_obstacles(spec: Any, arm: Arm, scene: str, seed: int = 0) -> None:
         pos=room.origin,
         quat=[np.cos(room.yaw / 2.0), 0.0, 0.0, np.sin(room.yaw / 2.0)],
     )
-    if scene == "window":
-        _window(spec, body, room, rng)
-    elif scene == "shelf":
-        _shelf(body, room, rng)
-    else:
-        _poles(body, arm, room, rng)
+    _OBSTACLES[scene](spec, body, room, rng)
 
 
-def _window(spec: Any, body: Any, room: _Surroundings, rng: np.random.Generator) -> None:
+def _window(spec: mujoco.MjSpec, body: mujoco.MjsBody, room: _Surroundings, rng: np.random.Generator) -> None:
     """A wall across x with an opening that the tip at home may or may not look through."""
     s = room.scale
     thickness, width = 0.03 * s, 1.3 * s
@@ -137,7 +133,7 @@ def _window(spec: Any, body: Any, room: _Surroundings, rng: np.random.Generator)
     _goal(body, 0, ((ends[0] + ends[1]) / 2.0, y, z), ((ends[1] - ends[0]) / 2.0, 0.5 * half[0], 0.5 * half[1]))
 
 
-def _shelf(body: Any, room: _Surroundings, rng: np.random.Generator) -> None:
+def _shelf(_: mujoco.MjSpec, body: mujoco.MjsBody, room: _Surroundings, rng: np.random.Generator) -> None:
     """A rack of two columns and two rows of compartments, open towards the arm, which looks into one at home."""
     s = room.scale
     board = 0.015 * s
@@ -162,7 +158,7 @@ def _shelf(body: Any, room: _Surroundings, rng: np.random.Generator) -> None:
         _goal(body, number, inside, (0.25 * depth, 0.2 * wide, 0.2 * high))
 
 
-def _poles(body: Any, arm: Arm, room: _Surroundings, rng: np.random.Generator) -> None:
+def _poles(_: mujoco.MjSpec, body: mujoco.MjsBody, room: _Surroundings, rng: np.random.Generator) -> None:
     """Vertical poles in a sector of a ring, with gaps that the arm fits through."""
     s, wanted, trials = room.scale, 7, 60
     radius = s * rng.uniform(0.02, 0.04, trials)
@@ -170,14 +166,14 @@ def _poles(body: Any, arm: Arm, room: _Surroundings, rng: np.random.Generator) -
     angle = rng.uniform(-1.5, 1.5, trials)
     spots = np.stack([distance * np.cos(angle), distance * np.sin(angle)], axis=1)
     half = (room.tip[2] + 0.8 * s) / 2.0
-    away = _pole_clearances(arm, room, spots, radius, half) > HOME_CLEARANCE + 0.05
+    away = _pole_clearances(room, spots, radius, half) > HOME_CLEARANCE + 0.05
     chosen: list[int] = []
     for index in map(int, np.flatnonzero(away)):
         gaps = [np.linalg.norm(spots[index] - spots[other]) for other in chosen]
         if min(gaps, default=np.inf) > 0.42 * s and len(chosen) < wanted:
             chosen.append(index)
     if not chosen:
-        raise InputError(f"no place for poles around arm {arm.name!r} at home; use another scene or seed")
+        raise InputError(f"no place for poles around arm {room.arm.name!r} at home; use another scene or seed")
     for number, index in enumerate(chosen):
         place = (*spots[index], half)
         _geom(body, f"pole{number}", mujoco.mjtGeom.mjGEOM_CYLINDER, place, (radius[index], half, 0.0), "pole")
@@ -198,9 +194,14 @@ def _poles(body: Any, arm: Arm, room: _Surroundings, rng: np.random.Generator) -
         _goal(body, number, (*middle, room.tip[2]), (0.22 * room.reach, 0.3 * room.reach, 0.4 * s))
 
 
-def _pole_clearances(arm: Arm, room: _Surroundings, spots: Floats, radius: Floats, half: float) -> Floats:
+# What puts the obstacles of a scene on a body; the index of a name is part of the seed.
+_OBSTACLES = {"window": _window, "shelf": _shelf, "poles": _poles}
+SCENES = ("free", *_OBSTACLES)
+
+
+def _pole_clearances(room: _Surroundings, spots: Floats, radius: Floats, half: float) -> Floats:
     """Distances ``(P,)`` of poles at ``(P, 2)`` from what collides of the arm at home."""
-    spec = arm.spec.copy()
+    arm, spec = room.arm, room.arm.spec.copy()
     body = spec.worldbody.add_body(
         name="trial", pos=room.origin, quat=[np.cos(room.yaw / 2.0), 0.0, 0.0, np.sin(room.yaw / 2.0)]
     )
@@ -248,7 +249,7 @@ def _surroundings(arm: Arm) -> _Surroundings:
     level = np.abs(tips[:, 2] - (tip[2] - floor)) < 0.25 * spread.max()
     reach = float(np.quantile(spread[level] if level.sum() > 50 else spread, 0.99))
     turned = np.array([np.hypot(*(tip - origin)[:2]), 0.0, tip[2] - floor])
-    return _Surroundings(origin, yaw, reach / _NOMINAL_REACH, front, turned, max(reach, front + 0.15 * reach))
+    return _Surroundings(arm, origin, yaw, reach / _NOMINAL_REACH, front, turned, max(reach, front + 0.15 * reach))
 
 
 def _solid(model: mujoco.MjModel) -> list[int]:
@@ -273,12 +274,12 @@ def _pierced_plate(x: float, thickness: float, outline: Floats, opening: Floats)
     return {"uservert": vertices.ravel().tolist(), "userface": np.array(triangles).ravel().tolist()}
 
 
-def _box(body: Any, name: str, pos: Any, size: Any, material: str, **options: Any) -> None:
+def _box(body: mujoco.MjsBody, name: str, pos: Any, size: Any, material: str, **options: Any) -> None:
     _geom(body, name, mujoco.mjtGeom.mjGEOM_BOX, pos, size, material, **options)
 
 
 def _geom(
-    body: Any,
+    body: mujoco.MjsBody,
     name: str,
     kind: Any,
     pos: Any,
@@ -302,6 +303,6 @@ def _geom(
     )
 
 
-def _goal(body: Any, number: int, pos: Any, size: Any) -> None:
+def _goal(body: mujoco.MjsBody, number: int, pos: Any, size: Any) -> None:
     kind = mujoco.mjtGeom.mjGEOM_BOX
     body.add_site(name=f"{GOAL_PREFIX}{number}", type=kind, pos=pos, size=size, group=5, rgba=(0.1, 0.8, 0.3, 0.15))
