@@ -71,7 +71,7 @@ ROOMS = {
         ("tests/simulation/test_rollout.py::test_final_pose_error_and_tracking_over_seeded_targets",),
     ),
     "metrics": Room(
-        ("evaluation/metrics.py", "evaluation/motion_metrics.py", "evaluation/statistics.py"),
+        ("evaluation/metrics.py", "evaluation/motion_metrics.py", "evaluation/rows.py", "evaluation/statistics.py"),
         (
             "tests/evaluation/test_metrics.py",
             "tests/evaluation/test_motion_metrics.py",

@@ -1,8 +1,9 @@
 """Metrics of a rollout, and planners compared: arms, scenes, planners, controllers and seeds in one table."""
 
-from lieednn_sim.evaluation.cases import Case, Settings, replay, run_case
+from lieednn_sim.evaluation.cases import Settings, replay, run_case
 from lieednn_sim.evaluation.following import evaluate_following
 from lieednn_sim.evaluation.metrics import Evaluation, evaluate
+from lieednn_sim.evaluation.rows import Case, Row
 from lieednn_sim.evaluation.study import Selection, compare
 from lieednn_sim.evaluation.summary import write_summary
 from lieednn_sim.evaluation.table import Table, read_rows
@@ -10,6 +11,7 @@ from lieednn_sim.evaluation.table import Table, read_rows
 __all__ = [
     "Case",
     "Evaluation",
+    "Row",
     "Selection",
     "Settings",
     "Table",

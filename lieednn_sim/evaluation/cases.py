@@ -15,18 +15,17 @@ from lieednn_sim._blas import one_blas_thread
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.budget import DEFAULT_TIME_BUDGET
-from lieednn_sim.errors import InputError, LieEDNNError
-from lieednn_sim.evaluation.columns import COLUMNS, FIELDS, TIMING
+from lieednn_sim.errors import LieEDNNError
+from lieednn_sim.evaluation.columns import COLUMNS, TIMING
 from lieednn_sim.evaluation.metrics import Evaluation, evaluate
 from lieednn_sim.evaluation.motion_metrics import MotionMetrics, motion_metrics
+from lieednn_sim.evaluation.rows import Case, Row
 from lieednn_sim.planning import Plan, plan, reference_network
 from lieednn_sim.simulation import Rollout, simulate
 from lieednn_sim.simulation.tracking import as_hold
 from lieednn_sim.validation import as_positive
 
 Floats = NDArray[np.float64]
-Row = dict[str, str]
-
 FREE = "free"
 
 
@@ -57,34 +56,6 @@ class Settings:
     def as_dict(self) -> dict[str, float]:
         """For a JSON file."""
         return asdict(self)
-
-
-@dataclass(frozen=True, order=True)
-class Case:
-    """What is planned once."""
-
-    arm: str
-    scene: str
-    planner: str
-    seed: int
-
-    @classmethod
-    def parse(cls, text: str) -> Case:
-        """Read ``planner:arm:scene:seed``.
-
-        Raises:
-            InputError: not of that form.
-        """
-        parts = text.split(":")
-        if len(parts) != 4 or not all(parts) or not (parts[3].isascii() and parts[3].isdecimal()):
-            raise InputError(
-                f"a case must look like planner:arm:scene:seed, as se3-geodesic:telescopic_pr:free:0, got {text!r}"
-            )
-        planner, arm, scene, seed = parts
-        return cls(arm, scene, planner, int(seed))
-
-    def __str__(self) -> str:
-        return f"{self.planner}:{self.arm}:{self.scene}:{self.seed}"
 
 
 @lru_cache(maxsize=4)
@@ -128,23 +99,36 @@ def run_case(case: Case, controllers: Sequence[str], settings: Settings) -> list
 
     The planning time is CPU time of this process, with one BLAS thread.
     """
+
+    def row(controller: str, reason: str = "", **values: Any) -> Row:
+        keys = {**asdict(case), "controller": controller, "mass_scale": settings.mass_scale}
+        return Row(**keys, success=not reason, reason=reason, **values)
+
     with one_blas_thread():
         try:
             arm, target = arm_and_target(case.arm, case.scene, case.seed)
         except LieEDNNError as error:
-            return [_row(case, name, settings, _failed("problem", error)) for name in controllers]
+            return [row(name, f"problem: {error}") for name in controllers]
         begun = time.process_time()
         try:
             made = _plan(case, arm, target, settings)
         except LieEDNNError as error:
-            spent = {"planning_s": _text(time.process_time() - begun)}
-            return [_row(case, name, settings, _failed("plan", error) | spent) for name in controllers]
+            spent = time.process_time() - begun
+            return [row(name, f"plan: {error}", planning_s=spent) for name in controllers]
         except Exception as error:
             error.add_note(f"while planning the case {case}")
             raise
-        planned = {"planning_s": _text(time.process_time() - begun), **_stability(made.network)}
-        planned |= _texts(motion_metrics(arm, made.motion), of_motion=True)
-        return [_row(case, name, settings, planned | _track(arm, made, name, settings)) for name in controllers]
+        planned = {"planning_s": time.process_time() - begun, **_stability(made.network)}
+        planned |= _measured(motion_metrics(arm, made.motion), of_motion=True)
+        rows = []
+        for name in controllers:
+            try:
+                evaluation = evaluate(_simulate(arm, made, name, settings))
+            except LieEDNNError as error:
+                rows.append(row(name, f"simulation: {error}", **planned))
+            else:
+                rows.append(row(name, evaluation.shortfall, **planned, **_measured(evaluation, of_motion=False)))
+        return rows
 
 
 def replay(case: Case, controller: str, settings: Settings) -> Rollout:
@@ -162,17 +146,7 @@ def _simulate(arm: Arm, made: Plan, controller: str, settings: Settings) -> Roll
     return simulate(arm, made, controller=controller, hold=settings.hold, mass_scale=settings.mass_scale)
 
 
-def _track(arm: Arm, made: Plan, controller: str, settings: Settings) -> Row:
-    try:
-        rollout = _simulate(arm, made, controller, settings)
-        evaluation = evaluate(rollout)
-    except LieEDNNError as error:
-        return _failed("simulation", error)
-    reason = evaluation.shortfall
-    return {"success": "no" if reason else "yes", "reason": reason, **_texts(evaluation, of_motion=False)}
-
-
-def _stability(network: Any) -> Row:
+def _stability(network: Any) -> dict[str, Any]:
     """What is proved of the network at its equilibrium: global, local or none; "-" without a network."""
     if network is None:
         return {"stability": "-", "stability_level": "-"}
@@ -181,21 +155,6 @@ def _stability(network: Any) -> Row:
     return {"stability": "global" if verdict.globally_stable else local, "stability_level": verdict.level}
 
 
-def _failed(step: str, error: LieEDNNError) -> Row:
-    return {"success": "no", "reason": f"{step}: {error}"}
-
-
-def _texts(metrics: MotionMetrics | Evaluation, *, of_motion: bool) -> Row:
+def _measured(metrics: MotionMetrics | Evaluation, *, of_motion: bool) -> dict[str, Any]:
     names = [column.name for column in COLUMNS if column.of_motion is of_motion and column.name not in TIMING]
-    values = {name: getattr(metrics, name) for name in names}
-    return {name: _text(value) for name, value in values.items() if value is not None}
-
-
-def _text(value: float) -> str:
-    return f"{value:.6g}"
-
-
-def _row(case: Case, controller: str, settings: Settings, values: Row) -> Row:
-    keys = {"arm": case.arm, "scene": case.scene, "planner": case.planner, "controller": controller}
-    keys |= {"seed": str(case.seed), "mass_scale": _text(settings.mass_scale)}
-    return dict.fromkeys(FIELDS, "") | keys | values
+    return {name: getattr(metrics, name) for name in names}

@@ -1,13 +1,8 @@
-"""What the columns of a comparison mean: one list for the table, its summary and its page."""
+"""What the measured columns of a comparison mean: one list for the table, its summary and its page."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-
-# A row is one rollout: these tell it from the others.
-KEYS = ("arm", "scene", "planner", "controller", "seed")
-# In words; a reason begins with the step that failed: "problem", "plan", "simulation", "contact" or "arrival".
-WORDS = ("success", "reason", "stability", "stability_level")
 
 
 @dataclass(frozen=True)
@@ -15,18 +10,16 @@ class Column:
     """A measured number.
 
     Attributes:
-        name: in the CSV file.
+        name: of the attribute of a `Row`, and in the CSV file.
         heading: short, with the unit.
         meaning: one line.
         of_motion: whether it belongs to the plan, and so is the same for every controller.
-        better: "low" or "high" where one end is better, else "".
     """
 
     name: str
     heading: str
     meaning: str
     of_motion: bool = False
-    better: str = "low"
 
 
 COLUMNS = (
@@ -36,7 +29,7 @@ COLUMNS = (
         "CPU time of the planner, stopped at its time budget; the one column that differs between runs",
         True,
     ),
-    Column("motion_s", "motion [s]", "time at which the plan comes to rest", True, ""),
+    Column("motion_s", "motion [s]", "time at which the plan comes to rest", True),
     Column("gap_mm", "gap [mm]", "largest mechanism gap on the way: what the joints cannot follow", True),
     Column("gap_deg", "gap [deg]", "the same as an angle", True),
     Column("gap_end_mm", "gap at end [mm]", "mechanism gap of the last planned poses", True),
@@ -64,13 +57,7 @@ COLUMNS = (
     Column("path_m", "effector path [m]", "length of the end effector's simulated path"),
     Column("velocity_share", "velocity / limit", "largest joint velocity in units of its limit"),
     Column("force_share", "force / limit", "largest drive force or torque in units of its limit"),
-    Column(
-        "clearance_mm",
-        "clearance [mm]",
-        "least clearance along the simulated motion; below 0: penetration",
-        False,
-        "high",
-    ),
+    Column("clearance_mm", "clearance [mm]", "least clearance along the simulated motion; below 0: penetration"),
     Column("position_violations", "position violations", "simulated samples with a joint outside its range"),
     Column("position_excess", "worst", "how far outside, in units of the range"),
     Column("velocity_violations", "velocity violations", "simulated samples with a joint above its velocity limit"),
@@ -85,4 +72,3 @@ COLUMNS = (
 BY_NAME = {column.name: column for column in COLUMNS}
 # Everything else is the same on every run.
 TIMING = ("planning_s",)
-FIELDS = (*KEYS, "mass_scale", *WORDS, *(column.name for column in COLUMNS))

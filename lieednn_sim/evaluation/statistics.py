@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from lieednn_sim.errors import InputError
-from lieednn_sim.evaluation.cases import Row
 from lieednn_sim.evaluation.columns import BY_NAME
+from lieednn_sim.evaluation.rows import Case, Row
 
 # What varies from case to case in a reason: names in quotes, numbers, ranges.
 _QUOTED = re.compile(r"'[^']*'")
@@ -37,7 +37,7 @@ class Group:
     @property
     def successes(self) -> int:
         """Rows that succeeded."""
-        return sum(row["success"] == "yes" for row in self.rows)
+        return sum(row.success for row in self.rows)
 
     @property
     def interval(self) -> tuple[float, float]:
@@ -55,7 +55,7 @@ class Group:
 
     def verdict(self) -> str:
         """Stability proved: "global 9/10, local 1/10"; "-" where no network was made."""
-        found = [row["stability"] for row in motions(self.rows) if row["stability"] not in ("", "-")]
+        found = [row.stability for row in motions(self.rows) if row.stability not in ("", "-")]
         if not found:
             return "-"
         if len(set(found)) == 1:
@@ -105,24 +105,23 @@ def grouped(rows: Iterable[Row], columns: Sequence[str]) -> list[Group]:
     """Rows by the values of some columns, in the order in which these first come."""
     found: dict[tuple[str, ...], list[Row]] = {}
     for row in rows:
-        found.setdefault(tuple(row[name] for name in columns), []).append(row)
+        found.setdefault(tuple(getattr(row, name) for name in columns), []).append(row)
     return [Group(key, tuple(members)) for key, members in found.items()]
 
 
 def motions(rows: Iterable[Row]) -> list[Row]:
     """One row a motion: what belongs to the plan is the same for all its controllers."""
-    return [group.rows[0] for group in grouped(rows, ("arm", "scene", "planner", "seed"))]
-
-
-def planned(row: Row) -> bool:
-    """Whether there was a motion to track."""
-    return not row["reason"].startswith(("plan:", "problem:"))
+    first: dict[Case, Row] = {}
+    for row in rows:
+        first.setdefault(row.case, row)
+    return list(first.values())
 
 
 def numbers(rows: Iterable[Row], column: str) -> list[float]:
     """The numbers of a column, of the rows that have one; of a plan's column one number a motion."""
     chosen = motions(rows) if BY_NAME[column].of_motion else rows
-    return [float(row[column]) for row in chosen if row[column]]
+    found = (getattr(row, column) for row in chosen)
+    return [float(value) for value in found if value is not None]
 
 
 def failures(rows: Iterable[Row]) -> list[Failure]:
@@ -130,15 +129,15 @@ def failures(rows: Iterable[Row]) -> list[Failure]:
 
     A plan's failure counts once, not once a controller.
     """
-    failed = [row for row in rows if row["reason"]]
-    once = [row for row in motions(failed) if not planned(row)] + [row for row in failed if planned(row)]
+    failed = [row for row in rows if row.reason]
+    once = [row for row in motions(failed) if not row.planned] + [row for row in failed if row.planned]
     found: dict[str, list[Row]] = {}
     for row in once:
-        found.setdefault(_NUMBER.sub("…", _QUOTED.sub("…", row["reason"])), []).append(row)
+        found.setdefault(_NUMBER.sub("…", _QUOTED.sub("…", row.reason)), []).append(row)
     made = []
     for pattern, members in found.items():
-        names = [row["planner"] for row in members]
+        names = [row.planner for row in members]
         counts = sorted({name: names.count(name) for name in names}.items(), key=lambda item: (-item[1], item[0]))
         step, _, rest = pattern.partition(": ")
-        made.append(Failure(step, rest, members[0]["reason"].partition(": ")[2], tuple(counts)))
+        made.append(Failure(step, rest, members[0].reason.partition(": ")[2], tuple(counts)))
     return sorted(made, key=lambda failure: (-failure.total, failure.step, failure.pattern))

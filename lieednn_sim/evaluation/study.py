@@ -14,7 +14,8 @@ from rich.console import Console
 from lieednn_sim.arm import arm_names
 from lieednn_sim.arm.scenes import SCENES
 from lieednn_sim.errors import InputError, LieEDNNError
-from lieednn_sim.evaluation.cases import FREE, Case, Settings, run_case
+from lieednn_sim.evaluation.cases import FREE, Settings, run_case
+from lieednn_sim.evaluation.rows import Case
 from lieednn_sim.evaluation.statistics import numbers
 from lieednn_sim.evaluation.table import Table
 from lieednn_sim.evaluation.workers import progress_bar, worker_pool
@@ -133,6 +134,6 @@ def compare(
 def _planning_costs(table: Table, selection: Selection) -> Mapping[str, float]:
     costs = {}
     for planner in selection.planners:
-        known = numbers([row for row in table.rows.values() if row["planner"] == planner], "planning_s")
+        known = numbers([row for row in table.rows.values() if row.planner == planner], "planning_s")
         costs[planner] = max(known) if known else _COSTS.get(planner, _COST)
     return costs

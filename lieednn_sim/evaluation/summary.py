@@ -10,7 +10,7 @@ import numpy as np
 from lieednn_sim import storage
 from lieednn_sim.evaluation.columns import COLUMNS, Column
 from lieednn_sim.evaluation.metrics import SETTLED_ROTATION, SETTLED_TRANSLATION
-from lieednn_sim.evaluation.statistics import Group, failures, grouped, motions, planned
+from lieednn_sim.evaluation.statistics import Group, failures, grouped, motions
 from lieednn_sim.evaluation.table import Table
 
 _NOT_SUMMARISED = ("motion_s", "gap_end_deg", "final_effector_deg")
@@ -33,7 +33,7 @@ def write_summary(path: str | os.PathLike[str], table: Table, missing: Mapping[s
     lines += ["## Motions", "", *_head(["arm", "scene", "planner", "made", "stability"], of_motion)]
     for group in grouped(rows, ("arm", "scene", "planner")):
         own = motions(group.rows)
-        made = f"{sum(planned(row) for row in own)} of {len(own)}"
+        made = f"{sum(row.planned for row in own)} of {len(own)}"
         lines.append(_line([*group.key, made, group.verdict(), *_medians(group, of_motion)]))
     lines += ["", "## Tracking", "", *_head(["arm", "scene", "planner", "controller", "success", "95 %"], of_rollout)]
     for group in grouped(rows, ("arm", "scene", "planner", "controller")):

@@ -11,11 +11,9 @@ from typing import Any
 
 from lieednn_sim import storage
 from lieednn_sim.errors import FileError
-from lieednn_sim.evaluation.cases import Case, Row, Settings
-from lieednn_sim.evaluation.columns import COLUMNS, FIELDS
+from lieednn_sim.evaluation.cases import Settings
+from lieednn_sim.evaluation.rows import FIELDS, Case, Key, Row
 from lieednn_sim.versions import versions
-
-Key = tuple[str, str, str, str, int]
 
 # The file is written anew at most so often [s]; a killed process loses no more, an interrupted one nothing.
 _WRITE_INTERVAL = 2.0
@@ -53,7 +51,7 @@ class Table:
 
     def add(self, rows: Iterable[Row]) -> None:
         """Add rows; they are on disk after the next `save`, or soon."""
-        self.rows |= {key_of(row): row for row in rows}
+        self.rows |= {row.key: row for row in rows}
         if time.monotonic() - self._written > _WRITE_INTERVAL:
             self.save()
 
@@ -62,7 +60,7 @@ class Table:
         with storage.atomic_text(self.csv) as stream:
             writer = csv.DictWriter(stream, fieldnames=FIELDS, lineterminator="\n")
             writer.writeheader()
-            writer.writerows(self.sorted_rows())
+            writer.writerows(row.as_texts() for row in self.sorted_rows())
         self._written = time.monotonic()
 
     def sorted_rows(self) -> list[Row]:
@@ -90,11 +88,6 @@ class Table:
             raise FileError(f"{self.csv} was made with {'; '.join(differ)}; {advice}")
 
 
-def key_of(row: Row) -> Key:
-    """What tells a row from the others."""
-    return row["arm"], row["scene"], row["planner"], row["controller"], int(row["seed"])
-
-
 def read_rows(path: str | os.PathLike[str]) -> dict[Key, Row]:
     """Rows of a table.
 
@@ -104,11 +97,9 @@ def read_rows(path: str | os.PathLike[str]) -> dict[Key, Row]:
     try:
         with Path(path).open(encoding="utf-8", newline="") as stream:
             reader = csv.DictReader(stream, strict=True)
-            rows = list(reader)
-        if tuple(reader.fieldnames or ()) != FIELDS or any(None in {*row, *row.values()} for row in rows):
+            texts = list(reader)
+        if tuple(reader.fieldnames or ()) != FIELDS or any(None in {*row, *row.values()} for row in texts):
             raise ValueError("it has other columns")
-        for row in rows:
-            [float(row[column.name]) for column in COLUMNS if row[column.name]]
-        return {key_of(row): row for row in rows}
+        return {row.key: row for row in map(Row.from_texts, texts)}
     except (OSError, ValueError, csv.Error) as error:
         raise FileError(f"cannot go on from {path}: {error}; remove it or choose another --output") from None

@@ -22,7 +22,7 @@ def test_the_command_writes_table_summary_and_page_and_goes_on(tmp_path, capsys,
     assert {path.name for path in (tmp_path / "out").iterdir()} == names
     assert "no video of se3-geodesic:telescopic_pr:free:0: the table has no case" in printed
     (row,) = read_rows(tmp_path / "out" / "comparison.csv").values()
-    assert (row["planner"], row["controller"], row["mass_scale"]) == ("minimum-jerk", "computed-torque", "1.2")
+    assert (row.planner, row.controller, row.mass_scale) == ("minimum-jerk", "computed-torque", 1.2)
     assert "lieednn-sim compare --planners minimum-jerk" in (tmp_path / "out" / "comparison.html").read_text("utf-8")
     # The study script is the same command; with another option it must not go on.
     script = importlib.import_module("evaluate_tracking")

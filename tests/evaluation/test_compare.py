@@ -16,8 +16,9 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.errors import FileError, InputError, PlanError
 from lieednn_sim.evaluation import Case, Selection, Settings, Table, cases, compare, read_rows, run_case, write_summary
-from lieednn_sim.evaluation.columns import BY_NAME, FIELDS, TIMING
+from lieednn_sim.evaluation.columns import BY_NAME, TIMING
 from lieednn_sim.evaluation.motion_metrics import least_clearance, rms_curvature, violations
+from lieednn_sim.evaluation.rows import FIELDS, Row
 from lieednn_sim.evaluation.statistics import failures, numbers, wilson
 from lieednn_sim.planning import plan
 from lieednn_sim.simulation import simulate
@@ -39,9 +40,9 @@ def finished(tmp_path_factory, in_this_process):
 
 def test_a_row_holds_what_the_plan_says_of_itself():
     (row,) = run_case(CASE, ["computed-torque"], Settings())
-    assert tuple(row) == FIELDS
-    assert (row["success"], row["reason"], row["stability"], row["mass_scale"]) == ("yes", "", "-", "1")
-    value = {name: float(row[name]) for name in BY_NAME}
+    assert FIELDS[-len(BY_NAME) :] == tuple(BY_NAME)
+    assert (row.success, row.reason, row.stability, row.mass_scale) == (True, "", "-", 1.0)
+    value = {name: getattr(row, name) for name in BY_NAME}
     assert value["gap_mm"] == value["gap_end_deg"] == 0.0
     assert value["final_worst_mm"] < 1e-6
     # A straight line in joint space, and the peak of its law: 15/8 of the mean velocity.
@@ -60,12 +61,10 @@ def test_masses_that_the_controller_does_not_know_show_in_the_row():
     (right,), (wrong,) = (
         run_case(CASE, ["inverse-dynamics"], replace(QUICK, mass_scale=scale)) for scale in (1.0, 1.2)
     )
-    assert wrong["mass_scale"] == "1.2"
-    assert float(wrong["tracking_rms_mm"]) > 1e3 * float(right["tracking_rms_mm"])
+    assert wrong.mass_scale == 1.2
+    assert wrong.tracking_rms_mm > 1e3 * right.tracking_rms_mm
     # The plan is the same.
-    assert [right[name] for name in ("path_ranges", "curvature")] == [
-        wrong[name] for name in ("path_ranges", "curvature")
-    ]
+    assert (right.path_ranges, right.curvature) == (wrong.path_ranges, wrong.curvature)
 
 
 def test_a_planner_that_fails_is_a_row_with_the_reason(monkeypatch, tmp_path):
@@ -74,8 +73,8 @@ def test_a_planner_that_fails_is_a_row_with_the_reason(monkeypatch, tmp_path):
 
     monkeypatch.setattr(cases, "plan", refuse)
     rows = run_case(CASE, ["mocap", "computed-torque"], QUICK)
-    assert [row["reason"] for row in rows] == ["plan: joint 'turn1' would reach 2.5 rad"] * 2
-    assert {(row["success"], row["final_worst_mm"]) for row in rows} == {("no", "")}
+    assert [row.reason for row in rows] == ["plan: joint 'turn1' would reach 2.5 rad"] * 2
+    assert {(row.success, row.final_worst_mm) for row in rows} == {(False, None)}
     table = Table(tmp_path, QUICK)
     table.add(rows)
     write_summary(tmp_path / "s.md", table)
@@ -95,10 +94,9 @@ def test_two_runs_differ_in_the_planning_time_only(finished, tmp_path):
     again = compare(tmp_path, SMALL, QUICK, jobs=2).rows
     before = read_rows(finished / "comparison.csv")
     assert before.keys() == again.keys()
+    timing = dict.fromkeys(TIMING)
     for key, row in before.items():
-        assert {n: v for n, v in row.items() if n not in TIMING} == {
-            n: v for n, v in again[key].items() if n not in TIMING
-        }
+        assert replace(row, **timing) == replace(again[key], **timing)
 
 
 def test_rows_are_not_computed_again_and_a_larger_selection_adds(finished, tmp_path, in_this_process):
@@ -110,13 +108,13 @@ def test_rows_are_not_computed_again_and_a_larger_selection_adds(finished, tmp_p
     larger = Selection(("minimum-jerk",), ("telescopic_pr",), ("free",), ("position-servo", "mocap"), seeds=1)
     with in_this_process():
         table = compare(tmp_path, larger, QUICK)
-    assert [(row["planner"], row["controller"], row["reason"]) for row in table.sorted_rows()] == [
+    assert [(row.planner, row.controller, row.reason) for row in table.sorted_rows()] == [
         ("minimum-jerk", "mocap", ""),
         ("minimum-jerk", "position-servo", "contact: marked"),
         ("se3-geodesic", "position-servo", "contact: marked"),
     ]
     with path.open(encoding="utf-8", newline="") as stream:
-        assert list(csv.DictReader(stream)) == table.sorted_rows()
+        assert list(csv.DictReader(stream)) == [row.as_texts() for row in table.sorted_rows()]
 
 
 def test_other_settings_versions_and_files_are_refused(finished, tmp_path):
@@ -132,7 +130,14 @@ def test_other_settings_versions_and_files_are_refused(finished, tmp_path):
         with pytest.raises(FileError, match=message):
             Table(tmp_path, QUICK)
     description.write_bytes((finished / "comparison.json").read_bytes())
-    for text in ("a,b\n1,2\n", ",".join(FIELDS) + "\nse3-geodesic,mocap\n"):
+    written = path.read_text(encoding="utf-8")
+    wrong = ((",yes,", ",perhaps,"), (",0,1,yes", ",zero,1,yes"), (",0,1,yes", ",0,heavy,yes"), (",1.5,", ",fast,"))
+    assert all(old in written for old, _ in wrong)
+    for text in (
+        "a,b\n1,2\n",
+        ",".join(FIELDS) + "\nse3-geodesic,mocap\n",
+        *(written.replace(*pair, 1) for pair in wrong),
+    ):
         path.write_text(text, encoding="utf-8")
         with pytest.raises(FileError, match="cannot go on from"):
             Table(tmp_path, QUICK)
@@ -217,8 +222,7 @@ def test_wilson_interval_solves_its_quadratic(count):
 
 def test_failures_that_differ_in_names_and_numbers_are_counted_together():
     def row(planner, controller, seed, reason):
-        values = {"arm": "a", "scene": "s", "planner": planner, "controller": controller, "seed": str(seed)}
-        return dict.fromkeys(FIELDS, "") | values | {"reason": reason, "planning_s": "1.0"}
+        return Row("a", "s", planner, controller, seed, 1.0, False, reason, planning_s=1.0)
 
     rows = [row("p", c, 0, "plan: joint 'a' at 1.5 rad, range [-1, 1e-3]") for c in ("x", "y")]
     rows += [row("r", c, 0, "plan: joint 'b' at -2 rad, range [-.5, 1]") for c in ("x", "y")]

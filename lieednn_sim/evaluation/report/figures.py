@@ -15,10 +15,10 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FormatStrFormatter, LogFormatterMathtext, LogLocator, NullLocator
 
-from lieednn_sim.evaluation.cases import Row
 from lieednn_sim.evaluation.columns import BY_NAME
 from lieednn_sim.evaluation.figure_layout import settle
 from lieednn_sim.evaluation.report.style import in_order, marks
+from lieednn_sim.evaluation.rows import Row
 from lieednn_sim.evaluation.statistics import grouped, numbers
 
 # Stand-ins that `_svg` turns into the page's own colours, so that a figure is readable on light and on dark.
@@ -81,7 +81,7 @@ def plots(rows: Sequence[Row], controller: str) -> list[Plot]:
         rows: of one arm.
         controller: whose rollouts are shown where the controller counts.
     """
-    chosen = [row for row in rows if row["controller"] == controller]
+    chosen = [row for row in rows if row.controller == controller]
     made = [_success(chosen, controller)] if chosen else []
     for item in _DISTRIBUTIONS:
         if numbers(chosen, item.column):
@@ -90,7 +90,7 @@ def plots(rows: Sequence[Row], controller: str) -> list[Plot]:
 
 
 def _success(rows: Sequence[Row], controller: str) -> Plot:
-    planners, scenes = in_order(row["planner"] for row in rows), _scenes(rows)
+    planners, scenes = in_order(row.planner for row in rows), _scenes(rows)
     look = marks(planners)
     with matplotlib.rc_context(_STYLE | {"svg.hashsalt": "success"}):
         figure, axes = _panel(planners)
@@ -109,7 +109,7 @@ def _success(rows: Sequence[Row], controller: str) -> Plot:
 
 
 def _distribution(rows: Sequence[Row], item: _Distribution, controller: str) -> Plot:
-    planners, scenes = in_order(row["planner"] for row in rows), _scenes(rows)
+    planners, scenes = in_order(row.planner for row in rows), _scenes(rows)
     look = marks(planners)
     with matplotlib.rc_context(_STYLE | {"svg.hashsalt": item.column}):
         figure, axes = _panel(planners)
@@ -165,7 +165,7 @@ def _legend(figure: Figure, scenes: Sequence[str]) -> None:
 
 
 def _scenes(rows: Sequence[Row]) -> list[str]:
-    return sorted({row["scene"] for row in rows})
+    return sorted({row.scene for row in rows})
 
 
 def _offset(scenes: Sequence[str], scene: str) -> float:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from lieednn_sim.evaluation.cases import Row
 from lieednn_sim.evaluation.report.style import in_order, number
+from lieednn_sim.evaluation.rows import Row
 from lieednn_sim.evaluation.statistics import grouped, motions, numbers, wilson
 from lieednn_sim.simulation import CONTROLLERS
 
@@ -25,8 +25,8 @@ def findings(rows: Sequence[Row]) -> list[Finding]:
     if not rows:
         return []
     # The others may follow to rounding, where nothing is left to compare.
-    controller = next(name for name in CONTROLLERS if any(row["controller"] == name for row in rows))
-    tracked = [row for row in rows if row["controller"] == controller]
+    controller = next(name for name in CONTROLLERS if any(row.controller == name for row in rows))
+    tracked = [row for row in rows if row.controller == controller]
     made = [
         _success(rows),
         _best_planners(rows),
@@ -39,7 +39,7 @@ def findings(rows: Sequence[Row]) -> list[Finding]:
 
 
 def _success(rows: Sequence[Row]) -> Finding:
-    successes = sum(row["success"] == "yes" for row in rows)
+    successes = sum(row.success for row in rows)
     low, high = wilson(successes, len(rows))
     return Finding(
         f"{successes / len(rows):.1%}",
@@ -65,20 +65,20 @@ def _least(rows: Sequence[Row], column: str, unit: str, label: str) -> Finding |
 
 
 def _clearance(rows: Sequence[Row]) -> Finding | None:
-    worst = min((row for row in rows if row["clearance_mm"]), key=lambda row: float(row["clearance_mm"]), default=None)
-    if worst is None:
+    known = [(row.clearance_mm, row) for row in rows if row.clearance_mm is not None]
+    if not known:
         return None
-    value = float(worst["clearance_mm"])
+    value, worst = min(known, key=lambda pair: pair[0])
     label = "deepest penetration of any rollout" if value < 0.0 else "least clearance of any rollout"
     return Finding(
         f"{number(abs(value))} mm",
         label,
-        f"{worst['planner']} on {worst['arm']}, {worst['scene']}, seed {worst['seed']}",
+        f"{worst.planner} on {worst.arm}, {worst.scene}, seed {worst.seed}",
     )
 
 
 def _stability(rows: Sequence[Row]) -> Finding | None:
-    verdicts = [row["stability"] for row in motions(rows) if row["stability"] not in ("", "-")]
+    verdicts = [row.stability for row in motions(rows) if row.stability not in ("", "-")]
     if not verdicts:
         return None
     count = verdicts.count("global")

@@ -10,12 +10,12 @@ import jinja2
 
 from lieednn_sim import storage
 from lieednn_sim.errors import InputError
-from lieednn_sim.evaluation.cases import Row
 from lieednn_sim.evaluation.columns import BY_NAME
 from lieednn_sim.evaluation.report.figures import plots
 from lieednn_sim.evaluation.report.findings import findings
 from lieednn_sim.evaluation.report.style import Mark, in_order, marks, number
 from lieednn_sim.evaluation.report.videos import Clip
+from lieednn_sim.evaluation.rows import Row
 from lieednn_sim.evaluation.statistics import Group, failures, grouped
 from lieednn_sim.evaluation.summary import method
 from lieednn_sim.evaluation.table import Table
@@ -95,9 +95,9 @@ def write_page(
     rows = table.sorted_rows()
     if not rows:
         raise InputError(f"the table {table.csv} is empty; there is nothing to show")
-    names = in_order(row["planner"] for row in rows)
-    controllers = [name for name in CONTROLLERS if any(row["controller"] == name for row in rows)]
-    arms = sorted({row["arm"] for row in rows})
+    names = in_order(row.planner for row in rows)
+    controllers = [name for name in CONTROLLERS if any(row.controller == name for row in rows)]
+    arms = sorted({row.arm for row in rows})
     page = (
         _environment()
         .get_template("page.html")
@@ -107,10 +107,10 @@ def write_page(
             date=date,
             command=command,
             arms=arms,
-            scenes=sorted({row["scene"] for row in rows}),
+            scenes=sorted({row.scene for row in rows}),
             planners=names,
             controllers=controllers,
-            seeds=len({row["seed"] for row in rows}),
+            seeds=len({row.seed for row in rows}),
             count=len(rows),
             settings=table.settings,
             versions=table.versions,
@@ -119,7 +119,7 @@ def write_page(
             findings=findings(rows),
             columns=[BY_NAME[name] for name in _SHOWN],
             lines=_lines(rows),
-            plots={arm: plots([row for row in rows if row["arm"] == arm], controllers[0]) for arm in arms},
+            plots={arm: plots([row for row in rows if row.arm == arm], controllers[0]) for arm in arms},
             failures=failures(rows),
             clips=clips,
         )
@@ -136,13 +136,13 @@ def _environment() -> jinja2.Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters["rounded"] = lambda text: number(float(text), rounding=_ROUNDING)
+    environment.filters["rounded"] = lambda value: number(value, rounding=_ROUNDING)
     return environment
 
 
 def _lines(rows: Sequence[Row]) -> list[_Line]:
     groups = grouped(rows, ("arm", "scene", "planner", "controller"))
-    look, order = marks(row["planner"] for row in rows), in_order(row["planner"] for row in rows)
+    look, order = marks(row.planner for row in rows), in_order(row.planner for row in rows)
     groups.sort(key=lambda group: (*group.key[:2], order.index(group.key[2]), group.key[3]))
     return [_line(group, look[group.key[2]]) for group in groups]
 
@@ -151,7 +151,7 @@ def _line(group: Group, mark: Mark) -> _Line:
     arm, scene, planner, controller = group.key
     low, high = group.interval
     cells = tuple(_cell(name, group.median(name)) for name in _SHOWN)
-    violated = sum(any(float(row[name] or 0) for name in _VIOLATIONS) for row in group.rows)
+    violated = sum(any(getattr(row, name) for name in _VIOLATIONS) for row in group.rows)
     return _Line(
         arm, scene, planner, controller, mark, group.successes, group.total, low, high, cells, violated, group.verdict()
     )

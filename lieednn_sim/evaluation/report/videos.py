@@ -12,8 +12,9 @@ from PIL import Image
 
 from lieednn_sim import storage
 from lieednn_sim.errors import InputError
-from lieednn_sim.evaluation.cases import Case, Row, replay
+from lieednn_sim.evaluation.cases import replay
 from lieednn_sim.evaluation.report.style import in_order
+from lieednn_sim.evaluation.rows import Case, Row
 from lieednn_sim.evaluation.statistics import grouped
 from lieednn_sim.evaluation.table import Table
 from lieednn_sim.rendering.ffmpeg import count_frames, read_frame
@@ -58,17 +59,15 @@ def choose_cases(table: Table, count: int) -> list[Case]:
         InputError: count is negative or no whole number.
     """
     wanted = as_count("videos", count, least=0)
-    rows = [row for row in table.sorted_rows() if row["tracking_rms_mm"]]
-    rows.sort(key=lambda row: row["success"] != "yes")
+    rows = [row for row in table.sorted_rows() if row.tracking_rms_mm is not None]
+    rows.sort(key=lambda row: not row.success)
     places = [group.key for group in grouped(table.sorted_rows(), ("arm", "scene"))]
-    planners = in_order(row["planner"] for row in rows)
+    planners = in_order(row.planner for row in rows)
     chosen: list[Case] = []
     for turn in range(len(places)):
         for index, planner in enumerate(planners):
             place = places[(index + turn) % len(places)]
-            case = next(
-                (_case(row) for row in rows if (row["arm"], row["scene"]) == place and row["planner"] == planner), None
-            )
+            case = next((row.case for row in rows if (row.arm, row.scene) == place and row.planner == planner), None)
             if case is not None and case not in chosen and len(chosen) < wanted:
                 chosen.append(case)
     return chosen
@@ -90,8 +89,8 @@ def film(
     row = table.rows.get((case.arm, case.scene, case.planner, controller, case.seed))
     if row is None:
         raise InputError(f"the table has no case {case} with {controller}; compare it first")
-    if not row["tracking_rms_mm"]:
-        raise InputError(f"nothing to show of case {case}: {row['reason']}")
+    if row.tracking_rms_mm is None:
+        raise InputError(f"nothing to show of case {case}: {row.reason}")
     directory = storage.make_directory(table.directory / "videos")
     path = directory / f"{case.planner}-{case.arm}-{case.scene}-{case.seed}-{controller}.mp4"
     if not path.is_file():
@@ -105,10 +104,6 @@ def film(
             progress=progress,
         )
     return Clip(row, path, _poster(path))
-
-
-def _case(row: Row) -> Case:
-    return Case(row["arm"], row["scene"], row["planner"], int(row["seed"]))
 
 
 def _poster(path: Path) -> bytes:

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import html
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from lieednn_sim.evaluation import Settings, Table, write_summary
-from lieednn_sim.evaluation.columns import BY_NAME, COLUMNS, FIELDS
+from lieednn_sim.evaluation.columns import BY_NAME, COLUMNS
 from lieednn_sim.evaluation.report import choose_cases, figures, write_page
 from lieednn_sim.evaluation.report.findings import findings
 from lieednn_sim.evaluation.report.page import _SHOWN
+from lieednn_sim.evaluation.rows import Row
 
 # In this order in the registry, and so in what is shown.
 FIRST, SECOND, THIRD = "minimum-jerk", "se3-geodesic", "rrt-connect"
@@ -20,11 +22,10 @@ FIRST, SECOND, THIRD = "minimum-jerk", "se3-geodesic", "rrt-connect"
 
 def row(planner, seed, controller="position-servo", scene="free", **values):
     """A success whose columns hold their place among the columns, and a half."""
-    numbers = {column.name: f"{index + 0.5:g}" for index, column in enumerate(COLUMNS)}
-    numbers |= {column.name: "0" for column in COLUMNS if column.name.endswith(("_violations", "_excess"))}
-    keys = {"arm": "an_arm", "scene": scene, "planner": planner, "controller": controller, "seed": str(seed)}
-    words = {"mass_scale": "1", "success": "yes", "stability": "-", "stability_level": "-"}
-    return dict.fromkeys(FIELDS, "") | keys | words | numbers | {name: f"{value}" for name, value in values.items()}
+    numbers = {column.name: index + 0.5 for index, column in enumerate(COLUMNS)}
+    numbers |= {column.name: 0 for column in COLUMNS if column.name.endswith(("_violations", "_excess"))}
+    words = {"success": True, "stability": "-", "stability_level": "-"}
+    return Row("an_arm", scene, planner, controller, seed, 1.0, **words | numbers | values)
 
 
 ROWS = [
@@ -33,8 +34,9 @@ ROWS = [
     *(row(SECOND, k, tracking_rms_mm=v, planning_s=7, clearance_mm=8) for k, v in enumerate((2, 3, 9000))),
     *(row(THIRD, k, tracking_rms_mm=40, planning_s=v, clearance_mm=3) for k, v in enumerate((0.5, 0.25, 99))),
 ]
-ROWS[1] |= {"success": "no", "reason": "contact: up to 1 at a time", "clearance_mm": "-2.5", "velocity_violations": "7"}
-ROWS[8] |= {"success": "no", "reason": "arrival: link 1 ends 2 mm and 0 deg off"}
+CONTACT = {"success": False, "reason": "contact: up to 1 at a time"}
+ROWS[1] = replace(ROWS[1], **CONTACT, clearance_mm=-2.5, velocity_violations=7)
+ROWS[8] = replace(ROWS[8], success=False, reason="arrival: link 1 ends 2 mm and 0 deg off")
 # Another controller follows better; what is said of tracking is of the first one.
 ROWS += [row(THIRD, k, "computed-torque", tracking_rms_mm=1e-9, planning_s=99, clearance_mm=7) for k in range(3)]
 
@@ -53,7 +55,7 @@ def test_findings_name_the_best_and_the_worst():
     assert found["least median tracking RMS with position-servo"] == ("3 mm", SECOND)
     assert found["least median planning time"] == ("0.5 s", THIRD)
     assert found["deepest penetration of any rollout"] == ("2.5 mm", f"{FIRST} on an_arm, free, seed 1")
-    clear = [{**row, "clearance_mm": row["clearance_mm"].lstrip("-")} for row in ROWS]
+    clear = [replace(row, clearance_mm=abs(row.clearance_mm)) for row in ROWS]
     assert {finding.label: finding.value for finding in findings(clear)}["least clearance of any rollout"] == "2.5 mm"
     proofs = [row(FIRST, k, stability=s, gap_end_mm=k) for k, s in enumerate(["global", "local", "global", "none"])]
     (finding,) = (finding for finding in findings(proofs) if finding.label == "proved globally stable")
@@ -75,7 +77,7 @@ def test_the_page_has_each_median_in_its_column(table, tmp_path):
     medians = ((2, 4.0, 5.0, 9.0, 1), (3, 7.0, 3.0, 8.0, 0), (3, 99.0, 1e-9, 7.0, 0), (2, 0.5, 40.0, 3.0, 0))
     for line, (successes, planning, tracking, clearance, violations) in zip(lines, medians, strict=True):
         values = [float(value) for value in re.findall(r'data-value="([^"]*)"', line)]
-        expected = {name: float(row(FIRST, 0)[name]) for name in _SHOWN}
+        expected = {name: getattr(row(FIRST, 0), name) for name in _SHOWN}
         expected |= {"planning_s": planning, "tracking_rms_mm": tracking, "clearance_mm": clearance}
         assert values == pytest.approx([successes / 3, *expected.values(), violations])
         low, high = {2: (21, 94), 3: (44, 100)}[successes]
@@ -104,7 +106,7 @@ def test_the_summary_has_each_median_in_its_column(table, tmp_path):
         values = next(line for line in lines if line[: len(names)] == names)
         made = row(SECOND, 0, tracking_rms_mm=3, planning_s=7, clearance_mm=8)
         for title, column in expected.items():
-            assert float(values[heading.index(title)]) == pytest.approx(float(made[column]))
+            assert float(values[heading.index(title)]) == pytest.approx(getattr(made, column))
 
 
 def test_figures_draw_values_medians_and_shares(monkeypatch):
@@ -137,7 +139,7 @@ def test_figures_draw_values_medians_and_shares(monkeypatch):
 
 def test_cases_to_show_take_planners_in_turn_and_successes_first(table):
     table.add([row(planner, seed, scene="window") for planner in (FIRST, SECOND) for seed in (4, 5)])
-    table.add([row(FIRST, 3, scene="window") | {"success": "no", "reason": "contact: up to 1 at a time"}])
+    table.add([row(FIRST, 3, scene="window", **CONTACT)])
     chosen = choose_cases(table, 9)
     assert [(case.planner, case.scene, case.seed) for case in chosen] == [
         (FIRST, "free", 0),

@@ -9,7 +9,7 @@ from dataclasses import replace
 import pytest
 
 from lieednn_sim.errors import InputError
-from lieednn_sim.evaluation import Case, Selection, Settings, Table, compare
+from lieednn_sim.evaluation import Case, Row, Selection, Settings, Table, compare
 from lieednn_sim.evaluation.report import choose_cases, film, write_page
 from lieednn_sim.evaluation.report.style import marks, number
 
@@ -25,11 +25,10 @@ def table(tmp_path_factory, in_this_process):
         made = compare(tmp_path_factory.mktemp("table"), selection, SETTINGS)
     for index, row in enumerate(made.sorted_rows()):
         for arm, scene in (("telescopic_pr", "window"), ("another_arm", "free")):
-            values = {"tracking_rms_mm": f"{10.0 ** (index - 3):g}", "planning_s": f"{0.5 + index:g}"}
-            made.add([row | {"arm": arm, "scene": scene, "seed": "3"} | values])
-    failed = dict.fromkeys(row, "") | {name: row[name] for name in ("controller", "mass_scale", "seed")}
-    failed |= {"arm": "another_arm", "scene": "free", "planner": "rrt-connect", "success": "no"}
-    made.add([failed | {"reason": "plan: <b>no</b> way past 'link4' & co after 3.5 s"}])
+            values = {"tracking_rms_mm": 10.0 ** (index - 3), "planning_s": 0.5 + index}
+            made.add([replace(row, arm=arm, scene=scene, seed=3, **values)])
+    reason = "plan: <b>no</b> way past 'link4' & co after 3.5 s"
+    made.add([Row("another_arm", "free", "rrt-connect", row.controller, row.seed, row.mass_scale, False, reason)])
     made.save()
     return made
 
