@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,8 +48,8 @@ class FilteredOptions(PlannerOptions):
         attempts: starts of `synthesize` for each.
         tried: of those whose own way is not free, how many are run all the same; where one is blocked the others mostly
             are.
-        looks: postures on a network's own way that are looked at before the filter runs.
-        control_step: of the filter [s], rounded to a whole number of the model's time steps.
+        looks: postures on a network's own way that are looked at before the filter runs, up to 10 000.
+        control_step: of the filter, up to 0.1 s, rounded to a whole number of the model's time steps.
         filter: of the filter.
     """
 
@@ -57,8 +57,8 @@ class FilteredOptions(PlannerOptions):
     bias_magnitudes: tuple[float, ...] = BIAS_MAGNITUDES
     attempts: int = 3
     tried: int = 1
-    looks: int = 40
-    control_step: float = 0.01
+    looks: int = field(default=40, metadata={"range": (1, 10_000)})
+    control_step: float = field(default=0.01, metadata={"range": (0.0, 0.1)})
     filter: FilterOptions = _FILTER
 
 
@@ -69,14 +69,15 @@ class GuidedOptions(FilteredOptions):
     Attributes:
         paths: searched for.
         followers: networks that follow each.
-        halvings: of an edge on which the network's own way is not free; there are more postures to pass at their ends.
+        halvings: of an edge on which the network's own way is not free, up to 16; there are more postures to pass at
+            their ends.
         search: of the paths; by default they keep 0.02 m of clearance.
         own_margin: what they keep between parts of the arm [m].
     """
 
     paths: int = 2
     followers: int = 2
-    halvings: int = 4
+    halvings: int = field(default=4, metadata={"range": (1, 16)})
     search: SearchOptions = _SEARCH
     own_margin: float = 0.004
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -14,7 +15,8 @@ class PlannerOptions:
     """Base of the options of planners.
 
     A field whose default is a whole number takes whole numbers from 1 on, one whose default is another number positive
-    ones, one whose default is a tuple any number of these, and any other what is of its default's class.
+    ones, one whose default is a tuple any number of these, and any other what is of its default's class. Numbers may be
+    bounded by ``range`` in the field's metadata: where more or less would be an error, or need memory without end.
 
     Raises:
         InputError: a value is something else.
@@ -22,7 +24,12 @@ class PlannerOptions:
 
     def __post_init__(self) -> None:
         for field in fields(self):
-            object.__setattr__(self, field.name, _checked(field.name, getattr(self, field.name), field.default))
+            value = _checked(field.name, getattr(self, field.name), field.default)
+            low, high = field.metadata.get("range", (-math.inf, math.inf))
+            for number in value if isinstance(value, tuple) else (value,):
+                if isinstance(number, int | float) and not low <= number <= high:
+                    raise InputError(f"{field.name} must be from {low:g} to {high:g}, got {number:g}")
+            object.__setattr__(self, field.name, value)
 
 
 def _checked(name: str, value: Any, default: Any) -> Any:

@@ -250,9 +250,11 @@ def test_options_are_documented_and_checked(kind):
     assert hash(kind()) == hash(kind())
 
 
-def test_a_spline_of_one_interval_has_nothing_to_choose():
-    with pytest.raises(InputError, match="intervals must be at least 2, got 1"):
+def test_what_would_be_no_spline_or_no_end_is_refused():
+    with pytest.raises(InputError, match="intervals must be from 2 to 1000, got 1"):
         OptimisationOptions(intervals=1)
+    with pytest.raises(InputError, match=r"spacings must be from 0\.001 to 1, got 1e-09"):
+        RrtConnectOptions(spacings=(0.04, 1e-9))
     made = planned("trajectory-optimisation", problem(0), options=OptimisationOptions(intervals=2, guesses=1))
     check_motion(ARM, made.motion)
 

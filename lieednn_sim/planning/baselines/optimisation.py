@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,6 @@ from lieednn_sim.planning.baselines.joint_space import ClearanceTest, Workspace,
 from lieednn_sim.planning.motion import Motion, minimum_jerk_law
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.problem import PlanningProblem
-from lieednn_sim.validation import as_count
 
 Floats = NDArray[np.float64]
 
@@ -39,8 +38,8 @@ class OptimisationOptions(PlannerOptions):
 
     Attributes:
         margin: what first guesses are judged by, as far as start and target keep it [m].
-        intervals: of the spline, at least 2.
-        instants: at which distances and rates are weighed.
+        intervals: of the spline, from 2 to 1000.
+        instants: at which distances and rates are weighed, up to 10 000.
         influence: distance at which its hinge begins [m]; it is a soft wish, so what is to be kept lies well below.
         rate_share: of the velocity and acceleration limits, at which their hinges begin.
         weights: of the hinges against smoothness, from the first descent of a guess to the last.
@@ -53,18 +52,14 @@ class OptimisationOptions(PlannerOptions):
     """
 
     margin: float = 0.01
-    intervals: int = 12
-    instants: int = 100
+    intervals: int = field(default=12, metadata={"range": (2, 1000)})
+    instants: int = field(default=100, metadata={"range": (1, 10_000)})
     influence: float = 0.04
     rate_share: float = 0.95
     weights: tuple[float, ...] = (300.0, 3000.0)
     evaluations: int = 20
     guesses: int = 6
     drawn: int = 150
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        as_count("intervals", self.intervals, least=2)
 
 
 def trajectory_optimisation(problem: PlanningProblem, options: OptimisationOptions) -> Motion:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,11 +23,11 @@ class DmpOptions(PlannerOptions):
     """Of the planner ``dmp``.
 
     Attributes:
-        basis_functions: radial ones, of each joint's forcing term.
+        basis_functions: radial ones, of each joint's forcing term, from 2 to 1000.
         least_share: joints that move by less of their range in the demonstration show no shape.
     """
 
-    basis_functions: int = 20
+    basis_functions: int = field(default=20, metadata={"range": (2, 1000)})
     least_share: float = 0.01
 
 

@@ -8,7 +8,7 @@ coordinates over velocity limits, so their length is a time. They are shortened,
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache, lru_cache, partial
 from typing import Any
 
@@ -37,14 +37,15 @@ class SearchOptions(PlannerOptions):
         tests: postures tested at most, not seconds, for results must not depend on the machine's speed; while nothing
             is found the search goes on to the next number. RRT* spends the first on shortening what it found.
         shortcuts: tried on the path that was found.
-        spacings: a link frame moves at most about this far from one posture tested along an edge to the next [m]. What
-            slips through is found by the dense test of the motion; then the next attempt is made, with the next one.
+        spacings: a link frame moves at most about this far from one posture tested along an edge to the next, from
+            0.001 to 1 m. What slips through is found by the dense test of the motion; then the next attempt is made,
+            with the next one.
     """
 
     margin: float = 0.01
     tests: tuple[int, ...] = (120_000,)
     shortcuts: int = 60
-    spacings: tuple[float, ...] = (0.04, 0.02)
+    spacings: tuple[float, ...] = field(default=(0.04, 0.02), metadata={"range": (1e-3, 1.0)})
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ curve cannot pass is left to the polyline itself, with a stop at every corner.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,11 +35,13 @@ class SmoothingOptions(PlannerOptions):
     """How polylines are rounded.
 
     Attributes:
-        control_points: to lay along the whole polyline, from the roundest curve to the tightest.
+        control_points: to lay along the whole polyline, from the roundest curve to the tightest, each up to 10 000.
         bend: curvature, in units of the inverse length of the whole curve, from which on it is run through more slowly.
     """
 
-    control_points: tuple[int, ...] = (6, 8, 11, 15, 20, 28, 40, 56, 80, 112, 160, 224)
+    control_points: tuple[int, ...] = field(
+        default=(6, 8, 11, 15, 20, 28, 40, 56, 80, 112, 160, 224), metadata={"range": (1, 10_000)}
+    )
     bend: float = 8.0
 
 
