@@ -185,6 +185,25 @@ def test_an_urdf_with_mimic_joints_is_an_arm(tmp_path):
     np.testing.assert_allclose(tip, [0.0, 0.3 + 0.2 + 0.5 * 0.2 + 0.01, 0.4], atol=1e-12)
 
 
+def test_efforts_and_velocities_of_an_urdf_are_limits(tmp_path):
+    """Moved by out1 are 1 kg as fast and 1 kg 1.5 times as fast: 3.25 kg, gravity compensated, 100 N, half of it."""
+    path = tmp_path / "derrick.urdf"
+    for slow, velocity in (("1", 1.0), (".3", 0.6), ("0", 1.0)):
+        out1, out2 = URDF.split('<joint name="out2"')
+        path.write_text(f'{out1}<joint name="out2"' + out2.replace('velocity="1"', f'velocity="{slow}"'))
+        arm = Arm.load(path)
+        np.testing.assert_allclose(arm.velocity_limits, [np.inf, velocity])
+        np.testing.assert_allclose(arm.force_limits, [np.inf, 100.0])
+        np.testing.assert_allclose(arm.acceleration_limits, [np.inf, 0.5 * 100.0 / 3.25])
+        assert f"velocity limits of the URDF [rad/s, m/s]: out1 {velocity:.3g}" in arm.import_report.notes
+    path.write_text(URDF.replace('effort="100" velocity="1"', 'effort="0" velocity="0"'))
+    arm = Arm.load(path)
+    assert np.isinf([arm.velocity_limits, arm.force_limits, arm.acceleration_limits]).all()
+    path.write_text(URDF.replace('velocity="1"', 'velocity="fast"'))
+    notes = Arm.load(path).import_report.notes
+    assert "velocity limits, if there are any, could not be read: could not convert string to float: 'fast'" in notes
+
+
 def test_a_site_by_the_name_of_a_link_frame_alone_makes_no_house_arm(tmp_path):
     path = tmp_path / "robot.xml"
     path.write_text(TELESCOPE.replace('<geom name="fork"', '<site name="link1_frame"/><geom name="fork"'))

@@ -17,10 +17,11 @@ import lieednn_sim
 from lieednn_sim.arm import Arm, arm_names, solve_ik
 from lieednn_sim.arm.scenes import SCENES
 from lieednn_sim.cli import _parser, main, names
-from lieednn_sim.cli.console import console, table, to_stderr
+from lieednn_sim.cli.console import console, to_stderr
 from lieednn_sim.cli.task import Task
 from lieednn_sim.cli.training import RIEMANNIAN
 from lieednn_sim.errors import InputError, NoSolutionError
+from lieednn_sim.evaluation.display import table
 from lieednn_sim.evaluation.workers import progress_bar
 from lieednn_sim.learning import ALGORITHMS, TrainingOptions
 from lieednn_sim.learning import train as learn

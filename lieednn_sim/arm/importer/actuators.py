@@ -33,6 +33,11 @@ def read_actuators(draft: Draft) -> None:
     dofs, model = draft.dofs_of(draft.original), draft.original
     rates = np.array([dof.rates for dof in dofs]).T
     moments, ranges = constant_moments(model) @ rates, force_ranges(model, rates)
+    for k, dof in enumerate(dofs):
+        joint = model.joint(dof.joint).id
+        if model.jnt_actfrclimited[joint] and not moments[:, k].any():
+            # What the joint lets through of any servo to come, such as the effort of a URDF.
+            ranges[k] = model.jnt_actfrcrange[joint]
     found = [_actuation(model, moments, (float(low), float(high)), k) for k, (low, high) in enumerate(ranges)]
     if draft.servo_rule == "design":
         found = [replace(one, gains=None, remark=one.remark or "as asked for") for one in found]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +29,7 @@ class Draft:
 
     Attributes:
         spec: changed by the steps.
+        source: its file, if it came from one.
         links, base, keyframe, home, servo_rule: as the caller of `import_arm` gave them.
         notes: remarks for the report.
         original: the model as it came.
@@ -49,6 +51,7 @@ class Draft:
     """
 
     spec: mujoco.MjSpec
+    source: Path | None
     links: tuple[str, ...] | None
     base: str | None
     keyframe: str | None

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import TypedDict
 
 from lieednn_sim._mujoco import mujoco
-from lieednn_sim.arm.importer.accelerations import limit_accelerations
 from lieednn_sim.arm.importer.actuators import add_servos, design_servos, read_actuators, stabilise
 from lieednn_sim.arm.importer.checks import check_kinematics, look_at_home, look_for_half_turns
 from lieednn_sim.arm.importer.conventions import (
@@ -19,6 +19,7 @@ from lieednn_sim.arm.importer.conventions import (
     tie_stages,
 )
 from lieednn_sim.arm.importer.draft import Draft
+from lieednn_sim.arm.importer.limits import limit_accelerations, limit_velocities
 from lieednn_sim.arm.importer.loading import load_spec
 from lieednn_sim.arm.importer.locking import lock_other_joints
 from lieednn_sim.arm.importer.mechanism import choose_posture, find_mechanism
@@ -47,6 +48,7 @@ STEPS: tuple[Callable[[Draft], None], ...] = (
     ignore_nested,
     set_length_unit,
     design_servos,
+    limit_velocities,
     limit_accelerations,
     stabilise,
     add_servos,
@@ -85,7 +87,8 @@ def import_arm(
     and soft equalities become stiff, as belts are.
     Plain position servos keep their gains; other actuators are replaced by servos of 20 Hz, critically damped, on the
     largest inertia M_ii of a few postures, slower where coupled stages could not keep up. Where actuators have force
-    limits, accelerations get limits (`accelerations.limit_accelerations`). Gravity compensation is switched on
+    limits, accelerations get limits (`limits.limit_accelerations`); a URDF's efforts and
+    velocities are limits, too. Gravity compensation is switched on
     where no body of the arm has any, because a position servo would sag. Tubes of a telescope, and what else overlaps
     in the robot at home, don't collide with each other (`nesting.ignore_nested`). Hinges are held within 0.99 pi of
     their reference, where the logarithm is unique.
@@ -116,7 +119,9 @@ def import_arm(
     named = isinstance(links, list | tuple) and all(isinstance(link, str) for link in links)
     if links is not None and (not links or not named):
         raise InputError(f"links must be a list of names of bodies or sites, from the base outwards; got {links!r}")
-    draft = Draft(load_spec(model), None if links is None else tuple(links), base, keyframe, home or {}, servos)
+    spec = load_spec(model)
+    source = None if isinstance(model, mujoco.MjSpec) else Path(model)
+    draft = Draft(spec, source, None if links is None else tuple(links), base, keyframe, home or {}, servos)
     for step in STEPS:
         step(draft)
     return draft.spec, draft.report()

@@ -1,0 +1,74 @@
+"""Limits of a foreign arm: velocities of a URDF, accelerations that the forces of its actuators are good for."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+
+from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm.importer.draft import Draft
+from lieednn_sim.arm.importer.servos import largest_inertia, resting_load
+
+_VELOCITY, _ACCELERATION = "velocity_limit", "acceleration_limit"
+# Of the force that an actuator has left: the rest is for friction, and for what the other joints do to it.
+_SHARE = 0.5
+
+
+def limit_velocities(draft: Draft) -> None:
+    """Limit velocities as a URDF says, which MuJoCo does not read: each by all the joints that a coordinate moves.
+
+    A velocity of zero is none; a custom numeric ``velocity_limit`` of the model stays.
+    """
+    if draft.source is None or draft.spec.numeric(_VELOCITY) is not None:
+        return
+    try:
+        given = _velocities(draft.source)
+    except (ElementTree.ParseError, ValueError) as error:
+        draft.notes.append(f"velocity limits, if there are any, could not be read: {error}")
+        return
+    limits = np.full(len(draft.dofs), np.inf)
+    for name, velocity in given.items():
+        joint = mujoco.mj_name2id(draft.bare, mujoco.mjtObj.mjOBJ_JOINT, name)
+        if joint >= 0:
+            rates = np.array([abs(dof.rates[draft.bare.jnt_dofadr[joint]]) for dof in draft.dofs])
+            moved = rates > 0.0
+            limits[moved] = np.minimum(limits[moved], velocity / rates[moved])
+    shown = [f"{dof.name} {limit:.3g}" for dof, limit in zip(draft.dofs, limits, strict=True) if np.isfinite(limit)]
+    if shown:
+        draft.spec.add_numeric(name=_VELOCITY, data=limits, size=len(limits))
+        draft.notes.append(f"velocity limits of the URDF [rad/s, m/s]: {', '.join(shown)}")
+
+
+def _velocities(source: Path) -> dict[str, float]:
+    """The velocity limit of each joint [rad/s, m/s] that has one, if the file is a URDF."""
+    robot = ElementTree.parse(source).getroot()
+    if robot.tag != "robot":
+        return {}
+    limits = {joint.get("name", ""): joint.find("limit") for joint in robot.iterfind("joint")}
+    found = {name: float(limit.get("velocity", "0")) for name, limit in limits.items() if limit is not None}
+    return {name: velocity for name, velocity in found.items() if velocity > 0.0}
+
+
+def limit_accelerations(draft: Draft) -> None:
+    """Limit accelerations where actuators have force limits, or motions would be planned that they cannot follow.
+
+    Each limit is (F - |load|) / (2 I): F the actuator's force limit, the load that of gravity and springs at rest, I
+    the inertia with the other coordinates held, both the largest of a few postures. A custom numeric
+    ``acceleration_limit`` of the model stays.
+    """
+    if draft.spec.numeric(_ACCELERATION) is not None:
+        return
+    model, servos, postures = draft.bare, draft.servos, draft.postures(draft.samples[:16])
+    rates = np.array([dof.rates for dof in draft.dofs])
+    inertia = largest_inertia(model, postures, draft.dofs)
+    load = np.max([np.abs(rates @ resting_load(model, qpos)) for qpos in postures], axis=0)
+    force = np.array([min(-servo.force_range[0], servo.force_range[1]) for servo in servos])
+    # One that cannot hold its load anywhere near is remarked on elsewhere; a limit of zero would allow no motion.
+    limits = np.where(force > load, _SHARE * (force - load) / inertia, np.inf)
+    finite = np.flatnonzero(np.isfinite(limits))
+    if finite.size:
+        draft.spec.add_numeric(name=_ACCELERATION, data=limits, size=len(limits))
+        shown = ", ".join(f"{servos[k].name} {limits[k]:.3g}" for k in finite)
+        draft.notes.append(f"acceleration limits from force limits [rad/s^2, m/s^2]: {shown}")
