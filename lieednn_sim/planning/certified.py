@@ -25,7 +25,7 @@ Floats = NDArray[np.float64]
 # The stronger the bias, the less the weights have to do and the straighter the transient; searches try all.
 BIAS_MAGNITUDES = (0.125, 0.25, 0.5)
 
-# Where between two roughly integrated states contact is looked for, too: thrice, for as many steps make up a way.
+# Shares of the way from one roughly integrated state to the next at which contact is looked for, too: steps are long.
 _BETWEEN = (0.25, 0.5, 0.75)
 
 # A motion below this share of the time that limits of velocity and acceleration allow at best is too fast, however it

@@ -36,6 +36,7 @@ LIMIT_TOLERANCE = 1e-6
 _JUMP = 0.02
 # At a simulation step of 2 ms this is 200 s: more takes minutes to plan, and a table of results nobody needs.
 _MAX_STEPS = 100_000
+# Of the speed along a path, for each step of the integrator: between them the speed is interpolated with less order.
 _SAMPLES_PER_STEP = 8
 
 

@@ -79,7 +79,8 @@ def plan(
         start: joint position at rest ``(n,)`` [rad, m], the keyframe ``home`` by default.
         duration: of the motion [s], rounded to a whole number of the model's time steps.
         longest: durations that the motion may take at most, where the arm's limits need more time; with 1 one that is
-            too fast is refused, with the time that would do. Learned networks are never given more than one.
+            too fast is refused, with the time that would do. Learned networks are never given more than one; motions
+            through the filter need a little more than one, even where nothing is in their way.
         seed: of planners that draw; the same seed gives the same plan.
         time_budget: CPU time that planning may take [s]; infinity for no limit. A planner that needs less makes the
             same motion whatever the budget and the machine, one that needs more makes none.
@@ -99,10 +100,8 @@ def plan(
         wanted = "has no options" if kind is None else f"takes options of class {kind.__name__}"
         raise InputError(f"the planner {planner!r} {wanted}, got {type(options).__name__}")
     given = () if kind is None else (kind() if options is None else options,)
-    if not isinstance(arm, Arm):
-        raise InputError(f"arm must be an Arm, got {type(arm).__name__}; see Arm.load")
-    origin = arm.keyframe("home") if start is None else start
-    # Checked, and made arrays, by the problem.
+    # All is checked, and start and target are made arrays, by the problem.
+    origin = arm.keyframe("home") if start is None and isinstance(arm, Arm) else start
     problem = PlanningProblem(arm, origin, target, duration, seed, time_budget, longest, progress)  # type: ignore[arg-type]
     begun = cpu_time()
     with time_limit(problem.time_budget):
