@@ -15,6 +15,7 @@ from scipy.spatial.transform import RigidTransform
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError, SimulationError
+from lieednn_sim.evaluation.metrics import SETTLED_ROTATION, SETTLED_TRANSLATION
 from lieednn_sim.lie import log, poses, rotations
 from lieednn_sim.simulation import Simulation
 from lieednn_sim.simulation.controllers.base import PositionServo
@@ -76,8 +77,8 @@ class ArmTask(control.Task):  # type: ignore[misc]  # dm_control has no types
         control_timestep: time between actions [s], a whole number of physics steps.
         time_limit: of an episode [s].
         goal: ``"end-effector"``: its frame counts; ``"links"``: all link frames do, and the worst decides.
-        position_tolerance: [m].
-        rotation_tolerance: [rad].
+        position_tolerance: [m]; by default that of a settled frame in an `Evaluation`.
+        rotation_tolerance: [rad]; likewise.
 
     Attributes:
         arm: the arm.
@@ -103,8 +104,8 @@ class ArmTask(control.Task):  # type: ignore[misc]  # dm_control has no types
         control_timestep: float = 0.02,
         time_limit: float = 6.0,
         goal: str = "end-effector",
-        position_tolerance: float = 1e-3,
-        rotation_tolerance: float = float(np.deg2rad(0.1)),
+        position_tolerance: float = SETTLED_TRANSLATION,
+        rotation_tolerance: float = SETTLED_ROTATION,
     ) -> None:
         if isinstance(arm, Arm):
             self.arm = arm.among(scene, scene_seed)

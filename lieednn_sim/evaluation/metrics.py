@@ -25,7 +25,7 @@ Floats = NDArray[np.float64]
 
 # A frame has settled when it stays this close to its target.
 SETTLED_TRANSLATION = 1e-3
-SETTLED_ROTATION = np.deg2rad(0.1)
+SETTLED_ROTATION = float(np.deg2rad(0.1))
 
 
 @dataclass(frozen=True)
