@@ -9,7 +9,6 @@ together.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -19,11 +18,12 @@ from lieednn_sim.arm.closed_forms import HingeSlide, MovingPoses, SixFreedoms
 from lieednn_sim.arm.kinematics import CompoundJoints
 from lieednn_sim.arm.nearest import NearestPose
 from lieednn_sim.lie import rotations
+from lieednn_sim.values import frozen
 
 Floats = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
+@frozen
 class Retraction:
     """Joint motion nearest to given per-joint poses, with what the mechanism cannot follow.
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -20,13 +20,14 @@ from lieednn_sim.learning.result import StopReason
 from lieednn_sim.theory.groups import catalogue_name
 from lieednn_sim.theory.groups import group as group_by_name
 from lieednn_sim.validation import as_count, as_floats, as_positive
+from lieednn_sim.values import frozen
 
 Floats = NDArray[np.float64]
 
 _KIND = "training"
 
 
-@dataclass(frozen=True)
+@frozen
 class TrainingState:
     """State right after a projection: what a trial goes back to, and what a checkpoint holds.
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +14,7 @@ from scipy.integrate import RK45, solve_ivp
 from scipy.linalg.lapack import dgetrf, dgetrs
 
 from lieednn_sim.network import ACTIVATIONS
+from lieednn_sim.values import frozen
 
 Floats = NDArray[np.float64]
 
@@ -40,7 +40,7 @@ _SETTLING_STEPS = 2000
 _NEARBY = 1e-2
 
 
-@dataclass(frozen=True)
+@frozen
 class FlatEquilibrium:
     """A state where gamma x = mu (W phi(x) + b), or the failed try to find one.
 

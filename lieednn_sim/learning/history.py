@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,11 +13,12 @@ from scipy.linalg.lapack import dlange
 from lieednn_sim import storage
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.validation import as_floats
+from lieednn_sim.values import frozen
 
 Floats = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
+@frozen
 class History:
     """One row for the weights at the beginning of each epoch; K rows.
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
@@ -14,6 +13,7 @@ from lieednn_sim.network import LieEDNN
 from lieednn_sim.network.base import flatten_blocks
 from lieednn_sim.theory import GroupLieEDNN
 from lieednn_sim.theory.matrix_group import MatrixLieGroup
+from lieednn_sim.values import frozen
 
 Floats = NDArray[np.float64]
 
@@ -23,7 +23,7 @@ _SMALLEST_ALPHA = 1e-9
 _ALTERNATIONS = 3
 
 
-@dataclass(frozen=True)
+@frozen
 class WeightPoint:
     """Weights on the manifold.
 

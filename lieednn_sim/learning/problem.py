@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,6 +14,7 @@ from lieednn_sim.learning.manifold import WeightManifold, weight_manifold
 from lieednn_sim.network import ACTIVATIONS
 from lieednn_sim.theory.matrix_group import MatrixLieGroup
 from lieednn_sim.validation import as_choice, as_floats, as_positive, as_seed
+from lieednn_sim.values import frozen
 
 Floats = NDArray[np.float64]
 # Called with epochs done and epochs at most.
@@ -24,7 +24,7 @@ Progress = Callable[[int, int], None]
 _EPSILON = 1e-12
 
 
-@dataclass(frozen=True)
+@frozen
 class TrainingProblem:
     """A target and everything of the network that is not learned.
 

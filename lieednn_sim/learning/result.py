@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
@@ -14,6 +13,7 @@ from lieednn_sim.learning.manifold import WeightPoint
 from lieednn_sim.learning.problem import TrainingProblem
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.theory import GroupLieEDNN
+from lieednn_sim.values import frozen
 
 Floats = NDArray[np.float64]
 
@@ -28,7 +28,7 @@ class StopReason(StrEnum):
     EPOCHS_SPENT = "epochs spent"
 
 
-@dataclass(frozen=True)
+@frozen
 class TrainingResult:
     """Outcome of a training.
 

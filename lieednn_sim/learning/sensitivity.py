@@ -7,8 +7,6 @@ entry at once: S^T lambda = delta, then dE/dW = (mu/gamma) lambda phi(x*)^T; for
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -17,13 +15,14 @@ from lieednn_sim.learning.manifold import block_view
 from lieednn_sim.lie import adjoint
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.validation import as_choice, as_floats
+from lieednn_sim.values import frozen
 
 Floats = NDArray[np.float64]
 
 LOSSES = ("squared", "norm")
 
 
-@dataclass(frozen=True)
+@frozen
 class Sensitivity:
     """How the equilibrium error answers to the weights.
 

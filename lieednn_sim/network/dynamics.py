@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,6 +13,7 @@ from scipy.integrate import RK45, OdeSolution, solve_ivp
 from lieednn_sim.budget import check_time
 from lieednn_sim.errors import InputError, LieEDNNError
 from lieednn_sim.validation import as_choice, as_floats, as_positive
+from lieednn_sim.values import frozen
 
 Floats = NDArray[np.float64]
 # Flat vector fields ``(dN,)`` to ``(dN,)`` and their Jacobians, ``(dN,)`` to ``(dN, dN)``.
@@ -27,7 +28,7 @@ _OVERFLOW = "the equilibrium cannot be found in double precision: weights, bias 
 INTEGRATORS = ("RK45", "DOP853", "Radau", "BDF", "LSODA")
 
 
-@dataclass(frozen=True)
+@frozen
 class Equilibrium:
     """Result of the search for an equilibrium.
 
@@ -48,7 +49,7 @@ class Equilibrium:
     n_newton: int
 
 
-@dataclass(frozen=True)
+@frozen
 class Trajectory:
     """Solution xi(t) with dense output.
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar
 
@@ -13,11 +12,12 @@ from lieednn_sim.network.base import read_only
 from lieednn_sim.network.checks import as_rates
 from lieednn_sim.network.componentwise import ComponentwiseNetwork, as_activation
 from lieednn_sim.validation import as_floats
+from lieednn_sim.values import frozen
 
 Floats = NDArray[np.float64]
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@frozen
 class HopfieldNetwork(ComponentwiseNetwork):
     """x' = -gamma x + mu (W phi(x) + b) with any matrix W of N neurons with d coordinates (Hopfield, PNAS 81, 1984).
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import ClassVar
 
 from lieednn_sim.network.base import Floats
@@ -10,9 +9,10 @@ from lieednn_sim.network.checks import as_poses, as_rates, as_strengths
 from lieednn_sim.network.componentwise import ComponentwiseNetwork, as_activation
 from lieednn_sim.network.rigid import RigidNetwork
 from lieednn_sim.validation import as_floats
+from lieednn_sim.values import frozen
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@frozen
 class LieEDNN(RigidNetwork, ComponentwiseNetwork):
     """x_i' = -gamma x_i + mu sum_j alpha_ij Ad(theta_ij) phi(x_j) + mu b_i, with x_i in se(3) (paper, eq. 3.9).
 

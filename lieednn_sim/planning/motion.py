@@ -25,6 +25,7 @@ from lieednn_sim.errors import FileError, InputError, PlanError, TooFastError
 from lieednn_sim.network import ComponentwiseNetwork
 from lieednn_sim.network.dynamics import Trajectory
 from lieednn_sim.validation import as_floats, as_positive, as_times
+from lieednn_sim.values import frozen
 
 Floats = NDArray[np.float64]
 
@@ -40,7 +41,7 @@ _MAX_STEPS = 100_000
 _SAMPLES_PER_STEP = 8
 
 
-@dataclass(frozen=True)
+@frozen
 class Motion:
     """A joint trajectory planned by a network, sampled at constant time steps.
 

@@ -16,6 +16,7 @@ from lieednn_sim.errors import InputError, TooFastError
 from lieednn_sim.network import ComponentwiseNetwork
 from lieednn_sim.planning.motion import Motion, count_steps
 from lieednn_sim.validation import as_positive, as_seed
+from lieednn_sim.values import frozen
 
 Floats = NDArray[np.float64]
 _Made = TypeVar("_Made")
@@ -78,7 +79,7 @@ class PlanningProblem:
         return self.timestep * np.arange(count, dtype=np.float64)
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Plan:
     """What a planner made of a problem; `plan` adds the target, the planner's name and the time.
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import mujoco
+from lieednn_sim.values import frozen
 
 Floats = NDArray[np.float64]
 
@@ -19,7 +19,7 @@ _AXIS_LENGTH = 0.22
 _MAX_SEGMENTS = 150
 
 
-@dataclass(frozen=True)
+@frozen
 class Overlay:
     """Geometry to add to each frame.
 

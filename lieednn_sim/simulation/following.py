@@ -13,7 +13,6 @@ x'_ff = v, a stronger bias, takes that away. The joints that decode the state ar
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -29,6 +28,7 @@ from lieednn_sim.simulation.rollout import Rollout, as_rollout
 from lieednn_sim.simulation.simulation import quiet_warnings
 from lieednn_sim.simulation.tracking import make_controlled
 from lieednn_sim.validation import as_floats, as_positive
+from lieednn_sim.values import frozen
 
 Floats = NDArray[np.float64]
 
@@ -38,7 +38,7 @@ _FASTEST = 10.0
 _LARGEST_STEP = 1.0
 
 
-@dataclass(frozen=True)
+@frozen
 class Following:
     """A rollout behind a moving target.
 

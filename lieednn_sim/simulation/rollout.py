@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any
 
 import numpy as np
@@ -20,6 +20,7 @@ from lieednn_sim.simulation.controllers import CONTROLLERS
 from lieednn_sim.simulation.disturbances import Disturbances, tangent_basis
 from lieednn_sim.simulation.log import Log
 from lieednn_sim.validation import as_choice, as_floats, as_positive, as_times
+from lieednn_sim.values import frozen
 
 Floats = NDArray[np.float64]
 
@@ -42,7 +43,7 @@ def _zeros() -> Floats:
     return np.zeros(0)
 
 
-@dataclass(frozen=True)
+@frozen
 class Rollout:
     """Log of a simulation and what it was made from; row k of every array over time belongs to time t[k].
 

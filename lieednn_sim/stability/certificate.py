@@ -24,8 +24,6 @@ diag(P_R, eps P_R) with eps small. Hence everything here works on W_R, of shape 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -33,6 +31,7 @@ from lieednn_sim.errors import InputError
 from lieednn_sim.stability.centres import minimise_by_centres
 from lieednn_sim.stability.norms import as_weight, weighted_norm
 from lieednn_sim.validation import LARGEST, as_choice, as_count, as_floats, as_positive, as_ratio
+from lieednn_sim.values import frozen
 
 Floats = NDArray[np.float64]
 
@@ -43,7 +42,7 @@ METHODS = ("descent", "lmi")
 _LARGEST_SPREAD = 1e60
 
 
-@dataclass(frozen=True)
+@frozen
 class Certificate:
     """Verdict on one diagonal P for one W_R, decided by eigenvalues alone.
 

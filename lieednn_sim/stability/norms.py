@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim.errors import InputError
 from lieednn_sim.validation import as_floats, as_ratio
+from lieednn_sim.values import frozen
 
 Floats = NDArray[np.float64]
 
@@ -143,7 +144,7 @@ def log_norms(weight: ArrayLike) -> LogNorms:
     )
 
 
-@dataclass(frozen=True)
+@frozen
 class WeightedNorm:
     """The log norm of W in the best weighted 1-norm sum_i p_i |e_i|, largest over all slopes in [0, 1].
 

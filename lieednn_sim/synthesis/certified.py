@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,6 +16,7 @@ from lieednn_sim.synthesis.bias import bias_for, equation_columns, impossibility
 from lieednn_sim.synthesis.problem import Point, Problem
 from lieednn_sim.synthesis.search import QUATERNION_BOUNDS, feasible_point, polish, smallest_eigenvalue_point
 from lieednn_sim.validation import as_choice, as_count, as_floats, as_generator, as_positive
+from lieednn_sim.values import frozen
 
 Floats = NDArray[np.float64]
 
@@ -29,7 +29,7 @@ _FAST_ATTEMPTS = 4
 _POLISH_WEIGHTS = (0.05, 0.01, 0.001)
 
 
-@dataclass(frozen=True)
+@frozen
 class Synthesis:
     """Result of `synthesize`.
 

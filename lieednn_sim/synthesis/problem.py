@@ -7,12 +7,11 @@ The unknowns are the quaternions ``(N, N, 4)`` and log S ``(3N,)`` of the certif
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
 from lieednn_sim.stability import log_scale_gradient, scale, smooth_largest
+from lieednn_sim.values import frozen
 
 Floats = NDArray[np.float64]
 
@@ -44,7 +43,7 @@ _FORM = _polarise()
 _FORM_ROWS = np.ascontiguousarray(_FORM.reshape(36, 4).T)
 
 
-@dataclass(frozen=True)
+@frozen
 class Point:
     """The problem evaluated at one vector of unknowns.
 

@@ -30,7 +30,7 @@ proves nothing here (there are networks that are stable with tanh on each axis a
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from typing import ClassVar
 
@@ -45,6 +45,7 @@ from lieednn_sim.network.checks import as_poses, as_rates, as_strengths, require
 from lieednn_sim.network.dynamics import Equilibrium, find_equilibrium
 from lieednn_sim.network.rigid import RigidNetwork
 from lieednn_sim.validation import as_floats, as_positive
+from lieednn_sim.values import frozen
 
 # tanh(r)/r in powers of r^2. Below the angle [rad] the series is used: there the closed form of the derivative
 # cancels, and both are good to 3e-14.
@@ -53,7 +54,7 @@ _SERIES = np.array([1.0, -1 / 3, 2 / 15, -17 / 315, 62 / 2835, -1382 / 155925, 2
 _SERIES_SLOPE = 2.0 * polynomial.polyder(_SERIES)
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@frozen
 class EquivariantLieEDNN(RigidNetwork):
     """x_i' = -gamma x_i + mu sum_j alpha_ij Ad(theta_ij) Phi(x_j) + mu b_i, with x_i in se(3) and Phi of App. N.
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -17,9 +16,10 @@ from lieednn_sim.network.componentwise import ComponentwiseNetwork, as_activatio
 from lieednn_sim.theory import groups
 from lieednn_sim.theory.matrix_group import MatrixLieGroup
 from lieednn_sim.validation import as_floats
+from lieednn_sim.values import frozen
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@frozen
 class GroupLieEDNN(ComponentwiseNetwork):
     """X_i' = -gamma X_i + mu sum_j alpha_ij theta_ij phi(X_j) theta_ij^-1 + mu B_i in a Lie algebra (paper, eq. 3.9).
 

@@ -388,14 +388,15 @@ class Slow(Limit):
 
 def test_limits_and_barriers_of_the_user_are_kept_and_named(gantry):
     filter_ = SafetyFilter(gantry, 0.02, limits=[Slow()], barriers=[Plane()])
-    q, v, blocking = gantry.keyframe("home"), np.zeros(4), set()
+    # Near the floor, so that the plane's row is not the only one.
+    q, v, blocking = np.array([0.0, 0.0, -0.87, 0.0]), np.zeros(4), set()
     for _ in range(200):
-        step = filter_.step(q, v, np.array([1.0, 1.0, 1.0, 0.0]))
+        step = filter_.step(q, v, np.array([1.0, 1.0, -0.05, 0.0]))
         q, v = q + 0.01 * (v + step.velocity), step.velocity
         assert (v <= 0.25 + 1e-12).all()
         blocking |= set(step.blocking)
     assert q[0] + q[1] == pytest.approx(0.3, abs=1e-4)
-    assert blocking == {"slow 0", "slow 1", "slow 2", "Plane 0"}
+    assert blocking == {"slow 0", "slow 1", "Plane 0", "the clearance of 'floor' from 'ball'"}
     # It yields to the acceleration limits: from full speed the arm brakes as it can.
     fast = filter_.step(np.zeros(4), np.array([-1.0, 0.0, 0.0, 0.0]), np.zeros(4)).velocity[0]
     assert fast == pytest.approx(-0.8)

@@ -10,8 +10,6 @@ On the way the network may be given other targets, by its bias alone: then it ta
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicHermiteSpline
@@ -25,6 +23,7 @@ from lieednn_sim.planning.filtering.proof import limits_proved
 from lieednn_sim.planning.filtering.safety import SafetyFilter
 from lieednn_sim.planning.motion import LIMIT_TOLERANCE, Motion, make_motion
 from lieednn_sim.validation import as_floats, as_positive
+from lieednn_sim.values import frozen
 
 Floats = NDArray[np.float64]
 
@@ -47,7 +46,7 @@ _PROGRESS = 0.02
 _PATIENCE = 0.4
 
 
-@dataclass(frozen=True)
+@frozen
 class FilteredRun:
     """Outcome of a network's run through the filter.
 

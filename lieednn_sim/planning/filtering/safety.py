@@ -16,7 +16,6 @@ start from, and its collision limit measures every pair of geoms each time. The 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import daqp
 import numpy as np
@@ -28,6 +27,7 @@ from lieednn_sim.planning.filtering.barriers import AngleBarrier, Barrier, Clear
 from lieednn_sim.planning.filtering.limits import AccelerationLimit, Limit, PositionLimit, VelocityLimit, finite_rates
 from lieednn_sim.planning.filtering.options import FilterOptions
 from lieednn_sim.validation import as_floats, as_positive
+from lieednn_sim.values import frozen
 
 Floats = NDArray[np.float64]
 
@@ -42,7 +42,7 @@ _LARGEST = 1e9
 _SOFT, _GIVING = 8, 1e-4
 
 
-@dataclass(frozen=True)
+@frozen
 class FilterStep:
     """What the filter made of one control step.
 

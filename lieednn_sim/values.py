@@ -1,0 +1,74 @@
+"""Results are values: what they hold cannot be changed, and those that hold the same are equal."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields
+from functools import wraps
+from typing import Any, TypeVar, dataclass_transform
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+_Class = TypeVar("_Class")
+
+
+@dataclass_transform(frozen_default=True, field_specifiers=(field,))
+def frozen(cls: type[_Class]) -> type[_Class]:
+    """Make a class a frozen dataclass whose arrays are read-only, and which is equal to another when all it holds is.
+
+    The arrays may be alone or within tuples, lists and dictionaries. What was handed over is not changed: a value has
+    read-only views of it. Arrays are equal when their shapes and entries are, and NaN is equal to NaN. Equal values
+    have the same hash, and a changed copy is made by `dataclasses.replace`.
+    """
+    made: Any = dataclass(frozen=True, eq=False, repr=cls.__repr__ is object.__repr__)(cls)
+    initialise, names = made.__init__, [item.name for item in fields(made)]
+    compared = [item.name for item in fields(made) if item.compare]
+
+    @wraps(initialise)
+    def __init__(self: Any, *arguments: Any, **named: Any) -> None:
+        initialise(self, *arguments, **named)
+        for name in names:
+            object.__setattr__(self, name, _read_only(getattr(self, name)))
+
+    def __eq__(self: Any, other: object) -> Any:
+        if type(other) is not type(self):
+            return NotImplemented
+        return all(_equal(getattr(self, name), getattr(other, name)) for name in compared)
+
+    def __hash__(self: Any) -> int:
+        return hash((type(self), *(np.shape(vars(self)[name]) for name in compared if _is_array(vars(self)[name]))))
+
+    made.__init__, made.__eq__, made.__hash__ = __init__, __eq__, __hash__
+    return made
+
+
+def _is_array(item: object) -> bool:
+    return isinstance(item, np.ndarray)
+
+
+def _read_only(item: Any) -> Any:
+    if isinstance(item, np.ndarray) and item.flags.writeable:
+        item = item.view()
+        item.flags.writeable = False
+    # Exactly these: named tuples and mappings of other kinds are made in another way.
+    elif type(item) in (tuple, list):
+        return type(item)(map(_read_only, item))
+    elif type(item) is dict:
+        return {key: _read_only(entry) for key, entry in item.items()}
+    return item
+
+
+def _equal(one: Any, other: Any) -> bool:
+    if one is other:
+        return True
+    if type(one) is not type(other):
+        return bool(np.isscalar(one) and np.isscalar(other) and one == other)
+    if isinstance(one, np.ndarray):
+        return np.array_equal(one, other, equal_nan=one.dtype.kind in "fc")
+    if isinstance(one, tuple | list):
+        return len(one) == len(other) and all(map(_equal, one, other))
+    if isinstance(one, dict):
+        return one.keys() == other.keys() and all(_equal(entry, other[key]) for key, entry in one.items())
+    if isinstance(one, RigidTransform | Rotation):
+        return np.array_equal(one.as_matrix(), other.as_matrix())
+    return bool(one == other) or (isinstance(one, float) and one != one and other != other)

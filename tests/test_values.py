@@ -1,0 +1,103 @@
+"""Values: of every frozen dataclass with arrays these are read-only, and equal is what holds the same."""
+
+import dataclasses
+import importlib
+import pkgutil
+import warnings
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+import lieednn_sim as ls
+from lieednn_sim.values import frozen
+
+# Parts of an arm and of a group, inputs and what is computed from them on the way: each is made once, and is itself.
+IDENTITIES = {
+    *("Chain", "Coordinates", "Factor", "CompoundJoint", "CompoundJoints", "MovingPoses", "MatrixLieGroup"),
+    *("PlanningProblem", "NetworkPath", "Arm", "Frame", "Dof", "Joint"),
+}
+
+
+def dataclasses_of_the_package():
+    for module in pkgutil.walk_packages(ls.__path__, "lieednn_sim."):
+        if not module.name.endswith(("__main__", "_opengl_probe")):
+            with warnings.catch_warnings(action="ignore"):
+                found = vars(importlib.import_module(module.name)).values()
+            yield from (
+                cls
+                for cls in found
+                if isinstance(cls, type)
+                and dataclasses.is_dataclass(cls)
+                and getattr(cls, "__module__", "") == module.name
+            )
+
+
+def is_value(cls):
+    return getattr(cls.__eq__, "__module__", "") == "lieednn_sim.values"
+
+
+CLASSES = sorted(dataclasses_of_the_package(), key=lambda cls: cls.__qualname__)
+VALUES = [cls for cls in CLASSES if is_value(cls)]
+
+
+def test_every_frozen_dataclass_with_arrays_is_a_value():
+    with_arrays = {
+        cls.__name__
+        for cls in CLASSES
+        if cls.__dataclass_params__.frozen
+        and not cls.__name__.startswith("_")
+        and any("Floats" in str(item.type) or "NDArray" in str(item.type) for item in dataclasses.fields(cls))
+    }
+    assert {cls.__name__ for cls in VALUES} >= with_arrays - IDENTITIES
+    assert {"Motion", "Rollout", "Plan", "Certificate", "Synthesis", "Following", "LieEDNN"} <= {
+        cls.__name__ for cls in VALUES
+    }
+
+
+CONTENT = arrays(np.float64, (2, 3), elements=st.floats(allow_nan=True))
+
+
+@pytest.mark.parametrize("cls", VALUES, ids=lambda cls: cls.__qualname__)
+@settings(max_examples=3)
+@given(content=CONTENT, data=st.data())
+def test_arrays_are_read_only_and_equality_is_of_content(cls, content, data):
+    names = [item.name for item in dataclasses.fields(cls)]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(cls, "__post_init__", lambda _: None, raising=False)
+        wrap = {0: lambda x: x, 1: lambda x: (x, 1.0), 2: lambda x: {"x": [x]}}
+        made = wrap[data.draw(st.integers(0, 2))]
+        one, other = (cls(**{name: made(content.copy()) for name in names}) for _ in range(2))
+        assert one == other
+        assert hash(one) == hash(other)
+        for name in names:
+            kept = getattr(one, name)
+            array = kept if isinstance(kept, np.ndarray) else kept[0] if isinstance(kept, tuple) else kept["x"][0]
+            with pytest.raises(ValueError, match="read-only"):
+                array[0, 0] = 1.0
+            changed = content.copy()
+            changed[1, 2] = 0.0 if changed[1, 2] != 0.0 else 1.0
+            assert dataclasses.replace(one, **{name: made(changed)}) != one
+            assert dataclasses.replace(one, **{name: made(content[:1])}) != one
+
+
+def test_values_by_hand():
+    @frozen
+    class Result:
+        x: np.ndarray
+        note: str = ""
+        error: float = 0.0
+
+    given_array = np.zeros(3)
+    result = Result(given_array)
+    # What was handed over is still the caller's.
+    given_array[0] = 0.0
+    assert repr(result).endswith("Result(x=array([0., 0., 0.]), note='', error=0.0)")
+    assert result == Result(np.zeros(3))
+    assert result != Result(np.zeros(3), "other")
+    assert result != "a string"
+    assert Result(np.zeros(3), error=float("nan")) == Result(np.zeros(3), error=float("nan"))
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        result.note = "changed"
