@@ -129,8 +129,8 @@ class Row:
         """Read `as_texts`; `ValueError` where a cell is not of its column's type."""
         values: dict[str, Any] = {name: texts[name] for name in FIELDS if name not in BY_NAME}
         values |= {"seed": int(texts["seed"]), "mass_scale": float(texts["mass_scale"])}
-        if texts["success"] not in ("yes", "no"):
-            raise ValueError(f"success is {texts['success']!r}, neither yes nor no")
+        if texts["success"] != ("no" if texts["reason"] else "yes"):
+            raise ValueError(f"success is {texts['success']!r} where the reason of a failure is {texts['reason']!r}")
         values["success"] = texts["success"] == "yes"
         for name in BY_NAME:
             kind = int if name.endswith("_violations") else float

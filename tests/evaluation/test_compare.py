@@ -131,7 +131,13 @@ def test_other_settings_versions_and_files_are_refused(finished, tmp_path):
             Table(tmp_path, QUICK)
     description.write_bytes((finished / "comparison.json").read_bytes())
     written = path.read_text(encoding="utf-8")
-    wrong = ((",yes,", ",perhaps,"), (",0,1,yes", ",zero,1,yes"), (",0,1,yes", ",0,heavy,yes"), (",1.5,", ",fast,"))
+    wrong = (
+        (",yes,", ",perhaps,"),
+        (",yes,,", ",no,,"),
+        (",0,1,yes", ",zero,1,yes"),
+        (",0,1,yes", ",0,heavy,yes"),
+        (",1.5,", ",fast,"),
+    )
     assert all(old in written for old, _ in wrong)
     for text in (
         "a,b\n1,2\n",
