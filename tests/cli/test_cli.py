@@ -48,7 +48,7 @@ def test_the_demo_without_video_meets_its_bounds(tmp_path, capsys):
     metrics = json.loads((directory / "metrics.json").read_text())
     tip = metrics["frames"][-1]
     assert metrics["displacement_m"] > 1.0
-    assert metrics["motion_end"] == pytest.approx(4.0)
+    assert metrics["motion_s"] == pytest.approx(4.0)
     assert tip["final_mm"] < 1.0
     assert tip["final_deg"] < 0.1
     assert tip["tracking_rms_mm"] < 1.0
