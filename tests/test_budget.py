@@ -100,9 +100,9 @@ def test_a_budget_that_is_not_spent_changes_nothing(looks):
 def test_a_case_that_runs_out_of_time_is_a_row_with_the_reason(looks, tmp_path):
     settings = Settings(time_budget=7.5)
     rows = run_case(Case("telescopic_pr", "free", "minimum-jerk", 0), ["mocap", "computed-torque"], settings)
-    assert {row["success"] for row in rows} == {"no"}
-    assert all(row["reason"].startswith("plan: out of time: the budget of 7.5 s of CPU time is spent") for row in rows)
-    assert all(float(row["planning_s"]) >= 0.0 for row in rows)
+    assert {row.success for row in rows} == {False}
+    assert all(row.reason.startswith("plan: out of time: the budget of 7.5 s of CPU time is spent") for row in rows)
+    assert all(row.planning_s >= 0.0 for row in rows)
     table = Table(tmp_path, settings)
     table.add(rows)
     write_summary(tmp_path / "summary.md", table)

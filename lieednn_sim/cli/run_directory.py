@@ -156,7 +156,9 @@ class RunDirectory:
     def load_rollout(self, task: Task, arm: Arm) -> Rollout:
         """The rollout, when it, the motion and the network were made from each other and for the task of the arm."""
         self.check(task, "network", "motion", "rollout")
-        return Rollout.load(self.rollout, arm, Motion.load(self.motion))
+        # Of a run that was not simulated it is the rollout that is missed.
+        motion = Motion.load(self.motion) if self.rollout.exists() else None
+        return Rollout.load(self.rollout, arm, motion)
 
     def check(self, task: Task, *names: str) -> dict[str, str]:
         """Fingerprints of the task and of the named files that are there, in the order in which they were made.

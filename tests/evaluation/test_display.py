@@ -89,7 +89,9 @@ def test_what_did_not_happen_is_not_shown():
         assert word not in str(plain)
 
 
-def test_what_is_printed_is_what_the_command_line_prints():
+def test_what_is_printed_is_what_the_command_line_prints(monkeypatch):
+    # As wide as the one console was made.
+    monkeypatch.setenv("COLUMNS", str(console.width))
     stream = io.StringIO()
     with contextlib.redirect_stdout(stream):
         console.print(EVALUATION)
