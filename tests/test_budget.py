@@ -15,8 +15,7 @@ from lieednn_sim.budget import check_time, out_of_time, time_limit
 from lieednn_sim.cli import _parser, main
 from lieednn_sim.errors import InputError, OutOfTimeError, PlanError
 from lieednn_sim.evaluation import Case, Settings, Table, run_case, write_summary
-from lieednn_sim.planning import PLANNERS, CertifiedOptions, RrtStarOptions, missing_planners, plan
-from lieednn_sim.planning import certified as planning
+from lieednn_sim.planning import PLANNERS, CertifiedOptions, RrtStarOptions, certified, missing_planners, plan
 from lieednn_sim.planning.motion import NetworkPath, least_duration
 
 ARM = Arm.load("telescopic_pr")
@@ -140,7 +139,7 @@ def calls(monkeypatch, owner, name):
 
 
 def test_networks_are_drawn_once_and_only_the_best_is_looked_at_closely(monkeypatch):
-    drawn = calls(monkeypatch, planning, "synthesize")
+    drawn = calls(monkeypatch, certified, "synthesize")
     paths, tried = (calls(monkeypatch, NetworkPath, name) for name in ("drawn", "timed"))
     passes = calls(monkeypatch, ContactFinder, "geoms")
     motion = planned(duration=0.6)

@@ -12,7 +12,7 @@ from lieednn_sim.validation import as_count, as_positive, quoted
 
 @dataclass(frozen=True)
 class PlannerOptions:
-    """Base of the options of planners.
+    """Base of the options of planners, and of what they hold: the filter's, a search's.
 
     A field whose default is a whole number takes whole numbers from 1 on, one whose default is another number positive
     ones, one whose default is a tuple any number of these, and any other what is of its default's class. Numbers may be

@@ -12,8 +12,7 @@ from numpy.typing import ArrayLike
 from lieednn_sim.arm import Arm
 from lieednn_sim.budget import DEFAULT_TIME_BUDGET, cpu_time, time_limit
 from lieednn_sim.errors import InputError
-from lieednn_sim.planning import filtered
-from lieednn_sim.planning import network_planners as lieednn
+from lieednn_sim.planning import filtered, network_planners
 from lieednn_sim.planning.baselines import interpolation, optimisation, primitives, sampling
 from lieednn_sim.planning.certified import CertifiedOptions, certified
 from lieednn_sim.planning.motion import Motion
@@ -44,11 +43,11 @@ PLANNERS: dict[str, Planner] = {
     "trajectory-optimisation": Planner(
         partial(in_time, optimisation.trajectory_optimisation), optimisation.OptimisationOptions
     ),
-    "linear-attractor": Planner(lieednn.linear_attractor),
+    "linear-attractor": Planner(network_planners.linear_attractor),
     "lieednn-certified": Planner(certified, CertifiedOptions),
-    "lieednn-retargeted": Planner(lieednn.retargeted, lieednn.RetargetedOptions),
-    "lieednn-trained": Planner(lieednn.trained, lieednn.TrainedOptions),
-    "lieednn-unprojected": Planner(lieednn.unprojected, lieednn.UnprojectedOptions),
+    "lieednn-retargeted": Planner(network_planners.retargeted, network_planners.RetargetedOptions),
+    "lieednn-trained": Planner(network_planners.trained, network_planners.TrainedOptions),
+    "lieednn-unprojected": Planner(network_planners.unprojected, network_planners.UnprojectedOptions),
     "lieednn-filtered": Planner(filtered.filtered, filtered.FilteredOptions),
     "lieednn-guided": Planner(filtered.guided, filtered.GuidedOptions),
 }

@@ -10,14 +10,13 @@ import shutil
 import numpy as np
 import pytest
 
-from lieednn_sim import planning as planners
 from lieednn_sim import storage
 from lieednn_sim.arm import Arm
 from lieednn_sim.cli import main
 from lieednn_sim.cli.run_directory import RunDirectory
 from lieednn_sim.cli.task import Task
 from lieednn_sim.errors import FileError, LieEDNNError
-from lieednn_sim.planning import plan
+from lieednn_sim.planning import OBSTACLE_PLANNER, plan, require_planner
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.simulation import Rollout, simulate
 
@@ -275,7 +274,7 @@ def test_no_planner_takes_the_place_of_one_that_is_not_installed(tmp_path, capsy
     assert "lieednn-filtered" in line
     assert not (tmp_path / "run").exists()
     with pytest.raises(LieEDNNError, match="'lieednn-guided' is not installed"):
-        planners.require_planner(planners.OBSTACLE_PLANNER)
+        require_planner(OBSTACLE_PLANNER)
 
 
 @pytest.mark.parametrize("command", ["demo", "synthesize", "train", "compare"])

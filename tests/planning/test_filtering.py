@@ -9,9 +9,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.errors import InputError, PlanError
-from lieednn_sim.planning import FilteredOptions, GuidedOptions, missing_planners, plan
-from lieednn_sim.planning import filtered as planner
-from lieednn_sim.planning import segments as legs
+from lieednn_sim.planning import FilteredOptions, GuidedOptions, filtered, missing_planners, plan, segments
 from lieednn_sim.planning.baselines import sampling
 from lieednn_sim.planning.filtering import (
     Barrier,
@@ -173,7 +171,7 @@ def test_staying_is_a_motion():
 
 
 def test_a_hopeless_problem_says_what_blocks(monkeypatch):
-    monkeypatch.setattr(planner, "optional_module", lambda _: None)
+    monkeypatch.setattr(filtered, "optional_module", lambda _: None)
     monkeypatch.setattr(sampling, "connecting_path", lambda *_: None)
     target = draw_target(POLES, 0)
     for name, options in (("filtered", FilteredOptions(candidates=2)), ("guided", GuidedOptions(candidates=2))):
@@ -224,7 +222,7 @@ def test_approach_bounds_by_hand(tmp_path):
 def test_the_end_of_a_run_is_closed_by_a_quintic():
     """Half way: 1/2 of the way and 5/32 of what the velocity brings; slopes 15/8 and -7/16. No jump at either end."""
     q, qd, goal = np.array([1.0, -2.0]), np.array([0.03, 0.2]), np.array([1.004, -1.99])
-    positions, rates = legs._closing(q, qd, goal, 0.001)
+    positions, rates = segments._closing(q, qd, goal, 0.001)
     assert positions.shape == rates.shape == (101, 2)
     np.testing.assert_allclose(positions[[0, 50, 100]], [q, q + 0.5 * (goal - q) + 0.1 * 5.0 / 32.0 * qd, goal])
     np.testing.assert_allclose(rates[[0, 50, 100]], [qd, 1.875 * (goal - q) / 0.1 - 7.0 / 16.0 * qd, [0.0, 0.0]])
@@ -232,7 +230,7 @@ def test_the_end_of_a_run_is_closed_by_a_quintic():
     np.testing.assert_allclose(rates[1:-1], numeric[1:-1], atol=1e-3 * np.abs(rates).max())
     acceleration = np.gradient(rates, 0.001, axis=0)
     assert np.abs(acceleration[[0, -1]]).max() < 0.1 * np.abs(acceleration).max()
-    assert len(legs._closing(q, qd, goal, 0.2)[0]) == 3, "two steps at least"
+    assert len(segments._closing(q, qd, goal, 0.2)[0]) == 3, "two steps at least"
 
 
 def test_a_run_becomes_a_motion_by_hand():
@@ -266,7 +264,7 @@ def test_a_run_becomes_a_motion_by_hand():
         reference=reference,
     )
     goal = np.array([0.008, -0.012])
-    motion = legs.motion_of(run, goal, np.full((1, 6), 3.0), 2)
+    motion = segments.motion_of(run, goal, np.full((1, 6), 3.0), 2)
     np.testing.assert_allclose(motion.t, 0.01 * np.arange(17), atol=1e-15)
     np.testing.assert_allclose(motion.qd[:7, 0], [0.0, 0.1, 0.2, 0.15, 0.1, 0.05, 0.0], atol=1e-15)
     np.testing.assert_allclose(motion.q[:7, 0], [0.0, 0.0005, 0.002, 0.00375, 0.005, 0.00575, 0.006], atol=1e-15)
@@ -486,7 +484,7 @@ def test_what_holds_the_arm_back_most_is_named_first(gantry):
 def test_the_most_promising_networks_run_first(monkeypatch):
     """Free ones as soon as they are drawn; of the others the one with the least of its way blocked."""
     ran = []
-    search = object.__new__(planner._Search)
+    search = object.__new__(filtered._Search)
     search.networks, search.options = [], FilteredOptions(tried=3)
     monkeypatch.setattr(search, "_run", lambda network, via=(): ran.append(network))
     drawn = [("half", 0.5), ("most", 0.8), ("free", 0.0), ("little", 0.2), ("some", 0.4)]

@@ -10,8 +10,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.errors import FileError, InputError, PlanError, TooFastError
 from lieednn_sim.lie import exp
 from lieednn_sim.network import LieEDNN
-from lieednn_sim.planning import CertifiedOptions, plan
-from lieednn_sim.planning import certified as planning
+from lieednn_sim.planning import CertifiedOptions, certified, plan
 from lieednn_sim.planning.motion import (
     RESIDUAL,
     Motion,
@@ -259,7 +258,7 @@ def test_the_plan_is_the_candidate_with_the_smallest_gap_that_keeps_the_limits(a
         drawn.append(result.network)
         return result
 
-    monkeypatch.setattr(planning, "synthesize", record)
+    monkeypatch.setattr(certified, "synthesize", record)
     spec = arm.spec.copy()
     spec.option.timestep = 0.02
     arm = Arm.from_spec(spec, arm.source, arm.name)

@@ -23,12 +23,12 @@ from lieednn_sim.planning import (
     RrtStarOptions,
     TrainedOptions,
     missing_planners,
+    network_planners,
     plan,
     reference_network,
     registry,
 )
-from lieednn_sim.planning import network_planners as lieednn
-from lieednn_sim.planning.baselines import smoothing as rounding
+from lieednn_sim.planning.baselines import smoothing
 from lieednn_sim.planning.motion import Motion, check_motion
 
 ARM = Arm.load("telescopic_pr")
@@ -281,7 +281,7 @@ def test_how_much_longer_a_motion_may_take_is_one_rule(name):
 def test_a_network_that_ends_elsewhere_is_refused(monkeypatch):
     task = problem(0)
     other = reference_network(ARM).retarget(ARM.encode(problem(1).target))
-    monkeypatch.setattr(lieednn, "reference_network", lambda *_: other)
+    monkeypatch.setattr(network_planners, "reference_network", lambda *_: other)
     monkeypatch.setattr(type(other), "retarget", lambda self, _: self)
     with pytest.raises(PlanError, match="ends at another equilibrium"):
         plan_with("lieednn-retargeted", task)
@@ -335,10 +335,10 @@ def test_of_refused_roundings_the_least_time_is_told(monkeypatch):
     def refuse(*_):
         raise next(refusals, PlanError("the polyline"))
 
-    monkeypatch.setattr(rounding, "rounded", lambda *_: (None, None, None))
-    monkeypatch.setattr(rounding, "stopping", lambda *_: (None, None, None))
-    monkeypatch.setattr(rounding, "joint_motion", refuse)
+    monkeypatch.setattr(smoothing, "rounded", lambda *_: (None, None, None))
+    monkeypatch.setattr(smoothing, "stopping", lambda *_: (None, None, None))
+    monkeypatch.setattr(smoothing, "joint_motion", refuse)
     with pytest.raises(TooFastError, match="three"):
-        rounding.motion_along(None, np.zeros((2, 1)), rounding.SmoothingOptions())
+        smoothing.motion_along(None, np.zeros((2, 1)), smoothing.SmoothingOptions())
     with pytest.raises(PlanError, match="the polyline"):
-        rounding.motion_along(None, np.zeros((2, 1)), rounding.SmoothingOptions())
+        smoothing.motion_along(None, np.zeros((2, 1)), smoothing.SmoothingOptions())

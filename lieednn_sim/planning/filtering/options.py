@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from lieednn_sim.validation import as_positive
+from lieednn_sim.planning.options import PlannerOptions
 
 
 @dataclass(frozen=True)
-class FilterOptions:
+class FilterOptions(PlannerOptions):
     """Settings of the filter.
 
     Attributes:
@@ -27,7 +27,3 @@ class FilterOptions:
     approach: float = 5.0
     cutoff: float = 0.4
     smoothing: float = 0.05
-
-    def __post_init__(self) -> None:
-        for name in ("margin", "own_margin", "approach", "cutoff", "smoothing"):
-            object.__setattr__(self, name, as_positive(name, getattr(self, name)))
