@@ -1,0 +1,130 @@
+"""Several demonstrations at equal phases: their mean, its time law, and how far they spread."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from lieednn_sim.errors import InputError
+from lieednn_sim.learning.demonstrations.recording import Demonstration
+from lieednn_sim.lie import exp, poses
+from lieednn_sim.validation import as_choice, as_count, as_positive
+from lieednn_sim.values import frozen
+
+Floats = NDArray[np.float64]
+
+PHASES = ("length", "time")
+# Metres that a radian counts for: 2 mm and 0.5 degrees weigh about the same.
+LEVER = 0.2
+
+
+@frozen
+class Demonstrations:
+    """Demonstrations of one motion, each seen from its own goal, at K equal steps of the phase.
+
+    Goals are aligned: every demonstration ends at the twist zero, see `Demonstration.twists`, wherever in the world it
+    ended.
+
+    Attributes:
+        goal: pose in the world at which the motion ends: the mean of the recorded ends.
+        t: ``(K,)`` mean time at which a phase is reached, from 0 to the mean duration [s].
+        twists: ``(n, K, 6)`` [rad, m].
+        freedoms: 2, 3 or 6: numbers that were shown of each pose.
+        lever: metres that a radian counts for, in lengths and distances.
+    """
+
+    goal: RigidTransform
+    t: Floats
+    twists: Floats
+    freedoms: int
+    lever: float = LEVER
+
+    def __len__(self) -> int:
+        """How many demonstrations."""
+        return len(self.twists)
+
+    @property
+    def duration(self) -> float:
+        """Mean duration [s]."""
+        return float(self.t[-1])
+
+    @cached_property
+    def mean(self) -> Floats:
+        """Mean twists ``(K, 6)``: the motion to reproduce."""
+        return self.twists.mean(axis=0)
+
+    @property
+    def spread(self) -> Floats:
+        """Standard deviation of the twists ``(K, 6)`` [rad, m]; zero of one demonstration."""
+        return self.twists.std(axis=0)
+
+    @cached_property
+    def extent(self) -> float:
+        """Largest side of the box of all positions [m], or of all turns by the lever where nothing else moves."""
+        turns, positions = (np.ptp(part.reshape(-1, 3), axis=0).max() for part in np.split(self.displaced, 2, axis=-1))
+        return float(max(positions, self.lever * turns))
+
+    @cached_property
+    def displaced(self) -> Floats:
+        """Turns and positions relative to the goal ``(n, K, 6)`` [rad, m], along the world's axes."""
+        return displacement(self.twists)
+
+    def without(self, index: int) -> Demonstrations:
+        """All but one, with times unchanged."""
+        if len(self) < 2:
+            raise InputError("one demonstration cannot be left out of one")
+        return replace(self, twists=np.delete(self.twists, index, axis=0))
+
+    def only(self, index: int) -> Demonstrations:
+        """One alone, with times unchanged."""
+        return replace(self, twists=self.twists[index : index + 1])
+
+    def to_world(self, twists: Floats) -> RigidTransform:
+        """Poses in the world of twists ``(..., 6)``."""
+        seen = exp(twists)
+        origin = self.goal.rotation.as_matrix()
+        return poses(seen.rotation.as_matrix() @ origin, seen.translation + self.goal.translation)
+
+
+def align(
+    demonstrations: Sequence[Demonstration], *, phase: str = "length", samples: int = 200, lever: float = LEVER
+) -> Demonstrations:
+    """Bring demonstrations to equal phases.
+
+    Args:
+        demonstrations: at least one, all of the same freedoms.
+        phase: ``"length"``, the share of the way, which does not depend on pace and pauses, or ``"time"``, the share of
+            the duration.
+        samples: K.
+        lever: metres that a radian counts for in the length of the way.
+
+    Raises:
+        InputError: there is none, or they show different things.
+    """
+    as_choice("phase", phase, PHASES)
+    lever = as_positive("lever", lever)
+    shares = np.linspace(0.0, 1.0, as_count("samples", samples, least=2))
+    if not demonstrations or len({one.freedoms for one in demonstrations}) > 1:
+        raise InputError("align needs at least one demonstration, and all must show the same")
+    twists, times = [], []
+    for one in demonstrations:
+        way = one.t if phase == "time" else np.concatenate([[0.0], np.cumsum(one.steps(lever))])
+        # Where nothing moves there is no phase: of a pause only its beginning counts, of the motion also its end.
+        kept = np.flatnonzero(np.concatenate([[True], np.diff(way) > 1e-12 * way[-1]]))
+        share = way[kept] / way[kept[-1]]
+        twists.append(np.stack([np.interp(shares, share, entry) for entry in one.twists[kept].T], axis=-1))
+        times.append(np.interp(shares, share, one.t[kept]))
+    ends = Rotation.from_matrix(np.stack([one.rotation[-1] for one in demonstrations]))
+    place = np.mean([one.position[-1] for one in demonstrations], axis=0)
+    goal = RigidTransform.from_components(place, ends.mean())
+    return Demonstrations(goal, np.mean(times, axis=0), np.stack(twists), demonstrations[0].freedoms, lever)
+
+
+def displacement(twists: Floats) -> Floats:
+    """Turns and positions ``(..., 6)`` [rad, m] that twists ``(..., 6)`` stand for: (omega, J(omega) v)."""
+    return np.concatenate([twists[..., :3], exp(twists).translation], axis=-1)

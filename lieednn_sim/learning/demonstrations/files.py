@@ -1,0 +1,146 @@
+"""Files of demonstrations: NumPy's npy and npz, csv, and the mat files of the LASA handwriting data set.
+
+A demonstration is a table with a row for each sample and the columns x, y or x, y, z, or x, y, z and a unit quaternion;
+an array of three axes holds several of one length.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieednn_sim.errors import FileError, InputError
+from lieednn_sim.learning.demonstrations.recording import QUATERNIONS, Demonstration
+from lieednn_sim.validation import as_choice, as_path, as_positive
+
+Floats = NDArray[np.float64]
+# Samples, and their times where the file has them.
+Table = tuple[NDArray[Any], NDArray[Any] | None]
+
+UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+_COLUMNS = ("x", "y", "z")
+_QUATERNION_COLUMNS = tuple(f"q{letter}" for letter in "wxyz")
+
+
+def load_demonstrations(
+    files: Iterable[str | os.PathLike[str]],
+    *,
+    unit: str = "m",
+    quaternion: str = "wxyz",
+    rate: float = 100.0,
+) -> tuple[Demonstration, ...]:
+    """Read demonstrations of one motion, one or several from each file.
+
+    - ``.npy``: ``(K, D)`` or ``(n, K, D)`` with D = 2, 3 or 7.
+    - ``.npz``: such an array, as the only one or named ``poses`` or ``positions``; ``quaternions`` ``(..., K, 4)``
+      may stand apart, and times ``t`` ``(K,)`` or ``(n, K)`` [s] beside.
+    - ``.csv``: one demonstration, separated by commas. A first line may name the columns x, y, z, qw, qx, qy, qz and t
+      in any order; others are passed over.
+    - ``.mat``: the structures ``demos`` of the LASA data set, with ``pos`` ``(2, K)`` and ``t``.
+
+    Args:
+        files: at least one.
+        unit: of the positions, a name of `UNITS`.
+        quaternion: order of the quaternions' entries, a name of `QUATERNIONS`.
+        rate: samples a second where a file has no times [1/s].
+
+    Raises:
+        FileError: a file cannot be read, or is none of these.
+        InputError: its numbers are no demonstration, or demonstrations differ in what they show.
+    """
+    length = UNITS[as_choice("unit", unit, UNITS)]
+    as_choice("order of quaternions", quaternion, QUATERNIONS)
+    rate = as_positive("rate", rate)
+    found: list[Demonstration] = []
+    for name in files:
+        path = as_path("the name of a file of demonstrations", name)
+        tables = list(_tables(path, quaternion))
+        for number, (samples, t) in enumerate(tables):
+            source = path.name if len(tables) == 1 else f"{path.name}[{number}]"
+            found.append(Demonstration.from_samples(samples, t, length, quaternion, rate, source))
+    if not found:
+        raise InputError("there is no demonstration; name at least one file")
+    for other in found[1:]:
+        if other.freedoms != found[0].freedoms:
+            raise InputError(
+                f"demonstrations must all show the same: {found[0].source} has {found[0].shown}, "
+                f"{other.source} {other.shown}"
+            )
+    return tuple(found)
+
+
+def _tables(path: Path, quaternion: str) -> Iterator[Table]:
+    read = {".npy": _npy, ".npz": _npz, ".csv": _csv, ".mat": _mat}.get(path.suffix.lower())
+    if read is None:
+        raise FileError(f"{path} is no file of demonstrations; allowed are .npy, .npz, .csv and .mat")
+    try:
+        yield from read(path, quaternion)
+    except (FileError, InputError):
+        raise
+    except FileNotFoundError:
+        raise FileError(f"no such file: {path}") from None
+    # The readers raise whatever they stumble over in a damaged file.
+    except Exception as error:
+        raise FileError(f"{path} is not a readable file of demonstrations ({type(error).__name__}: {error})") from None
+
+
+def _several(path: Path, samples: NDArray[Any], t: NDArray[Any] | None = None) -> Iterator[Table]:
+    """The demonstrations of an array ``(K, D)`` or ``(n, K, D)``."""
+    if samples.ndim not in (2, 3):
+        raise InputError(f"{path}: demonstrations must have shape (K, D) or (n, K, D), got {samples.shape}")
+    if t is not None and t.shape not in (samples.shape[-2:-1], samples.shape[:-1]):
+        raise InputError(f"{path}: times must have shape {samples.shape[-2:-1]}, one for each sample, got {t.shape}")
+    if samples.ndim == 2:
+        yield samples, t
+    else:
+        for number, one in enumerate(samples):
+            yield one, t if t is None or t.ndim == 1 else t[number]
+
+
+def _npy(path: Path, _: str) -> Iterator[Table]:
+    return _several(path, np.load(path, allow_pickle=False))
+
+
+def _npz(path: Path, _: str) -> Iterator[Table]:
+    with np.load(path, allow_pickle=False) as archive:
+        arrays = {name: archive[name] for name in archive.files}
+    t, quaternions = arrays.pop("t", None), arrays.pop("quaternions", None)
+    named = [name for name in ("poses", "positions") if name in arrays] or list(arrays)
+    if len(named) != 1:
+        raise InputError(f"{path} must hold one array named 'poses' or 'positions'; it holds: {', '.join(arrays)}")
+    samples = arrays[named[0]]
+    if quaternions is not None:
+        samples = np.concatenate([samples, quaternions], axis=-1)
+    return _several(path, samples, t)
+
+
+def _csv(path: Path, quaternion: str) -> Iterator[Table]:
+    with path.open(encoding="utf-8-sig") as stream:
+        names = [word.strip().lower() for word in stream.readline().split(",")]
+    headed = any(name[:1].isalpha() and name not in ("nan", "inf") for name in names)
+    table = np.loadtxt(path, delimiter=",", skiprows=int(headed), ndmin=2, encoding="utf-8-sig")
+    if not headed:
+        return _several(path, table)
+    wanted: Sequence[str] = [name for name in _COLUMNS if name in names]
+    if any(name in names for name in _QUATERNION_COLUMNS):
+        wanted = [*_COLUMNS, *(f"q{letter}" for letter in quaternion)]
+    missing = [name for name in wanted if name not in names]
+    if missing or wanted[:2] != ["x", "y"]:
+        raise InputError(f"{path} must have columns x, y, z and qw, qx, qy, qz, or x, y; it has: {', '.join(names)}")
+    t = table[:, names.index("t")] if "t" in names else None
+    return _several(path, table[:, [names.index(name) for name in wanted]], t)
+
+
+def _mat(path: Path, _: str) -> Iterator[Table]:
+    from scipy.io import loadmat
+
+    demos = loadmat(path, simplify_cells=True).get("demos")
+    if demos is None:
+        raise InputError(f"{path} has no 'demos', as the files of the LASA data set have")
+    for demo in [demos] if isinstance(demos, dict) else demos:
+        yield np.asarray(demo["pos"]).T, np.ravel(demo["t"]) if "t" in demo else None

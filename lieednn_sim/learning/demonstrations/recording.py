@@ -1,0 +1,126 @@
+"""One demonstration: the poses of a frame at increasing times."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
+
+from lieednn_sim.errors import InputError
+from lieednn_sim.lie import left_jacobian_so3
+from lieednn_sim.validation import as_floats, as_times
+from lieednn_sim.values import frozen
+
+Floats = NDArray[np.float64]
+
+QUATERNIONS = ("wxyz", "xyzw")
+# What a table's columns show, and how many numbers are free in it.
+_SHOWN = {2: "positions in a plane", 3: "positions", 7: "poses"}
+# Recorded unit quaternions are rounded; others than these are something else.
+_NORMS = (0.9, 1.1)
+# Of the rotation vector: the chart is singular at a full turn [rad].
+_LARGEST_TURN = 2.0 * np.pi - 0.2
+# A motion shorter than this is none [m, or as much by the lever].
+_LEAST_LENGTH = 1e-9
+
+
+@frozen
+class Demonstration:
+    """A recorded motion of a frame, seen from its goal.
+
+    Attributes:
+        t: ``(K,)`` times from 0 on [s].
+        position: ``(K, 3)`` in the world [m]; the third entry is zero of what was shown in a plane.
+        rotation: ``(K, 3, 3)`` of the frame to the world, the identity where none was shown.
+        freedoms: 2, 3 or 6: numbers that were shown of each pose.
+        source: where it comes from.
+    """
+
+    t: Floats
+    position: Floats
+    rotation: Floats
+    freedoms: int
+    source: str = ""
+
+    @classmethod
+    def from_samples(
+        cls,
+        samples: ArrayLike,
+        t: ArrayLike | None = None,
+        length: float = 1.0,
+        quaternion: str = "wxyz",
+        rate: float = 100.0,
+        source: str = "a demonstration",
+    ) -> Demonstration:
+        """Make a demonstration of rows x, y; x, y, z; or x, y, z and a quaternion.
+
+        Args:
+            samples: ``(K, 2)``, ``(K, 3)`` or ``(K, 7)``, at least two rows. Quaternions need be units to 10 % only.
+            t: ``(K,)`` increasing times [s]; None where there are none.
+            length: metres in a unit of the positions.
+            quaternion: order of its entries, a name of `QUATERNIONS`.
+            rate: samples a second where there are no times [1/s].
+            source: for messages.
+
+        Raises:
+            InputError: something else was given, or nothing moves.
+        """
+        table = as_floats(source, samples, ("K", "D"))
+        count, columns = table.shape
+        if columns not in _SHOWN:
+            raise InputError(
+                f"{source} must have 2, 3 or 7 columns: x y, x y z, or these and a quaternion; got {columns}"
+            )
+        if count < 2:
+            raise InputError(f"{source} must have at least two samples, got {count}")
+        times = np.arange(count) / rate if t is None else as_times(f"times of {source}", t)
+        if len(times) != count:
+            raise InputError(f"{source} has {count} samples and {len(times)} times")
+        position = np.zeros((count, 3))
+        position[:, : min(columns, 3)] = length * table[:, :3]
+        rotation = np.broadcast_to(np.eye(3), (count, 3, 3))
+        if columns == 7:
+            norms = np.linalg.norm(table[:, 3:], axis=1)
+            if not ((norms > _NORMS[0]) & (norms < _NORMS[1])).all():
+                worst = int(np.argmax(np.abs(norms - 1.0)))
+                raise InputError(f"quaternions of {source} must be units, got norm {norms[worst]:g} in row {worst}")
+            rotation = Rotation.from_quat(table[:, 3:], scalar_first=quaternion == "wxyz").as_matrix()
+        made = cls(times - times[0], position, rotation, 6 if columns == 7 else columns, source)
+        if made.steps(1.0).sum() < _LEAST_LENGTH:
+            raise InputError(f"{source} does not move")
+        return made
+
+    @property
+    def shown(self) -> str:
+        """What was recorded, in words."""
+        return _SHOWN[7 if self.freedoms == 6 else self.freedoms]
+
+    @cached_property
+    def twists(self) -> Floats:
+        """Twists ``(K, 6)`` [rad, m]: logarithms of the poses relative to the last one, along the world's axes.
+
+        xi = log (R R_K^T, p - p_K), so the goal is zero. Where the frame turns by more than pi from its goal, the
+        rotation vector goes on instead of jumping to the other side: it is followed from the goal backwards, and of
+        all vectors of a rotation, which differ by full turns about its axis, the one nearest to the following sample
+        is taken. A quaternion and its negative are the same here.
+
+        Raises:
+            InputError: it turns by nearly a full turn, where the logarithm has no continuation.
+        """
+        turn = Rotation.from_matrix(self.rotation @ self.rotation[-1].T).as_rotvec()
+        for k in reversed(range(len(turn) - 1)):
+            angle = np.linalg.norm(turn[k])
+            if angle > 0.0:
+                axis = turn[k] / angle
+                turn[k] += 2.0 * np.pi * np.round((turn[k + 1] - turn[k]) @ axis / (2.0 * np.pi)) * axis
+        if np.linalg.norm(turn, axis=1).max() > _LARGEST_TURN:
+            raise InputError(f"{self.source} turns by a full turn or more from its goal; cut it into shorter ones")
+        shift = np.linalg.solve(left_jacobian_so3(turn), (self.position - self.position[-1])[..., None])[..., 0]
+        return np.concatenate([turn, shift], axis=1)
+
+    def steps(self, lever: float) -> Floats:
+        """Lengths ``(K - 1,)`` of the way from each sample to the next [m]; a radian counts as much as ``lever``."""
+        turns = Rotation.from_matrix(self.rotation[1:] @ self.rotation[:-1].swapaxes(1, 2)).magnitude()
+        return np.hypot(np.linalg.norm(np.diff(self.position, axis=0), axis=1), lever * turns)

@@ -1,0 +1,99 @@
+"""Files of demonstrations: every format gives the same motion, and what is none says why."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.io import savemat
+
+from lieednn_sim.errors import FileError, InputError
+from lieednn_sim.learning.demonstrations import load_demonstrations
+
+PLANE = np.array([[[3.0, 4.0], [3.0, 0.0], [0.0, 0.0]], [[6.0, 1.0], [2.0, 1.0], [0.0, 1.0]]])
+# Of a quarter turn about z, about x, and none.
+HALF = np.sqrt(0.5)
+QUATERNIONS = np.array([[HALF, 0.0, 0.0, HALF], [HALF, HALF, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]])
+POSES = np.concatenate([[[1.0, 2.0, 3.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]], QUATERNIONS], axis=1)
+
+
+def test_formats_of_several_in_a_plane_agree(tmp_path):
+    times = np.array([[0.0, 1.0, 3.0], [5.0, 6.0, 9.0]])
+    np.save(tmp_path / "all.npy", PLANE)
+    np.savez(tmp_path / "all.npz", positions=PLANE, t=times)
+    demos = np.empty(2, dtype=object)
+    demos[:] = [{"pos": one.T, "t": t[None]} for one, t in zip(PLANE, times, strict=True)]
+    savemat(tmp_path / "all.mat", {"demos": demos, "dt": 1.0})
+    for one, name in zip(PLANE, "ab", strict=True):
+        np.savetxt(tmp_path / f"{name}.csv", one, delimiter=",")
+    for files in (["all.npy"], ["all.npz"], ["all.mat"], ["a.csv", "b.csv"]):
+        found = load_demonstrations([tmp_path / name for name in files], unit="mm", rate=4.0)
+        for one, shown, t in zip(found, PLANE, times - times[:, :1], strict=True):
+            np.testing.assert_allclose(one.position, np.pad(1e-3 * shown, ((0, 0), (0, 1))), atol=1e-15)
+            np.testing.assert_array_equal(one.t, t if files[0] in ("all.npz", "all.mat") else [0.0, 0.25, 0.5])
+            assert one.freedoms == 2
+            np.testing.assert_array_equal(one.twists[:, :3], 0.0)
+            np.testing.assert_allclose(one.twists[:, 3:5], 1e-3 * (shown - shown[-1]), atol=1e-15)
+
+
+def test_quaternions_in_either_order_apart_and_named(tmp_path):
+    np.save(tmp_path / "first.npy", POSES)
+    np.save(tmp_path / "last.npy", POSES[:, [0, 1, 2, 4, 5, 6, 3]])
+    np.savez(tmp_path / "apart.npz", positions=POSES[:, :3], quaternions=QUATERNIONS)
+    # A header decides, in any order, and strange columns are passed over; the sign of a quaternion says nothing.
+    header = "t,qz,gripper,z,y,x,qx,qy,qw"
+    columns = [POSES[:, 6], [0, 1, 0], POSES[:, 2], POSES[:, 1], POSES[:, 0], *POSES[:, 4:6].T, POSES[:, 3]]
+    table = np.column_stack([[0.0, 0.5, 1.5], *columns])
+    table[1, [1, 6, 7, 8]] *= -1.0
+    np.savetxt(tmp_path / "named.csv", table, delimiter=",", header=header, comments="")
+    for name, order in (("first.npy", "wxyz"), ("last.npy", "xyzw"), ("apart.npz", "wxyz"), ("named.csv", "xyzw")):
+        (one,) = load_demonstrations([tmp_path / name], quaternion=order)
+        assert one.freedoms == 6
+        # Columns are the frame's axes in the world: x to y, then y to z.
+        np.testing.assert_allclose(one.rotation[0], [[0, -1, 0], [1, 0, 0], [0, 0, 1]], atol=1e-15)
+        np.testing.assert_allclose(one.rotation[1], [[1, 0, 0], [0, 0, -1], [0, 1, 0]], atol=1e-15)
+        assert one.t.tolist() == ([0.0, 0.5, 1.5] if name == "named.csv" else [0.0, 0.01, 0.02])
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (np.zeros(3), "shape (K, D) or (n, K, D), got (3,)"),
+        (np.ones((5, 4)), "2, 3 or 7 columns"),
+        (np.ones((1, 2)), "at least two samples, got 1"),
+        (np.ones((5, 2)), "does not move"),
+        (np.array([[0.0, np.nan], [1.0, 1.0]]), "1 NaN or infinite"),
+        (np.array([[0.0] * 6 + [1.0], [1.0] * 7]), "must be units, got norm 2 in row 1"),
+        (np.array([["a", "b"], ["c", "d"]]), "array of numbers"),
+    ],
+)
+def test_what_is_no_demonstration_says_why(tmp_path, content, message):
+    np.save(tmp_path / "wrong.npy", content)
+    with pytest.raises(InputError, match="wrong") as raised:
+        load_demonstrations([tmp_path / "wrong.npy"])
+    assert message in str(raised.value)
+
+
+def test_files_that_do_not_fit(tmp_path):
+    np.save(tmp_path / "plane.npy", PLANE)
+    np.save(tmp_path / "poses.npy", POSES)
+    with pytest.raises(InputError, match=r"plane.npy\[0\] has positions in a plane, poses.npy poses"):
+        load_demonstrations([tmp_path / "plane.npy", tmp_path / "poses.npy"])
+    np.savez(tmp_path / "two.npz", a=PLANE, b=PLANE)
+    with pytest.raises(InputError, match="it holds: a, b"):
+        load_demonstrations([tmp_path / "two.npz"])
+    np.savez(tmp_path / "times.npz", positions=PLANE, t=np.arange(4.0))
+    with pytest.raises(InputError, match="one for each sample"):
+        load_demonstrations([tmp_path / "times.npz"])
+    (tmp_path / "named.csv").write_text("x,y,z,qw,qx\n" + "1,2,3,1,0\n" * 2)
+    with pytest.raises(InputError, match="must have columns x, y, z and qw"):
+        load_demonstrations([tmp_path / "named.csv"])
+    np.save(tmp_path / "pickled.npy", np.array([{}], dtype=object), allow_pickle=True)
+    for name in ("damaged.mat", "damaged.npz", "damaged.npy", "damaged.csv"):
+        (tmp_path / name).write_bytes(b"no such thing")
+    for name in ("damaged.mat", "damaged.npz", "damaged.npy", "damaged.csv", "pickled.npy", "plane.txt", "absent.npy"):
+        with pytest.raises(FileError, match=name):
+            load_demonstrations([tmp_path / name])
+    with pytest.raises(InputError, match="allowed: cm, m, mm"):
+        load_demonstrations([tmp_path / "plane.npy"], unit="inch")
+    with pytest.raises(InputError, match="name at least one file"):
+        load_demonstrations([])
