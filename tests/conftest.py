@@ -23,7 +23,13 @@ from lieednn_sim import budget
 from lieednn_sim.rendering import opengl
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from lieednn_sim.arm import Arm
+    from lieednn_sim.network import LieEDNN
+
+    Floats = NDArray[np.float64]
 
 # NumPy's BLAS reads this when it loads. One thread: the test workers share the cores, and results don't depend on them.
 for _variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
@@ -86,6 +92,35 @@ def gantry(tmp_path_factory: pytest.TempPathFactory) -> Arm:
     path = tmp_path_factory.mktemp("gantry") / "gantry.xml"
     path.write_text(_GANTRY)
     return Arm.from_xml(path, "gantry")
+
+
+@pytest.fixture(scope="session")
+def cascade() -> Callable[[Floats], LieEDNN]:
+    """A network of n visible neurons, two hidden ones and a clock that ends at a target ``(n, 6)``; all by hand.
+
+    The clock p' = -p + tanh(p) / 2 drives the hidden neurons h' = -h + 2 tanh(p) + a, and these the visible ones.
+    """
+    import numpy as np
+    from scipy.spatial.transform import Rotation
+
+    from lieednn_sim.network import LieEDNN
+
+    def make(target: Floats) -> LieEDNN:
+        n = len(target)
+        alpha = np.zeros((n + 3, n + 3))
+        alpha[:n, n], alpha[:n, n + 1] = 0.3, -0.2
+        alpha[n : n + 2, n + 2], alpha[n + 2, n + 2] = 2.0, 0.5
+        rng = np.random.default_rng(0)
+        rotation, translation = np.tile(np.eye(3), (n + 3, n + 3, 1, 1)), np.zeros((n + 3, n + 3, 3))
+        rotation[:n, n : n + 2] = Rotation.random(2 * n, rng=rng).as_matrix().reshape(n, 2, 3, 3)
+        translation[:n, n : n + 2] = 0.5 * rng.normal(size=(n, 2, 3))
+        bias = np.zeros((n + 3, 6))
+        bias[n], bias[n + 1] = -0.5, 0.4
+        hidden = np.concatenate([bias[n : n + 2] + 1.5, np.ones((1, 6))])
+        network = LieEDNN(alpha, rotation, translation, bias, hidden_start=hidden, n_clock=1)
+        return network.retarget(target).certify()
+
+    return make
 
 
 settings.register_profile("lieednn", deadline=None, derandomize=True, print_blob=True)

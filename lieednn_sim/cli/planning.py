@@ -97,7 +97,8 @@ def _options(arguments: argparse.Namespace) -> tuple[CertifiedOptions, dict[str,
 def _print_choice(arm: Arm, made: Plan, bias: str) -> None:
     network = made.network
     assert network is not None
-    conditions = network.norm_conditions(arm.encode(made.target))
+    goal = network.goal(arm.encode(made.target))
+    conditions = network.norm_conditions(goal)
     rows = table("network", "quantity", "value")
     rows.add_row("certificate", str(network.certificate))
     rows.add_row("bias", f"{bias}, largest entry {np.abs(network.bias).max():.3g}")
@@ -107,7 +108,7 @@ def _print_choice(arm: Arm, made: Plan, bias: str) -> None:
         "1-norm of W",
         f"{conditions.one_norm:.2f} (no network with this equilibrium below {conditions.smallest_one_norm:.2f})",
     )
-    warning = network.assess(made.motion.xi_target).warning
+    warning = network.assess(goal).warning
     if warning is not None:
         rows.add_row("warning", warning)
     console.print(rows)
@@ -120,7 +121,7 @@ def _print_outcome(made: Plan) -> None:
     rows.add_row("mechanism gap", _gap(made.motion))
     console.print(rows)
     if made.network is not None:
-        console.print(f"stability: {made.network.assess(made.motion.xi_target)}")
+        console.print(f"stability: {made.network.assess(made.network.goal(made.motion.xi_target))}")
 
 
 def _gap(motion: Motion) -> str:

@@ -23,34 +23,103 @@ Floats = NDArray[np.float64]
 class BlockNetwork(ABC):
     """N neurons of d coordinates each, coupled by d x d blocks; subclasses are frozen dataclasses.
 
-    The state has shape ``(..., N, d)``; the flat state is its C-order ravel.
+    The state has shape ``(..., N, d)``; the flat state is its C-order ravel. The last M neurons are hidden: what is
+    made of a state shows the visible ones alone, which come first. In most networks M = 0.
 
     Attributes:
         bias: ``(N, d)``.
         gamma: decay rate, positive.
         mu: scale of the interaction, positive.
+        n_clock: how many of the last hidden neurons are the clock, which drives the other hidden ones.
     """
 
     bias: Floats
     gamma: float
     mu: float
+    n_clock: int = 0
 
     # What `save` writes: the kind of file, and the attributes kept as arrays and as metadata.
     _kind: ClassVar[str]
     _arrays: ClassVar[tuple[str, ...]]
     _scalars: ClassVar[tuple[str, ...]]
-    # What does not depend on the bias, so that a network with another bias can take it over.
-    _bias_free: ClassVar[tuple[str, ...]] = ("blocks", "weight", "certificate")
+    # Those of them that a file need not hold.
+    _optional: ClassVar[tuple[str, ...]] = ("lyapunov_diagonal", "hidden_start", "n_clock")
+    # What does not depend on the visible neurons' bias, so that a network with another one can take it over.
+    _bias_free: ClassVar[tuple[str, ...]] = ("blocks", "weight", "certificate", "_undriven_rest")
 
     def __repr__(self) -> str:
         n, d = self.bias.shape
+        parts = f" ({self.n_visible} visible, {self.n_hidden - self.n_clock} hidden, {self.n_clock} of the clock)"
+        neurons = f"{n} neurons{parts if self.n_hidden else ''} of {d} coordinates"
         proof = "certified" if self.certified else "not certified"
-        return f"<{type(self).__name__}: {n} neurons of {d} coordinates, gamma {self.gamma:g}, mu {self.mu:g}, {proof}>"
+        return f"<{type(self).__name__}: {neurons}, gamma {self.gamma:g}, mu {self.mu:g}, {proof}>"
+
+    @cached_property
+    def hidden_start(self) -> Floats:
+        """State of the hidden neurons at time 0, ``(M, d)``."""
+        return read_only(np.empty((0, self.bias.shape[1])))
 
     @property
     def n_neurons(self) -> int:
         """N."""
         return len(self.bias)
+
+    @property
+    def n_hidden(self) -> int:
+        """M, the clock included."""
+        return len(self.hidden_start)
+
+    @property
+    def n_visible(self) -> int:
+        """N - M."""
+        return self.n_neurons - self.n_hidden
+
+    def visible(self, xi: ArrayLike) -> Floats:
+        """States of the visible neurons ``(..., N - M, d)`` in those of all, ``(..., N, d)``."""
+        return as_floats("xi", xi, self.bias.shape, batched=True)[..., : self.n_visible, :]
+
+    def start(self, xi: ArrayLike) -> Floats:
+        """The state ``(N, d)`` at time 0 with the visible neurons at ``xi`` ``(N - M, d)``."""
+        return np.concatenate([as_floats("xi", xi, (self.n_visible, self.bias.shape[1])), self.hidden_start])
+
+    def goal(self, xi: ArrayLike) -> Floats:
+        """The state ``(N, d)`` with the visible neurons at ``xi`` ``(N - M, d)`` and the hidden ones at rest there.
+
+        Where no hidden neuron hears a visible one, the hidden ones rest at the same state for every ``xi``.
+
+        Raises:
+            InputError: the hidden neurons have no equilibrium while the visible ones are there.
+        """
+        state = self.start(xi)
+        driven = self.blocks[self.n_visible :, : self.n_visible].any()
+        state[self.n_visible :] = self._rest(state) if driven else self._undriven_rest
+        return state
+
+    @cached_property
+    def _undriven_rest(self) -> Floats:
+        """Equilibrium ``(M, d)`` of hidden neurons that hear no visible ones."""
+        return read_only(self._rest(self.start(np.zeros((self.n_visible, self.bias.shape[1])))))
+
+    def _rest(self, state: Floats) -> Floats:
+        """Equilibrium ``(M, d)`` of the hidden neurons while the visible ones stay as in ``state`` ``(N, d)``."""
+        first, hidden = self.n_visible, state[self.n_visible :]
+        if not len(hidden):
+            return hidden
+        still, size = state[:first].ravel(), first * self.bias.shape[1]
+
+        def field(x: Floats) -> Floats:
+            return self.flat_vector_field(np.concatenate([still, x]))[size:]
+
+        def jacobian(x: Floats) -> Floats:
+            return self.jacobian(np.concatenate([still, x]).reshape(self.bias.shape))[size:, size:]
+
+        found = find_equilibrium(field, jacobian, hidden, rate=self.gamma, tolerance=1e-12)
+        if not found.success:
+            raise InputError(
+                f"the hidden neurons do not come to rest while the visible ones are at xi ({found.message}); "
+                "use a certified network"
+            )
+        return found.xi
 
     @property
     @abstractmethod
@@ -130,10 +199,11 @@ class BlockNetwork(ABC):
         """Integrate the network from ``start``.
 
         Args:
-            start: ``(N, d)`` state at time 0.
+            start: ``(N, d)`` state at time 0, see `start`.
             duration: longest time to integrate, in the network's own time.
             until: ``(N, d)`` state to stop at, usually the equilibrium.
-            distance: stop when the largest coordinate of xi - until is below this.
+            distance: stop when the largest coordinate of xi - until is below this; of hidden neurons that of what the
+                others hear of them, phi(xi) - phi(until).
             method: a name of `dynamics.INTEGRATORS`.
             rtol: relative tolerance of the integrator.
             atol: absolute tolerance of the integrator.
@@ -144,6 +214,7 @@ class BlockNetwork(ABC):
             as_floats("start", start, shape),
             duration,
             until=None if until is None else as_floats("until", until, shape),
+            seen=self._seen,
             distance=distance,
             method=method,
             rtol=rtol,
@@ -157,15 +228,26 @@ class BlockNetwork(ABC):
         smallest = stability.smallest_one_norm(self.phi(target), required)
         return stability.norm_conditions(self.weight, smallest, gamma=self.gamma, mu=self.mu)
 
-    def retarget(self, xi: ArrayLike) -> Self:
-        """The same weights with the bias b = (gamma/mu) xi - W phi(xi), which makes ``xi`` the equilibrium.
+    def _seen(self, x: Floats) -> Floats:
+        """Of a flat state what counts: where the visible neurons are, and what the hidden ones send; a flat array."""
+        state = x.reshape(self.bias.shape)
+        return np.concatenate([state[: self.n_visible].ravel(), self.phi(state[self.n_visible :]).ravel()])
 
+    def retarget(self, xi: ArrayLike) -> Self:
+        """The same weights with the bias that makes ``xi`` ``(N - M, d)`` the equilibrium of the visible neurons.
+
+        It is b = (gamma/mu) x - W phi(x) of the visible neurons alone, with x the `goal`; the hidden ones keep theirs.
         The certificate does not depend on the bias: a certified network stays certified.
+
+        Raises:
+            InputError: as of `goal`.
         """
-        target = as_floats("xi", xi, self.bias.shape)
+        target = self.goal(xi)
         drive = (self.weight @ self.phi(target).ravel()).reshape(target.shape)
+        bias = self.gamma / self.mu * target - drive
+        bias[self.n_visible :] = self.bias[self.n_visible :]
         # mypy cannot know that every subclass is a dataclass, here and below.
-        network: Self = replace(self, bias=self.gamma / self.mu * target - drive)  # type: ignore[type-var]
+        network: Self = replace(self, bias=bias)  # type: ignore[type-var]
         # Weights and proof are the same: hand over what has been computed of them.
         vars(network).update({name: vars(self)[name] for name in self._bias_free if name in vars(self)})
         return network
@@ -191,9 +273,8 @@ class BlockNetwork(ABC):
             FileError: the file cannot be read, is no network, or carries a certificate that does not hold.
         """
         arrays, meta = storage.load_arrays(path, cls._kind)
-        required = [name for name in cls._arrays if name != "lyapunov_diagonal"]
-        values: dict[str, Any] = dict(zip(required, storage.take(arrays, path, *required), strict=True))
-        values["lyapunov_diagonal"] = arrays.get("lyapunov_diagonal")
+        names = [name for name in cls._arrays if name in arrays or name not in cls._optional]
+        values = dict(zip(names, storage.take(arrays, path, *names), strict=True))
         try:
             network = cls(**values, **cls._from_meta(meta))
             certificate = network.certificate
@@ -209,7 +290,7 @@ class BlockNetwork(ABC):
     @classmethod
     def _from_meta(cls, meta: Mapping[str, Any]) -> dict[str, Any]:
         """Arguments of the constructor out of metadata; KeyError or InputError when they are not there."""
-        return {name: meta[name] for name in cls._scalars}
+        return {name: meta[name] for name in cls._scalars if name in meta or name not in cls._optional}
 
     def _store(self, **checked: Any) -> None:
         """Set the fields of a frozen dataclass to checked values; arrays are copied and locked."""

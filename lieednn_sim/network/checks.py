@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim.errors import InputError
-from lieednn_sim.validation import as_floats, as_positive, as_ratio
+from lieednn_sim.validation import as_count, as_floats, as_positive, as_ratio
 
 Floats = NDArray[np.float64]
 
@@ -40,6 +40,20 @@ def as_poses(rotation: ArrayLike, translation: ArrayLike, alpha: Floats) -> dict
     require_rotations(checked["rotation"])
     as_floats("alpha times translation", alpha[:, :, None] * checked["translation"], (n, n, 3))
     return checked
+
+
+def as_hidden(hidden_start: ArrayLike, n_clock: int, n: int) -> dict[str, Floats | int]:
+    """Return the hidden neurons' start ``(M, 6)`` and the size of the clock checked, by name, in a network of N."""
+    start = as_floats("hidden_start", hidden_start, ("M", 6))
+    if len(start) >= n:
+        raise InputError(
+            f"hidden_start must hold fewer neurons than the network, which has {n} and needs a visible one, got "
+            f"{len(start)}"
+        )
+    clock = as_count("n_clock", n_clock, least=0)
+    if clock > len(start):
+        raise InputError(f"n_clock must be at most {len(start)}, the number of hidden neurons, got {clock}")
+    return {"hidden_start": start, "n_clock": clock}
 
 
 def require_rotations(rotation: Floats) -> None:

@@ -166,12 +166,15 @@ def integrate(
     duration: float,
     *,
     until: Floats | None,
+    seen: VectorField,
     distance: float,
     method: str,
     rtol: float,
     atol: float,
 ) -> Trajectory:
     """Integrate from ``start`` ``(N, d)`` for ``duration``, or until within ``distance`` of ``until`` ``(N, d)``.
+
+    The distance is the largest entry of seen(x) - seen(until), flat arrays.
 
     Raises:
         InputError: duration not positive, or unknown method.
@@ -184,13 +187,13 @@ def integrate(
     longest = as_positive("duration", duration)
     events = None
     if until is not None:
-        goal = until.ravel()
-        if np.abs(start.ravel() - goal).max() <= distance:
+        goal = seen(until.ravel())
+        if np.abs(seen(start.ravel()) - goal).max() <= distance:
             # An event needs a crossing; there is none when the start is inside, and nothing to integrate.
             longest = 1e-9 * longest
 
         def events(_: float, x: Floats) -> float:
-            return float(np.abs(x - goal).max()) - distance
+            return float(np.abs(seen(x) - goal).max()) - distance
 
         events.terminal = True  # type: ignore[attr-defined]  # SciPy's protocol for stopping at an event
 

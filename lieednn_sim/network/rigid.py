@@ -22,7 +22,7 @@ class RigidNetwork(BlockNetwork):
     rotation: Floats
     translation: Floats
 
-    _bias_free: ClassVar[tuple[str, ...]] = ("blocks", "weight", "rotational_weight", "certificate")
+    _bias_free: ClassVar[tuple[str, ...]] = (*BlockNetwork._bias_free, "rotational_weight")
 
     @cached_property
     def blocks(self) -> Floats:

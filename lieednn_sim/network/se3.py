@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import field
 from typing import ClassVar
 
+import numpy as np
+
 from lieednn_sim.network.base import Floats
-from lieednn_sim.network.checks import as_poses, as_rates, as_strengths
+from lieednn_sim.network.checks import as_hidden, as_poses, as_rates, as_strengths
 from lieednn_sim.network.componentwise import ComponentwiseNetwork, as_activation
 from lieednn_sim.network.rigid import RigidNetwork
 from lieednn_sim.validation import as_floats
@@ -16,7 +19,8 @@ from lieednn_sim.values import frozen
 class LieEDNN(RigidNetwork, ComponentwiseNetwork):
     """x_i' = -gamma x_i + mu sum_j alpha_ij Ad(theta_ij) phi(x_j) + mu b_i, with x_i in se(3) (paper, eq. 3.9).
 
-    The state has shape ``(..., N, 6)``, twists ordered (omega, v); the flat state is its C-order ravel.
+    The state has shape ``(..., N, 6)``, twists ordered (omega, v); the flat state is its C-order ravel. The visible
+    neurons come first, one for each link of an arm; then the hidden ones, the clock last.
 
     Attributes:
         alpha: ``(N, N)`` connection strengths.
@@ -27,6 +31,8 @@ class LieEDNN(RigidNetwork, ComponentwiseNetwork):
         mu: scale of the interaction, positive.
         activation: a name of `ACTIVATIONS`.
         lyapunov_diagonal: ``(3N,)`` diagonal P that certifies W_R, or None. Checked by `certificate`.
+        hidden_start: ``(M, 6)`` state of the hidden neurons at time 0, M < N; by default none is hidden.
+        n_clock: how many of the last hidden neurons are the clock.
 
     Raises:
         InputError: wrong shapes, entries that are not finite, or rotations that are none.
@@ -40,10 +46,19 @@ class LieEDNN(RigidNetwork, ComponentwiseNetwork):
     mu: float = 1.0
     activation: str = "tanh"
     lyapunov_diagonal: Floats | None = None
+    hidden_start: Floats = field(default_factory=lambda: np.empty((0, 6)))
+    n_clock: int = 0
 
     _kind: ClassVar[str] = "network"
-    _arrays: ClassVar[tuple[str, ...]] = ("alpha", "rotation", "translation", "bias", "lyapunov_diagonal")
-    _scalars: ClassVar[tuple[str, ...]] = ("gamma", "mu", "activation")
+    _arrays: ClassVar[tuple[str, ...]] = (
+        "alpha",
+        "rotation",
+        "translation",
+        "bias",
+        "lyapunov_diagonal",
+        "hidden_start",
+    )
+    _scalars: ClassVar[tuple[str, ...]] = ("gamma", "mu", "activation", "n_clock")
 
     def __post_init__(self) -> None:
         alpha = as_strengths(self.alpha)
@@ -56,6 +71,7 @@ class LieEDNN(RigidNetwork, ComponentwiseNetwork):
             **as_rates(self.gamma, self.mu),
             activation=as_activation(self.activation),
             lyapunov_diagonal=None if diagonal is None else as_floats("lyapunov_diagonal", diagonal, (3 * n,)),
+            **as_hidden(self.hidden_start, self.n_clock, n),
         )
 
     @property

@@ -162,8 +162,9 @@ def _promising(found: list[_Candidate]) -> Iterator[_Candidate]:
 
 
 def rough_way(network: LieEDNN, start: Floats) -> Floats:
-    """States ``(K, N, 6)`` of the network from ``start`` ``(N, 6)``, roughly integrated, to look at before planning."""
-    return network.trajectory(start, 20.0 / network.gamma, rtol=1e-4, atol=1e-6).xi
+    """States ``(K, n, 6)`` of the visible neurons from ``start`` ``(n, 6)``, roughly integrated, to look at first."""
+    way = network.trajectory(network.start(start), 20.0 / network.gamma, rtol=1e-4, atol=1e-6)
+    return network.visible(way.xi)
 
 
 def _screen(arm: Arm, networks: list[LieEDNN], start: Floats) -> list[_Candidate]:

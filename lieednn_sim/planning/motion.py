@@ -22,7 +22,7 @@ from lieednn_sim import storage
 from lieednn_sim.arm import PLANNED_CLEARANCE, Arm
 from lieednn_sim.budget import check_time
 from lieednn_sim.errors import FileError, InputError, PlanError, TooFastError
-from lieednn_sim.network import ComponentwiseNetwork
+from lieednn_sim.network import BlockNetwork, ComponentwiseNetwork
 from lieednn_sim.network.dynamics import Trajectory
 from lieednn_sim.validation import as_floats, as_positive, as_times
 from lieednn_sim.values import frozen
@@ -48,8 +48,8 @@ class Motion:
     Attributes:
         t: ``(K,)`` [s].
         tau: ``(K,)`` the network's own time; of a planner without a network, its progress from 0 to 1.
-        xi: ``(K, N, 6)`` network states.
-        xi_target: ``(N, 6)`` the network's equilibrium.
+        xi: ``(K, N, 6)`` states of the network's visible neurons, one for each link.
+        xi_target: ``(N, 6)`` where these are at its equilibrium.
         q: ``(K, n)`` joint positions [rad, m].
         qd: ``(K, n)`` joint velocities [rad/s, m/s].
         gap_translation: ``(K, N)`` distance of the decoded poses from the joints' own set [m].
@@ -119,8 +119,8 @@ class NetworkPath:
 
     Attributes:
         arm: decodes states to joint positions.
-        network: with as many neurons as the arm has links.
-        origin: ``(N, 6)`` state at the start.
+        network: with as many visible neurons as the arm has links.
+        origin: ``(N, 6)`` state of all neurons at the start.
         target: ``(N, 6)`` the network's equilibrium.
         way: the states from there to here and the speed along them, over tau; None where both are the same.
     """
@@ -134,9 +134,8 @@ class NetworkPath:
     @classmethod
     def drawn(cls, arm: Arm, network: ComponentwiseNetwork, start: ArrayLike) -> NetworkPath:
         """The path from joint position ``start`` ``(n,)``; errors as of `make_motion`."""
-        if network.n_neurons != arm.n_links:
-            raise InputError(f"the network has {network.n_neurons} neurons, arm {arm.name!r} has {arm.n_links} links")
-        origin = arm.encode(arm.check_position(start, "start"))
+        require_fit(arm, network)
+        origin = network.start(arm.encode(arm.check_position(start, "start")))
         equilibrium = network.equilibrium(origin)
         if not equilibrium.success:
             raise PlanError(f"the network cannot be used for a motion: {equilibrium.message}")
@@ -146,7 +145,7 @@ class NetworkPath:
         # Far from the equilibrium the pace is gamma's, close to it the slowest eigenvalue's.
         pace = max(-equilibrium.spectral_abscissa, 1e-3 * network.gamma)
         trajectory = network.trajectory(origin, 100.0 / network.gamma + 40.0 / pace, until=target, distance=RESIDUAL)
-        if np.abs(trajectory.xi[-1] - target).max() > 2.0 * RESIDUAL:
+        if np.abs(network.visible(trajectory.xi[-1] - target)).max() > 2.0 * RESIDUAL:
             raise PlanError(
                 "the network does not arrive at its equilibrium from this start, or too slowly (spectral abscissa "
                 f"{equilibrium.spectral_abscissa:.2g}); use another network"
@@ -156,32 +155,46 @@ class NetworkPath:
         grid = np.append(grid, trajectory.t[-1])
         weights = np.where(np.isfinite(arm.velocity_limits), arm.velocity_limits, 1.0)
         states = trajectory(grid)
-        rates = arm.decode(states, network.vector_field(states)).qd
-        to_go = pace * np.linalg.norm(states - target, axis=(-2, -1))
+        rates = arm.decode(network.visible(states), network.visible(network.vector_field(states))).qd
+        to_go = pace * np.linalg.norm(network.visible(states - target), axis=(-2, -1))
         # Shape-preserving, so that the speed stays positive between its samples.
         speed = PchipInterpolator(grid, np.hypot(np.linalg.norm(rates / weights, axis=-1), to_go))
         return cls(arm, network, origin, target, (trajectory, speed))
+
+    def state(self, tau: ArrayLike) -> Floats:
+        """States ``(..., N, 6)`` of all neurons at the network's own times ``(...)``."""
+        if self.way is None:
+            return np.broadcast_to(self.origin, (*np.shape(tau), *self.origin.shape))
+        return self.way[0](tau)
 
     def timed(self, duration: float, timestep: float) -> Motion:
         """The motion along the path in ``duration``, sampled every ``timestep`` [s]; see `make_motion`."""
         steps = count_steps(duration, timestep)
         t = as_floats("t", timestep * np.arange(steps + 1), (steps + 1,))
         if self.way is None:
-            xi = np.broadcast_to(self.origin, (len(t), *self.origin.shape)).copy()
-            decoded = self.arm.decode(xi)
-            tau, qd = np.zeros_like(t), decoded.qd
+            tau, tau_rate = np.zeros_like(t), np.zeros_like(t)
         else:
-            trajectory, speed = self.way
+            _, speed = self.way
             length = speed.antiderivative()
             total = float(length(speed.x[-1]))
             progress, progress_rate = minimum_jerk_law(t / t[-1])
             tau = _invert(length, speed, speed.x, total * progress)
-            xi = trajectory(tau)
-            decoded = self.arm.decode(xi, self.network.vector_field(xi))
             tau_rate = total * progress_rate / (t[-1] * np.maximum(speed(tau), 1e-300))
-            qd = decoded.qd * tau_rate[:, None]
-            qd[[0, -1]] = 0.0
-        return Motion(t, tau, xi, self.target, decoded.q, qd, decoded.gap_translation, decoded.gap_rotation)
+        states = self.state(tau)
+        xi, rates = self.network.visible(states), self.network.visible(self.network.vector_field(states))
+        decoded = self.arm.decode(xi, rates)
+        qd = decoded.qd * tau_rate[:, None]
+        qd[[0, -1]] = 0.0
+        target = self.network.visible(self.target)
+        return Motion(t, tau, xi, target, decoded.q, qd, decoded.gap_translation, decoded.gap_rotation)
+
+
+def require_fit(arm: Arm, network: BlockNetwork) -> None:
+    """Raise `InputError` unless the network has one visible neuron for each link of the arm."""
+    if network.n_visible != arm.n_links:
+        raise InputError(
+            f"the network has {network.n_visible} visible neurons, arm {arm.name!r} has {arm.n_links} links"
+        )
 
 
 def make_motion(arm: Arm, network: ComponentwiseNetwork, start: ArrayLike, duration: float, timestep: float) -> Motion:
@@ -189,7 +202,7 @@ def make_motion(arm: Arm, network: ComponentwiseNetwork, start: ArrayLike, durat
 
     Args:
         arm: decodes states to joint positions.
-        network: with as many neurons as the arm has links.
+        network: with as many visible neurons as the arm has links.
         start: joint position at rest.
         duration: of the motion [s], rounded to a whole number of time steps.
         timestep: sampling period [s], the simulation's step.

@@ -166,7 +166,7 @@ def _path(problem: PlanningProblem, network: ComponentwiseNetwork) -> NetworkPat
     """The path of a network, when it ends at the problem's target."""
     path = NetworkPath.drawn(problem.arm, network, problem.start)
     # An uncertified network may have more equilibria than the one it was made for.
-    distance = float(np.abs(path.target - problem.arm.encode(problem.target)).max())
+    distance = float(np.abs(network.visible(path.target) - problem.arm.encode(problem.target)).max())
     if distance > _ARRIVAL:
         raise PlanError(
             f"the network ends at another equilibrium, {distance:.2g} from the target; use a certified network"

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError
 from lieednn_sim.network import LieEDNN
-from lieednn_sim.planning.motion import count_steps
+from lieednn_sim.planning.motion import count_steps, require_fit
 from lieednn_sim.simulation.disturbances import Disturbances
 from lieednn_sim.simulation.log import Log
 from lieednn_sim.simulation.reference import Reference, steps_of_rate
@@ -45,7 +45,7 @@ class Following:
     Attributes:
         rollout: its reference is what the network made of the target; motion_end is its end.
         target: ``(K, n)`` the target at the rollout's times.
-        xi: ``(K, N, 6)`` the network's states.
+        xi: ``(K, N, 6)`` the states of all neurons of the network.
         period: simulation steps between two samples of the target.
         jumps: times at which the target jumped [s], as the follower saw it.
         slowed: share of the control periods in which the velocity limits slowed the network down.
@@ -71,14 +71,14 @@ class Follower:
 
     Args:
         arm: encodes targets and decodes states.
-        network: certified, with as many neurons as the arm has links.
+        network: certified, with as many visible neurons as the arm has links.
         start: joint coordinates ``(n,)``.
         steps: simulation steps in a control period.
         speed: the network's rate c [1/s].
         feedforward: whether to add the target's velocity, by the difference of its last two samples.
 
     Attributes:
-        xi: ``(N, 6)`` state.
+        xi: ``(N, 6)`` state of all neurons.
         jumped: whether the last target was faster than the joints may be.
         share: of its speed at which the network ran in the last period, less than 1 where joints would be too fast.
 
@@ -90,8 +90,7 @@ class Follower:
     def __init__(
         self, arm: Arm, network: LieEDNN, start: ArrayLike, *, steps: int, speed: float, feedforward: bool
     ) -> None:
-        if network.n_neurons != arm.n_links:
-            raise InputError(f"the network has {network.n_neurons} neurons, arm {arm.name!r} has {arm.n_links} links")
+        require_fit(arm, network)
         if not network.certified:
             raise InputError("only a certified network follows every target; see network.certify()")
         self._arm, self._network, self._steps = arm, network, steps
@@ -105,7 +104,7 @@ class Follower:
             )
         self._fastest = np.where(np.isfinite(arm.velocity_limits), arm.velocity_limits, _FASTEST)
         self._last: tuple[Floats, Floats] | None = None
-        self.xi = arm.encode(arm.check_position(start, "start"))
+        self.xi = network.start(arm.encode(arm.check_position(start, "start")))
         self.jumped, self.share = False, 1.0
         self.limit_excess, self.gap_translation, self.gap_rotation = -np.inf, 0.0, 0.0
 
@@ -115,7 +114,7 @@ class Follower:
         Returns:
             Joint coordinates and rates ``(m, n)`` and states ``(m, N, 6)`` after each of the period's m steps.
         """
-        goal, velocity = self._arm.encode(target), np.zeros_like(self.xi)
+        goal, velocity = self._network.goal(self._arm.encode(target)), np.zeros_like(self.xi)
         self.jumped = False
         if self._last is not None:
             period = self._steps * self._timestep
@@ -126,7 +125,7 @@ class Follower:
         self.share = 1.0
         for _ in range(8):
             states, rates = self._integrate(goal, velocity)
-            decoded = self._arm.decode(states, rates)
+            decoded = self._arm.decode(self._network.visible(states), self._network.visible(rates))
             excess = float((np.abs(decoded.qd) / self._arm.velocity_limits).max())
             if excess <= 1.0:
                 break
@@ -184,7 +183,7 @@ def follow(
 
     Args:
         arm: the arm.
-        network: certified, with as many neurons as the arm has links; its own bias does not matter.
+        network: certified, with as many visible neurons as the arm has links; its own bias does not matter.
         target: joint coordinates ``(n,)`` at a time [s], called once for each simulation step in order, but only seen
             by the follower at the control periods; or samples ``(M, n)``, one a simulation step, the last of which
             stays.

@@ -14,7 +14,7 @@ Floats = NDArray[np.float64]
 
 
 def limits_proved(arm: Arm, network: LieEDNN, start: ArrayLike) -> bool:
-    """Whether it is proved that the joints keep their position limits on the network's way from ``start`` ``(N, 6)``.
+    """Whether it is proved that the joints keep their position limits on the network's way from ``start`` ``(n, 6)``.
 
     The box that no trajectory leaves (`ComponentwiseNetwork.invariant_box`) is carried to the joints where each
     compound joint has six freedoms, three slides below a ball: the angle of the ball is |omega|, and the slides' way is
@@ -28,7 +28,7 @@ def limits_proved(arm: Arm, network: LieEDNN, start: ArrayLike) -> bool:
     if not arm.exact:
         return False
     try:
-        lower, upper = network.invariant_box(origin)
+        lower, upper = map(network.visible, network.invariant_box(network.start(origin)))
     except LieEDNNError:
         return False
     largest = np.maximum(np.abs(lower), np.abs(upper))

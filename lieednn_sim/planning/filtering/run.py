@@ -1,14 +1,17 @@
 """A network run through the filter in real time: it draws the way, the filter keeps the arm safe on it.
 
-The network is autonomous and proved to arrive, so its path and its pace are known beforehand (`motion.make_motion`);
+The network is autonomous and proved to arrive, so its path and its pace are known beforehand (`motion.NetworkPath`);
 what the filter changes is the clock at which the arm follows: it runs slower the further the joints are behind, so the
 network never runs away, and never stands still, so the network arrives and its equilibrium stays the attractor. The
 joints that filter and obstacles leave behind are drawn to the network's present state by a bounded velocity.
 
-On the way the network may be given other targets, by its bias alone: then it takes its state from where the arm is.
+On the way the network may be given other targets, by its bias alone: then its visible neurons take their state from
+where the arm is, and the hidden ones go on.
 """
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,7 +24,7 @@ from lieednn_sim.network import LieEDNN
 from lieednn_sim.planning.filtering.options import FilterOptions
 from lieednn_sim.planning.filtering.proof import limits_proved
 from lieednn_sim.planning.filtering.safety import SafetyFilter
-from lieednn_sim.planning.motion import LIMIT_TOLERANCE, Motion, make_motion
+from lieednn_sim.planning.motion import LIMIT_TOLERANCE, Motion, NetworkPath, require_fit
 from lieednn_sim.validation import as_floats, as_positive
 from lieednn_sim.values import frozen
 
@@ -99,7 +102,7 @@ def run_filtered(
 
     Args:
         arm: the arm, with its obstacles.
-        network: with as many neurons as the arm has links.
+        network: with as many visible neurons as the arm has links.
         start: joint position.
         duration: of the motion where nothing has to be filtered [s].
         via: joint positions ``(V, n)`` to pass: the network is retargeted to one after another, each time from where
@@ -115,10 +118,11 @@ def run_filtered(
     factor, n = as_positive("longest", longest), arm.n_joints
     passed = as_floats("via", np.reshape(via, (-1, n)) if np.size(via) == 0 else via, ("V", n))
     q, v = arm.check_position(start, "start"), np.zeros(n)
-    equilibrium = network.equilibrium(arm.encode(q))
+    require_fit(arm, network)
+    equilibrium = network.equilibrium(network.start(arm.encode(q)))
     if not equilibrium.success:
         raise PlanError(f"the network cannot be used for a motion: {equilibrium.message}")
-    target = arm.decode(equilibrium.xi).q
+    target = arm.decode(network.visible(equilibrium.xi)).q
     outside = arm.limit_excess(target)
     if outside.max() > LIMIT_TOLERANCE:
         reason = arm.describe_excess(target, int(outside.argmax()))
@@ -156,7 +160,7 @@ def run_filtered(
         clearances.append(step.clearance)
         away = np.abs(leg.path(leg.end) - q)
         if len(legs) < len(networks) and (away / speeds).max() < closeness[len(legs) - 1]:
-            leg = leg.next(arm, networks[len(legs)], q, float(durations[len(legs)]), clock)
+            leg = leg.next(networks[len(legs)], q, float(durations[len(legs)]), clock)
             legs.append(leg)
             clock, best = 0.0, np.inf
             continue
@@ -200,18 +204,21 @@ class _Leg:
     """One network's own motion from a posture; `reference` is cut where the arm has passed its end."""
 
     def __init__(self, arm: Arm, network: LieEDNN, q: Floats, duration: float, h: float, begun: float = 0.0) -> None:
-        self.reference = make_motion(arm, network, q, max(duration, 2.0 * h), h)
+        self._drawn = NetworkPath.drawn(arm, network, q)
+        self.reference = self._drawn.timed(max(duration, 2.0 * h), h)
         self.path = CubicHermiteSpline(self.reference.t, self.reference.q, self.reference.qd)
         self.end = float(self.reference.t[-1])
         self.begun, self._h = begun, h
         self.proved = limits_proved(arm, network, self.reference.xi[0])
 
-    def next(self, arm: Arm, network: LieEDNN, q: Floats, duration: float, clock: float) -> _Leg:
-        """The leg that follows when this one's clock is at a time."""
+    def next(self, network: LieEDNN, q: Floats, duration: float, clock: float) -> _Leg:
+        """The leg that follows when this one's clock is at a time: hidden neurons go on from where they are."""
         count = max(min(int(clock / self._h) + 1, len(self.reference.t)), 2)
         arrays = {name: value[:count] for name, value in vars(self.reference).items() if name != "xi_target"}
         self.reference = Motion(**arrays, xi_target=self.reference.xi_target)
-        return _Leg(arm, network, q, duration, self._h, self.begun + count * self._h)
+        hidden = self._drawn.state(self.reference.tau[-1])[network.n_visible :]
+        network = replace(network, hidden_start=hidden)
+        return _Leg(self._drawn.arm, network, q, duration, self._h, self.begun + count * self._h)
 
 
 def _joined(legs: list[Motion]) -> Motion:

@@ -1,0 +1,164 @@
+"""Hidden neurons: what a network is with them, where it rests, how it is retargeted, and the file that keeps it."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from lieednn_sim import storage
+from lieednn_sim.errors import FileError, InputError
+from lieednn_sim.network import LieEDNN
+from lieednn_sim.network.hopfield import HopfieldNetwork
+
+seeds = st.integers(0, 2**32 - 1)
+sizes = st.tuples(st.integers(1, 3), st.integers(0, 3), st.integers(0, 3)).filter(lambda sizes: sizes[2] <= sizes[1])
+
+
+def random_network(seed: int, n_visible: int, n_hidden: int, n_clock: int, *, layered: bool) -> LieEDNN:
+    """Weak enough that the equilibrium is unique, whoever listens to whom."""
+    rng, n = np.random.default_rng(seed), n_visible + n_hidden
+    alpha = rng.uniform(-0.8, 0.8, (n, n)) / n
+    if layered:
+        alpha[n_visible:, :n_visible] = 0.0
+    return LieEDNN(
+        alpha,
+        Rotation.random(n * n, rng=rng).as_matrix().reshape(n, n, 3, 3),
+        0.3 * rng.normal(size=(n, n, 3)),
+        rng.normal(size=(n, 6)),
+        gamma=1.3,
+        mu=0.9,
+        hidden_start=3.0 * rng.normal(size=(n_hidden, 6)),
+        n_clock=n_clock,
+    )
+
+
+@given(seeds, sizes, st.booleans())
+def test_retargeting_is_exact_for_the_visible_and_leaves_the_bias_of_the_hidden(seed, sizes, layered):
+    network = random_network(seed, *sizes, layered=layered)
+    visible = sizes[0]
+    target = np.random.default_rng(seed).uniform(-3.0, 3.0, (visible, 6))
+    moved = network.retarget(target)
+    assert np.array_equal(moved.bias[visible:], network.bias[visible:])
+    assert np.array_equal(moved.hidden_start, network.hidden_start)
+    goal = moved.goal(target)
+    assert np.array_equal(moved.visible(goal), target)
+    assert np.abs(moved.vector_field(goal)).max() < 1e-9
+    found = moved.equilibrium(moved.start(np.zeros((visible, 6))))
+    assert found.success
+    np.testing.assert_allclose(found.xi, goal, atol=1e-9)
+    if layered:
+        # Hidden neurons that hear no visible ones rest where they rested.
+        assert np.array_equal(goal[visible:], network.goal(-target)[visible:])
+
+
+@given(seeds, sizes)
+def test_a_file_gives_back_every_bit(tmp_path_factory, seed, sizes):
+    network = random_network(seed, *sizes, layered=True)
+    path = tmp_path_factory.mktemp("file") / "n.npz"
+    network.save(path)
+    loaded = LieEDNN.load(path)
+    assert loaded == network
+    for name in ("bias", "hidden_start", "alpha", "rotation", "translation"):
+        assert getattr(loaded, name).tobytes() == getattr(network, name).tobytes()
+    assert (loaded.n_visible, loaded.n_hidden, loaded.n_clock) == sizes
+
+
+@settings(max_examples=20)
+@given(seeds, st.integers(1, 3))
+def test_without_hidden_neurons_nothing_is_special(seed, n):
+    network = random_network(seed, n, 0, 0, layered=True)
+    xi = np.random.default_rng(seed).normal(size=(n, 6))
+    for state in (network.start(xi), network.goal(xi), network.visible(xi)):
+        assert np.array_equal(state, xi)
+    drive = (network.weight @ np.tanh(xi).ravel()).reshape(n, 6)
+    assert np.array_equal(network.retarget(xi).bias, network.gamma / network.mu * xi - drive)
+    plain = HopfieldNetwork(network.weight, network.bias, network.gamma, network.mu)
+    assert np.array_equal(plain.retarget(xi).bias, network.retarget(xi).bias)
+    assert np.array_equal(plain.start(xi), xi)
+
+
+def test_a_cascade_by_hand(cascade):
+    target = np.linspace(-0.5, 0.6, 12).reshape(2, 6)
+    network = cascade(target)
+    assert repr(network) == (
+        "<LieEDNN: 5 neurons (2 visible, 2 hidden, 1 of the clock) of 6 coordinates, gamma 1, mu 1, certified>"
+    )
+    assert network.assess().globally_stable
+    # At rest the clock is at zero, and so the hidden neurons at their bias.
+    rest = np.array([[-0.5] * 6, [0.4] * 6, [0.0] * 6])
+    np.testing.assert_allclose(network.goal(target), [*target, *rest], atol=1e-12)
+    pushed = network.blocks[:2, 2] @ np.tanh(rest[0]) + network.blocks[:2, 3] @ np.tanh(rest[1])
+    np.testing.assert_allclose(network.bias[:2], target - pushed, atol=1e-12)
+    # The proof is handed over, and holds for the start of every neuron.
+    elsewhere = network.retarget(-target)
+    assert elsewhere.certificate is network.certificate
+    ended = elsewhere.trajectory(elsewhere.start(target), 100.0, rtol=1e-10, atol=1e-12).xi[-1]
+    np.testing.assert_allclose(ended, [*-target, *rest], atol=1e-7)
+
+
+def test_a_trajectory_ends_though_a_saturated_neuron_is_known_less_well_than_the_distance(cascade):
+    """The integrator keeps a state of size 30 to 30 rtol only; what the neuron sends on is as good as ever."""
+    network = cascade(np.zeros((1, 6)))
+    bias = network.bias.copy()
+    bias[1] = -30.0
+    network = dataclasses.replace(network, bias=bias, hidden_start=[[30.0] * 6, [0.4] * 6, [0.0] * 6])
+    network = network.retarget(np.zeros((1, 6)))
+    goal = network.goal(np.zeros((1, 6)))
+    trajectory = network.trajectory(network.start(np.ones((1, 6))), 1e3, until=goal, distance=1e-8)
+    assert trajectory.t[-1] < 100.0
+    assert np.abs(network.visible(trajectory.xi[-1])).max() <= 1.01e-8
+
+
+def test_hidden_neurons_without_rest_are_refused():
+    network = random_network(5, 1, 2, 0, layered=False)
+    wild = dataclasses.replace(network, alpha=30.0 * network.alpha)
+    with pytest.raises(InputError, match="hidden neurons do not come to rest while the visible ones are at xi"):
+        wild.retarget(np.ones((1, 6)))
+
+
+def test_a_file_of_before_has_no_hidden_neurons(tmp_path):
+    path = tmp_path / "n.npz"
+    network = random_network(0, 3, 0, 0, layered=True)
+    network.save(path)
+    arrays, meta = storage.load_arrays(path, "network")
+    del arrays["hidden_start"], meta["n_clock"]
+    storage.save_arrays(path, "network", arrays, meta)
+    assert LieEDNN.load(path) == network
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"hidden_start": np.zeros((2, 3))}, r"hidden_start must have shape \(M, 6\), got \(2, 3\)"),
+        ({"hidden_start": np.zeros((3, 6))}, "hidden_start must hold fewer neurons than the network, which has 3 "),
+        ({"hidden_start": np.full((1, 6), np.nan)}, "hidden_start must be finite"),
+        ({"n_clock": 3}, "n_clock must be at most 2, the number of hidden neurons, got 3"),
+        ({"n_clock": -1}, "n_clock must be at least 0, got -1"),
+        ({"n_clock": 0.5}, r"n_clock must be a whole number, got 0\.5"),
+    ],
+)
+def test_wrong_parts_are_named_also_in_a_file(tmp_path, change, words):
+    network = random_network(0, 1, 2, 1, layered=True)
+    with pytest.raises(InputError, match=words):
+        dataclasses.replace(network, **change)
+    network.save(tmp_path / "n.npz")
+    arrays, meta = storage.load_arrays(tmp_path / "n.npz", "network")
+    for name, value in change.items():
+        (arrays if name in arrays else meta)[name] = value
+    storage.save_arrays(tmp_path / "n.npz", "network", arrays, meta)
+    with pytest.raises(FileError, match=f"not a valid network: {words}"):
+        LieEDNN.load(tmp_path / "n.npz")
+
+
+def test_wrong_states_are_named():
+    network = random_network(0, 2, 1, 0, layered=True)
+    for call in (network.start, network.goal, network.retarget):
+        with pytest.raises(InputError, match=r"xi must have shape \(2, 6\), got \(3, 6\)"):
+            call(np.zeros((3, 6)))
+    with pytest.raises(InputError, match=r"xi must have shape \(\.\.\., 3, 6\), got \(2, 6\)"):
+        network.visible(np.zeros((2, 6)))
