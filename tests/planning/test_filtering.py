@@ -1,5 +1,8 @@
 """The filter: limits kept whatever is wanted, clearance kept on the way, arrival, and what is said when it blocks."""
 
+import dataclasses
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -303,14 +306,38 @@ def test_legs_are_joined_a_step_apart():
 
 
 @pytest.mark.parametrize(("clock", "samples"), [(0.0, 2), (0.25, 3), (0.35, 4), (9.0, 5)])
-def test_a_leg_is_cut_where_the_next_begins(monkeypatch, clock, samples):
-    leg = object.__new__(run._Leg)
+def test_a_leg_is_cut_where_the_next_begins_and_hidden_neurons_go_on(monkeypatch, cascade, clock, samples):
+    leg, network = object.__new__(run._Leg), cascade(np.zeros((1, 6)))
     leg.reference, leg._h, leg.begun = counting(5), 0.1, 2.0
+    leg._drawn = SimpleNamespace(arm="arm", state=lambda tau: tau + np.arange(24.0).reshape(4, 6))
     monkeypatch.setattr(run, "_Leg", lambda *arguments: arguments)
-    following = leg.next("arm", "network", "q", 1.5, clock)
-    assert following == ("arm", "network", "q", 1.5, 0.1, pytest.approx(2.0 + 0.1 * samples))
+    following = leg.next(network, "q", 1.5, clock)
+    moved = dataclasses.replace(network, hidden_start=samples - 1 + np.arange(6.0, 24.0).reshape(3, 6))
+    assert following == ("arm", moved, "q", 1.5, 0.1, pytest.approx(2.0 + 0.1 * samples))
     np.testing.assert_array_equal(leg.reference.q[:, 0], np.arange(samples))
     np.testing.assert_array_equal(leg.reference.xi_target, np.zeros((1, 6)))
+
+
+def test_a_network_with_hidden_neurons_runs_through_the_filter(gantry, cascade):
+    home, middle, target = np.zeros(4), np.array([-0.3, 0.5, 0.4, 0.5]), np.array([0.4, -0.5, 0.6, 1.0])
+    network = cascade(gantry.encode(target))
+    done = run_filtered(gantry, network, home, 3.0, via=[middle])
+    assert done.success, done.message
+    np.testing.assert_allclose(done.q[-1], target, atol=1e-4)
+    assert np.abs(done.q - middle).max(axis=1).min() < 0.05
+    assert done.reference.xi.shape[1:] == (2, 6)
+    np.testing.assert_allclose(done.reference.xi_target, gantry.encode(target), atol=1e-9)
+    with pytest.raises(InputError, match="the network has 1 visible neurons, arm 'gantry' has 2 links"):
+        run_filtered(gantry, cascade(np.zeros((1, 6))), home, 1.0)
+
+
+def test_limits_are_proved_for_the_visible_neurons_and_hidden_ones_widen_their_box(cascade):
+    target = SPATIAL.encode(SPATIAL.keyframe("home"))
+    network = cascade(target)
+    calm = dataclasses.replace(network, alpha=0.01 * network.alpha).retarget(target)
+    assert limits_proved(SPATIAL, calm, target)
+    stirred = dataclasses.replace(network, alpha=5.0 * network.alpha).retarget(target)
+    assert not limits_proved(SPATIAL, stirred, target)
 
 
 def test_times_of_legs_and_velocities_towards_the_network_by_hand():

@@ -73,6 +73,32 @@ def test_the_pace_is_a_minimum_jerk_law_of_the_length(arm, network, motion):
     np.testing.assert_allclose(length, np.median(length), rtol=2e-3)
 
 
+def test_a_motion_shows_the_visible_neurons_and_hidden_ones_shape_it(gantry, cascade):
+    home, goal = np.zeros(4), np.array([0.4, -0.5, 0.6, 1.0])
+    network = cascade(gantry.encode(goal))
+    motion = make_motion(gantry, network, home, 2.0, 0.01)
+    np.testing.assert_allclose(motion.xi_target, gantry.encode(goal), atol=1e-9)
+    np.testing.assert_allclose(motion.q[[0, -1]], [home, goal], atol=1e-7)
+    assert motion.residual <= 2 * RESIDUAL
+    start = network.start(gantry.encode(home))
+    states = network.trajectory(start, motion.tau[-1], method="DOP853", rtol=1e-10, atol=1e-12)(motion.tau)
+    np.testing.assert_allclose(motion.xi, states[:, :2], atol=1e-6)
+    decoded = gantry.decode(states[:, :2])
+    np.testing.assert_allclose(motion.gap_translation, decoded.gap_translation, atol=1e-6)
+    numeric = np.gradient(motion.q, motion.t, axis=0, edge_order=2)
+    np.testing.assert_allclose(motion.qd[2:-2], numeric[2:-2], atol=0.01 * np.abs(motion.qd).max())
+    # With the hidden neurons at rest from the beginning the way is the straight one.
+    still = dataclasses.replace(network, hidden_start=network.goal(start[:2])[2:])
+    straight = make_motion(gantry, still, home, 2.0, 0.01)
+    share = straight.xi[:, 0, 3] / straight.xi_target[0, 3]
+    np.testing.assert_allclose(straight.xi, share[:, None, None] * straight.xi_target, atol=1e-6)
+    assert np.abs(motion.xi - straight.xi).max() > 0.1
+    # Where only the hidden neurons are not yet at rest, the arm leaves and comes back.
+    away = make_motion(gantry, network, goal, 2.0, 0.01)
+    np.testing.assert_allclose(away.q[[0, -1]], [goal, goal], atol=1e-7)
+    assert np.abs(away.q - goal).max() > 0.05
+
+
 def test_the_law_by_hand():
     np.testing.assert_array_equal(minimum_jerk_law(np.array([0.0, 0.5, 1.0])), [[0.0, 0.5, 1.0], [0.0, 1.875, 0.0]])
     np.testing.assert_allclose(minimum_jerk_law(np.array([0.25])), [[106.0 / 1024.0], [270.0 / 256.0]], rtol=1e-15)
@@ -145,7 +171,7 @@ def test_bad_input(arm, network):
     with pytest.raises(InputError, match=r"start must have shape \(8\)"):
         make_motion(arm, network, home[:3], 1.0, 0.002)
     small = synthesize(np.full((2, 6), 0.3), bias="sign-matched").unwrap()
-    with pytest.raises(InputError, match=r"2 neurons.*4 links"):
+    with pytest.raises(InputError, match=r"2 visible neurons.*4 links"):
         make_motion(arm, small, home, 1.0, 0.002)
 
 

@@ -46,6 +46,23 @@ def test_the_follower_runs_the_retargeted_network(arm, network, seed):
     np.testing.assert_allclose(follower.xi, exact.xi[-1], atol=1e-9)
 
 
+def test_hidden_neurons_run_with_the_follower_and_are_never_reset(gantry, cascade):
+    q, goal = np.zeros(4), np.array([0.02, -0.02, 0.03, 0.02])
+    network = cascade(gantry.encode(np.full(4, 0.1)))
+    follower = Follower(gantry, network, q, steps=5, speed=0.5, feedforward=True)
+    periods = [follower.advance(goal)[2] for _ in range(4)]
+    assert follower.share == 1.0
+    exact = network.retarget(gantry.encode(goal)).trajectory(network.start(gantry.encode(q)), 0.1, rtol=1e-11)
+    np.testing.assert_allclose(np.concatenate(periods), exact(0.005 * np.arange(1.0, 21.0)), atol=1e-8)
+
+
+def test_following_with_hidden_neurons_arrives(gantry, cascade):
+    goal = np.array([0.2, -0.3, 0.3, 0.5])
+    run = follow(gantry, cascade(gantry.encode(goal)), goal[None], 4.0, start=np.zeros(4), speed=5.0)
+    assert run.xi.shape[1:] == (5, 6)
+    np.testing.assert_allclose(run.rollout.q[-1], goal, atol=0.01)
+
+
 def test_behind_a_steady_target_the_error_is_speed_over_gain_and_feedforward_takes_it_away(arm, network):
     target, speed = ramp(arm, 0.1), 12.0
     runs = {flag: follow(arm, network, target, 1.5, speed=speed, feedforward=flag) for flag in (False, True)}
