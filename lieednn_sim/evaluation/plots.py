@@ -33,6 +33,8 @@ _MOST_IN_ROW = 7
 _LEAST_ERROR, _LEAST_PERCENT = 0.01, 10.0
 # A plot of joints has at most this many rows; longer names are written smaller.
 _MOST_ROWS, _LONGEST_NAME = 12, 14
+# Left of the axes: ticks and a label of two lines [inch].
+_LABEL = 0.85
 _STYLE: Any = {
     "font.size": 9,
     "axes.grid": True,
@@ -60,8 +62,8 @@ def plot_network(rollout: Rollout, path: str | os.PathLike[str]) -> None:
     rows = -(-n // blocks)
     columns = (("rotation $\\omega$", "[rad]", 0, 1.0), ("translation $v$", "[m]", 3, arm.length_scale))
     with matplotlib.rc_context(_STYLE):
-        figure = Figure(figsize=(10 * blocks, 1.2 + 1.7 * rows), layout="constrained")
-        axes = figure.subplots(rows, 2 * blocks, sharex=True, sharey="col", squeeze=False)
+        figure = Figure(figsize=(10.0 * blocks, 1.2 + 1.7 * rows))
+        axes = _subplots(figure, rows, 2 * blocks, sharey="col")
         for i in range(rows * blocks):
             pair = axes[i % rows, 2 * (i // rows) : 2 * (i // rows) + 2]
             for axis, (title, unit, first, scale) in zip(pair, columns, strict=True):
@@ -76,14 +78,13 @@ def plot_network(rollout: Rollout, path: str | os.PathLike[str]) -> None:
                         label=f"$\\omega_{coordinate}$ / $v_{coordinate}$",
                     )
                     axis.axhline(scale * motion.xi_target[i, first + c], color=_COLOURS[c], ls="--", lw=0.9)
-                axis.set_title(f"{arm.link_names[i]} (neuron {i + 1}): {title}", loc="left", fontsize=9)
-                axis.set_ylabel(unit)
+                _label(axis, unit, f"{arm.link_names[i]} (neuron {i + 1}): {title}", fontsize=9)
                 if i % rows == rows - 1 or i == n - 1:
                     axis.set_xlabel("time [s]")
                     axis.tick_params(labelbottom=True)
         handles, labels = axes[0, 0].get_legend_handles_labels()
         handles.append(Line2D([], [], color="0.3", ls="--", lw=0.9))
-        figure.legend(handles, [*labels, "target"], loc="outside upper center", ncols=4)
+        figure.legend(handles, [*labels, "target"], loc="upper center", ncols=4)
         _save(figure, path)
 
 
@@ -101,15 +102,14 @@ def plot_tracking(rollout: Rollout, path: str | os.PathLike[str]) -> None:
         ("rotation", "[deg]", np.rad2deg(tracking[1]), np.rad2deg(to_go[1]), np.rad2deg(SETTLED_ROTATION)),
     )
     with matplotlib.rc_context(_STYLE):
-        figure = Figure(figsize=(10, 6), layout="constrained")
-        axes = figure.subplots(2, 2, sharex=True)
+        figure = Figure(figsize=(10.0, 6.0))
+        axes = _subplots(figure, 2, 2)
         for (upper, lower), (what, unit, errors, distance, settled) in zip(axes.T, columns, strict=True):
             for name, error in zip(arm.link_names, errors.T, strict=True):
                 upper.plot(rollout.t, error, label=name)
             # A tenth of the settled error fills the height at least: less is not made to look like much.
             upper.set_ylim(0.0, max(1.08 * float(errors.max()), 0.1 * settled))
-            upper.set_title(f"tracking error, {what}: planned to simulated frame", loc="left")
-            upper.set_ylabel(unit)
+            _label(upper, unit, f"tracking error, {what}: planned to simulated frame")
             lower.semilogy(rollout.t, np.maximum(distance, 1e-3 * settled), color=_COLOURS[3])
             lower.axhline(settled, color="0.4", ls="--", lw=0.9)
             lower.annotate(
@@ -122,8 +122,7 @@ def plot_tracking(rollout: Rollout, path: str | os.PathLike[str]) -> None:
                 fontsize=8,
             )
             lower.set_ylim(1e-2 * settled, 2.0 * max(float(distance.max()), settled))
-            lower.set_title(f"end effector to target, {what}", loc="left")
-            lower.set_ylabel(unit)
+            _label(lower, unit, f"end effector to target, {what}")
             lower.set_xlabel("time [s]")
         for axis in axes.ravel():
             _mark_events(axis, rollout)
@@ -133,8 +132,41 @@ def plot_tracking(rollout: Rollout, path: str | os.PathLike[str]) -> None:
         if rollout.disturbances.pushes:
             handles.append(Patch(color=_PUSH))
             labels.append("push")
-        figure.legend(handles, labels, loc="outside upper center", ncols=min(len(labels), _MOST_IN_ROW))
+        figure.legend(handles, labels, loc="upper center", ncols=min(len(labels), _MOST_IN_ROW))
         _save(figure, path)
+
+
+def _subplots(figure: Figure, rows: int, columns: int, *, gap: float = 0.35, sharey: Any = False) -> Any:
+    """Axes ``(rows, columns)`` under a legend, in margins given in inches; ``gap`` [inch] is between rows.
+
+    With so many axes an automatic layout takes longer than the drawing.
+    """
+    width, height = figure.get_size_inches()
+    left, right, bottom, top = _LABEL, 0.12, 0.5, 0.65
+    return figure.subplots(
+        rows,
+        columns,
+        sharex=True,
+        sharey=sharey,
+        squeeze=False,
+        gridspec_kw={
+            "left": left / width,
+            "right": 1.0 - right / width,
+            "bottom": bottom / height,
+            "top": 1.0 - top / height,
+            # Matplotlib counts them in widths and heights of one of the axes.
+            "wspace": columns * _LABEL / (width - left - right - (columns - 1) * _LABEL),
+            "hspace": rows * gap / (height - bottom - top - (rows - 1) * gap),
+        },
+    )
+
+
+def _label(axis: Any, unit: str, title: str = "", **font: Any) -> None:
+    """Set the label of the ordinate and the title at fixed places, which spares the search for free ones."""
+    axis.set_ylabel(unit, **font)
+    axis.yaxis.set_label_coords(-0.48 / (axis.get_position().width * axis.figure.get_figwidth()), 0.5)
+    if title:
+        axis.set_title(title, loc="left", y=1.0, **font)
 
 
 def _mark_events(axis: Any, rollout: Rollout) -> None:
@@ -153,23 +185,12 @@ def plot_joints(rollout: Rollout, path: str | os.PathLike[str]) -> None:
     arm = rollout.arm
     blocks = -(-arm.n_joints // _MOST_ROWS)
     rows = -(-arm.n_joints // blocks)
-    width, height = 14.0 * blocks, 1.3 + 1.25 * rows
     with matplotlib.rc_context(_STYLE):
-        # Margins in inches: with so many axes an automatic layout takes seconds.
-        figure = Figure(figsize=(width, height))
+        figure = Figure(figsize=(14.0 * blocks, 1.3 + 1.25 * rows))
+        axes = _subplots(figure, rows, 4 * blocks, gap=0.2)
         for block in range(blocks):
-            grid = figure.add_gridspec(
-                rows,
-                4,
-                left=(14.0 * block + 0.9) / width,
-                right=(14.0 * block + 13.8) / width,
-                bottom=0.5 / height,
-                top=1.0 - 0.65 / height,
-                wspace=0.26,
-                hspace=0.2,
-            )
             joints = range(block * rows, min((block + 1) * rows, arm.n_joints))
-            _plot_joints(grid.subplots(sharex=True, squeeze=False), rollout, joints)
+            _plot_joints(axes[:, 4 * block : 4 * block + 4], rollout, joints)
         entries: dict[str, Any] = {
             "simulated": Line2D([], [], color=_COLOURS[0]),
             "reference": Line2D([], [], color=_COLOURS[4], ls="--"),
@@ -198,10 +219,10 @@ def _plot_joints(axes: Any, rollout: Rollout, joints: range) -> None:
         margin = 0.06 * (high - low)
         row[0].set_ylim(low - margin, high + margin)
         name = arm.joint_names[j]
-        row[0].set_ylabel(f"{name}\n[{arm.unit(j)}]", fontsize=min(9.0, 9.0 * _LONGEST_NAME / len(name)))
+        _label(row[0], f"{name}\n[{arm.unit(j)}]", fontsize=min(9.0, 9.0 * _LONGEST_NAME / len(name)))
         alike = angular == angular[j]
         row[1].plot(rollout.t, error[:, j], color=_COLOURS[3])
-        row[1].set_ylabel("[deg]" if angular[j] else "[mm]")
+        _label(row[1], "[deg]" if angular[j] else "[mm]")
         _from_zero(row[1], error[:, alike], _LEAST_ERROR)
         force_unit = "N m" if angular[j] else "N"
         for axis, values, limits, unit in (
@@ -215,20 +236,19 @@ def _plot_joints(axes: Any, rollout: Rollout, joints: range) -> None:
             else:
                 axis.plot(rollout.t, values[:, j], color=_COLOURS[0])
                 _from_zero(axis, values[:, alike & ~limited], 0.0)
-            axis.set_ylabel("[%]" if limited[j] else f"[{unit}]")
+            _label(axis, "[%]" if limited[j] else f"[{unit}]")
         for axis in row:
             _mark_events(axis, rollout)
     titles = ["position", "error: simulated less reference"]
     for what, limits in (("velocity", arm.velocity_limits), ("drive force", arm.force_limits)):
         titles.append(f"{what}, % of its limit" if np.isfinite(limits[joints]).any() else what)
     for axis, title in zip(axes[0], titles, strict=True):
-        axis.set_title(title, loc="left")
+        axis.set_title(title, loc="left", y=1.0)
     for axis in axes[len(joints) :].ravel():
         axis.set_visible(False)
     for axis in axes[len(joints) - 1]:
         axis.set_xlabel("time [s]")
         axis.tick_params(labelbottom=True)
-    axes[0, 0].figure.align_ylabels(axes[:, 0])
 
 
 def _from_zero(axis: Any, values: Floats, least: float) -> None:
