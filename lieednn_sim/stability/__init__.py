@@ -13,6 +13,7 @@ from lieednn_sim.stability.certificate import (
     verify,
 )
 from lieednn_sim.stability.conditions import CONDITIONS, Condition, Verdict, assess
+from lieednn_sim.stability.contraction import Contraction, find_contraction, verify_contraction
 from lieednn_sim.stability.norms import (
     LogNorms,
     NormConditions,
@@ -29,12 +30,14 @@ __all__ = [
     "METHODS",
     "Certificate",
     "Condition",
+    "Contraction",
     "LogNorms",
     "NormConditions",
     "Verdict",
     "WeightedNorm",
     "assess",
     "find_certificate",
+    "find_contraction",
     "invariant_box",
     "is_invariant",
     "log_norms",
@@ -44,5 +47,6 @@ __all__ = [
     "smallest_one_norm",
     "smooth_largest",
     "verify",
+    "verify_contraction",
     "weighted_norm",
 ]

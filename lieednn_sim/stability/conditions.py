@@ -2,7 +2,8 @@
 
 They go from sums of weights to the best diagonal Lyapunov matrix, then to local stability. Implications, for one
 matrix: the paper's norms imply the log norms; those imply the weighted norm; that, as well as the sum condition by way
-of the Euclidean log norm, implies the diagonal Lyapunov condition. No converse holds. A later condition need not prove
+of the Euclidean log norm, implies the diagonal Lyapunov condition, and so does contraction in a quadratic norm
+(`stability.contraction`). No converse holds. A later condition need not prove
 a higher rate than an earlier one in its own distance, so the verdict names both the first that holds and the fastest.
 """
 
@@ -15,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim.errors import InputError
 from lieednn_sim.stability.certificate import Certificate, find_certificate, verify
+from lieednn_sim.stability.contraction import Contraction, find_contraction
 from lieednn_sim.stability.norms import as_weight, frobenius, log_norms, weighted_norm
 from lieednn_sim.validation import as_floats, as_positive, as_ratio
 
@@ -29,6 +31,7 @@ CONDITIONS = (
     "log norm infinity",
     "weighted log norm",
     "log norm 2",
+    "contraction",
     "diagonal Lyapunov",
     "local",
 )
@@ -70,12 +73,14 @@ class Verdict:
     Attributes:
         conditions: in the order of `CONDITIONS`; "local" only when a Jacobian was given.
         certificate: the diagonal Lyapunov matrix behind its condition, valid or not.
+        contraction: the norm behind its condition, valid or not.
         stiffness: strongest coupling of two neurons in units of gamma/mu: |alpha_ij| where W_R is known, else the
             largest entry of W.
     """
 
     conditions: tuple[Condition, ...]
     certificate: Certificate
+    contraction: Contraction
     stiffness: float
 
     @property
@@ -177,6 +182,7 @@ def assess(
         certificate = verify(lyapunov_diagonal, core, gamma=decay, mu=scale)
     if certificate is None or not certificate.valid:
         certificate = find_certificate(core, gamma=decay, mu=scale)
+    contraction = find_contraction(core, gamma=decay, mu=scale, lyapunov_diagonal=certificate.lyapunov_diagonal)
     euclidean = verify(np.ones(len(core)), core, gamma=decay, mu=scale)
     norms = log_norms(matrix)
 
@@ -194,6 +200,7 @@ def assess(
         condition("log norm infinity", norms.log_norm_infinity),
         condition("weighted log norm", weighted_norm(core).value),
         condition("log norm 2", euclidean.lambda_max + euclidean.rounding),
+        condition("contraction", contraction.value + contraction.rounding),
         condition("diagonal Lyapunov", certificate.lambda_max + certificate.rounding),
     ]
     if jacobian is not None:
@@ -202,7 +209,8 @@ def assess(
         rounding = len(slopes) * np.finfo(float).eps * frobenius(slopes)
         abscissa = float(np.linalg.eigvals(slopes).real.max() + rounding)
         conditions.append(Condition("local", abscissa < 0.0, abscissa, 0.0, max(0.0, -abscissa), "local"))
-    return Verdict(tuple(conditions), certificate, _strongest_coupling(core, 1 if core is matrix else 3) / bound)
+    stiffness = _strongest_coupling(core, 1 if core is matrix else 3) / bound
+    return Verdict(tuple(conditions), certificate, contraction, stiffness)
 
 
 def _strongest_coupling(core: Floats, size: int) -> float:

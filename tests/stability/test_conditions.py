@@ -23,6 +23,7 @@ IMPLICATIONS = [
     ("log norm infinity", "weighted log norm"),
     ("weighted log norm", "diagonal Lyapunov"),
     ("log norm 2", "diagonal Lyapunov"),
+    ("contraction", "diagonal Lyapunov"),
 ]
 
 
@@ -72,6 +73,7 @@ def test_each_rung_implies_the_later_ones(seed, with_rotations, rates):
         ([[-4.0, 0.9, 0.0], [0.5, 0.0, 0.4], [0.0, 0.9, 0.0]], "log norm infinity"),
         ([[-2.0, 0.3], [9.0, 0.0]], "weighted log norm"),
         ([[0.5, 3.0], [-3.0, 0.5]], "log norm 2"),
+        ([[0.5, 3.0], [-0.3, 0.5]], "contraction"),
         ([[0.5, 30.0], [-3.0, 0.5]], "diagonal Lyapunov"),
         ([[0.5, 3.0], [3.0, 0.5]], "none"),
     ],
@@ -137,7 +139,7 @@ def test_translations_matter_to_unweighted_norms_alone(seed):
     moved[:, 3:, :, :3] *= 50.0
     near = assess(weight, gamma=1.0, mu=1.0, rotational_weight=core)
     far = assess(moved.reshape(12, 12), gamma=1.0, mu=1.0, rotational_weight=core)
-    for name in CONDITIONS[5:8]:
+    for name in CONDITIONS[5:9]:
         assert far[name] == near[name]
     assert not far["1-norm"].holds
     # On the whole W, without being told of its structure, the weighted norm comes to the same.
@@ -162,8 +164,10 @@ def test_report_has_one_aligned_line_for_each_rung():
     assert len(lines) == 1 + len(CONDITIONS)
     assert len({line.index("<") for line in lines[1:]}) == 1
     assert lines[1].split() == ["1-norm", "30.5", "<", "1", "fails"]
-    assert lines[8].split() == ["diagonal", "Lyapunov", "0.5", "<", "1", "global", "rate", "1"]
-    assert lines[9].split() == ["local", "-1", "<", "0", "local", "rate", "1"]
+    # The best norm, scaled, turns by sqrt(90): 5 solves 4 v (v - 0.5) = 90.
+    assert lines[8].split() == ["contraction", "5", "<", "1", "fails"]
+    assert lines[9].split() == ["diagonal", "Lyapunov", "0.5", "<", "1", "global", "rate", "1"]
+    assert lines[10].split() == ["local", "-1", "<", "0", "local", "rate", "1"]
 
 
 def test_the_verdict_quotes_each_rungs_own_rate():

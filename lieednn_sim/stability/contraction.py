@@ -1,0 +1,209 @@
+"""Contraction: the distance of any two solutions falls at a proven rate, in one norm, from everywhere.
+
+Between two solutions of x' = -gamma x + mu W phi(x) + mu b, e' = -gamma e + mu W z with z = D e, where D is diagonal
+and its entries, mean slopes of phi, lie in [0, 1]; so z^T Q (e - z) >= 0 for every positive diagonal Q. Added to the
+derivative of |e|_P^2 = e^T P e, P positive definite and full, it proves that |e|_P falls at the rate gamma - mu v when
+
+    [[2 v P, P W + Q], [(P W + Q)^T, 2 Q]] >= 0,
+
+a linear matrix inequality in P and Q (sharp conditions of this kind: Gokhale, Proskurnikov, Kawano and Bullo,
+arXiv 2604.15238, 2026). With S = Q^(1/2), P = T^T T and a Schur complement the least v of a pair (P, Q) is
+
+    v = |T^-T S + T W S^-1|_2^2 / 4,
+
+which `verify_contraction` evaluates, with a bound on its rounding. And for Q alone, by the Kalman-Yakubovich-Popov
+lemma, the least v over all P is the largest of
+
+    cos(a) lambda_max(Herm(exp(i a) S W S^-1)),  |a| < pi/2:
+
+the numerical range of S W S^-1, of points alpha + i beta, lies in the parabola beta^2 <= 4 v (v - alpha). At a = 0 this
+is the left side of the diagonal Lyapunov condition with P = Q. So contraction implies that condition, at the same rate
+when no other angle is worse (a symmetric W, for one), and asks in addition that W does not turn too fast.
+"""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import block_diag, solve_continuous_are, solve_triangular
+from scipy.optimize import minimize_scalar
+
+from lieednn_sim.errors import InputError
+from lieednn_sim.stability.centres import minimise_by_centres
+from lieednn_sim.stability.certificate import find_certificate
+from lieednn_sim.stability.norms import as_weight, frobenius, scale
+from lieednn_sim.validation import as_floats, as_positive, as_ratio
+from lieednn_sim.values import frozen
+
+Floats = NDArray[np.float64]
+
+_EPS = float(np.finfo(float).eps)
+_N_ANGLES = 32
+# Q is moved only where the worst angle costs more than this share of gamma/mu.
+_WORTH_MOVING = 0.01
+# How far above the least v, relative to v or gamma/mu, its P is looked for: the first at which one is found.
+_ABOVE = (1e-6, 1e-4, 1e-2, 1.0)
+# A triangular factor worse conditioned than this has no inverse to speak of in floating point.
+_LARGEST_CONDITION = 1e12
+
+
+@frozen
+class Contraction:
+    """Verdict on one pair (P, Q) for one W, decided by a spectral norm alone.
+
+    Attributes:
+        factor: upper triangular T ``(n, n)`` of the norm |e|_P = |T e|_2, P = T^T T.
+        multiplier: the diagonal of Q, ``(n,)``.
+        value: v, the least with which the pair proves anything.
+        rounding: bound on the error of `value` in floating point; infinite where T is too badly conditioned.
+        bound: gamma/mu.
+        gamma: decay rate of a neuron left alone, in 1 / (the network's time).
+    """
+
+    factor: Floats
+    multiplier: Floats
+    value: float
+    rounding: float
+    bound: float
+    gamma: float
+
+    @property
+    def valid(self) -> bool:
+        """Whether distances fall, with the rounding error on the unsafe side."""
+        return self.value + self.rounding < self.bound
+
+    @property
+    def rate(self) -> float:
+        """Proven rate c = gamma - mu v, of |e(t)|_P <= exp(-c t) |e(0)|_P; 0 when not valid."""
+        return self.gamma * (1.0 - (self.value + self.rounding) / self.bound) if self.valid else 0.0
+
+    def __str__(self) -> str:
+        verdict = f"contracting at a rate of at least {self.rate:.4g}" if self.valid else "not proved to contract"
+        return f"{verdict}: {self.value:.6g} against gamma/mu {self.bound:.6g}"
+
+
+def verify_contraction(
+    factor: ArrayLike, multiplier: ArrayLike, weight: ArrayLike, *, gamma: float = 1.0, mu: float = 1.0
+) -> Contraction:
+    """Check a norm and a multiplier against a weight matrix; no solver, only a spectral norm.
+
+    Args:
+        factor: upper triangular T of the norm |T e|_2, with a positive diagonal, ``(n, n)``.
+        multiplier: diagonal of Q, positive, ``(n,)``.
+        weight: W_R (or W), ``(n, n)``.
+        gamma: decay rate, positive.
+        mu: scale of the interaction, positive.
+
+    Raises:
+        InputError: shapes disagree, T is not upper triangular or its diagonal or Q not positive.
+    """
+    matrix = as_weight("weight", weight)
+    n = len(matrix)
+    upper, diagonal = as_floats("factor", factor, (n, n)), as_floats("multiplier", multiplier, (n,))
+    if np.tril(upper, -1).any() or not (np.diag(upper) > 0.0).all():
+        raise InputError("factor must be upper triangular with a positive diagonal")
+    if not (diagonal > 0.0).all():
+        raise InputError(f"multiplier must be positive, its smallest entry is {diagonal.min():g}")
+    root = np.sqrt(diagonal)
+    # Everything in the coordinates S e, where T becomes T S^-1 and W becomes S W S^-1.
+    local = upper / root
+    scaled = matrix * (root[:, None] / root)
+    inverse = np.asarray(solve_triangular(local, np.eye(n)), np.float64)
+    total = inverse.T + local @ scaled
+    norm = float(np.linalg.norm(total, 2))
+    size, inverse_size = float(np.linalg.norm(local)), float(np.linalg.norm(inverse))
+    # Forming the entries, a product of n terms, the norm; and the inverse, with the largest error: T^-1 dT T^-1.
+    error = (10.0 + 2.0 * n) * _EPS * (inverse_size * (1.0 + size * inverse_size) + 2.0 * size * frobenius(scaled))
+    if size * inverse_size > _LARGEST_CONDITION or not np.isfinite(norm + error):
+        error = np.inf
+    return Contraction(
+        factor=upper,
+        multiplier=diagonal,
+        value=0.25 * norm**2,
+        rounding=float(0.25 * error * (2.0 * norm + error)),
+        bound=as_ratio(as_positive("gamma", gamma), mu),
+        gamma=float(gamma),
+    )
+
+
+def find_contraction(
+    weight: ArrayLike, *, gamma: float = 1.0, mu: float = 1.0, lyapunov_diagonal: ArrayLike | None = None
+) -> Contraction:
+    """Search the norm in which distances fall fastest, and verify it.
+
+    Q starts as the best diagonal Lyapunov matrix, and is moved once by the method of centres so that the worst angle at
+    the start counts as well as angle 0 (which leaves it a few thousandths above the least there is); P is then the
+    stabilising solution of a Riccati equation.
+
+    Args:
+        weight: W_R (or any square matrix), ``(n, n)``.
+        gamma: decay rate, positive.
+        mu: scale of the interaction, positive.
+        lyapunov_diagonal: ``(n,)`` to start from; the best one is searched for by default.
+
+    Returns:
+        The best found; look at its `valid`.
+    """
+    matrix = as_weight("weight", weight)
+    bound = as_ratio(as_positive("gamma", gamma), mu)
+    if lyapunov_diagonal is None:
+        lyapunov_diagonal = find_certificate(matrix, gamma=gamma, mu=mu).lyapunov_diagonal
+    best = 0.5 * np.log(as_floats("lyapunov_diagonal", lyapunov_diagonal, (len(matrix),)))
+    # Entries of about 1; T shrinks by the root of what W grows by.
+    magnitude = float(np.abs(scale(matrix, best)).max()) or 1.0
+    unit = matrix / magnitude
+    level, angle, symmetric = least_level(scale(unit, best))
+    if level - symmetric > _WORTH_MOVING * bound / magnitude:
+        # exp(i a) as a real rotation: its Hermitian part keeps its eigenvalues, each twice.
+        turn = np.cos(angle) * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+        moved = minimise_by_centres(np.kron(unit, block_diag(1.0, turn)), 3, best)
+        reached, _, _ = least_level(scale(unit, moved))
+        if reached < level:
+            best, level = moved, reached
+    found = verify_contraction(np.diag(np.exp(best)), np.exp(2.0 * best), matrix, gamma=gamma, mu=mu)
+    for above in _ABOVE:
+        factor = norm_at(unit, best, level + above * max(level, min(bound / magnitude, 1.0)))
+        if factor is not None:
+            trial = verify_contraction(factor / np.sqrt(magnitude), np.exp(2.0 * best), matrix, gamma=gamma, mu=mu)
+            if trial.value + trial.rounding < found.value + found.rounding:
+                return trial
+    return found
+
+
+def least_level(scaled: Floats) -> tuple[float, float, float]:
+    """Least v of any P for S W S^-1 ``(n, n)``, at least 0; the angle a in [0, pi/2) that decides it; v at a = 0."""
+
+    def level(angle: Floats) -> Floats:
+        turned = np.exp(1j * angle)[..., None, None] * scaled
+        hermitian = 0.5 * (turned + turned.conj().swapaxes(-1, -2))
+        return np.asarray(np.cos(angle) * np.linalg.eigvalsh(hermitian)[..., -1], np.float64)
+
+    angles = np.linspace(0.0, 0.5 * np.pi, _N_ANGLES, endpoint=False)
+    levels = level(angles)
+    k = int(np.argmax(levels))
+    near = minimize_scalar(
+        lambda a: -float(level(np.asarray(a))),
+        bounds=(angles[max(k - 1, 0)], angles[min(k + 1, len(angles) - 1)]),
+        method="bounded",
+    )
+    value, angle = max((float(levels[k]), float(angles[k])), (-float(near.fun), float(near.x)))
+    return max(value, 0.0), angle, max(float(levels[0]), 0.0)
+
+
+def norm_at(weight: Floats, log_scale: Floats, level: float) -> Floats | None:
+    """T ``(n, n)`` of the well-conditioned end of the P that prove a level v with Q = S^2; None where none is found.
+
+    Equality in the inequality is a Riccati equation for X = S^-1 P S^-1: with M = S W S^-1,
+    (I + X M) (I + X M)^T = 4 v X, of which this is the stabilising solution.
+    """
+    scaled, one = scale(weight, log_scale), np.eye(len(weight))
+    with warnings.catch_warnings():
+        # SciPy's balancing warns of solutions that the check refuses anyway.
+        warnings.simplefilter("ignore")
+        try:
+            x = solve_continuous_are(scaled - 2.0 * level * one, scaled, one, -one)
+            return np.asarray(np.linalg.cholesky(0.5 * (x + x.T)).T * np.exp(log_scale), np.float64)
+        except (np.linalg.LinAlgError, ValueError):
+            return None
