@@ -238,6 +238,11 @@ def origin(path: str | os.PathLike[str], kind: str | None = None) -> tuple[str, 
     return meta[_FINGERPRINT], made_from
 
 
+def kind(path: str | os.PathLike[str]) -> str:
+    """What a file of `save_arrays` holds; errors as `origin`."""
+    return str(_read(path, None, header_only=True)[1].get("kind"))
+
+
 def short(fingerprint: object) -> str:
     """The beginning of a fingerprint, for messages; "none" of anything else."""
     return fingerprint[:12] if isinstance(fingerprint, str) else "none"

@@ -95,20 +95,21 @@ def gantry(tmp_path_factory: pytest.TempPathFactory) -> Arm:
 
 
 @pytest.fixture(scope="session")
-def cascade() -> Callable[[Floats], LieEDNN]:
+def cascade() -> Callable[..., LieEDNN]:
     """A network of n visible neurons, two hidden ones and a clock that ends at a target ``(n, 6)``; all by hand.
 
-    The clock p' = -p + tanh(p) / 2 drives the hidden neurons h' = -h + 2 tanh(p) + a, and these the visible ones.
+    The clock p' = -p + tanh(p) / 2 drives the hidden neurons h' = -h + 2 tanh(p) + a, and these the visible ones, with
+    strengths of 0.3 and -0.2, or a share of them.
     """
     import numpy as np
     from scipy.spatial.transform import Rotation
 
     from lieednn_sim.network import LieEDNN
 
-    def make(target: Floats) -> LieEDNN:
+    def make(target: Floats, share: float = 1.0) -> LieEDNN:
         n = len(target)
         alpha = np.zeros((n + 3, n + 3))
-        alpha[:n, n], alpha[:n, n + 1] = 0.3, -0.2
+        alpha[:n, n], alpha[:n, n + 1] = 0.3 * share, -0.2 * share
         alpha[n : n + 2, n + 2], alpha[n + 2, n + 2] = 2.0, 0.5
         rng = np.random.default_rng(0)
         rotation, translation = np.tile(np.eye(3), (n + 3, n + 3, 1, 1)), np.zeros((n + 3, n + 3, 3))
@@ -116,7 +117,7 @@ def cascade() -> Callable[[Floats], LieEDNN]:
         translation[:n, n : n + 2] = 0.5 * rng.normal(size=(n, 2, 3))
         bias = np.zeros((n + 3, 6))
         bias[n], bias[n + 1] = -0.5, 0.4
-        hidden = np.concatenate([bias[n : n + 2] + 1.5, np.ones((1, 6))])
+        hidden = np.concatenate([bias[n : n + 2] + 1.5, [np.linspace(0.5, 1.5, 6)]])
         network = LieEDNN(alpha, rotation, translation, bias, hidden_start=hidden, n_clock=1)
         return network.retarget(target).certify()
 
@@ -172,7 +173,7 @@ def no_plots(monkeypatch: pytest.MonkeyPatch) -> None:
     from lieednn_sim.evaluation import plots
 
     for name in ("plot_network", "plot_tracking", "plot_joints", "plot_training"):
-        monkeypatch.setattr(plots, name, lambda *given: Path(given[-1]).write_bytes(b"a picture"))
+        monkeypatch.setattr(plots, name, lambda *given, **_: Path(given[-1]).write_bytes(b"a picture"))
 
 
 @pytest.fixture(scope="session")

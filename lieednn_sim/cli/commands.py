@@ -137,7 +137,8 @@ def _evaluate(run: RunDirectory) -> None:
     console.print(evaluation)
     evaluation.save_json(run.metrics_json, made_from=run.check(task, "network", "motion", "rollout"))
     evaluation.save_csv(run.metrics_csv)
-    plots.plot_network(rollout, run.network_plot)
+    network = run.load_network(task) if run.network.exists() else None
+    plots.plot_network(rollout, run.network_plot, network=network)
     plots.plot_tracking(rollout, run.tracking_plot)
     plots.plot_joints(rollout, run.joints_plot)
     wrote(run.metrics_json, run.metrics_csv, run.network_plot, run.tracking_plot, run.joints_plot)

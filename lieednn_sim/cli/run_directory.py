@@ -17,8 +17,8 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.cli.task import Task
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.learning.history import History
-from lieednn_sim.network import LieEDNN
-from lieednn_sim.network.base import BlockNetwork
+from lieednn_sim.network import BlockNetwork, ComponentwiseNetwork, LieEDNN
+from lieednn_sim.network.hopfield import HopfieldNetwork
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.simulation import Rollout
 from lieednn_sim.validation import as_choice, as_path
@@ -28,6 +28,8 @@ from lieednn_sim.versions import versions
 PLOT_KINDS = ("png", "pdf", "svg")
 # The first is made of a training, the others of a rollout.
 _PLOTS = ("training", "network", "tracking", "joints")
+# What a planner's network may be, by the kind of its file.
+_NETWORKS: dict[str, type[ComponentwiseNetwork]] = {network._kind: network for network in (LieEDNN, HopfieldNetwork)}
 
 
 class RunDirectory:
@@ -143,10 +145,10 @@ class RunDirectory:
             raise FileError(f"{self.task} does not fit arm {arm.name!r}: {error}") from None
         return task, arm
 
-    def load_network(self, task: Task) -> LieEDNN:
-        """The network, when it was made for the task."""
+    def load_network(self, task: Task) -> ComponentwiseNetwork:
+        """The network, of whatever class it is, when it was made for the task."""
         self.check(task, "network")
-        return LieEDNN.load(self.network)
+        return _NETWORKS.get(storage.kind(self.network), LieEDNN).load(self.network)
 
     def load_motion(self, task: Task) -> Motion:
         """The motion, when it was made for the task and by the network."""

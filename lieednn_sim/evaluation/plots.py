@@ -19,6 +19,8 @@ from lieednn_sim.errors import InputError
 from lieednn_sim.evaluation.figure_layout import settle
 from lieednn_sim.evaluation.metrics import SETTLED_ROTATION, SETTLED_TRANSLATION, pose_errors
 from lieednn_sim.learning import History
+from lieednn_sim.network import BlockNetwork
+from lieednn_sim.planning.motion import Motion
 from lieednn_sim.simulation import Rollout
 
 Floats = NDArray[np.float64]
@@ -27,6 +29,9 @@ Floats = NDArray[np.float64]
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 _PUSH = "0.85"
 _DPI = 130
+# Hidden neurons in a row of a plot of one block, and how the coordinates of each are drawn.
+_HIDDEN_IN_ROW = 4
+_HIDDEN_STYLES = {"\\omega": "-", "v": ":"}
 # Names in a row of a legend.
 _MOST_IN_ROW = 7
 # Errors [mm, deg] and shares of a limit [%] below these don't fill the height of an axis.
@@ -47,11 +52,14 @@ _STYLE: Any = {
 }
 
 
-def plot_network(rollout: Rollout, path: str | os.PathLike[str]) -> None:
+def plot_network(rollout: Rollout, path: str | os.PathLike[str], *, network: BlockNetwork | None = None) -> None:
     """States xi(t) of each neuron, angles and lengths apart, with their targets dashed; a neuron moves a link.
 
+    Below them stands what hidden neurons of the network send to the others, phi(h(t)), where the network is given; it
+    must have drawn the motion by itself, without being retargeted on the way.
+
     Raises:
-        InputError: the rollout followed no plan.
+        InputError: the rollout followed no plan, or one of another size than the network.
     """
     arm, motion = rollout.arm, rollout.motion
     if motion is None:
@@ -61,9 +69,11 @@ def plot_network(rollout: Rollout, path: str | os.PathLike[str]) -> None:
     blocks = -(-n // _MOST_ROWS)
     rows = -(-n // blocks)
     columns = (("rotation $\\omega$", "[rad]", 0, 1.0), ("translation $v$", "[m]", 3, arm.length_scale))
+    hidden = 0 if network is None else network.n_hidden
+    below = 0.5 * bool(hidden) + 1.4 * -(-hidden // (_HIDDEN_IN_ROW * blocks))
     with matplotlib.rc_context(_STYLE):
-        figure = Figure(figsize=(10.0 * blocks, 1.2 + 1.7 * rows))
-        axes = _subplots(figure, rows, 2 * blocks, sharey="col")
+        figure = Figure(figsize=(10.0 * blocks, 1.2 + 1.7 * rows + below))
+        axes = _subplots(figure, rows, 2 * blocks, sharey="col", below=below)
         for i in range(rows * blocks):
             pair = axes[i % rows, 2 * (i // rows) : 2 * (i // rows) + 2]
             for axis, (title, unit, first, scale) in zip(pair, columns, strict=True):
@@ -84,8 +94,35 @@ def plot_network(rollout: Rollout, path: str | os.PathLike[str]) -> None:
                     axis.tick_params(labelbottom=True)
         handles, labels = axes[0, 0].get_legend_handles_labels()
         handles.append(Line2D([], [], color="0.3", ls="--", lw=0.9))
-        figure.legend(handles, [*labels, "target"], loc="upper center", ncols=4)
+        labels.append("target")
+        if network is not None and hidden:
+            _plot_hidden(figure, below, motion, network, _HIDDEN_IN_ROW * blocks)
+            for kind, style in _HIDDEN_STYLES.items():
+                handles.append(Line2D([], [], color="0.3", ls=style))
+                labels.append(f"hidden: $\\varphi({kind})$")
+        figure.legend(handles, labels, loc="upper center", ncols=_MOST_IN_ROW)
         _save(figure, path)
+
+
+def _plot_hidden(figure: Figure, height: float, motion: Motion, network: BlockNetwork, columns: int) -> None:
+    """What each hidden neuron sends on, in a panel of a height [inch] at the bottom with so many columns."""
+    first, duration = network.n_visible, max(float(motion.tau[-1]), 1e-9)
+    states = network.trajectory(network.start(motion.xi[0]), duration)(motion.tau)
+    sent = network.phi(states[:, first:])
+    rows = -(-network.n_hidden // columns)
+    axes = _subplots(figure, rows, columns, sharey=True, above=figure.get_figheight() - height - 0.35)
+    for i, axis in enumerate(axes.ravel()):
+        if i >= network.n_hidden:
+            axis.set_visible(False)
+            continue
+        for c, style in enumerate(style for style in _HIDDEN_STYLES.values() for _ in range(3)):
+            axis.plot(motion.t, sent[:, i, c], color=_COLOURS[c % 3], ls=style, lw=1.0)
+        axis.set_ylim(-1.08, 1.08)
+        kind = "clock" if i >= network.n_hidden - network.n_clock else "hidden"
+        _label(axis, "output [1]" if i % columns == 0 else "", f"neuron {first + i + 1} ({kind})", fontsize=9)
+        if i + columns >= network.n_hidden:
+            axis.set_xlabel("time [s]")
+            axis.tick_params(labelbottom=True)
 
 
 def plot_tracking(rollout: Rollout, path: str | os.PathLike[str]) -> None:
@@ -136,13 +173,24 @@ def plot_tracking(rollout: Rollout, path: str | os.PathLike[str]) -> None:
         _save(figure, path)
 
 
-def _subplots(figure: Figure, rows: int, columns: int, *, gap: float = 0.35, sharey: Any = False) -> Any:
+def _subplots(
+    figure: Figure,
+    rows: int,
+    columns: int,
+    *,
+    gap: float = 0.35,
+    sharey: Any = False,
+    above: float = 0.0,
+    below: float = 0.0,
+) -> Any:
     """Axes ``(rows, columns)`` under a legend, in margins given in inches; ``gap`` [inch] is between rows.
+
+    Room [inch] for other axes is left above and below.
 
     With so many axes an automatic layout takes longer than the drawing.
     """
     width, height = figure.get_size_inches()
-    left, right, bottom, top = _LABEL, 0.12, 0.5, 0.65
+    left, right, bottom, top = _LABEL, 0.12, 0.5 + below, 0.65 + above
     return figure.subplots(
         rows,
         columns,

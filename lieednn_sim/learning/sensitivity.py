@@ -46,13 +46,13 @@ def sensitivity(network: LieEDNN, target: ArrayLike, *, loss: str = "squared") -
 
     Args:
         network: its equilibrium is found from zero; with several, from there.
-        target: ``(N, 6)`` xi_d.
+        target: ``(N - M, 6)`` xi_d of the visible neurons.
         loss: a name of `LOSSES`.
 
     Raises:
         InputError: the network has no equilibrium that can be found, S is singular there, or, for the norm, E is 0.
     """
-    goal = as_floats("target", target, (network.n_neurons, 6))
+    goal = as_floats("target", target, (network.n_visible, 6))
     as_choice("loss", loss, LOSSES)
     found = network.equilibrium()
     if not found.success:
@@ -60,7 +60,10 @@ def sensitivity(network: LieEDNN, target: ArrayLike, *, loss: str = "squared") -
     # The Jacobian of the vector field is -gamma S.
     matrix = -network.jacobian(found.xi) / network.gamma
     output = network.phi(found.xi).ravel()
-    delta = (found.xi - goal).ravel()
+    # Hidden neurons may be anywhere.
+    delta = np.zeros_like(found.xi)
+    delta[: network.n_visible] = network.visible(found.xi) - goal
+    delta = delta.ravel()
     error = float(np.linalg.norm(delta))
     if loss == "norm" and error == 0.0:
         raise InputError("E = ||xi* - xi_d|| has no gradient at E = 0; use the squared loss")

@@ -286,7 +286,7 @@ def test_without_opengl_the_demo_goes_on_without_video(tmp_path, start):
         "import pathlib, sys\n"
         "from lieednn_sim.evaluation import plots\n"
         "from lieednn_sim.cli import main\n"
-        "made = lambda *given: pathlib.Path(given[-1]).touch()\n"  # to plot takes longer than all else
+        "made = lambda *given, **named: pathlib.Path(given[-1]).touch()\n"  # to plot takes longer than all else
         "plots.plot_network = plots.plot_tracking = plots.plot_joints = made\n"
         "print(main(['demo', '--output', *sys.argv[1:]]), flush=True)\n"
         "sys.exit(main(['render', sys.argv[1]]))"

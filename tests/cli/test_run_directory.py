@@ -16,8 +16,11 @@ from lieednn_sim.cli import main
 from lieednn_sim.cli.run_directory import RunDirectory
 from lieednn_sim.cli.task import Task
 from lieednn_sim.errors import FileError, LieEDNNError
-from lieednn_sim.planning import OBSTACLE_PLANNER, plan, require_planner
-from lieednn_sim.planning.motion import Motion
+from lieednn_sim.evaluation import plots
+from lieednn_sim.network.hopfield import HopfieldNetwork
+from lieednn_sim.planning import OBSTACLE_PLANNER, PLANNERS, Plan, plan, require_planner
+from lieednn_sim.planning.motion import Motion, make_motion
+from lieednn_sim.planning.registry import Planner
 from lieednn_sim.simulation import Rollout, simulate
 
 pytestmark = pytest.mark.usefixtures("no_plots")
@@ -75,6 +78,44 @@ def test_what_was_made_from_each_other_is_read_back(tmp_path, made):
     np.testing.assert_array_equal(run.load_motion(task).q, made[2].q)
     np.testing.assert_array_equal(run.load_rollout(task, made[3].arm).q, made[3].q)
     assert list(run.check(task, "network", "motion", "rollout")) == ["task", "network", "motion", "rollout"]
+
+
+def test_a_network_with_hidden_neurons_goes_all_the_way(tmp_path, cascade, capsys, monkeypatch):
+    """From a planner by the command line, and drawn again by a network that is in the run alone."""
+    seen = []
+    monkeypatch.setattr(plots, "plot_network", lambda rollout, path, network: seen.append(network))
+
+    def hidden(problem):
+        network = cascade(problem.arm.encode(problem.target), 0.02)
+        return Plan(make_motion(problem.arm, network, problem.start, problem.duration, problem.timestep), network)
+
+    monkeypatch.setitem(PLANNERS, "hidden", Planner(hidden))
+    directory = str(tmp_path / "run")
+    words = ("--planner", "hidden", "--target", "home", "--duration", "3")
+    assert main(["synthesize", *words, "--output", directory]) == 0
+    assert "globally stable" in capsys.readouterr().out
+    run = RunDirectory(directory)
+    task, _ = run.load_task()
+    network = run.load_network(task)
+    assert (network.n_visible, network.n_hidden, network.n_clock) == (4, 3, 1)
+    assert main(["simulate", directory, "--hold", "0"]) == 0
+    assert main(["evaluate", directory]) == 0
+    planned = run.load_motion(task)
+    assert planned.xi.shape[1:] == (4, 6)
+    drawn = dataclasses.replace(task, planner="lieednn-certified")
+    run.save_network(drawn, network)
+    assert main(["simulate", directory, "--hold", "0"]) == 0
+    assert main(["evaluate", directory]) == 0
+    np.testing.assert_array_equal(run.load_motion(drawn).q, planned.q)
+    assert seen == [network, network]
+
+
+def test_a_network_of_another_class_is_read_back(tmp_path, made):
+    task, network, motion, _ = made
+    plain = HopfieldNetwork(network.weight, network.bias)
+    run = RunDirectory(tmp_path)
+    run.save_network(task, plain, motion)
+    assert run.load_network(task) == plain
 
 
 @pytest.mark.parametrize("changes", [{"arm": "telescopic_rrp"}, {"scene": "poles"}, {"seed": 1}], ids=str)

@@ -10,6 +10,9 @@ from lieednn_sim.environments.tasks import REST, TASKS, make_task
 from lieednn_sim.environments.trajectories import band_limited, planned
 from lieednn_sim.errors import InputError
 from lieednn_sim.lie import exp
+from lieednn_sim.planning import PLANNERS, Plan
+from lieednn_sim.planning.motion import make_motion
+from lieednn_sim.planning.registry import Planner
 
 SEEDS = st.integers(0, 2**32 - 1)
 
@@ -187,6 +190,22 @@ def test_plans_are_as_fast_as_the_limits_allow(planner):
     assert max(velocity.max(), acceleration.max()) == pytest.approx(0.9, abs=0.02)
     assert_allclose(trajectory.position([-1.0, 99.0]), [arm.keyframe("home"), arm.keyframe("extended")], atol=1e-6)
     assert_array_equal(trajectory.velocity([-1.0, 99.0]), np.zeros((2, 8)))
+
+
+def test_the_expert_takes_a_planner_whose_network_has_hidden_neurons(reach, cascade, monkeypatch):
+    made = []
+
+    def hidden(problem):
+        made.append(cascade(problem.arm.encode(problem.target), 0.02))
+        return Plan(make_motion(problem.arm, made[-1], problem.start, problem.duration, problem.timestep), made[-1])
+
+    monkeypatch.setitem(PLANNERS, "hidden", Planner(hidden))
+    reach.begin(np.random.default_rng(0))
+    expert = Expert(reach, planner="hidden")
+    for _ in range(3):
+        reach.step(expert.act())
+    assert [network.n_hidden for network in made] == [3]
+    assert_allclose(expert._plan.position(99.0), reach.target(0.0), atol=1e-6)
 
 
 def test_a_failed_simulation_terminates(reach):

@@ -56,11 +56,11 @@ def test_hidden_neurons_run_with_the_follower_and_are_never_reset(gantry, cascad
     np.testing.assert_allclose(np.concatenate(periods), exact(0.005 * np.arange(1.0, 21.0)), atol=1e-8)
 
 
-def test_following_with_hidden_neurons_arrives(gantry, cascade):
-    goal = np.array([0.2, -0.3, 0.3, 0.5])
-    run = follow(gantry, cascade(gantry.encode(goal)), goal[None], 4.0, start=np.zeros(4), speed=5.0)
-    assert run.xi.shape[1:] == (5, 6)
-    np.testing.assert_allclose(run.rollout.q[-1], goal, atol=0.01)
+def test_following_with_hidden_neurons_arrives(arm, cascade):
+    goal = ramp(arm, 0.1)(1.0)
+    run = follow(arm, cascade(arm.encode(goal), 0.02), goal[None], 1.0, speed=20.0, control_rate=50.0)
+    assert run.xi.shape[1:] == (7, 6)
+    np.testing.assert_allclose(run.rollout.q_ref[-1], goal, atol=1e-3)
 
 
 def test_behind_a_steady_target_the_error_is_speed_over_gain_and_feedforward_takes_it_away(arm, network):
