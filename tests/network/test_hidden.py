@@ -101,17 +101,15 @@ def test_a_cascade_by_hand(cascade):
     np.testing.assert_allclose(ended, [*-target, *rest], atol=1e-7)
 
 
-def test_a_trajectory_ends_though_a_saturated_neuron_is_known_less_well_than_the_distance(cascade):
+def test_a_trajectory_ends_though_a_saturated_neuron_is_known_less_well_than_the_distance():
     """The integrator keeps a state of size 30 to 30 rtol only; what the neuron sends on is as good as ever."""
-    network = cascade(np.zeros((1, 6)))
-    bias = network.bias.copy()
-    bias[1] = -30.0
-    network = dataclasses.replace(network, bias=bias, hidden_start=[[30.0] * 6, [0.4] * 6, [0.0] * 6])
-    network = network.retarget(np.zeros((1, 6)))
-    goal = network.goal(np.zeros((1, 6)))
-    trajectory = network.trajectory(network.start(np.ones((1, 6))), 1e3, until=goal, distance=1e-8)
-    assert trajectory.t[-1] < 100.0
-    assert np.abs(network.visible(trajectory.xi[-1])).max() <= 1.01e-8
+    turn, still = np.tile(np.eye(3), (2, 2, 1, 1)), np.zeros((2, 2, 3))
+    bias = np.array([np.full(6, 0.3), np.full(6, -30.0)])
+    network = LieEDNN([[0.0, 0.7], [0.0, 0.0]], turn, still, bias, hidden_start=[np.full(6, 30.0)])
+    goal = network.equilibrium().xi
+    trajectory = network.trajectory(network.start(np.ones((1, 6))), 60.0, until=goal, distance=1e-8)
+    assert trajectory.t[-1] < 30.0
+    assert np.abs(network.visible(trajectory.xi[-1] - goal)).max() <= 1.01e-8
 
 
 def test_hidden_neurons_without_rest_are_refused():

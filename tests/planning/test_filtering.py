@@ -333,11 +333,8 @@ def test_a_network_with_hidden_neurons_runs_through_the_filter(gantry, cascade):
 
 def test_limits_are_proved_for_the_visible_neurons_and_hidden_ones_widen_their_box(cascade):
     target = SPATIAL.encode(SPATIAL.keyframe("home"))
-    network = cascade(target)
-    calm = dataclasses.replace(network, alpha=0.01 * network.alpha).retarget(target)
-    assert limits_proved(SPATIAL, calm, target)
-    stirred = dataclasses.replace(network, alpha=5.0 * network.alpha).retarget(target)
-    assert not limits_proved(SPATIAL, stirred, target)
+    assert limits_proved(SPATIAL, cascade(target, 0.005), target)
+    assert not limits_proved(SPATIAL, cascade(target, 5.0), target)
 
 
 def test_times_of_legs_and_velocities_towards_the_network_by_hand():

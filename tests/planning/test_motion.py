@@ -61,9 +61,13 @@ def test_the_path_is_the_networks_own(arm, network, motion):
     np.testing.assert_allclose(trajectory(motion.tau), motion.xi, atol=1e-6)
 
 
-def test_the_pace_is_a_minimum_jerk_law_of_the_length(arm, network, motion):
+@pytest.mark.parametrize("hidden", [False, True])
+def test_the_pace_is_a_minimum_jerk_law_of_the_length(arm, network, motion, cascade, hidden):
     """|(q'/limits, p |xi - xi_d| tau')| = L sigma'(t/T) / T, p the slowest rate at the end: one L at all times."""
-    equilibrium = network.equilibrium(motion.xi[0])
+    if hidden:
+        network = cascade(arm.encode(arm.keyframe("extended")), 0.02)
+        motion = make_motion(arm, network, arm.keyframe("home"), 4.0, 0.002)
+    equilibrium = network.equilibrium(network.start(motion.xi[0]))
     pace = max(-equilibrium.spectral_abscissa, 1e-3 * network.gamma)
     tau_rate = np.gradient(motion.tau, motion.t, edge_order=2)
     to_go = pace * np.linalg.norm(motion.xi - motion.xi_target, axis=(-2, -1)) * tau_rate
