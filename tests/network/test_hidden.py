@@ -37,6 +37,7 @@ def random_network(seed: int, n_visible: int, n_hidden: int, n_clock: int, *, la
     )
 
 
+@settings(max_examples=40)
 @given(seeds, sizes, st.booleans())
 def test_retargeting_is_exact_for_the_visible_and_leaves_the_bias_of_the_hidden(seed, sizes, layered):
     network = random_network(seed, *sizes, layered=layered)
@@ -56,6 +57,7 @@ def test_retargeting_is_exact_for_the_visible_and_leaves_the_bias_of_the_hidden(
         assert np.array_equal(goal[visible:], network.goal(-target)[visible:])
 
 
+@settings(max_examples=25)
 @given(seeds, sizes)
 def test_a_file_gives_back_every_bit(tmp_path_factory, seed, sizes):
     network = random_network(seed, *sizes, layered=True)
@@ -99,6 +101,21 @@ def test_a_cascade_by_hand(cascade):
     assert elsewhere.certificate is network.certificate
     ended = elsewhere.trajectory(elsewhere.start(target), 100.0, rtol=1e-10, atol=1e-12).xi[-1]
     np.testing.assert_allclose(ended, [*-target, *rest], atol=1e-7)
+
+
+@settings(max_examples=5)
+@given(seeds, st.sampled_from([1.0, 0.3, 0.1]))
+def test_a_cascade_of_steep_switches_is_certified_by_the_slowest_layer(seed, rate):
+    """Blocks of size 60 from the clock to the hidden neurons and of size 5 on from them; the clock decays at a rate."""
+    rng = np.random.default_rng(seed)
+    alpha = np.zeros((7, 7))
+    alpha[:2, 2:6], alpha[2:6, 6], alpha[6, 6] = 5.0 * rng.normal(size=(2, 4)), rng.uniform(-60.0, 60.0, 4), 1.0 - rate
+    rotation = Rotation.random(49, rng=rng).as_matrix().reshape(7, 7, 3, 3)
+    rotation[6, 6] = np.eye(3)
+    start = rng.uniform(-60.0, 60.0, (5, 6))
+    network = LieEDNN(alpha, rotation, rng.normal(size=(7, 7, 3)), np.zeros((7, 6)), hidden_start=start, n_clock=1)
+    certificate = network.certify().certificate
+    assert certificate.lambda_max == pytest.approx(1.0 - rate, abs=0.02)
 
 
 def test_a_trajectory_ends_though_a_saturated_neuron_is_known_less_well_than_the_distance():
