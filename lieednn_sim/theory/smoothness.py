@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim.errors import InputError
 from lieednn_sim.stability.norms import as_weight, log_norms
-from lieednn_sim.validation import as_floats, as_positive, as_ratio
+from lieednn_sim.validation import as_finite, as_floats, as_positive, as_ratio
 
 Floats = NDArray[np.float64]
 
@@ -58,6 +58,9 @@ def smoothness_bounds(
         mu: scale of the interaction, positive.
         output_bound: M, largest |phi| there.
         lipschitz: L, largest slope of phi there.
+
+    Raises:
+        InputError: wrong shapes or signs, or numbers so large that a bound overflows.
     """
     matrix = as_weight("weight", weight)
     drive = float(np.abs(as_floats("bias", bias, (len(matrix),))).max())
@@ -72,6 +75,7 @@ def smoothness_bounds(
     closing = None
     if norm < as_ratio(decay, scale):
         closing = decay * (1.0 + slope) * (decay * size + decay * most + scale * drive)
+    as_finite("a bound on the motion", np.array([velocity, acceleration, closing or 0.0]))
     return SmoothnessBounds(velocity, acceleration, acceleration, closing)
 
 
