@@ -1,6 +1,16 @@
-"""Certified synthesis: networks that carry a proof of global stability, made in milliseconds."""
+"""Certified synthesis: networks that carry a proof of global stability, made in milliseconds, or shaped by a curve."""
 
 from lieednn_sim.synthesis.bias import BIAS_RULES, bias_for
 from lieednn_sim.synthesis.certified import RESIDUAL_TOLERANCE, Synthesis, synthesize
+from lieednn_sim.synthesis.shaping import Shaping, ShapingOptions, shape
 
-__all__ = ["BIAS_RULES", "RESIDUAL_TOLERANCE", "Synthesis", "bias_for", "synthesize"]
+__all__ = [
+    "BIAS_RULES",
+    "RESIDUAL_TOLERANCE",
+    "Shaping",
+    "ShapingOptions",
+    "Synthesis",
+    "bias_for",
+    "shape",
+    "synthesize",
+]

@@ -39,8 +39,8 @@ def _polarise() -> Floats:
     )
 
 
-_FORM = _polarise()
-_FORM_ROWS = np.ascontiguousarray(_FORM.reshape(36, 4).T)
+QUATERNION_FORM = _polarise()
+_FORM_ROWS = np.ascontiguousarray(QUATERNION_FORM.reshape(36, 4).T)
 
 
 @frozen

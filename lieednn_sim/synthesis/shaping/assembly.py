@@ -1,0 +1,81 @@
+"""From a cascade's parameters to a certified network."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieednn_sim.network import LieEDNN
+from lieednn_sim.synthesis.shaping.cascade import CLOCK_START, Parameters
+
+Floats = NDArray[np.float64]
+
+# What a layer receives from the next one may add this much to lambda_max, in S-scaled weights.
+_SHARE = 0.02
+_UNIT = np.eye(3)[0]
+
+
+def assemble(parameters: Parameters, rate: float, target: Floats) -> LieEDNN:
+    """The network of a cascade to ``target`` ``(N, 6)``, with its Lyapunov diagonal in closed form.
+
+    Sorted (visible, hidden, clock) W_R is block triangular with a diagonal of 0, 0 and 1 - rho. With P = S^2 and
+    S = diag(1, s_h, s_c) what a layer receives is divided by the ratio of two scales, so that lambda_max of
+    sym(S W_R S^-1) comes as close as one likes to 1 - rho: each scale is the least for which it comes within `_SHARE`.
+
+    Args:
+        parameters: of N visible neurons and M switches.
+        rate: rho, of the clock; 1 for none.
+        target: visible equilibrium.
+    """
+    n, m = parameters.q.shape[:2]
+    clock = 2 if rate < 1.0 else 0
+    size = n + m + clock
+    alpha, translation = np.zeros((size, size)), np.zeros((size, size, 3))
+    rotation = np.tile(np.eye(3), (size, size, 1, 1))
+    blocks, _ = parameters.blocks()
+    hidden = slice(n, n + m)
+    strength = np.sum(parameters.q**2, axis=-1)
+    alpha[:n, hidden] = strength
+    rotation[:n, hidden] = np.where(
+        strength[..., None, None] > 0.0, blocks[..., :3, :3] / np.maximum(strength, 1e-300)[..., None, None], np.eye(3)
+    )
+    translation[:n, hidden] = parameters.tau
+    hidden_start = np.zeros((m + clock, 6))
+    hidden_start[:m] = parameters.a + parameters.c
+    for part in range(clock):
+        # One neuron of the clock for the rotational halves of c, one for the translational ones.
+        sender, half = n + m + part, slice(3 * part, 3 * part + 3)
+        alpha[sender, sender] = 1.0 - rate
+        hidden_start[m + part, half.start] = CLOCK_START
+        driven = (1.0 - rate) / CLOCK_START * parameters.c[:, half]
+        alpha[hidden, sender] = np.linalg.norm(driven, axis=1)
+        rotation[hidden, sender] = _turns_to(driven)
+    bias = np.zeros((size, 6))
+    bias[hidden] = parameters.a
+    scales = [1.0]
+    for receiver, sender_slice in ((slice(0, n), hidden), (hidden, slice(n + m, size)))[: 1 + bool(clock)]:
+        weight = (alpha[receiver, sender_slice, None, None] * rotation[receiver, sender_slice]).transpose(0, 2, 1, 3)
+        heard = float(np.linalg.norm(weight.reshape(3 * weight.shape[0], -1), 2))
+        scales.append(scales[-1] * max(1.0, heard / (2.0 * min(_SHARE, 0.25 * rate))))
+    network = LieEDNN(
+        alpha=alpha,
+        rotation=rotation,
+        translation=translation,
+        bias=bias,
+        lyapunov_diagonal=np.repeat(np.repeat(scales, [n, m, clock][: len(scales)]), 3) ** 2,
+        hidden_start=hidden_start,
+        n_clock=clock,
+    )
+    return network.retarget(target)
+
+
+def _turns_to(vectors: Floats) -> Floats:
+    """Rotations ``(M, 3, 3)`` of e_x to the directions of ``vectors`` ``(M, 3)``: two reflections."""
+    size = np.linalg.norm(vectors, axis=1, keepdims=True)
+    direction = np.where(size > 0.0, vectors / np.maximum(size, 1e-300), _UNIT)
+    # The mirror between e_x and the direction, after the one between e_x and itself across e_y.
+    normal = direction - _UNIT
+    length = np.linalg.norm(normal, axis=1, keepdims=True)
+    normal = np.where(length > 1e-12, normal / np.maximum(length, 1e-300), np.eye(3)[1])
+    mirror = np.eye(3) - 2.0 * normal[:, :, None] * normal[:, None, :]
+    return np.asarray(mirror @ np.diag([1.0, 1.0, -1.0]))

@@ -1,0 +1,89 @@
+"""A curve to follow: a table over its length, in metres, with the foot points of other curves on it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import PchipInterpolator
+
+from lieednn_sim.errors import InputError
+from lieednn_sim.values import frozen
+
+Floats = NDArray[np.float64]
+
+# Rows of a table: curves of two metres are then known to a millimetre along, and to micrometres across.
+_ROWS = 2048
+# Newton steps to a foot point from the one before.
+_NEWTON_STEPS = 3
+# How far from the end of its straight piece a foot point is looked for, in rows.
+_REACH = 64
+
+
+@frozen
+class Curve:
+    """A curve, evenly tabulated over its length in the metric.
+
+    Attributes:
+        points: ``(R, N, 6)`` in network coordinates, first its start and last its target.
+        tangents: ``(R, N, 6)`` derivative in the share s of the length, from 0 to 1.
+        units: ``(N, 6)`` metres that count for one unit of each coordinate.
+        length: in the metric [m].
+        weights: ``(R,)`` how much a deviation counts, at most 1.
+    """
+
+    points: Floats
+    tangents: Floats
+    units: Floats
+    length: float
+    weights: Floats
+
+    @classmethod
+    def through(cls, samples: Floats, units: Floats, weights: Floats | None = None) -> Curve:
+        """The curve through samples ``(K, N, 6)``, smooth between them and without overshoot.
+
+        Raises:
+            InputError: it does not move.
+        """
+        steps = np.linalg.norm((np.diff(samples, axis=0) * units).reshape(len(samples) - 1, -1), axis=1)
+        kept = np.append(True, steps > 1e-9 * max(float(steps.sum()), 1e-300))
+        if kept.sum() < 2:
+            raise InputError("the curve must move: all its samples are the same point")
+        kept_samples = samples[kept]
+        # The last sample is the target, also where it repeats the one before it.
+        kept_samples[-1] = samples[-1]
+        chord = np.append(0.0, np.cumsum(steps[kept[1:]]))
+        dense = np.linspace(0.0, chord[-1], 4 * _ROWS)
+        fine = PchipInterpolator(chord, kept_samples, axis=0)(dense)
+        pieces = np.linalg.norm((np.diff(fine, axis=0) * units).reshape(len(dense) - 1, -1), axis=1)
+        arc = np.append(0.0, np.cumsum(pieces))
+        even = np.interp(np.linspace(0.0, arc[-1], _ROWS), arc, dense)
+        points = PchipInterpolator(chord, kept_samples, axis=0)(even)
+        points[0], points[-1] = samples[0], samples[-1]
+        tangents = np.gradient(points, 1.0 / (_ROWS - 1), axis=0)
+        known = np.ones(_ROWS) if weights is None else np.interp(even, chord, weights[kept])
+        return cls(points, tangents, units, float(arc[-1]), known)
+
+    def at(self, s: Floats) -> tuple[Floats, Floats]:
+        """Points and tangents ``(K, N, 6)`` at shares ``(K,)`` of the length."""
+        row = np.clip(s, 0.0, 1.0) * (len(self.points) - 1)
+        low = np.minimum(row.astype(int), len(self.points) - 2)
+        share = (row - low)[:, None, None]
+        point, tangent = (table[low] + share * (table[low + 1] - table[low]) for table in (self.points, self.tangents))
+        return point, tangent
+
+    def feet(self, x: Floats, s: Floats) -> Floats:
+        """Shares ``(K,)`` of the points nearest to ``x`` ``(K, N, 6)``, near ``s``, in order, from 0 to 1."""
+        for _ in range(_NEWTON_STEPS):
+            point, tangent = self.at(s)
+            along = (tangent * self.units**2).reshape(len(x), -1)
+            step = np.einsum("kp,kp->k", along, (x - point).reshape(len(x), -1)) / np.maximum(
+                np.einsum("kp,kp->k", along, tangent.reshape(len(x), -1)), 1e-300
+            )
+            s = np.clip(s + np.clip(step, -_REACH / _ROWS, _REACH / _ROWS), 0.0, 1.0)
+        s = np.maximum.accumulate(s)
+        s[0], s[-1] = 0.0, 1.0
+        return s
+
+    def weight(self, s: Floats) -> Floats:
+        """How much a deviation counts at shares ``(K,)`` of the length."""
+        return np.asarray(np.interp(s, np.linspace(0.0, 1.0, len(self.weights)), self.weights))

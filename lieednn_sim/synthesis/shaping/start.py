@@ -1,0 +1,103 @@
+"""Where the descent starts: switches where the curve bends, readouts by linear least squares, the rest drawn."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieednn_sim.synthesis.shaping.cascade import Cascade, Parameters
+from lieednn_sim.synthesis.shaping.curve import Curve
+
+Floats = NDArray[np.float64]
+
+# Pieces over which the bend of the curve is looked at.
+_PIECES = 128
+# Slopes that switches start with, in 1 / (share of the way).
+_GENTLEST, _STEEPEST = 1.5, 30.0
+# Spread of the slopes that are drawn: of the leading switches as a share, and of the others.
+_LEADING_SPREAD, _OTHER_SPREAD = 0.2, 1.0
+# Least strength of a block: one of none would have no slope in its quaternion.
+_LEAST_STRENGTH = 0.02
+# Weight of the squared readouts in the linear problems.
+_RIDGE, _SHIFT_RIDGE = 1e-6, 1e-4
+# Rotations this near to a line are on it.
+_LINE = 1e-9
+
+
+def starting_point(cascade: Cascade, curve: Curve, n_switches: int, rng: np.random.Generator) -> Parameters:
+    """Parameters of a cascade whose way is roughly the curve's.
+
+    Of each hidden neuron the first rotational and the first translational coordinate lead: they switch where the curve
+    bends most, sharp where it has a corner. The others begin at random. Where all rotations stay on lines through zero,
+    as those of hinges do, the other rotational coordinates stay out of it: every rotation begins on its line.
+    """
+    n, m = len(cascade.target), n_switches
+    a, c = np.zeros((m, 6)), rng.normal(scale=_OTHER_SPREAD, size=(m, 6))
+    a[:] = -c * rng.uniform(size=(m, 6))
+    turning = [np.linalg.svd(curve.points[::16, i, :3], compute_uv=False) for i in range(n)]
+    turns, on_lines = (bool(part) for part in (max(s[0] for s in turning) > _LINE, all(s[1] < _LINE for s in turning)))
+    if on_lines:
+        a[:, :3], c[:, :3] = 0.0, 0.0
+    for part, used in ((slice(0, 3), turns), (slice(3, 6), True)):
+        if used:
+            place, slope = _switches(curve, part, m)
+            slope *= np.exp(_LEADING_SPREAD * rng.normal(size=m))
+            c[:, part.start], a[:, part.start] = slope, -slope * (1.0 - place)
+    outputs, _, _ = cascade.switched(a, c)
+    goal, _ = curve.at(1.0 - cascade.clock.g)
+    missing = goal - cascade.free
+    lead = slice(0, 3) if turns else slice(3, 6)
+    wanted = _ridge(outputs[:, :, lead.start], missing[..., lead].reshape(len(goal), -1), _RIDGE)
+    q = _towards(wanted.reshape(m, n, 3).transpose(1, 0, 2), rng.uniform(-np.pi, np.pi, (n, m)))
+    parameters = Parameters(a, c, q, np.zeros((n, m, 3)))
+    if not turns:
+        return parameters
+    blocks, _ = parameters.blocks()
+    turned = np.einsum("nmab,kmb->nkam", blocks[..., :3, :3], outputs[..., :3])
+    left = missing[..., 3:] - np.einsum("nmab,kmb->kna", blocks[..., :3, :3], outputs[..., 3:])
+    columns = _crossing(turned)
+    tau = [_ridge(columns[i], left[:, i].ravel(), _SHIFT_RIDGE).reshape(m, 3) for i in range(n)]
+    return Parameters(a, c, q, np.array(tau))
+
+
+def _switches(curve: Curve, part: slice, count: int) -> tuple[Floats, Floats]:
+    """Shares of the length ``(count,)`` and slopes there: as dense as the root of the bend, and as steep."""
+    way = (curve.tangents * curve.units)[:: len(curve.points) // _PIECES, :, part] / curve.length
+    way = way.reshape(len(way), -1)
+    density = np.sqrt(len(way) * np.linalg.norm(np.gradient(way, axis=0), axis=1))
+    # A little everywhere: what bends gently is long.
+    density += 0.1 * density.mean() + 0.1
+    mass = np.append(0.0, np.cumsum(0.5 * (density[1:] + density[:-1])))
+    edges = np.interp(np.linspace(0.0, mass[-1], 2 * count + 1), mass, np.linspace(0.0, 1.0, len(way)))
+    return edges[1::2], np.clip(2.0 / np.maximum(edges[2::2] - edges[:-2:2], 1e-9), _GENTLEST, _STEEPEST)
+
+
+def _ridge(columns: Floats, wanted: Floats, weight: float) -> Floats:
+    """Least squares with a little decay: columns that say the same share the work."""
+    square = columns.T @ columns
+    return np.asarray(np.linalg.solve(square + weight * np.eye(len(square)), columns.T @ wanted))
+
+
+def _crossing(turned: Floats) -> Floats:
+    """What translations ``(M, 3)`` add to the drive for rotational drives ``(N, K, 3, M)``: ``(N, 3 K, 3 M)``."""
+    n, k, _, m = turned.shape
+    columns = np.zeros((n, k, 3, m, 3))
+    for row in range(3):
+        after, before = (row + 1) % 3, (row + 2) % 3
+        # (tau x d)_row = tau_after d_before - tau_before d_after
+        columns[:, :, row, :, after], columns[:, :, row, :, before] = turned[:, :, before], -turned[:, :, after]
+    return columns.reshape(n, 3 * k, 3 * m)
+
+
+def _towards(wanted: Floats, spin: Floats) -> Floats:
+    """Quaternions ``(..., 4)`` with |q|^2 R(q) e_x = ``wanted`` ``(..., 3)``, turned about it by ``spin`` ``(...)``."""
+    size = np.linalg.norm(wanted, axis=-1, keepdims=True)
+    x, y, z = np.moveaxis(np.where(size > 1e-12, wanted / np.maximum(size, 1e-300), np.eye(3)[0]), -1, 0)
+    # Half way from e_x to it; about the third axis where it points back.
+    none = np.zeros_like(x)
+    half = np.stack([1.0 + x, none, -z, y], axis=-1)
+    half[x < -1.0 + 1e-9] = np.eye(4)[3]
+    w, _, j, k = np.moveaxis(half / np.linalg.norm(half, axis=-1, keepdims=True), -1, 0)
+    cosine, sine = np.cos(0.5 * spin), np.sin(0.5 * spin)
+    turned = np.stack([w * cosine, w * sine, j * cosine + k * sine, k * cosine - j * sine], axis=-1)
+    return np.asarray(turned * np.sqrt(np.maximum(size, _LEAST_STRENGTH)))

@@ -1,0 +1,229 @@
+"""Shaping: the cascade in closed form, its derivatives, its certificate for every parameter, and what comes out."""
+
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lieednn_sim import budget
+from lieednn_sim.budget import time_limit
+from lieednn_sim.errors import InputError, NotCertifiedError, OutOfTimeError
+from lieednn_sim.synthesis.shaping import ShapingOptions, shape
+from lieednn_sim.synthesis.shaping.assembly import assemble
+from lieednn_sim.synthesis.shaping.cascade import Cascade, Parameters, clockwork
+from lieednn_sim.synthesis.shaping.curve import Curve
+from lieednn_sim.synthesis.shaping.fit import LARGEST_SLOPE, Descent, NormalEquations
+from lieednn_sim.synthesis.shaping.start import starting_point
+
+RATES = [1.0, 0.3, 0.1]
+UNITS = np.repeat([0.5, 1.0], 3)
+
+
+def drawn(rng, n=2, m=3, scale=1.0):
+    shapes = ((m, 6), (m, 6), (n, m, 4), (n, m, 3))
+    return Parameters(*(scale * rng.normal(size=size) for size in shapes))
+
+
+def bent(n=2, count=200):
+    """A curve with a bend of half a turn in both halves of its twists, ``(K, N, 6)``."""
+    s = np.linspace(0.0, 1.0, count)[:, None]
+    rng = np.random.default_rng(5)
+    first, second, third = rng.uniform(-0.4, 0.4, (3, 6 * n))
+    return (first + s * second + np.sin(np.pi * s) * third).reshape(count, n, 6)
+
+
+@pytest.mark.parametrize("rate", RATES)
+def test_the_closed_form_is_the_networks_own_trajectory(rate):
+    rng = np.random.default_rng(1)
+    start, target = rng.normal(size=(2, 2, 6))
+    parameters = drawn(rng, scale=1.5)
+    clock = clockwork(rate)
+    network = assemble(parameters, rate, target)
+    way = network.trajectory(network.start(start), clock.t[-1], rtol=1e-10, atol=1e-12)
+    closed = Cascade(clock, start, target).states(parameters)
+    np.testing.assert_allclose(network.visible(way(clock.t)), closed, atol=2e-5 * np.abs(closed).max())
+
+
+@pytest.mark.parametrize("rate", RATES)
+def test_the_clock_falls_from_one_at_its_rate(rate):
+    clock = clockwork(rate)
+    assert clock.g[0] == 1.0
+    assert (np.diff(clock.g) < 0.0).all()
+    last = -np.diff(np.log(clock.g[-3:])) / np.diff(clock.t[-3:])
+    np.testing.assert_allclose(last, rate, rtol=1e-4)
+
+
+def test_the_arrow_is_what_a_dense_jacobian_by_finite_differences_gives():
+    rng = np.random.default_rng(2)
+    curve = Curve.through(bent(), np.tile(UNITS, (2, 1)), np.linspace(0.3, 1.0, 200))
+    cascade = Cascade(clockwork(1.0), curve.points[0], curve.points[-1])
+    descent = Descent(cascade, curve)
+    place = descent._place(drawn(rng).flat, 1.0 - cascade.clock.g)
+    equations = NormalEquations(descent, place)
+    units = descent.units(place.feet)
+
+    def error(flat):
+        return (cascade.states(Parameters.of(flat, 2)) - curve.at(place.feet)[0]) * units
+
+    h = 1e-6
+    columns = [error(place.flat + h * unit) - error(place.flat - h * unit) for unit in np.eye(len(place.flat))]
+    jacobian = np.array(columns).reshape(len(place.flat), len(place.x), -1) / (2.0 * h)
+    along = place.along
+    # Across the curve in full, along it a twentieth.
+    weighted = jacobian - 0.95 * np.einsum("pki,ki->pk", jacobian, along)[..., None] * along
+    residual = place.error - 0.95 * np.einsum("ki,ki->k", place.error, along)[:, None] * along
+    count, decay = len(place.x), descent._decay
+    matrix = np.einsum("pki,qki->pq", weighted, weighted) / count + decay * np.eye(len(place.flat))
+    gradient = np.einsum("pki,ki->p", weighted, residual) / count + decay * place.flat
+    lower = np.tril(np.ones_like(matrix, dtype=bool))
+    np.testing.assert_allclose(equations.matrix[lower], matrix[lower], atol=1e-7 * np.abs(matrix).max())
+    np.testing.assert_allclose(equations.gradient, gradient, atol=1e-7 * np.abs(gradient).max())
+    # A heavily damped step goes down the scaled gradient, and its correction by curvature is of higher order.
+    step, expected = equations.step(1e6)
+    np.testing.assert_allclose(step, -gradient / (1e6 * (matrix.diagonal() + 1e-14)), rtol=1e-3, atol=1e-12)
+    assert expected > 0.0
+
+
+def test_feet_are_nearest_points_in_order():
+    curve = Curve.through(bent(), np.tile(UNITS, (2, 1)))
+    s = np.linspace(0.0, 1.0, 23)
+    points, tangents = curve.at(s)
+    off = np.random.default_rng(3).normal(size=points.shape)
+    off -= (np.einsum("kni,kni->k", off * UNITS**2, tangents) / np.einsum("kni,kni->k", tangents * UNITS**2, tangents))[
+        :, None, None
+    ] * tangents
+    np.testing.assert_allclose(curve.feet(points + 1e-3 * off, s + 0.01 * np.sin(40.0 * s)), s, atol=2e-3)
+    assert curve.length == pytest.approx(
+        np.linalg.norm((np.diff(bent(count=20_000), axis=0) * UNITS).reshape(19_999, -1), axis=1).sum(), rel=1e-5
+    )
+
+
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    rate=st.sampled_from([*RATES, 0.01]),
+    n=st.integers(1, 3),
+    m=st.integers(1, 5),
+    scale=st.sampled_from([0.0, 1e-6, 1.0, LARGEST_SLOPE]),
+)
+def test_every_parameter_gives_a_certified_network_with_its_target(seed, rate, n, m, scale):
+    rng = np.random.default_rng(seed)
+    parameters = drawn(rng, n, m, scale)
+    parameters = Parameters.of(np.clip(parameters.flat, -LARGEST_SLOPE, LARGEST_SLOPE), n)
+    target = rng.normal(size=(n, 6))
+    network = assemble(parameters, rate, target)
+    assert network.certified
+    assert network.certificate.lambda_max <= 1.0 - rate + 0.041
+    assert (network.n_visible, network.n_clock) == (n, 2 if rate < 1.0 else 0)
+    field = network.vector_field(network.goal(target))
+    assert np.abs(field).max() <= 1e-12 * max(1.0, scale**3)
+    # The proof and the target do not depend on each other.
+    assert network.retarget(2.0 * target).certified
+
+
+@pytest.mark.parametrize("rate", RATES)
+def test_a_shaped_network_follows_its_curve(rate):
+    samples = bent()
+    result = shape(samples, 2e-3, units=UNITS, options=ShapingOptions(rate=rate), seed=1)
+    assert result.success, result.message
+    assert result.network.certified
+    network = result.network
+    way = network.trajectory(network.start(samples[0]), 30.0 / rate)
+    states = network.visible(way(way.t[-1] * np.linspace(0.0, 1.0, 4000) ** 3))
+    off = np.linalg.norm(((states[:, None] - samples[None]) * UNITS).reshape(4000, len(samples), -1), axis=2)
+    # Either is near the other, up to half the distance of two samples.
+    spacing = np.linalg.norm((np.diff(samples, axis=0) * UNITS).reshape(len(samples) - 1, -1), axis=1).max()
+    assert off.min(axis=1).max() <= result.deviation + 0.5 * spacing
+    assert off.min(axis=0).max() <= result.deviation + 0.5 * spacing
+    assert result.rms <= result.deviation <= 2e-3
+    np.testing.assert_allclose(states[-1], samples[-1], atol=1e-5)
+    again = shape(samples, 2e-3, units=UNITS, options=ShapingOptions(rate=rate), seed=1)
+    assert np.array_equal(again.network.weight, network.weight)
+
+
+def test_rotations_on_lines_begin_on_them():
+    s = np.linspace(0.0, 1.0, 100)
+    samples = np.zeros((100, 2, 6))
+    axes = np.array([[0.0, 0.6, 0.8], [1.0, 0.0, 0.0]])
+    samples[:, :, :3] = np.stack([np.sin(2.0 * s), s**2], axis=1)[:, :, None] * axes
+    samples[:, 0, 3] = 0.3 * s
+    curve = Curve.through(samples, np.ones((2, 6)))
+    cascade = Cascade(clockwork(1.0), curve.points[0], curve.points[-1])
+    begun = cascade.states(starting_point(cascade, curve, 4, np.random.default_rng(0)))[..., :3]
+    assert np.abs(begun - np.einsum("knj,nj->kn", begun, axes)[..., None] * axes).max() < 1e-12
+    # Least squares come near to the curve, whose way in time is not even.
+    off = np.linalg.norm(begun[:, None] - samples[None, :, :, :3], axis=(2, 3)).min(axis=1)
+    assert off.max() < 0.1 * curve.length
+
+
+def test_several_demonstrations_are_followed_where_they_agree():
+    base = bent()
+    s = np.linspace(0.0, 1.0, len(base))[:, None, None]
+    # They part in the middle only, and the mean of two that bulge apart is the one between them.
+    bulge = np.zeros((2, 6))
+    bulge[0, 4] = 0.05
+    curves = [base + sign * s**2 * (1.0 - s) ** 2 * 16.0 * bulge for sign in (1.0, -1.0)]
+    result = shape(curves, 3e-3, units=UNITS)
+    assert result.success, result.message
+    way = result.network.trajectory(result.network.start(base[0]), 16.0)
+    states = result.network.visible(way(np.linspace(0.0, 16.0, 2000)))
+    off = np.linalg.norm(((states[:, None] - base[None]) * UNITS).reshape(2000, len(base), -1), axis=2)
+    assert off.min(axis=1).max() < 6e-3
+
+
+def test_what_is_not_met_is_said_and_still_certified():
+    result = shape(bent(), 1e-9, options=ShapingOptions(neurons=(1,), iterations=3, restarts=0))
+    assert not result.success
+    assert result.network.certified
+    assert "1e-06 mm were asked for" in result.message
+    with pytest.raises(NotCertifiedError, match="off the curve"):
+        result.unwrap()
+
+
+def test_the_search_keeps_a_time_budget(monkeypatch):
+    looks = itertools.count()
+    monkeypatch.setattr(budget, "cpu_time", lambda: float(next(looks)))
+    with pytest.raises(OutOfTimeError), time_limit(3.0):
+        shape(bent(), 1e-9)
+
+
+@pytest.mark.parametrize(
+    ("curves", "named", "message"),
+    [
+        (np.zeros((5, 2, 6)), {}, "must move"),
+        (bent()[:1], {}, "at least two samples"),
+        (np.zeros((5, 2, 5)), {}, "shape"),
+        ([bent(), bent(n=1)], {}, "same number"),
+        (bent(), {"deviation": 0.0}, "deviation must be positive"),
+        (bent(), {"units": -1.0}, "units must be positive"),
+        (bent(), {"units": np.ones(5)}, "units"),
+        ([], {}, "curves"),
+        (3.0, {}, "curves"),
+        (bent() * np.nan, {}, "finite"),
+    ],
+)
+def test_bad_curves_are_refused(curves, named, message):
+    with pytest.raises(InputError, match=message):
+        shape(curves, **named)
+
+
+@pytest.mark.parametrize(
+    "options", [{"rate": 0.0}, {"rate": 1.5}, {"neurons": ()}, {"neurons": (0,)}, {"restarts": -1}]
+)
+def test_bad_options_are_refused(options):
+    with pytest.raises(InputError):
+        ShapingOptions(**options)
+
+
+def test_switches_start_at_corners():
+    # A right angle at 0.7 of the way.
+    samples = np.zeros((2, 1, 6))
+    corner = np.array([0.7, 0.0, 0.0])
+    samples = np.zeros((3, 1, 6))
+    samples[1, 0, 3:], samples[2, 0, 3:] = corner, [0.7, 0.3, 0.0]
+    curve = Curve.through(samples, np.ones((1, 6)))
+    cascade = Cascade(clockwork(1.0), curve.points[0], curve.points[-1])
+    begun = starting_point(cascade, curve, 3, np.random.default_rng(0))
+    places = 1.0 + begun.a[:, 3] / begun.c[:, 3]
+    assert np.abs(places - 0.7).min() < 0.02
