@@ -172,13 +172,16 @@ def test_networks(data, kind):
             kind.from_blocks, groups.group("SE(3)"), alpha, data.draw(arrays(n, n, 6, 6)), bias, gamma=gamma
         )
     else:
-        network = check(kind, alpha, data.draw(rotations(n, n)), data.draw(arrays(n, n, 3)), bias, gamma, mu)
+        hidden = {"hidden_start": data.draw(arrays(data.draw(st.integers(0, 1)), 6))} if kind is LieEDNN else {}
+        network = check(kind, alpha, data.draw(rotations(n, n)), data.draw(arrays(n, n, 3)), bias, gamma, mu, **hidden)
     if network is None:
         return
     check(network.vector_field, state)
     check(network.jacobian, state)
     check(network.equilibrium, state)
-    check(network.retarget, state)
+    visible = check(network.visible, state)
+    check(network.retarget, state if visible is None else visible)
+    check(network.start, state)
     # What is too large to be reached in some thousand steps is for the test of stiff networks.
     if gamma < 100.0 and np.abs(network.blocks).max() * mu < 100.0:
         trajectory = check(network.trajectory, state, 1.0 / gamma, rtol=1e-3, atol=1e-6)
