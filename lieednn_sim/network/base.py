@@ -245,6 +245,7 @@ class BlockNetwork(ABC):
         target = self.goal(xi)
         drive = (self.weight @ self.phi(target).ravel()).reshape(target.shape)
         bias = self.gamma / self.mu * target - drive
+        bias[self.n_visible :] = self.bias[self.n_visible :]
         # mypy cannot know that every subclass is a dataclass, here and below.
         network: Self = replace(self, bias=bias)  # type: ignore[type-var]
         # Weights and proof are the same: hand over what has been computed of them.
