@@ -63,7 +63,8 @@ def vee(matrix: ArrayLike) -> Floats:
 
 def exp(twist: ArrayLike) -> RigidTransform:
     """Exponential map of twists ``(..., 6)`` [rad, m]: SciPy's, with the input checked."""
-    return RigidTransform.from_exp_coords(as_floats("twist", twist, (6,), batched=True))
+    # SciPy's compiled code refuses arrays that are read-only, as those of results are.
+    return RigidTransform.from_exp_coords(np.require(as_floats("twist", twist, (6,), batched=True), requirements="W"))
 
 
 def log(pose: RigidTransform) -> Floats:

@@ -163,3 +163,9 @@ def test_rotations_and_poses_are_scipys_to_the_last_bit(shape):
 def test_wrong_input_is_named(call, words):
     with pytest.raises(InputError, match=words):
         call()
+
+
+def test_read_only_twists_are_taken():
+    twists = np.zeros((2, 6))
+    twists.setflags(write=False)
+    np.testing.assert_array_equal(exp(twists).translation, np.zeros((2, 3)))

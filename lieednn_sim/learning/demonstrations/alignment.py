@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from lieednn_sim.errors import InputError
 from lieednn_sim.learning.demonstrations.recording import Demonstration
-from lieednn_sim.lie import exp, poses
+from lieednn_sim.lie import exp, left_jacobian_so3, poses
 from lieednn_sim.validation import as_choice, as_count, as_positive
 from lieednn_sim.values import frozen
 
@@ -128,3 +128,9 @@ def align(
 def displacement(twists: Floats) -> Floats:
     """Turns and positions ``(..., 6)`` [rad, m] that twists ``(..., 6)`` stand for: (omega, J(omega) v)."""
     return np.concatenate([twists[..., :3], exp(twists).translation], axis=-1)
+
+
+def twist_of(displaced: Floats) -> Floats:
+    """Twists ``(..., 6)`` that stand for turns and positions ``(..., 6)``: the inverse of `displacement`."""
+    turn, position = displaced[..., :3], displaced[..., 3:]
+    return np.concatenate([turn, np.linalg.solve(left_jacobian_so3(turn), position[..., None])[..., 0]], axis=-1)

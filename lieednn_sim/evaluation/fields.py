@@ -1,0 +1,79 @@
+"""Where a model of demonstrations leads from starts that nobody showed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieednn_sim.learning.demonstrations import Demonstrations
+from lieednn_sim.learning.demonstrations.alignment import displacement, twist_of
+from lieednn_sim.learning.demonstrations.models import MotionModel
+from lieednn_sim.validation import as_count, as_generator
+
+Floats = NDArray[np.float64]
+
+# Durations after which a start counts as arrived or not.
+HORIZON = 10.0
+# In extents of the demonstrations: what is nearer to the goal is there, what moves less in a duration is at rest, and
+# what rests nearer together is one attractor.
+ARRIVED, AT_REST, ONE_ATTRACTOR = 1e-2, 1e-4, 5e-2
+# Of a random start's turn from the goal [rad].
+LARGEST_TURN = 0.9 * np.pi
+# Starts run at once: what is kept of them fits into memory.
+_BATCH = 500
+
+
+@dataclass(frozen=True)
+class Attraction:
+    """Where random starts ended, after `HORIZON` durations.
+
+    Attributes:
+        starts: how many.
+        arrived: nearer to the goal than a hundredth of the demonstrations' extent.
+        spurious: places elsewhere at which others came to rest: attractors that nobody asked for.
+    """
+
+    starts: int
+    arrived: int
+    spurious: int
+
+
+def random_starts(demonstrations: Demonstrations, count: int, seed: int | np.random.Generator = 0) -> Floats:
+    """Twists ``(count, 6)`` all around the demonstrations.
+
+    Positions are uniform in their box, drawn out by its largest side to all sides; turns, where poses were shown, have
+    any axis and an angle up to 162 degrees from the goal's.
+    """
+    rng = as_generator("seed", seed)
+    count = as_count("count", count)
+    place = demonstrations.displaced[..., 3:].reshape(-1, 3)
+    low, high = place.min(axis=0), place.max(axis=0)
+    margin = np.ptp(place, axis=0).max()
+    starts = np.zeros((count, 6))
+    starts[:, 3:] = rng.uniform(low - margin, high + margin, (count, 3))
+    if demonstrations.freedoms == 6:
+        axis = rng.normal(size=(count, 3))
+        starts[:, :3] = rng.uniform(0.0, LARGEST_TURN, (count, 1)) * axis / np.linalg.norm(axis, axis=1, keepdims=True)
+    elif demonstrations.freedoms == 2:
+        starts[:, 5] = 0.0
+    return twist_of(starts)
+
+
+def attraction(model: MotionModel, demonstrations: Demonstrations, starts: Floats) -> Attraction:
+    """Run a model from twists ``(n, 6)``; distances take a radian for the lever of the demonstrations."""
+    t = demonstrations.duration * np.array([0.0, HORIZON - 1.0, HORIZON])
+    batches = [starts[k : k + _BATCH] for k in range(0, len(starts), _BATCH)]
+    before, ends = (
+        np.concatenate([displacement(model.reproduce(batch, t)[:, 1:]) for batch in batches])
+        * ([demonstrations.lever] * 3 + [1.0] * 3)
+        / demonstrations.extent
+    ).swapaxes(0, 1)
+    arrived = np.linalg.norm(ends, axis=1) < ARRIVED
+    resting = ends[~arrived & (np.linalg.norm(ends - before, axis=1) < AT_REST)]
+    spurious = 0
+    while len(resting):
+        spurious += 1
+        resting = resting[np.linalg.norm(resting - resting[0], axis=1) > ONE_ATTRACTOR]
+    return Attraction(len(starts), int(arrived.sum()), spurious)

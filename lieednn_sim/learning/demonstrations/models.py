@@ -1,0 +1,81 @@
+"""What a model of demonstrations is, the simplest one, and how the others' differential equations are solved."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import ClassVar, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieednn_sim.budget import check_time
+from lieednn_sim.learning.demonstrations.alignment import Demonstrations
+
+Floats = NDArray[np.float64]
+
+# What decays by itself has a hundredth left after a duration.
+DECAY = float(np.log(100.0))
+
+
+class MotionModel(Protocol):
+    """A model of a motion to the twist zero, seen from its goal as in `Demonstration.twists`."""
+
+    @property
+    def name(self) -> str:
+        """Of the kind of model."""
+
+    @property
+    def n_parameters(self) -> int:
+        """Numbers that were fitted."""
+
+    @property
+    def durations(self) -> float:
+        """Durations of the demonstrations after which the motion is over, or as good as."""
+
+    def reproduce(self, start: Floats, t: Floats) -> Floats:
+        """Twists ``(..., K, 6)`` at increasing times ``(K,)`` from 0 on [s], from rest at twists ``(..., 6)``."""
+
+
+@dataclass(frozen=True)
+class LinearAttractor:
+    """xi' = -k xi: straight in the chart, with k so that a hundredth is left after the demonstrations' duration."""
+
+    duration: float
+    name: ClassVar[str] = "linear-attractor"
+    n_parameters: ClassVar[int] = 1
+    durations: ClassVar[float] = 3.0
+
+    @classmethod
+    def fit(cls, demonstrations: Demonstrations) -> LinearAttractor:
+        """Take over the duration."""
+        return cls(demonstrations.duration)
+
+    def reproduce(self, start: Floats, t: Floats) -> Floats:
+        """As `MotionModel.reproduce`."""
+        return start[..., None, :] * np.exp(-DECAY / self.duration * t)[:, None]
+
+
+def run_field(field: Callable[[Floats], Floats], start: Floats, t: Floats, step: float) -> Floats:
+    """States ``(n, K, d)`` of x' = field(x) at times ``(K,)`` from 0 on, from states ``(n, d)``.
+
+    Runge and Kutta's method of fourth order with a fixed step, linear in between.
+    """
+    grid = step * np.arange(float(np.ceil(t[-1] / step)) + 1.0)
+    states = [start]
+    for _ in grid[1:]:
+        check_time()
+        x = states[-1]
+        k1 = field(x)
+        k2 = field(x + 0.5 * step * k1)
+        k3 = field(x + 0.5 * step * k2)
+        k4 = field(x + step * k3)
+        states.append(x + step / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4))
+    return at_times(np.stack(states, axis=1), grid, t)
+
+
+def at_times(states: Floats, grid: Floats, t: Floats) -> Floats:
+    """Linear interpolation of states ``(n, G, d)`` on increasing times ``(G,)`` to times ``(K,)``."""
+    index = np.clip(np.searchsorted(grid, t, side="right") - 1, 0, len(grid) - 2)
+    share = np.clip((t - grid[index]) / (grid[index + 1] - grid[index]), 0.0, 1.0)[:, None]
+    return (1.0 - share) * states[:, index] + share * states[:, index + 1]

@@ -1,0 +1,175 @@
+"""A stable dynamical system of local linear laws under one quadratic Lyapunov function, as SEDS and LPV-DS are.
+
+x' = sum_k gamma_k(x) A_k x, gamma_k the posterior of a Gaussian mixture of the shown positions, and
+P A_k + A_k^T P <= -2 epsilon I for one P: V = x^T P x falls everywhere, so the goal attracts every start
+(Khansari-Zadeh and Billard, IEEE T-RO 27(5), 2011; Figueroa and Billard, CoRL 2018). The constraint is built in, as
+A_k = P^-1 (S_k - D_k D_k^T - epsilon I) with S_k skew, so that the fit of the velocities is plain least squares.
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.cluster.vq import kmeans2
+from scipy.optimize import least_squares
+
+from lieednn_sim._blas import one_blas_thread
+from lieednn_sim.learning.demonstrations.alignment import Demonstrations
+from lieednn_sim.learning.demonstrations.models import run_field
+from lieednn_sim.values import frozen
+
+Floats = NDArray[np.float64]
+
+# Of V per duration, where the fit asks for no more.
+_EPSILON = 0.1
+# Of the mixture: rounds of expectation and maximisation, and the least variance of a component [extent^2].
+_ROUNDS, _LEAST_VARIANCE = 60, 1e-4
+# Of the integrator, in durations.
+_STEP = 1.0 / 100.0
+# Samples of a demonstration in the fit, and evaluations of the residual in it.
+_SAMPLES, _EVALUATIONS = 60, 100
+
+
+@frozen
+class StableMixture:
+    """A fitted system, in d coordinates scaled to the extent of the demonstrations and in units of their duration.
+
+    Attributes:
+        prior: ``(k,)``.
+        mean: ``(k, d)``.
+        factor: ``(k, d, d)`` Cholesky factors of the inverse covariances.
+        laws: ``(k, d, d)`` matrices A_k.
+        lyapunov: ``(d, d)`` P.
+        units: ``(d,)`` of the coordinates [rad, m].
+        duration: of the demonstrations [s].
+    """
+
+    prior: Floats
+    mean: Floats
+    factor: Floats
+    laws: Floats
+    lyapunov: Floats
+    units: Floats
+    duration: float
+
+    name: ClassVar[str] = "lpv-ds"
+    durations: ClassVar[float] = 3.0
+
+    @classmethod
+    def fit(cls, demonstrations: Demonstrations, n_parameters: int, seed: int = 0) -> StableMixture:
+        """Fit as many components as there are parameters to spend, at least one; ``seed`` is of the first clusters."""
+        d = demonstrations.freedoms
+        extent = demonstrations.extent
+        units = np.full(d, extent)
+        if d == 6:
+            units[:3] = extent / demonstrations.lever
+        chosen = np.unique(np.linspace(0, len(demonstrations.t) - 1, _SAMPLES).astype(int))
+        states = demonstrations.twists[..., _shown(d)] / units
+        rates = np.gradient(states, demonstrations.t / demonstrations.duration, axis=1)[:, chosen].reshape(-1, d)
+        states = states[:, chosen].reshape(-1, d)
+        components = max(1, round((n_parameters - d * (d + 1) // 2 + 1) / (1 + d + d * (d + 1) // 2 + d * d)))
+        with one_blas_thread():
+            prior, mean, factor = _mixture(states, components, np.random.default_rng(seed))
+            laws, lyapunov = _laws(_posterior(states, prior, mean, factor), states, rates)
+        return cls(prior, mean, factor, laws, lyapunov, units, demonstrations.duration)
+
+    @property
+    def n_parameters(self) -> int:
+        """Of priors, means, covariances, laws and P."""
+        k, d = self.mean.shape
+        return k * (1 + d + d * (d + 1) // 2 + d * d) - 1 + d * (d + 1) // 2
+
+    def reproduce(self, start: Floats, t: Floats) -> Floats:
+        """As `MotionModel.reproduce`."""
+        shown = _shown(len(self.units))
+        twists = np.zeros((start[..., 0].size, len(t), 6))
+        first = start.reshape(-1, 6)[:, shown] / self.units
+        twists[..., shown] = run_field(self.velocity, first, t / self.duration, _STEP) * self.units
+        return twists.reshape(*start.shape[:-1], len(t), 6)
+
+    def velocity(self, x: Floats) -> Floats:
+        """Velocities ``(n, d)`` per duration at scaled states ``(n, d)``."""
+        gamma = _posterior(x, self.prior, self.mean, self.factor)
+        return (gamma.T[..., None] * (x @ self.laws.swapaxes(1, 2))).sum(axis=0)
+
+
+def _shown(freedoms: int) -> slice:
+    return slice(0, 6) if freedoms == 6 else slice(3, 3 + freedoms)
+
+
+def _posterior(x: Floats, prior: Floats, mean: Floats, factor: Floats) -> Floats:
+    """Posterior ``(n, k)`` at states ``(n, d)``."""
+    whitened = (x - mean[:, None]) @ factor
+    exponent = np.log(prior * np.linalg.det(factor))[:, None] - 0.5 * (whitened**2).sum(axis=-1)
+    weight = np.exp(exponent - exponent.max(axis=0))
+    return (weight / weight.sum(axis=0)).T
+
+
+def _mixture(x: Floats, components: int, rng: np.random.Generator) -> tuple[Floats, Floats, Floats]:
+    """Prior, means and factors of a Gaussian mixture by expectation and maximisation, from k-means."""
+    d = x.shape[1]
+    _, label = kmeans2(x, components, minit="++", rng=rng)
+    gamma = np.eye(components)[label]
+    for _ in range(_ROUNDS):
+        # A component that nothing belongs to keeps a place without weight.
+        count = gamma.sum(axis=0) + 1e-9
+        prior, mean = count / count.sum(), gamma.T @ x / count[:, None]
+        away = x[:, None] - mean
+        covariance = np.einsum("nk,nka,nkb->kab", gamma, away, away) / count[:, None, None]
+        factor = np.linalg.cholesky(np.linalg.inv(covariance + _LEAST_VARIANCE * np.eye(d)))
+        gamma = _posterior(x, prior, mean, factor)
+    return prior, mean, factor
+
+
+def _laws(gamma: Floats, x: Floats, rates: Floats) -> tuple[Floats, Floats]:
+    """A_k ``(k, d, d)`` and P ``(d, d)`` with the least squared error of the velocities.
+
+    Unknown are the lower triangles of D_k and of C, with P = C C^T, and the entries of S_k below the diagonal.
+    """
+    d, k = x.shape[1], gamma.shape[1]
+    low, below = np.tril_indices(d), np.tril_indices(d, -1)
+    sizes = np.cumsum([len(low[0]), k * len(low[0])])
+    drive = gamma[:, :, None] * x[:, None]
+
+    def unpack(unknown: Floats) -> tuple[Floats, Floats, Floats]:
+        factor, damping, skew = np.zeros((d, d)), np.zeros((k, d, d)), np.zeros((k, d, d))
+        parts = np.split(unknown, sizes)
+        factor[low] = parts[0]
+        damping[:, low[0], low[1]] = parts[1].reshape(k, -1)
+        skew[:, below[0], below[1]] = parts[2].reshape(k, -1)
+        return factor, damping, skew - skew.swapaxes(1, 2)
+
+    def laws(unknown: Floats) -> tuple[Floats, Floats]:
+        factor, damping, skew = unpack(unknown)
+        metric = factor @ factor.T + 1e-3 * np.eye(d)
+        inside = skew - damping @ damping.swapaxes(1, 2) - _EPSILON * np.eye(d)
+        return np.asarray(np.linalg.solve(metric, inside), dtype=float), metric
+
+    def residual(unknown: Floats) -> Floats:
+        return (np.einsum("kab,nkb->na", laws(unknown)[0], drive) - rates).ravel()
+
+    def jacobian(unknown: Floats) -> Floats:
+        factor, damping, _ = unpack(unknown)
+        found, metric = laws(unknown)
+        inverse = np.linalg.inv(metric)
+        predicted = np.einsum("kab,nkb->na", found, drive)
+        columns = []
+        # d(P^-1) w = -P^-1 dP (P^-1 w), and dP = dC C^T + C dC^T.
+        pulled = predicted @ factor
+        for i, j in zip(*low, strict=True):
+            columns.append(-(pulled[:, j, None] * inverse[:, i] + predicted[:, i, None] * (inverse @ factor[:, j])))
+        for c in range(k):
+            pulled = drive[:, c] @ damping[c]
+            turned = inverse @ damping[c]
+            for i, j in zip(*low, strict=True):
+                columns.append(-(pulled[:, j, None] * inverse[:, i] + drive[:, c, i, None] * turned[:, j]))
+        for c in range(k):
+            for i, j in zip(*below, strict=True):
+                columns.append(drive[:, c, j, None] * inverse[:, i] - drive[:, c, i, None] * inverse[:, j])
+        return np.stack([column.ravel() for column in columns], axis=1)
+
+    first = np.concatenate([np.eye(d)[low], np.tile(np.eye(d)[low], k), np.zeros(k * len(below[0]))])
+    fitted = least_squares(residual, first, jacobian, method="trf", max_nfev=_EVALUATIONS)
+    return laws(fitted.x)

@@ -1,0 +1,83 @@
+"""Rival models: they follow what they were shown, and their constraints hold."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lieednn_sim.learning.demonstrations.alignment import displacement
+from lieednn_sim.learning.demonstrations.models import LinearAttractor, at_times, run_field
+from lieednn_sim.learning.demonstrations.primitive import MovementPrimitive
+from lieednn_sim.learning.demonstrations.stable_mixture import StableMixture
+
+
+def test_linear_attractor_is_straight(posed):
+    model = LinearAttractor.fit(posed)
+    path = model.reproduce(posed.mean[0], np.array([0.0, 1.0, 2.0]))
+    np.testing.assert_allclose(path, posed.mean[0] * [[1.0], [0.1], [0.01]])
+
+
+def test_runge_and_kutta_on_a_rotation():
+    path = run_field(
+        lambda x: x @ np.array([[0.0, 1.0], [-1.0, 0.0]]), np.array([[1.0, 0.0]]), np.array([0.0, 1.0]), 0.1
+    )
+    np.testing.assert_allclose(path[0, 1], [np.cos(1.0), np.sin(1.0)], atol=1e-6)
+
+
+def test_a_primitive_without_forcing_is_critically_damped():
+    # p'' = 25 (-6.25 p - p') from rest at 1: (1 + 12.5 t) e^(-12.5 t), which is 0.29 at a fifth of the duration.
+    model = MovementPrimitive(np.zeros((3, 6)), 2.0, 3)
+    path = model.reproduce(np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0]), np.array([0.0, 0.4, 2.0]))
+    np.testing.assert_allclose(path[:, 3], [1.0, 3.5 * np.exp(-2.5), 13.5 * np.exp(-12.5)], atol=2e-2)
+    np.testing.assert_allclose(path[:, [0, 1, 2, 4, 5]], 0.0)
+
+
+@pytest.mark.parametrize("name", ["planar", "posed"])
+def test_a_primitive_follows_the_mean_in_time(name, request):
+    shown = request.getfixturevalue(name)
+    model = MovementPrimitive.fit(shown, 60)
+    assert model.n_parameters == 60
+    t = np.linspace(0.0, shown.duration, 50)
+    wanted = displacement(at_times(shown.mean[None], shown.t, t))[0]
+    found = displacement(model.reproduce(shown.mean[0], t))
+    np.testing.assert_allclose(found, wanted, atol=4e-3)
+    # Another start is forgotten, and what was not shown stays as it is.
+    other = shown.mean[0] + [0.0, 0.0, 0.0, 0.1, -0.1, 0.0]
+    late = model.reproduce(np.stack([other, shown.mean[0]]), 3.0 * t)
+    np.testing.assert_allclose(late[:, -1], 0.0, atol=1e-3)
+    if name == "planar":
+        np.testing.assert_array_equal(late[..., [0, 1, 2, 5]], 0.0)
+
+
+@pytest.mark.parametrize("name", ["planar", "posed"])
+def test_a_stable_mixture_obeys_its_lyapunov_function_and_the_demonstrations(name, request):
+    shown = request.getfixturevalue(name)
+    model = StableMixture.fit(shown, 64 * 2)
+    d = shown.freedoms
+    assert model.n_parameters == (132 if d == 2 else 148)  # 13 components of 10 and 2 more, or 2 of 64 and 20 more
+    for law in model.laws:
+        falls = np.linalg.eigvalsh(model.lyapunov @ law + law.T @ model.lyapunov)
+        assert falls.max() < -0.1
+    x = np.random.default_rng(0).normal(size=(100, d))
+    rate = np.einsum("ni,ij,nj->n", x, model.lyapunov, model.velocity(x))
+    assert (rate < 0.0).all()
+    np.testing.assert_allclose(model.velocity(np.zeros((1, d))), 0.0, atol=1e-15)
+    # The least squares find what a straight line does not.
+    t = np.linspace(0.0, 3.0 * shown.duration, 400)
+    path = displacement(model.reproduce(shown.mean[0], t))
+    wanted = displacement(shown.mean)
+    off = np.linalg.norm(path[None, :, 3:] - wanted[:, None, 3:], axis=-1).min(axis=1)
+    assert off.max() < 0.03
+    np.testing.assert_allclose(path[-1], 0.0, atol=2e-2)
+
+
+def test_the_mixture_is_fitted_along_its_gradient(planar):
+    # With one component and no bend to follow the fit is a linear law, and the best one is known.
+    line = planar.twists * 0.0
+    line[..., 3] = 0.5 * np.exp(-3.0 * planar.t / planar.duration)
+    line[..., 4] = 0.3 * np.exp(-3.0 * planar.t / planar.duration)
+    model = StableMixture.fit(replace(planar, twists=line), 10)
+    x = np.array([[1.0, 0.6]])
+    np.testing.assert_allclose(model.velocity(x), -3.0 * x, rtol=3e-2)
