@@ -58,6 +58,14 @@ LIFT = """
     <position joint="reach" kp="2000" kv="90"/></actuator>
 </mujoco>
 """
+COLUMN = """
+<mujoco><worldbody>
+  <body name="column" pos="0 0 1"><geom size=".1"/><geom name="shelf" type="box" size=".2 .2 .01" pos=".35 0 -.5"/>
+    <body name="turret"><joint name="pan" axis="0 0 1" range="-.3 .3"/><geom size=".01" pos="0 0 .095"/>
+      <body name="arm"><joint name="raise" axis="0 1 0" range="-1 1.4"/><geom size=".05"/>
+        <geom name="hand" size=".05" pos=".6 0 0" friction=".3" solref=".01 .9" condim="4"/></body></body></body>
+</worldbody></mujoco>
+"""
 URDF = """
 <robot name="derrick">
   <link name="foot"/><link name="post">{mass}</link><link name="tube1">{mass}</link><link name="tube2">{mass}</link>
@@ -88,7 +96,7 @@ def test_nested_tubes_may_overlap_and_all_else_still_collides():
     low, high = arm.position_limits.T
     for extension in (low[2], high[2]):
         assert arm.near_contacts([0.0, 0.0, extension, 0.0]) == []
-    assert any("'tube1' and 'tube3': stages of a telescope" in note for note in report.notes)
+    assert any("'tube1' and 'tube3' (80 mm deep): stages of a telescope" in note for note in report.notes)
     # Folded back the fork meets the tubes that it is no part of, and pointing down the floor, by the model's own pair.
     folded = arm.contacts([0.0, 0.0, 0.0, np.deg2rad(170)])
     assert {frozenset(pair) for pair in folded} == {frozenset(("fork", "tube1")), frozenset(("fork", "tube2"))}
@@ -96,15 +104,41 @@ def test_nested_tubes_may_overlap_and_all_else_still_collides():
     assert {frozenset(pair) for pair in arm.contacts(down)} == {frozenset(("fork", "world"))}
 
 
-def test_parts_that_overlap_at_home_are_named_and_the_world_stays_an_obstacle():
+def test_home_is_moved_off_parts_that_collide_there_and_the_world_stays_an_obstacle():
+    """Nobody designed a mast that stands in a tube: with the tube lowered or raised they are apart."""
     xml = TELESCOPE.replace('size=".06 .06 .06"', 'size=".06 .06 .06" pos=".4 0 .08"')
     arm, report = arm_of(xml)
-    assert any("'mast' and 'tube2'" in note and "they overlap at home" in note for note in report.notes)
-    assert arm.near_contacts(arm.keyframe("home")) == []
+    collide = "'mast' and 'tube2' (20 mm deep), 'mast' and 'tube3' (10 mm deep)"
+    assert f"home moved, since {collide} collide there: raise from 0 to -0.0838" in report.notes
+    home = arm.keyframe("home")
+    assert arm.near_contacts(home) == []
+    assert {frozenset(pair) for pair in arm.contacts(home * [1, 0, 1, 1])} == {
+        frozenset(("mast", tube)) for tube in ("tube2", "tube3")
+    }
     post = '<geom type="box" size=".01 .01 .5" pos=".9 0 0"/><body name="mast">'
     blocked, report = arm_of(xml.replace('<body name="mast">', post))
     assert ("world", "fork") in blocked.contacts(blocked.keyframe("home"))
     assert any("touch at home" in note for note in report.notes)
+
+
+def test_what_overlaps_in_every_posture_is_ignored_geom_by_geom():
+    """The shoulder's ball sits in the column's whatever the arm does; the hand comes down on the column's shelf."""
+    arm, report = arm_of(COLUMN)
+    assert "contacts ignored between 'arm' and 'column' (150 mm deep): they overlap in every posture" in report.notes
+    assert (
+        "contacts ignored between 'column' and 'turret' (15 mm deep): neighbours that overlap at home" in report.notes
+    )
+    assert arm.near_contacts([0.0, 0.0]) == []
+    assert arm.contacts([0.0, 1.1]) == [("arm", "column")]
+    # What becomes an explicit pair touches as it did before.
+    touching = []
+    for model in (arm.model, mujoco.MjSpec.from_string(COLUMN).compile()):
+        data = mujoco.MjData(model)
+        data.qpos[:] = 0.0, 1.1
+        mujoco.mj_forward(model, data)
+        contacts = [c for c in data.contact if {model.geom(g).name for g in c.geom} == {"hand", "shelf"}]
+        touching.append([(c.dim, c.dist, *c.friction, *c.solref, *c.solimp) for c in contacts])
+    assert touching[0] == touching[1] != []
 
 
 def test_a_crane_is_encoded_in_units_of_its_size_and_can_be_certified():

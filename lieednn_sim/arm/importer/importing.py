@@ -90,7 +90,8 @@ def import_arm(
     limits, accelerations get limits (`limits.limit_accelerations`); a URDF's efforts and
     velocities are limits, too. Gravity compensation is switched on
     where no body of the arm has any, because a position servo would sag. Tubes of a telescope, and what else overlaps
-    in the robot at home, don't collide with each other (`nesting.ignore_nested`). Hinges are held within 0.99 pi of
+    by design, don't collide with each other, and home is moved off other contacts of the robot with itself
+    (`nesting.ignore_nested`). Hinges are held within 0.99 pi of
     their reference, where the logarithm is unique.
 
     Args:

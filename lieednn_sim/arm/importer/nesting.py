@@ -1,11 +1,13 @@
 """Parts of a robot that overlap by design, as the tubes of a telescope do: their contacts are ignored.
 
-MuJoCo lets a body overlap its parent only. The third tube of a telescope sits in the first as well.
+MuJoCo lets a body overlap its parent only, and no part of the world. The third tube of a telescope sits in the first
+as well, and a first link in its base.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Mapping
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,75 +15,193 @@ from numpy.typing import NDArray
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.contacts import ContactFinder
 from lieednn_sim.arm.importer.draft import Draft
+from lieednn_sim.arm.importer.loading import unused
+from lieednn_sim.arm.importer.postures import MARGIN, place_home
 
 Floats = NDArray[np.float64]
+# Two ids, the smaller one first: of geoms or of bodies.
+_Pair = tuple[int, int]
+_Distances = Mapping[_Pair, float]
 _SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
 # Planned motions keep 2 mm between all that may collide; what is designed to be closer cannot be moved at all [m].
 _CLOSE = 0.0025
 _PARALLEL = 1e-6
+_SHARES = np.linspace(0.02, 1.0, 50)  # of a range by which home is moved
 
 
 def ignore_nested(draft: Draft) -> None:
-    """Exclude contacts between parts of one robot that overlap, and say which.
+    """Ignore contacts between parts of one robot that overlap by design, and move home off those that do not.
 
-    Stages of one telescope, bodies with nothing but parallel slides between them, overlap by design where they do at
-    one of the draft's postures. Any other two bodies of one kinematic tree do where they overlap at home: no motion
-    could start there.
+    By design overlap stages of one telescope (bodies with nothing but parallel slides between them) where they do at
+    any of the draft's postures, neighbours (bodies with one coordinate between them) where they do at home, and what
+    does at every posture: of these the geoms alone, if the same ones always overlap. Other bodies are kept apart. Where
+    they overlap at home the nearest free posture becomes home, since no motion could start; where none is found,
+    contacts of the geoms that overlap there are ignored.
     """
-    spec, original, model = draft.spec, draft.original, draft.bare
-    home, *further = draft.postures([*draft.samples, *draft.extremes])
-    touching = ContactFinder(model, _CLOSE)
-    start = _pairs(touching.bodies(home))
-    ever = start.union(*(_pairs(touching.bodies(qpos)) for qpos in further))
-    data = mujoco.MjData(model)
-    data.qpos[:] = home
-    mujoco.mj_kinematics(model, data)
-    stages, others = [], []
-    for pair in sorted(ever):
-        one, other = (model.body(name).id for name in pair)
+    overlaps = _Overlaps(draft)
+    bodies = overlaps.bodies
+    seen = [overlaps.at(qpos) for qpos in draft.postures([*draft.samples, *draft.extremes])]
+    nearest: dict[_Pair, float] = {}
+    for found in seen:
+        for geoms, distance in found.items():
+            nearest[geoms] = min(distance, nearest.get(geoms, np.inf))
+    ignored: dict[_Pair, set[_Pair]] = {}
+    reasons: dict[str, list[str]] = {}
+
+    def ignore(pair: _Pair, chosen: set[_Pair], why: str) -> None:
+        ignored[pair] = ignored.get(pair, set()) | chosen
+        deepest = min(nearest[geoms] for geoms in chosen & set(nearest))
+        reasons.setdefault(why, []).append(f"{overlaps.names(pair)} ({_depth(deepest)})")
+
+    for pair in sorted(set(map(bodies, nearest)), key=overlaps.names):
+        near = [{geoms for geoms in found if bodies(geoms) == pair} for found in seen]
+        always = set.intersection(*near)
+        if overlaps.telescopic(pair):
+            ignore(pair, overlaps.geoms(pair), "stages of a telescope that overlap")
+        elif near[0] and overlaps.neighbours(pair):
+            ignore(pair, overlaps.geoms(pair), "neighbours that overlap at home")
+        elif all(near):
+            ignore(pair, always or overlaps.geoms(pair), "they overlap in every posture")
+
+    def collisions(qpos: Floats) -> _Distances:
+        return {geoms: d for geoms, d in overlaps.at(qpos).items() if geoms not in ignored.get(bodies(geoms), ())}
+
+    at_home = collisions(draft.postures(draft.samples[:1])[0])
+    if at_home:
+        touching = {pair: min(d for g, d in at_home.items() if bodies(g) == pair) for pair in map(bodies, at_home)}
+        shown = ", ".join(f"{overlaps.names(pair)} ({_depth(depth)})" for pair, depth in touching.items())
+        home = next((q for q in _nearby(draft) if not collisions(draft.postures([q])[0])), None)
+        if home is None:
+            for pair in touching:
+                chosen = {geoms for geoms in at_home if bodies(geoms) == pair}
+                ignore(pair, chosen, "they overlap at home, and no posture near it is free")
+        else:
+            before = draft.samples[0]
+            moved = [
+                f"{draft.original.joint(joint).name} from {_listed(before[joint])} to {_listed(q)}"
+                for joint, q in home.items()
+                if not np.array_equal(q, before[joint])
+            ]
+            draft.notes.append(f"home moved, since {shown} collide there: {', '.join(moved)}")
+            place_home(draft, home)
+    _exclude(draft, overlaps, ignored)
+    draft.notes += [f"contacts ignored between {', '.join(found)}: {why}" for why, found in reasons.items()]
+
+
+class _Overlaps:
+    """Parts of one robot that come closer to each other than `_CLOSE`."""
+
+    def __init__(self, draft: Draft) -> None:
+        self._draft, self._model = draft, draft.bare
+        self._finder = ContactFinder(draft.bare, _CLOSE)
+        self._data = mujoco.MjData(draft.bare)
+        self._data.qpos[:] = draft.postures(draft.samples[:1])[0]
+        mujoco.mj_kinematics(draft.bare, self._data)
+        original = draft.original
+        names = [draft.bare.body(body).name for body in range(draft.bare.nbody)]
         # What is one robot the model with all joints says.
-        root, same = (int(original.body_rootid[original.body(name).id]) for name in pair)
-        if root != same or not root:
-            continue
-        if _telescopic(model, data, one, other):
-            stages.append(pair)
-        elif pair in start:
-            others.append(pair)
-    for one_name, other_name in (*stages, *others):
-        spec.add_exclude(bodyname1=one_name, bodyname2=other_name)
-    _drop_pairs(spec, model, {frozenset(pair) for pair in (*stages, *others)})
-    draft.notes += [
-        f"contacts ignored between {', '.join(f'{a!r} and {b!r}' for a, b in found)}: {why}"
-        for found, why in ((stages, "stages of a telescope that overlap"), (others, "they overlap at home"))
-        if found
-    ]
+        self._robot = [int(original.body_rootid[original.body(name).id]) for name in names]
+
+    def at(self, qpos: Floats) -> _Distances:
+        """The geoms of one robot that are near each other, and how near [m]."""
+        near: dict[_Pair, float] = {}
+        for distance, found in zip(*self._finder.geoms(qpos), strict=True):
+            geoms = _pair(*found)
+            one, other = self.bodies(geoms)
+            if self._robot[one] and self._robot[one] == self._robot[other]:
+                near[geoms] = min(float(distance), near.get(geoms, np.inf))
+        return near
+
+    def bodies(self, geoms: _Pair) -> _Pair:
+        """Of two geoms."""
+        return _pair(*self._model.geom_bodyid[list(geoms)])
+
+    def geoms(self, pair: _Pair) -> set[_Pair]:
+        """All geoms of two bodies that may collide, in pairs."""
+        model = self._model
+        mine, others = (range(model.body_geomadr[b], model.body_geomadr[b] + model.body_geomnum[b]) for b in pair)
+        kind, affinity = model.geom_contype, model.geom_conaffinity
+        return {_pair(g, h) for g, h in product(mine, others) if kind[g] & affinity[h] or kind[h] & affinity[g]} | {
+            geoms for geoms in map(_pair, model.pair_geom1, model.pair_geom2) if self.bodies(geoms) == pair
+        }
+
+    def names(self, pair: _Pair) -> str:
+        """Of two bodies, for a note."""
+        one, other = sorted(self._model.body(body).name for body in pair)
+        return f"{one!r} and {other!r}"
+
+    def telescopic(self, pair: _Pair) -> bool:
+        """Whether only slides along one line move the bodies against each other."""
+        between = self._between(pair)
+        if not between or any(self._model.jnt_type[joint] != _SLIDE for joint in between):
+            return False
+        axes = self._data.xaxis[between]
+        return bool(np.all(np.abs(axes @ axes[0]) > 1.0 - _PARALLEL))
+
+    def neighbours(self, pair: _Pair) -> bool:
+        """Whether a single coordinate moves the bodies against each other."""
+        original = self._draft.original
+        joints = (original.joint(self._model.joint(joint).name).id for joint in self._between(pair))
+        return len({self._draft.couplings.leader(joint) for joint in joints}) == 1
+
+    def _between(self, pair: _Pair) -> list[int]:
+        one, other = (self._carriers(body) for body in pair)
+        return sorted(one ^ other)
+
+    def _carriers(self, body: int) -> set[int]:
+        """The joints that move a body against the world."""
+        model, joints = self._model, set[int]()
+        while body:
+            joints.update(range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body]))
+            body = int(model.body_parentid[body])
+        return joints
 
 
-def _pairs(contacts: Sequence[tuple[str, str]]) -> set[tuple[str, str]]:
-    return {(min(pair), max(pair)) for pair in contacts}
+def _nearby(draft: Draft) -> Iterator[dict[int, Floats]]:
+    """Postures off the limits, the nearest to home first: with one joint moved, then on the way to random postures."""
+    home = draft.samples[0]
+    scalar = [joint for joint in draft.independent if not draft.is_ball(joint)]
+    for share, joint, side in product(_SHARES, scalar, (-1.0, 1.0)):
+        low, high = draft.ranges[joint]
+        value = home[joint] + side * share * (high - low)
+        if abs(value[0] - 0.5 * (low + high)) <= (0.5 - MARGIN) * (high - low):
+            yield {**home, joint: value}
+    for share, sample in product(_SHARES, draft.samples[1:]):
+        middle = {joint: 0.0 if draft.is_ball(joint) else np.mean(draft.ranges[joint]) for joint in home}
+        inside = {joint: m + (1.0 - 2.0 * MARGIN) * (sample[joint] - m) for joint, m in middle.items()}
+        yield {joint: q + share * (inside[joint] - q) for joint, q in home.items()}
 
 
-def _telescopic(model: mujoco.MjModel, data: mujoco.MjData, one: int, other: int) -> bool:
-    """Whether only slides along one line move the bodies against each other."""
-    between = list(_carriers(model, one) ^ _carriers(model, other))
-    if not between or any(model.jnt_type[joint] != _SLIDE for joint in between):
-        return False
-    axes = data.xaxis[between]
-    return bool(np.all(np.abs(axes @ axes[0]) > 1.0 - _PARALLEL))
-
-
-def _carriers(model: mujoco.MjModel, body: int) -> set[int]:
-    """The joints that move a body against the world."""
-    joints: set[int] = set()
-    while body:
-        joints.update(range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body]))
-        body = int(model.body_parentid[body])
-    return joints
-
-
-def _drop_pairs(spec: mujoco.MjSpec, model: mujoco.MjModel, nested: Collection[frozenset[str]]) -> None:
-    """Delete the explicit contact pairs between nested bodies, which excludes don't concern."""
+def _exclude(draft: Draft, overlaps: _Overlaps, ignored: Mapping[_Pair, Collection[_Pair]]) -> None:
+    """Exclude pairs of bodies; MuJoCo cannot exclude geoms alone, so the others of the bodies become explicit pairs."""
+    spec, model = draft.spec, draft.bare
+    kept = {geoms for pair, gone in ignored.items() for geoms in overlaps.geoms(pair) - set(gone)}
+    names = {geom.name for geom in spec.geoms}
+    # By name: a spec forgets the ids of a compiled model as soon as something is added to it.
+    for geom in spec.geoms:
+        if not geom.name and any(geom.id in geoms for geoms in kept):
+            geom.name = unused(f"{geom.parent.name}_geom{geom.id}", names)
+            names.add(geom.name)
+    name = {geom.id: geom.name for geom in spec.geoms}
+    explicit = set()
     for pair in list(spec.pairs):
-        geoms = (model.geom(name) for name in (pair.geomname1, pair.geomname2))
-        if frozenset(model.body(int(geom.bodyid[0])).name for geom in geoms) in nested:
+        geoms = _pair(*(model.geom(geom).id for geom in (pair.geomname1, pair.geomname2)))
+        explicit.add(geoms)
+        if geoms in ignored.get(overlaps.bodies(geoms), ()):
             spec.delete(pair)
+    for one, other in ignored:
+        spec.add_exclude(bodyname1=model.body(one).name, bodyname2=model.body(other).name)
+    for one, other in sorted(kept - explicit):
+        spec.add_pair(geomname1=name[one], geomname2=name[other])
+
+
+def _pair(one: int, other: int) -> _Pair:
+    return min(int(one), int(other)), max(int(one), int(other))
+
+
+def _depth(distance: float) -> str:
+    return f"{1e3 * abs(distance):.3g} mm {'deep' if distance < 0.0 else 'apart'}"
+
+
+def _listed(values: Floats) -> str:
+    return " ".join(f"{value:.3g}" for value in values)

@@ -12,7 +12,7 @@ from lieednn_sim.arm.importer.loading import compile_spec
 
 Floats = NDArray[np.float64]
 _SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
-_MARGIN = 0.05  # of its range that a keyframe keeps off each limit
+MARGIN = 0.05  # of its range that a keyframe keeps off each limit
 _SAMPLES = 64
 
 
@@ -24,6 +24,12 @@ def draw_postures(draft: Draft) -> None:
     draft.notes += [f"{name}: moved off its limits in the keyframe 'home'" for name in moved]
     rng = np.random.default_rng(0)
     draft.samples = [home, *(_random_coordinates(draft, rng) for _ in range(_SAMPLES))]
+    place_home(draft, home)
+
+
+def place_home(draft: Draft, home: dict[int, Floats]) -> None:
+    """Take other positions of the independent joints for home."""
+    draft.samples[0] = home
     kinds, ranges = draft.original.jnt_type, draft.ranges
     draft.extremes = [
         {joint: ranges[joint][[end]] if kinds[joint] == _SLIDE else q for joint, q in home.items()} for end in (0, 1)
@@ -69,7 +75,7 @@ def _coordinates_inside(draft: Draft, qpos: Floats) -> tuple[dict[int, Floats], 
         if draft.is_ball(joint):
             given = Rotation.from_quat(qpos[address : address + 4], scalar_first=True).as_rotvec()
             angle = float(np.linalg.norm(given))
-            value = given * min(1.0, (1.0 - _MARGIN) * high / angle) if angle else given
+            value = given * min(1.0, (1.0 - MARGIN) * high / angle) if angle else given
         else:
             stages = [(1.0, 0.0, float(qpos[address]))]
             for follower in couplings.added:
@@ -77,7 +83,7 @@ def _coordinates_inside(draft: Draft, qpos: Floats) -> tuple[dict[int, Floats], 
                 if leader == joint:
                     stages.append((ratio, shift, float(qpos[model.jnt_qposadr[follower]])))
             given = np.array([sum(r * (x - s) for r, s, x in stages) / sum(r * r for r, _, _ in stages)])
-            margin = _MARGIN * (high - low)
+            margin = MARGIN * (high - low)
             value = np.clip(given, low + margin, high - margin)
         if not np.allclose(value, given, atol=1e-9):
             moved.append(model.joint(joint).name)
