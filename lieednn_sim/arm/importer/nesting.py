@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping
 from itertools import product
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -192,7 +193,29 @@ def _exclude(draft: Draft, overlaps: _Overlaps, ignored: Mapping[_Pair, Collecti
     for one, other in ignored:
         spec.add_exclude(bodyname1=model.body(one).name, bodyname2=model.body(other).name)
     for one, other in sorted(kept - explicit):
-        spec.add_pair(geomname1=name[one], geomname2=name[other])
+        spec.add_pair(geomname1=name[one], geomname2=name[other], **_contact(model, [one, other]))
+
+
+def _contact(model: mujoco.MjModel, geoms: list[int]) -> dict[str, Any]:
+    """Parameters of an explicit pair that touches as two geoms do by MuJoCo's rule for contacts that it finds itself.
+
+    The geom of the higher priority decides; of equal ones the larger dimension and friction count, and the mean of the
+    rest, by `solmix`, unless a stiffness is given directly. What is not a number the compiler takes from the geoms.
+    """
+    ranks = model.geom_priority[geoms]
+    deciding = np.array(geoms)[ranks == ranks.max()]
+    share = model.geom_solmix[deciding] + mujoco.mjMINVAL
+    share = share / share.sum()
+    reference = model.geom_solref[deciding]
+    direct = bool((reference[:, 0] <= 0.0).any())
+    return {
+        "condim": int(model.geom_condim[deciding].max()),
+        "friction": model.geom_friction[deciding].max(axis=0)[[0, 0, 1, 2, 2]],
+        "solref": reference.min(axis=0) if direct else share @ reference,
+        "solimp": share @ model.geom_solimp[deciding],
+        "margin": np.nan,
+        "gap": np.nan,
+    }
 
 
 def _pair(one: int, other: int) -> _Pair:
