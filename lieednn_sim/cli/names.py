@@ -16,6 +16,7 @@ PLANNERS = (
     "lieednn-retargeted",
     "lieednn-trained",
     "lieednn-unprojected",
+    "lieednn-shaped",
     "lieednn-filtered",
     "lieednn-guided",
 )

@@ -71,7 +71,7 @@ def add_planning(
     parser.add_argument(
         "--planner",
         metavar="NAME",
-        help=f"{_one_of(PLANNERS)} (default: lieednn-certified, among obstacles lieednn-guided)",
+        help=f"{_one_of(PLANNERS)} (default: lieednn-certified, among obstacles lieednn-shaped)",
     )
     parser.add_argument("--bias", metavar="RULE", help=f"{_one_of(BIAS_RULES)} (default: sign-matched)")
     usual = "several are tried" if bias_magnitude is None else f"{bias_magnitude:g}"

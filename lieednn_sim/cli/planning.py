@@ -119,6 +119,9 @@ def _print_outcome(made: Plan) -> None:
     rows.add_row("planner", made.planner)
     rows.add_row("duration", f"{made.motion.t[-1]:.2f} s")
     rows.add_row("mechanism gap", _gap(made.motion))
+    if made.teacher is not None and made.deviation is not None:
+        rows.add_row("teacher", made.teacher.planner)
+        rows.add_row("off its path", f"{1e3 * made.deviation:.2g} mm at the end effector")
     console.print(rows)
     if made.network is not None:
         console.print(f"stability: {made.network.assess(made.network.goal(made.motion.xi_target))}")

@@ -14,6 +14,7 @@ from lieednn_sim.planning.network_planners import (
 )
 from lieednn_sim.planning.problem import Plan, PlanningProblem
 from lieednn_sim.planning.registry import OBSTACLE_PLANNER, PLANNERS, Planner, plan
+from lieednn_sim.planning.shaped import ShapedOptions
 
 __all__ = [
     "OBSTACLE_PLANNER",
@@ -29,6 +30,7 @@ __all__ = [
     "RetargetedOptions",
     "RrtConnectOptions",
     "RrtStarOptions",
+    "ShapedOptions",
     "TrainedOptions",
     "UnprojectedOptions",
     "missing_planners",

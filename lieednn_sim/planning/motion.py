@@ -11,12 +11,12 @@ equilibrium.
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.interpolate import PchipInterpolator
+from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
 
 from lieednn_sim import storage
 from lieednn_sim.arm import PLANNED_CLEARANCE, Arm
@@ -28,6 +28,8 @@ from lieednn_sim.validation import as_floats, as_positive, as_times
 from lieednn_sim.values import frozen
 
 Floats = NDArray[np.float64]
+# Share of a path's length and its slope, both ``(K,)``, at shares ``(K,)`` of the duration.
+Law = Callable[[Floats], tuple[Floats, Floats]]
 
 # Distance to the equilibrium at which the network's path is cut [network coordinates: rad, length_scale m].
 RESIDUAL = 1e-8
@@ -113,6 +115,23 @@ class Motion:
             raise FileError(f"{path} is not a valid motion: {error}") from None
 
 
+def minimum_jerk_law(s: Floats) -> tuple[Floats, Floats]:
+    """Position and slope in s of the minimum-jerk law on [0, 1] (Flash and Hogan, J. Neuroscience 5(7), 1985)."""
+    return s**3 * (10.0 - 15.0 * s + 6.0 * s**2), 30.0 * s**2 * (1.0 - s) ** 2
+
+
+def law_of(motion: Motion, units: Floats) -> Law:
+    """The law by which a motion runs through its path, whose length is that of its states in ``units`` ``(N, 6)``."""
+    steps = np.linalg.norm(np.diff(motion.xi, axis=0) * units, axis=(-2, -1))
+    length = np.append(0.0, np.cumsum(steps))
+    s, share = motion.t / motion.t[-1], length / length[-1]
+    slope = np.gradient(share, s, edge_order=2)
+    slope[[0, -1]] = 0.0
+    way = CubicHermiteSpline(s, share, np.maximum(slope, 0.0))
+    rate = way.derivative()
+    return lambda x: (np.clip(way(x), 0.0, 1.0), np.maximum(rate(x), 0.0))
+
+
 @dataclass(frozen=True, eq=False)
 class NetworkPath:
     """The path that a network draws for an arm, in the network's own time; `timed` makes motions of it.
@@ -122,7 +141,8 @@ class NetworkPath:
         network: with as many visible neurons as the arm has links.
         origin: ``(N, 6)`` state of all neurons at the start.
         target: ``(N, 6)`` the network's equilibrium.
-        way: the states from there to here and the speed along them, over tau; None where both are the same.
+        way: the states from there to here and the speed along them, over tau; None where both are the same. The speed
+            is that of the joints in units of their limits, with the pace of the approach, or the network's own.
     """
 
     arm: Arm
@@ -132,8 +152,13 @@ class NetworkPath:
     way: tuple[Trajectory, PchipInterpolator] | None
 
     @classmethod
-    def drawn(cls, arm: Arm, network: ComponentwiseNetwork, start: ArrayLike) -> NetworkPath:
-        """The path from joint position ``start`` ``(n,)``; errors as of `make_motion`."""
+    def drawn(
+        cls, arm: Arm, network: ComponentwiseNetwork, start: ArrayLike, units: Floats | None = None
+    ) -> NetworkPath:
+        """The path from joint position ``start`` ``(n,)``; errors as of `make_motion`.
+
+        With ``units`` ``(N, 6)`` of the visible neurons' coordinates lengths are measured in these, as by `law_of`.
+        """
         require_fit(arm, network)
         origin = network.start(arm.encode(arm.check_position(start, "start")))
         equilibrium = network.equilibrium(origin)
@@ -153,12 +178,16 @@ class NetworkPath:
         fraction = np.arange(_SAMPLES_PER_STEP) / _SAMPLES_PER_STEP
         grid = (trajectory.t[:-1, None] + np.diff(trajectory.t)[:, None] * fraction).ravel()
         grid = np.append(grid, trajectory.t[-1])
-        weights = np.where(np.isfinite(arm.velocity_limits), arm.velocity_limits, 1.0)
         states = trajectory(grid)
-        rates = arm.decode(network.visible(states), network.visible(network.vector_field(states))).qd
-        to_go = pace * np.linalg.norm(network.visible(states - target), axis=(-2, -1))
+        field = network.visible(network.vector_field(states))
+        if units is None:
+            weights = np.where(np.isfinite(arm.velocity_limits), arm.velocity_limits, 1.0)
+            rates = np.linalg.norm(arm.decode(network.visible(states), field).qd / weights, axis=-1)
+            rates = np.hypot(rates, pace * np.linalg.norm(network.visible(states - target), axis=(-2, -1)))
+        else:
+            rates = np.linalg.norm(field * units, axis=(-2, -1))
         # Shape-preserving, so that the speed stays positive between its samples.
-        speed = PchipInterpolator(grid, np.hypot(np.linalg.norm(rates / weights, axis=-1), to_go))
+        speed = PchipInterpolator(grid, rates)
         return cls(arm, network, origin, target, (trajectory, speed))
 
     def state(self, tau: ArrayLike) -> Floats:
@@ -167,8 +196,11 @@ class NetworkPath:
             return np.broadcast_to(self.origin, (*np.shape(tau), *self.origin.shape))
         return self.way[0](tau)
 
-    def timed(self, duration: float, timestep: float) -> Motion:
-        """The motion along the path in ``duration``, sampled every ``timestep`` [s]; see `make_motion`."""
+    def timed(self, duration: float, timestep: float, law: Law = minimum_jerk_law) -> Motion:
+        """The motion along the path in ``duration``, sampled every ``timestep`` [s]; see `make_motion`.
+
+        The law says which share of the path's length is behind it at which share of the duration.
+        """
         steps = count_steps(duration, timestep)
         t = as_floats("t", timestep * np.arange(steps + 1), (steps + 1,))
         if self.way is None:
@@ -177,7 +209,7 @@ class NetworkPath:
             _, speed = self.way
             length = speed.antiderivative()
             total = float(length(speed.x[-1]))
-            progress, progress_rate = minimum_jerk_law(t / t[-1])
+            progress, progress_rate = law(t / t[-1])
             tau = _invert(length, speed, speed.x, total * progress)
             tau_rate = total * progress_rate / (t[-1] * np.maximum(speed(tau), 1e-300))
         states = self.state(tau)
@@ -235,11 +267,6 @@ def least_duration(arm: Arm, start: Floats, target: Floats) -> float:
     # Without a limit of velocity nothing cruises; without one of acceleration nothing takes time to start.
     peak = np.minimum(v, np.sqrt(way * np.minimum(a, 1e300)))
     return float((way / np.maximum(peak, 1e-300) + peak / a).max())
-
-
-def minimum_jerk_law(s: Floats) -> tuple[Floats, Floats]:
-    """Position and slope in s of the minimum-jerk law on [0, 1] (Flash and Hogan, J. Neuroscience 5(7), 1985)."""
-    return s**3 * (10.0 - 15.0 * s + 6.0 * s**2), 30.0 * s**2 * (1.0 - s) ** 2
 
 
 def _invert(length: PchipInterpolator, speed: PchipInterpolator, grid: Floats, wanted: Floats) -> Floats:

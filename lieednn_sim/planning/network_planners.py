@@ -152,14 +152,19 @@ def linear_attractor(problem: PlanningProblem) -> Plan:
     Raises:
         PlanError: the motion breaks a limit of the arm.
     """
-    n = problem.arm.n_links
-    network = LieEDNN(
+    network = without_weights(problem.arm.encode(problem.target))
+    return Plan(in_time(_motion, problem, _path(problem, network)), network)
+
+
+def without_weights(target: Floats) -> LieEDNN:
+    """The certified network whose visible neurons go straight to ``target`` ``(N, 6)``, each on its own."""
+    n = len(target)
+    return LieEDNN(
         alpha=np.zeros((n, n)),
         rotation=np.broadcast_to(np.eye(3), (n, n, 3, 3)),
         translation=np.zeros((n, n, 3)),
-        bias=problem.arm.encode(problem.target),
-    )
-    return Plan(in_time(_motion, problem, _path(problem, network)), network.certify())
+        bias=target,
+    ).certify()
 
 
 def _path(problem: PlanningProblem, network: ComponentwiseNetwork) -> NetworkPath:

@@ -92,6 +92,8 @@ class Plan:
         target: ``(n,)`` joint target [rad, m].
         planner: its name.
         cpu_time: that it took [s].
+        teacher: of a shaped network the plan that it follows, with its planner's name.
+        deviation: of its end effector's path from the teacher's, at most [m].
     """
 
     motion: Motion
@@ -101,6 +103,8 @@ class Plan:
     target: Floats = field(default_factory=lambda: np.empty(0), repr=False)
     planner: str = ""
     cpu_time: float = math.nan
+    teacher: Plan | None = None
+    deviation: float | None = None
 
 
 def in_time(make: Callable[..., _Made], problem: PlanningProblem, *options: Any) -> _Made:

@@ -18,6 +18,7 @@ from lieednn_sim.planning.certified import CertifiedOptions, certified
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.problem import Plan, PlanningProblem, in_time
+from lieednn_sim.planning.shaped import ShapedOptions, shaped
 from lieednn_sim.validation import as_choice
 
 
@@ -48,19 +49,20 @@ PLANNERS: dict[str, Planner] = {
     "lieednn-retargeted": Planner(network_planners.retargeted, network_planners.RetargetedOptions),
     "lieednn-trained": Planner(network_planners.trained, network_planners.TrainedOptions),
     "lieednn-unprojected": Planner(network_planners.unprojected, network_planners.UnprojectedOptions),
+    "lieednn-shaped": Planner(shaped, ShapedOptions),
     "lieednn-filtered": Planner(filtered.filtered, filtered.FilteredOptions),
     "lieednn-guided": Planner(filtered.guided, filtered.GuidedOptions),
 }
 
-# The LieEDNN planner that gets furthest among obstacles, whether its library is installed or not.
-OBSTACLE_PLANNER = "lieednn-guided"
+# The LieEDNN planner that gets furthest among obstacles, and most smoothly, whether OMPL is installed or not.
+OBSTACLE_PLANNER = "lieednn-shaped"
 
 
 def plan(
     arm: Arm,
     target: ArrayLike,
     *,
-    planner: str = "lieednn-certified",
+    planner: str | None = None,
     start: ArrayLike | None = None,
     duration: float = 4.0,
     longest: float = 3.0,
@@ -74,7 +76,7 @@ def plan(
     Args:
         arm: the arm, in its scene.
         target: joint target ``(n,)`` [rad, m].
-        planner: a name of `PLANNERS`.
+        planner: a name of `PLANNERS`; by default ``lieednn-certified``, and among obstacles `OBSTACLE_PLANNER`.
         start: joint position at rest ``(n,)`` [rad, m], the keyframe ``home`` by default.
         duration: of the motion [s], rounded to a whole number of the model's time steps.
         longest: durations that the motion may take at most, where the arm's limits need more time; with 1 one that is
@@ -94,6 +96,9 @@ def plan(
         OutOfTimeError: the time budget is spent.
         LieEDNNError: a library that the planner needs is not installed; see `missing_planners`.
     """
+    if planner is None:
+        free = not isinstance(arm, Arm) or arm.scene == "free"
+        planner = "lieednn-certified" if free else OBSTACLE_PLANNER
     solve, kind = PLANNERS[as_choice("planner", planner, PLANNERS)]
     if options is not None and (kind is None or not isinstance(options, kind)):
         wanted = "has no options" if kind is None else f"takes options of class {kind.__name__}"

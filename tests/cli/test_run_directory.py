@@ -18,7 +18,7 @@ from lieednn_sim.cli.task import Task
 from lieednn_sim.errors import FileError, LieEDNNError
 from lieednn_sim.evaluation import plots
 from lieednn_sim.network.hopfield import HopfieldNetwork
-from lieednn_sim.planning import OBSTACLE_PLANNER, PLANNERS, Plan, plan, require_planner
+from lieednn_sim.planning import PLANNERS, Plan, plan, require_planner
 from lieednn_sim.planning.motion import Motion, make_motion
 from lieednn_sim.planning.registry import Planner
 from lieednn_sim.simulation import Rollout, simulate
@@ -310,12 +310,13 @@ def test_a_run_can_be_made_again_from_task_and_metrics(tmp_path, capsys):
 
 def test_no_planner_takes_the_place_of_one_that_is_not_installed(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("lieednn_sim.planning.extras.importlib.util.find_spec", lambda _: None)
-    line = fails(capsys, "synthesize", "--scene", "window", "--target", "random:0", "--output", tmp_path / "run")
+    task = ["--scene", "window", "--target", "random:0", "--planner", "lieednn-guided"]
+    line = fails(capsys, "synthesize", *task, "--output", tmp_path / "run")
     assert "planner 'lieednn-guided' is not installed: pip install 'lieednn_sim[rivals]'; or name another one" in line
     assert "lieednn-filtered" in line
     assert not (tmp_path / "run").exists()
     with pytest.raises(LieEDNNError, match="'lieednn-guided' is not installed"):
-        require_planner(OBSTACLE_PLANNER)
+        require_planner("lieednn-guided")
 
 
 @pytest.mark.parametrize("command", ["demo", "synthesize", "train", "compare"])

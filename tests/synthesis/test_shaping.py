@@ -42,7 +42,7 @@ def test_the_closed_form_is_the_networks_own_trajectory(rate):
     clock = clockwork(rate)
     network = assemble(parameters, rate, target)
     way = network.trajectory(network.start(start), clock.t[-1], rtol=1e-10, atol=1e-12)
-    closed = Cascade(clock, start, target).states(parameters)
+    closed = Cascade(clock, start, target).states(parameters)[:-1]
     np.testing.assert_allclose(network.visible(way(clock.t)), closed, atol=2e-5 * np.abs(closed).max())
 
 
@@ -60,7 +60,7 @@ def test_the_arrow_is_what_a_dense_jacobian_by_finite_differences_gives():
     curve = Curve.through(bent(), np.tile(UNITS, (2, 1)), np.linspace(0.3, 1.0, 200))
     cascade = Cascade(clockwork(1.0), curve.points[0], curve.points[-1])
     descent = Descent(cascade, curve)
-    place = descent._place(drawn(rng).flat, 1.0 - cascade.clock.g)
+    place = descent._place(drawn(rng).flat, np.append(1.0 - cascade.clock.g, 1.0))
     equations = NormalEquations(descent, place)
     units = descent.units(place.feet)
 
@@ -150,7 +150,7 @@ def test_rotations_on_lines_begin_on_them():
     samples[:, 0, 3] = 0.3 * s
     curve = Curve.through(samples, np.ones((2, 6)))
     cascade = Cascade(clockwork(1.0), curve.points[0], curve.points[-1])
-    begun = cascade.states(starting_point(cascade, curve, 4, np.random.default_rng(0)))[..., :3]
+    begun = cascade.states(starting_point(cascade, curve, 4, np.random.default_rng(0)))[:-1, :, :3]
     assert np.abs(begun - np.einsum("knj,nj->kn", begun, axes)[..., None] * axes).max() < 1e-12
     # Least squares come near to the curve, whose way in time is not even.
     off = np.linalg.norm(begun[:, None] - samples[None, :, :, :3], axis=(2, 3)).min(axis=1)

@@ -62,17 +62,20 @@ class OptimisationOptions(PlannerOptions):
     drawn: int = 150
 
 
-def trajectory_optimisation(problem: PlanningProblem, options: OptimisationOptions) -> Motion:
+def trajectory_optimisation(
+    problem: PlanningProblem, options: OptimisationOptions, guide: Motion | None = None
+) -> Motion:
     """The first of a few locally optimal trajectories that the arm can follow.
 
-    The first guess is minimum jerk, straight in joint space, the others are bent towards drawn postures.
+    The first guess is minimum jerk, straight in joint space, the others are bent towards drawn postures; with a
+    ``guide``, a motion from start to target in any time, there is one guess, and that is the spline nearest to it.
 
     Raises:
         PlanError: no local optimum keeps the limits and the clearance; the message is of the first one.
     """
     descent = _Descent(problem, options)
     refusal: PlanError | None = None
-    for guess in descent.guesses():
+    for guess in descent.guesses() if guide is None else [descent.near_to(guide)]:
         x = guess
         for weight in options.weights:
             x = descent.minimise(x, weight)
@@ -80,7 +83,8 @@ def trajectory_optimisation(problem: PlanningProblem, options: OptimisationOptio
                 return descent.motion(x)
             except PlanError as error:
                 refusal = refusal or error
-    raise PlanError(f"no local optimum of {options.guesses} first guesses can be followed: {refusal}")
+    guesses = options.guesses if guide is None else 1
+    raise PlanError(f"no local optimum of {guesses} first guesses can be followed: {refusal}")
 
 
 class _Descent:
@@ -136,6 +140,12 @@ class _Descent:
             blocked.append(sum(self._blocked(q) for q in self.positions(control.ravel())))
         for index in np.argsort(blocked, kind="stable")[: self.options.guesses - 1]:
             yield drawn[index]
+
+    def near_to(self, guide: Motion) -> Floats:
+        """The first guess, flat, of the spline that is nearest to a motion at equal shares of their times."""
+        basis, rows = self.sampled[0], np.linspace(0.0, len(guide.q) - 1.0, len(self.sampled[0])).round().astype(int)
+        left = guide.q[rows] / self.scale - basis @ self.ends
+        return np.asarray(np.linalg.lstsq(basis[:, self.inner], left)[0].ravel())
 
     def _blocked(self, q: Floats) -> bool:
         check_time()

@@ -29,10 +29,11 @@ CLOCK_START = 0.5
 _END = 1e-4
 # Pieces of time: g falls by this at most, and time passes by this at most.
 _FALL, _PACE = 1.0 / 60.0, 0.5
+# For rho = 1 hidden and visible neurons fade alike, and x - x_d ends as e^-t (A + B t): beyond t = -A/B it comes back.
+# B counts with this weight, as much as if the target were missed by so much of it.
+TAIL = 0.05
 # Points of Gauss's rule on each: switches are no steeper than 60, so that one fits on a piece.
 _NODES = 3
-# Decay of the readouts' quaternions and translations, against a squared residual in metres.
-_DECAY = 1e-9
 
 
 @frozen
@@ -134,29 +135,34 @@ class Cascade:
 
     def __init__(self, clock: Clockwork, start: Floats, target: Floats) -> None:
         self.clock, self.start, self.target = clock, start, target
-        self.free = target + np.exp(-clock.t)[:, None, None] * (start - target)
+        fading = np.append(np.exp(-clock.t), 0.0)
+        self.free = target + fading[:, None, None] * (start - target)
 
     def switched(self, a: Floats, c: Floats) -> tuple[Floats, Floats, Floats]:
-        """Q[tanh(a + c g) - tanh a] and its derivatives in a and c, each ``(K, M, 6)``."""
+        """Q[tanh(a + c g) - tanh a] and its derivatives in a and c, each ``(K + 1, M, 6)``; last the `TAIL`."""
         shape, g = a.shape, self.clock.fine[:, None]
-        value = np.tanh(a.ravel() + c.ravel() * g)
-        rest = np.tanh(a.ravel())
-        slope = 1.0 - value**2
-        stacked = np.concatenate([value - rest, slope - (1.0 - rest**2), slope * g], axis=1)
-        filtered = (self.clock.filter @ stacked).reshape(-1, 3, *shape)
+        a, c = a.ravel(), c.ravel()
+        value, rest = np.tanh(a + c * g), np.tanh(a)
+        slope, rest_slope = 1.0 - value**2, 1.0 - rest**2
+        stacked = np.concatenate([value - rest, slope - rest_slope, slope * g], axis=1)
+        filtered = np.empty((len(self.clock.t) + 1, 3 * len(a)))
+        np.matmul(self.clock.filter, stacked, out=filtered[:-1])
+        weight = TAIL if self.clock.rate == 1.0 else 0.0
+        filtered[-1] = weight * np.concatenate([c * rest_slope, -2.0 * c * rest * rest_slope, rest_slope])
+        filtered = filtered.reshape(-1, 3, *shape)
         return filtered[:, 0], filtered[:, 1], filtered[:, 2]
 
     def states(self, parameters: Parameters) -> Floats:
-        """Visible states ``(K, N, 6)`` at the clock's instants."""
+        """Visible states ``(K + 1, N, 6)`` at the clock's instants; last the target and what is left of the `TAIL`."""
         blocks, _ = parameters.blocks()
         outputs, _, _ = self.switched(parameters.a, parameters.c)
         return self.free + _applied(blocks, outputs)
 
     def linearised(self, parameters: Parameters) -> tuple[Floats, Floats, Floats]:
-        """States ``(K, N, 6)`` and their derivatives: in what all share, and in what is a visible neuron's own.
+        """`states` and their derivatives: in what all share, and in what is a visible neuron's own.
 
         Returns:
-            The states, ``(N, K, 6, 12 M)`` in a and c, and ``(N, K, 6, 7 M)`` of each neuron in its q and tau.
+            The states, ``(N, K + 1, 6, 12 M)`` in a and c, and ``(N, K + 1, 6, 7 M)`` of each neuron in its q and tau.
         """
         n, m = parameters.q.shape[:2]
         blocks, slope = parameters.blocks()

@@ -79,7 +79,7 @@ class Descent:
     def run(self, start: Parameters, iterations: int, goal: float) -> Fit:
         """Descend until the deviation is below ``goal`` [m], cannot come there, or after so many steps."""
         bounded = 12 * len(start.a)
-        place = self._place(start.flat, 1.0 - self.cascade.clock.g)
+        place = self._place(start.flat, np.append(1.0 - self.cascade.clock.g, 1.0))
         damping, growth, count = _DAMPING, 2.0, 0
         history = [place.worst]
         while count < iterations and place.worst >= goal and not self._hopeless(history, iterations, goal):
@@ -121,10 +121,13 @@ class Descent:
         error = ((x - point) * units).reshape(k, -1)
         along = (tangent * units).reshape(k, -1)
         along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-300)
+        # The tail counts in all directions.
+        along[-1] = 0.0
         shared = np.einsum("kp,kp->k", along, error)
         across = np.maximum(np.einsum("kp,kp->k", error, error) - shared**2, 0.0)
         cost = float(np.mean(across + (_TANGENT * shared) ** 2) + self._decay * (flat @ flat))
-        return _Place(flat, x, feet, error, along, cost, float(np.sqrt((across / self.curve.weight(feet) ** 2).max())))
+        worst = np.sqrt((across[:-1] / self.curve.weight(feet[:-1]) ** 2).max())
+        return _Place(flat, x, feet, error, along, cost, float(worst))
 
     def units(self, feet: Floats) -> Floats:
         """What deviations at foot points ``(K,)`` are multiplied by, ``(K, N, 6)``."""

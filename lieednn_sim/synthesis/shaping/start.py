@@ -43,9 +43,9 @@ def starting_point(cascade: Cascade, curve: Curve, n_switches: int, rng: np.rand
             place, slope = _switches(curve, part, m)
             slope *= np.exp(_LEADING_SPREAD * rng.normal(size=m))
             c[:, part.start], a[:, part.start] = slope, -slope * (1.0 - place)
-    outputs, _, _ = cascade.switched(a, c)
+    outputs = cascade.switched(a, c)[0][:-1]
     goal, _ = curve.at(1.0 - cascade.clock.g)
-    missing = goal - cascade.free
+    missing = goal - cascade.free[:-1]
     lead = slice(0, 3) if turns else slice(3, 6)
     wanted = _ridge(outputs[:, :, lead.start], missing[..., lead].reshape(len(goal), -1), _RIDGE)
     q = _towards(wanted.reshape(m, n, 3).transpose(1, 0, 2), rng.uniform(-np.pi, np.pi, (n, m)))

@@ -1,0 +1,165 @@
+"""The LieEDNN that follows a good motion: a teacher finds the path, a certified cascade of neurons is shaped after it.
+
+The teacher is minimum jerk where that touches nothing, else trajectory optimisation from there, else trajectory
+optimisation from what RRT-Connect finds, else that itself. Its path is fitted by `synthesis.shape`, and the network's
+motion runs through it by the teacher's own law of time. What is proved is where the network ends, for every start; how
+near it comes to the path is measured, as is all else that a motion keeps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from lieednn_sim.arm import Arm
+from lieednn_sim.errors import PlanError
+from lieednn_sim.planning.baselines import interpolation, optimisation, sampling
+from lieednn_sim.planning.baselines.optimisation import OptimisationOptions
+from lieednn_sim.planning.baselines.sampling import RrtConnectOptions
+from lieednn_sim.planning.motion import Law, Motion, NetworkPath, check_motion, law_of
+from lieednn_sim.planning.network_planners import without_weights
+from lieednn_sim.planning.options import PlannerOptions
+from lieednn_sim.planning.problem import Plan, PlanningProblem, in_time
+from lieednn_sim.synthesis import ShapingOptions, shape
+
+Floats = NDArray[np.float64]
+
+# From one guess: where it fails a path of RRT-Connect is a better one than any that is drawn.
+_OPTIMISATION = OptimisationOptions(guesses=1, evaluations=12)
+_RRT = RrtConnectOptions()
+# Of the teacher's motion, each so-manyth sample is a sample of the curve.
+_STRIDE = 2
+# Postures at which lever arms are looked at.
+_POSTURES = 50
+# A network whose motion is refused is fitted again to this share of its deviation.
+_CLOSER = 0.25
+
+
+@dataclass(frozen=True)
+class ShapedOptions(PlannerOptions):
+    """Of the planner ``lieednn-shaped``.
+
+    Attributes:
+        deviation: asked of the fit, over all links at once, turns by their lever arms [m].
+        largest_deviation: of the end effector's path from the teacher's, with which a motion is accepted [m].
+        rate: rho of the hidden neurons' clock, see `ShapingOptions`: with 1 the network is as fast as the arm, with
+            less it returns to its path after a push.
+        neurons: numbers of hidden ones, tried one after another.
+        iterations: of a fit, from each start.
+        attempts: fits, each closer than the one before, until the motion keeps limits and clearance.
+        optimisation: of the teacher that is asked where minimum jerk touches something, and of RRT-Connect's paths.
+        search: of RRT-Connect, which is asked where that fails.
+
+    Raises:
+        InputError: a value is out of range.
+    """
+
+    deviation: float = 7e-4
+    largest_deviation: float = 5e-3
+    rate: float = field(default=1.0, metadata={"range": (0.01, 1.0)})
+    neurons: tuple[int, ...] = field(default=(4, 8, 16, 24), metadata={"range": (1, 64)})
+    iterations: int = 80
+    attempts: int = 3
+    optimisation: OptimisationOptions = _OPTIMISATION
+    search: RrtConnectOptions = _RRT
+
+
+def shaped(problem: PlanningProblem, options: ShapedOptions) -> Plan:
+    """A network shaped after the first teacher's motion that can be made.
+
+    Raises:
+        LieEDNNError: OMPL is needed, and not installed.
+        PlanError: no teacher finds a motion, or no network follows it closely enough.
+    """
+    teacher = _teacher(problem, options)
+    guide, arm = teacher.motion, problem.arm
+    units = lever_units(arm, guide.q)
+    # As long as the teacher's, which may have asked for more time already.
+    asked = replace(
+        problem, duration=float(guide.t[-1]), longest=max(1.0, problem.longest * problem.duration / guide.t[-1])
+    )
+    if np.abs(guide.xi - guide.xi[0]).max() == 0.0:
+        network = without_weights(guide.xi_target)
+        path = NetworkPath.drawn(arm, network, problem.start)
+        return Plan(in_time(_motion, asked, path), network, teacher=teacher, deviation=0.0)
+    law = law_of(guide, units)
+    curve = np.concatenate([guide.xi[:-1:_STRIDE], guide.xi_target[None]])
+    wanted, refusal = options.deviation, PlanError("no fit was allowed")
+    for attempt in range(options.attempts):
+        result = shape(
+            curve,
+            wanted,
+            units=units,
+            options=ShapingOptions(options.rate, options.neurons, options.iterations),
+            seed=np.random.default_rng([problem.seed, attempt]),
+        )
+        path = NetworkPath.drawn(arm, result.network, problem.start, units)
+        try:
+            motion = in_time(_motion, asked, path, law)
+            deviation = _effector_deviation(arm, motion, guide)
+            if deviation > options.largest_deviation:
+                raise PlanError(f"the end effector would be {1e3 * deviation:.2g} mm off the teacher's path")
+        except PlanError as error:
+            wanted, refusal = _CLOSER * min(wanted, result.deviation), error
+            continue
+        return Plan(motion, result.network, teacher=teacher, deviation=deviation)
+    raise PlanError(f"no network follows the motion of {teacher.planner} closely enough: {refusal}")
+
+
+def _teacher(problem: PlanningProblem, options: ShapedOptions) -> Plan:
+    """The motion of the first planner that finds one, by that planner's name."""
+    optimised = partial(in_time, optimisation.trajectory_optimisation, problem, options.optimisation)
+    refusals = []
+
+    def asked(name: str, solve: Callable[[], Motion]) -> Plan | None:
+        try:
+            return Plan(solve(), target=problem.target, planner=name)
+        except PlanError as error:
+            refusals.append(f"{name}: {error}")
+            return None
+
+    found = asked("minimum-jerk", lambda: in_time(interpolation.minimum_jerk, problem))
+    found = found or asked("trajectory-optimisation", optimised)
+    if found is None and (path := asked("rrt-connect", lambda: sampling.rrt_connect(problem, options.search))):
+        found = asked("rrt-connect, optimised", lambda: optimised(path.motion)) or path
+    if found is None:
+        raise PlanError(f"no teacher finds a motion; {'; '.join(refusals)}")
+    return found
+
+
+def lever_units(arm: Arm, q: Floats) -> Floats:
+    """Metres ``(N, 6)`` for one unit of each network coordinate along postures ``(K, n)``.
+
+    Of a rotation the longest lever arm, from the frame that it turns about to the end effector; of a translation the
+    length scale.
+    """
+    postures = q[:: max(1, len(q) // _POSTURES)]
+    frames = arm.link_poses(postures).as_matrix()[..., :3, 3]
+    before = np.concatenate([np.broadcast_to(arm.base.as_matrix()[:3, 3], frames[:, :1].shape), frames[:, :-1]], axis=1)
+    lever = np.linalg.norm(frames[:, -1:] - before, axis=-1).max(axis=0)
+    units = np.empty((arm.n_links, 6))
+    units[:, :3], units[:, 3:] = lever[:, None], arm.length_scale
+    return units
+
+
+def _motion(problem: PlanningProblem, path: NetworkPath, *law: Law) -> Motion:
+    motion = path.timed(problem.duration, problem.timestep, *law)
+    check_motion(problem.arm, motion)
+    return motion
+
+
+def _effector_deviation(arm: Arm, motion: Motion, guide: Motion) -> float:
+    """Largest distance of the end effector's path from the guide's [m], to the nearest of its samples' pieces."""
+    path, line = (arm.link_poses(one.q).as_matrix()[:, -1, :3, 3] for one in (motion, guide))
+    _, nearest = KDTree(line).query(path)
+    off = np.full(len(path), np.inf)
+    for first in (np.maximum(nearest - 1, 0), np.minimum(nearest, len(line) - 2)):
+        step, away = line[first + 1] - line[first], path - line[first]
+        share = np.einsum("ki,ki->k", away, step) / np.maximum(np.einsum("ki,ki->k", step, step), 1e-300)
+        off = np.minimum(off, np.linalg.norm(away - np.clip(share, 0.0, 1.0)[:, None] * step, axis=1))
+    return float(off.max())

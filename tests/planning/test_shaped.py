@@ -1,0 +1,111 @@
+"""The planner `lieednn-shaped`: a certified network that moves as its teacher does."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lieednn_sim.arm import Arm
+from lieednn_sim.arm.targets import draw_target
+from lieednn_sim.errors import InputError, PlanError
+from lieednn_sim.evaluation.motion_metrics import motion_metrics
+from lieednn_sim.planning import OptimisationOptions, ShapedOptions, missing_planners, plan
+from lieednn_sim.planning.motion import NetworkPath, check_motion, law_of
+from lieednn_sim.planning.shaped import lever_units
+
+FREE = Arm.load("telescopic_pr")
+needs_ompl = pytest.mark.skipif("rrt-connect" in missing_planners(), reason="RRT-Connect needs OMPL")
+
+
+def planned(arm, target, **options):
+    return plan(arm, target, planner="lieednn-shaped", options=ShapedOptions(**options))
+
+
+@pytest.mark.parametrize(
+    ("scene", "seed", "teacher", "asked"),
+    [
+        ("free", 0, "minimum-jerk", 7e-4),
+        ("shelf", 1, "trajectory-optimisation", 7e-4),
+        pytest.param("poles", 0, "rrt-connect, optimised", 3e-3, marks=needs_ompl),
+    ],
+)
+def test_the_motion_is_the_teachers_and_the_network_is_certified(scene, seed, teacher, asked):
+    arm = FREE.among(scene, seed)
+    target = draw_target(arm, seed)
+    made = plan(arm, target, planner="lieednn-shaped", seed=seed, options=ShapedOptions(deviation=asked))
+    motion, guide = made.motion, made.teacher.motion
+    assert (made.planner, made.teacher.planner) == ("lieednn-shaped", teacher)
+    assert made.network.certified
+    assert made.network.n_visible == arm.n_links
+    check_motion(arm, motion)
+    measured, given = motion_metrics(arm, motion), motion_metrics(arm, guide)
+    assert measured.jerk_joints < 1.1 * given.jerk_joints
+    assert measured.gap_mm < 1.0
+    assert measured.path_ranges == pytest.approx(given.path_ranges, rel=0.01)
+    # Place and time are the teacher's: what is off along the path is off by the same little as what is across.
+    np.testing.assert_allclose(motion.q, guide.q, atol=5e-3)
+    tips = [arm.link_poses(one.q[::20]).translation[:, -1] for one in (motion, guide)]
+    nearest = np.linalg.norm(tips[0][:, None] - tips[1][None], axis=2).min(axis=1)
+    assert 0.0 < made.deviation < 1.5 * asked
+    spacing = np.linalg.norm(np.diff(tips[1], axis=0), axis=1).max()
+    assert nearest.max() <= made.deviation + 0.5 * spacing
+
+
+def test_a_law_of_time_is_kept_by_another_path_of_the_same_shape():
+    target = draw_target(FREE, 3)
+    made = plan(FREE, target, planner="lieednn-certified")
+    units = lever_units(FREE, made.motion.q)
+    path = NetworkPath.drawn(FREE, made.network, FREE.keyframe("home"), units)
+    again = path.timed(made.motion.t[-1], made.motion.timestep, law_of(made.motion, units))
+    np.testing.assert_allclose(again.q, made.motion.q, atol=2e-6)
+    np.testing.assert_allclose(again.qd, made.motion.qd, atol=1e-4)
+    # In another time the same shares of the way are behind it at the same shares of the time.
+    slower = path.timed(2.0 * made.motion.t[-1], made.motion.timestep, law_of(made.motion, units))
+    np.testing.assert_allclose(slower.q[::2], made.motion.q, atol=2e-6)
+
+
+def test_lever_arms_by_hand():
+    arm = FREE
+    q = arm.keyframe("extended")[None]
+    frames = arm.link_poses(q[0]).translation
+    units = lever_units(arm, q)
+    np.testing.assert_allclose(units[:, 3:], arm.length_scale)
+    np.testing.assert_allclose(units[0, :3], np.linalg.norm(frames[-1] - arm.base.translation))
+    np.testing.assert_allclose(units[3, :3], np.linalg.norm(frames[3] - frames[2]))
+
+
+def test_with_a_slow_clock_the_network_has_one():
+    target = draw_target(FREE, 1)
+    made = planned(FREE, target, rate=0.3)
+    assert made.network.n_clock == 2
+    assert made.network.certified
+    assert made.deviation < 2e-3
+
+
+def test_who_stays_where_it_is_has_a_network_without_hidden_neurons():
+    home = FREE.keyframe("home")
+    made = planned(FREE, home)
+    assert made.network.n_hidden == 0
+    assert made.deviation == 0.0
+    np.testing.assert_allclose(made.motion.q, np.broadcast_to(home, made.motion.q.shape), atol=1e-9)
+
+
+def test_what_is_too_far_off_is_refused():
+    with pytest.raises(PlanError, match=r"closely enough: the end effector would be .* mm off the teacher's path"):
+        planned(FREE, draw_target(FREE, 0), neurons=(1,), iterations=2, attempts=2, largest_deviation=1e-6)
+
+
+@needs_ompl
+def test_without_a_teacher_there_is_no_motion(monkeypatch):
+    arm = FREE.among("poles", 0)
+    monkeypatch.setattr("lieednn_sim.planning.baselines.sampling._drawn", lambda *_: None)
+    with pytest.raises(
+        PlanError, match=r"no teacher finds a motion; minimum-jerk: .*; trajectory-optimisation: .*; rrt"
+    ):
+        planned(arm, draw_target(arm, 0), optimisation=OptimisationOptions(guesses=1, evaluations=1))
+
+
+@pytest.mark.parametrize("options", [{"rate": 1.5}, {"rate": 0.001}, {"neurons": (65,)}, {"deviation": -1.0}])
+def test_bad_options_are_refused(options):
+    with pytest.raises(InputError):
+        ShapedOptions(**options)
