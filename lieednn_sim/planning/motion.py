@@ -169,8 +169,14 @@ class NetworkPath:
             return cls(arm, network, origin, target, None)
         # Far from the equilibrium the pace is gamma's, close to it the slowest eigenvalue's.
         pace = max(-equilibrium.spectral_abscissa, 1e-3 * network.gamma)
-        trajectory = network.trajectory(origin, 100.0 / network.gamma + 40.0 / pace, until=target, distance=RESIDUAL)
-        if np.abs(network.visible(trajectory.xi[-1] - target)).max() > 2.0 * RESIDUAL:
+        longest = 100.0 / network.gamma + 40.0 / pace
+        # The integrator's error, a share of the states, may keep it from a target with large entries: then a finer one.
+        for tolerances in ({}, {"rtol": 0.01 * RESIDUAL, "atol": 0.01 * RESIDUAL}):
+            trajectory = network.trajectory(origin, longest, until=target, distance=RESIDUAL, **tolerances)
+            arrived = np.abs(network.visible(trajectory.xi[-1] - target)).max() <= 2.0 * RESIDUAL
+            if arrived:
+                break
+        if not arrived:
             raise PlanError(
                 "the network does not arrive at its equilibrium from this start, or too slowly (spectral abscissa "
                 f"{equilibrium.spectral_abscissa:.2g}); use another network"

@@ -1,12 +1,14 @@
 """From network to joint trajectory: rest at both ends, consistent derivatives, limits."""
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.interpolate import PchipInterpolator
 
-from lieednn_sim.arm import Arm
+from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm import Arm, import_arm
 from lieednn_sim.errors import FileError, InputError, PlanError, TooFastError
 from lieednn_sim.lie import exp
 from lieednn_sim.network import LieEDNN
@@ -47,6 +49,25 @@ def test_the_motion_goes_from_rest_to_rest_in_the_stated_time(arm, motion):
     np.testing.assert_array_equal(motion.qd[[0, -1]], 0.0)
     # Minimum jerk: the acceleration vanishes at both ends too.
     assert np.abs(motion.qd[[1, -2]]).max() < 1e-3 * np.abs(motion.qd).max()
+
+
+def test_large_targets_are_reached_though_the_integrator_errs_by_a_share_of_them():
+    """At this target of six hinges the error of the default tolerances is above the residual to be reached."""
+    axes = ("0 0 1", "0 1 0") * 3
+    bodies = "".join(f'<body pos="0 0 .3"><joint axis="{axis}" range="-175 175"/><geom size=".01"/>' for axis in axes)
+    spec, report = import_arm(
+        mujoco.MjSpec.from_string(f"<mujoco><worldbody>{bodies}{'</body>' * 6}</worldbody></mujoco>")
+    )
+    hinges = Arm.from_spec(spec, Path("hinges.xml"), "hinges", report)
+    target = np.random.default_rng(11).uniform(*(0.95 * np.deg2rad([-175.0, 175.0])), 6)
+    linear = LieEDNN(
+        alpha=np.zeros((6, 6)),
+        rotation=np.broadcast_to(np.eye(3), (6, 6, 3, 3)),
+        translation=np.zeros((6, 6, 3)),
+        bias=hinges.encode(target),
+    )
+    end = make_motion(hinges, linear, np.zeros(6), 4.0, 0.01)
+    assert end.residual <= 2 * RESIDUAL
 
 
 def test_velocities_are_the_derivative_of_positions(motion):
