@@ -24,6 +24,13 @@ _KINDS = {
     int(mujoco.mjtJoint.mjJNT_SLIDE): "slide",
     int(mujoco.mjtJoint.mjJNT_BALL): "ball",
 }
+_NUMBERS = (
+    *(f"body_{what}" for what in ("pos", "quat", "ipos", "iquat", "mass", "inertia", "gravcomp")),
+    *(f"jnt_{what}" for what in ("pos", "axis", "range", "stiffness")),
+    *(f"geom_{what}" for what in ("pos", "quat", "size", "friction", "margin")),
+    *(f"site_{what}" for what in ("pos", "quat")),
+    *(f"actuator_{what}" for what in ("gainprm", "biasprm", "gear", "ctrlrange", "forcerange")),
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +48,7 @@ class Chain:
 
 def read_arm(model: mujoco.MjModel, arm: str) -> dict[str, Any]:
     """The fields of an `Arm` that its model says; `InputError` when the model is none."""
+    check_numbers(model)
     check_integrator(model, arm)
     chain = read_chain(model, arm)
     space = read_coordinates(model, arm, chain, _rest(model))
@@ -71,6 +79,18 @@ def check_integrator(model: mujoco.MjModel, arm: str) -> None:
             f"arm {arm!r} asks for the integrator RK4, which can neither be stepped in halves nor inverted; write "
             'implicitfast, implicit or Euler into its <option integrator="...">'
         )
+
+
+def check_numbers(model: mujoco.MjModel) -> None:
+    """Raise `InputError` where a model holds NaN, which MuJoCo reads and compiles without a word."""
+    for field in _NUMBERS:
+        values = np.asarray(getattr(model, field))
+        bad = np.flatnonzero(np.isnan(values).any(axis=tuple(range(1, values.ndim))))
+        if bad.size:
+            kind, _, what = field.partition("_")
+            kind = "joint" if kind == "jnt" else kind
+            name = getattr(model, kind)(int(bad[0])).name or f"number {bad[0]}"
+            raise InputError(f"the {what} of {kind} {name!r} of the model is {values[bad[0]]}; write numbers")
 
 
 def read_chain(model: mujoco.MjModel, arm: str) -> Chain:

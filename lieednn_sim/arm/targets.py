@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import Any
 
 import numpy as np
@@ -68,15 +69,23 @@ def draw_target(arm: Arm, seed: int = 0) -> Floats:
 def _anywhere(arm: Arm, rng: np.random.Generator) -> Floats:
     low, high = arm.position_limits.T
     inset = LIMIT_MARGIN * (high - low)
+    near: Counter[tuple[str, str]] = Counter()
     for attempt in range(_ATTEMPTS):
         # Where the joints are too short for the paper's law, within the limits as for any other arm.
         if arm.exact and attempt < _ATTEMPTS // 2:
             q = arm.decode(rng.uniform(-NETWORK_SPREAD, NETWORK_SPREAD, (arm.n_links, 6))).q
         else:
             q = rng.uniform(low + inset, high - inset)
-        if arm.limit_excess(q).max() <= 0.0 and not arm.near_contacts(q):
+        if arm.limit_excess(q).max() > 0.0:
+            continue
+        contacts = arm.near_contacts(q)
+        if not contacts:
             return q
-    raise NoSolutionError(f"no target free of contact was found for arm {arm.name!r}")
+        near.update(contacts)
+    shown = ", ".join(f"{one!r} and {other!r} in {count}" for (one, other), count in near.most_common(3))
+    raise NoSolutionError(
+        f"no target free of contact was found for arm {arm.name!r}; of {_ATTEMPTS} postures drawn touch {shown}"
+    )
 
 
 def _towards(arm: Arm, data: Any, q: Floats, point: Floats, low: Floats, high: Floats) -> Floats | None:

@@ -128,4 +128,5 @@ def _print_outcome(made: Plan) -> None:
 
 
 def _gap(motion: Motion) -> str:
-    return f"{1e3 * motion.gap_translation.max():.1f} mm on the way, 0 at the target"
+    angle = np.rad2deg(motion.gap_rotation.max())
+    return f"{1e3 * motion.gap_translation.max():.1f} mm and {angle:.1f} degrees on the way, 0 at the target"

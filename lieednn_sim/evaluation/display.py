@@ -60,7 +60,11 @@ def _frames(evaluation: Evaluation) -> Table:
     rows.caption = (
         f"the end effector moves {evaluation.displacement_m:.2f} m (path {evaluation.path_m:.2f} m) in "
         f"{evaluation.motion_s:g} s, then holds; contacts: {evaluation.contacts}; "
-        + (f"mechanism gap of the plan: {evaluation.plan.gap_mm:.1f} mm" if evaluation.plan else "")
+        + (
+            f"mechanism gap of the plan: {evaluation.plan.gap_mm:.1f} mm, {evaluation.plan.gap_deg:.1f} degrees"
+            if evaluation.plan
+            else ""
+        )
     )
     return rows
 

@@ -1,5 +1,6 @@
 """What robots brought by users broke: nested tubes, sizes, weak actuators, heavy tied booms, odd files."""
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +9,8 @@ import pytest
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.importer import import_arm
-from lieednn_sim.errors import FileError, InputError
+from lieednn_sim.arm.targets import draw_target
+from lieednn_sim.errors import FileError, InputError, NoSolutionError
 from lieednn_sim.synthesis import synthesize
 
 TELESCOPE = """
@@ -66,6 +68,7 @@ COLUMN = """
         <geom name="hand" size=".05" pos=".6 0 0" friction=".3" solref=".01 .9" condim="4"/></body></body></body>
 </worldbody></mujoco>
 """
+TETRAHEDRON = "v 0 0 0\nv .1 0 0\nv 0 .1 0\nv 0 0 .1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 URDF = """
 <robot name="derrick">
   <link name="foot"/><link name="post">{mass}</link><link name="tube1">{mass}</link><link name="tube2">{mass}</link>
@@ -139,6 +142,13 @@ def test_what_overlaps_in_every_posture_is_ignored_geom_by_geom():
         contacts = [c for c in data.contact if {model.geom(g).name for g in c.geom} == {"hand", "shelf"}]
         touching.append([(c.dim, c.dist, *c.friction, *c.solref, *c.solimp) for c in contacts])
     assert touching[0] == touching[1] != []
+
+
+def test_an_arm_without_room_for_a_target_is_told_what_it_touches():
+    box = '<geom type="box" size="3 3 .3" pos="0 0 0"/><body name="column"'
+    arm, _ = arm_of(COLUMN.replace('<body name="column"', box).replace("0 0 1", "0 0 .1"))
+    with pytest.raises(NoSolutionError, match="of 400 postures drawn touch 'turret' and 'world' in 400, 'arm'"):
+        draw_target(arm, 0)
 
 
 def test_a_crane_is_encoded_in_units_of_its_size_and_can_be_certified():
@@ -238,6 +248,46 @@ def test_efforts_and_velocities_of_an_urdf_are_limits(tmp_path):
     assert "velocity limits, if there are any, could not be read: could not convert string to float: 'fast'" in notes
 
 
+def test_an_urdf_loads_as_shipped_with_its_packages_and_its_sloppy_inertias(tmp_path):
+    """Meshes are in a package beside the file's own, inertias break A + B >= C or are no more than a diagonal entry."""
+    mesh = '<collision><geometry><mesh filename="package://hands/{}.obj"/></geometry></collision></link>'
+    head, *links = URDF.split("</link>")
+    shapes = [mesh.format(name) for name in ("post", "tube", "tube")]
+    xml = head + "".join(shape + rest for shape, rest in zip(shapes, links, strict=True))
+    xml = xml.replace('ixx=".1" iyy=".1" izz=".1"', 'ixx=".002" iyy="0" izz="0"', 1)
+    path = tmp_path / "ws" / "derrick" / "robots" / "derrick.urdf"
+    path.parent.mkdir(parents=True)
+    path.write_text(xml)
+    with pytest.raises(FileError, match=r"package://hands/post.obj \(no folder 'hands' beside .*robots"):
+        Arm.load(path)
+    for folder in ("ws/hands", "ws/derrick/hands"):
+        (tmp_path / folder).mkdir()
+        for name in ("post", "tube"):
+            (tmp_path / folder / f"{name}.obj").write_text(TETRAHEDRON)
+        arm = Arm.load(path)
+        assert "inertias that no body can have made larger: post" in arm.import_report.notes
+        least, _, most = np.sort(arm.model.body("post").inertia)
+        assert most == pytest.approx(0.002)
+        assert least == pytest.approx(0.001, rel=1e-3)
+        assert arm.model.nmesh == 2
+        shutil.rmtree(tmp_path / folder)
+
+
+def test_missing_meshes_behind_an_include_are_said_to_be_where_mujoco_looks(tmp_path):
+    (tmp_path / "parts").mkdir()
+    asset = '<asset><mesh name="a" file="a.obj"/></asset>'
+    body = '<body><joint range="-1 1" limited="true"/><geom type="mesh" mesh="a"/></body>'
+    inner = f'<mujoco><compiler meshdir="meshes"/>{asset}<worldbody>{body}</worldbody></mujoco>'
+    (tmp_path / "parts" / "arm.xml").write_text(inner)
+    (tmp_path / "robot.xml").write_text('<mujoco><include file="parts/arm.xml"/></mujoco>')
+    with pytest.raises(FileError) as refused:
+        Arm.load(tmp_path / "robot.xml")
+    missing = Path(str(refused.value).removeprefix("files of the model are missing: "))
+    missing.parent.mkdir()
+    missing.write_text(TETRAHEDRON)
+    assert Arm.load(tmp_path / "robot.xml").n_joints == 1
+
+
 def test_a_site_by_the_name_of_a_link_frame_alone_makes_no_house_arm(tmp_path):
     path = tmp_path / "robot.xml"
     path.write_text(TELESCOPE.replace('<geom name="fork"', '<site name="link1_frame"/><geom name="fork"'))
@@ -254,6 +304,8 @@ def test_wrong_files_and_names_are_refused():
     nan = TELESCOPE.replace("</mujoco>", '<keyframe><key name="home" qpos="0 nan 0 0 0"/></keyframe></mujoco>')
     with pytest.raises(InputError, match="keyframe 'home' holds NaN"):
         arm_of(nan)
+    with pytest.raises(InputError, match=r"the pos of body 'tube2' of the model is \[ 0.  0. nan\]; write numbers"):
+        arm_of(TELESCOPE.replace('<body name="tube2">', '<body name="tube2" pos="0 0 nan">'))
     with pytest.raises(InputError, match="base must be the name of a body or site, got 3"):
         arm_of(TELESCOPE, base=3)
     with pytest.raises(InputError, match="must be a string or a path, got NoneType"):

@@ -60,7 +60,9 @@ def test_every_cell_is_under_its_heading():
     assert rows[2] == ["link 1", "1.5000", "2.5000", "3.5000", "4.5000", "5.5000", "6.5000", "7.25"]
     assert rows[3] == ["end effector", *(f"{v}.0000" for v in (10, 20, 30, 40, 50, 60)), "never"]
     caption = "the end effector moves 1.25 m (path 2.50 m) in 4 s, then holds; contacts: 2; "
-    assert caption + "mechanism gap of the plan: 12.5 mm" in " ".join(" ".join(lines).split())
+    assert caption + f"mechanism gap of the plan: 12.5 mm, {EVALUATION.plan.gap_deg:.1f} degrees" in " ".join(
+        " ".join(lines).split()
+    )
     assert ["joint", "peak velocity", "of limit", "peak force", "of limit", "constraints"] in rows
     assert ["turn", "0.500", "25%", "30.0", "75%", "7.5"] in rows
     assert ["slide", "1.000", "-", "25.0", "-", "0.0"] in rows

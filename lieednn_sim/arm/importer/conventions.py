@@ -12,6 +12,29 @@ from lieednn_sim.arm.importer.serial_chain import Frame
 
 Floats = NDArray[np.float64]
 _SITE = mujoco.mjtObj.mjOBJ_SITE
+_LEAST_INERTIA = 1e-6  # of the largest moment of a body, or [kg m^2]
+
+
+def mend_inertias(draft: Draft) -> None:
+    """Enlarge inertias of a URDF that no body can have, which other simulators let pass: A + B >= C > 0 must hold."""
+    if draft.source is None or draft.source.suffix.lower() != ".urdf":
+        return
+    mended = []
+    for body in draft.spec.bodies:
+        given = body.fullinertia
+        if not np.isfinite(given).all():
+            continue
+        xx, yy, zz, xy, xz, yz = given
+        moments, axes = np.linalg.eigh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        moments = np.maximum(moments, _LEAST_INERTIA * max(moments[2], _LEAST_INERTIA))
+        lacking = (1.0 + _LEAST_INERTIA) * moments[2] - moments[0] - moments[1]
+        if lacking > 0.0 or given[:3].min() <= 0.0:
+            moments[:2] += 0.5 * max(lacking, 0.0)
+            tensor = (axes * moments) @ axes.T
+            body.fullinertia = tensor[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+            mended.append(body.name)
+    if mended:
+        draft.notes.append(f"inertias that no body can have made larger: {', '.join(mended)}")
 
 
 def replace_integrator(draft: Draft) -> None:

@@ -14,6 +14,7 @@ from lieednn_sim.arm.importer.conventions import (
     add_frames,
     compensate_gravity,
     drop_old_limits,
+    mend_inertias,
     replace_integrator,
     set_ranges,
     tie_stages,
@@ -34,6 +35,7 @@ from lieednn_sim.validation import as_choice
 SERVOS = ("keep", "design")
 
 STEPS: tuple[Callable[[Draft], None], ...] = (
+    mend_inertias,
     replace_integrator,
     choose_posture,
     find_mechanism,

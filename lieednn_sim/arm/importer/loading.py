@@ -6,9 +6,12 @@ import os
 from pathlib import Path
 
 from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm.parsing import check_numbers
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.storage import is_file
 from lieednn_sim.validation import as_path
+
+_PACKAGE = "package://"
 
 
 def load_spec(model: str | os.PathLike[str] | mujoco.MjSpec) -> mujoco.MjSpec:
@@ -31,6 +34,7 @@ def load_spec(model: str | os.PathLike[str] | mujoco.MjSpec) -> mujoco.MjSpec:
             spec = mujoco.MjSpec.from_file(str(source))
         except ValueError as error:
             raise FileError(f"MuJoCo cannot read {source}: {str(error).strip()}") from None
+        _resolve_packages(spec, source.resolve())
     spec.compiler.fusestatic = False  # a link that doesn't move in its parent would vanish
     spec.compiler.alignfree = False  # a locked object would keep the pose of its principal axes instead of its own
     for kind, elements in (("body", spec.bodies), ("joint", spec.joints)):
@@ -47,13 +51,32 @@ def load_spec(model: str | os.PathLike[str] | mujoco.MjSpec) -> mujoco.MjSpec:
 def compile_spec(spec: mujoco.MjSpec) -> mujoco.MjModel:
     """Compile; `FileError` says what MuJoCo says, and which files of meshes and textures are missing."""
     try:
-        return spec.compile()
+        model = spec.compile()
     except ValueError as error:
         missing = _missing_files(spec)
         if missing:
             shown = ", ".join(missing[:10]) + (f" and {len(missing) - 10} more" if len(missing) > 10 else "")
             raise FileError(f"files of the model are missing: {shown}") from None
         raise FileError(f"MuJoCo cannot compile the model: {str(error).strip()}") from None
+    check_numbers(model)
+    return model
+
+
+def _resolve_packages(spec: mujoco.MjSpec, source: Path) -> None:
+    """Find the files of ``package://NAME/...`` in the folder NAME beside the model or above; ``file://`` is no part."""
+    for element in (*spec.meshes, *spec.textures):
+        scheme, _, path = element.file.partition("://")
+        if scheme == "file":
+            element.file = path
+        elif scheme == "package":
+            inside = path.partition("/")[2]
+            # A folder above may itself be the package.
+            candidates = [
+                folder / below
+                for folder in source.parents
+                for below in ([path, inside] if folder.name == path.partition("/")[0] else [path])
+            ]
+            element.file = str(next((c for c in candidates if c.is_file()), element.file))
 
 
 def unused(name: str, names: set[str], suffix: str = "_") -> str:
@@ -73,8 +96,16 @@ def _missing_files(spec: mujoco.MjSpec) -> list[str]:
         for element in elements:
             if not element.file:
                 continue
+            if element.file.startswith(_PACKAGE):
+                package = element.file.removeprefix(_PACKAGE).partition("/")[0]
+                missing.append(f"{element.file} (no folder {package!r} beside {spec.modelfiledir} or above holds it)")
+                continue
             below = getattr(element.compiler, folder, "") or getattr(spec, folder, "")
-            path = Path(spec.modelfiledir) / below / element.file
+            own = Path(spec.modelfiledir)
+            path = own / below / element.file
+            if below and not path.is_file() and path.is_relative_to(own) and Path(element.file).is_absolute():
+                # Behind an <include>, where MuJoCo tries the included file's own folder at last, without meshdir.
+                path = own / below / path.name
             if not path.is_file() and not known.intersection(
                 (element.file, path.name, str(Path(below) / element.file))
             ):
