@@ -171,8 +171,8 @@ class NetworkPath:
         pace = max(-equilibrium.spectral_abscissa, 1e-3 * network.gamma)
         longest = 100.0 / network.gamma + 40.0 / pace
         # The integrator's error, a share of the states, may keep it from a target with large entries: then a finer one.
-        for tolerances in ({}, {"rtol": 0.01 * RESIDUAL, "atol": 0.01 * RESIDUAL}):
-            trajectory = network.trajectory(origin, longest, until=target, distance=RESIDUAL, **tolerances)
+        for rtol, atol in ((1e-8, 1e-10), (1e-10, 1e-10)):
+            trajectory = network.trajectory(origin, longest, until=target, distance=RESIDUAL, rtol=rtol, atol=atol)
             arrived = np.abs(network.visible(trajectory.xi[-1] - target)).max() <= 2.0 * RESIDUAL
             if arrived:
                 break
