@@ -2,6 +2,7 @@
 
 from lieednn_sim.simulation.controllers import CONTROLLERS
 from lieednn_sim.simulation.disturbances import Disturbances, Push
+from lieednn_sim.simulation.feedback import Feedback
 from lieednn_sim.simulation.following import Following, follow
 from lieednn_sim.simulation.log import Instant
 from lieednn_sim.simulation.rollout import Rollout
@@ -11,6 +12,7 @@ from lieednn_sim.simulation.tracking import simulate
 __all__ = [
     "CONTROLLERS",
     "Disturbances",
+    "Feedback",
     "Following",
     "Instant",
     "Push",

@@ -12,7 +12,8 @@ x'_ff = v, a stronger bias, takes that away. The joints that decode the state ar
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,10 +23,11 @@ from lieednn_sim.errors import InputError
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.planning.motion import count_steps, require_fit
 from lieednn_sim.simulation.disturbances import Disturbances
-from lieednn_sim.simulation.log import Log
+from lieednn_sim.simulation.feedback import Feedback, FeedbackFollower
+from lieednn_sim.simulation.log import ChannelSource, Log
 from lieednn_sim.simulation.reference import Reference, steps_of_rate
 from lieednn_sim.simulation.rollout import Rollout, as_rollout
-from lieednn_sim.simulation.simulation import quiet_warnings
+from lieednn_sim.simulation.simulation import Simulation, quiet_warnings
 from lieednn_sim.simulation.tracking import make_controlled
 from lieednn_sim.validation import as_floats, as_positive
 from lieednn_sim.values import frozen
@@ -45,7 +47,8 @@ class Following:
     Attributes:
         rollout: its reference is what the network made of the target; motion_end is its end.
         target: ``(K, n)`` the target at the rollout's times.
-        xi: ``(K, N, 6)`` the states of all neurons of the network.
+        xi: ``(K, N, 6)`` the states of all neurons of the network; with feedback ``(L, N, 6)``, at the L beginnings of
+            control periods.
         period: simulation steps between two samples of the target.
         jumps: times at which the target jumped [s], as the follower saw it.
         slowed: share of the control periods in which the velocity limits slowed the network down.
@@ -172,6 +175,7 @@ def follow(
     control_rate: float = 100.0,
     speed: float = 5.0,
     feedforward: bool = True,
+    feedback: Feedback | None = None,
     disturbances: Disturbances | None = None,
 ) -> Following:
     """Let the simulated arm follow a moving target that is known only up to the present.
@@ -193,6 +197,9 @@ def follow(
         control_rate: rate at which the target is sampled [Hz]; it must divide the rate of the simulation.
         speed: the network's rate [1/s]: its own time in one second.
         feedforward: whether the follower adds the target's velocity, by which it follows without lag.
+        feedback: the network hears the measured joints, and its time waits for them (`feedback`); by default it runs
+            ahead of the arm and is never disturbed. The rollout's channels then say at which share of its speed it
+            ran, ``pace``, and how far the arm was from where the network was, ``behind``, as a share of its range.
         disturbances: what the controller does not know of.
 
     Raises:
@@ -200,43 +207,43 @@ def follow(
         SimulationError: as `simulate`.
     """
     timestep = float(arm.model.opt.timestep)
-    total = count_steps(duration, timestep) + 1
     period = steps_of_rate("control_rate", control_rate, timestep)
     origin = arm.keyframe("home") if start is None else arm.check_position(start, "start")
-    follower = Follower(arm, network, origin, steps=period, speed=speed, feedforward=feedforward)
-    changes = Disturbances() if disturbances is None else disturbances
-    reference = Reference(arm, total)
-    reference.extend(origin[None], np.zeros((1, arm.n_joints)))
-    driver, simulation = make_controlled(arm, controller, reference, changes)
-    simulation.reset(origin)
+    settings: dict[str, Any] = {"steps": period, "speed": speed, "feedforward": feedforward}
+    follower: Follower | FeedbackFollower
+    if feedback is None:
+        follower = Follower(arm, network, origin, **settings)
+    else:
+        follower = FeedbackFollower(arm, network, origin, feedback=feedback, **settings)
+    states, jumps, slowed = [follower.xi[None]], [], 0
 
-    sample = _sampler(arm, target, timestep)
-    log, targets, states, jumps, slowed = Log(simulation, total, driver), [], [follower.xi[None]], [], 0
-    with quiet_warnings():
-        for k in range(total):
-            targets.append(sample(k))
-            if k % period == 0:
-                q, qd, xi = follower.advance(targets[-1])
-                reference.extend(q, qd)
-                states.append(xi)
-                slowed += follower.share < 1.0
-                if follower.jumped:
-                    jumps.append(k * timestep)
-            driver.act(simulation.data, k, simulation.noise)
-            log.step()
-    rollout = as_rollout(
+    def lead(sample: Floats, simulation: Simulation) -> tuple[Floats, Floats]:
+        nonlocal slowed
+        if isinstance(follower, FeedbackFollower):
+            q, qd, xi = follower.advance(sample, simulation.measured()[0])
+        else:
+            q, qd, xi = follower.advance(sample)
+        states.append(xi)
+        slowed += follower.share < 1.0
+        if follower.jumped:
+            jumps.append(simulation.time)
+        return q, qd
+
+    rollout, targets = closed_loop(
         arm,
-        log,
-        reference.q,
-        reference.qd,
-        motion_end=(total - 1) * timestep,
+        lead,
+        target,
+        duration,
+        start=origin,
+        period=period,
         controller=controller,
-        disturbances=changes,
+        disturbances=disturbances,
+        sources=(follower,) if isinstance(follower, FeedbackFollower) else (),
     )
     return Following(
         rollout=rollout,
-        target=np.array(targets),
-        xi=np.concatenate(states)[:total],
+        target=targets,
+        xi=np.concatenate(states)[: len(targets)],
         period=period,
         jumps=tuple(jumps),
         slowed=slowed / len(states[1:]),
@@ -244,6 +251,59 @@ def follow(
         gap_translation=follower.gap_translation,
         gap_rotation=follower.gap_rotation,
     )
+
+
+def closed_loop(
+    arm: Arm,
+    lead: Callable[[Floats, Simulation], tuple[Floats, Floats]],
+    target: Callable[[float], ArrayLike] | ArrayLike,
+    duration: float,
+    *,
+    start: Floats,
+    period: int,
+    controller: str,
+    disturbances: Disturbances | None = None,
+    sources: Sequence[ChannelSource] = (),
+) -> tuple[Rollout, Floats]:
+    """Run the simulated arm behind anything that leads it; returns the rollout and the target ``(K, n)`` at its times.
+
+    Args:
+        arm: the arm.
+        lead: called at every control period with the target's sample ``(n,)`` and the simulation, which it may
+            measure; gives joint coordinates and rates ``(m, n)`` to follow after each of the period's m steps.
+        target: as of `follow`.
+        duration: [s].
+        start: joint coordinates ``(n,)`` at rest.
+        period: m.
+        controller: a name of `CONTROLLERS`.
+        disturbances: what the controller does not know of.
+        sources: of more channels of the rollout.
+
+    Raises:
+        InputError: a value is malformed, or the target leaves the position limits.
+        SimulationError: as `simulate`.
+    """
+    timestep = float(arm.model.opt.timestep)
+    total = count_steps(duration, timestep) + 1
+    changes = Disturbances() if disturbances is None else disturbances
+    reference = Reference(arm, total)
+    reference.extend(start[None], np.zeros((1, arm.n_joints)))
+    driver, simulation = make_controlled(arm, controller, reference, changes)
+    simulation.reset(start)
+    sample = _sampler(arm, target, timestep)
+    log, targets = Log(simulation, total, driver, *sources), []
+    with quiet_warnings():
+        for k in range(total):
+            targets.append(sample(k))
+            if k % period == 0:
+                reference.extend(*lead(targets[-1], simulation))
+            driver.act(simulation.data, k, simulation.noise)
+            log.step()
+    end = (total - 1) * timestep
+    rollout = as_rollout(
+        arm, log, reference.q, reference.qd, motion_end=end, controller=controller, disturbances=changes
+    )
+    return rollout, np.array(targets)
 
 
 def _sampler(arm: Arm, target: Callable[[float], ArrayLike] | ArrayLike, timestep: float) -> Callable[[int], Floats]:

@@ -10,6 +10,7 @@ from scipy.optimize import least_squares
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
+from lieednn_sim.arm.local_retraction import LocalRetraction
 from lieednn_sim.arm.nearest import NearestPose
 from lieednn_sim.errors import InputError
 from lieednn_sim.lie import exp
@@ -206,3 +207,30 @@ def test_what_cannot_be_an_arm_is_refused_with_the_reason(old, new, words, tmp_p
     assert old in ARM
     with pytest.raises(InputError, match=words):
         make(tmp_path, ARM.replace(old, new))
+
+
+@pytest.mark.parametrize("name", ["telescopic_pr", "telescopic_rrp", "telescopic_compound"])
+def test_the_local_retraction_is_the_nearest_posture_near_the_last_one(name):
+    arm, rng = Arm.load(name), np.random.default_rng(4)
+    first = arm.within_angles(arm.keyframe("home") + 0.1 * rng.normal(size=arm.n_joints))
+    retraction = LocalRetraction(arm, first)
+    xi = arm.encode(first) + np.cumsum(2e-3 * rng.normal(size=(20, arm.n_links, 6)), axis=0)
+    rate = rng.normal(size=xi.shape)
+    found = [(*retraction(*each), retraction.gap) for each in zip(xi, rate, strict=True)]
+    exact = arm.decode(xi, rate)
+    q, qd, gap = map(np.array, zip(*found, strict=True))
+    np.testing.assert_allclose(q, exact.q, atol=3e-4)
+    np.testing.assert_allclose(qd, exact.qd, atol=0.02 * np.abs(exact.qd).max())
+    np.testing.assert_allclose(np.linalg.norm(gap[..., 3:], axis=-1), exact.gap_translation, atol=3e-5)
+
+
+def test_the_local_retraction_meets_feasible_poses_to_rounding():
+    arm = Arm.load("telescopic_rrp")
+    home = arm.keyframe("home")
+    way = home + np.linspace(0.0, 0.05, 6)[:, None] * np.cos(np.arange(arm.n_joints))
+    retraction, h = LocalRetraction(arm, home), 1e-5
+    rates = (arm.encode(way + h) - arm.encode(way - h)) / (2.0 * h)
+    for q, xi, rate in zip(way, arm.encode(way), rates, strict=True):
+        found, qd = retraction(xi, rate)
+        np.testing.assert_allclose(found, q, atol=1e-7)
+        np.testing.assert_allclose(qd, 1.0, atol=1e-3)

@@ -1,0 +1,112 @@
+"""The retraction for states that come one after another in real time: Newton's method from the last posture.
+
+`Retractor` finds the nearest posture wherever the poses are, in milliseconds; here it is near the last one, and
+MuJoCo's own kinematics gives poses and Jacobians in compiled code.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm.arm import Arm
+from lieednn_sim.lie import hat
+
+Floats = NDArray[np.float64]
+
+# Steps are taken until one is shorter than this [rad, m], whose square is what is left, and at most so many.
+_SHORT, _MOST = 1e-3, 8
+# Time over which a rate is looked at [s of the network's rates].
+_AHEAD = 1e-6
+# Coordinates that no pose determines stay; relative to 1 radian and one unit of length.
+_DAMPING = 1e-12
+# Rows: the matrices hat(e_k), flat.
+_HAT = hat(np.eye(3)).reshape(3, 9)
+
+
+class LocalRetraction:
+    """The posture nearest to per-joint poses near the last one, in the metric of `Retractor` to second order.
+
+    Args:
+        arm: whose joints they are; its model is not changed.
+        q: ``(n,)`` where to begin.
+
+    Attributes:
+        q: ``(n,)`` the last posture [rad, m]; may be set to another one.
+        gap: ``(N, 6)`` what was left there of rotation [rad] and translation [m].
+    """
+
+    def __init__(self, arm: Arm, q: Floats) -> None:
+        self._arm, self._space, self._model, self._data = arm, arm.space, arm.model, mujoco.MjData(arm.model)
+        self._sites = arm.site_ids
+        self._bodies = [int(body) for body in arm.model.site_bodyid[arm.site_ids]]
+        self._base, mounts, tips = arm.base.as_matrix(), arm.mounts.as_matrix(), arm.tips.inv().as_matrix()
+        self._mount, self._shift = mounts[:, :3, :3], mounts[:, :3, 3]
+        self._tip, self._reach = tips[:, :3, :3], tips[:, :3, 3]
+        self._units, self._weights = arm.twist_units, np.repeat([1.0, 1.0 / arm.length_scale], 3)
+        self._angular, self._linear = np.zeros((2, len(self._bodies), 2, 3, arm.model.nv))
+        self._rates, self._identity = arm.space.rates, np.eye(len(q))
+        self.q, self.gap = q, np.zeros((len(self._bodies), 6))
+
+    def __call__(self, xi: Floats, rate: Floats) -> tuple[Floats, Floats]:
+        """Joint coordinates and, along ``rate``, their rates, both ``(n,)``, of network states ``(N, 6)``; unchecked.
+
+        A posture that is not near is found where Newton's method leads in eight steps.
+        """
+        turned, moved = _exp(np.stack([xi, xi + _AHEAD * rate]) * self._units)
+        for _ in range(_MOST):
+            rotation, translation, jacobian = self._linearised()
+            relative = turned @ rotation.transpose(0, 2, 1)
+            error = np.empty((2, *xi.shape))
+            for k, (i, j) in enumerate(((2, 1), (0, 2), (1, 0))):
+                error[..., k] = 0.5 * (relative[..., i, j] - relative[..., j, i])
+            error[..., 3:] = moved - translation
+            scaled = (error * self._weights).reshape(2, -1)
+            matrix = jacobian.T @ jacobian
+            matrix.flat[:: len(matrix) + 1] += _DAMPING
+            step, ahead = np.linalg.solve(matrix, jacobian.T @ scaled.T).T
+            self.q = self.q + step
+            if np.abs(step).max() < _SHORT:
+                break
+        self.gap = error[0] - (jacobian @ step).reshape(xi.shape) / self._weights
+        return self.q, (ahead - step) / _AHEAD
+
+    def _linearised(self) -> tuple[Floats, Floats, Floats]:
+        """Joint poses at q, ``(N, 3, 3)`` and ``(N, 3)``, and their weighted spatial Jacobian ``(6 N, n)``."""
+        model, data, q = self._model, self._data, self.q
+        data.qpos[:] = self._space.to_qpos(q)
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        turns = np.concatenate([self._base[None, :3, :3], data.site_xmat[self._sites].reshape(-1, 3, 3)])
+        places = np.concatenate([self._base[None, :3, 3], data.site_xpos[self._sites]])
+        # World frames of the joints, at the frame before, and the points that a pose's translation is of.
+        frames = turns[:-1] @ self._mount
+        origins = places[:-1] + (turns[:-1] @ self._shift[:, :, None])[:, :, 0]
+        tips = places[1:] + (turns[1:] @ self._reach[:, :, None])[:, :, 0]
+        back = frames.transpose(0, 2, 1)
+        rotation = back @ turns[1:] @ self._tip
+        translation = (back @ (tips - origins)[:, :, None])[:, :, 0]
+        before = 0
+        for i, body in enumerate(self._bodies):
+            mujoco.mj_jac(model, data, self._linear[i, 0], self._angular[i, 0], tips[i], body)
+            if i:
+                mujoco.mj_jac(model, data, self._linear[i, 1], self._angular[i, 1], tips[i], before)
+            before = body
+        moving = np.concatenate([back @ (part[:, 0] - part[:, 1]) for part in (self._angular, self._linear)], axis=1)
+        rates = self._space.to_qvel(q, self._identity).T if len(self._space.balls) else self._rates
+        jacobian = (moving * self._weights[:, None]).reshape(-1, len(rates)) @ rates
+        return rotation, translation, jacobian
+
+
+def _exp(twist: Floats) -> tuple[Floats, Floats]:
+    """Rotations ``(..., 3, 3)`` and translations ``(..., 3)`` of twists ``(..., 6)``: a third of `lie.exp`'s calls."""
+    omega = twist[..., :3]
+    square = np.maximum((omega * omega).sum(axis=-1), 1e-16)[..., None, None]
+    angle = np.sqrt(square)
+    a = np.sin(angle) / angle
+    b = 2.0 * (np.sin(0.5 * angle) / angle) ** 2
+    skew = (omega @ _HAT).reshape(*omega.shape, 3)
+    double = skew @ skew
+    translation = (np.eye(3) + b * skew + (1.0 - a) / square * double) @ twist[..., 3:, None]
+    return np.eye(3) + a * skew + b * double, translation[..., 0]

@@ -1,0 +1,278 @@
+"""A network that runs with the arm, not ahead of it: its visible state hears the joints, and its time waits for them.
+
+At every control period the follower measures the joints q and compares them with its own reference q_r of that instant.
+With e = max |q - q_r| / range, the state x = (visible, hidden and clock) obeys
+
+    x_v' = l (s c F_v(x) + x'_ff + k d (xi(q) - xi(q_r))),    x_h' = l s c F_h(x),
+
+where F is the field of the network retargeted to the present target, c its speed, xi the arm's encoding, and
+
+    s = max(1 / (1 + (e / e_0)^2), s_0)    the clock waits for an arm that does not keep up,
+    d = max(0, 1 - e_0 / e)                what is within the tolerance e_0 is the controller's to mend,
+    l <= 1                                 keeps the joints within their limits of velocity and, gathering speed, of
+                                           acceleration.
+
+The proof is kept. Without the coupling (k d = 0) and behind a target at rest x' = r(t) F(x) with a factor
+r = l s c > 0: in the time integral of r it is the network itself, so x runs along the same orbits, and the network's
+Lyapunov function V falls, dV/dt = r grad V . F < 0, until the target is reached, for s and l never vanish for good. It
+is the whole field that must wait: to hold back the hidden neurons or the clock alone would make another system of it,
+which no certificate covers. The coupling is an input of the visible neurons. It vanishes as the arm comes within the
+tolerance of its reference, and from then on the state is one of the certified network's, wherever it has been drawn;
+hidden neurons of a cascade do not hear it at all.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.interpolate import CubicHermiteSpline
+
+from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm import Arm
+from lieednn_sim.arm.local_retraction import LocalRetraction
+from lieednn_sim.errors import InputError
+from lieednn_sim.network import LieEDNN
+from lieednn_sim.planning.filtering import FilterOptions, SafetyFilter
+from lieednn_sim.planning.motion import require_fit
+from lieednn_sim.validation import as_floats, as_positive
+
+Floats = NDArray[np.float64]
+
+# The clock never stands still: without it the network would not arrive.
+_SLOWEST = 0.01
+# A joint whose target is faster than that has jumped, where it has no limit [rad/s, m/s].
+_FASTEST = 10.0
+# Of |l s c| T in the certificate's norm, and of the way of a switch's argument, in a step of Runge and Kutta.
+_LARGEST_STEP, _LARGEST_SWITCHING, _MOST_STEPS = 0.5, 0.5, 100
+# Velocities at the end of a period may be above their limits by this share before it is run again, and so often.
+_TOO_FAST, _TRIES = 1e-3, 4
+# With the filter: pull of the joints towards the network's state [1/s].
+_GAIN = 8.0
+
+
+@dataclass(frozen=True)
+class Feedback:
+    """How a network runs with the arm; see the module.
+
+    Attributes:
+        rate: k, at which the visible state is drawn to the measured joints [1/s]; 0 lets the clock wait alone.
+        tolerance: e_0, share of the joints' ranges by which the arm may be off its reference at half the speed.
+        safety: the filter of limits and clearance between the network and the reference; None for none.
+
+    Raises:
+        InputError: a value is out of range.
+    """
+
+    rate: float = 20.0
+    tolerance: float = 0.01
+    safety: FilterOptions | None = None
+
+    def __post_init__(self) -> None:
+        rate = float(as_floats("rate", self.rate, ()))
+        if not 0.0 <= rate <= 1e3:
+            raise InputError(f"rate must be from 0 to 1000 per second, got {rate:g}")
+        object.__setattr__(self, "rate", rate)
+        object.__setattr__(self, "tolerance", as_positive("tolerance", self.tolerance))
+        if self.safety is not None and not isinstance(self.safety, FilterOptions):
+            raise InputError(f"safety must be FilterOptions or None, got {type(self.safety).__name__}")
+
+
+class FeedbackFollower:
+    """A certified network that runs after a target together with the arm; see the module.
+
+    Args:
+        arm: encodes targets; states are decoded by `LocalRetraction`.
+        network: certified, with as many visible neurons as the arm has links.
+        start: joint coordinates ``(n,)``, where the arm is.
+        steps: simulation steps in a control period.
+        speed: the network's rate c [1/s].
+        feedforward: whether to add the target's velocity, by the difference of its last two samples.
+        feedback: settings.
+
+    Attributes:
+        xi: ``(N, 6)`` state of all neurons.
+        q: ``(n,)`` the reference at the end of the last period [rad, m].
+        qd: ``(n,)`` its rates.
+        jumped: whether the last target was faster than the joints may be.
+        share: l, of the last period.
+        pace: l s, of the last period: its share of the speed c.
+        behind: e, at the beginning of the last period.
+        limit_excess: as of `following.Following`, like the gaps.
+
+    Raises:
+        InputError: network and arm differ in size, the network has no proof and need not follow, the speed is too high
+            for the control rate, or something touches at the start where there is a filter.
+    """
+
+    channel_units: Mapping[str, str] = MappingProxyType({"pace": "1", "behind": "ranges"})
+
+    def __init__(
+        self,
+        arm: Arm,
+        network: LieEDNN,
+        start: ArrayLike,
+        *,
+        steps: int,
+        speed: float,
+        feedforward: bool,
+        feedback: Feedback,
+    ) -> None:
+        require_fit(arm, network)
+        if not network.certified:
+            raise InputError("only a certified network follows every target; see network.certify()")
+        self._arm, self._network, self._feedback = arm, network, feedback
+        self._speed, self._feedforward = as_positive("speed", speed), feedforward
+        self._period = steps * float(arm.model.opt.timestep)
+        self._weight, self._visible = network.mu * network.weight, 6 * network.n_visible
+        self.q, self.qd = arm.check_position(start, "start"), np.zeros(arm.n_joints)
+        self.xi = network.start(arm.encode(self.q))
+        self._stiffness = network.gamma + network.mu * _certified_norm(network)
+        self._low, self._high = arm.position_limits.T
+        self._range = self._high - self._low
+        self._fastest = np.where(np.isfinite(arm.velocity_limits), arm.velocity_limits, _FASTEST)
+        self._retraction = LocalRetraction(arm, self.q)
+        self._hermite = _hermite_rows(steps, self._period)
+        self._guard = None
+        if feedback.safety is not None:
+            self._guard = SafetyFilter(arm, self._period, feedback.safety)
+            self._guard.allow(self.q)
+        self._target: tuple[Floats, Floats] | None = None
+        # Where the network is, its field there, and both in joint coordinates.
+        self._x, self._flow = self.xi.ravel(), np.zeros(self.xi.size)
+        self._drawn, self._flow_rate = self.q, self.qd
+        self.jumped, self.share, self.pace, self.behind = False, 1.0, 1.0, 0.0
+        self.limit_excess, self.gap_translation, self.gap_rotation = -np.inf, 0.0, 0.0
+
+    def advance(self, target: Floats, measured: Floats | None = None) -> tuple[Floats, Floats, Floats]:
+        """Run for a control period after a target ``(n,)``, with the joints measured ``(n,)`` at its beginning.
+
+        Without a measurement the arm is taken to be where it should.
+
+        Returns:
+            Joint coordinates and rates ``(m, n)`` after each of the period's m steps, and the state ``(1, N, 6)`` at
+            the end.
+        """
+        period = self._period
+        goal, drift, rate = self._aim(target)
+        waiting, pull, pull_rate = self._listen(measured)
+        scale, rate = waiting * self._speed, rate + pull_rate
+        drift[: self._visible] += pull
+        # What gathers speed is bounded by the acceleration, too; networks slow down gently by themselves.
+        allowed = np.minimum(self._arm.velocity_limits, np.abs(self.qd) + self._arm.acceleration_limits * period)
+        wanted = scale * self._flow_rate + rate
+        share = 1.0 / max(1.0, float((np.abs(wanted) / allowed).max()))
+        for _ in range(_TRIES):
+            x, flow = self._integrate(goal, share * scale, share * drift)
+            drawn, flow_rate = self._decode(x, flow, self._drawn + share * period * wanted)
+            qd = share * (scale * flow_rate + rate)
+            excess = float((np.abs(qd) / allowed).max())
+            if excess <= 1.0 + _TOO_FAST:
+                break
+            share /= excess
+        self._x, self._flow, self._flow_rate = x, flow, flow_rate
+        self.xi, self.share, self.pace = x.reshape(self.xi.shape), share, share * waiting
+        gap = np.sqrt((self._retraction.gap.reshape(-1, 2, 3) ** 2).sum(axis=2).max(axis=0))
+        self.gap_rotation, self.gap_translation = max(self.gap_rotation, gap[0]), max(self.gap_translation, gap[1])
+        inside = self._arm.within_angles(drawn) if len(self._arm.space.balls) else drawn
+        self._drawn = np.minimum(np.maximum(inside, self._low), self._high)
+        self.limit_excess = max(self.limit_excess, float(np.maximum(self._low - drawn, drawn - self._high).max()))
+        return (*self._reference(np.where(self._drawn == drawn, qd, 0.0)), self.xi[None])
+
+    def sample(self, data: mujoco.MjData) -> Floats:
+        """See `log.ChannelSource`."""
+        return np.array([self.pace, self.behind])
+
+    def channel_values(self, samples: Floats) -> tuple[Floats, ...]:
+        """See `log.ChannelSource`."""
+        return tuple(samples.T)
+
+    def _aim(self, target: Floats) -> tuple[Floats, Floats, Floats]:
+        """Goal of all neurons in the middle of the period, its velocity, flat, and the joints' with it."""
+        before, self.jumped = self._target, False
+        still = np.zeros(len(self._x)), np.zeros_like(target)
+        if before is not None and np.array_equal(target, before[0]):
+            return before[1], *still
+        goal = self._network.goal(self._arm.encode(target)).ravel()
+        self._target, aim = (target.copy(), goal), goal
+        if before is not None:
+            rate = (target - before[0]) / self._period
+            self.jumped = bool((np.abs(rate) > self._fastest).any())
+            if self._feedforward and not self.jumped:
+                still = (goal - before[1]) / self._period, rate
+                aim = goal + 0.5 * self._period * still[0]
+        self._flow = self._field(self._x, aim, self._network.phi(aim))
+        if before is None or self.jumped:
+            _, self._flow_rate = self._decode(self._x, self._flow, self._drawn)
+        return aim, *still
+
+    def _listen(self, measured: Floats | None) -> tuple[float, Floats | float, Floats | float]:
+        """How far the clock waits for the measured joints, and how they pull the visible state and its posture."""
+        feedback = self._feedback
+        if measured is None:
+            return 1.0, 0.0, 0.0
+        off = measured - self._drawn
+        self.behind = float((np.abs(off) / self._range).max())
+        waiting = max(1.0 / (1.0 + (self.behind / feedback.tolerance) ** 2), _SLOWEST)
+        strength = feedback.rate * max(0.0, 1.0 - feedback.tolerance / max(self.behind, 1e-300))
+        if strength == 0.0:
+            return waiting, 0.0, 0.0
+        there, here = self._arm.encode(np.stack([measured, self._drawn]))
+        return waiting, strength * (there - here).ravel(), strength * off
+
+    def _field(self, x: Floats, aim: Floats, output: Floats) -> Floats:
+        """Flat field at x of the network retargeted to an aim with the output phi(aim)."""
+        return self._weight @ (self._network.phi(x) - output) - self._network.gamma * (x - aim)
+
+    def _integrate(self, aim: Floats, scale: float, drift: Floats) -> tuple[Floats, Floats]:
+        """The state after a period, by RK4, and the field there."""
+        x, flow, output = self._x, self._flow, self._network.phi(aim)
+        switching = float(np.abs(flow[self._visible :]).max(initial=0.0))
+        extent = scale * self._period * max(self._stiffness / _LARGEST_STEP, switching / _LARGEST_SWITCHING)
+        count = min(math.ceil(extent), _MOST_STEPS) or 1
+        h = self._period / count
+        for _ in range(count):
+            a = scale * flow + drift
+            b = scale * self._field(x + 0.5 * h * a, aim, output) + drift
+            c = scale * self._field(x + 0.5 * h * b, aim, output) + drift
+            d = scale * self._field(x + h * c, aim, output) + drift
+            x = x + (h / 6.0) * (a + 2.0 * (b + c) + d)
+            flow = self._field(x, aim, output)
+        return x, flow
+
+    def _decode(self, x: Floats, flow: Floats, near: Floats) -> tuple[Floats, Floats]:
+        """Posture of a flat state, near another one, and its rates along a field, both ``(n,)``."""
+        self._retraction.q, seen = near, slice(self._visible)
+        return self._retraction(x[seen].reshape(-1, 6), flow[seen].reshape(-1, 6))
+
+    def _reference(self, qd: Floats) -> tuple[Floats, Floats]:
+        """Rows ``(m, n)`` from the last reference to the network's posture with rates ``(n,)``, or as near as is safe.
+
+        Between the ends of a period they are cubic.
+        """
+        q, before = self._drawn, (self.q, self.qd)
+        if self._guard is not None:
+            error = q - self.q - 0.5 * self._period * self.qd
+            qd = self._guard.step(self.q, self.qd, qd + _GAIN * error).velocity
+            q = self.q + 0.5 * self._period * (self.qd + qd)
+        self.q, self.qd = q, qd
+        rows = self._hermite @ np.stack([*before, q, qd])
+        return rows[: len(rows) // 2], rows[len(rows) // 2 :]
+
+
+def _certified_norm(network: LieEDNN) -> float:
+    """||S W_R S^-1||_2 with the certificate's P = S^2: of W in the norm in which translations count for nothing."""
+    scale = np.sqrt(np.asarray(network.lyapunov_diagonal))
+    return float(np.linalg.norm(scale[:, None] * network.certifiable_weight / scale, 2))
+
+
+def _hermite_rows(steps: int, period: float) -> Floats:
+    """Rows ``(2 m, 4)`` that make of (q, qd, q', qd') at the ends of a period q, then qd, after each of its m steps."""
+    ends = np.eye(4)
+    spline = CubicHermiteSpline([0.0, period], ends[[0, 2]], ends[[1, 3]])
+    times = period * np.arange(1, steps + 1) / steps
+    return np.concatenate([spline(times), spline(times, 1)])

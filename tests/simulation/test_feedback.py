@@ -1,0 +1,111 @@
+"""Networks that run with the arm: a clock that waits keeps the orbits, pushes are taken up; the filter; determinism."""
+
+import numpy as np
+import pytest
+
+from lieednn_sim.errors import InputError
+from lieednn_sim.planning.filtering import FilterOptions
+from lieednn_sim.simulation import Disturbances, Feedback, Push, follow
+
+GOAL = np.array([0.3, -0.2, 0.3, 0.2])
+PUSH = Disturbances(pushes=(Push("end effector", (0.0, 80.0, 0.0), 0.3, 0.2),))
+
+
+@pytest.fixture(scope="module")
+def run(gantry, cascade):
+    """Follow the cascade to `GOAL` with the settings given, or to another target."""
+
+    def make(feedback, changes=None, target=GOAL, duration=4.0, **settings):
+        network = cascade(gantry.encode(GOAL))
+        return follow(
+            gantry,
+            network,
+            np.atleast_2d(target),
+            duration,
+            feedback=feedback,
+            disturbances=changes,
+            control_rate=50.0,
+            **{"speed": 5.0, **settings},
+        )
+
+    return make
+
+
+def test_a_clock_that_waits_runs_through_the_networks_own_orbit(gantry, cascade, run):
+    following = run(Feedback(rate=0.0, tolerance=0.005), PUSH)
+    pace = following.rollout.channels["pace"][::2]
+    assert pace.min() < 0.2
+    assert pace.max() > 0.95
+    # A push changes when the network is where, and nothing else.
+    network = cascade(gantry.encode(GOAL))
+    own = network.trajectory(network.start(gantry.encode(np.zeros(4))), 20.0, rtol=1e-11, atol=1e-12)
+    elapsed = np.append(0.0, np.cumsum(5.0 * 0.02 * pace))
+    np.testing.assert_allclose(following.xi[: len(elapsed)], own(elapsed)[: len(following.xi)], atol=2e-5)
+
+
+def test_the_certificates_function_falls_while_the_clock_waits(gantry, cascade, run):
+    network = cascade(gantry.encode(GOAL))
+    weights = np.repeat(network.lyapunov_diagonal.reshape(-1, 1, 3), 2, axis=1).reshape(-1, 6)
+    following = run(Feedback(rate=0.0, tolerance=0.005), PUSH)
+    # Of Lurie's kind, sum p int (phi(s) - phi(x_d)) ds, of the rotational halves, which hear nothing of the others.
+    goal = network.goal(gantry.encode(GOAL))[:, :3]
+    x = following.xi[..., :3]
+    value = (weights[:, :3] * (np.logaddexp(x, -x) - np.logaddexp(goal, -goal) - np.tanh(goal) * (x - goal))).sum(
+        (1, 2)
+    )
+    assert (np.diff(value) < 1e-12).all()
+    assert value[-1] < 0.01 * value[0]
+
+
+def test_a_pushed_arm_takes_its_state_along_and_comes_back(gantry, run):
+    still, pushed, stiff = run(Feedback()), run(Feedback(), PUSH), run(Feedback(rate=0.0), PUSH)
+    aside = np.abs(pushed.xi[:, 1, :].reshape(len(pushed.xi), -1) - still.xi[:, 1, :]).max()
+    assert aside > 0.005
+    # Drives at their limits swing the arm past a reference that stays where it was.
+    apart = [following.rollout.t[following.rollout.channels["behind"] > 0.02].max() for following in (pushed, stiff)]
+    assert apart[0] < apart[1] - 0.5
+    for following in (still, pushed):
+        np.testing.assert_allclose(following.rollout.q[-1], GOAL, atol=5e-3)
+
+
+def test_joints_gather_speed_within_their_limits(gantry, run):
+    reference = run(Feedback(), speed=20.0).rollout.qd_ref
+    ends = reference[::2]
+    assert (np.abs(ends) <= gantry.velocity_limits * 1.002).all()
+    gained = np.diff(np.abs(ends), axis=0)
+    assert (gained <= 1.002 * 0.02 * gantry.acceleration_limits).all()
+    assert (gained[0] / (0.02 * gantry.acceleration_limits)).max() > 0.9
+
+
+def test_a_target_that_moves_is_followed_without_lag(run):
+    moving = GOAL + np.linspace(0.0, 0.3, 401)[:, None] * [1.0, 1.0, 0.0, 1.0]
+    ahead, behind = (run(Feedback(), target=moving, feedforward=flag).rollout.q_ref[-1] for flag in (True, False))
+    np.testing.assert_allclose(ahead, moving[-1], atol=2e-3)
+    assert np.abs(behind - moving[-1]).max() > 0.01
+
+
+def test_the_filter_keeps_the_ball_off_the_floor(gantry, run):
+    low = np.array([0.0, 0.0, -1.2, 0.0])
+    free, safe = (run(Feedback(safety=options), target=low, duration=2.0) for options in (None, FilterOptions()))
+    assert free.rollout.contacts.any()
+    assert not safe.rollout.contacts.any()
+    height = safe.rollout.link_position[:, -1, 2].min()
+    assert -0.9 < height < -0.8, "close to the floor under a ball of 0.1 m"
+
+
+def test_runs_are_bit_identical(run):
+    changes = Disturbances(pushes=PUSH.pushes, position_noise=1e-4, seed=3)
+    one, two = (run(Feedback(safety=FilterOptions()), changes) for _ in range(2))
+    np.testing.assert_array_equal(one.rollout.q, two.rollout.q)
+    np.testing.assert_array_equal(one.xi, two.xi)
+
+
+def test_bad_input(gantry, cascade):
+    with pytest.raises(InputError, match="rate must be from 0 to 1000"):
+        Feedback(rate=-1.0)
+    with pytest.raises(InputError, match="tolerance must be positive"):
+        Feedback(tolerance=0.0)
+    with pytest.raises(InputError, match="safety must be FilterOptions"):
+        Feedback(safety=True)
+    with pytest.raises(InputError, match="3 visible neurons"):
+        follow(gantry, cascade(np.zeros((3, 6))), GOAL[None], 1.0, feedback=Feedback())
