@@ -99,11 +99,19 @@ class Actuators:
         """Controls ``(nu,)`` of drives made direct by `make_direct`."""
         return self.forces(generalised) + self._idle
 
+    def free_controls(self, model: mujoco.MjModel) -> None:
+        """Let the drives in a model take any control: a servo's range is one of positions, and forces are on top.
+
+        What is fed forward shifts the control by tau / kp, off the range where a joint is near its limit. The range of
+        forces stays.
+        """
+        model.actuator_ctrllimited[self.driving] = 0
+
     def make_direct(self, model: mujoco.MjModel) -> None:
         """Let the drives in a model exert their controls, with the same force limits."""
         model.actuator_gainprm[self.driving, 0] = 1.0
         model.actuator_biasprm[self.driving, :3] = 0.0
-        model.actuator_ctrllimited[self.driving] = 0
+        self.free_controls(model)
 
 
 def _times(matrix: Floats, vectors: Floats) -> Floats:

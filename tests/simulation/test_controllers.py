@@ -110,6 +110,20 @@ def test_ball_joints_gears_tendons_and_coupled_stages(small_arms, travel, name, 
         assert arm.qpos(goal)[grip] == 0.03, "what the arm does not know stays where home has it"
 
 
+def test_forces_are_fed_forward_up_to_the_limits_of_the_joints(small_arms, travel):
+    """What hangs on the vertical slide takes 3 mm of a servo's travel, 0.6 % of the range that its controls have."""
+    hanging = small_arms["hanging"]
+    spec = hanging.spec.copy()
+    drive = spec.actuators[2]
+    drive.ctrllimited, drive.ctrlrange = mujoco.mjtLimited.mjLIMITED_TRUE, [-0.5, 0.5]
+    arm = Arm.from_spec(spec, hanging.source, "hanging")
+    for end in (-0.4999, 0.4999):
+        goal = np.array([0.1, 0.0, end, 0.0, 0.0, 0.0])
+        rollout = simulate(arm, travel(arm, np.zeros(6), goal), controller="inverse-dynamics", hold=0.2)
+        np.testing.assert_allclose(rollout.q, rollout.q_ref, atol=1e-9)
+    assert arm.model.actuator_ctrllimited[2]
+
+
 def test_welds_carry_what_hangs_on_them(small_arms, travel):
     """Nothing else holds this link: its weight and its moment about the frame, by hand."""
     arm = small_arms["hanging"]

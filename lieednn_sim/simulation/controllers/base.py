@@ -86,6 +86,10 @@ class FeedforwardServo(Servo):
         self._actuators.require_servos()
         self._foreseen = Foreseen(reference, self.controls)
 
+    def equip(self, plant: mujoco.MjModel) -> None:
+        """See `Controller`."""
+        self._actuators.free_controls(plant)
+
     def controls(self, steps: range) -> Floats:
         """Controls ``(m, nu)`` of some steps, whose states are measured without error."""
         raise NotImplementedError
