@@ -5,8 +5,12 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Iterator
 
+from numpy.typing import ArrayLike
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from lieednn_sim.errors import NotCertifiedError
+from lieednn_sim.network import ComponentwiseNetwork
 
 
 class _Console(Console):
@@ -35,6 +39,13 @@ def progress(what: str) -> Iterator[Callable[[int, int], None]]:
     with Progress(*columns, console=stderr, transient=True, disable=not stderr.is_terminal) as bar:
         shown = bar.add_task(what, total=None)
         yield lambda done, total: bar.update(shown, completed=done, total=total)
+
+
+def print_stability(network: ComponentwiseNetwork, xi: ArrayLike) -> None:
+    """Every stability condition at the equilibrium found from ``xi``; what is proved of pushes, targets and steps."""
+    console.print(f"stability: {network.assess(xi)}")
+    with contextlib.suppress(NotCertifiedError):
+        console.print(network.robustness())
 
 
 def wrote(*paths: object) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from lieednn_sim.arm import Arm
 from lieednn_sim.cli.arguments import RANDOM, load_arm, make_task, start_and_target, usual_target
 from lieednn_sim.cli.arms import print_import_report
-from lieednn_sim.cli.console import console, progress, wrote
+from lieednn_sim.cli.console import console, print_stability, progress, wrote
 from lieednn_sim.cli.run_directory import RunDirectory
 from lieednn_sim.cli.task import CERTIFIED
 from lieednn_sim.errors import InputError
@@ -101,6 +101,7 @@ def _print_choice(arm: Arm, made: Plan, bias: str) -> None:
     conditions = network.norm_conditions(goal)
     rows = table("network", "quantity", "value")
     rows.add_row("certificate", str(network.certificate))
+    rows.add_row("robustness", str(network.robustness()))
     rows.add_row("bias", f"{bias}, largest entry {np.abs(network.bias).max():.3g}")
     rows.add_row("candidates", f"{made.candidates} networks drawn, {made.within_limits} keep the joint limits")
     rows.add_row("mechanism gap", _gap(made.motion))
@@ -124,7 +125,7 @@ def _print_outcome(made: Plan) -> None:
         rows.add_row("off its path", f"{1e3 * made.deviation:.2g} mm at the end effector")
     console.print(rows)
     if made.network is not None:
-        console.print(f"stability: {made.network.assess(made.network.goal(made.motion.xi_target))}")
+        print_stability(made.network, made.network.goal(made.motion.xi_target))
 
 
 def _gap(motion: Motion) -> str:

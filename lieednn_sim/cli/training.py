@@ -15,7 +15,7 @@ from lieednn_sim import storage
 from lieednn_sim.arm import Arm
 from lieednn_sim.cli.arguments import load_arm, make_task, start_and_target
 from lieednn_sim.cli.arms import print_import_report
-from lieednn_sim.cli.console import console, progress, wrote
+from lieednn_sim.cli.console import console, print_stability, progress, wrote
 from lieednn_sim.cli.run_directory import RunDirectory
 from lieednn_sim.cli.task import TRAINED, Task
 from lieednn_sim.errors import FileError, InputError, PlanError
@@ -226,4 +226,4 @@ def _report(result: TrainingResult, xi: Floats) -> None:
         rows.add_row("largest |t|", f"{np.linalg.norm(network.translation, axis=-1).max():.2f}")
     console.print(rows)
     if network is not None:
-        console.print(f"stability: {network.assess(xi)}")
+        print_stability(network, xi)

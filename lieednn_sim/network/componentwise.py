@@ -78,6 +78,24 @@ class ComponentwiseNetwork(BlockNetwork):
             lyapunov_diagonal=self.lyapunov_diagonal,
         )
 
+    def robustness(self, pushed: ArrayLike | None = None) -> stability.Robustness:
+        """How far pushes throw the network, how long they last, its lag behind a target, and safe time steps.
+
+        Args:
+            pushed: flat coordinates that pushes and targets move, those of all visible neurons by default.
+
+        Raises:
+            NotCertifiedError: what the pushes reach is not certified.
+        """
+        return stability.robustness(
+            self.weight,
+            gamma=self.gamma,
+            mu=self.mu,
+            pushed=np.arange(self.n_visible * self.bias.shape[1]) if pushed is None else pushed,
+            rotational_weight=None if self.certifiable_weight is self.weight else self.certifiable_weight,
+            lyapunov_diagonal=self.lyapunov_diagonal,
+        )
+
     def phi(self, x: Floats) -> Floats:
         """Activation, entry by entry, of an array of any shape."""
         return ACTIVATIONS[self.activation][0](x)

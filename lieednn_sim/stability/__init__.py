@@ -1,4 +1,4 @@
-"""Proofs about x' = -gamma x + mu W phi(x) + mu b: stability and its rate, limits that hold.
+"""Proofs about x' = -gamma x + mu W phi(x) + mu b: stability and its rate, limits that hold, pushes and time steps.
 
 `assess` evaluates the hierarchy of conditions; a `Certificate` is the strongest of them, in a form that can be stored.
 """
@@ -24,15 +24,19 @@ from lieednn_sim.stability.norms import (
     smallest_one_norm,
     weighted_norm,
 )
+from lieednn_sim.stability.robustness import INTEGRATORS_WITH_PROOF, Guarantee, Robustness, robustness
 
 __all__ = [
     "CONDITIONS",
+    "INTEGRATORS_WITH_PROOF",
     "METHODS",
     "Certificate",
     "Condition",
     "Contraction",
+    "Guarantee",
     "LogNorms",
     "NormConditions",
+    "Robustness",
     "Verdict",
     "WeightedNorm",
     "assess",
@@ -43,6 +47,7 @@ __all__ = [
     "log_norms",
     "log_scale_gradient",
     "norm_conditions",
+    "robustness",
     "scale",
     "smallest_one_norm",
     "smooth_largest",

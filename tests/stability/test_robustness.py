@@ -1,0 +1,201 @@
+"""Bounds on pushes, lags and time steps: by hand, and never broken by runs of random networks."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
+
+from lieednn_sim.errors import InputError, NotCertifiedError
+from lieednn_sim.lie import adjoint
+from lieednn_sim.stability import find_certificate, find_contraction, robustness
+
+seeds = st.integers(0, 2**32 - 1)
+GAMMA, MU = 1.5, 0.8
+
+
+def twists(rng, margin):
+    """W and W_R of two SE(3) neurons, scaled to a share of what is certified and of what is proved to contract."""
+    rotation = Rotation.random(4, rng=rng).as_matrix().reshape(2, 2, 3, 3)
+    blocks = rng.normal(size=(2, 2, 1, 1)) * adjoint(rotation, 0.5 * rng.normal(size=(2, 2, 3)))
+    core = blocks[..., :3, :3].transpose(0, 2, 1, 3).reshape(6, 6)
+    size = margin * GAMMA / MU / max(find_contraction(core).value, 0.2 * np.linalg.norm(core, 2))
+    return size * blocks.transpose(0, 2, 1, 3).reshape(12, 12), size * core
+
+
+def field(weight, x, equilibrium):
+    return -GAMMA * (x - equilibrium) + MU * (np.tanh(x) - np.tanh(equilibrium)) @ weight.T
+
+
+def steps(weight, equilibrium, start, h, method, count):
+    """States of ``count`` steps by the book, from each row of ``start``."""
+    x = [start]
+    for _ in range(count):
+        a = field(weight, x[-1], equilibrium)
+        if method == "RK4":
+            b = field(weight, x[-1] + 0.5 * h * a, equilibrium)
+            c = field(weight, x[-1] + 0.5 * h * b, equilibrium)
+            a = (a + 2.0 * b + 2.0 * c + field(weight, x[-1] + h * c, equilibrium)) / 6.0
+        x.append(x[-1] + h * a)
+    return np.array(x)
+
+
+@settings(max_examples=12)
+@given(seeds, st.booleans())
+def test_no_push_and_no_moving_target_breaks_its_bound(seed, contracting):
+    rng = np.random.default_rng(seed)
+    weight, core = twists(rng, rng.uniform(0.5, 0.97))
+    bounds = robustness(weight, gamma=GAMMA, mu=MU, rotational_weight=core)
+    both = bounds.contracting
+    chosen = tuple(g for g in bounds.guarantees if g.contracting is contracting)
+    assert chosen
+    assert both is not None
+    part = replace(bounds, guarantees=chosen)
+    equilibrium = rng.uniform(-1.0, 1.0, 12)
+    times = np.linspace(0.0, 8.0 / GAMMA, 50)
+
+    def run(function, start):
+        return solve_ivp(function, (0.0, times[-1]), start, t_eval=times, method="DOP853", rtol=1e-10, atol=1e-12).y.T
+
+    pushed, watched = rng.permutation(12)[: rng.integers(1, 13)], rng.permutation(12)[: rng.integers(1, 13)]
+    push = np.zeros(12)
+    push[pushed] = rng.normal(size=len(pushed)) * 10.0 ** rng.uniform(-2, 1)
+    size = np.linalg.norm(push)
+    still = run(lambda _, x: field(weight, x, equilibrium), equilibrium + push) - equilibrium
+    moved = np.linalg.norm(still[:, watched], axis=1) / size
+    assert moved.max() <= part.throw(pushed, watched)
+    share = moved[25]
+    assert (moved[times >= part.duration(share, pushed, watched)] <= share * (1.0 + 1e-6)).all()
+    # In each guarantee's norm, at every time.
+    for guarantee in chosen:
+        bound = guarantee.overshoot * np.exp(-guarantee.rate * times) * np.linalg.norm(guarantee.factor @ push)
+        assert (np.linalg.norm(still @ guarantee.factor.T, axis=1) <= bound * (1.0 + 1e-6) + 1e-9).all()
+    # Contraction: on the way between any two motions as well.
+    start = equilibrium + rng.normal(size=12)
+    pair = run(lambda _, x: field(weight, x.reshape(2, 12), equilibrium).ravel(), np.concatenate([start, start + push]))
+    apart = np.diff(pair.reshape(-1, 2, 12), axis=1)[:, 0, watched]
+    assert np.linalg.norm(apart, axis=1).max() <= size * both.throw(pushed, watched)
+
+    velocity = np.zeros(12)
+    velocity[pushed] = rng.normal(size=len(pushed))
+    behind = run(lambda t, x: field(weight, x, equilibrium + t * velocity), equilibrium)
+    lag = np.linalg.norm((behind - equilibrium - times[:, None] * velocity)[:, watched], axis=1)
+    assert lag.max() <= np.linalg.norm(velocity) * part.lag(pushed, watched)
+
+
+@settings(max_examples=12)
+@given(seeds, st.sampled_from(["Euler", "RK4"]))
+def test_up_to_the_largest_step_every_step_brings_two_runs_closer(seed, method):
+    """Not with slopes of tanh alone: with those that one step meets at their worst."""
+    rng = np.random.default_rng(seed)
+    weight, core = twists(rng, rng.uniform(0.5, 0.97))
+    bounds = robustness(weight, gamma=GAMMA, mu=MU, rotational_weight=core)
+    equilibrium = rng.uniform(-1.0, 1.0, 12)
+    for guarantee in bounds.guarantees:
+        h = guarantee.euler_step if method == "Euler" else guarantee.rk4_step
+        start = equilibrium + rng.normal(size=(60, 12)) * 10.0 ** rng.uniform(-2, 1, (60, 1))
+        # One at the equilibrium: what is not contracting only speaks of that.
+        start[-1] = equilibrium
+        x = steps(weight, equilibrium, start, rng.uniform(0.2, 1.0) * h, method, 1)
+        if guarantee.contracting:
+            distance = np.linalg.norm((x[:, :-1] - x[:, 1:]) @ guarantee.factor.T, axis=2)
+            assert (distance[1] <= distance[0] * (1.0 + 1e-12)).all()
+            for slopes in rng.integers(0, 2, (20, 4, 12)).astype(float):
+                change = step_matrix(weight, slopes, h, method)
+                norm = np.linalg.norm(guarantee.factor @ change @ guarantee.inverse, 2)
+                assert norm <= 1.0 + 1e-9
+        else:
+            value = lyapunov(guarantee, x, equilibrium)
+            assert (value[1, :-1] < value[0, :-1]).all()
+
+
+def step_matrix(weight, slopes, h, method):
+    """Matrix of one step with the slopes ``(4, n)`` at the four stages."""
+    one = np.eye(len(weight))
+    a, b, c, d = (MU * weight * row - GAMMA * one for row in slopes)
+    if method == "Euler":
+        return one + h * a
+    second = b @ (one + 0.5 * h * a)
+    third = c @ (one + 0.5 * h * second)
+    return one + h / 6.0 * (a + 2.0 * second + 2.0 * third + d @ (one + h * third))
+
+
+def lyapunov(guarantee, x, equilibrium):
+    """U of the module, eps from the overshoot."""
+    eps = 1.0 / (guarantee.overshoot**2 - 1.0)
+    p = np.diag(guarantee.factor) ** 2
+
+    def log_cosh(s):
+        return np.logaddexp(s, -s)
+
+    v = log_cosh(x) - log_cosh(equilibrium) - np.tanh(equilibrium) * (x - equilibrium)
+    return (v + 0.5 * eps * (x - equilibrium) ** 2) @ p
+
+
+def test_by_hand():
+    """x' = -2 x: what is pushed only falls, a target at speed 1 is 1/2 ahead, Euler is stable up to 2 / gamma = 1."""
+    alone = robustness(np.zeros((2, 2)), gamma=2.0, mu=1.0)
+    assert alone.throw() == pytest.approx(1.0, rel=1e-3)
+    assert alone.throw([0], [1]) == pytest.approx(1.0, rel=1e-3)
+    assert alone.duration(0.1) == pytest.approx(np.log(10.0) / 2.0, rel=1e-2)
+    assert alone.duration(2.0) == 0.0
+    assert alone.lag() == pytest.approx(0.5, rel=1e-2)
+    assert alone.largest_step("Euler") == pytest.approx(1.0, rel=1e-2)
+    # x' = -x + W tanh x with W = w I: the field's slopes are -1 to -(1 - w), so Euler halts growing below h = 2.
+    some = robustness(0.6 * np.eye(2), gamma=1.0, mu=1.0)
+    assert some.lag() == pytest.approx(2.5, rel=1e-2)
+    assert 1.0 < some.largest_step("RK4") <= some.largest_step("Euler") <= 2.0
+
+
+def test_a_push_on_the_last_layer_of_a_cascade_meets_that_layer_alone():
+    weight = np.zeros((4, 4))
+    weight[:2, 2:], weight[2:, 2:] = 80.0, [[0.9, 0.0], [-70.0, 0.9]]
+    last = robustness(weight, gamma=1.0, mu=1.0, pushed=[0, 1])
+    assert last.reached.tolist() == [0, 1]
+    assert last.throw() == pytest.approx(1.0, rel=1e-3)
+    assert last.lag(watched=[2, 3]) == last.throw(watched=[3]) == last.duration(0.1, watched=[3]) == 0.0
+    first = robustness(weight, gamma=1.0, mu=1.0, pushed=[2])
+    assert first.reached.tolist() == [0, 1, 2, 3]
+    assert first.throw([2], [0]) > 10.0
+
+
+def test_without_contraction_the_certificate_itself_bounds_pushes():
+    weight = np.array([[0.5, 30.0], [-3.0, 0.5]])
+    bounds = robustness(weight, gamma=1.0, mu=1.0)
+    assert bounds.contracting is None
+    assert "(about the equilibrium)" in str(bounds)
+    assert bounds.throw() > 1.0
+    assert 0.0 < bounds.largest_step("RK4") < bounds.largest_step("Euler") < 0.1
+    # eps = 4 k (gamma - c/2) / (mu s)^2 with c = k = 0.25 and s = |M|: the middle of the three rates.
+    certificate = find_certificate(weight)
+    root = np.sqrt(certificate.lyapunov_diagonal)
+    s = np.linalg.norm(root[:, None] * weight / root, 2)
+    middle = bounds.guarantees[1]
+    assert middle.overshoot == pytest.approx(np.sqrt(1.0 + s**2 / (4.0 * 0.25 * 0.875)), rel=1e-3)
+    assert middle.rate == pytest.approx(0.125, rel=1e-3)
+    assert middle.delay == pytest.approx(2.0 / 0.25 * middle.overshoot**2, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("call", "error", "words"),
+    [
+        (lambda: robustness(3.0 * np.eye(2), gamma=1.0, mu=1.0), NotCertifiedError, "without a certificate"),
+        (lambda: robustness(np.eye(2), gamma=1.0, mu=2.0, pushed=[2]), InputError, "coordinates from 0 to 1"),
+        (lambda: robustness(np.eye(2), gamma=1.0, mu=2.0, pushed=[]), InputError, "coordinates from 0 to 1"),
+        (lambda: robustness(np.zeros((2, 2)), gamma=1.0, mu=1.0, pushed=[0]).throw([1]), InputError, "must name some"),
+        (lambda: robustness(np.zeros((2, 2)), gamma=1.0, mu=1.0).duration(0.0), InputError, "share must be positive"),
+        (
+            lambda: robustness(np.zeros((2, 2)), gamma=1.0, mu=1.0).largest_step("RK45"),
+            InputError,
+            "no method 'RK45'; allowed: Euler, RK4",
+        ),
+    ],
+)
+def test_wrong_input_is_named(call, error, words):
+    with pytest.raises(error, match=words):
+        call()
