@@ -23,11 +23,9 @@ when no other angle is worse (a symmetric W, for one), and asks in addition that
 
 from __future__ import annotations
 
-import warnings
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import block_diag, solve_continuous_are, solve_triangular
+from scipy.linalg import block_diag, schur, solve_triangular
 from scipy.optimize import minimize_scalar
 
 from lieednn_sim.errors import InputError
@@ -198,12 +196,13 @@ def norm_at(weight: Floats, log_scale: Floats, level: float) -> Floats | None:
     Equality in the inequality is a Riccati equation for X = S^-1 P S^-1: with M = S W S^-1,
     (I + X M) (I + X M)^T = 4 v X, of which this is the stabilising solution.
     """
-    scaled, one = scale(weight, log_scale), np.eye(len(weight))
-    with warnings.catch_warnings():
-        # SciPy's balancing warns of solutions that the check refuses anyway.
-        warnings.simplefilter("ignore")
-        try:
-            x = solve_continuous_are(scaled - 2.0 * level * one, scaled, one, -one)
-            return np.asarray(np.linalg.cholesky(0.5 * (x + x.T)).T * np.exp(log_scale), np.float64)
-        except (np.linalg.LinAlgError, ValueError):
-            return None
+    scaled, n = scale(weight, log_scale), len(weight)
+    shifted = scaled - 2.0 * level * np.eye(n)
+    try:
+        # The stable invariant subspace of the Hamiltonian matrix is spanned by the columns of [I; X].
+        _, vectors, stable = schur(np.block([[shifted, scaled @ scaled.T], [-np.eye(n), -shifted.T]]), sort="lhp")
+        x = np.linalg.solve(vectors[:n, :n].T, vectors[n:, :n].T)
+        factor = np.linalg.cholesky(0.5 * (x + x.T)).T * np.exp(log_scale)
+    except np.linalg.LinAlgError:
+        return None
+    return np.asarray(factor, np.float64) if stable == n else None

@@ -273,19 +273,19 @@ def _by_lyapunov(weight: Floats, log_scale: Floats, gamma: float, mu: float) -> 
 
 def _lyapunov_step(margin: float, eps: float, gamma: float, drive: float, stages: int) -> float:
     """Largest step found at which U falls, by its quadratic form in (|y|, |g|); a smaller step is then safe, too."""
-    fall = np.array([[eps * gamma, -0.5 * eps * drive], [-0.5 * eps * drive, margin]])
-    # |S x'| is at most field @ (|y|, |g|), the gradient of U slope @ (|y|, |g|).
-    field, slope = np.array([gamma, drive]), np.array([eps, 1.0])
-    mixed = 0.5 * (np.outer(slope, field) + np.outer(field, slope))
 
     def falls(h: float) -> bool:
         z = h * (gamma + drive)
         more = z / 2.0 + z**2 / 6.0 + z**3 / 24.0 if stages > 1 else 0.0
-        form = fall - more * mixed - 0.5 * h * (1.0 + eps) * (1.0 + more) ** 2 * np.outer(field, field)
-        return float(np.linalg.eigvalsh(form)[0]) > 1e-12 * float(np.abs(fall).max())
+        # |S x'| <= gamma |y| + drive |g|, and the gradient of U is at most eps |y| + |g|.
+        curved = 0.5 * h * (1.0 + eps) * (1.0 + more) ** 2
+        yy = eps * gamma * (1.0 - more) - curved * gamma**2
+        gg = margin - more * drive - curved * drive**2
+        yg = -0.5 * eps * drive * (1.0 + more) - 0.5 * more * gamma - curved * gamma * drive
+        return yy > 0.0 and gg > 0.0 and yy * gg > yg**2 * (1.0 + 1e-9)
 
     low, high = 0.0, 2.0 / gamma
-    for _ in range(60):
+    for _ in range(50):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if falls(middle) else (low, middle)
     return low
