@@ -45,7 +45,7 @@ def print_stability(network: ComponentwiseNetwork, xi: ArrayLike) -> None:
     """Every stability condition at the equilibrium found from ``xi``; what is proved of pushes, targets and steps."""
     console.print(f"stability: {network.assess(xi)}")
     with contextlib.suppress(NotCertifiedError):
-        console.print(network.robustness())
+        console.print(str(network.robustness()))
 
 
 def wrote(*paths: object) -> None:

@@ -266,7 +266,9 @@ def _by_lyapunov(weight: Floats, log_scale: Floats, gamma: float, mu: float) -> 
         root = np.asarray(np.exp(log_scale), np.float64)
         growth = 1.0 + 1.0 / eps
         found.append(
-            Guarantee(False, np.diag(root), np.diag(1.0 / root), np.sqrt(growth), 0.5 * c, 2.0 * growth / c, euler, rk4)
+            Guarantee(
+                False, np.diag(root), np.diag(1.0 / root), float(np.sqrt(growth)), 0.5 * c, 2.0 * growth / c, euler, rk4
+            )
         )
     return found
 

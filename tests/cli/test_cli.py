@@ -132,7 +132,9 @@ def test_interrupted_training_goes_on_with_resume(tmp_path, capsys, monkeypatch)
     monkeypatch.setattr(projected._Training, "_step", stopping)
     assert main([*arguments, str(broken)]) == 130
     monkeypatch.undo()
-    assert f"train --resume {broken}" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert f"train --resume {broken}" in printed
+    assert "\na push of size 1 throws the state at most" in printed
     assert [path.name for path in broken.iterdir()] == ["training"]
     assert main(["train", "--resume", str(broken)]) == 0
     one, two = (LieEDNN.load(directory / "network.npz") for directory in (straight, broken))
