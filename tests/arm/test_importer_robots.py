@@ -218,6 +218,19 @@ def test_a_chain_that_fits_one_joint_makes_two_neurons():
     assert any("single neuron" in note for note in report.notes)
 
 
+@pytest.mark.parametrize(("joint", "body"), [("Gripper", "tool"), ("j3", "moving_jaw")])
+def test_a_gripper_of_one_joint_is_no_link(joint, body):
+    tool = f'<body name="{body}" pos=".2 0 0"><joint name="{joint}" range="0 1"/><geom size=".01"/></body>'
+    xml = COLUMN.replace('condim="4"/>', f'condim="4"/>{tool}').replace('"arm"', '"fixed_jaw"')
+    arm, report = arm_of(xml)
+    assert (arm.joint_names, report.links[-1]) == (("pan", "raise"), "fixed_jaw")
+    assert f"taken for a gripper, and locked: {joint}; name the links to move it" in report.notes
+    arm, _ = arm_of(xml, links=["turret", "fixed_jaw", body])
+    assert arm.joint_names == ("pan", "raise", joint)
+    # The wrist that carries a hand is none.
+    assert arm_of(xml.replace(joint, "roll").replace(body, "gripper_link"))[0].n_joints == 3
+
+
 def test_an_urdf_with_mimic_joints_is_an_arm(tmp_path):
     path = tmp_path / "derrick.urdf"
     path.write_text(URDF)

@@ -12,7 +12,7 @@ from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.importer.draft import Draft
 from lieednn_sim.arm.importer.loading import compile_spec
 from lieednn_sim.arm.importer.ranges import joint_ranges
-from lieednn_sim.arm.importer.serial_chain import body_frame, cut, joint_groups, longest_chain, named_frames
+from lieednn_sim.arm.importer.serial_chain import body_frame, cut, is_gripper, joint_groups, longest_chain, named_frames
 from lieednn_sim.arm.importer.stages import find_couplings
 from lieednn_sim.errors import InputError
 from lieednn_sim.validation import as_choice, as_floats
@@ -67,6 +67,10 @@ def find_mechanism(draft: Draft) -> None:
     else:
         inner, tip = longest_chain(model, base)
         draft.frames = (inner, body_frame(model, tip))
+        behind = (joint for joint in range(model.njnt) if model.body_parentid[model.jnt_bodyid[joint]] == tip)
+        hands = [model.joint(joint).name for joint in behind if is_gripper(model, joint)]
+        if hands:
+            draft.notes.append(f"taken for a gripper, and locked: {', '.join(hands)}; name the links to move it")
     draft.groups = joint_groups(model, draft.frames)
     draft.couplings = find_couplings(model, draft.joints)
     draft.ranges = joint_ranges(model, draft.joints, draft.couplings, draft.notes)

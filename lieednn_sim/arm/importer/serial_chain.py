@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -16,6 +17,8 @@ from lieednn_sim.errors import InputError
 Floats = NDArray[np.float64]
 _FREE, _BALL, _SLIDE, _HINGE = (int(getattr(mujoco.mjtJoint, f"mjJNT_{k}")) for k in ("FREE", "BALL", "SLIDE", "HINGE"))
 _SINGULAR = 1e-3  # smallest relative singular value with which the screws of a compound joint count as independent
+_FINGER = re.compile(r"jaw|finger|fngr|claw|pincer", re.IGNORECASE)
+_GRIPPER = re.compile(_FINGER.pattern + r"|grip", re.IGNORECASE)  # a body of that name may be the one it is fixed to
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +112,8 @@ def longest_chain(model: mujoco.MjModel, base: str | None) -> tuple[Frame, int]:
     A joint counts when an actuator drives it, directly or through a fixed tendon, or when an equality ties it to such a
     joint; in a model without such actuators all count. From each path out of the base a hand is cut off: where
     a path forks, what lies beyond belongs to a hand when it is shorter than what lies before and another branch is at
-    least half as long; so does a last joint that joints off the path follow, as the fingers of a gripper do.
+    least half as long; so does a last joint that joints off the path follow, as the fingers of a gripper do, or that
+    goes by the name of one (`is_gripper`).
 
     Raises:
         InputError: there is no such joint, or several chains are equally long.
@@ -143,6 +147,17 @@ def longest_chain(model: mujoco.MjModel, base: str | None) -> tuple[Frame, int]:
     path = _ancestry(model, best[0])
     first = next(body for body in (path if start is None else path[path.index(start.body) + 1 :]) if weight[body])
     return start or body_frame(model, int(model.body_parentid[first])), best[0]
+
+
+def is_gripper(model: mujoco.MjModel, joint: int) -> bool:
+    """Whether a joint opens a gripper, going by names: its own, its actuators', and of its body a finger's or jaw's."""
+    driving = [
+        model.actuator(a).name
+        for a in range(model.nu)
+        if model.actuator_trntype[a] == int(mujoco.mjtTrn.mjTRN_JOINT) and model.actuator_trnid[a, 0] == joint
+    ]
+    body = model.body(model.jnt_bodyid[joint]).name
+    return any(map(_GRIPPER.search, (model.joint(joint).name, *driving))) or bool(_FINGER.search(body))
 
 
 def cut(
@@ -255,13 +270,16 @@ def _without_hand(
         if 0 < beyond < before and 2 * rival >= beyond:
             path = path[: i + 1]
             break
-    ties = tied_joints(model)
+    ties, opened = tied_joints(model), False
     while path:
         last = _joints_of(model, path[-1])
         on_path = {joint for body in path for joint in _joints_of(model, body)}
         leads_others = any(leader in last and follower not in on_path for follower, leader in ties)
-        if weight[path[-1]] and not leads_others:
+        # Of one joint: what carries it may be called after a finger that does not move.
+        gripper = not opened and weight[path[:-1]].any() and any(is_gripper(model, joint) for joint in last)
+        if weight[path[-1]] and not leads_others and not gripper:
             break
+        opened |= bool(gripper)
         path = path[:-1]
     return path
 
