@@ -164,7 +164,7 @@ def no_ink(monkeypatch: pytest.MonkeyPatch) -> None:
     """
     from lieednn_sim.evaluation import plots
 
-    monkeypatch.setattr(plots, "_save", lambda figure, path: Path(path).write_bytes(b"a picture"))
+    monkeypatch.setattr(plots, "save_figure", lambda figure, path: Path(path).write_bytes(b"a picture"))
 
 
 @pytest.fixture

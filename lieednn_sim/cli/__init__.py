@@ -115,6 +115,14 @@ def _parser() -> argparse.ArgumentParser:
     options.add_training(train)
     options.add_plots(train)
 
+    learn = command(
+        "learn",
+        "learn a certified network from demonstrations of an end effector, and compare it with other models",
+        "The files are .npy, .npz, .csv or LASA's .mat: positions x y or x y z, or poses with a unit quaternion.",
+    )
+    options.add_demonstrations(learn)
+    options.add_plots(learn)
+
     simulate = command(
         "simulate",
         "simulate a run's motion, disturbed if wanted",

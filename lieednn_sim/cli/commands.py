@@ -57,6 +57,13 @@ def train(arguments: argparse.Namespace) -> int:
     return train(arguments)
 
 
+def learn(arguments: argparse.Namespace) -> None:
+    """Demonstrations to network, report and plots."""
+    from lieednn_sim.cli.demonstrations import learn
+
+    learn(arguments)
+
+
 def simulate(arguments: argparse.Namespace) -> None:
     """Network, or a planner's motion, to rollout."""
     run = RunDirectory(arguments.run).existing()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 
-from lieednn_sim.cli.names import ALGORITHMS, ARMS, BIAS_RULES, CONTROLLERS, PLANNERS, SCENES
+from lieednn_sim.cli.names import ALGORITHMS, ARMS, BIAS_RULES, CONTROLLERS, PLANNERS, RIVALS, SCENES
 from lieednn_sim.cli.numerals import decimal, decimal_or_inf, whole
 
 
@@ -182,6 +182,52 @@ def add_simulation(parser: argparse.ArgumentParser) -> None:
             help=f"standard deviation of measured joint {what} [{unit}] (default: %(default)s)",
         )
     parser.add_argument("--noise-seed", type=whole, default=0, metavar="N", help="of that noise (default: %(default)s)")
+
+
+def add_demonstrations(parser: argparse.ArgumentParser) -> None:
+    """Files of demonstrations, how they are read, and what is learned from them."""
+    parser.add_argument("files", nargs="+", metavar="FILE", help="demonstrations of one motion; each ends at its goal")
+    parser.add_argument("--unit", default="m", help="of positions: m, cm or mm (default: %(default)s)")
+    parser.add_argument(
+        "--quaternion", default="wxyz", metavar="ORDER", help="of its entries: wxyz or xyzw (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--sample-rate",
+        type=decimal,
+        default=100.0,
+        metavar="HZ",
+        help="of files without times (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--phase",
+        default="length",
+        help="what demonstrations have in common: length, the share of the way, or time (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--deviation",
+        type=decimal,
+        metavar="M",
+        help="from the mean demonstration that is asked for [m] (default: 0.002 of the demonstrations' extent)",
+    )
+    parser.add_argument(
+        "--clock-rate",
+        type=decimal,
+        default=1.0,
+        metavar="RHO",
+        help="rho: 1 moves with the start, less returns to the path 1/rho times as fast (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--rivals",
+        default=",".join(RIVALS),
+        metavar="A,B,...",
+        help="models to compare with, or none (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--starts", type=whole, default=1000, metavar="N", help="random ones of each model (default: %(default)s)"
+    )
+    parser.add_argument("--no-leave-one-out", action="store_true", help="skip the fits without one of them")
+    parser.add_argument("--seed", type=whole, default=0, help="of the random draws (default: %(default)s)")
+    parser.add_argument("--output", default="results/learned-motion", metavar="DIR", help="(default: %(default)s)")
 
 
 def _one_of(names: Sequence[str]) -> str:

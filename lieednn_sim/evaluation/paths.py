@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from lieednn_sim.errors import InputError
 from lieednn_sim.learning.demonstrations.alignment import LEVER, displacement
+from lieednn_sim.learning.demonstrations.warping import warp
 from lieednn_sim.validation import as_floats, as_positive
 
 Floats = NDArray[np.float64]
@@ -22,13 +22,16 @@ SAMPLES = 1000
 class PathErrors:
     """A path against the one it should follow, both at `SAMPLES` equal steps of their length.
 
+    Pairs of samples are those of the dynamic time warp of least sum (`warping.warp`), so pace does not count. In its
+    distances a radian counts as the lever.
+
     Attributes:
-        rms_mm: root mean square of the distances at equal shares of the length.
+        rms_mm: root mean square of the distances of the pairs' positions.
         rms_deg: the same of the angles between them.
-        dtwd_mm: dynamic-time-warping distance of the positions: a sum over some thousand pairs.
-        frechet_mm: discrete Frechet distance of the positions.
-        goal_mm: distance of their ends.
-        goal_deg: angle between their ends.
+        dtwd_mm: dynamic-time-warping distance: the sum of the distances of all pairs.
+        frechet_mm: discrete Frechet distance.
+        goal_mm: distance of the ends.
+        goal_deg: angle between the ends.
     """
 
     rms_mm: float
@@ -41,59 +44,24 @@ class PathErrors:
 
 def path_errors(reproduced: ArrayLike, shown: ArrayLike, lever: float = LEVER) -> PathErrors:
     """Compare two paths of twists ``(K, 6)`` and ``(L, 6)`` [rad, m]; a radian counts as ``lever`` metres of length."""
+    lever = as_positive("lever", lever)
     one, other = (
-        _spaced(displacement(as_floats(name, path, ("K", 6))), as_positive("lever", lever))
+        _spaced(displacement(as_floats(name, path, ("K", 6))), lever)
         for name, path in (("reproduced", reproduced), ("shown", shown))
     )
-    dtwd, frechet = _warped(one[:, 3:], other[:, 3:])
-    apart = np.linalg.norm(one[:, 3:] - other[:, 3:], axis=1)
-    turned = (Rotation.from_rotvec(one[:, :3]) * Rotation.from_rotvec(other[:, :3]).inv()).magnitude()
+    scale = np.array([lever] * 3 + [1.0] * 3)
+    matched = warp(one * scale, other * scale)
+    first, second = one[matched.pairs[:, 0]], other[matched.pairs[:, 1]]
+    apart = np.linalg.norm(first[:, 3:] - second[:, 3:], axis=1)
+    turned = (Rotation.from_rotvec(first[:, :3]) * Rotation.from_rotvec(second[:, :3]).inv()).magnitude()
     return PathErrors(
         rms_mm=1e3 * float(np.sqrt(np.mean(apart**2))),
         rms_deg=float(np.rad2deg(np.sqrt(np.mean(turned**2)))),
-        dtwd_mm=1e3 * dtwd,
-        frechet_mm=1e3 * frechet,
+        dtwd_mm=1e3 * matched.total,
+        frechet_mm=1e3 * matched.frechet,
         goal_mm=1e3 * float(apart[-1]),
         goal_deg=float(np.rad2deg(turned[-1])),
     )
-
-
-def dtw_distance(one: ArrayLike, other: ArrayLike) -> float:
-    """Dynamic-time-warping distance of samples ``(K, D)`` and ``(L, D)``.
-
-    The least sum of distances over all ways to run through both, at each step further in one or in both of them
-    (Sakoe and Chiba, IEEE T-ASSP 26(1), 1978); not divided by the number of pairs.
-    """
-    return _warped(one, other)[0]
-
-
-def frechet_distance(one: ArrayLike, other: ArrayLike) -> float:
-    """Discrete Frechet distance of samples ``(K, D)`` and ``(L, D)``: as `dtw_distance`, with the largest for the sum.
-
-    Eiter and Mannila, Computing discrete Frechet distance, 1994.
-    """
-    return _warped(one, other)[1]
-
-
-def _warped(one: ArrayLike, other: ArrayLike) -> tuple[float, float]:
-    """The least sum and the least largest distance over all ways to run through both."""
-    first, second = (as_floats(name, path, ("K", "D")) for name, path in (("one", one), ("other", other)))
-    if not len(first) or not len(second) or first.shape[1] != second.shape[1]:
-        raise InputError(f"paths must have samples of the same size, got {first.shape} and {second.shape}")
-    # Pairs (i, k - i) of one sum k at a time: they depend on those of the two sums before it alone. By i + 1 there are
-    # kept the least sums in the first row, the least largest distances in the second.
-    n, m, backwards = len(first), len(second), second[::-1]
-    older, last = np.full((2, 2, n + 1), np.inf)
-    older[:, 0] = 0.0
-    for k in range(n + m - 1):
-        low, high = max(0, k - m + 1), min(n - 1, k) + 1
-        gap = first[low:high] - backwards[low + m - 1 - k : high + m - 1 - k]
-        apart = np.sqrt(np.einsum("ij,ij->i", gap, gap))
-        nearest = np.minimum(np.minimum(last[:, low + 1 : high + 1], last[:, low:high]), older[:, low:high])
-        older, last = last, np.full((2, n + 1), np.inf)
-        last[0, low + 1 : high + 1] = apart + nearest[0]
-        last[1, low + 1 : high + 1] = np.maximum(apart, nearest[1])
-    return float(last[0, n]), float(last[1, n])
 
 
 def _spaced(displaced: Floats, lever: float) -> Floats:

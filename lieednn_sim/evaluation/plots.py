@@ -26,7 +26,7 @@ from lieednn_sim.simulation import Rollout
 Floats = NDArray[np.float64]
 
 # Okabe and Ito's palette, distinguishable by colour-blind readers.
-_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 _PUSH = "0.85"
 _DPI = 130
 # Hidden neurons in a row of a plot of one block, and how the coordinates of each are drawn.
@@ -40,14 +40,14 @@ _LEAST_ERROR, _LEAST_PERCENT = 0.01, 10.0
 _MOST_ROWS, _LONGEST_NAME = 12, 14
 # Left of the axes: ticks and a label of two lines [inch].
 _LABEL = 0.85
-_STYLE: Any = {
+STYLE: Any = {
     "font.size": 9,
     "axes.grid": True,
     "grid.alpha": 0.3,
     "axes.spines.top": False,
     "axes.spines.right": False,
     # Arms may have more links than there are colours.
-    "axes.prop_cycle": cycler(linestyle=["-", "--", ":"]) * cycler(color=_COLOURS),
+    "axes.prop_cycle": cycler(linestyle=["-", "--", ":"]) * cycler(color=COLOURS),
     "legend.frameon": False,
 }
 
@@ -71,7 +71,7 @@ def plot_network(rollout: Rollout, path: str | os.PathLike[str], *, network: Blo
     columns = (("rotation $\\omega$", "[rad]", 0, 1.0), ("translation $v$", "[m]", 3, arm.length_scale))
     hidden = 0 if network is None else network.n_hidden
     below = 0.5 * bool(hidden) + 1.4 * -(-hidden // (_HIDDEN_IN_ROW * blocks))
-    with matplotlib.rc_context(_STYLE):
+    with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(10.0 * blocks, 1.2 + 1.7 * rows + below))
         axes = _subplots(figure, rows, 2 * blocks, sharey="col", below=below)
         for i in range(rows * blocks):
@@ -84,10 +84,10 @@ def plot_network(rollout: Rollout, path: str | os.PathLike[str], *, network: Blo
                     axis.plot(
                         motion.t,
                         scale * motion.xi[:, i, first + c],
-                        color=_COLOURS[c],
+                        color=COLOURS[c],
                         label=f"$\\omega_{coordinate}$ / $v_{coordinate}$",
                     )
-                    axis.axhline(scale * motion.xi_target[i, first + c], color=_COLOURS[c], ls="--", lw=0.9)
+                    axis.axhline(scale * motion.xi_target[i, first + c], color=COLOURS[c], ls="--", lw=0.9)
                 _label(axis, unit, f"{arm.link_names[i]} (neuron {i + 1}): {title}", fontsize=9)
                 if i % rows == rows - 1 or i == n - 1:
                     axis.set_xlabel("time [s]")
@@ -101,7 +101,7 @@ def plot_network(rollout: Rollout, path: str | os.PathLike[str], *, network: Blo
                 handles.append(Line2D([], [], color="0.3", ls=style))
                 labels.append(f"hidden: $\\varphi({kind})$")
         figure.legend(handles, labels, loc="upper center", ncols=_MOST_IN_ROW)
-        _save(figure, path)
+        save_figure(figure, path)
 
 
 def _plot_hidden(figure: Figure, height: float, motion: Motion, network: BlockNetwork, columns: int) -> None:
@@ -116,7 +116,7 @@ def _plot_hidden(figure: Figure, height: float, motion: Motion, network: BlockNe
             axis.set_visible(False)
             continue
         for c, style in enumerate(style for style in _HIDDEN_STYLES.values() for _ in range(3)):
-            axis.plot(motion.t, sent[:, i, c], color=_COLOURS[c % 3], ls=style, lw=1.0)
+            axis.plot(motion.t, sent[:, i, c], color=COLOURS[c % 3], ls=style, lw=1.0)
         axis.set_ylim(-1.08, 1.08)
         kind = "clock" if i >= network.n_hidden - network.n_clock else "hidden"
         _label(axis, "output [1]" if i % columns == 0 else "", f"neuron {first + i + 1} ({kind})", fontsize=9)
@@ -138,7 +138,7 @@ def plot_tracking(rollout: Rollout, path: str | os.PathLike[str]) -> None:
         ("translation", "[mm]", 1e3 * tracking[0], 1e3 * to_go[0], 1e3 * SETTLED_TRANSLATION),
         ("rotation", "[deg]", np.rad2deg(tracking[1]), np.rad2deg(to_go[1]), np.rad2deg(SETTLED_ROTATION)),
     )
-    with matplotlib.rc_context(_STYLE):
+    with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(10.0, 6.0))
         axes = _subplots(figure, 2, 2)
         for (upper, lower), (what, unit, errors, distance, settled) in zip(axes.T, columns, strict=True):
@@ -147,7 +147,7 @@ def plot_tracking(rollout: Rollout, path: str | os.PathLike[str]) -> None:
             # A tenth of the settled error fills the height at least: less is not made to look like much.
             upper.set_ylim(0.0, max(1.08 * float(errors.max()), 0.1 * settled))
             _label(upper, unit, f"tracking error, {what}: planned to simulated frame")
-            lower.semilogy(rollout.t, np.maximum(distance, 1e-3 * settled), color=_COLOURS[3])
+            lower.semilogy(rollout.t, np.maximum(distance, 1e-3 * settled), color=COLOURS[3])
             lower.axhline(settled, color="0.4", ls="--", lw=0.9)
             lower.annotate(
                 f"settled: below {settled:g} {unit[1:-1]}",
@@ -170,7 +170,7 @@ def plot_tracking(rollout: Rollout, path: str | os.PathLike[str]) -> None:
             handles.append(Patch(color=_PUSH))
             labels.append("push")
         figure.legend(handles, labels, loc="upper center", ncols=min(len(labels), _MOST_IN_ROW))
-        _save(figure, path)
+        save_figure(figure, path)
 
 
 def _subplots(
@@ -233,16 +233,16 @@ def plot_joints(rollout: Rollout, path: str | os.PathLike[str]) -> None:
     arm = rollout.arm
     blocks = -(-arm.n_joints // _MOST_ROWS)
     rows = -(-arm.n_joints // blocks)
-    with matplotlib.rc_context(_STYLE):
+    with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(14.0 * blocks, 1.3 + 1.25 * rows))
         axes = _subplots(figure, rows, 4 * blocks, gap=0.2)
         for block in range(blocks):
             joints = range(block * rows, min((block + 1) * rows, arm.n_joints))
             _plot_joints(axes[:, 4 * block : 4 * block + 4], rollout, joints)
         entries: dict[str, Any] = {
-            "simulated": Line2D([], [], color=_COLOURS[0]),
-            "reference": Line2D([], [], color=_COLOURS[4], ls="--"),
-            "limits": Line2D([], [], color=_COLOURS[1], lw=0.8),
+            "simulated": Line2D([], [], color=COLOURS[0]),
+            "reference": Line2D([], [], color=COLOURS[4], ls="--"),
+            "limits": Line2D([], [], color=COLOURS[1], lw=0.8),
             "end of the motion": Line2D([], [], color="0.35", lw=0.9, ls="-."),
         }
         if rollout.disturbances.pushes:
@@ -250,7 +250,7 @@ def plot_joints(rollout: Rollout, path: str | os.PathLike[str]) -> None:
         figure.legend(
             entries.values(), entries.keys(), loc="upper center", bbox_to_anchor=(0.5, 1.0), ncols=len(entries)
         )
-        _save(figure, path)
+        save_figure(figure, path)
 
 
 def _plot_joints(axes: Any, rollout: Rollout, joints: range) -> None:
@@ -259,17 +259,17 @@ def _plot_joints(axes: Any, rollout: Rollout, joints: range) -> None:
     angular = np.array([arm.unit(j) == "rad" for j in range(arm.n_joints)])
     error = np.where(angular, np.rad2deg(1.0), 1e3) * (rollout.q - rollout.q_ref)
     for row, j in zip(axes, joints, strict=False):
-        row[0].plot(rollout.t, rollout.q[:, j], color=_COLOURS[0])
-        row[0].plot(rollout.t, rollout.q_ref[:, j], color=_COLOURS[4], ls="--")
+        row[0].plot(rollout.t, rollout.q[:, j], color=COLOURS[0])
+        row[0].plot(rollout.t, rollout.q_ref[:, j], color=COLOURS[4], ls="--")
         low, high = arm.position_limits[j]
         for bound in (low, high):
-            row[0].axhline(bound, color=_COLOURS[1], lw=0.8)
+            row[0].axhline(bound, color=COLOURS[1], lw=0.8)
         margin = 0.06 * (high - low)
         row[0].set_ylim(low - margin, high + margin)
         name = arm.joint_names[j]
         _label(row[0], f"{name}\n[{arm.unit(j)}]", fontsize=min(9.0, 9.0 * _LONGEST_NAME / len(name)))
         alike = angular == angular[j]
-        row[1].plot(rollout.t, error[:, j], color=_COLOURS[3])
+        row[1].plot(rollout.t, error[:, j], color=COLOURS[3])
         _label(row[1], "[deg]" if angular[j] else "[mm]")
         _from_zero(row[1], error[:, alike], _LEAST_ERROR)
         force_unit = "N m" if angular[j] else "N"
@@ -279,10 +279,10 @@ def _plot_joints(axes: Any, rollout: Rollout, joints: range) -> None:
         ):
             limited = np.isfinite(limits)
             if limited[j]:
-                axis.plot(rollout.t, 100.0 * values[:, j] / limits[j], color=_COLOURS[0])
+                axis.plot(rollout.t, 100.0 * values[:, j] / limits[j], color=COLOURS[0])
                 _from_zero(axis, 100.0 * values[:, limited] / limits[limited], _LEAST_PERCENT)
             else:
-                axis.plot(rollout.t, values[:, j], color=_COLOURS[0])
+                axis.plot(rollout.t, values[:, j], color=COLOURS[0])
                 _from_zero(axis, values[:, alike & ~limited], 0.0)
             _label(axis, "[%]" if limited[j] else f"[{unit}]")
         for axis in row:
@@ -310,7 +310,7 @@ def plot_training(history: History, target: ArrayLike, tolerance: float, path: s
     """Error, accuracy and learning rate by epoch, and the equilibrium's distance to the target by coordinate."""
     goal = np.asarray(target)
     error = np.abs(history.equilibrium - goal)
-    with matplotlib.rc_context(_STYLE):
+    with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(10, 6.4), layout="constrained")
         axes = figure.subplots(2, 2, sharex=True)
         distance, accuracy, rate, equilibrium = axes.ravel()
@@ -334,7 +334,7 @@ def plot_training(history: History, target: ArrayLike, tolerance: float, path: s
         # Rotation and translation of SE(3) by colour; other groups have one kind of coordinate.
         spatial = goal.shape[-1] == 6
         kinds = (("rotation $\\omega$", slice(0, 3)), ("translation $v$", slice(3, 6)))
-        for colour, (name, chosen) in zip(_COLOURS, kinds if spatial else [("coordinates", slice(None))], strict=False):
+        for colour, (name, chosen) in zip(COLOURS, kinds if spatial else [("coordinates", slice(None))], strict=False):
             lines = equilibrium.plot(
                 history.epoch, history.equilibrium[..., chosen].reshape(len(history), -1), color=colour, ls="-", lw=0.9
             )
@@ -347,10 +347,11 @@ def plot_training(history: History, target: ArrayLike, tolerance: float, path: s
         equilibrium.legend(ncols=3, loc="upper center", bbox_to_anchor=(0.5, -0.16))
         for axis in (rate, equilibrium):
             axis.set_xlabel("epoch")
-        _save(figure, path)
+        save_figure(figure, path)
 
 
-def _save(figure: Figure, path: str | os.PathLike[str]) -> None:
+def save_figure(figure: Figure, path: str | os.PathLike[str]) -> None:
+    """Write a figure, atomically, when its layout has settled."""
     settle(figure, _DPI)
     with storage.atomic_path(path) as temporary:
         figure.savefig(temporary, dpi=_DPI)

@@ -221,7 +221,7 @@ def test_the_joints_of_a_large_arm_stand_in_two_blocks(tmp_path, monkeypatch):
     contacts = np.zeros(rows, dtype=int)
     rollout = Rollout(arm=arm, t=np.arange(3.0), **log, **poses, contacts=contacts, motion_end=1.0)
     drawn = []
-    monkeypatch.setattr(plots, "_save", lambda figure, path: drawn.append(figure))
+    monkeypatch.setattr(plots, "save_figure", lambda figure, path: drawn.append(figure))
     plots.plot_joints(rollout, tmp_path / "joints.png")
     (figure,) = drawn
     width, height = figure.get_size_inches()

@@ -7,7 +7,7 @@ import numpy as np
 from lieednn_sim.evaluation.fields import Attraction, attraction, random_starts
 from lieednn_sim.learning.demonstrations import Demonstration, align
 from lieednn_sim.learning.demonstrations.alignment import displacement
-from lieednn_sim.learning.demonstrations.models import LinearAttractor, run_field
+from lieednn_sim.learning.demonstrations.models import LinearAttractor, even_grid, run_field
 
 LINE = align([Demonstration.from_samples([[2.0, 0.0], [0.0, 0.0]], [0.0, 1.0])])
 
@@ -23,7 +23,7 @@ class TwoWells:
         def field(x):
             return np.where(shift > 0.0, 10.0 * (x - x**3), -x)
 
-        return run_field(field, start + shift, t, 0.01) - shift
+        return run_field(field, start + shift, even_grid(t[-1], 0.01), t) - shift
 
 
 def test_a_second_attractor_is_found():

@@ -20,7 +20,7 @@ from lieednn_sim.simulation import Disturbances, Push, Rollout
 def drawn(monkeypatch):
     """The figures, kept instead of written."""
     figures = []
-    monkeypatch.setattr(plots, "_save", lambda figure, path: figures.append(figure))
+    monkeypatch.setattr(plots, "save_figure", lambda figure, path: figures.append(figure))
     return figures
 
 
@@ -139,7 +139,7 @@ def test_the_training_s_plot_has_units_and_ticks(drawn):
 def test_plots_are_written_in_the_format_of_the_name(kind, first, tmp_path):
     figure = Figure(figsize=(1, 1), layout="constrained")
     figure.subplots().set_title("$\\xi$")
-    plots._save(figure, tmp_path / f"plot.{kind}")
+    plots.save_figure(figure, tmp_path / f"plot.{kind}")
     assert (tmp_path / f"plot.{kind}").read_bytes().startswith(first)
 
 

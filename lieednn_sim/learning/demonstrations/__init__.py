@@ -3,5 +3,6 @@
 from lieednn_sim.learning.demonstrations.alignment import Demonstrations, align
 from lieednn_sim.learning.demonstrations.files import load_demonstrations
 from lieednn_sim.learning.demonstrations.recording import Demonstration
+from lieednn_sim.learning.demonstrations.shaped import ShapedMotion
 
-__all__ = ["Demonstration", "Demonstrations", "align", "load_demonstrations"]
+__all__ = ["Demonstration", "Demonstrations", "ShapedMotion", "align", "load_demonstrations"]

@@ -56,14 +56,13 @@ class LinearAttractor:
         return start[..., None, :] * np.exp(-DECAY / self.duration * t)[:, None]
 
 
-def run_field(field: Callable[[Floats], Floats], start: Floats, t: Floats, step: float) -> Floats:
-    """States ``(n, K, d)`` of x' = field(x) at times ``(K,)`` from 0 on, from states ``(n, d)``.
+def run_field(field: Callable[[Floats], Floats], start: Floats, grid: Floats, t: Floats) -> Floats:
+    """States ``(n, K, d)`` of x' = field(x) at times ``(K,)``, from states ``(n, d)`` at the first time of a grid.
 
-    Runge and Kutta's method of fourth order with a fixed step, linear in between.
+    Runge and Kutta's method of fourth order on the grid ``(G,)``, linear in between.
     """
-    grid = step * np.arange(float(np.ceil(t[-1] / step)) + 1.0)
     states = [start]
-    for _ in grid[1:]:
+    for step in np.diff(grid):
         check_time()
         x = states[-1]
         k1 = field(x)
@@ -72,6 +71,11 @@ def run_field(field: Callable[[Floats], Floats], start: Floats, t: Floats, step:
         k4 = field(x + step * k3)
         states.append(x + step / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4))
     return at_times(np.stack(states, axis=1), grid, t)
+
+
+def even_grid(end: float, step: float) -> Floats:
+    """Times from 0 to ``end`` or just beyond."""
+    return step * np.arange(float(np.ceil(end / step)) + 1.0)
 
 
 def at_times(states: Floats, grid: Floats, t: Floats) -> Floats:

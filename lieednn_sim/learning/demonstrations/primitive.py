@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from lieednn_sim.budget import check_time
 from lieednn_sim.learning.demonstrations.alignment import Demonstrations, displacement, twist_of
-from lieednn_sim.learning.demonstrations.models import DECAY, at_times
+from lieednn_sim.learning.demonstrations.models import DECAY, at_times, even_grid
 from lieednn_sim.lie import exp
 from lieednn_sim.values import frozen
 
@@ -85,7 +85,7 @@ class MovementPrimitive:
     def reproduce(self, start: Floats, t: Floats) -> Floats:
         """As `MotionModel.reproduce`."""
         states = start.reshape(-1, 6)
-        grid = STEP * np.arange(float(np.ceil(t[-1] / self.duration / STEP)) + 1.0)
+        grid = even_grid(t[-1] / self.duration, STEP)
         drive = _forcing(len(self.weights), grid) @ self.weights
         pose = exp(states)
         turn, position, rate = pose.rotation, pose.translation, np.zeros((len(states), 6))

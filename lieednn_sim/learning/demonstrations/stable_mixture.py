@@ -17,7 +17,7 @@ from scipy.optimize import least_squares
 
 from lieednn_sim._blas import one_blas_thread
 from lieednn_sim.learning.demonstrations.alignment import Demonstrations
-from lieednn_sim.learning.demonstrations.models import run_field
+from lieednn_sim.learning.demonstrations.models import even_grid, run_field
 from lieednn_sim.values import frozen
 
 Floats = NDArray[np.float64]
@@ -86,7 +86,8 @@ class StableMixture:
         shown = _shown(len(self.units))
         twists = np.zeros((start[..., 0].size, len(t), 6))
         first = start.reshape(-1, 6)[:, shown] / self.units
-        twists[..., shown] = run_field(self.velocity, first, t / self.duration, _STEP) * self.units
+        times = t / self.duration
+        twists[..., shown] = run_field(self.velocity, first, even_grid(times[-1], _STEP), times) * self.units
         return twists.reshape(*start.shape[:-1], len(t), 6)
 
     def velocity(self, x: Floats) -> Floats:

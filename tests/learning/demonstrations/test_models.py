@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 
 from lieednn_sim.learning.demonstrations.alignment import displacement
-from lieednn_sim.learning.demonstrations.models import LinearAttractor, at_times, run_field
+from lieednn_sim.learning.demonstrations.models import LinearAttractor, at_times, even_grid, run_field
 from lieednn_sim.learning.demonstrations.primitive import MovementPrimitive
+from lieednn_sim.learning.demonstrations.shaped import ShapedMotion
 from lieednn_sim.learning.demonstrations.stable_mixture import StableMixture
+from lieednn_sim.synthesis import ShapingOptions
 
 
 def test_linear_attractor_is_straight(posed):
@@ -21,7 +23,10 @@ def test_linear_attractor_is_straight(posed):
 
 def test_runge_and_kutta_on_a_rotation():
     path = run_field(
-        lambda x: x @ np.array([[0.0, 1.0], [-1.0, 0.0]]), np.array([[1.0, 0.0]]), np.array([0.0, 1.0]), 0.1
+        lambda x: x @ np.array([[0.0, 1.0], [-1.0, 0.0]]),
+        np.array([[1.0, 0.0]]),
+        even_grid(1.0, 0.1),
+        np.array([0.0, 1.0]),
     )
     np.testing.assert_allclose(path[0, 1], [np.cos(1.0), np.sin(1.0)], atol=1e-6)
 
@@ -81,3 +86,21 @@ def test_the_mixture_is_fitted_along_its_gradient(planar):
     model = StableMixture.fit(replace(planar, twists=line), 10)
     x = np.array([[1.0, 0.6]])
     np.testing.assert_allclose(model.velocity(x), -3.0 * x, rtol=3e-2)
+
+
+@pytest.mark.parametrize("rate", [1.0, 0.5])
+def test_a_shaped_network_follows_the_mean_and_forgets_the_start_as_fast_as_it_should(planar, rate):
+    model = ShapedMotion.fit(planar, 2e-3, ShapingOptions(rate=rate))
+    assert model.shaping.success
+    assert model.network.certified
+    t = np.linspace(0.0, planar.duration, 80)
+    wanted = at_times(planar.mean[None], planar.t, t)[0]
+    path = model.reproduce(np.stack([planar.mean[0], planar.mean[0] + np.eye(6)[3] * 0.1]), t)
+    np.testing.assert_allclose(path[0], wanted, atol=8e-3)
+    # What is off decays with the visible neurons' own rate: x' = -x + what does not depend on x.
+    tau = np.interp(t, model.t, model.tau)
+    np.testing.assert_allclose(path[1, :, 3] - path[0, :, 3], 0.1 * np.exp(-tau), atol=1e-5)
+    # The same by the integrator of the package.
+    way = model.network.trajectory(model.network.start(planar.mean[:1]), tau[40])
+    np.testing.assert_allclose(path[0, 40], model.network.visible(way.xi[-1])[0], atol=2e-5)
+    assert model.n_parameters == 10 * (model.network.n_hidden - model.network.n_clock)

@@ -1,0 +1,96 @@
+"""The command ``learn``: demonstrations to a certified network, with a report and plots."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+import numpy as np
+
+from lieednn_sim import storage
+from lieednn_sim.cli.console import console, progress, wrote
+from lieednn_sim.errors import InputError
+from lieednn_sim.evaluation.demonstrations import RIVALS, ModelRow, compare_models, of_models
+from lieednn_sim.evaluation.plot_demonstrations import plot_field, plot_paths
+from lieednn_sim.learning.demonstrations import Demonstrations, align, load_demonstrations
+from lieednn_sim.learning.demonstrations.shaped import ShapedMotion
+from lieednn_sim.synthesis import ShapingOptions
+from lieednn_sim.validation import as_choice, as_count, as_seed
+
+_PLOTS = ("png", "pdf", "svg")
+
+
+def learn(arguments: argparse.Namespace) -> None:
+    """Read, fit, compare, and write ``network.npz``, ``report.json`` and two plots."""
+    # Bad values stop before the work.
+    kind = as_choice("kind of plots", arguments.plots, _PLOTS)
+    rivals = [] if arguments.rivals in ("", "none") else arguments.rivals.split(",")
+    for name in rivals:
+        as_choice("rival", name, RIVALS)
+    starts, seed = as_count("starts", arguments.starts), as_seed("seed", arguments.seed)
+    options = ShapingOptions(rate=arguments.clock_rate)
+    shown = load_demonstrations(
+        arguments.files, unit=arguments.unit, quaternion=arguments.quaternion, rate=arguments.sample_rate
+    )
+    demonstrations = align(shown, phase=arguments.phase)
+    if demonstrations.extent <= 0.0:
+        raise InputError("the mean of the demonstrations does not move")
+    directory = storage.make_directory(arguments.output)
+    network, report = directory / "network.npz", directory / "report.json"
+    paths, field = directory / f"paths.{kind}", directory / f"field.{kind}"
+    with storage.locked(directory):
+        storage.check_outputs([network, report, paths, field])
+        shaped = ShapedMotion.fit(demonstrations, arguments.deviation, options, seed)
+        with progress("learn") as bar:
+            rows, models = compare_models(
+                demonstrations,
+                shaped,
+                options,
+                rivals=rivals,
+                starts=starts,
+                leave_one_out=not arguments.no_leave_one_out,
+                seed=seed,
+                progress=bar,
+            )
+        shaped.network.save(network)
+        storage.save_json(report, _report(arguments, demonstrations, shaped, rows))
+        plot_paths(models, demonstrations, paths)
+        plot_field(shaped, demonstrations, field, seed)
+    console.print(
+        f"{len(shown)} demonstrations, {shown[0].shown}, {demonstrations.extent:.3g} m across, "
+        f"{demonstrations.duration:.3g} s; {shaped.shaping.message}"
+    )
+    console.print(of_models(rows, turns=demonstrations.freedoms == 6))
+    console.print(f"stability: {shaped.network.certificate}")
+    wrote(network, report, paths, field)
+
+
+def _report(
+    arguments: argparse.Namespace, demonstrations: Demonstrations, shaped: ShapedMotion, rows: list[ModelRow]
+) -> dict[str, Any]:
+    """All conditions, what the network's numbers mean, and the table."""
+    goal = demonstrations.goal
+    return {
+        "files": [str(name) for name in arguments.files],
+        "unit": arguments.unit,
+        "quaternion": arguments.quaternion,
+        "sample_rate_hz": arguments.sample_rate,
+        "phase": arguments.phase,
+        "clock_rate": arguments.clock_rate,
+        "seed": arguments.seed,
+        "demonstrations": len(demonstrations),
+        "freedoms": demonstrations.freedoms,
+        "extent_m": demonstrations.extent,
+        "spread_m": float(np.linalg.norm(demonstrations.spread[:, 3:], axis=1).max()),
+        "lever_m": demonstrations.lever,
+        "goal_position_m": goal.translation.tolist(),
+        "goal_quaternion_wxyz": goal.rotation.as_quat(scalar_first=True).tolist(),
+        "network_message": shaped.shaping.message,
+        "network_deviation_m": shaped.shaping.deviation,
+        "network_within_deviation": shaped.shaping.success,
+        "network_certified": shaped.network.certified,
+        # The law of time: at t [s] the network is at tau of its own time.
+        "t_s": shaped.t.tolist(),
+        "tau": shaped.tau.tolist(),
+        "models": [row.as_dict() for row in rows],
+    }

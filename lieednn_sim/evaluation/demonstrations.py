@@ -1,0 +1,166 @@
+"""Models of the same demonstrations compared: what they reproduce, what they foretell, and where else they lead."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, fields, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieednn_sim._blas import one_blas_thread
+from lieednn_sim.budget import cpu_time
+from lieednn_sim.evaluation.display import table
+from lieednn_sim.evaluation.fields import Attraction, attraction, random_starts
+from lieednn_sim.evaluation.paths import PathErrors, path_errors
+from lieednn_sim.learning.demonstrations import Demonstrations
+from lieednn_sim.learning.demonstrations.models import LinearAttractor, MotionModel
+from lieednn_sim.learning.demonstrations.primitive import MovementPrimitive
+from lieednn_sim.learning.demonstrations.shaped import ShapedMotion
+from lieednn_sim.learning.demonstrations.stable_mixture import StableMixture
+from lieednn_sim.synthesis import ShapingOptions
+from lieednn_sim.validation import as_choice
+
+if TYPE_CHECKING:
+    from rich.console import Group
+
+Floats = NDArray[np.float64]
+
+# What fits a model with about so many parameters.
+RIVALS: Mapping[str, Callable[[Demonstrations, int], MotionModel]] = {
+    MovementPrimitive.name: MovementPrimitive.fit,
+    StableMixture.name: StableMixture.fit,
+    LinearAttractor.name: lambda demonstrations, _: LinearAttractor.fit(demonstrations),
+}
+# Instants of a reproduction.
+_INSTANTS = 600
+
+
+@dataclass(frozen=True)
+class ModelRow:
+    """One model of one set of demonstrations.
+
+    Attributes:
+        model: its name.
+        n_parameters: numbers that were fitted.
+        fit_s: CPU time of the fit [s].
+        mean: errors from the mean start against the mean demonstration.
+        training: errors from each demonstration's start against it, on average.
+        left_out: the same of models fitted without the demonstration; None where there is one alone, or it was not
+            asked for.
+        attraction: where random starts ended.
+    """
+
+    model: str
+    n_parameters: int
+    fit_s: float
+    mean: PathErrors
+    training: PathErrors
+    left_out: PathErrors | None
+    attraction: Attraction
+
+    def as_dict(self) -> dict[str, Any]:
+        """Values by name, as JSON can hold them."""
+        return asdict(self)
+
+
+def reproduction(model: MotionModel, demonstrations: Demonstrations, start: Floats) -> Floats:
+    """Twists ``(K, 6)`` from a twist ``(6,)`` until the model's motion is over."""
+    return model.reproduce(start, np.linspace(0.0, model.durations * demonstrations.duration, _INSTANTS))
+
+
+def compare_models(
+    demonstrations: Demonstrations,
+    shaped: ShapedMotion,
+    options: ShapingOptions,
+    *,
+    rivals: Sequence[str] = tuple(RIVALS),
+    starts: int = 1000,
+    leave_one_out: bool = True,
+    seed: int = 0,
+    progress: Callable[[int, int], None] | None = None,
+) -> tuple[list[ModelRow], dict[str, MotionModel]]:
+    """Compare a shaped network with models of as many parameters.
+
+    Args:
+        demonstrations: to learn from.
+        shaped: fitted to all of them.
+        options: that it was fitted with. What is fitted without one of them has as many hidden neurons from the first.
+        rivals: names of `RIVALS`.
+        starts: random ones, see `fields.random_starts`.
+        leave_one_out: fit each model again without each of the demonstrations.
+        seed: of the starts and the fits.
+        progress: called with what is done, and the total.
+
+    Returns:
+        A row for each model, and the models by name, the network first.
+    """
+    names = [as_choice("rival", name, RIVALS) for name in rivals]
+    hidden = shaped.network.n_hidden - shaped.network.n_clock
+    again = replace(options, neurons=(hidden,), restarts=0)
+    fits: dict[str, Callable[[Demonstrations], MotionModel]] = {
+        shaped.name: lambda some: ShapedMotion.fit(some, options=again, seed=seed)
+    }
+    for name in names:
+        fits[name] = lambda some, fit=RIVALS[name]: fit(some, shaped.n_parameters)  # type: ignore[misc]
+    n, places = len(demonstrations), random_starts(demonstrations, starts, seed)
+    folds = range(n) if leave_one_out and n > 1 else range(0)
+    rows: list[ModelRow] = []
+    models: dict[str, MotionModel] = {}
+    with one_blas_thread():
+        for number, (name, fit) in enumerate(fits.items()):
+            begun = cpu_time()
+            model: MotionModel = shaped if name == shaped.name else fit(demonstrations)
+            seconds = shaped.shaping.seconds if name == shaped.name else cpu_time() - begun
+            without = []
+            for k in folds:
+                if progress:
+                    progress(number * (len(folds) + 1) + k, len(fits) * (len(folds) + 1))
+                without.append(_errors(fit(demonstrations.without(k)), demonstrations, demonstrations.twists[k]))
+            row = ModelRow(
+                model=name,
+                n_parameters=model.n_parameters,
+                fit_s=seconds,
+                mean=_errors(model, demonstrations, demonstrations.mean),
+                training=mean_errors([_errors(model, demonstrations, one) for one in demonstrations.twists]),
+                left_out=mean_errors(without) if without else None,
+                attraction=attraction(model, demonstrations, places),
+            )
+            rows.append(row)
+            models[name] = model
+    return rows, models
+
+
+def _errors(model: MotionModel, demonstrations: Demonstrations, shown: Floats) -> PathErrors:
+    return path_errors(reproduction(model, demonstrations, shown[0]), shown, demonstrations.lever)
+
+
+def mean_errors(errors: Sequence[PathErrors]) -> PathErrors:
+    """The mean of each number."""
+    return PathErrors(*(float(np.mean([getattr(one, f.name) for one in errors])) for f in fields(PathErrors)))
+
+
+def of_models(rows: Sequence[ModelRow], *, turns: bool) -> Group:
+    """What a terminal shows of a comparison; ``turns`` where poses were shown."""
+    from rich.console import Group
+
+    angle = ["deg"] if turns else []
+    errors = table("reproduction", "model", "path", "RMS mm", *angle, "DTWD mm", "Frechet mm", "goal mm")
+    starts = table("models and starts elsewhere", "model", "parameters", "fit s", "arrived", "spurious attractors")
+    for row in rows:
+        name = row.model
+        for path, found in (("mean", row.mean), ("training", row.training), ("left out", row.left_out)):
+            if found is None:
+                continue
+            cells = [f"{found.rms_mm:.2f}", *([f"{found.rms_deg:.2f}"] if turns else [])]
+            cells += [f"{found.dtwd_mm:.0f}", f"{found.frechet_mm:.2f}", f"{found.goal_mm:.2g}"]
+            errors.add_row(name, path, *cells)
+            name = ""
+        reached = row.attraction
+        shown = [str(row.n_parameters), f"{row.fit_s:.1f}", f"{reached.arrived}/{reached.starts}"]
+        starts.add_row(row.model, *shown, str(reached.spurious))
+    errors.caption = (
+        "From the start of the mean and of each demonstration; left out: fitted without the one compared with."
+    )
+    return Group(errors, starts)

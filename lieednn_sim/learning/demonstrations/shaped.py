@@ -1,0 +1,126 @@
+"""A certified network shaped by demonstrations: one visible neuron, whose state is the frame's twist from its goal."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieednn_sim.learning.demonstrations.alignment import Demonstrations, displacement
+from lieednn_sim.learning.demonstrations.models import run_field
+from lieednn_sim.learning.demonstrations.warping import warp
+from lieednn_sim.network import LieEDNN
+from lieednn_sim.synthesis import Shaping, ShapingOptions, shape
+from lieednn_sim.validation import as_positive
+from lieednn_sim.values import frozen
+
+Floats = NDArray[np.float64]
+
+# Deviation asked for where the user asks for none, in extents of the demonstrations.
+DEVIATION = 2e-3
+# Of the network's time: after this, over rho, less than a millionth of the way is left; steps at most; and steps in
+# the share of the way that the clock has left, a tenth of the width of the steepest switch.
+_SPAN, _LONGEST_STEP, _SHARE_STEP = 16.0, 0.2, 1.0 / 600.0
+# Numbers of a switch that are not zero by construction: all of them, or without rotational halves and shifts.
+_PER_SWITCH = {2: 10, 3: 10, 6: 19}
+
+
+@frozen
+class ShapedMotion:
+    """A shaped network with the law of time of the demonstrations.
+
+    Attributes:
+        network: of one visible neuron in twists [rad, m] from the goal; certified.
+        rate: rho, of its clock.
+        t: ``(K,)`` times of the demonstrations' phases [s].
+        tau: ``(K,)`` the network's own time there.
+        freedoms: 2, 3 or 6.
+        shaping: the search that found the network.
+    """
+
+    network: LieEDNN
+    rate: float
+    t: Floats
+    tau: Floats
+    freedoms: int
+    shaping: Shaping
+
+    name: ClassVar[str] = "lieednn-shaped"
+    durations: ClassVar[float] = 1.0
+
+    @classmethod
+    def fit(
+        cls,
+        demonstrations: Demonstrations,
+        deviation: float | None = None,
+        options: ShapingOptions | None = None,
+        seed: int = 0,
+    ) -> ShapedMotion:
+        """Shape a network by the mean of the demonstrations.
+
+        Args:
+            demonstrations: to follow.
+            deviation: from their mean that is asked for [m], a radian counting for their lever; `DEVIATION` of their
+                extent by default. Neurons are added until it is met; see `Shaping.success`.
+            options: of the search.
+            seed: of its starts.
+        """
+        chosen = ShapingOptions() if options is None else options
+        asked = DEVIATION * demonstrations.extent if deviation is None else as_positive("deviation", deviation)
+        units = np.array([demonstrations.lever] * 3 + [1.0] * 3)
+        shaping = shape(demonstrations.mean[:, None], asked, units=units, options=chosen, seed=seed)
+        times = np.array([0.0, demonstrations.duration])
+        ends = np.array([0.0, _SPAN / chosen.rate])
+        made = cls(shaping.network, chosen.rate, times, ends, demonstrations.freedoms, shaping)
+        tau = made._beside(demonstrations)
+        return cls(shaping.network, chosen.rate, demonstrations.t, tau, demonstrations.freedoms, shaping)
+
+    @property
+    def n_parameters(self) -> int:
+        """Numbers of the switches that are not zero by construction."""
+        return _PER_SWITCH[self.freedoms] * (self.network.n_hidden - self.network.n_clock)
+
+    def reproduce(self, start: Floats, t: Floats) -> Floats:
+        """As `MotionModel.reproduce`: the network run from there, hidden neurons at their start.
+
+        After the demonstrations' duration the network runs on as it did on average.
+        """
+        pace = self.tau[-1] / self.t[-1]
+        tau = np.where(t > self.t[-1], self.tau[-1] + pace * (t - self.t[-1]), np.interp(t, self.t, self.tau))
+        return self._run(start.reshape(-1, 6), tau).reshape(*start.shape[:-1], len(t), 6)
+
+    def _run(self, start: Floats, tau: Floats) -> Floats:
+        """Twists ``(n, K, 6)`` at times of the network's own, from twists ``(n, 6)``."""
+        network = self.network
+        weight, bias = network.weight.T, network.bias.ravel()
+
+        def field(x: Floats) -> Floats:
+            output = network.phi(x.reshape(-1, *network.bias.shape)).reshape(x.shape)
+            return -network.gamma * x + network.mu * (output @ weight + bias)
+
+        states = np.concatenate([start, np.tile(network.hidden_start.ravel(), (len(start), 1))], axis=1)
+        return run_field(field, states, _grid(max(tau[-1], 1.0), self.rate), tau)[..., :6]
+
+    def _beside(self, demonstrations: Demonstrations) -> Floats:
+        """Times ``(K,)`` of the network's own at which it is beside the mean demonstration's phases."""
+        tau = _grid(_SPAN / self.rate, self.rate)
+        scale = [demonstrations.lever] * 3 + [1.0] * 3
+        shown, found = (
+            displacement(path) * scale for path in (demonstrations.mean, self._run(demonstrations.mean[:1], tau)[0])
+        )
+        phase, index = warp(shown, found).pairs.T
+        # The middle of all that a phase is matched with; the last is at rest.
+        beside = np.bincount(phase, tau[index]) / np.bincount(phase)
+        beside[0], beside[-1] = 0.0, tau[-1]
+        return beside
+
+
+def _grid(end: float, rate: float) -> Floats:
+    """Times ``(G,)`` from 0 to ``end`` of the network's own, closer together while its switches are steep."""
+    # dt = d ln(1 / share) / rho in equal steps of the share, until the longest step.
+    shares = np.arange(1.0, _SHARE_STEP / (_LONGEST_STEP * rate), -_SHARE_STEP)
+    first = -np.log(shares) / rate
+    first = first[first < end]
+    rest = np.linspace(first[-1], end, int(np.ceil((end - first[-1]) / _LONGEST_STEP)) + 1)
+    return np.concatenate([first, rest[1:]])

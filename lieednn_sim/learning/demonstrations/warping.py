@@ -1,0 +1,62 @@
+"""Dynamic time warping: which samples of two paths belong together."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lieednn_sim.errors import InputError
+from lieednn_sim.validation import as_floats
+from lieednn_sim.values import frozen
+
+Floats = NDArray[np.float64]
+
+
+@frozen
+class Warp:
+    """How two paths are run through together.
+
+    Attributes:
+        total: dynamic-time-warping distance: the least sum of distances over all ways to run through both, at each step
+            further in one or in both (Sakoe and Chiba, IEEE T-ASSP 26(1), 1978); not divided by their number.
+        frechet: discrete Frechet distance: the least largest distance over all such ways (Eiter and Mannila, 1994).
+        pairs: ``(L, 2)`` indices of the samples of the way of least sum.
+    """
+
+    total: float
+    frechet: float
+    pairs: NDArray[np.intp]
+
+
+def warp(one: ArrayLike, other: ArrayLike) -> Warp:
+    """Match samples ``(K, D)`` and ``(L, D)`` of two paths.
+
+    Raises:
+        InputError: there is no sample, or they are of different sizes.
+    """
+    first, second = (as_floats(name, path, ("K", "D")) for name, path in (("one", one), ("other", other)))
+    n, m, backwards = len(first), len(second), second[::-1]
+    if not n or not m or first.shape[1] != second.shape[1]:
+        raise InputError(f"paths must have samples of the same size, got {first.shape} and {second.shape}")
+    # Pairs (i, k - i) of one sum k at a time: they depend on those of the two sums before it alone. By i + 1 there are
+    # kept the least sums in the first row, the least largest distances in the second.
+    older, last = np.full((2, 2, n + 1), np.inf)
+    older[:, 0] = 0.0
+    came = np.zeros((n + m - 1, n), dtype=np.int8)
+    for k in range(n + m - 1):
+        low, high = max(0, k - m + 1), min(n - 1, k) + 1
+        gap = first[low:high] - backwards[low + m - 1 - k : high + m - 1 - k]
+        apart = np.sqrt(np.einsum("ij,ij->i", gap, gap))
+        before = np.stack([older[:, low:high], last[:, low:high], last[:, low + 1 : high + 1]])
+        came[k, low:high] = np.argmin(before[:, 0], axis=0)
+        sums, largest = before.min(axis=0)
+        older, last = last, np.full((2, n + 1), np.inf)
+        last[0, low + 1 : high + 1] = apart + sums
+        last[1, low + 1 : high + 1] = np.maximum(apart, largest)
+    i, j = n - 1, m - 1
+    pairs = [(i, j)]
+    while i or j:
+        step = came[i + j, i]
+        i, j = i - (step != 2), j - (step != 1)
+        pairs.append((i, j))
+    return Warp(float(last[0, n]), float(last[1, n]), np.array(pairs[::-1]))

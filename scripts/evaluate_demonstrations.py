@@ -1,0 +1,104 @@
+"""Learn from recorded demonstrations: RoboTasks' poses and LASA's handwriting, against other models.
+
+    python scripts/evaluate_demonstrations.py FOLDER [--only robottasks,Angle,...] [--output results/demonstrations]
+
+FOLDER holds ``robottasks/*.npy`` (centimetres, quaternions w x y z) and ``lasa/*.mat`` (millimetres); they are not part
+of this project. Each set is a file in the output folder, and is not computed again while that is there, so that an
+interrupted run goes on where it was; ``demonstrations.md`` is the table of all that are there. All columns but the
+times are the same on every run.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lieednn_sim import storage
+from lieednn_sim.evaluation.demonstrations import compare_models
+from lieednn_sim.learning.demonstrations import align, load_demonstrations
+from lieednn_sim.learning.demonstrations.shaped import ShapedMotion
+from lieednn_sim.synthesis import ShapingOptions
+
+STARTS = 1000
+KINDS = {"robottasks": ("*.npy", "cm"), "lasa": ("*.mat", "mm")}
+
+
+def evaluate(path: Path, kind: str, starts: int) -> dict[str, Any]:
+    """All models of the demonstrations in one file."""
+    demonstrations = align(load_demonstrations([path], unit=KINDS[kind][1]))
+    options = ShapingOptions()
+    shaped = ShapedMotion.fit(demonstrations, options=options)
+    rows, _ = compare_models(demonstrations, shaped, options, starts=starts)
+    return {
+        "kind": kind,
+        "set": path.stem,
+        "demonstrations": len(demonstrations),
+        "extent_mm": 1e3 * demonstrations.extent,
+        "hidden_neurons": shaped.network.n_hidden,
+        "certified": shaped.network.certified,
+        "models": [row.as_dict() for row in rows],
+    }
+
+
+def table(found: Sequence[dict[str, Any]], kind: str) -> list[str]:
+    """Markdown: a line for each set and model, and the means of each model."""
+    turns = kind == "robottasks"
+    columns = ["RMS mm", *(["deg"] if turns else []), "DTWD mm", "Frechet mm"]
+    heads = [f"{column}, {what}" for what in ("mean", "training", "left out") for column in columns]
+    head = ["set", "model", "parameters", *heads, "goal mm", "arrived", "spurious", "fit s"]
+    lines = ["| " + " | ".join(head) + " |", "| --- " * len(head) + "|"]
+    keys = ["rms_mm", *(["rms_deg"] if turns else []), "dtwd_mm", "frechet_mm"]
+    numbers: dict[str, list[list[float]]] = {}
+    for one in found:
+        for row in one["models"]:
+            values = [row[what][key] for what in ("mean", "training", "left_out") for key in keys]
+            values.append(row["training"]["goal_mm"])
+            numbers.setdefault(row["model"], []).append(values)
+            reached = row["attraction"]
+            shown = [_number(value) for value in values]
+            cells = [one["set"], row["model"], str(row["n_parameters"]), *shown]
+            cells += [f"{reached['arrived']}/{reached['starts']}", str(reached["spurious"]), f"{row['fit_s']:.1f}"]
+            lines.append("| " + " | ".join(cells) + " |")
+    for model, values in numbers.items():
+        shown = [_number(value) for value in np.mean(values, axis=0)]
+        lines.append("| " + " | ".join(["**mean**", model, "", *shown, "", "", ""]) + " |")
+    return lines
+
+
+def _number(value: float) -> str:
+    return f"{value:.0f}" if value >= 100.0 else f"{value:.2f}"
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--only", default="", help="kinds or names of sets, separated by commas")
+    parser.add_argument("--starts", type=int, default=STARTS)
+    parser.add_argument("--output", type=Path, default=Path("results/demonstrations"))
+    given = parser.parse_args(arguments)
+    directory = storage.make_directory(given.output)
+    wanted = set(filter(None, given.only.split(",")))
+    for kind, (pattern, _) in KINDS.items():
+        for path in sorted((given.folder / kind).glob(pattern)):
+            cache = directory / f"{path.stem}.json"
+            if not cache.exists() and (not wanted or {kind, path.stem} & wanted):
+                storage.save_json(cache, evaluate(path, kind, given.starts))
+                print(f"{path.stem}: done", flush=True)
+    found = [json.loads(cache.read_text()) for cache in sorted(directory.glob("*.json"))]
+    lines = ["# Models of demonstrations", "", "`python scripts/evaluate_demonstrations.py FOLDER`", ""]
+    for kind in KINDS:
+        sets = [one for one in found if one["kind"] == kind]
+        if sets:
+            lines += [f"## {kind}", "", *table(sets, kind), ""]
+    with storage.atomic_text(directory / "demonstrations.md") as stream:
+        stream.write("\n".join(lines))
+    print(directory / "demonstrations.md")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,80 @@
+"""The command ``learn``: files in, a certified network, a report and two plots out."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from lieednn_sim.cli import main
+from lieednn_sim.cli.names import RIVALS as NAMED
+from lieednn_sim.evaluation import paths
+from lieednn_sim.evaluation.demonstrations import RIVALS
+from lieednn_sim.network import LieEDNN
+
+
+@pytest.fixture
+def hook(tmp_path):
+    """Two demonstrations in centimetres and in a plane, a file each."""
+    s = np.linspace(0.0, 1.0, 60)
+    for k, name in enumerate(("a.csv", "b.csv")):
+        path = np.column_stack([30.0 * (1.0 - s), (9.0 + k) * np.sin(np.pi * s)])
+        np.savetxt(tmp_path / name, np.add(path, [100.0, 7.0 * k]), delimiter=",")
+    return [str(tmp_path / name) for name in ("a.csv", "b.csv")]
+
+
+def test_names_in_the_help_are_those_there_are():
+    assert tuple(RIVALS) == NAMED
+
+
+def test_learn(hook, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(paths, "SAMPLES", 150)
+    output = tmp_path / "learned"
+    words = ["learn", *hook, "--unit", "cm", "--starts", "20", "--rivals", "dmp"]
+    words += ["--deviation", "0.004", "--output", str(output)]
+    assert main(words) == 0
+    printed = capsys.readouterr().out
+    assert "2 demonstrations, positions in a plane, 0.3 m across" in printed
+    for word in ("lieednn-shaped", "dmp", "left out", "20/20", "globally stable for every bias"):
+        assert word in printed
+    network = LieEDNN.load(output / "network.npz")
+    assert network.certified
+    assert network.n_visible == 1
+    report = json.loads((output / "report.json").read_text())
+    # Goals at (1, 0) and (1, 0.07) m.
+    np.testing.assert_allclose(report["goal_position_m"], [1.0, 0.035, 0.0])
+    assert report["goal_quaternion_wxyz"] == [1.0, 0.0, 0.0, 0.0]
+    shaped, primitive = report["models"]
+    assert shaped["mean"]["rms_mm"] < 4.0
+    assert abs(shaped["n_parameters"] - primitive["n_parameters"]) <= 1
+    assert shaped["attraction"] == {"starts": 20, "arrived": 20, "spurious": 0}
+    # The network, its own time and the frame, as the report says, are the motion.
+    way = network.trajectory(network.start([[0.0, 0.0, 0.0, 0.3, 0.0, 0.0]]), report["tau"][-1])
+    places = network.visible(way(np.array(report["tau"])))[:, 0, 3:5]
+    np.testing.assert_allclose(places[0], [0.3, 0.0], atol=1e-9)
+    np.testing.assert_allclose(places[np.argmax(places[:, 1])], [0.15, 0.095], atol=1e-2)
+    np.testing.assert_allclose(places[-1], [0.0, 0.0], atol=1e-5)
+    for name in ("paths.png", "field.png"):
+        with Image.open(output / name) as picture:
+            assert min(picture.size) > 400
+
+
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        (["--unit", "inch"], "no unit 'inch'"),
+        (["--rivals", "dmp,gmm"], "no rival 'gmm'"),
+        (["--clock-rate", "2"], "rate must be from 0.01 to 1"),
+        (["--plots", "gif"], "no kind of plots 'gif'"),
+        (["--phase", "pace"], "no phase 'pace'"),
+        (["--starts", "0"], "starts must be at least 1"),
+        (["--deviation", "-1"], "deviation must be positive"),
+    ],
+)
+def test_what_is_wrong_is_said_before_anything_is_made(hook, tmp_path, capsys, more, message):
+    output = tmp_path / "learned"
+    assert main(["learn", *hook, "--output", str(output), *more]) == 2
+    assert message in capsys.readouterr().err
+    assert not list(output.glob("*"))
