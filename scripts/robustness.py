@@ -240,9 +240,10 @@ def report(cases: int, jobs: int) -> tuple[str, int]:
         "| network | proved | median where proved |",
     ]
     lines += ["| --- | --- | --- |"]
-    for kind in KINDS:
-        shares = np.array(rates[kind])
-        lines.append(f"| {kind} | {(shares > 0.0).sum()} of {len(shares)} | {np.median(shares[shares > 0.0]):.3g} |")
+    for kind, measured in rates.items():
+        shares = np.array(measured)
+        median = f"{np.median(shares[shares > 0.0]):.3g}" if (shares > 0.0).any() else "-"
+        lines.append(f"| {kind} | {(shares > 0.0).sum()} of {len(shares)} | {median} |")
     return "\n".join(lines) + "\n", broken
 
 

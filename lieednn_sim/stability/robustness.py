@@ -130,8 +130,9 @@ class Robustness:
         """Time step up to which a fixed-step run by ``method``, a name of `INTEGRATORS_WITH_PROOF`, keeps the proof.
 
         Each step then brings two runs closer (contraction), or one closer to the equilibrium, in the guarantee's norm
-        or function U; so the run ends where the network does. In the network's time. Methods whose weights are not all
-        positive, as the adaptive RK45, have no proof here.
+        or function U; so the run ends where the network does. It speaks of what the push reaches: for a whole run with
+        hidden neurons that no push reaches, ask with all coordinates pushed. In the network's time. Methods whose
+        weights are not all positive, as the adaptive RK45, have no proof here.
         """
         euler = as_choice("method", method, INTEGRATORS_WITH_PROOF) == "Euler"
         return max(guarantee.euler_step if euler else guarantee.rk4_step for guarantee in self.guarantees)
