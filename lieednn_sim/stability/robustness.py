@@ -91,11 +91,14 @@ class Robustness:
         pushed: flat coordinates that a push may move, ascending.
         reached: those that are moved by it sooner or later, ``(m,)``, ascending.
         guarantees: each holds; every method takes the one that says most.
+        others: the same of the coordinates that are not reached, pushed themselves; None where all are reached. Only
+            time steps ask for it: those of a whole run suit them, too.
     """
 
     pushed: Indices
     reached: Indices
     guarantees: tuple[Guarantee, ...]
+    others: Robustness | None = None
 
     @property
     def contracting(self) -> Robustness | None:
@@ -130,12 +133,13 @@ class Robustness:
         """Time step up to which a fixed-step run by ``method``, a name of `INTEGRATORS_WITH_PROOF`, keeps the proof.
 
         Each step then brings two runs closer (contraction), or one closer to the equilibrium, in the guarantee's norm
-        or function U; so the run ends where the network does. It speaks of what the push reaches: for a whole run with
-        hidden neurons that no push reaches, ask with all coordinates pushed. In the network's time. Methods whose
-        weights are not all positive, as the adaptive RK45, have no proof here.
+        or function U, first of the coordinates that no push reaches and, as these come to rest, of the others; so the
+        run ends where the network does. In the network's time. Methods whose weights are not all positive, as the
+        adaptive RK45, have no proof here.
         """
         euler = as_choice("method", method, INTEGRATORS_WITH_PROOF) == "Euler"
-        return max(guarantee.euler_step if euler else guarantee.rk4_step for guarantee in self.guarantees)
+        largest = max(guarantee.euler_step if euler else guarantee.rk4_step for guarantee in self.guarantees)
+        return largest if self.others is None else min(largest, self.others.largest_step(method))
 
     def __str__(self) -> str:
         scope = "between any two motions" if self.contracting else "about the equilibrium"
@@ -222,7 +226,11 @@ def robustness(
             guarantees += _by_lyapunov(inner, whole(certificate.lyapunov_diagonal**power), gamma, mu)
     if not guarantees:
         raise NotCertifiedError("the certificate is too near its bound for proofs about pushes")
-    return Robustness(moved, np.flatnonzero(reached), tuple(guarantees))
+    others = None
+    if not reached.all():
+        # They hear nothing of those reached. No twist needs to be whole among them, so the proof is on W itself.
+        others = robustness(matrix[np.ix_(~reached, ~reached)], gamma=gamma, mu=mu)
+    return Robustness(moved, np.flatnonzero(reached), tuple(guarantees), others)
 
 
 def _by_contraction(weight: Floats, log_scale: Floats, best: Contraction, gamma: float, mu: float) -> list[Guarantee]:

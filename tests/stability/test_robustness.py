@@ -88,6 +88,14 @@ def test_no_push_and_no_moving_target_breaks_its_bound(seed, contracting):
     assert lag.max() <= np.linalg.norm(velocity) * part.lag(pushed, watched)
 
 
+def test_a_step_suits_what_no_push_reaches_too():
+    # The second coordinate hears itself alone; where phi is steepest its slope is -4, and Euler's step is 2 / 4 there.
+    bounds = robustness([[0.0, 0.1], [0.0, -3.0]], gamma=1.0, mu=1.0, pushed=[0])
+    assert bounds.reached.tolist() == [0]
+    assert bounds.largest_step("Euler") == pytest.approx(0.5, rel=1e-2)
+    assert bounds.throw() == pytest.approx(1.0)
+
+
 @settings(max_examples=12)
 @given(seeds, st.sampled_from(["Euler", "RK4"]))
 def test_up_to_the_largest_step_every_step_brings_two_runs_closer(seed, method):
