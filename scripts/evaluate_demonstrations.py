@@ -25,13 +25,15 @@ from lieednn_sim.learning.demonstrations.shaped import ShapedMotion
 from lieednn_sim.synthesis import ShapingOptions
 
 STARTS = 1000
+# From the second number on only where the first is not enough: no model has few parameters.
+NEURONS = (8, 16)
 KINDS = {"robottasks": ("*.npy", "cm"), "lasa": ("*.mat", "mm")}
 
 
 def evaluate(path: Path, kind: str, starts: int) -> dict[str, Any]:
     """All models of the demonstrations in one file."""
     demonstrations = align(load_demonstrations([path], unit=KINDS[kind][1]))
-    options = ShapingOptions()
+    options = ShapingOptions(neurons=NEURONS)
     shaped = ShapedMotion.fit(demonstrations, options=options)
     rows, _ = compare_models(demonstrations, shaped, options, starts=starts)
     return {

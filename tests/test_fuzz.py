@@ -20,6 +20,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.cli import main
 from lieednn_sim.cli.task import Task
 from lieednn_sim.errors import FileError, LieEDNNError
+from lieednn_sim.learning.demonstrations import Demonstration, align
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.planning.filtering.safety import SafetyFilter
 from lieednn_sim.planning.motion import Motion
@@ -317,6 +318,22 @@ def test_files_that_are_no_json(tmp_path_factory, content):
         Task.load(path)
 
 
+@bounded(40)
+@given(st.data(), st.sampled_from([2, 3, 7]))
+def test_demonstrations(data, columns):
+    samples = data.draw(arrays(5, columns))
+    if columns == 7 and samples.shape == (5, 7) and data.draw(st.booleans()):
+        samples[:, 3:] = [[1.0, 0.0, 0.0, 0.0], [0.0, -1.0, 0.0, 0.0], *np.eye(4)[1:]]
+    t = data.draw(st.one_of(st.none(), arrays(5), st.just(np.arange(5.0))))
+    length = data.draw(st.sampled_from([1.0, 0.001]))
+    one = check(Demonstration.from_samples, samples, t, length)
+    if one is not None:
+        shown = check(align, [one, one], samples=7, phase=data.draw(st.sampled_from(["length", "time"])))
+        if shown is not None:
+            check(shown.to_world, shown.mean)
+            assert np.isfinite(shown.displaced).all()
+
+
 NUMBERS = ("nan", "inf", "1e308", "-1e308", "0", "-1", "1e-320", "5", "1e9", "1,2", "1e308,0,0", "random:-1", "3" * 400)
 OPTIONS = ("arm", "bias", "bias-magnitude", "candidates", "duration", "links", "output", "planner", "position", "scene")
 OPTIONS += (
@@ -342,6 +359,9 @@ OPTIONS += (
         st.tuples(st.sampled_from(("simulate", "render", "evaluate")), WORDS),
         st.tuples(st.just("train"), st.just("--resume"), WORDS),
         st.tuples(st.just("arms"), WORDS),
+        st.tuples(
+            st.just("learn"), WORDS, st.sampled_from(("--starts=0", "--unit=inch", "--clock-rate=0", "--seed=0"))
+        ),
         # Whatever else is asked for, the last option is bad, and found to be before the work.
         st.builds(
             lambda options, bad: ("demo", *(f"--{name}={value}" for name, value in options), bad),

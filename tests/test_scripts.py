@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import json
+
+import evaluate_demonstrations
+import numpy as np
 import picture_arms
 import pytest
 import robustness
@@ -27,3 +31,24 @@ def test_bounds_are_measured_and_a_broken_one_is_told(tmp_path, monkeypatch, cap
     assert path.read_text().count("| 1 | 0 |") == len(robustness.BOUNDS) * len(robustness.KINDS)
     monkeypatch.setattr(robustness, "unstable_step", lambda jacobian, method: 1e-9)
     assert robustness.main(["--cases", "1", "--output", str(path)]) == 1
+
+
+def test_the_table_of_demonstrations(tmp_path, monkeypatch, capsys):
+    (tmp_path / "robottasks").mkdir()
+    s = np.linspace(0.0, 1.0, 30)[:, None]
+    turns = np.concatenate([np.cos(0.4 * s), np.sin(0.4 * s), 0.0 * s, 0.0 * s], axis=1)
+    rows = [np.concatenate([20.0 * (1.0 - s), k * s * (1.0 - s), 0.0 * s, turns], axis=1) for k in (8.0, 9.0)]
+    np.save(tmp_path / "robottasks" / "bend.npy", rows)
+    monkeypatch.setattr(evaluate_demonstrations, "NEURONS", (2,))
+    monkeypatch.setattr("lieednn_sim.evaluation.paths.SAMPLES", 60)
+    words = [str(tmp_path), "--starts", "3", "--output", str(tmp_path / "out")]
+    evaluate_demonstrations.main(words)
+    first = (tmp_path / "out" / "demonstrations.md").read_text()
+    assert "| bend | lieednn-shaped | 38 |" in first
+    assert first.count("| 3/3 | 0 |") == 4
+    assert json.loads((tmp_path / "out" / "bend.json").read_text())["certified"]
+    # What is there is not computed again.
+    monkeypatch.setattr(evaluate_demonstrations, "evaluate", None)
+    evaluate_demonstrations.main(words)
+    assert (tmp_path / "out" / "demonstrations.md").read_text() == first
+    assert capsys.readouterr().out.startswith("bend: done")

@@ -86,7 +86,7 @@ def compare_models(
     Args:
         demonstrations: to learn from.
         shaped: fitted to all of them.
-        options: that it was fitted with. What is fitted without one of them has as many hidden neurons from the first.
+        options: that it was fitted with. What is fitted without one of them has no more hidden neurons.
         rivals: names of `RIVALS`.
         starts: random ones, see `fields.random_starts`.
         leave_one_out: fit each model again without each of the demonstrations.
@@ -98,7 +98,7 @@ def compare_models(
     """
     names = [as_choice("rival", name, RIVALS) for name in rivals]
     hidden = shaped.network.n_hidden - shaped.network.n_clock
-    again = replace(options, neurons=(hidden,), restarts=0)
+    again = replace(options, neurons=tuple(n for n in options.neurons if n <= hidden))
     fits: dict[str, Callable[[Demonstrations], MotionModel]] = {
         shaped.name: lambda some: ShapedMotion.fit(some, options=again, seed=seed)
     }

@@ -22,6 +22,8 @@ _SHOWN = {2: "positions in a plane", 3: "positions", 7: "poses"}
 _NORMS = (0.9, 1.1)
 # Of the rotation vector: the chart is singular at a full turn [rad].
 _LARGEST_TURN = 2.0 * np.pi - 0.2
+# No frame of an arm is further away [in any unit].
+_LARGEST_SAMPLE = 1e9
 # A motion shorter than this is none [m, or as much by the lever].
 _LEAST_LENGTH = 1e-9
 
@@ -67,7 +69,7 @@ class Demonstration:
         Raises:
             InputError: something else was given, or nothing moves.
         """
-        table = as_floats(source, samples, ("K", "D"))
+        table = as_floats(source, samples, ("K", "D"), largest=_LARGEST_SAMPLE)
         count, columns = table.shape
         if columns not in _SHOWN:
             raise InputError(
