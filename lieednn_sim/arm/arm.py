@@ -25,7 +25,7 @@ from lieednn_sim.arm.parsing import read_arm
 from lieednn_sim.arm.projection import Retraction, Retractor
 from lieednn_sim.arm.scenes import SCENES, add_obstacles
 from lieednn_sim.errors import FileError, InputError
-from lieednn_sim.lie import log, poses
+from lieednn_sim.lie import poses
 from lieednn_sim.validation import as_choice, as_floats, as_path, as_seed
 
 Floats = NDArray[np.float64]
@@ -297,8 +297,12 @@ class Arm:
         return poses(stacked[..., :3, :3], stacked[..., :3, 3])
 
     def encode(self, q: ArrayLike) -> Floats:
-        """Network coordinates (omega, v / length_scale) of Log T_i(q), ``(..., n)`` to ``(..., N, 6)``."""
-        return log(self.joint_poses(q)) / self.twist_units
+        """Network coordinates (omega, v / length_scale) of T_i(q), ``(..., n)`` to ``(..., N, 6)``.
+
+        Those of Log T_i(q), and of a link that moves along one screw, as by a hinge, that screw times its coordinate,
+        however far it turns.
+        """
+        return self.joints.twists(as_floats("q", q, (self.n_joints,), batched=True)) / self.twist_units
 
     def decode(self, xi: ArrayLike, xi_dot: ArrayLike | None = None) -> Retraction:
         """Nearest joint positions to network coordinates ``(..., N, 6)``, with rates along ``xi_dot`` and the gap."""

@@ -1,6 +1,6 @@
-"""Joints whose nearest posture has a closed form: a hinge and a slide, and three slides below a ball joint.
+"""Joints whose nearest posture has a closed form: one screw, a hinge and a slide, three slides below a ball joint.
 
-Nearest is meant as in `nearest.NearestPose`: 4 sin^2(angle / 2) + ||shift||^2 / length^2 is least.
+But for the first nearest is meant as in `nearest.NearestPose`: 4 sin^2(angle / 2) + ||shift||^2 / length^2 is least.
 """
 
 from __future__ import annotations
@@ -26,13 +26,15 @@ _FLAT = 1e-12
 class MovingPoses:
     """Poses (rotation, translation) with their angular and linear velocities in the joint frame, all ``(..., N, .)``.
 
-    The rates are None for poses at rest.
+    Beside them stand the twists that they are the exponentials of. The rates are None for poses at rest.
     """
 
     rotation: Rotation
     translation: Floats
     omega: Floats | None
     velocity: Floats | None
+    twist: Floats
+    twist_rate: Floats | None
 
     @classmethod
     def along(cls, xi: Floats, xi_dot: Floats | None) -> MovingPoses:
@@ -40,10 +42,10 @@ class MovingPoses:
         pose = exp(xi).as_matrix()
         rotation, p = rotations(pose[..., :3, :3]), pose[..., :3, 3]
         if xi_dot is None:
-            return cls(rotation, p, None, None)
+            return cls(rotation, p, None, None, xi, None)
         spatial = (left_jacobian_se3(xi) @ xi_dot[..., None])[..., 0]
         omega = spatial[..., :3]
-        return cls(rotation, p, omega, spatial[..., 3:] + np.cross(omega, p))
+        return cls(rotation, p, omega, spatial[..., 3:] + np.cross(omega, p), xi, xi_dot)
 
     @cached_property
     def matrix(self) -> Floats:
@@ -154,6 +156,32 @@ def _highest(p: Floats, q: Floats, b: Floats, c: Floats) -> Floats:
     x = np.where(positive, 0.5 * alpha / np.where(positive, t, 1.0), np.copysign(np.sqrt(1.0 - y**2), alpha))
     angle = np.where(positive | (strength > 0.0), np.arctan2(y, x), 0.0) + turn
     return np.asarray(np.arctan2(np.sin(angle), np.cos(angle)))
+
+
+class OneScrew:
+    """Exp(z q): the twist's orthogonal projection onto the line of z, lengths measured in units of ``length``.
+
+    Nearest in the twist itself, so that there is no cut locus and a joint may turn as far as it likes. That agrees with
+    the nearest pose to second order in what is left.
+    """
+
+    def __init__(self, joint: CompoundJoint, link: int, length: float) -> None:
+        assert joint.screw is not None
+        self.links: tuple[int, ...] = (link,)
+        self.indices = joint.indices
+        dual = joint.screw / np.repeat([1.0, length**2], 3)
+        self._dual = dual / (dual @ joint.screw)
+
+    @staticmethod
+    def fits(joint: CompoundJoint) -> bool:
+        """Whether the joint is of this kind."""
+        return joint.screw is not None
+
+    def __call__(self, poses: MovingPoses) -> tuple[Floats, Floats | None]:
+        """Displacements ``(..., 1)`` and their rates."""
+        (link,) = self.links
+        offset = poses.twist[..., link, :] @ self._dual[:, None]
+        return offset, None if poses.twist_rate is None else poses.twist_rate[..., link, :] @ self._dual[:, None]
 
 
 class SixFreedoms:

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from lieednn_sim.lie import hat, left_jacobian_so3, poses, rotations
+from lieednn_sim.lie import hat, left_jacobian_so3, log, poses, rotations
 
 Floats = NDArray[np.float64]
+# Brackets of unit twists below this vanish up to rounding [1, m].
+_COMMUTING = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +65,22 @@ class CompoundJoint:
         """Of its coordinates in q, sorted."""
         return np.unique(np.concatenate([factor.indices for factor in self.factors]))
 
+    @cached_property
+    def screw(self) -> Floats | None:
+        """The twist z ``(6,)`` of T(q) = Exp(z q), if there is one: of a hinge, a slide, or what moves along one screw.
+
+        That is where one coordinate moves the link by joints whose twists commute: their bracket
+        [z, y] = (omega_z x omega_y, omega_z x v_y + v_z x omega_y) vanishes.
+        """
+        if len(self.indices) > 1:
+            return None
+        parts = [np.concatenate(factor.twists(np.zeros(self.indices[0] + 1)), axis=-1)[0] for factor in self.factors]
+        for (omega, v), (other, w) in itertools.combinations([(part[:3], part[3:]) for part in parts], 2):
+            bracket = np.cross(omega, other), np.cross(omega, w) + np.cross(v, other)
+            if np.abs(bracket).max() > _COMMUTING:
+                return None
+        return np.sum(parts, axis=0)
+
     def pose(self, offset: Floats) -> tuple[Floats, Floats]:
         """T as rotation ``(..., 3, 3)`` and translation ``(..., 3)`` at displacements ``(..., n)`` of q."""
         rotation, translation = np.broadcast_to(np.eye(3), (*offset.shape[:-1], 3, 3)), np.zeros(3)
@@ -105,3 +125,14 @@ class CompoundJoints:
         parts = [joint.pose(q - self.reference) for joint in self.joints]
         rotation = rotations(np.stack([part[0] for part in parts], axis=-3)).as_matrix()
         return poses(rotation, np.stack([part[1] for part in parts], axis=-2))
+
+    def twists(self, q: Floats) -> Floats:
+        """Xi_i with T_i = Exp(xi_i), ``(..., n)`` to ``(..., N, 6)``: the screw times its coordinate, else Log T_i(q).
+
+        The former is as long as the joint turns, which the logarithm is up to pi only.
+        """
+        twists = log(self.poses(q))
+        for i, joint in enumerate(self.joints):
+            if joint.screw is not None:
+                twists[..., i, :] = (q - self.reference)[..., joint.indices] * joint.screw
+        return twists

@@ -47,9 +47,16 @@ class NearestPose:
         self._joints, self._indices, self._size, self._length = tuple(joints), indices, size, length
         turning = [factor.indices for joint in joints for factor in joint.factors if factor.kind != "slide"]
         self._sliding = ~np.isin(indices, np.concatenate([*turning, []]))
+        factors = [factor for joint in joints for factor in joint.factors]
+        self._periodic = np.array(
+            [all(f.kind == "hinge" and abs(f.ratio) == 1.0 for f in factors if i in f.indices) for i in indices]
+        )
 
     def solve(self, rotation: Floats, translation: Floats) -> Floats:
-        """Displacements ``(..., c)`` from the reference for poses ``(..., m, 3, 3)`` and ``(..., m, 3)``."""
+        """Displacements ``(..., c)`` from the reference for poses ``(..., m, 3, 3)`` and ``(..., m, 3)``.
+
+        Hinges are within half a turn.
+        """
         shape = translation.shape[:-2]
         goal = self._stack(rotation, translation).reshape(-1, 12 * len(self._joints))
         q = self._descend(np.zeros((len(goal), len(self._indices))), goal)
@@ -60,6 +67,8 @@ class NearestPose:
             lower = self._value(other, goal[far])
             better = lower < value[far] * (1.0 - _TIE)
             q[far[better]], value[far[better]] = other[better], lower[better]
+        wound = self._periodic & (np.abs(q) > np.pi)
+        q = np.where(wound, q - 2.0 * np.pi * np.round(q / (2.0 * np.pi)), q)
         return q.reshape(*shape, len(self._indices))
 
     def _descend(self, q: Floats, goal: Floats) -> Floats:

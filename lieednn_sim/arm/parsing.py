@@ -24,6 +24,8 @@ _KINDS = {
     int(mujoco.mjtJoint.mjJNT_SLIDE): "slide",
     int(mujoco.mjtJoint.mjJNT_BALL): "ball",
 }
+# Postures at which the coordinates of a link may be dependent, and how nearly they are.
+_POSTURES, _DEPENDENT = 8, 1e-6
 _NUMBERS = (
     *(f"body_{what}" for what in ("pos", "quat", "ipos", "iquat", "mass", "inertia", "gravcomp")),
     *(f"jnt_{what}" for what in ("pos", "axis", "range", "stiffness")),
@@ -173,6 +175,13 @@ def read_joints(
         joints.append(CompoundJoint(tuple(_factor(model, data, joint, frame, coordinates) for joint in group)))
         mounts.append((_site_pose(data, parent).inv() * frame).as_matrix())
         tips.append((frame.inv() * _site_pose(data, child)).as_matrix())
+    for i, (joint, group) in enumerate(zip(joints, chain.groups, strict=True), start=1):
+        shared = any(np.isin(joint.indices, other.indices).any() for other in joints if other is not joint)
+        if joint.screw is None or shared:
+            for each in group:
+                _check_turn(model, arm, each)
+        if not shared:
+            _check_independent(joint, len(coordinates), f"link {i} of arm {arm!r}")
     return (
         CompoundJoints(tuple(joints), reference),
         _site_pose(data, chain.sites[0]),
@@ -255,16 +264,38 @@ def _factor(
 
 
 def _check_joint(model: mujoco.MjModel, arm: str, joint: int) -> None:
-    """Refuse joints that the encoding would get silently wrong."""
-    label, kind = _label(model, arm, joint), _kind(model, joint)
+    """Refuse joints without limits."""
     if not model.jnt_limited[joint]:
-        raise InputError(f"{label} has no position limits; give it a range")
+        raise InputError(f"{_label(model, arm, joint)} has no position limits; give it a range")
+
+
+def _check_turn(model: mujoco.MjModel, arm: str, joint: int) -> None:
+    """Refuse joints that the encoding by a logarithm would get silently wrong."""
+    label, kind = _label(model, arm, joint), _kind(model, joint)
     if kind == "slide":
         return
     reference = 0.0 if kind == "ball" else model.qpos0[model.jnt_qposadr[joint]]
     span = np.abs(model.jnt_range[joint] - reference).max()
     if span >= np.pi:
-        raise InputError(f"{label} may turn by {span:.3g} rad from its reference; the logarithm needs less than pi")
+        raise InputError(
+            f"{label} may turn by {span:.3g} rad from its reference; the logarithm needs less than pi where other "
+            "joints move the same link"
+        )
+
+
+def _check_independent(joint: CompoundJoint, size: int, link: str) -> None:
+    """Refuse a compound joint whose coordinates no pose can tell apart, at none of a few postures."""
+    count, rng = len(joint.indices), np.random.default_rng(0)
+    if count > 6:
+        raise InputError(f"{link} is moved by {count} coordinates, and a pose tells six apart; name more links")
+    *_, omega, v = joint.pose_and_twists(rng.uniform(-1.0, 1.0, (_POSTURES, size)))
+    columns = np.concatenate([omega, v], axis=-1)[:, joint.indices]
+    lengths = np.linalg.norm(columns, axis=-1, keepdims=True)
+    smallest = np.linalg.svd(columns / np.maximum(lengths, _DEPENDENT), compute_uv=False)[:, -1]
+    if smallest.max() < _DEPENDENT:
+        raise InputError(
+            f"{link} is moved by {count} coordinates of which some do the same; cut it between them: name more links"
+        )
 
 
 def _joints_between(model: mujoco.MjModel, ancestor: int, body: int, arm: str, link: int) -> list[int]:

@@ -3,8 +3,9 @@
 Nearest is meant in one metric for all joints: with the angle and the shift between the given and the feasible pose,
 4 sin^2(angle / 2) + ||shift||^2 / length^2, which is angle^2 + ||shift||^2 / length^2 up to the fourth order of the
 angle, and smooth at half a turn. Hinge and slide, and six dofs, are met exactly (`closed_forms`), other joints by
-least squares (`nearest`). Compound joints that share a coordinate (coupled stages on several links) are retracted
-together.
+least squares (`nearest`). A link that moves along one screw, as by a single hinge, is measured in the twist instead,
+which goes on beyond half a turn (`closed_forms.OneScrew`). Compound joints that share a coordinate (coupled stages on
+several links) are retracted together.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from lieednn_sim.arm.closed_forms import HingeSlide, MovingPoses, SixFreedoms
+from lieednn_sim.arm.closed_forms import HingeSlide, MovingPoses, OneScrew, SixFreedoms
 from lieednn_sim.arm.kinematics import CompoundJoints
 from lieednn_sim.arm.nearest import NearestPose
 from lieednn_sim.lie import rotations
@@ -112,6 +113,8 @@ class _Nearest:
 
 def _solver(joints: CompoundJoints, links: tuple[int, ...], length: float) -> _Solver:
     joint = joints.joints[links[0]]
+    if len(links) == 1 and OneScrew.fits(joint):
+        return OneScrew(joint, links[0], length)
     if len(links) == 1 and HingeSlide.fits(joint):
         return HingeSlide(joint, links[0], length)
     if len(links) == 1 and SixFreedoms.fits(joint):

@@ -74,6 +74,7 @@ BALL = """
         <geom type="capsule" size="0.03" fromto="0.05 0 0 0.3 0 0"/></body></body></body></worldbody>
 </mujoco>
 """
+ON_SHOULDER = {"links": ["shoulder", "tool"]}
 HINGES = """
 <mujoco><option {options}/>
   <worldbody>
@@ -152,8 +153,9 @@ def test_the_arm_of_a_mobile_robot_is_found_cut_and_reduced():
     assert (coupling.follower, coupling.leader, coupling.source) == ("stage2", "stage1", "equality")
     np.testing.assert_allclose([coupling.ratio, coupling.shift], [0.8, 0.01])
     # stage2 = 0.01 + 0.8 stage1 <= 0.2, and the wrist's 250 degrees are beyond half a turn from its reference.
-    np.testing.assert_allclose(arm.position_limits[2], [0.0, 0.2375])
-    np.testing.assert_allclose(arm.position_limits[3], [-0.99 * np.pi, np.deg2rad(120)])
+    np.testing.assert_allclose(arm.position_limits[2:], [[0.0, 0.2375], np.deg2rad([-250, 120])])
+    shared, _ = arm_of(BY_EQUALITY, **ON_SHOULDER)
+    np.testing.assert_allclose(shared.position_limits[3], [-0.99 * np.pi, np.deg2rad(120)])
     assert arm.joint_names == tuple(servo.name for servo in report.servos)
     np.testing.assert_allclose(arm.keyframe("home"), [0.0, 0.3, 0.05, 0.2])
     assert arm.model.nsensor == 1
@@ -328,7 +330,11 @@ def bad(xml, *replacements):
         (bad(BY_EQUALITY, ("0.01 0.8 0 0 0", "0 1 2 0 0")), {}, "needs a straight line"),
         (bad(BY_EQUALITY, ('joint2="stage1" ', "")), {}, "'stage2' is locked by an equality"),
         (bad(BY_TENDON, ('type="slide" range="0 0.3"', 'type="slide"'), ('"0 0.2"', '"0 0"')), {}, "no range"),
-        (bad(BY_EQUALITY, ('range="-250 120"', 'range="200 250"')), {}, r"'wrist' with range .* ref inside its range"),
+        (
+            bad(BY_EQUALITY, ('range="-250 120"', 'range="200 250"')),
+            ON_SHOULDER,
+            r"'wrist' with range .* ref inside its range",
+        ),
         (
             bad(BY_EQUALITY, ("<equality>", '<equality><weld name="w" body1="wrist" body2="cart"/>')),
             {},

@@ -93,8 +93,8 @@ def import_arm(
     velocities are limits, too. Gravity compensation is switched on
     where no body of the arm has any, because a position servo would sag. Tubes of a telescope, and what else overlaps
     by design, don't collide with each other, and home is moved off other contacts of the robot with itself
-    (`nesting.ignore_nested`). Hinges are held within 0.99 pi of
-    their reference, where the logarithm is unique.
+    (`nesting.ignore_nested`). Hinges that share a
+    link with other joints are held within 0.99 pi of their reference, where the logarithm is unique.
 
     Args:
         model: an MJCF or URDF file, or a `mujoco.MjSpec`, which is not changed.

@@ -73,13 +73,14 @@ def find_mechanism(draft: Draft) -> None:
             draft.notes.append(f"taken for a gripper, and locked: {', '.join(hands)}; name the links to move it")
     draft.groups = joint_groups(model, draft.frames)
     draft.couplings = find_couplings(model, draft.joints)
-    draft.ranges = joint_ranges(model, draft.joints, draft.couplings, draft.notes)
     if links is None:
         data = mujoco.MjData(model)
         data.qpos[:] = draft.qpos
         mujoco.mj_kinematics(model, data)
-        draft.groups = cut(model, data, draft.joints, draft.ranges, draft.couplings)
+        whole = joint_ranges(model, [[joint] for joint in draft.joints], draft.couplings, [])
+        draft.groups = cut(model, data, draft.joints, whole, draft.couplings)
         draft.frames = (inner, *(body_frame(model, int(model.jnt_bodyid[group[-1]])) for group in draft.groups))
+    draft.ranges = joint_ranges(model, draft.groups, draft.couplings, draft.notes)
     link = {joint: i for i, group in enumerate(draft.groups, start=1) for joint in group}
     for follower, (leader, _, _) in draft.couplings.lines.items():
         if link[follower] != link[leader]:

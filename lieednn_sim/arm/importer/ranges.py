@@ -18,17 +18,25 @@ _DEFAULT = 0.95 * np.pi  # of a hinge or ball joint without a range
 
 
 def joint_ranges(
-    model: mujoco.MjModel, joints: Sequence[int], couplings: Couplings, notes: list[str]
+    model: mujoco.MjModel, groups: Sequence[Sequence[int]], couplings: Couplings, notes: list[str]
 ) -> dict[int, Floats]:
     """The range ``(2,)`` [rad, m] of each joint; what was made or narrowed is added to ``notes``.
 
     A coordinate may move as far as all the joints that it moves. A hinge or ball joint without a range gets 0.95 pi
-    either way of its reference; wider ones are narrowed to 0.99 pi, where the logarithm is still unique.
+    either way of its reference. A hinge that is alone in its link keeps its range, whatever it is; those of other
+    links, and balls, are narrowed to 0.99 pi, where the logarithm is still unique.
+
+    Args:
+        model: as it came.
+        groups: of each link the joints that move it.
+        couplings: of joints that follow others.
+        notes: remarks for the report.
 
     Raises:
         InputError: a slide has no range, or nothing is left of a range.
     """
-    spans = {joint: _span(model, joint, notes) for joint in joints}
+    joints = [joint for group in groups for joint in group]
+    spans = {joint: _span(model, joint, notes, alone=len(group) == 1) for group in groups for joint in group}
     for lead in dict.fromkeys(couplings.leader(joint) for joint in joints):
         members = [joint for joint in joints if couplings.leader(joint) == lead]
         if members == [lead] and np.isfinite(spans[lead]).all():
@@ -54,7 +62,7 @@ def joint_ranges(
     return spans
 
 
-def _span(model: mujoco.MjModel, joint: int, notes: list[str]) -> Floats:
+def _span(model: mujoco.MjModel, joint: int, notes: list[str], *, alone: bool) -> Floats:
     name, kind = model.joint(joint).name, int(model.jnt_type[joint])
     given = model.jnt_range[joint].copy() if model.jnt_limited[joint] else np.array([-np.inf, np.inf])
     if kind == _SLIDE:
@@ -62,6 +70,8 @@ def _span(model: mujoco.MjModel, joint: int, notes: list[str]) -> Floats:
     if kind == _BALL:
         reach = given[1] if model.jnt_limited[joint] else _DEFAULT
         span = np.array([0.0, min(reach, _WIDEST)])
+    elif alone and model.jnt_limited[joint]:
+        return given
     else:
         reference = float(model.qpos0[model.jnt_qposadr[joint]])
         most = _WIDEST if model.jnt_limited[joint] else _DEFAULT

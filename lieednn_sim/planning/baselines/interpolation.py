@@ -31,8 +31,8 @@ def se3_geodesic(problem: PlanningProblem) -> Motion:
     """Every compound joint's pose on the geodesic of SE(3): T_i(t) = T_i(0) exp(sigma(t/T) log(T_i(0)^-1 T_i(1))).
 
     Such a geodesic leaves what a joint with fewer than six freedoms can do, so it is decoded to the nearest joint
-    position. The shorter of two rotations is taken: between angles more than pi apart it passes the logarithm's cut,
-    outside every joint's limits.
+    position. Of other links than those along one screw the shorter of two rotations is taken: between angles more than
+    pi apart it passes the logarithm's cut, outside every joint's limits.
 
     Raises:
         PlanError: the motion breaks a limit of the arm.
@@ -45,6 +45,12 @@ def se3_geodesic(problem: PlanningProblem) -> Motion:
     # T' = T hat(sigma' z) and T = Exp(xi): the body twist is J_r(xi) xi', and J_r(xi) = J_l(-xi).
     twist_rates = np.linalg.solve(left_jacobian_se3(-twists), (rate[:, None, None] * body_twist)[..., None])[..., 0]
     units = arm.twist_units
+    for i, joint in enumerate(arm.joints.joints):
+        if joint.screw is not None:
+            # Here the geodesic is the screw's own line, whose logarithm ends at half a turn.
+            ends = [arm.joints.twists(q)[i] for q in (problem.start, problem.target)]
+            twists[:, i] = ends[0] + sigma[:, None] * (ends[1] - ends[0])
+            twist_rates[:, i] = rate[:, None] * (ends[1] - ends[0])
     motion = _decoded(arm, t, sigma, twists / units, twist_rates / units, arm.encode(problem.target))
     check_motion(arm, motion)
     return motion
