@@ -175,13 +175,13 @@ def read_joints(
         joints.append(CompoundJoint(tuple(_factor(model, data, joint, frame, coordinates) for joint in group)))
         mounts.append((_site_pose(data, parent).inv() * frame).as_matrix())
         tips.append((frame.inv() * _site_pose(data, child)).as_matrix())
-    for i, (joint, group) in enumerate(zip(joints, chain.groups, strict=True), start=1):
-        shared = any(np.isin(joint.indices, other.indices).any() for other in joints if other is not joint)
-        if joint.screw is None or shared:
-            for each in group:
-                _check_turn(model, arm, each)
+    for i, (compound, group) in enumerate(zip(joints, chain.groups, strict=True), start=1):
+        shared = any(np.isin(compound.indices, other.indices).any() for other in joints if other is not compound)
+        if compound.screw is None or shared:
+            for joint in group:
+                _check_turn(model, arm, joint)
         if not shared:
-            _check_independent(joint, len(coordinates), f"link {i} of arm {arm!r}")
+            _check_independent(compound, len(coordinates), f"link {i} of arm {arm!r}")
     return (
         CompoundJoints(tuple(joints), reference),
         _site_pose(data, chain.sites[0]),
