@@ -176,6 +176,17 @@ def test_servos_of_heavy_tied_stages_come_to_rest():
     np.testing.assert_allclose(data.qpos, arm.qpos(goal), atol=1e-4)
 
 
+def test_dry_friction_makes_no_servo_faster_and_the_report_says_what_it_costs():
+    """At rest friction holds what would swing, so that servos were judged by it to be as fast as without soft ties."""
+    plain = arm_of(CRANE)[1].servos
+    _, report = arm_of(CRANE.replace('name="s', 'frictionloss="400" name="s'))
+    assert report.servos == plain
+    _, report = arm_of(LIFT.format(compensation="", joint='frictionloss="8"'))
+    found = [note for note in report.notes if "dry friction of 8" in note]
+    cost = "leaves it up to 0.002 rad or m off; the controller inverse-dynamics makes up for it, servos='design' makes"
+    assert found == [f"lift: dry friction of 8 {cost} another"]
+
+
 def test_soft_ties_between_stages_are_made_stiff_unless_somebody_chose_a_stiffness():
     light = TELESCOPE.replace('size=".3 .03 .03"', 'size=".3 .03 .03" mass=".1"').replace(
         '.02 .02"', '.02 .02" mass=".1"'

@@ -17,6 +17,7 @@ from lieednn_sim.errors import InputError
 Floats = NDArray[np.float64]
 _SAG = 1e-3  # worth a remark [rad, m]
 _SLOW = 5.0  # worth a remark [Hz]
+_DESIGN = "servos='design' makes another"
 
 
 def check_kinematics(draft: Draft) -> None:
@@ -56,7 +57,7 @@ def look_for_half_turns(draft: Draft) -> None:
 
 
 def look_at_home(draft: Draft) -> None:
-    """Say which servos sag or are too weak at the keyframe ``home``, and which bodies touch there."""
+    """Say which servos sag, stick or are too weak at the keyframe ``home``, and which bodies touch there."""
     model, notes = draft.model, draft.notes
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, model.key("home").id)
@@ -65,14 +66,21 @@ def look_at_home(draft: Draft) -> None:
     for dof, servo in zip(draft.dofs, draft.servos, strict=True):
         force = float(load @ dof.rates)
         if servo.frequency < _SLOW:
-            remedy = "; servos='design' makes another" if servo.kept else ""
             slow = f"its servo is slow, {servo.frequency:.2g} Hz, and follows motions badly"
-            notes.append(f"{servo.name}: {slow}{remedy}")
+            notes.append(f"{servo.name}: {slow}{f'; {_DESIGN}' if servo.kept else ''}")
+        helps = "the controller inverse-dynamics makes up for it" + (f", {_DESIGN}" if servo.kept else "")
+        friction = float(np.abs(dof.rates) @ model.dof_frictionloss)
+        if friction / servo.kp > _SAG:
+            notes.append(
+                f"{servo.name}: dry friction of {friction:.3g} leaves it up to {friction / servo.kp:.2g} rad or m off; "
+                + helps
+            )
         low, high = servo.force_range
         if not low <= force <= high:
             notes.append(f"{servo.name}: needs {force:.4g} at home, more than its force limits allow")
         elif abs(force / servo.kp) > _SAG:
-            notes.append(f"{servo.name}: sags by {abs(force) / servo.kp:.2g} rad or m at home under its load")
+            sag = f"sags by {abs(force) / servo.kp:.2g} rad or m at home under its load"
+            notes.append(f"{servo.name}: {sag}; {helps}")
     for contact in data.contact[: data.ncon]:
         if contact.dist < 0.0:
             one, other = (model.body(model.geom_bodyid[geom]).name for geom in contact.geom)

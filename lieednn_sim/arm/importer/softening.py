@@ -21,7 +21,7 @@ def soften(
     """Slow down the designed servos of coupled stages, which act on one stage, until their soft ties can keep up.
 
     Taken are the fastest servos with which the model's slowest motion decays at 10 / s, or nearly as fast as with any
-    slower ones: what else is slow in the model is none of theirs.
+    slower ones: what else is slow in the model is none of theirs. Dry friction is left out.
 
     Args:
         spec: with the servos; changed.
@@ -38,6 +38,8 @@ def soften(
     if not tied:
         return servos
     model = spec.compile()
+    # Dry friction holds what is at rest, and would hide that it swings once it moves.
+    model.dof_frictionloss[:] = model.tendon_frictionloss[:] = 0.0
     choices = [tuple(_slower(s, factor) if k in tied else s for k, s in enumerate(servos)) for factor in _SOFTER]
     decays: list[float] = []
     for choice in choices:
