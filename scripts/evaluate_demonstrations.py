@@ -27,6 +27,14 @@ from lieednn_sim.synthesis import ShapingOptions
 STARTS = 1000
 # From the second number on only where the first is not enough: no model has few parameters.
 NEURONS = (8, 16)
+NOTES = (
+    "Each demonstration is seen from its own goal, all at equal shares of their way, a radian counting for 0.2 m. RMS,",
+    "DTWD and Frechet distance are of dynamic time warps of 1000 samples of each path; DTWD is the sum over all pairs.",
+    "`mean`: reproduction of the mean demonstration; `training`: of each from its own start; `left out`: the same by",
+    "models that have not seen it. `arrived`, `spurious`: of random starts all around. `parameters`: numbers that",
+    "were fitted and are not zero by construction. The network has 8 hidden neurons, or 16 where 8 do not come as",
+    "near as was asked for; the others have about as many parameters.",
+)
 KINDS = {"robottasks": ("*.npy", "cm"), "lasa": ("*.mat", "mm")}
 
 
@@ -72,6 +80,36 @@ def table(found: Sequence[dict[str, Any]], kind: str) -> list[str]:
     return lines
 
 
+def verdicts(found: Sequence[dict[str, Any]], kind: str) -> list[str]:
+    """What the shaped network is to keep, and whether it does."""
+    rows = [{row["model"]: row for row in one["models"]} for one in found]
+    pairs = [(row["lieednn-shaped"], row["dmp"]) for row in rows]
+    there = [ours["attraction"] for ours, _ in pairs]
+    arrived = all(one["arrived"] == one["starts"] and not one["spurious"] for one in there)
+    lines = [f"- Every start arrives, and there is no other attractor: {_holds(arrived)}."]
+    if kind == "robottasks":
+        near = [ours["mean"]["rms_mm"] <= 2.0 and ours["mean"]["rms_deg"] <= 0.5 for ours, _ in pairs]
+        lines.append(f"- The mean demonstration within 2 mm and 0.5 degrees RMS: {_holds(*near)}.")
+        for key, what in (("dtwd_mm", "DTWD"), ("rms_mm", "RMS of positions"), ("rms_deg", "RMS of turns")):
+            better = [ours["left_out"][key] <= dmp["left_out"][key] for ours, dmp in pairs]
+            lines.append(f"- {what} of demonstrations left out no more than the primitive's: {_holds(*better)}.")
+    else:
+        for part in ("training", "left_out"):
+            mean = {name: np.mean([row[name][part]["dtwd_mm"] for row in rows]) for name in rows[0]}
+            best = mean["lieednn-shaped"]
+            says = ", ".join(f"{name} {value:.0f}" for name, value in mean.items())
+            lines.append(f"- Mean DTWD [mm], {part.replace('_', ' ')}: {says}.")
+            lines.append(f"  No more than the primitive's: {_holds(bool(best <= mean['dmp']))}; ")
+            lines[-1] += f"less than the stable mixture's: {_holds(bool(best < mean['lpv-ds']))}."
+    return lines
+
+
+def _holds(*each: bool) -> str:
+    if len(each) == 1:
+        return "holds" if each[0] else "**does not hold**"
+    return f"holds in {sum(each)} of {len(each)}"
+
+
 def _number(value: float) -> str:
     return f"{value:.0f}" if value >= 100.0 else f"{value:.2f}"
 
@@ -92,11 +130,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 storage.save_json(cache, evaluate(path, kind, given.starts))
                 print(f"{path.stem}: done", flush=True)
     found = [json.loads(cache.read_text()) for cache in sorted(directory.glob("*.json"))]
-    lines = ["# Models of demonstrations", "", "`python scripts/evaluate_demonstrations.py FOLDER`", ""]
+    lines = ["# Models of demonstrations", "", "`python scripts/evaluate_demonstrations.py FOLDER`", "", *NOTES, ""]
     for kind in KINDS:
         sets = [one for one in found if one["kind"] == kind]
         if sets:
-            lines += [f"## {kind}", "", *table(sets, kind), ""]
+            lines += [f"## {kind}", "", *verdicts(sets, kind), "", *table(sets, kind), ""]
     with storage.atomic_text(directory / "demonstrations.md") as stream:
         stream.write("\n".join(lines))
     print(directory / "demonstrations.md")

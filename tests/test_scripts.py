@@ -45,6 +45,7 @@ def test_the_table_of_demonstrations(tmp_path, monkeypatch, capsys):
     evaluate_demonstrations.main(words)
     first = (tmp_path / "out" / "demonstrations.md").read_text()
     assert "| bend | lieednn-shaped | 38 |" in first
+    assert "- Every start arrives, and there is no other attractor: holds.\n" in first
     assert first.count("| 3/3 | 0 |") == 4
     assert json.loads((tmp_path / "out" / "bend.json").read_text())["certified"]
     # What is there is not computed again.

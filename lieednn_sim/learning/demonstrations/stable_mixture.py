@@ -28,8 +28,9 @@ _EPSILON = 0.1
 _ROUNDS, _LEAST_VARIANCE = 60, 1e-4
 # Of the integrator, in durations.
 _STEP = 1.0 / 100.0
-# Samples of a demonstration in the fit, and evaluations of the residual in it.
-_SAMPLES, _EVALUATIONS = 60, 100
+# By freedoms, samples of a demonstration in the fit, and evaluations of the residual: ten times as many gain little.
+_SAMPLES = {2: 60, 3: 60, 6: 40}
+_EVALUATIONS = {2: 100, 3: 100, 6: 40}
 
 
 @frozen
@@ -65,7 +66,7 @@ class StableMixture:
         units = np.full(d, extent)
         if d == 6:
             units[:3] = extent / demonstrations.lever
-        chosen = np.unique(np.linspace(0, len(demonstrations.t) - 1, _SAMPLES).astype(int))
+        chosen = np.unique(np.linspace(0, len(demonstrations.t) - 1, _SAMPLES[d]).astype(int))
         states = demonstrations.twists[..., _shown(d)] / units
         rates = np.gradient(states, demonstrations.t / demonstrations.duration, axis=1)[:, chosen].reshape(-1, d)
         states = states[:, chosen].reshape(-1, d)
@@ -172,5 +173,5 @@ def _laws(gamma: Floats, x: Floats, rates: Floats) -> tuple[Floats, Floats]:
         return np.stack([column.ravel() for column in columns], axis=1)
 
     first = np.concatenate([np.eye(d)[low], np.tile(np.eye(d)[low], k), np.zeros(k * len(below[0]))])
-    fitted = least_squares(residual, first, jacobian, method="trf", max_nfev=_EVALUATIONS)
+    fitted = least_squares(residual, first, jacobian, method="trf", max_nfev=_EVALUATIONS[d])
     return laws(fitted.x)
