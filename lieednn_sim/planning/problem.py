@@ -94,6 +94,7 @@ class Plan:
         cpu_time: that it took [s].
         teacher: of a shaped network the plan that it follows, with its planner's name.
         deviation: of its end effector's path from the teacher's, at most [m].
+        fit_time: CPU time that its shaping took [s].
     """
 
     motion: Motion
@@ -105,6 +106,7 @@ class Plan:
     cpu_time: float = math.nan
     teacher: Plan | None = None
     deviation: float | None = None
+    fit_time: float | None = None
 
 
 def in_time(make: Callable[..., _Made], problem: PlanningProblem, *options: Any) -> _Made:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from lieednn_sim.arm import Arm
+from lieednn_sim.budget import cpu_time
 from lieednn_sim.errors import PlanError
 from lieednn_sim.planning.baselines import interpolation, optimisation, sampling
 from lieednn_sim.planning.baselines.optimisation import OptimisationOptions
@@ -49,7 +50,7 @@ class ShapedOptions(PlannerOptions):
         largest_deviation: of the end effector's path from the teacher's, with which a motion is accepted [m].
         rate: rho of the hidden neurons' clock, see `ShapingOptions`: with 1 the network is as fast as the arm, with
             less it returns to its path after a push.
-        neurons: numbers of hidden ones, tried one after another.
+        neurons: numbers of hidden ones, tried one after another; the same again from another start.
         iterations: of a fit, from each start.
         attempts: fits, each closer than the one before, until the motion keeps limits and clearance.
         optimisation: of the teacher that is asked where minimum jerk touches something, and of RRT-Connect's paths.
@@ -62,7 +63,7 @@ class ShapedOptions(PlannerOptions):
     deviation: float = 7e-4
     largest_deviation: float = 5e-3
     rate: float = field(default=1.0, metadata={"range": (0.01, 1.0)})
-    neurons: tuple[int, ...] = field(default=(4, 8, 16, 24), metadata={"range": (1, 64)})
+    neurons: tuple[int, ...] = field(default=(4, 8, 16, 16), metadata={"range": (1, 64)})
     iterations: int = 80
     attempts: int = 3
     optimisation: OptimisationOptions = _OPTIMISATION
@@ -89,15 +90,16 @@ def shaped(problem: PlanningProblem, options: ShapedOptions) -> Plan:
         return Plan(in_time(_motion, asked, path), network, teacher=teacher, deviation=0.0)
     law = law_of(guide, units)
     curve = np.concatenate([guide.xi[:-1:_STRIDE], guide.xi_target[None]])
-    wanted, refusal = options.deviation, PlanError("no fit was allowed")
+    wanted, fit_time, refusal = options.deviation, 0.0, PlanError("no fit was allowed")
     for attempt in range(options.attempts):
         result = shape(
             curve,
             wanted,
             units=units,
-            options=ShapingOptions(options.rate, options.neurons, options.iterations),
+            options=ShapingOptions(options.rate, options.neurons, options.iterations, restarts=0),
             seed=np.random.default_rng([problem.seed, attempt]),
         )
+        fit_time += result.seconds
         path = NetworkPath.drawn(arm, result.network, problem.start, units)
         try:
             motion = in_time(_motion, asked, path, law)
@@ -107,7 +109,7 @@ def shaped(problem: PlanningProblem, options: ShapedOptions) -> Plan:
         except PlanError as error:
             wanted, refusal = _CLOSER * min(wanted, result.deviation), error
             continue
-        return Plan(motion, result.network, teacher=teacher, deviation=deviation)
+        return Plan(motion, result.network, teacher=teacher, deviation=deviation, fit_time=fit_time)
     raise PlanError(f"no network follows the motion of {teacher.planner} closely enough: {refusal}")
 
 
@@ -118,7 +120,8 @@ def _teacher(problem: PlanningProblem, options: ShapedOptions) -> Plan:
 
     def asked(name: str, solve: Callable[[], Motion]) -> Plan | None:
         try:
-            return Plan(solve(), target=problem.target, planner=name)
+            begun = cpu_time()
+            return Plan(solve(), target=problem.target, planner=name, cpu_time=cpu_time() - begun)
         except PlanError as error:
             refusals.append(f"{name}: {error}")
             return None

@@ -12,8 +12,9 @@ Floats = NDArray[np.float64]
 
 # Pieces over which the bend of the curve is looked at.
 _PIECES = 128
-# Slopes that switches start with, in 1 / (share of the way).
-_GENTLEST, _STEEPEST = 1.5, 30.0
+# Slopes that switches start with, in 1 / (share of the way). From steeper ones the fit ends in worse places, and with
+# many times the jerk; for a sharp corner it makes them steeper by itself.
+_GENTLEST, _STEEPEST = 1.5, 12.0
 # Spread of the slopes that are drawn: of the leading switches as a share, and of the others.
 _LEADING_SPREAD, _OTHER_SPREAD = 0.2, 1.0
 # Least strength of a block: one of none would have no slope in its quaternion.
