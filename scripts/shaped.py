@@ -12,9 +12,10 @@ import argparse
 import csv
 import math
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -27,7 +28,7 @@ from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.errors import LieEDNNError
 from lieednn_sim.evaluation.motion_metrics import motion_metrics
 from lieednn_sim.network import LieEDNN
-from lieednn_sim.planning import Plan, plan
+from lieednn_sim.planning import plan
 from lieednn_sim.planning.motion import Motion
 
 COLUMNS = (
@@ -83,11 +84,11 @@ def clearance(arm: Arm, motion: Motion) -> float:
     return 1e3 * min(collisions.clearance(q) for q in motion.q[::STRIDE])
 
 
-def verified_after_loading(made: Plan) -> bool:
+def verified_after_loading(network: LieEDNN) -> bool:
     """Whether the network's file holds a proof that is checked when it is read."""
     with tempfile.TemporaryDirectory() as directory:
         path = Path(directory) / "network.npz"
-        made.network.save(path)
+        network.save(path)
         return LieEDNN.load(path).certified
 
 
@@ -105,15 +106,18 @@ def measured(arm: Arm, scene: str, seed: int) -> Row:
     except LieEDNNError as error:
         row.reason = f"plan: {error}"
         return row
-    motion, guide = made.motion, made.teacher.motion
+    network, teacher = made.network, made.teacher
+    assert isinstance(network, LieEDNN)
+    assert teacher is not None
+    motion, guide = made.motion, teacher.motion
     mine, given = motion_metrics(room, motion), motion_metrics(room, guide)
-    row.teacher, row.hidden, row.certified = made.teacher.planner, made.network.n_hidden, verified_after_loading(made)
-    row.deviation_mm, row.gap_mm, row.gap_deg = 1e3 * made.deviation, mine.gap_mm, mine.gap_deg
+    row.teacher, row.hidden, row.certified = teacher.planner, network.n_hidden, verified_after_loading(network)
+    row.deviation_mm, row.gap_mm, row.gap_deg = 1e3 * (made.deviation or 0.0), mine.gap_mm, mine.gap_deg
     row.jerk, row.effector_jerk = mine.jerk_joints / given.jerk_joints, mine.jerk_effector / given.jerk_effector
     row.path, row.effort = mine.path_ranges / given.path_ranges, effort(room, motion) / effort(room, guide)
     row.clearance_mm, row.teacher_clearance_mm = clearance(room, motion), clearance(room, guide)
-    row.motion_s, row.fit_s = mine.motion_s, made.fit_time
-    row.teacher_s, row.planning_s = made.teacher.cpu_time, made.cpu_time
+    row.motion_s, row.fit_s = mine.motion_s, made.fit_time or 0.0
+    row.teacher_s, row.planning_s = teacher.cpu_time, made.cpu_time
     return row
 
 
@@ -121,8 +125,13 @@ def read(path: Path) -> list[Row]:
     """Rows of a file, without a last one that was cut."""
     if not path.exists():
         return []
-    kinds = {field.name: field.type for field in fields(Row)}
-    convert = {"str": str, "int": int, "float": float, "bool": lambda text: text == "True"}
+    kinds = {field.name: str(field.type) for field in fields(Row)}
+    convert: dict[str, Callable[[str], Any]] = {
+        "str": str,
+        "int": int,
+        "float": float,
+        "bool": lambda text: text == "True",
+    }
     with path.open(newline="") as file:
         lines = [line for line in csv.DictReader(file) if None not in line.values() and None not in line]
     return [Row(**{name: convert[kinds[name]](line[name]) for name in kinds}) for line in lines]
@@ -143,7 +152,7 @@ def summary(rows: list[Row]) -> Iterator[str]:
         if not good:
             continue
 
-        def worst(name: str, pick: type[max] = max, good: list[Row] = good) -> str:
+        def worst(name: str, pick: Callable[..., Any] = max, good: list[Row] = good) -> str:
             values = np.array([getattr(row, name) for row in good])
             return f"{np.median(values):.3g} / {pick(values):.3g}"
 
@@ -178,7 +187,7 @@ def write_summary(rows: list[Row], path: Path) -> None:
 
 def main(arguments: list[str] | None = None) -> None:
     """Measure what is missing, then write the summary."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--arms", nargs="+", default=arm_names())
     parser.add_argument("--scenes", nargs="+", default=["window", "shelf", "poles"])
     parser.add_argument("--seeds", type=int, default=50, help="from 0 on")
