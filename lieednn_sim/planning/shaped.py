@@ -31,7 +31,8 @@ from lieednn_sim.synthesis import ShapingOptions, shape
 Floats = NDArray[np.float64]
 
 # From one guess: where it fails a path of RRT-Connect is a better one than any that is drawn.
-_OPTIMISATION = OptimisationOptions(guesses=1, evaluations=12)
+# It keeps a little from the joints' limits, which a network that is a little off it would break.
+_OPTIMISATION = OptimisationOptions(guesses=1, evaluations=12, inset=0.01)
 _RRT = RrtConnectOptions()
 # Of the teacher's motion, each so-manyth sample is a sample of the curve.
 _STRIDE = 2

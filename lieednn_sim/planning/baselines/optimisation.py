@@ -46,6 +46,7 @@ class OptimisationOptions(PlannerOptions):
         evaluations: of the cost in a descent.
         guesses: first ones, from which it descends.
         drawn: bent guesses drawn, of which the clearest are descended from.
+        inset: share of a joint's range that control points keep from its limits, where start and target do.
 
     Raises:
         InputError: a value is out of range.
@@ -60,6 +61,7 @@ class OptimisationOptions(PlannerOptions):
     evaluations: int = 20
     guesses: int = 6
     drawn: int = 150
+    inset: float = field(default=1e-9, metadata={"range": (0.0, 0.1)})
 
 
 def trajectory_optimisation(
@@ -120,8 +122,10 @@ class _Descent:
         spread = np.ptp(self.arm.position_limits, axis=1) / self.scale
         unit = max(float(np.linalg.norm(target - start)), 0.1 * float(np.linalg.norm(spread)))
         self.root = np.linalg.cholesky(free).T / (math.sqrt(720.0) * unit)
-        low, high = (np.tile(limit / self.scale, (len(free), 1)) for limit in self.arm.position_limits.T)
-        self.low, self.high = low.ravel(), high.ravel()
+        inset = options.inset * spread
+        low, high = self.arm.position_limits.T / self.scale
+        self.low = np.tile(np.minimum(low + inset, np.minimum(start, target)), len(free))
+        self.high = np.tile(np.maximum(high - inset, np.maximum(start, target)), len(free))
 
     def guesses(self) -> Iterator[Floats]:
         """First guesses, flat: the smoothest trajectory, then bent ones, the clearest first."""
