@@ -26,19 +26,21 @@ class Overlay:
     Attributes:
         planned_frames: ``(K, N, 4, 4)`` planned link frames, the last one being the end effector.
         traced_tip: ``(K, 3)`` simulated end effector positions.
+        scale: of lengths and widths, 1 for an arm of two metres.
     """
 
     planned_frames: Floats
     traced_tip: Floats
+    scale: float = 1.0
 
     def draw(self, scene: mujoco.MjvScene, k: int) -> None:
         """Add the geometry of sample ``k`` to a scene."""
-        _polyline(scene, self.planned_frames[:, -1, :3, 3], 0.008, PLANNED_COLOUR)
-        _polyline(scene, self.traced_tip[: k + 1], 0.011, TRACED_COLOUR)
+        _polyline(scene, self.planned_frames[:, -1, :3, 3], 0.008 * self.scale, PLANNED_COLOUR)
+        _polyline(scene, self.traced_tip[: k + 1], 0.011 * self.scale, TRACED_COLOUR)
         for frame in self.planned_frames[k]:
             for axis, colour in enumerate(_AXIS_COLOURS):
-                tip = frame[:3, 3] + _AXIS_LENGTH * frame[:3, axis]
-                _connect(scene, mujoco.mjtGeom.mjGEOM_ARROW, 0.007, frame[:3, 3], tip, colour)
+                tip = frame[:3, 3] + self.scale * _AXIS_LENGTH * frame[:3, axis]
+                _connect(scene, mujoco.mjtGeom.mjGEOM_ARROW, 0.007 * self.scale, frame[:3, 3], tip, colour)
 
 
 def _polyline(scene: mujoco.MjvScene, points: Floats, radius: float, colour: tuple[float, ...]) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import copy
 import functools
 import os
 from collections.abc import Callable, Iterator
@@ -19,7 +18,7 @@ from lieednn_sim import storage
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import FileError, InputError, RenderingUnavailableError
-from lieednn_sim.rendering import ffmpeg, opengl
+from lieednn_sim.rendering import ffmpeg, opengl, stage
 from lieednn_sim.rendering.caption import write_caption
 from lieednn_sim.rendering.overlay import Overlay
 from lieednn_sim.simulation import Rollout
@@ -37,6 +36,7 @@ class Preset:
 
 
 _MAX_RATE = 1000.0
+_LARGE = 1.3  # across what is in the picture [m], from which on what is drawn over it has its full size
 _MAX_WIDTH, _MAX_HEIGHT = 3840, 2160
 PRESETS = {"draft": Preset(shadows=False, samples=0), "nice": Preset(shadows=True, samples=4)}
 
@@ -70,10 +70,12 @@ class Camera:
 
     Args:
         arm: the arm; its model is not changed.
-        camera: name of a camera of its scene; by default ``overview``, or a view of the whole where there is none.
+        camera: name of a camera of its scene; by default ``overview``, or where there is none a view of ``points``.
         size: (width, height) in pixels, both even, at most 3840x2160.
         preset: a name of `PRESETS`.
-        target: joint target ``(n,)`` to put the scene's marker at.
+        target: joint target ``(n,)`` to put a marker at, the scene's own or one that is added like light, sky and floor
+            (`stage.staged`).
+        points: ``(P, 3)`` that the view shall hold; by default what the link frames reach.
 
     Raises:
         InputError: unknown camera or preset, or a size that cannot be rendered.
@@ -88,18 +90,19 @@ class Camera:
         size: tuple[int, int] = (1280, 720),
         preset: str = "nice",
         target: ArrayLike | None = None,
+        points: ArrayLike | None = None,
     ) -> None:
         check_view(arm, camera=camera, size=size, preset=preset)
         opengl.require()
         self._arm, self._preset = arm, PRESETS[preset]
-        # MuJoCo's camera -1 is its own view of the whole model.
-        self._camera: str | int = camera or ("overview" if "overview" in _cameras(arm) else -1)
-        self._model = copy.deepcopy(arm.model)
+        held = stage.reached(arm) if points is None else np.asarray(points, dtype=float)
+        self._model, self._marker = stage.staged(arm, held)
+        named = camera or ("overview" if "overview" in _cameras(arm) else None)
+        self._camera: str | mujoco.MjvCamera = named or stage.framing(arm, held)
         self._model.vis.global_.offwidth, self._model.vis.global_.offheight = size
         self._model.vis.quality.offsamples = self._preset.samples
         self._data = mujoco.MjData(self._model)
-        if target is not None:
-            self._place_marker(target)
+        self._place_marker(target)
         try:
             self._renderer = mujoco.Renderer(self._model, size[1], size[0], max_geom=20_000)
         except Exception as error:  # MuJoCo lets errors of several GL bindings through, with no common base
@@ -125,14 +128,13 @@ class Camera:
             draw(self._renderer.scene)
         return np.asarray(self._renderer.render())
 
-    def _place_marker(self, target: ArrayLike) -> None:
-        body = mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_BODY, "target")
-        if body < 0 or self._model.body_mocapid[body] < 0:
+    def _place_marker(self, target: ArrayLike | None) -> None:
+        """At a target; without one the scene's own stays where it is, and one that was added is inside the base."""
+        if target is None and self._model.nbody == self._arm.model.nbody:
             return
-        pose = self._arm.link_poses(target)[-1]
-        index = self._model.body_mocapid[body]
-        self._data.mocap_pos[index] = pose.translation
-        self._data.mocap_quat[index] = pose.rotation.as_quat(scalar_first=True)
+        pose = self._arm.base if target is None else self._arm.link_poses(target)[-1]
+        self._data.mocap_pos[self._marker] = pose.translation
+        self._data.mocap_quat[self._marker] = pose.rotation.as_quat(scalar_first=True)
 
 
 def render_video(
@@ -170,11 +172,14 @@ def render_video(
     # The small slack keeps the last frame when duration * fps is a whole number up to rounding.
     total = int(np.floor((rollout.t[-1] - rollout.t[0]) * rate + 1e-6)) + 1
     samples = np.rint(np.arange(total) / rate / rollout.timestep).astype(int)
-    overlay = Overlay(arm.link_poses(rollout.q_ref).as_matrix(), rollout.link_position[:, -1])
+    ends = [arm.base.translation, arm.link_poses(rollout.target).translation[-1]]
+    points = np.vstack([*ends, rollout.link_position.reshape(-1, 3)])
+    scale = 1.0 if "overview" in _cameras(arm) else min(1.0, float(np.linalg.norm(np.ptp(points, axis=0))) / _LARGE)
+    overlay = Overlay(arm.link_poses(rollout.q_ref).as_matrix(), rollout.link_position[:, -1], scale)
     names = [title] if title else []
     names += [arm.name if arm.scene == "free" else f"{arm.name}, {arm.scene}", rollout.controller]
     end = rollout.t[-1]
-    view = Camera(arm, camera=camera, size=size, preset=preset, target=rollout.target)
+    view = Camera(arm, camera=camera, size=size, preset=preset, target=rollout.target, points=points)
     with view, storage.atomic_path(path) as temporary:
         with _writer(temporary, size, rate) as append:
             for done, k in enumerate(samples, start=1):

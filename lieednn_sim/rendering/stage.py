@@ -1,0 +1,116 @@
+"""What a picture needs and a robot's file may lack: light, sky, floor, a marker for the target, and a camera."""
+
+from __future__ import annotations
+
+import copy
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm import Arm
+from lieednn_sim.arm.importer.loading import unused
+
+Floats = NDArray[np.float64]
+
+_LIGHTS = (((-0.33, 0.43, -0.84), 0.45, True), ((-0.45, -0.72, -0.54), 0.2, False))  # direction, diffuse, shadow
+_AXES = ((0.87, 0.20, 0.20, 1.0), (0.20, 0.68, 0.28, 1.0), (0.18, 0.40, 0.88, 1.0))
+_GLASS = (0.08, 0.75, 0.70, 0.35)
+_AZIMUTH, _ELEVATION = 125.0, -20.0  # of a camera that nobody placed [degrees]
+_POSTURES = 64
+_UNSEEN = {"contype": 0, "conaffinity": 0, "group": 2, "mass": 0.0}  # by contacts and dynamics
+
+
+def reached(arm: Arm) -> Floats:
+    """Points ``(P, 3)`` that the link frames reach, at home and at random postures with a fixed seed."""
+    low, high = arm.position_limits.T
+    postures = np.random.default_rng(0).uniform(low, high, (_POSTURES, arm.n_joints))
+    places = arm.link_poses(np.vstack([arm.keyframe("home"), arm.within_angles(postures)])).translation
+    return np.vstack([arm.base.translation, np.asarray(places).reshape(-1, 3)])
+
+
+def framing(arm: Arm, points: Floats) -> mujoco.MjvCamera:
+    """A camera that sees the ball around points ``(P, 3)`` of the arm, and a hand beyond them."""
+    centre = 0.5 * (points.min(axis=0) + points.max(axis=0))
+    radius = 1.15 * float(np.linalg.norm(points - centre, axis=1).max()) + _hand(arm)
+    camera = mujoco.MjvCamera()
+    camera.type = mujoco.mjtCamera.mjCAMERA_FREE
+    camera.lookat[:] = centre
+    camera.distance = radius / np.sin(0.5 * np.deg2rad(arm.model.vis.global_.fovy))
+    camera.azimuth, camera.elevation = _AZIMUTH, _ELEVATION
+    return camera
+
+
+def staged(arm: Arm, points: Floats) -> tuple[mujoco.MjModel, int]:
+    """A copy of the arm's model with what it lacks for a picture, and the mocap id of its target's marker.
+
+    Args:
+        arm: joints and their order are the same in the copy.
+        points: ``(P, 3)`` that give the size of the marker.
+    """
+    model = arm.model
+    body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, "target")
+    marked = body >= 0 and model.body_mocapid[body] >= 0
+    sky = bool((model.tex_type == mujoco.mjtTexture.mjTEXTURE_SKYBOX).any())
+    floor = bool((model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE).any())
+    if marked and sky and floor and model.nlight:
+        return copy.deepcopy(model), int(model.body_mocapid[body])
+    spec = arm.spec.copy()
+    spec.compiler.discardvisual = False  # as URDF files have it, all of this would vanish
+    names = {element.name for kind in (spec.textures, spec.materials, spec.bodies) for element in kind}
+    if not model.nlight:
+        spec.visual.headlight.ambient = [0.4] * 3
+        for direction, diffuse, shadow in _LIGHTS:
+            light = spec.worldbody.add_light(pos=-4.0 * np.array(direction), dir=direction, castshadow=shadow)
+            light.type, light.diffuse = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, [diffuse] * 3
+    if not sky:
+        spec.add_texture(
+            name=unused("sky", names),
+            type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
+            builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
+            rgb1=[0.26, 0.44, 0.68],
+            rgb2=[0.90, 0.93, 0.95],
+            width=256,
+            height=1536,
+        )
+    if not floor:
+        spec.worldbody.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_PLANE,
+            size=[0.0, 0.0, 0.05],
+            pos=[0.0, 0.0, _lowest(arm)],
+            rgba=[0.62, 0.62, 0.60, 1.0],
+            **_UNSEEN,
+        )
+    name = "target" if marked else unused("target", names)
+    if not marked:
+        size = 0.06 * float(np.linalg.norm(np.ptp(points, axis=0)))
+        marker = spec.worldbody.add_body(name=name, mocap=True)
+        marker.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.35 * size, 0.0, 0.0], rgba=_GLASS, **_UNSEEN)
+        for axis, colour in zip(np.eye(3), _AXES, strict=True):
+            ends = [0.0, 0.0, 0.0, *(size * axis)]
+            kind = mujoco.mjtGeom.mjGEOM_CAPSULE
+            marker.add_geom(type=kind, fromto=ends, size=[0.04 * size, 0.0, 0.0], rgba=colour, **_UNSEEN)
+    made = spec.compile()
+    return made, int(made.body_mocapid[made.body(name).id])
+
+
+def _hand(arm: Arm) -> float:
+    """How far the last body reaches beyond the last link's frame at most [m]."""
+    model, site = arm.model, int(arm.site_ids[-1])
+    mine = model.body_weldid[model.geom_bodyid] == model.body_weldid[model.site_bodyid[site]]
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    return float(
+        (np.linalg.norm(data.geom_xpos - data.site_xpos[site], axis=1) + model.geom_rbound)[mine].max(initial=0.0)
+    )
+
+
+def _lowest(arm: Arm) -> float:
+    """The lowest point of the arm at home [m], by the boxes around its geoms; the base where it has none."""
+    model, data = arm.model, mujoco.MjData(arm.model)
+    data.qpos[:] = arm.qpos(arm.keyframe("home"))
+    mujoco.mj_kinematics(model, data)
+    upright = data.geom_xmat.reshape(-1, 3, 3)[:, 2]
+    middle = data.geom_xpos[:, 2] + (upright * model.geom_aabb[:, :3]).sum(axis=1)
+    depth = (np.abs(upright) * model.geom_aabb[:, 3:]).sum(axis=1)
+    return float(min([float(arm.base.translation[2]), *(middle - depth)]))
