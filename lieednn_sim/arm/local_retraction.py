@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg.lapack import dposv
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.arm import Arm
@@ -21,8 +22,9 @@ _SHORT, _MOST = 1e-3, 8
 _AHEAD = 1e-6
 # Coordinates that no pose determines stay; relative to 1 radian and one unit of length.
 _DAMPING = 1e-12
+_ONE = np.eye(3)
 # Rows: the matrices hat(e_k), flat.
-_HAT = hat(np.eye(3)).reshape(3, 9)
+_HAT = hat(_ONE).reshape(3, 9)
 
 
 class LocalRetraction:
@@ -40,32 +42,38 @@ class LocalRetraction:
     def __init__(self, arm: Arm, q: Floats) -> None:
         self._arm, self._space, self._model, self._data = arm, arm.space, arm.model, mujoco.MjData(arm.model)
         self._sites = arm.site_ids
-        self._bodies = [int(body) for body in arm.model.site_bodyid[arm.site_ids]]
-        self._base, mounts, tips = arm.base.as_matrix(), arm.mounts.as_matrix(), arm.tips.inv().as_matrix()
+        mounts, tips = arm.mounts.as_matrix(), arm.tips.inv().as_matrix()
         self._mount, self._shift = mounts[:, :3, :3], mounts[:, :3, 3]
         self._tip, self._reach = tips[:, :3, :3], tips[:, :3, 3]
         self._units, self._weights = arm.twist_units, np.repeat([1.0, 1.0 / arm.length_scale], 3)
-        self._angular, self._linear = np.zeros((2, len(self._bodies), 2, 3, arm.model.nv))
+        # The base, which stays, and the links.
+        self._turns, self._places = np.zeros((arm.n_links + 1, 3, 3)), np.zeros((arm.n_links + 1, 3))
+        self._turns[0], self._places[0] = arm.base.as_matrix()[:3, :3], arm.base.as_matrix()[:3, 3]
+        # Jacobians (angular, linear) of each link and of the one before it, at the link's own point.
+        self._own, self._before = np.zeros((2, arm.n_links, 2, 3, arm.model.nv))
+        bodies = [int(body) for body in arm.model.site_bodyid[arm.site_ids]]
+        self._calls = [(self._own[i], i, body) for i, body in enumerate(bodies)]
+        self._calls += [(self._before[i], i, body) for i, body in enumerate(bodies[:-1], start=1)]
         self._rates, self._identity = arm.space.rates, np.eye(len(q))
-        self.q, self.gap = q, np.zeros((len(self._bodies), 6))
+        self.q, self.gap = q, np.zeros((arm.n_links, 6))
 
     def __call__(self, xi: Floats, rate: Floats) -> tuple[Floats, Floats]:
         """Joint coordinates and, along ``rate``, their rates, both ``(n,)``, of network states ``(N, 6)``; unchecked.
 
         A posture that is not near is found where Newton's method leads in eight steps.
         """
-        turned, moved = _exp(np.stack([xi, xi + _AHEAD * rate]) * self._units)
+        turned, moved = _exp(np.array([xi, xi + _AHEAD * rate]) * self._units)
+        error = np.empty((2, *xi.shape))
         for _ in range(_MOST):
             rotation, translation, jacobian = self._linearised()
             relative = turned @ rotation.transpose(0, 2, 1)
-            error = np.empty((2, *xi.shape))
-            for k, (i, j) in enumerate(((2, 1), (0, 2), (1, 0))):
-                error[..., k] = 0.5 * (relative[..., i, j] - relative[..., j, i])
+            # Of the antisymmetric part, the sine of the angle.
+            error[..., :3] = 0.5 * relative.reshape(2, -1, 9) @ _HAT.T
             error[..., 3:] = moved - translation
-            scaled = (error * self._weights).reshape(2, -1)
             matrix = jacobian.T @ jacobian
             matrix.flat[:: len(matrix) + 1] += _DAMPING
-            step, ahead = np.linalg.solve(matrix, jacobian.T @ scaled.T).T
+            _, steps, _ = dposv(matrix, jacobian.T @ (error * self._weights).reshape(2, -1).T)
+            step, ahead = steps.T
             self.q = self.q + step
             if np.abs(step).max() < _SHORT:
                 break
@@ -78,8 +86,8 @@ class LocalRetraction:
         data.qpos[:] = self._space.to_qpos(q)
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
-        turns = np.concatenate([self._base[None, :3, :3], data.site_xmat[self._sites].reshape(-1, 3, 3)])
-        places = np.concatenate([self._base[None, :3, 3], data.site_xpos[self._sites]])
+        turns, places = self._turns, self._places
+        turns[1:], places[1:] = data.site_xmat[self._sites].reshape(-1, 3, 3), data.site_xpos[self._sites]
         # World frames of the joints, at the frame before, and the points that a pose's translation is of.
         frames = turns[:-1] @ self._mount
         origins = places[:-1] + (turns[:-1] @ self._shift[:, :, None])[:, :, 0]
@@ -87,15 +95,11 @@ class LocalRetraction:
         back = frames.transpose(0, 2, 1)
         rotation = back @ turns[1:] @ self._tip
         translation = (back @ (tips - origins)[:, :, None])[:, :, 0]
-        before = 0
-        for i, body in enumerate(self._bodies):
-            mujoco.mj_jac(model, data, self._linear[i, 0], self._angular[i, 0], tips[i], body)
-            if i:
-                mujoco.mj_jac(model, data, self._linear[i, 1], self._angular[i, 1], tips[i], before)
-            before = body
-        moving = np.concatenate([back @ (part[:, 0] - part[:, 1]) for part in (self._angular, self._linear)], axis=1)
+        for (angular, linear), link, body in self._calls:
+            mujoco.mj_jac(model, data, linear, angular, tips[link], body)
+        moving = back[:, None] @ (self._own - self._before)
         rates = self._space.to_qvel(q, self._identity).T if len(self._space.balls) else self._rates
-        jacobian = (moving * self._weights[:, None]).reshape(-1, len(rates)) @ rates
+        jacobian = (moving.reshape(-1, 6, len(rates)) * self._weights[:, None]).reshape(-1, len(rates)) @ rates
         return rotation, translation, jacobian
 
 
@@ -108,5 +112,5 @@ def _exp(twist: Floats) -> tuple[Floats, Floats]:
     b = 2.0 * (np.sin(0.5 * angle) / angle) ** 2
     skew = (omega @ _HAT).reshape(*omega.shape, 3)
     double = skew @ skew
-    translation = (np.eye(3) + b * skew + (1.0 - a) / square * double) @ twist[..., 3:, None]
-    return np.eye(3) + a * skew + b * double, translation[..., 0]
+    translation = (_ONE + b * skew + (1.0 - a) / square * double) @ twist[..., 3:, None]
+    return _ONE + a * skew + b * double, translation[..., 0]

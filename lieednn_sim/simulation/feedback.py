@@ -102,7 +102,7 @@ class FeedbackFollower:
         share: l, of the last period.
         pace: l s, of the last period: its share of the speed c.
         behind: e, at the beginning of the last period.
-        limit_excess: as of `following.Following`, like the gaps.
+        limit_excess: as of `following.Following`.
 
     Raises:
         InputError: network and arm differ in size, the network has no proof and need not follow, the speed is too high
@@ -146,7 +146,17 @@ class FeedbackFollower:
         self._x, self._flow = self.xi.ravel(), np.zeros(self.xi.size)
         self._drawn, self._flow_rate = self.q, self.qd
         self.jumped, self.share, self.pace, self.behind = False, 1.0, 1.0, 0.0
-        self.limit_excess, self.gap_translation, self.gap_rotation = -np.inf, 0.0, 0.0
+        self.limit_excess, self._gap = -np.inf, np.zeros((arm.n_links, 2))
+
+    @property
+    def gap_rotation(self) -> float:
+        """See `following.Following`."""
+        return float(np.sqrt(self._gap[:, 0].max()))
+
+    @property
+    def gap_translation(self) -> float:
+        """See `following.Following`."""
+        return float(np.sqrt(self._gap[:, 1].max()))
 
     def advance(self, target: Floats, measured: Floats | None = None) -> tuple[Floats, Floats, Floats]:
         """Run for a control period after a target ``(n,)``, with the joints measured ``(n,)`` at its beginning.
@@ -176,8 +186,7 @@ class FeedbackFollower:
             share /= excess
         self._x, self._flow, self._flow_rate = x, flow, flow_rate
         self.xi, self.share, self.pace = x.reshape(self.xi.shape), share, share * waiting
-        gap = np.sqrt((self._retraction.gap.reshape(-1, 2, 3) ** 2).sum(axis=2).max(axis=0))
-        self.gap_rotation, self.gap_translation = max(self.gap_rotation, gap[0]), max(self.gap_translation, gap[1])
+        self._gap = np.maximum(self._gap, (self._retraction.gap**2).reshape(-1, 2, 3).sum(axis=2))
         inside = self._arm.within_angles(drawn) if len(self._arm.space.balls) else drawn
         self._drawn = np.minimum(np.maximum(inside, self._low), self._high)
         self.limit_excess = max(self.limit_excess, float(np.maximum(self._low - drawn, drawn - self._high).max()))
@@ -195,7 +204,7 @@ class FeedbackFollower:
         """Goal of all neurons in the middle of the period, its velocity, flat, and the joints' with it."""
         before, self.jumped = self._target, False
         still = np.zeros(len(self._x)), np.zeros_like(target)
-        if before is not None and np.array_equal(target, before[0]):
+        if before is not None and (target == before[0]).all():
             return before[1], *still
         goal = self._network.goal(self._arm.encode(target)).ravel()
         self._target, aim = (target.copy(), goal), goal
@@ -260,7 +269,7 @@ class FeedbackFollower:
             qd = self._guard.step(self.q, self.qd, qd + _GAIN * error).velocity
             q = self.q + 0.5 * self._period * (self.qd + qd)
         self.q, self.qd = q, qd
-        rows = self._hermite @ np.stack([*before, q, qd])
+        rows = self._hermite @ np.array([*before, q, qd])
         return rows[: len(rows) // 2], rows[len(rows) // 2 :]
 
 
