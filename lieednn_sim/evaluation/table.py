@@ -6,50 +6,72 @@ import csv
 import os
 import time
 from collections.abc import Iterable
+from dataclasses import fields
 from pathlib import Path
-from typing import Any
+from typing import Any, Generic, Protocol, Self, TypeVar
 
 from lieednn_sim import storage
 from lieednn_sim.errors import FileError
 from lieednn_sim.evaluation.cases import Settings
-from lieednn_sim.evaluation.rows import FIELDS, Case, Key, Row
+from lieednn_sim.evaluation.rows import Case, Row
 from lieednn_sim.versions import versions
 
 # The file is written anew at most so often [s]; a killed process loses no more, an interrupted one nothing.
 _WRITE_INTERVAL = 2.0
 
 
-class Table:
-    """Rows by arm, scene, planner, controller and seed, kept in a directory.
+class _Described(Protocol):
+    """What all rows of a table share."""
+
+    def as_dict(self) -> dict[str, float]:
+        """For a JSON file."""
+
+
+class _Kept(Protocol):
+    """A row of a table: a dataclass, one column a field."""
+
+    @property
+    def key(self) -> tuple[Any, ...]:
+        """What tells the row from the others."""
+
+    def as_texts(self) -> dict[str, str]:
+        """The row's cells in a CSV file."""
+
+    @classmethod
+    def from_texts(cls, texts: dict[str, str]) -> Self:
+        """Read `as_texts`; `ValueError` where a cell is not of its column's type."""
+
+
+R = TypeVar("R", bound=_Kept)
+S = TypeVar("S", bound=_Described)
+
+
+class Rows(Generic[R, S]):
+    """Rows of one kind by their keys, kept in a directory.
 
     Args:
         directory: made when it is missing. A table in it is read and gone on with.
+        name: of the files, without their suffix.
+        kind: of the rows.
         settings: of all rows.
 
     Raises:
         FileError: the directory holds a table made with other settings or versions, or something else.
     """
 
-    def __init__(self, directory: str | os.PathLike[str], settings: Settings) -> None:
+    def __init__(self, directory: str | os.PathLike[str], name: str, kind: type[R], settings: S) -> None:
         self.directory = storage.make_directory(directory)
-        self.csv, self.json = self.directory / "comparison.csv", self.directory / "comparison.json"
+        self.csv, self.json = self.directory / f"{name}.csv", self.directory / f"{name}.json"
         self.settings, self.versions = settings, versions()
-        self.rows: dict[Key, Row] = {}
+        self._name, self._fields = name, [field.name for field in fields(kind)]  # type: ignore[arg-type]
+        self.rows: dict[tuple[Any, ...], R] = {}
         if self.csv.exists():
             self._check()
-            self.rows = read_rows(self.csv)
-        else:
-            # Films of a table that was removed are of other settings, or other code.
-            for film in (self.directory / "videos").glob("*.mp4"):
-                film.unlink()
+            self.rows = read_rows(self.csv, kind)
         self._written = time.monotonic()
         storage.save_json(self.json, self._description())
 
-    def missing(self, case: Case, controllers: Iterable[str]) -> list[str]:
-        """The controllers whose row of a case is not there yet."""
-        return [name for name in controllers if (case.arm, case.scene, case.planner, name, case.seed) not in self.rows]
-
-    def add(self, rows: Iterable[Row]) -> None:
+    def add(self, rows: Iterable[R]) -> None:
         """Add rows; they are on disk after the next `save`, or soon."""
         self.rows |= {row.key: row for row in rows}
         if time.monotonic() - self._written > _WRITE_INTERVAL:
@@ -58,25 +80,25 @@ class Table:
     def save(self) -> None:
         """Write all rows, sorted, atomically."""
         with storage.atomic_text(self.csv) as stream:
-            writer = csv.DictWriter(stream, fieldnames=FIELDS, lineterminator="\n")
+            writer = csv.DictWriter(stream, fieldnames=self._fields, lineterminator="\n")
             writer.writeheader()
             writer.writerows(row.as_texts() for row in self.sorted_rows())
         self._written = time.monotonic()
 
-    def sorted_rows(self) -> list[Row]:
+    def sorted_rows(self) -> list[R]:
         """All rows in the order of their keys."""
         return [self.rows[key] for key in sorted(self.rows)]
 
     def _description(self) -> dict[str, Any]:
-        return {"kind": "comparison", "format": 1, "settings": self.settings.as_dict(), "versions": self.versions}
+        return {"kind": self._name, "format": 1, "settings": self.settings.as_dict(), "versions": self.versions}
 
     def _check(self) -> None:
         """Refuse to mix rows that were not made alike."""
         advice = f"choose another --output, or remove {self.csv}"
         try:
-            found = storage.load_json(self.json, "comparison")
+            found = storage.load_json(self.json, self._name)
             made = {**found["settings"], **found["versions"]}
-            if found["kind"] != "comparison" or found["format"] != 1:
+            if found["kind"] != self._name or found["format"] != 1:
                 raise ValueError("it is of another kind")
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise FileError(
@@ -88,7 +110,22 @@ class Table:
             raise FileError(f"{self.csv} was made with {'; '.join(differ)}; {advice}")
 
 
-def read_rows(path: str | os.PathLike[str]) -> dict[Key, Row]:
+class Table(Rows[Row, Settings]):
+    """Rows of a comparison by arm, scene, planner, controller and seed; arguments and errors as of `Rows`."""
+
+    def __init__(self, directory: str | os.PathLike[str], settings: Settings) -> None:
+        super().__init__(directory, "comparison", Row, settings)
+        if not self.rows:
+            # Films of a table that was removed are of other settings, or other code.
+            for film in (self.directory / "videos").glob("*.mp4"):
+                film.unlink()
+
+    def missing(self, case: Case, controllers: Iterable[str]) -> list[str]:
+        """The controllers whose row of a case is not there yet."""
+        return [name for name in controllers if (case.arm, case.scene, case.planner, name, case.seed) not in self.rows]
+
+
+def read_rows(path: str | os.PathLike[str], kind: type[R] = Row) -> dict[tuple[Any, ...], R]:  # type: ignore[assignment]
     """Rows of a table.
 
     Raises:
@@ -98,8 +135,9 @@ def read_rows(path: str | os.PathLike[str]) -> dict[Key, Row]:
         with Path(path).open(encoding="utf-8", newline="") as stream:
             reader = csv.DictReader(stream, strict=True)
             texts = list(reader)
-        if tuple(reader.fieldnames or ()) != FIELDS or any(None in {*row, *row.values()} for row in texts):
+        names = [field.name for field in fields(kind)]  # type: ignore[arg-type]
+        if list(reader.fieldnames or ()) != names or any(None in {*row, *row.values()} for row in texts):
             raise ValueError("it has other columns")
-        return {row.key: row for row in map(Row.from_texts, texts)}
+        return {row.key: row for row in map(kind.from_texts, texts)}
     except (OSError, ValueError, csv.Error) as error:
         raise FileError(f"cannot go on from {path}: {error}; remove it or choose another --output") from None

@@ -7,7 +7,7 @@ With e = max |q - q_r| / range, the state x = (visible, hidden and clock) obeys
 
 where F is the field of the network retargeted to the present target, c its speed, xi the arm's encoding, and
 
-    s = max(1 / (1 + (e / e_0)^2), s_0)    the clock waits for an arm that does not keep up,
+    s = max(1 / (1 + (e / e_1)^2), s_0)    the clock waits for an arm that does not keep up,
     d = max(0, 1 - e_0 / e)                what is within the tolerance e_0 is the controller's to mend,
     l <= 1                                 keeps the joints within their limits of velocity and, gathering speed, of
                                            acceleration.
@@ -30,15 +30,15 @@ from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.interpolate import CubicHermiteSpline
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.local_retraction import LocalRetraction
 from lieednn_sim.errors import InputError
 from lieednn_sim.network import LieEDNN
-from lieednn_sim.planning.filtering import FilterOptions, SafetyFilter
+from lieednn_sim.planning.filtering import FilterOptions
 from lieednn_sim.planning.motion import require_fit
+from lieednn_sim.simulation.reference import PeriodReference
 from lieednn_sim.validation import as_floats, as_positive
 
 Floats = NDArray[np.float64]
@@ -51,8 +51,6 @@ _FASTEST = 10.0
 _LARGEST_STEP, _LARGEST_SWITCHING, _MOST_STEPS = 0.5, 0.5, 100
 # Velocities at the end of a period may be above their limits by this share before it is run again, and so often.
 _TOO_FAST, _TRIES = 1e-3, 4
-# With the filter: pull of the joints towards the network's state [1/s].
-_GAIN = 8.0
 
 
 @dataclass(frozen=True)
@@ -61,15 +59,17 @@ class Feedback:
 
     Attributes:
         rate: k, at which the visible state is drawn to the measured joints [1/s]; 0 lets the clock wait alone.
-        tolerance: e_0, share of the joints' ranges by which the arm may be off its reference at half the speed.
+        tolerance: e_0, share of the joints' ranges by which the arm may be off its reference and pull nothing.
+        patience: e_1, share of the joints' ranges by which the arm is off its reference at half the speed.
         safety: the filter of limits and clearance between the network and the reference; None for none.
 
     Raises:
         InputError: a value is out of range.
     """
 
-    rate: float = 20.0
+    rate: float = 1.0
     tolerance: float = 0.01
+    patience: float = 0.002
     safety: FilterOptions | None = None
 
     def __post_init__(self) -> None:
@@ -77,9 +77,15 @@ class Feedback:
         if not 0.0 <= rate <= 1e3:
             raise InputError(f"rate must be from 0 to 1000 per second, got {rate:g}")
         object.__setattr__(self, "rate", rate)
-        object.__setattr__(self, "tolerance", as_positive("tolerance", self.tolerance))
+        for name in ("tolerance", "patience"):
+            object.__setattr__(self, name, as_positive(name, getattr(self, name)))
         if self.safety is not None and not isinstance(self.safety, FilterOptions):
             raise InputError(f"safety must be FilterOptions or None, got {type(self.safety).__name__}")
+
+    def response(self, behind: float) -> tuple[float, float]:
+        """To an arm that is off by e: s, and k d [1/s]."""
+        waiting = max(1.0 / (1.0 + (behind / self.patience) ** 2), _SLOWEST)
+        return waiting, self.rate * max(0.0, 1.0 - self.tolerance / max(behind, 1e-300))
 
 
 class FeedbackFollower:
@@ -96,8 +102,7 @@ class FeedbackFollower:
 
     Attributes:
         xi: ``(N, 6)`` state of all neurons.
-        q: ``(n,)`` the reference at the end of the last period [rad, m].
-        qd: ``(n,)`` its rates.
+        reference: what the arm is to follow.
         jumped: whether the last target was faster than the joints may be.
         share: l, of the last period.
         pace: l s, of the last period: its share of the speed c.
@@ -127,24 +132,19 @@ class FeedbackFollower:
             raise InputError("only a certified network follows every target; see network.certify()")
         self._arm, self._network, self._feedback = arm, network, feedback
         self._speed, self._feedforward = as_positive("speed", speed), feedforward
-        self._period = steps * float(arm.model.opt.timestep)
+        self.reference = PeriodReference(arm, arm.check_position(start, "start"), steps, feedback.safety)
+        self._period = self.reference.period
         self._weight, self._visible = network.mu * network.weight, 6 * network.n_visible
-        self.q, self.qd = arm.check_position(start, "start"), np.zeros(arm.n_joints)
-        self.xi = network.start(arm.encode(self.q))
+        self.xi = network.start(arm.encode(self.reference.q))
         self._stiffness = network.gamma + network.mu * _certified_norm(network)
         self._low, self._high = arm.position_limits.T
         self._range = self._high - self._low
         self._fastest = np.where(np.isfinite(arm.velocity_limits), arm.velocity_limits, _FASTEST)
-        self._retraction = LocalRetraction(arm, self.q)
-        self._hermite = _hermite_rows(steps, self._period)
-        self._guard = None
-        if feedback.safety is not None:
-            self._guard = SafetyFilter(arm, self._period, feedback.safety)
-            self._guard.allow(self.q)
+        self._retraction = LocalRetraction(arm, self.reference.q)
         self._target: tuple[Floats, Floats] | None = None
         # Where the network is, its field there, and both in joint coordinates.
         self._x, self._flow = self.xi.ravel(), np.zeros(self.xi.size)
-        self._drawn, self._flow_rate = self.q, self.qd
+        self._drawn, self._flow_rate = self.reference.q, self.reference.qd
         self.jumped, self.share, self.pace, self.behind = False, 1.0, 1.0, 0.0
         self.limit_excess, self._gap = -np.inf, np.zeros((arm.n_links, 2))
 
@@ -172,8 +172,7 @@ class FeedbackFollower:
         waiting, pull, pull_rate = self._listen(measured)
         scale, rate = waiting * self._speed, rate + pull_rate
         drift[: self._visible] += pull
-        # What gathers speed is bounded by the acceleration, too; networks slow down gently by themselves.
-        allowed = np.minimum(self._arm.velocity_limits, np.abs(self.qd) + self._arm.acceleration_limits * period)
+        allowed = self.reference.allowed()
         wanted = scale * self._flow_rate + rate
         share = 1.0 / max(1.0, float((np.abs(wanted) / allowed).max()))
         for _ in range(_TRIES):
@@ -190,7 +189,7 @@ class FeedbackFollower:
         inside = self._arm.within_angles(drawn) if len(self._arm.space.balls) else drawn
         self._drawn = np.minimum(np.maximum(inside, self._low), self._high)
         self.limit_excess = max(self.limit_excess, float(np.maximum(self._low - drawn, drawn - self._high).max()))
-        return (*self._reference(np.where(self._drawn == drawn, qd, 0.0)), self.xi[None])
+        return (*self.reference(self._drawn, np.where(self._drawn == drawn, qd, 0.0)), self.xi[None])
 
     def sample(self, data: mujoco.MjData) -> Floats:
         """See `log.ChannelSource`."""
@@ -226,8 +225,7 @@ class FeedbackFollower:
             return 1.0, 0.0, 0.0
         off = measured - self._drawn
         self.behind = float((np.abs(off) / self._range).max())
-        waiting = max(1.0 / (1.0 + (self.behind / feedback.tolerance) ** 2), _SLOWEST)
-        strength = feedback.rate * max(0.0, 1.0 - feedback.tolerance / max(self.behind, 1e-300))
+        waiting, strength = feedback.response(self.behind)
         if strength == 0.0:
             return waiting, 0.0, 0.0
         there, here = self._arm.encode(np.stack([measured, self._drawn]))
@@ -258,30 +256,8 @@ class FeedbackFollower:
         self._retraction.q, seen = near, slice(self._visible)
         return self._retraction(x[seen].reshape(-1, 6), flow[seen].reshape(-1, 6))
 
-    def _reference(self, qd: Floats) -> tuple[Floats, Floats]:
-        """Rows ``(m, n)`` from the last reference to the network's posture with rates ``(n,)``, or as near as is safe.
-
-        Between the ends of a period they are cubic.
-        """
-        q, before = self._drawn, (self.q, self.qd)
-        if self._guard is not None:
-            error = q - self.q - 0.5 * self._period * self.qd
-            qd = self._guard.step(self.q, self.qd, qd + _GAIN * error).velocity
-            q = self.q + 0.5 * self._period * (self.qd + qd)
-        self.q, self.qd = q, qd
-        rows = self._hermite @ np.array([*before, q, qd])
-        return rows[: len(rows) // 2], rows[len(rows) // 2 :]
-
 
 def _certified_norm(network: LieEDNN) -> float:
     """||S W_R S^-1||_2 with the certificate's P = S^2: of W in the norm in which translations count for nothing."""
     scale = np.sqrt(np.asarray(network.lyapunov_diagonal))
     return float(np.linalg.norm(scale[:, None] * network.certifiable_weight / scale, 2))
-
-
-def _hermite_rows(steps: int, period: float) -> Floats:
-    """Rows ``(2 m, 4)`` that make of (q, qd, q', qd') at the ends of a period q, then qd, after each of its m steps."""
-    ends = np.eye(4)
-    spline = CubicHermiteSpline([0.0, period], ends[[0, 2]], ends[[1, 3]])
-    times = period * np.arange(1, steps + 1) / steps
-    return np.concatenate([spline(times), spline(times, 1)])

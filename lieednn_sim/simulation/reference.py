@@ -6,16 +6,20 @@ from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.interpolate import CubicHermiteSpline
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError
+from lieednn_sim.planning.filtering import FilterOptions, SafetyFilter
 from lieednn_sim.validation import as_floats, as_positive
 
 Floats = NDArray[np.float64]
 
 # Steps that are worked out at once: many enough that their number does not matter, few enough to stay in the cache.
 _AHEAD = 256
+# With a filter: pull of the reference towards what it should be [1/s].
+_GAIN = 8.0
 
 
 class Reference:
@@ -127,6 +131,53 @@ class Foreseen:
             self._revision, self._steps = reference.revision, range(step, end)
             self._rows = self._make(self._steps)
         return self._rows[step - self._steps.start]
+
+
+class PeriodReference:
+    """Rows of a reference from one control period to the next, with or without a filter of limits and clearance.
+
+    Attributes:
+        q: ``(n,)`` at the end of the last period [rad, m].
+        qd: ``(n,)`` its rates.
+        period: [s].
+
+    Args:
+        arm: the arm.
+        start: ``(n,)`` where it is at rest.
+        steps: simulation steps in a period.
+        safety: settings of the filter, None for none.
+
+    Raises:
+        InputError: something touches at the start where there is a filter.
+    """
+
+    def __init__(self, arm: Arm, start: Floats, steps: int, safety: FilterOptions | None = None) -> None:
+        self._arm, self.q, self.qd = arm, start, np.zeros_like(start)
+        self.period = steps * float(arm.model.opt.timestep)
+        self._guard = None
+        if safety is not None:
+            self._guard = SafetyFilter(arm, self.period, safety)
+            self._guard.allow(start)
+        ends, times = np.eye(4), self.period * np.arange(1, steps + 1) / steps
+        spline = CubicHermiteSpline([0.0, self.period], ends[[0, 2]], ends[[1, 3]])
+        # Of (q, qd, q', qd') at the ends of a period.
+        self._hermite = np.concatenate([spline(times), spline(times, 1)])
+
+    def allowed(self) -> Floats:
+        """Velocities ``(n,)`` at the end of the next period: what gathers speed keeps the acceleration limits, too."""
+        faster = np.abs(self.qd) + self._arm.acceleration_limits * self.period
+        return np.asarray(np.minimum(self._arm.velocity_limits, faster))
+
+    def __call__(self, q: Floats, qd: Floats) -> tuple[Floats, Floats]:
+        """Rows ``(m, n)`` of q and of qd to a posture with its rates ``(n,)``, or as near as is safe; cubic between."""
+        before = self.q, self.qd
+        if self._guard is not None:
+            error = q - self.q - 0.5 * self.period * self.qd
+            qd = self._guard.step(self.q, self.qd, qd + _GAIN * error).velocity
+            q = self.q + 0.5 * self.period * (self.qd + qd)
+        self.q, self.qd = q, qd
+        rows = self._hermite @ np.array([*before, q, qd])
+        return rows[: len(rows) // 2], rows[len(rows) // 2 :]
 
 
 def steps_in(what: str, period: float, timestep: float) -> int:

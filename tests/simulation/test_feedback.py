@@ -15,7 +15,7 @@ PUSH = Disturbances(pushes=(Push("end effector", (0.0, 80.0, 0.0), 0.3, 0.2),))
 def run(gantry, cascade):
     """Follow the cascade to `GOAL` with the settings given, or to another target."""
 
-    def make(feedback, changes=None, target=GOAL, duration=4.0, **settings):
+    def make(feedback, changes=None, target=GOAL, duration=6.0, **settings):
         network = cascade(gantry.encode(GOAL))
         return follow(
             gantry,
@@ -32,7 +32,7 @@ def run(gantry, cascade):
 
 
 def test_a_clock_that_waits_runs_through_the_networks_own_orbit(gantry, cascade, run):
-    following = run(Feedback(rate=0.0, tolerance=0.005), PUSH)
+    following = run(Feedback(rate=0.0), PUSH)
     pace = following.rollout.channels["pace"][::2]
     assert pace.min() < 0.2
     assert pace.max() > 0.95
@@ -46,7 +46,7 @@ def test_a_clock_that_waits_runs_through_the_networks_own_orbit(gantry, cascade,
 def test_the_certificates_function_falls_while_the_clock_waits(gantry, cascade, run):
     network = cascade(gantry.encode(GOAL))
     weights = np.repeat(network.lyapunov_diagonal.reshape(-1, 1, 3), 2, axis=1).reshape(-1, 6)
-    following = run(Feedback(rate=0.0, tolerance=0.005), PUSH)
+    following = run(Feedback(rate=0.0), PUSH)
     # Of Lurie's kind, sum p int (phi(s) - phi(x_d)) ds, of the rotational halves, which hear nothing of the others.
     goal = network.goal(gantry.encode(GOAL))[:, :3]
     x = following.xi[..., :3]
@@ -54,11 +54,11 @@ def test_the_certificates_function_falls_while_the_clock_waits(gantry, cascade, 
         (1, 2)
     )
     assert (np.diff(value) < 1e-12).all()
-    assert value[-1] < 0.01 * value[0]
+    assert value[-1] < 0.02 * value[0]
 
 
 def test_a_pushed_arm_takes_its_state_along_and_comes_back(gantry, run):
-    still, pushed, stiff = run(Feedback()), run(Feedback(), PUSH), run(Feedback(rate=0.0), PUSH)
+    still, pushed, stiff = (run(Feedback(rate=rate), push) for rate, push in ((20.0, None), (20.0, PUSH), (0.0, PUSH)))
     aside = np.abs(pushed.xi[:, 1, :].reshape(len(pushed.xi), -1) - still.xi[:, 1, :]).max()
     assert aside > 0.005
     # Drives at their limits swing the arm past a reference that stays where it was.
@@ -78,7 +78,7 @@ def test_joints_gather_speed_within_their_limits(gantry, run):
 
 
 def test_a_target_that_moves_is_followed_without_lag(run):
-    moving = GOAL + np.linspace(0.0, 0.3, 401)[:, None] * [1.0, 1.0, 0.0, 1.0]
+    moving = GOAL + np.linspace(0.0, 0.3, 601)[:, None] * [1.0, 1.0, 0.0, 1.0]
     ahead, behind = (run(Feedback(), target=moving, feedforward=flag).rollout.q_ref[-1] for flag in (True, False))
     np.testing.assert_allclose(ahead, moving[-1], atol=2e-3)
     assert np.abs(behind - moving[-1]).max() > 0.01

@@ -1,0 +1,1 @@
+"""Planners that react, disturbed in the closed loop: their own benchmark."""

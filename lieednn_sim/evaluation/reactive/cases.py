@@ -1,0 +1,237 @@
+"""One case of the reactive benchmark: an arm in a scene, a leader, a disturbance and a seed, in the closed loop."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieednn_sim._blas import one_blas_thread
+from lieednn_sim.errors import LieEDNNError
+from lieednn_sim.evaluation.cases import FREE, arm_and_target
+from lieednn_sim.evaluation.metrics import evaluate
+from lieednn_sim.evaluation.reactive.leaders import LEADERS, Leader, Rows, Task
+from lieednn_sim.evaluation.reactive.recovery import Path
+from lieednn_sim.planning import plan
+from lieednn_sim.planning.filtering import FilterOptions
+from lieednn_sim.simulation import Disturbances, Feedback, Push, Rollout, Simulation
+from lieednn_sim.simulation.following import closed_loop
+
+Floats = NDArray[np.float64]
+
+DISTURBANCES = ("none", "push", "payload", "target")
+# Simulated time [s], rate of control [Hz], and the share of the leader's own path at which it is disturbed.
+_DURATION, _RATE, _AT = 7.0, 100.0, 0.35
+# Of a push: its length [s], and the share of its range by which a joint of the arm at rest would give way.
+_LENGTH, _OFF, _HALVINGS = 0.2, 0.1, 10
+# Weight of the payload that is taken up [N], and the largest step of the target as a share of the ranges.
+_WEIGHT, _STEP, _DRAWS = 20.0, 0.1, 100
+_GRAVITY = (0.0, 0.0, -1.0)
+
+
+@dataclass(frozen=True)
+class Reaction:
+    """A row; numbers are None where there are none.
+
+    Attributes:
+        arm: with the next four, what tells a row from the others.
+        scene: around the arm.
+        leader: a name of `LEADERS`.
+        disturbance: a name of `DISTURBANCES`.
+        seed: of target, obstacles, disturbance.
+        success: whether every link ends within 1 mm and 0.1 degrees of the target without contact.
+        reason: why it did not; begins with "problem", "plan", "simulation", "contact" or "arrival".
+        final_mm: distance of the worst link from its target at the end.
+        off: largest deviation from the leader's undisturbed way, of a joint, as a share of its range.
+        back_s: time after the disturbance until it stays within a tenth of that; none where it does not.
+        back_share: of the way that was left, how much was gone then.
+        effort: integral of the mean squared drive force in units of the limits [s].
+        velocity_share: largest joint velocity in units of its limit.
+        force_share: largest drive force in units of its limit.
+        step_us: median CPU time of a control step.
+    """
+
+    arm: str
+    scene: str
+    leader: str
+    disturbance: str
+    seed: int
+    success: bool
+    reason: str = ""
+    final_mm: float | None = None
+    off: float | None = None
+    back_s: float | None = None
+    back_share: float | None = None
+    effort: float | None = None
+    velocity_share: float | None = None
+    force_share: float | None = None
+    step_us: float | None = None
+
+    def __post_init__(self) -> None:
+        for name in NUMBERS:
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, float(f"{getattr(self, name):.4g}"))
+
+    @property
+    def key(self) -> tuple[str, str, str, str, int]:
+        """What tells the row from the others."""
+        return self.arm, self.scene, self.leader, self.disturbance, self.seed
+
+    def as_texts(self) -> dict[str, str]:
+        """The row's cells in a CSV file."""
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        values["success"] = "yes" if self.success else "no"
+        return {name: "" if value is None else str(value) for name, value in values.items()}
+
+    @classmethod
+    def from_texts(cls, texts: dict[str, str]) -> Reaction:
+        """Read `as_texts`; `ValueError` where a cell is not of its column's type."""
+        values: dict[str, Any] = dict(texts)
+        if texts["success"] != ("no" if texts["reason"] else "yes"):
+            raise ValueError(f"success is {texts['success']!r} where the reason of a failure is {texts['reason']!r}")
+        values |= {"seed": int(texts["seed"]), "success": texts["success"] == "yes"}
+        values |= {name: float(texts[name]) if texts[name] else None for name in NUMBERS}
+        return cls(**values)
+
+
+NUMBERS = tuple(field.name for field in fields(Reaction) if field.name not in Reaction.__match_args__[:7])
+
+
+def run_reactions(arm: str, scene: str, leader: str, seed: int) -> list[Reaction]:
+    """All disturbances of one leader: one row each. What fails is a row with the reason."""
+    with one_blas_thread():
+        try:
+            task = _task(arm, scene, seed)
+        except LieEDNNError as error:
+            return _failed(arm, scene, leader, seed, f"problem: {error}")
+        try:
+            nominal, steps = _run(task, LEADERS[leader](task), task.target[None])
+        except LieEDNNError as error:
+            return _failed(arm, scene, leader, seed, f"plan: {error}")
+        path = Path(task.arm, nominal.q)
+        _, gone = path.nearest(nominal.q)
+        begin = float(nominal.t[np.argmax(gone >= _AT)])
+        rows = [_row(task, scene, leader, "none", nominal, steps)]
+        for disturbance in DISTURBANCES[1:]:
+            targets, changes, end = _disturbed(task, disturbance, begin)
+            try:
+                rollout, steps = _run(task, LEADERS[leader](task), targets, changes)
+            except LieEDNNError as error:
+                rows.append(
+                    Reaction(arm, scene, leader, disturbance, seed, success=False, reason=f"simulation: {error}")
+                )
+                continue
+            row = _row(task, scene, leader, disturbance, rollout, steps)
+            if disturbance != "target":
+                recovery = path.recovery(rollout.t, rollout.q, begin, end)
+                row = replace(row, off=recovery.off, back_s=recovery.time_s, back_share=recovery.share)
+            rows.append(row)
+        return rows
+
+
+def _failed(arm: str, scene: str, leader: str, seed: int, reason: str) -> list[Reaction]:
+    return [Reaction(arm, scene, leader, name, seed, success=False, reason=reason) for name in DISTURBANCES]
+
+
+@lru_cache(maxsize=2)
+def _task(name: str, scene: str, seed: int) -> Task:
+    arm, target = arm_and_target(name, scene, seed)
+    # What the shaped networks' teacher makes of it: all that are shown a motion are shown the same.
+    shown = plan(arm, target, planner="lieednn-shaped", seed=seed)
+    feedback = Feedback(safety=None if scene == FREE else FilterOptions())
+    steps = round(1.0 / (_RATE * float(arm.model.opt.timestep)))
+    motion = shown.motion if shown.teacher is None else shown.teacher.motion
+    return Task(arm, arm.keyframe("home"), target, motion, steps, feedback, seed)
+
+
+def _run(
+    task: Task, leader: Leader, targets: Floats, changes: Disturbances | None = None, duration: float = _DURATION
+) -> tuple[Rollout, list[float]]:
+    """A rollout, with the target that it ends at, and the CPU times of its control steps [s]."""
+    spent: list[float] = []
+
+    def lead(target: Floats, simulation: Simulation) -> Rows:
+        begun = time.thread_time()
+        rows = leader(target, simulation)
+        spent.append(time.thread_time() - begun)
+        return rows
+
+    rollout, seen = closed_loop(
+        task.arm,
+        lead,
+        targets,
+        duration,
+        start=task.start,
+        period=task.steps,
+        controller="inverse-dynamics",
+        disturbances=changes,
+    )
+    return replace(rollout, target=seen[-1]), spent
+
+
+def _row(task: Task, scene: str, leader: str, disturbance: str, rollout: Rollout, spent: list[float]) -> Reaction:
+    evaluation = evaluate(rollout, clearance=False)
+    use = np.mean((rollout.force / rollout.arm.force_limits) ** 2, axis=1)
+    return Reaction(
+        task.arm.name,
+        scene,
+        leader,
+        disturbance,
+        task.seed,
+        success=not evaluation.shortfall,
+        reason=evaluation.shortfall,
+        final_mm=evaluation.final_worst_mm,
+        effort=float(use.sum() * rollout.timestep),
+        velocity_share=evaluation.velocity_share,
+        force_share=evaluation.force_share,
+        step_us=1e6 * float(np.median(spent)),
+    )
+
+
+def _disturbed(task: Task, disturbance: str, begin: float) -> tuple[Floats, Disturbances | None, float]:
+    """Targets, disturbances, and the time at which they are over [s]."""
+    arm, rng = task.arm, np.random.default_rng([task.seed, DISTURBANCES.index(disturbance)])
+    if disturbance == "push":
+        link, direction = int(rng.integers(arm.n_links)), rng.normal(size=3)
+        force = _force(task, link, direction / np.linalg.norm(direction)) * direction / np.linalg.norm(direction)
+        push = Push(arm.link_names[link], (force[0], force[1], force[2]), begin, _LENGTH)
+        return task.target[None], Disturbances(pushes=(push,)), begin + _LENGTH
+    if disturbance == "payload":
+        down = tuple(_WEIGHT * part for part in _GRAVITY)
+        push = Push("end effector", (down[0], down[1], down[2]), begin, _DURATION)
+        return task.target[None], Disturbances(pushes=(push,)), begin
+    low, high = arm.position_limits.T
+    moved = task.target
+    for _ in range(_DRAWS):
+        drawn = task.target + _STEP * (high - low) * rng.uniform(-1.0, 1.0, arm.n_joints)
+        drawn = arm.within_angles(np.clip(drawn, low, high))
+        if not arm.near_contacts(drawn):
+            moved = drawn
+            break
+    timestep = float(arm.model.opt.timestep)
+    rows = np.arange(round(_DURATION / timestep) + 1) * timestep < begin
+    return np.where(rows[:, None], task.target, moved), None, begin
+
+
+def _force(task: Task, link: int, direction: Floats) -> float:
+    """Force on a link [N] that moves a joint of the arm, held at its start, by a tenth of its range."""
+    arm = task.arm
+    low, high = arm.position_limits.T
+    still = np.repeat(task.start[None], task.steps, axis=0), np.zeros((task.steps, arm.n_joints))
+
+    def off(force: float) -> float:
+        push = Push(arm.link_names[link], (*(force * direction),), 0.0, _LENGTH)
+        hold: Callable[[Floats, Simulation], Rows] = lambda *_: still  # noqa: E731
+        rollout, _ = _run(task, hold, task.start[None], Disturbances(pushes=(push,)), 2.0 * _LENGTH)
+        return float((np.abs(rollout.q - task.start) / (high - low)).max())
+
+    least, most = 1.0, 2e4
+    for _ in range(_HALVINGS):
+        middle = float(np.sqrt(least * most))
+        least, most = (middle, most) if off(middle) < _OFF else (least, middle)
+    return float(np.sqrt(least * most))

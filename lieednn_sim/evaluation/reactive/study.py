@@ -1,0 +1,185 @@
+"""The reactive benchmark: all its cases on several cores, resumable, and its summary."""
+
+from __future__ import annotations
+
+import itertools
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from concurrent.futures import as_completed
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+
+import numpy as np
+from rich.console import Console
+
+from lieednn_sim import storage
+from lieednn_sim.errors import LieEDNNError
+from lieednn_sim.evaluation.reactive.cases import DISTURBANCES, NUMBERS, Reaction, run_reactions
+from lieednn_sim.evaluation.reactive.leaders import LEADERS
+from lieednn_sim.evaluation.table import Rows
+from lieednn_sim.evaluation.workers import progress_bar, worker_pool
+from lieednn_sim.validation import as_count
+
+HEADINGS: Mapping[str, str] = {
+    "final_mm": "final [mm]",
+    "off": "off [ranges]",
+    "back_s": "back after [s]",
+    "back_share": "of the way left",
+    "effort": "effort [s]",
+    "velocity_share": "velocity / limit",
+    "force_share": "force / limit",
+    "step_us": "control step [us]",
+}
+METHOD = (
+    "From home to random reachable targets in the closed loop at 100 Hz, with inverse-dynamics servos, 7 s. When 35 % "
+    "of a leader's own undisturbed way is gone it is disturbed: a force of 0.2 s on a random link that would move a "
+    "joint of the arm at rest by a tenth of its range; or a weight of 20 N at the end effector from then on; or "
+    "another target, up to a tenth of the ranges away. Arrived is who ends with every link within 1 mm and 0.1 degrees "
+    "of the last target and never touched anything. Back is who stays within a tenth of the largest deviation from the "
+    "undisturbed way, for good; a weight that stays keeps an arm off it. Effort is the integral of the mean squared "
+    "drive force in units of the limits. All are pushed with the arm and wait for it but the tracker, which plays the "
+    "teacher's motion and hears neither arm nor target. Among obstacles networks, primitives and the linear attractor "
+    "go through the safety filter, the fabric repels them itself. The CPU time of a control step, measured in Python, "
+    "is the one number that differs between runs."
+)
+
+
+@dataclass(frozen=True)
+class ReactionSettings:
+    """What every row shares; there is nothing to choose yet."""
+
+    def as_dict(self) -> dict[str, float]:
+        """For a JSON file."""
+        return {}
+
+
+class ReactionTable(Rows[Reaction, ReactionSettings]):
+    """Rows of the benchmark; arguments and errors as of `Rows`."""
+
+    def __init__(self, directory: str | os.PathLike[str]) -> None:
+        super().__init__(directory, "reactions", Reaction, ReactionSettings())
+
+
+def compare_reactions(
+    directory: str | os.PathLike[str],
+    arms: Sequence[str],
+    scenes: Sequence[str],
+    seeds: int,
+    *,
+    leaders: Sequence[str] = tuple(LEADERS),
+    jobs: int = 1,
+    console: Console | None = None,
+) -> ReactionTable:
+    """Compute the rows that the directory's table lacks; finished cases are kept when it is interrupted.
+
+    Args:
+        directory: of the table.
+        arms: names.
+        scenes: names.
+        seeds: number of seeds, from 0 on.
+        leaders: names of `LEADERS`.
+        jobs: worker processes.
+        console: for a progress bar; none without.
+
+    Raises:
+        InputError: jobs or seeds is less than 1.
+        FileError: see `Rows`.
+        LieEDNNError: a worker process died.
+    """
+    workers, count = as_count("jobs", jobs), as_count("seeds", seeds)
+    table = ReactionTable(directory)
+    # Seeds first: who stops early has all leaders on all arms.
+    wanted = itertools.product(range(count), arms, scenes, leaders)
+    todo = [
+        (arm, scene, leader, seed)
+        for seed, arm, scene, leader in wanted
+        if any((arm, scene, leader, name, seed) not in table.rows for name in DISTURBANCES)
+    ]
+    if not todo:
+        return table
+    try:
+        with worker_pool(min(workers, len(todo))) as pool, progress_bar(console or Console(quiet=True)) as progress:
+            bar = progress.add_task("reactions", total=len(todo))
+            for future in as_completed([pool.submit(run_reactions, *case) for case in todo]):
+                table.add(future.result())
+                progress.update(bar, advance=1)
+    except BrokenProcessPool:
+        raise LieEDNNError(
+            f"a worker process died (out of memory?); finished cases are kept in {table.csv}, the same command "
+            "goes on; --jobs 1 needs less"
+        ) from None
+    finally:
+        table.save()
+    return table
+
+
+@dataclass(frozen=True)
+class ReactionGroup:
+    """Rows of a leader under a disturbance.
+
+    Attributes:
+        key: scene, disturbance, leader.
+        arrived: rows that arrived.
+        touched: rows with contact.
+        back: rows that were back on their way, of those that have a deviation.
+        total: rows.
+        medians: of `NUMBERS`, None where there are none.
+    """
+
+    key: tuple[str, str, str]
+    arrived: int
+    touched: int
+    back: int
+    total: int
+    medians: tuple[float | None, ...]
+
+
+def groups(rows: Iterable[Reaction]) -> list[ReactionGroup]:
+    """Over arms and seeds, by scene, disturbance and leader, in the order of these."""
+    found: dict[tuple[str, str, str], list[Reaction]] = {}
+    for row in rows:
+        found.setdefault((row.scene, row.disturbance, row.leader), []).append(row)
+    order = {name: index for index, name in enumerate((*DISTURBANCES, *LEADERS))}
+    made = []
+    for key in sorted(found, key=lambda key: (key[0], order[key[1]], order[key[2]])):
+        own = found[key]
+        columns = [[value for row in own if (value := getattr(row, name)) is not None] for name in NUMBERS]
+        made.append(
+            ReactionGroup(
+                key,
+                sum(row.success for row in own),
+                sum(row.reason.startswith("contact") for row in own),
+                sum(row.back_s is not None for row in own),
+                len(own),
+                tuple(float(np.median(column)) if column else None for column in columns),
+            )
+        )
+    return made
+
+
+def write_reactions(path: str | os.PathLike[str], table: ReactionTable) -> None:
+    """Write the summary in Markdown: arrival, contact, and medians over arms and seeds."""
+    rows = table.sorted_rows()
+    arms, seeds = sorted({row.arm for row in rows}), len({row.seed for row in rows})
+    heads = ["scene", "disturbance", "leader", "arrived", "touched", "back", *HEADINGS.values()]
+    lines = [
+        "# Planners that react, disturbed",
+        "",
+        METHOD,
+        "",
+        f"Arms: {', '.join(arms)}; {seeds} seeds; medians.",
+        "",
+    ]
+    lines += ["| " + " | ".join(heads) + " |", "|" + " --- |" * len(heads)]
+    for group in groups(rows):
+        counts = [f"{group.arrived} of {group.total}", str(group.touched)]
+        counts.append(str(group.back) if group.key[1] in ("push", "payload") else "-")
+        cells = ["-" if value is None else f"{value:.3g}" for value in group.medians]
+        lines.append("| " + " | ".join([*group.key, *counts, *cells]) + " |")
+    failed = [row for row in rows if row.reason.startswith(("problem", "plan", "simulation"))]
+    lines += ["", "## Could not be run", ""] if failed else []
+    lines += [
+        f"- {row.leader}, {row.arm}, {row.scene}, {row.disturbance}, seed {row.seed}: {row.reason}" for row in failed
+    ]
+    with storage.atomic_text(path) as stream:
+        stream.write("\n".join(lines) + "\n")
