@@ -22,9 +22,12 @@ from lieednn_sim.arm import Arm, arm_names
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.environments import suite
 from lieednn_sim.learning import TrainingOptions, train
+from lieednn_sim.network import LieEDNN
 from lieednn_sim.planning import plan
 from lieednn_sim.planning.motion import Motion
-from lieednn_sim.simulation import Disturbances, simulate
+from lieednn_sim.planning.shaped import ShapedOptions
+from lieednn_sim.simulation import Disturbances, Feedback, simulate
+from lieednn_sim.simulation.feedback import FeedbackFollower
 from lieednn_sim.simulation.reference import Reference
 from lieednn_sim.simulation.tracking import make_controlled
 from lieednn_sim.synthesis import Synthesis, synthesize
@@ -141,6 +144,24 @@ def stepping_ratios(arm: Arm, motion: Motion, repeats: int, actions: int = 50) -
     return ratios
 
 
+def control_step_ratio(steps: int = 200) -> str:
+    """What a control step of `follow` with feedback costs, beside evaluations of the field of its 12 neurons."""
+    arm = Arm.load("telescopic_pr")
+    target = draw_target(arm, 0)
+    network = plan(arm, target, planner="lieednn-shaped", options=ShapedOptions(neurons=(8,))).network
+    assert isinstance(network, LieEDNN)
+    assert network.n_neurons == 12
+    home = arm.keyframe("home")
+    follower = FeedbackFollower(arm, network, home, steps=1, speed=1.0, feedforward=True, feedback=Feedback())
+    x = network.start(arm.encode(home)).ravel()
+
+    def run(what: Callable[[], object]) -> float:
+        return _processor_time(lambda: [what() for _ in range(steps)], 5)
+
+    whole = run(lambda: follower.advance(target, follower.reference.q))
+    return f"{whole / run(lambda: network.flat_vector_field(x)):.0f}"
+
+
 def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="a tenth of the targets")
@@ -194,6 +215,7 @@ def write(directory: Path, scale: int, suffix: str = "") -> Path:
         "retargeting a certified network, in syntheses": f"1 / {synthesis_time / retarget_time:.0f}",
         "planning with 24 candidates, in syntheses": f"{plan_time / synthesis_time:.0f}",
         "simulation, in real time": f"1 / {rollout.t[-1] / simulation_time:.0f}",
+        "control step of follow with feedback, 12 neurons, in evaluations of the field": control_step_ratio(),
         **stepping_ratios(arm, chosen.motion, max(10 // scale, 1)),
     }
 

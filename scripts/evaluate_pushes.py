@@ -69,8 +69,10 @@ def run(
     )
 
 
-def pushed(name: str, rate: float, seed: int, feedback: Feedback | None = None) -> dict[str, object]:
-    """A row: one push."""
+def pushed(
+    name: str, rate: float, seed: int, feedback: Feedback | None = None, force: float = 300.0
+) -> dict[str, object]:
+    """A row: one push, whose force [N] is searched for from a guess."""
     arm, network, target, nominal, path = prepared(name, rate, seed // EACH)
     rng = np.random.default_rng([seed, 7])
     _, gone = path.nearest(nominal.rollout.q)
@@ -87,7 +89,7 @@ def pushed(name: str, rate: float, seed: int, feedback: Feedback | None = None) 
         return path.recovery(rollout.t, rollout.q, start, start + LENGTH).off
 
     # The deviation grows with the force: bracket it, then false position in the logarithm.
-    low, high, force = (0.0, 0.0), (np.inf, np.inf), 300.0
+    low, high = (0.0, 0.0), (np.inf, np.inf)
     for _ in range(10):
         found = off(force)
         if abs(found / OFF - 1.0) < EXACT:

@@ -11,6 +11,7 @@ from lieednn_sim import storage
 from lieednn_sim.cli.console import console, progress, to_stderr, wrote
 from lieednn_sim.errors import LieEDNNError
 from lieednn_sim.evaluation import Case, Selection, Settings, Table, compare, write_summary
+from lieednn_sim.evaluation.reactive.study import compare_reactions, write_reactions
 from lieednn_sim.evaluation.report import Clip, choose_cases, film, write_page
 from lieednn_sim.planning import missing_planners
 from lieednn_sim.validation import as_count
@@ -34,6 +35,7 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> None:
     jobs = as_count("jobs", os.cpu_count() or 1 if arguments.jobs is None else arguments.jobs)
     # Bad values stop before the work that comes first.
     as_count("videos", arguments.videos, least=0)
+    as_count("reactive", arguments.reactive, least=0)
     cases = [Case.parse(text) for text in arguments.video]
     missing = {name: reason for name, reason in missing_planners().items() if name in selection.planners}
     for name, reason in missing.items():
@@ -46,8 +48,15 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> None:
         write_summary(summary, table, missing)
         clips = _film(table, cases + choose_cases(table, arguments.videos), selection.controllers[0])
         line = shlex.join(["lieednn-sim", *command])
-        write_page(page, table, missing=missing, clips=clips, command=line, date=arguments.date)
-    wrote(table.csv, summary, page)
+        reactions, more = None, []
+        if arguments.reactive:
+            reactions = compare_reactions(
+                directory, selection.arms, selection.scenes, arguments.reactive, jobs=jobs, console=to_stderr()
+            )
+            more = [reactions.csv, directory / "reactions.md"]
+            write_reactions(more[1], reactions)
+        write_page(page, table, missing=missing, clips=clips, command=line, date=arguments.date, reactions=reactions)
+    wrote(table.csv, summary, *more, page)
 
 
 def _split(text: str | None) -> tuple[str, ...]:

@@ -137,6 +137,13 @@ def add_comparison(parser: argparse.ArgumentParser) -> None:
     _add_conditions(parser)
     parser.add_argument("--output", default="results/comparison", metavar="DIR", help="(default: %(default)s)")
     parser.add_argument("--jobs", type=whole, metavar="N", help="worker processes (default: all cores)")
+    parser.add_argument(
+        "--reactive",
+        type=whole,
+        default=0,
+        metavar="N",
+        help="seeds of the benchmark of planners that react, pushed, loaded and retargeted (default: %(default)s)",
+    )
     parser.add_argument("--videos", type=whole, default=0, metavar="N", help="cases to show (default: %(default)s)")
     parser.add_argument(
         "--video",

@@ -38,6 +38,7 @@ def test_the_command_writes_table_summary_and_page_and_goes_on(tmp_path, capsys,
         (["--seeds", "0"], "seeds must be at least 1"),
         (["--jobs", "0"], "jobs must be at least 1"),
         (["--videos", "-1"], "videos must be at least 0"),
+        (["--reactive", "-1"], "reactive must be at least 0"),
         (["--video", "se3-geodesic"], "must look like planner:arm:scene:seed"),
     ],
 )

@@ -65,6 +65,8 @@ class Path:
         return Recovery(off, max(float(t[after][back] - end), 0.0), share)
 
     def _nearest(self, posture: Floats) -> tuple[float, float]:
-        distance = np.abs(self._points - posture).max(axis=1)
-        index = int(distance.argmin())
+        away = np.abs(self._points - posture)
+        distance = away.max(axis=1)
+        # Many points are as near in the joint that is furthest away: of these the one that is nearest in all.
+        index = int((distance + 1e-6 * np.linalg.norm(away, axis=1)).argmin())
         return float(distance[index]), float(self._shares[index])

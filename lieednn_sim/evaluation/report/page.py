@@ -11,6 +11,7 @@ import jinja2
 from lieednn_sim import storage
 from lieednn_sim.errors import InputError
 from lieednn_sim.evaluation.columns import BY_NAME
+from lieednn_sim.evaluation.reactive.study import HEADINGS, METHOD, ReactionTable, groups
 from lieednn_sim.evaluation.report.figures import plots
 from lieednn_sim.evaluation.report.findings import findings
 from lieednn_sim.evaluation.report.style import Mark, in_order, marks, number
@@ -76,6 +77,7 @@ def write_page(
     command: str = "",
     date: str = "",
     title: str = "Motion planners compared",
+    reactions: ReactionTable | None = None,
 ) -> None:
     """Write the page of a comparison; the same table gives the same page.
 
@@ -87,6 +89,7 @@ def write_page(
         command: that made the table.
         date: to put into its head; none when empty, so that the page depends on the table alone.
         title: of the page.
+        reactions: of planners that react, for a section of its own.
 
     Raises:
         InputError: the table is empty.
@@ -122,6 +125,9 @@ def write_page(
             plots={arm: plots([row for row in rows if row.arm == arm], controllers[0]) for arm in arms},
             failures=failures(rows),
             clips=clips,
+            reactions=[] if reactions is None else groups(reactions.sorted_rows()),
+            reaction_headings=list(HEADINGS.values()),
+            reaction_method=METHOD,
         )
     )
     with storage.atomic_text(path) as stream:

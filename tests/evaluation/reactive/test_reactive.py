@@ -1,0 +1,74 @@
+"""Planners that react: recovery by hand, rivals that arrive, the table that goes on, its summary."""
+
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+
+from lieednn_sim.evaluation.reactive import cases, study
+from lieednn_sim.evaluation.reactive.cases import DISTURBANCES, Reaction
+from lieednn_sim.evaluation.reactive.leaders import LEADERS, Task
+from lieednn_sim.evaluation.reactive.recovery import Path
+from lieednn_sim.planning import plan
+from lieednn_sim.simulation import Disturbances, Feedback, Push
+
+
+def test_a_recovery_by_hand(gantry):
+    # Along x, of which the range is 2 m, pushed aside along y, whose range is 4 m.
+    t = np.linspace(0.0, 1.0, 101)
+    way = np.zeros((101, 4))
+    way[:, 0] = t
+    pushed = way.copy()
+    pushed[20:60, 1] = 0.4 * (1.0 - (t[20:60] - 0.2) / 0.4)
+    recovery = Path(gantry, way).recovery(t, pushed, 0.2, 0.3)
+    assert recovery.off == pytest.approx(0.1)
+    # Within a tenth of it from t = 0.56 on, 0.26 s after the push, with 0.36 of the 0.8 m gone.
+    assert recovery.time_s == pytest.approx(0.26, abs=0.011)
+    assert recovery.share == pytest.approx(0.36 / 0.8, abs=0.02)
+    pushed[60:, 1] = 0.3
+    assert Path(gantry, way).recovery(t, pushed, 0.2, 0.3).time_s is None
+
+
+@pytest.fixture(scope="module")
+def task(gantry):
+    target = np.array([0.3, -0.4, 0.5, 0.6])
+    motion = plan(gantry, target, planner="minimum-jerk", duration=2.0).motion
+    return Task(gantry, gantry.keyframe("home"), target, motion, 2, Feedback(), 0)
+
+
+@pytest.mark.parametrize("name", ["linear-attractor", "dmp", "fabric", "tracker"])
+def test_a_leader_arrives_also_pushed(name, task):
+    push = Disturbances(pushes=(Push("end effector", (0.0, 20.0, 0.0), 0.5, 0.2),))
+    for changes in (None, push):
+        rollout, spent = cases._run(task, LEADERS[name](task), task.target[None], changes, 6.0)
+        np.testing.assert_allclose(rollout.q[-1], task.target, atol=5e-3)
+        assert len(spent) == 301
+    assert np.abs(rollout.q_ref - task.start).max() < 0.7
+
+
+def test_a_primitive_goes_the_way_it_was_shown(task):
+    rollout, _ = cases._run(task, LEADERS["dmp"](task), task.target[None], None, 2.0)
+    distance, _ = Path(task.arm, task.motion.q).nearest(rollout.q_ref)
+    assert distance.max() < 0.01
+
+
+def test_the_table_goes_on_and_the_summary_counts(tmp_path, monkeypatch):
+    asked = []
+
+    def ran(arm, scene, leader, seed):
+        asked.append((leader, seed))
+        reason = "contact: up to 1 at a time" if leader == "dmp" else ""
+        return [
+            Reaction(arm, scene, leader, name, seed, success=not reason, reason=reason, back_s=0.1 * seed)
+            for name in DISTURBANCES
+        ]
+
+    monkeypatch.setattr(study, "run_reactions", ran)
+    monkeypatch.setattr(study, "worker_pool", ThreadPoolExecutor)
+    for seeds in (1, 2):
+        table = study.compare_reactions(tmp_path, ["telescopic_pr"], ["free"], seeds, leaders=("dmp", "tracker"))
+    assert asked == [("dmp", 0), ("tracker", 0), ("dmp", 1), ("tracker", 1)]
+    study.write_reactions(tmp_path / "reactions.md", table)
+    text = (tmp_path / "reactions.md").read_text("utf-8")
+    assert "| free | push | dmp | 0 of 2 | 2 | 2 | - | - | 0.05 |" in text
+    assert "| free | push | tracker | 2 of 2 | 0 | 2 |" in text
