@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import importlib
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
 from lieednn_sim.cli import main
 from lieednn_sim.evaluation import read_rows
+from lieednn_sim.evaluation.reactive import study
+from lieednn_sim.evaluation.reactive.cases import DISTURBANCES, Reaction
+from lieednn_sim.evaluation.reactive.leaders import LEADERS
 
 ARGUMENTS = ["--planners", "minimum-jerk", "--arms", "telescopic_pr", "--scenes", "free", "--seeds", "1"]
 ARGUMENTS += ["--controllers", "computed-torque", "--duration", "1", "--hold", "0.1", "--jobs", "1", "--output"]
@@ -47,3 +51,18 @@ def test_bad_options_stop_before_the_work(words, message, tmp_path, capsys):
     assert main(["compare", "--output", str(output), *words]) == 2
     assert message in capsys.readouterr().err
     assert not output.exists()
+
+
+def test_planners_that_react_have_a_table_and_a_section_of_the_page(tmp_path, monkeypatch, in_this_process):
+    def ran(arm, scene, leader, seed):
+        return [Reaction(arm, scene, leader, name, seed, success=True, step_us=7.25) for name in DISTURBANCES]
+
+    monkeypatch.setattr(study, "run_reactions", ran)
+    monkeypatch.setattr(study, "worker_pool", ThreadPoolExecutor)
+    with in_this_process():
+        assert main(["compare", *ARGUMENTS, str(tmp_path), "--reactive", "1"]) == 0
+    assert "| free | push | fabric | 1 of 1 | 0 | 0 |" in (tmp_path / "reactions.md").read_text("utf-8")
+    page = (tmp_path / "comparison.html").read_text("utf-8")
+    assert page.count("<td>payload</td>") == len(LEADERS)
+    assert '<a href="#reactions">' in page
+    assert ">7.25<" in page
