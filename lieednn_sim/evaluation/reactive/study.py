@@ -33,7 +33,8 @@ HEADINGS: Mapping[str, str] = {
 METHOD = (
     "From home to random reachable targets in the closed loop at 100 Hz, with inverse-dynamics servos, 7 s. When 35 % "
     "of a leader's own undisturbed way is gone it is disturbed: a force of 0.2 s on a random link that would move a "
-    "joint of the arm at rest by a tenth of its range, at most 20 kN; or a weight of 20 N at the end effector from then on; or "
+    "joint of the arm at rest by a tenth of its range, at most 20 kN; or a weight of 20 N at the end effector from "
+    "then on; or "
     "another target, up to a tenth of the ranges away. Arrived is who ends with every link within 1 mm and 0.1 degrees "
     "of the last target and never touched anything. Back is who stays within a tenth of the largest deviation from the "
     "undisturbed way, for good; a weight that stays keeps an arm off it. Effort is the integral of the mean squared "
