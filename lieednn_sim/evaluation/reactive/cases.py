@@ -15,7 +15,7 @@ from lieednn_sim._blas import one_blas_thread
 from lieednn_sim.errors import LieEDNNError
 from lieednn_sim.evaluation.cases import FREE, arm_and_target
 from lieednn_sim.evaluation.metrics import evaluate
-from lieednn_sim.evaluation.reactive.leaders import LEADERS, Leader, Rows, Task
+from lieednn_sim.evaluation.reactive.leaders import LEADERS, Assignment, Leader, Rows
 from lieednn_sim.evaluation.reactive.recovery import Path
 from lieednn_sim.planning import plan
 from lieednn_sim.planning.filtering import FilterOptions
@@ -139,18 +139,18 @@ def _failed(arm: str, scene: str, leader: str, seed: int, reason: str) -> list[R
 
 
 @lru_cache(maxsize=2)
-def _task(name: str, scene: str, seed: int) -> Task:
+def _task(name: str, scene: str, seed: int) -> Assignment:
     arm, target = arm_and_target(name, scene, seed)
     # What the shaped networks' teacher makes of it: all that are shown a motion are shown the same.
     shown = plan(arm, target, planner="lieednn-shaped", seed=seed)
     feedback = Feedback(safety=None if scene == FREE else FilterOptions())
     steps = round(1.0 / (_RATE * float(arm.model.opt.timestep)))
     motion = shown.motion if shown.teacher is None else shown.teacher.motion
-    return Task(arm, arm.keyframe("home"), target, motion, steps, feedback, seed)
+    return Assignment(arm, arm.keyframe("home"), target, motion, steps, feedback, seed)
 
 
 def _run(
-    task: Task, leader: Leader, targets: Floats, changes: Disturbances | None = None, duration: float = _DURATION
+    task: Assignment, leader: Leader, targets: Floats, changes: Disturbances | None = None, duration: float = _DURATION
 ) -> tuple[Rollout, list[float]]:
     """A rollout, with the target that it ends at, and the CPU times of its control steps [s]."""
     spent: list[float] = []
@@ -174,7 +174,7 @@ def _run(
     return replace(rollout, target=seen[-1]), spent
 
 
-def _row(task: Task, scene: str, leader: str, disturbance: str, rollout: Rollout, spent: list[float]) -> Reaction:
+def _row(task: Assignment, scene: str, leader: str, disturbance: str, rollout: Rollout, spent: list[float]) -> Reaction:
     evaluation = evaluate(rollout, clearance=False)
     use = np.mean((rollout.force / rollout.arm.force_limits) ** 2, axis=1)
     return Reaction(
@@ -193,7 +193,7 @@ def _row(task: Task, scene: str, leader: str, disturbance: str, rollout: Rollout
     )
 
 
-def _disturbed(task: Task, disturbance: str, begin: float) -> tuple[Floats, Disturbances | None, float]:
+def _disturbed(task: Assignment, disturbance: str, begin: float) -> tuple[Floats, Disturbances | None, float]:
     """Targets, disturbances, and the time at which they are over [s]."""
     arm, rng = task.arm, np.random.default_rng([task.seed, DISTURBANCES.index(disturbance)])
     if disturbance == "push":
@@ -218,7 +218,7 @@ def _disturbed(task: Task, disturbance: str, begin: float) -> tuple[Floats, Dist
     return np.where(rows[:, None], task.target, moved), None, begin
 
 
-def _force(task: Task, link: int, direction: Floats) -> float:
+def _force(task: Assignment, link: int, direction: Floats) -> float:
     """Force on a link [N] that moves a joint of the arm, held at its start, by a tenth of its range."""
     arm = task.arm
     low, high = arm.position_limits.T

@@ -8,7 +8,7 @@ safety filter.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,7 @@ from lieednn_sim.simulation import Feedback, Simulation
 from lieednn_sim.simulation.feedback import FeedbackFollower
 from lieednn_sim.simulation.reference import PeriodReference
 from lieednn_sim.synthesis import synthesize
+from lieednn_sim.values import frozen
 
 Floats = NDArray[np.float64]
 Rows = tuple[Floats, Floats]
@@ -38,8 +39,8 @@ _SPRING, _DECAY, _BASES, _RIDGE = 25.0, 4.6, 20, 1e-8
 _STIFFNESS, _DAMPING, _NEAR, _MARGIN, _STRENGTH = 16.0, 8.0, 0.15, 0.01, 0.3
 
 
-@dataclass(frozen=True)
-class Task:
+@frozen
+class Assignment:
     """What a leader is made for.
 
     Attributes:
@@ -64,7 +65,7 @@ class Task:
 class _Network:
     """A network that follows with feedback."""
 
-    def __init__(self, task: Task, network: LieEDNN, speed: float) -> None:
+    def __init__(self, task: Assignment, network: LieEDNN, speed: float) -> None:
         self._follower = FeedbackFollower(
             task.arm,
             network,
@@ -83,7 +84,7 @@ class _Network:
 class _Joints:
     """What moves in joint space: y' = l (s v(y) + k d (q - y)), with the same s, k d and l as networks."""
 
-    def __init__(self, task: Task, feedback: Feedback | None = None) -> None:
+    def __init__(self, task: Assignment, feedback: Feedback | None = None) -> None:
         self.arm, self._feedback = task.arm, feedback or task.feedback
         self._reference = PeriodReference(task.arm, task.start, task.steps, self._feedback.safety)
         self.period, self.y = self._reference.period, task.start
@@ -116,7 +117,7 @@ class _Primitive(_Joints):
     moved since then moves the attractor, not the forces. In a push the phase waits with the rest.
     """
 
-    def __init__(self, task: Task) -> None:
+    def __init__(self, task: Assignment) -> None:
         super().__init__(task)
         motion = task.motion
         self._time, self._goal, self._z = float(motion.t[-1]), task.target, np.zeros_like(task.start)
@@ -154,7 +155,7 @@ class _Fabric(_Joints):
     w_i = (d_0 / d_i - 1)^2 within d_0 (Ratliff et al., arXiv 1801.02854). It sees no further than d_0.
     """
 
-    def __init__(self, task: Task) -> None:
+    def __init__(self, task: Assignment) -> None:
         super().__init__(task, replace(task.feedback, safety=None))
         self._collisions, self._v = Collisions(task.arm), np.zeros_like(task.start)
         # Parts of the arm that are close together by design repel each other where they come closer.
@@ -179,7 +180,7 @@ class _Fabric(_Joints):
 class _Tracker:
     """The motion, sample by sample, whatever happens; it hears neither the arm nor the target."""
 
-    def __init__(self, task: Task) -> None:
+    def __init__(self, task: Assignment) -> None:
         self._motion, self._row, self._steps = task.motion, 0, task.steps
 
     def __call__(self, target: Floats, simulation: Simulation) -> Rows:
@@ -190,8 +191,8 @@ class _Tracker:
         return self._motion.q[np.minimum(rows, last)], np.where(inside, self._motion.qd[np.minimum(rows, last)], 0.0)
 
 
-def _shaped(rate: float) -> Callable[[Task], Leader]:
-    def made(task: Task) -> Leader:
+def _shaped(rate: float) -> Callable[[Assignment], Leader]:
+    def made(task: Assignment) -> Leader:
         options = ShapedOptions(rate=rate)
         network = plan(task.arm, task.target, planner="lieednn-shaped", options=options, seed=task.seed).network
         assert isinstance(network, LieEDNN)
@@ -200,17 +201,17 @@ def _shaped(rate: float) -> Callable[[Task], Leader]:
     return made
 
 
-def _certified(task: Task) -> Leader:
+def _certified(task: Assignment) -> Leader:
     xi = task.arm.encode(task.target)
     network = synthesize(xi, bias="sign-matched", bias_magnitude=_BIAS_MAGNITUDE, seed=task.seed).unwrap()
     return _Network(task, network, _PACE)
 
 
-def _linear(task: Task) -> Leader:
+def _linear(task: Assignment) -> Leader:
     return _Network(task, without_weights(task.arm.encode(task.target)), _PACE)
 
 
-LEADERS: dict[str, Callable[[Task], Leader]] = {
+LEADERS: dict[str, Callable[[Assignment], Leader]] = {
     "lieednn-shaped, rho 1": _shaped(1.0),
     "lieednn-shaped, rho 0.3": _shaped(0.3),
     "lieednn-shaped, rho 0.1": _shaped(0.1),

@@ -7,7 +7,7 @@ import pytest
 
 from lieednn_sim.evaluation.reactive import cases, study
 from lieednn_sim.evaluation.reactive.cases import DISTURBANCES, Reaction
-from lieednn_sim.evaluation.reactive.leaders import LEADERS, Task
+from lieednn_sim.evaluation.reactive.leaders import LEADERS, Assignment
 from lieednn_sim.evaluation.reactive.recovery import Path
 from lieednn_sim.planning import plan
 from lieednn_sim.simulation import Disturbances, Feedback, Push
@@ -33,7 +33,7 @@ def test_a_recovery_by_hand(gantry):
 def task(gantry):
     target = np.array([0.3, -0.4, 0.5, 0.6])
     motion = plan(gantry, target, planner="minimum-jerk", duration=2.0).motion
-    return Task(gantry, gantry.keyframe("home"), target, motion, 2, Feedback(), 0)
+    return Assignment(gantry, gantry.keyframe("home"), target, motion, 2, Feedback(), 0)
 
 
 @pytest.mark.parametrize("name", ["linear-attractor", "dmp", "fabric", "tracker"])
