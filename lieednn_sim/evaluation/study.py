@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import itertools
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
+from typing import Any
 
 from rich.console import Console
 
@@ -17,7 +18,7 @@ from lieednn_sim.errors import InputError, LieEDNNError
 from lieednn_sim.evaluation.cases import FREE, Settings, run_case
 from lieednn_sim.evaluation.rows import Case
 from lieednn_sim.evaluation.statistics import numbers
-from lieednn_sim.evaluation.table import Table
+from lieednn_sim.evaluation.table import R, Rows, S, Table
 from lieednn_sim.evaluation.workers import progress_bar, worker_pool
 from lieednn_sim.planning import PLANNERS, missing_planners
 from lieednn_sim.simulation import CONTROLLERS
@@ -112,13 +113,39 @@ def compare(
         ((case, names) for case, names in wanted if names),
         key=lambda job: (job[0].arm, job[0].scene, job[0].seed, -costs[job[0].planner]),
     )
+    complete(table, run_case, [(*job, settings) for job in todo], workers=workers, title="cases", console=console)
+    return table
+
+
+def complete(
+    table: Rows[R, S],
+    run: Callable[..., list[R]],
+    todo: Sequence[tuple[Any, ...]],
+    *,
+    workers: int,
+    title: str,
+    console: Console | None,
+) -> None:
+    """Add the rows of cases that are run on several cores; when it is interrupted all finished ones are kept.
+
+    Args:
+        table: to add to.
+        run: makes the rows of a case, in another process.
+        todo: its arguments for each case.
+        workers: processes at most.
+        title: of the progress bar.
+        console: for that; none without.
+
+    Raises:
+        FileError: the table cannot be written.
+        LieEDNNError: a worker process died.
+    """
     if not todo:
-        return table
+        return
     try:
-        shown = console or Console(quiet=True)
-        with worker_pool(min(workers, len(todo))) as pool, progress_bar(shown) as progress:
-            bar = progress.add_task("cases", total=len(todo))
-            for future in as_completed([pool.submit(run_case, *job, settings) for job in todo]):
+        with worker_pool(min(workers, len(todo))) as pool, progress_bar(console or Console(quiet=True)) as progress:
+            bar = progress.add_task(title, total=len(todo))
+            for future in as_completed([pool.submit(run, *case) for case in todo]):
                 table.add(future.result())
                 progress.update(bar, advance=1)
     except BrokenProcessPool:
@@ -128,7 +155,6 @@ def compare(
         ) from None
     finally:
         table.save()
-    return table
 
 
 def _planning_costs(table: Table, selection: Selection) -> Mapping[str, float]:

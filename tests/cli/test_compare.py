@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
@@ -58,7 +57,6 @@ def test_planners_that_react_have_a_table_and_a_section_of_the_page(tmp_path, mo
         return [Reaction(arm, scene, leader, name, seed, success=True, step_us=7.25) for name in DISTURBANCES]
 
     monkeypatch.setattr(study, "run_reactions", ran)
-    monkeypatch.setattr(study, "worker_pool", ThreadPoolExecutor)
     with in_this_process():
         assert main(["compare", *ARGUMENTS, str(tmp_path), "--reactive", "1"]) == 0
     assert "| free | push | fabric | 1 of 1 | 0 | 0 |" in (tmp_path / "reactions.md").read_text("utf-8")

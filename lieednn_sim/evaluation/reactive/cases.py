@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from typing import Any
@@ -31,7 +30,6 @@ _DURATION, _RATE, _AT = 7.0, 100.0, 0.35
 _LENGTH, _OFF, _HALVINGS = 0.2, 0.1, 10
 # Weight of the payload that is taken up [N], and the largest step of the target as a share of the ranges.
 _WEIGHT, _STEP, _DRAWS = 20.0, 0.1, 100
-_GRAVITY = (0.0, 0.0, -1.0)
 
 
 @dataclass(frozen=True)
@@ -198,12 +196,11 @@ def _disturbed(task: Assignment, disturbance: str, begin: float) -> tuple[Floats
     arm, rng = task.arm, np.random.default_rng([task.seed, DISTURBANCES.index(disturbance)])
     if disturbance == "push":
         link, direction = int(rng.integers(arm.n_links)), rng.normal(size=3)
-        force = _force(task, link, direction / np.linalg.norm(direction)) * direction / np.linalg.norm(direction)
-        push = Push(arm.link_names[link], (force[0], force[1], force[2]), begin, _LENGTH)
+        direction /= np.linalg.norm(direction)
+        push = Push(arm.link_names[link], (*(_force(task, link, direction) * direction),), begin, _LENGTH)
         return task.target[None], Disturbances(pushes=(push,)), begin + _LENGTH
     if disturbance == "payload":
-        down = tuple(_WEIGHT * part for part in _GRAVITY)
-        push = Push("end effector", (down[0], down[1], down[2]), begin, _DURATION)
+        push = Push("end effector", (0.0, 0.0, -_WEIGHT), begin, _DURATION)
         return task.target[None], Disturbances(pushes=(push,)), begin
     low, high = arm.position_limits.T
     moved = task.target
@@ -226,8 +223,7 @@ def _force(task: Assignment, link: int, direction: Floats) -> float:
 
     def off(force: float) -> float:
         push = Push(arm.link_names[link], (*(force * direction),), 0.0, _LENGTH)
-        hold: Callable[[Floats, Simulation], Rows] = lambda *_: still  # noqa: E731
-        rollout, _ = _run(task, hold, task.start[None], Disturbances(pushes=(push,)), 2.0 * _LENGTH)
+        rollout, _ = _run(task, lambda *_: still, task.start[None], Disturbances(pushes=(push,)), 2.0 * _LENGTH)
         return float((np.abs(rollout.q - task.start) / (high - low)).max())
 
     least, most = 1.0, 2e4

@@ -7,6 +7,7 @@ safety filter.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -81,7 +82,7 @@ class _Network:
         return q, qd
 
 
-class _Joints:
+class _Joints(ABC):
     """What moves in joint space: y' = l (s v(y) + k d (q - y)), with the same s, k d and l as networks."""
 
     def __init__(self, task: Assignment, feedback: Feedback | None = None) -> None:
@@ -101,11 +102,11 @@ class _Joints:
         qd, self.y = np.where((y == self.low) | (y == self.high), 0.0, share * wanted), y
         return self._reference(y, qd)
 
+    @abstractmethod
     def velocity(self, target: Floats, waiting: float) -> Floats:
         """The velocity v ``(n,)`` at the end of the period."""
-        raise NotImplementedError
 
-    def went(self, time: float) -> None:
+    def went(self, time: float) -> None:  # noqa: B027 (most have no time of their own)
         """Own time that the period took [s]."""
 
 

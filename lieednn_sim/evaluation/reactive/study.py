@@ -5,19 +5,16 @@ from __future__ import annotations
 import itertools
 import os
 from collections.abc import Iterable, Mapping, Sequence
-from concurrent.futures import as_completed
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 
 import numpy as np
 from rich.console import Console
 
 from lieednn_sim import storage
-from lieednn_sim.errors import LieEDNNError
 from lieednn_sim.evaluation.reactive.cases import DISTURBANCES, NUMBERS, Reaction, run_reactions
 from lieednn_sim.evaluation.reactive.leaders import LEADERS
+from lieednn_sim.evaluation.study import complete
 from lieednn_sim.evaluation.table import Rows
-from lieednn_sim.evaluation.workers import progress_bar, worker_pool
 from lieednn_sim.validation import as_count
 
 HEADINGS: Mapping[str, str] = {
@@ -34,14 +31,13 @@ METHOD = (
     "From home to random reachable targets in the closed loop at 100 Hz, with inverse-dynamics servos, 7 s. When 35 % "
     "of a leader's own undisturbed way is gone it is disturbed: a force of 0.2 s on a random link that would move a "
     "joint of the arm at rest by a tenth of its range, at most 20 kN; or a weight of 20 N at the end effector from "
-    "then on; or "
-    "another target, up to a tenth of the ranges away. Arrived is who ends with every link within 1 mm and 0.1 degrees "
-    "of the last target and never touched anything. Back is who stays within a tenth of the largest deviation from the "
-    "undisturbed way, for good; a weight that stays keeps an arm off it. Effort is the integral of the mean squared "
-    "drive force in units of the limits. All are pushed with the arm and wait for it but the tracker, which plays the "
-    "teacher's motion and hears neither arm nor target. Among obstacles networks, primitives and the linear attractor "
-    "go through the safety filter, the fabric repels them itself. The CPU time of a control step, measured in Python, "
-    "is the one number that differs between runs."
+    "then on; or another target, up to a tenth of the ranges away. Arrived is who ends with every link within 1 mm "
+    "and 0.1 degrees of the last target and never touched anything. Back is who stays within a tenth of the largest "
+    "deviation from the undisturbed way, for good; a weight that stays keeps an arm off it. Effort is the integral of "
+    "the mean squared drive force in units of the limits. All are pushed with the arm and wait for it but the "
+    "tracker, which plays the teacher's motion and hears neither arm nor target. Among obstacles networks, primitives "
+    "and the linear attractor go through the safety filter, the fabric repels them itself. The CPU time of a control "
+    "step, measured in Python, is the one number that differs between runs."
 )
 
 
@@ -96,21 +92,7 @@ def compare_reactions(
         for seed, arm, scene, leader in wanted
         if any((arm, scene, leader, name, seed) not in table.rows for name in DISTURBANCES)
     ]
-    if not todo:
-        return table
-    try:
-        with worker_pool(min(workers, len(todo))) as pool, progress_bar(console or Console(quiet=True)) as progress:
-            bar = progress.add_task("reactions", total=len(todo))
-            for future in as_completed([pool.submit(run_reactions, *case) for case in todo]):
-                table.add(future.result())
-                progress.update(bar, advance=1)
-    except BrokenProcessPool:
-        raise LieEDNNError(
-            f"a worker process died (out of memory?); finished cases are kept in {table.csv}, the same command "
-            "goes on; --jobs 1 needs less"
-        ) from None
-    finally:
-        table.save()
+    complete(table, run_reactions, todo, workers=workers, title="reactions", console=console)
     return table
 
 
