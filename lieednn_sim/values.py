@@ -7,8 +7,11 @@ from functools import wraps
 from typing import Any, TypeVar, dataclass_transform
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+# Real numbers in any shape, which is said where one is.
+Floats = NDArray[np.float64]
 _Class = TypeVar("_Class")
 
 

@@ -27,9 +27,7 @@ from lieednn_sim.arm.scenes import SCENES, add_obstacles
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.lie import poses
 from lieednn_sim.validation import as_choice, as_floats, as_path, as_seed
-
-Floats = NDArray[np.float64]
-
+from lieednn_sim.values import Floats
 
 # Planned motions keep this distance from contact [m], since what follows them is off by up to a millimetre or two.
 PLANNED_CLEARANCE = 0.002

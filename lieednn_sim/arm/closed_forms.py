@@ -9,13 +9,11 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from lieednn_sim.arm.kinematics import CompoundJoint
 from lieednn_sim.lie import exp, hat, left_jacobian_se3, left_jacobian_so3, rotations
-
-Floats = NDArray[np.float64]
+from lieednn_sim.values import Floats
 
 _SECULAR_STEPS = 50
 # Share of its scale below which a curvature is taken for zero.

@@ -17,8 +17,8 @@ from lieednn_sim.arm.arm import Arm
 from lieednn_sim.arm.contacts import moving_geoms
 from lieednn_sim.errors import InputError
 from lieednn_sim.validation import as_floats
+from lieednn_sim.values import Floats
 
-Floats = NDArray[np.float64]
 Pairs = NDArray[np.int_]
 
 # A plane is half a space: in the bounds a box of this half size [m].

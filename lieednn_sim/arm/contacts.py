@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import mujoco
-
-Floats = NDArray[np.float64]
+from lieednn_sim.values import Floats
 
 
 class ContactFinder:

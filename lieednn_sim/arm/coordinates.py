@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from lieednn_sim.lie import left_jacobian_so3
-
-Floats = NDArray[np.float64]
+from lieednn_sim.values import Floats
 
 
 @dataclass(frozen=True, eq=False)

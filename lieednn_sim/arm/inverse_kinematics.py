@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
@@ -12,8 +12,7 @@ from lieednn_sim.arm.arm import Arm
 from lieednn_sim.errors import InputError, NoSolutionError
 from lieednn_sim.lie import hat
 from lieednn_sim.validation import as_floats, as_seed
-
-Floats = NDArray[np.float64]
+from lieednn_sim.values import Floats
 
 _TOLERANCE = 1e-6
 _ATTEMPTS = 8

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from lieednn_sim.lie import hat, left_jacobian_so3, log, poses, rotations
+from lieednn_sim.values import Floats
 
-Floats = NDArray[np.float64]
 # Brackets of unit twists below this vanish up to rounding [1, m].
 _COMMUTING = 1e-12
 

@@ -11,8 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from lieednn_sim.arm.kinematics import CompoundJoint
 from lieednn_sim.lie import hat
-
-Floats = NDArray[np.float64]
+from lieednn_sim.values import Floats
 
 # Levenberg-Marquardt to get near, Newton to get exact: with a gap left, Gauss-Newton steps converge linearly only.
 _DAMPED_STEPS, _NEWTON_STEPS = 40, 6

@@ -16,8 +16,7 @@ from lieednn_sim.arm.couplings import Line, line_of, to_independent_leaders
 from lieednn_sim.arm.forces import force_ranges
 from lieednn_sim.arm.kinematics import CompoundJoint, CompoundJoints, Factor
 from lieednn_sim.errors import InputError
-
-Floats = NDArray[np.float64]
+from lieednn_sim.values import Floats
 
 _KINDS = {
     int(mujoco.mjtJoint.mjJNT_HINGE): "hinge",

@@ -19,9 +19,7 @@ from lieednn_sim.arm.closed_forms import HingeSlide, MovingPoses, OneScrew, SixF
 from lieednn_sim.arm.kinematics import CompoundJoints
 from lieednn_sim.arm.nearest import NearestPose
 from lieednn_sim.lie import rotations
-from lieednn_sim.values import frozen
-
-Floats = NDArray[np.float64]
+from lieednn_sim.values import Floats, frozen
 
 
 @frozen

@@ -11,16 +11,15 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.errors import InputError
 from lieednn_sim.validation import as_choice, as_seed
+from lieednn_sim.values import Floats
 
 if TYPE_CHECKING:
     from lieednn_sim.arm.arm import Arm
 
-Floats = NDArray[np.float64]
 
 # Distance that every obstacle keeps from the arm at home [m].
 HOME_CLEARANCE = 0.05

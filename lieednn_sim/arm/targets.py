@@ -6,7 +6,6 @@ from collections import Counter
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.arm import Arm
@@ -14,8 +13,7 @@ from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.arm.scenes import GOAL_PREFIX
 from lieednn_sim.errors import NoSolutionError
 from lieednn_sim.validation import as_seed
-
-Floats = NDArray[np.float64]
+from lieednn_sim.values import Floats
 
 # At a target the arm keeps this distance from obstacles, and its parts this one from each other [m].
 TARGET_CLEARANCE, OWN_CLEARANCE = 0.02, 0.0025

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lieednn_sim.arm import Arm, solve_ik
 from lieednn_sim.arm.importer import ImportOptions
@@ -22,8 +21,7 @@ from lieednn_sim.simulation import CONTROLLERS, Disturbances, Push
 from lieednn_sim.simulation.reference import steps_of_rate
 from lieednn_sim.simulation.tracking import as_hold
 from lieednn_sim.validation import as_choice, as_positive, as_seed
-
-Floats = NDArray[np.float64]
+from lieednn_sim.values import Floats
 
 # Before the seed of a random joint position.
 RANDOM = "random:"

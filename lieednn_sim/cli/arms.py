@@ -6,7 +6,6 @@ import argparse
 from collections import Counter
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from lieednn_sim.arm import Arm, arm_names
@@ -14,8 +13,7 @@ from lieednn_sim.cli.arguments import import_options, keyframes
 from lieednn_sim.cli.console import console
 from lieednn_sim.errors import InputError
 from lieednn_sim.evaluation.display import table
-
-Floats = NDArray[np.float64]
+from lieednn_sim.values import Floats
 
 # Starts of the search for the farthest end effector, beside the keyframes; step of its finite differences [rad, m].
 _STARTS, _DIFFERENCE = 4, 1e-6

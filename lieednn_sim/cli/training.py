@@ -9,7 +9,6 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lieednn_sim import storage
 from lieednn_sim.arm import Arm
@@ -35,9 +34,7 @@ from lieednn_sim.network import LieEDNN
 from lieednn_sim.planning.motion import check_motion, make_motion
 from lieednn_sim.synthesis import bias_for
 from lieednn_sim.validation import as_choice, as_count, as_positive
-
-Floats = NDArray[np.float64]
-
+from lieednn_sim.values import Floats
 
 # Learning on the manifold, and whether with a certificate; it keeps no checkpoint, for it takes seconds.
 RIEMANNIAN = {"riemannian": False, "stability-aware": True}

@@ -10,7 +10,7 @@ import numpy as np
 from dm_control.rl import control
 from dm_control.utils import rewards
 from dm_env import specs
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
 from lieednn_sim.arm import Arm
@@ -21,8 +21,8 @@ from lieednn_sim.simulation import Simulation
 from lieednn_sim.simulation.controllers.base import PositionServo
 from lieednn_sim.simulation.reference import Reference, steps_in
 from lieednn_sim.validation import as_choice, as_floats, as_positive, as_seed
+from lieednn_sim.values import Floats
 
-Floats = NDArray[np.float64]
 Observation = OrderedDict[str, Floats]
 Bounds = dict[str, tuple[Floats, Floats]]
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lieednn_sim.environments.base import ArmTask
 from lieednn_sim.environments.tasks import Track
@@ -13,8 +12,7 @@ from lieednn_sim.environments.trajectories import Trajectory, planned
 from lieednn_sim.errors import InputError
 from lieednn_sim.planning import OBSTACLE_PLANNER, PLANNERS, require_planner
 from lieednn_sim.validation import as_choice, as_count, as_seed
-
-Floats = NDArray[np.float64]
+from lieednn_sim.values import Floats
 
 
 class Expert:

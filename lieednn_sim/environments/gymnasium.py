@@ -22,6 +22,7 @@ from lieednn_sim.environments.base import Observation
 from lieednn_sim.environments.tasks import make_task
 from lieednn_sim.errors import InputError, LieEDNNError
 from lieednn_sim.rendering.video import Camera
+from lieednn_sim.values import Floats
 
 try:
     import gymnasium
@@ -29,7 +30,6 @@ try:
 except ImportError:
     raise LieEDNNError("this module needs gymnasium: pip install 'lieednn_sim[gymnasium]'") from None
 
-Floats = NDArray[np.float64]
 
 # The task of each environment, by name.
 ENVIRONMENTS = {"LieEDNN/TelescopicReach-v0": "reach", "LieEDNN/TelescopicTrack-v0": "track"}

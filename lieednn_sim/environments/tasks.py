@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from dm_control.utils import rewards
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from lieednn_sim.arm import Arm
@@ -16,8 +15,7 @@ from lieednn_sim.environments.base import ArmTask
 from lieednn_sim.environments.trajectories import Trajectory, band_limited, planned
 from lieednn_sim.errors import InputError, NoSolutionError, NotCertifiedError, PlanError
 from lieednn_sim.validation import as_choice, as_count
-
-Floats = NDArray[np.float64]
+from lieednn_sim.values import Floats
 
 # Joints at rest move no faster than this share of their velocity limits.
 REST = 0.01

@@ -6,7 +6,7 @@ import contextlib
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.interpolate import CubicHermiteSpline
 
 from lieednn_sim.arm import Arm
@@ -14,8 +14,7 @@ from lieednn_sim.errors import NoSolutionError, NotCertifiedError, PlanError
 from lieednn_sim.planning import CertifiedOptions, plan
 from lieednn_sim.planning.motion import Motion, minimum_jerk_law
 from lieednn_sim.validation import as_count, as_positive
-
-Floats = NDArray[np.float64]
+from lieednn_sim.values import Floats
 
 # Plans are made this slow [s] and run faster afterwards: minimum jerk draws the same path in any time.
 _PLANNING_DURATION = 10.0

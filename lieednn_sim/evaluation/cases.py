@@ -8,9 +8,6 @@ from dataclasses import asdict, dataclass
 from functools import lru_cache
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from lieednn_sim._blas import one_blas_thread
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.targets import draw_target
@@ -24,8 +21,8 @@ from lieednn_sim.planning import Plan, plan, reference_network
 from lieednn_sim.simulation import Rollout, simulate
 from lieednn_sim.simulation.tracking import as_hold
 from lieednn_sim.validation import as_positive
+from lieednn_sim.values import Floats
 
-Floats = NDArray[np.float64]
 FREE = "free"
 
 

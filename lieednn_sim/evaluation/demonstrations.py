@@ -7,7 +7,6 @@ from dataclasses import asdict, dataclass, fields, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lieednn_sim._blas import one_blas_thread
 from lieednn_sim.budget import cpu_time
@@ -21,11 +20,11 @@ from lieednn_sim.learning.demonstrations.shaped import ShapedMotion
 from lieednn_sim.learning.demonstrations.stable_mixture import StableMixture
 from lieednn_sim.synthesis import ShapingOptions
 from lieednn_sim.validation import as_choice
+from lieednn_sim.values import Floats
 
 if TYPE_CHECKING:
     from rich.console import Group
 
-Floats = NDArray[np.float64]
 
 # What fits a model with about so many parameters.
 RIVALS: Mapping[str, Callable[[Demonstrations, int], MotionModel]] = {

@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lieednn_sim.learning.demonstrations import Demonstrations
 from lieednn_sim.learning.demonstrations.alignment import displacement, twist_of
 from lieednn_sim.learning.demonstrations.models import MotionModel
 from lieednn_sim.validation import as_count, as_generator
-
-Floats = NDArray[np.float64]
+from lieednn_sim.values import Floats
 
 # Durations after which a start counts as arrived or not.
 HORIZON = 10.0

@@ -9,19 +9,18 @@ from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from lieednn_sim import storage
 from lieednn_sim.evaluation import display
 from lieednn_sim.evaluation.motion_metrics import MotionMetrics, least_clearance, motion_metrics, violations
 from lieednn_sim.simulation import Disturbances, Push, Rollout
+from lieednn_sim.values import Floats
 from lieednn_sim.versions import versions
 
 if TYPE_CHECKING:
     from rich.console import Group
 
-Floats = NDArray[np.float64]
 
 # A frame has settled when it stays this close to its target.
 SETTLED_TRANSLATION = 1e-3

@@ -6,15 +6,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.planning.motion import LIMIT_TOLERANCE, Motion
 from lieednn_sim.simulation import Rollout
 from lieednn_sim.validation import as_floats, as_positive
-
-Floats = NDArray[np.float64]
 
 # Curvature is meant where the path is run through: at rest its direction is noise.
 CURVATURE_SPEED_SHARE = 0.05

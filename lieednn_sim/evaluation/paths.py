@@ -5,14 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from lieednn_sim.learning.demonstrations.alignment import LEVER, displacement
 from lieednn_sim.learning.demonstrations.warping import warp
 from lieednn_sim.validation import as_floats, as_positive
-
-Floats = NDArray[np.float64]
+from lieednn_sim.values import Floats
 
 # Samples of each path, at equal steps of its length: as many as a demonstration of the LASA data set has.
 SAMPLES = 1000

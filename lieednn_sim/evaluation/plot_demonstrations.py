@@ -10,7 +10,6 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from numpy.typing import NDArray
 
 from lieednn_sim.evaluation import plots
 from lieednn_sim.evaluation.demonstrations import reproduction
@@ -19,8 +18,7 @@ from lieednn_sim.evaluation.plots import COLOURS, STYLE
 from lieednn_sim.learning.demonstrations import Demonstrations
 from lieednn_sim.learning.demonstrations.alignment import displacement
 from lieednn_sim.learning.demonstrations.models import MotionModel
-
-Floats = NDArray[np.float64]
+from lieednn_sim.values import Floats
 
 _SHOWN, _ELSEWHERE = "0.72", "0.45"
 # Starts elsewhere that are drawn, and points of the field to each side.

@@ -20,9 +20,7 @@ from lieednn_sim.learning.result import StopReason
 from lieednn_sim.theory.groups import catalogue_name
 from lieednn_sim.theory.groups import group as group_by_name
 from lieednn_sim.validation import as_count, as_floats, as_positive
-from lieednn_sim.values import frozen
-
-Floats = NDArray[np.float64]
+from lieednn_sim.values import Floats, frozen
 
 _KIND = "training"
 

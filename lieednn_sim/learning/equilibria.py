@@ -9,14 +9,11 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import RK45, solve_ivp
 from scipy.linalg.lapack import dgetrf, dgetrs
 
 from lieednn_sim.network import ACTIVATIONS
-from lieednn_sim.values import frozen
-
-Floats = NDArray[np.float64]
+from lieednn_sim.values import Floats, frozen
 
 # phi' as a function of phi, which is at hand: two transcendental functions less an epoch.
 _SLOPE_OF_OUTPUT: dict[str, Callable[[Floats], Floats]] = {

@@ -7,15 +7,12 @@ from collections.abc import Mapping
 from dataclasses import fields
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg.lapack import dlange
 
 from lieednn_sim import storage
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.validation import as_floats
-from lieednn_sim.values import frozen
-
-Floats = NDArray[np.float64]
+from lieednn_sim.values import Floats, frozen
 
 
 @frozen

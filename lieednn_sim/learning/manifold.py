@@ -13,9 +13,7 @@ from lieednn_sim.network import LieEDNN
 from lieednn_sim.network.base import flatten_blocks
 from lieednn_sim.theory import GroupLieEDNN
 from lieednn_sim.theory.matrix_group import MatrixLieGroup
-from lieednn_sim.values import frozen
-
-Floats = NDArray[np.float64]
+from lieednn_sim.values import Floats, frozen
 
 # A block whose strength vanishes has no direction: W/alpha is taken with at least this much of it.
 _SMALLEST_ALPHA = 1e-9

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lieednn_sim.errors import InputError
 from lieednn_sim.learning.equilibria import EquilibriumSolver
@@ -14,9 +14,8 @@ from lieednn_sim.learning.manifold import WeightManifold, weight_manifold
 from lieednn_sim.network import ACTIVATIONS
 from lieednn_sim.theory.matrix_group import MatrixLieGroup
 from lieednn_sim.validation import as_choice, as_floats, as_positive, as_seed
-from lieednn_sim.values import frozen
+from lieednn_sim.values import Floats, frozen
 
-Floats = NDArray[np.float64]
 # Called with epochs done and epochs at most.
 Progress = Callable[[int, int], None]
 

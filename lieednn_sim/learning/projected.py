@@ -8,7 +8,7 @@ import time
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lieednn_sim._blas import one_blas_thread
 from lieednn_sim.budget import check_time
@@ -23,8 +23,7 @@ from lieednn_sim.learning.result import StopReason, TrainingResult, conclude
 from lieednn_sim.learning.sensitivity import gauss_newton_direction, strength_gradient, weight_gradient
 from lieednn_sim.theory.matrix_group import MatrixLieGroup
 from lieednn_sim.validation import as_floats
-
-Floats = NDArray[np.float64]
+from lieednn_sim.values import Floats
 
 # Seconds from one checkpoint to the next.
 _CHECKPOINT_SECONDS = 10.0

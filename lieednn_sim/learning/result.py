@@ -5,7 +5,6 @@ from __future__ import annotations
 from enum import StrEnum
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lieednn_sim.learning.equilibria import FlatEquilibrium
 from lieednn_sim.learning.history import History
@@ -13,9 +12,7 @@ from lieednn_sim.learning.manifold import WeightPoint
 from lieednn_sim.learning.problem import TrainingProblem
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.theory import GroupLieEDNN
-from lieednn_sim.values import frozen
-
-Floats = NDArray[np.float64]
+from lieednn_sim.values import Floats, frozen
 
 
 class StopReason(StrEnum):

@@ -18,7 +18,7 @@ import time
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lieednn_sim._blas import one_blas_thread
 from lieednn_sim.errors import InputError
@@ -38,8 +38,7 @@ from lieednn_sim.learning.tangent import (
 )
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.stability import Certificate, find_certificate, verify
-
-Floats = NDArray[np.float64]
+from lieednn_sim.values import Floats
 
 # Armijo's condition: the loss falls at least by this part of what its slope promises.
 _SUFFICIENT_DECREASE = 1e-4

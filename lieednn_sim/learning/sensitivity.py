@@ -8,16 +8,14 @@ entry at once: S^T lambda = delta, then dE/dW = (mu/gamma) lambda phi(x*)^T; for
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lieednn_sim.errors import InputError
 from lieednn_sim.learning.manifold import block_view
 from lieednn_sim.lie import adjoint
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.validation import as_choice, as_floats
-from lieednn_sim.values import frozen
-
-Floats = NDArray[np.float64]
+from lieednn_sim.values import Floats, frozen
 
 LOSSES = ("squared", "norm")
 

@@ -13,7 +13,6 @@ Row i of W y, y = phi(x), depends on the blocks (i, j) only: equations on W y ar
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from lieednn_sim.learning.equilibria import SensitivityMatrix
@@ -21,8 +20,7 @@ from lieednn_sim.learning.manifold import SE3Weights, WeightPoint, block_view
 from lieednn_sim.lie import hat, vee
 from lieednn_sim.network.base import flatten_blocks
 from lieednn_sim.stability import log_scale_gradient, scale, smooth_largest
-
-Floats = NDArray[np.float64]
+from lieednn_sim.values import Floats
 
 _SE3 = SE3Weights()
 

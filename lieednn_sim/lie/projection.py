@@ -11,8 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from lieednn_sim.lie.se3 import hat, vee
 from lieednn_sim.validation import as_floats
-
-Floats = NDArray[np.float64]
+from lieednn_sim.values import Floats
 
 _SKEW_BASIS = hat(np.eye(3))
 # The rotations of the cube, the identity first: starts spread evenly over SO(3).

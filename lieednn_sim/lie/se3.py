@@ -5,13 +5,12 @@ from __future__ import annotations
 from math import factorial
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from lieednn_sim.errors import InputError
 from lieednn_sim.validation import as_floats
-
-Floats = NDArray[np.float64]
+from lieednn_sim.values import Floats
 
 # Below this angle [rad] the trigonometric coefficients are summed as Taylor series: their closed forms lose
 # digits by cancellation, (theta - sin theta - theta^3/6) / theta^5 already all of them at 1e-3.

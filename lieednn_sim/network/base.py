@@ -10,14 +10,13 @@ from functools import cached_property
 from typing import Any, ClassVar, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lieednn_sim import stability, storage
 from lieednn_sim.errors import FileError, InputError, NotCertifiedError
 from lieednn_sim.network.dynamics import Equilibrium, Trajectory, find_equilibrium, integrate
 from lieednn_sim.validation import as_floats, as_positive
-
-Floats = NDArray[np.float64]
+from lieednn_sim.values import Floats
 
 
 class BlockNetwork(ABC):

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lieednn_sim.errors import InputError
 from lieednn_sim.validation import as_count, as_floats, as_positive, as_ratio
-
-Floats = NDArray[np.float64]
+from lieednn_sim.values import Floats
 
 _ORTHONORMAL_TOLERANCE = 1e-9
 

@@ -7,14 +7,13 @@ from functools import cached_property
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lieednn_sim import stability
 from lieednn_sim.errors import NotCertifiedError
 from lieednn_sim.network.base import BlockNetwork
 from lieednn_sim.validation import as_choice, as_floats
-
-Floats = NDArray[np.float64]
+from lieednn_sim.values import Floats
 
 # Odd, bounded activations with slopes in (0, 1]: what the certificate of `stability` assumes. (phi, phi').
 ACTIVATIONS: dict[str, tuple[Callable[[Floats], Floats], Callable[[Floats], Floats]]] = {

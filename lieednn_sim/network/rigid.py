@@ -6,7 +6,8 @@ from functools import cached_property
 from typing import ClassVar
 
 from lieednn_sim.lie import adjoint
-from lieednn_sim.network.base import BlockNetwork, Floats, flatten_blocks, read_only
+from lieednn_sim.network.base import BlockNetwork, flatten_blocks, read_only
+from lieednn_sim.values import Floats
 
 
 class RigidNetwork(BlockNetwork):

@@ -7,12 +7,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from lieednn_sim.network.base import Floats
 from lieednn_sim.network.checks import as_hidden, as_poses, as_rates, as_strengths
 from lieednn_sim.network.componentwise import ComponentwiseNetwork, as_activation
 from lieednn_sim.network.rigid import RigidNetwork
 from lieednn_sim.validation import as_floats
-from lieednn_sim.values import frozen
+from lieednn_sim.values import Floats, frozen
 
 
 @frozen

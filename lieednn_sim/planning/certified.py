@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.budget import check_time
@@ -19,8 +18,7 @@ from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.problem import Plan, PlanningProblem, in_time
 from lieednn_sim.synthesis import BIAS_RULES, synthesize
 from lieednn_sim.validation import as_choice
-
-Floats = NDArray[np.float64]
+from lieednn_sim.values import Floats
 
 # The stronger the bias, the less the weights have to do and the straighter the transient; searches try all.
 BIAS_MAGNITUDES = (0.125, 0.25, 0.5)

@@ -13,7 +13,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import interp1d
 
 from lieednn_sim.budget import check_time
@@ -30,8 +29,7 @@ from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.problem import Plan, PlanningProblem
 from lieednn_sim.planning.segments import CLOSING, motion_of
 from lieednn_sim.synthesis import synthesize
-
-Floats = NDArray[np.float64]
+from lieednn_sim.values import Floats
 
 _FILTER = FilterOptions()
 # More clearance than the filter keeps, so that it need not hold back what follows the path.

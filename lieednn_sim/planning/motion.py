@@ -15,7 +15,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
 
 from lieednn_sim import storage
@@ -25,9 +25,8 @@ from lieednn_sim.errors import FileError, InputError, PlanError, TooFastError
 from lieednn_sim.network import BlockNetwork, ComponentwiseNetwork
 from lieednn_sim.network.dynamics import Trajectory
 from lieednn_sim.validation import as_floats, as_positive, as_times
-from lieednn_sim.values import frozen
+from lieednn_sim.values import Floats, frozen
 
-Floats = NDArray[np.float64]
 # Share of a path's length and its slope, both ``(K,)``, at shares ``(K,)`` of the duration.
 Law = Callable[[Floats], tuple[Floats, Floats]]
 

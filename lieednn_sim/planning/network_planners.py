@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import PlanError
@@ -19,8 +18,7 @@ from lieednn_sim.planning.motion import Motion, NetworkPath, check_motion
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.problem import Plan, PlanningProblem, in_time
 from lieednn_sim.synthesis import bias_for, synthesize
-
-Floats = NDArray[np.float64]
+from lieednn_sim.values import Floats
 
 # Where a learned network has its equilibrium the motion ends, and it shall end at the target [rad, length_scale m].
 _LEARNED_TOLERANCE = 1e-8

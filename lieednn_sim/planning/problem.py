@@ -8,7 +8,6 @@ from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.budget import DEFAULT_TIME_BUDGET, as_time_budget
@@ -16,9 +15,8 @@ from lieednn_sim.errors import InputError, TooFastError
 from lieednn_sim.network import ComponentwiseNetwork
 from lieednn_sim.planning.motion import Motion, count_steps
 from lieednn_sim.validation import as_positive, as_seed
-from lieednn_sim.values import frozen
+from lieednn_sim.values import Floats, frozen
 
-Floats = NDArray[np.float64]
 _Made = TypeVar("_Made")
 
 # A motion that is too fast gets the time that it needs and this much more: that time is estimated from samples.

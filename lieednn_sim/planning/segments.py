@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lieednn_sim.planning.filtering import FilteredRun
 from lieednn_sim.planning.motion import Motion, minimum_jerk_law
-
-Floats = NDArray[np.float64]
+from lieednn_sim.values import Floats
 
 # The last difference to the target is closed in this time [s].
 CLOSING = 0.1

@@ -15,8 +15,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.arm.forces import actuator_moments, on_fixed_tendon
 from lieednn_sim.errors import InputError
 from lieednn_sim.simulation.disturbances import Noise, tangent_basis
-
-Floats = NDArray[np.float64]
+from lieednn_sim.values import Floats
 
 
 class Actuators:

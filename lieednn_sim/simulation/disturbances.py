@@ -8,14 +8,12 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError
 from lieednn_sim.validation import as_floats, as_positive, as_seed
-
-Floats = NDArray[np.float64]
+from lieednn_sim.values import Floats
 
 
 @dataclass(frozen=True)

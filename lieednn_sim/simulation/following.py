@@ -16,7 +16,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError
@@ -30,9 +30,7 @@ from lieednn_sim.simulation.rollout import Rollout, as_rollout
 from lieednn_sim.simulation.simulation import Simulation, quiet_warnings
 from lieednn_sim.simulation.tracking import make_controlled
 from lieednn_sim.validation import as_floats, as_positive
-from lieednn_sim.values import frozen
-
-Floats = NDArray[np.float64]
+from lieednn_sim.values import Floats, frozen
 
 # A target that is faster than the joints may be has jumped; without limits, one faster than this [rad/s, m/s].
 _FASTEST = 10.0

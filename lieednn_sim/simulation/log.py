@@ -10,11 +10,10 @@ from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.simulation.quaternions import quaternions
+from lieednn_sim.values import Floats
 
 if TYPE_CHECKING:
     from lieednn_sim.simulation.simulation import Simulation
-
-Floats = NDArray[np.float64]
 
 
 class ChannelSource(Protocol):

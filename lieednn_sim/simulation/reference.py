@@ -13,8 +13,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError
 from lieednn_sim.planning.filtering import FilterOptions, SafetyFilter
 from lieednn_sim.validation import as_floats, as_positive
-
-Floats = NDArray[np.float64]
+from lieednn_sim.values import Floats
 
 # Steps that are worked out at once: many enough that their number does not matter, few enough to stay in the cache.
 _AHEAD = 256

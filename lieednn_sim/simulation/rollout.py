@@ -20,9 +20,7 @@ from lieednn_sim.simulation.controllers import CONTROLLERS
 from lieednn_sim.simulation.disturbances import Disturbances, tangent_basis
 from lieednn_sim.simulation.log import Log
 from lieednn_sim.validation import as_choice, as_floats, as_positive, as_times
-from lieednn_sim.values import frozen
-
-Floats = NDArray[np.float64]
+from lieednn_sim.values import Floats, frozen
 
 _PER_COORDINATE = ("q", "qd", "q_ref", "qd_ref", "force", "constraint_force")
 _ARRAYS = (

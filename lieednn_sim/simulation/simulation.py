@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
 from lieednn_sim._mujoco import mujoco
@@ -18,8 +18,7 @@ from lieednn_sim.simulation.disturbances import Disturbances, Noise, Pushes, Sen
 from lieednn_sim.simulation.log import Instant, Log
 from lieednn_sim.simulation.plant import make_plant
 from lieednn_sim.validation import as_count, as_floats
-
-Floats = NDArray[np.float64]
+from lieednn_sim.values import Floats
 
 
 class Simulation:

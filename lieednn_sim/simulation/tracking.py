@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError, SimulationError
@@ -25,8 +25,6 @@ from lieednn_sim.simulation.reference import Reference, steps_of_rate
 from lieednn_sim.simulation.rollout import Rollout, as_rollout
 from lieednn_sim.simulation.simulation import Simulation, quiet_warnings
 from lieednn_sim.validation import as_choice, as_floats, as_positive
-
-Floats = NDArray[np.float64]
 
 _MAX_HOLD = 1000.0
 

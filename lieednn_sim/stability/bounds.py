@@ -14,13 +14,13 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lieednn_sim.errors import InputError, NoSolutionError
 from lieednn_sim.stability.norms import as_weight
 from lieednn_sim.validation import LARGEST, as_floats, as_ratio
+from lieednn_sim.values import Floats
 
-Floats = NDArray[np.float64]
 Activation = Callable[[Floats], Floats]
 
 _EPS = float(np.finfo(float).eps)

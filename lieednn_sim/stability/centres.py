@@ -14,13 +14,12 @@ entry by entry, and the gradient's derivative in lambda -2 (G - 2 A G G)_ii.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lieednn_sim.stability.norms import scale
 
-Floats = NDArray[np.float64]
-
 # exp(+-_LOG_SCALE_BOUND) bounds S, so that S W S^-1 keeps its digits.
+from lieednn_sim.values import Floats
+
 _LOG_SCALE_BOUND = 8.0
 _LEAST, _MOST = np.exp(-2.0 * _LOG_SCALE_BOUND), np.exp(2.0 * _LOG_SCALE_BOUND)
 # In units of |S W S^-1|_2 at the start: first level above its eigenvalue, and the gap at which the search ends. The

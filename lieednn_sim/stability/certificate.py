@@ -25,15 +25,13 @@ diag(P_R, eps P_R) with eps small. Hence everything here works on W_R, of shape 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lieednn_sim.errors import InputError
 from lieednn_sim.stability.centres import minimise_by_centres
 from lieednn_sim.stability.norms import as_weight, weighted_norm
 from lieednn_sim.validation import LARGEST, as_choice, as_count, as_floats, as_positive, as_ratio
-from lieednn_sim.values import frozen
-
-Floats = NDArray[np.float64]
+from lieednn_sim.values import Floats, frozen
 
 METHODS = ("descent", "lmi")
 

@@ -12,15 +12,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lieednn_sim.errors import InputError
 from lieednn_sim.stability.certificate import Certificate, find_certificate, verify
 from lieednn_sim.stability.contraction import Contraction, find_contraction
 from lieednn_sim.stability.norms import as_weight, frobenius, log_norms, weighted_norm
 from lieednn_sim.validation import as_floats, as_positive, as_ratio
-
-Floats = NDArray[np.float64]
+from lieednn_sim.values import Floats
 
 # In the order of the hierarchy; a verdict's level is one of these or "none".
 CONDITIONS = (

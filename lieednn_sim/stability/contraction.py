@@ -24,7 +24,7 @@ when no other angle is worse (a symmetric W, for one), and asks in addition that
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.linalg import block_diag, schur, solve_triangular
 from scipy.optimize import minimize_scalar
 
@@ -33,9 +33,7 @@ from lieednn_sim.stability.centres import minimise_by_centres
 from lieednn_sim.stability.certificate import find_certificate
 from lieednn_sim.stability.norms import as_weight, frobenius, scale
 from lieednn_sim.validation import as_floats, as_positive, as_ratio
-from lieednn_sim.values import frozen
-
-Floats = NDArray[np.float64]
+from lieednn_sim.values import Floats, frozen
 
 _EPS = float(np.finfo(float).eps)
 _N_ANGLES = 32

@@ -5,11 +5,9 @@ from __future__ import annotations
 import warnings
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lieednn_sim.errors import LieEDNNError
-
-Floats = NDArray[np.float64]
+from lieednn_sim.values import Floats
 
 # Bisection stops at this fraction of ||W||_2; the interior-point answers are not sharper.
 _RELATIVE_TOLERANCE = 1e-6

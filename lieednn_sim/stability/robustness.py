@@ -40,9 +40,8 @@ from lieednn_sim.stability.certificate import Certificate, find_certificate, ver
 from lieednn_sim.stability.contraction import Contraction, find_contraction, norm_at, verify_contraction
 from lieednn_sim.stability.norms import as_weight, scale
 from lieednn_sim.validation import as_choice, as_floats, as_positive
-from lieednn_sim.values import frozen
+from lieednn_sim.values import Floats, frozen
 
-Floats = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 INTEGRATORS_WITH_PROOF = ("Euler", "RK4")

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from lieednn_sim.validation import as_choice, as_floats, as_positive
-
-Floats = NDArray[np.float64]
+from lieednn_sim.values import Floats
 
 BIAS_RULES = ("uniform", "sign-matched", "solved")
 

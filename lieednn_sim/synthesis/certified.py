@@ -6,7 +6,7 @@ import time
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lieednn_sim._blas import one_blas_thread
 from lieednn_sim.errors import InputError, NotCertifiedError
@@ -16,9 +16,7 @@ from lieednn_sim.synthesis.bias import bias_for, equation_columns, impossibility
 from lieednn_sim.synthesis.problem import Point, Problem
 from lieednn_sim.synthesis.search import QUATERNION_BOUNDS, feasible_point, polish, smallest_eigenvalue_point
 from lieednn_sim.validation import as_choice, as_count, as_floats, as_generator, as_positive
-from lieednn_sim.values import frozen
-
-Floats = NDArray[np.float64]
+from lieednn_sim.values import Floats, frozen
 
 RESIDUAL_TOLERANCE = 1e-9
 # No weights are looked for beyond this norm of W_R, in units of gamma/mu.

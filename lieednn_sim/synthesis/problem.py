@@ -8,12 +8,9 @@ The unknowns are the quaternions ``(N, N, 4)`` and log S ``(3N,)`` of the certif
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lieednn_sim.stability import log_scale_gradient, scale, smooth_largest
-from lieednn_sim.values import frozen
-
-Floats = NDArray[np.float64]
+from lieednn_sim.values import Floats, frozen
 
 
 def _polarise() -> Floats:

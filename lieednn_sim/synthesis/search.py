@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import lapack
 from scipy.optimize import minimize
 
 from lieednn_sim.budget import check_time
 from lieednn_sim.lie import hat
 from lieednn_sim.synthesis.problem import Point, Problem
-
-Floats = NDArray[np.float64]
+from lieednn_sim.values import Floats
 
 # Equations need only be met this well by the searches: the polish then takes quadratic steps.
 _ROUGH = 1e-2

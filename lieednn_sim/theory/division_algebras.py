@@ -22,12 +22,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim.errors import InputError
-from lieednn_sim.network.base import Floats
 from lieednn_sim.network.checks import as_rates
 from lieednn_sim.theory import groups
 from lieednn_sim.theory.group_network import GroupLieEDNN
 from lieednn_sim.theory.matrix_group import MatrixLieGroup
 from lieednn_sim.validation import as_floats
+from lieednn_sim.values import Floats
 
 Complexes = NDArray[np.complex128]
 

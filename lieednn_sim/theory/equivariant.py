@@ -40,12 +40,11 @@ from numpy.typing import ArrayLike
 
 from lieednn_sim import stability
 from lieednn_sim.lie import adjoint
-from lieednn_sim.network.base import Floats
 from lieednn_sim.network.checks import as_poses, as_rates, as_strengths, require_rotations
 from lieednn_sim.network.dynamics import Equilibrium, find_equilibrium
 from lieednn_sim.network.rigid import RigidNetwork
 from lieednn_sim.validation import as_floats, as_positive
-from lieednn_sim.values import frozen
+from lieednn_sim.values import Floats, frozen
 
 # tanh(r)/r in powers of r^2. Below the angle [rad] the series is used: there the closed form of the derivative
 # cancels, and both are good to 3e-14.

@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim.errors import InputError
-from lieednn_sim.network.base import Floats, read_only
+from lieednn_sim.network.base import read_only
 from lieednn_sim.network.checks import as_rates, as_strengths
 from lieednn_sim.network.componentwise import ComponentwiseNetwork, as_activation
 from lieednn_sim.theory import groups
 from lieednn_sim.theory.matrix_group import MatrixLieGroup
 from lieednn_sim.validation import as_floats
-from lieednn_sim.values import frozen
+from lieednn_sim.values import Floats, frozen
 
 
 @frozen

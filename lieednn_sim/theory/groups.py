@@ -19,8 +19,9 @@ from scipy.spatial.transform import Rotation
 from lieednn_sim.errors import InputError
 from lieednn_sim.lie import se3
 from lieednn_sim.lie.projection import project_to_adjoint_exact, project_to_rotation
-from lieednn_sim.theory.matrix_group import Booleans, Floats, Matrices, MatrixLieGroup
+from lieednn_sim.theory.matrix_group import Booleans, Matrices, MatrixLieGroup
 from lieednn_sim.validation import as_count, quoted
+from lieednn_sim.values import Floats
 
 _TURN = np.array([[0.0, -1.0], [1.0, 0.0]])
 _PAULI = np.array([[[0, 1], [1, 0]], [[0, -1j], [1j, 0]], [[1, 0], [0, -1]]])

@@ -15,8 +15,8 @@ from scipy.linalg import expm, logm
 from lieednn_sim.errors import InputError
 from lieednn_sim.lie.projection import descend
 from lieednn_sim.validation import as_finite, as_floats, as_generator, as_positive, as_shape
+from lieednn_sim.values import Floats
 
-Floats = NDArray[np.float64]
 Booleans = NDArray[np.bool_]
 # Real or complex group elements and algebra matrices.
 Matrices = NDArray[Any]

@@ -8,13 +8,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lieednn_sim.errors import InputError
 from lieednn_sim.stability.norms import as_weight, log_norms
 from lieednn_sim.validation import as_finite, as_floats, as_positive, as_ratio
-
-Floats = NDArray[np.float64]
+from lieednn_sim.values import Floats
 
 # Of a curve: larger ones than elsewhere do no harm, since they only divide.
 _LARGEST_SLOPE = 1e300

@@ -8,7 +8,6 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lieednn_sim._blas import one_blas_thread
 from lieednn_sim.errors import LieEDNNError
@@ -20,8 +19,7 @@ from lieednn_sim.planning import plan
 from lieednn_sim.planning.filtering import FilterOptions
 from lieednn_sim.simulation import Disturbances, Feedback, Push, Rollout, Simulation
 from lieednn_sim.simulation.following import closed_loop
-
-Floats = NDArray[np.float64]
+from lieednn_sim.values import Floats
 
 DISTURBANCES = ("none", "push", "payload", "target")
 # Simulated time [s], rate of control [Hz], and the share of the leader's own path at which it is disturbed.

@@ -12,7 +12,6 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.collision import Collisions
@@ -25,9 +24,8 @@ from lieednn_sim.simulation import Feedback, Simulation
 from lieednn_sim.simulation.feedback import FeedbackFollower
 from lieednn_sim.simulation.reference import PeriodReference
 from lieednn_sim.synthesis import synthesize
-from lieednn_sim.values import frozen
+from lieednn_sim.values import Floats, frozen
 
-Floats = NDArray[np.float64]
 Rows = tuple[Floats, Floats]
 Leader = Callable[[Floats, Simulation], Rows]
 

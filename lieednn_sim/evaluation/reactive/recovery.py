@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lieednn_sim.arm import Arm
-
-Floats = NDArray[np.float64]
+from lieednn_sim.values import Floats
 
 # Back on the path is who is within this share of the largest distance from it, for good.
 BACK = 0.1

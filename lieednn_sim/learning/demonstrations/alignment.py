@@ -7,16 +7,13 @@ from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from lieednn_sim.errors import InputError
 from lieednn_sim.learning.demonstrations.recording import Demonstration
 from lieednn_sim.lie import exp, left_jacobian_so3, poses
 from lieednn_sim.validation import as_choice, as_count, as_positive
-from lieednn_sim.values import frozen
-
-Floats = NDArray[np.float64]
+from lieednn_sim.values import Floats, frozen
 
 PHASES = ("length", "time")
 # Metres that a radian counts for: 2 mm and 0.5 degrees weigh about the same.

@@ -18,7 +18,6 @@ from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.learning.demonstrations.recording import QUATERNIONS, Demonstration
 from lieednn_sim.validation import as_choice, as_path, as_positive
 
-Floats = NDArray[np.float64]
 # Samples, and their times where the file has them.
 Table = tuple[NDArray[Any], NDArray[Any] | None]
 

@@ -7,12 +7,10 @@ from dataclasses import dataclass
 from typing import ClassVar, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lieednn_sim.budget import check_time
 from lieednn_sim.learning.demonstrations.alignment import Demonstrations
-
-Floats = NDArray[np.float64]
+from lieednn_sim.values import Floats
 
 # What decays by itself has a hundredth left after a duration.
 DECAY = float(np.log(100.0))

@@ -14,16 +14,13 @@ from __future__ import annotations
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from lieednn_sim.budget import check_time
 from lieednn_sim.learning.demonstrations.alignment import Demonstrations, displacement, twist_of
 from lieednn_sim.learning.demonstrations.models import DECAY, at_times, even_grid
 from lieednn_sim.lie import exp
-from lieednn_sim.values import frozen
-
-Floats = NDArray[np.float64]
+from lieednn_sim.values import Floats, frozen
 
 # Ijspeert's: critically damped.
 _ALPHA = 25.0

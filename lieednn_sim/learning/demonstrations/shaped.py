@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lieednn_sim.learning.demonstrations.alignment import Demonstrations, displacement
 from lieednn_sim.learning.demonstrations.models import run_field
@@ -13,9 +12,7 @@ from lieednn_sim.learning.demonstrations.warping import warp
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.synthesis import Shaping, ShapingOptions, shape
 from lieednn_sim.validation import as_positive
-from lieednn_sim.values import frozen
-
-Floats = NDArray[np.float64]
+from lieednn_sim.values import Floats, frozen
 
 # Deviation asked for where the user asks for none, in extents of the demonstrations.
 DEVIATION = 2e-3

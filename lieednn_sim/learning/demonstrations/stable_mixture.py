@@ -11,16 +11,13 @@ from __future__ import annotations
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.cluster.vq import kmeans2
 from scipy.optimize import least_squares
 
 from lieednn_sim._blas import one_blas_thread
 from lieednn_sim.learning.demonstrations.alignment import Demonstrations
 from lieednn_sim.learning.demonstrations.models import even_grid, run_field
-from lieednn_sim.values import frozen
-
-Floats = NDArray[np.float64]
+from lieednn_sim.values import Floats, frozen
 
 # Of V per duration, where the fit asks for no more.
 _EPSILON = 0.1

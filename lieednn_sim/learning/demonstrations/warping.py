@@ -9,8 +9,6 @@ from lieednn_sim.errors import InputError
 from lieednn_sim.validation import as_floats
 from lieednn_sim.values import frozen
 
-Floats = NDArray[np.float64]
-
 
 @frozen
 class Warp:

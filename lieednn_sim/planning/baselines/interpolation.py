@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.lie import exp, left_jacobian_se3, log
 from lieednn_sim.planning.baselines.joint_space import joint_motion
 from lieednn_sim.planning.motion import Motion, check_motion, minimum_jerk_law
 from lieednn_sim.planning.problem import PlanningProblem
-
-Floats = NDArray[np.float64]
+from lieednn_sim.values import Floats
 
 
 def minimum_jerk(problem: PlanningProblem) -> Motion:

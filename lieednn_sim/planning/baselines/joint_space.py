@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lieednn_sim.arm import PLANNED_CLEARANCE, Arm
 from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.arm.contacts import ContactFinder, moving_geoms
 from lieednn_sim.planning.motion import Motion, check_motion
 from lieednn_sim.planning.problem import PlanningProblem
-
-Floats = NDArray[np.float64]
+from lieednn_sim.values import Floats
 
 # Where start or target are nearer than that, this share of their distance is kept.
 _SHARE = 0.8

@@ -13,7 +13,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 from scipy.optimize import least_squares
 
@@ -23,8 +22,7 @@ from lieednn_sim.planning.baselines.joint_space import ClearanceTest, Workspace,
 from lieednn_sim.planning.motion import Motion, minimum_jerk_law
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.problem import PlanningProblem
-
-Floats = NDArray[np.float64]
+from lieednn_sim.values import Floats
 
 # Of the spline: the quintic that minimum jerk is in free space.
 _DEGREE = 5

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import BPoly
 
 from lieednn_sim.budget import check_time
@@ -14,8 +13,7 @@ from lieednn_sim.planning.extras import optional_module
 from lieednn_sim.planning.motion import Motion, minimum_jerk_law
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.problem import PlanningProblem
-
-Floats = NDArray[np.float64]
+from lieednn_sim.values import Floats
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,6 @@ from functools import cache, lru_cache, partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lieednn_sim.budget import check_time, out_of_time
 from lieednn_sim.errors import PlanError
@@ -23,8 +22,7 @@ from lieednn_sim.planning.extras import optional_module
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.problem import PlanningProblem, in_time
-
-Floats = NDArray[np.float64]
+from lieednn_sim.values import Floats
 
 
 @dataclass(frozen=True)

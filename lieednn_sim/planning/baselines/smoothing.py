@@ -12,7 +12,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import cumulative_simpson
 from scipy.interpolate import BSpline, CubicHermiteSpline
 
@@ -21,8 +20,7 @@ from lieednn_sim.planning.baselines.joint_space import joint_motion, joint_scale
 from lieednn_sim.planning.motion import Motion, minimum_jerk_law
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.problem import PlanningProblem
-
-Floats = NDArray[np.float64]
+from lieednn_sim.values import Floats
 
 # The least with which curvature has a continuous derivative.
 _DEGREE = 5

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
+from lieednn_sim.values import Floats
 
-Floats = NDArray[np.float64]
 Pairs = NDArray[np.int_]
 
 

@@ -10,15 +10,13 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.collision import Collisions, Distances
 from lieednn_sim.errors import InputError
 from lieednn_sim.planning.filtering.approach import ApproachBounds
 from lieednn_sim.planning.filtering.options import FilterOptions
-
-Floats = NDArray[np.float64]
+from lieednn_sim.values import Floats
 
 # Share of the accelerations that braking before obstacles may count on: constraints share them, and normals turn.
 _BRAKING_SHARE = 0.15

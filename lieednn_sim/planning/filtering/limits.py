@@ -5,11 +5,9 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lieednn_sim.arm import Arm
-
-Floats = NDArray[np.float64]
+from lieednn_sim.values import Floats
 
 # Where an arm names no acceleration limits, its joints get up to their velocity limits in this time [s].
 _ACCELERATION_TIME = 0.25

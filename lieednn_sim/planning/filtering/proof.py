@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import LieEDNNError
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.validation import as_floats
-
-Floats = NDArray[np.float64]
 
 
 def limits_proved(arm: Arm, network: LieEDNN, start: ArrayLike) -> bool:

@@ -14,7 +14,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.interpolate import CubicHermiteSpline
 
 from lieednn_sim.arm import Arm
@@ -26,9 +26,7 @@ from lieednn_sim.planning.filtering.proof import limits_proved
 from lieednn_sim.planning.filtering.safety import SafetyFilter
 from lieednn_sim.planning.motion import LIMIT_TOLERANCE, Motion, NetworkPath, require_fit
 from lieednn_sim.validation import as_floats, as_positive
-from lieednn_sim.values import frozen
-
-Floats = NDArray[np.float64]
+from lieednn_sim.values import Floats, frozen
 
 # Pull of the joints towards the network's state [1/s], and the share of the acceleration limits left for braking.
 _GAIN = 8.0

@@ -27,9 +27,7 @@ from lieednn_sim.planning.filtering.barriers import AngleBarrier, Barrier, Clear
 from lieednn_sim.planning.filtering.limits import AccelerationLimit, Limit, PositionLimit, VelocityLimit, finite_rates
 from lieednn_sim.planning.filtering.options import FilterOptions
 from lieednn_sim.validation import as_floats, as_positive
-from lieednn_sim.values import frozen
-
-Floats = NDArray[np.float64]
+from lieednn_sim.values import Floats, frozen
 
 # A change of the wanted velocity by more than this share of the limits counts as filtering.
 _ACTIVE = 1e-3

@@ -12,7 +12,6 @@ from types import MappingProxyType
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
@@ -20,8 +19,7 @@ from lieednn_sim.simulation.actuators import Actuators
 from lieednn_sim.simulation.disturbances import Noise
 from lieednn_sim.simulation.log import ChannelSource
 from lieednn_sim.simulation.reference import Foreseen, Reference
-
-Floats = NDArray[np.float64]
+from lieednn_sim.values import Floats
 
 # Natural frequency of the computed-torque loop [Hz]; critically damped.
 _TORQUE_LOOP_FREQUENCY = 10.0

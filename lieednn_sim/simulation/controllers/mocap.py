@@ -16,8 +16,7 @@ from lieednn_sim.simulation.actuators import driving_actuators
 from lieednn_sim.simulation.disturbances import Noise
 from lieednn_sim.simulation.quaternions import quaternions
 from lieednn_sim.simulation.reference import Foreseen, Reference
-
-Floats = NDArray[np.float64]
+from lieednn_sim.values import Floats
 
 # Reference acceleration of the welds: time constant T [s] and damping ratio zeta; impedance d of the soft constraint.
 _TIME_CONSTANT = 0.01
