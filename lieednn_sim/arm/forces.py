@@ -61,6 +61,32 @@ def force_ranges(model: mujoco.MjModel, rates: Floats) -> Floats:
     return np.where(known[:, None], np.stack([low, high], axis=1), [-np.inf, np.inf])
 
 
+def resting_load(model: mujoco.MjModel, qpos: Floats) -> Floats:
+    """Generalised force ``(nv,)`` by which actuators hold the model at rest, gravity compensation and springs apart."""
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    mujoco.mj_forward(model, data)
+    # Compensation by an actuator counts as its force in MuJoCo, in addition to that of the servo.
+    by_actuator = model.jnt_actgravcomp[model.dof_jntid] != 0
+    return np.asarray(data.qfrc_bias - data.qfrc_passive - np.where(by_actuator, data.qfrc_gravcomp, 0.0))
+
+
+def servo_gains(model: mujoco.MjModel, rates: Floats) -> tuple[Floats, Floats]:
+    """The gains kp [N m/rad, N/m] and kv [N m s/rad, N s/m], both ``(n,)``, of the position servos on each coordinate.
+
+    Args:
+        model: with servos on joints or fixed tendons; others don't count, nor do drives that are none.
+        rates: as of `force_ranges`.
+    """
+    kp, kv = -model.actuator_biasprm[:, 1:3].T @ (constant_moments(model) @ rates) ** 2
+    return kp, kv
+
+
+def dry_friction(model: mujoco.MjModel, rates: Floats) -> Floats:
+    """Largest force ``(n,)`` by which the dry friction of the joints withstands each coordinate [N m, N]."""
+    return np.asarray(model.dof_frictionloss @ np.abs(rates))
+
+
 def _sum_of_ranges(weights: Floats, ranges: Floats) -> Floats:
     """Ranges ``(n, 2)`` of sums with weights ``(m, n)`` of independent numbers in ``(m, 2)`` ranges."""
     factors = np.repeat(weights[..., None], 2, axis=-1)

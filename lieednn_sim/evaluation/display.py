@@ -21,9 +21,11 @@ def table(title: str, *columns: str) -> Table:
 
 
 def of_evaluation(evaluation: Evaluation) -> Group:
-    """Tables of frames, joints and pushes, and what disturbed the run."""
+    """Tables of frames, joints and pushes, what disturbed the run, and why it does not end at its target."""
     shown = [_frames(evaluation), _joints(evaluation), *([_recoveries(evaluation)] if evaluation.recoveries else [])]
-    return Group(*shown, *(line for line in (_conditions(evaluation), _forces(evaluation)) if line))
+    return Group(
+        *shown, *(line for line in (_conditions(evaluation), _forces(evaluation), *_causes(evaluation)) if line)
+    )
 
 
 def as_text(evaluation: Evaluation) -> str:
@@ -123,3 +125,10 @@ def _forces(evaluation: Evaluation) -> str:
     if evaluation.scene != "free" and evaluation.clearance_mm is not None:
         said.append(f"least clearance {evaluation.clearance_mm:.1f} mm")
     return "; ".join(said)
+
+
+def _causes(evaluation: Evaluation) -> tuple[str, ...]:
+    if not evaluation.causes:
+        return ()
+    error = f"final error {evaluation.final_worst_mm:.3g} mm and {evaluation.final_worst_deg:.3g} degrees"
+    return (f"{error}:", *(f"- {cause}" for cause in evaluation.causes))

@@ -13,6 +13,7 @@ from scipy.spatial.transform import RigidTransform
 
 from lieednn_sim import storage
 from lieednn_sim.evaluation import display
+from lieednn_sim.evaluation.causes import causes
 from lieednn_sim.evaluation.motion_metrics import MotionMetrics, least_clearance, motion_metrics, violations
 from lieednn_sim.simulation import Disturbances, Push, Rollout
 from lieednn_sim.values import Floats
@@ -44,6 +45,11 @@ class FrameErrors:
     tracking_max_mm: float
     tracking_max_deg: float
     settling_s: float | None
+
+    @property
+    def arrived(self) -> bool:
+        """Whether it ends within 1 mm and 0.1 deg of its target."""
+        return self.final_mm <= 1e3 * SETTLED_TRANSLATION and self.final_deg <= np.rad2deg(SETTLED_ROTATION)
 
 
 @dataclass(frozen=True)
@@ -111,6 +117,7 @@ class Evaluation:
         velocity_excess: the worst of them, in units of the limit.
         acceleration_violations: samples at which a joint is above its acceleration limit.
         acceleration_excess: the worst of them, in units of the limit.
+        causes: of an arm that does not end at its target, what its model says of the reasons, see `causes.causes`.
         settling_s: time from which every link stays at its target, None when one does not.
         final_effector_mm: distance of the end effector from its target at the end.
         final_effector_deg: the same as an angle.
@@ -149,6 +156,7 @@ class Evaluation:
     velocity_excess: float
     acceleration_violations: int
     acceleration_excess: float
+    causes: tuple[str, ...] = ()
     settling_s: float | None = field(init=False)
     final_effector_mm: float = field(init=False)
     final_effector_deg: float = field(init=False)
@@ -192,7 +200,7 @@ class Evaluation:
         if self.contacts:
             return f"contact: up to {self.contacts} at a time"
         for frame in self.frames:
-            if frame.final_mm > 1e3 * SETTLED_TRANSLATION or frame.final_deg > np.rad2deg(SETTLED_ROTATION):
+            if not frame.arrived:
                 return f"arrival: {frame.name} ends {frame.final_mm:.3g} mm and {frame.final_deg:.3g} deg off"
         return ""
 
@@ -237,6 +245,8 @@ def evaluate(rollout: Rollout, *, clearance: bool = True) -> Evaluation:
     arrival = pose_errors(simulated, arm.link_poses(rollout.target))
     tip = rollout.link_position[:, -1]
     least = least_clearance(rollout) if clearance else np.inf
+    frames = tuple(_frame_errors(i, name, rollout.t, tracking, arrival) for i, name in enumerate(arm.link_names))
+    arrived = all(frame.arrived for frame in frames)
     return Evaluation(
         arm=arm.name,
         scene=arm.scene,
@@ -247,7 +257,7 @@ def evaluate(rollout: Rollout, *, clearance: bool = True) -> Evaluation:
         duration_s=float(rollout.t[-1]),
         motion_s=rollout.motion_end,
         plan=None if motion is None else motion_metrics(arm, motion),
-        frames=tuple(_frame_errors(i, name, rollout.t, tracking, arrival) for i, name in enumerate(arm.link_names)),
+        frames=frames,
         joints=tuple(
             JointUse(
                 name=name,
@@ -267,6 +277,7 @@ def evaluate(rollout: Rollout, *, clearance: bool = True) -> Evaluation:
         peak_weld_force_n=_peak(rollout, "weld_force"),
         peak_weld_torque_n_m=_peak(rollout, "weld_torque"),
         recoveries=_recoveries(rollout, tracking),
+        causes=() if arrived else causes(rollout, SETTLED_TRANSLATION, SETTLED_ROTATION),
         **violations(rollout),
     )
 

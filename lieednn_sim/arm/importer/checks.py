@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm.forces import dry_friction, resting_load
 from lieednn_sim.arm.importer.draft import Draft
 from lieednn_sim.arm.importer.locking import pose
-from lieednn_sim.arm.importer.servos import resting_load
 from lieednn_sim.errors import InputError
 
 Floats = NDArray[np.float64]
@@ -63,13 +63,13 @@ def look_at_home(draft: Draft) -> None:
     mujoco.mj_resetDataKeyframe(model, data, model.key("home").id)
     mujoco.mj_forward(model, data)
     load = resting_load(model, data.qpos)
-    for dof, servo in zip(draft.dofs, draft.servos, strict=True):
+    frictions = dry_friction(model, np.array([dof.rates for dof in draft.dofs]).T)
+    for dof, servo, friction in zip(draft.dofs, draft.servos, frictions, strict=True):
         force = float(load @ dof.rates)
         if servo.frequency < _SLOW:
             slow = f"its servo is slow, {servo.frequency:.2g} Hz, and follows motions badly"
             notes.append(f"{servo.name}: {slow}{f'; {_DESIGN}' if servo.kept else ''}")
         helps = "the controller inverse-dynamics makes up for it" + (f", {_DESIGN}" if servo.kept else "")
-        friction = float(np.abs(dof.rates) @ model.dof_frictionloss)
         if friction / servo.kp > _SAG:
             notes.append(
                 f"{servo.name}: dry friction of {friction:.3g} leaves it up to {friction / servo.kp:.2g} rad or m off; "

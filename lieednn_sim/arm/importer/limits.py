@@ -8,8 +8,9 @@ from xml.etree import ElementTree
 import numpy as np
 
 from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm.forces import resting_load
 from lieednn_sim.arm.importer.draft import Draft
-from lieednn_sim.arm.importer.servos import largest_inertia, resting_load
+from lieednn_sim.arm.importer.servos import largest_inertia
 
 _VELOCITY, _ACCELERATION = "velocity_limit", "acceleration_limit"
 # Of the force that an actuator has left: the rest is for friction, and for what the other joints do to it.

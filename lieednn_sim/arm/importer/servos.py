@@ -98,16 +98,6 @@ def largest_inertia(model: mujoco.MjModel, postures: Sequence[Floats], dofs: Seq
     return np.max([np.diag(reduced_inertia(model, qpos, dofs)) for qpos in postures], axis=0)
 
 
-def resting_load(model: mujoco.MjModel, qpos: Floats) -> Floats:
-    """Generalised force ``(nv,)`` by which actuators hold the model at rest, gravity compensation and springs apart."""
-    data = mujoco.MjData(model)
-    data.qpos[:] = qpos
-    mujoco.mj_forward(model, data)
-    # Compensation by an actuator counts as its force in MuJoCo, in addition to that of the servo.
-    by_actuator = model.jnt_actgravcomp[model.dof_jntid] != 0
-    return np.asarray(data.qfrc_bias - data.qfrc_passive - np.where(by_actuator, data.qfrc_gravcomp, 0.0))
-
-
 def growth(
     model: mujoco.MjModel, inertia: Floats, dofs: Sequence[Dof], servos: tuple[Servo, ...], timestep: float
 ) -> float:

@@ -1,0 +1,116 @@
+"""What keeps an arm off its target, read off its model: dry friction, loads, force limits, servos that are slow."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm import Arm
+from lieednn_sim.arm.forces import dry_friction, resting_load, servo_gains
+from lieednn_sim.simulation import Rollout
+from lieednn_sim.simulation.disturbances import tangent_basis
+
+Floats = NDArray[np.float64]
+
+# What would hold a joint off by less than this share of its error does not explain it.
+_SHARE = 0.25
+# Of a force limit, which is reached up to rounding.
+_FULL = 0.999
+# A servo is slow where it leaves more than this of an error at the end of the hold.
+_LEFT = 0.05
+# Controllers whose feedback is that of the arm's servos.
+_SERVOS = ("position-servo", "inverse-dynamics")
+_DESIGN = "designed servos (servos='design', --servos design)"
+
+
+def causes(rollout: Rollout, translation: float, rotation: float) -> tuple[str, ...]:
+    """Why the joints that matter do not end at their targets, the one that matters most first; then what helps.
+
+    A servo at rest exerts kp (q_ref - q): dry friction F holds it anywhere within F / kp, and a load that nobody feeds
+    forward pulls it off by load / kp. One that still moves with the speed v, and decays as exp(-r t), has v / r to go.
+    There is nothing to say of mocap bodies, which lead the arm without servos.
+
+    Args:
+        rollout: that does not end at its target.
+        translation: a joint matters that alone brings a link so far off its target [m], or the worst where none does.
+        rotation: the same as an angle [rad].
+    """
+    arm, target, error = rollout.arm, rollout.target, rollout.q[-1] - rollout.target
+    if rollout.controller not in (*_SERVOS, "computed-torque"):
+        return ()
+    alone = arm.link_poses(target).inv() * arm.link_poses(target + np.diag(error))
+    distance = np.linalg.norm(alone.translation, axis=-1).max(axis=1)
+    angle = np.asarray(alone.rotation.magnitude()).max(axis=1)
+    matters = np.maximum(distance / translation, angle / rotation)
+    ranked = np.argsort(-matters, kind="stable")[: max(1, int((matters > 1.0).sum()))]
+    found, helpful = _reasons(rollout, error)
+    lines = [
+        f"joint {arm.joint_names[j]!r} ends {_amount(arm, j, error[j])} off, which alone moves a link by "
+        f"{1e3 * distance[j]:.3g} mm and {np.rad2deg(angle[j]):.3g} degrees: "
+        + ("; ".join(found[j]) or "neither friction, a load nor a force limit of the model explains it")
+        for j in map(int, ranked)
+    ]
+    help_with = dict.fromkeys(one for j in ranked for one in helpful[j])
+    return (*lines, f"what helps: {', or '.join(help_with)}") if help_with else tuple(lines)
+
+
+def _reasons(rollout: Rollout, error: Floats) -> tuple[list[list[str]], list[list[str]]]:
+    """For each coordinate what the model has to say of its error ``(n,)``, and what may be done about it."""
+    arm, model, basis = rollout.arm, rollout.arm.model, tangent_basis(rollout.arm)
+    (kp, _), friction = servo_gains(model, basis), dry_friction(model, basis)
+    load = np.abs(resting_load(model, arm.qpos(rollout.q[-1])) @ basis)
+    pace, limits, changes = _pace(rollout), arm.force_limits, rollout.disturbances
+    slow = np.abs(rollout.qd[-1]) > _SHARE * pace * np.abs(error)
+    slow &= (np.exp(-pace * rollout.hold) > _LEFT) & (rollout.controller in _SERVOS)
+    full = np.mean(np.abs(rollout.force) >= _FULL * limits, axis=0)
+    reasons: list[list[str]] = [[] for _ in error]
+    helpful: list[list[str]] = [[] for _ in error]
+    for j, off in enumerate(np.abs(error)):
+        unit = "N" if arm.unit(j) == "m" else "N m"
+        stiffer = [_DESIGN] if arm.import_report is not None and arm.import_report.servos[j].kept else []
+        if load[j] > limits[j]:
+            reasons[j].append(f"its load is {load[j]:.3g} {unit}, its force limit {limits[j]:.3g}")
+            helpful[j].append("another target")
+        elif full[j]:
+            reasons[j].append(
+                f"its force limit of {limits[j]:.3g} {unit} is reached in {100 * full[j]:.2g} % of the time"
+            )
+            helpful[j].append("a longer duration")
+        if rollout.controller == "position-servo":
+            for force, says, does in (
+                (friction[j], "dry friction of", "holds it anywhere within"),
+                (load[j], "its load of", "pulls it off by"),
+            ):
+                if force > _SHARE * kp[j] * off:
+                    held = _amount(arm, j, force / kp[j])
+                    reasons[j].append(f"{says} {force:.3g} {unit} / kp {kp[j]:.4g} {does} {held}")
+                    helpful[j] += ["the controller inverse-dynamics", *stiffer]
+        if slow[j]:
+            reasons[j].append(f"its servo is slow: it still moves, and halves its error in {np.log(2) / pace[j]:.2g} s")
+            helpful[j] += ["a longer hold (hold=, --hold)", *stiffer]
+        if changes.payload or changes.mass_scale != 1.0 or changes.pushes:
+            reasons[j].append("the controller knows nothing of payload, changed masses and pushes")
+    return reasons, helpful
+
+
+def _pace(rollout: Rollout) -> Floats:
+    """Rate ``(n,)`` [1/s] at which the servo of each coordinate makes its error decay, the others held.
+
+    The slower root of M r^2 + (kv + D) r + kp = 0.
+    """
+    model, basis = rollout.arm.model, tangent_basis(rollout.arm)
+    data = mujoco.MjData(model)
+    data.qpos[:] = rollout.arm.qpos(rollout.q[-1])
+    mujoco.mj_forward(model, data)
+    inertia = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, inertia)
+    mass = np.diag(basis.T @ inertia @ basis)
+    kp, kv = servo_gains(model, basis)
+    damping = (kv + model.dof_damping @ basis**2) / (2.0 * mass)
+    roots = -damping + np.sqrt((damping**2 - kp / mass).astype(complex))
+    return np.maximum(-roots.real, 1e-9)
+
+
+def _amount(arm: Arm, joint: int, value: float) -> str:
+    return f"{1e3 * abs(value):.3g} mm" if arm.unit(joint) == "m" else f"{np.rad2deg(abs(value)):.3g} degrees"

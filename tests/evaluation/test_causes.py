@@ -1,0 +1,78 @@
+"""Errors whose causes are known, on a hoist of two slides with simple numbers."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm import Arm
+from lieednn_sim.arm.importer import import_arm
+from lieednn_sim.evaluation import evaluate
+from lieednn_sim.planning import plan
+from lieednn_sim.simulation import Disturbances, simulate
+
+HOIST = """
+<mujoco><option timestep=".002"/>
+  <custom><numeric name="acceleration_limit" data="1000 1000"/></custom>
+  <worldbody><body name="cart"><joint name="drive" type="slide" axis="1 0 0" range="-1 1" {drive}/>
+    <geom type="box" size=".1 .1 .1" mass="2"/>
+    <body name="hook" pos="0 0 .5" gravcomp="{compensation}">
+      <joint name="lift" type="slide" axis="0 0 1" range="-1 1" {lift}/><geom type="box" size=".1 .1 .1" mass="1"/>
+    </body></body></worldbody>
+  <actuator><position joint="drive" kp="1000" kv="110" {force}/><position joint="lift" kp="{kp}" kv="{kv}"/></actuator>
+</mujoco>
+"""
+
+
+def moved(controller="position-servo", disturbances=None, **changes):
+    values = {"drive": "", "lift": "", "force": "", "compensation": 1, "kp": 2000, "kv": 90, **changes}
+    spec, report = import_arm(mujoco.MjSpec.from_string(HOIST.format(**values)))
+    arm = Arm.from_spec(spec, Path("hoist.xml"), "hoist", report)
+    planned = plan(arm, np.array([0.5, 0.4]), planner="minimum-jerk", duration=1.0)
+    return evaluate(simulate(arm, planned, controller=controller, disturbances=disturbances))
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        # The hook of 1 kg lacks 0.3 of its compensation, 2.943 N.
+        (
+            {"compensation": 0.7, "kp": 1000},
+            ["'lift' ends 2.94 mm", "its load of 2.94 N / kp 1000 pulls it off by 2.94 mm"],
+        ),
+        (
+            {"drive": 'frictionloss="8"'},
+            ["'drive' ends ", "dry friction of 8 N / kp 1000 holds it anywhere within 8 mm"],
+        ),
+        (
+            {"force": 'forcerange="-5 5"'},
+            ["'drive' ends ", "its force limit of 5 N is reached in", "a longer duration"],
+        ),
+        # 1 kg and 210 N s/m against 10 N/m: the slow root is at 0.05 / s.
+        ({"compensation": 0.7, "kp": 10, "kv": 210}, ["'lift' ends ", "its servo is slow", "in 15 s", "a longer hold"]),
+        ({"disturbances": Disturbances(payload=2.0)}, ["'lift' ends 9.81 mm", "knows nothing of payload"]),
+    ],
+)
+def test_what_holds_a_joint_off_is_told_with_what_it_is_worth(changes, expected):
+    found = moved(**changes)
+    joint = found.causes[0]
+    assert all(any(text in line for line in found.causes) for text in expected)
+    assert expected[0] in joint
+    assert expected[1] in joint
+    # What the run was not given is not blamed.
+    words = {"friction": "drive", "load of": "compensation", "force limit": "force", "payload": "disturbances"}
+    assert all((word in joint) == (given in changes) for word, given in words.items())
+    assert f"final error {found.final_worst_mm:.3g} mm and 0 degrees:" in str(found)
+    assert f"- {joint}" in str(found).splitlines()
+
+
+def test_the_joint_that_matters_most_is_first_and_what_helps_does():
+    changes = {"drive": 'frictionloss="8"', "compensation": 0.5}
+    found = moved(**changes)
+    assert [line.split("'")[1] for line in found.causes[:2]] == ["lift", "drive"]
+    helping = "what helps: the controller inverse-dynamics, or designed servos (servos='design', --servos design)"
+    assert found.causes[2] == helping
+    told = moved(controller="inverse-dynamics", **changes)
+    assert told.causes == ()
+    assert told.final_worst_mm < 1e-6
