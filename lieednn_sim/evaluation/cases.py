@@ -13,10 +13,9 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.budget import DEFAULT_TIME_BUDGET
 from lieednn_sim.errors import LieEDNNError
-from lieednn_sim.evaluation.columns import COLUMNS, TIMING
 from lieednn_sim.evaluation.metrics import Evaluation, evaluate
 from lieednn_sim.evaluation.motion_metrics import MotionMetrics, motion_metrics
-from lieednn_sim.evaluation.rows import Case, Row
+from lieednn_sim.evaluation.rows import COLUMNS, TIMING, Case, Row
 from lieednn_sim.planning import Plan, plan, reference_network
 from lieednn_sim.simulation import Rollout, simulate
 from lieednn_sim.simulation.tracking import as_hold
@@ -49,10 +48,6 @@ class Settings:
         for name in ("duration", "mass_scale", "time_budget"):
             object.__setattr__(self, name, as_positive(name, getattr(self, name)))
         object.__setattr__(self, "hold", as_hold(self.hold))
-
-    def as_dict(self) -> dict[str, float]:
-        """For a JSON file."""
-        return asdict(self)
 
 
 @lru_cache(maxsize=4)

@@ -86,9 +86,10 @@ class Recovery:
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Metrics of one rollout; `print` shows them as tables. The names are those of a comparison's columns.
+    """Metrics of one rollout; `print` shows them as tables.
 
-    Conditions are called as the arguments of `simulate`.
+    Conditions are called as the arguments of `simulate`. The attributes that are not listed are columns of a
+    comparison: what they mean stands at `rows.Row`, once.
 
     Attributes:
         arm: that was simulated.
@@ -102,33 +103,14 @@ class Evaluation:
         plan: of the motion that was followed, None without one.
         frames: one entry a link, the last one being the end effector.
         joints: one entry a joint.
-        path_m: length of the end effector's simulated path.
-        displacement_m: distance between its first and last position.
-        clearance_mm: least clearance on the way, negative in penetration; None where nothing can collide or nobody
-            looked.
+        displacement_m: distance between the end effector's first and last position.
+        clearance_mm: as the column; None where nothing can collide or nobody looked.
         contacts: largest number of simultaneous contacts.
         peak_contact_force_n: largest normal force of a contact.
         peak_weld_force_n: largest force between a link and its mocap body; zero without.
         peak_weld_torque_n_m: largest torque between them.
         recoveries: one entry a push.
-        position_violations: samples at which a joint is outside its range.
-        position_excess: the worst of them, in units of the range.
-        velocity_violations: samples at which a joint is above its velocity limit.
-        velocity_excess: the worst of them, in units of the limit.
-        acceleration_violations: samples at which a joint is above its acceleration limit.
-        acceleration_excess: the worst of them, in units of the limit.
         causes: of an arm that does not end at its target, what its model says of the reasons, see `causes.causes`.
-        settling_s: time from which every link stays at its target, None when one does not.
-        final_effector_mm: distance of the end effector from its target at the end.
-        final_effector_deg: the same as an angle.
-        final_worst_mm: distance of the worst link from its target at the end; likewise the next ones of the worst link.
-        final_worst_deg: the same as an angle.
-        tracking_rms_mm: simulated against planned frames, root mean square in time.
-        tracking_rms_deg: the same as an angle.
-        tracking_max_mm: the largest such distance.
-        tracking_max_deg: the same as an angle.
-        velocity_share: largest joint velocity in units of its limit.
-        force_share: largest drive force or torque in units of its limit.
     """
 
     arm: str

@@ -27,18 +27,10 @@ _SAME_POSTURE = 1e-7
 
 @dataclass(frozen=True)
 class MotionMetrics:
-    """Numbers of a plan alone.
+    """Numbers of a plan alone; what they mean stands at the columns of `rows.Row`, once.
 
     Attributes:
-        motion_s: time at which it comes to rest.
-        gap_mm: largest mechanism gap on the way: what the joints cannot follow. It is no tracking error.
-        gap_deg: the same as an angle.
-        gap_end_mm: mechanism gap of the last poses.
-        gap_end_deg: the same as an angle.
-        path_ranges: length in joint space, each joint in units of its range.
-        jerk_joints: root mean square of the joints' jerk, in units of their ranges [1/s^3].
-        jerk_effector: the same of the end effector's path [m/s^3].
-        curvature: of that path, see `rms_curvature` [1/m]; None when it does not move.
+        curvature: see `rms_curvature`; None where the end effector does not move.
         network_residual: distance to the equilibrium at which the motion ends [network coordinates].
     """
 
@@ -123,17 +115,13 @@ def violations(rollout: Rollout) -> dict[str, Any]:
     """
     arm = rollout.arm
     ranges = arm.position_limits[:, 1] - arm.position_limits[:, 0]
-    acceleration = np.diff(rollout.qd, axis=0) / rollout.timestep
     outside = arm.limit_excess(rollout.q)
+    velocity = np.abs(rollout.qd) / arm.velocity_limits - 1.0
+    acceleration = np.abs(np.diff(rollout.qd, axis=0) / rollout.timestep) / arm.acceleration_limits - 1.0
     excesses = {
         "position": (outside / ranges, outside > LIMIT_TOLERANCE),
-        **{
-            name: (excess, excess > RATE_TOLERANCE)
-            for name, excess in (
-                ("velocity", np.abs(rollout.qd) / arm.velocity_limits - 1.0),
-                ("acceleration", np.abs(acceleration) / arm.acceleration_limits - 1.0),
-            )
-        },
+        "velocity": (velocity, velocity > RATE_TOLERANCE),
+        "acceleration": (acceleration, acceleration > RATE_TOLERANCE),
     }
     values: dict[str, Any] = {}
     for name, (excess, beyond) in excesses.items():

@@ -1,14 +1,89 @@
-"""A row of a comparison: what was planned, by what it was followed, and what was measured."""
+"""Rows of tables: what tells them apart, what was measured, and their cells in a CSV file."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-from typing import Any
+from dataclasses import dataclass, field, fields
+from functools import partial
+from typing import Any, ClassVar, Self
 
 from lieednn_sim.errors import InputError
-from lieednn_sim.evaluation.columns import BY_NAME
 
-Key = tuple[str, str, str, str, int]
+
+@dataclass(frozen=True)
+class Column:
+    """A measured number.
+
+    Attributes:
+        name: of the attribute of a row, and in the CSV file.
+        heading: short, with the unit.
+        meaning: one line.
+        of_motion: whether it belongs to the plan, and so is the same for every controller.
+    """
+
+    name: str
+    heading: str
+    meaning: str
+    of_motion: bool = False
+
+
+def column(heading: str, meaning: str, *, of_motion: bool = False) -> Any:
+    """A field of a row for a measured number, None where there is none; arguments as of `Column`."""
+    return field(default=None, metadata={"heading": heading, "meaning": meaning, "of_motion": of_motion})
+
+
+_of_motion = partial(column, of_motion=True)
+
+
+def columns_of(kind: type[TableRow]) -> tuple[Column, ...]:
+    """The measured columns of a kind of row."""
+    return tuple(Column(entry.name, **entry.metadata) for entry in fields(kind) if entry.metadata)
+
+
+@dataclass(frozen=True)
+class TableRow:
+    """A row of a table, one column a field; subclasses have a ``success`` and a ``reason`` why not.
+
+    Numbers are rounded to the digits of the file, so that a table that is read says what it said when it was made.
+    """
+
+    # Fields that tell a row from the others, and digits of a number.
+    _key: ClassVar[tuple[str, ...]]
+    _digits: ClassVar[int]
+
+    def __post_init__(self) -> None:
+        for entry in fields(self):
+            if isinstance(value := getattr(self, entry.name), float):
+                object.__setattr__(self, entry.name, float(f"{value:.{self._digits}g}"))
+
+    @property
+    def key(self) -> tuple[Any, ...]:
+        """What tells the row from the others."""
+        return tuple(getattr(self, name) for name in self._key)
+
+    def as_texts(self) -> dict[str, str]:
+        """The row's cells in a CSV file."""
+        return {entry.name: self._as_text(getattr(self, entry.name)) for entry in fields(self)}
+
+    @classmethod
+    def from_texts(cls, texts: dict[str, str]) -> Self:
+        """Read `as_texts`; `ValueError` where a cell is not of its column's type."""
+        if texts["success"] != ("no" if texts["reason"] else "yes"):
+            raise ValueError(f"success is {texts['success']!r} where the reason of a failure is {texts['reason']!r}")
+        return cls(**{entry.name: _value(texts[entry.name], str(entry.type)) for entry in fields(cls)})
+
+    def _as_text(self, value: bool | int | float | str | None) -> str:
+        if isinstance(value, bool):
+            return "yes" if value else "no"
+        return "" if value is None else f"{value:.{self._digits}g}" if isinstance(value, float) else str(value)
+
+
+def _value(text: str, kind: str) -> bool | int | float | str | None:
+    """What a cell holds in a column of a type, as annotated."""
+    if kind in ("str", "bool"):
+        return text if kind == "str" else text == "yes"
+    if kind.endswith("None") and not text:
+        return None
+    return int(text) if kind.startswith("int") else float(text)
 
 
 @dataclass(frozen=True, order=True)
@@ -40,12 +115,8 @@ class Case:
 
 
 @dataclass(frozen=True)
-class Row:
-    """One rollout. Measured numbers are None where there is none, and called as in `Evaluation` and `MotionMetrics`.
-
-    They are rounded to the digits of the file, so that a table that is read says what it said when it was made.
-
-    The other attributes are those of `columns.COLUMNS`.
+class Row(TableRow):
+    """One rollout of a comparison. Measured numbers are called as in `Evaluation` and `MotionMetrics`.
 
     Attributes:
         arm: with the next four, what tells a row from the others.
@@ -60,6 +131,9 @@ class Row:
         stability_level: the condition that proves it.
     """
 
+    _key = ("arm", "scene", "planner", "controller", "seed")
+    _digits = 6
+
     arm: str
     scene: str
     planner: str
@@ -70,40 +144,57 @@ class Row:
     reason: str = ""
     stability: str = ""
     stability_level: str = ""
-    planning_s: float | None = None
-    motion_s: float | None = None
-    gap_mm: float | None = None
-    gap_deg: float | None = None
-    gap_end_mm: float | None = None
-    gap_end_deg: float | None = None
-    path_ranges: float | None = None
-    jerk_joints: float | None = None
-    jerk_effector: float | None = None
-    curvature: float | None = None
-    settling_s: float | None = None
-    final_effector_mm: float | None = None
-    final_effector_deg: float | None = None
-    final_worst_mm: float | None = None
-    final_worst_deg: float | None = None
-    tracking_rms_mm: float | None = None
-    tracking_rms_deg: float | None = None
-    tracking_max_mm: float | None = None
-    tracking_max_deg: float | None = None
-    path_m: float | None = None
-    velocity_share: float | None = None
-    force_share: float | None = None
-    clearance_mm: float | None = None
-    position_violations: int | None = None
-    position_excess: float | None = None
-    velocity_violations: int | None = None
-    velocity_excess: float | None = None
-    acceleration_violations: int | None = None
-    acceleration_excess: float | None = None
-
-    def __post_init__(self) -> None:
-        for name in ("mass_scale", *BY_NAME):
-            if isinstance(getattr(self, name), float):
-                object.__setattr__(self, name, float(f"{getattr(self, name):.6g}"))
+    planning_s: float | None = _of_motion(
+        "planning [s]", "CPU time of the planner, stopped at its time budget; the one column that differs between runs"
+    )
+    motion_s: float | None = _of_motion("motion [s]", "time at which the plan comes to rest")
+    gap_mm: float | None = _of_motion("gap [mm]", "largest mechanism gap on the way: what the joints cannot follow")
+    gap_deg: float | None = _of_motion("gap [deg]", "the same as an angle")
+    gap_end_mm: float | None = _of_motion("gap at end [mm]", "mechanism gap of the last planned poses")
+    gap_end_deg: float | None = _of_motion("gap at end [deg]", "the same as an angle")
+    path_ranges: float | None = _of_motion(
+        "joint path [ranges]", "planned length in joint space, each joint in units of its range"
+    )
+    jerk_joints: float | None = _of_motion(
+        "joint jerk [ranges/s³]", "RMS jerk of the planned joints, in units of their ranges"
+    )
+    jerk_effector: float | None = _of_motion("effector jerk [m/s³]", "RMS jerk of the planned end-effector path")
+    curvature: float | None = _of_motion(
+        "curvature [1/m]", "RMS curvature along the planned end-effector path, where its speed is above 5 % of the peak"
+    )
+    settling_s: float | None = column(
+        "settled [s]", "time from which every link stays at its target; none when it does not"
+    )
+    final_effector_mm: float | None = column(
+        "final effector [mm]", "distance of the end effector from its target at the end"
+    )
+    final_effector_deg: float | None = column("[deg]", "the same as an angle")
+    final_worst_mm: float | None = column(
+        "final worst link [mm]", "distance of the worst link from its target at the end"
+    )
+    final_worst_deg: float | None = column("[deg]", "the same as an angle")
+    tracking_rms_mm: float | None = column(
+        "tracking RMS [mm]", "simulated against planned frames, RMS in time, worst link"
+    )
+    tracking_rms_deg: float | None = column("[deg]", "the same as an angle")
+    tracking_max_mm: float | None = column("tracking max [mm]", "the largest such distance")
+    tracking_max_deg: float | None = column("[deg]", "the same as an angle")
+    path_m: float | None = column("effector path [m]", "length of the end effector's simulated path")
+    velocity_share: float | None = column("velocity / limit", "largest joint velocity in units of its limit")
+    force_share: float | None = column("force / limit", "largest drive force or torque in units of its limit")
+    clearance_mm: float | None = column(
+        "clearance [mm]", "least clearance along the simulated motion; below 0: penetration"
+    )
+    position_violations: int | None = column("position violations", "simulated samples with a joint outside its range")
+    position_excess: float | None = column("worst", "how far outside, in units of the range")
+    velocity_violations: int | None = column(
+        "velocity violations", "simulated samples with a joint above its velocity limit"
+    )
+    velocity_excess: float | None = column("worst", "how far above, in units of the limit")
+    acceleration_violations: int | None = column(
+        "acceleration violations", "simulated samples with a joint above its acceleration limit"
+    )
+    acceleration_excess: float | None = column("worst", "how far above, in units of the limit")
 
     @property
     def case(self) -> Case:
@@ -111,37 +202,13 @@ class Row:
         return Case(self.arm, self.scene, self.planner, self.seed)
 
     @property
-    def key(self) -> Key:
-        """What tells the row from the others."""
-        return self.arm, self.scene, self.planner, self.controller, self.seed
-
-    @property
     def planned(self) -> bool:
         """Whether there was a motion to track."""
         return not self.reason.startswith(("plan:", "problem:"))
 
-    def as_texts(self) -> dict[str, str]:
-        """The row's cells in a CSV file."""
-        return {name: _as_text(getattr(self, name)) for name in FIELDS}
-
-    @classmethod
-    def from_texts(cls, texts: dict[str, str]) -> Row:
-        """Read `as_texts`; `ValueError` where a cell is not of its column's type."""
-        values: dict[str, Any] = {name: texts[name] for name in FIELDS if name not in BY_NAME}
-        values |= {"seed": int(texts["seed"]), "mass_scale": float(texts["mass_scale"])}
-        if texts["success"] != ("no" if texts["reason"] else "yes"):
-            raise ValueError(f"success is {texts['success']!r} where the reason of a failure is {texts['reason']!r}")
-        values["success"] = texts["success"] == "yes"
-        for name in BY_NAME:
-            kind = int if name.endswith("_violations") else float
-            values[name] = kind(texts[name]) if texts[name] else None
-        return cls(**values)
-
-
-def _as_text(value: bool | int | float | str | None) -> str:
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    return "" if value is None else f"{value:.6g}" if isinstance(value, float) else str(value)
-
 
 FIELDS = tuple(entry.name for entry in fields(Row))
+COLUMNS = columns_of(Row)
+BY_NAME = {entry.name: entry for entry in COLUMNS}
+# Everything else is the same on every run.
+TIMING = ("planning_s",)

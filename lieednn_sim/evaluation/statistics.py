@@ -9,8 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lieednn_sim.errors import InputError
-from lieednn_sim.evaluation.columns import BY_NAME
-from lieednn_sim.evaluation.rows import Case, Row
+from lieednn_sim.evaluation.rows import BY_NAME, Case, Row
 
 # What varies from case to case in a reason: names in quotes, numbers, ranges.
 _QUOTED = re.compile(r"'[^']*'")

@@ -18,7 +18,7 @@ from lieednn_sim.errors import InputError, LieEDNNError
 from lieednn_sim.evaluation.cases import FREE, Settings, run_case
 from lieednn_sim.evaluation.rows import Case
 from lieednn_sim.evaluation.statistics import numbers
-from lieednn_sim.evaluation.table import R, Rows, S, Table
+from lieednn_sim.evaluation.table import R, Rows, Table
 from lieednn_sim.evaluation.workers import progress_bar, worker_pool
 from lieednn_sim.planning import PLANNERS, missing_planners
 from lieednn_sim.simulation import CONTROLLERS
@@ -118,7 +118,7 @@ def compare(
 
 
 def complete(
-    table: Rows[R, S],
+    table: Rows[R],
     run: Callable[..., list[R]],
     todo: Sequence[tuple[Any, ...]],
     *,

@@ -8,8 +8,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from lieednn_sim import storage
-from lieednn_sim.evaluation.columns import COLUMNS, Column
 from lieednn_sim.evaluation.metrics import SETTLED_ROTATION, SETTLED_TRANSLATION
+from lieednn_sim.evaluation.rows import COLUMNS, Column
 from lieednn_sim.evaluation.statistics import Group, failures, grouped, motions
 from lieednn_sim.evaluation.table import Table
 

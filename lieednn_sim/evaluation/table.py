@@ -5,65 +5,44 @@ from __future__ import annotations
 import csv
 import os
 import time
-from collections.abc import Iterable
-from dataclasses import fields
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, fields
 from pathlib import Path
-from typing import Any, Generic, Protocol, Self, TypeVar
+from typing import Any, Generic, TypeVar
 
 from lieednn_sim import storage
 from lieednn_sim.errors import FileError
 from lieednn_sim.evaluation.cases import Settings
-from lieednn_sim.evaluation.rows import Case, Row
+from lieednn_sim.evaluation.rows import Case, Row, TableRow
 from lieednn_sim.versions import versions
 
 # The file is written anew at most so often [s]; a killed process loses no more, an interrupted one nothing.
 _WRITE_INTERVAL = 2.0
 
 
-class _Described(Protocol):
-    """What all rows of a table share."""
-
-    def as_dict(self) -> dict[str, float]:
-        """For a JSON file."""
+R = TypeVar("R", bound=TableRow)
 
 
-class _Kept(Protocol):
-    """A row of a table: a dataclass, one column a field."""
-
-    @property
-    def key(self) -> tuple[Any, ...]:
-        """What tells the row from the others."""
-
-    def as_texts(self) -> dict[str, str]:
-        """The row's cells in a CSV file."""
-
-    @classmethod
-    def from_texts(cls, texts: dict[str, str]) -> Self:
-        """Read `as_texts`; `ValueError` where a cell is not of its column's type."""
-
-
-R = TypeVar("R", bound=_Kept)
-S = TypeVar("S", bound=_Described)
-
-
-class Rows(Generic[R, S]):
+class Rows(Generic[R]):
     """Rows of one kind by their keys, kept in a directory.
 
     Args:
         directory: made when it is missing. A table in it is read and gone on with.
         name: of the files, without their suffix.
         kind: of the rows.
-        settings: of all rows.
+        shared: settings that all rows share, for the JSON file.
 
     Raises:
         FileError: the directory holds a table made with other settings or versions, or something else.
     """
 
-    def __init__(self, directory: str | os.PathLike[str], name: str, kind: type[R], settings: S) -> None:
+    def __init__(
+        self, directory: str | os.PathLike[str], name: str, kind: type[R], shared: Mapping[str, float]
+    ) -> None:
         self.directory = storage.make_directory(directory)
         self.csv, self.json = self.directory / f"{name}.csv", self.directory / f"{name}.json"
-        self.settings, self.versions = settings, versions()
-        self._name, self._fields = name, [field.name for field in fields(kind)]  # type: ignore[arg-type]
+        self.versions = versions()
+        self._name, self._shared, self._fields = name, shared, [field.name for field in fields(kind)]
         self.rows: dict[tuple[Any, ...], R] = {}
         if self.csv.exists():
             self._check()
@@ -90,7 +69,7 @@ class Rows(Generic[R, S]):
         return [self.rows[key] for key in sorted(self.rows)]
 
     def _description(self) -> dict[str, Any]:
-        return {"kind": self._name, "format": 1, "settings": self.settings.as_dict(), "versions": self.versions}
+        return {"kind": self._name, "format": 1, "settings": self._shared, "versions": self.versions}
 
     def _check(self) -> None:
         """Refuse to mix rows that were not made alike."""
@@ -104,17 +83,18 @@ class Rows(Generic[R, S]):
             raise FileError(
                 f"cannot go on from {self.csv}, for {self.json} does not say how it was made: {error}; {advice}"
             ) from None
-        now = {**self.settings.as_dict(), **self.versions}
+        now = {**self._shared, **self.versions}
         differ = [f"{name} {made.get(name)}, now {value}" for name, value in now.items() if made.get(name) != value]
         if differ:
             raise FileError(f"{self.csv} was made with {'; '.join(differ)}; {advice}")
 
 
-class Table(Rows[Row, Settings]):
+class Table(Rows[Row]):
     """Rows of a comparison by arm, scene, planner, controller and seed; arguments and errors as of `Rows`."""
 
     def __init__(self, directory: str | os.PathLike[str], settings: Settings) -> None:
-        super().__init__(directory, "comparison", Row, settings)
+        self.settings = settings
+        super().__init__(directory, "comparison", Row, asdict(settings))
         if not self.rows:
             # Films of a table that was removed are of other settings, or other code.
             for film in (self.directory / "videos").glob("*.mp4"):
@@ -135,7 +115,7 @@ def read_rows(path: str | os.PathLike[str], kind: type[R] = Row) -> dict[tuple[A
         with Path(path).open(encoding="utf-8", newline="") as stream:
             reader = csv.DictReader(stream, strict=True)
             texts = list(reader)
-        names = [field.name for field in fields(kind)]  # type: ignore[arg-type]
+        names = [field.name for field in fields(kind)]
         if list(reader.fieldnames or ()) != names or any(None in {*row, *row.values()} for row in texts):
             raise ValueError("it has other columns")
         return {row.key: row for row in map(kind.from_texts, texts)}

@@ -16,9 +16,8 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.errors import FileError, InputError, PlanError
 from lieednn_sim.evaluation import Case, Selection, Settings, Table, cases, compare, read_rows, run_case, write_summary
-from lieednn_sim.evaluation.columns import BY_NAME, TIMING
 from lieednn_sim.evaluation.motion_metrics import least_clearance, rms_curvature, violations
-from lieednn_sim.evaluation.rows import FIELDS, Row
+from lieednn_sim.evaluation.rows import BY_NAME, FIELDS, TIMING, Row
 from lieednn_sim.evaluation.statistics import failures, numbers, wilson
 from lieednn_sim.planning import plan
 from lieednn_sim.simulation import simulate

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 
@@ -13,8 +12,9 @@ from lieednn_sim._blas import one_blas_thread
 from lieednn_sim.errors import LieEDNNError
 from lieednn_sim.evaluation.cases import FREE, arm_and_target
 from lieednn_sim.evaluation.metrics import evaluate
-from lieednn_sim.evaluation.reactive.leaders import LEADERS, Assignment, Leader, Rows
+from lieednn_sim.evaluation.reactive.leaders import LEADERS, Assignment, Leader, Setpoints
 from lieednn_sim.evaluation.reactive.recovery import Path
+from lieednn_sim.evaluation.rows import TableRow, column, columns_of
 from lieednn_sim.planning import plan
 from lieednn_sim.planning.filtering import FilterOptions
 from lieednn_sim.simulation import Disturbances, Feedback, Push, Rollout, Simulation
@@ -31,8 +31,8 @@ _WEIGHT, _STEP, _DRAWS = 20.0, 0.1, 100
 
 
 @dataclass(frozen=True)
-class Reaction:
-    """A row; numbers are None where there are none.
+class Reaction(TableRow):
+    """A row of the benchmark.
 
     Attributes:
         arm: with the next four, what tells a row from the others.
@@ -42,15 +42,10 @@ class Reaction:
         seed: of target, obstacles, disturbance.
         success: whether every link ends within 1 mm and 0.1 degrees of the target without contact.
         reason: why it did not; begins with "problem", "plan", "simulation", "contact" or "arrival".
-        final_mm: distance of the worst link from its target at the end.
-        off: largest deviation from the leader's undisturbed way, of a joint, as a share of its range.
-        back_s: time after the disturbance until it stays within a tenth of that; none where it does not.
-        back_share: of the way that was left, how much was gone then.
-        effort: integral of the mean squared drive force in units of the limits [s].
-        velocity_share: largest joint velocity in units of its limit.
-        force_share: largest drive force in units of its limit.
-        step_us: median CPU time of a control step.
     """
+
+    _key = ("arm", "scene", "leader", "disturbance", "seed")
+    _digits = 4
 
     arm: str
     scene: str
@@ -59,43 +54,19 @@ class Reaction:
     seed: int
     success: bool
     reason: str = ""
-    final_mm: float | None = None
-    off: float | None = None
-    back_s: float | None = None
-    back_share: float | None = None
-    effort: float | None = None
-    velocity_share: float | None = None
-    force_share: float | None = None
-    step_us: float | None = None
-
-    def __post_init__(self) -> None:
-        for name in NUMBERS:
-            if getattr(self, name) is not None:
-                object.__setattr__(self, name, float(f"{getattr(self, name):.4g}"))
-
-    @property
-    def key(self) -> tuple[str, str, str, str, int]:
-        """What tells the row from the others."""
-        return self.arm, self.scene, self.leader, self.disturbance, self.seed
-
-    def as_texts(self) -> dict[str, str]:
-        """The row's cells in a CSV file."""
-        values = {field.name: getattr(self, field.name) for field in fields(self)}
-        values["success"] = "yes" if self.success else "no"
-        return {name: "" if value is None else str(value) for name, value in values.items()}
-
-    @classmethod
-    def from_texts(cls, texts: dict[str, str]) -> Reaction:
-        """Read `as_texts`; `ValueError` where a cell is not of its column's type."""
-        values: dict[str, Any] = dict(texts)
-        if texts["success"] != ("no" if texts["reason"] else "yes"):
-            raise ValueError(f"success is {texts['success']!r} where the reason of a failure is {texts['reason']!r}")
-        values |= {"seed": int(texts["seed"]), "success": texts["success"] == "yes"}
-        values |= {name: float(texts[name]) if texts[name] else None for name in NUMBERS}
-        return cls(**values)
+    final_mm: float | None = column("final [mm]", "distance of the worst link from its target at the end")
+    off: float | None = column("off [ranges]", "largest deviation of a joint from the leader's undisturbed way")
+    back_s: float | None = column(
+        "back after [s]", "time after the disturbance until it stays within a tenth of that; none where it does not"
+    )
+    back_share: float | None = column("of the way left", "of the way that was left, how much was gone then")
+    effort: float | None = column("effort [s]", "integral of the mean squared drive force in units of the limits")
+    velocity_share: float | None = column("velocity / limit", "largest joint velocity in units of its limit")
+    force_share: float | None = column("force / limit", "largest drive force in units of its limit")
+    step_us: float | None = column("control step [us]", "median CPU time of a control step")
 
 
-NUMBERS = tuple(field.name for field in fields(Reaction) if field.name not in Reaction.__match_args__[:7])
+MEASURED = columns_of(Reaction)
 
 
 def run_reactions(arm: str, scene: str, leader: str, seed: int) -> list[Reaction]:
@@ -151,7 +122,7 @@ def _run(
     """A rollout, with the target that it ends at, and the CPU times of its control steps [s]."""
     spent: list[float] = []
 
-    def lead(target: Floats, simulation: Simulation) -> Rows:
+    def lead(target: Floats, simulation: Simulation) -> Setpoints:
         begun = time.thread_time()
         rows = leader(target, simulation)
         spent.append(time.thread_time() - begun)

@@ -26,8 +26,9 @@ from lieednn_sim.simulation.reference import PeriodReference
 from lieednn_sim.synthesis import synthesize
 from lieednn_sim.values import Floats, frozen
 
-Rows = tuple[Floats, Floats]
-Leader = Callable[[Floats, Simulation], Rows]
+# Joint positions and their rates ``(m, n)`` after each of a period's m steps.
+Setpoints = tuple[Floats, Floats]
+Leader = Callable[[Floats, Simulation], Setpoints]
 
 # Rate at which those without a law of time approach their target [1/s].
 _PACE = 2.0
@@ -75,7 +76,7 @@ class _Network:
             feedback=task.feedback,
         )
 
-    def __call__(self, target: Floats, simulation: Simulation) -> Rows:
+    def __call__(self, target: Floats, simulation: Simulation) -> Setpoints:
         q, qd, _ = self._follower.advance(target, simulation.measured()[0])
         return q, qd
 
@@ -90,7 +91,7 @@ class _Joints(ABC):
         low, high = task.arm.position_limits.T
         self.low, self.high, self.range = low, high, high - low
 
-    def __call__(self, target: Floats, simulation: Simulation) -> Rows:
+    def __call__(self, target: Floats, simulation: Simulation) -> Setpoints:
         off = simulation.measured()[0] - self.y
         waiting, strength = self._feedback.response(float((np.abs(off) / self.range).max()))
         wanted = waiting * self.velocity(target, waiting) + strength * off
@@ -182,7 +183,7 @@ class _Tracker:
     def __init__(self, task: Assignment) -> None:
         self._motion, self._row, self._steps = task.motion, 0, task.steps
 
-    def __call__(self, target: Floats, simulation: Simulation) -> Rows:
+    def __call__(self, target: Floats, simulation: Simulation) -> Setpoints:
         rows = self._row + np.arange(1, self._steps + 1)
         self._row += self._steps
         last = len(self._motion.t) - 1

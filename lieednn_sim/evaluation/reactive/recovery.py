@@ -16,7 +16,7 @@ _SAMPLES = 2000
 
 
 @dataclass(frozen=True)
-class Recovery:
+class Return:
     """After a disturbance; distances of postures are the largest difference of a joint, as a share of its range.
 
     Attributes:
@@ -48,7 +48,7 @@ class Path:
         found = np.array([self._nearest(posture) for posture in q / self._range])
         return found[:, 0], found[:, 1]
 
-    def recovery(self, t: Floats, q: Floats, begin: float, end: float) -> Recovery:
+    def recovery(self, t: Floats, q: Floats, begin: float, end: float) -> Return:
         """Of postures ``(K, n)`` at times ``(K,)``, disturbed from ``begin`` to ``end`` [s]."""
         after = np.flatnonzero(t >= begin)
         distance, at = self.nearest(q[after])
@@ -56,11 +56,11 @@ class Path:
         outside = np.flatnonzero(distance > BACK * off)
         last = int(outside[-1]) + 1 if outside.size else 0
         if last >= len(after):
-            return Recovery(off, None, None)
+            return Return(off, None, None)
         back, first = max(last, int(np.searchsorted(t[after], end))), float(at[0])
         back = min(back, len(after) - 1)
         share = (float(at[back]) - first) / max(1.0 - first, 1e-9)
-        return Recovery(off, max(float(t[after][back] - end), 0.0), share)
+        return Return(off, max(float(t[after][back] - end), 0.0), share)
 
     def _nearest(self, posture: Floats) -> tuple[float, float]:
         away = np.abs(self._points - posture)

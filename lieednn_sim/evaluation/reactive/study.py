@@ -4,29 +4,19 @@ from __future__ import annotations
 
 import itertools
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from rich.console import Console
 
 from lieednn_sim import storage
-from lieednn_sim.evaluation.reactive.cases import DISTURBANCES, NUMBERS, Reaction, run_reactions
+from lieednn_sim.evaluation.reactive.cases import DISTURBANCES, MEASURED, Reaction, run_reactions
 from lieednn_sim.evaluation.reactive.leaders import LEADERS
 from lieednn_sim.evaluation.study import complete
 from lieednn_sim.evaluation.table import Rows
 from lieednn_sim.validation import as_count
 
-HEADINGS: Mapping[str, str] = {
-    "final_mm": "final [mm]",
-    "off": "off [ranges]",
-    "back_s": "back after [s]",
-    "back_share": "of the way left",
-    "effort": "effort [s]",
-    "velocity_share": "velocity / limit",
-    "force_share": "force / limit",
-    "step_us": "control step [us]",
-}
 METHOD = (
     "From home to random reachable targets in the closed loop at 100 Hz, with inverse-dynamics servos, 7 s. When 35 % "
     "of a leader's own undisturbed way is gone it is disturbed: a force of 0.2 s on a random link that would move a "
@@ -41,20 +31,11 @@ METHOD = (
 )
 
 
-@dataclass(frozen=True)
-class ReactionSettings:
-    """What every row shares; there is nothing to choose yet."""
-
-    def as_dict(self) -> dict[str, float]:
-        """For a JSON file."""
-        return {}
-
-
-class ReactionTable(Rows[Reaction, ReactionSettings]):
-    """Rows of the benchmark; arguments and errors as of `Rows`."""
+class ReactionTable(Rows[Reaction]):
+    """Rows of the benchmark; arguments and errors as of `Rows`. They share no settings."""
 
     def __init__(self, directory: str | os.PathLike[str]) -> None:
-        super().__init__(directory, "reactions", Reaction, ReactionSettings())
+        super().__init__(directory, "reactions", Reaction, {})
 
 
 def compare_reactions(
@@ -106,7 +87,7 @@ class ReactionGroup:
         touched: rows with contact.
         back: rows that were back on their way, of those that have a deviation.
         total: rows.
-        medians: of `NUMBERS`, None where there are none.
+        medians: of the measured columns, None where there are none.
     """
 
     key: tuple[str, str, str]
@@ -126,7 +107,7 @@ def groups(rows: Iterable[Reaction]) -> list[ReactionGroup]:
     made = []
     for key in sorted(found, key=lambda key: (key[0], order[key[1]], order[key[2]])):
         own = found[key]
-        columns = [[value for row in own if (value := getattr(row, name)) is not None] for name in NUMBERS]
+        values = [[value for row in own if (value := getattr(row, column.name)) is not None] for column in MEASURED]
         made.append(
             ReactionGroup(
                 key,
@@ -134,7 +115,7 @@ def groups(rows: Iterable[Reaction]) -> list[ReactionGroup]:
                 sum(row.reason.startswith("contact") for row in own),
                 sum(row.back_s is not None for row in own),
                 len(own),
-                tuple(float(np.median(column)) if column else None for column in columns),
+                tuple(float(np.median(column)) if column else None for column in values),
             )
         )
     return made
@@ -144,7 +125,7 @@ def write_reactions(path: str | os.PathLike[str], table: ReactionTable) -> None:
     """Write the summary in Markdown: arrival, contact, and medians over arms and seeds."""
     rows = table.sorted_rows()
     arms, seeds = sorted({row.arm for row in rows}), len({row.seed for row in rows})
-    heads = ["scene", "disturbance", "leader", "arrived", "touched", "back", *HEADINGS.values()]
+    heads = ["scene", "disturbance", "leader", "arrived", "touched", "back", *(column.heading for column in MEASURED)]
     lines = [
         "# Planners that react, disturbed",
         "",

@@ -15,10 +15,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FormatStrFormatter, LogFormatterMathtext, LogLocator, NullLocator
 
-from lieednn_sim.evaluation.columns import BY_NAME
 from lieednn_sim.evaluation.figure_layout import settle
 from lieednn_sim.evaluation.report.style import in_order, marks
-from lieednn_sim.evaluation.rows import Row
+from lieednn_sim.evaluation.rows import BY_NAME, Row
 from lieednn_sim.evaluation.statistics import grouped, numbers
 
 # Stand-ins that `_svg` turns into the page's own colours, so that a figure is readable on light and on dark.

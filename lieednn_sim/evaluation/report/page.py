@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jinja2
 
 from lieednn_sim import storage
 from lieednn_sim.errors import InputError
-from lieednn_sim.evaluation.columns import BY_NAME
-from lieednn_sim.evaluation.reactive.study import HEADINGS, METHOD, ReactionTable, groups
+from lieednn_sim.evaluation.reactive.cases import MEASURED
+from lieednn_sim.evaluation.reactive.study import METHOD, ReactionTable, groups
 from lieednn_sim.evaluation.report.figures import plots
 from lieednn_sim.evaluation.report.findings import findings
-from lieednn_sim.evaluation.report.style import Mark, in_order, marks, number
+from lieednn_sim.evaluation.report.style import in_order, marks, number
 from lieednn_sim.evaluation.report.videos import Clip
-from lieednn_sim.evaluation.rows import Row
+from lieednn_sim.evaluation.rows import BY_NAME, Column, Row
 from lieednn_sim.evaluation.statistics import Group, failures, grouped
 from lieednn_sim.evaluation.summary import method
 from lieednn_sim.evaluation.table import Table
@@ -58,7 +58,6 @@ class _Line:
     scene: str
     planner: str
     controller: str
-    mark: Mark
     successes: int
     total: int
     low: float
@@ -101,6 +100,7 @@ def write_page(
     names = in_order(row.planner for row in rows)
     controllers = [name for name in CONTROLLERS if any(row.controller == name for row in rows)]
     arms = sorted({row.arm for row in rows})
+    columns = _columns()
     page = (
         _environment()
         .get_template("page.html")
@@ -120,13 +120,14 @@ def write_page(
             missing=dict(sorted((missing or {}).items())),
             marks=marks(names),
             findings=findings(rows),
-            columns=[BY_NAME[name] for name in _SHOWN],
+            columns=columns,
+            heads=_heads(columns),
             lines=_lines(rows),
             plots={arm: plots([row for row in rows if row.arm == arm], controllers[0]) for arm in arms},
             failures=failures(rows),
             clips=clips,
             reactions=[] if reactions is None else groups(reactions.sorted_rows()),
-            reaction_headings=list(HEADINGS.values()),
+            reaction_heads=_reaction_heads(),
             reaction_method=METHOD,
         )
     )
@@ -146,20 +147,46 @@ def _environment() -> jinja2.Environment:
     return environment
 
 
+def _columns() -> list[Column]:
+    """The columns of the page's table; an angle's heading, which follows that of its distance, says of what it is."""
+    columns: list[Column] = []
+    for column in (BY_NAME[name] for name in _SHOWN):
+        own = column.heading != "[deg]"
+        columns.append(column if own else replace(column, heading=columns[-1].heading.replace("[mm]", "[deg]")))
+    return columns
+
+
+def _heads(columns: Sequence[Column]) -> list[tuple[str, str, bool]]:
+    """Text of a head, its explanation, and whether numbers stand below it."""
+    return [
+        *((name, "", False) for name in ("planner", "arm", "scene", "controller")),
+        ("success", "rollouts without contact that end at their target", True),
+        *((column.heading, column.meaning, True) for column in columns),
+        ("with violations", "rollouts with a joint beyond its position, velocity or acceleration limit", True),
+        ("stability", "what is proved of the network", False),
+    ]
+
+
+def _reaction_heads() -> list[tuple[str, str, bool]]:
+    """As `_heads`, of the table of planners that react."""
+    numbers = ("arrived", "touched", "back", *(column.heading for column in MEASURED))
+    return [(name, "", False) for name in ("leader", "scene", "disturbance")] + [(name, "", True) for name in numbers]
+
+
 def _lines(rows: Sequence[Row]) -> list[_Line]:
     groups = grouped(rows, ("arm", "scene", "planner", "controller"))
-    look, order = marks(row.planner for row in rows), in_order(row.planner for row in rows)
+    order = in_order(row.planner for row in rows)
     groups.sort(key=lambda group: (*group.key[:2], order.index(group.key[2]), group.key[3]))
-    return [_line(group, look[group.key[2]]) for group in groups]
+    return [_line(group) for group in groups]
 
 
-def _line(group: Group, mark: Mark) -> _Line:
+def _line(group: Group) -> _Line:
     arm, scene, planner, controller = group.key
     low, high = group.interval
     cells = tuple(_cell(name, group.median(name)) for name in _SHOWN)
     violated = sum(any(getattr(row, name) for name in _VIOLATIONS) for row in group.rows)
     return _Line(
-        arm, scene, planner, controller, mark, group.successes, group.total, low, high, cells, violated, group.verdict()
+        arm, scene, planner, controller, group.successes, group.total, low, high, cells, violated, group.verdict()
     )
 
 

@@ -10,11 +10,10 @@ import numpy as np
 import pytest
 
 from lieednn_sim.evaluation import Settings, Table, write_summary
-from lieednn_sim.evaluation.columns import BY_NAME, COLUMNS
 from lieednn_sim.evaluation.report import choose_cases, figures, write_page
 from lieednn_sim.evaluation.report.findings import findings
 from lieednn_sim.evaluation.report.page import _SHOWN
-from lieednn_sim.evaluation.rows import Row
+from lieednn_sim.evaluation.rows import BY_NAME, COLUMNS, Row
 
 # In this order in the registry, and so in what is shown.
 FIRST, SECOND, THIRD = "minimum-jerk", "se3-geodesic", "rrt-connect"
