@@ -16,7 +16,8 @@ from lieednn_sim.cli import _parser, main
 from lieednn_sim.errors import InputError, OutOfTimeError, PlanError
 from lieednn_sim.evaluation import Case, Settings, Table, run_case, write_summary
 from lieednn_sim.planning import PLANNERS, CertifiedOptions, RrtStarOptions, certified, missing_planners, plan
-from lieednn_sim.planning.motion import NetworkPath, least_duration
+from lieednn_sim.planning.motion import least_duration
+from lieednn_sim.planning.network_path import NetworkPath
 
 ARM = Arm.load("telescopic_pr")
 INSTALLED = sorted(set(PLANNERS) - set(missing_planners()))

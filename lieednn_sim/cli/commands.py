@@ -12,7 +12,8 @@ from lieednn_sim.cli.console import console, progress, wrote
 from lieednn_sim.cli.run_directory import RunDirectory
 from lieednn_sim.errors import InputError, RenderingUnavailableError
 from lieednn_sim.evaluation.metrics import evaluate as evaluate_rollout
-from lieednn_sim.planning.motion import check_motion, make_motion
+from lieednn_sim.planning.motion import check_motion
+from lieednn_sim.planning.network_path import make_motion
 from lieednn_sim.rendering import opengl
 from lieednn_sim.simulation import simulate as simulate_motion
 from lieednn_sim.validation import as_path

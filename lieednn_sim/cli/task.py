@@ -14,7 +14,7 @@ from lieednn_sim.errors import FileError
 from lieednn_sim.validation import as_floats, as_positive, as_seed
 from lieednn_sim.versions import versions
 
-# What makes a network that draws its motion by itself (`motion.make_motion`).
+# What makes a network that draws its motion by itself (`network_path.make_motion`).
 CERTIFIED, TRAINED = "lieednn-certified", "train"
 
 

@@ -31,7 +31,8 @@ from lieednn_sim.learning import (
 from lieednn_sim.learning import train as learn
 from lieednn_sim.learning.checkpoint import load as load_checkpoint
 from lieednn_sim.network import LieEDNN
-from lieednn_sim.planning.motion import check_motion, make_motion
+from lieednn_sim.planning.motion import check_motion
+from lieednn_sim.planning.network_path import make_motion
 from lieednn_sim.synthesis import bias_for
 from lieednn_sim.validation import as_choice, as_count, as_positive
 from lieednn_sim.values import Floats

@@ -12,7 +12,8 @@ from scipy.interpolate import CubicHermiteSpline
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import NoSolutionError, NotCertifiedError, PlanError
 from lieednn_sim.planning import CertifiedOptions, plan
-from lieednn_sim.planning.motion import Motion, minimum_jerk_law
+from lieednn_sim.planning.laws import minimum_jerk_law
+from lieednn_sim.planning.motion import Motion
 from lieednn_sim.validation import as_count, as_positive
 from lieednn_sim.values import Floats
 

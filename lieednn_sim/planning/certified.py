@@ -13,7 +13,8 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.budget import check_time
 from lieednn_sim.errors import NotCertifiedError, PlanError, TooFastError
 from lieednn_sim.network import LieEDNN
-from lieednn_sim.planning.motion import LIMIT_TOLERANCE, Motion, NetworkPath, check_motion, least_duration
+from lieednn_sim.planning.motion import LIMIT_TOLERANCE, Motion, least_duration
+from lieednn_sim.planning.network_path import NetworkPath, timed_motion
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.problem import Plan, PlanningProblem, in_time
 from lieednn_sim.synthesis import BIAS_RULES, synthesize
@@ -131,8 +132,7 @@ def _best(problem: PlanningProblem, options: CertifiedOptions, found: list[_Cand
         if refusals and (candidate.touches or candidate.excess > options.hopeless_excess):
             break
         try:
-            motion = candidate.path.timed(problem.duration, problem.timestep)
-            check_motion(arm, motion)
+            motion = timed_motion(problem, candidate.path)
         except PlanError as error:
             refusals.append(error)
             if hurried or len(refusals) == options.tried:

@@ -14,7 +14,7 @@ from lieednn_sim.learning import TrainingOptions, TrainingResult, train
 from lieednn_sim.network import ComponentwiseNetwork, LieEDNN
 from lieednn_sim.network.hopfield import HopfieldNetwork
 from lieednn_sim.planning.certified import BIAS_MAGNITUDES
-from lieednn_sim.planning.motion import Motion, NetworkPath, check_motion
+from lieednn_sim.planning.network_path import NetworkPath, timed_motion
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.problem import Plan, PlanningProblem, in_time
 from lieednn_sim.synthesis import bias_for, synthesize
@@ -70,7 +70,7 @@ def retargeted(problem: PlanningProblem, options: RetargetedOptions) -> Plan:
         PlanError: the motion breaks a limit of the arm.
     """
     network = reference_network(problem.arm, options.bias_magnitude).retarget(problem.arm.encode(problem.target))
-    return Plan(in_time(_motion, problem, _path(problem, network)), network)
+    return Plan(in_time(timed_motion, problem, _path(problem, network)), network)
 
 
 def reference_network(arm: Arm, bias_magnitude: float = RetargetedOptions.bias_magnitude) -> LieEDNN:
@@ -133,7 +133,7 @@ def _learned(
             refusal = refusal or result.message
             continue
         try:
-            motion = _motion(problem, _path(problem, network))
+            motion = timed_motion(problem, _path(problem, network))
         except PlanError as error:
             refusal = str(error)
             continue
@@ -144,14 +144,14 @@ def _learned(
 def linear_attractor(problem: PlanningProblem) -> Plan:
     """The linear attractor xi' = -k (xi - xi_d), which is the LieEDNN without weights and with bias xi_d.
 
-    So it shares the network's way through time (`motion.NetworkPath`), where k has no part: only the path counts,
+    So it shares the network's way through time (`network_path.NetworkPath`), where k has no part: only the path counts,
     a straight line in the network's coordinates. Its certificate is trivial.
 
     Raises:
         PlanError: the motion breaks a limit of the arm.
     """
     network = without_weights(problem.arm.encode(problem.target))
-    return Plan(in_time(_motion, problem, _path(problem, network)), network)
+    return Plan(in_time(timed_motion, problem, _path(problem, network)), network)
 
 
 def without_weights(target: Floats) -> LieEDNN:
@@ -175,10 +175,3 @@ def _path(problem: PlanningProblem, network: ComponentwiseNetwork) -> NetworkPat
             f"the network ends at another equilibrium, {distance:.2g} from the target; use a certified network"
         )
     return path
-
-
-def _motion(problem: PlanningProblem, path: NetworkPath) -> Motion:
-    """The checked motion along a path in the problem's duration."""
-    motion = path.timed(problem.duration, problem.timestep)
-    check_motion(problem.arm, motion)
-    return motion

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from lieednn_sim.planning.filtering import FilteredRun
-from lieednn_sim.planning.motion import Motion, minimum_jerk_law
+from lieednn_sim.planning.laws import minimum_jerk_law
+from lieednn_sim.planning.motion import Motion
 from lieednn_sim.values import Floats
 
 # The last difference to the target is closed in this time [s].

@@ -22,7 +22,9 @@ from lieednn_sim.errors import PlanError
 from lieednn_sim.planning.baselines import interpolation, optimisation, sampling
 from lieednn_sim.planning.baselines.optimisation import OptimisationOptions
 from lieednn_sim.planning.baselines.sampling import RrtConnectOptions
-from lieednn_sim.planning.motion import Law, Motion, NetworkPath, check_motion, law_of
+from lieednn_sim.planning.laws import law_of
+from lieednn_sim.planning.motion import Motion
+from lieednn_sim.planning.network_path import NetworkPath, timed_motion
 from lieednn_sim.planning.network_planners import without_weights
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.problem import Plan, PlanningProblem, in_time
@@ -88,7 +90,7 @@ def shaped(problem: PlanningProblem, options: ShapedOptions) -> Plan:
     if np.abs(guide.xi - guide.xi[0]).max() == 0.0:
         network = without_weights(guide.xi_target)
         path = NetworkPath.drawn(arm, network, problem.start)
-        return Plan(in_time(_motion, asked, path), network, teacher=teacher, deviation=0.0)
+        return Plan(in_time(timed_motion, asked, path), network, teacher=teacher, deviation=0.0)
     law = law_of(guide, units)
     curve = np.concatenate([guide.xi[:-1:_STRIDE], guide.xi_target[None]])
     wanted, fit_time, refusal = options.deviation, 0.0, PlanError("no fit was allowed")
@@ -103,7 +105,7 @@ def shaped(problem: PlanningProblem, options: ShapedOptions) -> Plan:
         fit_time += result.seconds
         path = NetworkPath.drawn(arm, result.network, problem.start, units)
         try:
-            motion = in_time(_motion, asked, path, law)
+            motion = in_time(timed_motion, asked, path, law)
             deviation = _effector_deviation(arm, motion, guide)
             if deviation > options.largest_deviation:
                 raise PlanError(f"the end effector would be {1e3 * deviation:.2g} mm off the teacher's path")
@@ -149,12 +151,6 @@ def lever_units(arm: Arm, q: Floats) -> Floats:
     units = np.empty((arm.n_links, 6))
     units[:, :3], units[:, 3:] = lever[:, None], arm.length_scale
     return units
-
-
-def _motion(problem: PlanningProblem, path: NetworkPath, *law: Law) -> Motion:
-    motion = path.timed(problem.duration, problem.timestep, *law)
-    check_motion(problem.arm, motion)
-    return motion
 
 
 def _effector_deviation(arm: Arm, motion: Motion, guide: Motion) -> float:

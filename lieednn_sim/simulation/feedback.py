@@ -37,7 +37,7 @@ from lieednn_sim.arm.local_retraction import LocalRetraction
 from lieednn_sim.errors import InputError
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.planning.filtering import FilterOptions
-from lieednn_sim.planning.motion import require_fit
+from lieednn_sim.planning.network_path import require_fit
 from lieednn_sim.simulation.reference import PeriodReference
 from lieednn_sim.validation import as_floats, as_positive
 
@@ -127,9 +127,7 @@ class FeedbackFollower:
         feedforward: bool,
         feedback: Feedback,
     ) -> None:
-        require_fit(arm, network)
-        if not network.certified:
-            raise InputError("only a certified network follows every target; see network.certify()")
+        require_fit(arm, network, certified=True)
         self._arm, self._network, self._feedback = arm, network, feedback
         self._speed, self._feedforward = as_positive("speed", speed), feedforward
         self.reference = PeriodReference(arm, arm.check_position(start, "start"), steps, feedback.safety)

@@ -21,7 +21,9 @@ from numpy.typing import ArrayLike
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError
 from lieednn_sim.network import LieEDNN
-from lieednn_sim.planning.motion import count_steps, require_fit
+from lieednn_sim.network.dynamics import runge_kutta_step
+from lieednn_sim.planning.motion import count_steps
+from lieednn_sim.planning.network_path import require_fit
 from lieednn_sim.simulation.disturbances import Disturbances
 from lieednn_sim.simulation.feedback import Feedback, FeedbackFollower
 from lieednn_sim.simulation.log import ChannelSource, Log
@@ -91,9 +93,7 @@ class Follower:
     def __init__(
         self, arm: Arm, network: LieEDNN, start: ArrayLike, *, steps: int, speed: float, feedforward: bool
     ) -> None:
-        require_fit(arm, network)
-        if not network.certified:
-            raise InputError("only a certified network follows every target; see network.certify()")
+        require_fit(arm, network, certified=True)
         self._arm, self._network, self._steps = arm, network, steps
         self._speed, self._feedforward = as_positive("speed", speed), feedforward
         self._timestep = float(arm.model.opt.timestep)
@@ -146,19 +146,15 @@ class Follower:
         shape, weight = goal.shape, network.mu * network.weight
         scale = self.share * self._speed
 
-        def field(x: Floats, after: float) -> Floats:
-            aim = goal + after * velocity
+        def field(x: Floats, step: float) -> Floats:
+            aim = goal + step * h * velocity
             drive = (weight @ (network.phi(x) - network.phi(aim)).ravel()).reshape(shape)
             return scale * (drive - network.gamma * (x - aim)) + self.share * velocity
 
         x, states, rates = self.xi, np.empty((self._steps, *shape)), np.empty((self._steps, *shape))
         for i in range(self._steps):
-            a = field(x, i * h)
-            b = field(x + 0.5 * h * a, (i + 0.5) * h)
-            c = field(x + 0.5 * h * b, (i + 0.5) * h)
-            d = field(x + h * c, (i + 1) * h)
-            x = x + (h / 6.0) * (a + 2.0 * b + 2.0 * c + d)
-            states[i], rates[i] = x, field(x, (i + 1) * h)
+            x = runge_kutta_step(field, x, h, i)
+            states[i], rates[i] = x, field(x, i + 1)
         return states, rates
 
 

@@ -19,7 +19,8 @@ from lieednn_sim.errors import FileError, LieEDNNError
 from lieednn_sim.evaluation import plots
 from lieednn_sim.network.hopfield import HopfieldNetwork
 from lieednn_sim.planning import PLANNERS, Plan, plan, require_planner
-from lieednn_sim.planning.motion import Motion, make_motion
+from lieednn_sim.planning.motion import Motion
+from lieednn_sim.planning.network_path import make_motion
 from lieednn_sim.planning.registry import Planner
 from lieednn_sim.simulation import Rollout, simulate
 

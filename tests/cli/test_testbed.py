@@ -14,7 +14,8 @@ from lieednn_sim.errors import PlanError
 from lieednn_sim.evaluation import plots
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.planning import OBSTACLE_PLANNER, PLANNERS, Planner
-from lieednn_sim.planning.motion import Motion, make_motion
+from lieednn_sim.planning.motion import Motion
+from lieednn_sim.planning.network_path import make_motion
 from lieednn_sim.simulation import Push, Rollout
 
 # Three hinges; [joint] looks like markup of the terminal.

@@ -11,7 +11,7 @@ from lieednn_sim.environments.trajectories import band_limited, planned
 from lieednn_sim.errors import InputError
 from lieednn_sim.lie import exp
 from lieednn_sim.planning import PLANNERS, Plan
-from lieednn_sim.planning.motion import make_motion
+from lieednn_sim.planning.network_path import make_motion
 from lieednn_sim.planning.registry import Planner
 
 SEEDS = st.integers(0, 2**32 - 1)

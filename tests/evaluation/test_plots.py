@@ -12,7 +12,8 @@ from lieednn_sim.errors import InputError
 from lieednn_sim.evaluation import plots
 from lieednn_sim.evaluation.figure_layout import settle
 from lieednn_sim.learning.history import History
-from lieednn_sim.planning.motion import Motion, make_motion
+from lieednn_sim.planning.motion import Motion
+from lieednn_sim.planning.network_path import make_motion
 from lieednn_sim.simulation import Disturbances, Push, Rollout
 
 

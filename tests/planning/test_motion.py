@@ -13,15 +13,9 @@ from lieednn_sim.errors import FileError, InputError, PlanError, TooFastError
 from lieednn_sim.lie import exp
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.planning import CertifiedOptions, certified, plan
-from lieednn_sim.planning.motion import (
-    RESIDUAL,
-    Motion,
-    _invert,
-    check_motion,
-    count_steps,
-    make_motion,
-    minimum_jerk_law,
-)
+from lieednn_sim.planning.laws import minimum_jerk_law
+from lieednn_sim.planning.motion import Motion, check_motion, count_steps
+from lieednn_sim.planning.network_path import RESIDUAL, _invert, make_motion
 from lieednn_sim.synthesis import synthesize
 
 

@@ -31,7 +31,8 @@ from lieednn_sim.planning.baselines import sampling
 from lieednn_sim.planning.baselines.joint_space import ClearanceTest, joint_scale, sweeps
 from lieednn_sim.planning.baselines.optimisation import _Descent
 from lieednn_sim.planning.baselines.smoothing import SmoothingOptions, motion_along, rounded, stopping
-from lieednn_sim.planning.motion import Motion, minimum_jerk_law
+from lieednn_sim.planning.laws import minimum_jerk_law
+from lieednn_sim.planning.motion import Motion
 
 ARM = Arm.load("telescopic_pr")
 LOW, HIGH = ARM.position_limits.T

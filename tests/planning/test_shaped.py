@@ -10,7 +10,9 @@ from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.evaluation.motion_metrics import motion_metrics
 from lieednn_sim.planning import OptimisationOptions, ShapedOptions, missing_planners, plan
-from lieednn_sim.planning.motion import NetworkPath, check_motion, law_of
+from lieednn_sim.planning.laws import law_of
+from lieednn_sim.planning.motion import check_motion
+from lieednn_sim.planning.network_path import NetworkPath
 from lieednn_sim.planning.shaped import lever_units
 
 FREE = Arm.load("telescopic_pr")

@@ -8,7 +8,8 @@ import pytest
 from lieednn_sim.arm import Arm
 from lieednn_sim.evaluation.metrics import Evaluation, evaluate
 from lieednn_sim.planning import CertifiedOptions, plan
-from lieednn_sim.planning.motion import Motion, minimum_jerk_law
+from lieednn_sim.planning.laws import minimum_jerk_law
+from lieednn_sim.planning.motion import Motion
 from lieednn_sim.simulation import Rollout, simulate
 
 # One joint of six freedoms on a body that is not compensated, and a second link behind it with a servo of gear 2.

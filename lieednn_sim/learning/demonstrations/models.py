@@ -10,6 +10,7 @@ import numpy as np
 
 from lieednn_sim.budget import check_time
 from lieednn_sim.learning.demonstrations.alignment import Demonstrations
+from lieednn_sim.network.dynamics import runge_kutta_step
 from lieednn_sim.values import Floats
 
 # What decays by itself has a hundredth left after a duration.
@@ -62,12 +63,7 @@ def run_field(field: Callable[[Floats], Floats], start: Floats, grid: Floats, t:
     states = [start]
     for step in np.diff(grid):
         check_time()
-        x = states[-1]
-        k1 = field(x)
-        k2 = field(x + 0.5 * step * k1)
-        k3 = field(x + 0.5 * step * k2)
-        k4 = field(x + step * k3)
-        states.append(x + step / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4))
+        states.append(runge_kutta_step(lambda x, _: field(x), states[-1], step))
     return at_times(np.stack(states, axis=1), grid, t)
 
 

@@ -7,7 +7,8 @@ import numpy as np
 from lieednn_sim.arm import Arm
 from lieednn_sim.lie import exp, left_jacobian_se3, log
 from lieednn_sim.planning.baselines.joint_space import joint_motion
-from lieednn_sim.planning.motion import Motion, check_motion, minimum_jerk_law
+from lieednn_sim.planning.laws import minimum_jerk_law
+from lieednn_sim.planning.motion import Motion, check_motion
 from lieednn_sim.planning.problem import PlanningProblem
 from lieednn_sim.values import Floats
 

@@ -19,7 +19,8 @@ from scipy.optimize import least_squares
 from lieednn_sim.budget import check_time
 from lieednn_sim.errors import PlanError
 from lieednn_sim.planning.baselines.joint_space import ClearanceTest, Workspace, joint_motion, joint_scale
-from lieednn_sim.planning.motion import Motion, minimum_jerk_law
+from lieednn_sim.planning.laws import minimum_jerk_law
+from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.problem import PlanningProblem
 from lieednn_sim.values import Floats

@@ -10,7 +10,8 @@ from scipy.interpolate import BPoly
 from lieednn_sim.budget import check_time
 from lieednn_sim.planning.baselines.joint_space import joint_motion
 from lieednn_sim.planning.extras import optional_module
-from lieednn_sim.planning.motion import Motion, minimum_jerk_law
+from lieednn_sim.planning.laws import minimum_jerk_law
+from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.problem import PlanningProblem
 from lieednn_sim.values import Floats

@@ -17,7 +17,8 @@ from scipy.interpolate import BSpline, CubicHermiteSpline
 
 from lieednn_sim.errors import PlanError, TooFastError
 from lieednn_sim.planning.baselines.joint_space import joint_motion, joint_scale
-from lieednn_sim.planning.motion import Motion, minimum_jerk_law
+from lieednn_sim.planning.laws import minimum_jerk_law
+from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.problem import PlanningProblem
 from lieednn_sim.values import Floats

@@ -1,7 +1,7 @@
 """A network run through the filter in real time: it draws the way, the filter keeps the arm safe on it.
 
-The network is autonomous and proved to arrive, so its path and its pace are known beforehand (`motion.NetworkPath`);
-what the filter changes is the clock at which the arm follows: it runs slower the further the joints are behind, so the
+The network is autonomous and proved to arrive, so its path and its pace are known beforehand (`NetworkPath`); what the
+filter changes is the clock at which the arm follows: it runs slower the further the joints are behind, so the
 network never runs away, and never stands still, so the network arrives and its equilibrium stays the attractor. The
 joints that filter and obstacles leave behind are drawn to the network's present state by a bounded velocity.
 
@@ -24,7 +24,8 @@ from lieednn_sim.network import LieEDNN
 from lieednn_sim.planning.filtering.options import FilterOptions
 from lieednn_sim.planning.filtering.proof import limits_proved
 from lieednn_sim.planning.filtering.safety import SafetyFilter
-from lieednn_sim.planning.motion import LIMIT_TOLERANCE, Motion, NetworkPath, require_fit
+from lieednn_sim.planning.motion import LIMIT_TOLERANCE, Motion
+from lieednn_sim.planning.network_path import NetworkPath, require_fit
 from lieednn_sim.validation import as_floats, as_positive
 from lieednn_sim.values import Floats, frozen
 

@@ -1,0 +1,31 @@
+"""Laws of time: how a path is run through."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from scipy.interpolate import CubicHermiteSpline
+
+from lieednn_sim.planning.motion import Motion
+from lieednn_sim.values import Floats
+
+# Share of a path's length and its slope, both ``(K,)``, at shares ``(K,)`` of the duration.
+Law = Callable[[Floats], tuple[Floats, Floats]]
+
+
+def minimum_jerk_law(s: Floats) -> tuple[Floats, Floats]:
+    """Position and slope in s of the minimum-jerk law on [0, 1] (Flash and Hogan, J. Neuroscience 5(7), 1985)."""
+    return s**3 * (10.0 - 15.0 * s + 6.0 * s**2), 30.0 * s**2 * (1.0 - s) ** 2
+
+
+def law_of(motion: Motion, units: Floats) -> Law:
+    """The law by which a motion runs through its path, whose length is that of its states in ``units`` ``(N, 6)``."""
+    steps = np.linalg.norm(np.diff(motion.xi, axis=0) * units, axis=(-2, -1))
+    length = np.append(0.0, np.cumsum(steps))
+    s, share = motion.t / motion.t[-1], length / length[-1]
+    slope = np.gradient(share, s, edge_order=2)
+    slope[[0, -1]] = 0.0
+    way = CubicHermiteSpline(s, share, np.maximum(slope, 0.0))
+    rate = way.derivative()
+    return lambda x: (np.clip(way(x), 0.0, 1.0), np.maximum(rate(x), 0.0))

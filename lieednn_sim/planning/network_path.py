@@ -1,0 +1,184 @@
+"""From a network to a joint trajectory that starts and ends at rest and takes a stated duration.
+
+The network runs in its own time tau: its field starts with a step in velocity and arrives exponentially, never in
+finite time. A robot does neither. So the path q(tau) that the network draws is kept, and run through by a minimum-jerk
+law in its length l: l(t) = L sigma(t / T) with sigma = 10 s^3 - 15 s^4 + 6 s^5. The length measures joint velocities in
+units of their limits, and the pace of the approach: where the joints turn back their velocity passes through
+zero, and length alone would make them do so at once. The path is cut where the network is within `RESIDUAL` of its
+equilibrium.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.interpolate import PchipInterpolator
+
+from lieednn_sim.arm import Arm
+from lieednn_sim.errors import InputError, PlanError
+from lieednn_sim.network import BlockNetwork, ComponentwiseNetwork
+from lieednn_sim.network.dynamics import Trajectory
+from lieednn_sim.planning.laws import Law, minimum_jerk_law
+from lieednn_sim.planning.motion import Motion, check_motion, count_steps
+from lieednn_sim.planning.problem import PlanningProblem
+from lieednn_sim.validation import as_floats
+from lieednn_sim.values import Floats
+
+# Distance to the equilibrium at which the network's path is cut [network coordinates: rad, length_scale m].
+RESIDUAL = 1e-8
+# Of the speed along a path, for each step of the integrator: between them the speed is interpolated with less order.
+_SAMPLES_PER_STEP = 8
+
+
+@dataclass(frozen=True, eq=False)
+class NetworkPath:
+    """The path that a network draws for an arm, in the network's own time; `timed` makes motions of it.
+
+    Attributes:
+        arm: decodes states to joint positions.
+        network: with as many visible neurons as the arm has links.
+        origin: ``(N, 6)`` state of all neurons at the start.
+        target: ``(N, 6)`` the network's equilibrium.
+        way: the states from there to here and the speed along them, over tau; None where both are the same. The speed
+            is that of the joints in units of their limits, with the pace of the approach, or the network's own.
+    """
+
+    arm: Arm
+    network: ComponentwiseNetwork
+    origin: Floats
+    target: Floats
+    way: tuple[Trajectory, PchipInterpolator] | None
+
+    @classmethod
+    def drawn(
+        cls, arm: Arm, network: ComponentwiseNetwork, start: ArrayLike, units: Floats | None = None
+    ) -> NetworkPath:
+        """The path from joint position ``start`` ``(n,)``; errors as of `make_motion`.
+
+        With ``units`` ``(N, 6)`` of the visible neurons' coordinates lengths are measured in these, as by `law_of`.
+        """
+        require_fit(arm, network)
+        origin = network.start(arm.encode(arm.check_position(start, "start")))
+        equilibrium = network.equilibrium(origin)
+        if not equilibrium.success:
+            raise PlanError(f"the network cannot be used for a motion: {equilibrium.message}")
+        target = equilibrium.xi
+        if np.abs(origin - target).max() <= RESIDUAL:
+            return cls(arm, network, origin, target, None)
+        # Far from the equilibrium the pace is gamma's, close to it the slowest eigenvalue's.
+        pace = max(-equilibrium.spectral_abscissa, 1e-3 * network.gamma)
+        longest = 100.0 / network.gamma + 40.0 / pace
+        # The integrator's error, a share of the states, may keep it from a target with large entries: then a finer one.
+        for rtol, atol in ((1e-8, 1e-10), (1e-10, 1e-10)):
+            trajectory = network.trajectory(origin, longest, until=target, distance=RESIDUAL, rtol=rtol, atol=atol)
+            arrived = np.abs(network.visible(trajectory.xi[-1] - target)).max() <= 2.0 * RESIDUAL
+            if arrived:
+                break
+        if not arrived:
+            raise PlanError(
+                "the network does not arrive at its equilibrium from this start, or too slowly (spectral abscissa "
+                f"{equilibrium.spectral_abscissa:.2g}); use another network"
+            )
+        fraction = np.arange(_SAMPLES_PER_STEP) / _SAMPLES_PER_STEP
+        grid = (trajectory.t[:-1, None] + np.diff(trajectory.t)[:, None] * fraction).ravel()
+        grid = np.append(grid, trajectory.t[-1])
+        states = trajectory(grid)
+        field = network.visible(network.vector_field(states))
+        if units is None:
+            weights = np.where(np.isfinite(arm.velocity_limits), arm.velocity_limits, 1.0)
+            rates = np.linalg.norm(arm.decode(network.visible(states), field).qd / weights, axis=-1)
+            rates = np.hypot(rates, pace * np.linalg.norm(network.visible(states - target), axis=(-2, -1)))
+        else:
+            rates = np.linalg.norm(field * units, axis=(-2, -1))
+        # Shape-preserving, so that the speed stays positive between its samples.
+        speed = PchipInterpolator(grid, rates)
+        return cls(arm, network, origin, target, (trajectory, speed))
+
+    def state(self, tau: ArrayLike) -> Floats:
+        """States ``(..., N, 6)`` of all neurons at the network's own times ``(...)``."""
+        if self.way is None:
+            return np.broadcast_to(self.origin, (*np.shape(tau), *self.origin.shape))
+        return self.way[0](tau)
+
+    def timed(self, duration: float, timestep: float, law: Law = minimum_jerk_law) -> Motion:
+        """The motion along the path in ``duration``, sampled every ``timestep`` [s]; see `make_motion`.
+
+        The law says which share of the path's length is behind it at which share of the duration.
+        """
+        steps = count_steps(duration, timestep)
+        t = as_floats("t", timestep * np.arange(steps + 1), (steps + 1,))
+        if self.way is None:
+            tau, tau_rate = np.zeros_like(t), np.zeros_like(t)
+        else:
+            _, speed = self.way
+            length = speed.antiderivative()
+            total = float(length(speed.x[-1]))
+            progress, progress_rate = law(t / t[-1])
+            tau = _invert(length, speed, speed.x, total * progress)
+            tau_rate = total * progress_rate / (t[-1] * np.maximum(speed(tau), 1e-300))
+        states = self.state(tau)
+        xi, rates = self.network.visible(states), self.network.visible(self.network.vector_field(states))
+        decoded = self.arm.decode(xi, rates)
+        qd = decoded.qd * tau_rate[:, None]
+        qd[[0, -1]] = 0.0
+        target = self.network.visible(self.target)
+        return Motion(t, tau, xi, target, decoded.q, qd, decoded.gap_translation, decoded.gap_rotation)
+
+
+def require_fit(arm: Arm, network: BlockNetwork, *, certified: bool = False) -> None:
+    """Raise `InputError` unless the network has one visible neuron for each link, and a proof if asked for."""
+    if network.n_visible != arm.n_links:
+        raise InputError(
+            f"the network has {network.n_visible} visible neurons, arm {arm.name!r} has {arm.n_links} links"
+        )
+    if certified and not network.certified:
+        raise InputError("only a certified network follows every target; see network.certify()")
+
+
+def make_motion(arm: Arm, network: ComponentwiseNetwork, start: ArrayLike, duration: float, timestep: float) -> Motion:
+    """Decode the network's trajectory from joint position ``start`` ``(n,)`` and time it to ``duration`` [s].
+
+    Args:
+        arm: decodes states to joint positions.
+        network: with as many visible neurons as the arm has links.
+        start: joint position at rest.
+        duration: of the motion [s], rounded to a whole number of time steps.
+        timestep: sampling period [s], the simulation's step.
+
+    Raises:
+        InputError: start out of limits, or network and arm differ in size.
+        PlanError: the network has no equilibrium or does not arrive there.
+    """
+    count_steps(duration, timestep)
+    return NetworkPath.drawn(arm, network, start).timed(duration, timestep)
+
+
+def timed_motion(problem: PlanningProblem, path: NetworkPath, *law: Law) -> Motion:
+    """The checked motion along a path in the problem's duration, by a law of time or minimum jerk.
+
+    Raises:
+        PlanError: the motion breaks a limit of the arm.
+    """
+    motion = path.timed(problem.duration, problem.timestep, *law)
+    check_motion(problem.arm, motion)
+    return motion
+
+
+def _invert(length: PchipInterpolator, speed: PchipInterpolator, grid: Floats, wanted: Floats) -> Floats:
+    """Tau with length(tau) = wanted, by bisection-safeguarded Newton steps on all samples at once."""
+    known = length(grid)
+    index = np.clip(np.searchsorted(known, wanted, side="right") - 1, 0, len(grid) - 2)
+    low, high = grid[index].copy(), grid[index + 1].copy()
+    tau = 0.5 * (low + high)
+    for _ in range(60):
+        error = length(tau) - wanted
+        low, high = np.where(error < 0.0, tau, low), np.where(error >= 0.0, tau, high)
+        newton = tau - error / np.maximum(speed(tau), 1e-300)
+        trial = np.where((newton > low) & (newton < high), newton, 0.5 * (low + high))
+        if np.abs(trial - tau).max() <= 1e-14 * grid[-1]:
+            break
+        tau = trial
+    tau[0], tau[-1] = grid[0], grid[-1]
+    return tau
