@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import importlib
 import re
 import sys
 import textwrap
@@ -17,6 +18,14 @@ _DESCRIPTION = (
     "Plan the motion of a telescopic manipulator with LieEDNN networks that carry a proof of global stability, "
     "simulate it in MuJoCo, render and evaluate it."
 )
+# Where the commands are that do not stand in `commands`.
+_MODULES = {
+    "train": "training",
+    "learn": "demonstrations",
+    "compare": "comparison",
+    "arms": "arms",
+    "doctor": "doctor",
+}
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -31,10 +40,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     # A terminated run cleans up like an interrupted one.
     with Interruption() as interruption:
         try:
-            from lieednn_sim.cli import commands
-
+            module = importlib.import_module(f"lieednn_sim.cli.{_MODULES.get(arguments.command, 'commands')}")
             interruption.importing = False
-            return int(getattr(commands, arguments.command)(arguments) or 0)
+            return int(getattr(module, arguments.command)(arguments) or 0)
         except KeyboardInterrupt:
             return interruption.report()
         except Exception as error:
@@ -63,7 +71,12 @@ def _join_negative_numbers(argv: Sequence[str]) -> list[str]:
 
 
 class _Help(argparse.HelpFormatter):
-    """Leaves names whole that are written with hyphens."""
+    """Leaves names whole that are written with hyphens, and adds defaults where a help does not say them itself."""
+
+    def _get_help_string(self, action: argparse.Action) -> str:
+        text = action.help or ""
+        said = "(default" in text or action.default is False or action.default in (None, "", [], argparse.SUPPRESS)
+        return text if said else f"{text} (default: %(default)s)"
 
     def _split_lines(self, text: str, width: int) -> list[str]:
         return textwrap.wrap(" ".join(text.split()), width, break_on_hyphens=False)

@@ -51,20 +51,6 @@ def synthesize(arguments: argparse.Namespace) -> None:
         synthesize(run, arguments)
 
 
-def train(arguments: argparse.Namespace) -> int:
-    """Target to learned network; 1 when it was not learned."""
-    from lieednn_sim.cli.training import train
-
-    return train(arguments)
-
-
-def learn(arguments: argparse.Namespace) -> None:
-    """Demonstrations to network, report and plots."""
-    from lieednn_sim.cli.demonstrations import learn
-
-    learn(arguments)
-
-
 def simulate(arguments: argparse.Namespace) -> None:
     """Network, or a planner's motion, to rollout."""
     run = RunDirectory(arguments.run).existing()
@@ -85,27 +71,6 @@ def render(arguments: argparse.Namespace) -> None:
     path = run.video if arguments.output is None else as_path("the name of a video", arguments.output)
     with run.at_work(shared=True, outputs=[path]):
         _render(run, arguments, path)
-
-
-def compare(arguments: argparse.Namespace) -> None:
-    """Many planned and simulated motions to one table and one page."""
-    from lieednn_sim.cli.comparison import run
-
-    run(arguments, arguments.words)
-
-
-def arms(arguments: argparse.Namespace) -> None:
-    """What arms there are."""
-    from lieednn_sim.cli.arms import arms
-
-    arms(arguments)
-
-
-def doctor(arguments: argparse.Namespace) -> int:
-    """Report on the installation; 1 when something is missing."""
-    from lieednn_sim.cli.doctor import report
-
-    return report(console, as_json=arguments.json)
 
 
 def _simulate(run: RunDirectory, arguments: argparse.Namespace) -> None:

@@ -8,16 +8,18 @@ import shlex
 from collections.abc import Sequence
 
 from lieednn_sim import storage
+from lieednn_sim.cli.arguments import names
 from lieednn_sim.cli.console import console, progress, to_stderr, wrote
 from lieednn_sim.errors import LieEDNNError
-from lieednn_sim.evaluation import Case, Selection, Settings, Table, compare, write_summary
+from lieednn_sim.evaluation import Case, Selection, Settings, Table, write_summary
+from lieednn_sim.evaluation import compare as compare_planners
 from lieednn_sim.evaluation.reactive.study import compare_reactions, write_reactions
 from lieednn_sim.evaluation.report import Clip, choose_cases, film, write_page
 from lieednn_sim.planning import missing_planners
 from lieednn_sim.validation import as_count
 
 
-def run(arguments: argparse.Namespace, command: Sequence[str]) -> None:
+def compare(arguments: argparse.Namespace) -> None:
     """Compute what is missing of the table, then write summary and page."""
     settings = Settings(
         duration=arguments.duration,
@@ -26,10 +28,10 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> None:
         time_budget=arguments.time_budget,
     )
     selection = Selection(
-        planners=_split(arguments.planners),
-        arms=_split(arguments.arms),
-        scenes=_split(arguments.scenes),
-        controllers=_split(arguments.controllers),
+        planners=names(arguments.planners),
+        arms=names(arguments.arms),
+        scenes=names(arguments.scenes),
+        controllers=names(arguments.controllers),
         seeds=arguments.seeds,
     )
     jobs = as_count("jobs", os.cpu_count() or 1 if arguments.jobs is None else arguments.jobs)
@@ -44,10 +46,10 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> None:
     summary, page = directory / "comparison.md", directory / "comparison.html"
     with storage.locked(directory):
         storage.check_outputs([summary, page, page.with_suffix(".csv"), page.with_suffix(".json")])
-        table = compare(directory, selection, settings, jobs=jobs, console=to_stderr())
+        table = compare_planners(directory, selection, settings, jobs=jobs, console=to_stderr())
         write_summary(summary, table, missing)
         clips = _film(table, cases + choose_cases(table, arguments.videos), selection.controllers[0])
-        line = shlex.join(["lieednn-sim", *command])
+        line = shlex.join(["lieednn-sim", *arguments.words])
         reactions, more = None, []
         if arguments.reactive:
             reactions = compare_reactions(
@@ -57,10 +59,6 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> None:
             write_reactions(more[1], reactions)
         write_page(page, table, missing=missing, clips=clips, command=line, date=arguments.date, reactions=reactions)
     wrote(table.csv, summary, *more, page)
-
-
-def _split(text: str | None) -> tuple[str, ...]:
-    return () if text is None else tuple(text.split(","))
 
 
 def _film(table: Table, cases: Sequence[Case], controller: str) -> list[Clip]:

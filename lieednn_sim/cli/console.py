@@ -48,6 +48,12 @@ def print_stability(network: ComponentwiseNetwork, xi: ArrayLike) -> None:
         console.print(str(network.robustness()))
 
 
+def one_norm(network: ComponentwiseNetwork, xi: ArrayLike) -> str:
+    """The 1-norm of the weights, and the least that any network with the equilibrium ``xi`` has."""
+    found = network.norm_conditions(xi)
+    return f"{found.one_norm:.2f} (no network with this equilibrium below {found.smallest_one_norm:.2f})"
+
+
 def wrote(*paths: object) -> None:
     """Say which files are complete."""
     for path in paths:

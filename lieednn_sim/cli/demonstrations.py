@@ -9,6 +9,7 @@ import numpy as np
 
 from lieednn_sim import storage
 from lieednn_sim.cli.console import console, progress, wrote
+from lieednn_sim.cli.run_directory import PLOT_KINDS
 from lieednn_sim.errors import InputError
 from lieednn_sim.evaluation.demonstrations import RIVALS, ModelRow, compare_models, of_models
 from lieednn_sim.evaluation.plot_demonstrations import plot_field, plot_paths
@@ -17,13 +18,11 @@ from lieednn_sim.learning.demonstrations.shaped import ShapedMotion
 from lieednn_sim.synthesis import ShapingOptions
 from lieednn_sim.validation import as_choice, as_count, as_seed
 
-_PLOTS = ("png", "pdf", "svg")
-
 
 def learn(arguments: argparse.Namespace) -> None:
     """Read, fit, compare, and write ``network.npz``, ``report.json`` and two plots."""
     # Bad values stop before the work.
-    kind = as_choice("kind of plots", arguments.plots, _PLOTS)
+    kind = as_choice("kind of plots", arguments.plots, PLOT_KINDS)
     rivals = [] if arguments.rivals in ("", "none") else arguments.rivals.split(",")
     for name in rivals:
         as_choice("rival", name, RIVALS)

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import platform
 import sys
 from importlib import metadata
 
-from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
 from lieednn_sim.arm import arm_names
+from lieednn_sim.cli.console import console
 from lieednn_sim.errors import FileError
 from lieednn_sim.rendering import opengl
 
@@ -40,8 +41,8 @@ _EXTRAS = {
 }
 
 
-def report(console: Console, *, as_json: bool) -> int:
-    """Print the report; returns 1 when physics or rendering would not work."""
+def doctor(arguments: argparse.Namespace) -> int:
+    """Report on the installation; returns 1 when physics or rendering would not work."""
     versions = {"lieednn-sim": _version("lieednn-sim"), "python": platform.python_version()}
     versions |= {name: _version(name) for name in _PACKAGES}
     extras = {name: _version(name) for name in _EXTRAS}
@@ -56,7 +57,7 @@ def report(console: Console, *, as_json: bool) -> int:
     packages = opengl.missing_packages()
     missing = [name for name, version in versions.items() if version is None]
     healthy = bool(arms) and not missing and "error" not in renderer
-    if as_json:
+    if arguments.json:
         print(
             json.dumps(
                 {

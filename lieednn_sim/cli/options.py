@@ -11,19 +11,10 @@ from lieednn_sim.cli.numerals import decimal, decimal_or_inf, whole
 
 def add_task(parser: argparse.ArgumentParser, output: str, *, goal: bool = True) -> argparse._MutuallyExclusiveGroup:
     """Arm, scene, start and target; without a required ``goal`` the command chooses a target itself."""
-    parser.add_argument(
-        "--arm",
-        default="telescopic_pr",
-        metavar="NAME",
-        help=f"{_one_of(ARMS)}, or an MJCF file (default: %(default)s)",
-    )
+    parser.add_argument("--arm", default="telescopic_pr", metavar="NAME", help=f"{_one_of(ARMS)}, or an MJCF file")
     add_frames(parser)
-    parser.add_argument(
-        "--scene", default="free", metavar="NAME", help=f"obstacles: {_one_of(SCENES)} (default: %(default)s)"
-    )
-    parser.add_argument(
-        "--scene-seed", type=whole, default=0, metavar="N", help="of the obstacles' positions (default: %(default)s)"
-    )
+    parser.add_argument("--scene", default="free", metavar="NAME", help=f"obstacles: {_one_of(SCENES)}")
+    parser.add_argument("--scene-seed", type=whole, default=0, metavar="N", help="of the obstacles' positions")
     group = parser.add_mutually_exclusive_group(required=goal)
     group.add_argument(
         "--target",
@@ -32,12 +23,10 @@ def add_task(parser: argparse.ArgumentParser, output: str, *, goal: bool = True)
         + ("" if goal else " (default: extended; among obstacles, or without such a keyframe, random:SEED)"),
     )
     group.add_argument("--position", metavar="X,Y,Z", help="end effector target in the world [m] instead")
-    parser.add_argument("--start", default="home", metavar="Q", help="start, as for --target (default: %(default)s)")
-    parser.add_argument(
-        "--duration", type=decimal, default=4.0, metavar="S", help="of the motion (default: %(default)s)"
-    )
-    parser.add_argument("--seed", type=whole, default=0, help="of the random draws (default: %(default)s)")
-    parser.add_argument("--output", default=output, metavar="DIR", help="run directory (default: %(default)s)")
+    parser.add_argument("--start", default="home", metavar="Q", help="start, as for --target")
+    parser.add_argument("--duration", type=decimal, default=4.0, metavar="S", help="of the motion")
+    parser.add_argument("--seed", type=whole, default=0, help="of the random draws")
+    parser.add_argument("--output", default=output, metavar="DIR", help="run directory")
     return group
 
 
@@ -56,10 +45,7 @@ def add_frames(parser: argparse.ArgumentParser) -> None:
         "--home", metavar="J=X,...", help="positions at home of joints of an MJCF or URDF file, by name [rad, m]"
     )
     parser.add_argument(
-        "--servos",
-        default="keep",
-        metavar="RULE",
-        help="keep the position servos of an MJCF file, or design all anew (default: %(default)s)",
+        "--servos", default="keep", metavar="RULE", help="keep the position servos of an MJCF file, or design all anew"
     )
 
 
@@ -85,36 +71,23 @@ def add_training(parser: argparse.ArgumentParser) -> None:
     """Options of ``train``."""
     goal = add_task(parser, output="results/run")
     goal.add_argument("--resume", metavar="DIR", help="go on with an interrupted training, options as they were")
-    parser.add_argument(
-        "--algorithm",
-        default="tracked",
-        metavar="NAME",
-        help=f"{_one_of(ALGORITHMS)} (default: %(default)s)",
-    )
+    parser.add_argument("--algorithm", default="tracked", metavar="NAME", help=_one_of(ALGORITHMS))
     parser.add_argument(
         "--candidates",
         type=whole,
         default=4,
         metavar="N",
-        help="seeds to try until a network's motion keeps the limits (default: %(default)s)",
+        help="seeds to try until a network's motion keeps the limits",
     )
     parser.add_argument(
         "--period", type=whole, metavar="P", help="epochs between projections (default: the algorithm's)"
     )
     parser.add_argument("--epochs", type=whole, metavar="K", help="at most (default: 25000)")
     parser.add_argument(
-        "--tolerance",
-        type=decimal,
-        default=1e-5,
-        metavar="TAU",
-        help="of the equilibrium [rad, length units] (default: %(default)s)",
+        "--tolerance", type=decimal, default=1e-5, metavar="TAU", help="of the equilibrium [rad, length units]"
     )
-    parser.add_argument(
-        "--bias", default="sign-matched", metavar="RULE", help="uniform or sign-matched (default: %(default)s)"
-    )
-    parser.add_argument(
-        "--bias-magnitude", type=decimal, default=0.125, metavar="B", help="of the rule (default: %(default)s)"
-    )
+    parser.add_argument("--bias", default="sign-matched", metavar="RULE", help="uniform or sign-matched")
+    parser.add_argument("--bias-magnitude", type=decimal, default=0.125, metavar="B", help="of the rule")
 
 
 def add_run(parser: argparse.ArgumentParser) -> None:
@@ -131,8 +104,8 @@ def add_comparison(parser: argparse.ArgumentParser) -> None:
         ("controllers", CONTROLLERS, "position-servo,inverse-dynamics"),
     ):
         parser.add_argument(f"--{name}", metavar="A,B,...", help=f"of {', '.join(known)} (default: {default})")
-    parser.add_argument("--seeds", type=whole, default=10, metavar="N", help="from seed 0 on (default: %(default)s)")
-    parser.add_argument("--duration", type=decimal, default=4.0, metavar="S", help="of motions (default: %(default)s)")
+    parser.add_argument("--seeds", type=whole, default=10, metavar="N", help="from seed 0 on")
+    parser.add_argument("--duration", type=decimal, default=4.0, metavar="S", help="of motions")
     _add_time_budget(parser)
     _add_conditions(parser)
     parser.add_argument("--output", default="results/comparison", metavar="DIR", help="(default: %(default)s)")
@@ -142,9 +115,9 @@ def add_comparison(parser: argparse.ArgumentParser) -> None:
         type=whole,
         default=0,
         metavar="N",
-        help="seeds of the benchmark of planners that react, pushed, loaded and retargeted (default: %(default)s)",
+        help="seeds of the benchmark of planners that react, pushed, loaded and retargeted",
     )
-    parser.add_argument("--videos", type=whole, default=0, metavar="N", help="cases to show (default: %(default)s)")
+    parser.add_argument("--videos", type=whole, default=0, metavar="N", help="cases to show")
     parser.add_argument(
         "--video",
         action="append",
@@ -157,12 +130,7 @@ def add_comparison(parser: argparse.ArgumentParser) -> None:
 
 def add_simulation(parser: argparse.ArgumentParser) -> None:
     """Controller and disturbances."""
-    parser.add_argument(
-        "--controller",
-        default="position-servo",
-        metavar="NAME",
-        help=f"{_one_of(CONTROLLERS)} (default: %(default)s)",
-    )
+    parser.add_argument("--controller", default="position-servo", metavar="NAME", help=_one_of(CONTROLLERS))
     parser.add_argument(
         "--reference-rate",
         type=decimal,
@@ -170,9 +138,7 @@ def add_simulation(parser: argparse.ArgumentParser) -> None:
         help="the controller sees samples of the motion taken at this rate and held (default: every step)",
     )
     _add_conditions(parser)
-    parser.add_argument(
-        "--payload", type=decimal, default=0.0, metavar="KG", help="mass at the end effector (default: %(default)s)"
-    )
+    parser.add_argument("--payload", type=decimal, default=0.0, metavar="KG", help="mass at the end effector")
     parser.add_argument(
         "--push",
         action="append",
@@ -186,29 +152,19 @@ def add_simulation(parser: argparse.ArgumentParser) -> None:
             type=decimal,
             default=0.0,
             metavar="SD",
-            help=f"standard deviation of measured joint {what} [{unit}] (default: %(default)s)",
+            help=f"standard deviation of measured joint {what} [{unit}]",
         )
-    parser.add_argument("--noise-seed", type=whole, default=0, metavar="N", help="of that noise (default: %(default)s)")
+    parser.add_argument("--noise-seed", type=whole, default=0, metavar="N", help="of that noise")
 
 
 def add_demonstrations(parser: argparse.ArgumentParser) -> None:
     """Files of demonstrations, how they are read, and what is learned from them."""
     parser.add_argument("files", nargs="+", metavar="FILE", help="demonstrations of one motion; each ends at its goal")
-    parser.add_argument("--unit", default="m", help="of positions: m, cm or mm (default: %(default)s)")
+    parser.add_argument("--unit", default="m", help="of positions: m, cm or mm")
+    parser.add_argument("--quaternion", default="wxyz", metavar="ORDER", help="of its entries: wxyz or xyzw")
+    parser.add_argument("--sample-rate", type=decimal, default=100.0, metavar="HZ", help="of files without times")
     parser.add_argument(
-        "--quaternion", default="wxyz", metavar="ORDER", help="of its entries: wxyz or xyzw (default: %(default)s)"
-    )
-    parser.add_argument(
-        "--sample-rate",
-        type=decimal,
-        default=100.0,
-        metavar="HZ",
-        help="of files without times (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--phase",
-        default="length",
-        help="what demonstrations have in common: length, the share of the way, or time (default: %(default)s)",
+        "--phase", default="length", help="what demonstrations have in common: length, the share of the way, or time"
     )
     parser.add_argument(
         "--deviation",
@@ -221,19 +177,12 @@ def add_demonstrations(parser: argparse.ArgumentParser) -> None:
         type=decimal,
         default=1.0,
         metavar="RHO",
-        help="rho: 1 moves with the start, less returns to the path 1/rho times as fast (default: %(default)s)",
+        help="rho: 1 moves with the start, less returns to the path 1/rho times as fast",
     )
-    parser.add_argument(
-        "--rivals",
-        default=",".join(RIVALS),
-        metavar="A,B,...",
-        help="models to compare with, or none (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--starts", type=whole, default=1000, metavar="N", help="random ones of each model (default: %(default)s)"
-    )
+    parser.add_argument("--rivals", default=",".join(RIVALS), metavar="A,B,...", help="models to compare with, or none")
+    parser.add_argument("--starts", type=whole, default=1000, metavar="N", help="random ones of each model")
     parser.add_argument("--no-leave-one-out", action="store_true", help="skip the fits without one of them")
-    parser.add_argument("--seed", type=whole, default=0, help="of the random draws (default: %(default)s)")
+    parser.add_argument("--seed", type=whole, default=0, help="of the random draws")
     parser.add_argument("--output", default="results/learned-motion", metavar="DIR", help="(default: %(default)s)")
 
 
@@ -247,7 +196,7 @@ def _add_time_budget(parser: argparse.ArgumentParser, more: str = "") -> None:
         type=decimal_or_inf,
         default=60.0,
         metavar="S",
-        help=f"CPU time that planning a motion may take{more} (default: %(default)s)",
+        help=f"CPU time that planning a motion may take{more}",
     )
 
 
@@ -257,23 +206,21 @@ def _add_conditions(parser: argparse.ArgumentParser) -> None:
         type=decimal,
         default=1.0,
         metavar="X",
-        help="true masses in units of those that the controller knows (default: %(default)s)",
+        help="true masses in units of those that the controller knows",
     )
-    parser.add_argument(
-        "--hold", type=decimal, default=1.0, metavar="S", help="time simulated after the motion (default: %(default)s)"
-    )
+    parser.add_argument("--hold", type=decimal, default=1.0, metavar="S", help="time simulated after the motion")
 
 
 def add_plots(parser: argparse.ArgumentParser) -> None:
     """Format of the plots."""
-    parser.add_argument("--plots", default="png", metavar="KIND", help="png, pdf or svg (default: %(default)s)")
+    parser.add_argument("--plots", default="png", metavar="KIND", help="png, pdf or svg")
 
 
 def add_video(parser: argparse.ArgumentParser) -> None:
     """Quality, size and view of a video."""
-    parser.add_argument("--preset", default="nice", help="draft or nice (default: %(default)s)")
-    parser.add_argument("--size", default="1280x720", metavar="WxH", help="pixels (default: %(default)s)")
-    parser.add_argument("--fps", type=whole, default=30, help="frames a second (default: %(default)s)")
+    parser.add_argument("--preset", default="nice", help="draft or nice")
+    parser.add_argument("--size", default="1280x720", metavar="WxH", help="pixels")
+    parser.add_argument("--fps", type=whole, default=30, help="frames a second")
     parser.add_argument(
         "--camera", metavar="NAME", help="a camera of the scene (default: overview, or a view of the whole)"
     )

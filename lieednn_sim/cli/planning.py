@@ -11,7 +11,7 @@ import numpy as np
 from lieednn_sim.arm import Arm
 from lieednn_sim.cli.arguments import RANDOM, load_arm, make_task, start_and_target, usual_target
 from lieednn_sim.cli.arms import print_import_report
-from lieednn_sim.cli.console import console, print_stability, progress, wrote
+from lieednn_sim.cli.console import console, one_norm, print_stability, progress, wrote
 from lieednn_sim.cli.run_directory import RunDirectory
 from lieednn_sim.cli.task import CERTIFIED
 from lieednn_sim.errors import InputError
@@ -98,17 +98,13 @@ def _print_choice(arm: Arm, made: Plan, bias: str) -> None:
     network = made.network
     assert network is not None
     goal = network.goal(arm.encode(made.target))
-    conditions = network.norm_conditions(goal)
     rows = table("network", "quantity", "value")
     rows.add_row("certificate", str(network.certificate))
     rows.add_row("robustness", str(network.robustness()))
     rows.add_row("bias", f"{bias}, largest entry {np.abs(network.bias).max():.3g}")
     rows.add_row("candidates", f"{made.candidates} networks drawn, {made.within_limits} keep the joint limits")
     rows.add_row("mechanism gap", _gap(made.motion))
-    rows.add_row(
-        "1-norm of W",
-        f"{conditions.one_norm:.2f} (no network with this equilibrium below {conditions.smallest_one_norm:.2f})",
-    )
+    rows.add_row("1-norm of W", one_norm(network, goal))
     warning = network.assess(goal).warning
     if warning is not None:
         rows.add_row("warning", warning)

@@ -7,6 +7,7 @@ import functools
 import itertools
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from lieednn_sim import storage
 from lieednn_sim.arm import Arm
 from lieednn_sim.cli.arguments import load_arm, make_task, start_and_target
 from lieednn_sim.cli.arms import print_import_report
-from lieednn_sim.cli.console import console, print_stability, progress, wrote
+from lieednn_sim.cli.console import console, one_norm, print_stability, progress, wrote
 from lieednn_sim.cli.run_directory import RunDirectory
 from lieednn_sim.cli.task import TRAINED, Task
 from lieednn_sim.errors import FileError, InputError, PlanError
@@ -160,13 +161,9 @@ def _learner(arguments: argparse.Namespace, xi: Floats, pending: RunDirectory) -
         if arguments.period is not None or arguments.epochs is not None:
             raise InputError(f"--period and --epochs are for the algorithms {', '.join(ALGORITHMS)}, not for {name}")
         riemannian = RiemannianOptions(certified=RIEMANNIAN[name], tolerance=arguments.tolerance)
-
-        def learn_on_manifold(seed: int) -> TrainingResult:
-            with progress("train") as report:
-                return train_riemannian(xi, riemannian, bias=bias, seed=seed, progress=report)
-
-        return learn_on_manifold
-    return functools.partial(_learn, xi, _training_options(arguments), bias, pending)
+        return lambda seed: _shown(train_riemannian, xi, riemannian, bias=bias, seed=seed)
+    options = _training_options(arguments)
+    return lambda seed: _shown(learn, xi, options, bias=bias, seed=seed, checkpoint=pending.checkpoint)
 
 
 def _training_options(arguments: argparse.Namespace) -> TrainingOptions:
@@ -174,9 +171,10 @@ def _training_options(arguments: argparse.Namespace) -> TrainingOptions:
     return ALGORITHMS[arguments.algorithm](**{key: value for key, value in changes.items() if value is not None})
 
 
-def _learn(xi: Floats, options: TrainingOptions, bias: Floats, pending: RunDirectory, seed: int) -> TrainingResult:
+def _shown(learn: Callable[..., TrainingResult], *arguments: Any, **named: Any) -> TrainingResult:
+    """What a learner makes of its arguments, with a progress bar."""
     with progress("train") as report:
-        return learn(xi, options, bias=bias, seed=seed, checkpoint=pending.checkpoint, progress=report)
+        return learn(*arguments, **named, progress=report)
 
 
 def _resumed(pending: RunDirectory, task: Task, xi: Floats) -> Iterator[Callable[[], TrainingResult]]:
@@ -191,15 +189,12 @@ def _resumed(pending: RunDirectory, task: Task, xi: Floats) -> Iterator[Callable
         raise FileError(f"{pending.task} does not say how the training was begun ({error}); train again") from None
     if not same or not 0 <= problem.seed - task.seed < task.options["candidates"]:
         raise FileError(f"{pending.checkpoint} was learning with other options than {pending.task} says; train again")
-
-    def go_on() -> TrainingResult:
-        with progress("train") as report:
-            return resume(pending.checkpoint, progress=report)
-
+    again = functools.partial(_shown, learn, problem.target, options, bias=problem.bias, checkpoint=pending.checkpoint)
     # Those before it were learned, and refused or worse.
     others = range(problem.seed + 1, task.seed + task.options["candidates"])
     return itertools.chain(
-        [go_on], (functools.partial(_learn, problem.target, options, problem.bias, pending, seed) for seed in others)
+        [functools.partial(_shown, resume, pending.checkpoint)],
+        (functools.partial(again, seed=seed) for seed in others),
     )
 
 
@@ -216,11 +211,7 @@ def _report(result: TrainingResult, xi: Floats) -> None:
     rows.add_row("outcome", result.message)
     rows.add_row("time", f"{result.seconds:.2f} s, {1e6 * result.seconds / max(result.epochs, 1):.0f} us an epoch")
     if network is not None:
-        conditions = network.norm_conditions(xi)
-        rows.add_row(
-            "1-norm of W",
-            f"{conditions.one_norm:.2f} (no network with this equilibrium below {conditions.smallest_one_norm:.2f})",
-        )
+        rows.add_row("1-norm of W", one_norm(network, xi))
         rows.add_row("largest |t|", f"{np.linalg.norm(network.translation, axis=-1).max():.2f}")
     console.print(rows)
     if network is not None:
