@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, fields
 from functools import wraps
 from typing import Any, TypeVar, dataclass_transform
@@ -43,6 +44,12 @@ def frozen(cls: type[_Class]) -> type[_Class]:
 
     made.__init__, made.__eq__, made.__hash__ = __init__, __eq__, __hash__
     return made
+
+
+def check_fields(value: Any, check: Callable[..., Any], *names: str, **how: Any) -> None:
+    """Put in place of fields of a frozen dataclass what a check of `validation` makes of them, by their names."""
+    for name in names:
+        object.__setattr__(value, name, check(name, getattr(value, name), **how))
 
 
 def _is_array(item: object) -> bool:

@@ -20,7 +20,7 @@ from lieednn_sim.planning import Plan, plan, reference_network
 from lieednn_sim.simulation import Rollout, simulate
 from lieednn_sim.simulation.tracking import as_hold
 from lieednn_sim.validation import as_positive
-from lieednn_sim.values import Floats
+from lieednn_sim.values import Floats, check_fields
 
 FREE = "free"
 
@@ -45,8 +45,7 @@ class Settings:
     time_budget: float = DEFAULT_TIME_BUDGET
 
     def __post_init__(self) -> None:
-        for name in ("duration", "mass_scale", "time_budget"):
-            object.__setattr__(self, name, as_positive(name, getattr(self, name)))
+        check_fields(self, as_positive, "duration", "mass_scale", "time_budget")
         object.__setattr__(self, "hold", as_hold(self.hold))
 
 

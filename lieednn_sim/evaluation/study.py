@@ -23,6 +23,7 @@ from lieednn_sim.evaluation.workers import progress_bar, worker_pool
 from lieednn_sim.planning import PLANNERS, missing_planners
 from lieednn_sim.simulation import CONTROLLERS
 from lieednn_sim.validation import as_choice, as_count
+from lieednn_sim.values import check_fields
 
 DEFAULT_CONTROLLERS = ("position-servo", "inverse-dynamics")
 DEFAULT_SCENES = (FREE, "window")
@@ -66,7 +67,7 @@ class Selection:
             for value in chosen:
                 as_choice(name.removesuffix("s"), value, known)
             object.__setattr__(self, name, chosen)
-        object.__setattr__(self, "seeds", as_count("seeds", self.seeds))
+        check_fields(self, as_count, "seeds")
 
     def cases(self) -> list[Case]:
         """What can be planned: all combinations but those of planners whose package is missing."""

@@ -1,11 +1,10 @@
 """Learning the weights of a LieEDNN: the paper's Algorithm 1, as printed and repaired, and what works better."""
 
 from lieednn_sim.learning.history import History
-from lieednn_sim.learning.options import ALGORITHMS, TrainingOptions
+from lieednn_sim.learning.options import ALGORITHMS, RiemannianOptions, TrainingOptions
 from lieednn_sim.learning.projected import resume, train
 from lieednn_sim.learning.result import StopReason, TrainingResult
 from lieednn_sim.learning.riemannian import train_riemannian
-from lieednn_sim.learning.riemannian_options import RiemannianOptions
 from lieednn_sim.learning.sensitivity import Sensitivity, sensitivity
 
 __all__ = [

@@ -12,7 +12,7 @@ from scipy.linalg.lapack import dlange
 from lieednn_sim import storage
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.validation import as_floats
-from lieednn_sim.values import Floats, frozen
+from lieednn_sim.values import Floats, check_fields, frozen
 
 
 @frozen
@@ -38,9 +38,8 @@ class History:
     equilibrium: Floats
 
     def __post_init__(self) -> None:
-        for field in fields(self)[:-1]:
-            object.__setattr__(self, field.name, as_floats(field.name, getattr(self, field.name), ("K",)))
-        object.__setattr__(self, "equilibrium", as_floats("equilibrium", self.equilibrium, ("K", "N", "d")))
+        check_fields(self, as_floats, *(field.name for field in fields(self)[:-1]), shape=("K",))
+        check_fields(self, as_floats, "equilibrium", shape=("K", "N", "d"))
         if len({len(getattr(self, field.name)) for field in fields(self)}) != 1:
             raise InputError("the columns of a history must have the same length")
 

@@ -1,4 +1,4 @@
-"""Options of projective manifold learning, with the settings that are worth a name."""
+"""Options of learning, with the settings that are worth a name."""
 
 from __future__ import annotations
 
@@ -8,12 +8,16 @@ from typing import Any
 from lieednn_sim.errors import InputError
 from lieednn_sim.learning.sensitivity import LOSSES
 from lieednn_sim.validation import as_choice, as_count, as_positive
+from lieednn_sim.values import check_fields
 
 DIRECTIONS = ("gradient", "gauss-newton")
 EQUILIBRIA = ("newton", "rk45")
 PROJECTIONS = ("block-wise", "exact", "scaled", "none")
 BLOCK_SCALE = "block-scale"
 STEP_CONTROLS = ("adaptive", "tracked")
+METHODS = ("gradient", "gauss-newton")
+# Of the learning rate, the same in both kinds of learning.
+_RATES = ("initial_rate", "min_rate", "max_rate", "grow", "shrink", "max_jump")
 
 
 def check_rates(initial: float, bounds: tuple[float, float], *, grow: float, shrink: float) -> None:
@@ -80,25 +84,19 @@ class TrainingOptions:
 
     def __post_init__(self) -> None:
         # What is stored is what was checked: plain numbers, which JSON can hold.
-        def store(name: str, value: float) -> None:
-            object.__setattr__(self, name, value)
-
         as_choice("direction", self.direction, DIRECTIONS)
         as_choice("loss", self.loss, LOSSES)
         as_choice("equilibrium", self.equilibrium, EQUILIBRIA)
         as_choice("projection", self.projection, PROJECTIONS)
         as_choice("step control", self.step_control, STEP_CONTROLS)
-        for name in ("period", "max_epochs", "max_start_epochs", "stability_interval"):
-            store(name, as_count(name, getattr(self, name)))
-        store("restarts", as_count("restarts", self.restarts, least=0))
-        for name in ("learn_alpha", "verified_stop"):
-            store(name, bool(getattr(self, name)))
-        for name in ("initial_rate", "min_rate", "max_rate", "grow", "shrink", "max_jump", "tolerance"):
-            store(name, as_positive(name, getattr(self, name)))
+        check_fields(self, as_count, "period", "max_epochs", "max_start_epochs", "stability_interval")
+        check_fields(self, as_count, "restarts", least=0)
+        check_fields(self, lambda _, flag: bool(flag), "learn_alpha", "verified_stop")
+        check_fields(self, as_positive, *_RATES, "tolerance")
         if isinstance(self.initial_alpha, str):
             as_choice("initial alpha", self.initial_alpha, (BLOCK_SCALE,))
         elif self.initial_alpha is not None:
-            store("initial_alpha", as_positive("initial_alpha", self.initial_alpha))
+            check_fields(self, as_positive, "initial_alpha")
         check_rates(self.initial_rate, (self.min_rate, self.max_rate), grow=self.grow, shrink=self.shrink)
 
     @classmethod
@@ -138,6 +136,64 @@ class TrainingOptions:
     def as_dict(self) -> dict[str, Any]:
         """Values by name, as JSON can hold them."""
         return asdict(self)
+
+
+# A gradient step beyond it leaves the range of floating point before it is taken back.
+_LARGEST_RATE = 1e6
+
+
+@dataclass(frozen=True)
+class RiemannianOptions:
+    """How `train_riemannian` learns.
+
+    Attributes:
+        method: ``"gradient"``, each step lowers E, or ``"gauss-newton"``, each step aims straight at the target.
+        certified: learn a certificate of global stability with the weights, and give up a start that ends without;
+            Gauss-Newton only.
+        barrier: where the certificate pushes back: this part of gamma/mu, below 1.
+        damping: Levenberg damping of the Gauss-Newton equations.
+        initial_rate: first learning rate of each start.
+        min_rate: a start is given up below.
+        max_rate: the rate never rises above; 1 is the full Gauss-Newton step.
+        grow: factor of the rate after a step that was taken.
+        shrink: factor after one taken back: the equilibrium was lost, jumped or was unstable; or, with the gradient, E
+            did not fall.
+        max_jump: largest change of a coordinate of the equilibrium in one step [rad, m].
+        tolerance: tau on the largest coordinate of xi* - xi_d [rad, m].
+        restarts: new initial weights to draw when a start is given up.
+        max_start_epochs: a start that takes longer is given up.
+        stability_interval: epochs from one check of the equilibrium's stability to the next; the last is checked too.
+    """
+
+    method: str = "gauss-newton"
+    certified: bool = False
+    barrier: float = 0.8
+    damping: float = 1e-6
+    initial_rate: float = 1.0
+    min_rate: float = 1e-4
+    max_rate: float = 1.0
+    grow: float = 1.3
+    shrink: float = 0.5
+    max_jump: float = 0.05
+    tolerance: float = 1e-5
+    restarts: int = 4
+    max_start_epochs: int = 1000
+    stability_interval: int = 25
+
+    def __post_init__(self) -> None:
+        as_choice("method", self.method, METHODS)
+        check_fields(self, as_count, "max_start_epochs", "stability_interval")
+        check_fields(self, as_count, "restarts", least=0)
+        check_fields(self, lambda _, flag: bool(flag), "certified")
+        check_fields(self, as_positive, "barrier", "damping", *_RATES, "tolerance")
+        largest = 1.0 if self.method == "gauss-newton" else _LARGEST_RATE
+        if self.max_rate > largest:
+            raise InputError(f"max_rate must be at most {largest:g} for {self.method}, got {self.max_rate:g}")
+        if self.certified and self.method != "gauss-newton":
+            raise InputError(f"certified training needs the method 'gauss-newton', got {self.method!r}")
+        if self.barrier >= 1.0:
+            raise InputError(f"barrier must lie below 1, where the certificate ends, got {self.barrier:g}")
+        check_rates(self.initial_rate, (self.min_rate, self.max_rate), grow=self.grow, shrink=self.shrink)
 
 
 # The named settings, for command lines.

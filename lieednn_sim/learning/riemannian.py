@@ -25,9 +25,9 @@ from lieednn_sim.errors import InputError
 from lieednn_sim.learning.equilibria import FlatEquilibrium, SensitivityMatrix
 from lieednn_sim.learning.history import Recorder
 from lieednn_sim.learning.manifold import WeightPoint
+from lieednn_sim.learning.options import RiemannianOptions
 from lieednn_sim.learning.problem import Progress, TrainingProblem
 from lieednn_sim.learning.result import StopReason, TrainingResult, conclude
-from lieednn_sim.learning.riemannian_options import RiemannianOptions
 from lieednn_sim.learning.tangent import (
     RowEquations,
     differential,

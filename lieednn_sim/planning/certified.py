@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import cycle, islice, pairwise
 
 import numpy as np
 
@@ -33,13 +33,28 @@ _HURRIED = 0.99
 
 
 @dataclass(frozen=True)
-class CertifiedOptions(PlannerOptions):
-    """How the planner ``lieednn-certified`` searches.
+class CandidateOptions(PlannerOptions):
+    """Of planners that make one network after another.
+
+    Attributes:
+        candidates: networks to make, at most.
+        bias_magnitudes: of their bias, in turn [gamma/mu].
+    """
+
+    candidates: int = 24
+    bias_magnitudes: tuple[float, ...] = BIAS_MAGNITUDES
+
+    def magnitudes(self) -> Iterator[float]:
+        """Of the bias of one network after another."""
+        return islice(cycle(self.bias_magnitudes), self.candidates)
+
+
+@dataclass(frozen=True)
+class CertifiedOptions(CandidateOptions):
+    """How the planner ``lieednn-certified`` searches, beside what `CandidateOptions` say.
 
     Attributes:
         bias: a rule of `synthesis.BIAS_RULES`.
-        bias_magnitudes: of the rule, in turn [gamma/mu].
-        candidates: networks to draw.
         attempts: starts of `synthesize` for a candidate.
         last_attempts: for the last one, when there is none yet.
         tried: networks that are tried in full at most, where the first ones are refused.
@@ -51,8 +66,6 @@ class CertifiedOptions(PlannerOptions):
     """
 
     bias: str = "sign-matched"
-    bias_magnitudes: tuple[float, ...] = BIAS_MAGNITUDES
-    candidates: int = 24
     attempts: int = 3
     last_attempts: int = 16
     tried: int = 8
@@ -101,8 +114,7 @@ def certified(problem: PlanningProblem, options: CertifiedOptions) -> Plan:
     xi = problem.arm.encode(problem.target)
     networks: list[LieEDNN] = []
     message = ""
-    for index in range(total):
-        magnitude = options.bias_magnitudes[index % len(options.bias_magnitudes)]
+    for index, magnitude in enumerate(options.magnitudes()):
         # Patience only where everything else failed: easy candidates are many, hard ones cost seconds.
         attempts = options.last_attempts if index == total - 1 and not networks else options.attempts
         result = synthesize(xi, bias=options.bias, bias_magnitude=magnitude, seed=rng, max_attempts=attempts)

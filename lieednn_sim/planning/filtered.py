@@ -21,29 +21,28 @@ from lieednn_sim.network import LieEDNN
 from lieednn_sim.planning.baselines import sampling
 from lieednn_sim.planning.baselines.joint_space import Workspace, joint_scale
 from lieednn_sim.planning.baselines.sampling import SearchOptions
-from lieednn_sim.planning.certified import BIAS_MAGNITUDES, rough_way
+from lieednn_sim.planning.certified import CandidateOptions, rough_way
 from lieednn_sim.planning.extras import optional_module
-from lieednn_sim.planning.filtering import FilterOptions, run_filtered
+from lieednn_sim.planning.filtering import FilteredRun, FilterOptions, run_filtered
+from lieednn_sim.planning.laws import minimum_jerk_law
 from lieednn_sim.planning.motion import Motion, check_motion
-from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.problem import Plan, PlanningProblem
-from lieednn_sim.planning.segments import CLOSING, motion_of
 from lieednn_sim.synthesis import synthesize
 from lieednn_sim.values import Floats
 
 _FILTER = FilterOptions()
+# The last difference to the target is closed in this time [s].
+_CLOSING = 0.1
 # More clearance than the filter keeps, so that it need not hold back what follows the path.
 _SEARCH = SearchOptions(margin=0.02)
 
 
 @dataclass(frozen=True)
-class FilteredOptions(PlannerOptions):
-    """Of the planner ``lieednn-filtered``.
+class FilteredOptions(CandidateOptions):
+    """Of the planner ``lieednn-filtered``, beside what `CandidateOptions` say.
 
     Attributes:
-        candidates: networks to draw.
-        bias_magnitudes: of their sign-matched bias, in turn [gamma/mu].
-        attempts: starts of `synthesize` for each.
+        attempts: starts of `synthesize` for each network.
         tried: of those whose own way is not free, how many are run all the same; where one is blocked the others mostly
             are.
         looks: postures on a network's own way that are looked at before the filter runs, up to 10 000.
@@ -52,7 +51,6 @@ class FilteredOptions(PlannerOptions):
     """
 
     candidates: int = 12
-    bias_magnitudes: tuple[float, ...] = BIAS_MAGNITUDES
     attempts: int = 3
     tried: int = 1
     looks: int = field(default=40, metadata={"range": (1, 10_000)})
@@ -162,9 +160,7 @@ class _Search:
         """Certified networks for the target, with the share of their own motion that is not free."""
         problem, arm = self.problem, self.problem.arm
         xi, rng = arm.encode(problem.target), np.random.default_rng(problem.seed)
-        magnitudes = self.options.bias_magnitudes
-        for index in range(self.options.candidates):
-            magnitude = magnitudes[index % len(magnitudes)]
+        for magnitude in self.options.magnitudes():
             network = synthesize(
                 xi, bias="sign-matched", bias_magnitude=magnitude, seed=rng, max_attempts=self.options.attempts
             ).network
@@ -195,7 +191,7 @@ class _Search:
                 problem.duration,
                 via=via,
                 timestep=self._ratio * problem.timestep,
-                longest=problem.longest - CLOSING / problem.duration,
+                longest=problem.longest - _CLOSING / problem.duration,
                 options=self.options.filter,
             )
             if not run.success:
@@ -221,3 +217,51 @@ class _Search:
             *self._between(network, first, middle, halvings - 1),
             *self._between(network, middle, second, halvings - 1),
         ]
+
+
+def motion_of(run: FilteredRun, target: Floats, xi_target: Floats, ratio: int) -> Motion:
+    """The motion of a run that arrived, and the rest of the way to where its network ends.
+
+    Args:
+        run: with control steps of equal length.
+        target: ``(n,)`` joint position to end at, near the run's last.
+        xi_target: ``(N, 6)`` its network state.
+        ratio: samples of the motion in a control step.
+    """
+    h = float(run.t[1] - run.t[0])
+    step = h / ratio
+    fraction = (np.arange(ratio) / ratio)[:, None]
+    change = np.diff(run.qd, axis=0)[:, None]
+    # Between control steps the acceleration is constant.
+    qd = (run.qd[:-1, None] + fraction * change).reshape(-1, run.q.shape[1])
+    q = (run.q[:-1, None] + h * fraction * run.qd[:-1, None] + 0.5 * h * fraction**2 * change).reshape(qd.shape)
+    closing_q, closing_qd = _closing(run.q[-1], run.qd[-1], target, step)
+    q, qd = np.concatenate([q, closing_q]), np.concatenate([qd, closing_qd])
+    t = step * np.arange(len(q), dtype=np.float64)
+    reference = run.reference
+    clock = np.interp(t, run.t, run.clock)
+    position = np.clip(np.searchsorted(reference.t, clock, side="right") - 1, 0, len(reference.t) - 2)
+    share = (clock - reference.t[position]) / np.diff(reference.t)[position]
+
+    def along(values: Floats) -> Floats:
+        weight = share.reshape(-1, *(1,) * (values.ndim - 1))
+        return np.asarray((1.0 - weight) * values[position] + weight * values[position + 1])
+
+    names = ("tau", "xi", "gap_translation", "gap_rotation")
+    tau, xi, *gaps = (along(getattr(reference, name)) for name in names)
+    return Motion(t, tau, xi, xi_target, q, qd, *gaps)
+
+
+def _closing(q: Floats, qd: Floats, goal: Floats, step: float) -> tuple[Floats, Floats]:
+    """From nearly at rest near the goal to rest at the goal, by the quintic whose accelerations vanish at both ends."""
+    count = max(round(_CLOSING / step), 2)
+    s = (np.arange(count + 1) / count)[:, None]
+    length = count * step
+    ease, slope = minimum_jerk_law(s)
+    # Position and slope of the quintic with unit slope at s = 0 and zeros else.
+    start, start_slope = s * (1.0 - s) ** 3 * (1.0 + 3.0 * s), (1.0 - s) ** 2 * (1.0 + 2.0 * s - 15.0 * s**2)
+    way = goal - q
+    positions = q + ease * way + length * start * qd
+    rates = slope * way / length + start_slope * qd
+    positions[-1], rates[-1] = goal, 0.0
+    return positions, rates

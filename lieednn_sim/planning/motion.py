@@ -12,7 +12,7 @@ from lieednn_sim.arm import PLANNED_CLEARANCE, Arm
 from lieednn_sim.budget import check_time
 from lieednn_sim.errors import FileError, InputError, PlanError, TooFastError
 from lieednn_sim.validation import as_floats, as_positive, as_times
-from lieednn_sim.values import Floats, frozen
+from lieednn_sim.values import Floats, check_fields, frozen
 
 # Positions may exceed a limit by this much [rad, m]: a target on a limit is reached up to the residual.
 LIMIT_TOLERANCE = 1e-6
@@ -50,18 +50,11 @@ class Motion:
         k = len(as_times("t", self.t))
         n = len(as_floats("xi_target", self.xi_target, ("N", 6)))
         joints = as_floats("q", self.q, (k, "n")).shape[1]
-        shapes: dict[str, tuple[int, ...]] = {
-            "t": (k,),
-            "tau": (k,),
-            "xi": (k, n, 6),
-            "xi_target": (n, 6),
-            "q": (k, joints),
-            "qd": (k, joints),
-            "gap_translation": (k, n),
-            "gap_rotation": (k, n),
-        }
-        for name, shape in shapes.items():
-            object.__setattr__(self, name, as_floats(name, getattr(self, name), shape))
+        check_fields(self, as_floats, "t", "tau", shape=(k,))
+        check_fields(self, as_floats, "xi", shape=(k, n, 6))
+        check_fields(self, as_floats, "xi_target", shape=(n, 6))
+        check_fields(self, as_floats, "q", "qd", shape=(k, joints))
+        check_fields(self, as_floats, "gap_translation", "gap_rotation", shape=(k, n))
 
     def __repr__(self) -> str:
         return (

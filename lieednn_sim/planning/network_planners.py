@@ -13,7 +13,7 @@ from lieednn_sim.errors import PlanError
 from lieednn_sim.learning import TrainingOptions, TrainingResult, train
 from lieednn_sim.network import ComponentwiseNetwork, LieEDNN
 from lieednn_sim.network.hopfield import HopfieldNetwork
-from lieednn_sim.planning.certified import BIAS_MAGNITUDES
+from lieednn_sim.planning.certified import CandidateOptions
 from lieednn_sim.planning.network_path import NetworkPath, timed_motion
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.problem import Plan, PlanningProblem, in_time
@@ -41,17 +41,14 @@ class RetargetedOptions(PlannerOptions):
 
 
 @dataclass(frozen=True)
-class TrainedOptions(PlannerOptions):
-    """Of the planner ``lieednn-trained``.
+class TrainedOptions(CandidateOptions):
+    """Of the planner ``lieednn-trained``, beside what `CandidateOptions` say.
 
     Attributes:
-        candidates: networks to learn before giving up on a problem.
-        bias_magnitudes: of their sign-matched bias, in turn [gamma/mu].
         training: how each is learned.
     """
 
     candidates: int = 4
-    bias_magnitudes: tuple[float, ...] = BIAS_MAGNITUDES
     training: TrainingOptions = _TRACKED
 
 
@@ -123,8 +120,7 @@ def _learned(
 ) -> Plan:
     xi = problem.arm.encode(problem.target)
     refusal = ""
-    for candidate in range(options.candidates):
-        magnitude = options.bias_magnitudes[candidate % len(options.bias_magnitudes)]
+    for candidate, magnitude in enumerate(options.magnitudes()):
         bias = bias_for("sign-matched", xi, np.tanh(xi), 1.0, magnitude)
         result = train(xi, options.training, bias=bias, seed=problem.seed + candidate)
         network = network_of(result, bias) if result.success else None

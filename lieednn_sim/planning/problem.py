@@ -15,7 +15,7 @@ from lieednn_sim.errors import InputError, TooFastError
 from lieednn_sim.network import ComponentwiseNetwork
 from lieednn_sim.planning.motion import Motion, count_steps
 from lieednn_sim.validation import as_positive, as_seed
-from lieednn_sim.values import Floats, frozen
+from lieednn_sim.values import Floats, check_fields, frozen
 
 _Made = TypeVar("_Made")
 
@@ -58,12 +58,11 @@ class PlanningProblem:
             position = self.arm.check_reachable(getattr(self, name), name).copy()
             position.setflags(write=False)
             object.__setattr__(self, name, position)
-        for name in ("duration", "longest"):
-            object.__setattr__(self, name, as_positive(name, getattr(self, name)))
+        check_fields(self, as_positive, "duration", "longest")
         if self.longest < 1.0:
             raise InputError(f"longest must be at least 1, the duration itself, got {self.longest:g}")
-        object.__setattr__(self, "seed", as_seed("seed", self.seed))
-        object.__setattr__(self, "time_budget", as_time_budget("time_budget", self.time_budget))
+        check_fields(self, as_seed, "seed")
+        check_fields(self, as_time_budget, "time_budget")
         count_steps(self.duration, self.timestep)
 
     @property

@@ -19,8 +19,7 @@ from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import FileError, InputError, RenderingUnavailableError
 from lieednn_sim.rendering import ffmpeg, opengl, stage
-from lieednn_sim.rendering.caption import write_caption
-from lieednn_sim.rendering.overlay import Overlay
+from lieednn_sim.rendering.overlay import Overlay, write_caption
 from lieednn_sim.simulation import Rollout
 from lieednn_sim.validation import as_choice, as_count, as_positive
 

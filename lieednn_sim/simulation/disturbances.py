@@ -13,7 +13,7 @@ from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError
 from lieednn_sim.validation import as_floats, as_positive, as_seed
-from lieednn_sim.values import Floats
+from lieednn_sim.values import Floats, check_fields
 
 
 @dataclass(frozen=True)
@@ -37,8 +37,8 @@ class Push:
             raise InputError(f"body must be the name of a body or link, got {self.body!r}")
         force = as_floats("force", self.force, (3,))
         object.__setattr__(self, "force", tuple(float(value) for value in force))
-        object.__setattr__(self, "start", _as_least_zero("start", self.start))
-        object.__setattr__(self, "duration", as_positive("duration", self.duration))
+        check_fields(self, _as_least_zero, "start")
+        check_fields(self, as_positive, "duration")
 
     @property
     def end(self) -> float:
@@ -84,10 +84,9 @@ class Disturbances:
         if not all(isinstance(push, Push) for push in pushes):
             raise InputError("pushes must be a sequence of Push")
         object.__setattr__(self, "pushes", tuple(sorted(pushes, key=lambda push: push.start)))
-        object.__setattr__(self, "mass_scale", as_positive("mass_scale", self.mass_scale))
-        for name in ("payload", "position_noise", "velocity_noise"):
-            object.__setattr__(self, name, _as_least_zero(name, getattr(self, name)))
-        object.__setattr__(self, "seed", as_seed("seed", self.seed))
+        check_fields(self, as_positive, "mass_scale")
+        check_fields(self, _as_least_zero, "payload", "position_noise", "velocity_noise")
+        check_fields(self, as_seed, "seed")
 
     def to_json(self) -> dict[str, Any]:
         """The values as JSON can hold them."""

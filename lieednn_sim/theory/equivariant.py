@@ -42,7 +42,7 @@ from lieednn_sim import stability
 from lieednn_sim.lie import adjoint
 from lieednn_sim.network.checks import as_poses, as_rates, as_strengths, require_rotations
 from lieednn_sim.network.dynamics import Equilibrium, find_equilibrium
-from lieednn_sim.network.rigid import RigidNetwork
+from lieednn_sim.network.se3 import RigidNetwork
 from lieednn_sim.validation import as_floats, as_positive
 from lieednn_sim.values import Floats, frozen
 

@@ -25,7 +25,7 @@ from lieednn_sim.planning.filtering import (
     run_filtered,
     safety,
 )
-from lieednn_sim.planning.filtering.approach import ApproachBounds
+from lieednn_sim.planning.filtering.barriers import ApproachBounds
 from lieednn_sim.planning.motion import Motion, check_motion
 from lieednn_sim.synthesis import synthesize
 

@@ -1,10 +1,8 @@
 """Limits and clearance enforced while a network runs: a filter on joint velocities, and runs through it."""
 
-from lieednn_sim.planning.filtering.barriers import Barrier
+from lieednn_sim.planning.filtering.barriers import Barrier, FilterOptions
 from lieednn_sim.planning.filtering.limits import Limit
-from lieednn_sim.planning.filtering.options import FilterOptions
-from lieednn_sim.planning.filtering.proof import limits_proved
-from lieednn_sim.planning.filtering.run import FilteredRun, run_filtered
+from lieednn_sim.planning.filtering.run import FilteredRun, limits_proved, run_filtered
 from lieednn_sim.planning.filtering.safety import FilterStep, SafetyFilter
 
 __all__ = [

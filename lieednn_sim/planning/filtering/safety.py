@@ -23,9 +23,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError
-from lieednn_sim.planning.filtering.barriers import AngleBarrier, Barrier, ClearanceBarrier
+from lieednn_sim.planning.filtering.barriers import AngleBarrier, Barrier, ClearanceBarrier, FilterOptions
 from lieednn_sim.planning.filtering.limits import AccelerationLimit, Limit, PositionLimit, VelocityLimit, finite_rates
-from lieednn_sim.planning.filtering.options import FilterOptions
 from lieednn_sim.validation import as_floats, as_positive
 from lieednn_sim.values import Floats, frozen
 

@@ -7,9 +7,10 @@ of the dynamics is the arm's model; the plant may have other masses.
 from __future__ import annotations
 
 import copy
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -17,7 +18,6 @@ from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.simulation.actuators import Actuators
 from lieednn_sim.simulation.disturbances import Noise
-from lieednn_sim.simulation.log import ChannelSource
 from lieednn_sim.simulation.reference import Foreseen, Reference
 from lieednn_sim.values import Floats
 
@@ -25,43 +25,29 @@ from lieednn_sim.values import Floats
 _TORQUE_LOOP_FREQUENCY = 10.0
 
 
-class Controller(ChannelSource, Protocol):
+class Controller(ABC):
     """Drives one rollout along a reference, of which it reads what is known, and may log channels of its own.
 
     Attributes:
         adds_bodies: whether `add_bodies` does anything; a plant without new bodies need not be compiled again.
+        channel_units: see `ChannelSource`.
     """
 
-    adds_bodies: bool
+    adds_bodies = False
+    channel_units: Mapping[str, str] = MappingProxyType({})
 
-    def add_bodies(self, spec: Any) -> None:
+    def add_bodies(self, spec: Any) -> None:  # noqa: B027 (few controllers need it, and the next)
         """Add the bodies that the controller needs to a copy of the arm's spec."""
 
-    def equip(self, plant: mujoco.MjModel) -> None:
+    def equip(self, plant: mujoco.MjModel) -> None:  # noqa: B027
         """Give the compiled plant the drives that the controller needs."""
 
+    @abstractmethod
     def act(self, data: mujoco.MjData, step: int, noise: Noise) -> None:
         """Set the controls of a step.
 
         Called before the step; of ``data`` only time, qpos and qvel belong to it, what follows from them does not yet.
         """
-
-
-class Servo:
-    """What controllers with joint drives share: the arm's own drives, as they are."""
-
-    adds_bodies = False
-    channel_units: Mapping[str, str] = MappingProxyType({})
-
-    def __init__(self, arm: Arm, reference: Reference) -> None:
-        self._actuators = Actuators(arm)
-        self._reference = reference
-
-    def add_bodies(self, spec: Any) -> None:
-        """See `Controller`."""
-
-    def equip(self, plant: mujoco.MjModel) -> None:
-        """See `Controller`."""
 
     def sample(self, data: mujoco.MjData) -> Floats:
         """See `ChannelSource`."""
@@ -70,6 +56,14 @@ class Servo:
     def channel_values(self, samples: Floats) -> tuple[Floats, ...]:
         """See `ChannelSource`."""
         return ()
+
+
+class Servo(Controller):
+    """What controllers with joint drives share: the arm's own drives, as they are."""
+
+    def __init__(self, arm: Arm, reference: Reference) -> None:
+        self._actuators = Actuators(arm)
+        self._reference = reference
 
 
 class FeedforwardServo(Servo):
@@ -88,9 +82,9 @@ class FeedforwardServo(Servo):
         """See `Controller`."""
         self._actuators.free_controls(plant)
 
+    @abstractmethod
     def controls(self, steps: range) -> Floats:
         """Controls ``(m, nu)`` of some steps, whose states are measured without error."""
-        raise NotImplementedError
 
     def act(self, data: mujoco.MjData, step: int, noise: Noise) -> None:
         """See `Controller`."""

@@ -13,6 +13,7 @@ from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError
 from lieednn_sim.simulation.actuators import driving_actuators
+from lieednn_sim.simulation.controllers.base import Controller
 from lieednn_sim.simulation.disturbances import Noise
 from lieednn_sim.simulation.quaternions import quaternions
 from lieednn_sim.simulation.reference import Foreseen, Reference
@@ -25,7 +26,7 @@ _IMPEDANCE = (0.9999, 0.9999, 0.001, 0.5, 2.0)
 _EQUALITY = int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
 
 
-class MocapWelds:
+class MocapWelds(Controller):
     """Mocap bodies on the reference's link frames, welded to the arm's; the drives are idle.
 
     The reference's poses are those of joint positions, so the welds ask for nothing that the joints cannot do. A mocap
