@@ -51,7 +51,7 @@ ROOMS = {
     "motion": Room(("planning/motion.py",), ("tests/planning/test_motion.py",)),
     "planning": Room(("planning/certified.py",), ("tests/planning/test_motion.py",)),
     "filtering": Room(
-        ("planning/filtering/*", "planning/segments.py"),
+        ("planning/filtering/*", "planning/filtered.py"),
         ("tests/planning/test_filtering.py",),
         tuple(
             f"tests/planning/test_filtering.py::{name}"

@@ -162,18 +162,21 @@ def no_ink(monkeypatch: pytest.MonkeyPatch) -> None:
 
     For tests in which plots are by the way; `test_cli.test_the_demo_without_video_meets_its_bounds` draws them.
     """
-    from lieednn_sim.evaluation import plots
+    from lieednn_sim.evaluation import figure_layout
 
-    monkeypatch.setattr(plots, "save_figure", lambda figure, path: Path(path).write_bytes(b"a picture"))
+    monkeypatch.setattr(figure_layout, "save_figure", lambda figure, path: Path(path).write_bytes(b"a picture"))
 
 
 @pytest.fixture
 def no_plots(monkeypatch: pytest.MonkeyPatch) -> None:
     """Plots are not even composed, though their files are there; for tests whose runs are as any other."""
-    from lieednn_sim.evaluation import plots
+    from lieednn_sim.evaluation import plot_training, plots
 
-    for name in ("plot_network", "plot_tracking", "plot_joints", "plot_training"):
-        monkeypatch.setattr(plots, name, lambda *given, **_: Path(given[-1]).write_bytes(b"a picture"))
+    for module, name in (
+        *((plots, f"plot_{what}") for what in ("network", "tracking", "joints")),
+        (plot_training, "plot_training"),
+    ):
+        monkeypatch.setattr(module, name, lambda *given, **_: Path(given[-1]).write_bytes(b"a picture"))
 
 
 @pytest.fixture(scope="session")

@@ -19,7 +19,7 @@ from lieednn_sim.cli.console import console, one_norm, print_stability, progress
 from lieednn_sim.cli.run_directory import RunDirectory
 from lieednn_sim.cli.task import TRAINED, Task
 from lieednn_sim.errors import FileError, InputError, PlanError
-from lieednn_sim.evaluation import plots
+from lieednn_sim.evaluation import plot_training
 from lieednn_sim.evaluation.display import table
 from lieednn_sim.learning import (
     ALGORITHMS,
@@ -139,7 +139,7 @@ def _choose(learners: Candidates, run: RunDirectory, arm: Arm, task: Task) -> tu
 
 
 def _plot_history(result: TrainingResult, run: RunDirectory, xi: Floats) -> None:
-    plots.plot_training(result.history, xi, result.tolerance, run.training_plot)
+    plot_training.plot_training(result.history, xi, result.tolerance, run.training_plot)
 
 
 def _refusal(result: TrainingResult, arm: Arm, task: Task) -> str | None:

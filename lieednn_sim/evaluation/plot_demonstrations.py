@@ -11,10 +11,10 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from lieednn_sim.evaluation import plots
+from lieednn_sim.evaluation import figure_layout
 from lieednn_sim.evaluation.demonstrations import reproduction
 from lieednn_sim.evaluation.fields import random_starts
-from lieednn_sim.evaluation.plots import COLOURS, STYLE
+from lieednn_sim.evaluation.figure_layout import COLOURS, STYLE
 from lieednn_sim.learning.demonstrations import Demonstrations
 from lieednn_sim.learning.demonstrations.alignment import displacement
 from lieednn_sim.learning.demonstrations.models import MotionModel
@@ -70,7 +70,7 @@ def plot_paths(models: Mapping[str, MotionModel], demonstrations: Demonstrations
         handles.append(Line2D([], [], color="k", marker="*", ls="", ms=9))
         labels = ["demonstrations", *paths, "goal"]
         figure.legend(handles, labels, loc="outside upper center", ncols=3 if len(views) == 1 else len(labels))
-        plots.save_figure(figure, path)
+        figure_layout.save_figure(figure, path)
 
 
 def plot_field(model: MotionModel, demonstrations: Demonstrations, path: str | os.PathLike[str], seed: int = 0) -> None:
@@ -111,7 +111,7 @@ def plot_field(model: MotionModel, demonstrations: Demonstrations, path: str | o
         axis.set(xlabel=f"{'xyz'[h]} [mm]", ylabel=f"{'xyz'[v]} [mm]", xlim=(low[0], high[0]), ylim=(low[1], high[1]))
         axis.set_aspect("equal", adjustable="box")
         figure.legend(loc="outside upper center", ncols=2)
-        plots.save_figure(figure, path)
+        figure_layout.save_figure(figure, path)
 
 
 def _draw_field(

@@ -1,4 +1,4 @@
-"""Plots of a run: network states, tracking error, joint motion, training; PNG, or what the name's ending says."""
+"""Plots of a run: network states, tracking error, joint motion; PNG, or what the name's ending says."""
 
 from __future__ import annotations
 
@@ -10,24 +10,17 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from matplotlib.rcsetup import cycler
-from matplotlib.ticker import NullFormatter
-from numpy.typing import ArrayLike
 
-from lieednn_sim import storage
 from lieednn_sim.errors import InputError
-from lieednn_sim.evaluation.figure_layout import settle
+from lieednn_sim.evaluation import figure_layout
+from lieednn_sim.evaluation.figure_layout import COLOURS, STYLE
 from lieednn_sim.evaluation.metrics import SETTLED_ROTATION, SETTLED_TRANSLATION, pose_errors
-from lieednn_sim.learning import History
 from lieednn_sim.network import BlockNetwork
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.simulation import Rollout
 from lieednn_sim.values import Floats
 
-# Okabe and Ito's palette, distinguishable by colour-blind readers.
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 _PUSH = "0.85"
-_DPI = 130
 # Hidden neurons in a row of a plot of one block, and how the coordinates of each are drawn.
 _HIDDEN_IN_ROW = 4
 _HIDDEN_STYLES = {"\\omega": "-", "v": ":"}
@@ -39,16 +32,6 @@ _LEAST_ERROR, _LEAST_PERCENT = 0.01, 10.0
 _MOST_ROWS, _LONGEST_NAME = 12, 14
 # Left of the axes: ticks and a label of two lines [inch].
 _LABEL = 0.85
-STYLE: Any = {
-    "font.size": 9,
-    "axes.grid": True,
-    "grid.alpha": 0.3,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    # Arms may have more links than there are colours.
-    "axes.prop_cycle": cycler(linestyle=["-", "--", ":"]) * cycler(color=COLOURS),
-    "legend.frameon": False,
-}
 
 
 def plot_network(rollout: Rollout, path: str | os.PathLike[str], *, network: BlockNetwork | None = None) -> None:
@@ -100,7 +83,7 @@ def plot_network(rollout: Rollout, path: str | os.PathLike[str], *, network: Blo
                 handles.append(Line2D([], [], color="0.3", ls=style))
                 labels.append(f"hidden: $\\varphi({kind})$")
         figure.legend(handles, labels, loc="upper center", ncols=_MOST_IN_ROW)
-        save_figure(figure, path)
+        figure_layout.save_figure(figure, path)
 
 
 def _plot_hidden(figure: Figure, height: float, motion: Motion, network: BlockNetwork, columns: int) -> None:
@@ -169,7 +152,7 @@ def plot_tracking(rollout: Rollout, path: str | os.PathLike[str]) -> None:
             handles.append(Patch(color=_PUSH))
             labels.append("push")
         figure.legend(handles, labels, loc="upper center", ncols=min(len(labels), _MOST_IN_ROW))
-        save_figure(figure, path)
+        figure_layout.save_figure(figure, path)
 
 
 def _subplots(
@@ -249,7 +232,7 @@ def plot_joints(rollout: Rollout, path: str | os.PathLike[str]) -> None:
         figure.legend(
             entries.values(), entries.keys(), loc="upper center", bbox_to_anchor=(0.5, 1.0), ncols=len(entries)
         )
-        save_figure(figure, path)
+        figure_layout.save_figure(figure, path)
 
 
 def _plot_joints(axes: Any, rollout: Rollout, joints: range) -> None:
@@ -303,54 +286,3 @@ def _from_zero(axis: Any, values: Floats, least: float) -> None:
     low, high = min(-least, float(values.min())), max(least, float(values.max()))
     margin = 0.06 * (high - low) or 1.0
     axis.set_ylim(low - margin, high + margin)
-
-
-def plot_training(history: History, target: ArrayLike, tolerance: float, path: str | os.PathLike[str]) -> None:
-    """Error, accuracy and learning rate by epoch, and the equilibrium's distance to the target by coordinate."""
-    goal = np.asarray(target)
-    error = np.abs(history.equilibrium - goal)
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(10, 6.4), layout="constrained")
-        axes = figure.subplots(2, 2, sharex=True)
-        distance, accuracy, rate, equilibrium = axes.ravel()
-        distance.semilogy(history.epoch, history.error, lw=1.2, label="$\\Vert\\xi^*-\\xi_d\\Vert_2$ (loss E)")
-        distance.semilogy(history.epoch, error.max(axis=(-2, -1)), lw=1.2, label="largest coordinate")
-        distance.axhline(tolerance, color="0.4", ls="--", lw=0.9, label="tolerance")
-        distance.set_title("distance of the equilibrium to the target", loc="left")
-        distance.set_ylabel("[rad, length units]")
-        distance.legend()
-        accuracy.plot(history.epoch, 100.0 * history.accuracy)
-        accuracy.set_ylim(-2.0, 102.0)
-        accuracy.set_title("accuracy: coordinates within the tolerance", loc="left")
-        accuracy.set_ylabel("[%]")
-        rate.semilogy(history.epoch, history.rate)
-        # A range of less than a decade has no tick otherwise, or too many.
-        low, high = float(history.rate.min()), float(history.rate.max())
-        rate.set_ylim(10.0 ** np.floor(np.log10(low) - 1e-9), 10.0 ** np.ceil(np.log10(high) + 1e-9))
-        rate.yaxis.set_minor_formatter(NullFormatter())
-        rate.set_title("learning rate", loc="left")
-        rate.set_ylabel("$\\eta$")
-        # Rotation and translation of SE(3) by colour; other groups have one kind of coordinate.
-        spatial = goal.shape[-1] == 6
-        kinds = (("rotation $\\omega$", slice(0, 3)), ("translation $v$", slice(3, 6)))
-        for colour, (name, chosen) in zip(COLOURS, kinds if spatial else [("coordinates", slice(None))], strict=False):
-            lines = equilibrium.plot(
-                history.epoch, history.equilibrium[..., chosen].reshape(len(history), -1), color=colour, ls="-", lw=0.9
-            )
-            lines[0].set_label(name)
-            for value in goal[..., chosen].ravel():
-                equilibrium.axhline(value, color=colour, ls="--", lw=0.6)
-        equilibrium.plot([], [], color="0.3", ls="--", lw=0.9, label="target")
-        equilibrium.set_title("equilibrium $\\xi^*$ by coordinate", loc="left")
-        equilibrium.set_ylabel("[rad, length units]")
-        equilibrium.legend(ncols=3, loc="upper center", bbox_to_anchor=(0.5, -0.16))
-        for axis in (rate, equilibrium):
-            axis.set_xlabel("epoch")
-        save_figure(figure, path)
-
-
-def save_figure(figure: Figure, path: str | os.PathLike[str]) -> None:
-    """Write a figure, atomically, when its layout has settled."""
-    settle(figure, _DPI)
-    with storage.atomic_path(path) as temporary:
-        figure.savefig(temporary, dpi=_DPI)

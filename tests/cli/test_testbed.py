@@ -11,7 +11,7 @@ from lieednn_sim.cli import main
 from lieednn_sim.cli.arms import farthest
 from lieednn_sim.cli.task import Task
 from lieednn_sim.errors import PlanError
-from lieednn_sim.evaluation import plots
+from lieednn_sim.evaluation import figure_layout, plots
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.planning import OBSTACLE_PLANNER, PLANNERS, Planner
 from lieednn_sim.planning.motion import Motion
@@ -222,7 +222,7 @@ def test_the_joints_of_a_large_arm_stand_in_two_blocks(tmp_path, monkeypatch):
     contacts = np.zeros(rows, dtype=int)
     rollout = Rollout(arm=arm, t=np.arange(3.0), **log, **poses, contacts=contacts, motion_end=1.0)
     drawn = []
-    monkeypatch.setattr(plots, "save_figure", lambda figure, path: drawn.append(figure))
+    monkeypatch.setattr(figure_layout, "save_figure", lambda figure, path: drawn.append(figure))
     plots.plot_joints(rollout, tmp_path / "joints.png")
     (figure,) = drawn
     width, height = figure.get_size_inches()

@@ -9,8 +9,9 @@ from matplotlib.lines import Line2D
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError
-from lieednn_sim.evaluation import plots
+from lieednn_sim.evaluation import figure_layout, plots
 from lieednn_sim.evaluation.figure_layout import settle
+from lieednn_sim.evaluation.plot_training import plot_training
 from lieednn_sim.learning.history import History
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.network_path import make_motion
@@ -21,7 +22,7 @@ from lieednn_sim.simulation import Disturbances, Push, Rollout
 def drawn(monkeypatch):
     """The figures, kept instead of written."""
     figures = []
-    monkeypatch.setattr(plots, "save_figure", lambda figure, path: figures.append(figure))
+    monkeypatch.setattr(figure_layout, "save_figure", lambda figure, path: figures.append(figure))
     return figures
 
 
@@ -127,7 +128,7 @@ def test_the_training_s_plot_has_units_and_ticks(drawn):
     epochs = np.arange(1.0, 4.0)
     xi = np.stack([np.full((1, 6), value) for value in (0.5, 0.9, 1.0)])
     history = History(epochs, [3.0, 2.0, 1e-6], [0.0, 0.5, 1.0], [0.5, 0.8, 0.8], epochs, epochs, xi)
-    plots.plot_training(history, np.ones((1, 6)), 1e-5, "training.png")
+    plot_training(history, np.ones((1, 6)), 1e-5, "training.png")
     distance, accuracy, rate, equilibrium = drawn[0].axes
     assert distance.lines[1].get_ydata() == pytest.approx([0.5, 0.1, 0.0])
     assert accuracy.lines[0].get_ydata() == pytest.approx([0.0, 50.0, 100.0])
@@ -140,14 +141,14 @@ def test_the_training_s_plot_has_units_and_ticks(drawn):
 def test_plots_are_written_in_the_format_of_the_name(kind, first, tmp_path):
     figure = Figure(figsize=(1, 1), layout="constrained")
     figure.subplots().set_title("$\\xi$")
-    plots.save_figure(figure, tmp_path / f"plot.{kind}")
+    figure_layout.save_figure(figure, tmp_path / f"plot.{kind}")
     assert (tmp_path / f"plot.{kind}").read_bytes().startswith(first)
 
 
 def test_the_training_s_plot_can_be_drawn_of_a_single_epoch(tmp_path):
     one = np.ones(1)
     history = History(one, one, one, one, one, one, np.zeros((1, 1, 6)))
-    plots.plot_training(history, np.ones((1, 6)), 1e-5, tmp_path / "training.png")
+    plot_training(history, np.ones((1, 6)), 1e-5, tmp_path / "training.png")
     assert (tmp_path / "training.png").read_bytes().startswith(b"\x89PNG")
 
 

@@ -12,7 +12,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.errors import InputError, PlanError
-from lieednn_sim.planning import FilteredOptions, GuidedOptions, filtered, missing_planners, plan, segments
+from lieednn_sim.planning import FilteredOptions, GuidedOptions, filtered, missing_planners, plan
 from lieednn_sim.planning.baselines import sampling
 from lieednn_sim.planning.filtering import (
     Barrier,
@@ -225,7 +225,7 @@ def test_approach_bounds_by_hand(tmp_path):
 def test_the_end_of_a_run_is_closed_by_a_quintic():
     """Half way: 1/2 of the way and 5/32 of what the velocity brings; slopes 15/8 and -7/16. No jump at either end."""
     q, qd, goal = np.array([1.0, -2.0]), np.array([0.03, 0.2]), np.array([1.004, -1.99])
-    positions, rates = segments._closing(q, qd, goal, 0.001)
+    positions, rates = filtered._closing(q, qd, goal, 0.001)
     assert positions.shape == rates.shape == (101, 2)
     np.testing.assert_allclose(positions[[0, 50, 100]], [q, q + 0.5 * (goal - q) + 0.1 * 5.0 / 32.0 * qd, goal])
     np.testing.assert_allclose(rates[[0, 50, 100]], [qd, 1.875 * (goal - q) / 0.1 - 7.0 / 16.0 * qd, [0.0, 0.0]])
@@ -233,7 +233,7 @@ def test_the_end_of_a_run_is_closed_by_a_quintic():
     np.testing.assert_allclose(rates[1:-1], numeric[1:-1], atol=1e-3 * np.abs(rates).max())
     acceleration = np.gradient(rates, 0.001, axis=0)
     assert np.abs(acceleration[[0, -1]]).max() < 0.1 * np.abs(acceleration).max()
-    assert len(segments._closing(q, qd, goal, 0.2)[0]) == 3, "two steps at least"
+    assert len(filtered._closing(q, qd, goal, 0.2)[0]) == 3, "two steps at least"
 
 
 def test_a_run_becomes_a_motion_by_hand():
@@ -267,7 +267,7 @@ def test_a_run_becomes_a_motion_by_hand():
         reference=reference,
     )
     goal = np.array([0.008, -0.012])
-    motion = segments.motion_of(run, goal, np.full((1, 6), 3.0), 2)
+    motion = filtered.motion_of(run, goal, np.full((1, 6), 3.0), 2)
     np.testing.assert_allclose(motion.t, 0.01 * np.arange(17), atol=1e-15)
     np.testing.assert_allclose(motion.qd[:7, 0], [0.0, 0.1, 0.2, 0.15, 0.1, 0.05, 0.0], atol=1e-15)
     np.testing.assert_allclose(motion.q[:7, 0], [0.0, 0.0005, 0.002, 0.00375, 0.005, 0.00575, 0.006], atol=1e-15)

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+from lieednn_sim.evaluation.figure_layout import COLOURS
 from lieednn_sim.planning import PLANNERS
 
-# Okabe and Ito's palette, distinguishable by colour-blind readers, less the yellow that is lost on white.
-_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#8C8C8C")
+# The package's, and a grey.
+_COLOURS = (*COLOURS, "#8C8C8C")
 # With more planners than colours the next round has another mark.
 _MARKS = (("o", "round"), ("D", "diamond"), ("s", "square"))
 
