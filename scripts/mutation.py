@@ -48,7 +48,7 @@ ROOMS = {
     ),
     "stability": Room(("stability/*",), ("tests/stability",)),
     "synthesis": Room(("synthesis/*",), ("tests/synthesis",)),
-    "motion": Room(("planning/motion.py",), ("tests/planning/test_motion.py",)),
+    "motion": Room(("planning/motion.py", "planning/network_path.py"), ("tests/planning/test_motion.py",)),
     "planning": Room(("planning/certified.py",), ("tests/planning/test_motion.py",)),
     "filtering": Room(
         ("planning/filtering/*", "planning/filtered.py"),
@@ -79,7 +79,7 @@ ROOMS = {
         ),
         ("tests/evaluation/test_compare.py::test_interrupting_keeps_what_is_done",),
     ),
-    "limits": Room(("arm/reading.py", "arm/coordinates.py"), _ARM_TESTS),
+    "limits": Room(("arm/parsing.py", "arm/coordinates.py"), _ARM_TESTS),
 }
 
 

@@ -177,6 +177,17 @@ class Arm:
         return len(self.space)
 
     @property
+    def timestep(self) -> float:
+        """Time step of the model, the sampling period of every planned motion [s]."""
+        return float(self.model.opt.timestep)
+
+    @property
+    def ranges(self) -> Floats:
+        """Widths ``(n,)`` of the position limits [rad, m]."""
+        low, high = self.position_limits.T
+        return np.asarray(high - low)
+
+    @property
     def joint_names(self) -> tuple[str, ...]:
         """Names of the joint coordinates; of a ball joint's three they end in ``_x``, ``_y``, ``_z``."""
         return self.space.names

@@ -45,7 +45,7 @@ def solve_ik(
         raise InputError(f"rotation must be a scipy Rotation, got {type(rotation).__name__}")
     rest = arm.keyframe("home") if start is None else arm.check_position(start, "start")
     low, high = arm.position_limits.T
-    spread = high - low
+    spread = arm.ranges
     rng = np.random.default_rng(as_seed("seed", seed))
 
     data = mujoco.MjData(arm.model)

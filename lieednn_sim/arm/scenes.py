@@ -241,9 +241,8 @@ def _surroundings(arm: Arm) -> _Surroundings:
     extents = np.abs(ahead @ turns) * model.geom_aabb[parts, 3:]
     front = float(((centers - origin) @ ahead + extents.sum(axis=1)).max())
     # Postures near the ends of the ranges as well: the middle ones reach nowhere far.
-    low, high = arm.position_limits.T
     draws = np.random.default_rng(0).beta(0.4, 0.4, (_SAMPLES, arm.n_joints))
-    tips = np.asarray(arm.link_poses(low + draws * (high - low)).translation)[:, -1] - origin
+    tips = np.asarray(arm.link_poses(arm.position_limits[:, 0] + draws * arm.ranges).translation)[:, -1] - origin
     spread = np.linalg.norm(tips[:, :2], axis=1)
     level = np.abs(tips[:, 2] - (tip[2] - floor)) < 0.25 * spread.max()
     reach = float(np.quantile(spread[level] if level.sum() > 50 else spread, 0.99))

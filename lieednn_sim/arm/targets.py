@@ -47,13 +47,13 @@ def draw_target(arm: Arm, seed: int = 0) -> Floats:
     mujoco.mj_kinematics(arm.model, data)
     places, turns = data.site_xpos.copy(), data.site_xmat.reshape(-1, 3, 3).copy()
     low, high = arm.position_limits.T
-    inset = LIMIT_MARGIN * (high - low)
+    inset = LIMIT_MARGIN * arm.ranges
     home = arm.keyframe("home")
     for _ in range(_ATTEMPTS):
         site = rng.choice(goals)
         inside = arm.model.site_size[site] * rng.uniform(-1.0, 1.0, 3)
         point = places[site] + turns[site] @ inside
-        near = np.clip(home + 0.25 * rng.normal(size=arm.n_joints) * (high - low), low + inset, high - inset)
+        near = np.clip(home + 0.25 * rng.normal(size=arm.n_joints) * arm.ranges, low + inset, high - inset)
         q = _towards(arm, data, near, point, low + inset, high - inset)
         if (
             q is not None
@@ -66,7 +66,7 @@ def draw_target(arm: Arm, seed: int = 0) -> Floats:
 
 def _anywhere(arm: Arm, rng: np.random.Generator) -> Floats:
     low, high = arm.position_limits.T
-    inset = LIMIT_MARGIN * (high - low)
+    inset = LIMIT_MARGIN * arm.ranges
     near: Counter[tuple[str, str]] = Counter()
     for attempt in range(_ATTEMPTS):
         # Where the joints are too short for the paper's law, within the limits as for any other arm.

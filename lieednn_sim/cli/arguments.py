@@ -57,7 +57,7 @@ def make_task(
 ) -> Task:
     """What a run directory keeps of the arguments; an MJCF file by its absolute path."""
     path = Path(arguments.arm)
-    count_steps(arguments.duration, float(arm.model.opt.timestep))
+    count_steps(arguments.duration, arm.timestep)
     return Task(
         arm=str(path.resolve()) if path.suffix.lower() in MODEL_SUFFIXES else arm.name,
         start=tuple(start.tolist()),
@@ -154,7 +154,7 @@ def disturbances(arm: Arm, arguments: argparse.Namespace) -> Disturbances:
     as_choice("controller", arguments.controller, CONTROLLERS)
     as_hold(arguments.hold)
     if arguments.reference_rate is not None:
-        steps_of_rate("reference_rate", arguments.reference_rate, float(arm.model.opt.timestep))
+        steps_of_rate("reference_rate", arguments.reference_rate, arm.timestep)
     made = Disturbances(
         pushes=tuple(push(text) for text in arguments.push),
         payload=arguments.payload,

@@ -78,7 +78,7 @@ def _simulate(run: RunDirectory, arguments: argparse.Namespace) -> None:
     changes = disturbances(arm, arguments)
     with progress("check"):
         if task.drawn:
-            motion = make_motion(arm, run.load_network(task), task.start, task.duration, arm.model.opt.timestep)
+            motion = make_motion(arm, run.load_network(task), task.start, task.duration, arm.timestep)
         else:
             motion = run.load_motion(task)
         check_motion(arm, motion)

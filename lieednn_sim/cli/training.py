@@ -147,7 +147,7 @@ def _refusal(result: TrainingResult, arm: Arm, task: Task) -> str | None:
     if not result.success or not isinstance(result.network, LieEDNN):
         return None
     try:
-        check_motion(arm, make_motion(arm, result.network, task.start, task.duration, arm.model.opt.timestep))
+        check_motion(arm, make_motion(arm, result.network, task.start, task.duration, arm.timestep))
     except PlanError as error:
         return str(error)
     return None

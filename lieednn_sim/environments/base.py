@@ -113,7 +113,7 @@ class ArmTask(control.Task):  # type: ignore[misc]  # dm_control has no types
             self.arm = Arm.load(arm, scene, as_seed("scene_seed", scene_seed))
         if not (np.isfinite(self.arm.position_limits).all() and np.isfinite(self.arm.velocity_limits).all()):
             raise InputError(f"arm {self.arm.name!r} needs finite position and velocity limits: they scale the actions")
-        timestep = float(self.arm.model.opt.timestep)
+        timestep = self.arm.timestep
         self.substeps = steps_in("control_timestep", control_timestep, timestep)
         self.control_timestep = self.substeps * timestep
         self.time_limit = as_positive("time_limit", time_limit)

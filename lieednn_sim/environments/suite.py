@@ -9,15 +9,10 @@ import numpy as np
 from dm_control.rl import control
 from dm_env import specs
 
-from lieednn_sim.arm import Arm, arm_names
+from lieednn_sim.arm import Arm
 from lieednn_sim.environments.base import ArmTask
-from lieednn_sim.environments.tasks import TASKS, make_task
+from lieednn_sim.environments.tasks import make_task
 from lieednn_sim.validation import as_generator, as_seed
-
-
-def all_tasks() -> tuple[tuple[str, str], ...]:
-    """All pairs of an arm of the package and a task."""
-    return tuple((arm, task) for arm in arm_names() for task in TASKS)
 
 
 def load(

@@ -55,7 +55,7 @@ def load_arm(name: str, scene: str, seed: int) -> Arm:
     arm = Arm.load(name, scene=scene, seed=seed)
     try:
         reference_network(arm)
-        plan(arm, arm.keyframe("home"), planner="minimum-jerk", duration=100 * float(arm.model.opt.timestep))
+        plan(arm, arm.keyframe("home"), planner="minimum-jerk", duration=100 * arm.timestep)
     except LieEDNNError:
         pass  # whoever needs what is missing here will say so
     return arm

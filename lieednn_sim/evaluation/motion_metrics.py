@@ -48,9 +48,8 @@ class MotionMetrics:
 
 def motion_metrics(arm: Arm, motion: Motion) -> MotionMetrics:
     """Evaluate a plan."""
-    ranges = arm.position_limits[:, 1] - arm.position_limits[:, 0]
     tip = arm.link_poses(motion.q).as_matrix()[:, -1, :3, 3]
-    jerk = np.diff(motion.qd / ranges, n=2, axis=0) / motion.timestep**2
+    jerk = np.diff(motion.qd / arm.ranges, n=2, axis=0) / motion.timestep**2
     tip_jerk = np.diff(tip, n=3, axis=0) / motion.timestep**3
     return MotionMetrics(
         motion_s=float(motion.t[-1]),
@@ -58,7 +57,7 @@ def motion_metrics(arm: Arm, motion: Motion) -> MotionMetrics:
         gap_deg=float(np.rad2deg(motion.gap_rotation.max())),
         gap_end_mm=float(1e3 * motion.gap_translation[-1].max()),
         gap_end_deg=float(np.rad2deg(motion.gap_rotation[-1].max())),
-        path_ranges=float(np.linalg.norm(np.diff(motion.q / ranges, axis=0), axis=1).sum()),
+        path_ranges=float(np.linalg.norm(np.diff(motion.q / arm.ranges, axis=0), axis=1).sum()),
         jerk_joints=float(np.sqrt(np.mean(jerk**2))),
         jerk_effector=float(np.sqrt(np.mean(np.sum(tip_jerk**2, axis=1)))) if len(tip_jerk) else 0.0,
         curvature=rms_curvature(tip, motion.timestep),
@@ -114,12 +113,11 @@ def violations(rollout: Rollout) -> dict[str, Any]:
     Positions are in units of the joint's range, velocities and accelerations in units of their limits.
     """
     arm = rollout.arm
-    ranges = arm.position_limits[:, 1] - arm.position_limits[:, 0]
     outside = arm.limit_excess(rollout.q)
     velocity = np.abs(rollout.qd) / arm.velocity_limits - 1.0
     acceleration = np.abs(np.diff(rollout.qd, axis=0) / rollout.timestep) / arm.acceleration_limits - 1.0
     excesses = {
-        "position": (outside / ranges, outside > LIMIT_TOLERANCE),
+        "position": (outside / arm.ranges, outside > LIMIT_TOLERANCE),
         "velocity": (velocity, velocity > RATE_TOLERANCE),
         "acceleration": (acceleration, acceleration > RATE_TOLERANCE),
     }

@@ -87,7 +87,7 @@ def save(
         "rates": problem.rates,
         "state": {name: getattr(state, name) for name in _COUNTERS},
         "rate": state.rate,
-        "found": state.equilibrium.found,
+        "found": state.equilibrium.success,
         "reason": state.reason,
         "seconds": seconds,
     }
@@ -130,7 +130,7 @@ def load(
             weight=as_floats("weight", arrays["weight"], (size, size)),
             alpha=as_floats("alpha", arrays["alpha"], (n, n)),
             point=point,
-            equilibrium=problem.solver().at(as_floats("x", arrays["x"], (size,)), found=bool(meta["found"])),
+            equilibrium=problem.solver().at(as_floats("x", arrays["x"], (size,)), success=bool(meta["found"])),
             rate=as_positive("rate", meta["rate"]),
             error=float(arrays["error"]),
             reason=None if meta["reason"] is None else StopReason(meta["reason"]),

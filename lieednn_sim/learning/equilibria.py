@@ -45,13 +45,13 @@ class FlatEquilibrium:
         x: ``(n,)`` state.
         output: ``(n,)`` phi(x).
         slope: ``(n,)`` phi'(x).
-        found: whether it is an equilibrium.
+        success: whether it is an equilibrium.
     """
 
     x: Floats
     output: Floats
     slope: Floats
-    found: bool
+    success: bool
 
 
 class SensitivityMatrix:
@@ -88,10 +88,10 @@ class EquilibriumSolver:
         self._phi = ACTIVATIONS[activation][0]
         self._slope = _SLOPE_OF_OUTPUT[activation]
 
-    def at(self, x: Floats, *, found: bool = True) -> FlatEquilibrium:
+    def at(self, x: Floats, *, success: bool = True) -> FlatEquilibrium:
         """The state ``x`` as it is."""
         output = self._phi(x)
-        return FlatEquilibrium(x, output, self._slope(output), found)
+        return FlatEquilibrium(x, output, self._slope(output), success)
 
     def sensitivity(self, weight: Floats, equilibrium: FlatEquilibrium) -> SensitivityMatrix:
         """S for these weights at their equilibrium."""
@@ -135,7 +135,7 @@ class EquilibriumSolver:
     def first(self, weight: Floats) -> FlatEquilibrium:
         """The equilibrium found from zero, patiently, and by running the network where Newton's method fails."""
         found = self.newton(weight, np.zeros(len(weight)), steps=_PATIENT_STEPS)
-        return found if found.found else self.flow(weight, np.zeros(len(weight)))
+        return found if found.success else self.flow(weight, np.zeros(len(weight)))
 
     def settled(self, weight: Floats, x: Floats, *, tolerance: float = _TOLERANCE) -> FlatEquilibrium:
         """The equilibrium to which the network itself runs from ``x``: slow, and for where Newton steps fail.
@@ -152,9 +152,9 @@ class EquilibriumSolver:
             if at_rest or run.status != "running":
                 break
         if not at_rest:
-            return self.at(run.y, found=False)
+            return self.at(run.y, success=False)
         polished = self.newton(weight, run.y, tolerance=tolerance)
-        near = polished.found and np.abs(polished.x - run.y).max() < _NEARBY
+        near = polished.success and np.abs(polished.x - run.y).max() < _NEARBY
         return polished if near else self.at(run.y)
 
     def flow(self, weight: Floats, x: Floats) -> FlatEquilibrium:
@@ -165,7 +165,7 @@ class EquilibriumSolver:
             if speed < _AT_REST:
                 break
             x = solve_ivp(field, (0.0, _HORIZON), x, rtol=1e-7, atol=1e-9).y[:, -1]
-        return self.at(x, found=bool(speed < _AT_REST))
+        return self.at(x, success=bool(speed < _AT_REST))
 
     def _field(self, weight: Floats) -> Callable[[float, Floats], Floats]:
         """The network's vector field, in the time unit 1/gamma."""

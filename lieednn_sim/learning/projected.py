@@ -179,7 +179,7 @@ class _Training:
         delta = x - self.goal
         tolerance = max(_RELATIVE_TOLERANCE * math.sqrt(delta @ delta), _LEAST_TOLERANCE)
         found = self.solver.newton(weight, x, nearby, tolerance=tolerance)
-        if found.found or self.options.step_control == "tracked":
+        if found.success or self.options.step_control == "tracked":
             # A tracked trial is taken back and made smaller instead, which costs less and keeps to the equilibrium.
             return found
         return self.solver.settled(weight, x, tolerance=tolerance)
@@ -196,7 +196,7 @@ class _Training:
         """The epochs from one projection to the next."""
         options, before = self.options, self.anchor
         self.recorder.cut(before.rows)
-        if not before.equilibrium.found:
+        if not before.equilibrium.success:
             self.anchor = replace(before, reason=StopReason.LOST_EQUILIBRIUM)
             return
         allowed = options.max_epochs
@@ -208,15 +208,15 @@ class _Training:
         state, arrived = before, False
         for _ in range(options.period):
             state, arrived = self._step(state)
-            if not state.equilibrium.found or state.epoch >= allowed:
+            if not state.equilibrium.success or state.epoch >= allowed:
                 break
-        if state.equilibrium.found and options.projection != "none":
+        if state.equilibrium.success and options.projection != "none":
             point = self.manifold.project(state.weight, state.alpha, options.projection, state.point)
             weight = point.weight
             equilibrium = self._find(weight, state.equilibrium.x)
             state = replace(state, weight=weight, alpha=point.alpha, point=point, equilibrium=equilibrium)
         tracked = options.step_control == "tracked"
-        if not state.equilibrium.found or (tracked and self._jump(before, state) > options.max_jump):
+        if not state.equilibrium.success or (tracked and self._jump(before, state) > options.max_jump):
             # Back to the last weights that have the equilibrium; one anchor, so that an interruption finds all of it.
             rate = before.rate * options.shrink if tracked else before.rate
             reason: StopReason | None = StopReason.LOST_EQUILIBRIUM
@@ -256,7 +256,7 @@ class _Training:
         if error > 0.0:
             nearby = self.solver.sensitivity(weight, now)
             if nearby.singular:
-                return replace(state, equilibrium=replace(now, found=False), epoch=state.epoch + 1), False
+                return replace(state, equilibrium=replace(now, success=False), epoch=state.epoch + 1), False
             if options.direction == "gradient":
                 direction = weight_gradient(nearby.solve_transposed(delta), now.output, ratio)
                 if options.loss == "norm":

@@ -87,7 +87,7 @@ def conclude(
         weight = network.weight
     solver = problem.solver()
     found = solver.newton(weight, equilibrium.x, steps=50)
-    error = float(np.abs(found.x - problem.target.ravel()).max()) if found.found else np.inf
+    error = float(np.abs(found.x - problem.target.ravel()).max()) if found.success else np.inf
     if point is not None:
         nearest = manifold.project(weight, point.alpha, "block-wise", point).weight
     else:

@@ -153,7 +153,7 @@ class _Training:
         first = checked = self.epoch
         rate = options.initial_rate
         self.recorder.cut(0)
-        while now.equilibrium.found:
+        while now.equilibrium.success:
             delta = now.equilibrium.x - self.goal
             self.recorder.add(self.epoch, now.equilibrium.x, rate, now.weight)
             nearby = self.solver.sensitivity(now.weight, now.equilibrium)
@@ -191,7 +191,7 @@ class _Training:
     def _followed(self, now: _Iterate, trial: _Iterate, decrease: float) -> bool:
         """Whether the trial has the same equilibrium, moved a little, and the loss fell at least by `decrease`."""
         before, after = now.equilibrium.x, trial.equilibrium.x
-        if not trial.equilibrium.found or np.abs(after - before).max() > self.options.max_jump:
+        if not trial.equilibrium.success or np.abs(after - before).max() > self.options.max_jump:
             return False
         if not self._loss(after) <= self._loss(before) - decrease:
             return False

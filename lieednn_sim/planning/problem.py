@@ -68,7 +68,7 @@ class PlanningProblem:
     @property
     def timestep(self) -> float:
         """Time step of the arm's model, the sampling period of every motion [s]."""
-        return float(self.arm.model.opt.timestep)
+        return self.arm.timestep
 
     def times(self) -> Floats:
         """Sampling times ``(K,)`` from 0 to the duration, rounded to a whole number of time steps [s]."""

@@ -96,7 +96,7 @@ class Follower:
         require_fit(arm, network, certified=True)
         self._arm, self._network, self._steps = arm, network, steps
         self._speed, self._feedforward = as_positive("speed", speed), feedforward
-        self._timestep = float(arm.model.opt.timestep)
+        self._timestep = arm.timestep
         stiffness = network.gamma + network.mu * float(np.linalg.norm(network.weight, 2))
         if self._speed * stiffness * self._timestep > _LARGEST_STEP:
             raise InputError(
@@ -200,8 +200,7 @@ def follow(
         InputError: a value is malformed, the network has no proof, or the target leaves the position limits.
         SimulationError: as `simulate`.
     """
-    timestep = float(arm.model.opt.timestep)
-    period = steps_of_rate("control_rate", control_rate, timestep)
+    period = steps_of_rate("control_rate", control_rate, arm.timestep)
     origin = arm.keyframe("home") if start is None else arm.check_position(start, "start")
     settings: dict[str, Any] = {"steps": period, "speed": speed, "feedforward": feedforward}
     follower: Follower | FeedbackFollower
@@ -277,7 +276,7 @@ def closed_loop(
         InputError: a value is malformed, or the target leaves the position limits.
         SimulationError: as `simulate`.
     """
-    timestep = float(arm.model.opt.timestep)
+    timestep = arm.timestep
     total = count_steps(duration, timestep) + 1
     changes = Disturbances() if disturbances is None else disturbances
     reference = Reference(arm, total)

@@ -42,7 +42,7 @@ class Reference:
 
     def __init__(self, arm: Arm, rows: int, *, hold: int = 1) -> None:
         self._arm, self._model = arm, arm.model
-        self.timestep = float(arm.model.opt.timestep)
+        self.timestep = arm.timestep
         self.hold = hold
         self.known = self.revision = 0
         self._rates = Foreseen(self, self._velocities)
@@ -152,7 +152,7 @@ class PeriodReference:
 
     def __init__(self, arm: Arm, start: Floats, steps: int, safety: FilterOptions | None = None) -> None:
         self._arm, self.q, self.qd = arm, start, np.zeros_like(start)
-        self.period = steps * float(arm.model.opt.timestep)
+        self.period = steps * arm.timestep
         self._guard = None
         if safety is not None:
             self._guard = SafetyFilter(arm, self.period, safety)

@@ -90,7 +90,7 @@ def simulate(
     if disturbances is not None and not isinstance(disturbances, Disturbances):
         raise InputError(f"disturbances must be of type Disturbances, got {type(disturbances).__name__}")
     hold = as_hold(hold)
-    step = float(arm.model.opt.timestep)
+    step = arm.timestep
     if motion.q.shape[1] != arm.n_joints:
         raise InputError(f"the motion has {motion.q.shape[1]} coordinates, arm {arm.name!r} has {arm.n_joints}")
     if not np.isclose(motion.timestep, step, rtol=1e-9):

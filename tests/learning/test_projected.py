@@ -198,12 +198,12 @@ def test_a_network_without_rest_is_given_up():
     """A rotation in the plane of gain 3 has its only equilibrium at zero, and that repels: a limit cycle remains."""
     turning = 3.0 * np.array([[1.0, -1.0], [1.0, 1.0]])
     solver = EquilibriumSolver(np.full(2, 1e-3), 1.0, "tanh")
-    assert not solver.settled(turning, np.array([0.5, 0.0])).found
+    assert not solver.settled(turning, np.array([0.5, 0.0])).success
     still = solver.settled(0.1 * turning, np.array([50.0, -50.0]))
-    assert still.found
+    assert still.success
     np.testing.assert_allclose(still.x, 0.1 * turning @ np.tanh(still.x) + 1e-3, atol=1e-12)
     # Weights beyond all measure: neither a hang nor a false find.
-    assert not solver.settled(1e100 * turning, np.array([0.5, 0.0])).found
+    assert not solver.settled(1e100 * turning, np.array([0.5, 0.0])).success
 
 
 def test_checkpoint_is_written_on_the_way(tmp_path, monkeypatch):

@@ -39,7 +39,7 @@ def stable_case(seed: int, ratio: float, n: int = 3):
     point = random_point(rng, n, 0.05 / ratio)
     solver = EquilibriumSolver(rng.uniform(-0.5, 0.5, (n, 6)) / ratio, ratio, "tanh")
     equilibrium = solver.newton(point.weight, np.zeros(6 * n), steps=50)
-    assert equilibrium.found
+    assert equilibrium.success
     return rng, point, solver, equilibrium
 
 

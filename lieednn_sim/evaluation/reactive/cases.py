@@ -111,7 +111,7 @@ def _task(name: str, scene: str, seed: int) -> Assignment:
     # What the shaped networks' teacher makes of it: all that are shown a motion are shown the same.
     shown = plan(arm, target, planner="lieednn-shaped", seed=seed)
     feedback = Feedback(safety=None if scene == FREE else FilterOptions())
-    steps = round(1.0 / (_RATE * float(arm.model.opt.timestep)))
+    steps = round(1.0 / (_RATE * arm.timestep))
     motion = shown.motion if shown.teacher is None else shown.teacher.motion
     return Assignment(arm, arm.keyframe("home"), target, motion, steps, feedback, seed)
 
@@ -174,26 +174,24 @@ def _disturbed(task: Assignment, disturbance: str, begin: float) -> tuple[Floats
     low, high = arm.position_limits.T
     moved = task.target
     for _ in range(_DRAWS):
-        drawn = task.target + _STEP * (high - low) * rng.uniform(-1.0, 1.0, arm.n_joints)
+        drawn = task.target + _STEP * arm.ranges * rng.uniform(-1.0, 1.0, arm.n_joints)
         drawn = arm.within_angles(np.clip(drawn, low, high))
         if not arm.near_contacts(drawn):
             moved = drawn
             break
-    timestep = float(arm.model.opt.timestep)
-    rows = np.arange(round(_DURATION / timestep) + 1) * timestep < begin
+    rows = np.arange(round(_DURATION / arm.timestep) + 1) * arm.timestep < begin
     return np.where(rows[:, None], task.target, moved), None, begin
 
 
 def _force(task: Assignment, link: int, direction: Floats) -> float:
     """Force on a link [N] that moves a joint of the arm, held at its start, by a tenth of its range."""
     arm = task.arm
-    low, high = arm.position_limits.T
     still = np.repeat(task.start[None], task.steps, axis=0), np.zeros((task.steps, arm.n_joints))
 
     def off(force: float) -> float:
         push = Push(arm.link_names[link], (*(force * direction),), 0.0, _LENGTH)
         rollout, _ = _run(task, lambda *_: still, task.start[None], Disturbances(pushes=(push,)), 2.0 * _LENGTH)
-        return float((np.abs(rollout.q - task.start) / (high - low)).max())
+        return float((np.abs(rollout.q - task.start) / arm.ranges).max())
 
     least, most = 1.0, 2e4
     for _ in range(_HALVINGS):

@@ -88,8 +88,8 @@ class _Joints(ABC):
         self.arm, self._feedback = task.arm, feedback or task.feedback
         self._reference = PeriodReference(task.arm, task.start, task.steps, self._feedback.safety)
         self.period, self.y = self._reference.period, task.start
-        low, high = task.arm.position_limits.T
-        self.low, self.high, self.range = low, high, high - low
+        self.low, self.high = task.arm.position_limits.T
+        self.range = task.arm.ranges
 
     def __call__(self, target: Floats, simulation: Simulation) -> Setpoints:
         off = simulation.measured()[0] - self.y

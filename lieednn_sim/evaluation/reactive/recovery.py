@@ -34,8 +34,7 @@ class Path:
     """The way ``(K, n)`` that an arm goes undisturbed."""
 
     def __init__(self, arm: Arm, q: Floats) -> None:
-        low, high = arm.position_limits.T
-        self._range = high - low
+        self._range = arm.ranges
         length = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(q / self._range, axis=0), axis=1) + 1e-12))
         self._shares = np.linspace(0.0, 1.0, _SAMPLES)
         even = np.interp(self._shares, length / length[-1], np.arange(len(q)))

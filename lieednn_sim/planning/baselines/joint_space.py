@@ -81,14 +81,13 @@ class Workspace:
 
 def joint_scale(arm: Arm) -> Floats:
     """Unit ``(n,)`` of each joint in path lengths: its way in a second at its velocity limit, or its range."""
-    low, high = arm.position_limits.T
-    return np.where(np.isfinite(arm.velocity_limits), arm.velocity_limits, high - low)
+    return np.where(np.isfinite(arm.velocity_limits), arm.velocity_limits, arm.ranges)
 
 
 def sweeps(arm: Arm) -> Floats:
     """How far a unit of each joint ``(n,)`` may move a link frame [m/rad, m/m]: the most at random postures."""
     low, high = arm.position_limits.T
-    step = 1e-3 * (high - low)
+    step = 1e-3 * arm.ranges
     q = np.random.default_rng(0).uniform(low + step, high - step, (_POSTURES, 1, arm.n_joints))
     ahead, behind = (np.asarray(arm.link_poses(q + side * np.diag(step)).translation) for side in (1.0, -1.0))
     moved = np.linalg.norm(ahead - behind, axis=-1).max(axis=(0, 2))

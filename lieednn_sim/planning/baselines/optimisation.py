@@ -118,7 +118,7 @@ class _Descent:
         # Of all with these ends: the quintic polynomial, which the splines contain.
         self.smoothest = -np.linalg.solve(free, squared[self.inner] @ self.ends)
         # Squared jerk of a unit way is 720: with it cost is a squared length, at least a tenth of the joint space's.
-        spread = np.ptp(self.arm.position_limits, axis=1) / self.scale
+        spread = self.arm.ranges / self.scale
         unit = max(float(np.linalg.norm(target - start)), 0.1 * float(np.linalg.norm(spread)))
         self.root = np.linalg.cholesky(free).T / (math.sqrt(720.0) * unit)
         inset = options.inset * spread

@@ -78,5 +78,5 @@ def dmp(problem: PlanningProblem, options: DmpOptions) -> Motion:
 
 def _amplitudes(problem: PlanningProblem, shown: Floats, least: float) -> Floats:
     """Way of each joint ``(n,)`` over its way in the demonstration; zero where that shows nothing."""
-    moves = np.abs(shown) > least * np.ptp(problem.arm.position_limits, axis=1)
+    moves = np.abs(shown) > least * problem.arm.ranges
     return np.where(moves, problem.target - problem.start, 0.0) / np.where(moves, shown, 1.0)

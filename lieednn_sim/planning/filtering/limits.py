@@ -111,7 +111,6 @@ class PositionLimit(Limit):
 
 def finite_rates(arm: Arm) -> tuple[Floats, Floats]:
     """Limits of velocity and acceleration ``(n,)``, finite also where the arm names none."""
-    low, high = arm.position_limits.T
-    velocity = np.where(np.isfinite(arm.velocity_limits), arm.velocity_limits, (high - low) / _RANGE_TIME)
+    velocity = np.where(np.isfinite(arm.velocity_limits), arm.velocity_limits, arm.ranges / _RANGE_TIME)
     named = np.isfinite(arm.acceleration_limits)
     return velocity, np.where(named, arm.acceleration_limits, velocity / _ACCELERATION_TIME)
