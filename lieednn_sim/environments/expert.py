@@ -8,7 +8,7 @@ import numpy as np
 
 from lieednn_sim.environments.base import ArmTask
 from lieednn_sim.environments.tasks import Track
-from lieednn_sim.environments.trajectories import Trajectory, planned
+from lieednn_sim.environments.trajectories import JointTrajectory, planned
 from lieednn_sim.errors import InputError
 from lieednn_sim.planning import OBSTACLE_PLANNER, PLANNERS, require_planner
 from lieednn_sim.validation import as_choice, as_count, as_seed
@@ -50,7 +50,7 @@ class Expert:
         self._candidates = as_count("candidates", candidates)
         self._seed = as_seed("seed", seed)
         self._episode = 0
-        self._plan: Trajectory
+        self._plan: JointTrajectory
 
     def act(self) -> Floats:
         """Action ``(n,)`` for the present time of the environment, of whose task it knows more than is observed.
@@ -67,7 +67,7 @@ class Expert:
         action = (wanted - task.command) / (task.control_timestep * task.arm.velocity_limits)
         return np.clip(action, -1.0, 1.0)
 
-    def _reach(self, task: ArmTask) -> Trajectory:
+    def _reach(self, task: ArmTask) -> JointTrajectory:
         if self._episode != task.episode:
             self._plan = planned(
                 task.arm, task.target(0.0), planner=self._planner, candidates=self._candidates, seed=self._seed

@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.environments.base import ArmTask
-from lieednn_sim.environments.trajectories import Trajectory, band_limited, planned
+from lieednn_sim.environments.trajectories import JointTrajectory, band_limited, planned
 from lieednn_sim.errors import InputError, NoSolutionError, NotCertifiedError, PlanError
 from lieednn_sim.validation import as_choice, as_count
 from lieednn_sim.values import Floats
@@ -110,7 +110,7 @@ class Track(ArmTask):
     def _target_poses(self, step: int) -> RigidTransform:
         return self._poses[step]
 
-    def _draw_plan(self, rng: np.random.Generator) -> Trajectory:
+    def _draw_plan(self, rng: np.random.Generator) -> JointTrajectory:
         refusal = ""
         for _ in range(_ATTEMPTS):
             seed = int(rng.integers(2**32))

@@ -34,7 +34,7 @@ _POSTURES_PER_SECOND = 10
 
 
 @dataclass(frozen=True, eq=False)
-class Trajectory:
+class JointTrajectory:
     """A joint trajectory from t = 0; before it and after its end it rests where it begins and ends.
 
     Attributes:
@@ -44,7 +44,7 @@ class Trajectory:
     spline: CubicHermiteSpline
 
     @classmethod
-    def of(cls, t: Floats, q: Floats, qd: Floats) -> Trajectory:
+    def of(cls, t: Floats, q: Floats, qd: Floats) -> JointTrajectory:
         """Through samples ``(K,)``, ``(K, n)``, ``(K, n)`` of time, position and velocity."""
         return cls(CubicHermiteSpline(t, q, qd))
 
@@ -71,7 +71,7 @@ def planned(
     planner: str | None = None,
     candidates: int = 2,
     seed: int = 0,
-) -> Trajectory:
+) -> JointTrajectory:
     """A planned motion, as fast as 90 % of the velocity and acceleration limits allow on its path.
 
     Args:
@@ -95,8 +95,8 @@ def planned(
         motion = plan(arm, target, planner=planner, start=start, duration=_PLANNING_DURATION, seed=seed).motion
     pace = _pace(arm, motion.t, motion.qd, _PLAN_SHARE)
     if not pace > 0.0:
-        return Trajectory.of(motion.t, motion.q, motion.qd)
-    return Trajectory.of(motion.t * pace, motion.q, motion.qd / pace)
+        return JointTrajectory.of(motion.t, motion.q, motion.qd)
+    return JointTrajectory.of(motion.t * pace, motion.q, motion.qd / pace)
 
 
 def _patient_plan(arm: Arm, target: ArrayLike, start: ArrayLike | None, candidates: int, seed: int) -> Motion:
@@ -113,7 +113,7 @@ def _patient_plan(arm: Arm, target: ArrayLike, start: ArrayLike | None, candidat
     return drawn(16 * candidates)
 
 
-def band_limited(arm: Arm, rng: np.random.Generator, duration: float) -> Trajectory:
+def band_limited(arm: Arm, rng: np.random.Generator, duration: float) -> JointTrajectory:
     """A random trajectory that starts at rest at ``home`` and keeps the limits free of contact.
 
     q(t) = home + r(t) (m + h u(t) - home), elementwise, where u is a sum of sines of 0.1 to 0.5 Hz with random
@@ -135,7 +135,7 @@ def band_limited(arm: Arm, rng: np.random.Generator, duration: float) -> Traject
     raise NoSolutionError(f"no random trajectory of arm {arm.name!r} is free of contact; use another scene or seed")
 
 
-def _draw(arm: Arm, rng: np.random.Generator, home: Floats, total: float, spread: float) -> Trajectory:
+def _draw(arm: Arm, rng: np.random.Generator, home: Floats, total: float, spread: float) -> JointTrajectory:
     n = len(home)
     low, high = arm.position_limits.T.copy()
     for ball in arm.space.balls:
@@ -156,7 +156,7 @@ def _draw(arm: Arm, rng: np.random.Generator, home: Floats, total: float, spread
     rise, slope = (values[:, None] for values in minimum_jerk_law(np.minimum(t / onset, 1.0)))
     q, qd = home + rise * wave, slope / onset * wave + rise * wave_rate
     slowdown = max(1.0, _pace(arm, t, qd, _RANDOM_SHARE))
-    return Trajectory.of(t * slowdown, q, qd / slowdown)
+    return JointTrajectory.of(t * slowdown, q, qd / slowdown)
 
 
 def _pace(arm: Arm, t: Floats, qd: Floats, share: float) -> float:

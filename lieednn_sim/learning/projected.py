@@ -77,7 +77,7 @@ def train(
         raise InputError(f"options must be TrainingOptions, got {type(chosen).__name__}; see train_riemannian")
     size = problem.target.size
     first = None if initial_weight is None else as_floats("initial_weight", initial_weight, (size, size))
-    training = _Training(problem, chosen)
+    training = _ProjectedTraining(problem, chosen)
     with one_blas_thread():
         training.begin(0, weight=first)
         return training.run(checkpoint, progress)
@@ -90,13 +90,13 @@ def resume(checkpoint: str | os.PathLike[str], *, progress: Progress | None = No
         FileError: the file cannot be read or is no checkpoint.
     """
     problem, options, anchor, recorder, seconds = checkpoints.load(checkpoint)
-    training = _Training(problem, options)
+    training = _ProjectedTraining(problem, options)
     training.anchor, training.recorder, training.seconds = anchor, recorder, seconds
     with one_blas_thread():
         return training.run(checkpoint, progress)
 
 
-class _Training:
+class _ProjectedTraining:
     def __init__(self, problem: TrainingProblem, options: TrainingOptions) -> None:
         self.problem, self.options = problem, options
         self.manifold, self.solver = problem.manifold(), problem.solver()

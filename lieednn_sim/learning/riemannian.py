@@ -88,7 +88,7 @@ def train_riemannian(
     if not isinstance(chosen, RiemannianOptions):
         raise InputError(f"options must be RiemannianOptions, got {type(chosen).__name__}; see train for the others")
     with one_blas_thread():
-        return _Training(problem, chosen, progress).run()
+        return _RiemannianTraining(problem, chosen, progress).run()
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,7 @@ class _Iterate:
     log_scale: Floats
 
 
-class _Training:
+class _RiemannianTraining:
     def __init__(self, problem: TrainingProblem, options: RiemannianOptions, progress: Progress | None) -> None:
         self.problem, self.options, self.progress = problem, options, progress
         self.manifold, self.solver = problem.manifold(), problem.solver()

@@ -49,7 +49,7 @@ def minimise_by_centres(weight: Floats, group_size: int, start: Floats) -> Float
     magnitude = float(np.linalg.norm(scale(weight, np.repeat(start, group_size)), 2))
     if magnitude == 0.0 or len(start) == 1:
         return start
-    search = _Search(weight / magnitude, group_size)
+    search = _CentreSearch(weight / magnitude, group_size)
     entries = np.exp(2.0 * start)
     level = search.largest(entries) + _FIRST_GAP
     try:
@@ -66,7 +66,7 @@ def minimise_by_centres(weight: Floats, group_size: int, start: Floats) -> Float
     return 0.5 * np.log(search.best)
 
 
-class _Search:
+class _CentreSearch:
     """The best diagonal met, and the steps of the search."""
 
     def __init__(self, weight: Floats, group_size: int) -> None:

@@ -122,14 +122,14 @@ def test_interrupted_training_goes_on_with_resume(tmp_path, capsys, monkeypatch)
     arguments = ["train", "--target", "extended", "--algorithm", "repaired", "--period", "8", "--output"]
     assert main([*arguments, str(straight)]) == 0
     steps = itertools.count()
-    original = projected._Training._step
+    original = projected._ProjectedTraining._step
 
     def stopping(self, state):
         if next(steps) == 101:
             raise KeyboardInterrupt
         return original(self, state)
 
-    monkeypatch.setattr(projected._Training, "_step", stopping)
+    monkeypatch.setattr(projected._ProjectedTraining, "_step", stopping)
     assert main([*arguments, str(broken)]) == 130
     monkeypatch.undo()
     printed = capsys.readouterr().out

@@ -163,7 +163,7 @@ def test_interrupted_training_resumes_to_the_same_result(tmp_path, monkeypatch, 
     goal, path = target(seed), tmp_path / "training.npz"
     whole = uninterrupted(options, seed)
     steps = 0
-    original = projected._Training._step
+    original = projected._ProjectedTraining._step
 
     def failing(self, state):
         nonlocal steps
@@ -172,7 +172,7 @@ def test_interrupted_training_resumes_to_the_same_result(tmp_path, monkeypatch, 
             raise KeyboardInterrupt
         return original(self, state)
 
-    monkeypatch.setattr(projected._Training, "_step", failing)
+    monkeypatch.setattr(projected._ProjectedTraining, "_step", failing)
     with pytest.raises(KeyboardInterrupt):
         train(goal, options, seed=seed, checkpoint=path)
     monkeypatch.undo()

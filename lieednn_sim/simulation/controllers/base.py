@@ -58,7 +58,7 @@ class Controller(ABC):
         return ()
 
 
-class Servo(Controller):
+class DriveController(Controller):
     """What controllers with joint drives share: the arm's own drives, as they are."""
 
     def __init__(self, arm: Arm, reference: Reference) -> None:
@@ -66,7 +66,7 @@ class Servo(Controller):
         self._reference = reference
 
 
-class FeedforwardServo(Servo):
+class FeedforwardServo(DriveController):
     """A servo whose controls follow from the reference alone, but for what the sensors get wrong.
 
     Raises:
@@ -139,7 +139,7 @@ class InverseDynamicsServo(FeedforwardServo):
         return self._actuators.servo_controls(qpos, velocity, forces)
 
 
-class ComputedTorque(Servo):
+class ComputedTorque(DriveController):
     """Torque drives with feedback linearisation: tau = ID(q, qd, a_ref + 2 w (v_ref - qd) + w^2 (q_ref - q)).
 
     The plant's actuators become direct drives with the same force limits; w is 2 pi 10 Hz. The difference of positions
