@@ -30,16 +30,21 @@ def write_summary(path: str | os.PathLike[str], table: Table, missing: Mapping[s
     lines = ["# Planners and controllers compared", "", method(table), ""]
     if missing:
         lines += ["## Not compared", "", *(f"- {name}: {reason}" for name, reason in sorted(missing.items())), ""]
-    lines += ["## Motions", "", *_head(["arm", "scene", "planner", "made", "stability"], of_motion)]
+    lines += ["## Motions", "", *table_head(["arm", "scene", "planner", "made", "stability"], of_motion)]
     for group in grouped(rows, ("arm", "scene", "planner")):
         own = motions(group.rows)
         made = f"{sum(row.planned for row in own)} of {len(own)}"
-        lines.append(_line([*group.key, made, group.verdict(), *_medians(group, of_motion)]))
-    lines += ["", "## Tracking", "", *_head(["arm", "scene", "planner", "controller", "success", "95 %"], of_rollout)]
+        lines.append(table_line([*group.key, made, group.verdict(), *_medians(group, of_motion)]))
+    lines += [
+        "",
+        "## Tracking",
+        "",
+        *table_head(["arm", "scene", "planner", "controller", "success", "95 %"], of_rollout),
+    ]
     for group in grouped(rows, ("arm", "scene", "planner", "controller")):
         low, high = group.interval
         cells = [*group.key, f"{group.successes} of {group.total}", f"{low:.0%} to {high:.0%}"]
-        lines.append(_line([*cells, *_medians(group, of_rollout)]))
+        lines.append(table_line([*cells, *_medians(group, of_rollout)]))
     lines += ["", "## Failures", ""]
     for failure in failures(rows):
         counts = ", ".join(f"{name} {count}" for name, count in failure.counts)
@@ -72,10 +77,12 @@ def _medians(group: Group, columns: Sequence[Column]) -> list[str]:
     return ["-" if value is None else f"{value:.3g}" for value in found]
 
 
-def _head(names: Sequence[str], columns: Sequence[Column]) -> list[str]:
+def table_head(names: Sequence[str], columns: Sequence[Column]) -> list[str]:
+    """The first two lines of a table in Markdown: names, then the headings of columns."""
     cells = [*names, *(column.heading for column in columns)]
-    return [_line(cells), "|" + " --- |" * len(cells)]
+    return [table_line(cells), "|" + " --- |" * len(cells)]
 
 
-def _line(cells: Sequence[str]) -> str:
+def table_line(cells: Sequence[str]) -> str:
+    """A line of a table in Markdown."""
     return "| " + " | ".join(cells) + " |"

@@ -154,7 +154,7 @@ class _ProjectedTraining:
             raise
         last = self.anchor
         self.recorder.cut(last.rows)
-        self._record(last.epoch, last.weight, last.equilibrium, last.rate)
+        self.recorder.add(last.epoch, last.equilibrium.x, last.rate, last.weight)
         return conclude(
             self.problem,
             last.weight,
@@ -189,9 +189,6 @@ class _ProjectedTraining:
         left = last.start < self.options.restarts and last.epoch < self.options.max_epochs
         return left and last.reason is not StopReason.CONVERGED
 
-    def _record(self, epoch: int, weight: Floats, equilibrium: FlatEquilibrium, rate: float) -> None:
-        self.recorder.add(epoch, equilibrium.x, rate, weight)
-
     def _advance(self) -> None:
         """The epochs from one projection to the next."""
         options, before = self.options, self.anchor
@@ -216,7 +213,11 @@ class _ProjectedTraining:
             equilibrium = self._find(weight, state.equilibrium.x)
             state = replace(state, weight=weight, alpha=point.alpha, point=point, equilibrium=equilibrium)
         tracked = options.step_control == "tracked"
-        if not state.equilibrium.success or (tracked and self._jump(before, state) > options.max_jump):
+
+        def jump() -> float:
+            return float(np.abs(state.equilibrium.x - before.equilibrium.x).max())
+
+        if not state.equilibrium.success or (tracked and jump() > options.max_jump):
             # Back to the last weights that have the equilibrium; one anchor, so that an interruption finds all of it.
             rate = before.rate * options.shrink if tracked else before.rate
             reason: StopReason | None = StopReason.LOST_EQUILIBRIUM
@@ -235,9 +236,6 @@ class _ProjectedTraining:
             state = replace(state, reason=StopReason.CONVERGED)
         self.anchor = state
 
-    def _jump(self, before: TrainingState, after: TrainingState) -> float:
-        return float(np.abs(after.equilibrium.x - before.equilibrium.x).max())
-
     def _step(self, state: TrainingState) -> tuple[TrainingState, bool]:
         """One epoch of Algorithm 1 without the projection; whether its stop test passed as printed."""
         check_time()
@@ -249,7 +247,7 @@ class _ProjectedTraining:
         if options.step_control == "adaptive":
             factor = options.grow if error < state.error else options.shrink
             rate = min(max(rate * factor, options.min_rate), options.max_rate)
-        self._record(state.epoch, state.weight, now, rate)
+        self.recorder.add(state.epoch, now.x, rate, state.weight)
         # The length is at most sqrt(n) times the largest coordinate, so this is looked at only when it can be.
         arrived = error < options.tolerance * math.sqrt(delta.size) and bool(np.abs(delta).max() < options.tolerance)
         weight, alpha, nearby = state.weight, state.alpha, None
@@ -269,19 +267,8 @@ class _ProjectedTraining:
                 if options.direction == "gauss-newton":
                     change /= np.einsum("ijab,ijab->ij", state.point.adjoints, state.point.adjoints)
                 alpha = alpha - rate * change
-        equilibrium = self._find(weight, now.x, nearby)
-        return (
-            TrainingState(
-                weight,
-                alpha,
-                state.point,
-                equilibrium,
-                rate,
-                error,
-                state.epoch + 1,
-                len(self.recorder),
-                state.start,
-                state.start_epoch,
-            ),
-            arrived,
+        found, epoch, rows = self._find(weight, now.x, nearby), state.epoch + 1, len(self.recorder)
+        after = TrainingState(
+            weight, alpha, state.point, found, rate, error, epoch, rows, state.start, state.start_epoch
         )
+        return after, arrived

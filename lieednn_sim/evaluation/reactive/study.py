@@ -14,6 +14,7 @@ from lieednn_sim import storage
 from lieednn_sim.evaluation.reactive.cases import DISTURBANCES, MEASURED, Reaction, run_reactions
 from lieednn_sim.evaluation.reactive.leaders import LEADERS
 from lieednn_sim.evaluation.study import complete
+from lieednn_sim.evaluation.summary import table_head, table_line
 from lieednn_sim.evaluation.table import Rows
 from lieednn_sim.validation import as_count
 
@@ -125,7 +126,6 @@ def write_reactions(path: str | os.PathLike[str], table: ReactionTable) -> None:
     """Write the summary in Markdown: arrival, contact, and medians over arms and seeds."""
     rows = table.sorted_rows()
     arms, seeds = sorted({row.arm for row in rows}), len({row.seed for row in rows})
-    heads = ["scene", "disturbance", "leader", "arrived", "touched", "back", *(column.heading for column in MEASURED)]
     lines = [
         "# Planners that react, disturbed",
         "",
@@ -134,12 +134,12 @@ def write_reactions(path: str | os.PathLike[str], table: ReactionTable) -> None:
         f"Arms: {', '.join(arms)}; {seeds} seeds; medians.",
         "",
     ]
-    lines += ["| " + " | ".join(heads) + " |", "|" + " --- |" * len(heads)]
+    lines += table_head(["scene", "disturbance", "leader", "arrived", "touched", "back"], MEASURED)
     for group in groups(rows):
         counts = [f"{group.arrived} of {group.total}", str(group.touched)]
         counts.append(str(group.back) if group.key[1] in ("push", "payload") else "-")
         cells = ["-" if value is None else f"{value:.3g}" for value in group.medians]
-        lines.append("| " + " | ".join([*group.key, *counts, *cells]) + " |")
+        lines.append(table_line([*group.key, *counts, *cells]))
     failed = [row for row in rows if row.reason.startswith(("problem", "plan", "simulation"))]
     lines += ["", "## Could not be run", ""] if failed else []
     lines += [
