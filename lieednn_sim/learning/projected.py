@@ -213,11 +213,8 @@ class _ProjectedTraining:
             equilibrium = self._find(weight, state.equilibrium.x)
             state = replace(state, weight=weight, alpha=point.alpha, point=point, equilibrium=equilibrium)
         tracked = options.step_control == "tracked"
-
-        def jump() -> float:
-            return float(np.abs(state.equilibrium.x - before.equilibrium.x).max())
-
-        if not state.equilibrium.success or (tracked and jump() > options.max_jump):
+        lost = not state.equilibrium.success
+        if lost or (tracked and np.abs(state.equilibrium.x - before.equilibrium.x).max() > options.max_jump):
             # Back to the last weights that have the equilibrium; one anchor, so that an interruption finds all of it.
             rate = before.rate * options.shrink if tracked else before.rate
             reason: StopReason | None = StopReason.LOST_EQUILIBRIUM
