@@ -137,7 +137,7 @@ def synthesize(
             yield _assemble(problem, point, still, offset, gamma, mu, activation).retarget(target)
             return
         for weight in _POLISH_WEIGHTS:
-            polished, translation, _ = polish(problem, point, state, required, quaternion_weight=weight)
+            polished, translation = polish(problem, point, state, required, quaternion_weight=weight)
             yield _assemble(problem, polished, translation, offset, gamma, mu, activation)
 
     if not solved:

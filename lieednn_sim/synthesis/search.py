@@ -13,24 +13,18 @@ from lieednn_sim.values import Floats
 
 # Equations need only be met this well by the searches: the polish then takes quadratic steps.
 _ROUGH = 1e-2
+# Of the fast search: weight of the equations against the eigenvalues, and steps.
+_EQUATION_WEIGHT, _MOST_STEPS = 3.0, 40
 # Bounds that keep S W S^-1 computable; only targets at the very edge of what can be certified come near them.
 _LOG_SCALE_BOUND = 8.0
 # Of the quaternions in the patient search, tried in turn: most targets have moderate weights, few need large ones.
 QUATERNION_BOUNDS = (3.0, 60.0)
 
 
-def feasible_point(
-    problem: Problem,
-    start: Floats,
-    *,
-    aim: float,
-    accept: float,
-    max_iterations: int = 40,
-    equation_weight: float = 3.0,
-) -> tuple[Point | None, int]:
+def feasible_point(problem: Problem, start: Floats, *, aim: float, accept: float) -> tuple[Point | None, int]:
     """Levenberg-Marquardt on the distance to feasibility.
 
-    Minimises equation_weight^2 |W_R u - c|^2 + ||(A - aim I)_+||_F^2 with A = sym(S W_R S^-1): the squared distance
+    Minimises w^2 |W_R u - c|^2 + ||(A - aim I)_+||_F^2 with A = sym(S W_R S^-1), w = 3: the squared distance
     of A to the cone {A <= aim I} is differentiable, and its Gauss-Newton matrix uses the derivative of the projection
     onto that cone (Malick and Sendov, Set-Valued Analysis 14, 2006).
 
@@ -46,12 +40,12 @@ def feasible_point(
     n_quaternion = problem.n_quaternion
     point = problem.evaluate(start)
     damping = 1e-2
-    for iteration in range(max_iterations):
+    for iteration in range(_MOST_STEPS):
         check_time()
         if point.values[-1] < accept and np.abs(point.residual).max() < _ROUGH:
             return point, iteration
-        value = _merit(point, aim, equation_weight)
-        gradient, normal = _normal_equations(problem, point, aim, equation_weight)
+        value = _merit(point, aim)
+        gradient, normal = _normal_equations(problem, point, aim)
         while True:
             damped = normal.copy()
             damped[np.diag_indices_from(damped)] += damping
@@ -61,7 +55,7 @@ def feasible_point(
             unknowns[n_quaternion:] = np.clip(unknowns[n_quaternion:], -_LOG_SCALE_BOUND, _LOG_SCALE_BOUND)
             trial = problem.evaluate(unknowns)
             predicted = -(gradient @ step + 0.5 * step @ normal @ step)
-            ratio = (value - _merit(trial, aim, equation_weight)) / max(predicted, 1e-300)
+            ratio = (value - _merit(trial, aim)) / max(predicted, 1e-300)
             if ratio > 1e-3:
                 point = trial
                 if ratio > 0.75:
@@ -72,19 +66,19 @@ def feasible_point(
             damping *= 4.0
             if damping > 1e6:
                 return None, iteration
-    return None, max_iterations
+    return None, _MOST_STEPS
 
 
-def _merit(point: Point, aim: float, equation_weight: float) -> float:
+def _merit(point: Point, aim: float) -> float:
     excess = np.maximum(point.values - aim, 0.0)
-    residual = equation_weight * point.residual.ravel()
+    residual = _EQUATION_WEIGHT * point.residual.ravel()
     return 0.5 * float(residual @ residual + excess @ excess)
 
 
-def _normal_equations(problem: Problem, point: Point, aim: float, equation_weight: float) -> tuple[Floats, Floats]:
+def _normal_equations(problem: Problem, point: Point, aim: float) -> tuple[Floats, Floats]:
     """Gradient of `_merit` and its Gauss-Newton matrix."""
-    rows = equation_weight * problem.full_jacobian(problem.equation_jacobian(point))
-    gradient = rows.T @ (equation_weight * point.residual.ravel())
+    rows = _EQUATION_WEIGHT * problem.full_jacobian(problem.equation_jacobian(point))
+    gradient = rows.T @ (_EQUATION_WEIGHT * point.residual.ravel())
     normal = rows.T @ rows
     excess = np.maximum(point.values - aim, 0.0)
     first = problem.size - int(np.count_nonzero(excess))
@@ -103,7 +97,7 @@ def _normal_equations(problem: Problem, point: Point, aim: float, equation_weigh
 
 
 def smallest_eigenvalue_point(
-    problem: Problem, start: Floats, *, accept: float, quaternion_bound: float, max_iterations: int = 400
+    problem: Problem, start: Floats, *, accept: float, quaternion_bound: float
 ) -> tuple[Point | None, int]:
     """Minimise a smoothed lambda_max under the equations by sequential quadratic programming (SciPy's SLSQP).
 
@@ -128,7 +122,7 @@ def smallest_eigenvalue_point(
             method="SLSQP",
             bounds=bounds,
             constraints={"type": "eq", "fun": problem.flat_residual, "jac": problem.flat_jacobian},
-            options={"maxiter": max_iterations, "ftol": 1e-6},
+            options={"maxiter": 400, "ftol": 1e-6},
         )
         iterations += found.nit
         if not np.isfinite(found.x).all():
@@ -142,7 +136,7 @@ def smallest_eigenvalue_point(
 
 def polish(
     problem: Problem, point: Point, state: Floats, required: Floats, *, quaternion_weight: float = 0.05
-) -> tuple[Point, Floats, float]:
+) -> tuple[Point, Floats]:
     """Meet all 6N equilibrium equations by Gauss-Newton steps of least norm in quaternions and translations.
 
     Quaternions are weighted down, so that translations do the work where they can and the certificate hardly moves;
@@ -156,7 +150,7 @@ def polish(
         quaternion_weight: length of a unit quaternion step in the norm, against a unit translation.
 
     Returns:
-        The point, the translations ``(N, N, 3)`` and the largest residual.
+        The point and the translations ``(N, N, 3)``.
     """
     n = problem.n_neurons
     translation = np.zeros((n, n, 3))
@@ -186,4 +180,4 @@ def polish(
         unknowns[: problem.n_quaternion] += fraction * turn.ravel()
         translation = translation + fraction * step[..., 4:]
         point = problem.evaluate(unknowns)
-    return best
+    return best[:2]
