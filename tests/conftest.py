@@ -6,6 +6,7 @@ No test depends on how fast the machine is: those that interrupt a process wait 
 from __future__ import annotations
 
 import contextlib
+import gc
 import os
 import shutil
 import signal
@@ -30,6 +31,10 @@ if TYPE_CHECKING:
     from lieednn_sim.network import LieEDNN
 
     Floats = NDArray[np.float64]
+
+# Where bytecode is not kept, every process that a test starts compiles the package anew, and every worker the tests.
+sys.dont_write_bytecode = False
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 # NumPy's BLAS reads this when it loads. One thread: the test workers share the cores, and results don't depend on them.
 for _variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
@@ -128,6 +133,12 @@ settings.register_profile("lieednn", max_examples=50, deadline=None, derandomize
 # For `pytest tests/test_fuzz.py --hypothesis-profile=fuzz`: new examples every time, until something is found.
 settings.register_profile("fuzz", deadline=None, max_examples=1_000_000, print_blob=True)
 settings.load_profile("lieednn")
+
+
+def pytest_collection_finish() -> None:
+    """What was imported and collected stays: the garbage collector need not look through it again and again."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.hookimpl(tryfirst=True)

@@ -69,7 +69,7 @@ def test_a_pushed_arm_takes_its_state_along_and_comes_back(gantry, run):
 
 
 def test_joints_gather_speed_within_their_limits(gantry, run):
-    reference = run(Feedback(), speed=20.0).rollout.qd_ref
+    reference = run(Feedback(), speed=20.0, duration=2.0).rollout.qd_ref
     ends = reference[::2]
     assert (np.abs(ends) <= gantry.velocity_limits * 1.002).all()
     gained = np.diff(np.abs(ends), axis=0)
@@ -78,8 +78,8 @@ def test_joints_gather_speed_within_their_limits(gantry, run):
 
 
 def test_a_target_that_moves_is_followed_without_lag(run):
-    moving = GOAL + np.linspace(0.0, 0.3, 601)[:, None] * [1.0, 1.0, 0.0, 1.0]
-    ahead, behind = (run(Feedback(), target=moving, feedforward=flag).rollout.q_ref[-1] for flag in (True, False))
+    moving = GOAL + np.linspace(0.0, 0.2, 401)[:, None] * [1.0, 1.0, 0.0, 1.0]
+    ahead, behind = (run(Feedback(), target=moving, duration=4.0, feedforward=flag).rollout.q_ref[-1] for flag in (True, False))
     np.testing.assert_allclose(ahead, moving[-1], atol=2e-3)
     assert np.abs(behind - moving[-1]).max() > 0.01
 
@@ -95,7 +95,7 @@ def test_the_filter_keeps_the_ball_off_the_floor(gantry, run):
 
 def test_runs_are_bit_identical(run):
     changes = Disturbances(pushes=PUSH.pushes, position_noise=1e-4, seed=3)
-    one, two = (run(Feedback(safety=FilterOptions()), changes) for _ in range(2))
+    one, two = (run(Feedback(safety=FilterOptions()), changes, duration=1.0) for _ in range(2))
     np.testing.assert_array_equal(one.rollout.q, two.rollout.q)
     np.testing.assert_array_equal(one.xi, two.xi)
 
