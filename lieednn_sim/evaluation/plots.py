@@ -55,7 +55,7 @@ def plot_network(rollout: Rollout, path: str | os.PathLike[str], *, network: Blo
     below = 0.5 * bool(hidden) + 1.4 * -(-hidden // (_HIDDEN_IN_ROW * blocks))
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(10.0 * blocks, 1.2 + 1.7 * rows + below))
-        axes = _subplots(figure, rows, 2 * blocks, sharey="col", below=below)
+        axes = _subplots(figure, motion.t, rows, 2 * blocks, sharey="col", below=below)
         for i in range(rows * blocks):
             pair = axes[i % rows, 2 * (i // rows) : 2 * (i // rows) + 2]
             for axis, (title, unit, first, scale) in zip(pair, columns, strict=True):
@@ -92,7 +92,7 @@ def _plot_hidden(figure: Figure, height: float, motion: Motion, network: BlockNe
     states = network.trajectory(network.start(motion.xi[0]), duration)(motion.tau)
     sent = network.phi(states[:, first:])
     rows = -(-network.n_hidden // columns)
-    axes = _subplots(figure, rows, columns, sharey=True, above=figure.get_figheight() - height - 0.35)
+    axes = _subplots(figure, motion.t, rows, columns, sharey=True, above=figure.get_figheight() - height - 0.35)
     for i, axis in enumerate(axes.ravel()):
         if i >= network.n_hidden:
             axis.set_visible(False)
@@ -122,7 +122,7 @@ def plot_tracking(rollout: Rollout, path: str | os.PathLike[str]) -> None:
     )
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(10.0, 6.0))
-        axes = _subplots(figure, 2, 2)
+        axes = _subplots(figure, rollout.t, 2, 2)
         for (upper, lower), (what, unit, errors, distance, settled) in zip(axes.T, columns, strict=True):
             for name, error in zip(arm.link_names, errors.T, strict=True):
                 upper.plot(rollout.t, error, label=name)
@@ -157,6 +157,7 @@ def plot_tracking(rollout: Rollout, path: str | os.PathLike[str]) -> None:
 
 def _subplots(
     figure: Figure,
+    t: Floats,
     rows: int,
     columns: int,
     *,
@@ -165,15 +166,16 @@ def _subplots(
     above: float = 0.0,
     below: float = 0.0,
 ) -> Any:
-    """Axes ``(rows, columns)`` under a legend, in margins given in inches; ``gap`` [inch] is between rows.
+    """Axes ``(rows, columns)`` over the times t under a legend, in margins given in inches.
 
-    Room [inch] for other axes is left above and below.
+    ``gap`` [inch] is between rows. Room [inch] for other axes is left above and below.
 
-    With so many axes an automatic layout takes longer than the drawing.
+    With so many axes an automatic layout takes longer than the drawing, and so does the search for their common range
+    after every line.
     """
     width, height = figure.get_size_inches()
     left, right, bottom, top = _LABEL, 0.12, 0.5 + below, 0.65 + above
-    return figure.subplots(
+    axes = figure.subplots(
         rows,
         columns,
         sharex=True,
@@ -189,6 +191,9 @@ def _subplots(
             "hspace": rows * gap / (height - bottom - top - (rows - 1) * gap),
         },
     )
+    margin = matplotlib.rcParams["axes.xmargin"] * (t[-1] - t[0])
+    axes[0, 0].set_xlim(t[0] - margin, t[-1] + margin)
+    return axes
 
 
 def _label(axis: Any, unit: str, title: str = "", **font: Any) -> None:
@@ -217,7 +222,7 @@ def plot_joints(rollout: Rollout, path: str | os.PathLike[str]) -> None:
     rows = -(-arm.n_joints // blocks)
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(14.0 * blocks, 1.3 + 1.25 * rows))
-        axes = _subplots(figure, rows, 4 * blocks, gap=0.2)
+        axes = _subplots(figure, rollout.t, rows, 4 * blocks, gap=0.2)
         for block in range(blocks):
             joints = range(block * rows, min((block + 1) * rows, arm.n_joints))
             _plot_joints(axes[:, 4 * block : 4 * block + 4], rollout, joints)

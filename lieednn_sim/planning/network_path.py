@@ -70,8 +70,10 @@ class NetworkPath:
         # Far from the equilibrium the pace is gamma's, close to it the slowest eigenvalue's.
         pace = max(-equilibrium.spectral_abscissa, 1e-3 * network.gamma)
         longest = 100.0 / network.gamma + 40.0 / pace
+        arrived = False
         # The integrator's error, a share of the states, may keep it from a target with large entries: then a finer one.
-        for rtol, atol in ((1e-8, 1e-10), (1e-10, 1e-10)):
+        # What does not attract needs none.
+        for rtol, atol in ((1e-8, 1e-10), (1e-10, 1e-10)) if equilibrium.spectral_abscissa < 0.0 else ():
             trajectory = network.trajectory(origin, longest, until=target, distance=RESIDUAL, rtol=rtol, atol=atol)
             arrived = np.abs(network.visible(trajectory.xi[-1] - target)).max() <= 2.0 * RESIDUAL
             if arrived:

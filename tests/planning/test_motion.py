@@ -12,7 +12,7 @@ from lieednn_sim.arm import Arm, import_arm
 from lieednn_sim.errors import FileError, InputError, PlanError, TooFastError
 from lieednn_sim.lie import exp
 from lieednn_sim.network import LieEDNN
-from lieednn_sim.planning import CertifiedOptions, certified, plan
+from lieednn_sim.planning import CertifiedOptions, certified, network_path, plan
 from lieednn_sim.planning.laws import minimum_jerk_law
 from lieednn_sim.planning.motion import Motion, check_motion, count_steps
 from lieednn_sim.planning.network_path import RESIDUAL, _invert, make_motion
@@ -194,12 +194,16 @@ def test_bad_input(arm, network):
         make_motion(arm, small, home, 1.0, 0.002)
 
 
-def test_a_network_that_does_not_arrive_is_refused(arm):
+def test_a_network_that_does_not_arrive_is_refused(arm, network, monkeypatch):
     n = arm.n_links
     rotation = np.broadcast_to(np.eye(3), (n, n, 3, 3))
     rising = LieEDNN(alpha=4.0 * np.eye(n), rotation=rotation, translation=np.zeros((n, n, 3)), bias=np.zeros((n, 6)))
     with pytest.raises(PlanError, match=r"does not arrive|cannot be used"):
         make_motion(arm, rising, arm.keyframe("home"), 1.0, 0.002)
+    # Nothing comes as close as this in the time there is.
+    monkeypatch.setattr(network_path, "RESIDUAL", 1e-30)
+    with pytest.raises(PlanError, match=r"does not arrive at its equilibrium from this start, or too slowly"):
+        make_motion(arm, network, arm.keyframe("home"), 1.0, 0.002)
 
 
 def test_save_and_load(motion, tmp_path):
