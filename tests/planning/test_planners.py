@@ -32,7 +32,6 @@ from lieednn_sim.planning.baselines import smoothing
 from lieednn_sim.planning.motion import Motion, check_motion
 
 
-
 def sampled_every(timestep: float) -> Arm:
     """The arm in a simulation of other steps: motions of fewer samples are planned in less time."""
     fine = Arm.load("telescopic_pr")

@@ -79,7 +79,9 @@ def test_joints_gather_speed_within_their_limits(gantry, run):
 
 def test_a_target_that_moves_is_followed_without_lag(run):
     moving = GOAL + np.linspace(0.0, 0.2, 401)[:, None] * [1.0, 1.0, 0.0, 1.0]
-    ahead, behind = (run(Feedback(), target=moving, duration=4.0, feedforward=flag).rollout.q_ref[-1] for flag in (True, False))
+    ahead, behind = (
+        run(Feedback(), target=moving, duration=4.0, feedforward=flag).rollout.q_ref[-1] for flag in (True, False)
+    )
     np.testing.assert_allclose(ahead, moving[-1], atol=2e-3)
     assert np.abs(behind - moving[-1]).max() > 0.01
 

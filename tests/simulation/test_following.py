@@ -117,7 +117,9 @@ def test_what_comes_later_is_not_known_and_runs_are_bit_identical(arm, network):
     steady = np.array([ramp(arm, 0.1)(0.002 * k) for k in range(151)])
     other = steady.copy()
     other[101:] += 0.01
-    changes = Disturbances(pushes=(Push("end effector", (20.0, 0.0, 0.0), 0.05, 0.1),), position_noise=1e-5, payload=1.0)
+    changes = Disturbances(
+        pushes=(Push("end effector", (20.0, 0.0, 0.0), 0.05, 0.1),), position_noise=1e-5, payload=1.0
+    )
     one, two, three = (follow(arm, network, samples, 0.3, disturbances=changes) for samples in (steady, steady, other))
     np.testing.assert_array_equal(one.rollout.q, two.rollout.q)
     np.testing.assert_array_equal(one.rollout.ctrl[:105], three.rollout.ctrl[:105])
