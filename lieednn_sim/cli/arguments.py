@@ -13,7 +13,7 @@ from lieednn_sim.arm import Arm, solve_ik
 from lieednn_sim.arm.importer import ImportOptions
 from lieednn_sim.arm.models import MODEL_SUFFIXES, chosen
 from lieednn_sim.arm.targets import draw_target
-from lieednn_sim.cli.numerals import decimal
+from lieednn_sim.cli.options import decimal
 from lieednn_sim.cli.task import Task
 from lieednn_sim.errors import InputError
 from lieednn_sim.planning.motion import count_steps

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from lieednn_sim.arm import Arm
 from lieednn_sim.cli import main
 from lieednn_sim.cli.arguments import joint_position, numbers, push, size
-from lieednn_sim.cli.numerals import decimal, decimal_or_inf, whole
+from lieednn_sim.cli.options import decimal, decimal_or_inf, whole
 from lieednn_sim.errors import InputError
 from lieednn_sim.evaluation import Case
 
