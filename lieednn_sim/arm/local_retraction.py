@@ -7,14 +7,12 @@ MuJoCo's own kinematics gives poses and Jacobians in compiled code.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg.lapack import dposv
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.arm import Arm
 from lieednn_sim.lie import hat
-
-Floats = NDArray[np.float64]
+from lieednn_sim.values import Floats
 
 # Steps are taken until one is shorter than this [rad, m], whose square is what is left, and at most so many.
 _SHORT, _MOST = 1e-3, 8

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.forces import dry_friction, resting_load, servo_gains
 from lieednn_sim.simulation import Rollout
 from lieednn_sim.simulation.disturbances import tangent_basis
-
-Floats = NDArray[np.float64]
+from lieednn_sim.values import Floats
 
 # What would hold a joint off by less than this share of its error does not explain it.
 _SHARE = 0.25

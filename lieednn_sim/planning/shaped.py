@@ -13,7 +13,6 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from lieednn_sim.arm import Arm
@@ -29,8 +28,7 @@ from lieednn_sim.planning.network_planners import without_weights
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.problem import Plan, PlanningProblem, in_time
 from lieednn_sim.synthesis import ShapingOptions, shape
-
-Floats = NDArray[np.float64]
+from lieednn_sim.values import Floats
 
 # From one guess: where it fails a path of RRT-Connect is a better one than any that is drawn.
 # It keeps a little from the joints' limits, which a network that is a little off it would break.

@@ -29,7 +29,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
@@ -40,8 +40,7 @@ from lieednn_sim.planning.filtering import FilterOptions
 from lieednn_sim.planning.network_path import require_fit
 from lieednn_sim.simulation.reference import PeriodReference
 from lieednn_sim.validation import as_floats, as_positive
-
-Floats = NDArray[np.float64]
+from lieednn_sim.values import Floats
 
 # The clock never stands still: without it the network would not arrive.
 _SLOWEST = 0.01

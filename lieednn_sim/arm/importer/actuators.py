@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.forces import constant_moments, force_ranges
@@ -21,8 +20,8 @@ from lieednn_sim.arm.importer.servos import (
     reduced_inertia,
 )
 from lieednn_sim.arm.importer.softening import soften
+from lieednn_sim.values import Floats
 
-Floats = NDArray[np.float64]
 _EXPLICIT = (int(mujoco.mjtIntegrator.mjINT_EULER), int(mujoco.mjtIntegrator.mjINT_RK4))
 _NATURAL_FREQUENCY = 20.0  # of a designed servo [Hz]
 _HALVINGS = 6  # of the timestep at most

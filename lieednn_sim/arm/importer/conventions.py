@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.importer.draft import Draft
 from lieednn_sim.arm.importer.loading import unused
 from lieednn_sim.arm.importer.serial_chain import Frame
 
-Floats = NDArray[np.float64]
 _SITE = mujoco.mjtObj.mjOBJ_SITE
 _LEAST_INERTIA = 1e-6  # of the largest moment of a body, or [kg m^2]
 

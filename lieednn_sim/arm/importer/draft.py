@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from lieednn_sim._mujoco import mujoco
@@ -15,8 +14,8 @@ from lieednn_sim.arm.importer.report import ImportReport
 from lieednn_sim.arm.importer.serial_chain import Frame
 from lieednn_sim.arm.importer.servos import Actuation, Dof, Servo
 from lieednn_sim.arm.importer.stages import Couplings
+from lieednn_sim.values import Floats
 
-Floats = NDArray[np.float64]
 _BALL = int(mujoco.mjtJoint.mjJNT_BALL)
 
 

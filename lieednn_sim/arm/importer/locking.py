@@ -13,8 +13,8 @@ from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.importer.draft import Draft
 from lieednn_sim.arm.importer.stages import tendon_joints
 from lieednn_sim.errors import InputError
+from lieednn_sim.values import Floats
 
-Floats = NDArray[np.float64]
 _EQ, _OBJ = mujoco.mjtEq, mujoco.mjtObj
 
 

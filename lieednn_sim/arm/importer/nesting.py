@@ -11,15 +11,14 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.contacts import ContactFinder
 from lieednn_sim.arm.importer.draft import Draft
 from lieednn_sim.arm.importer.loading import unused
 from lieednn_sim.arm.importer.postures import MARGIN, place_home
+from lieednn_sim.values import Floats
 
-Floats = NDArray[np.float64]
 # Two ids, the smaller one first: of geoms or of bodies.
 _Pair = tuple[int, int]
 _Distances = Mapping[_Pair, float]

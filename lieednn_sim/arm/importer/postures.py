@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.importer.draft import Draft
 from lieednn_sim.arm.importer.loading import compile_spec
+from lieednn_sim.values import Floats
 
-Floats = NDArray[np.float64]
 _SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
 MARGIN = 0.05  # of its range that a keyframe keeps off each limit
 _SAMPLES = 64

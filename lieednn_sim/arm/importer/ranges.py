@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.importer.stages import Couplings
 from lieednn_sim.errors import InputError
+from lieednn_sim.values import Floats
 
-Floats = NDArray[np.float64]
 _BALL, _SLIDE = int(mujoco.mjtJoint.mjJNT_BALL), int(mujoco.mjtJoint.mjJNT_SLIDE)
 _WIDEST = 0.99 * np.pi  # the logarithm of a rotation is unique below pi
 _DEFAULT = 0.95 * np.pi  # of a hinge or ball joint without a range

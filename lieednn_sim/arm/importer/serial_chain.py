@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.importer.stages import Couplings, tendon_joints, tied_joints
 from lieednn_sim.errors import InputError
+from lieednn_sim.values import Floats
 
-Floats = NDArray[np.float64]
 _FREE, _BALL, _SLIDE, _HINGE = (int(getattr(mujoco.mjtJoint, f"mjJNT_{k}")) for k in ("FREE", "BALL", "SLIDE", "HINGE"))
 _SINGULAR = 1e-3  # smallest relative singular value with which the screws of a compound joint count as independent
 _FINGER = re.compile(r"jaw|finger|fngr|claw|pincer", re.IGNORECASE)

@@ -6,11 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import mujoco
-
-Floats = NDArray[np.float64]
+from lieednn_sim.values import Floats
 
 
 @dataclass(frozen=True, eq=False)

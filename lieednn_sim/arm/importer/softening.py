@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.importer.servos import Dof, Servo, gain_parameters
+from lieednn_sim.values import Floats
 
-Floats = NDArray[np.float64]
 # How fast motions of tied stages shall decay [1/s], and the factors by which their servos are slowed down for that.
 _DECAY, _SOFTER = 10.0, 0.8 ** np.arange(13)
 

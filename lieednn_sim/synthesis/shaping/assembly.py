@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.synthesis.shaping.cascade import CLOCK_START, Parameters
-
-Floats = NDArray[np.float64]
+from lieednn_sim.values import Floats
 
 # What a layer receives from the next one may add this much to lambda_max, in S-scaled weights.
 _SHARE = 0.02

@@ -15,13 +15,10 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from lieednn_sim.synthesis.problem import QUATERNION_FORM
-from lieednn_sim.values import frozen
-
-Floats = NDArray[np.float64]
+from lieednn_sim.values import Floats, frozen
 
 # State of the clock at time 0: below it tanh is nearly linear, above it is slow to begin.
 CLOCK_START = 0.5

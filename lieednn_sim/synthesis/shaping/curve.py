@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
 from lieednn_sim.errors import InputError
-from lieednn_sim.values import frozen
-
-Floats = NDArray[np.float64]
+from lieednn_sim.values import Floats, frozen
 
 # Rows of a table: curves of two metres are then known to a millimetre along, and to micrometres across.
 _ROWS = 2048

@@ -10,15 +10,12 @@ arXiv:1201.5885), without which sums of soft switches need ten times as many.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
 from lieednn_sim.budget import check_time
 from lieednn_sim.synthesis.shaping.cascade import Cascade, Parameters
 from lieednn_sim.synthesis.shaping.curve import Curve
-from lieednn_sim.values import frozen
-
-Floats = NDArray[np.float64]
+from lieednn_sim.values import Floats, frozen
 
 # What is off along the curve counts this share; the time law comes later.
 _TANGENT = 0.05
