@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -51,7 +52,7 @@ def evaluate(path: Path, kind: str, starts: int) -> dict[str, Any]:
         "extent_mm": 1e3 * demonstrations.extent,
         "hidden_neurons": shaped.network.n_hidden,
         "certified": shaped.network.certified,
-        "models": [row.as_dict() for row in rows],
+        "models": [asdict(row) for row in rows],
     }
 
 

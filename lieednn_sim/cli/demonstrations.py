@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -91,5 +92,5 @@ def _report(
         # The law of time: at t [s] the network is at tau of its own time.
         "t_s": shaped.t.tolist(),
         "tau": shaped.tau.tolist(),
-        "models": [row.as_dict() for row in rows],
+        "models": [asdict(row) for row in rows],
     }

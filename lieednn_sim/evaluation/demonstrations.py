@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields, replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -58,10 +58,6 @@ class ModelRow:
     training: PathErrors
     left_out: PathErrors | None
     attraction: Attraction
-
-    def as_dict(self) -> dict[str, Any]:
-        """Values by name, as JSON can hold them."""
-        return asdict(self)
 
 
 def reproduction(model: MotionModel, demonstrations: Demonstrations, start: Floats) -> Floats:

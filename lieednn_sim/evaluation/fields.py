@@ -65,7 +65,7 @@ def attraction(model: MotionModel, demonstrations: Demonstrations, starts: Float
     batches = [starts[k : k + _BATCH] for k in range(0, len(starts), _BATCH)]
     before, ends = (
         np.concatenate([displacement(model.reproduce(batch, t)[:, 1:]) for batch in batches])
-        * ([demonstrations.lever] * 3 + [1.0] * 3)
+        * demonstrations.scale
         / demonstrations.extent
     ).swapaxes(0, 1)
     arrived = np.linalg.norm(ends, axis=1) < ARRIVED

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from dataclasses import fields
+from dataclasses import asdict, fields
 from typing import Any
 
 import numpy as np
@@ -81,7 +81,7 @@ def save(
         **{f"history_{name}": value for name, value in recorder.history().arrays().items()},
     }
     meta = {
-        "options": options.as_dict(),
+        "options": asdict(options),
         "group": None if problem.group is None else catalogue_name(problem.group),
         "seed": problem.seed,
         "rates": problem.rates,

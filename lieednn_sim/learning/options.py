@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 from lieednn_sim.errors import InputError
@@ -132,10 +132,6 @@ class TrainingOptions:
                 **changes,
             }
         )
-
-    def as_dict(self) -> dict[str, Any]:
-        """Values by name, as JSON can hold them."""
-        return asdict(self)
 
 
 # A gradient step beyond it leaves the range of floating point before it is taken back.

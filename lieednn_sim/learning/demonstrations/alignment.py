@@ -50,6 +50,11 @@ class Demonstrations:
         """Mean duration [s]."""
         return float(self.t[-1])
 
+    @property
+    def scale(self) -> Floats:
+        """Metres ``(6,)`` that a unit of each coordinate counts for."""
+        return np.array([self.lever] * 3 + [1.0] * 3)
+
     @cached_property
     def mean(self) -> Floats:
         """Mean twists ``(K, 6)``: the motion to reproduce."""
@@ -120,6 +125,11 @@ def align(
     place = np.mean([one.position[-1] for one in demonstrations], axis=0)
     goal = RigidTransform.from_components(place, ends.mean())
     return Demonstrations(goal, np.mean(times, axis=0), np.stack(twists), demonstrations[0].freedoms, lever)
+
+
+def shown_part(freedoms: int) -> slice:
+    """Which of a twist's six entries were shown, by their number."""
+    return slice(0, 6) if freedoms == 6 else slice(3, 3 + freedoms)
 
 
 def displacement(twists: Floats) -> Floats:

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from lieednn_sim.budget import check_time
-from lieednn_sim.learning.demonstrations.alignment import Demonstrations, displacement, twist_of
+from lieednn_sim.learning.demonstrations.alignment import Demonstrations, displacement, shown_part, twist_of
 from lieednn_sim.learning.demonstrations.models import DECAY, at_times, even_grid
 from lieednn_sim.lie import exp
 from lieednn_sim.values import Floats, frozen
@@ -58,7 +58,7 @@ class MovementPrimitive:
         itself: no recorded motion is differentiated.
         """
         freedoms, duration = demonstrations.freedoms, demonstrations.duration
-        shown = slice(0, 6) if freedoms == 6 else slice(3, 3 + freedoms)
+        shown = shown_part(freedoms)
         n_basis = max(2, round(n_parameters / freedoms))
         grid = np.arange(0.0, 1.0 + 0.5 * STEP, STEP)
         wanted = displacement(at_times(demonstrations.twists, demonstrations.t / duration, grid))

@@ -65,8 +65,7 @@ class ShapedMotion:
         """
         chosen = ShapingOptions() if options is None else options
         asked = DEVIATION * demonstrations.extent if deviation is None else as_positive("deviation", deviation)
-        units = np.array([demonstrations.lever] * 3 + [1.0] * 3)
-        shaping = shape(demonstrations.mean[:, None], asked, units=units, options=chosen, seed=seed)
+        shaping = shape(demonstrations.mean[:, None], asked, units=demonstrations.scale, options=chosen, seed=seed)
         times = np.array([0.0, demonstrations.duration])
         ends = np.array([0.0, _SPAN / chosen.rate])
         made = cls(shaping.network, chosen.rate, times, ends, demonstrations.freedoms, shaping)
@@ -102,10 +101,8 @@ class ShapedMotion:
     def _beside(self, demonstrations: Demonstrations) -> Floats:
         """Times ``(K,)`` of the network's own at which it is beside the mean demonstration's phases."""
         tau = _grid(_SPAN / self.rate, self.rate)
-        scale = [demonstrations.lever] * 3 + [1.0] * 3
-        shown, found = (
-            displacement(path) * scale for path in (demonstrations.mean, self._run(demonstrations.mean[:1], tau)[0])
-        )
+        paths = demonstrations.mean, self._run(demonstrations.mean[:1], tau)[0]
+        shown, found = (displacement(path) * demonstrations.scale for path in paths)
         phase, index = warp(shown, found).pairs.T
         # The middle of all that a phase is matched with; the last is at rest.
         beside = np.bincount(phase, tau[index]) / np.bincount(phase)

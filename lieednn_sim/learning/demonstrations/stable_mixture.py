@@ -15,7 +15,7 @@ from scipy.cluster.vq import kmeans2
 from scipy.optimize import least_squares
 
 from lieednn_sim._blas import one_blas_thread
-from lieednn_sim.learning.demonstrations.alignment import Demonstrations
+from lieednn_sim.learning.demonstrations.alignment import Demonstrations, shown_part
 from lieednn_sim.learning.demonstrations.models import even_grid, run_field
 from lieednn_sim.values import Floats, frozen
 
@@ -64,7 +64,7 @@ class StableMixture:
         if d == 6:
             units[:3] = extent / demonstrations.lever
         chosen = np.unique(np.linspace(0, len(demonstrations.t) - 1, _SAMPLES[d]).astype(int))
-        states = demonstrations.twists[..., _shown(d)] / units
+        states = demonstrations.twists[..., shown_part(d)] / units
         rates = np.gradient(states, demonstrations.t / demonstrations.duration, axis=1)[:, chosen].reshape(-1, d)
         states = states[:, chosen].reshape(-1, d)
         components = max(1, round((n_parameters - d * (d + 1) // 2 + 1) / (1 + d + d * (d + 1) // 2 + d * d)))
@@ -81,7 +81,7 @@ class StableMixture:
 
     def reproduce(self, start: Floats, t: Floats) -> Floats:
         """As `MotionModel.reproduce`."""
-        shown = _shown(len(self.units))
+        shown = shown_part(len(self.units))
         twists = np.zeros((start[..., 0].size, len(t), 6))
         first = start.reshape(-1, 6)[:, shown] / self.units
         times = t / self.duration
@@ -92,10 +92,6 @@ class StableMixture:
         """Velocities ``(n, d)`` per duration at scaled states ``(n, d)``."""
         gamma = _posterior(x, self.prior, self.mean, self.factor)
         return (gamma.T[..., None] * (x @ self.laws.swapaxes(1, 2))).sum(axis=0)
-
-
-def _shown(freedoms: int) -> slice:
-    return slice(0, 6) if freedoms == 6 else slice(3, 3 + freedoms)
 
 
 def _posterior(x: Floats, prior: Floats, mean: Floats, factor: Floats) -> Floats:
