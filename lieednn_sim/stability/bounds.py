@@ -27,8 +27,6 @@ _EPS = float(np.finfo(float).eps)
 # Part of the terms on a face by which the search lets the field point inward, so that rounding cannot undo it.
 _INWARD = 1e-9
 _MAX_ITERATIONS = 200_000
-# Only an unbounded phi lets a box grow so far.
-_LARGEST = LARGEST
 
 
 def is_invariant(
@@ -114,14 +112,15 @@ def invariant_box(
         # Grow until the field points inward by half of `inward` at least; each step aims for all of it.
         if (outward_low <= -0.5 * inward).all() and (outward_high <= -0.5 * inward).all():
             break
-        if max(np.abs(low).max(), np.abs(high).max()) > _LARGEST:
+        # Only an unbounded phi lets a box grow so far.
+        if max(np.abs(low).max(), np.abs(high).max()) > LARGEST:
             break
         low = low - np.maximum(outward_low + inward, 0.0) / steepest
         high = high + np.maximum(outward_high + inward, 0.0) / steepest
-    bounded = max(np.abs(low).max(), np.abs(high).max()) <= _LARGEST
+    bounded = max(np.abs(low).max(), np.abs(high).max()) <= LARGEST
     if not (bounded and is_invariant(matrix, shift, low, high, phi, gamma=gamma, mu=mu)):
         raise NoSolutionError(
-            f"no invariant box found: it still grows after {_MAX_ITERATIONS} steps or beyond {_LARGEST:g}; "
+            f"no invariant box found: it still grows after {_MAX_ITERATIONS} steps or beyond {LARGEST:g}; "
             "is phi bounded?"
         )
     return low, high
