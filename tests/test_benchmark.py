@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 
 import benchmark
 import numpy as np
 import pytest
 
 from lieednn_sim.arm import Arm, arm_names
+from lieednn_sim.planning import plan
+from lieednn_sim.simulation import simulate
 
 
-def test_every_row_is_measured_and_written(tmp_path):
+def test_every_row_is_measured_and_written(tmp_path, monkeypatch):
+    # What is measured takes as little time as may be.
+    monkeypatch.setattr(benchmark, "plan", partial(plan, duration=1.5))
+    monkeypatch.setattr(benchmark, "simulate", partial(simulate, hold=0.0))
     table = benchmark.write(tmp_path, 1000).read_text(encoding="utf-8")
     written = json.loads((tmp_path / "benchmark.json").read_text(encoding="utf-8"))
     rows = written["synthesis"]

@@ -129,9 +129,10 @@ def test_interrupted_training_goes_on_with_resume(tmp_path, capsys, monkeypatch)
             raise KeyboardInterrupt
         return original(self, state)
 
-    monkeypatch.setattr(projected._ProjectedTraining, "_step", stopping)
-    assert main([*arguments, str(broken)]) == 130
-    monkeypatch.undo()
+    # The plots' own patch stays.
+    with monkeypatch.context() as patch:
+        patch.setattr(projected._ProjectedTraining, "_step", stopping)
+        assert main([*arguments, str(broken)]) == 130
     printed = capsys.readouterr().out
     assert f"train --resume {broken}" in printed
     assert "\na push of size 1 throws the state at most" in printed

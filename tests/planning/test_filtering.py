@@ -71,7 +71,7 @@ def test_a_free_way_is_left_alone():
 def test_a_blocked_run_names_what_blocks_it_and_penetrates_nothing():
     target = draw_target(POLES, 0)
     network = synthesize(POLES.encode(target), bias="sign-matched", bias_magnitude=0.5).unwrap()
-    run = run_filtered(POLES, network, POLES.keyframe("home"), 4.0)
+    run = run_filtered(POLES, network, POLES.keyframe("home"), 2.5)
     assert not run.success
     assert any("obstacle_pole" in name for name in run.blocked_by)
     assert run.blocked_by[0] in run.message
@@ -110,8 +110,8 @@ def test_postures_on_the_way_are_passed_and_the_network_arrives_all_the_same():
     assert (np.diff(run.clock) >= 0.0).all()
     assert run.clock[-1] <= run.reference.t[-1] + 1e-9
     np.testing.assert_allclose(run.reference.xi[-1], FREE.encode(target), atol=1e-6)
-    alone = run_filtered(FREE, network, home, 4.0, via=np.zeros((0, FREE.n_joints)))
-    np.testing.assert_array_equal(alone.q, run_filtered(FREE, network, home, 4.0).q)
+    alone = run_filtered(FREE, network, home, 1.0, via=np.zeros((0, FREE.n_joints)))
+    np.testing.assert_array_equal(alone.q, run_filtered(FREE, network, home, 1.0).q)
     with pytest.raises(InputError, match=r"via must have shape \(V, 8\), got \(2\)"):
         run_filtered(FREE, network, home, 4.0, via=[0.0, 1.0])
 
@@ -177,7 +177,7 @@ def test_a_hopeless_problem_says_what_blocks(monkeypatch):
     monkeypatch.setattr(filtered, "optional_module", lambda _: None)
     monkeypatch.setattr(sampling, "connecting_path", lambda *_: None)
     target = draw_target(POLES, 0)
-    for name, options in (("filtered", FilteredOptions(candidates=2)), ("guided", GuidedOptions(candidates=2))):
+    for name, options in (("filtered", FilteredOptions(candidates=1)), ("guided", GuidedOptions(candidates=1))):
         with pytest.raises(
             PlanError, match=r"no run through the filter arrived; .*the clearance of '.*' from 'obstacle_pole"
         ):
