@@ -43,11 +43,6 @@ class JointTrajectory:
 
     spline: CubicHermiteSpline
 
-    @classmethod
-    def of(cls, t: Floats, q: Floats, qd: Floats) -> JointTrajectory:
-        """Through samples ``(K,)``, ``(K, n)``, ``(K, n)`` of time, position and velocity."""
-        return cls(CubicHermiteSpline(t, q, qd))
-
     @property
     def duration(self) -> float:
         """[s]."""
@@ -95,8 +90,8 @@ def planned(
         motion = plan(arm, target, planner=planner, start=start, duration=_PLANNING_DURATION, seed=seed).motion
     pace = _pace(arm, motion.t, motion.qd, _PLAN_SHARE)
     if not pace > 0.0:
-        return JointTrajectory.of(motion.t, motion.q, motion.qd)
-    return JointTrajectory.of(motion.t * pace, motion.q, motion.qd / pace)
+        return JointTrajectory(CubicHermiteSpline(motion.t, motion.q, motion.qd))
+    return JointTrajectory(CubicHermiteSpline(motion.t * pace, motion.q, motion.qd / pace))
 
 
 def _patient_plan(arm: Arm, target: ArrayLike, start: ArrayLike | None, candidates: int, seed: int) -> Motion:
@@ -156,7 +151,7 @@ def _draw(arm: Arm, rng: np.random.Generator, home: Floats, total: float, spread
     rise, slope = (values[:, None] for values in minimum_jerk_law(np.minimum(t / onset, 1.0)))
     q, qd = home + rise * wave, slope / onset * wave + rise * wave_rate
     slowdown = max(1.0, _pace(arm, t, qd, _RANDOM_SHARE))
-    return JointTrajectory.of(t * slowdown, q, qd / slowdown)
+    return JointTrajectory(CubicHermiteSpline(t * slowdown, q, qd / slowdown))
 
 
 def _pace(arm: Arm, t: Floats, qd: Floats, share: float) -> float:

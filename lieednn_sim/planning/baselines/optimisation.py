@@ -156,9 +156,13 @@ class _Descent:
 
     def positions(self, x: Floats) -> Floats:
         """Joint positions ``(K, n)`` at the instants."""
+        return np.asarray(self.scale * (self.weighed[0] @ self._control(x)))
+
+    def _control(self, x: Floats) -> Floats:
+        """All control points over the joints' scale ``(F + 6, n)``, of the free ones, flat."""
         control = self.ends.copy()
         control[self.inner] = x.reshape(-1, self.arm.n_joints)
-        return np.asarray(self.scale * (self.weighed[0] @ control))
+        return control
 
     def minimise(self, x: Floats, weight: float) -> Floats:
         """The local optimum ``(F n,)`` near ``x``."""
@@ -178,9 +182,7 @@ class _Descent:
 
     def terms(self, x: Floats, weight: float) -> tuple[Floats, Floats]:
         """Terms whose squares are summed, and their Jacobian ``(terms, F n)``."""
-        n = self.arm.n_joints
-        control = self.ends.copy()
-        control[self.inner] = x.reshape(-1, n)
+        n, control = self.arm.n_joints, self._control(x)
         smooth = (self.root @ (control[self.inner] - self.smoothest)).ravel()
         values, rows = [smooth], [np.kron(self.root, np.eye(n))]
         factor = math.sqrt(weight / self.options.instants)
@@ -197,8 +199,7 @@ class _Descent:
 
     def motion(self, x: Floats) -> Motion:
         """The checked motion of control points ``(F n,)``."""
-        control = self.ends.copy()
-        control[self.inner] = x.reshape(-1, self.arm.n_joints)
+        control = self._control(x)
         q, qd = (self.scale * (table @ control) for table in self.sampled)
         t = self.problem.times()
         return joint_motion(self.problem, q, qd, minimum_jerk_law(t / t[-1])[0])
