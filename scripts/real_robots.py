@@ -1,21 +1,23 @@
 """Import robots that nobody here wrote, plan to random targets, and follow the plans: one line a robot.
 
-    python scripts/real_robots.py FOLDER [--robots NAME,...] [--targets 10] [--output results/robots]
+    python scripts/real_robots.py FOLDER... [--robots NAME,...] [--targets 10] [--output results/robots]
 
-FOLDER holds the models, such as a checkout of MuJoCo Menagerie; those of `ROBOTS` that are not there are left out, and
-`--robots` takes any other file in it. One JSON file a robot, so that an interrupted run goes on where it was, and all
-of them in `robots.md`.
+The folders hold the models, such as checkouts of MuJoCo Menagerie and of ROS packages; those of `ROBOTS` that are in
+none are left out, and `--robots` takes any other files. One JSON file a robot, so that an interrupted run goes on where
+it was, and all of them in `robots.md`. Seconds are CPU time.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import re
 import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from robot_reports import wrong_in_report
 
 from lieednn_sim import storage
 from lieednn_sim._mujoco import mujoco
@@ -24,12 +26,12 @@ from lieednn_sim.arm.contacts import ContactFinder
 from lieednn_sim.arm.importer.loading import load_spec
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.errors import LieEDNNError
-from lieednn_sim.evaluation.metrics import SETTLED_ROTATION, SETTLED_TRANSLATION, evaluate
+from lieednn_sim.evaluation.metrics import Evaluation, evaluate
 from lieednn_sim.planning import plan
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.simulation import simulate
 
-# Of MuJoCo Menagerie; with the base of one arm where there are two.
+# Of MuJoCo Menagerie, then URDFs with meshes of ROS packages; with the base or links of one arm where there are two.
 ROBOTS: dict[str, dict[str, Any]] = {
     "franka_emika_panda/panda.xml": {},
     "franka_fr3/fr3.xml": {},
@@ -54,6 +56,20 @@ ROBOTS: dict[str, dict[str, Any]] = {
     "agilex_piper/piper.xml": {},
     "arx_l5/arx_l5.xml": {},
     "low_cost_robot_arm/low_cost_robot_arm.xml": {},
+    # Of Gepetto's example-robot-data.
+    "panda_description/urdf/panda.urdf": {},
+    "ur_description/urdf/ur10_robot.urdf": {},
+    "tiago_description/robots/tiago.urdf": {},
+    "tiago_pro_description/robots/tiago_pro.urdf": {"links": [f"arm_left_{k}_link" for k in range(1, 8)]},
+    "talos_data/robots/talos_full_v2.urdf": {"links": [f"arm_left_{k}_link" for k in range(1, 8)]},
+    "talos_data/robots/talos_left_arm.urdf": {},
+    "bravo7_description/urdf/bravo7_gripper.urdf": {},
+    "kinova_description/robots/kinova.urdf": {},
+    # Made by xacro, of the packages of Franka and Universal Robots.
+    "franka_description/fr3.urdf": {},
+    "ur_description/ur10e.urdf": {},
+    # Of VAMP.
+    "fetch/fetch.urdf": {},
 }
 PLANNERS = ("lieednn-certified", "minimum-jerk")
 CONTROLLERS = ("position-servo", "inverse-dynamics")
@@ -63,7 +79,7 @@ _POSTURES = 100  # at which the forward map is compared
 
 def try_robot(file: Path, options: dict[str, Any], targets: int) -> dict[str, Any]:
     """What comes of one robot, as a row of the table with what is behind it."""
-    begun = time.perf_counter()
+    begun = time.process_time()
     row: dict[str, Any] = {"robot": f"{file.parent.name}/{file.stem}"}
     try:
         arm = Arm.load(file, **options)
@@ -71,10 +87,12 @@ def try_robot(file: Path, options: dict[str, Any], targets: int) -> dict[str, An
         return row | {"failures": [f"load: {error}"]}
     assert arm.import_report is not None
     original = _Original(arm, file)
-    row |= {"links": arm.n_links, "joints": arm.n_joints, "load_s": time.perf_counter() - begun}
-    row |= {"forward_map_m": original.forward_error(), "report": str(arm.import_report).splitlines()}
+    row |= {"links": arm.n_links, "joints": arm.n_joints, "load_s": time.process_time() - begun}
+    report = str(arm.import_report).splitlines()
+    row |= {"forward_map_m": original.forward_error(), "report": report, "wrong": original.wrong(file)}
     made: dict[str, list[float]] = {planner: [] for planner in PLANNERS}
-    arrived, failures = dict.fromkeys(CONTROLLERS, 0), []
+    arrived, failures = dict.fromkeys(CONTROLLERS, 0), list[str]()
+    unexplained: list[str] = []
     deepest = 0.0
     for seed in range(targets):
         try:
@@ -87,6 +105,7 @@ def try_robot(file: Path, options: dict[str, Any], targets: int) -> dict[str, An
                 found = plan(arm, target, planner=planner, seed=seed)
             except LieEDNNError as error:
                 failures.append(f"{planner} {seed}: {error}")
+                unexplained += _unexplained_plan(f"{planner} {seed}", str(error), report)
                 continue
             made[planner].append(found.cpu_time)
             deepest = max(deepest, original.penetration(found.motion))
@@ -94,19 +113,44 @@ def try_robot(file: Path, options: dict[str, Any], targets: int) -> dict[str, An
                 continue
             for controller in CONTROLLERS:
                 try:
-                    frame = evaluate(simulate(arm, found, controller=controller), clearance=False).end_effector
+                    evaluation = evaluate(simulate(arm, found, controller=controller), clearance=False)
                 except LieEDNNError as error:
                     failures.append(f"{controller} {seed}: {error}")
+                    unexplained.append(failures[-1])
                     continue
-                close = frame.final_mm <= 1e3 * SETTLED_TRANSLATION
-                if close and frame.final_deg <= np.rad2deg(SETTLED_ROTATION):
+                if not evaluation.shortfall:
                     arrived[controller] += 1
                 else:
-                    failures.append(f"{controller} {seed}: {frame.final_mm:.3g} mm, {frame.final_deg:.3g} degrees off")
+                    failures.append(f"{controller} {seed}: {evaluation.shortfall}; {'; '.join(evaluation.causes[:2])}")
+                    unexplained += _unexplained_error(f"{controller} {seed}", evaluation, report)
     row |= {f"plans {planner}": len(times) for planner, times in made.items()}
     row |= {f"planning_s {planner}": float(np.median(times)) if times else None for planner, times in made.items()}
-    row |= {"targets": targets, "penetration_mm": 1e3 * deepest, "failures": failures, **arrived}
-    return row | {"seconds": time.perf_counter() - begun}
+    row |= {"targets": targets, "penetration_mm": 1e3 * deepest, "failures": failures, "unexplained": unexplained}
+    row |= arrived
+    return row | {"seconds": time.process_time() - begun}
+
+
+def _unexplained_plan(name: str, failure: str, report: list[str]) -> list[str]:
+    """What the report before planning does not say of a plan that failed: which bodies are in each other's way."""
+    pair = re.search(r"'([^']+)' would come within 2 mm of '([^']+)'", failure)
+    if pair is None:
+        return [f"{name}: {failure}"]
+    ways = [line for line in report if "straight ways from home" in line]
+    known = any({*pair.groups()} == {*both} for line in ways for both in re.findall(r"'([^']+)' and '([^']+)'", line))
+    return [] if known else [f"{name}: {pair.group()}"]
+
+
+def _unexplained_error(name: str, evaluation: Evaluation, report: list[str]) -> list[str]:
+    """What it does not say of an arm that does not arrive: which joint is held by friction, a load or a slow servo."""
+    told = [line.removeprefix("note: ") for line in report]
+    words = {"dry friction": "dry friction", "load of": "sags", "slow": "slow", "force limit": "force"}
+    lines = []
+    for cause in evaluation.causes:
+        joint = re.match(r"joint '([^']+)' ends", cause)
+        kinds = [kind for said, kind in words.items() if said in cause]
+        if joint and not any(line.startswith(f"{joint[1]}: ") and kind in line for kind in kinds for line in told):
+            lines.append(f"{name}: {cause}")
+    return lines if evaluation.causes else [f"{name}: {evaluation.shortfall}"]
 
 
 class _Original:
@@ -114,7 +158,12 @@ class _Original:
 
     def __init__(self, arm: Arm, file: Path) -> None:
         self._arm = arm
-        self._model = load_spec(file).compile()
+        spec = load_spec(file)
+        for body in spec.bodies:
+            # Of no account here, and in many a URDF such that MuJoCo refuses them.
+            if np.isfinite(body.fullinertia).all():
+                body.fullinertia = [1.0, 1.0, 1.0, 0.0, 0.0, 0.0]
+        self._model = spec.compile()
         self._finder = ContactFinder(self._model)
         report = arm.import_report
         assert report is not None
@@ -144,6 +193,10 @@ class _Original:
             worst = max(worst, float(np.abs(away).max()))
         return worst
 
+    def wrong(self, file: Path) -> list[str]:
+        """What the report says wrongly."""
+        return wrong_in_report(self._arm, self._model, self._qpos, file)
+
     def penetration(self, motion: Motion) -> float:
         """How deep the arm is in anything in the original model on the way, but for what the report ignores [m]."""
         deepest = 0.0
@@ -163,22 +216,33 @@ class _Original:
 
 def as_markdown(rows: list[dict[str, Any]], folder: str) -> str:
     """The table, and what the reports said before planning of each robot with a failure."""
-    heads = ["robot", "links", "joints", "forward map [m]", *PLANNERS, *CONTROLLERS, "deepest [mm]", "seconds"]
+    heads = ["robot", "links", "joints", "report right", "forward map [m]", *PLANNERS, *CONTROLLERS]
+    heads += ["deepest [mm]", "times minimum jerk's", "failures not in the report", "seconds"]
     lines = [f"Models: {folder}", "", f"| {' | '.join(heads)} |", "| --- |" + " ---: |" * (len(heads) - 1)]
     for row in rows:
         if "links" not in row:
             lines.append(f"| {row['robot']} | not loaded |" + " |" * (len(heads) - 2))
             continue
         counts = [f"{row[name]} of {row['targets']}" for name in (*(f"plans {p}" for p in PLANNERS), *CONTROLLERS)]
-        cells = [row["robot"], row["links"], row["joints"], f"{row['forward_map_m']:.1e}", *counts]
-        lines.append(f"| {' | '.join(map(str, cells))} | {row['penetration_mm']:.2g} | {row['seconds']:.0f} |")
+        right = "yes" if not row["wrong"] else f"{len(row['wrong'])} wrong"
+        cells = [row["robot"], row["links"], row["joints"], right, f"{row['forward_map_m']:.1e}", *counts]
+        times = [row[f"planning_s {planner}"] for planner in PLANNERS]
+        ratio = f"{times[0] / times[1]:.1f}" if all(times) else "-"
+        cells += [f"{row['penetration_mm']:.2g}", ratio, len(row["unexplained"]), f"{row['seconds']:.0f}"]
+        lines.append(f"| {' | '.join(map(str, cells))} |")
     lines += [
         "",
-        "Plans are from home to random targets, then followed; a controller counts where the end effector ends within "
-        "1 mm and 0.1 degrees. Deepest: how deep any plan is in anything in the model as it came, but for the contacts "
-        "that the report names as ignored.",
+        "Plans are from home to random targets, then followed; a controller counts where every link ends within 1 mm "
+        "and 0.1 degrees. Report right: joints, ranges, limits of force, velocity and acceleration, gains, dry "
+        "friction and ignored contacts, held against the model by `scripts/robot_reports.py`. Deepest: how deep any "
+        "plan is in anything in the model as it came, but for the contacts that the report names as ignored. Times: "
+        "median CPU time of planning with the first planner over that of minimum jerk. Not in the report: failures "
+        "whose bodies or joints the report did not name before planning. Seconds: CPU time.",
     ]
     for row in rows:
+        for what, found in (("The report is wrong", row.get("wrong")), ("Not in the report", row.get("unexplained"))):
+            if found:
+                lines += ["", f"## {row['robot']}: {what.lower()}", "", *(f"- {line}" for line in found)]
         if row["failures"]:
             lines += ["", f"## {row['robot']}", "", *(f"- {failure}" for failure in row["failures"])]
             notes = [line for line in row.get("report", []) if line.startswith("note: ")]
@@ -189,8 +253,8 @@ def as_markdown(rows: list[dict[str, Any]], folder: str) -> str:
 def main(words: list[str] | None = None) -> None:
     """Try the robots of a folder that are not done yet; the table is written after each."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("--robots", default="", help="files in the folder, by default those of ROBOTS")
+    parser.add_argument("folders", type=Path, nargs="+")
+    parser.add_argument("--robots", default="", help="files in the folders, by default those of ROBOTS")
     parser.add_argument("--targets", type=int, default=10)
     parser.add_argument("--models", default="", help="what the models are, for the table: a name and a commit")
     parser.add_argument("--output", type=Path, default=Path("results/robots"))
@@ -199,8 +263,8 @@ def main(words: list[str] | None = None) -> None:
     arguments.output.mkdir(parents=True, exist_ok=True)
     rows = []
     for name in files:
-        file = arguments.folder / name
-        if not file.is_file():
+        file = next((folder / name for folder in arguments.folders if (folder / name).is_file()), None)
+        if file is None:
             print(f"{name}: not there")
             continue
         path = arguments.output / f"{file.parent.name}_{file.stem}.json"
@@ -208,7 +272,7 @@ def main(words: list[str] | None = None) -> None:
             storage.save_json(path, try_robot(file, ROBOTS.get(name, {}), arguments.targets))
         rows.append(json.loads(path.read_text()))
         with storage.atomic_text(arguments.output / "robots.md") as stream:
-            stream.write(as_markdown(rows, arguments.models or arguments.folder.name))
+            stream.write(as_markdown(rows, arguments.models or ", ".join(folder.name for folder in arguments.folders)))
         print(f"{name}: done", flush=True)
 
 

@@ -100,7 +100,12 @@ class Arm:
             FileError: there is no such file, or MuJoCo cannot compile it.
             InputError: an unknown arm or scene, or the file holds no arm.
         """
-        if as_path("the name of an arm", name).suffix.lower() in MODEL_SUFFIXES:
+        suffix = as_path("the name of an arm", name).suffix.lower()
+        if suffix == ".xacro":
+            raise InputError(
+                f"{name} holds macros of ROS: make a URDF of it, `xacro {name} -o robot.urdf`, and load that"
+            )
+        if suffix in MODEL_SUFFIXES:
             return cls.from_xml(name, **options).among(scene, seed)
         if given := chosen(options):
             raise InputError(f"arm {name!r} has its own frames, servos and home; for files only: {', '.join(given)}")
@@ -313,12 +318,17 @@ class Arm:
         """
         return self.joints.twists(as_floats("q", q, (self.n_joints,), batched=True)) / self.twist_units
 
-    def decode(self, xi: ArrayLike, xi_dot: ArrayLike | None = None) -> Retraction:
-        """Nearest joint positions to network coordinates ``(..., N, 6)``, with rates along ``xi_dot`` and the gap."""
+    def decode(self, xi: ArrayLike, xi_dot: ArrayLike | None = None, start: ArrayLike | None = None) -> Retraction:
+        """Nearest joint positions to network coordinates ``(..., N, 6)``, with rates along ``xi_dot`` and the gap.
+
+        From a joint position ``start`` ``(n,)`` on, coordinates ``(K, ..., N, 6)`` are followed along their first axis:
+        of several postures that are as near, the one that goes on.
+        """
         shape = (self.n_links, 6)
         twist = as_floats("xi", xi, shape, batched=True) * self.twist_units
         rate = None if xi_dot is None else as_floats("xi_dot", xi_dot, shape, batched=True) * self.twist_units
-        return self._retractor(twist, rate)
+        begin = None if start is None else as_floats("start", start, (self.n_joints,))
+        return self._retractor(twist, rate, begin)
 
     def physics(self) -> Any:
         """A `dm_control.mujoco.Physics` of the scene at the keyframe ``home``, for tasks and viewers of dm_control."""

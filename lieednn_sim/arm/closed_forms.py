@@ -22,33 +22,38 @@ _FLAT = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class MovingPoses:
-    """Poses (rotation, translation) with their angular and linear velocities in the joint frame, all ``(..., N, .)``.
+    """The exponentials of twists, ``(..., N, 6)``, that move at rates; None for poses at rest."""
 
-    Beside them stand the twists that they are the exponentials of. The rates are None for poses at rest.
-    """
-
-    rotation: Rotation
-    translation: Floats
-    omega: Floats | None
-    velocity: Floats | None
     twist: Floats
     twist_rate: Floats | None
 
-    @classmethod
-    def along(cls, xi: Floats, xi_dot: Floats | None) -> MovingPoses:
-        """exp(xi) and its rate along xi_dot, by the left Jacobian of SE(3)."""
-        pose = exp(xi).as_matrix()
-        rotation, p = rotations(pose[..., :3, :3]), pose[..., :3, 3]
-        if xi_dot is None:
-            return cls(rotation, p, None, None, xi, None)
-        spatial = (left_jacobian_se3(xi) @ xi_dot[..., None])[..., 0]
-        omega = spatial[..., :3]
-        return cls(rotation, p, omega, spatial[..., 3:] + np.cross(omega, p), xi, xi_dot)
+    @cached_property
+    def rotation(self) -> Rotation:
+        """Of the poses, ``(..., N)``."""
+        return rotations(self._pose[..., :3, :3])
+
+    @cached_property
+    def translation(self) -> Floats:
+        """Of the poses, ``(..., N, 3)``."""
+        return self._pose[..., :3, 3]
 
     @cached_property
     def matrix(self) -> Floats:
         """Of the rotations, ``(..., N, 3, 3)``."""
         return np.asarray(self.rotation.as_matrix())
+
+    @cached_property
+    def rates(self) -> tuple[Floats, Floats] | None:
+        """Angular and linear velocity in the joint frame, both ``(..., N, 3)``, by the left Jacobian of SE(3)."""
+        if self.twist_rate is None:
+            return None
+        spatial = (left_jacobian_se3(self.twist) @ self.twist_rate[..., None])[..., 0]
+        omega = spatial[..., :3]
+        return omega, spatial[..., 3:] + np.cross(omega, self.translation)
+
+    @cached_property
+    def _pose(self) -> Floats:
+        return exp(self.twist).as_matrix()
 
 
 class HingeSlide:
@@ -97,7 +102,7 @@ class HingeSlide:
             and len(joint.indices) == 2
         )
 
-    def __call__(self, poses: MovingPoses) -> tuple[Floats, Floats | None]:
+    def __call__(self, poses: MovingPoses, near: Floats | None = None) -> tuple[Floats, Floats | None]:
         """Displacements ``(..., 2)`` (angle, slide) and their rates by the implicit function theorem.
 
         The rate of an angle that the pose does not determine is zero.
@@ -110,10 +115,11 @@ class HingeSlide:
         m, slope, bend = a + b * cos + c * sin, c * cos - b * sin, -(b * cos + c * sin)
         unit = self._length / self._stretch
         offset = np.stack([angle, unit * m], axis=-1)
-        if poses.omega is None or poses.velocity is None:
+        if poses.rates is None:
             return offset, None
-        spin = hat(poses.omega[..., link, :]) @ rotation
-        x_rate, y_rate, a_rate, b_rate, c_rate = self._coefficients(spin, poses.velocity[..., link, :])
+        omega, velocity = poses.rates
+        spin = hat(omega[..., link, :]) @ rotation
+        x_rate, y_rate, a_rate, b_rate, c_rate = self._coefficients(spin, velocity[..., link, :])
         m_rate, slope_rate = a_rate + b_rate * cos + c_rate * sin, c_rate * cos - b_rate * sin
         curvature = x * cos + y * sin - 2.0 * (slope**2 + m * bend)
         pull = y_rate * cos - x_rate * sin + 2.0 * (m_rate * slope + m * slope_rate)
@@ -175,7 +181,7 @@ class OneScrew:
         """Whether the joint is of this kind."""
         return joint.screw is not None
 
-    def __call__(self, poses: MovingPoses) -> tuple[Floats, Floats | None]:
+    def __call__(self, poses: MovingPoses, near: Floats | None = None) -> tuple[Floats, Floats | None]:
         """Displacements ``(..., 1)`` and their rates."""
         (link,) = self.links
         offset = poses.twist[..., link, :] @ self._dual[:, None]
@@ -202,12 +208,13 @@ class SixFreedoms:
         axes = np.column_stack([factor.axes[:, 0] for factor in joint.factors[:3]])
         return abs(float(np.linalg.det(axes))) > 1e-3
 
-    def __call__(self, poses: MovingPoses) -> tuple[Floats, Floats | None]:
+    def __call__(self, poses: MovingPoses, near: Floats | None = None) -> tuple[Floats, Floats | None]:
         """Displacements ``(..., 6)`` and their rates."""
         link = self.links[0]
         rotvec = poses.rotation.as_rotvec()[..., link, :]
         offset = np.concatenate([poses.translation[..., link, :] @ self._inverse.T, rotvec @ self._ball], axis=-1)
-        if poses.omega is None or poses.velocity is None:
+        if poses.rates is None:
             return offset, None
-        turning = np.linalg.solve(left_jacobian_so3(rotvec), poses.omega[..., link, :, None])[..., 0]
-        return offset, np.concatenate([poses.velocity[..., link, :] @ self._inverse.T, turning @ self._ball], axis=-1)
+        omega, velocity = poses.rates
+        turning = np.linalg.solve(left_jacobian_so3(rotvec), omega[..., link, :, None])[..., 0]
+        return offset, np.concatenate([velocity[..., link, :] @ self._inverse.T, turning @ self._ball], axis=-1)

@@ -7,6 +7,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import PchipInterpolator
 from scipy.spatial.transform import Rotation
 
 from lieednn_sim.arm.kinematics import CompoundJoint
@@ -24,6 +25,10 @@ _DIFFERENCE, _FLAT = 1e-5, 1e-9
 _FAR, _POSTURES, _STARTS = 0.1, 256, 2
 # Of minima that are equal up to rounding the first counts.
 _TIE = 1e-9
+# A way is followed in at least so many strides, and in shorter ones where a coordinate moves more than this [rad, m].
+_STRIDES, _LONG = 64, 0.2
+# On the way the last posture is near already.
+_FOLLOWING_STEPS = 8
 
 
 class NearestPose:
@@ -70,12 +75,48 @@ class NearestPose:
         q = np.where(wound, q - 2.0 * np.pi * np.round(q / (2.0 * np.pi)), q)
         return q.reshape(*shape, len(self._indices))
 
+    def follow(self, rotation: Floats, translation: Floats, near: Floats) -> Floats:
+        """Displacements ``(K, ..., c)`` along ways of poses ``(K, ..., m, 3, 3)`` and ``(K, ..., m, 3)``.
+
+        The minimum next to ``near`` ``(c,)``, then each time the one next to the last: where several postures have the
+        same poses, as the two of a wrist, the branch is kept, and hinges are counted beyond half a turn.
+        """
+        goal = self._stack(rotation, translation).reshape(len(translation), -1, 12 * len(self._joints))
+        q = np.empty((*goal.shape[:2], len(self._indices)))
+        q[0] = self._approach(np.broadcast_to(near, q.shape[1:]), goal[0])
+        known, longest = [0], max(1, len(goal) // _STRIDES)
+        stride = longest
+        while known[-1] < len(goal) - 1:
+            last = known[-1]
+            stride = min(stride, len(goal) - 1 - last)
+            trial = self._approach(q[last], goal[last + stride], _FOLLOWING_STEPS)
+            if stride > 1 and np.abs(trial - q[last]).max() > _LONG:
+                stride //= 2
+                continue
+            q[last + stride] = trial
+            known.append(last + stride)
+            stride = min(2 * stride, longest)
+        if len(known) < len(goal):
+            q = PchipInterpolator(known, q[known])(np.arange(len(goal)))
+        q = self._descend(q.reshape(-1, q.shape[-1]), goal.reshape(-1, goal.shape[-1]))
+        return q.reshape(*translation.shape[:-2], len(self._indices))
+
     def _descend(self, q: Floats, goal: Floats) -> Floats:
         """Minima ``(B, c)`` next to starts ``(B, c)`` for stacked poses ``(B, 12m)``."""
+        q = self._approach(q, goal)
+        for _ in range(_NEWTON_STEPS):
+            step = self._newton_step(q, goal)
+            q = q - step
+            if np.abs(step).max() < 1e-13:
+                break
+        return q
+
+    def _approach(self, q: Floats, goal: Floats, steps: int = _DAMPED_STEPS) -> Floats:
+        """Postures near these minima, by damped steps down to `_NEAR`."""
         damping = np.full(len(goal), _DAMPING)
         values, jacobian = self._evaluate(q)
         residual = values - goal
-        for _ in range(_DAMPED_STEPS):
+        for _ in range(steps):
             square = np.swapaxes(jacobian, -1, -2) @ jacobian
             gradient = np.einsum("bri,br->bi", jacobian, residual)
             scale = np.trace(square, axis1=-2, axis2=-1) / square.shape[-1]
@@ -89,11 +130,6 @@ class NearestPose:
             jacobian = np.where(better[:, None, None], new_jacobian, jacobian)
             damping = np.clip(np.where(better, _DAMPING_FALL, _DAMPING_RISE) * damping, 1e-12, 1e6)
             if np.abs(step).max() < _NEAR:
-                break
-        for _ in range(_NEWTON_STEPS):
-            step = self._newton_step(q, goal)
-            q = q - step
-            if np.abs(step).max() < 1e-13:
                 break
         return q
 

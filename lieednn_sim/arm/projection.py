@@ -45,8 +45,8 @@ class _Solver(Protocol):
     links: tuple[int, ...]
     indices: NDArray[np.int_]
 
-    def __call__(self, poses: MovingPoses) -> tuple[Floats, Floats | None]:
-        """Displacements ``(..., c)`` from the reference and their rates."""
+    def __call__(self, poses: MovingPoses, near: Floats | None) -> tuple[Floats, Floats | None]:
+        """Displacements ``(..., c)`` from the reference and their rates; followed from ``near`` ``(n,)`` if given."""
 
 
 class Retractor:
@@ -66,19 +66,22 @@ class Retractor:
         """Whether every compound joint has six degrees of freedom, so that no pose leaves a gap."""
         return all(isinstance(solver, SixFreedoms) for solver in self._solvers)
 
-    def __call__(self, xi: Floats, xi_dot: Floats | None = None) -> Retraction:
+    def __call__(self, xi: Floats, xi_dot: Floats | None = None, start: Floats | None = None) -> Retraction:
         """Nearest joint position to exp(xi_i), with its derivative along xi_dot.
 
         Args:
             xi: ``(..., N, 6)``.
             xi_dot: ``(..., N, 6)``, or None for poses at rest.
+            start: ``(n,)``; then ``xi`` ``(K, ..., N, 6)`` are ways that are followed from there, see
+                `nearest.NearestPose.follow`.
         """
-        given = MovingPoses.along(xi, xi_dot)
+        near = None if start is None else start - self._joints.reference
+        given = MovingPoses(xi, xi_dot)
         reference = self._joints.reference
         q = np.broadcast_to(reference, (*xi.shape[:-2], len(reference))).copy()
         qd = np.zeros_like(q)
         for solver in self._solvers:
-            offset, rate = solver(given)
+            offset, rate = solver(given, near)
             q[..., solver.indices] += offset
             if rate is not None:
                 qd[..., solver.indices] = rate
@@ -97,15 +100,17 @@ class _Nearest:
         self.indices = np.unique(np.concatenate([joint.indices for joint in group]))
         self._problem = NearestPose(group, self.indices, len(joints.reference), length)
 
-    def __call__(self, poses: MovingPoses) -> tuple[Floats, Floats | None]:
+    def __call__(self, poses: MovingPoses, near: Floats | None) -> tuple[Floats, Floats | None]:
         links = list(self.links)
         rotation, translation = poses.matrix[..., links, :, :], poses.translation[..., links, :]
-        offset = self._problem.solve(rotation, translation)
-        if poses.omega is None or poses.velocity is None:
+        if near is None:
+            offset = self._problem.solve(rotation, translation)
+        else:
+            offset = self._problem.follow(rotation, translation, near[self.indices])
+        if poses.rates is None:
             return offset, None
-        rates = self._problem.rates(
-            offset, rotation, translation, poses.omega[..., links, :], poses.velocity[..., links, :]
-        )
+        omega, velocity = poses.rates
+        rates = self._problem.rates(offset, rotation, translation, omega[..., links, :], velocity[..., links, :])
         return offset, rates
 
 

@@ -16,7 +16,7 @@ from lieednn_sim.cli.run_directory import RunDirectory
 from lieednn_sim.cli.task import CERTIFIED
 from lieednn_sim.errors import InputError
 from lieednn_sim.evaluation.display import table
-from lieednn_sim.planning import OBSTACLE_PLANNER, PLANNERS, CertifiedOptions, Plan, plan, require_planner
+from lieednn_sim.planning import PLANNERS, CertifiedOptions, Plan, default_planner, plan, require_planner
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.validation import as_choice
 
@@ -65,12 +65,7 @@ def _planner(arm: Arm, arguments: argparse.Namespace) -> tuple[str, str]:
 
     It does not depend on what is installed: where the usual one cannot run, that is an error.
     """
-    if arguments.planner is not None:
-        name, reason = arguments.planner, "asked for"
-    elif arm.scene == "free":
-        name, reason = CERTIFIED, "the default without obstacles"
-    else:
-        name, reason = OBSTACLE_PLANNER, "the default among obstacles"
+    name, reason = default_planner(arm) if arguments.planner is None else (arguments.planner, "asked for")
     as_choice("planner", name, PLANNERS)
     require_planner(name)
     given = [

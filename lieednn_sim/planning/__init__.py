@@ -13,7 +13,7 @@ from lieednn_sim.planning.network_planners import (
     reference_network,
 )
 from lieednn_sim.planning.problem import Plan, PlanningProblem
-from lieednn_sim.planning.registry import OBSTACLE_PLANNER, PLANNERS, Planner, plan
+from lieednn_sim.planning.registry import OBSTACLE_PLANNER, PLANNERS, Planner, default_planner, plan
 from lieednn_sim.planning.shaped import ShapedOptions
 
 __all__ = [
@@ -33,6 +33,7 @@ __all__ = [
     "ShapedOptions",
     "TrainedOptions",
     "UnprojectedOptions",
+    "default_planner",
     "missing_planners",
     "plan",
     "reference_network",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import cycle, islice, pairwise
 
 import numpy as np
@@ -55,6 +55,9 @@ class CertifiedOptions(CandidateOptions):
 
     Attributes:
         bias: a rule of `synthesis.BIAS_RULES`.
+        first: of the candidates, where every link moves along one screw: there a gap costs nothing, and what is drawn
+            takes most of the time. The others are drawn where none of these can be used; magnitudes are taken from the
+            last on.
         attempts: starts of `synthesize` for a candidate.
         last_attempts: for the last one, when there is none yet.
         tried: networks that are tried in full at most, where the first ones are refused.
@@ -66,6 +69,7 @@ class CertifiedOptions(CandidateOptions):
     """
 
     bias: str = "sign-matched"
+    first: int = 1
     attempts: int = 3
     last_attempts: int = 16
     tried: int = 8
@@ -114,7 +118,11 @@ def certified(problem: PlanningProblem, options: CertifiedOptions) -> Plan:
     xi = problem.arm.encode(problem.target)
     networks: list[LieEDNN] = []
     message = ""
-    for index, magnitude in enumerate(options.magnitudes()):
+    one_screw = all(joint.screw is not None for joint in problem.arm.joints.joints)
+    few = min(options.first, total) if one_screw else total
+    # The last, the strongest by default, makes the straightest way.
+    turned = replace(options, bias_magnitudes=options.bias_magnitudes[::-1]) if one_screw else options
+    for index, magnitude in enumerate(turned.magnitudes()):
         # Patience only where everything else failed: easy candidates are many, hard ones cost seconds.
         attempts = options.last_attempts if index == total - 1 and not networks else options.attempts
         result = synthesize(xi, bias=options.bias, bias_magnitude=magnitude, seed=rng, max_attempts=attempts)
@@ -122,16 +130,24 @@ def certified(problem: PlanningProblem, options: CertifiedOptions) -> Plan:
             message = result.message
         else:
             networks.append(result.network)
+        drawn = index + 1
         if problem.progress is not None:
-            problem.progress(index + 1, total)
-    if not networks:
-        raise NotCertifiedError(
-            f"none of {total} candidates for the target could be certified; the last one: {message}"
-        )
+            problem.progress(drawn, total)
+        if networks and drawn in (few, total):
+            try:
+                return _plan(problem, options, networks, drawn)
+            except PlanError:
+                if drawn == total:
+                    raise
+    raise NotCertifiedError(f"none of {total} candidates for the target could be certified; the last one: {message}")
+
+
+def _plan(problem: PlanningProblem, options: CertifiedOptions, networks: list[LieEDNN], drawn: int) -> Plan:
+    """The plan of the best network; errors as of `certified`."""
     found = _screen(problem.arm, networks, problem.start)
     # Networks and their ways do not depend on the duration.
     network, motion = in_time(_best, problem, options, found)
-    return Plan(motion, network, total, sum(candidate.excess <= LIMIT_TOLERANCE for candidate in found))
+    return Plan(motion, network, drawn, sum(candidate.excess <= LIMIT_TOLERANCE for candidate in found))
 
 
 def _best(problem: PlanningProblem, options: CertifiedOptions, found: list[_Candidate]) -> tuple[LieEDNN, Motion]:
@@ -181,14 +197,14 @@ def _screen(arm: Arm, networks: list[LieEDNN], start: Floats) -> list[_Candidate
     """Roughly integrated trajectories, decoded, with their largest excess over the position limits and largest gap."""
     state = arm.encode(start)
     runs = [rough_way(network, state) for network in networks]
-    # All at once: a retraction without closed form costs nearly as much for one state as for a hundred.
-    decoded = arm.decode(np.concatenate(runs))
-    excess = arm.limit_excess(decoded.q).max(axis=-1)
-    gap = decoded.gap_translation.max(axis=-1) + arm.length_scale * decoded.gap_rotation.max(axis=-1)
-    firsts = np.cumsum([0, *(len(run) for run in runs[:-1])])
-    worst = zip(networks, np.maximum.reduceat(excess, firsts), np.maximum.reduceat(gap, firsts), strict=True)
-    ways = np.split(decoded.q, firsts[1:])
+    # All side by side, the shorter ones waiting at their ends: a retraction without closed form costs nearly as much
+    # for one state as for a hundred.
+    length = max(map(len, runs))
+    side_by_side = np.stack([run[np.minimum(np.arange(length), len(run) - 1)] for run in runs], axis=1)
+    decoded = arm.decode(side_by_side, start=start)
+    excess = arm.limit_excess(decoded.q).max(axis=(0, -1))
+    gap = (decoded.gap_translation.max(axis=-1) + arm.length_scale * decoded.gap_rotation.max(axis=-1)).max(axis=0)
     return [
-        _Candidate(arm, network, start, way, float(most), float(widest))
-        for (network, most, widest), way in zip(worst, ways, strict=True)
+        _Candidate(arm, network, start, decoded.q[: len(run), k], float(excess[k]), float(gap[k]))
+        for k, (network, run) in enumerate(zip(networks, runs, strict=True))
     ]

@@ -173,7 +173,7 @@ class _Search:
         check_time()
         arm = self.problem.arm
         # From one decoded state to the next the way is nearly straight, and few states are decoded quickly.
-        q = arm.decode(rough_way(network, arm.encode(start))).q
+        q = arm.decode(rough_way(network, arm.encode(start)), start=start).q
         # A little more than the length, so that it increases where nothing moves.
         length = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(q / self._scale, axis=0), axis=1) + 1e-9))
         way = interp1d(length, q, axis=0)(np.linspace(0.0, length[-1], self.options.looks + 2)[1:-1])

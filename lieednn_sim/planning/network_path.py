@@ -39,6 +39,7 @@ class NetworkPath:
     Attributes:
         arm: decodes states to joint positions.
         network: with as many visible neurons as the arm has links.
+        start: ``(n,)`` joint position from which the states are followed.
         origin: ``(N, 6)`` state of all neurons at the start.
         target: ``(N, 6)`` the network's equilibrium.
         way: the states from there to here and the speed along them, over tau; None where both are the same. The speed
@@ -47,6 +48,7 @@ class NetworkPath:
 
     arm: Arm
     network: ComponentwiseNetwork
+    start: Floats
     origin: Floats
     target: Floats
     way: tuple[Trajectory, PchipInterpolator] | None
@@ -60,13 +62,14 @@ class NetworkPath:
         With ``units`` ``(N, 6)`` of the visible neurons' coordinates lengths are measured in these, as by `law_of`.
         """
         require_fit(arm, network)
-        origin = network.start(arm.encode(arm.check_position(start, "start")))
+        begin = arm.check_position(start, "start")
+        origin = network.start(arm.encode(begin))
         equilibrium = network.equilibrium(origin)
         if not equilibrium.success:
             raise PlanError(f"the network cannot be used for a motion: {equilibrium.message}")
         target = equilibrium.xi
         if np.abs(origin - target).max() <= RESIDUAL:
-            return cls(arm, network, origin, target, None)
+            return cls(arm, network, begin, origin, target, None)
         # Far from the equilibrium the pace is gamma's, close to it the slowest eigenvalue's.
         pace = max(-equilibrium.spectral_abscissa, 1e-3 * network.gamma)
         longest = 100.0 / network.gamma + 40.0 / pace
@@ -90,13 +93,13 @@ class NetworkPath:
         field = network.visible(network.vector_field(states))
         if units is None:
             weights = np.where(np.isfinite(arm.velocity_limits), arm.velocity_limits, 1.0)
-            rates = np.linalg.norm(arm.decode(network.visible(states), field).qd / weights, axis=-1)
+            rates = np.linalg.norm(arm.decode(network.visible(states), field, begin).qd / weights, axis=-1)
             rates = np.hypot(rates, pace * np.linalg.norm(network.visible(states - target), axis=(-2, -1)))
         else:
             rates = np.linalg.norm(field * units, axis=(-2, -1))
         # Shape-preserving, so that the speed stays positive between its samples.
         speed = PchipInterpolator(grid, rates)
-        return cls(arm, network, origin, target, (trajectory, speed))
+        return cls(arm, network, begin, origin, target, (trajectory, speed))
 
     def state(self, tau: ArrayLike) -> Floats:
         """States ``(..., N, 6)`` of all neurons at the network's own times ``(...)``."""
@@ -122,7 +125,7 @@ class NetworkPath:
             tau_rate = total * progress_rate / (t[-1] * np.maximum(speed(tau), 1e-300))
         states = self.state(tau)
         xi, rates = self.network.visible(states), self.network.visible(self.network.vector_field(states))
-        decoded = self.arm.decode(xi, rates)
+        decoded = self.arm.decode(xi, rates, self.start)
         qd = decoded.qd * tau_rate[:, None]
         qd[[0, -1]] = 0.0
         target = self.network.visible(self.target)

@@ -56,6 +56,21 @@ PLANNERS: dict[str, Planner] = {
 
 # The LieEDNN planner that gets furthest among obstacles, and most smoothly, whether OMPL is installed or not.
 OBSTACLE_PLANNER = "lieednn-shaped"
+_MANY = 3  # hinges that move one link
+
+
+def default_planner(arm: Arm) -> tuple[str, str]:
+    """The planner for an arm in its scene when none is asked for, and why.
+
+    Where three or more hinges move one link a network's own way soon leaves what they can do, and the posture nearest
+    to it turns abruptly: there as among obstacles a teacher's motion is followed.
+    """
+    if arm.scene != "free":
+        return OBSTACLE_PLANNER, "the default among obstacles"
+    hinges = ({i for f in joint.factors if f.kind == "hinge" for i in f.indices} for joint in arm.joints.joints)
+    if any(len(turning) >= _MANY for turning in hinges):
+        return OBSTACLE_PLANNER, "the default where three or more hinges move a link"
+    return "lieednn-certified", "the default without obstacles"
 
 
 def plan(
@@ -76,7 +91,7 @@ def plan(
     Args:
         arm: the arm, in its scene.
         target: joint target ``(n,)`` [rad, m].
-        planner: a name of `PLANNERS`; by default ``lieednn-certified``, and among obstacles `OBSTACLE_PLANNER`.
+        planner: a name of `PLANNERS`; by default the `default_planner`.
         start: joint position at rest ``(n,)`` [rad, m], the keyframe ``home`` by default.
         duration: of the motion [s], rounded to a whole number of the model's time steps.
         longest: durations that the motion may take at most, where the arm's limits need more time; with 1 one that is
@@ -97,8 +112,7 @@ def plan(
         LieEDNNError: a library that the planner needs is not installed; see `missing_planners`.
     """
     if planner is None:
-        free = not isinstance(arm, Arm) or arm.scene == "free"
-        planner = "lieednn-certified" if free else OBSTACLE_PLANNER
+        planner = default_planner(arm)[0] if isinstance(arm, Arm) else "lieednn-certified"
     solve, kind = PLANNERS[as_choice("planner", planner, PLANNERS)]
     if options is not None and (kind is None or not isinstance(options, kind)):
         wanted = "has no options" if kind is None else f"takes options of class {kind.__name__}"

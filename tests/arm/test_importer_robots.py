@@ -9,6 +9,8 @@ import pytest
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.importer import import_arm
+from lieednn_sim.arm.importer.collada import read_points
+from lieednn_sim.arm.importer.loading import _package_name
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.errors import FileError, InputError, NoSolutionError
 from lieednn_sim.synthesis import synthesize
@@ -295,6 +297,64 @@ def test_an_urdf_loads_as_shipped_with_its_packages_and_its_sloppy_inertias(tmp_
         assert least == pytest.approx(0.001, rel=1e-3)
         assert arm.model.nmesh == 2
         shutil.rmtree(tmp_path / folder)
+
+
+def test_a_package_is_known_by_its_manifest_and_by_where_ros_looks(tmp_path, monkeypatch):
+    shape = '<collision><geometry><mesh filename="package:///hands/meshes/post.obj"/></geometry></collision></link>'
+    path = tmp_path / "checkout" / "robots" / "derrick.urdf"
+    path.parent.mkdir(parents=True)
+    path.write_text(URDF.replace("</link>", shape, 1))
+    elsewhere = tmp_path / "ros" / "hands" / "meshes"
+    for folder in (path.parents[1] / "meshes", elsewhere):
+        folder.mkdir(parents=True)
+        (folder / "post.obj").write_text(TETRAHEDRON)
+    with pytest.raises(FileError, match=r"no folder 'hands' beside .*, nor in ROS_PACKAGE_PATH, holds it"):
+        Arm.load(path)
+    monkeypatch.setenv("ROS_PACKAGE_PATH", f"{tmp_path / 'none'}:{tmp_path / 'ros'}")
+    assert Arm.load(path).model.nmesh == 1
+    monkeypatch.delenv("ROS_PACKAGE_PATH")
+    _package_name.cache_clear()
+    (path.parents[1] / "package.xml").write_text("<package><name>hands</name></package>")
+    assert Arm.load(path).model.nmesh == 1
+    # What Git keeps elsewhere is no mesh.
+    (path.parents[1] / "meshes" / "post.obj").write_text("version https://git-lfs.github.com/spec/v1\nsize 9\n")
+    with pytest.raises(FileError, match=r"pointers of Git LFS .*`git lfs pull`: .*post.obj$"):
+        Arm.load(path)
+
+
+# A tetrahedron of 100 units of a centimetre, shown twice: as it is, and turned about z and shifted by 2 units along x.
+COLLADA = """<?xml version="1.0"?>
+<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">
+  <asset><unit name="centimetre" meter="0.01"/><up_axis>Y_UP</up_axis></asset>
+  <library_geometries><geometry id="g"><mesh>
+    <source id="p"><float_array id="a" count="12">0 0 0 100 0 0 0 50 0 0 0 25</float_array></source>
+    <source id="n"><float_array id="b" count="3">9 9 9</float_array></source>
+    <vertices id="v"><input semantic="POSITION" source="#p"/></vertices>
+    <triangles count="1"><input semantic="VERTEX" source="#v"/><input semantic="NORMAL" source="#n"/></triangles>
+  </mesh></geometry></library_geometries>
+  <library_visual_scenes><visual_scene><node><instance_geometry url="#g"/>
+    <node><translate>200 0 0</translate><rotate>0 0 2 90</rotate><instance_geometry url="#g"/></node>
+  </node></visual_scene></library_visual_scenes>
+</COLLADA>"""
+
+
+def test_meshes_in_collada_are_their_points(tmp_path):
+    shape = '<collision><geometry><mesh filename="post.dae" scale="2 1 1"/></geometry></collision></link>'
+    (tmp_path / "derrick.urdf").write_text(URDF.replace("</link>", shape, 1))
+    (tmp_path / "post.dae").write_text(COLLADA)
+    once = np.array([[0, 0, 0], [1, 0, 0], [0, 0.5, 0], [0, 0, 0.25]])
+    both = np.concatenate([once, once[:, [1, 0, 2]] * [-1, 1, 1] + [2, 0, 0]])
+    np.testing.assert_allclose(read_points(tmp_path / "post.dae"), both, atol=1e-12)
+    assert Arm.load(tmp_path / "derrick.urdf").model.nmesh == 1
+    for broken in (COLLADA.replace("<translate>", "<skew>").replace("</translate>", "</skew>"), "<COLLADA/>", "solid"):
+        (tmp_path / "post.dae").write_text(broken)
+        with pytest.raises(FileError, match=r"post.dae cannot be read as COLLADA: .*; convert it to .stl or .obj"):
+            Arm.load(tmp_path / "derrick.urdf")
+
+
+def test_macros_of_ros_are_to_be_expanded_first():
+    with pytest.raises(InputError, match=r"macros of ROS: make a URDF of it, `xacro ur10.urdf.xacro -o robot.urdf`"):
+        Arm.load("ur10.urdf.xacro")
 
 
 def test_missing_meshes_behind_an_include_are_said_to_be_where_mujoco_looks(tmp_path):

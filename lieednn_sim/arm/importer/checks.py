@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
@@ -9,13 +10,21 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm.contacts import ContactFinder
 from lieednn_sim.arm.forces import dry_friction, resting_load
 from lieednn_sim.arm.importer.draft import Draft
 from lieednn_sim.arm.importer.locking import pose
+from lieednn_sim.arm.importer.postures import random_coordinates
+from lieednn_sim.arm.importer.units import length_unit
 from lieednn_sim.errors import InputError
 
 Floats = NDArray[np.float64]
-_SAG = 1e-3  # worth a remark [rad, m]
+_SAG = 3e-4  # worth a remark [rad, m]: a millimetre at an arm's length from a few joints
+_LOADED = 16  # postures at which loads are looked at
+_WAYS, _LOOKS = 256, 20  # straight ways, and postures on each
+_NEAR = 0.002  # that planned motions keep from contact [m]
+_SHOWN = 12  # pairs of bodies in a remark
+_SINGULAR = 0.1  # least singular value of a link's screws, of unit size, with which its pose tells its joints apart
 _SLOW = 5.0  # worth a remark [Hz]
 _DESIGN = "servos='design' makes another"
 
@@ -63,6 +72,8 @@ def look_at_home(draft: Draft) -> None:
     mujoco.mj_resetDataKeyframe(model, data, model.key("home").id)
     mujoco.mj_forward(model, data)
     load = resting_load(model, data.qpos)
+    postures = [draft.place(model, q, model.qpos0) for q in draft.samples[:_LOADED]]
+    loads = np.abs([resting_load(model, qpos) for qpos in postures])
     frictions = dry_friction(model, np.array([dof.rates for dof in draft.dofs]).T)
     for dof, servo, friction in zip(draft.dofs, draft.servos, frictions, strict=True):
         force = float(load @ dof.rates)
@@ -78,13 +89,69 @@ def look_at_home(draft: Draft) -> None:
         low, high = servo.force_range
         if not low <= force <= high:
             notes.append(f"{servo.name}: needs {force:.4g} at home, more than its force limits allow")
-        elif abs(force / servo.kp) > _SAG:
-            sag = f"sags by {abs(force) / servo.kp:.2g} rad or m at home under its load"
+        elif (most := float((loads @ np.abs(dof.rates)).max()) / servo.kp) > _SAG:
+            sag = f"sags by {abs(force) / servo.kp:.2g} rad or m at home under its load, elsewhere up to {most:.2g}"
             notes.append(f"{servo.name}: {sag}; {helps}")
     for contact in data.contact[: data.ncon]:
         if contact.dist < 0.0:
             one, other = (model.body(model.geom_bodyid[geom]).name for geom in contact.geom)
             notes.append(f"bodies {one!r} and {other!r} touch at home")
+
+
+def look_at_ways(draft: Draft) -> None:
+    """Say between which bodies straight ways from home to random postures come near contact."""
+    finder, home = ContactFinder(draft.model, _NEAR), draft.samples[0]
+    near: Counter[str] = Counter()
+    blocked, ways, rng = 0, 0, np.random.default_rng(1)
+    for sample in (random_coordinates(draft, rng) for _ in range(_WAYS)):
+        for share in np.linspace(1.0, 0.0, _LOOKS, endpoint=False):
+            q = {joint: start + share * (sample[joint] - start) for joint, start in home.items()}
+            found = finder.bodies(draft.place(draft.model, q, draft.model.qpos0))
+            if share == 1.0:
+                if found:
+                    break
+                ways += 1
+            elif found:
+                blocked += 1
+                near.update({f"{one!r} and {other!r}" for one, other in found})
+                break
+    if blocked:
+        shown = ", ".join(f"{pair} ({count})" for pair, count in near.most_common(_SHOWN))
+        draft.notes.append(
+            f"{blocked} of {ways} straight ways from home to free postures come within {1e3 * _NEAR:g} mm of contact, "
+            f"between {shown}: planners that look for no way around fail there, lieednn-shaped and rrt-connect look"
+        )
+
+
+def look_for_singular_links(draft: Draft) -> None:
+    """Say of links of several joints on how many straight ways their pose does not tell the joints apart."""
+    model, data, home = draft.model, mujoco.MjData(draft.model), draft.samples[0]
+    sites, unit = _frame_sites(model, len(draft.frames)), length_unit(draft)
+    independent = {draft.original.joint(joint).name for joint in draft.independent}
+    groups = [[draft.original.joint(joint).name for joint in group] for group in draft.groups]
+    for i, group in enumerate(groups, start=1):
+        columns = [dof.rates for dof in draft.dofs if dof.joint in independent.intersection(group)]
+        if len(columns) < 2:
+            continue
+        singular, ways = 0, draft.samples[1:]
+        for sample in ways:
+            least = np.inf
+            for share in np.linspace(0.0, 1.0, _LOOKS + 1):
+                q = {joint: start + share * (sample[joint] - start) for joint, start in home.items()}
+                data.qpos[:] = draft.place(model, q, model.qpos0)
+                mujoco.mj_kinematics(model, data)
+                mujoco.mj_comPos(model, data)
+                linear, angular = np.zeros((2, 3, model.nv))
+                mujoco.mj_jacSite(model, data, linear, angular, sites[i])
+                screws = np.concatenate([angular, linear / unit]) @ np.array(columns).T
+                least = min(least, np.linalg.svd(screws / np.linalg.norm(screws, axis=0), compute_uv=False)[-1])
+            singular += least < _SINGULAR
+        if singular:
+            draft.notes.append(
+                f"link {i}: on {singular} of {len(ways)} straight ways from home it comes near postures at which its "
+                f"pose does not tell {', '.join(group)} apart; networks, which lead an arm by poses, fail there: name "
+                "more links"
+            )
 
 
 def _frame_sites(model: mujoco.MjModel, count: int) -> list[int]:

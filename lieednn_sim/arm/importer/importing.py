@@ -9,7 +9,13 @@ from typing import TypedDict
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.importer.actuators import add_servos, design_servos, read_actuators, stabilise
-from lieednn_sim.arm.importer.checks import check_kinematics, look_at_home, look_for_half_turns
+from lieednn_sim.arm.importer.checks import (
+    check_kinematics,
+    look_at_home,
+    look_at_ways,
+    look_for_half_turns,
+    look_for_singular_links,
+)
 from lieednn_sim.arm.importer.conventions import (
     add_frames,
     compensate_gravity,
@@ -58,6 +64,8 @@ STEPS: tuple[Callable[[Draft], None], ...] = (
     check_kinematics,
     look_for_half_turns,
     look_at_home,
+    look_at_ways,
+    look_for_singular_links,
 )
 
 

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import functools
 import os
+from collections.abc import Iterator
 from pathlib import Path
+from xml.etree import ElementTree
 
 from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm.importer.collada import read_points
 from lieednn_sim.arm.parsing import check_numbers
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.storage import is_file
 from lieednn_sim.validation import as_path
 
 _PACKAGE = "package://"
+# How a file begins that Git keeps elsewhere.
+_POINTER = b"version https://git-lfs.github.com/"
 
 
 def load_spec(model: str | os.PathLike[str] | mujoco.MjSpec) -> mujoco.MjSpec:
@@ -35,6 +41,7 @@ def load_spec(model: str | os.PathLike[str] | mujoco.MjSpec) -> mujoco.MjSpec:
         except ValueError as error:
             raise FileError(f"MuJoCo cannot read {source}: {str(error).strip()}") from None
         _resolve_packages(spec, source.resolve())
+        _read_collada(spec)
     spec.compiler.fusestatic = False  # a link that doesn't move in its parent would vanish
     spec.compiler.alignfree = False  # a locked object would keep the pose of its principal axes instead of its own
     for kind, elements in (("body", spec.bodies), ("joint", spec.joints)):
@@ -53,30 +60,67 @@ def compile_spec(spec: mujoco.MjSpec) -> mujoco.MjModel:
     try:
         model = spec.compile()
     except ValueError as error:
-        missing = _missing_files(spec)
-        if missing:
-            shown = ", ".join(missing[:10]) + (f" and {len(missing) - 10} more" if len(missing) > 10 else "")
-            raise FileError(f"files of the model are missing: {shown}") from None
+        files = dict(_files(spec))
+        if missing := [name for name, path in files.items() if path is None]:
+            raise FileError(f"files of the model are missing: {_first(missing)}") from None
+        if pointers := [name for name, path in files.items() if path is not None and _is_pointer(path)]:
+            raise FileError(
+                "files of the model are pointers of Git LFS in place of their contents, fetch these by `git lfs pull`: "
+                + _first(pointers)
+            ) from None
         raise FileError(f"MuJoCo cannot compile the model: {str(error).strip()}") from None
     check_numbers(model)
     return model
 
 
 def _resolve_packages(spec: mujoco.MjSpec, source: Path) -> None:
-    """Find the files of ``package://NAME/...`` in the folder NAME beside the model or above; ``file://`` is no part."""
+    """Find the files of ``package://NAME/...``; ``file://`` is no part of a path."""
     for element in (*spec.meshes, *spec.textures):
         scheme, _, path = element.file.partition("://")
         if scheme == "file":
             element.file = path
         elif scheme == "package":
-            inside = path.partition("/")[2]
-            # A folder above may itself be the package.
-            candidates = [
-                folder / below
-                for folder in source.parents
-                for below in ([path, inside] if folder.name == path.partition("/")[0] else [path])
-            ]
-            element.file = str(next((c for c in candidates if c.is_file()), element.file))
+            package, _, inside = path.lstrip("/").partition("/")
+            candidates = (folder / inside for folder in _folders(package, source))
+            element.file = str(next((file for file in candidates if is_file(file)), element.file))
+
+
+def _folders(package: str, source: Path) -> Iterator[Path]:
+    """Where a ROS package may be: above a file, beside it or what is above it, or where ROS looks for packages."""
+    for folder in source.parents:
+        yield folder / package
+        # What is above may itself be the package, checked out by another name.
+        if package in (folder.name, _package_name(folder)):
+            yield folder
+    for variable, below in (("ROS_PACKAGE_PATH", ""), ("AMENT_PREFIX_PATH", "share")):
+        for entry in filter(None, os.environ.get(variable, "").split(os.pathsep)):
+            yield Path(entry) / below / package
+
+
+@functools.lru_cache(maxsize=256)
+def _package_name(folder: Path) -> str:
+    """The name of the ROS package that a folder is, or nothing."""
+    try:
+        return (ElementTree.parse(folder / "package.xml").findtext("name") or "").strip()
+    except (OSError, ElementTree.ParseError):
+        return ""
+
+
+def _read_collada(spec: mujoco.MjSpec) -> None:
+    """Give meshes in COLLADA, which MuJoCo does not read, as their points: their convex hulls are what collides."""
+    for mesh in spec.meshes:
+        path = Path(spec.modelfiledir) / spec.meshdir / mesh.file
+        if path.suffix.lower() == ".dae" and is_file(path) and not _is_pointer(path):
+            mesh.uservert, mesh.file = read_points(path).ravel(), ""
+
+
+def _is_pointer(path: Path) -> bool:
+    with path.open("rb") as stream:
+        return stream.read(len(_POINTER)) == _POINTER
+
+
+def _first(names: list[str]) -> str:
+    return ", ".join(names[:10]) + (f" and {len(names) - 10} more" if len(names) > 10 else "")
 
 
 def unused(name: str, names: set[str], suffix: str = "_") -> str:
@@ -86,8 +130,8 @@ def unused(name: str, names: set[str], suffix: str = "_") -> str:
     return name
 
 
-def _missing_files(spec: mujoco.MjSpec) -> list[str]:
-    missing = []
+def _files(spec: mujoco.MjSpec) -> Iterator[tuple[str, Path | None]]:
+    """The files of meshes and textures that a model names, and where they are, if anywhere."""
     known = set(spec.assets)
     for folder, elements in (
         ("meshdir", [*spec.meshes, *spec.hfields, *spec.skins]),
@@ -97,8 +141,9 @@ def _missing_files(spec: mujoco.MjSpec) -> list[str]:
             if not element.file:
                 continue
             if element.file.startswith(_PACKAGE):
-                package = element.file.removeprefix(_PACKAGE).partition("/")[0]
-                missing.append(f"{element.file} (no folder {package!r} beside {spec.modelfiledir} or above holds it)")
+                package = element.file.removeprefix(_PACKAGE).lstrip("/").partition("/")[0]
+                where = f"no folder {package!r} beside {spec.modelfiledir} or above, nor in ROS_PACKAGE_PATH, holds it"
+                yield f"{element.file} ({where})", None
                 continue
             below = getattr(element.compiler, folder, "") or getattr(spec, folder, "")
             own = Path(spec.modelfiledir)
@@ -106,8 +151,7 @@ def _missing_files(spec: mujoco.MjSpec) -> list[str]:
             if below and not path.is_file() and path.is_relative_to(own) and Path(element.file).is_absolute():
                 # Behind an <include>, where MuJoCo tries the included file's own folder at last, without meshdir.
                 path = own / below / path.name
-            if not path.is_file() and not known.intersection(
-                (element.file, path.name, str(Path(below) / element.file))
-            ):
-                missing.append(str(path))
-    return missing
+            if path.is_file():
+                yield str(path), path
+            elif not known.intersection((element.file, path.name, str(Path(below) / element.file))):
+                yield str(path), None

@@ -22,7 +22,7 @@ def draw_postures(draft: Draft) -> None:
     home, moved = _coordinates_inside(draft, draft.qpos)
     draft.notes += [f"{name}: moved off its limits in the keyframe 'home'" for name in moved]
     rng = np.random.default_rng(0)
-    draft.samples = [home, *(_random_coordinates(draft, rng) for _ in range(_SAMPLES))]
+    draft.samples = [home, *(random_coordinates(draft, rng) for _ in range(_SAMPLES))]
     place_home(draft, home)
 
 
@@ -48,7 +48,7 @@ def add_keyframes(draft: Draft) -> None:
     draft.model = compile_spec(draft.spec)
 
 
-def _random_coordinates(draft: Draft, rng: np.random.Generator) -> dict[int, Floats]:
+def random_coordinates(draft: Draft, rng: np.random.Generator) -> dict[int, Floats]:
     """Positions of the independent joints, uniform within their ranges (a ball joint: axis and angle)."""
     q = {}
     for joint in draft.independent:

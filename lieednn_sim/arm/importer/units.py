@@ -28,3 +28,9 @@ def set_length_unit(draft: Draft) -> None:
         unit = float(f"{largest:.2g}")
         draft.spec.add_numeric(name=_FIELD, data=[unit], size=1)
         draft.notes.append(f"unit of length in the network's coordinates: {unit:g} m, the furthest that a link moves")
+
+
+def length_unit(draft: Draft) -> float:
+    """The unit of length [m] of the arm's network coordinates."""
+    field = draft.spec.numeric(_FIELD)
+    return 1.0 if field is None else float(field.data[0])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from lieednn_sim.arm import Arm
 from lieednn_sim.lie import exp, left_jacobian_se3, log
 from lieednn_sim.planning.baselines.joint_space import joint_motion
 from lieednn_sim.planning.laws import minimum_jerk_law
@@ -50,7 +49,7 @@ def se3_geodesic(problem: PlanningProblem) -> Motion:
             ends = [arm.joints.twists(q)[i] for q in (problem.start, problem.target)]
             twists[:, i] = ends[0] + sigma[:, None] * (ends[1] - ends[0])
             twist_rates[:, i] = rate[:, None] * (ends[1] - ends[0])
-    motion = _decoded(arm, t, sigma, twists / units, twist_rates / units, arm.encode(problem.target))
+    motion = _decoded(problem, t, sigma, twists / units, twist_rates / units)
     check_motion(arm, motion)
     return motion
 
@@ -62,6 +61,7 @@ def _schedule(problem: PlanningProblem) -> tuple[Floats, Floats, Floats]:
     return t, sigma, slope / t[-1]
 
 
-def _decoded(arm: Arm, t: Floats, sigma: Floats, xi: Floats, xi_dot: Floats, target: Floats) -> Motion:
-    decoded = arm.decode(xi, xi_dot)
+def _decoded(problem: PlanningProblem, t: Floats, sigma: Floats, xi: Floats, xi_dot: Floats) -> Motion:
+    decoded = problem.arm.decode(xi, xi_dot, problem.start)
+    target = problem.arm.encode(problem.target)
     return Motion(t, sigma, xi, target, decoded.q, decoded.qd, decoded.gap_translation, decoded.gap_rotation)

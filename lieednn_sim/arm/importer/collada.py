@@ -1,0 +1,93 @@
+"""Meshes in COLLADA, which many ROS packages have and MuJoCo does not read: of such a mesh its points."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from lieednn_sim.errors import FileError
+
+Floats = NDArray[np.float64]
+# A node's own way to place what is in it; others, such as skews, are refused.
+_PLACING = ("matrix", "translate", "rotate", "scale")
+
+
+def read_points(path: Path) -> Floats:
+    """The points ``(n, 3)`` [m] of a file's scene: all that MuJoCo needs, whose collisions are with convex hulls.
+
+    In the file's unit and along its own axes: as in ROS, ``up_axis`` turns nothing.
+
+    Raises:
+        FileError: the file is no COLLADA, or has no points.
+    """
+    try:
+        root = ElementTree.parse(path).getroot()
+        elements = {element.get("id"): element for element in root.iter() if element.get("id")}
+        unit = next((float(unit.get("meter", "1")) for unit in _all(root, "unit")), 1.0)
+        scenes = [node for scene in _all(root, "visual_scene") for node in scene if _tag(node) == "node"]
+        parts = [part for node in scenes for part in _placed(node, np.eye(4), elements)]
+        points = unit * np.concatenate(parts)
+    except (ElementTree.ParseError, KeyError, ValueError, RecursionError) as error:
+        raise FileError(f"{path} cannot be read as COLLADA: {error}; convert it to .stl or .obj") from None
+    return points
+
+
+def _placed(
+    node: ElementTree.Element, outer: Floats, elements: dict[str | None, ElementTree.Element]
+) -> Iterator[Floats]:
+    """The points of what a node shows, and of those in it."""
+    inner = outer
+    for child in node:
+        kind = _tag(child)
+        if kind in _PLACING:
+            inner = inner @ _transform(kind, np.array((child.text or "").split(), dtype=np.float64))
+        elif kind in ("lookat", "skew"):
+            raise ValueError(f"a node is placed by <{kind}>")
+    for child in node:
+        if _tag(child) == "node":
+            yield from _placed(child, inner, elements)
+        elif _tag(child) == "instance_node":
+            yield from _placed(elements[_reference(child, "url")], inner, elements)
+        elif _tag(child) == "instance_geometry":
+            for points in _positions(elements[_reference(child, "url")], elements):
+                yield points @ inner[:3, :3].T + inner[:3, 3]
+
+
+def _positions(geometry: ElementTree.Element, elements: dict[str | None, ElementTree.Element]) -> Iterator[Floats]:
+    for given in _all(geometry, "input"):
+        if given.get("semantic") == "POSITION":
+            source = elements[_reference(given, "source")]
+            array = next(_all(source, "float_array"))
+            stride = int(next((accessor.get("stride", "3") for accessor in _all(source, "accessor")), "3"))
+            yield np.array((array.text or "").split(), dtype=np.float64).reshape(-1, stride)[:, :3]
+
+
+def _transform(kind: str, values: Floats) -> Floats:
+    matrix = np.eye(4)
+    if kind == "matrix":
+        return values.reshape(4, 4)
+    if kind == "translate":
+        matrix[:3, 3] = values
+    elif kind == "scale":
+        matrix[:3, :3] = np.diag(values)
+    else:
+        axis = values[:3] / np.linalg.norm(values[:3])
+        matrix[:3, :3] = Rotation.from_rotvec(np.deg2rad(values[3]) * axis).as_matrix()
+    return matrix
+
+
+def _all(element: ElementTree.Element, tag: str) -> Iterator[ElementTree.Element]:
+    return (child for child in element.iter() if _tag(child) == tag)
+
+
+def _tag(element: ElementTree.Element) -> str:
+    return element.tag.rpartition("}")[2]
+
+
+def _reference(element: ElementTree.Element, name: str) -> str:
+    return element.get(name, "").removeprefix("#")
