@@ -113,7 +113,7 @@ def look_at_ways(draft: Draft) -> None:
                 ways += 1
             elif found:
                 blocked += 1
-                near.update({f"{one!r} and {other!r}" for one, other in found})
+                near.update({"{!r} and {!r}".format(*sorted(pair)) for pair in found})
                 break
     if blocked:
         shown = ", ".join(f"{pair} ({count})" for pair, count in near.most_common(_SHOWN))
