@@ -30,11 +30,13 @@ def wrong_in_report(arm: Arm, original: mujoco.MjModel, qpos: np.ndarray, file: 
     """
     report = arm.import_report
     assert report is not None
-    parts = (_joints(report, original), _ranges(arm, report, original), _limits(arm, report, original, file))
     return [
-        *(line for part in parts for line in part),
+        *_joints(report, original),
+        *_ranges(arm, report, original),
+        *_limits(arm, report, original, file),
         *_contacts(arm, report, original),
         *_servos(arm, report, original),
+        *_home(arm, report, original, qpos),
     ]
 
 
@@ -161,6 +163,24 @@ def _servos(arm: Arm, report: ImportReport, model: mujoco.MjModel) -> list[str]:
         told = any(note.startswith(f"{servo.name}: dry friction") for note in report.notes)
         if abs(stuck - 3e-4) > 1e-5 and (stuck > _SAG) != told:
             wrong.append(f"{name}: dry friction leaves it {stuck:.2g} off, {'' if told else 'not '}told")
+    return wrong
+
+
+def _home(arm: Arm, report: ImportReport, model: mujoco.MjModel, qpos: np.ndarray) -> list[str]:
+    """Home is the posture that the report names, but for the joints that it says were moved."""
+    wrong = []
+    for name, now in zip(arm.joint_names, arm.keyframe("home"), strict=True):
+        joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name)
+        if joint < 0 or any(name in (coupling.leader, coupling.follower) for coupling in report.couplings):
+            continue
+        given = qpos[model.jnt_qposadr[joint]]
+        told = any(
+            note.startswith(f"{name}: moved off its limits")
+            or (note.startswith("home moved") and f"{name} from" in note)
+            for note in report.notes
+        )
+        if (abs(now - given) > 1e-6) != told:
+            wrong.append(f"{name}: at {given:g} in {report.posture}, at {now:g} at home, {'' if told else 'not '}told")
     return wrong
 
 

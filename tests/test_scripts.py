@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
+from types import SimpleNamespace
 
 import evaluate_demonstrations
 import numpy as np
 import picture_arms
 import pytest
 import real_robots
+import robot_reports
 import robustness
 from PIL import Image
 
+from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.planning.motion import Motion
 
@@ -73,6 +77,69 @@ def test_the_table_of_real_robots(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(real_robots, "try_robot", None)
     real_robots.main(words)
     assert (tmp_path / "out" / "robots.md").read_text() == table
+
+
+# Two tubes that overlap, a sticky hinge with a servo, a slide whose range follows from its follower, and a finger.
+CLUMSY = """
+<mujoco><worldbody><body name="foot"><geom size=".1"/>
+  <body name="upper" pos="0 0 .15"><joint name="a" axis="0 1 0" range="-170 170" frictionloss="2"/>
+    <geom type="capsule" size=".03" fromto="0 0 -.02 0 0 .3"/>
+    <body name="tube" pos="0 0 .3"><joint name="s" type="slide" axis="0 0 1" range="0 .4"/>
+      <geom type="capsule" size=".02" fromto="0 0 -.2 0 0 .3"/>
+      <body name="hand" pos="0 0 .4"><joint name="b" axis="0 1 0"/><geom size=".02"/>
+        <body name="finger" pos="0 0 .06"><joint name="finger" range="-20 20"/><geom size=".01"/></body></body></body>
+  </body></body></worldbody>
+  <actuator><position joint="a" kp="400" kv="20" gear="2" forcerange="-30 30"/><motor joint="s" ctrlrange="-50 50"/>
+    <position name="grip" joint="finger" kp="1"/></actuator>
+</mujoco>
+"""
+
+
+def test_a_report_that_is_wrong_is_found_out(tmp_path):
+    path = tmp_path / "clumsy.xml"
+    path.write_text(CLUMSY)
+    arm = Arm.load(path, links=["upper", "tube", "hand"])
+    model = mujoco.MjModel.from_xml_string(CLUMSY)
+
+    def wrong(**changes):
+        told = dataclasses.replace(arm.import_report, **changes)
+        changed = dataclasses.replace(arm, import_report=told)
+        return " | ".join(robot_reports.wrong_in_report(changed, model, model.qpos0, path))
+
+    report = arm.import_report
+    assert wrong() == ""
+    assert "joints in no place or in two: {'finger'}" in wrong(locked=())
+    assert "tube is moved by ['s'], not ('b',)" in wrong(groups=(("a",), ("b",), ("s",)))
+    for words, found in (
+        ("contacts ignored between", "contacts of 'foot' and 'upper' are off, and the report does not say so"),
+        ("s: moved off its limits", "s: at 0 in the reference position, at 0.02 at home, not told"),
+        ("b: had no range", "b: range [-inf, inf] became"),
+        ("a: dry friction", "a: dry friction leaves it 0.0013 off, not told"),
+        ("acceleration limits", "a: acceleration limit"),
+    ):
+        assert any(words in note for note in report.notes), words
+        assert found in wrong(notes=tuple(note for note in report.notes if words not in note))
+    assert "'foot' and 'hand' are off" in wrong(notes=(*report.notes, "contacts ignored between 'foot' and 'hand'"))
+    first, *others = report.servos
+    assert "a: force limit 60, the report says (-30" in wrong(
+        servos=(dataclasses.replace(first, force_range=(-30.0, 30.0)), *others)
+    )
+    assert "a: gains [1600." in wrong(servos=(dataclasses.replace(first, kp=400.0), *others))
+
+
+def test_failures_are_held_against_the_report():
+    ways = "note: 3 of 9 straight ways from home ... come within 2 mm of contact, between 'hand' and 'foot' (3): ..."
+    failure = "'foot' would come within 2 mm of 'hand' at t = 1.00 s"
+    assert real_robots._unexplained_plan("p 1", failure, [ways]) == []
+    assert real_robots._unexplained_plan("p 1", failure.replace("hand", "arm"), [ways]) != []
+    assert real_robots._unexplained_plan("p 1", "joint 'a' would jump", [ways]) == ["p 1: joint 'a' would jump"]
+    stuck = "joint 'a' ends 1 degrees off, ...: dry friction of 2 N m / kp 40 holds it anywhere within 2.86 degrees"
+    found = SimpleNamespace(causes=(stuck, "what helps: the controller inverse-dynamics"), shortfall="arrival: ...")
+    assert real_robots._unexplained_error("s 1", found, ["note: a: dry friction of 2 leaves it up to ..."]) == []
+    assert real_robots._unexplained_error("s 1", found, ["note: a: sags by ..."]) == [f"s 1: {stuck}"]
+    assert real_robots._unexplained_error("s 1", SimpleNamespace(causes=(), shortfall="contact"), []) == [
+        "s 1: contact"
+    ]
 
 
 def test_the_table_of_demonstrations(tmp_path, monkeypatch, capsys):
