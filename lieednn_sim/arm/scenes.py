@@ -63,6 +63,11 @@ class _Surroundings:
     tip: Floats
     reach: float
 
+    @property
+    def place(self) -> dict[str, Any]:
+        """Where that frame is in the world, for a body."""
+        return {"pos": self.origin, "quat": [np.cos(self.yaw / 2.0), 0.0, 0.0, np.sin(self.yaw / 2.0)]}
+
 
 def add_obstacles(spec: mujoco.MjSpec, arm: Arm, scene: str, seed: int = 0) -> None:
     """Add the obstacles of a scene to a copy of an arm's spec; ``free`` adds nothing.
@@ -84,12 +89,7 @@ def add_obstacles(spec: mujoco.MjSpec, arm: Arm, scene: str, seed: int = 0) -> N
     room = _surroundings(arm)
     for name, colour in _MATERIALS.items():
         spec.add_material(name=name, rgba=colour, specular=0.25, shininess=0.35)
-    body = spec.worldbody.add_body(
-        name=f"{PREFIX}{scene}",
-        pos=room.origin,
-        quat=[np.cos(room.yaw / 2.0), 0.0, 0.0, np.sin(room.yaw / 2.0)],
-    )
-    _OBSTACLES[scene](spec, body, room, rng)
+    _OBSTACLES[scene](spec, spec.worldbody.add_body(name=f"{PREFIX}{scene}", **room.place), room, rng)
 
 
 def _window(spec: mujoco.MjSpec, body: mujoco.MjsBody, room: _Surroundings, rng: np.random.Generator) -> None:
@@ -115,8 +115,9 @@ def _window(spec: mujoco.MjSpec, body: mujoco.MjsBody, room: _Surroundings, rng:
     # Touching panels that are seen through show the faces between them: what is seen is one wall with a hole.
     outline = np.array([(-width, 0.0), (width, 0.0), (width, top), (-width, top)])
     opening = np.array([y, z]) + half * np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])
-    spec.add_mesh(name=PREFIX + "wall", **_pierced_plate(x, thickness, outline, opening))
-    _geom(body, "wall", mujoco.mjtGeom.mjGEOM_MESH, None, None, "panel", collides=False, meshname=PREFIX + "wall")
+    mesh, origin = PREFIX + "wall", (0.0, 0.0, 0.0)
+    spec.add_mesh(name=mesh, **_pierced_plate(x, thickness, outline, opening))
+    _geom(body, "wall", mujoco.mjtGeom.mjGEOM_MESH, origin, origin, "panel", collides=False, meshname=mesh)
     # The frame lies around the panels' edges, with no face in one of theirs, and only shows where the opening is.
     bar, inset = 0.025 * s, 0.002
     away, across, along = bar + inset, half[0] + inset, half[1] + inset + 2.0 * bar
@@ -174,18 +175,9 @@ def _poles(_: mujoco.MjSpec, body: mujoco.MjsBody, room: _Surroundings, rng: np.
     if not chosen:
         raise InputError(f"no place for poles around arm {room.arm.name!r} at home; use another scene or seed")
     for number, index in enumerate(chosen):
-        place = (*spots[index], half)
-        _geom(body, f"pole{number}", mujoco.mjtGeom.mjGEOM_CYLINDER, place, (radius[index], half, 0.0), "pole")
-        foot = (*spots[index], 0.006 * s)
-        _geom(
-            body,
-            f"foot{number}",
-            mujoco.mjtGeom.mjGEOM_CYLINDER,
-            foot,
-            (0.07 * s, 0.006 * s, 0.0),
-            "trim",
-            collides=False,
-        )
+        _cylinder(body, f"pole{number}", (*spots[index], half), (radius[index], half, 0.0), "pole")
+        flat = 0.006 * s
+        _cylinder(body, f"foot{number}", (*spots[index], flat), (0.07 * s, flat, 0.0), "trim", collides=False)
     for number, side in enumerate((-1.0, 1.0)):
         # Left and right of where the arm points at home, between the poles and beyond them.
         turned = side * 0.75
@@ -201,9 +193,7 @@ SCENES = ("free", *_OBSTACLES)
 def _pole_clearances(room: _Surroundings, spots: Floats, radius: Floats, half: float) -> Floats:
     """Distances ``(P,)`` of poles at ``(P, 2)`` from what collides of the arm at home."""
     arm, spec = room.arm, room.arm.spec.copy()
-    body = spec.worldbody.add_body(
-        name="trial", pos=room.origin, quat=[np.cos(room.yaw / 2.0), 0.0, 0.0, np.sin(room.yaw / 2.0)]
-    )
+    body = spec.worldbody.add_body(name="trial", **room.place)
     for number, (spot, size) in enumerate(zip(spots, radius, strict=True)):
         kind = mujoco.mjtGeom.mjGEOM_CYLINDER
         body.add_geom(name=f"trial{number}", type=kind, pos=(*spot, half), size=(size, half, 0.0))
@@ -276,6 +266,10 @@ def _box(body: mujoco.MjsBody, name: str, pos: Any, size: Any, material: str, **
     _geom(body, name, mujoco.mjtGeom.mjGEOM_BOX, pos, size, material, **options)
 
 
+def _cylinder(body: mujoco.MjsBody, name: str, pos: Any, size: Any, material: str, **options: Any) -> None:
+    _geom(body, name, mujoco.mjtGeom.mjGEOM_CYLINDER, pos, size, material, **options)
+
+
 def _geom(
     body: mujoco.MjsBody,
     name: str,
@@ -288,11 +282,11 @@ def _geom(
     group: int = _SEEN,
     **options: Any,
 ) -> None:
-    place = {key: value for key, value in (("pos", pos), ("size", size)) if value is not None}
     body.add_geom(
         name=PREFIX + name,
         type=kind,
-        **place,
+        pos=pos,
+        size=size,
         material=PREFIX + material,
         group=group,
         contype=int(collides),

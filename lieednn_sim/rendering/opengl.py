@@ -13,13 +13,14 @@ from __future__ import annotations
 import importlib
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import Any, Literal
 
 from lieednn_sim.errors import RenderingUnavailableError
 
@@ -183,8 +184,8 @@ def _check_requested(requested: str) -> Backend:
     """The backend that the user asked for, or ``disable`` when it would fail."""
     name = _SYNONYMS.get(requested.lower())
     if name is None:
-        choices = ", ".join(("egl", "osmesa", "glfw", "disable"))
-        return Backend("disable", "MUJOCO_GL", f"MUJOCO_GL={requested} is not one of: {choices}", requested)
+        error = f"MUJOCO_GL={requested} is not one of: egl, osmesa, glfw, disable"
+        return Backend("disable", "MUJOCO_GL", error, requested)
     if name == "disable":
         return Backend(name, "MUJOCO_GL", f"MUJOCO_GL={requested} turns rendering off", requested)
     if name == "glfw":
@@ -245,11 +246,11 @@ def _run_probe(flags: list[str], name: str, timeout: float) -> dict[str, Any]:
     if done.returncode < 0:
         return {"error": f"crashed (signal {-done.returncode})"}
     try:
-        report = json.loads(done.stdout.splitlines()[-1])
+        report: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
     except (IndexError, ValueError):
         last_words = done.stderr.strip().splitlines()[-1:] or ["nothing"]
         return {"error": f"failed (exit status {done.returncode}): {last_words[0]}"}
-    return cast(dict[str, Any], report)
+    return report
 
 
 def _has_gpu() -> bool:
@@ -268,19 +269,10 @@ def _has_osmesa_package() -> bool:
         done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=20.0, check=False)
     except (OSError, subprocess.TimeoutExpired):
         return True
-    known = {block.split(":", 1)[0] for block in _policy_blocks(done.stdout) if "Candidate: (none)" not in block}
+    # One block per package: its name stands in the first column, the rest is indented.
+    blocks = re.split(r"\n(?=\S)", done.stdout)
+    known = {block.split(":", 1)[0] for block in blocks if "Candidate: (none)" not in block}
     return not known.issuperset(_PACKAGES["egl"]) or known.issuperset(_PACKAGES["osmesa"])
-
-
-def _policy_blocks(text: str) -> list[str]:
-    """One block per package: ``apt-cache policy`` starts each at the first column and indents the rest."""
-    blocks: list[str] = []
-    for line in text.splitlines():
-        if line[:1].strip():
-            blocks.append(line)
-        elif blocks:
-            blocks[-1] += "\n" + line
-    return blocks
 
 
 if __name__ == "__main__":

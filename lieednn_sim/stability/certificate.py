@@ -168,6 +168,15 @@ def find_certificate(
     return min(certificates, key=lambda certificate: certificate.lambda_max + certificate.rounding)
 
 
+def known_or_found(lyapunov_diagonal: ArrayLike | None, weight: ArrayLike, *, gamma: float, mu: float) -> Certificate:
+    """The certificate of a known diagonal where there is one and it holds, else the best that is found."""
+    if lyapunov_diagonal is not None:
+        certificate = verify(lyapunov_diagonal, weight, gamma=gamma, mu=mu)
+        if certificate.valid:
+            return certificate
+    return find_certificate(weight, gamma=gamma, mu=mu)
+
+
 def smooth_largest(values: Floats, vectors: Floats, sharpness: float) -> tuple[float, Floats]:
     """Log-sum-exp of ascending eigenvalues, a bound on the largest, and its gradient in the symmetric matrix."""
     exponentials = np.exp(sharpness * (values - values[-1]))

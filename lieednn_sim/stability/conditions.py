@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lieednn_sim.errors import InputError
-from lieednn_sim.stability.certificate import Certificate, find_certificate, verify
+from lieednn_sim.stability.certificate import Certificate, known_or_found, verify
 from lieednn_sim.stability.contraction import Contraction, find_contraction
 from lieednn_sim.stability.norms import as_weight, frobenius, log_norms, weighted_norm
 from lieednn_sim.validation import as_floats, as_positive, as_ratio
@@ -176,11 +176,7 @@ def assess(
     decay, scale = as_positive("gamma", gamma), as_positive("mu", mu)
     bound = as_ratio(decay, scale)
     core = matrix if rotational_weight is None else _rotational_part(matrix, rotational_weight)
-    certificate = None
-    if lyapunov_diagonal is not None:
-        certificate = verify(lyapunov_diagonal, core, gamma=decay, mu=scale)
-    if certificate is None or not certificate.valid:
-        certificate = find_certificate(core, gamma=decay, mu=scale)
+    certificate = known_or_found(lyapunov_diagonal, core, gamma=decay, mu=scale)
     contraction = find_contraction(core, gamma=decay, mu=scale, lyapunov_diagonal=certificate.lyapunov_diagonal)
     euclidean = verify(np.ones(len(core)), core, gamma=decay, mu=scale)
     norms = log_norms(matrix)

@@ -36,7 +36,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import eigh
 
 from lieednn_sim.errors import InputError, NotCertifiedError
-from lieednn_sim.stability.certificate import Certificate, find_certificate, verify
+from lieednn_sim.stability.certificate import Certificate, known_or_found, verify
 from lieednn_sim.stability.contraction import Contraction, find_contraction, norm_at, verify_contraction
 from lieednn_sim.stability.norms import as_weight, scale
 from lieednn_sim.validation import as_choice, as_floats, as_positive
@@ -198,12 +198,10 @@ def robustness(
     core = matrix if rotational_weight is None else as_floats("rotational_weight", rotational_weight, (n // 2, n // 2))
     kept = reached.reshape(-1, 2, 3).any(axis=1).ravel() if twists else reached
     part = core[np.ix_(kept, kept)]
-    certificate = None
+    known = None
     if lyapunov_diagonal is not None:
-        diagonal = as_floats("lyapunov_diagonal", lyapunov_diagonal, (len(core),))
-        certificate = verify(diagonal[kept], part, gamma=gamma, mu=mu)
-    if certificate is None or not certificate.valid:
-        certificate = find_certificate(part, gamma=gamma, mu=mu)
+        known = as_floats("lyapunov_diagonal", lyapunov_diagonal, (len(core),))[kept]
+    certificate = known_or_found(known, part, gamma=gamma, mu=mu)
     if not certificate.valid:
         raise NotCertifiedError(f"nothing is proved of pushes without a certificate ({certificate})")
     contraction = find_contraction(part, gamma=gamma, mu=mu, lyapunov_diagonal=certificate.lyapunov_diagonal)

@@ -30,6 +30,7 @@ proves nothing here (there are networks that are stable with tanh on each axis a
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property
 from typing import ClassVar
@@ -206,19 +207,18 @@ def _length(omega: Floats) -> Floats:
 
 def _gain(r: Floats) -> Floats:
     """Factor g = tanh(r)/r."""
-    small = r < _SERIES_ANGLE
-    x = np.where(small, 1.0, r)
-    closed = np.tanh(x) / x
-    if not small.any():
-        return np.asarray(closed)
-    return np.where(small, polynomial.polyval(np.where(small, r, 0.0) ** 2, _SERIES), closed)
+    return _even(r, lambda x: np.tanh(x) / x, _SERIES)
 
 
 def _slope(r: Floats) -> Floats:
     """Factor s = g'(r)/r: the gradient of g in omega is s omega."""
+    return _even(r, lambda x: (1.0 / np.cosh(np.minimum(x, 350.0)) ** 2 - np.tanh(x) / x) / x / x, _SERIES_SLOPE)
+
+
+def _even(r: Floats, closed: Callable[[Floats], Floats], series: Floats) -> Floats:
+    """A function of r in closed form, near zero by its series in r^2."""
     small = r < _SERIES_ANGLE
-    x = np.where(small, 1.0, r)
-    closed = (1.0 / np.cosh(np.minimum(x, 350.0)) ** 2 - np.tanh(x) / x) / x / x
+    value = np.asarray(closed(np.where(small, 1.0, r)))
     if not small.any():
-        return np.asarray(closed)
-    return np.where(small, polynomial.polyval(np.where(small, r, 0.0) ** 2, _SERIES_SLOPE), closed)
+        return value
+    return np.where(small, polynomial.polyval(np.where(small, r, 0.0) ** 2, series), value)
