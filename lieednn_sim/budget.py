@@ -4,7 +4,8 @@
         ...  # every loop inside calls `check_time`, which raises `OutOfTimeError` once ten seconds are spent
 
 CPU time of the calling thread, so that what else the machine does costs nothing. Nothing but that error depends on the
-clock: work that ends within its budget gives what it gives without one.
+clock: work that ends within its budget gives what it gives without one. Postures that are searched for are counted,
+too, which no machine does faster than another.
 """
 
 from __future__ import annotations
@@ -21,6 +22,11 @@ from lieednn_sim.validation import as_positive
 # Of a planner [s]; far more than any needs for the arms of the package.
 DEFAULT_TIME_BUDGET = 60.0
 
+# States whose nearest posture is searched for, in one piece of work: several times what any planner needs.
+MOST_STATES = 250_000
+
+# Of the present work, those so far.
+_STATES: ContextVar[list[int] | None] = ContextVar("lieednn_sim states", default=None)
 # When the present work must be done, by `cpu_time`, and the budget that says so [s].
 _LIMIT: ContextVar[tuple[float, float] | None] = ContextVar("lieednn_sim time limit", default=None)
 
@@ -40,9 +46,11 @@ def time_limit(seconds: float) -> Iterator[None]:
     """Give the block, in this thread, a budget of CPU time [s]; of limits within each other the earlier one counts."""
     mine, outer = (cpu_time() + seconds, seconds), _LIMIT.get()
     token = _LIMIT.set(mine if outer is None else min(mine, outer))
+    counting = _STATES.set([0] if outer is None else _STATES.get())
     try:
         yield
     finally:
+        _STATES.reset(counting)
         _LIMIT.reset(token)
 
 
@@ -64,3 +72,19 @@ def check_time() -> None:
             f"out of time: the budget of {limit[1]:g} s of CPU time is spent and the planner is not done; "
             "allow more (time_budget, --time-budget), or take another planner, target or seed"
         )
+
+
+def count_states(number: int) -> None:
+    """To be called with the number of states whose nearest posture is about to be searched for.
+
+    Raises:
+        OutOfTimeError: the present work has a budget, and these are more than `MOST_STATES`.
+    """
+    counted = _STATES.get()
+    if counted is not None:
+        counted[0] += number
+        if counted[0] > MOST_STATES:
+            raise OutOfTimeError(
+                f"out of work: the postures nearest to more than {MOST_STATES} states would have to be searched for; "
+                "name more links, so that fewer joints move each, or take another planner, target or seed"
+            )

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import itertools
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from lieednn_sim import budget
-from lieednn_sim.arm import Arm
+from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm import Arm, import_arm
 from lieednn_sim.arm.contacts import ContactFinder
 from lieednn_sim.budget import check_time, out_of_time, time_limit
 from lieednn_sim.cli import _parser, main
@@ -175,3 +177,46 @@ def test_the_least_duration_is_that_of_full_speed():
     assert least(0.0, 0.0, 0.0, 4.0) == pytest.approx(4.0 / 3.0)  # 2 sqrt(4 / 9)
     assert least(0.0, 0.0, 0.0, 0.0, 5.0) == pytest.approx(0.0)
     assert least(1.0, 6.0) == 3.5
+
+
+def test_states_that_are_searched_for_are_counted_whatever_the_clock_says(monkeypatch):
+    arm = Arm.load("telescopic_rrp")
+    home = arm.encode(arm.keyframe("home"))
+    monkeypatch.setattr(budget, "MOST_STATES", 100)
+    with time_limit(60.0):
+        arm.decode(np.tile(home, (60, 1, 1)))
+        with (
+            time_limit(60.0),
+            pytest.raises(OutOfTimeError, match=r"nearest to more than 100 states .* name more links"),
+        ):
+            # Within another limit they count on; of another arm each link has a closed form.
+            arm.decode(np.tile(home, (3, 20, 1, 1)))
+        ARM.decode(np.tile(ARM.encode(ARM.keyframe("home")), (200, 1, 1)))
+    arm.decode(np.tile(home, (101, 1, 1)))
+    with pytest.raises(OutOfTimeError, match="out of work"):
+        plan(arm, arm.keyframe("extended"), planner="linear-attractor")
+
+
+def test_one_network_is_drawn_first_where_links_are_screws_and_the_others_where_it_cannot_be_used(monkeypatch):
+    hinges = "".join(f'<body pos="0 0 .3"><joint axis="0 1 0" range="-{k} {k}"/><geom size=".02"/>' for k in (60, 80, 90))
+    spec, report = import_arm(
+        mujoco.MjSpec.from_string(f"<mujoco><worldbody>{hinges}{'</body>' * 3}</worldbody></mujoco>")
+    )
+    arm = Arm.from_spec(spec, Path("three.xml"), "three", report)
+    target = np.deg2rad([20.0, -40.0, 60.0])
+    alone = plan(arm, target, planner="lieednn-certified")
+    assert alone.candidates == 1
+    # The weights are next to nothing under the strongest bias.
+    assert np.abs(alone.network.bias).max() == pytest.approx(0.5)
+    real = certified._plan
+
+    def refused(problem, options, networks, drawn):
+        if drawn == 1:
+            raise PlanError("not this one")
+        return real(problem, options, networks, drawn)
+
+    monkeypatch.setattr(certified, "_plan", refused)
+    assert plan(arm, target, planner="lieednn-certified", options=CertifiedOptions(candidates=5)).candidates == 5
+    monkeypatch.setattr(certified, "_plan", lambda *_: refused(*_[:3], 1))
+    with pytest.raises(PlanError, match="not this one"):
+        plan(arm, target, planner="lieednn-certified", options=CertifiedOptions(candidates=2))

@@ -11,6 +11,7 @@ from scipy.interpolate import PchipInterpolator
 from scipy.spatial.transform import Rotation
 
 from lieednn_sim.arm.kinematics import CompoundJoint
+from lieednn_sim.budget import check_time
 from lieednn_sim.lie import hat
 from lieednn_sim.values import Floats
 
@@ -87,6 +88,7 @@ class NearestPose:
         known, longest = [0], max(1, len(goal) // _STRIDES)
         stride = longest
         while known[-1] < len(goal) - 1:
+            check_time()
             last = known[-1]
             stride = min(stride, len(goal) - 1 - last)
             trial = self._approach(q[last], goal[last + stride], _FOLLOWING_STEPS)

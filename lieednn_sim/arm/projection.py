@@ -10,6 +10,7 @@ several links) are retracted together.
 
 from __future__ import annotations
 
+import math
 from typing import Protocol
 
 import numpy as np
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 from lieednn_sim.arm.closed_forms import HingeSlide, MovingPoses, OneScrew, SixFreedoms
 from lieednn_sim.arm.kinematics import CompoundJoints
 from lieednn_sim.arm.nearest import NearestPose
+from lieednn_sim.budget import count_states
 from lieednn_sim.lie import rotations
 from lieednn_sim.values import Floats, frozen
 
@@ -60,6 +62,7 @@ class Retractor:
     def __init__(self, joints: CompoundJoints, length: float) -> None:
         self._joints = joints
         self._solvers = [_solver(joints, links, length) for links in _sharing(joints)]
+        self._searching = any(isinstance(solver, _Nearest) for solver in self._solvers)
 
     @property
     def exact(self) -> bool:
@@ -75,6 +78,8 @@ class Retractor:
             start: ``(n,)``; then ``xi`` ``(K, ..., N, 6)`` are ways that are followed from there, see
                 `nearest.NearestPose.follow`.
         """
+        if self._searching:
+            count_states(math.prod(xi.shape[:-2]))
         near = None if start is None else start - self._joints.reference
         given = MovingPoses(xi, xi_dot)
         reference = self._joints.reference
