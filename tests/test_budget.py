@@ -198,9 +198,9 @@ def test_states_that_are_searched_for_are_counted_whatever_the_clock_says(monkey
 
 
 def test_one_network_is_drawn_first_where_links_are_screws_and_the_others_where_it_cannot_be_used(monkeypatch):
-    hinges = "".join(f'<body pos="0 0 .3"><joint axis="0 1 0" range="-{k} {k}"/><geom size=".02"/>' for k in (60, 80, 90))
+    hinge = '<body pos="0 0 .3"><joint axis="0 1 0" range="-90 90"/><geom size=".02"/>'
     spec, report = import_arm(
-        mujoco.MjSpec.from_string(f"<mujoco><worldbody>{hinges}{'</body>' * 3}</worldbody></mujoco>")
+        mujoco.MjSpec.from_string(f"<mujoco><worldbody>{3 * hinge}{'</body>' * 3}</worldbody></mujoco>")
     )
     arm = Arm.from_spec(spec, Path("three.xml"), "three", report)
     target = np.deg2rad([20.0, -40.0, 60.0])
