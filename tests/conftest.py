@@ -129,7 +129,7 @@ def cascade() -> Callable[..., LieEDNN]:
     return make
 
 
-settings.register_profile("lieednn", max_examples=50, deadline=None, derandomize=True, print_blob=True)
+settings.register_profile("lieednn", max_examples=30, deadline=None, derandomize=True, print_blob=True)
 # For `pytest tests/test_fuzz.py --hypothesis-profile=fuzz`: new examples every time, until something is found.
 settings.register_profile("fuzz", deadline=None, max_examples=1_000_000, print_blob=True)
 settings.load_profile("lieednn")

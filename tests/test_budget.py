@@ -21,7 +21,10 @@ from lieednn_sim.planning import PLANNERS, CertifiedOptions, RrtStarOptions, cer
 from lieednn_sim.planning.motion import least_duration
 from lieednn_sim.planning.network_path import NetworkPath
 
-ARM = Arm.load("telescopic_pr")
+SPEC = Arm.load("telescopic_pr").spec.copy()
+# Motions of fewer samples are planned in less time.
+SPEC.option.timestep = 0.01
+ARM = Arm.from_spec(SPEC, Path("telescopic_pr.xml"), "telescopic_pr")
 INSTALLED = sorted(set(PLANNERS) - set(missing_planners()))
 
 

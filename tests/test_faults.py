@@ -61,7 +61,7 @@ def test_a_demo_that_is_killed_leaves_what_it_had_finished(tmp_path, start):
     assert main(["simulate", str(directory), "--hold", "0"]) == 0
 
 
-@pytest.mark.usefixtures("no_ink")
+@pytest.mark.usefixtures("no_plots")
 def test_a_training_that_is_killed_goes_on_with_resume(tmp_path, start, capsys):
     directory = tmp_path / "run"
     code = """

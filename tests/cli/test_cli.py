@@ -61,7 +61,7 @@ def test_the_demo_without_video_meets_its_bounds(tmp_path, capsys):
     assert all(f"wrote {directory / name}" in printed for name in expected)
 
 
-@pytest.mark.usefixtures("no_ink")
+@pytest.mark.usefixtures("no_plots")
 def test_a_learned_network_goes_the_same_road(tmp_path, capsys):
     directory = tmp_path / "learned"
     assert main(["train", "--target", "extended", "--duration", "2", "--output", str(directory)]) == 0
@@ -93,7 +93,7 @@ def test_candidates_are_tried_until_a_motion_keeps_the_limits(tmp_path, capsys):
     assert main(["simulate", str(directory), "--hold", "0.5"]) == 0
 
 
-@pytest.mark.usefixtures("no_ink")
+@pytest.mark.usefixtures("no_plots")
 def test_a_training_that_fails_says_so_and_leaves_no_network(tmp_path, capsys):
     directory = tmp_path / "learned"
     arguments = ["train", "--target", "extended", "--algorithm", "literal", "--epochs", "20", "--candidates", "1"]

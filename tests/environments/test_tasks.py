@@ -5,6 +5,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from lieednn_sim.arm import Arm, arm_names
+from lieednn_sim.environments import trajectories
 from lieednn_sim.environments.expert import Expert
 from lieednn_sim.environments.tasks import REST, TASKS, make_task
 from lieednn_sim.environments.trajectories import band_limited, planned
@@ -45,7 +46,9 @@ def run(task, seed, steps=5):
     return np.concatenate([np.ravel(value) for value in seen])
 
 
-def test_expert_reaches_targets_with_every_arm_and_random_actions_do_not(arm):
+def test_expert_reaches_targets_with_every_arm_and_random_actions_do_not(arm, monkeypatch):
+    # A plan is made slowly and run faster: of less samples.
+    monkeypatch.setattr(trajectories, "_PLANNING_DURATION", 6.0)
     task = make_task("reach", arm, time_limit=3.5)
     rng = np.random.default_rng(1)
     expert = Expert(task, candidates=2)
