@@ -15,7 +15,6 @@ import contextlib
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.environments.base import Observation
@@ -77,7 +76,7 @@ class Environment(gymnasium.Env[Any, Floats]):
         self.render_mode = render_mode
         self.metadata = {**self.metadata, "render_fps": round(1.0 / self.task.control_timestep)}
         self._size, self._preset = size, preset
-        self._camera: _MarkedCamera | None = None
+        self._camera: Camera | None = None
         self._resources = contextlib.ExitStack()
         self._space = spaces.Dict(
             {name: spaces.Box(low, high, dtype=np.float64) for name, (low, high) in self.task.bounds.items()}
@@ -110,9 +109,10 @@ class Environment(gymnasium.Env[Any, Floats]):
         if self.render_mode is None:
             return None
         if self._camera is None:
-            self._camera = _MarkedCamera(self.task.arm, size=self._size, preset=self._preset)
+            self._camera = Camera(self.task.arm, size=self._size, preset=self._preset)
             self._resources.push(self._camera)
-        return self._camera.frame(self.task.simulation.q, self.task.target(self.task.time))
+        self._camera.mark(self.task.target(self.task.time))
+        return self._camera.picture(self.task.simulation.q)
 
     def close(self) -> None:
         """Free the OpenGL context; the environment may be closed twice, and rendered again."""
@@ -121,14 +121,6 @@ class Environment(gymnasium.Env[Any, Floats]):
 
     def _shown(self, observation: Observation) -> Any:
         return spaces.flatten(self._space, observation) if self._flat else dict(observation)
-
-
-class _MarkedCamera(Camera):
-    """A camera whose scene marks a target that changes."""
-
-    def frame(self, q: Floats, target: Floats) -> NDArray[np.uint8]:
-        self._place_marker(target)
-        return self.picture(q)
 
 
 def register() -> None:

@@ -142,7 +142,7 @@ class _Search:
         """The most promising networks, retargeted along paths."""
         workspace = Workspace(self.problem, options.search.margin, options.own_margin)
         for attempt in range(options.paths):
-            corners = sampling.connecting_path(self.problem, workspace, options.search, attempt)
+            corners = sampling.connecting_path(self.problem, workspace, options.search, "RRTConnect", attempt)
             if corners is None:
                 continue
             for network in self.networks[: options.followers]:

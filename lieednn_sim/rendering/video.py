@@ -101,7 +101,7 @@ class Camera:
         self._model.vis.global_.offwidth, self._model.vis.global_.offheight = size
         self._model.vis.quality.offsamples = self._preset.samples
         self._data = mujoco.MjData(self._model)
-        self._place_marker(target)
+        self.mark(target)
         try:
             self._renderer = mujoco.Renderer(self._model, size[1], size[0], max_geom=20_000)
         except Exception as error:  # MuJoCo lets errors of several GL bindings through, with no common base
@@ -127,8 +127,8 @@ class Camera:
             draw(self._renderer.scene)
         return np.asarray(self._renderer.render())
 
-    def _place_marker(self, target: ArrayLike | None) -> None:
-        """At a target; without one the scene's own stays where it is, and one that was added is inside the base."""
+    def mark(self, target: ArrayLike | None) -> None:
+        """Put the marker at a joint target ``(n,)``; without one it goes into the base, the scene's own stays."""
         if target is None and self._model.nbody == self._arm.model.nbody:
             return
         pose = self._arm.base if target is None else self._arm.link_poses(target)[-1]

@@ -16,10 +16,9 @@ from __future__ import annotations
 import numpy as np
 
 from lieednn_sim.stability.norms import scale
-
-# exp(+-_LOG_SCALE_BOUND) bounds S, so that S W S^-1 keeps its digits.
 from lieednn_sim.values import Floats
 
+# exp(+-_LOG_SCALE_BOUND) bounds S, so that S W S^-1 keeps its digits.
 _LOG_SCALE_BOUND = 8.0
 _LEAST, _MOST = np.exp(-2.0 * _LOG_SCALE_BOUND), np.exp(2.0 * _LOG_SCALE_BOUND)
 # In units of |S W S^-1|_2 at the start: first level above its eigenvalue, and the gap at which the search ends. The

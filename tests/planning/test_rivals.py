@@ -89,7 +89,7 @@ def test_a_path_is_searched_for_once_however_long_the_motion_takes(monkeypatch):
         attempts.append(attempt)
         return np.array([start, target])
 
-    monkeypatch.setattr(sampling, "_drawn", straight)
+    monkeypatch.setattr(sampling, "connecting_path", straight)
     motion = plan_with("rrt-connect", PlanningProblem(ARM, start, target, 0.5))
     assert motion.t[-1] > 0.5, "the time asked for is too short"
     assert attempts == [0, 1]

@@ -106,7 +106,7 @@ def test_what_is_too_far_off_is_refused():
 @needs_ompl
 def test_without_a_teacher_there_is_no_motion(monkeypatch):
     arm = FREE.among("poles", 0)
-    monkeypatch.setattr("lieednn_sim.planning.baselines.sampling._drawn", lambda *_: None)
+    monkeypatch.setattr("lieednn_sim.planning.baselines.sampling.connecting_path", lambda *_: None)
     with pytest.raises(
         PlanError, match=r"no teacher finds a motion; minimum-jerk: .*; trajectory-optimisation: .*; rrt"
     ):

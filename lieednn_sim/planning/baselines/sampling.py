@@ -78,26 +78,9 @@ def rrt_star(problem: PlanningProblem, options: RrtStarOptions) -> Motion:
     return _plan(problem, options, "RRTstar")
 
 
-def connecting_path(
-    problem: PlanningProblem, workspace: Workspace, options: SearchOptions, attempt: int = 0
-) -> Floats | None:
-    """Corners ``(M, n)`` of a shortened path of RRT-Connect from start to target, clear in the workspace; or None.
-
-    Args:
-        problem: start, target and seed.
-        workspace: of the problem, with the margin.
-        options: of the search.
-        attempt: another one draws others, and looks more closely.
-
-    Raises:
-        LieEDNNError: OMPL is not installed.
-    """
-    return _drawn(problem, workspace, options, "RRTConnect", attempt)
-
-
 def _plan(problem: PlanningProblem, options: RrtConnectOptions, planner: str) -> Motion:
     # Paths have no part in time: none is searched for again when the motion along it needs more.
-    path = cache(partial(_drawn, problem, Workspace(problem, options.margin), options, planner))
+    path = cache(partial(connecting_path, problem, Workspace(problem, options.margin), options, planner))
 
     def motion(asked: PlanningProblem) -> Motion:
         refusal: PlanError | None = None
@@ -114,10 +97,23 @@ def _plan(problem: PlanningProblem, options: RrtConnectOptions, planner: str) ->
     return in_time(motion, problem)
 
 
-def _drawn(
+def connecting_path(
     problem: PlanningProblem, workspace: Workspace, options: SearchOptions, planner: str, attempt: int
 ) -> Floats | None:
-    """As `_path`, silent, and the same whatever ran before."""
+    """Corners ``(M, n)`` of a shortened path from start to target, clear in the workspace; or None.
+
+    It is the same whatever ran before.
+
+    Args:
+        problem: start, target and seed.
+        workspace: of the problem, with the margin.
+        options: of the search.
+        planner: OMPL's name of it.
+        attempt: another one draws others, and looks more closely.
+
+    Raises:
+        LieEDNNError: OMPL is not installed.
+    """
     util = optional_module("ompl.util")
     workspace.clear.tests = 0
     level = util.getLogLevel()
