@@ -75,8 +75,10 @@ class NetworkPath:
         longest = 100.0 / network.gamma + 40.0 / pace
         arrived = False
         # The integrator's error, a share of the states, may keep it from a target with large entries: then a finer one.
+        # Where a slow clock ends the way, the speed is low there, and the error must be small beside it.
+        usual = 1e-8 if units is None else max(1e-8 * min(1.0, pace / network.gamma) ** 2, 1e-12)
         # What does not attract needs none.
-        for rtol, atol in ((1e-8, 1e-10), (1e-10, 1e-10)) if equilibrium.spectral_abscissa < 0.0 else ():
+        for rtol, atol in ((usual, 1e-10), (1e-10, 1e-10)) if equilibrium.spectral_abscissa < 0.0 else ():
             trajectory = network.trajectory(origin, longest, until=target, distance=RESIDUAL, rtol=rtol, atol=atol)
             arrived = np.abs(network.visible(trajectory.xi[-1] - target)).max() <= 2.0 * RESIDUAL
             if arrived:

@@ -28,7 +28,7 @@ from lieednn_sim.planning.network_planners import without_weights
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.problem import Plan, PlanningProblem, in_time
 from lieednn_sim.synthesis import ShapingOptions, shape
-from lieednn_sim.values import Floats
+from lieednn_sim.values import Floats, frozen
 
 # From one guess: where it fails a path of RRT-Connect is a better one than any that is drawn.
 # It keeps a little from the joints' limits, which a network that is a little off it would break.
@@ -38,8 +38,6 @@ _RRT = RrtConnectOptions()
 _STRIDE = 2
 # Postures at which lever arms are looked at.
 _POSTURES = 50
-# A network whose motion is refused is fitted again to this share of its deviation.
-_CLOSER = 0.25
 
 
 @dataclass(frozen=True)
@@ -47,13 +45,13 @@ class ShapedOptions(PlannerOptions):
     """Of the planner ``lieednn-shaped``.
 
     Attributes:
-        deviation: asked of the fit, over all links at once, turns by their lever arms [m].
-        largest_deviation: of the end effector's path from the teacher's, with which a motion is accepted [m].
+        deviation: of the end effector's path from the teacher's, with which a network is taken at once [m].
+        jerk: of the joints, over the teacher's, with which a network is taken at once.
+        largest_deviation: with which a network is taken when none is as near, the best one first [m].
         rate: rho of the hidden neurons' clock, see `ShapingOptions`: with 1 the network is as fast as the arm, with
             less it returns to its path after a push.
-        neurons: numbers of hidden ones, tried one after another; the same again from another start.
-        iterations: of a fit, from each start.
-        attempts: fits, each closer than the one before, until the motion keeps limits and clearance.
+        neurons: numbers of hidden ones, tried one after another until the motion is near, smooth, and keeps limits and
+            clearance.
         optimisation: of the teacher that is asked where minimum jerk touches something, and of RRT-Connect's paths.
         search: of RRT-Connect, which is asked where that fails.
 
@@ -62,11 +60,10 @@ class ShapedOptions(PlannerOptions):
     """
 
     deviation: float = 7e-4
+    jerk: float = 1.03
     largest_deviation: float = 5e-3
     rate: float = field(default=1.0, metadata={"range": (0.01, 1.0)})
-    neurons: tuple[int, ...] = field(default=(4, 8, 16, 16), metadata={"range": (1, 64)})
-    iterations: int = 80
-    attempts: int = 3
+    neurons: tuple[int, ...] = field(default=(8, 16, 32, 64), metadata={"range": (2, 256)})
     optimisation: OptimisationOptions = _OPTIMISATION
     search: RrtConnectOptions = _RRT
 
@@ -91,27 +88,39 @@ def shaped(problem: PlanningProblem, options: ShapedOptions) -> Plan:
         return Plan(in_time(timed_motion, asked, path), network, teacher=teacher, deviation=0.0)
     law = law_of(guide, units)
     curve = np.concatenate([guide.xi[:-1:_STRIDE], guide.xi_target[None]])
-    wanted, fit_time, refusal = options.deviation, 0.0, PlanError("no fit was allowed")
-    for attempt in range(options.attempts):
-        result = shape(
-            curve,
-            wanted,
-            units=units,
-            options=ShapingOptions(options.rate, options.neurons, options.iterations, restarts=0),
-            seed=np.random.default_rng([problem.seed, attempt]),
-        )
+    fit_time, refusal, candidates = 0.0, "no number of neurons was allowed", list[_Candidate]()
+    for count in options.neurons:
+        shaping = ShapingOptions(options.rate, neurons=(), placed=(count,))
+        result = shape(curve, options.deviation, units=units, options=shaping)
         fit_time += result.seconds
         path = NetworkPath.drawn(arm, result.network, problem.start, units)
-        try:
-            motion = in_time(timed_motion, asked, path, law)
-            deviation = _effector_deviation(arm, motion, guide)
-            if deviation > options.largest_deviation:
-                raise PlanError(f"the end effector would be {1e3 * deviation:.2g} mm off the teacher's path")
-        except PlanError as error:
-            wanted, refusal = _CLOSER * min(wanted, result.deviation), error
+        motion = path.timed(float(guide.t[-1]), problem.timestep, law)
+        deviation, jerk = _effector_deviation(arm, motion, guide), _jerk(arm, motion) / _jerk(arm, guide)
+        badness = max(deviation / options.deviation, (jerk - 1.0) / (options.jerk - 1.0))
+        if deviation <= options.largest_deviation:
+            candidates.append(_Candidate(badness, path, deviation))
+        else:
+            refusal = f"the end effector would be {1e3 * deviation:.2g} mm off the teacher's path"
+        if badness > 1.0 and count != options.neurons[-1]:
             continue
-        return Plan(motion, result.network, teacher=teacher, deviation=deviation, fit_time=fit_time)
+        # Where limits and clearance refuse the best, the next best may keep them.
+        for candidate in sorted(candidates, key=lambda one: one.badness):
+            try:
+                made = in_time(timed_motion, asked, candidate.path, law)
+            except PlanError as error:
+                candidates.remove(candidate)
+                refusal = str(error)
+                continue
+            found = candidate.path.network
+            return Plan(made, found, teacher=teacher, deviation=candidate.deviation, fit_time=fit_time)
     raise PlanError(f"no network follows the motion of {teacher.planner} closely enough: {refusal}")
+
+
+@frozen
+class _Candidate:
+    badness: float
+    path: NetworkPath
+    deviation: float
 
 
 def _teacher(problem: PlanningProblem, options: ShapedOptions) -> Plan:
@@ -149,6 +158,12 @@ def lever_units(arm: Arm, q: Floats) -> Floats:
     units = np.empty((arm.n_links, 6))
     units[:, :3], units[:, 3:] = lever[:, None], arm.length_scale
     return units
+
+
+def _jerk(arm: Arm, motion: Motion) -> float:
+    """Root mean square of the joints' jerk, in ranges."""
+    velocity = motion.qd / (arm.position_limits[:, 1] - arm.position_limits[:, 0])
+    return float(np.sqrt(np.mean(np.diff(velocity, n=2, axis=0) ** 2))) / motion.timestep**2
 
 
 def _effector_deviation(arm: Arm, motion: Motion, guide: Motion) -> float:

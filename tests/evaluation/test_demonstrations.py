@@ -37,7 +37,7 @@ def test_what_is_left_out_was_not_seen(monkeypatch):
     shown = align(apart)
     monkeypatch.setattr(compared, "RIVALS", {"recaller": lambda some, _: Recaller(some)})
     monkeypatch.setattr(paths, "SAMPLES", 100)
-    options = ShapingOptions(neurons=(2,), restarts=0, iterations=5)
+    options = ShapingOptions(neurons=(2,), placed=(), iterations=5)
     shaped = ShapedMotion.fit(shown, options=options)
     network, recaller = compare_models(shown, shaped, options, rivals=["recaller"], starts=3)[0]
     assert network.model == "lieednn-shaped"

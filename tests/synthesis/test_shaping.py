@@ -11,6 +11,7 @@ from lieednn_sim import budget
 from lieednn_sim.budget import time_limit
 from lieednn_sim.errors import InputError, NotCertifiedError, OutOfTimeError
 from lieednn_sim.synthesis.shaping import ShapingOptions, shape
+from lieednn_sim.synthesis.shaping import placed as placing
 from lieednn_sim.synthesis.shaping.assembly import assemble
 from lieednn_sim.synthesis.shaping.cascade import Cascade, Parameters, clockwork
 from lieednn_sim.synthesis.shaping.curve import Curve
@@ -172,8 +173,57 @@ def test_several_demonstrations_are_followed_where_they_agree():
     assert off.min(axis=1).max() < 6e-3
 
 
+@pytest.mark.parametrize("rate", [1.0, 0.1])
+def test_placed_switches_are_the_best_linear_fit_and_come_nearer_with_their_number(rate):
+    samples = bent()
+    found = [shape(samples, 1e-7, units=UNITS, options=ShapingOptions(rate, (), (count,))) for count in (4, 16, 64)]
+    deviations = [one.deviation for one in found]
+    assert deviations[0] > 5.0 * deviations[1] > 5.0 * deviations[2]
+    assert deviations[1] < (5e-3 if rate < 1.0 else 2e-3)
+    assert all(one.network.certified and one.iterations == 0 for one in found)
+    assert [one.network.n_hidden - one.network.n_clock for one in found] == [4, 16, 64]
+
+
+def test_ripples_that_the_deviation_hides_are_damped(monkeypatch):
+    s = np.linspace(0.0, 1.0, 400)[:, None, None]
+    before, after = np.random.default_rng(1).uniform(-1.0, 1.0, (2, 1, 2, 6))
+    # A corner, rounded over 2 % of the way.
+    curve = Curve.through(s * before + np.hypot(s - 0.6, 0.02) * after, np.tile(UNITS, (2, 1)))
+    cascade = Cascade(clockwork(1.0, 2), curve.points[0], curve.points[-1])
+    w = 1.0 - cascade.clock.g
+    looks, matrix = placing._third_derivative(w)
+    # Exact for cubics, also between uneven instants.
+    np.testing.assert_allclose(matrix @ (w[looks, None] ** [3, 2]), np.tile([6.0, 0.0], (len(matrix), 1)), atol=1e-7)
+    middle = (w[looks][1:-2] > 0.1) & (w[looks][1:-2] < 0.85)
+    ripples = []
+    for weight in (placing._RIPPLE, 1e-6):
+        monkeypatch.setattr(placing, "_RIPPLE", weight)
+        states = cascade.states(placing.placed(cascade, curve, 64))[:-1]
+        error = states - curve.at(placing._pace(curve)(w))[0]
+        assert np.abs(error).max() < 1e-5
+        ripples.append(np.sqrt(np.mean(np.tensordot(matrix, error[looks], 1)[middle] ** 2)))
+    assert ripples[0] < 0.2 * ripples[1]
+
+
+def test_placed_switches_keep_axes_and_halves_that_rest():
+    s = np.linspace(0.0, 1.0, 100)
+    samples = np.zeros((100, 2, 6))
+    axes = np.array([[0.0, 0.6, 0.8], [1.0, 0.0, 0.0]])
+    samples[:, :, :3] = np.stack([np.sin(2.0 * s), s**2], axis=1)[:, :, None] * axes
+    curve = Curve.through(samples, np.ones((2, 6)))
+    cascade = Cascade(clockwork(1.0), curve.points[0], curve.points[-1])
+    parameters = placing.placed(cascade, curve, 12)
+    # All neurons turn, since nothing is shifted.
+    assert (parameters.c[:, 0] > 0.0).all()
+    assert not parameters.c[:, 1:].any()
+    states = cascade.states(parameters)[:-1]
+    along = np.einsum("knj,nj->kn", states[..., :3], axes)[..., None] * axes
+    assert np.abs(states[..., :3] - along).max() < 1e-12
+    assert not states[..., 3:].any()
+
+
 def test_what_is_not_met_is_said_and_still_certified():
-    result = shape(bent(), 1e-9, options=ShapingOptions(neurons=(1,), iterations=3, restarts=0))
+    result = shape(bent(), 1e-9, options=ShapingOptions(neurons=(1,), placed=(), iterations=3))
     assert not result.success
     assert result.network.certified
     assert "1e-06 mm were asked for" in result.message
@@ -209,7 +259,15 @@ def test_bad_curves_are_refused(curves, named, message):
 
 
 @pytest.mark.parametrize(
-    "options", [{"rate": 0.0}, {"rate": 1.5}, {"neurons": ()}, {"neurons": (0,)}, {"restarts": -1}]
+    "options",
+    [
+        {"rate": 0.0},
+        {"rate": 1.5},
+        {"neurons": (), "placed": ()},
+        {"neurons": (0,)},
+        {"placed": (1,)},
+        {"placed": (257,)},
+    ],
 )
 def test_bad_options_are_refused(options):
     with pytest.raises(InputError):

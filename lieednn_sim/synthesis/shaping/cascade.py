@@ -53,8 +53,8 @@ class Clockwork:
 
 
 @lru_cache(maxsize=8)
-def clockwork(rate: float) -> Clockwork:
-    """The clock of a rate rho in (0, 1], on its grid."""
+def clockwork(rate: float, refinement: int = 1) -> Clockwork:
+    """The clock of a rate rho in (0, 1], on its grid, or on one so many times as fine."""
     span = 30.0 / rate
 
     def flow(_: float, p: Floats) -> Floats:
@@ -71,7 +71,7 @@ def clockwork(rate: float) -> Clockwork:
     # Pieces as even as possible in what bounds them.
     measure = np.append(0.0, np.cumsum(np.hypot(np.diff(levels) / _FALL, np.diff(looks) / _PACE)))
     total = np.interp(end, looks, measure)
-    edges = np.interp(np.linspace(0.0, total, int(np.ceil(total)) + 1), measure, looks)
+    edges = np.interp(np.linspace(0.0, total, refinement * int(np.ceil(total)) + 1), measure, looks)
     node, weight = np.polynomial.legendre.leggauss(_NODES)
     width = np.diff(edges)
     fine = edges[:-1, None] + 0.5 * width[:, None] * (node + 1.0)

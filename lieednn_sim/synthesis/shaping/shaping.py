@@ -7,7 +7,7 @@ no constraint; what it may miss is the curve, and the result says by how much.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,13 +15,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim._blas import one_blas_thread
-from lieednn_sim.budget import cpu_time
+from lieednn_sim.budget import check_time, cpu_time
 from lieednn_sim.errors import InputError, NotCertifiedError
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.synthesis.shaping.assembly import assemble
 from lieednn_sim.synthesis.shaping.cascade import Cascade, Parameters, clockwork
 from lieednn_sim.synthesis.shaping.curve import Curve
 from lieednn_sim.synthesis.shaping.fit import Descent
+from lieednn_sim.synthesis.shaping.placed import placed
 from lieednn_sim.synthesis.shaping.start import starting_point
 from lieednn_sim.validation import as_count, as_floats, as_generator, as_positive, quoted
 from lieednn_sim.values import frozen
@@ -30,6 +31,8 @@ Floats = NDArray[np.float64]
 
 # The fit looks at some seventy instants and aims at this share of the deviation asked for, since there are others.
 _AIM = 0.7
+# Placed switches are many, and their ripples short: so many times as many instants.
+_REFINEMENT = 2
 # Samples of the network's way between which and the curve deviations are measured.
 _SAMPLES = 1000
 # States of the way from which they are taken.
@@ -47,9 +50,10 @@ class ShapingOptions:
     Attributes:
         rate: rho in (0, 1], at which the hidden neurons' clock runs down: 1 goes on with the visible neurons, which
             after a push return to the target; with less they return to the path 1/rho times as fast as they move on.
-        neurons: numbers of hidden neurons beside the clock, tried one after another.
+        neurons: numbers of hidden neurons beside the clock, tried one after another by a descent on all parameters.
+        placed: larger numbers, tried where those do not suffice: switches are placed along the curve beforehand, and
+            what is left is a linear problem.
         iterations: of the descent, at most, from each start.
-        restarts: with the largest number of neurons, from other starts, where none has met the deviation.
 
     Raises:
         InputError: a value is out of range.
@@ -57,19 +61,19 @@ class ShapingOptions:
 
     rate: float = 1.0
     neurons: tuple[int, ...] = (2, 4, 8, 16)
+    placed: tuple[int, ...] = (32, 48, 64)
     iterations: int = 80
-    restarts: int = 2
 
     def __post_init__(self) -> None:
         if not 0.01 <= as_positive("rate", self.rate) <= 1.0:
             raise InputError(f"rate must be from 0.01 to 1, got {self.rate:g}")
-        if not self.neurons:
-            raise InputError("neurons must hold at least one number of hidden neurons")
-        for count in self.neurons:
-            if as_count("neurons", count) > 64:
-                raise InputError(f"neurons must be at most 64, got {count}")
+        if not self.neurons and not self.placed:
+            raise InputError("neurons or placed must hold at least one number of hidden neurons")
+        for name, least, most in (("neurons", 1, 64), ("placed", 2, 256)):
+            for count in getattr(self, name):
+                if as_count(name, count, least=least) > most:
+                    raise InputError(f"{name} must be at most {most}, got {count}")
         as_count("iterations", self.iterations)
-        as_count("restarts", self.restarts, least=0)
 
 
 @frozen
@@ -82,8 +86,8 @@ class Shaping:
         network: the best network found; certified in any case.
         deviation: largest distance of network's way and curve, either from the other, in the metric [m].
         rms: root mean square of the distances of the network's way from the curve, even over its length [m].
-        starts: of the descent.
-        iterations: of the descent over all starts.
+        tries: numbers of neurons tried.
+        iterations: of the descents, together.
         seconds: CPU time.
     """
 
@@ -92,7 +96,7 @@ class Shaping:
     network: LieEDNN
     deviation: float
     rms: float
-    starts: int
+    tries: int
     iterations: int
     seconds: float
 
@@ -138,12 +142,23 @@ def shape(
         curve = as_curve(curves, units)
         cascade = Cascade(clockwork(float(chosen.rate)), curve.points[0], curve.points[-1])
         best: tuple[float, float, LieEDNN] | None = None
-        starts = iterations = 0
-        for count in (*chosen.neurons, *(max(chosen.neurons),) * chosen.restarts):
-            first = starting_point(cascade, curve, count, rng)
-            fit = Descent(cascade, curve).run(first, chosen.iterations, _AIM * goal)
-            starts, iterations = starts + 1, iterations + fit.iterations
-            made = _measured(fit.parameters, chosen.rate, curve)
+        tries = iterations = 0
+
+        def candidates() -> Iterator[Parameters]:
+            nonlocal iterations
+            for count in chosen.neurons:
+                first = starting_point(cascade, curve, count, rng)
+                fit = Descent(cascade, curve).run(first, chosen.iterations, _AIM * goal)
+                iterations += fit.iterations
+                yield fit.parameters
+            fine = Cascade(clockwork(float(chosen.rate), _REFINEMENT), curve.points[0], curve.points[-1])
+            for count in chosen.placed:
+                check_time()
+                yield placed(fine, curve, count)
+
+        for parameters in candidates():
+            tries += 1
+            made = _measured(parameters, chosen.rate, curve)
             if best is None or made[0] < best[0]:
                 best = made
             if best[0] <= goal:
@@ -155,12 +170,12 @@ def shape(
     message = (
         f"within {1e3 * found:.3g} mm of the curve with {hidden} hidden neurons"
         if success
-        else f"{1e3 * found:.3g} mm off the curve, {1e3 * goal:.3g} mm were asked for: the best of {starts} starts, "
-        f"with {hidden} hidden neurons; allow more neurons, iterations or restarts"
+        else f"{1e3 * found:.3g} mm off the curve, {1e3 * goal:.3g} mm were asked for: the best of {tries} tries, "
+        f"with {hidden} hidden neurons; allow more, as `placed` or as `neurons`"
     )
     if not network.certified:
         raise NotCertifiedError(f"the closed-form certificate does not hold ({network.certificate}); curve too large")
-    return Shaping(success, message, network, found, rms, starts, iterations, cpu_time() - begun)
+    return Shaping(success, message, network, found, rms, tries, iterations, cpu_time() - begun)
 
 
 def as_curve(curves: ArrayLike | Sequence[ArrayLike], units: ArrayLike) -> Curve:

@@ -49,7 +49,7 @@ def starting_point(cascade: Cascade, curve: Curve, n_switches: int, rng: np.rand
     missing = goal - cascade.free[:-1]
     lead = slice(0, 3) if turns else slice(3, 6)
     wanted = _ridge(outputs[:, :, lead.start], missing[..., lead].reshape(len(goal), -1), _RIDGE)
-    q = _towards(wanted.reshape(m, n, 3).transpose(1, 0, 2), rng.uniform(-np.pi, np.pi, (n, m)))
+    q = towards(wanted.reshape(m, n, 3).transpose(1, 0, 2), rng.uniform(-np.pi, np.pi, (n, m)), _LEAST_STRENGTH)
     parameters = Parameters(a, c, q, np.zeros((n, m, 3)))
     if not turns:
         return parameters
@@ -90,8 +90,11 @@ def _crossing(turned: Floats) -> Floats:
     return columns.reshape(n, 3 * k, 3 * m)
 
 
-def _towards(wanted: Floats, spin: Floats) -> Floats:
-    """Quaternions ``(..., 4)`` with |q|^2 R(q) e_x = ``wanted`` ``(..., 3)``, turned about it by ``spin`` ``(...)``."""
+def towards(wanted: Floats, spin: Floats | float = 0.0, least: float = 0.0) -> Floats:
+    """Quaternions ``(..., 4)`` with |q|^2 R(q) e_x = ``wanted`` ``(..., 3)``, turned about it by ``spin`` ``(...)``.
+
+    Where ``wanted`` is shorter than ``least``, |q|^2 is that.
+    """
     size = np.linalg.norm(wanted, axis=-1, keepdims=True)
     x, y, z = np.moveaxis(np.where(size > 1e-12, wanted / np.maximum(size, 1e-300), np.eye(3)[0]), -1, 0)
     # Half way from e_x to it; about the third axis where it points back.
@@ -101,4 +104,4 @@ def _towards(wanted: Floats, spin: Floats) -> Floats:
     w, _, j, k = np.moveaxis(half / np.linalg.norm(half, axis=-1, keepdims=True), -1, 0)
     cosine, sine = np.cos(0.5 * spin), np.sin(0.5 * spin)
     turned = np.stack([w * cosine, w * sine, j * cosine + k * sine, k * cosine - j * sine], axis=-1)
-    return np.asarray(turned * np.sqrt(np.maximum(size, _LEAST_STRENGTH)))
+    return np.asarray(turned * np.sqrt(np.maximum(size, least)))

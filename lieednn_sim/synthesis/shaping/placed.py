@@ -1,0 +1,106 @@
+"""A cascade by linear least squares: its switches are placed first, along the curve, and only readouts are unknown.
+
+Each hidden neuron is a turn or a shift: one coordinate of its rotational or of its translational half switches, and the
+other half rests. Then what a visible neuron receives is a sum of vectors alpha R e_x, one for each switch, and theta
+need not translate. No start, no iteration, no local minimum; in return it takes several times as many neurons as a
+descent on everything (`fit`) does.
+
+Overlapping soft switches hide ripples far below the deviation asked for, which a motion feels as jerk. So the third
+derivative of the error counts too.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.ndimage import gaussian_filter1d
+
+from lieednn_sim.synthesis.shaping.cascade import Cascade, Parameters
+from lieednn_sim.synthesis.shaping.curve import Curve
+from lieednn_sim.synthesis.shaping.fit import LARGEST_SLOPE
+from lieednn_sim.synthesis.shaping.start import towards
+from lieednn_sim.values import Floats
+
+# Pieces over which curvature is looked at, and the share of the length over which it is smoothed.
+_PIECES, _SMOOTHING = 512, 0.01
+# A turn of the tangent by one radian takes as much of the clock as this share of the length: in a sharp corner, where
+# a motion is slow anyway, the switches have room.
+_TURNING = 0.03
+# Slope of a switch, over the density of switches: they overlap, or the way between them would ripple.
+_OVERLAP = 1.0
+_GENTLEST = 1.0
+# Switches are as dense as the root of the curve's second derivative, and this much everywhere.
+_EVEN = 0.1
+# Ripples shorter than 2 pi times this share of the clock count more than deviations, as its third power.
+_RIPPLE = 0.03
+# Instants at which ripples are looked at: as many as would be even down to where g has all but vanished.
+_INSTANTS, _VANISHED = 120, 0.01
+# Weight of the squared readouts.
+_RIDGE = 1e-9
+
+
+def placed(cascade: Cascade, curve: Curve, n_switches: int) -> Parameters:
+    """Parameters of the cascade with ``n_switches`` placed switches that is nearest to the curve."""
+    n, m, clock = len(cascade.target), n_switches, cascade.clock
+    pace = _pace(curve)
+    shares = pace(1.0 - clock.g)
+    goal, _ = curve.at(shares)
+    # The last row is the tail, of which nothing shall be left.
+    missing = np.concatenate([goal - cascade.free[:-1], np.zeros((1, n, 6))])
+    weight = np.append(curve.weight(shares), 1.0)[:, None]
+    looks, ripples = _third_derivative(1.0 - clock.g)
+    a, c, q = np.zeros((m, 6)), np.zeros((m, 6)), np.zeros((n, m, 4))
+    for half, chosen in _halves(curve, m):
+        place, slope = _switches(curve, pace, half, len(chosen))
+        lead = half.start
+        c[chosen, lead], a[chosen, lead] = slope, -slope * (1.0 - place)
+        outputs = cascade.switched(a[chosen], c[chosen])[0][..., lead]
+        wanted = missing[..., half].reshape(len(missing), -1)
+        left, right = (
+            np.concatenate([weight * side, _RIPPLE**3 * (ripples @ side[looks])]) for side in (outputs, wanted)
+        )
+        ridge = np.sqrt(_RIDGE) * np.eye(len(chosen))
+        readouts = np.linalg.lstsq(
+            np.concatenate([left, ridge]), np.concatenate([right, np.zeros((len(chosen), 3 * n))]), rcond=None
+        )[0]
+        q[:, chosen] = towards(readouts.reshape(-1, n, 3).transpose(1, 0, 2))
+    return Parameters(a, c, q, np.zeros((n, m, 3)))
+
+
+def _halves(curve: Curve, count: int) -> list[tuple[slice, Floats]]:
+    """Which neurons switch which half: turns and shifts in equal parts, where the curve has both."""
+    halves = [half for half in (slice(0, 3), slice(3, 6)) if np.ptp(curve.points[..., half], axis=0).max() > 0.0]
+    return list(zip(halves, np.array_split(np.arange(count), len(halves)), strict=True))
+
+
+def _pace(curve: Curve) -> CubicSpline:
+    """Share of the curve's length at a share of the clock: slower where the curve turns."""
+    s = np.linspace(0.0, 1.0, _PIECES + 1)
+    pieces = np.diff((curve.at(s)[0] * curve.units).reshape(len(s), -1), axis=0)
+    directions = pieces / np.maximum(np.linalg.norm(pieces, axis=1, keepdims=True), 1e-300)
+    turns = np.linalg.norm(np.diff(directions, axis=0), axis=1)
+    turning = gaussian_filter1d(np.interp(s[:-1], s[1:-1], turns), _SMOOTHING * _PIECES, mode="nearest")
+    passed = np.append(0.0, np.cumsum(1.0 / _PIECES + _TURNING * turning))
+    return CubicSpline(passed / passed[-1], s)
+
+
+def _switches(curve: Curve, pace: CubicSpline, half: slice, count: int) -> tuple[Floats, Floats]:
+    """Shares of the clock ``(count,)`` at which switches stand, and their slopes there."""
+    w = np.linspace(0.0, 1.0, _PIECES // 4 + 1)
+    points = (curve.at(pace(w))[0] * curve.units)[:, :, half].reshape(len(w), -1) / curve.length
+    second = np.linalg.norm(np.diff(points, n=2, axis=0), axis=1) / w[1] ** 2
+    density = np.sqrt(gaussian_filter1d(np.pad(second, 1, mode="edge"), 3.0, mode="nearest"))
+    density += _EVEN * density.mean() + _EVEN
+    mass = np.append(0.0, np.cumsum(0.5 * (density[1:] + density[:-1])))
+    edges = np.interp(np.linspace(0.0, mass[-1], 2 * count + 1), mass, w)
+    return edges[1::2], np.clip(_OVERLAP / (edges[2::2] - edges[:-2:2]), _GENTLEST, LARGEST_SLOPE)
+
+
+def _third_derivative(w: Floats) -> tuple[Floats, Floats]:
+    """Indices of instants, nearly even in ``w``, and a matrix of divided differences of what is known there."""
+    wanted = np.linspace(0.0, 1.0 - _VANISHED, _INSTANTS)
+    looks = np.unique(np.abs(w[:, None] - wanted).argmin(axis=0))
+    at, matrix = w[looks], np.eye(len(looks))
+    for order in (1, 2, 3):
+        matrix = order * np.diff(matrix, axis=0) / (at[order:] - at[:-order])[:, None]
+    return looks, matrix
