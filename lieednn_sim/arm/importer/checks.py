@@ -104,9 +104,9 @@ def look_at_ways(draft: Draft) -> None:
     near: Counter[str] = Counter()
     blocked, ways, rng = 0, 0, np.random.default_rng(1)
     for sample in (random_coordinates(draft, rng) for _ in range(_WAYS)):
-        for share in np.linspace(1.0, 0.0, _LOOKS, endpoint=False):
-            q = {joint: start + share * (sample[joint] - start) for joint, start in home.items()}
-            found = finder.bodies(draft.place(draft.model, q, draft.model.qpos0))
+        shares = np.linspace(1.0, 0.0, _LOOKS, endpoint=False)
+        for share, qpos in zip(shares, _way(draft, home, sample, shares), strict=True):
+            found = finder.bodies(qpos)
             if share == 1.0:
                 if found:
                     break
@@ -136,9 +136,7 @@ def look_for_singular_links(draft: Draft) -> None:
         singular, ways = 0, draft.samples[1:]
         for sample in ways:
             least = np.inf
-            for share in np.linspace(0.0, 1.0, _LOOKS + 1):
-                q = {joint: start + share * (sample[joint] - start) for joint, start in home.items()}
-                data.qpos[:] = draft.place(model, q, model.qpos0)
+            for data.qpos[:] in _way(draft, home, sample, np.linspace(0.0, 1.0, _LOOKS + 1)):
                 mujoco.mj_kinematics(model, data)
                 mujoco.mj_comPos(model, data)
                 linear, angular = np.zeros((2, 3, model.nv))
@@ -152,6 +150,12 @@ def look_for_singular_links(draft: Draft) -> None:
                 f"pose does not tell {', '.join(group)} apart; networks, which lead an arm by poses, fail there: name "
                 "more links"
             )
+
+
+def _way(draft: Draft, start: dict[int, Floats], end: dict[int, Floats], shares: Floats) -> Floats:
+    """Postures ``(S, nq)`` of the model at shares ``(S,)`` of a straight way."""
+    q = {joint: value + shares[:, None] * (end[joint] - value) for joint, value in start.items()}
+    return draft.place(draft.model, q, draft.model.qpos0)
 
 
 def _frame_sites(model: mujoco.MjModel, count: int) -> list[int]:

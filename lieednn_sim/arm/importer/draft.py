@@ -103,16 +103,20 @@ class Draft:
         return dofs
 
     def place(self, model: mujoco.MjModel, q: dict[int, Floats], qpos: Floats) -> Floats:
-        """A copy of ``qpos`` ``(nq,)`` of ``model`` with the arm's joints, found by name, at ``q``."""
-        filled, values = qpos.copy(), dict(q)
+        """``qpos`` ``(nq,)`` of ``model`` with the arm's joints, found by name, at ``q``; as many rows as its values.
+
+        Many at once take hardly longer than one.
+        """
+        values = dict(q)
+        filled = np.tile(qpos, (*np.shape(next(iter(q.values())))[:-1], 1))
         for follower, (leader, ratio, shift) in self.couplings.lines.items():
             values[follower] = ratio * q[leader] + shift
         for joint, value in values.items():
             address = model.jnt_qposadr[model.joint(self.original.joint(joint).name).id]
             if self.is_ball(joint):
-                filled[address : address + 4] = Rotation.from_rotvec(value).as_quat(scalar_first=True)
+                filled[..., address : address + 4] = Rotation.from_rotvec(value).as_quat(scalar_first=True)
             else:
-                filled[address] = value[0]
+                filled[..., address] = value[..., 0]
         return filled
 
     def postures(self, positions: Sequence[dict[int, Floats]]) -> list[Floats]:
