@@ -345,7 +345,9 @@ def test_meshes_in_collada_are_their_points(tmp_path):
     once = np.array([[0, 0, 0], [1, 0, 0], [0, 0.5, 0], [0, 0, 0.25]])
     both = np.concatenate([once, once[:, [1, 0, 2]] * [-1, 1, 1] + [2, 0, 0]])
     np.testing.assert_allclose(read_points(tmp_path / "post.dae"), both, atol=1e-12)
-    assert Arm.load(tmp_path / "derrick.urdf").model.nmesh == 1
+    arm = Arm.load(tmp_path / "derrick.urdf")
+    assert arm.model.nmesh == 1
+    assert "meshes in COLLADA taken as the convex hulls of their points: post.dae" in arm.import_report.notes
     for broken in (COLLADA.replace("<translate>", "<skew>").replace("</translate>", "</skew>"), "<COLLADA/>", "solid"):
         (tmp_path / "post.dae").write_text(broken)
         with pytest.raises(FileError, match=r"post.dae cannot be read as COLLADA: .*; convert it to .stl or .obj"):

@@ -130,9 +130,10 @@ def import_arm(
     named = isinstance(links, list | tuple) and all(isinstance(link, str) for link in links)
     if links is not None and (not links or not named):
         raise InputError(f"links must be a list of names of bodies or sites, from the base outwards; got {links!r}")
-    spec = load_spec(model)
+    notes: list[str] = []
+    spec = load_spec(model, notes)
     source = None if isinstance(model, mujoco.MjSpec) else Path(model)
-    draft = Draft(spec, source, None if links is None else tuple(links), base, keyframe, home or {}, servos)
+    draft = Draft(spec, source, None if links is None else tuple(links), base, keyframe, home or {}, servos, notes)
     for step in STEPS:
         step(draft)
     return draft.spec, draft.report()

@@ -20,8 +20,10 @@ _PACKAGE = "package://"
 _POINTER = b"version https://git-lfs.github.com/"
 
 
-def load_spec(model: str | os.PathLike[str] | mujoco.MjSpec) -> mujoco.MjSpec:
+def load_spec(model: str | os.PathLike[str] | mujoco.MjSpec, notes: list[str] | None = None) -> mujoco.MjSpec:
     """A spec of one's own from a file or another spec, ready for edits: bodies stay apart, all have names.
+
+    What was made of its files is added to ``notes``.
 
     Raises:
         FileError: there is no such file, or MuJoCo cannot read it.
@@ -41,7 +43,8 @@ def load_spec(model: str | os.PathLike[str] | mujoco.MjSpec) -> mujoco.MjSpec:
         except ValueError as error:
             raise FileError(f"MuJoCo cannot read {source}: {str(error).strip()}") from None
         _resolve_packages(spec, source.resolve())
-        _read_collada(spec)
+        if (points := _read_collada(spec)) and notes is not None:
+            notes.append(f"meshes in COLLADA taken as the convex hulls of their points: {', '.join(points)}")
     spec.compiler.fusestatic = False  # a link that doesn't move in its parent would vanish
     spec.compiler.alignfree = False  # a locked object would keep the pose of its principal axes instead of its own
     for kind, elements in (("body", spec.bodies), ("joint", spec.joints)):
@@ -106,12 +109,15 @@ def _package_name(folder: Path) -> str:
         return ""
 
 
-def _read_collada(spec: mujoco.MjSpec) -> None:
-    """Give meshes in COLLADA, which MuJoCo does not read, as their points: their convex hulls are what collides."""
+def _read_collada(spec: mujoco.MjSpec) -> list[str]:
+    """Give meshes in COLLADA, which MuJoCo does not read, as their points; returns the files' names."""
+    read = []
     for mesh in spec.meshes:
         path = Path(spec.modelfiledir) / spec.meshdir / mesh.file
         if path.suffix.lower() == ".dae" and is_file(path) and not _is_pointer(path):
             mesh.uservert, mesh.file = read_points(path).ravel(), ""
+            read.append(path.name)
+    return list(dict.fromkeys(read))
 
 
 def _is_pointer(path: Path) -> bool:
