@@ -135,15 +135,15 @@ def look_for_singular_links(draft: Draft) -> None:
             continue
         singular, ways = 0, draft.samples[1:]
         for sample in ways:
-            least = np.inf
+            screws = []
             for data.qpos[:] in _way(draft, home, sample, np.linspace(0.0, 1.0, _LOOKS + 1)):
                 mujoco.mj_kinematics(model, data)
                 mujoco.mj_comPos(model, data)
                 linear, angular = np.zeros((2, 3, model.nv))
                 mujoco.mj_jacSite(model, data, linear, angular, sites[i])
-                screws = np.concatenate([angular, linear / unit]) @ np.array(columns).T
-                least = min(least, np.linalg.svd(screws / np.linalg.norm(screws, axis=0), compute_uv=False)[-1])
-            singular += least < _SINGULAR
+                screws.append(np.concatenate([angular, linear / unit]) @ np.array(columns).T)
+            unit_screws = np.array(screws) / np.linalg.norm(screws, axis=1, keepdims=True)
+            singular += np.linalg.svd(unit_screws, compute_uv=False)[:, -1].min() < _SINGULAR
         if singular:
             draft.notes.append(
                 f"link {i}: on {singular} of {len(ways)} straight ways from home it comes near postures at which its "
