@@ -227,3 +227,5 @@ def test_the_joints_of_a_large_arm_stand_in_two_blocks(tmp_path, monkeypatch):
     (figure,) = drawn
     width, height = figure.get_size_inches()
     assert 1.0 < width / height < 2.0
+    # All of the time is in sight, and hardly more.
+    assert {axis.get_xlim() for axis in figure.axes} == {(-0.1, 2.1)}
