@@ -30,6 +30,8 @@ from lieednn_sim.values import Floats
 RESIDUAL = 1e-8
 # Of the speed along a path, for each step of the integrator: between them the speed is interpolated with less order.
 _SAMPLES_PER_STEP = 8
+# Joints this near to their targets have arrived [rad, m]: two postures with the same poses are further apart.
+_ARRIVED = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,10 +168,18 @@ def timed_motion(problem: PlanningProblem, path: NetworkPath, *law: Law) -> Moti
     """The checked motion along a path in the problem's duration, by a law of time or minimum jerk.
 
     Raises:
-        PlanError: the motion breaks a limit of the arm.
+        PlanError: the motion breaks a limit of the arm, or ends at another posture with the target's poses.
     """
-    motion = path.timed(problem.duration, problem.timestep, *law)
-    check_motion(problem.arm, motion)
+    motion, arm = path.timed(problem.duration, problem.timestep, *law), problem.arm
+    check_motion(arm, motion)
+    away = np.abs(motion.q[-1] - problem.target)
+    joint = int(away.argmax())
+    if away[joint] > _ARRIVED:
+        raise PlanError(
+            f"the way ends at another posture with the target's poses: joint {arm.joint_names[joint]!r} at "
+            f"{motion.q[-1, joint]:.3g} {arm.unit(joint)} in place of {problem.target[joint]:.3g}; name more links, or "
+            "take a target on this side of the postures at which a link's pose does not tell its joints apart"
+        )
     return motion
 
 

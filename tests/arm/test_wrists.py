@@ -3,10 +3,12 @@
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm, import_arm
-from lieednn_sim.planning import default_planner
+from lieednn_sim.errors import PlanError
+from lieednn_sim.planning import default_planner, plan
 
 WRIST = """
 <mujoco><compiler angle="radian"/><worldbody><body name="shoulder"><joint name="lift" axis="0 1 0" range="-1 1"/>
@@ -51,3 +53,17 @@ def test_links_whose_pose_does_not_tell_their_joints_apart_are_told_before_plann
     (note,) = told(0.9)
     assert 10 < int(note.split()[3]) < 54
     assert default_planner(wrist(0.9)) == ("lieednn-shaped", "the default where three or more hinges move a link")
+
+
+def test_the_other_posture_with_the_same_poses_is_not_the_target():
+    arm = wrist(0.8)
+    beyond, other = [0.1, 1.5, -0.6, -0.5], [0.1, 1.5 - np.pi, 0.6, np.pi - 0.5]
+    assert np.abs(arm.encode(beyond) - arm.encode(other)).max() < 1e-12
+    with pytest.raises(
+        PlanError,
+        match=r"another posture with the target's poses: joint '(roll' at -1.64|turn' at 2.64)",
+    ):
+        plan(arm, beyond, planner="linear-attractor")
+    assert plan(arm, [0.1, 0.5, 0.6, 0.4], planner="linear-attractor").motion.q[-1] == pytest.approx(
+        [0.1, 0.5, 0.6, 0.4]
+    )
