@@ -9,10 +9,22 @@ from lieednn_sim.lie.projection import (
     project_to_rotation,
     project_to_scaled_adjoint,
 )
-from lieednn_sim.lie.se3 import adjoint, exp, hat, left_jacobian_se3, left_jacobian_so3, log, poses, rotations, vee
+from lieednn_sim.lie.se3 import (
+    adjoint,
+    continued,
+    exp,
+    hat,
+    left_jacobian_se3,
+    left_jacobian_so3,
+    log,
+    poses,
+    rotations,
+    vee,
+)
 
 __all__ = [
     "adjoint",
+    "continued",
     "exp",
     "hat",
     "left_jacobian_se3",

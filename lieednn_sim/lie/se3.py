@@ -71,6 +71,24 @@ def log(pose: RigidTransform) -> Floats:
     return np.asarray(pose.as_exp_coords())
 
 
+def continued(twists: Floats) -> Floats:
+    """Logarithms ``(K, ..., 6)`` along ways of poses, in place of those after half a turn the ones that go on.
+
+    The axis -n and the angle 2 pi - a give the same rotation as n and a, and v = J_l^-1 p there the same translation,
+    in any unit. Where ways turn by nearly 2 pi there is none.
+    """
+    omega = twists[..., :3]
+    turned = np.linalg.norm(np.diff(omega, axis=0), axis=-1) > np.pi
+    beyond = np.concatenate([np.zeros_like(turned[:1]), np.cumsum(turned, axis=0) % 2 == 1])
+    if not beyond.any():
+        return twists
+    found, given = twists.copy(), twists[beyond]
+    other = given[:, :3] * (1.0 - 2.0 * np.pi / np.linalg.norm(given[:, :3], axis=-1, keepdims=True))
+    place = left_jacobian_so3(given[:, :3]) @ given[:, 3:, None]
+    found[beyond] = np.concatenate([other, np.linalg.solve(left_jacobian_so3(other), place)[..., 0]], axis=-1)
+    return found
+
+
 def rotations(matrix: Floats) -> Rotation:
     """`Rotation.from_matrix` of ``(..., 3, 3)`` that are orthogonal up to rounding: unchecked, and in compiled code.
 

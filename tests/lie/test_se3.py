@@ -10,7 +10,18 @@ from scipy.linalg import expm
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from lieednn_sim.errors import InputError
-from lieednn_sim.lie import adjoint, exp, hat, left_jacobian_se3, left_jacobian_so3, log, poses, rotations, vee
+from lieednn_sim.lie import (
+    adjoint,
+    continued,
+    exp,
+    hat,
+    left_jacobian_se3,
+    left_jacobian_so3,
+    log,
+    poses,
+    rotations,
+    vee,
+)
 
 tiny = st.floats(-12.0, -3.0).map(lambda power: 10.0**power)
 # Zero, near zero, where the series hands over to the closed forms, anywhere, and near pi: random draws alone miss bugs.
@@ -169,3 +180,16 @@ def test_read_only_twists_are_taken():
     twists = np.zeros((2, 6))
     twists.setflags(write=False)
     np.testing.assert_array_equal(exp(twists).translation, np.zeros((2, 3)))
+
+
+def test_logarithms_along_a_way_go_on_beyond_half_a_turn_and_come_back():
+    s = np.sin(np.linspace(0.0, np.pi, 200))
+    # About a fixed screw there and back, up to 1.6 pi, beside one that stays below half a turn.
+    ways = (
+        s[:, None, None] * np.array([[0.6, 0.0, 0.8, 0.1, -0.2, 0.3], [0.0, 0.5, 0.0, 0.4, 0.0, 0.0]]) * [[5.0], [2.0]]
+    )
+    principal = log(exp(ways))
+    assert np.abs(principal - ways).max() > 1.0
+    np.testing.assert_allclose(continued(principal), ways, atol=1e-9)
+    below = log(exp(0.5 * ways))
+    assert continued(below) is below

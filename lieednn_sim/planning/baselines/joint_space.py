@@ -7,6 +7,7 @@ import numpy as np
 from lieednn_sim.arm import PLANNED_CLEARANCE, Arm
 from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.arm.contacts import ContactFinder, moving_geoms
+from lieednn_sim.lie import continued
 from lieednn_sim.planning.motion import Motion, check_motion
 from lieednn_sim.planning.problem import PlanningProblem
 from lieednn_sim.values import Floats
@@ -114,6 +115,7 @@ def joint_motion(problem: PlanningProblem, q: Floats, qd: Floats, progress: Floa
     qd[[0, -1]] = 0.0
     none = np.zeros((len(q), arm.n_links))
     t = problem.times()
-    motion = Motion(t, progress, arm.encode(q), arm.encode(problem.target), q, qd, none, none.copy())
+    xi = continued(arm.encode(q))
+    motion = Motion(t, progress, xi, xi[-1], q, qd, none, none.copy())
     check_motion(arm, motion)
     return motion
