@@ -209,8 +209,10 @@ def test_one_network_is_drawn_first_where_links_are_screws_and_the_others_where_
     target = np.deg2rad([20.0, -40.0, 60.0])
     alone = plan(arm, target, planner="lieednn-certified")
     assert alone.candidates == 1
-    # The weights are next to nothing under the strongest bias.
-    assert np.abs(alone.network.bias).max() == pytest.approx(0.5)
+    # The target's largest entry is 60 degrees, the strongest bias 1.
+    assert np.abs(alone.network.bias).max() == pytest.approx(1.0)
+    weak = plan(arm, target, planner="lieednn-certified", options=CertifiedOptions(bias_magnitudes=(0.25, 0.125)))
+    assert np.abs(weak.network.bias).max() == pytest.approx(0.25)
     real = certified._plan
 
     def refused(problem, options, networks, drawn):

@@ -23,6 +23,8 @@ from lieednn_sim.values import Floats
 
 # The stronger the bias, the less the weights have to do and the straighter the transient; searches try all.
 BIAS_MAGNITUDES = (0.125, 0.25, 0.5)
+# In their place, unless others are asked for, where every link moves along one screw: the straightest ways first.
+_STRAIGHT = (1.0, 0.5, 0.25, 0.125)
 
 # Shares of the way from one roughly integrated state to the next at which contact is looked for, too: steps are long.
 _BETWEEN = (0.25, 0.5, 0.75)
@@ -56,8 +58,8 @@ class CertifiedOptions(CandidateOptions):
     Attributes:
         bias: a rule of `synthesis.BIAS_RULES`.
         first: of the candidates, where every link moves along one screw: there a gap costs nothing, and what is drawn
-            takes most of the time. The others are drawn where none of these can be used; magnitudes are taken from the
-            last on.
+            takes most of the time. The others are drawn where none of these can be used. Unless other magnitudes are
+            asked for, 1 comes before the usual ones, the strongest first.
         attempts: starts of `synthesize` for a candidate.
         last_attempts: for the last one, when there is none yet.
         tried: networks that are tried in full at most, where the first ones are refused.
@@ -120,9 +122,9 @@ def certified(problem: PlanningProblem, options: CertifiedOptions) -> Plan:
     message = ""
     one_screw = all(joint.screw is not None for joint in problem.arm.joints.joints)
     few = min(options.first, total) if one_screw else total
-    # The last, the strongest by default, makes the straightest way.
-    turned = replace(options, bias_magnitudes=options.bias_magnitudes[::-1]) if one_screw else options
-    for index, magnitude in enumerate(turned.magnitudes()):
+    if one_screw and options.bias_magnitudes == BIAS_MAGNITUDES:
+        options = replace(options, bias_magnitudes=_STRAIGHT)
+    for index, magnitude in enumerate(options.magnitudes()):
         # Patience only where everything else failed: easy candidates are many, hard ones cost seconds.
         attempts = options.last_attempts if index == total - 1 and not networks else options.attempts
         result = synthesize(xi, bias=options.bias, bias_magnitude=magnitude, seed=rng, max_attempts=attempts)

@@ -23,7 +23,7 @@ _SAG = 3e-4  # worth a remark [rad, m]: a millimetre at an arm's length from a f
 _LOADED = 16  # postures at which loads are looked at
 _WAYS, _LOOKS = 256, 20  # straight ways, and postures on each
 _NEAR = 0.002  # that planned motions keep from contact [m]
-_SHOWN = 12  # pairs of bodies in a remark
+_SHOWN = 24  # pairs of bodies in a remark
 _SINGULAR = 0.1  # least singular value of a link's screws, of unit size, with which its pose tells its joints apart
 _SLOW = 5.0  # worth a remark [Hz]
 _DESIGN = "servos='design' makes another"
@@ -101,26 +101,28 @@ def look_at_home(draft: Draft) -> None:
 def look_at_ways(draft: Draft) -> None:
     """Say between which bodies straight ways from home to random postures come near contact."""
     finder, home = ContactFinder(draft.model, _NEAR), draft.samples[0]
-    near: Counter[str] = Counter()
-    blocked, ways, rng = 0, 0, np.random.default_rng(1)
+    ends, between = Counter[str](), Counter[str]()
+    blocked, touching, rng = 0, 0, np.random.default_rng(1)
     for sample in (random_coordinates(draft, rng) for _ in range(_WAYS)):
-        shares = np.linspace(1.0, 0.0, _LOOKS, endpoint=False)
-        for share, qpos in zip(shares, _way(draft, home, sample, shares), strict=True):
-            found = finder.bodies(qpos)
-            if share == 1.0:
-                if found:
-                    break
-                ways += 1
-            elif found:
-                blocked += 1
-                near.update({"{!r} and {!r}".format(*sorted(pair)) for pair in found})
+        for share in np.linspace(1.0, 0.0, _LOOKS, endpoint=False):
+            q = {joint: start + share * (sample[joint] - start) for joint, start in home.items()}
+            found = finder.bodies(draft.place(draft.model, q, draft.model.qpos0))
+            if found:
+                touching, blocked = touching + (share == 1.0), blocked + (share < 1.0)
+                (ends if share == 1.0 else between).update({"{!r} and {!r}".format(*sorted(pair)) for pair in found})
                 break
-    if blocked:
-        shown = ", ".join(f"{pair} ({count})" for pair, count in near.most_common(_SHOWN))
-        draft.notes.append(
-            f"{blocked} of {ways} straight ways from home to free postures come within {1e3 * _NEAR:g} mm of contact, "
-            f"between {shown}: planners that look for no way around fail there, lieednn-shaped and rrt-connect look"
-        )
+    for count, what, pairs, then in (
+        (touching, f"{_WAYS} random postures are", ends, "no targets"),
+        (
+            blocked,
+            f"{_WAYS - touching} straight ways from home to the others come",
+            between,
+            "planners that look for no way around fail there, lieednn-shaped and rrt-connect look",
+        ),
+    ):
+        if count:
+            shown = ", ".join(f"{pair} ({times})" for pair, times in pairs.most_common(_SHOWN))
+            draft.notes.append(f"{count} of {what} within {1e3 * _NEAR:g} mm of contact, between {shown}: {then}")
 
 
 def look_for_singular_links(draft: Draft) -> None:
