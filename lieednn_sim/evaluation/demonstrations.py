@@ -93,7 +93,8 @@ def compare_models(
     """
     names = [as_choice("rival", name, RIVALS) for name in rivals]
     hidden = shaped.network.n_hidden - shaped.network.n_clock
-    again = replace(options, neurons=tuple(n for n in options.neurons if n <= hidden))
+    fewer, placed = (tuple(n for n in some if n <= hidden) for some in (options.neurons, options.placed))
+    again = replace(options, neurons=fewer, placed=placed)
     fits: dict[str, Callable[[Demonstrations], MotionModel]] = {
         shaped.name: lambda some: ShapedMotion.fit(some, options=again, seed=seed)
     }

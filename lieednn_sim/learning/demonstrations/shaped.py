@@ -21,6 +21,8 @@ DEVIATION = 2e-3
 _SPAN, _LONGEST_STEP, _SHARE_STEP = 16.0, 0.2, 1.0 / 600.0
 # Numbers of a switch that are not zero by construction: all of them, or without rotational halves and shifts.
 _PER_SWITCH = {2: 10, 3: 10, 6: 19}
+# Of a placed one: its place, its slope, and a vector.
+_PER_PLACED = {2: 4, 3: 5, 6: 5}
 
 
 @frozen
@@ -75,7 +77,8 @@ class ShapedMotion:
     @property
     def n_parameters(self) -> int:
         """Numbers of the switches that are not zero by construction."""
-        return _PER_SWITCH[self.freedoms] * (self.network.n_hidden - self.network.n_clock)
+        each = _PER_PLACED if self.shaping.placed else _PER_SWITCH
+        return each[self.freedoms] * (self.network.n_hidden - self.network.n_clock)
 
     def reproduce(self, start: Floats, t: Floats) -> Floats:
         """As `MotionModel.reproduce`: the network run from there, hidden neurons at their start.

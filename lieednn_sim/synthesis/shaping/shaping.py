@@ -86,6 +86,7 @@ class Shaping:
         network: the best network found; certified in any case.
         deviation: largest distance of network's way and curve, either from the other, in the metric [m].
         rms: root mean square of the distances of the network's way from the curve, even over its length [m].
+        placed: whether the network's switches are placed ones.
         tries: numbers of neurons tried.
         iterations: of the descents, together.
         seconds: CPU time.
@@ -96,6 +97,7 @@ class Shaping:
     network: LieEDNN
     deviation: float
     rms: float
+    placed: bool
     tries: int
     iterations: int
     seconds: float
@@ -142,7 +144,7 @@ def shape(
         curve = as_curve(curves, units)
         cascade = Cascade(clockwork(float(chosen.rate)), curve.points[0], curve.points[-1])
         best: tuple[float, float, LieEDNN] | None = None
-        tries = iterations = 0
+        tries = best_try = iterations = 0
 
         def candidates() -> Iterator[Parameters]:
             nonlocal iterations
@@ -160,7 +162,7 @@ def shape(
             tries += 1
             made = _measured(parameters, chosen.rate, curve)
             if best is None or made[0] < best[0]:
-                best = made
+                best, best_try = made, tries
             if best[0] <= goal:
                 break
     assert best is not None
@@ -175,7 +177,9 @@ def shape(
     )
     if not network.certified:
         raise NotCertifiedError(f"the closed-form certificate does not hold ({network.certificate}); curve too large")
-    return Shaping(success, message, network, found, rms, tries, iterations, cpu_time() - begun)
+    return Shaping(
+        success, message, network, found, rms, best_try > len(chosen.neurons), tries, iterations, cpu_time() - begun
+    )
 
 
 def as_curve(curves: ArrayLike | Sequence[ArrayLike], units: ArrayLike) -> Curve:

@@ -104,3 +104,13 @@ def test_a_shaped_network_follows_the_mean_and_forgets_the_start_as_fast_as_it_s
     way = model.network.trajectory(model.network.start(planar.mean[:1]), tau[40])
     np.testing.assert_allclose(path[0, 40], model.network.visible(way.xi[-1])[0], atol=2e-5)
     assert model.n_parameters == 10 * (model.network.n_hidden - model.network.n_clock)
+
+
+def test_numbers_of_a_placed_switch_are_its_place_its_slope_and_a_vector(planar):
+    model = ShapedMotion.fit(planar, options=ShapingOptions(neurons=(), placed=(8,)))
+    network = model.network
+    hidden = slice(1, None)
+    counted = np.count_nonzero(network.bias[hidden]) + np.count_nonzero(network.hidden_start)
+    # In the plane two entries of the vector; the other four of each column are zero, or as good as.
+    counted += np.count_nonzero(np.abs(network.weight[:6, 6:].reshape(6, 8, 6)[:, :, 3]) > 1e-9)
+    assert model.n_parameters == counted == 4 * 8
