@@ -80,7 +80,7 @@ _POSTURES = 100  # at which the forward map is compared
 def try_robot(file: Path, options: dict[str, Any], targets: int) -> dict[str, Any]:
     """What comes of one robot, as a row of the table with what is behind it."""
     begun = time.process_time()
-    row: dict[str, Any] = {"robot": f"{file.parent.name}/{file.stem}"}
+    row: dict[str, Any] = {}
     try:
         arm = Arm.load(file, **options)
     except LieEDNNError as error:
@@ -271,7 +271,7 @@ def main(words: list[str] | None = None) -> None:
         path = arguments.output / f"{file.parent.name}_{file.stem}.json"
         if not path.is_file():
             storage.save_json(path, try_robot(file, ROBOTS.get(name, {}), arguments.targets))
-        rows.append(json.loads(path.read_text()))
+        rows.append(json.loads(path.read_text()) | {"robot": f"{Path(name).parts[0]}/{file.stem}"})
         with storage.atomic_text(arguments.output / "robots.md") as stream:
             stream.write(as_markdown(rows, arguments.models or ", ".join(folder.name for folder in arguments.folders)))
         print(f"{name}: done", flush=True)
