@@ -133,6 +133,10 @@ def try_robot(file: Path, options: dict[str, Any], targets: int) -> dict[str, An
 def _unexplained_plan(name: str, failure: str, report: list[str]) -> list[str]:
     """What the report before planning does not say of a plan that failed: which bodies are in each other's way."""
     pair = re.search(r"'([^']+)' would come within 2 mm of '([^']+)'", failure)
+    fast = re.search(r"joint '([^']+)' would (?:move|accelerate) at .*, its limit is ([0-9.e+-]+)", failure)
+    limits = [line for line in report if "velocity limits" in line or "acceleration limits" in line]
+    if fast and any(f"{fast[1]} {fast[2]}" in line for line in limits):
+        return []
     if pair is None:
         return [f"{name}: {failure}"]
     ways = [line for line in report if "straight ways from home" in line or "random postures" in line]

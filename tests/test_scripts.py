@@ -133,6 +133,11 @@ def test_failures_are_held_against_the_report():
     assert real_robots._unexplained_plan("p 1", failure, [ways]) == []
     assert real_robots._unexplained_plan("p 1", failure.replace("hand", "arm"), [ways]) != []
     assert real_robots._unexplained_plan("p 1", "joint 'a' would jump", [ways]) == ["p 1: joint 'a' would jump"]
+    slow = (
+        "joint 'a' would move at 2.5 rad/s at t = 1.97 s, its limit is 0.84 rad/s; a duration of at least 12 s keeps it"
+    )
+    assert real_robots._unexplained_plan("p 1", slow, ["note: velocity limits of the URDF [rad/s, m/s]: a 0.84"]) == []
+    assert real_robots._unexplained_plan("p 1", slow, ["note: velocity limits of the URDF [rad/s, m/s]: a 0.9"]) != []
     stuck = "joint 'a' ends 1 degrees off, ...: dry friction of 2 N m / kp 40 holds it anywhere within 2.86 degrees"
     found = SimpleNamespace(causes=(stuck, "what helps: the controller inverse-dynamics"), shortfall="arrival: ...")
     assert real_robots._unexplained_error("s 1", found, ["note: a: dry friction of 2 leaves it up to ..."]) == []
