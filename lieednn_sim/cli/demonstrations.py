@@ -12,7 +12,7 @@ from lieednn_sim import storage
 from lieednn_sim.cli.console import console, progress, wrote
 from lieednn_sim.cli.run_directory import PLOT_KINDS
 from lieednn_sim.errors import InputError
-from lieednn_sim.evaluation.demonstrations import RIVALS, ModelRow, compare_models, of_models
+from lieednn_sim.evaluation.demonstrations import RIVALS, ModelRow, compare_models, missing_rivals, of_models
 from lieednn_sim.evaluation.plot_demonstrations import plot_field, plot_paths
 from lieednn_sim.learning.demonstrations import Demonstrations, align, load_demonstrations
 from lieednn_sim.learning.demonstrations.shaped import ShapedMotion
@@ -27,6 +27,10 @@ def learn(arguments: argparse.Namespace) -> None:
     rivals = [] if arguments.rivals in ("", "none") else arguments.rivals.split(",")
     for name in rivals:
         as_choice("rival", name, RIVALS)
+    for name, reason in missing_rivals().items():
+        if name in rivals:
+            rivals.remove(name)
+            console.print(f"not compared: {name} is not installed ({reason})")
     starts, seed = as_count("starts", arguments.starts), as_seed("seed", arguments.seed)
     options = ShapingOptions(rate=arguments.clock_rate)
     shown = load_demonstrations(

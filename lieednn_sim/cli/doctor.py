@@ -34,8 +34,8 @@ _PACKAGES = (
 # Optional packages, the extra that brings them, and what they are good for.
 _EXTRAS = {
     "ompl": ("rivals", "planners rrt-connect, rrt-star and lieednn-guided"),
-    "movement_primitives": ("dmp", "planner dmp; needs a C compiler and Python's headers"),
-    "pytransform3d": ("dmp", "planner dmp"),
+    "movement_primitives": ("dmp", "planner dmp, rival promp; needs a C compiler and Python's headers"),
+    "pytransform3d": ("dmp", "planner dmp, rival promp"),
     "gymnasium": ("gymnasium", "Gymnasium environments"),
     "cvxpy": ("lmi", "certificates by matrix inequalities"),
 }

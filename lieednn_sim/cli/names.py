@@ -23,4 +23,4 @@ PLANNERS = (
 CONTROLLERS = ("position-servo", "inverse-dynamics", "computed-torque", "mocap", "mocap-deadbeat")
 ALGORITHMS = ("literal", "repaired", "tracked", "riemannian", "stability-aware")
 BIAS_RULES = ("uniform", "sign-matched", "solved")
-RIVALS = ("dmp", "lpv-ds", "linear-attractor")
+RIVALS = ("dmp", "promp", "lpv-ds", "linear-attractor")

@@ -16,6 +16,7 @@ from lieednn_sim.evaluation.paths import PathErrors, path_errors
 from lieednn_sim.learning.demonstrations import Demonstrations
 from lieednn_sim.learning.demonstrations.models import LinearAttractor, MotionModel
 from lieednn_sim.learning.demonstrations.primitive import MovementPrimitive
+from lieednn_sim.learning.demonstrations.probabilistic import INSTALL, ProbabilisticPrimitive, missing_library
 from lieednn_sim.learning.demonstrations.shaped import ShapedMotion
 from lieednn_sim.learning.demonstrations.stable_mixture import StableMixture
 from lieednn_sim.synthesis import ShapingOptions
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 # What fits a model with about so many parameters.
 RIVALS: Mapping[str, Callable[[Demonstrations, int], MotionModel]] = {
     MovementPrimitive.name: MovementPrimitive.fit,
+    ProbabilisticPrimitive.name: ProbabilisticPrimitive.fit,
     StableMixture.name: StableMixture.fit,
     LinearAttractor.name: lambda demonstrations, _: LinearAttractor.fit(demonstrations),
 }
@@ -60,6 +62,11 @@ class ModelRow:
     attraction: Attraction
 
 
+def missing_rivals() -> dict[str, str]:
+    """Names of the rivals whose libraries are not installed, with what installs them."""
+    return {ProbabilisticPrimitive.name: INSTALL} if missing_library() else {}
+
+
 def reproduction(model: MotionModel, demonstrations: Demonstrations, start: Floats) -> Floats:
     """Twists ``(K, 6)`` from a twist ``(6,)`` until the model's motion is over."""
     return model.reproduce(start, np.linspace(0.0, model.durations * demonstrations.duration, _INSTANTS))
@@ -70,7 +77,7 @@ def compare_models(
     shaped: ShapedMotion,
     options: ShapingOptions,
     *,
-    rivals: Sequence[str] = tuple(RIVALS),
+    rivals: Sequence[str] | None = None,
     starts: int = 1000,
     leave_one_out: bool = True,
     seed: int = 0,
@@ -82,7 +89,7 @@ def compare_models(
         demonstrations: to learn from.
         shaped: fitted to all of them.
         options: that it was fitted with. What is fitted without one of them has no more hidden neurons.
-        rivals: names of `RIVALS`.
+        rivals: names of `RIVALS`; by default all that are installed.
         starts: random ones, see `fields.random_starts`.
         leave_one_out: fit each model again without each of the demonstrations.
         seed: of the starts and the fits.
@@ -91,7 +98,9 @@ def compare_models(
     Returns:
         A row for each model, and the models by name, the network first.
     """
-    names = [as_choice("rival", name, RIVALS) for name in rivals]
+    missing = missing_rivals()
+    chosen = [name for name in RIVALS if name not in missing] if rivals is None else rivals
+    names = [as_choice("rival", name, RIVALS) for name in chosen]
     hidden = shaped.network.n_hidden - shaped.network.n_clock
     fewer, placed = (tuple(n for n in some if n <= hidden) for some in (options.neurons, options.placed))
     again = replace(options, neurons=fewer, placed=placed)

@@ -29,6 +29,7 @@ _LINES: tuple[dict[str, Any], ...] = (
     {"color": COLOURS[1], "lw": 1.3, "ls": "--"},
     {"color": COLOURS[2], "lw": 1.3, "ls": ":"},
     {"color": COLOURS[3], "lw": 1.0, "ls": "-."},
+    {"color": COLOURS[5], "lw": 1.0, "ls": (0, (5, 1, 1, 1, 1, 1))},
 )
 
 

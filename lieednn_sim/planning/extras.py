@@ -7,19 +7,18 @@ import importlib.util
 from typing import Any
 
 from lieednn_sim.errors import LieEDNNError
+from lieednn_sim.learning.demonstrations import probabilistic
 
 # The libraries that a planner needs beside the package's own.
 REQUIREMENTS: dict[str, tuple[str, ...]] = {
-    # The primitives' library imports pytransform3d and does not say so.
-    "dmp": ("movement_primitives", "pytransform3d"),
+    "dmp": probabilistic.LIBRARIES,
     "lieednn-guided": ("ompl",),
     "rrt-connect": ("ompl",),
     "rrt-star": ("ompl",),
 }
 # What installs each of them.
 INSTALL: dict[str, str] = {
-    "movement_primitives": "pip install 'lieednn_sim[dmp]' (needs a C compiler and Python's headers)",
-    "pytransform3d": "pip install 'lieednn_sim[dmp]' (needs a C compiler and Python's headers)",
+    **dict.fromkeys(probabilistic.LIBRARIES, probabilistic.INSTALL),
     "ompl": "pip install 'lieednn_sim[rivals]'",
 }
 

@@ -10,6 +10,7 @@ import pytest
 from lieednn_sim.learning.demonstrations.alignment import displacement
 from lieednn_sim.learning.demonstrations.models import LinearAttractor, at_times, even_grid, run_field
 from lieednn_sim.learning.demonstrations.primitive import MovementPrimitive
+from lieednn_sim.learning.demonstrations.probabilistic import ProbabilisticPrimitive, missing_library
 from lieednn_sim.learning.demonstrations.shaped import ShapedMotion
 from lieednn_sim.learning.demonstrations.stable_mixture import StableMixture
 from lieednn_sim.synthesis import ShapingOptions
@@ -52,6 +53,26 @@ def test_a_primitive_follows_the_mean_in_time(name, request):
     other = shown.mean[0] + [0.0, 0.0, 0.0, 0.1, -0.1, 0.0]
     late = model.reproduce(np.stack([other, shown.mean[0]]), 3.0 * t)
     np.testing.assert_allclose(late[:, -1], 0.0, atol=1e-3)
+    if name == "planar":
+        np.testing.assert_array_equal(late[..., [0, 1, 2, 5]], 0.0)
+
+
+@pytest.mark.skipif(missing_library() is not None, reason="needs movement_primitives")
+@pytest.mark.parametrize("name", ["planar", "posed"])
+def test_a_probabilistic_primitive_goes_from_any_start_as_the_demonstrations_would(name, request):
+    shown = request.getfixturevalue(name)
+    model = ProbabilisticPrimitive.fit(shown, 60)
+    assert model.n_parameters == 60
+    t = np.linspace(0.0, shown.duration, 50)
+    paths = displacement(at_times(shown.twists, shown.t, t))
+    found = displacement(model.reproduce(shown.twists[:, 0], t))
+    # Each demonstration from its own start, though only their distribution was kept; ends are exact.
+    np.testing.assert_allclose(found, paths, atol=1e-2)
+    np.testing.assert_allclose(found[:, [0, -1]], paths[:, [0, -1]], atol=1e-9)
+    # What was not shown stays as it is, and after the duration all rest.
+    other = shown.mean[0] + [0.0, 0.0, 0.0, 0.1, -0.1, 0.0]
+    late = model.reproduce(other, 3.0 * t)
+    np.testing.assert_allclose(late[-30:], 0.0, atol=1e-9)
     if name == "planar":
         np.testing.assert_array_equal(late[..., [0, 1, 2, 5]], 0.0)
 
