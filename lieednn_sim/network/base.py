@@ -151,8 +151,8 @@ class BlockNetwork(ABC):
     def vector_field(self, xi: ArrayLike) -> Floats:
         """Right-hand side in block form, ``(..., N, d)`` to the same shape."""
         state = as_floats("xi", xi, self.bias.shape, batched=True)
-        drive = np.einsum("ijab,...jb->...ia", self.blocks, self.phi(state))
-        return -self.gamma * state + self.mu * (drive + self.bias)
+        output = self.phi(state).reshape(*state.shape[:-2], -1)
+        return -self.gamma * state + self.mu * ((output @ self.weight.T).reshape(state.shape) + self.bias)
 
     def flat_vector_field(self, x: Floats) -> Floats:
         """Right-hand side in flat form, ``(dN,)`` to ``(dN,)``; unchecked, for integrators."""

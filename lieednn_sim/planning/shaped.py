@@ -36,6 +36,8 @@ _OPTIMISATION = OptimisationOptions(guesses=1, evaluations=12, inset=0.01)
 _RRT = RrtConnectOptions()
 # Of the teacher's motion, each so-manyth sample is a sample of the curve.
 _STRIDE = 2
+# Samples of a network's motion at which it is compared with the teacher's.
+_COMPARED = 400
 # Postures at which lever arms are looked at.
 _POSTURES = 50
 
@@ -78,41 +80,45 @@ def shaped(problem: PlanningProblem, options: ShapedOptions) -> Plan:
     teacher = _teacher(problem, options)
     guide, arm = teacher.motion, problem.arm
     units = lever_units(arm, guide.q)
+    lasts = float(guide.t[-1])
     # As long as the teacher's, which may have asked for more time already.
-    asked = replace(
-        problem, duration=float(guide.t[-1]), longest=max(1.0, problem.longest * problem.duration / guide.t[-1])
-    )
+    asked = replace(problem, duration=lasts, longest=max(1.0, problem.longest * problem.duration / lasts))
     if np.abs(guide.xi - guide.xi[0]).max() == 0.0:
         network = without_weights(guide.xi_target)
         path = NetworkPath.drawn(arm, network, problem.start)
         return Plan(in_time(timed_motion, asked, path), network, teacher=teacher, deviation=0.0)
     law = law_of(guide, units)
     curve = np.concatenate([guide.xi[:-1:_STRIDE], guide.xi_target[None]])
-    fit_time, refusal, candidates = 0.0, "no number of neurons was allowed", list[_Candidate]()
+    fit_time, refusal, left = 0.0, "no number of neurons was allowed", list[_Candidate]()
+
+    def planned(candidate: _Candidate) -> Plan | None:
+        nonlocal refusal
+        path, deviation = candidate.path, candidate.deviation
+        try:
+            motion = in_time(timed_motion, asked, path, law)
+        except PlanError as error:
+            refusal = str(error)
+            return None
+        return Plan(motion, path.network, teacher=teacher, deviation=deviation, fit_time=fit_time)
+
     for count in options.neurons:
         shaping = ShapingOptions(options.rate, neurons=(), placed=(count,))
         result = shape(curve, options.deviation, units=units, options=shaping)
         fit_time += result.seconds
         path = NetworkPath.drawn(arm, result.network, problem.start, units)
-        motion = path.timed(float(guide.t[-1]), problem.timestep, law)
+        motion = path.timed(lasts, lasts / _COMPARED, law)
         deviation, jerk = _effector_deviation(arm, motion, guide), _jerk(arm, motion) / _jerk(arm, guide)
-        badness = max(deviation / options.deviation, (jerk - 1.0) / (options.jerk - 1.0))
-        if deviation <= options.largest_deviation:
-            candidates.append(_Candidate(badness, path, deviation))
+        candidate = _Candidate(max(deviation / options.deviation, (jerk - 1.0) / (options.jerk - 1.0)), path, deviation)
+        if candidate.badness <= 1.0:
+            if made := planned(candidate):
+                return made
+        elif deviation <= options.largest_deviation:
+            left.append(candidate)
         else:
             refusal = f"the end effector would be {1e3 * deviation:.2g} mm off the teacher's path"
-        if badness > 1.0 and count != options.neurons[-1]:
-            continue
-        # Where limits and clearance refuse the best, the next best may keep them.
-        for candidate in sorted(candidates, key=lambda one: one.badness):
-            try:
-                made = in_time(timed_motion, asked, candidate.path, law)
-            except PlanError as error:
-                candidates.remove(candidate)
-                refusal = str(error)
-                continue
-            found = candidate.path.network
-            return Plan(made, found, teacher=teacher, deviation=candidate.deviation, fit_time=fit_time)
+    for candidate in sorted(left, key=lambda one: one.badness):
+        if made := planned(candidate):
+            return made
     raise PlanError(f"no network follows the motion of {teacher.planner} closely enough: {refusal}")
 
 
