@@ -18,6 +18,7 @@ from PIL import Image
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.planning.motion import Motion
+from lieednn_sim.synthesis import ShapingOptions
 
 
 @pytest.mark.rendering
@@ -153,7 +154,7 @@ def test_the_table_of_demonstrations(tmp_path, monkeypatch, capsys):
     turns = np.concatenate([np.cos(0.4 * s), np.sin(0.4 * s), 0.0 * s, 0.0 * s], axis=1)
     rows = [np.concatenate([20.0 * (1.0 - s), k * s * (1.0 - s), 0.0 * s, turns], axis=1) for k in (8.0, 9.0)]
     np.save(tmp_path / "robottasks" / "bend.npy", rows)
-    monkeypatch.setattr(evaluate_demonstrations, "NEURONS", (2,))
+    monkeypatch.setattr(evaluate_demonstrations, "OPTIONS", ShapingOptions(neurons=(2,), placed=()))
     monkeypatch.setattr("lieednn_sim.evaluation.paths.SAMPLES", 60)
     words = [str(tmp_path), "--starts", "3", "--output", str(tmp_path / "out")]
     evaluate_demonstrations.main(words)

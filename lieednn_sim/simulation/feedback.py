@@ -66,7 +66,7 @@ class Feedback:
         InputError: a value is out of range.
     """
 
-    rate: float = 1.0
+    rate: float = 5.0
     tolerance: float = 0.01
     patience: float = 0.002
     safety: FilterOptions | None = None
