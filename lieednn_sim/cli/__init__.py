@@ -130,8 +130,9 @@ def _parser() -> argparse.ArgumentParser:
 
     learn = command(
         "learn",
-        "learn a certified network from demonstrations of an end effector, and compare it with other models",
-        "The files are .npy, .npz, .csv or LASA's .mat: positions x y or x y z, or poses with a unit quaternion.",
+        "learn a certified network from demonstrations of an end effector or of an arm's joints",
+        "The files are .npy, .npz, .csv or LASA's .mat: positions x y or x y z, or poses with a unit quaternion,"
+        " which are compared with other models; with --arm its joints, into a run that 'simulate' goes on with.",
     )
     options.add_demonstrations(learn)
     options.add_plots(learn)

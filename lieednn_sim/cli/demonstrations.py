@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 
 from lieednn_sim import storage
+from lieednn_sim.cli.arguments import import_options
 from lieednn_sim.cli.console import console, progress, wrote
+from lieednn_sim.cli.joint_demonstrations import learn_joints
 from lieednn_sim.cli.run_directory import PLOT_KINDS
 from lieednn_sim.errors import InputError
 from lieednn_sim.evaluation.demonstrations import RIVALS, ModelRow, compare_models, missing_rivals, of_models
@@ -22,7 +24,12 @@ from lieednn_sim.validation import as_choice, as_count, as_seed
 
 def learn(arguments: argparse.Namespace) -> None:
     """Read, fit, compare, and write ``network.npz``, ``report.json`` and two plots."""
+    if arguments.arm is not None:
+        learn_joints(arguments)
+        return
     # Bad values stop before the work.
+    if given := import_options(arguments):
+        raise InputError(f"--{next(iter(given))} is of --arm FILE.xml")
     kind = as_choice("kind of plots", arguments.plots, PLOT_KINDS)
     rivals = [] if arguments.rivals in ("", "none") else arguments.rivals.split(",")
     for name in rivals:
@@ -31,7 +38,10 @@ def learn(arguments: argparse.Namespace) -> None:
         if name in rivals:
             rivals.remove(name)
             console.print(f"not compared: {name} is not installed ({reason})")
-    starts, seed = as_count("starts", arguments.starts), as_seed("seed", arguments.seed)
+    starts, seed = (
+        as_count("starts", 1000 if arguments.starts is None else arguments.starts),
+        as_seed("seed", arguments.seed),
+    )
     options = ShapingOptions(rate=arguments.clock_rate)
     shown = load_demonstrations(
         arguments.files, unit=arguments.unit, quaternion=arguments.quaternion, rate=arguments.sample_rate

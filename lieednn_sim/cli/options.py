@@ -185,6 +185,10 @@ def add_simulation(parser: argparse.ArgumentParser) -> None:
 def add_demonstrations(parser: argparse.ArgumentParser) -> None:
     """Files of demonstrations, how they are read, and what is learned from them."""
     parser.add_argument("files", nargs="+", metavar="FILE", help="demonstrations of one motion; each ends at its goal")
+    parser.add_argument(
+        "--arm", metavar="NAME", help=f"learn its joints, the files' columns [rad, m]: {_one_of(ARMS)}, or an MJCF file"
+    )
+    add_frames(parser)
     parser.add_argument("--unit", default="m", help="of positions: m, cm or mm")
     parser.add_argument("--quaternion", default="wxyz", metavar="ORDER", help="of its entries: wxyz or xyzw")
     parser.add_argument("--sample-rate", type=decimal, default=100.0, metavar="HZ", help="of files without times")
@@ -195,7 +199,8 @@ def add_demonstrations(parser: argparse.ArgumentParser) -> None:
         "--deviation",
         type=decimal,
         metavar="M",
-        help="from the mean demonstration that is asked for [m] (default: 0.002 of the demonstrations' extent)",
+        help="from the mean demonstration that is asked for [m] (default: 0.002 of the demonstrations' extent, of "
+        "joints 0.001 of their way)",
     )
     parser.add_argument(
         "--clock-rate",
@@ -205,7 +210,9 @@ def add_demonstrations(parser: argparse.ArgumentParser) -> None:
         help="rho: 1 moves with the start, less returns to the path 1/rho times as fast",
     )
     parser.add_argument("--rivals", default=",".join(RIVALS), metavar="A,B,...", help="models to compare with, or none")
-    parser.add_argument("--starts", type=whole, default=1000, metavar="N", help="random ones of each model")
+    parser.add_argument(
+        "--starts", type=whole, metavar="N", help="random ones of each model (default: 1000, of an arm's joints 20)"
+    )
     parser.add_argument("--no-leave-one-out", action="store_true", help="skip the fits without one of them")
     parser.add_argument("--seed", type=whole, default=0, help="of the random draws")
     parser.add_argument("--output", default="results/learned-motion", metavar="DIR", help="(default: %(default)s)")

@@ -16,6 +16,8 @@ from lieednn_sim.versions import versions
 
 # What makes a network that draws its motion by itself (`network_path.make_motion`).
 CERTIFIED, TRAINED = "lieednn-certified", "train"
+# What the command ``learn`` makes of an arm's demonstrations, with the motion.
+DEMONSTRATED = "learn"
 
 
 @dataclass(frozen=True)
@@ -30,8 +32,8 @@ class Task:
         scene: the obstacles around the arm, see `Arm.load`.
         scene_seed: of their positions.
         imported: how such a file became an arm, the options of `Arm.load`.
-        planner: a name of `planning.PLANNERS`, or `TRAINED` for the command ``train``. But for that and `CERTIFIED` it
-            makes the motion, too, which is then stored.
+        planner: a name of `planning.PLANNERS`, `TRAINED` for ``train``, or `DEMONSTRATED` for ``learn``. But for
+            `TRAINED` and `CERTIFIED` it makes the motion, too, which is then stored.
         reason: why this planner.
         seed: of its random draws.
         options: its other options by name, as JSON can hold them.

@@ -19,6 +19,7 @@ from lieednn_sim.learning.demonstrations.primitive import MovementPrimitive
 from lieednn_sim.learning.demonstrations.probabilistic import INSTALL, ProbabilisticPrimitive, missing_library
 from lieednn_sim.learning.demonstrations.shaped import ShapedMotion
 from lieednn_sim.learning.demonstrations.stable_mixture import StableMixture
+from lieednn_sim.network import LieEDNN
 from lieednn_sim.synthesis import ShapingOptions
 from lieednn_sim.validation import as_choice
 from lieednn_sim.values import Floats
@@ -101,9 +102,7 @@ def compare_models(
     missing = missing_rivals()
     chosen = [name for name in RIVALS if name not in missing] if rivals is None else rivals
     names = [as_choice("rival", name, RIVALS) for name in chosen]
-    hidden = shaped.network.n_hidden - shaped.network.n_clock
-    fewer, placed = (tuple(n for n in some if n <= hidden) for some in (options.neurons, options.placed))
-    again = replace(options, neurons=fewer, placed=placed)
+    again = no_more_than(options, shaped.network)
     fits: dict[str, Callable[[Demonstrations], MotionModel]] = {
         shaped.name: lambda some: ShapedMotion.fit(some, options=again, seed=seed)
     }
@@ -135,6 +134,13 @@ def compare_models(
             rows.append(row)
             models[name] = model
     return rows, models
+
+
+def no_more_than(options: ShapingOptions, network: LieEDNN) -> ShapingOptions:
+    """Options of a search for networks with no more hidden neurons than one that it found has."""
+    hidden = network.n_hidden - network.n_clock
+    fewer, placed = (tuple(n for n in some if n <= hidden) for some in (options.neurons, options.placed))
+    return replace(options, neurons=fewer, placed=placed)
 
 
 def _errors(model: MotionModel, demonstrations: Demonstrations, shown: Floats) -> PathErrors:

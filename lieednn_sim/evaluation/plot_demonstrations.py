@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import matplotlib
@@ -18,11 +18,12 @@ from lieednn_sim.evaluation.figure_layout import COLOURS, STYLE
 from lieednn_sim.learning.demonstrations import Demonstrations
 from lieednn_sim.learning.demonstrations.alignment import displacement
 from lieednn_sim.learning.demonstrations.models import MotionModel
+from lieednn_sim.planning.demonstrated import JointDemonstrations
 from lieednn_sim.values import Floats
 
 _SHOWN, _ELSEWHERE = "0.72", "0.45"
-# Starts elsewhere that are drawn, and points of the field to each side.
-_STARTS, _FIELD = 12, 28
+# Joints in a row, starts elsewhere that are drawn, and points of the field to each side.
+_IN_ROW, _STARTS, _FIELD = 3, 12, 28
 # Line styles of the models, the network's first.
 _LINES: tuple[dict[str, Any], ...] = (
     {"color": COLOURS[0], "lw": 1.8, "ls": "-"},
@@ -71,6 +72,42 @@ def plot_paths(models: Mapping[str, MotionModel], demonstrations: Demonstrations
         handles.append(Line2D([], [], color="k", marker="*", ls="", ms=9))
         labels = ["demonstrations", *paths, "goal"]
         figure.legend(handles, labels, loc="outside upper center", ncols=3 if len(views) == 1 else len(labels))
+        figure_layout.save_figure(figure, path)
+
+
+def plot_joint_paths(
+    demonstrations: JointDemonstrations,
+    reproduction: Floats,
+    path: str | os.PathLike[str],
+    elsewhere: Sequence[Floats] = (),
+) -> None:
+    """Each joint over the share of the way: demonstrations, the reproduction ``(K, n)``, ways from elsewhere."""
+    arm = demonstrations.arm
+    rows = -(-arm.n_joints // _IN_ROW)
+    groups: list[tuple[str, Sequence[Floats], dict[str, Any]]] = [
+        ("demonstrations", list(demonstrations.q), {"color": _SHOWN, "lw": 0.9, "ls": "-"}),
+        ("lieednn-shaped, from their mean start", [reproduction], _LINES[0]),
+    ]
+    if len(elsewhere):
+        groups.insert(1, ("starts elsewhere", elsewhere[:_STARTS], {"color": _ELSEWHERE, "lw": 0.7, "ls": ":"}))
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(10.5, 0.9 + 2.1 * rows), layout="constrained")
+        axes = figure.subplots(rows, _IN_ROW, squeeze=False, sharex=True).ravel()
+        for name, ways, line in groups:
+            for number, q in enumerate(ways):
+                share = demonstrations.shares(q)
+                for joint in range(arm.n_joints):
+                    label = None if number or joint else name
+                    axes[joint].plot(share, q[:, joint], label=label, **line)
+        for joint, axis in enumerate(axes):
+            if joint < arm.n_joints:
+                axis.set(title=arm.joint_names[joint], ylabel=f"[{arm.unit(joint)}]")
+            else:
+                axis.set_axis_off()
+            if joint + _IN_ROW >= arm.n_joints > joint:
+                axis.set_xlabel("share of the way")
+                axis.xaxis.set_tick_params(labelbottom=True)
+        figure.legend(loc="outside upper center", ncols=len(groups))
         figure_layout.save_figure(figure, path)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline
+from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
 
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.values import Floats
@@ -25,7 +25,16 @@ def law_of(motion: Motion, units: Floats) -> Law:
     length = np.append(0.0, np.cumsum(steps))
     s, share = motion.t / motion.t[-1], length / length[-1]
     slope = np.gradient(share, s, edge_order=2)
-    slope[[0, -1]] = 0.0
-    way = CubicHermiteSpline(s, share, np.maximum(slope, 0.0))
+    return _through(s, share, np.maximum(slope, 0.0))
+
+
+def law_of_times(t: Floats, share: Floats) -> Law:
+    """The law, from rest to rest, that has the shares ``(K,)`` behind it at times ``(K,)``; it never goes back."""
+    s = t / t[-1]
+    return _through(s, share, PchipInterpolator(s, share).derivative()(s))
+
+
+def _through(s: Floats, share: Floats, slope: Floats) -> Law:
+    way = CubicHermiteSpline(s, share, np.where((s > 0.0) & (s < 1.0), slope, 0.0))
     rate = way.derivative()
     return lambda x: (np.clip(way(x), 0.0, 1.0), np.maximum(rate(x), 0.0))

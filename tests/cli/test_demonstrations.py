@@ -64,6 +64,36 @@ def test_learn(hook, tmp_path, capsys, monkeypatch):
             assert min(picture.size) > 400
 
 
+def test_learn_joints(gantry, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(paths, "SAMPLES", 150)
+    s = np.linspace(0.0, 1.0, 60)
+    law = s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
+    files = []
+    for k in range(2):
+        columns = [4.0 * s, law - 0.5, (0.5 + 0.1 * k) * np.sin(np.pi * law), 0.3 * law, 1.0 - law]
+        files.append(str(tmp_path / f"{k}.csv"))
+        np.savetxt(files[-1], np.column_stack(columns), delimiter=",")
+    run = tmp_path / "learned"
+    words = ["learn", *files, "--arm", str(gantry.source), "--output", str(run), "--starts", "1", "--deviation", "0.02"]
+    words.append("--no-leave-one-out")
+    assert main(words) == 0
+    printed = " ".join(capsys.readouterr().out.split())
+    for word in ("2 demonstrations of 4 joints of gantry", "training", "1 of 1 random starts arrive", "kept, in 4 s"):
+        assert word in printed
+    report = json.loads((run / "report.json").read_text())
+    assert report["network_certified"]
+    assert report["limits_kept"]
+    assert report["mean"]["effector"]["rms_mm"] < 20.0
+    assert LieEDNN.load(run / "network.npz").n_visible == 2
+    for name in ("demonstrations.png", "starts.png"):
+        with Image.open(run / name) as picture:
+            assert min(picture.size) > 200
+    # A run like any other, with the motion at hand.
+    assert main(["simulate", str(run)]) == 0
+    assert main(["learn", *files, "--arm", str(gantry.source), "--output", str(run), "--unit", "cm"]) == 2
+    assert "--unit is of positions and poses" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("more", "message"),
     [
@@ -74,6 +104,8 @@ def test_learn(hook, tmp_path, capsys, monkeypatch):
         (["--phase", "pace"], "no phase 'pace'"),
         (["--starts", "0"], "starts must be at least 1"),
         (["--deviation", "-1"], "deviation must be positive"),
+        (["--links", "a,b"], "--links is of --arm FILE.xml"),
+        (["--arm", "telescopic_pr"], "must have 8 columns"),
     ],
 )
 def test_what_is_wrong_is_said_before_anything_is_made(hook, tmp_path, capsys, more, message):

@@ -16,6 +16,7 @@ from lieednn_sim.synthesis.shaping.assembly import assemble
 from lieednn_sim.synthesis.shaping.cascade import Cascade, Parameters, clockwork
 from lieednn_sim.synthesis.shaping.curve import Curve
 from lieednn_sim.synthesis.shaping.fit import LARGEST_SLOPE, Descent, NormalEquations
+from lieednn_sim.synthesis.shaping.shaping import as_curve
 from lieednn_sim.synthesis.shaping.start import starting_point
 
 RATES = [1.0, 0.3, 0.1]
@@ -33,6 +34,21 @@ def bent(n=2, count=200):
     rng = np.random.default_rng(5)
     first, second, third = rng.uniform(-0.4, 0.4, (3, 6 * n))
     return (first + s * second + np.sin(np.pi * s) * third).reshape(count, n, 6)
+
+
+def test_a_spread_says_where_a_curve_counts():
+    line = np.linspace(0.0, 1.0, 5)[:, None, None] * np.eye(6)[3]
+    # A tenth of the mean spread, 0.2, is added to each: 0.2 of 0.2, 1.2, ...; never below a tenth.
+    weights = as_curve(line, 1.0, [0.0, 1.0, 2.0, 3.0, 4.0]).weights
+    np.testing.assert_allclose(weights[[0, -1]], [1.0, 0.1])
+    np.testing.assert_allclose(np.interp(0.25, np.linspace(0.0, 1.0, len(weights)), weights), 0.2 / 1.2, rtol=5e-3)
+    for curves, spread, message in (
+        (line, [1.0] * 4, "spread must have shape"),
+        (line, [-1.0] * 5, "spread must not be negative"),
+        ([line, line], [1.0] * 5, "spread is of one curve"),
+    ):
+        with pytest.raises(InputError, match=message):
+            shape(curves, 1e-3, spread=spread)
 
 
 @pytest.mark.parametrize("rate", RATES)

@@ -115,16 +115,31 @@ def align(
         raise InputError("align needs at least one demonstration, and all must show the same")
     twists, times = [], []
     for one in demonstrations:
-        way = one.t if phase == "time" else np.concatenate([[0.0], np.cumsum(one.steps(lever))])
-        # Where nothing moves there is no phase: of a pause only its beginning counts, of the motion also its end.
-        kept = np.flatnonzero(np.concatenate([[True], np.diff(way) > 1e-12 * way[-1]]))
-        share = way[kept] / way[kept[-1]]
-        twists.append(np.stack([np.interp(shares, share, entry) for entry in one.twists[kept].T], axis=-1))
-        times.append(np.interp(shares, share, one.t[kept]))
+        reached, at = at_phases(shares, one.twists, one.t, one.steps(lever), phase)
+        twists.append(reached)
+        times.append(at)
     ends = Rotation.from_matrix(np.stack([one.rotation[-1] for one in demonstrations]))
     place = np.mean([one.position[-1] for one in demonstrations], axis=0)
     goal = RigidTransform.from_components(place, ends.mean())
     return Demonstrations(goal, np.mean(times, axis=0), np.stack(twists), demonstrations[0].freedoms, lever)
+
+
+def at_phases(shares: Floats, samples: Floats, t: Floats, steps: Floats, phase: str) -> tuple[Floats, Floats]:
+    """Samples ``(K, D)`` and times ``(K,)`` at shares of the length that steps ``(L - 1,)`` add up to, or of the time.
+
+    Args:
+        shares: ``(K,)`` from 0 to 1.
+        samples: ``(L, D)``.
+        t: ``(L,)`` their times.
+        steps: lengths of the way from each sample to the next.
+        phase: a name of `PHASES`.
+    """
+    way = t if phase == "time" else np.concatenate([[0.0], np.cumsum(steps)])
+    # Where nothing moves there is no phase: of a pause only its beginning counts, of the motion also its end.
+    kept = np.flatnonzero(np.concatenate([[True], np.diff(way) > 1e-12 * way[-1]]))
+    share = way[kept] / way[kept[-1]]
+    reached = np.stack([np.interp(shares, share, entry) for entry in samples[kept].T], axis=-1)
+    return reached, np.interp(shares, share, t[kept])
 
 
 def shown_part(freedoms: int) -> slice:

@@ -7,7 +7,8 @@ an array of three axes holds several of one length.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,8 @@ from lieednn_sim.validation import as_choice, as_path, as_positive
 
 # Samples, and their times where the file has them.
 Table = tuple[NDArray[Any], NDArray[Any] | None]
+# Which of the columns that a csv file names are the samples', in order.
+Columns = Callable[[Path, list[str]], Sequence[str]]
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 _COLUMNS = ("x", "y", "z")
@@ -56,14 +59,8 @@ def load_demonstrations(
     as_choice("order of quaternions", quaternion, QUATERNIONS)
     rate = as_positive("rate", rate)
     found: list[Demonstration] = []
-    for name in files:
-        path = as_path("the name of a file of demonstrations", name)
-        tables = list(_tables(path, quaternion))
-        for number, (samples, t) in enumerate(tables):
-            source = path.name if len(tables) == 1 else f"{path.name}[{number}]"
-            found.append(Demonstration.from_samples(samples, t, length, quaternion, rate, source))
-    if not found:
-        raise InputError("there is no demonstration; name at least one file")
+    for source, samples, t in read_tables(files, partial(_pose_columns, quaternion)):
+        found.append(Demonstration.from_samples(samples, t, length, quaternion, rate, source))
     for other in found[1:]:
         if other.freedoms != found[0].freedoms:
             raise InputError(
@@ -73,12 +70,32 @@ def load_demonstrations(
     return tuple(found)
 
 
-def _tables(path: Path, quaternion: str) -> Iterator[Table]:
+def read_tables(
+    files: Iterable[str | os.PathLike[str]], columns: Columns
+) -> list[tuple[str, NDArray[Any], NDArray[Any] | None]]:
+    """Where each table of the files comes from, its samples, and its times if it has them.
+
+    Raises:
+        FileError: a file cannot be read, or is of another kind.
+        InputError: there is none, or a csv file's names are not those of ``columns``.
+    """
+    found = []
+    for name in files:
+        path = as_path("the name of a file of demonstrations", name)
+        tables = list(_tables(path, columns))
+        for number, table in enumerate(tables):
+            found.append((path.name if len(tables) == 1 else f"{path.name}[{number}]", *table))
+    if not found:
+        raise InputError("there is no demonstration; name at least one file")
+    return found
+
+
+def _tables(path: Path, columns: Columns) -> Iterator[Table]:
     read = {".npy": _npy, ".npz": _npz, ".csv": _csv, ".mat": _mat}.get(path.suffix.lower())
     if read is None:
         raise FileError(f"{path} is no file of demonstrations; allowed are .npy, .npz, .csv and .mat")
     try:
-        yield from read(path, quaternion)
+        yield from read(path, columns)
     except (FileError, InputError):
         raise
     except FileNotFoundError:
@@ -101,11 +118,11 @@ def _several(path: Path, samples: NDArray[Any], t: NDArray[Any] | None = None) -
             yield one, t if t is None or t.ndim == 1 else t[number]
 
 
-def _npy(path: Path, _: str) -> Iterator[Table]:
+def _npy(path: Path, _: Columns) -> Iterator[Table]:
     return _several(path, np.load(path, allow_pickle=False))
 
 
-def _npz(path: Path, _: str) -> Iterator[Table]:
+def _npz(path: Path, _: Columns) -> Iterator[Table]:
     with np.load(path, allow_pickle=False) as archive:
         arrays = {name: archive[name] for name in archive.files}
     t, quaternions = arrays.pop("t", None), arrays.pop("quaternions", None)
@@ -118,24 +135,28 @@ def _npz(path: Path, _: str) -> Iterator[Table]:
     return _several(path, samples, t)
 
 
-def _csv(path: Path, quaternion: str) -> Iterator[Table]:
+def _csv(path: Path, columns: Columns) -> Iterator[Table]:
     with path.open(encoding="utf-8-sig") as stream:
         names = [word.strip().lower() for word in stream.readline().split(",")]
     headed = any(name[:1].isalpha() and name not in ("nan", "inf") for name in names)
     table = np.loadtxt(path, delimiter=",", skiprows=int(headed), ndmin=2, encoding="utf-8-sig")
     if not headed:
         return _several(path, table)
-    wanted: Sequence[str] = [name for name in _COLUMNS if name in names]
-    if any(name in names for name in _QUATERNION_COLUMNS):
-        wanted = [*_COLUMNS, *(f"q{letter}" for letter in quaternion)]
-    missing = [name for name in wanted if name not in names]
-    if missing or wanted[:2] != ["x", "y"]:
-        raise InputError(f"{path} must have columns x, y, z and qw, qx, qy, qz, or x, y; it has: {', '.join(names)}")
+    wanted = columns(path, names)
     t = table[:, names.index("t")] if "t" in names else None
     return _several(path, table[:, [names.index(name) for name in wanted]], t)
 
 
-def _mat(path: Path, _: str) -> Iterator[Table]:
+def _pose_columns(quaternion: str, path: Path, names: list[str]) -> Sequence[str]:
+    wanted = [name for name in _COLUMNS if name in names]
+    if any(name in names for name in _QUATERNION_COLUMNS):
+        wanted = [*_COLUMNS, *(f"q{letter}" for letter in quaternion)]
+    if wanted[:2] != ["x", "y"] or not set(wanted) <= set(names):
+        raise InputError(f"{path} must have columns x, y, z and qw, qx, qy, qz, or x, y; it has: {', '.join(names)}")
+    return wanted
+
+
+def _mat(path: Path, _: Columns) -> Iterator[Table]:
     from scipy.io import loadmat
 
     demos = loadmat(path, simplify_cells=True).get("demos")

@@ -109,7 +109,11 @@ class Demonstration:
         Raises:
             InputError: it turns by nearly a full turn, where the logarithm has no continuation.
         """
-        turn = Rotation.from_matrix(self.rotation @ self.rotation[-1].T).as_rotvec()
+        return self.twists_from(self)
+
+    def twists_from(self, other: Demonstration) -> Floats:
+        """As `twists`, relative to the last pose of another one."""
+        turn = Rotation.from_matrix(self.rotation @ other.rotation[-1].T).as_rotvec()
         for k in reversed(range(len(turn) - 1)):
             angle = np.linalg.norm(turn[k])
             if angle > 0.0:
@@ -117,7 +121,7 @@ class Demonstration:
                 turn[k] += 2.0 * np.pi * np.round((turn[k + 1] - turn[k]) @ axis / (2.0 * np.pi)) * axis
         if np.linalg.norm(turn, axis=1).max() > _LARGEST_TURN:
             raise InputError(f"{self.source} turns by a full turn or more from its goal; cut it into shorter ones")
-        shift = np.linalg.solve(left_jacobian_so3(turn), (self.position - self.position[-1])[..., None])[..., 0]
+        shift = np.linalg.solve(left_jacobian_so3(turn), (self.position - other.position[-1])[..., None])[..., 0]
         return np.concatenate([turn, shift], axis=1)
 
     def steps(self, lever: float) -> Floats:

@@ -114,6 +114,7 @@ def shape(
     deviation: float = 1e-3,
     *,
     units: ArrayLike = 1.0,
+    spread: ArrayLike | None = None,
     options: ShapingOptions | None = None,
     seed: int | np.random.Generator = 0,
 ) -> Shaping:
@@ -127,6 +128,8 @@ def shape(
         deviation: asked for [m]; neurons are added until it is met.
         units: ``(N, 6)``, or of a shape that broadcasts to it, metres that count for one unit of each coordinate: the
             lever arm of a rotation, the length scale of a translation.
+        spread: ``(K,)`` of one curve that is a mean already: how far demonstrations are from it at each sample [m]; it
+            is followed more closely where that is little.
         options: of the search.
         seed: of the starts; the same seed gives the same network.
 
@@ -141,7 +144,7 @@ def shape(
     chosen = ShapingOptions() if options is None else options
     goal, rng = as_positive("deviation", deviation), as_generator("seed", seed)
     with one_blas_thread():
-        curve = as_curve(curves, units)
+        curve = as_curve(curves, units, spread)
         cascade = Cascade(clockwork(float(chosen.rate)), curve.points[0], curve.points[-1])
         best: tuple[float, float, LieEDNN] | None = None
         tries = best_try = iterations = 0
@@ -182,7 +185,7 @@ def shape(
     )
 
 
-def as_curve(curves: ArrayLike | Sequence[ArrayLike], units: ArrayLike) -> Curve:
+def as_curve(curves: ArrayLike | Sequence[ArrayLike], units: ArrayLike, spread: ArrayLike | None = None) -> Curve:
     """The curve through samples ``(K, N, 6)``, or the mean of several; errors as of `shape`."""
     alone = isinstance(curves, np.ndarray) and curves.ndim == 3
     if not alone and not isinstance(curves, Sequence | np.ndarray):
@@ -200,15 +203,28 @@ def as_curve(curves: ArrayLike | Sequence[ArrayLike], units: ArrayLike) -> Curve
         raise InputError(f"units must be positive numbers of a shape that broadcasts to ({n}, 6): {error}") from None
     if not (scale > 0.0).all():
         raise InputError(f"units must be positive, the smallest is {scale.min():g}")
+    if spread is not None:
+        if len(checked) > 1:
+            raise InputError("spread is of one curve; of several it is measured")
+        apart = as_floats("spread", spread, (len(checked[0]),))
+        if apart.min() < 0.0:
+            raise InputError(f"spread must not be negative, the smallest is {apart.min():g}")
+        return Curve.through(checked[0], scale, _trust(apart))
     each = [Curve.through(one, scale) for one in checked]
     if len(each) == 1:
         return each[0]
     points = np.array([one.points for one in each])
     mean = points.mean(axis=0)
-    spread = np.sqrt(np.mean(np.sum(((points - mean) * scale) ** 2, axis=(2, 3)), axis=0))
+    return Curve.through(
+        mean, scale, _trust(np.sqrt(np.mean(np.sum(((points - mean) * scale) ** 2, axis=(2, 3)), axis=0)))
+    )
+
+
+def _trust(spread: Floats) -> Floats:
+    """How much deviations count ``(K,)`` where demonstrations are ``spread`` ``(K,)`` [m] from their mean."""
     # Where all agree to the last digit a little spread is added, or nothing else would count.
     spread = spread + _LEAST_WEIGHT * spread.mean() + 1e-12
-    return Curve.through(mean, scale, np.maximum(spread.min() / spread, _LEAST_WEIGHT))
+    return np.maximum(spread.min() / spread, _LEAST_WEIGHT)
 
 
 def _measured(parameters: Parameters, rate: float, curve: Curve) -> tuple[float, float, LieEDNN]:

@@ -1,0 +1,105 @@
+"""The command ``learn --arm``: demonstrations of an arm's joints to a run, with a report and plots."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import asdict
+
+import numpy as np
+
+from lieednn_sim import storage
+from lieednn_sim.arm import Arm
+from lieednn_sim.cli.arguments import import_options, make_task
+from lieednn_sim.cli.arms import print_import_report
+from lieednn_sim.cli.console import console, progress, wrote
+from lieednn_sim.cli.names import RIVALS
+from lieednn_sim.cli.run_directory import RunDirectory
+from lieednn_sim.cli.task import DEMONSTRATED
+from lieednn_sim.errors import InputError
+from lieednn_sim.evaluation.joint_demonstrations import of_joints, study_joints
+from lieednn_sim.evaluation.plot_demonstrations import plot_joint_paths
+from lieednn_sim.planning.demonstrated import JointDemonstrations, JointMotion
+from lieednn_sim.synthesis import ShapingOptions
+from lieednn_sim.validation import as_count, as_seed
+
+# Options of positions and poses, with what they are where nobody gives them.
+_OF_POSES = {"unit": "m", "quaternion": "wxyz", "rivals": ",".join(RIVALS)}
+
+
+def learn_joints(arguments: argparse.Namespace) -> None:
+    """Read, fit, measure, and write a run with network and motion, ``report.json`` and two plots."""
+    for name, usual in _OF_POSES.items():
+        if getattr(arguments, name) != usual:
+            raise InputError(
+                f"--{name} is of positions and poses; with --arm columns are joints [rad, m], without rivals"
+            )
+    run = RunDirectory(arguments.output, arguments.plots)
+    report = run.path / "report.json"
+    paths, elsewhere = (run.path / f"{name}.{arguments.plots}" for name in ("demonstrations", "starts"))
+    starts, seed = (
+        as_count("starts", 20 if arguments.starts is None else arguments.starts),
+        as_seed("seed", arguments.seed),
+    )
+    options = ShapingOptions(rate=arguments.clock_rate)
+    arm = Arm.load(arguments.arm, **import_options(arguments))
+    shown = JointDemonstrations.load(arm, arguments.files, rate=arguments.sample_rate, phase=arguments.phase)
+    with run.made():
+        storage.check_outputs([report, paths, elsewhere])
+        learned = JointMotion.fit(shown, arguments.deviation, options, seed)
+        motion, refusal = learned.planned(shown.mean[0])
+        with progress("learn") as bar:
+            study, ways = study_joints(
+                shown,
+                learned,
+                options,
+                starts=starts,
+                leave_one_out=not arguments.no_leave_one_out,
+                seed=seed,
+                progress=bar,
+            )
+        arguments.duration, arguments.scene, arguments.scene_seed = float(motion.t[-1]), "free", 0
+        asked = {
+            "files": [str(name) for name in arguments.files],
+            "sample_rate_hz": arguments.sample_rate,
+            "phase": arguments.phase,
+            "clock_rate": arguments.clock_rate,
+            "deviation_m": arguments.deviation,
+        }
+        task = make_task(
+            arm, shown.mean[0], shown.mean[-1], arguments, planner=DEMONSTRATED, reason="demonstrated", options=asked
+        )
+        written = run.save_network(task, learned.network, motion)
+        found = {
+            **asked,
+            "arm": arm.name,
+            "joints": list(arm.joint_names),
+            "seed": seed,
+            "demonstrations": len(shown),
+            "demonstrated_duration_s": learned.duration,
+            "duration_s": arguments.duration,
+            "spread_m": float(shown.spread.max()),
+            "network_message": learned.shaping.message,
+            "network_deviation_m": learned.shaping.deviation,
+            "network_within_deviation": learned.shaping.success,
+            "network_certified": learned.network.certified,
+            "mechanism_gap_mm": 1e3 * float(motion.gap_translation.max()),
+            "mechanism_gap_deg": float(np.rad2deg(motion.gap_rotation.max())),
+            "limits_kept": not refusal,
+            "limit_broken": refusal,
+            **asdict(study),
+        }
+        storage.save_json(report, found)
+        reproduced = learned.run(shown.mean[0]).q
+        plot_joint_paths(shown, reproduced, paths)
+        plot_joint_paths(shown, reproduced, elsewhere, ways)
+    print_import_report(arm)
+    console.print(
+        f"{len(shown)} demonstrations of {arm.n_joints} joints of {arm.name}, {learned.duration:.3g} s; "
+        f"{learned.shaping.message}"
+    )
+    console.print(of_joints(study, arm))
+    console.print(
+        f"limits: not kept, {refusal}" if refusal else f"limits and clearance: kept, in {arguments.duration:.3g} s"
+    )
+    console.print(f"stability: {learned.network.certificate}")
+    wrote(*written, report, paths, elsewhere)

@@ -1,0 +1,242 @@
+"""A certified network for an arm's joints from demonstrations of them, such as an arm led by hand records.
+
+Joints are averaged at equal shares of the way, the mean is encoded by the arm, and `synthesis.shape` makes a network
+that follows it, more closely where the demonstrations agree. Its motion runs by the demonstrations' own law of time.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from functools import cached_property, partial
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from lieednn_sim.arm import Arm
+from lieednn_sim.errors import InputError, PlanError
+from lieednn_sim.learning.demonstrations.alignment import PHASES, at_phases
+from lieednn_sim.learning.demonstrations.files import read_tables
+from lieednn_sim.network import LieEDNN
+from lieednn_sim.planning.laws import Law, law_of_times
+from lieednn_sim.planning.motion import LIMIT_TOLERANCE, Motion
+from lieednn_sim.planning.network_path import NetworkPath, timed_motion
+from lieednn_sim.planning.problem import PlanningProblem, in_time
+from lieednn_sim.planning.shaped import lever_units
+from lieednn_sim.synthesis import Shaping, ShapingOptions, shape
+from lieednn_sim.validation import as_choice, as_floats, as_positive, as_times
+from lieednn_sim.values import Floats, frozen
+
+# Steps of the phase, and those of them at which the law of time is taken over: recorded times tremble.
+_STEPS, _LAW_STEPS = 200, 40
+# Ends of demonstrations may be so far from their mean, in the joints' ranges.
+_ONE_GOAL = 0.02
+# Way of a motion [m] that is none.
+_LEAST_LENGTH = 1e-6
+# Deviation asked for where the user asks for none, in lengths of the mean's way.
+DEVIATION = 1e-3
+
+
+@frozen
+class JointDemonstrations:
+    """Demonstrations of one motion of an arm's joints, at K equal steps of the phase.
+
+    Attributes:
+        arm: the arm.
+        t: ``(K,)`` mean time at which a phase is reached, from 0 to the mean duration [s].
+        q: ``(m, K, n)`` joint positions [rad, m].
+        units: ``(N, 6)`` metres for one unit of each network coordinate, `lever_units`.
+    """
+
+    arm: Arm
+    t: Floats
+    q: Floats
+    units: Floats
+
+    @classmethod
+    def load(
+        cls, arm: Arm, files: Iterable[str | os.PathLike[str]], *, rate: float = 100.0, phase: str = "length"
+    ) -> JointDemonstrations:
+        """Read files as `load_demonstrations` does, but with the arm's joints for columns.
+
+        A table has n columns in the order of `Arm.joint_names`, or the time [s] and these; a csv file may name them, in
+        any order.
+
+        Args:
+            arm: the arm.
+            files: at least one.
+            rate: samples a second where a file has no times [1/s].
+            phase: a name of `PHASES`; see `align`.
+
+        Raises:
+            FileError: a file cannot be read, or is none of these.
+            InputError: its numbers are no motion of the arm within its limits, or ends differ by more than 2 % of a
+                joint's range.
+        """
+        as_choice("phase", phase, PHASES)
+        rate = as_positive("rate", rate)
+        tables = read_tables(files, partial(_joint_columns, arm))
+        shown = [_motion(arm, source, samples, t, rate) for source, samples, t in tables]
+        units = lever_units(arm, np.concatenate([q for q, _ in shown]))
+        shares = np.linspace(0.0, 1.0, _STEPS + 1)
+        ways, times = [], []
+        for (q, t), (source, *_) in zip(shown, tables, strict=True):
+            steps = np.linalg.norm(np.diff(arm.encode(q), axis=0) * units, axis=(1, 2))
+            if steps.sum() < _LEAST_LENGTH:
+                raise InputError(f"{source} does not move")
+            way, at = at_phases(shares, q, t, steps, phase)
+            ways.append(way)
+            times.append(at)
+        ends = np.array([way[-1] for way in ways])
+        goal = ends.mean(axis=0)
+        k, joint = map(int, np.unravel_index(np.argmax(np.abs(ends - goal) / arm.ranges), ends.shape))
+        if np.abs(ends[k, joint] - goal[joint]) > _ONE_GOAL * arm.ranges[joint]:
+            raise InputError(
+                f"demonstrations must end at one goal: {tables[k][0]} ends with joint {arm.joint_names[joint]!r} at "
+                f"{ends[k, joint]:.4g} {arm.unit(joint)}, their mean is {goal[joint]:.4g}; learn other goals apart"
+            )
+        made = cls(arm, np.mean(times, axis=0), np.array(ways), units)
+        for posture, what in ((made.mean[0], "the mean start"), (made.mean[-1], "the mean end")):
+            arm.check_reachable(posture, what)
+        return made
+
+    def __len__(self) -> int:
+        """How many demonstrations."""
+        return len(self.q)
+
+    @cached_property
+    def mean(self) -> Floats:
+        """Mean joint positions ``(K, n)``: the motion to reproduce."""
+        return self.arm.within_angles(self.q.mean(axis=0))
+
+    @cached_property
+    def spread(self) -> Floats:
+        """Root mean square ``(K,)`` of the demonstrations' distances from the mean, of all links, in the units [m]."""
+        away = (self.arm.encode(self.q) - self.arm.encode(self.mean)) * self.units
+        return np.asarray(np.sqrt(np.mean(np.sum(away**2, axis=(-2, -1)), axis=0)))
+
+    def shares(self, q: Floats) -> Floats:
+        """Shares ``(K,)`` of the length, in the units, that are behind each of joint positions ``(K, n)``."""
+        steps = np.linalg.norm(np.diff(self.arm.encode(q), axis=0) * self.units, axis=(1, 2))
+        way = np.append(0.0, np.cumsum(steps))
+        return way / max(way[-1], 1e-300)
+
+    def without(self, index: int) -> JointDemonstrations:
+        """All but one, with times unchanged."""
+        return replace(self, q=np.delete(self.q, index, axis=0))
+
+
+@frozen
+class JointMotion:
+    """A shaped network of an arm's joints with the law of time of the demonstrations.
+
+    Attributes:
+        network: with one visible neuron for each link of the arm; certified.
+        arm: the arm.
+        units: of lengths, see `JointDemonstrations`.
+        goal: ``(n,)`` joint position at which the motion ends [rad, m].
+        duration: of the demonstrations [s].
+        law: of time.
+        shaping: the search that found the network.
+    """
+
+    network: LieEDNN
+    arm: Arm
+    units: Floats
+    goal: Floats
+    duration: float
+    law: Law
+    shaping: Shaping
+
+    @classmethod
+    def fit(
+        cls,
+        demonstrations: JointDemonstrations,
+        deviation: float | None = None,
+        options: ShapingOptions | None = None,
+        seed: int = 0,
+    ) -> JointMotion:
+        """Shape a network by the demonstrations' mean and spread.
+
+        Args:
+            demonstrations: to follow.
+            deviation: from their mean that is asked for, in the units of `JointDemonstrations` [m]; by default
+                `DEVIATION` of its length. Neurons are added until it is met; see `Shaping.success`.
+            options: of the search.
+            seed: of its starts.
+
+        Raises:
+            InputError: the mean does not move.
+        """
+        arm, mean = demonstrations.arm, demonstrations.mean
+        curve, shares = arm.encode(mean), demonstrations.shares(mean)
+        length = np.linalg.norm(np.diff(curve, axis=0) * demonstrations.units, axis=(1, 2)).sum()
+        if length < _LEAST_LENGTH:
+            raise InputError("the mean of the demonstrations does not move")
+        asked = DEVIATION * float(length) if deviation is None else as_positive("deviation", deviation)
+        shaping = shape(
+            curve, asked, units=demonstrations.units, spread=demonstrations.spread, options=options, seed=seed
+        )
+        knots = np.linspace(0, len(mean) - 1, _LAW_STEPS + 1).round().astype(int)
+        law = law_of_times(demonstrations.t[knots], shares[knots])
+        duration = float(demonstrations.t[-1])
+        return cls(shaping.network, arm, demonstrations.units, mean[-1], duration, law, shaping)
+
+    def run(self, start: Floats, samples: int = 400) -> Motion:
+        """The motion from joint position ``(n,)`` in the demonstrations' time, whatever limits it breaks.
+
+        Raises:
+            PlanError: the network does not arrive.
+        """
+        return self._path(start).timed(self.duration, self.duration / samples, self.law)
+
+    def planned(self, start: Floats) -> tuple[Motion, str]:
+        """The motion at the model's time step, slowed down where limits ask for it, and which limit it breaks.
+
+        Raises:
+            InputError: the start is out of reach, or the duration is too long or too short for the time step.
+        """
+        path, problem = self._path(start), PlanningProblem(self.arm, start, self.goal, self.duration)
+        try:
+            return in_time(timed_motion, problem, path, self.law), ""
+        except PlanError as error:
+            return path.timed(self.duration, problem.timestep, self.law), str(error)
+
+    def _path(self, start: Floats) -> NetworkPath:
+        return NetworkPath.drawn(self.arm, self.network, start, self.units)
+
+
+def _joint_columns(arm: Arm, path: Path, names: list[str]) -> Sequence[str]:
+    """The joints' columns; others may stand beside them."""
+    wanted = [name.lower() for name in arm.joint_names]
+    if missing := [name for name in wanted if name not in names]:
+        strange = [name for name in names if name not in (*wanted, "t")]
+        raise InputError(
+            f"{path} must name the joints of {arm.name}: {', '.join(arm.joint_names)}; it lacks {', '.join(missing)}"
+            + (f", and names {', '.join(strange)}" if strange else "")
+        )
+    return wanted
+
+
+def _motion(arm: Arm, source: str, samples: ArrayLike, t: ArrayLike | None, rate: float) -> tuple[Floats, Floats]:
+    """Joint positions ``(K, n)`` and times ``(K,)`` of a table, checked."""
+    table = as_floats(source, samples, ("K", "D"))
+    if t is None and table.shape[1] == arm.n_joints + 1:
+        t, table = table[:, 0], table[:, 1:]
+    if table.shape[1] != arm.n_joints:
+        raise InputError(
+            f"{source} must have {arm.n_joints} columns, the joints {', '.join(arm.joint_names)}, or the time and "
+            f"these; got {table.shape[1]}"
+        )
+    if len(table) < 2:
+        raise InputError(f"{source} must have at least two samples, got {len(table)}")
+    times = np.arange(len(table)) / rate if t is None else as_times(f"times of {source}", t)
+    if len(times) != len(table):
+        raise InputError(f"{source} has {len(table)} samples and {len(times)} times")
+    outside = arm.limit_excess(table)
+    k, joint = map(int, np.unravel_index(outside.argmax(), outside.shape))
+    if outside[k, joint] > LIMIT_TOLERANCE:
+        raise InputError(f"in row {k} of {source} {arm.describe_excess(table[k], joint)}")
+    return arm.within_angles(np.clip(table, *arm.position_limits.T)), times - times[0]
