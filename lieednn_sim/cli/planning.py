@@ -16,7 +16,7 @@ from lieednn_sim.cli.run_directory import RunDirectory
 from lieednn_sim.cli.task import CERTIFIED
 from lieednn_sim.errors import InputError
 from lieednn_sim.evaluation.display import table
-from lieednn_sim.planning import PLANNERS, CertifiedOptions, Plan, default_planner, plan, require_planner
+from lieednn_sim.planning import CertifiedOptions, Plan, default_planner, plan, planners, require_planner
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.validation import as_choice
 
@@ -66,7 +66,7 @@ def _planner(arm: Arm, arguments: argparse.Namespace) -> tuple[str, str]:
     It does not depend on what is installed: where the usual one cannot run, that is an error.
     """
     name, reason = default_planner(arm) if arguments.planner is None else (arguments.planner, "asked for")
-    as_choice("planner", name, PLANNERS)
+    as_choice("planner", name, planners())
     require_planner(name)
     given = [
         option

@@ -10,7 +10,7 @@ from lieednn_sim.environments.base import ArmTask
 from lieednn_sim.environments.tasks import Track
 from lieednn_sim.environments.trajectories import JointTrajectory, planned
 from lieednn_sim.errors import InputError
-from lieednn_sim.planning import OBSTACLE_PLANNER, PLANNERS, require_planner
+from lieednn_sim.planning import OBSTACLE_PLANNER, planners, require_planner
 from lieednn_sim.validation import as_choice, as_count, as_seed
 from lieednn_sim.values import Floats
 
@@ -44,7 +44,7 @@ class Expert:
         self._task = task
         if planner is None and task.arm.scene != "free":
             planner = OBSTACLE_PLANNER
-        self._planner = None if planner is None else as_choice("planner", planner, PLANNERS)
+        self._planner = None if planner is None else as_choice("planner", planner, planners())
         if self._planner is not None:
             require_planner(self._planner)
         self._candidates = as_count("candidates", candidates)

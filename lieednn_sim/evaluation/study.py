@@ -20,7 +20,7 @@ from lieednn_sim.evaluation.rows import Case
 from lieednn_sim.evaluation.statistics import numbers
 from lieednn_sim.evaluation.table import R, Rows, Table
 from lieednn_sim.evaluation.workers import progress_bar, worker_pool
-from lieednn_sim.planning import PLANNERS, missing_planners
+from lieednn_sim.planning import missing_planners, planners
 from lieednn_sim.simulation import CONTROLLERS
 from lieednn_sim.validation import as_choice, as_count
 from lieednn_sim.values import check_fields
@@ -55,7 +55,7 @@ class Selection:
 
     def __post_init__(self) -> None:
         for name, known, default in (
-            ("planners", list(PLANNERS), list(PLANNERS)),
+            ("planners", list(planners()), list(planners())),
             ("arms", arm_names(), arm_names()),
             ("scenes", list(SCENES), list(DEFAULT_SCENES)),
             ("controllers", list(CONTROLLERS), list(DEFAULT_CONTROLLERS)),

@@ -1,5 +1,6 @@
 """From a joint target to a checked motion: certified networks, the safety filter, and rival planners."""
 
+from lieednn_sim.planning.baselines.joint_space import joint_motion
 from lieednn_sim.planning.baselines.optimisation import OptimisationOptions
 from lieednn_sim.planning.baselines.primitives import DmpOptions
 from lieednn_sim.planning.baselines.sampling import RrtConnectOptions, RrtStarOptions
@@ -13,7 +14,15 @@ from lieednn_sim.planning.network_planners import (
     reference_network,
 )
 from lieednn_sim.planning.problem import Plan, PlanningProblem
-from lieednn_sim.planning.registry import OBSTACLE_PLANNER, PLANNERS, Planner, default_planner, plan
+from lieednn_sim.planning.registry import (
+    OBSTACLE_PLANNER,
+    PLANNERS,
+    Planner,
+    default_planner,
+    plan,
+    planners,
+    register_planner,
+)
 from lieednn_sim.planning.shaped import ShapedOptions
 
 __all__ = [
@@ -34,8 +43,11 @@ __all__ = [
     "TrainedOptions",
     "UnprojectedOptions",
     "default_planner",
+    "joint_motion",
     "missing_planners",
     "plan",
+    "planners",
     "reference_network",
+    "register_planner",
     "require_planner",
 ]

@@ -2,24 +2,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import re
+import warnings
+from collections.abc import Callable, Mapping
 from dataclasses import replace
-from functools import partial
-from typing import NamedTuple
+from functools import cache, partial
+from importlib import metadata
+from types import MappingProxyType
+from typing import NamedTuple, TypeVar
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.budget import DEFAULT_TIME_BUDGET, cpu_time, time_limit
-from lieednn_sim.errors import InputError
+from lieednn_sim.errors import InputError, LieEDNNError, PlanError
 from lieednn_sim.planning import filtered, network_planners
 from lieednn_sim.planning.baselines import interpolation, optimisation, primitives, sampling
 from lieednn_sim.planning.certified import CertifiedOptions, certified
-from lieednn_sim.planning.motion import Motion
+from lieednn_sim.planning.motion import Motion, check_motion
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.problem import Plan, PlanningProblem, in_time
 from lieednn_sim.planning.shaped import ShapedOptions, shaped
-from lieednn_sim.validation import as_choice
+from lieednn_sim.validation import as_choice, quoted
+
+# The group of entry points in which packages name planners of theirs.
+ENTRY_POINTS = "lieednn_sim.planners"
+# How far a motion may begin and end from where it was asked to, in joint coordinates [rad, m].
+_MISSED = 1e-3
+_NAME = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
+_Solve = TypeVar("_Solve", bound=Callable[..., Plan | Motion])
 
 
 class Planner(NamedTuple):
@@ -53,6 +65,99 @@ PLANNERS: dict[str, Planner] = {
     "lieednn-filtered": Planner(filtered.filtered, filtered.FilteredOptions),
     "lieednn-guided": Planner(filtered.guided, filtered.GuidedOptions),
 }
+
+# Functions of others, as they were given.
+_REGISTERED: dict[str, Callable[..., Plan | Motion]] = {}
+
+
+def register_planner(name: str, options: type[PlannerOptions] | None = None) -> Callable[[_Solve], _Solve]:
+    """Decorate a function of a `PlanningProblem` to be known as a planner, to `plan`, `compare` and the command line.
+
+    It returns a `Motion` (see `planning.joint_motion`) or a `Plan` with its network, and raises `PlanError` where it
+    finds none. Every motion is checked: limits, clearance, start and target; one that is too fast is asked for again
+    with the duration that it needs. Worker processes and the command line know
+    what an installed package names in its entry points:
+
+        [project.entry-points."lieednn_sim.planners"]
+        my-planner = "my_package.my_module:my_function"
+
+    There the function needs no decorator, unless it takes options.
+
+    Args:
+        name: of the planner, in small letters, digits and hyphens.
+        options: class of its options, which are its second argument.
+
+    Raises:
+        InputError: the name is malformed or taken, or the options are none.
+    """
+    if not isinstance(options, type | None) or (options is not None and not issubclass(options, PlannerOptions)):
+        raise InputError(f"options of planner {name!r} must be a subclass of PlannerOptions, got {options!r}")
+
+    def register(solve: _Solve) -> _Solve:
+        _add(name, solve, options)
+        return solve
+
+    return register
+
+
+def planners() -> Mapping[str, Planner]:
+    """All planners by name: `PLANNERS`, with those of the entry points of installed packages.
+
+    Of one that cannot be loaded a warning names the package, and it is left out.
+    """
+    _load_entry_points()
+    return MappingProxyType(PLANNERS)
+
+
+@cache
+def _load_entry_points() -> None:
+    for point in metadata.entry_points(group=ENTRY_POINTS):
+        package = "unknown" if point.dist is None else point.dist.name
+        try:
+            solve = point.load()
+            # A decorated function has registered itself when it was loaded.
+            if _REGISTERED.get(point.name) is not solve:
+                _add(point.name, solve, None)
+        except Exception as error:
+            text = f"planner {point.name!r} of package {package!r} ({point.value}) is left out: {error}"
+            warnings.warn(text, RuntimeWarning, stacklevel=3)
+
+
+def _add(name: str, solve: Callable[..., Plan | Motion], options: type[PlannerOptions] | None) -> None:
+    if not isinstance(name, str) or not _NAME.fullmatch(name):
+        raise InputError(f"a planner's name must be small letters, digits and hyphens, got {quoted(name)}")
+    if name in PLANNERS:
+        raise InputError(f"planner {name!r} is registered already; choose another name")
+    if not callable(solve):
+        raise InputError(f"planner {name!r} must be a function of a PlanningProblem, got {type(solve).__name__}")
+    _REGISTERED[name] = solve
+    PLANNERS[name] = Planner(partial(in_time, partial(_checked, solve)), options)
+
+
+def _checked(solve: Callable[..., Plan | Motion], problem: PlanningProblem, *options: PlannerOptions) -> Plan | Motion:
+    """What somebody's planner makes, held against what every planner promises."""
+    try:
+        made = solve(problem, *options)
+    except LieEDNNError:
+        raise
+    except Exception as error:
+        raise PlanError(f"the planner failed: {type(error).__name__}: {error}") from error
+    if not isinstance(made, Plan | Motion):
+        raise PlanError(f"the planner returned {type(made).__name__}, neither a Motion nor a Plan")
+    motion = made if isinstance(made, Motion) else made.motion
+    given, wanted = (motion.q.shape[1], motion.timestep), (problem.arm.n_joints, problem.timestep)
+    if not np.allclose(given, wanted, rtol=1e-6):
+        raise PlanError(
+            "the planner's motion has {} joints and a time step of {:g} s, ".format(*given)
+            + "the arm has {} joints and its model steps of {:g} s".format(*wanted)
+        )
+    for which, there, asked in (("begins", motion.q[0], problem.start), ("ends", motion.q[-1], problem.target)):
+        missed = float(np.abs(there - asked).max())
+        if missed > _MISSED:
+            raise PlanError(f"the planner's motion {which} {missed:.2g} (rad or m) from where it was asked to")
+    check_motion(problem.arm, motion)
+    return made
+
 
 # The LieEDNN planner that gets furthest among obstacles, and most smoothly, whether OMPL is installed or not.
 OBSTACLE_PLANNER = "lieednn-shaped"
@@ -113,7 +218,8 @@ def plan(
     """
     if planner is None:
         planner = default_planner(arm)[0] if isinstance(arm, Arm) else "lieednn-certified"
-    solve, kind = PLANNERS[as_choice("planner", planner, PLANNERS)]
+    known = planners()
+    solve, kind = known[as_choice("planner", planner, known)]
     if options is not None and (kind is None or not isinstance(options, kind)):
         wanted = "has no options" if kind is None else f"takes options of class {kind.__name__}"
         raise InputError(f"the planner {planner!r} {wanted}, got {type(options).__name__}")

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from lieednn_sim.evaluation.figure_layout import COLOURS
-from lieednn_sim.planning import PLANNERS
+from lieednn_sim.planning import planners
 
 # The package's, and a grey.
 _COLOURS = (*COLOURS, "#8C8C8C")
@@ -25,7 +25,7 @@ class Mark:
 
 def marks(names: Iterable[str]) -> dict[str, Mark]:
     """A mark for each planner, by its place among all known ones: no selection changes it."""
-    known = list(PLANNERS)
+    known = list(planners())
     order = known + sorted(set(names) - set(known))
     made = {}
     for index, name in enumerate(order):
@@ -36,7 +36,7 @@ def marks(names: Iterable[str]) -> dict[str, Mark]:
 
 def in_order(names: Iterable[str]) -> list[str]:
     """Planners in the order of the registry, unknown ones last."""
-    found, known = set(names), list(PLANNERS)
+    found, known = set(names), list(planners())
     return [name for name in known if name in found] + sorted(found - set(known))
 
 

@@ -1,0 +1,143 @@
+"""Planners of others: registered by a decorator or by an installed package, held to what every planner promises."""
+
+from __future__ import annotations
+
+import csv
+import re
+import sys
+import warnings
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lieednn_sim.arm import Arm
+from lieednn_sim.cli import main
+from lieednn_sim.errors import InputError, PlanError
+from lieednn_sim.planning import PLANNERS, joint_motion, plan, planners, register_planner, registry
+from lieednn_sim.planning.options import PlannerOptions
+from lieednn_sim.planning.problem import PlanningProblem
+
+ARM = Arm.load("telescopic_pr")
+HOME, TARGET = ARM.keyframe("home"), ARM.keyframe("extended")
+HALF = 0.5 * (HOME + TARGET)
+OTHER = Arm.load("telescopic_compound")
+FIRST, LAST = OTHER.keyframe("home"), OTHER.keyframe("extended")
+DOCUMENT = Path(__file__).parents[2] / "docs" / "own_planners.md"
+
+
+@pytest.fixture(autouse=True)
+def _only_here(monkeypatch):
+    """What a test registers is gone after it."""
+    before = dict(PLANNERS), dict(registry._REGISTERED), list(sys.path), set(sys.modules)
+    yield
+    for mapping, was in ((PLANNERS, before[0]), (registry._REGISTERED, before[1])):
+        mapping.clear()
+        mapping.update(was)
+    sys.path[:] = before[2]
+    for name in set(sys.modules) - before[3]:
+        if name.startswith("my_"):
+            del sys.modules[name]
+    registry._load_entry_points.cache_clear()
+
+
+def smoothstep(problem: PlanningProblem):
+    t = problem.times()
+    s = (t / t[-1])[:, None]
+    way = problem.target - problem.start
+    return joint_motion(problem, problem.start + (3 * s**2 - 2 * s**3) * way, (6 * s - 6 * s**2) * way / t[-1], s[:, 0])
+
+
+def installed(folder: Path, points: str, **modules: str) -> None:
+    """A package with entry points, as pip leaves it."""
+    information = folder / "my_planners-0.1.dist-info"
+    information.mkdir(parents=True)
+    (information / "METADATA").write_text("Metadata-Version: 2.1\nName: my-planners\nVersion: 0.1\n")
+    (information / "entry_points.txt").write_text(f"[lieednn_sim.planners]\n{points}\n")
+    for name, text in modules.items():
+        (folder / f"{name}.py").write_text(text)
+    sys.path.insert(0, str(folder))
+    registry._load_entry_points.cache_clear()
+
+
+def test_the_example_appears_in_table_and_page(tmp_path, capsys):
+    code = re.search(r"```python\n(.*?)```", DOCUMENT.read_text(), re.DOTALL)[1]
+    point = re.search(r'planners"\]\n(.*?)\n', DOCUMENT.read_text())[1]
+    assert len(code.splitlines()) <= 40
+    installed(tmp_path / "site", point.replace('"', ""), my_planners=code)
+    words = "compare --planners one-detour,minimum-jerk --arms telescopic_pr --scenes free --controllers mocap"
+    assert main([*f"{words} --seeds 1 --duration 2 --hold 0 --jobs 1 --output".split(), str(tmp_path / "out")]) == 0
+    with (tmp_path / "out" / "comparison.csv").open(newline="") as file:
+        rows = {row["planner"]: row for row in csv.DictReader(file)}
+    assert rows["one-detour"]["reason"] == ""
+    # Two cubics through the middle at half of the average speed jerk; minimum jerk jerks least.
+    assert float(rows["one-detour"]["jerk_joints"]) > 1.2 * float(rows["minimum-jerk"]["jerk_joints"])
+    assert "one-detour" in (tmp_path / "out" / "comparison.html").read_text()
+    assert "one-detour" in (tmp_path / "out" / "comparison.md").read_text()
+
+
+def test_a_registered_planner_plans_like_the_others():
+    @dataclass(frozen=True)
+    class Way(PlannerOptions):
+        power: float = 1.0
+
+    register_planner("my-smoothstep", Way)(lambda problem, options: smoothstep(problem))
+    made = plan(ARM, TARGET, planner="my-smoothstep", duration=2.0, options=Way(2.0))
+    assert made.planner == "my-smoothstep"
+    assert made.network is None
+    np.testing.assert_array_equal(made.motion.q[-1], TARGET)
+    # Half way in half of the time, at one and a half times the average speed.
+    half = len(made.motion.t) // 2
+    np.testing.assert_allclose(made.motion.q[half], 0.5 * (HOME + TARGET), atol=1e-12)
+    np.testing.assert_allclose(made.motion.qd[half], 1.5 * (TARGET - HOME) / made.motion.t[-1], atol=1e-12)
+    # One rule for what is too fast.
+    assert plan(ARM, TARGET, planner="my-smoothstep", duration=0.1, longest=100.0).motion.t[-1] > 0.2
+    with pytest.raises(InputError, match="takes options of class Way"):
+        plan(ARM, TARGET, planner="my-smoothstep", options=registry.ShapedOptions())
+
+
+@pytest.mark.parametrize(
+    ("solve", "message"),
+    [
+        (lambda problem: 1 / 0, "the planner failed: ZeroDivisionError"),
+        (lambda problem: problem.start, "returned ndarray, neither a Motion nor a Plan"),
+        (lambda problem: smoothstep(replace(problem, target=HALF)), "ends .* from where it was asked to"),
+        (lambda problem: smoothstep(replace(problem, start=HALF)), "begins .* from where it was asked to"),
+        (
+            lambda problem: smoothstep(replace(problem, arm=OTHER, start=FIRST, target=LAST)),
+            "24 joints .* the arm has 8",
+        ),
+    ],
+)
+def test_what_breaks_a_promise_is_refused_with_the_reason(solve, message):
+    register_planner("my-wrong")(solve)
+    with pytest.raises(PlanError, match=message):
+        plan(ARM, TARGET, planner="my-wrong", duration=2.0)
+
+
+@pytest.mark.parametrize("name", ["minimum-jerk", "My", "a b", "", "a--b", 3])
+def test_names_that_are_taken_or_malformed_are_refused(name):
+    with pytest.raises(InputError, match=r"registered already|small letters"):
+        register_planner(name)(smoothstep)
+
+
+def test_options_must_be_options():
+    with pytest.raises(InputError, match="subclass of PlannerOptions"):
+        register_planner("my-planner", dict)
+
+
+def test_a_package_that_cannot_be_loaded_is_named_and_left_out(tmp_path):
+    installed(
+        tmp_path, "my-broken = my_broken:solve\nminimum-jerk = my_other:solve", my_other="def solve(problem): ..."
+    )
+    with warnings.catch_warnings(record=True) as seen:
+        warnings.simplefilter("always")
+        known = planners()
+    assert "my-broken" not in known
+    said = sorted(str(one.message) for one in seen)
+    assert said[0].startswith("planner 'minimum-jerk' of package 'my-planners' (my_other:solve) is left out: ")
+    assert said[1].startswith("planner 'my-broken' of package 'my-planners' (my_broken:solve) is left out: No module")
+    assert plan(ARM, TARGET, planner="minimum-jerk").planner == "minimum-jerk"
+    with pytest.raises(InputError, match="no planner 'my-broken'; allowed: dmp"):
+        plan(ARM, TARGET, planner="my-broken")
