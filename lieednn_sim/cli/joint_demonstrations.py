@@ -34,8 +34,6 @@ def learn_joints(arguments: argparse.Namespace) -> None:
                 f"--{name} is of positions and poses; with --arm columns are joints [rad, m], without rivals"
             )
     run = RunDirectory(arguments.output, arguments.plots)
-    report = run.path / "report.json"
-    paths, elsewhere = (run.path / f"{name}.{arguments.plots}" for name in ("demonstrations", "starts"))
     starts, seed = (
         as_count("starts", 20 if arguments.starts is None else arguments.starts),
         as_seed("seed", arguments.seed),
@@ -44,7 +42,6 @@ def learn_joints(arguments: argparse.Namespace) -> None:
     arm = Arm.load(arguments.arm, **import_options(arguments))
     shown = JointDemonstrations.load(arm, arguments.files, rate=arguments.sample_rate, phase=arguments.phase)
     with run.made():
-        storage.check_outputs([report, paths, elsewhere])
         learned = JointMotion.fit(shown, arguments.deviation, options, seed)
         motion, refusal = learned.planned(shown.mean[0])
         with progress("learn") as bar:
@@ -88,10 +85,10 @@ def learn_joints(arguments: argparse.Namespace) -> None:
             "limit_broken": refusal,
             **asdict(study),
         }
-        storage.save_json(report, found)
+        storage.save_json(run.report, found)
         reproduced = learned.run(shown.mean[0]).q
-        plot_joint_paths(shown, reproduced, paths)
-        plot_joint_paths(shown, reproduced, elsewhere, ways)
+        plot_joint_paths(shown, reproduced, run.demonstrations_plot)
+        plot_joint_paths(shown, reproduced, run.starts_plot, ways)
     print_import_report(arm)
     console.print(
         f"{len(shown)} demonstrations of {arm.n_joints} joints of {arm.name}, {learned.duration:.3g} s; "
@@ -102,4 +99,4 @@ def learn_joints(arguments: argparse.Namespace) -> None:
         f"limits: not kept, {refusal}" if refusal else f"limits and clearance: kept, in {arguments.duration:.3g} s"
     )
     console.print(f"stability: {learned.network.certificate}")
-    wrote(*written, report, paths, elsewhere)
+    wrote(*written, run.report, run.demonstrations_plot, run.starts_plot)

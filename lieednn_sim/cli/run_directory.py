@@ -26,8 +26,8 @@ from lieednn_sim.versions import versions
 
 # Formats of the plots; the first is the default.
 PLOT_KINDS = ("png", "pdf", "svg")
-# The first is made of a training, the others of a rollout.
-_PLOTS = ("training", "network", "tracking", "joints")
+# The first two are made of demonstrations, the third of a training, the others of a rollout.
+_PLOTS = ("demonstrations", "starts", "training", "network", "tracking", "joints")
 # What a planner's network may be, by the kind of its file.
 _NETWORKS: dict[str, type[ComponentwiseNetwork]] = {network._kind: network for network in (LieEDNN, HopfieldNetwork)}
 
@@ -51,11 +51,13 @@ class RunDirectory:
         self.video = self.path / "video.mp4"
         self.checkpoint = self.path / "checkpoint.npz"
         self.history = self.path / "history.npz"
+        self.report = self.path / "report.json"
         self.metrics_json = self.path / "metrics.json"
         self.metrics_csv = self.path / "metrics.csv"
-        self.training_plot, self.network_plot, self.tracking_plot, self.joints_plot = (
+        self.demonstrations_plot, self.starts_plot, self.training_plot, *others = (
             self.path / f"{name}.{plots}" for name in _PLOTS
         )
+        self.network_plot, self.tracking_plot, self.joints_plot = others
 
     @property
     def pending(self) -> RunDirectory:
@@ -71,7 +73,7 @@ class RunDirectory:
     @property
     def results(self) -> list[Path]:
         """What is made of a rollout; a new one makes it outdated."""
-        plots = self._plots_of(*_PLOTS[1:])
+        plots = self._plots_of(*_PLOTS[3:])
         return [self.metrics_json, self.metrics_csv, *plots, self.video, self.divergence]
 
     def _plots_of(self, *names: str) -> list[Path]:

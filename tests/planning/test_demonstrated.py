@@ -10,6 +10,7 @@ import pytest
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.evaluation import joint_demonstrations as study
 from lieednn_sim.evaluation import paths
+from lieednn_sim.planning import demonstrated
 from lieednn_sim.planning.demonstrated import JointDemonstrations, JointMotion
 from lieednn_sim.planning.motion import check_motion
 from lieednn_sim.simulation import follow
@@ -104,6 +105,14 @@ def test_the_network_does_what_was_shown(gantry, learned):
     # Any network of the arm is followed online.
     following = follow(gantry, network, np.tile(shown.mean[-1], (2, 1)), 0.1, start=shown.mean[0])
     assert following.rollout.arm is gantry
+
+
+def test_the_spread_is_used(learned, monkeypatch):
+    shown, model = learned
+    handed = []
+    monkeypatch.setattr(demonstrated, "shape", lambda *_, spread, **__: handed.append(spread) or model.shaping)
+    JointMotion.fit(shown)
+    np.testing.assert_array_equal(handed, [shown.spread])
 
 
 def test_a_pause_is_kept_and_speed_that_no_joint_has_takes_longer(gantry, tmp_path):
