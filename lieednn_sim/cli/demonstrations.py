@@ -38,10 +38,8 @@ def learn(arguments: argparse.Namespace) -> None:
         if name in rivals:
             rivals.remove(name)
             console.print(f"not compared: {name} is not installed ({reason})")
-    starts, seed = (
-        as_count("starts", 1000 if arguments.starts is None else arguments.starts),
-        as_seed("seed", arguments.seed),
-    )
+    starts = as_count("starts", 1000 if arguments.starts is None else arguments.starts)
+    seed = as_seed("seed", arguments.seed)
     options = ShapingOptions(rate=arguments.clock_rate)
     shown = load_demonstrations(
         arguments.files, unit=arguments.unit, quaternion=arguments.quaternion, rate=arguments.sample_rate

@@ -34,10 +34,8 @@ def learn_joints(arguments: argparse.Namespace) -> None:
                 f"--{name} is of positions and poses; with --arm columns are joints [rad, m], without rivals"
             )
     run = RunDirectory(arguments.output, arguments.plots)
-    starts, seed = (
-        as_count("starts", 20 if arguments.starts is None else arguments.starts),
-        as_seed("seed", arguments.seed),
-    )
+    starts = as_count("starts", 20 if arguments.starts is None else arguments.starts)
+    seed = as_seed("seed", arguments.seed)
     options = ShapingOptions(rate=arguments.clock_rate)
     arm = Arm.load(arguments.arm, **import_options(arguments))
     shown = JointDemonstrations.load(arm, arguments.files, rate=arguments.sample_rate, phase=arguments.phase)

@@ -20,7 +20,7 @@ from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.learning.demonstrations.alignment import PHASES, at_phases
 from lieednn_sim.learning.demonstrations.files import read_tables
 from lieednn_sim.network import LieEDNN
-from lieednn_sim.planning.laws import Law, law_of_times
+from lieednn_sim.planning.laws import Law, law_of_times, step_lengths
 from lieednn_sim.planning.motion import LIMIT_TOLERANCE, Motion
 from lieednn_sim.planning.network_path import NetworkPath, timed_motion
 from lieednn_sim.planning.problem import PlanningProblem, in_time
@@ -83,7 +83,7 @@ class JointDemonstrations:
         shares = np.linspace(0.0, 1.0, _STEPS + 1)
         ways, times = [], []
         for (q, t), (source, *_) in zip(shown, tables, strict=True):
-            steps = np.linalg.norm(np.diff(arm.encode(q), axis=0) * units, axis=(1, 2))
+            steps = step_lengths(arm.encode(q), units)
             if steps.sum() < _LEAST_LENGTH:
                 raise InputError(f"{source} does not move")
             way, at = at_phases(shares, q, t, steps, phase)
@@ -119,8 +119,7 @@ class JointDemonstrations:
 
     def shares(self, q: Floats) -> Floats:
         """Shares ``(K,)`` of the length, in the units, that are behind each of joint positions ``(K, n)``."""
-        steps = np.linalg.norm(np.diff(self.arm.encode(q), axis=0) * self.units, axis=(1, 2))
-        way = np.append(0.0, np.cumsum(steps))
+        way = np.append(0.0, np.cumsum(step_lengths(self.arm.encode(q), self.units)))
         return way / max(way[-1], 1e-300)
 
     def without(self, index: int) -> JointDemonstrations:
@@ -172,7 +171,7 @@ class JointMotion:
         """
         arm, mean = demonstrations.arm, demonstrations.mean
         curve, shares = arm.encode(mean), demonstrations.shares(mean)
-        length = np.linalg.norm(np.diff(curve, axis=0) * demonstrations.units, axis=(1, 2)).sum()
+        length = step_lengths(curve, demonstrations.units).sum()
         if length < _LEAST_LENGTH:
             raise InputError("the mean of the demonstrations does not move")
         asked = DEVIATION * float(length) if deviation is None else as_positive("deviation", deviation)

@@ -109,6 +109,12 @@ def least_duration(arm: Arm, start: Floats, target: Floats) -> float:
     return float((way / np.maximum(peak, 1e-300) + peak / a).max())
 
 
+def rms_jerk(arm: Arm, motion: Motion) -> float:
+    """Root mean square of the joints' jerk, each in its range [1/s^3]."""
+    jerk = np.diff(motion.qd / arm.ranges, n=2, axis=0) / motion.timestep**2
+    return float(np.sqrt(np.mean(jerk**2)))
+
+
 def check_motion(arm: Arm, motion: Motion) -> None:
     """Check position, velocity and acceleration limits and `PLANNED_CLEARANCE` at every sample of a motion.
 

@@ -22,7 +22,7 @@ from lieednn_sim.planning.baselines import interpolation, optimisation, sampling
 from lieednn_sim.planning.baselines.optimisation import OptimisationOptions
 from lieednn_sim.planning.baselines.sampling import RrtConnectOptions
 from lieednn_sim.planning.laws import law_of
-from lieednn_sim.planning.motion import Motion
+from lieednn_sim.planning.motion import Motion, rms_jerk
 from lieednn_sim.planning.network_path import NetworkPath, timed_motion
 from lieednn_sim.planning.network_planners import without_weights
 from lieednn_sim.planning.options import PlannerOptions
@@ -89,6 +89,7 @@ def shaped(problem: PlanningProblem, options: ShapedOptions) -> Plan:
         return Plan(in_time(timed_motion, asked, path), network, teacher=teacher, deviation=0.0)
     law = law_of(guide, units)
     curve = np.concatenate([guide.xi[:-1:_STRIDE], guide.xi_target[None]])
+    line, guide_jerk = _effector(arm, guide), rms_jerk(arm, guide)
     fit_time, refusal, left = 0.0, "no number of neurons was allowed", list[_Candidate]()
 
     def planned(candidate: _Candidate) -> Plan | None:
@@ -107,7 +108,7 @@ def shaped(problem: PlanningProblem, options: ShapedOptions) -> Plan:
         fit_time += result.seconds
         path = NetworkPath.drawn(arm, result.network, problem.start, units)
         motion = path.timed(lasts, lasts / _COMPARED, law)
-        deviation, jerk = _effector_deviation(arm, motion, guide), _jerk(arm, motion) / _jerk(arm, guide)
+        deviation, jerk = _deviation(_effector(arm, motion), line), rms_jerk(arm, motion) / guide_jerk
         candidate = _Candidate(max(deviation / options.deviation, (jerk - 1.0) / (options.jerk - 1.0)), path, deviation)
         if candidate.badness <= 1.0:
             if made := planned(candidate):
@@ -166,15 +167,13 @@ def lever_units(arm: Arm, q: Floats) -> Floats:
     return units
 
 
-def _jerk(arm: Arm, motion: Motion) -> float:
-    """Root mean square of the joints' jerk, in ranges."""
-    velocity = motion.qd / (arm.position_limits[:, 1] - arm.position_limits[:, 0])
-    return float(np.sqrt(np.mean(np.diff(velocity, n=2, axis=0) ** 2))) / motion.timestep**2
+def _effector(arm: Arm, motion: Motion) -> Floats:
+    """Positions ``(K, 3)`` of the end effector [m]."""
+    return np.asarray(arm.link_poses(motion.q).as_matrix()[:, -1, :3, 3])
 
 
-def _effector_deviation(arm: Arm, motion: Motion, guide: Motion) -> float:
-    """Largest distance of the end effector's path from the guide's [m], to the nearest of its samples' pieces."""
-    path, line = (arm.link_poses(one.q).as_matrix()[:, -1, :3, 3] for one in (motion, guide))
+def _deviation(path: Floats, line: Floats) -> float:
+    """Largest distance of a path ``(K, 3)`` from a line ``(L, 3)`` [m], to the nearest of its samples' pieces."""
     _, nearest = KDTree(line).query(path)
     off = np.full(len(path), np.inf)
     for first in (np.maximum(nearest - 1, 0), np.minimum(nearest, len(line) - 2)):

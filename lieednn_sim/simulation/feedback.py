@@ -135,7 +135,7 @@ class FeedbackFollower:
         self.xi = network.start(arm.encode(self.reference.q))
         self._stiffness = network.gamma + network.mu * _certified_norm(network)
         self._low, self._high = arm.position_limits.T
-        self._range = self._high - self._low
+        self._range = arm.ranges
         self._fastest = np.where(np.isfinite(arm.velocity_limits), arm.velocity_limits, _FASTEST)
         self._retraction = LocalRetraction(arm, self.reference.q)
         self._target: tuple[Floats, Floats] | None = None
