@@ -1,5 +1,6 @@
 """What robots brought by users broke: nested tubes, sizes, weak actuators, heavy tied booms, odd files."""
 
+import os
 import shutil
 from pathlib import Path
 
@@ -316,8 +317,10 @@ def test_a_package_is_known_by_its_manifest_and_by_where_ros_looks(tmp_path, mon
     _package_name.cache_clear()
     (path.parents[1] / "package.xml").write_text("<package><name>hands</name></package>")
     assert Arm.load(path).model.nmesh == 1
-    # What Git keeps elsewhere is no mesh.
-    (path.parents[1] / "meshes" / "post.obj").write_text("version https://git-lfs.github.com/spec/v1\nsize 9\n")
+    # What Git keeps elsewhere is no mesh. MuJoCo caches files by name and time, in steps longer than the test.
+    mesh = path.parents[1] / "meshes" / "post.obj"
+    mesh.write_text("version https://git-lfs.github.com/spec/v1\nsize 9\n")
+    os.utime(mesh, (0, 0))
     with pytest.raises(FileError, match=r"pointers of Git LFS .*`git lfs pull`: .*post.obj$"):
         Arm.load(path)
 
