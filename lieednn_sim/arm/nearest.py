@@ -7,9 +7,10 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import PchipInterpolator
+from scipy.interpolate import CubicSpline, PchipInterpolator
 from scipy.spatial.transform import Rotation
 
+from lieednn_sim.arm.bridging import VAGUE, bridge, distinctness
 from lieednn_sim.arm.kinematics import CompoundJoint
 from lieednn_sim.budget import check_time
 from lieednn_sim.lie import hat
@@ -30,6 +31,8 @@ _TIE = 1e-9
 _STRIDES, _LONG = 64, 0.2
 # On the way the last posture is near already.
 _FOLLOWING_STEPS = 8
+# Strides that are leapt at most where poses hardly tell the coordinates apart.
+_LEAPS = 16
 
 
 class NearestPose:
@@ -76,22 +79,28 @@ class NearestPose:
         q = np.where(wound, q - 2.0 * np.pi * np.round(q / (2.0 * np.pi)), q)
         return q.reshape(*shape, len(self._indices))
 
-    def follow(self, rotation: Floats, translation: Floats, near: Floats) -> Floats:
+    def follow(self, rotation: Floats, translation: Floats, near: Floats) -> tuple[Floats, NDArray[np.bool_]]:
         """Displacements ``(K, ..., c)`` along ways of poses ``(K, ..., m, 3, 3)`` and ``(K, ..., m, 3)``.
 
         The minimum next to ``near`` ``(c,)``, then each time the one next to the last: where several postures have the
-        same poses, as the two of a wrist, the branch is kept, and hinges are counted beyond half a turn.
+        same poses, as the two of a wrist, the branch is kept, and hinges are counted beyond half a turn. Where the
+        poses hardly tell the coordinates apart they go straight on, see `bridging.bridge`; the second result says
+        where, ``(K, ...)``.
         """
         goal = self._stack(rotation, translation).reshape(len(translation), -1, 12 * len(self._joints))
         q = np.empty((*goal.shape[:2], len(self._indices)))
         q[0] = self._approach(np.broadcast_to(near, q.shape[1:]), goal[0])
         known, longest = [0], max(1, len(goal) // _STRIDES)
-        stride = longest
+        stride, vague = longest, False
         while known[-1] < len(goal) - 1:
             check_time()
             last = known[-1]
             stride = min(stride, len(goal) - 1 - last)
             trial = self._approach(q[last], goal[last + stride], _FOLLOWING_STEPS)
+            vague, before = bool((distinctness(self._evaluate(trial)[1]) < VAGUE).any()), vague
+            if vague and not before and (leap := self._leap(q, goal, known, longest)):
+                known.append(leap)
+                continue
             if stride > 1 and np.abs(trial - q[last]).max() > _LONG:
                 stride //= 2
                 continue
@@ -100,8 +109,27 @@ class NearestPose:
             stride = min(2 * stride, longest)
         if len(known) < len(goal):
             q = PchipInterpolator(known, q[known])(np.arange(len(goal)))
-        q = self._descend(q.reshape(-1, q.shape[-1]), goal.reshape(-1, goal.shape[-1]))
-        return q.reshape(*translation.shape[:-2], len(self._indices))
+        exact = self._descend(q.reshape(-1, q.shape[-1]), goal.reshape(-1, goal.shape[-1])).reshape(q.shape)
+        bridged = np.zeros(q.shape[:-1], dtype=bool)
+        for way in range(q.shape[1]):
+            exact[:, way], bridged[:, way] = bridge(self._evaluate, exact[:, way], q[:, way], goal[:, way])
+        return exact.reshape(*translation.shape[:-2], len(self._indices)), bridged.reshape(translation.shape[:-2])
+
+    def _leap(self, q: Floats, goal: Floats, known: list[int], longest: int) -> int:
+        """Go straight on from the last two postures to where poses tell coordinates apart; that sample, or zero."""
+        last = known[-1]
+        if len(known) < 2:
+            return 0
+        pace = (q[last] - q[known[-2]]) / (last - known[-2])
+        for strides in range(1, _LEAPS + 1):
+            there = min(last + strides * longest, len(goal) - 1)
+            guess = q[last] + (there - last) * pace
+            trial = self._approach(guess, goal[there], _FOLLOWING_STEPS)
+            clear = distinctness(self._evaluate(trial)[1]) >= VAGUE
+            if clear.all() and np.abs(trial - guess).max() < 2.0 * _LONG:
+                q[there] = trial
+                return there
+        return 0
 
     def _descend(self, q: Floats, goal: Floats) -> Floats:
         """Minima ``(B, c)`` next to starts ``(B, c)`` for stacked poses ``(B, 12m)``."""
@@ -173,6 +201,15 @@ class NearestPose:
         jacobian = self._evaluate(flat)[1]
         pull = np.einsum("bri,br->bi", jacobian, goal_rate)
         return (self._inverse_hessian(flat, goal) @ pull[..., None])[..., 0].reshape(shape)
+
+    def rates_along(self, q: Floats, rotation: Floats, translation: Floats, omega: Floats, velocity: Floats) -> Floats:
+        """Derivative ``(K, ..., c)`` of coordinates along a way, by its samples, whatever they minimise."""
+        rate = self._stack(hat(omega) @ rotation, velocity)
+        moved = np.gradient(self._stack(rotation, translation), axis=0)
+        size = np.maximum((rate**2).sum(axis=-1), 1e-300)
+        samples = (moved * rate).sum(axis=-1) / size  # in a unit of the rate's time
+        along = CubicSpline(np.arange(len(q)), q)(np.arange(len(q)), 1)
+        return np.asarray(along / np.maximum(samples, 1e-300)[..., None])
 
     def _newton_step(self, q: Floats, goal: Floats) -> Floats:
         step = (self._inverse_hessian(q, goal) @ self._gradient(q, goal)[..., None])[..., 0]

@@ -108,14 +108,18 @@ class _Nearest:
     def __call__(self, poses: MovingPoses, near: Floats | None) -> tuple[Floats, Floats | None]:
         links = list(self.links)
         rotation, translation = poses.matrix[..., links, :, :], poses.translation[..., links, :]
+        vague = None
         if near is None:
             offset = self._problem.solve(rotation, translation)
         else:
-            offset = self._problem.follow(rotation, translation, near[self.indices])
+            offset, vague = self._problem.follow(rotation, translation, near[self.indices])
         if poses.rates is None:
             return offset, None
-        omega, velocity = poses.rates
-        rates = self._problem.rates(offset, rotation, translation, omega[..., links, :], velocity[..., links, :])
+        omega, velocity = (part[..., links, :] for part in poses.rates)
+        rates = self._problem.rates(offset, rotation, translation, omega, velocity)
+        if vague is not None and vague.any():
+            along = self._problem.rates_along(offset, rotation, translation, omega, velocity)
+            rates = np.where(vague[..., None], along, rates)
         return offset, rates
 
 

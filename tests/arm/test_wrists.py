@@ -42,6 +42,30 @@ def test_a_way_of_states_is_followed_on_the_branch_on_which_it_begins():
     assert np.abs(arm.decode(arm.encode(way * [1.0, 1.0, -1.0, 1.0])).q[:, 2] + way[:, 2]).max() > 0.1
 
 
+@pytest.mark.parametrize(("seed", "count"), [(0, 300), (1, 600), (3, 600)])
+def test_a_way_past_aligned_hinges_goes_straight_on(seed, count):
+    """Poses a hair beside a way through bend = 0, where the pose tells roll + turn alone: to stay on them exactly both
+    would turn about by half a turn at once, or by large angles there and back."""
+    arm, s = wrist(0.8), np.linspace(0.0, 1.0, count)[:, None]
+    start, end = np.array([0.1, 0.3, 0.9, 0.2]), np.array([0.5, 1.4, -0.6, -0.9])
+    share = s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
+    way = start + share * (end - start)
+    aside = 3e-4 * np.random.default_rng(seed).normal(size=(2, 6))
+    xi = arm.encode(way)
+    xi[:, 1] += np.sin(np.pi * s) ** 2 * aside[0] + np.sin(3.0 * np.pi * s) ** 2 * aside[1]
+    rates = np.gradient(xi, axis=0)
+    found = arm.decode(xi, rates, start=start)
+    np.testing.assert_allclose(found.q[[0, -1]], [start, end], atol=1e-8)
+    assert np.abs(found.q - way).max() < 0.008
+    # As fast and as smooth as the way itself, up to a little.
+    np.testing.assert_allclose(np.diff(found.q, 2, axis=0), np.diff(way, 2, axis=0), atol=20.0 / count**2)
+    np.testing.assert_allclose(found.qd[2:-2], np.gradient(found.q, axis=0)[2:-2], atol=0.01 / count)
+    assert found.gap_rotation.max() < 2e-3
+    # Where the hinges are well bent the poses are met as well as they can be: no posture beside is nearer.
+    for k in np.flatnonzero(np.abs(way[:, 2]) > 0.25)[::20]:
+        np.testing.assert_allclose(arm.decode(xi[k : k + 1], start=found.q[k]).q[0], found.q[k], atol=1e-9)
+
+
 def test_links_whose_pose_does_not_tell_their_joints_apart_are_told_before_planning():
     def told(bend):
         return [note for note in wrist(bend).import_report.notes if note.startswith("link 2: on")]

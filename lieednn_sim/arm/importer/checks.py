@@ -149,8 +149,8 @@ def look_for_singular_links(draft: Draft) -> None:
         if singular:
             draft.notes.append(
                 f"link {i}: on {singular} of {len(ways)} straight ways from home it comes near postures at which its "
-                f"pose does not tell {', '.join(group)} apart; networks, which lead an arm by poses, fail there: name "
-                "more links"
+                f"pose does not tell {', '.join(group)} apart; networks, which lead an arm by poses, go straight on "
+                "there with a gap, or fail: with more links named they need not"
             )
 
 
