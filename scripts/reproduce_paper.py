@@ -11,6 +11,7 @@ import argparse
 import os
 import sys
 import time
+from concurrent.futures import Executor
 from pathlib import Path
 
 # Before NumPy loads: matrices here are far too small for threads, and the workers inherit this.
@@ -25,13 +26,20 @@ from lieednn_sim import storage
 from lieednn_sim.evaluation.workers import exit_code
 
 
-def reproduce(plan: Plan, directory: str | os.PathLike[str], workers: int, command: str, console: Console) -> Path:
-    """Run what has not been run, and write figures and report; returns the report's path."""
+def reproduce(
+    plan: Plan,
+    directory: str | os.PathLike[str],
+    workers: int,
+    command: str,
+    console: Console,
+    executor: Executor | None = None,
+) -> Path:
+    """Run what has not been run, on processes or an executor; write figures and report, and return its path."""
     begun = time.perf_counter()
     output = storage.make_directory(directory)
     cache = storage.make_directory(output / "jobs")
     work = jobs(plan)
-    count, failures = runner.run_all(work, cache, workers, console)
+    count, failures = runner.run_all(work, cache, workers, console, executor)
     results = Results.collect(plan, work, lambda job: runner.load(job, cache))
     console.print("figures and report")
     drawn = figures.draw(results, output)

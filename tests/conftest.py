@@ -197,7 +197,7 @@ def in_this_process() -> Callable[[], contextlib.AbstractContextManager[None]]:
     @contextlib.contextmanager
     def without_workers() -> Iterator[None]:
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr("lieednn_sim.evaluation.study.worker_pool", lambda _: ThreadPoolExecutor(1))
+            patch.setattr("lieednn_sim.evaluation.workers.worker_pool", lambda _: ThreadPoolExecutor(1))
             yield
 
     return without_workers

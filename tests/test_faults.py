@@ -15,7 +15,7 @@ from lieednn_sim import storage
 from lieednn_sim.cli import main
 from lieednn_sim.cli.run_directory import RunDirectory
 from lieednn_sim.errors import FileError, LieEDNNError
-from lieednn_sim.evaluation import Selection, Settings, compare, read_rows, study
+from lieednn_sim.evaluation import Selection, Settings, compare, read_rows, workers
 
 # A process that ends itself by SIGKILL where it is told to: no moment to wait for, no time to clean up.
 KILL = "import os, signal, sys\nkill = lambda *_: os.kill(os.getpid(), signal.SIGKILL)\n"
@@ -112,7 +112,7 @@ def test_a_video_that_is_killed_leaves_none_and_the_next_is_whole(run, start, tm
 
 def test_a_worker_that_is_killed_loses_no_finished_case(tmp_path, monkeypatch, in_this_process):
     """The first worker to finish its case dies with the next one."""
-    pool = study.worker_pool
+    pool = workers.worker_pool
     rows = []
 
     class Deadly:
@@ -136,7 +136,7 @@ def test_a_worker_that_is_killed_loses_no_finished_case(tmp_path, monkeypatch, i
         def __exit__(self, *reason):
             return self.inner.__exit__(*reason)
 
-    monkeypatch.setattr(study, "worker_pool", Context)
+    monkeypatch.setattr(workers, "worker_pool", Context)
     selection = Selection(("minimum-jerk",), ("telescopic_pr",), ("free",), ("computed-torque",), seeds=2)
     settings = Settings(duration=1.0, hold=0.0)
     with pytest.raises(LieEDNNError, match=r"a worker process died .* the same command goes on; --jobs 1 needs less"):

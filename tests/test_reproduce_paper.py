@@ -16,6 +16,8 @@ from matplotlib.figure import Figure
 from paper import check_measures, claims, experiments, measures, plan, report, results, runner, style
 from rich.console import Console
 
+from lieednn_sim.evaluation import workers
+
 SCRIPTS = Path(__file__).resolve().parents[1] / "scripts"
 
 TINY = plan.Plan("quick", 5, 1, 1, 150, 20, 10, 20)
@@ -48,7 +50,7 @@ def quiet() -> Console:
 def test_a_tiny_run_writes_a_report_with_a_verdict_for_every_claim(tmp_path, few_jobs, monkeypatch):
     # Other tests start worker processes and lay figures out; to embed a subset of a font takes as long as all else, and
     # what is drawn well as a PNG is drawn well as a PDF: one is.
-    monkeypatch.setattr(runner, "worker_pool", lambda _: ThreadPoolExecutor(1))
+    monkeypatch.setattr(workers, "worker_pool", lambda _: ThreadPoolExecutor(1))
     monkeypatch.setattr(style, "settle", lambda figure, _: figure.set_layout_engine(None))
     monkeypatch.setitem(style.STYLE, "pdf.fonttype", 3)
     draw, drawn = Figure.savefig, set()
@@ -79,7 +81,7 @@ def test_a_tiny_run_writes_a_report_with_a_verdict_for_every_claim(tmp_path, few
 
 
 def test_only_what_is_missing_runs_and_a_failure_loses_nothing(tmp_path, monkeypatch):
-    monkeypatch.setattr(runner, "worker_pool", ThreadPoolExecutor)
+    monkeypatch.setattr(workers, "worker_pool", ThreadPoolExecutor)
     count, failures = runner.run_all([FEW[0], BROKEN], tmp_path, 1, quiet())
     assert count == 2
     assert len(failures) == 1
@@ -210,12 +212,11 @@ def test_an_interrupt_stops_cleanly_and_says_so(tmp_path, start):
         "tracked = plan.Job('tracked', 'train', {'algorithm': 'tracked', 'changes': {}, 'seed': 0})\n"
         "endless = plan.Job('activation', 'check', {'name': 'activation', 'samples': 10**12})\n"
         "reproduce_paper.jobs = lambda _: [tracked, endless]\n"
-        "as_completed = runner.as_completed\n"
-        "def announcing(futures):\n"
-        "    for future in as_completed(futures):\n"
-        "        print('an experiment is done', flush=True)\n"
-        "        yield future\n"
-        "runner.as_completed = announcing\n"
+        "save = runner.storage.save_arrays\n"
+        "def announcing(*given):\n"
+        "    save(*given)\n"
+        "    print('an experiment is done', flush=True)\n"
+        "runner.storage.save_arrays = announcing\n"
         "sys.exit(reproduce_paper.main())"
     )
     process = start("-c", code, "--output", str(tmp_path), "--jobs", "1", cwd=SCRIPTS)

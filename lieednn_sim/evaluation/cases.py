@@ -86,26 +86,21 @@ def _plan(case: Case, arm: Arm, target: Floats, settings: Settings) -> Plan:
 
 
 def run_case(case: Case, controllers: Sequence[str], settings: Settings) -> list[Row]:
-    """Plan once and track with every controller: one row each. What fails is a row with the reason.
+    """Plan once and track with every controller: one row each. What fails is a row with the reason; bugs are raised.
 
     The planning time is CPU time of this process, with one BLAS thread.
     """
-
-    def row(controller: str, reason: str = "", **values: Any) -> Row:
-        keys = {**asdict(case), "controller": controller, "mass_scale": settings.mass_scale}
-        return Row(**keys, success=not reason, reason=reason, **values)
-
     with one_blas_thread():
         try:
             arm, target = arm_and_target(case.arm, case.scene, case.seed)
         except LieEDNNError as error:
-            return [row(name, f"problem: {error}") for name in controllers]
+            return failed_case(case, controllers, settings, f"problem: {error}")
         begun = time.process_time()
         try:
             made = _plan(case, arm, target, settings)
         except LieEDNNError as error:
             spent = time.process_time() - begun
-            return [row(name, f"plan: {error}", planning_s=spent) for name in controllers]
+            return failed_case(case, controllers, settings, f"plan: {error}", planning_s=spent)
         except Exception as error:
             error.add_note(f"while planning the case {case}")
             raise
@@ -116,10 +111,21 @@ def run_case(case: Case, controllers: Sequence[str], settings: Settings) -> list
             try:
                 evaluation = evaluate(_simulate(arm, made, name, settings))
             except LieEDNNError as error:
-                rows.append(row(name, f"simulation: {error}", **planned))
+                rows += failed_case(case, [name], settings, f"simulation: {error}", **planned)
             else:
-                rows.append(row(name, evaluation.shortfall, **planned, **_measured(evaluation, of_motion=False)))
+                values = {**planned, **_measured(evaluation, of_motion=False)}
+                rows.append(_row(case, name, settings, evaluation.shortfall, **values))
         return rows
+
+
+def failed_case(case: Case, controllers: Sequence[str], settings: Settings, reason: str, **values: Any) -> list[Row]:
+    """Rows of a case that came to nothing, with the reason and what was measured all the same."""
+    return [_row(case, name, settings, reason, **values) for name in controllers]
+
+
+def _row(case: Case, controller: str, settings: Settings, reason: str, **values: Any) -> Row:
+    keys = {**asdict(case), "controller": controller, "mass_scale": settings.mass_scale}
+    return Row(**keys, success=not reason, reason=reason, **values)
 
 
 def replay(case: Case, controller: str, settings: Settings) -> Rollout:

@@ -54,6 +54,9 @@ class TableRow:
         for entry in fields(self):
             if isinstance(value := getattr(self, entry.name), float):
                 object.__setattr__(self, entry.name, float(f"{value:.{self._digits}g}"))
+            elif isinstance(value, str) and "\n" in value:
+                # A row is a line.
+                object.__setattr__(self, entry.name, " ".join(value.splitlines()))
 
     @property
     def key(self) -> tuple[Any, ...]:
@@ -126,7 +129,8 @@ class Row(TableRow):
         seed: of target, obstacles and planner.
         mass_scale: true masses in units of those that the controller knows.
         success: whether the rollout arrived without contact.
-        reason: why it did not; begins with what failed: "problem", "plan", "simulation", "contact" or "arrival".
+        reason: why it did not; begins with what failed: "problem", "plan", "simulation", "contact",
+            "arrival", or "error": what nobody expected, a bug or a worker that died again and again.
         stability: proved of the network: "global", "local" or "none"; "-" without a network, "" without a motion.
         stability_level: the condition that proves it.
     """
@@ -204,7 +208,7 @@ class Row(TableRow):
     @property
     def planned(self) -> bool:
         """Whether there was a motion to track."""
-        return not self.reason.startswith(("plan:", "problem:"))
+        return not self.reason.startswith(("plan:", "problem:", "error:"))
 
 
 FIELDS = tuple(entry.name for entry in fields(Row))

@@ -69,7 +69,7 @@ class Failure:
     """Failures that differ in names and numbers only.
 
     Attributes:
-        step: where it failed: "problem", "plan", "simulation", "contact" or "arrival".
+        step: where it failed: "problem", "plan", "simulation", "contact", "arrival" or "error".
         pattern: the reason with names and numbers replaced by an ellipsis.
         example: one reason in full.
         counts: number of rows by planner, largest first.

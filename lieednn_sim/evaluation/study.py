@@ -1,12 +1,11 @@
-"""All cases of a comparison, on several cores, resumable."""
+"""All cases of a comparison, on several cores or any executor, resumable."""
 
 from __future__ import annotations
 
 import itertools
 import os
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import as_completed
-from concurrent.futures.process import BrokenProcessPool
+from concurrent.futures import BrokenExecutor, CancelledError, Executor
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,11 +14,11 @@ from rich.console import Console
 from lieednn_sim.arm import arm_names
 from lieednn_sim.arm.scenes import SCENES
 from lieednn_sim.errors import InputError, LieEDNNError
-from lieednn_sim.evaluation.cases import FREE, Settings, run_case
+from lieednn_sim.evaluation.cases import FREE, Settings, failed_case, run_case
 from lieednn_sim.evaluation.rows import Case
 from lieednn_sim.evaluation.statistics import numbers
 from lieednn_sim.evaluation.table import R, Rows, Table
-from lieednn_sim.evaluation.workers import progress_bar, worker_pool
+from lieednn_sim.evaluation.workers import run_each
 from lieednn_sim.planning import missing_planners, planners
 from lieednn_sim.simulation import CONTROLLERS
 from lieednn_sim.validation import as_choice, as_count
@@ -84,6 +83,7 @@ def compare(
     *,
     jobs: int = 1,
     console: Console | None = None,
+    executor: Executor | None = None,
 ) -> Table:
     """Compute the rows that the directory's table lacks.
 
@@ -97,6 +97,7 @@ def compare(
         settings: of all rows; a table made with others is refused.
         jobs: worker processes.
         console: for a progress bar; none without.
+        executor: runs the cases in place of worker processes, in whatever order; the rows are the same.
 
     Returns:
         The table, with all rows that it holds, also those of earlier runs.
@@ -104,7 +105,7 @@ def compare(
     Raises:
         InputError: jobs is less than 1.
         FileError: see `Table`.
-        LieEDNNError: a worker process died.
+        LieEDNNError: a worker process died, or the executor gave up.
     """
     workers = as_count("jobs", jobs)
     table = Table(directory, settings)
@@ -114,45 +115,57 @@ def compare(
         ((case, names) for case, names in wanted if names),
         key=lambda job: (job[0].arm, job[0].scene, job[0].seed, -costs[job[0].planner]),
     )
-    complete(table, run_case, [(*job, settings) for job in todo], workers=workers, title="cases", console=console)
+    tasks = [(*job, settings) for job in todo]
+    complete(table, run_case, failed_case, tasks, workers=workers, title="cases", console=console, executor=executor)
     return table
 
 
 def complete(
     table: Rows[R],
     run: Callable[..., list[R]],
+    failed: Callable[..., list[R]],
     todo: Sequence[tuple[Any, ...]],
     *,
     workers: int,
     title: str,
     console: Console | None,
+    executor: Executor | None,
 ) -> None:
-    """Add the rows of cases that are run on several cores; when it is interrupted all finished ones are kept.
+    """Add the rows of cases, run elsewhere; when it is interrupted all finished ones are kept.
 
     Args:
         table: to add to.
         run: makes the rows of a case, in another process.
-        todo: its arguments for each case.
+        failed: makes them where that raises, from the same arguments and the reason.
+        todo: arguments for each case.
         workers: processes at most.
         title: of the progress bar.
-        console: for that; none without.
+        console: for that, and for what raised; none without.
+        executor: in place of processes of our own, if any.
 
     Raises:
         FileError: the table cannot be written.
-        LieEDNNError: a worker process died.
+        LieEDNNError: a worker process died, or the executor gave up.
     """
     if not todo:
         return
+    shown = console or Console(quiet=True)
+
+    def add(case: tuple[Any, ...], rows: list[R], error: Exception | None) -> None:
+        if error is not None:
+            reason = f"error: {type(error).__name__}: {error}"
+            shown.print("; ".join([reason, *getattr(error, "__notes__", ())]), markup=False, highlight=False)
+            rows = failed(*case, reason)
+        table.add(rows)
+
     try:
-        with worker_pool(min(workers, len(todo))) as pool, progress_bar(console or Console(quiet=True)) as progress:
-            bar = progress.add_task(title, total=len(todo))
-            for future in as_completed([pool.submit(run, *case) for case in todo]):
-                table.add(future.result())
-                progress.update(bar, advance=1)
-    except BrokenProcessPool:
+        run_each(run, todo, add, workers=workers, title=title, console=shown, executor=executor)
+    except (BrokenExecutor, CancelledError):
         raise LieEDNNError(
             f"a worker process died (out of memory?); finished cases are kept in {table.csv}, the same command "
             "goes on; --jobs 1 needs less"
+            if executor is None
+            else f"the executor gave up; finished cases are kept in {table.csv}, the same command goes on"
         ) from None
     finally:
         table.save()

@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import multiprocessing
 import os
+import queue
 import signal
 import threading
-from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from lieednn_sim.errors import LieEDNNError
+
+# Tasks that an executor holds at once: enough for a cluster, and memory does not grow with the study.
+_AHEAD = 4096
 
 
 @contextlib.contextmanager
@@ -39,6 +44,57 @@ def worker_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
         pool.shutdown()
 
 
+def run_each(
+    run: Callable[..., Any],
+    todo: Sequence[tuple[Any, ...]],
+    done: Callable[[tuple[Any, ...], Any, Exception | None], None],
+    *,
+    workers: int,
+    title: str,
+    console: Console,
+    executor: Executor | None = None,
+) -> None:
+    """Run tasks on processes of our own, or on an executor, which stays open.
+
+    Args:
+        run: does a task; it, arguments and results can be pickled.
+        todo: arguments of each task.
+        done: called here as a task ends, in whatever order, with its arguments, its result, and what it raised.
+        workers: processes at most, where there is no executor.
+        title: of the progress bar.
+        console: for that.
+        executor: does the tasks in place of processes of our own.
+
+    Raises:
+        BrokenExecutor: workers died, and the executor has no others.
+        CancelledError: the executor gave up a task.
+    """
+    if not todo:
+        return
+    waiting, ended = iter(todo), queue.SimpleQueue[Future[Any]]()
+    running: dict[Future[Any], tuple[Any, ...]] = {}
+    pools = worker_pool(min(workers, len(todo))) if executor is None else contextlib.nullcontext(executor)
+    with pools as pool, progress_bar(console) as progress:
+        bar = progress.add_task(title, total=len(todo))
+        try:
+            for _ in todo:
+                for task in itertools.islice(waiting, _AHEAD - len(running)):
+                    future = pool.submit(run, *task)
+                    running[future] = task
+                    future.add_done_callback(ended.put)
+                future = ended.get()
+                task, error = running.pop(future), future.exception()
+                if isinstance(error, Exception) and not isinstance(error, BrokenExecutor):
+                    done(task, None, error)
+                else:
+                    done(task, future.result(), None)
+                progress.update(bar, advance=1)
+        finally:
+            # Our own processes are stopped instead.
+            for future in running if executor is not None else ():
+                future.cancel()
+
+
 def progress_bar(console: Console) -> Progress:
     """What the work shows of itself."""
     times = (TimeElapsedColumn(), TextColumn("done, left"), TimeRemainingColumn())
@@ -53,7 +109,7 @@ def exit_code(work: Callable[[], Path], console: Console, kept: str) -> int:
     except KeyboardInterrupt:
         console.print(f"stopped; finished {kept} are kept, the same command goes on from there")
         return 130
-    except BrokenProcessPool:
+    except BrokenExecutor:
         console.print("a worker process died (out of memory?); the same command goes on, --jobs 1 needs less")
         return 1
     except (LieEDNNError, OSError) as error:

@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterable
-from concurrent.futures import Future, as_completed
-from concurrent.futures.process import BrokenProcessPool
+from concurrent.futures import Executor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,7 @@ from rich.console import Console
 
 from lieednn_sim import storage
 from lieednn_sim.errors import FileError
-from lieednn_sim.evaluation.workers import progress_bar, worker_pool
+from lieednn_sim.evaluation.workers import run_each
 from paper import experiments
 from paper.plan import Job
 
@@ -41,13 +40,13 @@ class Record:
         return self.values.get(name, float("nan"))
 
 
-def run(job: Job, path: Path) -> None:
-    """Do a job and write its result; the path comes from the main process, which knows which code began the run."""
+def run(job: Job) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """Do a job, wherever that is; returns arrays and metadata of its result."""
     begun = time.process_time()
     arrays, values = experiments.KINDS[job.kind](**job.parameters)
     values = {**values, "job_seconds": time.process_time() - begun}
     finite = {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in values.items()}
-    storage.save_arrays(path, _KIND, arrays, {"values": finite, "parameters": job.parameters})
+    return arrays, {"values": finite, "parameters": job.parameters}
 
 
 def load(job: Job, directory: Path) -> Record | None:
@@ -60,8 +59,10 @@ def load(job: Job, directory: Path) -> Record | None:
     return Record(job, arrays, values)
 
 
-def run_all(jobs: Iterable[Job], directory: Path, workers: int, console: Console) -> tuple[int, list[str]]:
-    """Run what has no result yet.
+def run_all(
+    jobs: Iterable[Job], directory: Path, workers: int, console: Console, executor: Executor | None = None
+) -> tuple[int, list[str]]:
+    """Run what has no result yet, on so many processes, or on an executor.
 
     Returns:
         How many jobs were run, and a line for each that failed.
@@ -71,21 +72,16 @@ def run_all(jobs: Iterable[Job], directory: Path, workers: int, console: Console
     """
     # Two groups may share a job.
     todo = {job.key: job for job in jobs if load(job, directory) is None}
-    if not todo:
-        return 0, []
     failures: list[str] = []
-    with worker_pool(min(workers, len(todo))) as pool, progress_bar(console) as progress:
-        task = progress.add_task("experiments", total=len(todo))
-        running: dict[Future[None], Job] = {
-            pool.submit(run, job, directory / f"{job.key}.npz"): job for job in todo.values()
-        }
-        for future in as_completed(running):
-            error = future.exception()
-            if isinstance(error, BrokenProcessPool):
-                raise error
-            if error is not None:
-                job = running[future]
-                failures.append(f"{job.name} {job.parameters}: {type(error).__name__}: {error}")
-                console.print(f"[red]failed:[/red] {failures[-1]}", highlight=False)
-            progress.update(task, advance=1, description=running[future].name)
+
+    def keep(task: tuple[Job], result: Any, error: Exception | None) -> None:
+        (job,) = task
+        if error is None:
+            storage.save_arrays(directory / f"{job.key}.npz", _KIND, *result)
+        else:
+            failures.append(f"{job.name} {job.parameters}: {type(error).__name__}: {error}")
+            console.print(f"[red]failed:[/red] {failures[-1]}", highlight=False)
+
+    tasks = [(job,) for job in todo.values()]
+    run_each(run, tasks, keep, workers=workers, title="experiments", console=console, executor=executor)
     return len(todo), failures

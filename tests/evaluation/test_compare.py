@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import signal
+from concurrent.futures import Executor, Future
 from dataclasses import replace
 
 import numpy as np
@@ -96,6 +97,37 @@ def test_two_runs_differ_in_the_planning_time_only(finished, tmp_path):
     timing = dict.fromkeys(TIMING)
     for key, row in before.items():
         assert replace(row, **timing) == replace(again[key], **timing)
+
+
+class Backwards(Executor):
+    """Runs its tasks when it has so many, the last first, and fails with the first of all."""
+
+    def __init__(self, count):
+        self.count, self.tasks = count, []
+
+    def submit(self, function, *task):
+        self.tasks.append((future := Future(), function, task))
+        if len(self.tasks) == self.count:
+            for other, call, given in self.tasks[:0:-1]:
+                other.set_result(call(*given))
+            self.tasks[0][0].set_exception(MemoryError("none\nleft"))
+        return future
+
+
+def test_another_executor_gives_the_same_rows_in_any_order_and_what_raises_is_a_row(finished, tmp_path):
+    larger = replace(SMALL, planners=("linear-attractor", *SMALL.planners))
+    first = larger.cases()[0]
+    table = compare(tmp_path, larger, QUICK, executor=Backwards(3))
+    serial, timing = read_rows(finished / "comparison.csv"), dict.fromkeys(TIMING)
+    found = read_rows(tmp_path / "comparison.csv")
+    assert found == table.rows
+    lost = found.pop((first.arm, first.scene, first.planner, "position-servo", 0))
+    assert (lost.reason, lost.success, lost.planned) == ("error: MemoryError: none left", False, False)
+    assert {key: replace(row, **timing) for key, row in found.items()} == {
+        key: replace(row, **timing) for key, row in serial.items()
+    }
+    # Nothing is done twice, the failure no more than the others.
+    assert compare(tmp_path, larger, QUICK, executor=Backwards(0)).rows == table.rows
 
 
 def test_rows_are_not_computed_again_and_a_larger_selection_adds(finished, tmp_path, in_this_process):

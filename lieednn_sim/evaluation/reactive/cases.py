@@ -41,7 +41,7 @@ class Reaction(TableRow):
         disturbance: a name of `DISTURBANCES`.
         seed: of target, obstacles, disturbance.
         success: whether every link ends within 1 mm and 0.1 degrees of the target without contact.
-        reason: why it did not; begins with "problem", "plan", "simulation", "contact" or "arrival".
+        reason: why it did not; begins with "problem", "plan", "simulation", "contact", "arrival" or "error".
     """
 
     _key = ("arm", "scene", "leader", "disturbance", "seed")
@@ -75,11 +75,11 @@ def run_reactions(arm: str, scene: str, leader: str, seed: int) -> list[Reaction
         try:
             task = _task(arm, scene, seed)
         except LieEDNNError as error:
-            return _failed(arm, scene, leader, seed, f"problem: {error}")
+            return failed_reactions(arm, scene, leader, seed, f"problem: {error}")
         try:
             nominal, steps = _run(task, LEADERS[leader](task), task.target[None])
         except LieEDNNError as error:
-            return _failed(arm, scene, leader, seed, f"plan: {error}")
+            return failed_reactions(arm, scene, leader, seed, f"plan: {error}")
         path = Path(task.arm, nominal.q)
         _, gone = path.nearest(nominal.q)
         begin = float(nominal.t[np.argmax(gone >= _AT)])
@@ -101,7 +101,8 @@ def run_reactions(arm: str, scene: str, leader: str, seed: int) -> list[Reaction
         return rows
 
 
-def _failed(arm: str, scene: str, leader: str, seed: int, reason: str) -> list[Reaction]:
+def failed_reactions(arm: str, scene: str, leader: str, seed: int, reason: str) -> list[Reaction]:
+    """Rows of a leader that could not be run, with the reason."""
     return [Reaction(arm, scene, leader, name, seed, success=False, reason=reason) for name in DISTURBANCES]
 
 

@@ -5,13 +5,14 @@ from __future__ import annotations
 import itertools
 import os
 from collections.abc import Iterable, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass
 
 import numpy as np
 from rich.console import Console
 
 from lieednn_sim import storage
-from lieednn_sim.evaluation.reactive.cases import DISTURBANCES, MEASURED, Reaction, run_reactions
+from lieednn_sim.evaluation.reactive.cases import DISTURBANCES, MEASURED, Reaction, failed_reactions, run_reactions
 from lieednn_sim.evaluation.reactive.leaders import LEADERS
 from lieednn_sim.evaluation.study import complete
 from lieednn_sim.evaluation.summary import table_head, table_line
@@ -48,6 +49,7 @@ def compare_reactions(
     leaders: Sequence[str] = tuple(LEADERS),
     jobs: int = 1,
     console: Console | None = None,
+    executor: Executor | None = None,
 ) -> ReactionTable:
     """Compute the rows that the directory's table lacks; finished cases are kept when it is interrupted.
 
@@ -59,11 +61,12 @@ def compare_reactions(
         leaders: names of `LEADERS`.
         jobs: worker processes.
         console: for a progress bar; none without.
+        executor: runs the cases in place of worker processes.
 
     Raises:
         InputError: jobs or seeds is less than 1.
         FileError: see `Rows`.
-        LieEDNNError: a worker process died.
+        LieEDNNError: a worker process died, or the executor gave up.
     """
     workers, count = as_count("jobs", jobs), as_count("seeds", seeds)
     table = ReactionTable(directory)
@@ -74,7 +77,8 @@ def compare_reactions(
         for seed, arm, scene, leader in wanted
         if any((arm, scene, leader, name, seed) not in table.rows for name in DISTURBANCES)
     ]
-    complete(table, run_reactions, todo, workers=workers, title="reactions", console=console)
+    runs = run_reactions, failed_reactions
+    complete(table, *runs, todo, workers=workers, title="reactions", console=console, executor=executor)
     return table
 
 
@@ -140,7 +144,7 @@ def write_reactions(path: str | os.PathLike[str], table: ReactionTable) -> None:
         counts.append(str(group.back) if group.key[1] in ("push", "payload") else "-")
         cells = ["-" if value is None else f"{value:.3g}" for value in group.medians]
         lines.append(table_line([*group.key, *counts, *cells]))
-    failed = [row for row in rows if row.reason.startswith(("problem", "plan", "simulation"))]
+    failed = [row for row in rows if row.reason.startswith(("problem", "plan", "simulation", "error"))]
     lines += ["", "## Could not be run", ""] if failed else []
     lines += [
         f"- {row.leader}, {row.arm}, {row.scene}, {row.disturbance}, seed {row.seed}: {row.reason}" for row in failed

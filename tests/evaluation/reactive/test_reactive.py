@@ -64,7 +64,7 @@ def test_the_table_goes_on_and_the_summary_counts(tmp_path, monkeypatch):
         ]
 
     monkeypatch.setattr(study, "run_reactions", ran)
-    monkeypatch.setattr("lieednn_sim.evaluation.study.worker_pool", ThreadPoolExecutor)
+    monkeypatch.setattr("lieednn_sim.evaluation.workers.worker_pool", ThreadPoolExecutor)
     for seeds in (1, 2):
         table = study.compare_reactions(tmp_path, ["telescopic_pr"], ["free"], seeds, leaders=("dmp", "tracker"))
     assert asked == [("dmp", 0), ("tracker", 0), ("dmp", 1), ("tracker", 1)]
