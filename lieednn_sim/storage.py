@@ -15,7 +15,7 @@ import struct
 import tempfile
 import zipfile
 import zlib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import IO, Any
 
@@ -32,8 +32,8 @@ _META_KEY, _FINGERPRINT, _MADE_FROM = "meta_json", "fingerprint", "made_from"
 _DAMAGE = (zipfile.BadZipFile, zlib.error, NotImplementedError)
 # An archive's last record: signature, four counters, size and offset of the directory before it, length of a comment.
 _ARCHIVE_END = struct.Struct("<4s4H2LH")
-# No JSON file of the package is nearly as large [bytes].
-_MAX_JSON = 1_000_000
+# No JSON or YAML file of the package is nearly as large [bytes].
+_MAX_TEXT = 1_000_000
 
 
 def make_directory(path: str | os.PathLike[str]) -> Path:
@@ -160,12 +160,30 @@ def save_json(path: str | os.PathLike[str], value: Any) -> None:
 
 def load_json(path: str | os.PathLike[str], what: str) -> dict[str, Any]:
     """Read a JSON object; `FileError` says what is wrong with the file."""
+    return _load_object(path, what, json.loads)
+
+
+def load_description(path: str | os.PathLike[str], what: str) -> dict[str, Any]:
+    """Read what was written by hand, JSON where the suffix says so, else YAML; errors as `load_json`."""
+    return load_json(path, what) if Path(path).suffix.lower() == ".json" else _load_object(path, what, _parse_yaml)
+
+
+def _parse_yaml(content: bytes) -> Any:
+    import yaml
+
+    try:
+        return yaml.safe_load(content)
+    except yaml.YAMLError as error:
+        raise ValueError(" ".join(str(error).split())) from None
+
+
+def _load_object(path: str | os.PathLike[str], what: str, parse: Callable[[bytes], Any]) -> dict[str, Any]:
     try:
         with Path(path).open("rb") as stream:
-            content = stream.read(_MAX_JSON + 1)
-        if len(content) > _MAX_JSON:
-            raise ValueError(f"it is larger than {_MAX_JSON} bytes")
-        value = json.loads(content)
+            content = stream.read(_MAX_TEXT + 1)
+        if len(content) > _MAX_TEXT:
+            raise ValueError(f"it is larger than {_MAX_TEXT} bytes")
+        value = parse(content)
         if not isinstance(value, dict):
             raise TypeError(f"it holds a {type(value).__name__}")
         return value

@@ -20,7 +20,8 @@ from lieednn_sim.arm.coordinates import Coordinates
 from lieednn_sim.arm.fingerprint import arm_fingerprint
 from lieednn_sim.arm.importer import ImportOptions, ImportReport
 from lieednn_sim.arm.kinematics import CompoundJoints
-from lieednn_sim.arm.models import MODEL_SUFFIXES, chosen, open_model, scene_path
+from lieednn_sim.arm.models import find_model, label_of, open_model
+from lieednn_sim.arm.obstacles import add_own_obstacles, check_home, is_scene_file, load_obstacles, scene_label
 from lieednn_sim.arm.parsing import read_arm
 from lieednn_sim.arm.projection import Retraction, Retractor
 from lieednn_sim.arm.scenes import SCENES, add_obstacles
@@ -56,7 +57,7 @@ class Arm:
         force_limits: ``(n,)`` [N m, N].
         length_scale: metres per unit of v in the network's coordinates, since the activation sees bare numbers.
         site_ids: ``(N,)`` the link frames' sites.
-        scene: the obstacles around it, a name of `scenes.SCENES`.
+        scene: the obstacles around it, a name of `scenes.SCENES`, or that of their file.
         scene_seed: of their positions.
         import_report: what was made of an MJCF file without the package's conventions; None for others.
     """
@@ -84,15 +85,16 @@ class Arm:
     def load(
         cls,
         name: str | os.PathLike[str],
-        scene: str = "free",
+        scene: str | os.PathLike[str] = "free",
         seed: int = 0,
         **options: Unpack[ImportOptions],
     ) -> Arm:
         """Load an arm, with the obstacles of a scene.
 
         Args:
-            name: of an arm of the package, or an MJCF or URDF file with a suffix of `MODEL_SUFFIXES`, see `from_xml`.
-            scene: a name of `scenes.SCENES`.
+            name: of an arm of the package; or an MJCF or URDF file, see `from_xml`, where its links may follow,
+                ``robot.urdf:wrist,tool``; or a YAML or JSON file that describes the import, see `models.find_model`.
+            scene: a name of `scenes.SCENES`, or a file of obstacles, see `among`.
             seed: of the obstacles.
             options: of such a file, see `from_xml`.
 
@@ -100,16 +102,8 @@ class Arm:
             FileError: there is no such file, or MuJoCo cannot compile it.
             InputError: an unknown arm or scene, or the file holds no arm.
         """
-        suffix = as_path("the name of an arm", name).suffix.lower()
-        if suffix == ".xacro":
-            raise InputError(
-                f"{name} holds macros of ROS: make a URDF of it, `xacro {name} -o robot.urdf`, and load that"
-            )
-        if suffix in MODEL_SUFFIXES:
-            return cls.from_xml(name, **options).among(scene, seed)
-        if given := chosen(options):
-            raise InputError(f"arm {name!r} has its own frames, servos and home; for files only: {', '.join(given)}")
-        return cls.from_xml(scene_path(str(name)), str(name)).among(scene, seed)
+        found = find_model(name, options)
+        return cls.from_xml(found.path, found.name, **found.options).among(scene, seed)
 
     @classmethod
     def from_xml(
@@ -135,8 +129,7 @@ class Arm:
         """
         source = as_path("path", path)
         spec, import_report = open_model(source, **options)
-        label = name or (source.parent.name if source.stem == "scene" else source.stem)
-        return cls.from_spec(spec, source, label, import_report)
+        return cls.from_spec(spec, source, name or label_of(source), import_report)
 
     @classmethod
     def from_spec(cls, spec: mujoco.MjSpec, source: Path, name: str, import_report: ImportReport | None = None) -> Arm:
@@ -152,21 +145,39 @@ class Arm:
             name=name, source=source, spec=spec, model=model, import_report=import_report, **read_arm(model, name)
         )
 
-    def among(self, scene: str, seed: int = 0) -> Arm:
-        """This arm with the obstacles of a scene of `scenes.SCENES`, drawn from a seed; itself when it is free.
+    def among(self, scene: str | os.PathLike[str], seed: int = 0) -> Arm:
+        """This arm with the obstacles of a scene; itself when that is free.
+
+        Args:
+            scene: a name of `scenes.SCENES`, or a file of obstacles with a suffix of `obstacles.SCENE_SUFFIXES`, see
+                `obstacles.load_obstacles`; the arm's `scene` is that file's name without its suffix then.
+            seed: of the obstacles, where they are drawn.
 
         Raises:
-            InputError: no such scene, a bad seed, obstacles already there, or no place for them around this arm.
+            FileError: there is no such file, or it cannot be read.
+            InputError: no such scene, a bad seed, obstacles already there, no place for them around this arm, or a
+                file's obstacles touch it at home.
         """
         as_seed("seed", seed)
-        if as_choice("scene", scene, SCENES) == "free":
+        own = is_scene_file(scene)
+        label = scene_label(scene) if own else as_choice("scene", scene, SCENES)  # type: ignore[arg-type]
+        if label == "free":
             return self
         if self.scene != "free":
             raise InputError(f"arm {self.name!r} has the obstacles of scene {self.scene!r} already")
         spec = self.spec.copy()
-        add_obstacles(spec, self, scene, seed)
-        arm = Arm.from_spec(spec, self.source, self.name, self.import_report)
-        return replace(arm, scene=scene, scene_seed=seed)
+        if own:
+            add_own_obstacles(spec, self, load_obstacles(scene), label)
+        else:
+            add_obstacles(spec, self, label, seed)
+        arm = replace(
+            Arm.from_spec(spec, self.source, self.name, self.import_report),
+            scene=label,
+            scene_seed=0 if own else seed,
+        )
+        if own:
+            check_home(arm)
+        return arm
 
     def __repr__(self) -> str:
         return f"<Arm {self.name}: {self.n_links} links, {self.n_joints} joints, scene {self.scene}>"

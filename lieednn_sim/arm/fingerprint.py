@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieednn_sim import storage
+from lieednn_sim._mujoco import mujoco
 
 if TYPE_CHECKING:
     from lieednn_sim.arm.arm import Arm
@@ -27,17 +28,27 @@ def arm_fingerprint(arm: Arm) -> str:
 
     Colours do not count, nor where the files lie. Another version of MuJoCo may give another one.
     """
+    arrays = _arrays(arm.model)
+    for name in ("position_limits", "velocity_limits", "acceleration_limits", "force_limits", "site_ids"):
+        arrays[name] = _rounded(np.asarray(getattr(arm, name)))
+    arrays |= {"base": _rounded(arm.base.as_matrix()), "length_scale": _rounded(np.asarray(arm.length_scale))}
+    return storage.fingerprint(arrays, {"joints": arm.joint_names})
+
+
+def model_fingerprint(model: mujoco.MjModel) -> str:
+    """The same of a compiled model that holds no arm."""
+    return storage.fingerprint(_arrays(model), {})
+
+
+def _arrays(model: mujoco.MjModel) -> dict[str, NDArray[Any]]:
     arrays: dict[str, NDArray[Any]] = {}
-    for prefix, holder in (("", arm.model), ("opt_", arm.model.opt)):
+    for prefix, holder in (("", model), ("opt_", model.opt)):
         for name in dir(holder):
             if prefix or (name.startswith(_COUNT) and not name.endswith(_LOOK)):
                 value = getattr(holder, name)
                 if isinstance(value, int | float | np.ndarray):
                     arrays[prefix + name] = _rounded(np.asarray(value))
-    for name in ("position_limits", "velocity_limits", "acceleration_limits", "force_limits", "site_ids"):
-        arrays[name] = _rounded(np.asarray(getattr(arm, name)))
-    arrays |= {"base": _rounded(arm.base.as_matrix()), "length_scale": _rounded(np.asarray(arm.length_scale))}
-    return storage.fingerprint(arrays, {"joints": arm.joint_names})
+    return arrays
 
 
 def _rounded(values: NDArray[Any]) -> NDArray[Any]:

@@ -31,8 +31,8 @@ def draw_target(arm: Arm, seed: int = 0) -> Floats:
     """A random joint target ``(n,)`` at which nothing comes closer than `PLANNED_CLEARANCE`.
 
     Without obstacles: uniform within the joint limits, or, where every compound joint has six dofs, uniform in the
-    network's coordinates. With obstacles the end effector is at a uniform point of one of the scene's goal boxes, in a
-    posture not far from home, and at a distance of `TARGET_CLEARANCE` from obstacles.
+    network's coordinates. With obstacles there is a distance of `TARGET_CLEARANCE` from them, and where the scene has
+    goal boxes the end effector is at a uniform point of one of them, in a posture not far from home.
 
     Raises:
         InputError: a bad seed.
@@ -61,13 +61,17 @@ def draw_target(arm: Arm, seed: int = 0) -> Floats:
             and collisions.free(q, TARGET_CLEARANCE, own=OWN_CLEARANCE)
         ):
             return q
-    raise NoSolutionError(f"no target was found for arm {arm.name!r} among its obstacles; use another scene or seed")
+    raise NoSolutionError(
+        f"no target was found for arm {arm.name!r} among its obstacles: in {_ATTEMPTS} tries its end effector did not "
+        f"get into a goal of scene {arm.scene!r} without coming near anything; use another scene or seed"
+    )
 
 
 def _anywhere(arm: Arm, rng: np.random.Generator) -> Floats:
     low, high = arm.position_limits.T
     inset = LIMIT_MARGIN * arm.ranges
     near: Counter[tuple[str, str]] = Counter()
+    collisions = None if arm.scene == "free" else Collisions(arm)
     for attempt in range(_ATTEMPTS):
         # Where the joints are too short for the paper's law, within the limits as for any other arm.
         if arm.exact and attempt < _ATTEMPTS // 2:
@@ -77,7 +81,7 @@ def _anywhere(arm: Arm, rng: np.random.Generator) -> Floats:
         if arm.limit_excess(q).max() > 0.0:
             continue
         contacts = arm.near_contacts(q)
-        if not contacts:
+        if not contacts and (collisions is None or collisions.free(q, TARGET_CLEARANCE, own=0.0)):
             return q
         near.update(contacts)
     shown = ", ".join(f"{one!r} and {other!r} in {count}" for (one, other), count in near.most_common(3))

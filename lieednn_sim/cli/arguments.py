@@ -11,7 +11,8 @@ import numpy as np
 
 from lieednn_sim.arm import Arm, solve_ik
 from lieednn_sim.arm.importer import ImportOptions
-from lieednn_sim.arm.models import MODEL_SUFFIXES, chosen
+from lieednn_sim.arm.models import chosen, is_arm_file
+from lieednn_sim.arm.obstacles import is_scene_file
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.cli.options import decimal
 from lieednn_sim.cli.task import Task
@@ -55,15 +56,14 @@ def make_task(
     reason: str,
     options: Mapping[str, Any],
 ) -> Task:
-    """What a run directory keeps of the arguments; an MJCF file by its absolute path."""
-    path = Path(arguments.arm)
+    """What a run directory keeps of the arguments; files by their absolute paths."""
     count_steps(arguments.duration, arm.timestep)
     return Task(
-        arm=str(path.resolve()) if path.suffix.lower() in MODEL_SUFFIXES else arm.name,
+        arm=str(Path(arguments.arm).resolve()) if is_arm_file(arguments.arm) else arm.name,
         start=tuple(start.tolist()),
         target=tuple(target.tolist()),
         duration=as_positive("duration", arguments.duration),
-        scene=arm.scene,
+        scene=str(Path(arguments.scene).resolve()) if is_scene_file(arguments.scene) else arm.scene,
         scene_seed=arm.scene_seed,
         imported=import_options(arguments),
         planner=planner,

@@ -36,9 +36,13 @@ def decimal_or_inf(text: str) -> float:
 
 def add_task(parser: argparse.ArgumentParser, output: str, *, goal: bool = True) -> argparse._MutuallyExclusiveGroup:
     """Arm, scene, start and target; without a required ``goal`` the command chooses a target itself."""
-    parser.add_argument("--arm", default="telescopic_pr", metavar="NAME", help=f"{_one_of(ARMS)}, or an MJCF file")
+    parser.add_argument(
+        "--arm", default="telescopic_pr", metavar="NAME", help=f"{_one_of(ARMS)}, or an MJCF, URDF or YAML file"
+    )
     add_frames(parser)
-    parser.add_argument("--scene", default="free", metavar="NAME", help=f"obstacles: {_one_of(SCENES)}")
+    parser.add_argument(
+        "--scene", default="free", metavar="NAME", help=f"obstacles: {_one_of(SCENES)}, or an MJCF or YAML file"
+    )
     parser.add_argument("--scene-seed", type=whole, default=0, metavar="N", help="of the obstacles' positions")
     group = parser.add_mutually_exclusive_group(required=goal)
     group.add_argument(

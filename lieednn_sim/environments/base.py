@@ -72,7 +72,7 @@ class ArmTask(control.Task):  # type: ignore[misc]  # dm_control has no types
 
     Args:
         arm: name of an arm of the package, or an arm.
-        scene: obstacles around it, a name of `arm.scenes.SCENES`.
+        scene: obstacles around it, a name of `arm.scenes.SCENES` or their file, see `Arm.among`.
         scene_seed: of the obstacles' positions.
         control_timestep: time between actions [s], a whole number of physics steps.
         time_limit: of an episode [s].

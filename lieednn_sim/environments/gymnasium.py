@@ -42,7 +42,7 @@ class Environment(gymnasium.Env[Any, Floats]):
     Args:
         task: a name of `tasks.TASKS`.
         arm: name of an arm of the package, or an arm.
-        scene: obstacles around it, a name of `arm.scenes.SCENES`.
+        scene: obstacles around it, a name of `arm.scenes.SCENES` or their file, see `Arm.among`.
         render_mode: ``"rgb_array"`` or None.
         size: (width, height) of frames.
         preset: rendering quality, a name of `rendering.video.PRESETS`.

@@ -170,6 +170,24 @@ def test_among_obstacles_the_filter_plans_and_the_clearance_is_measured(tmp_path
     assert float(clearance.group(1)) > 0.0
 
 
+def test_obstacles_of_a_file_go_the_whole_road_from_another_directory(own, tmp_path, capsys, monkeypatch):
+    scene = tmp_path / "mine.json"
+    box = {"shape": "box", "size": [0.1, 0.1, 0.1], "position": [0.0, 0.0, 0.8]}
+    scene.write_text(json.dumps({"obstacles": [box]}))
+    monkeypatch.chdir(tmp_path)
+    words = (
+        "synthesize --arm own.xml:two,tool --scene mine.json --target 0.5,0.2,0.1 --planner minimum-jerk --output run"
+    )
+    assert main(words.split()) == 0
+    task = Task.load("run/task.json")
+    assert (task.arm, task.scene) == (f"{tmp_path}/own.xml:two,tool", str(scene))
+    monkeypatch.chdir("/")
+    assert main(["simulate", str(tmp_path / "run")]) == 0
+    assert task.load_arm().scene == "mine"
+    scene.write_text(json.dumps({"obstacles": [{**box, "position": [0.0, 0.1, 0.8]}]}))
+    assert "in scene" in error(capsys, "simulate", tmp_path / "run")
+
+
 def test_where_the_filter_blocks_nothing_is_left_and_the_line_says_by_what(tmp_path, capsys, monkeypatch):
     def blocked(problem):
         raise PlanError("blocked by the clearance of 'hand' from 'wall'")

@@ -1,0 +1,224 @@
+"""Obstacles of one's own: an MJCF file, or a list of shapes in YAML or JSON; they stand where they are in the world."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from lieednn_sim import storage
+from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm.contacts import ContactFinder
+from lieednn_sim.arm.fingerprint import model_fingerprint
+from lieednn_sim.arm.importer.loading import compile_spec, load_spec, unused
+from lieednn_sim.arm.scenes import GOAL_PREFIX, PREFIX, SCENES
+from lieednn_sim.errors import FileError, InputError
+from lieednn_sim.storage import is_file
+from lieednn_sim.validation import as_choice, as_floats, as_path, as_positive
+from lieednn_sim.values import Floats
+
+if TYPE_CHECKING:
+    from lieednn_sim.arm.arm import Arm
+
+# Files that are scenes, and no names of scenes.
+SCENE_SUFFIXES = (".xml", ".yaml", ".yml", ".json")
+# Home keeps this distance from them [m], `PLANNED_CLEARANCE`, as every planned motion.
+_CLEARANCE = 0.002
+_GOAL = GOAL_PREFIX.removeprefix(PREFIX)
+_POSE = {"position", "rpy", "quaternion"}
+# What each shape is made of, beside its place.
+_SHAPES = {
+    "box": {"size"},
+    "sphere": {"radius"},
+    "cylinder": {"radius", "length"},
+    "capsule": {"radius", "length"},
+    "mesh": {"file", "scale"},
+}
+_OPTIONAL = {"name", "rpy", "quaternion", "scale"}
+_COLOUR = (0.72, 0.54, 0.35, 1.0)
+
+
+def is_scene_file(scene: object) -> bool:
+    """Whether a scene is a file, by its suffix, and no name of one."""
+    return isinstance(scene, str | os.PathLike) and Path(scene).suffix.lower() in SCENE_SUFFIXES
+
+
+def scene_label(path: str | os.PathLike[str]) -> str:
+    """What the scene of a file is called; `InputError` where that is the name of one of the package's."""
+    label = as_path("the name of a scene", path).stem
+    if label in SCENES:
+        raise InputError(f"{path} is called like the scene {label!r} of the package; give the file another name")
+    return label
+
+
+def load_obstacles(path: str | os.PathLike[str]) -> mujoco.MjSpec:
+    """Read a file of obstacles, for every arm; all lengths in metres, all angles in radians, in the world's frame.
+
+    An MJCF file holds bodies without joints. Its sites ``goal...`` are boxes that targets are drawn in; where there is
+    none they are drawn anywhere. A YAML or JSON file holds a list ``obstacles``, and may hold a list ``goals``. An
+    obstacle has a ``shape`` and what that is made of: ``box``: ``size`` (whole edges, 3); ``sphere``: ``radius``;
+    ``cylinder``, ``capsule``: ``radius``, ``length`` (along z, of a capsule without its caps); ``mesh``: ``file`` (STL,
+    OBJ or MSH, beside the file or absolute) and perhaps ``scale`` (one number or three). It has a ``position`` (3),
+    and may have a ``name``, and one of ``rpy`` (roll, pitch, yaw, as in a URDF) and ``quaternion`` (w, x, y, z). A
+    goal is a box: ``size``, ``position``, and perhaps its orientation.
+    Meshes collide as their convex hulls.
+
+    Raises:
+        FileError: the file or one of its meshes is missing, or it cannot be read.
+        InputError: what it says makes no obstacles; the message names the entry.
+    """
+    source = as_path("the name of a scene", path)
+    if not is_file(source):
+        raise FileError(f"no such file: {source}")
+    spec = load_spec(source) if source.suffix.lower() == ".xml" else _read_shapes(source)
+    for key in spec.keys:
+        spec.delete(key)
+    try:
+        model = compile_spec(spec)
+    except FileError as error:
+        raise FileError(f"{source}: {error}") from None
+    if moving := [model.joint(j).name for j in range(model.njnt)]:
+        raise InputError(f"{source}: obstacles stand still, but it has joints: {', '.join(moving[:5])}")
+    if not (model.geom_contype | model.geom_conaffinity).any():
+        raise InputError(f"{source} holds no obstacle: no geom of it collides with anything")
+    if flat := [model.site(s).name for s in _goals(model) if model.site_type[s] != mujoco.mjtGeom.mjGEOM_BOX]:
+        raise InputError(f"{source}: goals must be boxes, but {', '.join(flat)} is none")
+    return spec
+
+
+def describe(path: str | os.PathLike[str]) -> tuple[str, str]:
+    """What a file of obstacles holds, in words, and its fingerprint; errors as `load_obstacles`."""
+    model = compile_spec(load_obstacles(path))
+    kinds = {int(kind): kind.name.removeprefix("mjGEOM_").lower() for kind in mujoco.mjtGeom.__members__.values()}
+    solid = np.flatnonzero(model.geom_contype | model.geom_conaffinity)
+    found = [kinds[int(model.geom_type[g])] for g in solid]
+    counts = [f"{found.count(kind)} {kind}" for kind in dict.fromkeys(found)]
+    goals = len(_goals(model))
+    where = f"targets in {goals} goal{'s' if goals > 1 else ''}" if goals else "targets anywhere"
+    return f"{', '.join(counts)}; {where}", model_fingerprint(model)
+
+
+def add_own_obstacles(spec: mujoco.MjSpec, arm: Arm, obstacles: mujoco.MjSpec, label: str) -> None:
+    """Attach obstacles to a copy of an arm's spec; they collide with all of the arm that collides with anything."""
+    bits = int(np.bitwise_or.reduce(arm.model.geom_contype | arm.model.geom_conaffinity, initial=1))
+    for geom in obstacles.geoms:
+        if geom.contype or geom.conaffinity:
+            geom.contype = geom.conaffinity = bits
+    holder = unused(PREFIX + label, {PREFIX + body.name for body in obstacles.bodies})
+    body = spec.worldbody.add_body(name=holder)
+    spec.attach(obstacles, prefix=PREFIX, frame=body.add_frame())
+
+
+def check_home(arm: Arm) -> None:
+    """Raise `InputError` where an arm at its keyframe ``home`` touches one of the obstacles around it."""
+    model = arm.model
+    near = ContactFinder(model, _CLEARANCE).geoms(arm.qpos(arm.keyframe("home")))[1]
+    for pair in near:
+        names = [model.geom(g).name or model.body(model.geom_bodyid[g]).name for g in pair]
+        own = [model.body_weldid[model.geom_bodyid[g]] != 0 for g in pair]
+        if own[0] != own[1] and any(_is_obstacle(model, int(g)) for g in pair):
+            part, obstacle = names if own[0] else names[::-1]
+            raise InputError(
+                f"obstacle {obstacle.removeprefix(PREFIX)!r} of scene {arm.scene!r} touches {part!r} of arm "
+                f"{arm.name!r} at home; move it, or give the arm another home"
+            )
+
+
+def _is_obstacle(model: mujoco.MjModel, geom: int) -> bool:
+    root = model.body_rootid[model.geom_bodyid[geom]]
+    return bool(model.body(root).name.startswith(PREFIX))
+
+
+def _goals(model: mujoco.MjModel) -> list[int]:
+    return [site for site in range(model.nsite) if model.site(site).name.startswith(_GOAL)]
+
+
+def _read_shapes(source: Path) -> mujoco.MjSpec:
+    """The spec of a list of shapes."""
+    value = storage.load_description(source, "list of obstacles")
+    if unknown := value.keys() - {"obstacles", "goals"}:
+        raise InputError(f"{source}: unknown entries {_listed(unknown)}; allowed: goals, obstacles")
+    spec = mujoco.MjSpec()
+    for kind, add in (("obstacles", _add_obstacle), ("goals", _add_goal)):
+        entries = value.get(kind, [])
+        if not isinstance(entries, list):
+            raise InputError(f"{source}: {kind} must be a list, got {type(entries).__name__}")
+        for number, entry in enumerate(entries):
+            where = f"{source}: entry {number + 1} of {kind}"
+            if not isinstance(entry, dict):
+                raise InputError(f"{where} must be a mapping, got {type(entry).__name__}")
+            try:
+                add(spec, entry, number, source.parent)
+            except InputError as error:
+                raise InputError(f"{where}: {error}") from None
+            except FileError as error:
+                raise FileError(f"{where}: {error}") from None
+    return spec
+
+
+def _add_obstacle(spec: mujoco.MjSpec, entry: dict[str, Any], number: int, folder: Path) -> None:
+    if "shape" not in entry:
+        raise InputError(f"it needs a shape: {', '.join(_SHAPES)}")
+    shape = as_choice("shape", entry["shape"], _SHAPES)
+    _check_entries(entry, {"shape", "name", *_SHAPES[shape]})
+    name = entry.get("name", f"{shape}{number}")
+    if not isinstance(name, str) or not name or name in {body.name for body in spec.bodies}:
+        raise InputError(f"name must be a text that no other obstacle has, got {name!r}")
+    body = spec.worldbody.add_body(name=name, **_pose(entry))
+    look = {"name": name, "rgba": _COLOUR, "group": 2}
+    if shape == "mesh":
+        file = folder / as_path("file", entry["file"])
+        if not is_file(file):
+            raise FileError(f"no such file: {file}")
+        scale = as_floats("scale", np.ones(3) * as_floats("scale", entry.get("scale", 1.0), (), batched=True), (3,))
+        if not scale.all():
+            raise InputError("scale must not be 0")
+        spec.add_mesh(name=name, file=str(file.resolve()), scale=scale)
+        body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, **look)
+    else:
+        kind = getattr(mujoco.mjtGeom, f"mjGEOM_{shape.upper()}")
+        body.add_geom(type=kind, size=_half_sizes(entry, shape), **look)
+
+
+def _add_goal(spec: mujoco.MjSpec, entry: dict[str, Any], number: int, folder: Path) -> None:
+    _check_entries(entry, {"size"})
+    kind, look = mujoco.mjtGeom.mjGEOM_BOX, {"group": 5, "rgba": (0.1, 0.8, 0.3, 0.15)}
+    spec.worldbody.add_site(name=f"{_GOAL}{number}", type=kind, size=_half_sizes(entry, "box"), **_pose(entry), **look)
+
+
+def _check_entries(entry: dict[str, Any], made_of: set[str]) -> None:
+    allowed = made_of | _POSE
+    if missing := allowed - _OPTIONAL - entry.keys():
+        raise InputError(f"it has no {_listed(missing)}")
+    if unknown := entry.keys() - allowed:
+        raise InputError(f"unknown entries {_listed(unknown)}; allowed: {_listed(allowed)}")
+
+
+def _half_sizes(entry: dict[str, Any], shape: str) -> Floats:
+    """MuJoCo's sizes ``(3,)`` of a primitive."""
+    if shape == "box":
+        return np.array([0.5 * as_positive("each size", edge) for edge in as_floats("size", entry["size"], (3,))])
+    length = 0.5 * as_positive("length", entry["length"]) if "length" in entry else 0.0
+    return np.array([as_positive("radius", entry["radius"]), length, 0.0])
+
+
+def _pose(entry: dict[str, Any]) -> dict[str, Any]:
+    """Where an entry is in the world, for a body or a site."""
+    if "rpy" in entry and "quaternion" in entry:
+        raise InputError("it has both rpy and quaternion; one says how it is turned")
+    pose: dict[str, Any] = {"pos": as_floats("position", entry["position"], (3,))}
+    if "rpy" in entry:
+        quaternion = np.zeros(4)
+        mujoco.mju_euler2Quat(quaternion, as_floats("rpy", entry["rpy"], (3,)), "XYZ")
+        pose["quat"] = quaternion
+    elif "quaternion" in entry:
+        pose["quat"] = as_floats("quaternion", entry["quaternion"], (4,))
+        if not np.isclose(np.linalg.norm(pose["quat"]), 1.0, atol=1e-3):
+            raise InputError(f"quaternion must have length 1, got {np.linalg.norm(pose['quat']):.3g}")
+    return pose
+
+
+def _listed(names: set[Any]) -> str:
+    return ", ".join(sorted(map(str, names)))

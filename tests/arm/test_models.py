@@ -1,0 +1,78 @@
+"""What an arm is called and where it comes from: names, model files with their links, descriptions."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from lieednn_sim.arm import Arm
+from lieednn_sim.arm.models import is_arm_file
+from lieednn_sim.errors import FileError, InputError
+
+MODEL = """
+<mujoco>
+  <worldbody>
+    <body name="one"><joint name="a" range="-90 90"/><geom type="capsule" size="0.02" fromto="0 0 0 0.3 0 0"/>
+      <body name="two" pos="0.3 0 0"><joint name="b" axis="0 1 0" range="-90 90"/>
+        <geom type="capsule" size="0.02" fromto="0.05 0 0 0.3 0 0"/><site name="tool" pos="0.3 0 0"/>
+      </body></body>
+  </worldbody>
+</mujoco>
+"""
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    (tmp_path / "two.xml").write_text(MODEL)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def described(**entries):
+    return json.dumps({"model": "two.xml", **entries})
+
+
+def test_links_follow_the_file_and_are_part_of_the_name(folder):
+    arm, whole = Arm.load("two.xml:one,tool"), Arm.load(folder / "two.xml")
+    assert (arm.name, arm.import_report.links, arm.n_links) == ("two(one,tool)", ("one", "tool"), 2)
+    assert arm.fingerprint == Arm.load("two.xml", links=["one", "tool"]).fingerprint
+    assert (whole.name, Arm.load("two.xml:tool").n_links) == ("two", 1)
+    assert [is_arm_file(text) for text in ("two.xml", "a/b.URDF:x", "c.yml", "two", "two:one")] == [True] * 3 + [
+        False
+    ] * 2
+    with pytest.raises(InputError, match=r"the links of two.xml:tool are given twice"):
+        Arm.load("two.xml:tool", links=["tool"])
+    with pytest.raises(FileError, match=r"no such file: gone.xml"):
+        Arm.load("gone.xml:tool")
+
+
+def test_a_description_says_how_a_model_is_imported(folder, monkeypatch):
+    (folder / "mine.json").write_text(described(links=["tool"], home={"a": 0.3}))
+    monkeypatch.chdir("/")
+    arm = Arm.load(folder / "mine.json")
+    assert (arm.name, arm.import_report.links, arm.source.name) == ("mine", ("tool",), "two.xml")
+    np.testing.assert_allclose(arm.keyframe("home"), [0.3, 0.0], atol=1e-12)
+    # What is given beside it goes before it.
+    other = Arm.load(folder / "mine.json", home={"b": -0.2})
+    np.testing.assert_allclose(other.keyframe("home"), [0.0, -0.2], atol=1e-12)
+    assert other.import_report.links == ("tool",)
+
+
+@pytest.mark.parametrize(
+    ("text", "error", "message"),
+    [
+        ("[1]", FileError, "mine.json is not a valid description of an arm"),
+        ('{"links": ["tool"]}', FileError, "names no model of an arm: it needs an entry as `model: robot.urdf`"),
+        ('{"model": "other.json"}', FileError, "got 'other.json'"),
+        (described(link=["tool"]), FileError, "has no link; allowed: model, base, home"),
+        (described(links="tool"), InputError, "links must be a list of names"),
+        (described(home={"a": "x"}), InputError, "home position of joint 'a' must be an array of numbers, got str"),
+        (described(keyframe=3), InputError, "keyframe must be the name of a keyframe, got 3"),
+    ],
+)
+def test_what_a_description_says_wrongly_is_named(folder, text, error, message):
+    (folder / "mine.json").write_text(text)
+    with pytest.raises(error, match=message):
+        Arm.load("mine.json")

@@ -1,0 +1,191 @@
+"""Obstacles of one's own: what a file says stands there, for every arm, and what it says wrongly is named."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lieednn_sim.arm import Arm, arm_names
+from lieednn_sim.arm.collision import Collisions
+from lieednn_sim.arm.obstacles import describe
+from lieednn_sim.arm.targets import TARGET_CLEARANCE, draw_target
+from lieednn_sim.errors import FileError, InputError
+
+DOCUMENT = Path(__file__).parents[2] / "docs" / "own_scenes.md"
+BOX = {"shape": "box", "size": [0.2, 0.4, 0.6], "position": [1.5, 0.0, 0.0]}
+POLE = {"shape": "cylinder", "name": "pole", "radius": 0.1, "length": 2.0, "position": [0.0, 1.5, 0.0]}
+TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+MJCF = """
+<mujoco>
+  <compiler angle="degree" meshdir="meshes"/>
+  <default><default class="post"><geom type="cylinder" size="0.1 1"/></default></default>
+  <asset><mesh name="wedge" file="wedge.obj"/></asset>
+  <worldbody>
+    <geom class="post" pos="1.5 0 0" euler="90 0 0"/>
+    <body name="wedge" pos="-1 0 -0.5"><geom name="wedge" type="mesh" mesh="wedge"/></body>
+    <geom name="picture" size="5" contype="0" conaffinity="0"/>
+    {more}
+  </worldbody>
+  <keyframe><key name="home"/></keyframe>
+</mujoco>"""
+
+
+def write(folder, name, text):
+    path = folder / name
+    path.parent.mkdir(exist_ok=True)
+    path.write_text(text if isinstance(text, str) else json.dumps(text))
+    return path
+
+
+def clearance(arm, *q):
+    return Collisions(arm).clearance(np.array(q, dtype=float))
+
+
+def test_shapes_stand_where_the_list_says(gantry, tmp_path):
+    # The ball of radius 0.1 is 1 m beside (x, y, z).
+    write(tmp_path, "wedge.obj", TETRAHEDRON)
+    turned = {**POLE, "name": "rail", "position": [0.0, -1.5, 0.5], "rpy": [0.0, np.pi / 2, np.pi / 2]}
+    ball = {"shape": "sphere", "radius": 0.2, "position": [1.0, 0.0, 2.0]}
+    wedge = {"shape": "mesh", "file": "wedge.obj", "scale": 0.5, "position": [-0.5, 0.0, 1.2]}
+    path = write(tmp_path, "own.json", {"obstacles": [BOX, POLE, turned, ball, wedge]})
+    arm = gantry.among(path, seed=3)
+    assert (arm.scene, arm.scene_seed) == ("own", 0)
+    assert clearance(arm, 0, 0, 0, 0) == pytest.approx(0.5 - 0.1 - 0.1)  # the box's face at x = 1.4
+    assert clearance(arm, -1, 1, 0, 0) == pytest.approx(0.5 - 0.1 - 0.1)  # the pole
+    assert clearance(arm, -1, 0, 0.5, 0) == pytest.approx(0.5 - 0.1, abs=1e-6)  # the rail along y ends at y = -0.5
+    assert clearance(arm, -1, -1.5, 0.8, 0) == pytest.approx(0.3 - 0.1 - 0.1)  # and above it
+    assert clearance(arm, 0, 0, 1.5, 0) == pytest.approx(0.5 - 0.2 - 0.1)
+    # The mesh's slanted face is 0.5 / sqrt(3) from its corner, the ball 1.5 / sqrt(3).
+    assert clearance(arm, -1, 0.5, 1.7, 0) == pytest.approx(1.0 / np.sqrt(3.0) - 0.1, abs=1e-6)
+
+
+def test_a_quaternion_turns_as_the_angles_do(gantry, tmp_path):
+    turns = {"rpy": [np.pi / 2, 0.0, np.pi / 2]}, {"quaternion": [0.5, 0.5, 0.5, 0.5]}
+    one, other = (
+        gantry.among(write(tmp_path, f"turned{i}.json", {"obstacles": [BOX | turn]})).fingerprint
+        for i, turn in enumerate(turns)
+    )
+    # Roll, then yaw: x to y to z to x.
+    assert one == other != gantry.among(write(tmp_path, "as_is.json", {"obstacles": [BOX]})).fingerprint
+
+
+def test_yaml_says_the_same(gantry, tmp_path):
+    pytest.importorskip("yaml")
+    text = "# a box\nobstacles:\n  - shape: box\n    size: [0.2, 0.4, 6e-1]\n    position: [1.5, 0, 0]\n"
+    arms = [
+        gantry.among(write(tmp_path, "own.yaml", text)),
+        gantry.among(write(tmp_path, "o.json", {"obstacles": [BOX]})),
+    ]
+    assert arms[0].fingerprint == arms[1].fingerprint
+    with pytest.raises(FileError, match=r"bad.yml is not a valid list of obstacles \(ValueError: while parsing"):
+        gantry.among(write(tmp_path, "bad.yml", "obstacles: [1, 2"))
+
+
+def test_the_example_of_the_documentation_is_a_scene_of_every_arm(tmp_path):
+    pytest.importorskip("yaml")
+    text = re.search(r"```yaml\n(.*?)```", DOCUMENT.read_text(), re.DOTALL)[1]
+    path = write(tmp_path, "table.yaml", text)
+    assert describe(path)[0] == "1 box, 1 cylinder, 1 capsule, 1 sphere; targets in 1 goal"
+    for name in arm_names():
+        arm = Arm.load(name, scene=path)
+        draw_target(arm, 0)
+
+
+@pytest.mark.parametrize("bits", [(1, 1), (2, 0), (0, 4)])
+def test_an_mjcf_file_is_an_obstacle_for_every_arm(gantry, tmp_path, bits):
+    write(tmp_path, "meshes/wedge.obj", TETRAHEDRON)
+    path = write(tmp_path, "own.xml", MJCF.format(more=""))
+    # An arm whose geoms collide by other bits than those of the file.
+    spec = gantry.spec.copy()
+    ball = spec.geom("ball")
+    ball.contype, ball.conaffinity = bits
+    arm = Arm.from_spec(spec, gantry.source, "gantry").among(path)
+    assert clearance(arm, 0, 0, 0, 0) == pytest.approx(0.5 - 0.1 - 0.1)
+    assert set(*arm.near_contacts([0.35, 0, 0, 0])) == {"obstacle_own", "wrist"}
+    assert describe(path)[0] == "1 cylinder, 1 mesh; targets anywhere"
+    # The plant of a controller that adds bodies is compiled from the spec again.
+    assert arm.spec.copy().compile().ngeom == arm.model.ngeom
+    assert [arm.model.key(k).name for k in range(arm.model.nkey)] == [
+        gantry.model.key(k).name for k in range(gantry.model.nkey)
+    ]
+
+
+def test_targets_are_in_the_goals_of_a_file_or_anywhere_free(gantry, tmp_path):
+    arm = Arm.load("telescopic_pr")
+    tip = arm.link_poses(arm.keyframe("extended")).translation[-1]
+    x, y, z = map(float, tip)
+    goal = {"size": [0.2, 0.2, 0.2], "position": [x, y, z]}
+    shelf = {**BOX, "position": [x, y, z - 0.6]}
+    inside = arm.among(write(tmp_path, "goal.json", {"obstacles": [shelf], "goals": [goal]}))
+    for seed in range(3):
+        reached = inside.link_poses(draw_target(inside, seed)).translation[-1]
+        assert np.abs(reached - tip).max() < 0.1 + 2e-3
+    # Slots in which the ball has 15 mm on both sides, too few for a target, and room beyond the last plate.
+    plates = [{**BOX, "size": [0.1, 9.0, 9.0], "position": [1.165 - 0.33 * k, 0.0, 0.0]} for k in range(4)]
+    anywhere = gantry.among(write(tmp_path, "anywhere.json", {"obstacles": plates}))
+    collisions = Collisions(anywhere)
+    assert all(collisions.free(draw_target(anywhere, seed), TARGET_CLEARANCE) for seed in range(30))
+
+
+@pytest.mark.parametrize(
+    ("content", "error", "message"),
+    [
+        ({"obstacle": []}, InputError, "unknown entries obstacle; allowed: goals, obstacles"),
+        ({"obstacles": BOX}, InputError, "obstacles must be a list, got dict"),
+        ({"obstacles": []}, InputError, "holds no obstacle"),
+        ({"obstacles": [3]}, InputError, "entry 1 of obstacles must be a mapping, got int"),
+        ({"obstacles": [BOX, {}]}, InputError, "entry 2 of obstacles: it needs a shape: box, sphere"),
+        ({"obstacles": [{**BOX, "shape": "cone"}]}, InputError, "entry 1 .*no shape 'cone'; allowed: box, capsule"),
+        ({"obstacles": [{**BOX, "radius": 1}]}, InputError, "unknown entries radius; allowed: name, position"),
+        ({"obstacles": [{"shape": "sphere"}]}, InputError, "it has no position, radius"),
+        ({"obstacles": [{**BOX, "size": [1, float("nan"), 1]}]}, InputError, "size must be finite"),
+        ({"obstacles": [{**BOX, "size": [1, 0, 1]}]}, InputError, "each size must be positive, got 0"),
+        ({"obstacles": [{**BOX, "position": [1, 2]}]}, InputError, r"position must have shape \(3\)"),
+        ({"obstacles": [{**BOX, "quaternion": [0, 0, 0, 0]}]}, InputError, "quaternion must have length 1, got 0"),
+        ({"obstacles": [{**BOX, "quaternion": [1, 0, 0, 0], "rpy": [0, 0, 0]}]}, InputError, "both rpy and quat"),
+        ({"obstacles": [POLE, POLE]}, InputError, "entry 2 .*name must be a text that no other"),
+        (
+            {"obstacles": [{"shape": "mesh", "file": "gone.stl", "position": [0, 0, 0]}]},
+            FileError,
+            "entry 1 of obstacles: no such file: .*gone.stl",
+        ),
+        ({"obstacles": [BOX], "goals": [{"size": [1, 1, 1]}]}, InputError, "entry 1 of goals: it has no position"),
+        (
+            {"obstacles": [{**POLE, "position": [1.0, 0.0, 0.0]}]},
+            InputError,
+            "obstacle 'pole' of scene 'own' touches 'ball' of arm 'gantry' at home; move it",
+        ),
+        (MJCF.format(more=""), FileError, "files of the model are missing: .*wedge.obj"),
+        ("<mujoco>", FileError, "MuJoCo cannot read"),
+        ("<mujoco/>", InputError, "holds no obstacle"),
+        (
+            '<mujoco><worldbody><body><joint name="door"/><geom size="1"/></body></worldbody></mujoco>',
+            InputError,
+            "obstacles stand still, but it has joints: door",
+        ),
+        (
+            '<mujoco><worldbody><geom size="1"/><site name="goal"/></worldbody></mujoco>',
+            InputError,
+            "goals must be boxes, but goal is none",
+        ),
+    ],
+)
+def test_what_a_file_says_wrongly_is_named(gantry, tmp_path, content, error, message):
+    path = write(tmp_path, "own.xml" if isinstance(content, str) else "own.json", content)
+    with pytest.raises(error, match=message) as caught:
+        gantry.among(path)
+    assert len(str(caught.value)) < 500
+
+
+def test_a_scene_is_a_file_that_is_there_and_no_name_of_the_packages(gantry, tmp_path):
+    with pytest.raises(FileError, match=r"no such file: .*gone.yaml"):
+        gantry.among(tmp_path / "gone.yaml")
+    with pytest.raises(InputError, match=r"window.json is called like the scene 'window' of the package"):
+        gantry.among(write(tmp_path, "window.json", {"obstacles": [BOX]}))
+    around = gantry.among(write(tmp_path, "own.json", {"obstacles": [BOX]}))
+    with pytest.raises(InputError, match="has the obstacles of scene 'own' already"):
+        around.among("poles")
