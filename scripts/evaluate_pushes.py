@@ -23,14 +23,12 @@ from lieednn_sim._blas import one_blas_thread
 from lieednn_sim.arm import Arm, arm_names
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.errors import LieEDNNError
-from lieednn_sim.evaluation.reactive.recovery import Path
+from lieednn_sim.evaluation.reactive.recovery import PUSH_TIME, PUSHED_OFF, Path, pushing_force
 from lieednn_sim.network import ComponentwiseNetwork, LieEDNN
 from lieednn_sim.planning import plan
 from lieednn_sim.planning.shaped import ShapedOptions
 from lieednn_sim.simulation import Disturbances, Feedback, Following, Push, follow
 
-# Of a push: its length [s], the largest deviation of a joint as a share of its range, and how exactly it is met.
-LENGTH, OFF, EXACT = 0.2, 0.1, 0.2
 # Speed of motions [1/s]: rho times the network's own; time simulated [s]; pushes for one target.
 PACE, DURATION, EACH = 2.0, 5.0, 10
 FIELDS = ("arm", "rate", "seed", "link", "force_n", "off", "time_s", "share", "velocity", "force", "arrived_mm")
@@ -69,10 +67,8 @@ def run(
     )
 
 
-def pushed(
-    name: str, rate: float, seed: int, feedback: Feedback | None = None, force: float = 300.0
-) -> dict[str, object]:
-    """A row: one push, whose force [N] is searched for from a guess."""
+def pushed(name: str, rate: float, seed: int, feedback: Feedback | None = None) -> dict[str, object]:
+    """A row: one push, whose force [N] is searched for."""
     arm, network, target, nominal, path = prepared(name, rate, seed // EACH)
     rng = np.random.default_rng([seed, 7])
     _, gone = path.nearest(nominal.rollout.q)
@@ -82,31 +78,15 @@ def pushed(
     direction /= np.linalg.norm(direction)
 
     def push(force: float) -> Push:
-        return Push(arm.link_names[link], (*(force * direction),), start, LENGTH)
+        return Push(arm.link_names[link], (*(force * direction),), start, PUSH_TIME)
 
     def off(force: float) -> float:
-        rollout = run(arm, network, target, rate, start + 2.0 * LENGTH, push(force), feedback=feedback).rollout
-        return path.recovery(rollout.t, rollout.q, start, start + LENGTH).off
+        rollout = run(arm, network, target, rate, start + 2.0 * PUSH_TIME, push(force), feedback=feedback).rollout
+        return path.recovery(rollout.t, rollout.q, start, start + PUSH_TIME).off
 
-    # The deviation grows with the force: bracket it, then false position in the logarithm.
-    low, high = (0.0, 0.0), (np.inf, np.inf)
-    for _ in range(10):
-        found = off(force)
-        if abs(found / OFF - 1.0) < EXACT:
-            break
-        if found < OFF:
-            low = force, found
-        else:
-            high = force, found
-        if not np.isfinite(high[0]):
-            force *= float(np.clip(OFF / max(found, 1e-6), 1.2, 4.0))
-        elif low[0] == 0.0:
-            force *= float(np.clip(OFF / found, 0.1, 0.8))
-        else:
-            share = float(np.clip(np.log(OFF / low[1]) / np.log(high[1] / low[1]), 0.1, 0.9))
-            force = low[0] * (high[0] / low[0]) ** share
+    force = pushing_force(off)
     rollout = run(arm, network, target, rate, DURATION, push(force), feedback=feedback).rollout
-    recovery = path.recovery(rollout.t, rollout.q, start, start + LENGTH)
+    recovery = path.recovery(rollout.t, rollout.q, start, start + PUSH_TIME)
     tip = rollout.link_position[-1, -1] - np.asarray(arm.link_poses(target).translation)[-1]
     values = (
         name,
@@ -129,8 +109,8 @@ def summary(rows: list[dict[str, str]], command: str) -> str:
     lines = [
         "# Pushed by a tenth of the range",
         "",
-        f"`{command}`. In MuJoCo, with `follow(..., feedback=Feedback())`: a force of {LENGTH:g} s on a random link "
-        f"takes a joint {100 * OFF:g} % (8 to 12) of its range off the undisturbed path. Back is "
+        f"`{command}`. In MuJoCo, with `follow(..., feedback=Feedback())`: a force of {PUSH_TIME:g} s on a random link "
+        f"takes a joint {100 * PUSHED_OFF:g} % (8 to 12) of its range off the undisturbed path. Back is "
         "within a tenth of that, for good; the share is of the path that was left when the push began.",
         "",
         "| arm | rho | pushes | back | share of what is left, median | worst | before 40 % | time after the push [s], "

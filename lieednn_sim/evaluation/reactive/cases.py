@@ -12,8 +12,9 @@ from lieednn_sim._blas import one_blas_thread
 from lieednn_sim.errors import LieEDNNError
 from lieednn_sim.evaluation.cases import FREE, arm_and_target
 from lieednn_sim.evaluation.metrics import evaluate
-from lieednn_sim.evaluation.reactive.leaders import LEADERS, Assignment, Leader, Setpoints
-from lieednn_sim.evaluation.reactive.recovery import Path
+from lieednn_sim.evaluation.reactive.leaders import LEADERS
+from lieednn_sim.evaluation.reactive.protocol import Assignment, Leader, Setpoints
+from lieednn_sim.evaluation.reactive.recovery import PUSH_TIME, Path, pushing_force
 from lieednn_sim.evaluation.rows import TableRow, column, columns_of
 from lieednn_sim.planning import plan
 from lieednn_sim.planning.filtering import FilterOptions
@@ -24,10 +25,8 @@ from lieednn_sim.values import Floats
 DISTURBANCES = ("none", "push", "payload", "target")
 # Simulated time [s], rate of control [Hz], and the share of the leader's own path at which it is disturbed.
 _DURATION, _RATE, _AT = 7.0, 100.0, 0.35
-# Of a push: its length [s], and the share of its range by which a joint of the arm at rest would give way.
-_LENGTH, _OFF, _HALVINGS = 0.2, 0.1, 10
 # Weight of the payload that is taken up [N], and the largest step of the target as a share of the ranges.
-_WEIGHT, _STEP, _DRAWS = 20.0, 0.1, 100
+_WEIGHT, _STEP, _DRAWS = 10.0, 0.1, 100
 
 
 @dataclass(frozen=True)
@@ -54,6 +53,7 @@ class Reaction(TableRow):
     seed: int
     success: bool
     reason: str = ""
+    push_n: float | None = column("push [N]", "force that takes a joint a tenth of its range off that way")
     final_mm: float | None = column("final [mm]", "distance of the worst link from its target at the end")
     off: float | None = column("off [ranges]", "largest deviation of a joint from the leader's undisturbed way")
     back_s: float | None = column(
@@ -85,8 +85,8 @@ def run_reactions(arm: str, scene: str, leader: str, seed: int) -> list[Reaction
         begin = float(nominal.t[np.argmax(gone >= _AT)])
         rows = [_row(task, scene, leader, "none", nominal, steps)]
         for disturbance in DISTURBANCES[1:]:
-            targets, changes, end = _disturbed(task, disturbance, begin)
             try:
+                targets, changes, end = _disturbed(task, leader, disturbance, begin, path)
                 rollout, steps = _run(task, LEADERS[leader](task), targets, changes)
             except LieEDNNError as error:
                 rows.append(
@@ -94,9 +94,11 @@ def run_reactions(arm: str, scene: str, leader: str, seed: int) -> list[Reaction
                 )
                 continue
             row = _row(task, scene, leader, disturbance, rollout, steps)
-            if disturbance != "target":
+            if changes is not None:
                 recovery = path.recovery(rollout.t, rollout.q, begin, end)
                 row = replace(row, off=recovery.off, back_s=recovery.time_s, back_share=recovery.share)
+            if disturbance == "push" and changes is not None:
+                row = replace(row, push_n=float(np.linalg.norm(changes.pushes[0].force)))
             rows.append(row)
         return rows
 
@@ -161,14 +163,24 @@ def _row(task: Assignment, scene: str, leader: str, disturbance: str, rollout: R
     )
 
 
-def _disturbed(task: Assignment, disturbance: str, begin: float) -> tuple[Floats, Disturbances | None, float]:
+def _disturbed(
+    task: Assignment, leader: str, disturbance: str, begin: float, path: Path
+) -> tuple[Floats, Disturbances | None, float]:
     """Targets, disturbances, and the time at which they are over [s]."""
     arm, rng = task.arm, np.random.default_rng([task.seed, DISTURBANCES.index(disturbance)])
     if disturbance == "push":
         link, direction = int(rng.integers(arm.n_links)), rng.normal(size=3)
         direction /= np.linalg.norm(direction)
-        push = Push(arm.link_names[link], (*(_force(task, link, direction) * direction),), begin, _LENGTH)
-        return task.target[None], Disturbances(pushes=(push,)), begin + _LENGTH
+        end = begin + PUSH_TIME
+
+        def pushed(force: float) -> Disturbances:
+            return Disturbances(pushes=(Push(arm.link_names[link], (*(force * direction),), begin, PUSH_TIME),))
+
+        def off(force: float) -> float:
+            rollout, _ = _run(task, LEADERS[leader](task), task.target[None], pushed(force), end + PUSH_TIME)
+            return path.recovery(rollout.t, rollout.q, begin, end).off
+
+        return task.target[None], pushed(pushing_force(off)), end
     if disturbance == "payload":
         push = Push("end effector", (0.0, 0.0, -_WEIGHT), begin, _DURATION)
         return task.target[None], Disturbances(pushes=(push,)), begin
@@ -182,20 +194,3 @@ def _disturbed(task: Assignment, disturbance: str, begin: float) -> tuple[Floats
             break
     rows = np.arange(round(_DURATION / arm.timestep) + 1) * arm.timestep < begin
     return np.where(rows[:, None], task.target, moved), None, begin
-
-
-def _force(task: Assignment, link: int, direction: Floats) -> float:
-    """Force on a link [N] that moves a joint of the arm, held at its start, by a tenth of its range."""
-    arm = task.arm
-    still = np.repeat(task.start[None], task.steps, axis=0), np.zeros((task.steps, arm.n_joints))
-
-    def off(force: float) -> float:
-        push = Push(arm.link_names[link], (*(force * direction),), 0.0, _LENGTH)
-        rollout, _ = _run(task, lambda *_: still, task.start[None], Disturbances(pushes=(push,)), 2.0 * _LENGTH)
-        return float((np.abs(rollout.q - task.start) / arm.ranges).max())
-
-    least, most = 1.0, 2e4
-    for _ in range(_HALVINGS):
-        middle = float(np.sqrt(least * most))
-        least, most = (middle, most) if off(middle) < _OFF else (least, middle)
-    return float(np.sqrt(least * most))

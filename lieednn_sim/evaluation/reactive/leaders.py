@@ -1,65 +1,36 @@
 """Planners that react, in one protocol: from the target and the measured joints to the reference of the next period.
 
 All of them keep the limits of velocity and, gathering speed, of acceleration; all but the tracker are pushed with the
-arm and wait for it as `simulation.feedback` says, and among obstacles all but the tracker and the fabric go through the
-safety filter.
+arm and wait for it as `simulation.feedback` says. Among obstacles networks, primitives and the linear attractor go
+through the safety filter; the fabric and the path integral (`mppi`) look after clearance themselves.
 """
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 
-from lieednn_sim.arm import Arm
 from lieednn_sim.arm.collision import Collisions
+from lieednn_sim.evaluation.reactive.mppi import PathIntegral
+from lieednn_sim.evaluation.reactive.protocol import PACE, Assignment, JointLeader, Leader, Setpoints
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.planning import plan
-from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.network_planners import without_weights
 from lieednn_sim.planning.shaped import ShapedOptions
-from lieednn_sim.simulation import Feedback, Simulation
+from lieednn_sim.simulation import Simulation
 from lieednn_sim.simulation.feedback import FeedbackFollower
-from lieednn_sim.simulation.reference import PeriodReference
 from lieednn_sim.synthesis import synthesize
-from lieednn_sim.values import Floats, frozen
+from lieednn_sim.values import Floats
 
-# Joint positions and their rates ``(m, n)`` after each of a period's m steps.
-Setpoints = tuple[Floats, Floats]
-Leader = Callable[[Floats, Simulation], Setpoints]
-
-# Rate at which those without a law of time approach their target [1/s].
-_PACE = 2.0
 _BIAS_MAGNITUDE = 0.25
-# Of the movement primitive: spring, decay of the phase over the motion, basis functions, ridge of their regression.
-_SPRING, _DECAY, _BASES, _RIDGE = 25.0, 4.6, 20, 1e-8
+# Of the movement primitive: spring, decay of the phase over the motion (a third of it, as usual, so that its forces
+# are gone when the motion ends), basis functions, ridge of their regression.
+_SPRING, _DECAY, _BASES, _RIDGE = 25.0, 25.0 / 3.0, 20, 1e-8
 # Of the fabric: stiffness and damping [1/s^2, 1/s], distance from which geoms repel and that they keep [m], strength.
 _STIFFNESS, _DAMPING, _NEAR, _MARGIN, _STRENGTH = 16.0, 8.0, 0.15, 0.01, 0.3
-
-
-@frozen
-class Assignment:
-    """What a leader is made for.
-
-    Attributes:
-        arm: among its obstacles.
-        start: ``(n,)``.
-        target: ``(n,)``.
-        motion: from start to target, of the teacher: what trackers track and primitives imitate.
-        steps: simulation steps in a control period.
-        feedback: settings that all share.
-        seed: of what is drawn.
-    """
-
-    arm: Arm
-    start: Floats
-    target: Floats
-    motion: Motion
-    steps: int
-    feedback: Feedback
-    seed: int
 
 
 class _Network:
@@ -81,35 +52,7 @@ class _Network:
         return q, qd
 
 
-class _Joints(ABC):
-    """What moves in joint space: y' = l (s v(y) + k d (q - y)), with the same s, k d and l as networks."""
-
-    def __init__(self, task: Assignment, feedback: Feedback | None = None) -> None:
-        self.arm, self._feedback = task.arm, feedback or task.feedback
-        self._reference = PeriodReference(task.arm, task.start, task.steps, self._feedback.safety)
-        self.period, self.y = self._reference.period, task.start
-        self.low, self.high = task.arm.position_limits.T
-        self.range = task.arm.ranges
-
-    def __call__(self, target: Floats, simulation: Simulation) -> Setpoints:
-        off = simulation.measured()[0] - self.y
-        waiting, strength = self._feedback.response(float((np.abs(off) / self.range).max()))
-        wanted = waiting * self.velocity(target, waiting) + strength * off
-        share = 1.0 / max(1.0, float((np.abs(wanted) / self._reference.allowed()).max()))
-        self.went(share * waiting * self.period)
-        y = np.clip(self.arm.within_angles(self.y + self.period * share * wanted), self.low, self.high)
-        qd, self.y = np.where((y == self.low) | (y == self.high), 0.0, share * wanted), y
-        return self._reference(y, qd)
-
-    @abstractmethod
-    def velocity(self, target: Floats, waiting: float) -> Floats:
-        """The velocity v ``(n,)`` at the end of the period."""
-
-    def went(self, time: float) -> None:  # noqa: B027 (most have no time of their own)
-        """Own time that the period took [s]."""
-
-
-class _Primitive(_Joints):
+class _Primitive(JointLeader):
     """A dynamic movement primitive in joint space that imitates the teacher's motion.
 
     T z' = a (a / 4 (g - y) - z) + f(x), T y' = z, T x' = -b x (Ijspeert et al., Neural Computation 25(2), 2013), with f
@@ -147,26 +90,36 @@ class _Primitive(_Joints):
         self._x *= float(np.exp(-_DECAY * time / self._time))
 
 
-class _Fabric(_Joints):
+class _Fabric(JointLeader):
     """An attractor and repelling geoms, weighted by their metrics as in Riemannian motion policies.
 
     With joints in units of their range, M a = k (g - y) - c v + sum_i w_i n_i (r / d_i - c n_i . v) and
     M = I + sum_i w_i n_i n_i', n_i the gradient of the distance of a pair, d_i what it is above its margin, and
-    w_i = (d_0 / d_i - 1)^2 within d_0 (Ratliff et al., arXiv 1801.02854). It sees no further than d_0.
+    w_i = (d_0 / d_i - 1)^2 within d_0 (Ratliff et al., arXiv 1801.02854). It sees no further than d_0, nor than 0.9
+    of the distance of a pair at the start or at the target.
     """
 
     def __init__(self, task: Assignment) -> None:
         super().__init__(task, replace(task.feedback, safety=None))
         self._collisions, self._v = Collisions(task.arm), np.zeros_like(task.start)
-        # Parts of the arm that are close together by design repel each other where they come closer.
-        near = self._collisions.distances(task.start, _NEAR)
-        self._design = {tuple(pair): float(d) for pair, d in zip(near.pairs.tolist(), near.distance, strict=True)}
+        # What is close together by design, or at the target, repels where it comes closer: else it would not arrive.
+        self._design, self._goal = self._near(task.start), np.full_like(task.start, np.nan)
+        self._there: dict[tuple[int, int], float] = {}
+
+    def _near(self, q: Floats) -> dict[tuple[int, int], float]:
+        """Distances of pairs that are near [m]."""
+        near = self._collisions.distances(q, _NEAR)
+        return {(a, b): float(d) for (a, b), d in zip(near.pairs.tolist(), near.distance, strict=True)}
 
     def velocity(self, target: Floats, waiting: float) -> Floats:
+        if (target != self._goal).any():
+            self._goal, self._there = target.copy(), self._near(target)
         near = self._collisions.distances(self.y, _NEAR)
-        reach = np.array([min(_NEAR, 0.9 * self._design.get(tuple(pair), np.inf)) for pair in near.pairs.tolist()])
-        gap = np.maximum(near.distance - np.minimum(_MARGIN, 0.5 * reach), 1e-3)
-        weight = np.maximum(reach / gap - 1.0, 0.0) ** 2 if len(gap) else gap
+        known = [min(self._design.get((a, b), np.inf), self._there.get((a, b), np.inf)) for a, b in near.pairs.tolist()]
+        reach = np.minimum(_NEAR, 0.9 * np.array(known))
+        kept = np.minimum(_MARGIN, 0.5 * reach)
+        gap = np.maximum(near.distance - kept, 1e-3)
+        weight = np.maximum((reach - kept) / gap - 1.0, 0.0) ** 2
         slopes, v = near.jacobian * self.range, self._v
         force = _STIFFNESS * (target - self.y) / self.range - _DAMPING * v
         force = force + (weight * (_STRENGTH / gap - _DAMPING * (slopes @ v))) @ slopes
@@ -191,24 +144,29 @@ class _Tracker:
         return self._motion.q[np.minimum(rows, last)], np.where(inside, self._motion.qd[np.minimum(rows, last)], 0.0)
 
 
-def _shaped(rate: float) -> Callable[[Assignment], Leader]:
-    def made(task: Assignment) -> Leader:
-        options = ShapedOptions(rate=rate)
-        network = plan(task.arm, task.target, planner="lieednn-shaped", options=options, seed=task.seed).network
-        assert isinstance(network, LieEDNN)
-        return _Network(task, network, _PACE / rate)
+@lru_cache(maxsize=1)
+def _shaped_network(task: Assignment, rate: float) -> LieEDNN:
+    """The same for all disturbances of a case."""
+    options = ShapedOptions(rate=rate)
+    network = plan(task.arm, task.target, planner="lieednn-shaped", options=options, seed=task.seed).network
+    assert isinstance(network, LieEDNN)
+    return network
 
-    return made
+
+def _shaped(rate: float) -> Callable[[Assignment], Leader]:
+    return lambda task: _Network(task, _shaped_network(task, rate), PACE / rate)
 
 
 def _certified(task: Assignment) -> Leader:
     xi = task.arm.encode(task.target)
     network = synthesize(xi, bias="sign-matched", bias_magnitude=_BIAS_MAGNITUDE, seed=task.seed).unwrap()
-    return _Network(task, network, _PACE)
+    # A network has a time of its own: its slowest mode at the target shall decay as the linear attractor does.
+    slowest = -float(np.linalg.eigvals(network.jacobian(xi)).real.max())
+    return _Network(task, network, PACE / slowest)
 
 
 def _linear(task: Assignment) -> Leader:
-    return _Network(task, without_weights(task.arm.encode(task.target)), _PACE)
+    return _Network(task, without_weights(task.arm.encode(task.target)), PACE)
 
 
 LEADERS: dict[str, Callable[[Assignment], Leader]] = {
@@ -219,5 +177,6 @@ LEADERS: dict[str, Callable[[Assignment], Leader]] = {
     "linear-attractor": _linear,
     "dmp": _Primitive,
     "fabric": _Fabric,
+    "mppi": PathIntegral,
     "tracker": _Tracker,
 }

@@ -1,7 +1,8 @@
-"""How far a push takes an arm off its path, and how long and how far it goes until it is back on it."""
+"""How hard a push has to be, how far it takes an arm off its path, and how long it takes until it is back on it."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +12,10 @@ from lieednn_sim.values import Floats
 
 # Back on the path is who is within this share of the largest distance from it, for good.
 BACK = 0.1
+# Of a push: its length [s], the largest deviation of a joint as a share of its range, and how exactly it is met.
+PUSH_TIME, PUSHED_OFF, _EXACT = 0.2, 0.1, 0.2
+# Of the search for its force: where it begins, how often it tries, and the most that it tries [N].
+_GUESS, _TRIALS, _MOST = 300.0, 12, 2e4
 # Postures of the path that are compared with, even over its length.
 _SAMPLES = 2000
 
@@ -67,3 +72,33 @@ class Path:
         # Many points are as near in the joint that is furthest away: of these the one that is nearest in all.
         index = int((distance + 1e-6 * np.linalg.norm(away, axis=1)).argmin())
         return float(distance[index]), float(self._shares[index])
+
+
+def pushing_force(off: Callable[[float], float]) -> float:
+    """Force [N] that takes a joint 8 to 12 % of its range off, or what the search ends at; at most 20 kN.
+
+    It has to be found in the run itself. Drives hold a growing force almost stiffly until they are at their limits, and
+    give way all at once: half more force throws the arm ten times as far, and where that begins depends on the posture,
+    on what the motion itself asks of the drives, and on who leads.
+
+    Args:
+        off: from a force to the largest deviation of a joint from the undisturbed path, as a share of its range; grows.
+    """
+    force, low, high = _GUESS, (0.0, 0.0), (np.inf, np.inf)
+    # Bracket it, then false position in the logarithm.
+    for _ in range(_TRIALS):
+        found = off(force)
+        if abs(found / PUSHED_OFF - 1.0) < _EXACT or (found < PUSHED_OFF and force >= _MOST):
+            break
+        if found < PUSHED_OFF:
+            low = force, found
+        else:
+            high = force, found
+        if not np.isfinite(high[0]):
+            force = min(force * float(np.clip(PUSHED_OFF / max(found, 1e-6), 1.2, 4.0)), _MOST)
+        elif low[0] == 0.0:
+            force *= float(np.clip(PUSHED_OFF / found, 0.1, 0.8))
+        else:
+            share = float(np.clip(np.log(PUSHED_OFF / low[1]) / np.log(high[1] / low[1]), 0.1, 0.9))
+            force = low[0] * (high[0] / low[0]) ** share
+    return force

@@ -21,15 +21,16 @@ from lieednn_sim.validation import as_count
 
 METHOD = (
     "From home to random reachable targets in the closed loop at 100 Hz, with inverse-dynamics servos, 7 s. When 35 % "
-    "of a leader's own undisturbed way is gone it is disturbed: a force of 0.2 s on a random link that would move a "
-    "joint of the arm at rest by a tenth of its range, at most 20 kN; or a weight of 20 N at the end effector from "
-    "then on; or another target, up to a tenth of the ranges away. Arrived is who ends with every link within 1 mm "
-    "and 0.1 degrees of the last target and never touched anything. Back is who stays within a tenth of the largest "
-    "deviation from the undisturbed way, for good; a weight that stays keeps an arm off it. Effort is the integral of "
-    "the mean squared drive force in units of the limits. All are pushed with the arm and wait for it but the "
-    "tracker, which plays the teacher's motion and hears neither arm nor target. Among obstacles networks, primitives "
-    "and the linear attractor go through the safety filter, the fabric repels them itself. The CPU time of a control "
-    "step, measured in Python, is the one number that differs between runs."
+    "of a leader's own undisturbed way is gone it is disturbed: a force of 0.2 s on a random link, in one direction "
+    "for all, as large as it takes to throw a joint 8 to 12 % of its range off that way in this very run, at most 20 "
+    "kN; or a weight of 10 N at the end effector from then on; or another target, up to a tenth of the ranges away. "
+    "Arrived is who ends with every link within 1 mm and 0.1 degrees of the last target and never touched anything. "
+    "Back is who stays within a tenth of the largest deviation from the undisturbed way, for good; a weight that "
+    "stays keeps an arm off it. Effort is the integral of the mean squared drive force in units of the limits. All "
+    "are pushed with the arm and wait for it but the tracker, which plays the teacher's motion and hears neither arm "
+    "nor target. Among obstacles networks, primitives and the linear attractor go through the safety filter, fabric "
+    "and path integral (mppi) keep clear by themselves. All without a law of time of their own approach the target at "
+    "2/s. The CPU time of a control step, measured in Python, is the one number that differs between runs."
 )
 
 

@@ -7,8 +7,9 @@ import pytest
 
 from lieednn_sim.evaluation.reactive import cases, study
 from lieednn_sim.evaluation.reactive.cases import DISTURBANCES, Reaction
-from lieednn_sim.evaluation.reactive.leaders import LEADERS, Assignment
-from lieednn_sim.evaluation.reactive.recovery import Path
+from lieednn_sim.evaluation.reactive.leaders import LEADERS
+from lieednn_sim.evaluation.reactive.protocol import Assignment
+from lieednn_sim.evaluation.reactive.recovery import Path, pushing_force
 from lieednn_sim.planning import plan
 from lieednn_sim.simulation import Disturbances, Feedback, Push
 
@@ -29,6 +30,18 @@ def test_a_recovery_by_hand(gantry):
     assert Path(gantry, way).recovery(t, pushed, 0.2, 0.3).time_s is None
 
 
+def test_the_force_of_a_push_is_found_where_drives_give_way_all_at_once():
+    tried = []
+
+    def off(force):
+        tried.append(force)
+        return 1e-5 * force + 3e-3 * max(force - 900.0, 0.0)
+
+    assert 0.08 < off(pushing_force(off)) < 0.12
+    assert len(tried) <= 13
+    assert pushing_force(lambda force: 1e-6 * force) == 2e4
+
+
 @pytest.fixture(scope="module")
 def task(gantry):
     target = np.array([0.3, -0.4, 0.5, 0.6])
@@ -36,7 +49,7 @@ def task(gantry):
     return Assignment(gantry, gantry.keyframe("home"), target, motion, 2, Feedback(), 0)
 
 
-@pytest.mark.parametrize("name", ["linear-attractor", "dmp", "fabric", "tracker"])
+@pytest.mark.parametrize("name", ["linear-attractor", "dmp", "fabric", "mppi", "tracker"])
 def test_a_leader_arrives_also_pushed(name, task):
     push = Disturbances(pushes=(Push("end effector", (0.0, 20.0, 0.0), 0.5, 0.2),))
     for changes in (None, push):
@@ -44,6 +57,21 @@ def test_a_leader_arrives_also_pushed(name, task):
         np.testing.assert_allclose(rollout.q[-1], task.target, atol=5e-3)
         assert len(spent) == 301
     assert np.abs(rollout.q_ref - task.start).max() < 0.7
+
+
+def test_a_push_throws_a_joint_a_tenth_of_its_range_off_in_the_run_itself(task):
+    nominal, _ = cases._run(task, LEADERS["linear-attractor"](task), task.target[None], None, 2.0)
+    path = Path(task.arm, nominal.q)
+    targets, changes, end = cases._disturbed(task, "linear-attractor", "push", 0.4, path)
+    rollout, _ = cases._run(task, LEADERS["linear-attractor"](task), targets, changes, 2.0)
+    assert path.recovery(rollout.t, rollout.q, 0.4, end).off == pytest.approx(0.1, rel=0.2)
+
+
+def test_a_fabric_is_not_repelled_at_its_target(task):
+    # 5 cm above the floor, a third of the way at which it repels.
+    target = np.array([0.3, -0.4, -0.85, 0.6])
+    rollout, _ = cases._run(task, LEADERS["fabric"](task), target[None], None, 5.0)
+    np.testing.assert_allclose(rollout.q[-1], target, atol=5e-3)
 
 
 def test_a_primitive_goes_the_way_it_was_shown(task):
@@ -70,5 +98,5 @@ def test_the_table_goes_on_and_the_summary_counts(tmp_path, monkeypatch):
     assert asked == [("dmp", 0), ("tracker", 0), ("dmp", 1), ("tracker", 1)]
     study.write_reactions(tmp_path / "reactions.md", table)
     text = (tmp_path / "reactions.md").read_text("utf-8")
-    assert "| free | push | dmp | 0 of 2 | 2 | 2 | - | - | 0.05 |" in text
+    assert "| free | push | dmp | 0 of 2 | 2 | 2 | - | - | - | 0.05 |" in text
     assert "| free | push | tracker | 2 of 2 | 0 | 2 |" in text

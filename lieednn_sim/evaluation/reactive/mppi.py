@@ -1,0 +1,165 @@
+"""Model-predictive path integral control over joint velocities, with samples rolled out by `mujoco.rollout`.
+
+At every control period velocities over a horizon T are drawn around those of the period before, u_i = u + e_i, rolled
+out from the present posture, and averaged with the weights of their costs S_i (Williams et al., ICRA 2017),
+
+    u <- sum_i w_i u_i,    w_i = exp(-(S_i - min S) / lambda) / sum_j exp(-(S_j - min S) / lambda).
+
+Noise is drawn around u, so there is no cost of having moved u itself (their gamma = lambda (1 - alpha) is zero).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from mujoco import rollout
+from scipy.special import softmax
+
+from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm import Arm
+from lieednn_sim.arm.contacts import moving_geoms
+from lieednn_sim.evaluation.reactive.protocol import PACE, Assignment, JointLeader
+from lieednn_sim.simulation.simulation import quiet_warnings
+from lieednn_sim.values import Floats
+
+# Half the number of samples, steps of the horizon and their length [s], and knots of the velocities over it.
+_PAIRS, _STEPS, _STEP, _KNOTS = 12, 10, 0.06, 4
+# Standard deviation of a joint's velocity as a share of PACE times the largest distance of a joint from its target; the
+# temperature as a share of the median cost above the least.
+_NOISE, _TEMPERATURE = 0.7, 0.3
+# Distance from the surroundings that is kept where the target allows it [m], what it costs to be at half of it, and to
+# touch something [1/s].
+_NEAR, _NEARNESS, _TOUCHING = 0.03, 2.0, 1e3
+# With this inertia of every joint and this gain, far above all that the arm has, a joint has its velocity at once.
+_INERTIA, _GAIN = 1e4, 1e9
+
+
+class VelocityRollouts:
+    """An arm whose joints have the velocities that they are told, in its scene, rolled out by `mujoco.rollout`.
+
+    That is the arm as leaders see it: drives under inverse dynamics follow a reference to rounding.
+
+    Args:
+        arm: the arm; its model is not changed.
+        step: length of a step [s].
+        near: distance from the surroundings that is seen [m]; parts of the arm see each other when they overlap.
+    """
+
+    def __init__(self, arm: Arm, step: float, near: float) -> None:
+        self._arm, self._near = arm, near
+        self._model = _kinematic(arm, step, near)
+        self._data = mujoco.MjData(self._model)
+        self._kind = mujoco.mjtState.mjSTATE_FULLPHYSICS
+        self._state = np.zeros((1, mujoco.mj_stateSize(self._model, self._kind)))
+
+    def __call__(self, q: Floats, velocities: Floats) -> tuple[Floats, Floats]:
+        """Postures after each step, and clearances before it.
+
+        Args:
+            q: ``(n,)`` where all begin.
+            velocities: ``(S, H, n)`` of the joint coordinates, for each sample and step.
+
+        Returns:
+            ``(S, H, n)``; and ``(S, H)`` [m], infinite where nothing is near.
+        """
+        model, data, first = self._model, self._data, self._arm.qpos(q)
+        mujoco.mj_resetData(model, data)
+        data.qpos[:] = first
+        mujoco.mj_getState(model, data, self._state[0], self._kind)
+        controls = self._arm.qvel(np.broadcast_to(q, velocities.shape), velocities)
+        with quiet_warnings():
+            states, sensed = rollout.rollout(model, data, self._state, controls)
+        postures = self._arm.coordinates(states[:, :, 1 : 1 + model.nq])
+        return postures, np.where(sensed[:, :, 0] > 0.0, sensed[:, :, 1], np.inf)
+
+
+def _kinematic(arm: Arm, step: float, near: float) -> mujoco.MjModel:
+    spec = arm.spec.copy()
+    # All masses are beside the point: geoms that touch nothing are only a burden.
+    spec.compiler.boundmass, spec.compiler.boundinertia = 1e-3, 1e-6
+    for geom, moves in zip(list(spec.geoms), moving_geoms(arm.model), strict=True):
+        if not (geom.contype or geom.conaffinity):
+            spec.delete(geom)
+        elif not moves:
+            geom.margin, geom.gap = 0.0, near
+    for actuator in list(spec.actuators):
+        spec.delete(actuator)
+    for joint in range(arm.model.njnt):
+        axes = 3 if arm.model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_BALL else 1
+        for gear in np.eye(6)[:axes]:
+            drive = spec.add_actuator(
+                trntype=mujoco.mjtTrn.mjTRN_JOINT, target=arm.model.joint(joint).name, gear=gear.tolist()
+            )
+            drive.set_to_velocity(kv=_GAIN)
+    for sensor in list(spec.sensors):
+        spec.delete(sensor)
+    wanted = 1 << int(mujoco.mjtConDataField.mjCONDATA_FOUND) | 1 << int(mujoco.mjtConDataField.mjCONDATA_DIST)
+    # Of all contacts the one (3) of the least distance (2).
+    spec.add_sensor(name="nearest", type=mujoco.mjtSensor.mjSENS_CONTACT, intprm=[wanted, 1, 1])
+    model = spec.compile()
+    off = mujoco.mjtDisableBit
+    model.opt.disableflags |= int(
+        off.mjDSBL_GRAVITY | off.mjDSBL_EQUALITY | off.mjDSBL_LIMIT | off.mjDSBL_FRICTIONLOSS | off.mjDSBL_SPRING
+    )
+    model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    model.opt.timestep, model.dof_armature[:] = step, _INERTIA
+    return model
+
+
+def weights(costs: Floats) -> Floats:
+    """Of samples, from their costs ``(S,)``; the temperature is a share of the median cost above the least."""
+    above = costs - costs.min()
+    return np.asarray(softmax(-above / max(_TEMPERATURE * float(np.median(above)), 1e-300)))
+
+
+class PathIntegral(JointLeader):
+    """The controller of the module, towards a target and clear of the surroundings.
+
+    With joints in units of their range and e = g - y the cost of a sample is
+
+        integral of |e|^2 + |u|^2 / c^2 + near + touching dt, and |e|^2 / c at its end,
+
+    which the linear attractor u = c e minimises where nothing is near. Noise shrinks with the distance from the target,
+    without which it would never end there.
+    """
+
+    def __init__(self, task: Assignment) -> None:
+        super().__init__(task, replace(task.feedback, safety=None))
+        self._rng = np.random.default_rng([task.seed, 17])
+        self._rollouts = VelocityRollouts(task.arm, _STEP, _NEAR)
+        self._knots: Floats = _STEP * np.linspace(0.0, _STEPS - 1.0, _KNOTS)
+        # From knots to steps, linear between.
+        self._between = self._at(_STEP * np.arange(float(_STEPS)))
+        self._plan = np.zeros((_KNOTS, len(self.range)))
+        self._fastest = task.arm.velocity_limits / self.range
+        self._target, self._near = np.full_like(task.target, np.nan), _NEAR
+
+    def velocity(self, target: Floats, waiting: float) -> Floats:
+        """See `JointLeader`."""
+        if (target != self._target).any():
+            _, clearance = self._rollouts(target, np.zeros((1, 1, len(target))))
+            self._target, self._near = target.copy(), min(_NEAR, max(0.5 * float(clearance[0, 0]), 1e-3))
+        scale = _NOISE * PACE * float(np.abs((target - self.y) / self.range).max())
+        noise = scale * self._rng.standard_normal((_PAIRS, *self._plan.shape))
+        plans = self._plan + np.concatenate([np.zeros((1, *self._plan.shape)), noise, -noise])
+        plans = np.clip(plans, -self._fastest, self._fastest)
+        costs = self._costs(target, self._between @ plans)
+        self._plan = np.tensordot(weights(costs), plans, axes=1)
+        return np.asarray(self._plan[0] * self.range)
+
+    def went(self, time: float) -> None:
+        """See `JointLeader`."""
+        self._plan = self._at(self._knots + time) @ self._plan
+
+    def _costs(self, target: Floats, velocities: Floats) -> Floats:
+        """``(S,)`` of velocities ``(S, H, n)`` in units of the ranges."""
+        postures, clearance = self._rollouts(self.y, velocities * self.range)
+        off = (((target - postures) / self.range) ** 2).sum(axis=2)
+        near = np.maximum(1.0 - clearance / self._near, 0.0)
+        rate = off + (velocities**2).sum(axis=2) / PACE**2 + _NEARNESS * near**2 + _TOUCHING * (clearance < 0.0)
+        return np.asarray(_STEP * rate.sum(axis=1) + off[:, -1] / PACE)
+
+    def _at(self, times: Floats) -> Floats:
+        """Matrix from the knots to what is at times ``(m,)``; the last knot stays."""
+        return np.array([np.interp(times, self._knots, unit) for unit in np.eye(_KNOTS)]).T

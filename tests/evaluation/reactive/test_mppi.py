@@ -1,0 +1,63 @@
+"""Path integral control: weights by hand, rollouts against kinematics, the same bits for the same seed."""
+
+import numpy as np
+import pytest
+
+from lieednn_sim.evaluation.reactive.mppi import PathIntegral, VelocityRollouts, weights
+from lieednn_sim.evaluation.reactive.protocol import Assignment
+from lieednn_sim.planning import plan
+from lieednn_sim.simulation import Feedback
+
+
+def test_weights_by_hand():
+    # The median is 1 above the least, so the temperature is 0.3.
+    expected = np.exp([0.0, -1.0 / 0.3, -4.0 / 0.3])
+    np.testing.assert_allclose(weights(np.array([5.0, 6.0, 9.0])), expected / expected.sum(), rtol=1e-12)
+    np.testing.assert_allclose(weights(np.full(4, 7.0)), 0.25)
+
+
+def test_rollouts_go_where_velocities_lead_and_see_what_is_near(gantry):
+    rng = np.random.default_rng(0)
+    start, velocities = np.array([0.2, -0.3, -0.6, 0.5]), rng.normal(size=(3, 5, 4))
+    velocities[:, :, 2] = -0.9
+    postures, clearance = VelocityRollouts(gantry, 0.1, 0.25)(start, velocities)
+    np.testing.assert_allclose(postures, start + 0.1 * np.cumsum(velocities, axis=1), atol=2e-3)
+    # The ball, 0.1 m in radius, is 0.3 m above the floor, which is seen from 0.25 m on, and goes through it.
+    expected = 0.3 - 0.09 * np.arange(5.0)
+    assert (clearance[:, 0] == np.inf).all()
+    np.testing.assert_allclose(clearance[:, 1:], np.tile(expected[1:], (3, 1)), atol=2e-3)
+
+
+@pytest.fixture
+def leader(gantry):
+    target = np.array([0.3, -0.4, 0.5, 0.6])
+    motion = plan(gantry, target, planner="minimum-jerk", duration=2.0).motion
+
+    def make(seed):
+        return PathIntegral(Assignment(gantry, gantry.keyframe("home"), target, motion, 2, Feedback(), seed))
+
+    return make
+
+
+def test_the_same_seed_gives_the_same_bits(leader):
+    target = np.array([0.3, -0.4, 0.5, 0.6])
+    first, again, other = (np.array([made.velocity(target, 1.0) for _ in range(3)]) for made in map(leader, (1, 1, 2)))
+    np.testing.assert_array_equal(first, again)
+    assert (first != other).any()
+
+
+def test_the_mean_of_samples_is_the_linear_law_where_nothing_is_near(leader):
+    # The cost's minimum is u = c e with c = 2; many updates on the spot converge to it but for noise.
+    made, target = leader(0), np.array([0.3, -0.4, 0.5, 0.6])
+    found = np.mean([made.velocity(target, 1.0) for _ in range(60)][30:], axis=0)
+    np.testing.assert_allclose(found, 2.0 * target, atol=0.15)
+
+
+def test_it_stays_above_the_floor(leader):
+    # The target is beneath the floor, which the ball would touch at -0.9.
+    made, target = leader(0), np.array([0.0, 0.0, -1.5, 0.0])
+    for _ in range(150):
+        velocity = made.velocity(target, 1.0)
+        made.y = made.y + 0.02 * velocity
+        made.went(0.02)
+    assert -0.9 < made.y[2] < -0.5
