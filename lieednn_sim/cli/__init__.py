@@ -23,6 +23,7 @@ _MODULES = {
     "train": "training",
     "learn": "demonstrations",
     "compare": "comparison",
+    "merge": "comparison",
     "arms": "arms",
     "doctor": "doctor",
 }
@@ -31,8 +32,8 @@ _MODULES = {
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command; returns its exit code.
 
-    0 well, 1 doctor found a problem, 2 an error, 130 interrupted, 143 terminated, 141 the reader of the output went
-    away.
+    0 well, 1 doctor found a problem or merge no complete table, 2 an error, 130 interrupted, 143 terminated, 141 the
+    reader of the output went away.
     """
     words = list(sys.argv[1:] if argv is None else argv)
     arguments = _parser().parse_args(_join_negative_numbers(words))
@@ -164,6 +165,14 @@ def _parser() -> argparse.ArgumentParser:
         "It can be interrupted: the same command goes on. All cases by default, CPU hours.",
     )
     options.add_comparison(compare)
+
+    merge = command(
+        "merge",
+        "put the tables of 'compare --shard' together: table and page",
+        "Exit code 1 where cases are missing, which are named; what there is is written.",
+    )
+    merge.add_argument("output", metavar="DIR", help="of the whole table")
+    merge.add_argument("folders", nargs="+", metavar="FOLDER", help="of the shards")
 
     arms = command(
         "arms",

@@ -1,4 +1,4 @@
-"""The command ``compare``: planners x arms x scenes x controllers x seeds into a table, a summary and a page."""
+"""The commands ``compare`` and ``merge``: planners x arms x scenes x controllers x seeds into a table and a page."""
 
 from __future__ import annotations
 
@@ -10,11 +10,13 @@ from collections.abc import Sequence
 from lieednn_sim import storage
 from lieednn_sim.cli.arguments import names
 from lieednn_sim.cli.console import console, progress, to_stderr, wrote
-from lieednn_sim.errors import LieEDNNError
+from lieednn_sim.errors import InputError, LieEDNNError
 from lieednn_sim.evaluation import Case, Selection, Settings, Table, write_summary
 from lieednn_sim.evaluation import compare as compare_planners
+from lieednn_sim.evaluation.merging import merge as merge_shards
 from lieednn_sim.evaluation.reactive.study import compare_reactions, write_reactions
 from lieednn_sim.evaluation.report import Clip, choose_cases, film, write_page
+from lieednn_sim.evaluation.shards import Shard
 from lieednn_sim.planning import missing_planners
 from lieednn_sim.validation import as_count
 
@@ -39,6 +41,9 @@ def compare(arguments: argparse.Namespace) -> None:
     as_count("videos", arguments.videos, least=0)
     as_count("reactive", arguments.reactive, least=0)
     cases = [Case.parse(text) for text in arguments.video]
+    shard = None if arguments.shard is None else Shard.parse(arguments.shard)
+    if shard is not None and (arguments.videos or cases or arguments.reactive):
+        raise InputError("--shard makes a part of the table alone; leave --videos, --video and --reactive to others")
     missing = {name: reason for name, reason in missing_planners().items() if name in selection.planners}
     for name, reason in missing.items():
         console.print(f"not compared: {name} is not installed ({reason})")
@@ -46,7 +51,10 @@ def compare(arguments: argparse.Namespace) -> None:
     summary, page = directory / "comparison.md", directory / "comparison.html"
     with storage.locked(directory):
         storage.check_outputs([summary, page, page.with_suffix(".csv"), page.with_suffix(".json")])
-        table = compare_planners(directory, selection, settings, jobs=jobs, console=to_stderr())
+        table = compare_planners(directory, selection, settings, jobs=jobs, console=to_stderr(), shard=shard)
+        if shard is not None:
+            wrote(table.csv)
+            return
         write_summary(summary, table, missing)
         clips = _film(table, cases + choose_cases(table, arguments.videos), selection.controllers[0])
         line = shlex.join(["lieednn-sim", *arguments.words])
@@ -59,6 +67,23 @@ def compare(arguments: argparse.Namespace) -> None:
             write_reactions(more[1], reactions)
         write_page(page, table, missing=missing, clips=clips, command=line, date=arguments.date, reactions=reactions)
     wrote(table.csv, summary, *more, page)
+
+
+def merge(arguments: argparse.Namespace) -> int:
+    """Put the tables of shards together, and write summary and page; 1 where cases are missing."""
+    directory = storage.make_directory(arguments.output)
+    summary, page = directory / "comparison.md", directory / "comparison.html"
+    with storage.locked(directory):
+        storage.check_outputs([summary, page, page.with_suffix(".csv"), page.with_suffix(".json")])
+        merged = merge_shards(directory, arguments.folders)
+        write_summary(summary, merged.table, merged.absent)
+        line = shlex.join(["lieednn-sim", *arguments.words])
+        write_page(page, merged.table, missing=merged.absent, command=line)
+    wrote(merged.table.csv, summary, page)
+    for shard, cases in sorted(merged.missing.items(), key=lambda one: one[0].number):
+        where = ", ".join(str(folder) for folder, there in merged.shards.items() if there == shard) or "in no folder"
+        console.print(f"shard {shard} ({where}) lacks {len(cases)} cases, as {cases[0]}")
+    return 1 if merged.missing else 0
 
 
 def _film(table: Table, cases: Sequence[Case], controller: str) -> list[Clip]:

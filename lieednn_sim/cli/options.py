@@ -140,6 +140,9 @@ def add_comparison(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--output", default="results/comparison", metavar="DIR", help="(default: %(default)s)")
     parser.add_argument("--jobs", type=whole, metavar="N", help="worker processes (default: all cores)")
     parser.add_argument(
+        "--shard", metavar="K/N", help="only the K-th of N shares of the cases, for 'merge' to put together"
+    )
+    parser.add_argument(
         "--reactive",
         type=whole,
         default=0,

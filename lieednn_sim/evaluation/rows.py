@@ -54,7 +54,7 @@ class TableRow:
         for entry in fields(self):
             if isinstance(value := getattr(self, entry.name), float):
                 object.__setattr__(self, entry.name, float(f"{value:.{self._digits}g}"))
-            elif isinstance(value, str) and "\n" in value:
+            elif isinstance(value, str):
                 # A row is a line.
                 object.__setattr__(self, entry.name, " ".join(value.splitlines()))
 
@@ -70,6 +70,8 @@ class TableRow:
     @classmethod
     def from_texts(cls, texts: dict[str, str]) -> Self:
         """Read `as_texts`; `ValueError` where a cell is not of its column's type."""
+        if None in texts or None in texts.values():
+            raise ValueError("a row has more columns or fewer")
         if texts["success"] != ("no" if texts["reason"] else "yes"):
             raise ValueError(f"success is {texts['success']!r} where the reason of a failure is {texts['reason']!r}")
         return cls(**{entry.name: _value(texts[entry.name], str(entry.type)) for entry in fields(cls)})

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import itertools
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from concurrent.futures import BrokenExecutor, CancelledError, Executor
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 from rich.console import Console
@@ -16,6 +16,7 @@ from lieednn_sim.arm.scenes import SCENES
 from lieednn_sim.errors import InputError, LieEDNNError
 from lieednn_sim.evaluation.cases import FREE, Settings, failed_case, run_case
 from lieednn_sim.evaluation.rows import Case
+from lieednn_sim.evaluation.shards import Shard
 from lieednn_sim.evaluation.statistics import numbers
 from lieednn_sim.evaluation.table import R, Rows, Table
 from lieednn_sim.evaluation.workers import run_each
@@ -68,9 +69,9 @@ class Selection:
             object.__setattr__(self, name, chosen)
         check_fields(self, as_count, "seeds")
 
-    def cases(self) -> list[Case]:
-        """What can be planned: all combinations but those of planners whose package is missing."""
-        absent = missing_planners()
+    def cases(self, absent: Container[str] | None = None) -> list[Case]:
+        """What can be planned: all combinations but those of absent planners, by default whose package is missing."""
+        absent = missing_planners() if absent is None else absent
         usable = [name for name in self.planners if name not in absent]
         combinations = itertools.product(self.arms, self.scenes, usable, range(self.seeds))
         return [Case(*combination) for combination in combinations]
@@ -84,6 +85,7 @@ def compare(
     jobs: int = 1,
     console: Console | None = None,
     executor: Executor | None = None,
+    shard: Shard | None = None,
 ) -> Table:
     """Compute the rows that the directory's table lacks.
 
@@ -98,6 +100,7 @@ def compare(
         jobs: worker processes.
         console: for a progress bar; none without.
         executor: runs the cases in place of worker processes, in whatever order; the rows are the same.
+        shard: of the cases; the table is then for `merging.merge`. None: all of them.
 
     Returns:
         The table, with all rows that it holds, also those of earlier runs.
@@ -108,8 +111,11 @@ def compare(
         LieEDNNError: a worker process died, or the executor gave up.
     """
     workers = as_count("jobs", jobs)
-    table = Table(directory, settings)
-    wanted = [(case, table.missing(case, selection.controllers)) for case in selection.cases()]
+    absent = {name: reason for name, reason in missing_planners().items() if name in selection.planners}
+    part = {} if shard is None else {"shard": shard.number, "shards": shard.of}
+    table = Table(directory, settings, part and {**part, **asdict(selection), "absent": absent})
+    cases = [case for case in selection.cases(absent) if shard is None or Shard.holding(case, shard.of) == shard]
+    wanted = [(case, table.missing(case, selection.controllers)) for case in cases]
     costs = _planning_costs(table, selection)
     todo = sorted(
         ((case, names) for case, names in wanted if names),

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import csv
+import json
 import os
-import time
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, fields
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import IO, Any, Generic, TypeVar
 
 from lieednn_sim import storage
 from lieednn_sim.errors import FileError
@@ -16,75 +16,82 @@ from lieednn_sim.evaluation.cases import Settings
 from lieednn_sim.evaluation.rows import Case, Row, TableRow
 from lieednn_sim.versions import versions
 
-# The file is written anew at most so often [s]; a killed process loses no more, an interrupted one nothing.
-_WRITE_INTERVAL = 2.0
-
-
 R = TypeVar("R", bound=TableRow)
+# What a table's JSON file says of how it was made.
+_DESCRIBED = ("settings", "versions", "part")
 
 
 class Rows(Generic[R]):
-    """Rows of one kind by their keys, kept in a directory.
+    """Rows of one kind by their keys, kept in a directory: a row is in the file as soon as it is added.
 
     Args:
         directory: made when it is missing. A table in it is read and gone on with.
         name: of the files, without their suffix.
         kind: of the rows.
         shared: settings that all rows share, for the JSON file.
+        part: what part of a larger table it is, if any, for the same file.
 
     Raises:
-        FileError: the directory holds a table made with other settings or versions, or something else.
+        FileError: the directory holds a table made with other settings, versions or code, or something else.
     """
 
     def __init__(
-        self, directory: str | os.PathLike[str], name: str, kind: type[R], shared: Mapping[str, float]
+        self,
+        directory: str | os.PathLike[str],
+        name: str,
+        kind: type[R],
+        shared: Mapping[str, float],
+        part: Mapping[str, Any] | None = None,
     ) -> None:
         self.directory = storage.make_directory(directory)
         self.csv, self.json = self.directory / f"{name}.csv", self.directory / f"{name}.json"
-        self.versions = versions()
-        self._name, self._shared, self._fields = name, shared, [field.name for field in fields(kind)]
+        self.versions = versions(code=True)
+        self._fields = [field.name for field in fields(kind)]
+        self._description: dict[str, Any] = {"kind": name, "format": 1, "settings": shared, "versions": self.versions}
+        if part:
+            # As it is read: tuples are lists.
+            self._description["part"] = json.loads(json.dumps(part))
         self.rows: dict[tuple[Any, ...], R] = {}
         if self.csv.exists():
             self._check()
             self.rows = read_rows(self.csv, kind)
-        self._written = time.monotonic()
-        storage.save_json(self.json, self._description())
+        storage.save_json(self.json, self._description)
+        # Without the line that a killed process left half written.
+        self.save()
 
     def add(self, rows: Iterable[R]) -> None:
-        """Add rows; they are on disk after the next `save`, or soon."""
-        self.rows |= {row.key: row for row in rows}
-        if time.monotonic() - self._written > _WRITE_INTERVAL:
-            self.save()
+        """Add rows, at the end of the file."""
+        added = list(rows)
+        self.rows |= {row.key: row for row in added}
+        try:
+            with self.csv.open("a", encoding="utf-8", newline="") as stream:
+                self._writer(stream).writerows(row.as_texts() for row in added)
+        except OSError as error:
+            raise FileError(f"cannot write {self.csv}: {error.strerror or error}") from None
 
     def save(self) -> None:
         """Write all rows, sorted, atomically."""
         with storage.atomic_text(self.csv) as stream:
-            writer = csv.DictWriter(stream, fieldnames=self._fields, lineterminator="\n")
+            writer = self._writer(stream)
             writer.writeheader()
             writer.writerows(row.as_texts() for row in self.sorted_rows())
-        self._written = time.monotonic()
+
+    def _writer(self, stream: IO[str]) -> csv.DictWriter[str]:
+        return csv.DictWriter(stream, fieldnames=self._fields, lineterminator="\n")
 
     def sorted_rows(self) -> list[R]:
         """All rows in the order of their keys."""
         return [self.rows[key] for key in sorted(self.rows)]
 
-    def _description(self) -> dict[str, Any]:
-        return {"kind": self._name, "format": 1, "settings": self._shared, "versions": self.versions}
-
     def _check(self) -> None:
         """Refuse to mix rows that were not made alike."""
         advice = f"choose another --output, or remove {self.csv}"
         try:
-            found = storage.load_json(self.json, self._name)
-            made = {**found["settings"], **found["versions"]}
-            if found["kind"] != self._name or found["format"] != 1:
-                raise ValueError("it is of another kind")
-        except (OSError, ValueError, KeyError, TypeError) as error:
+            differ = differences(load_description(self.json, self._description["kind"]), self._description)
+        except FileError as error:
             raise FileError(
                 f"cannot go on from {self.csv}, for {self.json} does not say how it was made: {error}; {advice}"
             ) from None
-        now = {**self._shared, **self.versions}
-        differ = [f"{name} {made.get(name)}, now {value}" for name, value in now.items() if made.get(name) != value]
         if differ:
             raise FileError(f"{self.csv} was made with {'; '.join(differ)}; {advice}")
 
@@ -92,9 +99,11 @@ class Rows(Generic[R]):
 class Table(Rows[Row]):
     """Rows of a comparison by arm, scene, planner, controller and seed; arguments and errors as of `Rows`."""
 
-    def __init__(self, directory: str | os.PathLike[str], settings: Settings) -> None:
+    def __init__(
+        self, directory: str | os.PathLike[str], settings: Settings, part: Mapping[str, Any] | None = None
+    ) -> None:
         self.settings = settings
-        super().__init__(directory, "comparison", Row, asdict(settings))
+        super().__init__(directory, "comparison", Row, asdict(settings), part)
         if not self.rows:
             # Films of a table that was removed are of other settings, or other code.
             for film in (self.directory / "videos").glob("*.mp4"):
@@ -105,6 +114,23 @@ class Table(Rows[Row]):
         return [name for name in controllers if (case.arm, case.scene, case.planner, name, case.seed) not in self.rows]
 
 
+def load_description(path: Path, kind: str) -> dict[str, Any]:
+    """What a table's JSON file says of how it was made; `FileError` when it says nothing."""
+    found = storage.load_json(path, kind)
+    if (found.get("kind"), found.get("format")) != (kind, 1) or not all(
+        isinstance(found.get(name, {}), dict) for name in _DESCRIBED
+    ):
+        raise FileError(f"{path} is of another kind")
+    return found
+
+
+def differences(made: Mapping[str, Any], other: Mapping[str, Any], here: str = "now") -> list[str]:
+    """In what two descriptions of tables differ; ``here`` says where the other is."""
+    old, new = ({k: v for group in _DESCRIBED for k, v in one.get(group, {}).items()} for one in (made, other))
+    names = [name for name in {**new, **old} if old.get(name) != new.get(name)]
+    return [f"{name} {old.get(name)}, {here} {new.get(name)}" for name in names]
+
+
 def read_rows(path: str | os.PathLike[str], kind: type[R] = Row) -> dict[tuple[Any, ...], R]:  # type: ignore[assignment]
     """Rows of a table.
 
@@ -112,12 +138,11 @@ def read_rows(path: str | os.PathLike[str], kind: type[R] = Row) -> dict[tuple[A
         FileError: missing, or no such table.
     """
     try:
-        with Path(path).open(encoding="utf-8", newline="") as stream:
-            reader = csv.DictReader(stream, strict=True)
-            texts = list(reader)
-        names = [field.name for field in fields(kind)]
-        if list(reader.fieldnames or ()) != names or any(None in {*row, *row.values()} for row in texts):
-            raise ValueError("it has other columns")
-        return {row.key: row for row in map(kind.from_texts, texts)}
+        with Path(path).open(encoding="utf-8", newline="\n") as stream:
+            # A process that was killed left its last line unfinished.
+            reader = csv.DictReader((line for line in stream if line.endswith("\n")), strict=True)
+            if list(reader.fieldnames or ()) != [field.name for field in fields(kind)]:
+                raise ValueError("it has other columns")
+            return {row.key: row for row in map(kind.from_texts, reader)}
     except (OSError, ValueError, csv.Error) as error:
         raise FileError(f"cannot go on from {path}: {error}; remove it or choose another --output") from None

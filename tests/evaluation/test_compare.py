@@ -155,8 +155,15 @@ def test_other_settings_versions_and_files_are_refused(finished, tmp_path):
         (tmp_path / name).write_bytes((finished / name).read_bytes())
     path, description = tmp_path / "comparison.csv", tmp_path / "comparison.json"
     value = json.loads(description.read_text(encoding="utf-8"))
-    value["versions"]["mujoco"] = "3.0.0"
-    for text, message in ((json.dumps(value), "made with mujoco 3.0.0, now"), ("[]", "does not say how it was made")):
+    older, changed = (
+        json.dumps({**value, "versions": {**value["versions"], **one}})
+        for one in ({"mujoco": "3.0.0"}, {"code": "0123456789ab"})
+    )
+    for text, message in (
+        (older, "made with mujoco 3.0.0, now"),
+        (changed, "made with code 0123456789ab, now"),
+        ("[]", "does not say how it was made"),
+    ):
         description.write_text(text, encoding="utf-8")
         with pytest.raises(FileError, match=message):
             Table(tmp_path, QUICK)
@@ -179,6 +186,21 @@ def test_other_settings_versions_and_files_are_refused(finished, tmp_path):
         with pytest.raises(FileError, match="cannot go on from"):
             Table(tmp_path, QUICK)
         assert path.read_text(encoding="utf-8") == text
+
+
+def test_a_table_cut_anywhere_keeps_its_whole_rows_and_grows_to_the_same(finished, tmp_path):
+    whole, rows = (finished / "comparison.csv").read_bytes(), read_rows(finished / "comparison.csv")
+    path = tmp_path / "comparison.csv"
+    (tmp_path / "comparison.json").write_bytes((finished / "comparison.json").read_bytes())
+    for cut in range(whole.index(b"\n") + 1, len(whole), 7):
+        path.write_bytes(whole[:cut])
+        table = Table(tmp_path, QUICK)
+        assert len(table.rows) == whole[:cut].count(b"\n") - 1
+        # A row is on disk once it is added, without a save.
+        table.add(row for key, row in rows.items() if key not in table.rows)
+        assert read_rows(path) == rows
+        table.save()
+        assert path.read_bytes() == whole
 
 
 def test_the_summary_says_what_is_missing_and_what_is_proved(finished):

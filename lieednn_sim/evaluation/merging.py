@@ -1,0 +1,97 @@
+"""The shards of a comparison put together again."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+from lieednn_sim.errors import FileError, InputError
+from lieednn_sim.evaluation.cases import Settings
+from lieednn_sim.evaluation.rows import TIMING, Case, Row
+from lieednn_sim.evaluation.shards import Shard
+from lieednn_sim.evaluation.study import Selection
+from lieednn_sim.evaluation.table import Table, differences, load_description, read_rows
+from lieednn_sim.versions import versions
+
+
+@dataclass(frozen=True)
+class Merged:
+    """A comparison put together.
+
+    Attributes:
+        table: of all rows that there are.
+        absent: planners that were not compared, with the reason.
+        missing: of each shard that is not complete the cases that lack rows.
+        shards: that there are, by folder.
+    """
+
+    table: Table
+    absent: Mapping[str, str]
+    missing: Mapping[Shard, Sequence[Case]]
+    shards: Mapping[Path, Shard]
+
+
+def merge(directory: str | os.PathLike[str], folders: Sequence[str | os.PathLike[str]]) -> Merged:
+    """Put tables of shards into one; the same shards make the same table, in whatever order and however often.
+
+    Of a row that was computed twice the one with the shorter planning time is kept.
+
+    Args:
+        directory: of the whole table, which may hold rows already.
+        folders: of shards of one comparison; they need be neither all nor finished.
+
+    Raises:
+        InputError: there are no folders.
+        FileError: a folder holds no shard of the same comparison, made by this code; rows disagree; see `Table`.
+    """
+    if not folders:
+        raise InputError("there is nothing to merge: give the folders of the shards")
+    read = {Path(folder): load_description(Path(folder) / "comparison.json", "comparison") for folder in folders}
+    first, whole = next(iter(read.items()))
+    now = {"versions": versions(code=True)}
+    for folder, found in read.items():
+        if differ := differences(_without_number(found), _without_number(whole), f"in {first}"):
+            raise FileError(f"{folder} is of another comparison: {'; '.join(differ)}")
+        if differ := differences({"versions": found.get("versions", {})}, now):
+            raise FileError(f"{folder} was made with {'; '.join(differ)}; merge with what made it")
+    try:
+        part = whole["part"]
+        shards = {folder: Shard(found["part"]["shard"], part["shards"]) for folder, found in read.items()}
+        settings = Settings(**whole["settings"])
+        selection = Selection(**{entry.name: part[entry.name] for entry in fields(Selection)})
+        absent = {str(name): str(reason) for name, reason in part["absent"].items()}
+    except (AttributeError, KeyError, TypeError, InputError) as error:
+        raise FileError(f"{first} holds no shard of a comparison ({type(error).__name__}: {error})") from None
+    rows: dict[tuple[Any, ...], tuple[Row, Path]] = {}
+    target = Path(directory)
+    if (target / "comparison.csv").exists():
+        rows = {key: (row, target) for key, row in read_rows(target / "comparison.csv", Row).items()}
+    for folder, shard in shards.items():
+        for row in read_rows(folder / "comparison.csv", Row).values():
+            if Shard.holding(row.case, shard.of) != shard:
+                raise FileError(f"{folder} is shard {shard}, but holds the case {row.case} of another")
+            rows[row.key] = _agreed(row, folder, *rows.get(row.key, (row, folder)))
+    table = Table(target, settings)
+    table.rows = {key: row for key, (row, _) in rows.items()}
+    table.save()
+    missing: dict[Shard, list[Case]] = {}
+    for case in selection.cases(absent):
+        if table.missing(case, selection.controllers):
+            missing.setdefault(Shard.holding(case, part["shards"]), []).append(case)
+    return Merged(table, absent, missing, shards)
+
+
+def _without_number(description: Mapping[str, Any]) -> dict[str, Any]:
+    """What all shards of a comparison have in common."""
+    return {**description, "part": {**description.get("part", {}), "shard": None}}
+
+
+def _agreed(row: Row, folder: Path, other: Row, elsewhere: Path) -> tuple[Row, Path]:
+    """One of two rows that say the same but for the time it took, in an order of their own."""
+    timing = dict.fromkeys(TIMING, "")
+    if {**row.as_texts(), **timing} != {**other.as_texts(), **timing}:
+        raise FileError(f"{elsewhere} and {folder} disagree on {row.case} with {row.controller}; remove one of them")
+    return min((row, folder), (other, elsewhere), key=lambda one: one[0].planning_s or 0.0)
