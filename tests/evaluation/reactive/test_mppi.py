@@ -53,6 +53,22 @@ def test_the_mean_of_samples_is_the_linear_law_where_nothing_is_near(leader):
     np.testing.assert_allclose(found, 2.0 * target, atol=0.15)
 
 
+def test_costs_by_hand(leader):
+    # At rest with the ball 15 mm in the floor, half of the 30 mm that are kept: 0.6 s of a near cost of 2 x 1.5^2, of
+    # touching, and of the distance from the target, which counts for another 1 / (2/s) at the end.
+    made, target = leader(0), np.zeros(4)
+    made.y = np.array([0.0, 0.0, -0.915, 0.0])
+    off = (0.915 / 5.0) ** 2
+    np.testing.assert_allclose(
+        made._costs(target, np.zeros((2, 10, 4))), 0.6 * (off + 4.5 + 1e3) + off / 2.0, rtol=1e-3
+    )
+    # From the target at a quarter of the range a second: its square over (2/s)^2, and the distance gone.
+    made.y, way = target, np.zeros((1, 10, 4))
+    way[:, :, 0] = 0.25
+    aside = 0.6 * 0.25**2 / 4.0 + 0.06 * sum((0.015 * k) ** 2 for k in range(1, 11)) + 0.15**2 / 2.0
+    np.testing.assert_allclose(made._costs(target, way), aside, rtol=2e-3)
+
+
 def test_it_stays_above_the_floor(leader):
     # The target is beneath the floor, which the ball would touch at -0.9.
     made, target = leader(0), np.array([0.0, 0.0, -1.5, 0.0])
