@@ -8,11 +8,12 @@ import shlex
 from collections.abc import Sequence
 
 from lieednn_sim import storage
-from lieednn_sim.cli.arguments import names
+from lieednn_sim.cli.arms import print_import_report
 from lieednn_sim.cli.console import console, progress, to_stderr, wrote
 from lieednn_sim.errors import InputError, LieEDNNError
 from lieednn_sim.evaluation import Case, Selection, Settings, Table, write_summary
 from lieednn_sim.evaluation import compare as compare_planners
+from lieednn_sim.evaluation.entries import ARM, bare_arm, findings
 from lieednn_sim.evaluation.merging import merge as merge_shards
 from lieednn_sim.evaluation.reactive.study import compare_reactions, write_reactions
 from lieednn_sim.evaluation.report import Clip, choose_cases, film, write_page
@@ -30,10 +31,10 @@ def compare(arguments: argparse.Namespace) -> None:
         time_budget=arguments.time_budget,
     )
     selection = Selection(
-        planners=names(arguments.planners),
-        arms=names(arguments.arms),
-        scenes=names(arguments.scenes),
-        controllers=names(arguments.controllers),
+        planners=_listed(arguments.planners),
+        arms=_listed(arguments.arms),
+        scenes=_listed(arguments.scenes),
+        controllers=_listed(arguments.controllers),
         seeds=arguments.seeds,
     )
     jobs = as_count("jobs", os.cpu_count() or 1 if arguments.jobs is None else arguments.jobs)
@@ -51,6 +52,7 @@ def compare(arguments: argparse.Namespace) -> None:
     summary, page = directory / "comparison.md", directory / "comparison.html"
     with storage.locked(directory):
         storage.check_outputs([summary, page, page.with_suffix(".csv"), page.with_suffix(".json")])
+        _print_found(selection)
         table = compare_planners(directory, selection, settings, jobs=jobs, console=to_stderr(), shard=shard)
         if shard is not None:
             wrote(table.csv)
@@ -61,7 +63,13 @@ def compare(arguments: argparse.Namespace) -> None:
         reactions, more = None, []
         if arguments.reactive:
             reactions = compare_reactions(
-                directory, selection.arms, selection.scenes, arguments.reactive, jobs=jobs, console=to_stderr()
+                directory,
+                selection.arms,
+                selection.scenes,
+                arguments.reactive,
+                jobs=jobs,
+                console=to_stderr(),
+                entries=selection.entries,
             )
             more = [reactions.csv, directory / "reactions.md"]
             write_reactions(more[1], reactions)
@@ -84,6 +92,29 @@ def merge(arguments: argparse.Namespace) -> int:
         where = ", ".join(str(folder) for folder, there in merged.shards.items() if there == shard) or "in no folder"
         console.print(f"shard {shard} ({where}) lacks {len(cases)} cases, as {cases[0]}")
     return 1 if merged.missing else 0
+
+
+def _listed(words: Sequence[str] | None) -> list[str]:
+    """Names and files, apart by commas or spaces; the links of a model file follow it, to the end of the word."""
+    listed = []
+    for word in words or ():
+        head, colon, links = word.partition(":")
+        *others, last = head.split(",")
+        listed += [*others, last + colon + links]
+    return listed
+
+
+def _print_found(selection: Selection) -> None:
+    """What was found of that which does not come with the package."""
+    for entry in selection.entries:
+        if entry.kind == ARM:
+            arm = bare_arm(entry.source)
+            console.print(
+                f"arm {entry.name}: {arm.n_links} links, {arm.n_joints} joints, from {entry.source}", markup=False
+            )
+            print_import_report(arm)
+    for line in findings(selection.arms, selection.scenes, selection.entries):
+        console.print(line, markup=False)
 
 
 def _film(table: Table, cases: Sequence[Case], controller: str) -> list[Clip]:

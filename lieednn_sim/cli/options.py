@@ -126,13 +126,15 @@ def add_run(parser: argparse.ArgumentParser) -> None:
 
 def add_comparison(parser: argparse.ArgumentParser) -> None:
     """Options of ``compare``."""
-    for name, known, default in (
-        ("planners", PLANNERS, "all"),
-        ("arms", ARMS, "all"),
-        ("scenes", SCENES, "free,window"),
-        ("controllers", CONTROLLERS, "position-servo,inverse-dynamics"),
+    for name, known, more, default in (
+        ("planners", PLANNERS, "", "all"),
+        ("arms", ARMS, ", or MJCF, URDF or YAML files, as robot.urdf:wrist,tool with its links", "all"),
+        ("scenes", SCENES, ", or MJCF or YAML files of obstacles", "free,window"),
+        ("controllers", CONTROLLERS, "", "position-servo,inverse-dynamics"),
     ):
-        parser.add_argument(f"--{name}", metavar="A,B,...", help=f"of {', '.join(known)} (default: {default})")
+        parser.add_argument(
+            f"--{name}", nargs="+", metavar="A,B,...", help=f"of {', '.join(known)}{more} (default: {default})"
+        )
     parser.add_argument("--seeds", type=whole, default=10, metavar="N", help="from seed 0 on")
     parser.add_argument("--duration", type=decimal, default=4.0, metavar="S", help="of motions")
     _add_time_budget(parser)

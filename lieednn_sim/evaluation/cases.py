@@ -13,6 +13,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.budget import DEFAULT_TIME_BUDGET
 from lieednn_sim.errors import LieEDNNError
+from lieednn_sim.evaluation.entries import SCENE, Entry, load
 from lieednn_sim.evaluation.metrics import Evaluation, evaluate
 from lieednn_sim.evaluation.motion_metrics import MotionMetrics, motion_metrics
 from lieednn_sim.evaluation.rows import COLUMNS, TIMING, Case, Row
@@ -50,9 +51,9 @@ class Settings:
 
 
 @lru_cache(maxsize=4)
-def load_arm(name: str, scene: str, seed: int) -> Arm:
+def load_arm(name: str, scene: str, seed: int, entries: tuple[Entry, ...] = ()) -> Arm:
     """The arm in its scene, after what is made once for a process, so that no planning time counts it."""
-    arm = Arm.load(name, scene=scene, seed=seed)
+    arm = load(name, scene, seed, entries)
     try:
         reference_network(arm)
         plan(arm, arm.keyframe("home"), planner="minimum-jerk", duration=100 * arm.timestep)
@@ -61,17 +62,36 @@ def load_arm(name: str, scene: str, seed: int) -> Arm:
     return arm
 
 
-@lru_cache(maxsize=4)
-def arm_and_target(name: str, scene: str, seed: int) -> tuple[Arm, Floats]:
+def arm_and_target(name: str, scene: str, seed: int, entries: tuple[Entry, ...] = ()) -> tuple[Arm, Floats]:
     """The arm, and a random target ``(n,)`` that makes sense in the scene; the same for every planner.
 
+    Args:
+        name: of the arm.
+        scene: its name.
+        seed: of obstacles and target.
+        entries: arms and scenes of files, by their names.
+
     Raises:
-        InputError: an unknown arm or scene.
+        FileError: a file is not there any more.
+        InputError: an unknown arm or scene, or one that does not suit the other.
         NoSolutionError: no target was found.
     """
-    # Without obstacles nothing in the arm depends on the seed, and one arm serves all.
-    arm = load_arm(name, scene, 0 if scene == FREE else seed)
-    return arm, draw_target(arm, seed)
+    made = _arm_and_target(name, scene, seed, entries)
+    if isinstance(made, LieEDNNError):
+        raise made
+    return made
+
+
+@lru_cache(maxsize=4)
+def _arm_and_target(name: str, scene: str, seed: int, entries: tuple[Entry, ...]) -> tuple[Arm, Floats] | LieEDNNError:
+    """The same, or why not: what is sought in vain is not sought again for each planner."""
+    # Where obstacles are not drawn nothing in the arm depends on the seed, and one arm serves all.
+    drawn = scene != FREE and (SCENE, scene) not in {entry[:2] for entry in entries}
+    try:
+        arm = load_arm(name, scene, seed if drawn else 0, entries)
+        return arm, draw_target(arm, seed)
+    except LieEDNNError as error:
+        return error
 
 
 def _plan(case: Case, arm: Arm, target: Floats, settings: Settings) -> Plan:
@@ -85,14 +105,17 @@ def _plan(case: Case, arm: Arm, target: Floats, settings: Settings) -> Plan:
     )
 
 
-def run_case(case: Case, controllers: Sequence[str], settings: Settings) -> list[Row]:
+def run_case(
+    case: Case, controllers: Sequence[str], settings: Settings, *, entries: tuple[Entry, ...] = ()
+) -> list[Row]:
     """Plan once and track with every controller: one row each. What fails is a row with the reason; bugs are raised.
 
-    The planning time is CPU time of this process, with one BLAS thread.
+    Arms and scenes of files are found by their names among the entries. The planning time is CPU time of this process,
+    with one BLAS thread.
     """
     with one_blas_thread():
         try:
-            arm, target = arm_and_target(case.arm, case.scene, case.seed)
+            arm, target = arm_and_target(case.arm, case.scene, case.seed, entries)
         except LieEDNNError as error:
             return failed_case(case, controllers, settings, f"problem: {error}")
         begun = time.process_time()
@@ -128,14 +151,14 @@ def _row(case: Case, controller: str, settings: Settings, reason: str, **values:
     return Row(**keys, success=not reason, reason=reason, **values)
 
 
-def replay(case: Case, controller: str, settings: Settings) -> Rollout:
+def replay(case: Case, controller: str, settings: Settings, *, entries: tuple[Entry, ...] = ()) -> Rollout:
     """Plan and simulate a case again, for a picture of it.
 
     Raises:
         LieEDNNError: it cannot be planned or simulated.
     """
     with one_blas_thread():
-        arm, target = arm_and_target(case.arm, case.scene, case.seed)
+        arm, target = arm_and_target(case.arm, case.scene, case.seed, entries)
         return _simulate(arm, _plan(case, arm, target, settings), controller, settings)
 
 

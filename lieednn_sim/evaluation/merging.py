@@ -8,8 +8,10 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
+from lieednn_sim import storage
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.evaluation.cases import Settings
+from lieednn_sim.evaluation.entries import record
 from lieednn_sim.evaluation.rows import TIMING, Case, Row
 from lieednn_sim.evaluation.shards import Shard
 from lieednn_sim.evaluation.study import Selection
@@ -74,6 +76,7 @@ def merge(directory: str | os.PathLike[str], folders: Sequence[str | os.PathLike
             if Shard.holding(row.case, shard.of) != shard:
                 raise FileError(f"{folder} is shard {shard}, but holds the case {row.case} of another")
             rows[row.key] = _agreed(row, folder, *rows.get(row.key, (row, folder)))
+    record(storage.make_directory(target), selection.entries)
     table = Table(target, settings)
     table.rows = {key: row for key, (row, _) in rows.items()}
     table.save()
@@ -86,7 +89,10 @@ def merge(directory: str | os.PathLike[str], folders: Sequence[str | os.PathLike
 
 def _without_number(description: Mapping[str, Any]) -> dict[str, Any]:
     """What all shards of a comparison have in common."""
-    return {**description, "part": {**description.get("part", {}), "shard": None}}
+    part = description.get("part", {})
+    # Files may lie elsewhere on other machines; their fingerprints tell.
+    entries = [[*entry[:2], *entry[3:]] for entry in part.get("entries", [])]
+    return {**description, "part": {**part, "shard": None, "entries": entries}}
 
 
 def _agreed(row: Row, folder: Path, other: Row, elsewhere: Path) -> tuple[Row, Path]:

@@ -7,14 +7,17 @@ import os
 from collections.abc import Callable, Container, Mapping, Sequence
 from concurrent.futures import BrokenExecutor, CancelledError, Executor
 from dataclasses import asdict, dataclass
+from functools import partial
 from typing import Any
 
 from rich.console import Console
 
+from lieednn_sim import storage
 from lieednn_sim.arm import arm_names
 from lieednn_sim.arm.scenes import SCENES
 from lieednn_sim.errors import InputError, LieEDNNError
 from lieednn_sim.evaluation.cases import FREE, Settings, failed_case, run_case
+from lieednn_sim.evaluation.entries import ARM, SCENE, Entry, enter, record
 from lieednn_sim.evaluation.rows import Case
 from lieednn_sim.evaluation.shards import Shard
 from lieednn_sim.evaluation.statistics import numbers
@@ -38,13 +41,15 @@ class Selection:
 
     Attributes:
         planners: names of `PLANNERS`; one whose package is missing is left out by `compare`.
-        arms: names of `arm_names`.
-        scenes: names of scenes.
+        arms: names of `arm_names`, or files as `Arm.load` takes them; afterwards all are names.
+        scenes: names of scenes, or files of obstacles; likewise.
         controllers: names of `CONTROLLERS`.
         seeds: number of seeds, from 0 on.
+        entries: the arms and scenes of files; those that are given are known by their names.
 
     Raises:
-        InputError: an unknown name; the message lists the known ones.
+        FileError: a file is missing or cannot be read.
+        InputError: an unknown name, where the message lists the known ones, or a file that holds no arm or scene.
     """
 
     planners: Sequence[str] = ()
@@ -52,8 +57,10 @@ class Selection:
     scenes: Sequence[str] = ()
     controllers: Sequence[str] = ()
     seeds: int = 10
+    entries: tuple[Entry, ...] = ()
 
     def __post_init__(self) -> None:
+        entries = [Entry(*entry) for entry in self.entries]
         for name, known, default in (
             ("planners", list(planners()), list(planners())),
             ("arms", arm_names(), arm_names()),
@@ -63,10 +70,17 @@ class Selection:
             given = getattr(self, name) or default
             if isinstance(given, str):
                 raise InputError(f"{name} must be a list of names, got {given!r}")
+            kind = name.removesuffix("s")
+            if kind in (ARM, SCENE):
+                known += [entry.name for entry in entries if entry.kind == kind]
+                given, own = enter(kind, given, known)
+                entries += own
+                known += [entry.name for entry in own]
             chosen = tuple(dict.fromkeys(given))
             for value in chosen:
-                as_choice(name.removesuffix("s"), value, known)
+                as_choice(kind, value, known)
             object.__setattr__(self, name, chosen)
+        object.__setattr__(self, "entries", tuple(entries))
         check_fields(self, as_count, "seeds")
 
     def cases(self, absent: Container[str] | None = None) -> list[Case]:
@@ -107,10 +121,11 @@ def compare(
 
     Raises:
         InputError: jobs is less than 1.
-        FileError: see `Table`.
+        FileError: see `Table` and `entries.record`.
         LieEDNNError: a worker process died, or the executor gave up.
     """
     workers = as_count("jobs", jobs)
+    record(storage.make_directory(directory), selection.entries)
     absent = {name: reason for name, reason in missing_planners().items() if name in selection.planners}
     part = {} if shard is None else {"shard": shard.number, "shards": shard.of}
     table = Table(directory, settings, part and {**part, **asdict(selection), "absent": absent})
@@ -122,7 +137,8 @@ def compare(
         key=lambda job: (job[0].arm, job[0].scene, job[0].seed, -costs[job[0].planner]),
     )
     tasks = [(*job, settings) for job in todo]
-    complete(table, run_case, failed_case, tasks, workers=workers, title="cases", console=console, executor=executor)
+    run = partial(run_case, entries=selection.entries) if selection.entries else run_case
+    complete(table, run, failed_case, tasks, workers=workers, title="cases", console=console, executor=executor)
     return table
 
 

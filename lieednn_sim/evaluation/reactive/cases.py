@@ -11,6 +11,7 @@ import numpy as np
 from lieednn_sim._blas import one_blas_thread
 from lieednn_sim.errors import LieEDNNError
 from lieednn_sim.evaluation.cases import FREE, arm_and_target
+from lieednn_sim.evaluation.entries import Entry
 from lieednn_sim.evaluation.metrics import evaluate
 from lieednn_sim.evaluation.reactive.leaders import LEADERS
 from lieednn_sim.evaluation.reactive.protocol import Assignment, Leader, Setpoints
@@ -69,11 +70,14 @@ class Reaction(TableRow):
 MEASURED = columns_of(Reaction)
 
 
-def run_reactions(arm: str, scene: str, leader: str, seed: int) -> list[Reaction]:
-    """All disturbances of one leader: one row each. What fails is a row with the reason."""
+def run_reactions(arm: str, scene: str, leader: str, seed: int, *, entries: tuple[Entry, ...] = ()) -> list[Reaction]:
+    """All disturbances of one leader: one row each. What fails is a row with the reason.
+
+    Arms and scenes of files are found by their names among the entries.
+    """
     with one_blas_thread():
         try:
-            task = _task(arm, scene, seed)
+            task = _task(arm, scene, seed, entries)
         except LieEDNNError as error:
             return failed_reactions(arm, scene, leader, seed, f"problem: {error}")
         try:
@@ -109,8 +113,8 @@ def failed_reactions(arm: str, scene: str, leader: str, seed: int, reason: str) 
 
 
 @lru_cache(maxsize=2)
-def _task(name: str, scene: str, seed: int) -> Assignment:
-    arm, target = arm_and_target(name, scene, seed)
+def _task(name: str, scene: str, seed: int, entries: tuple[Entry, ...]) -> Assignment:
+    arm, target = arm_and_target(name, scene, seed, entries)
     # What the shaped networks' teacher makes of it: all that are shown a motion are shown the same.
     shown = plan(arm, target, planner="lieednn-shaped", seed=seed)
     feedback = Feedback(safety=None if scene == FREE else FilterOptions())

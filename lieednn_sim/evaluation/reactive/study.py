@@ -7,11 +7,13 @@ import os
 from collections.abc import Iterable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from rich.console import Console
 
 from lieednn_sim import storage
+from lieednn_sim.evaluation.entries import Entry, record
 from lieednn_sim.evaluation.reactive.cases import DISTURBANCES, MEASURED, Reaction, failed_reactions, run_reactions
 from lieednn_sim.evaluation.reactive.leaders import LEADERS
 from lieednn_sim.evaluation.study import complete
@@ -51,6 +53,7 @@ def compare_reactions(
     jobs: int = 1,
     console: Console | None = None,
     executor: Executor | None = None,
+    entries: tuple[Entry, ...] = (),
 ) -> ReactionTable:
     """Compute the rows that the directory's table lacks; finished cases are kept when it is interrupted.
 
@@ -63,6 +66,7 @@ def compare_reactions(
         jobs: worker processes.
         console: for a progress bar; none without.
         executor: runs the cases in place of worker processes.
+        entries: arms and scenes of files, by their names; see `Selection.entries`.
 
     Raises:
         InputError: jobs or seeds is less than 1.
@@ -70,6 +74,7 @@ def compare_reactions(
         LieEDNNError: a worker process died, or the executor gave up.
     """
     workers, count = as_count("jobs", jobs), as_count("seeds", seeds)
+    record(storage.make_directory(directory), entries)
     table = ReactionTable(directory)
     # Seeds first: who stops early has all leaders on all arms.
     wanted = itertools.product(range(count), arms, scenes, leaders)
@@ -78,7 +83,7 @@ def compare_reactions(
         for seed, arm, scene, leader in wanted
         if any((arm, scene, leader, name, seed) not in table.rows for name in DISTURBANCES)
     ]
-    runs = run_reactions, failed_reactions
+    runs = partial(run_reactions, entries=entries) if entries else run_reactions, failed_reactions
     complete(table, *runs, todo, workers=workers, title="reactions", console=console, executor=executor)
     return table
 

@@ -13,6 +13,7 @@ from PIL import Image
 from lieednn_sim import storage
 from lieednn_sim.errors import InputError
 from lieednn_sim.evaluation.cases import replay
+from lieednn_sim.evaluation.entries import recorded
 from lieednn_sim.evaluation.report.style import in_order
 from lieednn_sim.evaluation.rows import Case, Row
 from lieednn_sim.evaluation.statistics import grouped
@@ -95,7 +96,7 @@ def film(
     path = directory / f"{case.planner}-{case.arm}-{case.scene}-{case.seed}-{controller}.mp4"
     if not path.is_file():
         render_video(
-            replay(case, controller, table.settings),
+            replay(case, controller, table.settings, entries=recorded(table.directory)),
             path,
             size=SIZE,
             fps=FPS,

@@ -1,0 +1,143 @@
+"""What enters a comparison from files: arms and scenes of one's own, what was found in them, and their fingerprints."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import NamedTuple
+
+from lieednn_sim import storage
+from lieednn_sim.arm import Arm
+from lieednn_sim.arm.models import is_arm_file
+from lieednn_sim.arm.obstacles import describe, is_scene_file, scene_label
+from lieednn_sim.arm.targets import draw_target
+from lieednn_sim.errors import FileError, InputError, LieEDNNError
+
+FILE = "entries.json"
+ARM, SCENE = "arm", "scene"
+
+
+class Entry(NamedTuple):
+    """An arm or a scene of a file.
+
+    Attributes:
+        kind: `ARM` or `SCENE`.
+        name: in tables.
+        source: what `Arm.load` takes, absolute.
+        fingerprint: of what it makes; rows of another one are others.
+    """
+
+    kind: str
+    name: str
+    source: str
+    fingerprint: str
+
+
+# Files are read anew by `enter`.
+@lru_cache(maxsize=8)
+def bare_arm(source: str) -> Arm:
+    """An arm without obstacles; its import may take seconds, and is made once."""
+    return Arm.load(source)
+
+
+def enter(kind: str, values: Sequence[str | os.PathLike[str]], known: Sequence[str]) -> tuple[list[str], list[Entry]]:
+    """Names of arms or scenes, and the entries among them.
+
+    Args:
+        kind: `ARM` or `SCENE`.
+        values: names, or files as `Arm.load` takes them.
+        known: the package's names.
+
+    Raises:
+        FileError: a file is missing or cannot be read.
+        InputError: it makes no arm or no scene, or its name is taken or cannot stand in a case.
+    """
+    names: list[str] = []
+    entries: list[Entry] = []
+    bare_arm.cache_clear()
+    for value in values:
+        own = isinstance(value, str | os.PathLike) and (is_arm_file if kind == ARM else is_scene_file)(os.fspath(value))
+        if own:
+            source = str(Path(value).resolve())
+            if kind == ARM:
+                name, fingerprint = bare_arm(source).name, bare_arm(source).fingerprint
+            else:
+                name, fingerprint = scene_label(source), describe(source)[1]
+            entry = Entry(kind, name, source, fingerprint)
+            if any(one in name for one in ":/\n"):
+                raise InputError(f"no {kind} in a table can be called {name!r}; call the file {value} {_else(kind)}")
+            if name in known or any(other.name == name and other != entry for other in entries):
+                raise InputError(f"{kind} {name!r} of {value} is called like another one; call the file {_else(kind)}")
+            entries.append(entry)
+        names.append(name if own else value)  # type: ignore[arg-type]
+    return list(dict.fromkeys(names)), list(dict.fromkeys(entries))
+
+
+def _else(kind: str) -> str:
+    return "otherwise" + (", or describe the arm in a YAML file" if kind == ARM else "")
+
+
+def record(directory: str | os.PathLike[str], entries: Iterable[Entry]) -> None:
+    """Keep the entries beside the tables of a directory, with those of earlier runs.
+
+    Raises:
+        FileError: its rows are of another arm or scene by the same name.
+    """
+    folder = Path(directory)
+    known = {entry[:2]: entry for entry in recorded(folder)}
+    for entry in entries:
+        old = known.get(entry[:2], entry)
+        if old.fingerprint != entry.fingerprint:
+            raise FileError(
+                f"rows in {folder} are of another {entry.kind} {entry.name!r} (fingerprint "
+                f"{storage.short(old.fingerprint)}, that of {entry.source} is {storage.short(entry.fingerprint)}); "
+                "choose another --output, or another name for the file"
+            )
+        known[entry[:2]] = entry
+    if known:
+        storage.save_json(folder / FILE, {"entries": [list(known[key]) for key in sorted(known)]})
+
+
+def recorded(directory: str | os.PathLike[str]) -> tuple[Entry, ...]:
+    """The entries of a directory whose tables have rows; `FileError` when they cannot be read."""
+    path = Path(directory) / FILE
+    if not path.exists() or not any(Path(directory).glob("*.csv")):
+        return ()
+    try:
+        found = tuple(Entry(*entry) for entry in storage.load_json(path, "list of entries")["entries"])
+        if not all(isinstance(value, str) for entry in found for value in entry):
+            raise TypeError("it must hold texts")
+    except (KeyError, TypeError) as error:
+        raise FileError(f"{path} is not a valid list of entries ({error}); choose another --output") from None
+    return found
+
+
+def load(name: str, scene: str, seed: int, entries: Iterable[Entry]) -> Arm:
+    """The arm in its scene, of the package or of files; errors as `Arm.load`, and `FileError` where a file changed."""
+    found = {entry[:2]: entry for entry in entries}
+    of_arm, of_scene = found.get((ARM, name)), found.get((SCENE, scene))
+    arm = bare_arm(of_arm.source if of_arm else name)
+    for entry, fingerprint in (
+        (of_arm, of_arm and arm.fingerprint),
+        (of_scene, of_scene and describe(of_scene.source)[1]),
+    ):
+        if entry and entry.fingerprint != fingerprint:
+            raise FileError(f"{entry.source} has changed since the comparison began; begin again with another --output")
+    return arm.among(of_scene.source if of_scene else scene, seed)
+
+
+def findings(arms: Iterable[str], scenes: Iterable[str], entries: Sequence[Entry]) -> list[str]:
+    """What was found in scenes, and which pairs of an arm and a scene come to nothing; a line for each."""
+    own = {entry.name for entry in entries}
+    lines = [f"scene {one.name}: {describe(one.source)[0]}, from {one.source}" for one in entries if one.kind == SCENE]
+    for arm in arms:
+        for scene in scenes:
+            if own.isdisjoint((arm, scene)):
+                continue
+            try:
+                draw_target(load(arm, scene, 0, entries))
+            except LieEDNNError as error:
+                lines.append(f"no case of arm {arm} in scene {scene} with seed 0: {error}")
+    return lines

@@ -1,0 +1,143 @@
+"""Arms and scenes of files in a comparison: named, told what was found, loaded by workers, never mixed with others."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import pytest
+
+from lieednn_sim.arm import Arm
+from lieednn_sim.cli import main
+from lieednn_sim.errors import FileError, InputError
+from lieednn_sim.evaluation import Case, Selection, Settings, compare, read_rows, replay
+from lieednn_sim.evaluation.entries import recorded
+from lieednn_sim.evaluation.merging import merge
+from lieednn_sim.evaluation.shards import Shard
+from lieednn_sim.evaluation.statistics import grouped
+
+MODEL = """
+<mujoco>
+  <worldbody>
+    <body name="one"><joint name="a" range="-90 90"/><geom type="capsule" size="0.02" fromto="0 0 0 0.3 0 0"/>
+      <body name="two" pos="0.3 0 0"><joint name="b" axis="0 1 0" range="-90 90"/>
+        <geom type="capsule" size="0.02" fromto="0.05 0 0 0.3 0 0"/><site name="tool" pos="0.3 0 0"/>
+      </body></body>
+  </worldbody>
+</mujoco>
+"""
+POST = {"shape": "box", "name": "post", "size": [0.1, 0.1, 2.0], "position": [0.0, 0.0, 1.2]}
+QUICK = Settings(duration=1.5, hold=0.2)
+WORDS = "--planners minimum-jerk --controllers position-servo --seeds 1 --duration 1.5 --hold 0.2 --jobs 1"
+PLAIN, LINKED = "two", "two(one,tool)"
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    (tmp_path / "two.xml").write_text(MODEL)
+    (tmp_path / "post.json").write_text(json.dumps({"obstacles": [POST]}))
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def chosen(*arms, scenes=("free",)):
+    return Selection(("minimum-jerk",), arms, scenes, ("position-servo",), seeds=1)
+
+
+def test_files_go_the_whole_way_through_workers_into_table_and_page(folder, capsys):
+    words = "compare --arms two.xml:one,tool two.xml --scenes free,post.json shelf --output out"
+    assert main([*words.split(), *WORDS.split()]) == 0
+    printed = " ".join(capsys.readouterr().out.split())
+    assert f"arm {LINKED}: 2 links, 2 joints, from {folder}/two.xml:one,tool" in printed
+    assert f"{LINKED}: imported from two.xml" in printed
+    assert f"scene post: 1 box; targets anywhere, from {folder}/post.json" in printed
+    assert f"no case of arm {PLAIN} in scene shelf with seed 0: no target was found for arm 'two'" in printed
+    rows = read_rows("out/comparison.csv").values()
+    reasons = {group.key: group.rows[0].reason for group in grouped(rows, ("arm", "scene"))}
+    assert {place: reason[:8] for place, reason in reasons.items()} == {
+        (arm, scene): "problem:" if scene == "shelf" else ""
+        for arm in (PLAIN, LINKED)
+        for scene in ("free", "post", "shelf")
+    }
+    assert (folder / "out" / "comparison.html").read_text().count(f'data-arm="{LINKED}" data-scene="post"') == 1
+    assert f"| {LINKED} | post | minimum-jerk | 1 of 1 |" in (folder / "out" / "comparison.md").read_text()
+    # A case is made again from what the directory says.
+    rollout = replay(Case.parse(f"minimum-jerk:{LINKED}:post:0"), "position-servo", QUICK, entries=recorded("out"))
+    assert (rollout.arm.name, rollout.arm.scene) == (LINKED, "post")
+    assert rollout.arm.fingerprint == Arm.load("two.xml:one,tool", scene="post.json").fingerprint
+
+
+def test_a_table_goes_on_with_the_same_files_and_refuses_others(folder, in_this_process):
+    with in_this_process():
+        before = compare("out", chosen("two.xml"), QUICK).rows
+        # Elsewhere, the same arm; and another beside it.
+        (folder / "moved").mkdir()
+        (folder / "two.xml").rename(folder / "moved" / "two.xml")
+        selection = chosen("moved/two.xml", "moved/two.xml:tool", scenes=("free", "post.json"))
+        table = compare("out", selection, QUICK)
+        assert {key: table.rows[key] for key in before} == before
+        assert len(table.rows) == 4
+        (folder / "post.json").write_text(json.dumps({"obstacles": [{**POST, "position": [0.0, 0.1, 1.2]}]}))
+        with pytest.raises(FileError, match=r"rows in out are of another scene 'post' \(fingerprint .* choose another"):
+            compare("out", chosen("moved/two.xml", scenes=("post.json",)), QUICK)
+        (folder / "two.xml").write_text(MODEL.replace('pos="0.3 0 0"', 'pos="0.31 0 0"'))
+        with pytest.raises(FileError, match=r"of another arm 'two' .* that of .*two.xml is"):
+            compare("out", chosen("two.xml"), QUICK)
+        # One that changes between the choice and the work is no other arm by the same name.
+        late = chosen("two.xml")
+        object.__setattr__(late, "entries", tuple(entry._replace(fingerprint="0" * 64) for entry in late.entries))
+        (row,) = compare("late", late, QUICK).rows.values()
+        assert "two.xml has changed since the comparison began" in row.reason
+    assert [entry[:2] for entry in recorded("out")] == [("arm", "two"), ("arm", "two(tool)"), ("scene", "post")]
+
+
+def test_shards_of_files_that_lie_elsewhere_merge_unless_they_make_another_arm(folder, in_this_process):
+    for place, model in (("here", MODEL), ("there", MODEL), ("other", MODEL.replace("-90 90", "-80 90"))):
+        (folder / place).mkdir()
+        (folder / place / "two.xml").write_text(model)
+    with in_this_process():
+        for number, place in ((1, "here"), (2, "there"), (2, "other")):
+            compare(f"{place}/out", replace(chosen(f"{place}/two.xml"), seeds=2), QUICK, shard=Shard(number, 2))
+    merged = merge("merged", ["here/out", "there/out"])
+    assert (len(merged.table.rows), merged.missing) == (2, {})
+    assert [entry.name for entry in recorded("merged")] == ["two"]
+    with pytest.raises(FileError, match="other/out is of another comparison: entries"):
+        merge("mixed", ["here/out", "other/out"])
+
+
+@pytest.mark.parametrize(
+    ("arms", "scenes", "error", "message"),
+    [
+        (["gone.xml"], ["free"], FileError, "no such file: .*gone.xml"),
+        (["two.xml"], ["gone.json"], FileError, "no such file: .*gone.json"),
+        (["two.xml:one,nothing"], ["free"], InputError, "nothing"),
+        (["two.xml", "other/two.xml"], ["free"], InputError, "arm 'two' of other/two.xml is called like another one"),
+        (["telescopic_pr.json"], ["free"], InputError, "arm 'telescopic_pr' .* called like another one; call the file"),
+        (["a:b.json"], ["free"], InputError, "no arm in a table can be called 'a:b'"),
+        (["two.xml", "crane"], ["free"], InputError, "no arm 'crane'; allowed: telescopic_compound, .*, two"),
+        ([3], ["free"], InputError, "no arm 3"),
+    ],
+)
+def test_files_that_cannot_enter_are_refused_before_the_work(folder, arms, scenes, error, message):
+    (folder / "other").mkdir()
+    (folder / "other" / "two.xml").write_text(MODEL.replace("0.3", "0.4"))
+    for name in ("telescopic_pr.json", "a:b.json"):
+        (folder / name).write_text('{"model": "two.xml"}')
+    with pytest.raises(error, match=message):
+        chosen(*arms, scenes=scenes)
+
+
+def test_entries_that_cannot_be_read_are_refused(folder):
+    (folder / "comparison.csv").write_text("")
+    for content in (
+        "{}",
+        '{"entries": [["arm", "two"]]}',
+        '{"entries": [["arm", "two", "two.xml", 3]]}',
+        '{"entries": 3}',
+    ):
+        (folder / "entries.json").write_text(content)
+        with pytest.raises(FileError, match="is not a valid list of entries"):
+            recorded(folder)
+    # Without rows there is nothing to mix.
+    (folder / "comparison.csv").unlink()
+    assert recorded(folder) == ()
