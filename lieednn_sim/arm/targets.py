@@ -67,6 +67,17 @@ def draw_target(arm: Arm, seed: int = 0) -> Floats:
     )
 
 
+def reference_posture(arm: Arm) -> Floats:
+    """The keyframe ``extended`` ``(n,)``; without one, half way from home to each joint's farther limit.
+
+    It need not be free of contact: it is for networks and demonstrations that are made once for an arm.
+    """
+    if "extended" in {arm.model.key(k).name for k in range(arm.model.nkey)}:
+        return arm.keyframe("extended")
+    home, (low, high) = arm.keyframe("home"), arm.position_limits.T
+    return arm.within_angles(0.5 * (home + np.where(high - home >= home - low, high, low)))
+
+
 def _anywhere(arm: Arm, rng: np.random.Generator) -> Floats:
     low, high = arm.position_limits.T
     inset = LIMIT_MARGIN * arm.ranges

@@ -9,6 +9,7 @@ from functools import lru_cache
 import numpy as np
 
 from lieednn_sim.arm import Arm
+from lieednn_sim.arm.targets import reference_posture
 from lieednn_sim.errors import PlanError
 from lieednn_sim.learning import TrainingOptions, TrainingResult, train
 from lieednn_sim.network import ComponentwiseNetwork, LieEDNN
@@ -71,14 +72,13 @@ def retargeted(problem: PlanningProblem, options: RetargetedOptions) -> Plan:
 
 
 def reference_network(arm: Arm, bias_magnitude: float = RetargetedOptions.bias_magnitude) -> LieEDNN:
-    """The network certified once for the arm's keyframe ``extended``, for every target and seed the same.
+    """The network certified once for the arm's `reference_posture`, for every target and seed the same.
 
     Args:
         arm: the arm.
         bias_magnitude: of its sign-matched bias [gamma/mu].
 
     Raises:
-        InputError: the arm has no such keyframe.
         NotCertifiedError: it could not be certified.
     """
     return _reference_network(arm, bias_magnitude)
@@ -86,7 +86,7 @@ def reference_network(arm: Arm, bias_magnitude: float = RetargetedOptions.bias_m
 
 @lru_cache(maxsize=8)
 def _reference_network(arm: Arm, bias_magnitude: float) -> LieEDNN:
-    target = arm.encode(arm.keyframe("extended"))
+    target = arm.encode(reference_posture(arm))
     return synthesize(target, bias="sign-matched", bias_magnitude=bias_magnitude).unwrap()
 
 

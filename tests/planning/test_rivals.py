@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 
 from lieednn_sim.arm import PLANNED_CLEARANCE, Arm
 from lieednn_sim.arm.collision import Collisions
+from lieednn_sim.arm.targets import reference_posture
 from lieednn_sim.errors import InputError, LieEDNNError, PlanError
 from lieednn_sim.network.hopfield import HopfieldNetwork
 from lieednn_sim.planning import (
@@ -258,6 +259,17 @@ def test_the_optimiser_descends_along_its_true_derivatives(seed):
     wrong = np.abs(jacobian @ way - numeric) > 1e-3 * np.abs(numeric).max()
     # Where the nearest features of two boxes change, and in penetration, distances have kinks.
     assert wrong.sum() <= 3
+
+
+@pytest.mark.parametrize("name", ["lieednn-retargeted", "dmp"])
+def test_an_arm_needs_no_keyframe_extended(gantry, name):
+    needs(name)
+    # Ranges [-1, 1], [-2, 2], [-2, 3] and [-3, 3] about home at 0.
+    np.testing.assert_allclose(reference_posture(gantry), [0.5, 1.0, 1.5, 1.5])
+    np.testing.assert_array_equal(reference_posture(ARM), ARM.keyframe("extended"))
+    target = np.array([-0.3, 0.4, 0.5, -0.6])
+    motion = plan_with(name, PlanningProblem(gantry, np.zeros(4), target, 4.0))
+    np.testing.assert_allclose(motion.q[-1], target, atol=1e-3)
 
 
 def test_a_primitive_keeps_its_shape_at_every_amplitude():

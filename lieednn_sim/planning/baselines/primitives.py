@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.interpolate import BPoly
 
+from lieednn_sim.arm.targets import reference_posture
 from lieednn_sim.budget import check_time
 from lieednn_sim.planning.baselines.joint_space import joint_motion
 from lieednn_sim.planning.extras import optional_module
@@ -31,7 +32,7 @@ class DmpOptions(PlannerOptions):
 
 
 def dmp(problem: PlanningProblem, options: DmpOptions) -> Motion:
-    """A primitive that imitates minimum jerk from ``home`` to ``extended``, moved to the problem's start and target.
+    """A primitive that imitates minimum jerk from home to `reference_posture`, moved to the problem's start and target.
 
     A spring and damper to the goal, critically damped, and a learned forcing term that fades (Ijspeert et al., Neural
     Computation 25(2), 2013), with the smooth start of Pastor et al., ICRA 2009:
@@ -49,7 +50,6 @@ def dmp(problem: PlanningProblem, options: DmpOptions) -> Motion:
     Raises:
         LieEDNNError: movement_primitives is not installed.
         PlanError: the motion breaks a limit of the arm; a primitive knows neither limits nor obstacles.
-        InputError: the arm lacks one of the keyframes.
     """
     primitive = optional_module("movement_primitives.dmp").DMP(
         problem.arm.n_joints,
@@ -60,7 +60,7 @@ def dmp(problem: PlanningProblem, options: DmpOptions) -> Motion:
     )
     t = problem.times()
     sigma, _ = minimum_jerk_law(t / t[-1])
-    home, extended = problem.arm.keyframe("home"), problem.arm.keyframe("extended")
+    home, extended = problem.arm.keyframe("home"), reference_posture(problem.arm)
     primitive.imitate(t, home + sigma[:, None] * (extended - home))
     primitive.forcing_term.weights_ *= _amplitudes(problem, extended - home, options.least_share)[:, None]
     primitive.configure(start_y=problem.start.copy(), goal_y=problem.target.copy())
