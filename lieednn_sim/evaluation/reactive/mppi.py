@@ -27,7 +27,7 @@ from lieednn_sim.values import Floats
 _PAIRS, _STEPS, _STEP, _KNOTS = 12, 10, 0.06, 4
 # Standard deviation of a joint's velocity as a share of PACE times the largest distance of a joint from its target; the
 # temperature as a share of the median cost above the least.
-_NOISE, _TEMPERATURE = 0.7, 0.3
+_NOISE, _TEMPERATURE = 0.4, 0.3
 # Distance from the surroundings that is kept where the target allows it [m], what it costs to be at half of it, and to
 # touch something [1/s].
 _NEAR, _NEARNESS, _TOUCHING = 0.03, 2.0, 1e3
