@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
 import shlex
 from collections.abc import Sequence
+from typing import Any
 
 from lieednn_sim import storage
 from lieednn_sim.cli.arms import print_import_report
@@ -13,6 +15,7 @@ from lieednn_sim.cli.console import console, progress, to_stderr, wrote
 from lieednn_sim.errors import InputError, LieEDNNError
 from lieednn_sim.evaluation import Case, Selection, Settings, Table, write_summary
 from lieednn_sim.evaluation import compare as compare_planners
+from lieednn_sim.evaluation.cluster import dask_executor
 from lieednn_sim.evaluation.entries import ARM, bare_arm, findings
 from lieednn_sim.evaluation.merging import merge as merge_shards
 from lieednn_sim.evaluation.reactive.study import compare_reactions, write_reactions
@@ -48,12 +51,15 @@ def compare(arguments: argparse.Namespace) -> None:
     missing = {name: reason for name, reason in missing_planners().items() if name in selection.planners}
     for name, reason in missing.items():
         console.print(f"not compared: {name} is not installed ({reason})")
-    directory = storage.make_directory(arguments.output)
-    summary, page = directory / "comparison.md", directory / "comparison.html"
-    with storage.locked(directory):
+    cluster = contextlib.nullcontext() if arguments.scheduler is None else dask_executor(arguments.scheduler)
+    with cluster as executor, storage.locked(directory := storage.make_directory(arguments.output)):
+        how: dict[str, Any] = {"jobs": jobs, "executor": executor, "console": to_stderr()}
+        if executor is not None:
+            console.print(f"{executor.n_workers} workers are at {arguments.scheduler}; cases wait for the first")
+        summary, page = directory / "comparison.md", directory / "comparison.html"
         storage.check_outputs([summary, page, page.with_suffix(".csv"), page.with_suffix(".json")])
         _print_found(selection)
-        table = compare_planners(directory, selection, settings, jobs=jobs, console=to_stderr(), shard=shard)
+        table = compare_planners(directory, selection, settings, shard=shard, **how)
         if shard is not None:
             wrote(table.csv)
             return
@@ -63,13 +69,7 @@ def compare(arguments: argparse.Namespace) -> None:
         reactions, more = None, []
         if arguments.reactive:
             reactions = compare_reactions(
-                directory,
-                selection.arms,
-                selection.scenes,
-                arguments.reactive,
-                jobs=jobs,
-                console=to_stderr(),
-                entries=selection.entries,
+                directory, selection.arms, selection.scenes, arguments.reactive, entries=selection.entries, **how
             )
             more = [reactions.csv, directory / "reactions.md"]
             write_reactions(more[1], reactions)

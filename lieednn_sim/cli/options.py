@@ -142,6 +142,9 @@ def add_comparison(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--output", default="results/comparison", metavar="DIR", help="(default: %(default)s)")
     parser.add_argument("--jobs", type=whole, metavar="N", help="worker processes (default: all cores)")
     parser.add_argument(
+        "--scheduler", metavar="ADDRESS", help="of a Dask cluster, whose workers run the cases in place of --jobs"
+    )
+    parser.add_argument(
         "--shard", metavar="K/N", help="only the K-th of N shares of the cases, for 'merge' to put together"
     )
     parser.add_argument(
