@@ -29,12 +29,16 @@ def code_version() -> str:
     return digest.hexdigest()[:12]
 
 
+# Tasks on a cluster ask each time.
+_version = cache(metadata.version)
+
+
 def versions(*, optional: bool = False, code: bool = False) -> dict[str, str]:
     """Versions by package; with those of the planners' libraries that are installed, and of the code, if wanted."""
-    found = {name: metadata.version(name) for name in _PACKAGES}
+    found = {name: _version(name) for name in _PACKAGES}
     if code:
         found["code"] = code_version()
     for name in _OPTIONAL if optional else ():
         with contextlib.suppress(metadata.PackageNotFoundError):
-            found[name] = metadata.version(name)
+            found[name] = _version(name)
     return found
