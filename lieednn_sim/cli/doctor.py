@@ -38,7 +38,6 @@ _EXTRAS = {
     "pytransform3d": ("dmp", "planner dmp, rival promp"),
     "gymnasium": ("gymnasium", "Gymnasium environments"),
     "cvxpy": ("lmi", "certificates by matrix inequalities"),
-    "distributed": ("cluster", "comparisons on a Dask cluster"),
 }
 
 

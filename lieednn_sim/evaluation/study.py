@@ -182,13 +182,12 @@ def complete(
 
     try:
         run_each(run, todo, add, workers=workers, title=title, console=shown, executor=executor)
-    except (BrokenExecutor, CancelledError) as error:
+    except (BrokenExecutor, CancelledError):
         raise LieEDNNError(
             f"a worker process died (out of memory?); finished cases are kept in {table.csv}, the same command "
             "goes on; --jobs 1 needs less"
             if executor is None
-            else f"the executor gave up: {str(error) or 'cases were cancelled'}; finished ones are kept in {table.csv}"
-            ", the same command goes on"
+            else f"the executor gave up; finished cases are kept in {table.csv}, the same command goes on"
         ) from None
     finally:
         table.save()

@@ -66,7 +66,8 @@ def run_each(
         executor: does the tasks in place of processes of our own.
 
     Raises:
-        BrokenExecutor: workers died, and the executor has no others.
+        BrokenExecutor: a process of our own died.
+        LieEDNNError: an executor has no workers any more, or others than it needs.
         CancelledError: the executor gave up a task.
     """
     if not todo:
@@ -84,6 +85,10 @@ def run_each(
                     future.add_done_callback(ended.put)
                 future = ended.get()
                 task, error = running.pop(future), future.exception()
+                if isinstance(error, BrokenExecutor) and executor is not None:
+                    raise LieEDNNError(
+                        f"the executor gave up: {error}; finished work is kept, the same command goes on"
+                    )
                 if isinstance(error, Exception) and not isinstance(error, BrokenExecutor):
                     done(task, None, error)
                 else:

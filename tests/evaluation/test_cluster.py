@@ -61,7 +61,7 @@ def test_workers_with_other_code_are_refused(scheduler, tmp_path, monkeypatch, c
     here = cluster.versions(code=True)
     monkeypatch.setattr(cluster, "versions", lambda **_: {**here, "code": "0123456789ab"})
     assert main(["compare", *WORDS, str(tmp_path), "--scheduler", scheduler.scheduler.address]) == 2
-    assert f"has code {here['code']}, here 0123456789ab; finished ones are kept" in capsys.readouterr().err
+    assert f"has code {here['code']}, here 0123456789ab; finished work is kept" in capsys.readouterr().err
     assert table(tmp_path) == []
 
 
