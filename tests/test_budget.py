@@ -17,7 +17,7 @@ from lieednn_sim.budget import check_time, out_of_time, time_limit
 from lieednn_sim.cli import _parser, main
 from lieednn_sim.errors import InputError, OutOfTimeError, PlanError
 from lieednn_sim.evaluation import Case, Settings, Table, run_case, write_summary
-from lieednn_sim.planning import PLANNERS, CertifiedOptions, RrtStarOptions, certified, missing_planners, plan
+from lieednn_sim.planning import PLANNERS, CertifiedOptions, certified, missing_planners, plan
 from lieednn_sim.planning.motion import least_duration
 from lieednn_sim.planning.network_path import NetworkPath
 
@@ -90,8 +90,9 @@ def test_every_planner_looks_at_the_clock_often(name, monkeypatch):
 
     monkeypatch.setattr(ContactFinder, "geoms", counted)
     monkeypatch.setattr(budget, "cpu_time", look)
-    options = RrtStarOptions(tests=(3_000, 160_000)) if name == "rrt-star" else None
-    planned(name, duration=2.0, options=options)
+    options = PLANNERS[name].options
+    little = options(tests=(3_000, 30_000)) if "star" in name or name == "aorrtc" else None
+    planned(name, duration=2.0, options=little)
     look()  # what comes after the last one counts, too
     assert max(np.diff(at_look)) < 150
 

@@ -33,10 +33,11 @@ _PACKAGES = (
 )
 # Optional packages, the extra that brings them, and what they are good for.
 _EXTRAS = {
-    "ompl": ("rivals", "planners rrt-connect, rrt-star and lieednn-guided"),
+    "ompl": ("rivals", "planners rrt-connect, rrt-star, informed-rrt-star, bit-star, aorrtc and lieednn-guided"),
     "movement_primitives": ("dmp", "planner dmp, rival promp; needs a C compiler and Python's headers"),
     "pytransform3d": ("dmp", "planner dmp, rival promp"),
     "gymnasium": ("gymnasium", "Gymnasium environments"),
+    "distributed": ("cluster", "comparisons on a Dask cluster"),
     "cvxpy": ("lmi", "certificates by matrix inequalities"),
 }
 

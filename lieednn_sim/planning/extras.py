@@ -12,9 +12,9 @@ from lieednn_sim.learning.demonstrations import probabilistic
 # The libraries that a planner needs beside the package's own.
 REQUIREMENTS: dict[str, tuple[str, ...]] = {
     "dmp": probabilistic.LIBRARIES,
-    "lieednn-guided": ("ompl",),
-    "rrt-connect": ("ompl",),
-    "rrt-star": ("ompl",),
+    **dict.fromkeys(
+        ("lieednn-guided", "rrt-connect", "rrt-star", "informed-rrt-star", "bit-star", "aorrtc"), ("ompl",)
+    ),
 }
 # What installs each of them.
 INSTALL: dict[str, str] = {

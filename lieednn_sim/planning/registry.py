@@ -52,7 +52,10 @@ PLANNERS: dict[str, Planner] = {
     "se3-geodesic": Planner(partial(in_time, interpolation.se3_geodesic)),
     "dmp": Planner(partial(in_time, primitives.dmp), primitives.DmpOptions),
     "rrt-connect": Planner(sampling.rrt_connect, sampling.RrtConnectOptions),
-    "rrt-star": Planner(sampling.rrt_star, sampling.RrtStarOptions),
+    "rrt-star": Planner(sampling.sampling_planner("rrt-star"), sampling.RrtStarOptions),
+    "informed-rrt-star": Planner(sampling.sampling_planner("informed-rrt-star"), sampling.RrtStarOptions),
+    "bit-star": Planner(sampling.sampling_planner("bit-star"), sampling.BitStarOptions),
+    "aorrtc": Planner(sampling.sampling_planner("aorrtc"), sampling.RrtStarOptions),
     "trajectory-optimisation": Planner(
         partial(in_time, optimisation.trajectory_optimisation), optimisation.OptimisationOptions
     ),

@@ -20,7 +20,6 @@ from lieednn_sim.planning import (
     Planner,
     PlanningProblem,
     RrtConnectOptions,
-    RrtStarOptions,
     TrainedOptions,
     missing_planners,
     network_planners,
@@ -47,8 +46,11 @@ SEEDS = (0,)
 FILTERED = ("lieednn-filtered", "lieednn-guided")
 MISSING = missing_planners()
 INSTALLED = sorted(set(PLANNERS) - set(MISSING))
-# RRT* spends what work it is given on shortening the path that it found: a tenth of that here.
-LITTLE_WORK = {"rrt-star": RrtStarOptions(tests=(8_000, 160_000))}
+# These spend what work they are given on shortening the path that they found: a tenth of that here.
+LITTLE_WORK = {
+    name: PLANNERS[name].options(tests=tuple(2_000 * 2**k for k in range(7)))
+    for name in ("rrt-star", "informed-rrt-star", "bit-star", "aorrtc")
+}
 # A planner that is not installed is seen to be skipped, with what it needs.
 EACH = [
     pytest.param(name, marks=pytest.mark.skipif(name in MISSING, reason=f"{name} needs {MISSING.get(name)}"))
@@ -204,7 +206,7 @@ def test_networks_come_with_their_motions():
 def test_refusals_say_why():
     with pytest.raises(
         InputError,
-        match="no planner 'rrt'; allowed: dmp, lieednn-certified, lieednn-filtered, lieednn-g",
+        match="no planner 'rrt'; allowed: aorrtc, bit-star, dmp, informed-rrt-star, lieednn-c",
     ):
         plan_with("rrt", problem(0))
     with pytest.raises(InputError, match="arm must be an Arm, got str"):

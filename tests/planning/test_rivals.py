@@ -19,6 +19,7 @@ from lieednn_sim.arm.targets import reference_posture
 from lieednn_sim.errors import InputError, LieEDNNError, PlanError
 from lieednn_sim.network.hopfield import HopfieldNetwork
 from lieednn_sim.planning import (
+    PLANNERS,
     OptimisationOptions,
     Plan,
     PlanningProblem,
@@ -38,7 +39,10 @@ from lieednn_sim.planning.motion import Motion
 ARM = Arm.load("telescopic_pr")
 LOW, HIGH = ARM.position_limits.T
 SMOOTHING = SmoothingOptions()
-DETOUR = ("rrt-connect", "rrt-star", "trajectory-optimisation")
+# Little work, and twice as much until a path is found.
+DOUBLING = tuple(2_000 * 2**k for k in range(7))
+IMPROVING = ("rrt-star", "informed-rrt-star", "bit-star", "aorrtc")
+DETOUR = ("rrt-connect", *IMPROVING, "trajectory-optimisation")
 seeds = st.integers(0, 2**32 - 1)
 
 
@@ -99,8 +103,8 @@ def test_a_path_is_searched_for_once_however_long_the_motion_takes(monkeypatch):
 @pytest.mark.parametrize("name", DETOUR)
 def test_they_go_around_what_is_in_the_way_with_clearance(name):
     needs(name)
-    # RRT* spends the rest on shortening the path that it found.
-    options = RrtStarOptions(tests=(8_000, 160_000)) if name == "rrt-star" else None
+    # They spend the rest on shortening the path that they found.
+    options = PLANNERS[name].options(tests=DOUBLING) if name in IMPROVING else None
     task = blocked(3)
     with pytest.raises(PlanError, match=r"would come within .* of .post. at"):
         plan_with("minimum-jerk", task)
@@ -112,6 +116,23 @@ def test_they_go_around_what_is_in_the_way_with_clearance(name):
     # Accelerations stay finite: no velocity jumps from one sample to the next.
     acceleration = np.abs(np.diff(motion.qd, axis=0)) / motion.timestep / joint_scale(POSTED)
     assert acceleration.max() < 10.0
+
+
+@pytest.mark.parametrize(
+    ("name", "tests"), [("rrt-star", 20_000), ("informed-rrt-star", 60_000), ("bit-star", 10_000), ("aorrtc", 6_000)]
+)
+def test_they_improve_on_what_is_found_first(name, tests):
+    """The straight way is blocked: a shortest way bends around the post, by less than what RRT-Connect finds."""
+    needs(name)
+    task, options = blocked(3), RrtStarOptions(tests=(tests,), shortcuts=1)
+
+    def length(by):
+        workspace = sampling.Workspace(task, options.margin)
+        corners = sampling.connecting_path(task, workspace, options, sampling.METHODS[by], 0)
+        return np.linalg.norm(np.diff(corners / joint_scale(POSTED), axis=0), axis=1).sum()
+
+    straight = np.linalg.norm((task.target - task.start) / joint_scale(POSTED))
+    assert straight < length(name) < 0.8 * length("rrt-connect")
 
 
 def test_sampling_is_the_same_whatever_ran_before_and_silent():
@@ -296,7 +317,7 @@ def test_a_primitive_keeps_its_shape_at_every_amplitude():
 @pytest.mark.parametrize(
     ("module", "names", "extra"),
     [
-        ("ompl", {"lieednn-guided", "rrt-connect", "rrt-star"}, "rivals"),
+        ("ompl", {"lieednn-guided", "rrt-connect", *IMPROVING}, "rivals"),
         ("movement_primitives", {"dmp"}, "dmp"),
         ("pytransform3d", {"dmp"}, "dmp"),
     ],

@@ -1,13 +1,17 @@
 """Sampling-based planners of OMPL in joint space; they need the extra `rivals` (ompl).
 
-RRT-Connect is Kuffner and LaValle's, ICRA 2000; RRT* Karaman and Frazzoli's, Int. J. Robotics Research 30(7), 2011; the
-library Sucan, Moll and Kavraki's, IEEE Robotics and Automation Magazine 19(4), 2012. Paths are measured in joint
-coordinates over velocity limits, so their length is a time. They are shortened, rounded and timed by `smoothing`.
+RRT-Connect is Kuffner and LaValle's, ICRA 2000; RRT* Karaman and Frazzoli's, Int. J. Robotics Research 30(7), 2011;
+Informed RRT* Gammell, Srinivasa and Barfoot's, IROS 2014, and BIT* theirs, ICRA 2015; AORRTC Wilson, Thomason, Kingston
+and Gammell's, IEEE Robotics and Automation Letters, 2025; the library Sucan, Moll and Kavraki's, IEEE Robotics and
+Automation Magazine 19(4), 2012. Paths are measured in joint coordinates over velocity limits; their length is a time.
+They are shortened, rounded and timed by `smoothing`.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cache, lru_cache, partial
 from typing import Any
@@ -33,7 +37,7 @@ class SearchOptions(PlannerOptions):
         margin: what paths keep away from everything, unless start or target are closer to something [m]; motions along
             them are rounded, and checked for less.
         tests: postures tested at most, not seconds, for results must not depend on the machine's speed; while nothing
-            is found the search goes on to the next number. RRT* spends the first on shortening what it found.
+            is found the search goes on to the next number. Planners that improve what they found spend the first on it.
         shortcuts: tried on the path that was found.
         spacings: a link frame moves at most about this far from one posture tested along an edge to the next, from
             0.001 to 1 m. What slips through is found by the dense test of the motion; then the next attempt is made,
@@ -53,29 +57,55 @@ class RrtConnectOptions(SearchOptions, SmoothingOptions):
 
 @dataclass(frozen=True)
 class RrtStarOptions(RrtConnectOptions):
-    """Of the planner ``rrt-star``; as `RrtConnectOptions`."""
+    """Of the planners ``rrt-star``, ``informed-rrt-star`` and ``aorrtc``; as `RrtConnectOptions`."""
 
     tests: tuple[int, ...] = (80_000, 160_000)
 
 
-def rrt_connect(problem: PlanningProblem, options: RrtConnectOptions) -> Motion:
-    """Two trees from start and target, grown towards each other until they meet.
+@dataclass(frozen=True)
+class BitStarOptions(RrtConnectOptions):
+    """Of the planner ``bit-star``; as `RrtConnectOptions`.
 
-    Raises:
+    A test takes several times as long as RRT*'s, and the longer the more samples there are.
+    """
+
+    tests: tuple[int, ...] = (5_000, 10_000, 20_000, 40_000)
+
+
+# OMPL's names. PRM* has no place here: OMPL's builds its roadmap by the clock and in two threads, so that its paths
+# depend on the machine.
+METHODS = {
+    "rrt-connect": "RRTConnect",
+    "rrt-star": "RRTstar",
+    "informed-rrt-star": "InformedRRTstar",
+    "bit-star": "BITstar",
+    "aorrtc": "AORRTC",
+}
+
+
+def sampling_planner(name: str) -> Callable[[PlanningProblem, RrtConnectOptions], Motion]:
+    """The planner of a name of `METHODS`.
+
+    RRT-Connect grows two trees from start and target until they meet. Those that improve the path for a fixed amount of
+    work: RRT* rewires one tree, Informed RRT* draws only where a shorter path may be, BIT* searches batches of samples
+    in the order of the length that they promise, and AORRTC runs RRT-Connect again and again, each time for a shorter
+    path.
+
+    The planner raises:
         LieEDNNError: OMPL is not installed.
         PlanError: no path was found within the work allowed, or it cannot be followed in time.
     """
-    return _plan(problem, options, "RRTConnect")
+
+    def planner(problem: PlanningProblem, options: RrtConnectOptions) -> Motion:
+        return _plan(problem, options, METHODS[name])
+
+    return planner
 
 
-def rrt_star(problem: PlanningProblem, options: RrtStarOptions) -> Motion:
-    """One tree from the start, rewired towards shortest paths for a fixed amount of work.
+rrt_connect = sampling_planner("rrt-connect")
 
-    Raises:
-        LieEDNNError: OMPL is not installed.
-        PlanError: no path was found within the work allowed, or it cannot be followed in time.
-    """
-    return _plan(problem, options, "RRTstar")
+# Times that a search looks whether it is over, for each test that it may make: usually once for a test or more.
+_LOOKS = 2
 
 
 def _plan(problem: PlanningProblem, options: RrtConnectOptions, planner: str) -> Motion:
@@ -173,11 +203,15 @@ def _path(
     method = getattr(geometric, planner)(information)
     method.setProblemDefinition(definition)
     method.setup()
+    looks = itertools.count()
+
+    def spent(tests: int) -> bool:
+        # Where no path can be shorter than the one that is known, nothing is tested any more.
+        return next(looks) >= _LOOKS * tests or workspace.clear.tests >= tests or out_of_time()
+
     for tests in options.tests:
         if not definition.hasExactSolution():
-            method.solve(
-                base.PlannerTerminationCondition(lambda limit=tests: workspace.clear.tests >= limit or out_of_time())
-            )
+            method.solve(base.PlannerTerminationCondition(partial(spent, tests)))
             check_time()
     if not definition.hasExactSolution():
         return None
