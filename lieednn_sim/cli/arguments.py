@@ -18,7 +18,7 @@ from lieednn_sim.cli.options import decimal
 from lieednn_sim.cli.task import Task
 from lieednn_sim.errors import InputError
 from lieednn_sim.planning.motion import count_steps
-from lieednn_sim.simulation import CONTROLLERS, Disturbances, Push
+from lieednn_sim.simulation import Disturbances, Push, controllers
 from lieednn_sim.simulation.reference import steps_of_rate
 from lieednn_sim.simulation.tracking import as_hold
 from lieednn_sim.validation import as_choice, as_positive, as_seed
@@ -151,7 +151,7 @@ def push(text: str) -> Push:
 
 def disturbances(arm: Arm, arguments: argparse.Namespace) -> Disturbances:
     """All that the simulation's options do behind the controller's back; the other options are checked, too."""
-    as_choice("controller", arguments.controller, CONTROLLERS)
+    as_choice("controller", arguments.controller, controllers())
     as_hold(arguments.hold)
     if arguments.reference_rate is not None:
         steps_of_rate("reference_rate", arguments.reference_rate, arm.timestep)

@@ -22,6 +22,8 @@ from lieednn_sim.evaluation.reactive.study import compare_reactions, write_react
 from lieednn_sim.evaluation.report import Clip, choose_cases, film, write_page
 from lieednn_sim.evaluation.shards import Shard
 from lieednn_sim.planning import missing_planners
+from lieednn_sim.planning.registry import REGISTRY as PLANNER_REGISTRY
+from lieednn_sim.simulation.controllers import REGISTRY as CONTROLLER_REGISTRY
 from lieednn_sim.validation import as_count
 
 
@@ -113,7 +115,8 @@ def _print_found(selection: Selection) -> None:
                 f"arm {entry.name}: {arm.n_links} links, {arm.n_joints} joints, from {entry.source}", markup=False
             )
             print_import_report(arm)
-    for line in findings(selection.arms, selection.scenes, selection.entries):
+    others = PLANNER_REGISTRY.found(selection.planners) + CONTROLLER_REGISTRY.found(selection.controllers)
+    for line in others + findings(selection.arms, selection.scenes, selection.entries):
         console.print(line, markup=False)
 
 

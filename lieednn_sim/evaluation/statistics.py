@@ -10,6 +10,7 @@ import numpy as np
 
 from lieednn_sim.errors import InputError
 from lieednn_sim.evaluation.rows import BY_NAME, Case, Row
+from lieednn_sim.simulation import CONTROLLERS
 
 # What varies from case to case in a reason: names in quotes, numbers, ranges.
 _QUOTED = re.compile(r"'[^']*'")
@@ -121,6 +122,12 @@ def numbers(rows: Iterable[Row], column: str) -> list[float]:
     chosen = motions(rows) if BY_NAME[column].of_motion else rows
     found = (getattr(row, column) for row in chosen)
     return [float(value) for value in found if value is not None]
+
+
+def controllers_of(rows: Iterable[Row]) -> list[str]:
+    """The controllers of rows, those of the package first and in its order."""
+    found = sorted({row.controller for row in rows})
+    return [*(name for name in CONTROLLERS if name in found), *(name for name in found if name not in CONTROLLERS)]
 
 
 def failures(rows: Iterable[Row]) -> list[Failure]:

@@ -24,7 +24,7 @@ from lieednn_sim.evaluation.statistics import numbers
 from lieednn_sim.evaluation.table import R, Rows, Table
 from lieednn_sim.evaluation.workers import run_each
 from lieednn_sim.planning import missing_planners, planners
-from lieednn_sim.simulation import CONTROLLERS
+from lieednn_sim.simulation import controllers
 from lieednn_sim.validation import as_choice, as_count
 from lieednn_sim.values import check_fields
 
@@ -66,7 +66,7 @@ class Selection:
             ("planners", list(planners()), list(planners())),
             ("arms", arm_names(), arm_names()),
             ("scenes", list(SCENES), list(DEFAULT_SCENES)),
-            ("controllers", list(CONTROLLERS), list(DEFAULT_CONTROLLERS)),
+            ("controllers", list(controllers()), list(DEFAULT_CONTROLLERS)),
         ):
             given = getattr(self, name) or default
             if isinstance(given, str):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import importlib
 import itertools
 import multiprocessing
 import os
@@ -18,6 +19,8 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from lieednn_sim.errors import LieEDNNError
+from lieednn_sim.planning.registry import REGISTRY as PLANNER_REGISTRY
+from lieednn_sim.simulation.controllers import REGISTRY as CONTROLLER_REGISTRY
 
 # Tasks that an executor holds at once: enough for a cluster, and memory does not grow with the study.
 _AHEAD = 4096
@@ -31,7 +34,7 @@ def worker_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
     """
     context = multiprocessing.get_context("spawn")
     others = set(multiprocessing.active_children())
-    pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_prepare_worker)
+    pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_prepare_worker, initargs=(_modules(),))
     try:
         yield pool
     except BaseException:
@@ -124,7 +127,17 @@ def exit_code(work: Callable[[], Path], console: Console, kept: str) -> int:
     return 0
 
 
-def _prepare_worker() -> None:
+def _modules() -> list[str]:
+    """Where planners and controllers of others are; what is registered here is to be registered in workers, too."""
+    others = (*PLANNER_REGISTRY.given.values(), *CONTROLLER_REGISTRY.given.values())
+    return sorted({str(one.__module__) for one in others} - {"__main__"})
+
+
+def _prepare_worker(modules: Sequence[str]) -> None:
+    for name in modules:
+        # Who is missing is told by the rows.
+        with contextlib.suppress(Exception):
+            importlib.import_module(name)
     # Ctrl-C reaches the whole process group; the main process stops the workers.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()

@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import re
-import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from functools import cache, partial
-from importlib import metadata
-from types import MappingProxyType
+from functools import partial
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -24,13 +20,11 @@ from lieednn_sim.planning.motion import Motion, check_motion
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.problem import Plan, PlanningProblem, in_time
 from lieednn_sim.planning.shaped import ShapedOptions, shaped
-from lieednn_sim.validation import as_choice, quoted
+from lieednn_sim.registration import Registry
+from lieednn_sim.validation import as_choice
 
-# The group of entry points in which packages name planners of theirs.
-ENTRY_POINTS = "lieednn_sim.planners"
 # How far a motion may begin and end from where it was asked to, in joint coordinates [rad, m].
 _MISSED = 1e-3
-_NAME = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
 _Solve = TypeVar("_Solve", bound=Callable[..., Plan | Motion])
 
 
@@ -69,9 +63,6 @@ PLANNERS: dict[str, Planner] = {
     "lieednn-guided": Planner(filtered.guided, filtered.GuidedOptions),
 }
 
-# Functions of others, as they were given.
-_REGISTERED: dict[str, Callable[..., Plan | Motion]] = {}
-
 
 def register_planner(name: str, options: type[PlannerOptions] | None = None) -> Callable[[_Solve], _Solve]:
     """Decorate a function of a `PlanningProblem` to be known as a planner, to `plan`, `compare` and the command line.
@@ -97,7 +88,7 @@ def register_planner(name: str, options: type[PlannerOptions] | None = None) -> 
         raise InputError(f"options of planner {name!r} must be a subclass of PlannerOptions, got {options!r}")
 
     def register(solve: _Solve) -> _Solve:
-        _add(name, solve, options)
+        REGISTRY.add(name, solve, options)
         return solve
 
     return register
@@ -108,33 +99,16 @@ def planners() -> Mapping[str, Planner]:
 
     Of one that cannot be loaded a warning names the package, and it is left out.
     """
-    _load_entry_points()
-    return MappingProxyType(PLANNERS)
+    return REGISTRY.all()
 
 
-@cache
-def _load_entry_points() -> None:
-    for point in metadata.entry_points(group=ENTRY_POINTS):
-        package = "unknown" if point.dist is None else point.dist.name
-        try:
-            solve = point.load()
-            # A decorated function has registered itself when it was loaded.
-            if _REGISTERED.get(point.name) is not solve:
-                _add(point.name, solve, None)
-        except Exception as error:
-            text = f"planner {point.name!r} of package {package!r} ({point.value}) is left out: {error}"
-            warnings.warn(text, RuntimeWarning, stacklevel=3)
-
-
-def _add(name: str, solve: Callable[..., Plan | Motion], options: type[PlannerOptions] | None) -> None:
-    if not isinstance(name, str) or not _NAME.fullmatch(name):
-        raise InputError(f"a planner's name must be small letters, digits and hyphens, got {quoted(name)}")
-    if name in PLANNERS:
-        raise InputError(f"planner {name!r} is registered already; choose another name")
+def _planner(name: str, solve: Callable[..., Plan | Motion], options: type[PlannerOptions] | None = None) -> Planner:
     if not callable(solve):
         raise InputError(f"planner {name!r} must be a function of a PlanningProblem, got {type(solve).__name__}")
-    _REGISTERED[name] = solve
-    PLANNERS[name] = Planner(partial(in_time, partial(_checked, solve)), options)
+    return Planner(partial(in_time, partial(_checked, solve)), options)
+
+
+REGISTRY = Registry("planner", PLANNERS, _planner)
 
 
 def _checked(solve: Callable[..., Plan | Motion], problem: PlanningProblem, *options: PlannerOptions) -> Plan | Motion:

@@ -1,6 +1,7 @@
 """Simulation of planned and of online motions in MuJoCo."""
 
-from lieednn_sim.simulation.controllers import CONTROLLERS
+from lieednn_sim.simulation.controllers import CONTROLLERS, controllers, register_controller
+from lieednn_sim.simulation.controllers.base import Controller
 from lieednn_sim.simulation.disturbances import Disturbances, Push
 from lieednn_sim.simulation.feedback import Feedback
 from lieednn_sim.simulation.following import Following, follow
@@ -11,6 +12,7 @@ from lieednn_sim.simulation.tracking import simulate
 
 __all__ = [
     "CONTROLLERS",
+    "Controller",
     "Disturbances",
     "Feedback",
     "Following",
@@ -18,6 +20,8 @@ __all__ = [
     "Push",
     "Rollout",
     "Simulation",
+    "controllers",
     "follow",
+    "register_controller",
     "simulate",
 ]

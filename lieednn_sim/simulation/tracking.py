@@ -16,7 +16,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError, SimulationError
 from lieednn_sim.planning import Plan
 from lieednn_sim.planning.motion import Motion
-from lieednn_sim.simulation.controllers import CONTROLLERS
+from lieednn_sim.simulation.controllers import controllers
 from lieednn_sim.simulation.controllers.base import Controller
 from lieednn_sim.simulation.disturbances import Disturbances
 from lieednn_sim.simulation.log import Log
@@ -33,7 +33,8 @@ def make_controlled(
     arm: Arm, controller: str, reference: Reference, disturbances: Disturbances
 ) -> tuple[Controller, Simulation]:
     """A controller of `CONTROLLERS` and the simulation of the plant that it drives."""
-    driver = CONTROLLERS[as_choice("controller", controller, CONTROLLERS)](arm, reference)
+    known = controllers()
+    driver = known[as_choice("controller", controller, known)](arm, reference)
     plant = make_plant(arm, disturbances, driver.add_bodies if driver.adds_bodies else None)
     driver.equip(plant)
     return driver, Simulation(arm, plant, disturbances=disturbances)

@@ -15,7 +15,7 @@ import pytest
 from lieednn_sim.arm import Arm
 from lieednn_sim.cli import main
 from lieednn_sim.errors import InputError, PlanError
-from lieednn_sim.planning import PLANNERS, joint_motion, plan, planners, register_planner, registry
+from lieednn_sim.planning import joint_motion, plan, planners, register_planner, registry
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.problem import PlanningProblem
 
@@ -30,16 +30,13 @@ DOCUMENT = Path(__file__).parents[2] / "docs" / "own_planners.md"
 @pytest.fixture(autouse=True)
 def _only_here(monkeypatch):
     """What a test registers is gone after it."""
-    before = dict(PLANNERS), dict(registry._REGISTERED), list(sys.path), set(sys.modules)
+    before = dict(registry.REGISTRY.given), list(sys.path), set(sys.modules)
     yield
-    for mapping, was in ((PLANNERS, before[0]), (registry._REGISTERED, before[1])):
-        mapping.clear()
-        mapping.update(was)
-    sys.path[:] = before[2]
-    for name in set(sys.modules) - before[3]:
+    sys.path[:] = before[1]
+    for name in set(sys.modules) - before[2]:
         if name.startswith("my_"):
             del sys.modules[name]
-    registry._load_entry_points.cache_clear()
+    registry.REGISTRY.forget(before[0])
 
 
 def smoothstep(problem: PlanningProblem):
@@ -58,7 +55,7 @@ def installed(folder: Path, points: str, **modules: str) -> None:
     for name, text in modules.items():
         (folder / f"{name}.py").write_text(text)
     sys.path.insert(0, str(folder))
-    registry._load_entry_points.cache_clear()
+    registry.REGISTRY.forget(registry.REGISTRY.given)
 
 
 def test_the_example_appears_in_table_and_page(tmp_path, capsys):

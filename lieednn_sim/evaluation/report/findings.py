@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 from lieednn_sim.evaluation.report.style import in_order, number
 from lieednn_sim.evaluation.rows import Row
-from lieednn_sim.evaluation.statistics import grouped, motions, numbers, wilson
-from lieednn_sim.simulation import CONTROLLERS
+from lieednn_sim.evaluation.statistics import controllers_of, grouped, motions, numbers, wilson
 
 
 @dataclass(frozen=True)
@@ -25,7 +24,7 @@ def findings(rows: Sequence[Row]) -> list[Finding]:
     if not rows:
         return []
     # The others may follow to rounding, where nothing is left to compare.
-    controller = next(name for name in CONTROLLERS if any(row.controller == name for row in rows))
+    controller = controllers_of(rows)[0]
     tracked = [row for row in rows if row.controller == controller]
     made = [
         _success(rows),

@@ -17,10 +17,9 @@ from lieednn_sim.evaluation.report.findings import findings
 from lieednn_sim.evaluation.report.style import in_order, marks, number
 from lieednn_sim.evaluation.report.videos import Clip
 from lieednn_sim.evaluation.rows import BY_NAME, Column, Row
-from lieednn_sim.evaluation.statistics import Group, failures, grouped
+from lieednn_sim.evaluation.statistics import Group, controllers_of, failures, grouped
 from lieednn_sim.evaluation.summary import method
 from lieednn_sim.evaluation.table import Table
-from lieednn_sim.simulation import CONTROLLERS
 
 # Columns of the page's table; the rest is in the CSV file.
 _SHOWN = (
@@ -98,7 +97,7 @@ def write_page(
     if not rows:
         raise InputError(f"the table {table.csv} is empty; there is nothing to show")
     names = in_order(row.planner for row in rows)
-    controllers = [name for name in CONTROLLERS if any(row.controller == name for row in rows)]
+    controllers = controllers_of(rows)
     arms = sorted({row.arm for row in rows})
     columns = _columns()
     page = (

@@ -1,13 +1,19 @@
-"""The controllers by name."""
+"""The controllers by name, those of others among them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from typing import TypeVar
 
 from lieednn_sim.arm import Arm
+from lieednn_sim.errors import InputError
+from lieednn_sim.registration import Registry
 from lieednn_sim.simulation.controllers.base import ComputedTorque, Controller, InverseDynamicsServo, PositionServo
+from lieednn_sim.simulation.controllers.checked import CheckedController
 from lieednn_sim.simulation.controllers.mocap import DeadbeatWelds, MocapWelds
 from lieednn_sim.simulation.reference import Reference
+
+_Make = TypeVar("_Make", bound=Callable[[Arm, Reference], Controller])
 
 CONTROLLERS: dict[str, Callable[[Arm, Reference], Controller]] = {
     "position-servo": PositionServo,
@@ -16,3 +22,44 @@ CONTROLLERS: dict[str, Callable[[Arm, Reference], Controller]] = {
     "mocap": MocapWelds,
     "mocap-deadbeat": DeadbeatWelds,
 }
+
+
+def _controller(name: str, make: Callable[[Arm, Reference], Controller]) -> Callable[[Arm, Reference], Controller]:
+    if not callable(make):
+        raise InputError(f"controller {name!r} must be a Controller, or a function that makes one, got {make!r}")
+    return lambda arm, reference: CheckedController(name, make, arm, reference)
+
+
+REGISTRY = Registry("controller", CONTROLLERS, _controller)
+
+
+def register_controller(name: str) -> Callable[[_Make], _Make]:
+    """Decorate a `Controller` to be known by name, to `simulate`, `compare` and the command line.
+
+    It is made from an arm and a reference; a function that returns one will do. What it does is checked at every step:
+    it may set controls, finite ones, and mocap bodies, but neither the state nor forces. Worker processes and the
+    command line know what an installed package names in its entry points:
+
+        [project.entry-points."lieednn_sim.controllers"]
+        my-controller = "my_package.my_module:MyController"
+
+    Args:
+        name: in small letters, digits and hyphens.
+
+    Raises:
+        InputError: the name is malformed or taken, or what is decorated makes nothing.
+    """
+
+    def register(make: _Make) -> _Make:
+        REGISTRY.add(name, make)
+        return make
+
+    return register
+
+
+def controllers() -> Mapping[str, Callable[[Arm, Reference], Controller]]:
+    """All controllers by name: `CONTROLLERS`, with those of the entry points of installed packages.
+
+    Of one that cannot be loaded a warning names the package, and it is left out.
+    """
+    return REGISTRY.all()

@@ -14,6 +14,7 @@ from lieednn_sim.evaluation.report import choose_cases, figures, write_page
 from lieednn_sim.evaluation.report.findings import findings
 from lieednn_sim.evaluation.report.page import _SHOWN
 from lieednn_sim.evaluation.rows import BY_NAME, COLUMNS, Row
+from lieednn_sim.evaluation.statistics import controllers_of
 
 # In this order in the registry, and so in what is shown.
 FIRST, SECOND, THIRD = "minimum-jerk", "se3-geodesic", "rrt-connect"
@@ -148,3 +149,9 @@ def test_cases_to_show_take_planners_in_turn_and_successes_first(table):
         (SECOND, "free", 0),
     ]
     assert choose_cases(table, 2) == chosen[:2]
+
+
+def test_controllers_come_in_the_order_of_the_package_then_those_that_are_not_installed_any_more():
+    rows = [row(FIRST, 0, controller=name) for name in ("gone", "inverse-dynamics", "position-servo")]
+    assert controllers_of(rows) == ["position-servo", "inverse-dynamics", "gone"]
+    assert findings(rows[:1])

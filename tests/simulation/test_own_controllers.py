@@ -1,0 +1,122 @@
+"""Controllers of others: by a decorator or an installed package, held to what every controller promises."""
+
+from __future__ import annotations
+
+import importlib
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lieednn_sim.arm import Arm
+from lieednn_sim.cli import main
+from lieednn_sim.errors import InputError, SimulationError
+from lieednn_sim.evaluation import Selection, Settings, compare, read_rows
+from lieednn_sim.planning import plan
+from lieednn_sim.simulation import Controller, Rollout, controllers, register_controller, simulate
+from lieednn_sim.simulation.controllers import REGISTRY
+from lieednn_sim.simulation.controllers.base import PositionServo
+from lieednn_sim.simulation.controllers.mocap import MocapWelds
+
+ARM = Arm.load("telescopic_pr")
+DOCUMENT = Path(__file__).parents[2] / "docs" / "own_planners.md"
+MOTION = plan(ARM, ARM.keyframe("extended"), planner="minimum-jerk", duration=1.5).motion
+
+
+@pytest.fixture(autouse=True)
+def _only_here():
+    """What a test registers is gone after it."""
+    before = dict(REGISTRY.given), list(sys.path)
+    yield
+    sys.path[:] = before[1]
+    sys.modules.pop("my_controllers", None)
+    REGISTRY.forget(before[0])
+
+
+@pytest.fixture
+def example(tmp_path):
+    """The code of the documentation, as a module that can be imported, and the line of its entry point."""
+    text = DOCUMENT.read_text()
+    (code,) = (block for block in re.findall(r"```python\n(.*?)```", text, re.DOTALL) if "my_controllers" in block)
+    (tmp_path / "my_controllers.py").write_text(code)
+    sys.path.insert(0, str(tmp_path))
+    return re.search(r'controllers"\]\n(.*?)\n', text)[1].replace('"', "")
+
+
+def test_the_example_of_an_installed_package_appears_in_table_and_page(example, tmp_path, capsys, in_this_process):
+    information = tmp_path / "my_controllers-0.1.dist-info"
+    information.mkdir()
+    (information / "METADATA").write_text("Metadata-Version: 2.1\nName: my-controllers\nVersion: 0.1\n")
+    (information / "entry_points.txt").write_text(f"[lieednn_sim.controllers]\n{example}\n")
+    REGISTRY.forget(REGISTRY.given)
+    words = "compare --planners minimum-jerk --arms telescopic_pr --scenes free --seeds 1 --duration 2"
+    with in_this_process():
+        assert (
+            main([*words.split(), "--controllers", "plain-servo,position-servo", "--output", str(tmp_path / "out")])
+            == 0
+        )
+        # Alone in a table it is a controller like the others.
+        assert main([*words.split(), "--controllers", "plain-servo", "--output", str(tmp_path / "alone")]) == 0
+    assert "controller plain-servo: my_controllers.PlainServo" in capsys.readouterr().out
+    rows = {row.controller: row for row in read_rows(tmp_path / "out" / "comparison.csv").values()}
+    assert rows["plain-servo"].tracking_rms_mm > 10.0 * rows["position-servo"].tracking_rms_mm
+    assert "<td>plain-servo</td>" in (tmp_path / "alone" / "comparison.html").read_text()
+
+
+@pytest.mark.usefixtures("example")
+def test_what_is_registered_here_is_known_to_workers(tmp_path):
+    importlib.import_module("my_controllers")
+    chosen = Selection(("minimum-jerk",), ("telescopic_pr",), ("free",), ("plain-servo",), seeds=1)
+    (row,) = compare(tmp_path / "out", chosen, Settings(duration=2.0, hold=0.5)).rows.values()
+    assert row.tracking_rms_mm is not None, row.reason
+
+
+@pytest.mark.parametrize("kind", [PositionServo, MocapWelds])
+def test_a_registered_controller_does_what_it_does_otherwise(kind, tmp_path):
+    register_controller("mine")(lambda arm, reference: kind(arm, reference))
+    name = next(name for name, own in controllers().items() if own is kind)
+    mine, own = (simulate(ARM, MOTION, controller=controller, hold=0.1) for controller in ("mine", name))
+    np.testing.assert_array_equal(mine.q, own.q)
+    np.testing.assert_array_equal(mine.ctrl, own.ctrl)
+    assert mine.channels.keys() == own.channels.keys()
+    mine.save(tmp_path / "rollout.npz")
+    assert Rollout.load(tmp_path / "rollout.npz", ARM, MOTION).controller == "mine"
+
+
+def acting(act):
+    """A controller that does nothing but act."""
+    return type("Mine", (Controller,), {"__init__": lambda *_: None, "act": lambda self, *given: act(*given)})
+
+
+def setting(name, value):
+    return acting(lambda data, step, noise: getattr(data, name).__setitem__(slice(None), value))
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda arm, reference: 1 / 0, "the controller mine failed: ZeroDivisionError"),
+        (lambda arm, reference: arm, "the controller mine is no Controller, but Arm"),
+        (acting(lambda data, step, noise: [][step]), "the controller mine failed: IndexError"),
+        (setting("ctrl", np.nan), "the controller mine set controls that are not finite at 0 s"),
+        (setting("qpos", 0.1), "the controller mine changed qpos"),
+        (setting("qvel", 0.1), "the controller mine changed qvel"),
+        (setting("qfrc_applied", 9.0), "the controller mine changed qfrc_applied"),
+        (setting("xfrc_applied", 9.0), "the controller mine changed xfrc_applied"),
+    ],
+)
+def test_what_breaks_a_promise_is_refused_with_the_reason(make, message):
+    register_controller("mine")(make)
+    with pytest.raises(SimulationError, match=message):
+        simulate(ARM, MOTION, controller="mine")
+
+
+def test_names_and_makers_are_checked():
+    with pytest.raises(InputError, match="controller 'mocap' is registered already"):
+        register_controller("mocap")(PositionServo)
+    with pytest.raises(InputError, match="controller 'mine' must be a Controller, or a function"):
+        register_controller("mine")(3)
+    with pytest.raises(InputError, match="no controller 'mine'; allowed: computed-torque"):
+        simulate(ARM, MOTION, controller="mine")
