@@ -296,7 +296,7 @@ def test_failures_that_differ_in_names_and_numbers_are_counted_together():
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: Selection(planners=("a-star",)), "no planner 'a-star'; allowed: dmp"),
+        (lambda: Selection(planners=("a-star",)), "no planner 'a-star'; allowed: aorrtc, bit-star, dmp"),
         (lambda: Selection(scenes=("sea",)), "no scene 'sea'"),
         (lambda: Selection(seeds=0), "seeds must be at least 1, got 0"),
         (lambda: Settings(mass_scale=0.0), "mass_scale must be positive"),

@@ -136,5 +136,5 @@ def test_a_package_that_cannot_be_loaded_is_named_and_left_out(tmp_path):
     assert said[0].startswith("planner 'minimum-jerk' of package 'my-planners' (my_other:solve) is left out: ")
     assert said[1].startswith("planner 'my-broken' of package 'my-planners' (my_broken:solve) is left out: No module")
     assert plan(ARM, TARGET, planner="minimum-jerk").planner == "minimum-jerk"
-    with pytest.raises(InputError, match="no planner 'my-broken'; allowed: dmp"):
+    with pytest.raises(InputError, match="no planner 'my-broken'; allowed: aorrtc, bit-star, dmp"):
         plan(ARM, TARGET, planner="my-broken")
