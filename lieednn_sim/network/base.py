@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import cached_property
 from typing import Any, ClassVar, Self
 
@@ -89,9 +89,10 @@ class BlockNetwork(ABC):
         Raises:
             InputError: the hidden neurons have no equilibrium while the visible ones are there.
         """
-        state = self.start(xi)
-        driven = self.blocks[self.n_visible :, : self.n_visible].any()
-        state[self.n_visible :] = self._rest(state) if driven else self._undriven_rest
+        state, first = self.start(xi), self.n_visible
+        if first < len(state):
+            driven = self.blocks[first:, :first].any()
+            state[first:] = self._rest(state) if driven else self._undriven_rest
         return state
 
     @cached_property
@@ -245,10 +246,12 @@ class BlockNetwork(ABC):
         drive = (self.weight @ self.phi(target).ravel()).reshape(target.shape)
         bias = self.gamma / self.mu * target - drive
         bias[self.n_visible :] = self.bias[self.n_visible :]
+        # Weights and proof are the same: hand over what has been checked and computed of them, and nothing else.
+        network, known = object.__new__(type(self)), vars(self)
         # mypy cannot know that every subclass is a dataclass, here and below.
-        network: Self = replace(self, bias=bias)  # type: ignore[type-var]
-        # Weights and proof are the same: hand over what has been computed of them.
-        vars(network).update({name: vars(self)[name] for name in self._bias_free if name in vars(self)})
+        names = (*(field.name for field in fields(self)), *self._bias_free)  # type: ignore[arg-type]
+        vars(network).update({name: known[name] for name in names if name in known})
+        network._store(bias=as_floats("bias", bias, bias.shape))
         return network
 
     def _carrying(self, found: stability.Certificate, every: int = 1) -> Self:

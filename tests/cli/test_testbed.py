@@ -208,7 +208,7 @@ def test_where_the_filter_blocks_nothing_is_left_and_the_line_says_by_what(tmp_p
         (["--reference-rate", "7"], "reference_rate must divide the simulation's 500 Hz"),
         (["--controller", "magic"], "no controller 'magic'; allowed: computed-torque"),
         (["--noise-seed", "-1"], "seed must be a whole number >= 0"),
-        (["--planner", "magic"], "no planner 'magic'; allowed: dmp, lieednn-certified"),
+        (["--planner", "magic"], "no planner 'magic'; allowed: aorrtc, bit-star, dmp"),
         (
             ["--planner", "linear-attractor", "--bias-magnitude", "1"],
             "--bias-magnitude is for --planner lieednn-certified",
