@@ -8,13 +8,17 @@ Writes a JSON file and a Markdown table. Absolute times depend on the machine; t
 from __future__ import annotations
 
 import argparse
+import os
 import platform
+import subprocess
+import sys
 import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import RigidTransform
 
 from lieednn_sim import storage
 from lieednn_sim._mujoco import mujoco
@@ -25,6 +29,7 @@ from lieednn_sim.learning import TrainingOptions, train
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.planning import plan
 from lieednn_sim.planning.motion import Motion
+from lieednn_sim.planning.network_path import NetworkPath
 from lieednn_sim.planning.shaped import ShapedOptions
 from lieednn_sim.simulation import Disturbances, Feedback, simulate
 from lieednn_sim.simulation.feedback import FeedbackFollower
@@ -162,6 +167,44 @@ def control_step_ratio(steps: int = 200) -> str:
     return f"{whole / run(lambda: network.flat_vector_field(x)):.0f}"
 
 
+def evaluation_ratio(arm: Arm, network: LieEDNN, instants: int, repeats: int) -> str:
+    """What xi(t) and the joints at many instants cost beside the exponentials of SciPy alone."""
+    path = NetworkPath.drawn(arm, network, arm.keyframe("home"))
+    assert path.way is not None
+    tau = np.linspace(0.0, path.way[0].t[-1], instants)
+    twists = network.visible(path.state(tau)).reshape(-1, 6)
+    bare = _processor_time(lambda: RigidTransform.from_exp_coords(twists), repeats)
+    return f"{_processor_time(lambda: arm.decode(network.visible(path.state(tau))), repeats) / bare:.1f}"
+
+
+def retargeting_ratio(network: LieEDNN, repeats: int) -> str:
+    """What another target costs beside one product W phi(x)."""
+    xi, weight = random_targets(network.n_visible, 1, seed=1)[0], network.weight
+    times = [
+        _processor_time(lambda run=run: [run() for _ in range(500)], repeats)  # type: ignore[misc]
+        for run in (lambda: network.retarget(xi), lambda: weight @ network.phi(xi).ravel())
+    ]
+    return f"{times[0] / times[1]:.1f}"
+
+
+def start_ratios(repeats: int) -> dict[str, str]:
+    """What a start costs beside that of what it stands on, in processor time of a fresh Python."""
+
+    def cost(*arguments: str) -> float:
+        times = []
+        for _ in range(repeats):
+            begun = sum(os.times()[2:4])
+            subprocess.run([sys.executable, *arguments], check=True, capture_output=True)
+            times.append(sum(os.times()[2:4]) - begun)
+        return float(np.median(times))
+
+    pairs = {
+        "lieednn-sim --help, in starts of Python with NumPy": (("-m", "lieednn_sim.cli", "--help"), "import numpy"),
+        "import of lieednn_sim.arm, in imports of mujoco": (("-c", "import lieednn_sim.arm"), "import mujoco"),
+    }
+    return {name: f"{cost(*ours) / cost('-c', floor):.1f}" for name, (ours, floor) in pairs.items()}
+
+
 def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="a tenth of the targets")
@@ -202,6 +245,7 @@ def write(directory: Path, scale: int, suffix: str = "") -> Path:
     retarget_time = (time.perf_counter() - begun) / repeats
     begun = time.perf_counter()
     chosen = plan(arm, arm.keyframe("extended"))
+    assert isinstance(chosen.network, LieEDNN)
     plan_time = time.perf_counter() - begun
     begun = time.perf_counter()
     rollout = simulate(arm, chosen.motion)
@@ -216,6 +260,11 @@ def write(directory: Path, scale: int, suffix: str = "") -> Path:
         "planning with 24 candidates, in syntheses": f"{plan_time / synthesis_time:.0f}",
         "simulation, in real time": f"1 / {rollout.t[-1] / simulation_time:.0f}",
         "control step of follow with feedback, 12 neurons, in evaluations of the field": control_step_ratio(),
+        "retargeting, in products W phi(x)": retargeting_ratio(network, max(20 // scale, 1)),
+        "xi(t) and q(t) at 10,000 instants, in SciPy's exponentials": evaluation_ratio(
+            arm, chosen.network, max(10_000 // scale, 10), max(20 // scale, 1)
+        ),
+        **start_ratios(max(10 // scale, 1)),
         **stepping_ratios(arm, chosen.motion, max(10 // scale, 1)),
     }
 

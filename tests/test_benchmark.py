@@ -26,6 +26,8 @@ def test_every_row_is_measured_and_written(tmp_path, monkeypatch):
     stepping = {name: float(value) for name, value in written["ratios"].items() if "mj_step" in name or "bare" in name}
     assert len(stepping) == 5
     assert all(value > 0.0 for value in stepping.values())
+    beside = ("in products W", "in SciPy's", "in starts of", "in imports of")
+    assert all(sum(what in name and float(value) > 0.0 for name, value in written["ratios"].items()) for what in beside)
     studied = [row for row in rows if "sign-matched" in row["targets"]]
     assert {row["targets"].split(",")[0] for row in studied} == set(arm_names())
     assert all(row["certified"] == "1 of 1" for row in studied)
