@@ -141,7 +141,7 @@ def write_reactions(path: str | os.PathLike[str], table: ReactionTable) -> None:
         "",
         METHOD,
         "",
-        f"Arms: {', '.join(arms)}; {seeds} seeds; medians.",
+        f"Arms: {', '.join(arms)}; {seeds} seed{'s' if seeds != 1 else ''}; medians.",
         "",
     ]
     lines += table_head(["scene", "disturbance", "leader", "arrived", "touched", "back"], MEASURED)
