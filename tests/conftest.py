@@ -89,6 +89,25 @@ _GANTRY = """
 """
 
 
+# An arm of others, two hinges with a site for its tool.
+_TWO_HINGES = """
+<mujoco>
+  <worldbody>
+    <body name="one"><joint name="a" range="-90 90"/><geom type="capsule" size="0.02" fromto="0 0 0 0.3 0 0"/>
+      <body name="two" pos="0.3 0 0"><joint name="b" axis="0 1 0" range="-90 90"/>
+        <geom type="capsule" size="0.02" fromto="0.05 0 0 0.3 0 0"/><site name="tool" pos="0.3 0 0"/>
+      </body></body>
+  </worldbody>
+</mujoco>
+"""
+
+
+@pytest.fixture
+def two_hinges() -> str:
+    """MJCF of the bodies ``one`` and ``two``; see `_TWO_HINGES`."""
+    return _TWO_HINGES
+
+
 @pytest.fixture(scope="session")
 def gantry(tmp_path_factory: pytest.TempPathFactory) -> Arm:
     """Joints x, y, z, turn of two links; see `_GANTRY`."""

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
+from lieednn_sim.arm.kinematics import distinctness
 from lieednn_sim.values import Floats
 
 # v, with columns of the Jacobian of unit length, and r. Smaller ones follow the poses more closely, and turn the hinges
@@ -29,12 +30,6 @@ VAGUE, _SHARE = 0.15, 0.05
 _STEPS, _SHORT = 30, 1e-9
 
 _Evaluate = Callable[[Floats], tuple[Floats, Floats]]
-
-
-def distinctness(jacobian: Floats) -> Floats:
-    """Least singular value ``(B,)`` of Jacobians ``(B, r, c)``, their columns of unit length."""
-    columns = jacobian / np.maximum(np.linalg.norm(jacobian, axis=-2, keepdims=True), 1e-300)
-    return np.asarray(np.linalg.svd(columns, compute_uv=False)[:, -1])
 
 
 def bridge(evaluate: _Evaluate, exact: Floats, guess: Floats, goal: Floats) -> tuple[Floats, NDArray[np.bool_]]:

@@ -136,3 +136,12 @@ class CompoundJoints:
             if joint.screw is not None:
                 twists[..., i, :] = (q - self.reference)[..., joint.indices] * joint.screw
         return twists
+
+
+def distinctness(jacobian: Floats, least: float = 1e-300) -> Floats:
+    """How well poses tell coordinates apart: the least singular value ``(B,)`` of Jacobians ``(B, r, c)``.
+
+    Their columns are of unit length, but for those that are shorter than ``least``.
+    """
+    columns = jacobian / np.maximum(np.linalg.norm(jacobian, axis=-2, keepdims=True), least)
+    return np.asarray(np.linalg.svd(columns, compute_uv=False)[:, -1])

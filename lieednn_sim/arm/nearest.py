@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline, PchipInterpolator
 from scipy.spatial.transform import Rotation
 
-from lieednn_sim.arm.bridging import VAGUE, bridge, distinctness
-from lieednn_sim.arm.kinematics import CompoundJoint
+from lieednn_sim.arm.bridging import VAGUE, bridge
+from lieednn_sim.arm.kinematics import CompoundJoint, distinctness
 from lieednn_sim.budget import check_time
 from lieednn_sim.lie import hat
 from lieednn_sim.values import Floats

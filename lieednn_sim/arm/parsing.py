@@ -14,7 +14,7 @@ from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.coordinates import Coordinates
 from lieednn_sim.arm.couplings import Line, line_of, to_independent_leaders
 from lieednn_sim.arm.forces import force_ranges
-from lieednn_sim.arm.kinematics import CompoundJoint, CompoundJoints, Factor
+from lieednn_sim.arm.kinematics import CompoundJoint, CompoundJoints, Factor, distinctness
 from lieednn_sim.errors import InputError
 from lieednn_sim.values import Floats
 
@@ -289,9 +289,7 @@ def _check_independent(joint: CompoundJoint, size: int, link: str) -> None:
         raise InputError(f"{link} is moved by {count} coordinates, and a pose tells six apart; name more links")
     *_, omega, v = joint.pose_and_twists(rng.uniform(-1.0, 1.0, (_POSTURES, size)))
     columns = np.concatenate([omega, v], axis=-1)[:, joint.indices]
-    lengths = np.linalg.norm(columns, axis=-1, keepdims=True)
-    smallest = np.linalg.svd(columns / np.maximum(lengths, _DEPENDENT), compute_uv=False)[:, -1]
-    if smallest.max() < _DEPENDENT:
+    if distinctness(np.swapaxes(columns, -1, -2), _DEPENDENT).max() < _DEPENDENT:
         raise InputError(
             f"{link} is moved by {count} coordinates of which some do the same; cut it between them: name more links"
         )

@@ -15,7 +15,7 @@ from lieednn_sim.evaluation.entries import record
 from lieednn_sim.evaluation.rows import TIMING, Case, Row
 from lieednn_sim.evaluation.shards import Shard
 from lieednn_sim.evaluation.study import Selection
-from lieednn_sim.evaluation.table import Table, differences, load_description, read_rows
+from lieednn_sim.evaluation.table import Table, differences, how_made, read_rows
 from lieednn_sim.versions import versions
 
 
@@ -51,7 +51,7 @@ def merge(directory: str | os.PathLike[str], folders: Sequence[str | os.PathLike
     """
     if not folders:
         raise InputError("there is nothing to merge: give the folders of the shards")
-    read = {Path(folder): load_description(Path(folder) / "comparison.json", "comparison") for folder in folders}
+    read = {Path(folder): how_made(Path(folder) / "comparison.json", "comparison") for folder in folders}
     first, whole = next(iter(read.items()))
     now = {"versions": versions(code=True)}
     for folder, found in read.items():

@@ -87,7 +87,7 @@ class Rows(Generic[R]):
         """Refuse to mix rows that were not made alike."""
         advice = f"choose another --output, or remove {self.csv}"
         try:
-            differ = differences(load_description(self.json, self._description["kind"]), self._description)
+            differ = differences(how_made(self.json, self._description["kind"]), self._description)
         except FileError as error:
             raise FileError(
                 f"cannot go on from {self.csv}, for {self.json} does not say how it was made: {error}; {advice}"
@@ -114,7 +114,7 @@ class Table(Rows[Row]):
         return [name for name in controllers if (case.arm, case.scene, case.planner, name, case.seed) not in self.rows]
 
 
-def load_description(path: Path, kind: str) -> dict[str, Any]:
+def how_made(path: Path, kind: str) -> dict[str, Any]:
     """What a table's JSON file says of how it was made; `FileError` when it says nothing."""
     found = storage.load_json(path, kind)
     if (found.get("kind"), found.get("format")) != (kind, 1) or not all(

@@ -103,8 +103,6 @@ class BlockNetwork(ABC):
     def _rest(self, state: Floats) -> Floats:
         """Equilibrium ``(M, d)`` of the hidden neurons while the visible ones stay as in ``state`` ``(N, d)``."""
         first, hidden = self.n_visible, state[self.n_visible :]
-        if not len(hidden):
-            return hidden
         still, size = state[:first].ravel(), first * self.bias.shape[1]
 
         def field(x: Floats) -> Floats:

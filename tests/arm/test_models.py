@@ -11,21 +11,10 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.arm.models import is_arm_file
 from lieednn_sim.errors import FileError, InputError
 
-MODEL = """
-<mujoco>
-  <worldbody>
-    <body name="one"><joint name="a" range="-90 90"/><geom type="capsule" size="0.02" fromto="0 0 0 0.3 0 0"/>
-      <body name="two" pos="0.3 0 0"><joint name="b" axis="0 1 0" range="-90 90"/>
-        <geom type="capsule" size="0.02" fromto="0.05 0 0 0.3 0 0"/><site name="tool" pos="0.3 0 0"/>
-      </body></body>
-  </worldbody>
-</mujoco>
-"""
-
 
 @pytest.fixture
-def folder(tmp_path, monkeypatch):
-    (tmp_path / "two.xml").write_text(MODEL)
+def folder(tmp_path, monkeypatch, two_hinges):
+    (tmp_path / "two.xml").write_text(two_hinges)
     monkeypatch.chdir(tmp_path)
     return tmp_path
 

@@ -16,16 +16,6 @@ from lieednn_sim.evaluation.merging import merge
 from lieednn_sim.evaluation.shards import Shard
 from lieednn_sim.evaluation.statistics import grouped
 
-MODEL = """
-<mujoco>
-  <worldbody>
-    <body name="one"><joint name="a" range="-90 90"/><geom type="capsule" size="0.02" fromto="0 0 0 0.3 0 0"/>
-      <body name="two" pos="0.3 0 0"><joint name="b" axis="0 1 0" range="-90 90"/>
-        <geom type="capsule" size="0.02" fromto="0.05 0 0 0.3 0 0"/><site name="tool" pos="0.3 0 0"/>
-      </body></body>
-  </worldbody>
-</mujoco>
-"""
 POST = {"shape": "box", "name": "post", "size": [0.1, 0.1, 2.0], "position": [0.0, 0.0, 1.2]}
 QUICK = Settings(duration=1.5, hold=0.2)
 WORDS = "--planners minimum-jerk --controllers position-servo --seeds 1 --duration 1.5 --hold 0.2 --jobs 1"
@@ -33,8 +23,8 @@ PLAIN, LINKED = "two", "two(one,tool)"
 
 
 @pytest.fixture
-def folder(tmp_path, monkeypatch):
-    (tmp_path / "two.xml").write_text(MODEL)
+def folder(tmp_path, monkeypatch, two_hinges):
+    (tmp_path / "two.xml").write_text(two_hinges)
     (tmp_path / "post.json").write_text(json.dumps({"obstacles": [POST]}))
     monkeypatch.chdir(tmp_path)
     return tmp_path
@@ -72,7 +62,7 @@ def test_an_arm_that_finds_no_target_in_a_scene_is_told_and_is_a_row(folder, in_
     assert {row.scene: row.reason[:8] for row in rows} == {"free": "", "shelf": "problem:"}
 
 
-def test_a_table_goes_on_with_the_same_files_and_refuses_others(folder, in_this_process):
+def test_a_table_goes_on_with_the_same_files_and_refuses_others(folder, in_this_process, two_hinges):
     with in_this_process():
         before = compare("out", chosen("two.xml"), QUICK).rows
         # Elsewhere, the same arm; and another beside it.
@@ -85,7 +75,7 @@ def test_a_table_goes_on_with_the_same_files_and_refuses_others(folder, in_this_
         (folder / "post.json").write_text(json.dumps({"obstacles": [{**POST, "position": [0.0, 0.1, 1.2]}]}))
         with pytest.raises(FileError, match=r"rows in out are of another scene 'post' \(fingerprint .* choose another"):
             compare("out", chosen("moved/two.xml", scenes=("post.json",)), QUICK)
-        (folder / "two.xml").write_text(MODEL.replace('pos="0.3 0 0"', 'pos="0.31 0 0"'))
+        (folder / "two.xml").write_text(two_hinges.replace('pos="0.3 0 0"', 'pos="0.31 0 0"'))
         with pytest.raises(FileError, match=r"of another arm 'two' .* that of .*two.xml is"):
             compare("out", chosen("two.xml"), QUICK)
         # One that changes between the choice and the work is no other arm by the same name.
@@ -96,8 +86,12 @@ def test_a_table_goes_on_with_the_same_files_and_refuses_others(folder, in_this_
     assert [entry[:2] for entry in recorded("out")] == [("arm", "two"), ("arm", "two(tool)"), ("scene", "post")]
 
 
-def test_shards_of_files_that_lie_elsewhere_merge_unless_they_make_another_arm(folder, in_this_process):
-    for place, model in (("here", MODEL), ("there", MODEL), ("other", MODEL.replace("-90 90", "-80 90"))):
+def test_shards_of_files_that_lie_elsewhere_merge_unless_they_make_another_arm(folder, in_this_process, two_hinges):
+    for place, model in (
+        ("here", two_hinges),
+        ("there", two_hinges),
+        ("other", two_hinges.replace("-90 90", "-80 90")),
+    ):
         (folder / place).mkdir()
         (folder / place / "two.xml").write_text(model)
     with in_this_process():
@@ -123,9 +117,9 @@ def test_shards_of_files_that_lie_elsewhere_merge_unless_they_make_another_arm(f
         ([3], ["free"], InputError, "no arm 3"),
     ],
 )
-def test_files_that_cannot_enter_are_refused_before_the_work(folder, arms, scenes, error, message):
+def test_files_that_cannot_enter_are_refused_before_the_work(folder, arms, scenes, error, message, two_hinges):
     (folder / "other").mkdir()
-    (folder / "other" / "two.xml").write_text(MODEL.replace("0.3", "0.4"))
+    (folder / "other" / "two.xml").write_text(two_hinges.replace("0.3", "0.4"))
     for name in ("telescopic_pr.json", "a:b.json"):
         (folder / name).write_text('{"model": "two.xml"}')
     with pytest.raises(error, match=message):

@@ -16,6 +16,7 @@ from lieednn_sim.arm.importer.draft import Draft
 from lieednn_sim.arm.importer.locking import pose
 from lieednn_sim.arm.importer.postures import random_coordinates
 from lieednn_sim.arm.importer.units import length_unit
+from lieednn_sim.arm.kinematics import distinctness
 from lieednn_sim.errors import InputError
 
 Floats = NDArray[np.float64]
@@ -144,8 +145,7 @@ def look_for_singular_links(draft: Draft) -> None:
                 linear, angular = np.zeros((2, 3, model.nv))
                 mujoco.mj_jacSite(model, data, linear, angular, sites[i])
                 screws.append(np.concatenate([angular, linear / unit]) @ np.array(columns).T)
-            unit_screws = np.array(screws) / np.linalg.norm(screws, axis=1, keepdims=True)
-            singular += np.linalg.svd(unit_screws, compute_uv=False)[:, -1].min() < _SINGULAR
+            singular += distinctness(np.array(screws)).min() < _SINGULAR
         if singular:
             draft.notes.append(
                 f"link {i}: on {singular} of {len(ways)} straight ways from home it comes near postures at which its "
