@@ -28,6 +28,18 @@ from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.problem import PlanningProblem, in_time
 from lieednn_sim.values import Floats
 
+# OMPL's names. PRM* has no place here: OMPL's builds its roadmap by the clock and in two threads, so that its paths
+# depend on the machine.
+METHODS = {
+    "rrt-connect": "RRTConnect",
+    "rrt-star": "RRTstar",
+    "informed-rrt-star": "InformedRRTstar",
+    "bit-star": "BITstar",
+    "aorrtc": "AORRTC",
+}
+# Times that a search looks whether it is over, for each test that it may make: usually once for a test or more.
+_LOOKS = 2
+
 
 @dataclass(frozen=True)
 class SearchOptions(PlannerOptions):
@@ -72,17 +84,6 @@ class BitStarOptions(RrtConnectOptions):
     tests: tuple[int, ...] = (5_000, 10_000, 20_000, 40_000)
 
 
-# OMPL's names. PRM* has no place here: OMPL's builds its roadmap by the clock and in two threads, so that its paths
-# depend on the machine.
-METHODS = {
-    "rrt-connect": "RRTConnect",
-    "rrt-star": "RRTstar",
-    "informed-rrt-star": "InformedRRTstar",
-    "bit-star": "BITstar",
-    "aorrtc": "AORRTC",
-}
-
-
 def sampling_planner(name: str) -> Callable[[PlanningProblem, RrtConnectOptions], Motion]:
     """The planner of a name of `METHODS`.
 
@@ -103,9 +104,6 @@ def sampling_planner(name: str) -> Callable[[PlanningProblem, RrtConnectOptions]
 
 
 rrt_connect = sampling_planner("rrt-connect")
-
-# Times that a search looks whether it is over, for each test that it may make: usually once for a test or more.
-_LOOKS = 2
 
 
 def _plan(problem: PlanningProblem, options: RrtConnectOptions, planner: str) -> Motion:
