@@ -8,7 +8,6 @@ import numpy as np
 from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
 from scipy.ndimage import convolve1d, maximum_filter1d
-from scipy.signal.windows import hann
 
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.values import Floats
@@ -71,7 +70,8 @@ def eased_law(motion: Motion, law: Law, units: Floats) -> Law | None:
     sharpness = across * duration**2 / (_SHARP * length)
     if sharpness.max() <= 1.0:
         return None
-    window = hann(2 * max(1, round(_EASING * count)) + 1)
+    # Hann's window; scipy.signal has it, but takes as long to import as all else that a planning process needs.
+    window = 1.0 + np.cos(np.linspace(-np.pi, np.pi, 2 * max(1, round(_EASING * count)) + 1))
     slower = maximum_filter1d(np.sqrt(np.maximum(sharpness, 1.0)), len(window), mode="nearest")
     slower = convolve1d(slower, window / window.sum(), mode="nearest")
     s = motion.t / duration
