@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from lieednn_sim.lie import hat, left_jacobian_so3, log, poses, rotations
+from lieednn_sim.lie import left_jacobian_so3, log, poses, rotations, skew
 from lieednn_sim.values import Floats
 
 # Brackets of unit twists below this vanish up to rounding [1, m].
 _COMMUTING = 1e-12
+_ONE = np.eye(3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,7 +24,7 @@ class Factor:
 
     Attributes:
         kind: ``"hinge"``, ``"slide"`` or ``"ball"``.
-        axes: ``(3, c)``: the axis of a hinge or slide; of a ball the axes its rotation vector refers to.
+        axes: ``(3, c)``: the unit axis of a hinge or slide; of a ball the axes its rotation vector refers to.
         anchor: ``(3,)`` a point that the joint leaves where it is.
         indices: ``(c,)`` of its coordinates in q.
         ratio: of its displacement to that of its coordinate; other than 1 for coupled joints.
@@ -37,21 +38,40 @@ class Factor:
 
     def motion(self, offset: Floats) -> tuple[Floats, Floats]:
         """Rotation ``(..., 3, 3)`` and translation ``(..., 3)`` at displacements ``(..., n)`` of q."""
-        vector = self.ratio * offset[..., self.indices] @ self.axes.T
         if self.kind == "slide":
-            return np.eye(3), vector
-        rotation = Rotation.from_rotvec(vector).as_matrix()
+            return _ONE, offset[..., self.indices] @ self._scaled
+        if self.kind == "ball":
+            rotation = Rotation.from_rotvec(offset[..., self.indices] @ self._scaled).as_matrix()
+        else:
+            angle = self.ratio * offset[..., self.indices, None]
+            axis, square = self._turning
+            rotation = _ONE + np.sin(angle) * axis + (1.0 - np.cos(angle)) * square
         return rotation, self.anchor - rotation @ self.anchor
 
     def twists(self, offset: Floats) -> tuple[Floats, Floats]:
         """Spatial twists (omega, v) of unit rates of its coordinates, each ``(..., c, 3)``."""
-        directions = self.ratio * self.axes.T
+        if self.kind != "ball":
+            return self._constant
+        turning = left_jacobian_so3(offset[..., self.indices] @ self._scaled)
+        directions = self._scaled @ np.swapaxes(turning, -1, -2)
+        return directions, directions @ skew(self.anchor).T
+
+    @cached_property
+    def _scaled(self) -> Floats:
+        return self.ratio * self.axes.T
+
+    @cached_property
+    def _turning(self) -> tuple[Floats, Floats]:
+        """hat(a) and hat(a)^2 of a hinge's axis a, for Rodrigues' formula."""
+        axis = skew(self.axes[:, 0])
+        return axis, axis @ axis
+
+    @cached_property
+    def _constant(self) -> tuple[Floats, Floats]:
+        """The twists of a hinge or a slide."""
         if self.kind == "slide":
-            return np.zeros_like(directions), directions
-        if self.kind == "ball":
-            vector = self.ratio * offset[..., self.indices] @ self.axes.T
-            directions = directions @ np.swapaxes(left_jacobian_so3(vector), -1, -2)
-        return directions, directions @ hat(self.anchor).T
+            return np.zeros_like(self._scaled), self._scaled
+        return self._scaled, self._scaled @ skew(self.anchor).T
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,10 +80,15 @@ class CompoundJoint:
 
     factors: tuple[Factor, ...]
 
-    @property
+    @cached_property
     def indices(self) -> NDArray[np.int_]:
-        """Of its coordinates in q, sorted."""
-        return np.unique(np.concatenate([factor.indices for factor in self.factors]))
+        """Of its c coordinates in q, sorted."""
+        return np.unique(self.coordinates)
+
+    @cached_property
+    def coordinates(self) -> NDArray[np.int_]:
+        """``(r,)`` of each of its joints in turn; coupled joints share one."""
+        return np.concatenate([factor.indices for factor in self.factors])
 
     @cached_property
     def screw(self) -> Floats | None:
@@ -83,25 +108,27 @@ class CompoundJoint:
 
     def pose(self, offset: Floats) -> tuple[Floats, Floats]:
         """T as rotation ``(..., 3, 3)`` and translation ``(..., 3)`` at displacements ``(..., n)`` of q."""
-        rotation, translation = np.broadcast_to(np.eye(3), (*offset.shape[:-1], 3, 3)), np.zeros(3)
+        rotation, translation = np.broadcast_to(_ONE, (*offset.shape[:-1], 3, 3)), np.zeros(3)
         for factor in self.factors:
             rotation, translation = _compose(rotation, translation, *factor.motion(offset))
         return rotation, translation
 
     def pose_and_twists(self, offset: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-        """`pose`, and its spatial Jacobian: omega and v ``(..., n, 3)`` for unit rates of every coordinate of q."""
-        omega, v = np.zeros((*offset.shape, 3)), np.zeros((*offset.shape, 3))
-        rotation, translation = np.broadcast_to(np.eye(3), (*offset.shape[:-1], 3, 3)), np.zeros(3)
+        """`pose`, and the spatial twists of its joints: omega and v ``(..., r, 3)`` for unit rates of ``coordinates``.
+
+        With Z_a their matrices, dT/dq_a = Z_a T and d^2T/(dq_a dq_b) = Z_a Z_b T where a is the inner joint.
+        """
+        omega, v = [], []
+        rotation, translation = np.broadcast_to(_ONE, (*offset.shape[:-1], 3, 3)), np.zeros(3)
         for factor in self.factors:
             angular, linear = factor.twists(offset)
             # The adjoint of what comes before carries the joint's twist to the joint frame.
             back = np.swapaxes(rotation, -1, -2)
             turned = angular @ back
-            # Coupled joints share a coordinate: their twists add up.
-            omega[..., factor.indices, :] += turned
-            v[..., factor.indices, :] += linear @ back + turned @ np.swapaxes(hat(translation), -1, -2)
+            omega.append(turned)
+            v.append(linear @ back + turned @ np.swapaxes(skew(translation), -1, -2))
             rotation, translation = _compose(rotation, translation, *factor.motion(offset))
-        return rotation, translation, omega, v
+        return rotation, translation, np.concatenate(omega, axis=-2), np.concatenate(v, axis=-2)
 
 
 def _compose(rotation: Floats, translation: Floats, turn: Floats, shift: Floats) -> tuple[Floats, Floats]:

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from lieednn_sim.arm.bridging import VAGUE, bridge
 from lieednn_sim.arm.kinematics import CompoundJoint, distinctness
 from lieednn_sim.budget import check_time
-from lieednn_sim.lie import hat
+from lieednn_sim.lie import skew
 from lieednn_sim.values import Floats
 
 # Levenberg-Marquardt to get near, Newton to get exact: with a gap left, Gauss-Newton steps converge linearly only.
@@ -21,8 +21,8 @@ _DAMPED_STEPS, _NEWTON_STEPS = 40, 6
 # Steps [rad, m] below which Newton takes over.
 _NEAR = 1e-3
 _DAMPING, _DAMPING_FALL, _DAMPING_RISE = 1e-3, 0.2, 5.0
-# Step of the central differences of the gradient [rad, m], and share of the largest curvature taken for zero.
-_DIFFERENCE, _FLAT = 1e-5, 1e-9
+# Share of the largest curvature that is taken for zero.
+_FLAT = 1e-9
 # Where this much of f is left there may be a lower minimum: it is looked for from the best of so many postures.
 _FAR, _POSTURES, _STARTS = 0.1, 256, 2
 # Of minima that are equal up to rounding the first counts.
@@ -56,6 +56,11 @@ class NearestPose:
         turning = [factor.indices for joint in joints for factor in joint.factors if factor.kind != "slide"]
         self._sliding = ~np.isin(indices, np.concatenate([*turning, []]))
         factors = [factor for joint in joints for factor in joint.factors]
+        # Of each joint: which of its r coordinates is which of the group's, ``(c, r)``, and for which pairs of them the
+        # first one's joint is further in, 1, or the same, 1/2, ``(r, r)``.
+        self._places = [np.equal(indices[:, None], joint.coordinates).astype(np.float64) for joint in joints]
+        ranks = [np.repeat(np.arange(len(j.factors)), [len(f.indices) for f in j.factors]) for j in joints]
+        self._orders = [np.heaviside(rank - rank[:, None], 0.5) for rank in ranks]
         self._periodic = np.array(
             [all(f.kind == "hinge" and abs(f.ratio) == 1.0 for f in factors if i in f.indices) for i in indices]
         )
@@ -89,22 +94,23 @@ class NearestPose:
         """
         goal = self._stack(rotation, translation).reshape(len(translation), -1, 12 * len(self._joints))
         q = np.empty((*goal.shape[:2], len(self._indices)))
-        q[0] = self._approach(np.broadcast_to(near, q.shape[1:]), goal[0])
+        q[0], evaluated = self._approach(np.broadcast_to(near, q.shape[1:]), goal[0])
         known, longest = [0], max(1, len(goal) // _STRIDES)
         stride, vague = longest, False
         while known[-1] < len(goal) - 1:
             check_time()
             last = known[-1]
             stride = min(stride, len(goal) - 1 - last)
-            trial = self._approach(q[last], goal[last + stride], _FOLLOWING_STEPS)
-            vague, before = bool((distinctness(self._evaluate(trial)[1]) < VAGUE).any()), vague
+            trial, there = self._approach(q[last], goal[last + stride], _FOLLOWING_STEPS, evaluated)
+            vague, before = bool((distinctness(there[1]) < VAGUE).any()), vague
             if vague and not before and (leap := self._leap(q, goal, known, longest)):
                 known.append(leap)
+                evaluated = self._evaluate(q[leap])
                 continue
             if stride > 1 and np.abs(trial - q[last]).max() > _LONG:
                 stride //= 2
                 continue
-            q[last + stride] = trial
+            q[last + stride], evaluated = trial, there
             known.append(last + stride)
             stride = min(2 * stride, longest)
         if len(known) < len(goal):
@@ -124,8 +130,8 @@ class NearestPose:
         for strides in range(1, _LEAPS + 1):
             there = min(last + strides * longest, len(goal) - 1)
             guess = q[last] + (there - last) * pace
-            trial = self._approach(guess, goal[there], _FOLLOWING_STEPS)
-            clear = distinctness(self._evaluate(trial)[1]) >= VAGUE
+            trial, (_, jacobian) = self._approach(guess, goal[there], _FOLLOWING_STEPS)
+            clear = distinctness(jacobian) >= VAGUE
             if clear.all() and np.abs(trial - guess).max() < 2.0 * _LONG:
                 q[there] = trial
                 return there
@@ -133,7 +139,7 @@ class NearestPose:
 
     def _descend(self, q: Floats, goal: Floats) -> Floats:
         """Minima ``(B, c)`` next to starts ``(B, c)`` for stacked poses ``(B, 12m)``."""
-        q = self._approach(q, goal)
+        q, _ = self._approach(q, goal)
         for _ in range(_NEWTON_STEPS):
             step = self._newton_step(q, goal)
             q = q - step
@@ -141,27 +147,31 @@ class NearestPose:
                 break
         return q
 
-    def _approach(self, q: Floats, goal: Floats, steps: int = _DAMPED_STEPS) -> Floats:
-        """Postures near these minima, by damped steps down to `_NEAR`."""
+    def _approach(
+        self, q: Floats, goal: Floats, steps: int = _DAMPED_STEPS, known: tuple[Floats, Floats] | None = None
+    ) -> tuple[Floats, tuple[Floats, Floats]]:
+        """Postures near these minima, by damped steps down to `_NEAR`, and what `_evaluate` gives there.
+
+        It is given at ``q`` by ``known``, where that is known.
+        """
         damping = np.full(len(goal), _DAMPING)
-        values, jacobian = self._evaluate(q)
-        residual = values - goal
+        values, jacobian = self._evaluate(q) if known is None else known
         for _ in range(steps):
-            square = np.swapaxes(jacobian, -1, -2) @ jacobian
-            gradient = np.einsum("bri,br->bi", jacobian, residual)
+            residual = values - goal
+            transposed = np.swapaxes(jacobian, -1, -2)
+            square = transposed @ jacobian
             scale = np.trace(square, axis1=-2, axis2=-1) / square.shape[-1]
             weight = (damping * np.maximum(scale, 1e-12))[:, None, None]
-            step = np.linalg.solve(square + weight * np.eye(square.shape[-1]), gradient[..., None])[..., 0]
+            step = np.linalg.solve(square + weight * np.eye(square.shape[-1]), transposed @ residual[..., None])[..., 0]
             trial = q - step
             new_values, new_jacobian = self._evaluate(trial)
-            new_residual = new_values - goal
-            better = (new_residual**2).sum(axis=-1) <= (residual**2).sum(axis=-1)
-            q, residual = np.where(better[:, None], trial, q), np.where(better[:, None], new_residual, residual)
+            better = ((new_values - goal) ** 2).sum(axis=-1) <= (residual**2).sum(axis=-1)
+            q, values = np.where(better[:, None], trial, q), np.where(better[:, None], new_values, values)
             jacobian = np.where(better[:, None, None], new_jacobian, jacobian)
             damping = np.clip(np.where(better, _DAMPING_FALL, _DAMPING_RISE) * damping, 1e-12, 1e6)
             if np.abs(step).max() < _NEAR:
                 break
-        return q
+        return q, (values, jacobian)
 
     def _value(self, q: Floats, goal: Floats) -> Floats:
         return np.asarray(((self._evaluate(q)[0] - goal) ** 2).sum(axis=-1))
@@ -195,16 +205,15 @@ class NearestPose:
     def rates(self, q: Floats, rotation: Floats, translation: Floats, omega: Floats, velocity: Floats) -> Floats:
         """Derivative ``(..., c)`` of the minimiser along a motion of the poses, by the implicit function theorem."""
         shape = q.shape
-        goal_rate = self._stack(hat(omega) @ rotation, velocity).reshape(-1, 12 * len(self._joints))
+        goal_rate = self._stack(skew(omega) @ rotation, velocity).reshape(-1, 12 * len(self._joints))
         goal = self._stack(rotation, translation).reshape(goal_rate.shape)
         flat = q.reshape(-1, shape[-1])
-        jacobian = self._evaluate(flat)[1]
-        pull = np.einsum("bri,br->bi", jacobian, goal_rate)
-        return (self._inverse_hessian(flat, goal) @ pull[..., None])[..., 0].reshape(shape)
+        pull = np.swapaxes(self._evaluate(flat)[1], -1, -2) @ goal_rate[..., None]
+        return (self._quadratic(flat, goal)[1] @ pull)[..., 0].reshape(shape)
 
     def rates_along(self, q: Floats, rotation: Floats, translation: Floats, omega: Floats, velocity: Floats) -> Floats:
         """Derivative ``(K, ..., c)`` of coordinates along a way, by its samples, whatever they minimise."""
-        rate = self._stack(hat(omega) @ rotation, velocity)
+        rate = self._stack(skew(omega) @ rotation, velocity)
         moved = np.gradient(self._stack(rotation, translation), axis=0)
         size = np.maximum((rate**2).sum(axis=-1), 1e-300)
         samples = (moved * rate).sum(axis=-1) / size  # in a unit of the rate's time
@@ -212,42 +221,56 @@ class NearestPose:
         return np.asarray(along / np.maximum(samples, 1e-300)[..., None])
 
     def _newton_step(self, q: Floats, goal: Floats) -> Floats:
-        step = (self._inverse_hessian(q, goal) @ self._gradient(q, goal)[..., None])[..., 0]
+        gradient, inverse = self._quadratic(q, goal)
+        step = (inverse @ gradient[..., None])[..., 0]
         # Far from the minimum the quadratic model means nothing.
         return np.where(np.abs(step).max(axis=-1, keepdims=True) < 0.1, step, 0.0)
 
-    def _inverse_hessian(self, q: Floats, goal: Floats) -> Floats:
-        """Pseudo-inverse, so that directions that no pose depends on stay where they are."""
-        directions = _DIFFERENCE * np.eye(q.shape[-1])
-        # All neighbours at once: the calls cost more than the numbers in them.
-        neighbours = np.concatenate([q + direction for direction in (*directions, *-directions)])
-        forward, backward = np.split(self._gradient(neighbours, np.tile(goal, (2 * len(directions), 1))), 2)
-        change = (forward - backward).reshape(len(directions), *q.shape) / (2.0 * _DIFFERENCE)
-        hessian = np.moveaxis(change, 0, -1)
-        symmetric = 0.5 * (hessian + np.swapaxes(hessian, -1, -2))
-        return np.asarray(np.linalg.pinv(symmetric, rcond=_FLAT, hermitian=True), dtype=np.float64)
+    def _quadratic(self, q: Floats, goal: Floats) -> tuple[Floats, Floats]:
+        """The gradient ``(B, c)`` of f / 2, and its Hessian's pseudo-inverse: where no pose depends on q it stays.
 
-    def _gradient(self, q: Floats, goal: Floats) -> Floats:
-        values, jacobian = self._evaluate(q)
-        return np.einsum("bri,br->bi", jacobian, values - goal)
+        With Y = R (R - R_goal)^T / 2 and e = p - p_goal the second derivatives of the poses T_i add, for rates a and b
+        of joints one after the other, omega_a^T Y omega_b - (omega_a . omega_b) tr Y + (e x omega_a) . p_b / length^2.
+        Within a ball their symmetric part stands for them, which is exact where the gradient vanishes.
+        """
+        size = q.shape[-1]
+        gradient, hessian = np.zeros(q.shape), np.zeros((*q.shape, size))
+        offset = self._offset(q)
+        for i, (joint, place, order) in enumerate(zip(self._joints, self._places, self._orders, strict=True)):
+            value, rows, omega = self._moved(joint, offset)
+            error = value - goal[:, 12 * i : 12 * (i + 1)]
+            own = place @ rows
+            gradient += (own @ error[..., None])[..., 0]
+            turn = value[:, :9].reshape(-1, 3, 3) @ np.swapaxes(error[:, :9].reshape(-1, 3, 3), -1, -2)
+            turn -= np.trace(turn, axis1=-2, axis2=-1)[:, None, None] * np.eye(3)
+            across = np.swapaxes(omega, -1, -2)
+            bend = omega @ turn @ across
+            bend += omega @ np.swapaxes(skew(error[:, 9:]), -1, -2) @ np.swapaxes(rows[..., 9:], -1, -2)
+            bend *= order
+            hessian += own @ np.swapaxes(own, -1, -2) + place @ (bend + np.swapaxes(bend, -1, -2)) @ place.T
+        return gradient, np.asarray(np.linalg.pinv(hessian, rcond=_FLAT, hermitian=True), dtype=np.float64)
 
     def _evaluate(self, q: Floats) -> tuple[Floats, Floats]:
         """The stacked poses ``(B, 12m)`` and their Jacobian ``(B, 12m, c)``."""
+        offset = self._offset(q)
+        values, columns = [], []
+        for joint, place in zip(self._joints, self._places, strict=True):
+            value, rows, _ = self._moved(joint, offset)
+            values.append(value)
+            columns.append(place @ rows)
+        return np.concatenate(values, axis=-1), np.swapaxes(np.concatenate(columns, axis=-1), -1, -2)
+
+    def _moved(self, joint: CompoundJoint, offset: Floats) -> tuple[Floats, Floats, Floats]:
+        """A joint's stacked pose ``(B, 12)``, its derivatives ``(B, r, 12)`` and angular velocities ``(B, r, 3)``."""
+        rotation, translation, omega, v = joint.pose_and_twists(offset)
+        spin = skew(omega)
+        rows = self._join(spin @ rotation[:, None], v + (spin @ translation[:, None, :, None])[..., 0])
+        return self._join(rotation, translation), rows, omega
+
+    def _offset(self, q: Floats) -> Floats:
         offset = np.zeros((len(q), self._size))
         offset[:, self._indices] = q
-        rotations, translations, columns = [], [], []
-        for joint in self._joints:
-            rotation, translation, *twists = joint.pose_and_twists(offset)
-            omega, v = (part[:, self._indices] for part in twists)
-            spin = hat(omega)
-            turning = spin @ rotation[:, None]
-            moving = v + (spin @ translation[:, None, :, None])[..., 0]
-            columns.append(self._join(turning, moving))
-            rotations.append(rotation)
-            translations.append(translation)
-        values = self._stack(np.stack(rotations, axis=1), np.stack(translations, axis=1))
-        jacobian = np.swapaxes(np.concatenate(columns, axis=-1), -1, -2)
-        return values.reshape(len(q), -1), jacobian
+        return offset
 
     def _stack(self, rotation: Floats, translation: Floats) -> Floats:
         joined = self._join(rotation, translation)

@@ -19,6 +19,7 @@ from lieednn_sim.lie.se3 import (
     log,
     poses,
     rotations,
+    skew,
     vee,
 )
 
@@ -36,5 +37,6 @@ __all__ = [
     "project_to_rotation",
     "project_to_scaled_adjoint",
     "rotations",
+    "skew",
     "vee",
 ]

@@ -20,6 +20,8 @@ _SERIES_TERMS = 10
 _LARGEST = 1e300
 # Of a twist whose entries are multiplied five times over.
 _LARGEST_TWIST = 1e60
+# Rows: hat(e_k), flat; its columns are e_k x e_j.
+_GENERATORS = np.cross(np.eye(3)[:, None], np.eye(3)).swapaxes(-1, -2).reshape(3, 9)
 
 
 def hat(vector: ArrayLike) -> Floats:
@@ -36,9 +38,9 @@ def hat(vector: ArrayLike) -> Floats:
         raise InputError(f"hat needs vectors of shape (..., 3) or (..., 6), got {np.shape(vector)}")
     array = as_floats("vector", vector, (size,), batched=True, largest=_LARGEST)
     if size == 3:
-        return _skew(array)
+        return skew(array)
     matrix = np.zeros((*array.shape[:-1], 4, 4))
-    matrix[..., :3, :3] = _skew(array[..., :3])
+    matrix[..., :3, :3] = skew(array[..., :3])
     matrix[..., :3, 3] = array[..., 3:]
     return matrix
 
@@ -124,7 +126,7 @@ def adjoint(rotation: ArrayLike, translation: ArrayLike) -> Floats:
         )
     result = np.zeros((*matrix.shape[:-2], 6, 6))
     result[..., :3, :3] = result[..., 3:, 3:] = matrix
-    result[..., 3:, :3] = _skew(offset) @ matrix
+    result[..., 3:, :3] = skew(offset) @ matrix
     return result
 
 
@@ -136,8 +138,8 @@ def left_jacobian_so3(omega: ArrayLike) -> Floats:
     """
     vector = as_floats("omega", omega, (3,), batched=True)
     b, c = _coefficients(np.linalg.norm(vector, axis=-1), 2, 3)
-    skew = _skew(vector)
-    return np.eye(3) + b[..., None, None] * skew + c[..., None, None] * (skew @ skew)
+    matrix = skew(vector)
+    return np.eye(3) + b[..., None, None] * matrix + c[..., None, None] * (matrix @ matrix)
 
 
 def left_jacobian_se3(twist: ArrayLike) -> Floats:
@@ -147,7 +149,7 @@ def left_jacobian_se3(twist: ArrayLike) -> Floats:
     with Q of Barfoot 2017, eq. 7.86, rewritten for this order of the twist.
     """
     vector = as_floats("twist", twist, (6,), batched=True, largest=_LARGEST_TWIST)
-    w, v = _skew(vector[..., :3]), _skew(vector[..., 3:])
+    w, v = skew(vector[..., :3]), skew(vector[..., 3:])
     angle = np.linalg.norm(vector[..., :3], axis=-1)
     c, d, e = (k[..., None, None] for k in _coefficients(angle, 3, 4, 5))
     wv, vw = w @ v, v @ w
@@ -160,12 +162,9 @@ def left_jacobian_se3(twist: ArrayLike) -> Floats:
     return result
 
 
-def _skew(vector: Floats) -> Floats:
-    # Entry by entry: a training loop comes here often, and stacking takes several times as long.
-    matrix = np.zeros((*vector.shape, 3))
-    matrix[..., 2, 1], matrix[..., 0, 2], matrix[..., 1, 0] = (vector[..., k] for k in range(3))
-    matrix[..., 1, 2], matrix[..., 2, 0], matrix[..., 0, 1] = (-vector[..., k] for k in range(3))
-    return matrix
+def skew(vector: Floats) -> Floats:
+    """`hat` of vectors ``(..., 3)`` in inner loops: unchecked, in one product."""
+    return (vector @ _GENERATORS).reshape(*vector.shape, 3)
 
 
 def _coefficients(angle: Floats, *orders: int) -> list[Floats]:
