@@ -97,6 +97,7 @@ def _report(
         "lever_m": demonstrations.lever,
         "goal_position_m": goal.translation.tolist(),
         "goal_quaternion_wxyz": goal.rotation.as_quat(scalar_first=True).tolist(),
+        "network_state": ["turn from the goal [rad]"] * 3 + ["position from the goal [m]"] * 3,
         "network_message": shaped.shaping.message,
         "network_deviation_m": shaped.shaping.deviation,
         "network_within_deviation": shaped.shaping.success,

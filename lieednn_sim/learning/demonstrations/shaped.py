@@ -1,4 +1,10 @@
-"""A certified network shaped by demonstrations: one visible neuron, whose state is the frame's twist from its goal."""
+"""A certified network shaped by demonstrations: one visible neuron, whose state is the frame's displacement.
+
+The state is (omega, p), turn and position from the goal: the pose is Exp(0, p) Exp(omega, 0). Another start than the
+mean's is forgotten as e^-t in every coordinate of the state, so positions return to the mean whatever the turns do. In
+one twist (omega, v), with p = J(omega) v, a turn that is off would drag the position along, by about half of it times
+the way that has been gone.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +12,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from lieednn_sim.learning.demonstrations.alignment import Demonstrations, displacement
+from lieednn_sim.learning.demonstrations.alignment import Demonstrations, displacement, twist_of
 from lieednn_sim.learning.demonstrations.models import run_field
 from lieednn_sim.learning.demonstrations.warping import warp
 from lieednn_sim.network import LieEDNN
@@ -30,7 +36,7 @@ class ShapedMotion:
     """A shaped network with the law of time of the demonstrations.
 
     Attributes:
-        network: of one visible neuron in twists [rad, m] from the goal; certified.
+        network: of one visible neuron, turn and position [rad, m] from the goal; certified.
         rate: rho, of its clock.
         t: ``(K,)`` times of the demonstrations' phases [s].
         tau: ``(K,)`` the network's own time there.
@@ -67,7 +73,8 @@ class ShapedMotion:
         """
         chosen = ShapingOptions() if options is None else options
         asked = DEVIATION * demonstrations.extent if deviation is None else as_positive("deviation", deviation)
-        shaping = shape(demonstrations.mean[:, None], asked, units=demonstrations.scale, options=chosen, seed=seed)
+        curve = displacement(demonstrations.mean)[:, None]
+        shaping = shape(curve, asked, units=demonstrations.scale, options=chosen, seed=seed)
         times = np.array([0.0, demonstrations.duration])
         ends = np.array([0.0, _SPAN / chosen.rate])
         made = cls(shaping.network, chosen.rate, times, ends, demonstrations.freedoms, shaping)
@@ -87,10 +94,10 @@ class ShapedMotion:
         """
         pace = self.tau[-1] / self.t[-1]
         tau = np.where(t > self.t[-1], self.tau[-1] + pace * (t - self.t[-1]), np.interp(t, self.t, self.tau))
-        return self._run(start.reshape(-1, 6), tau).reshape(*start.shape[:-1], len(t), 6)
+        return twist_of(self._run(displacement(start).reshape(-1, 6), tau)).reshape(*start.shape[:-1], len(t), 6)
 
     def _run(self, start: Floats, tau: Floats) -> Floats:
-        """Twists ``(n, K, 6)`` at times of the network's own, from twists ``(n, 6)``."""
+        """Displacements ``(n, K, 6)`` at times of the network's own, from displacements ``(n, 6)``."""
         network = self.network
         weight, bias = network.weight.T, network.bias.ravel()
 
@@ -104,9 +111,8 @@ class ShapedMotion:
     def _beside(self, demonstrations: Demonstrations) -> Floats:
         """Times ``(K,)`` of the network's own at which it is beside the mean demonstration's phases."""
         tau = _grid(_SPAN / self.rate, self.rate)
-        paths = demonstrations.mean, self._run(demonstrations.mean[:1], tau)[0]
-        shown, found = (displacement(path) * demonstrations.scale for path in paths)
-        phase, index = warp(shown, found).pairs.T
+        shown = displacement(demonstrations.mean)
+        phase, index = warp(*(path * demonstrations.scale for path in (shown, self._run(shown[:1], tau)[0]))).pairs.T
         # The middle of all that a phase is matched with; the last is at rest.
         beside = np.bincount(phase, tau[index]) / np.bincount(phase)
         beside[0], beside[-1] = 0.0, tau[-1]

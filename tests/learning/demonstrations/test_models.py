@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lieednn_sim.learning.demonstrations.alignment import displacement
+from lieednn_sim.learning.demonstrations.alignment import displacement, twist_of
 from lieednn_sim.learning.demonstrations.models import LinearAttractor, at_times, even_grid, run_field
 from lieednn_sim.learning.demonstrations.primitive import MovementPrimitive
 from lieednn_sim.learning.demonstrations.probabilistic import ProbabilisticPrimitive, missing_library
@@ -125,6 +125,14 @@ def test_a_shaped_network_follows_the_mean_and_forgets_the_start_as_fast_as_it_s
     way = model.network.trajectory(model.network.start(planar.mean[:1]), tau[40])
     np.testing.assert_allclose(path[0, 40], model.network.visible(way.xi[-1])[0], atol=2e-5)
     assert model.n_parameters == 10 * (model.network.n_hidden - model.network.n_clock)
+
+
+def test_a_turn_that_is_off_does_not_drag_the_position_along(posed):
+    model = ShapedMotion.fit(posed, options=ShapingOptions(neurons=(2,), placed=()))
+    off = np.array([0.4, -0.2, 0.3, 0.0, 0.05, -0.1])
+    start = displacement(posed.mean[0])
+    path = displacement(model.reproduce(twist_of(np.stack([start, start + off])), posed.t))
+    np.testing.assert_allclose(path[1] - path[0], np.exp(-model.tau)[:, None] * off, atol=5e-5)
 
 
 def test_numbers_of_a_placed_switch_are_its_place_its_slope_and_a_vector(planar):
