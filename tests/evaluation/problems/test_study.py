@@ -9,12 +9,13 @@ import pytest
 
 from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.cli import main
-from lieednn_sim.errors import FileError, InputError
+from lieednn_sim.errors import FileError, InputError, PlanError
 from lieednn_sim.evaluation.problems import study
 from lieednn_sim.evaluation.problems.motion_bench_maker import ProblemSets
 from lieednn_sim.evaluation.problems.study import OPTIONS, Solution, Statistic, measured, solve, solve_problems
 from lieednn_sim.evaluation.table import read_rows
 from lieednn_sim.planning import plan
+from lieednn_sim.planning.motion import least_duration
 
 
 def test_statistics_are_of_what_was_solved_by_hand() -> None:
@@ -26,7 +27,9 @@ def test_statistics_are_of_what_was_solved_by_hand() -> None:
     assert Statistic.of([]) is None
 
 
-def test_a_straight_way_is_measured_by_hand(tiny: Path) -> None:
+def test_a_straight_way_is_measured_by_hand(tiny: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # Without toppra the planner's own law stays.
+    monkeypatch.setattr(study.importlib.util, "find_spec", lambda name: None)
     (row,) = solve(str(tiny), "easy", 1, "minimum-jerk", 10.0)
     assert (row.success, row.skipped, row.teacher) == (True, False, "")
     # The shoulder turns by 1.2 rad at 1 rad/s at most, and minimum jerk peaks at 15/8 of the mean: 2.25 s, and 2 %.
@@ -37,6 +40,25 @@ def test_a_straight_way_is_measured_by_hand(tiny: Path) -> None:
     assert row.eef_position_path_length == pytest.approx(0.4 * 1.2, rel=1e-5)
     # Minimum jerk's is largest at both ends: 60 ways over the time cubed.
     assert row.jerk == pytest.approx(60.0 * 1.2 / row.motion_time**3, rel=0.02)
+
+
+def test_paths_are_run_through_at_the_limits(tiny: Path) -> None:
+    pytest.importorskip("toppra")
+    (row,) = solve(str(tiny), "easy", 1, "minimum-jerk", 10.0)
+    arm, start, goal = ProblemSets(tiny).pose("easy", 1)
+    least = least_duration(arm, start, goal)
+    assert least <= row.motion_time <= 1.01 * least
+    assert row.cspace_path_length == pytest.approx(1.2, rel=1e-6)
+
+
+def test_a_path_that_only_just_passes_keeps_its_law(tiny: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def touching(*_: object) -> None:
+        raise PlanError("'fore' would touch 'obstacle_post'")
+
+    monkeypatch.setattr(study, "retime", touching)
+    monkeypatch.setattr(study.importlib.util, "find_spec", lambda name: name)
+    (row,) = solve(str(tiny), "easy", 1, "minimum-jerk", 10.0)
+    assert row.motion_time == pytest.approx(1.02 * 1.2 * 15.0 / 8.0, rel=0.02)
 
 
 def test_what_cannot_be_is_skipped_and_what_is_not_found_has_failed(tiny: Path) -> None:
