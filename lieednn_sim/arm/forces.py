@@ -65,7 +65,9 @@ def resting_load(model: mujoco.MjModel, qpos: Floats) -> Floats:
     """Generalised force ``(nv,)`` by which actuators hold the model at rest, gravity compensation and springs apart."""
     data = mujoco.MjData(model)
     data.qpos[:] = qpos
-    mujoco.mj_forward(model, data)
+    # Of mj_forward what comes before the constraints are solved.
+    mujoco.mj_fwdPosition(model, data)
+    mujoco.mj_fwdVelocity(model, data)
     # Compensation by an actuator counts as its force in MuJoCo, in addition to that of the servo.
     by_actuator = model.jnt_actgravcomp[model.dof_jntid] != 0
     return np.asarray(data.qfrc_bias - data.qfrc_passive - np.where(by_actuator, data.qfrc_gravcomp, 0.0))

@@ -35,7 +35,7 @@ class Entry(NamedTuple):
     fingerprint: str
 
 
-# Files are read anew by `enter`.
+# Files are read anew by `enter` of arms.
 @lru_cache(maxsize=8)
 def bare_arm(source: str) -> Arm:
     """An arm without obstacles; its import may take seconds, and is made once."""
@@ -56,7 +56,8 @@ def enter(kind: str, values: Sequence[str | os.PathLike[str]], known: Sequence[s
     """
     names: list[str] = []
     entries: list[Entry] = []
-    bare_arm.cache_clear()
+    if kind == ARM:
+        bare_arm.cache_clear()
     for value in values:
         own = isinstance(value, str | os.PathLike) and (is_arm_file if kind == ARM else is_scene_file)(os.fspath(value))
         if own:

@@ -104,10 +104,10 @@ def look_at_ways(draft: Draft) -> None:
     finder, home = ContactFinder(draft.model, _NEAR), draft.samples[0]
     ends, between = Counter[str](), Counter[str]()
     blocked, touching, rng = 0, 0, np.random.default_rng(1)
+    shares = np.linspace(1.0, 0.0, _LOOKS, endpoint=False)
     for sample in (random_coordinates(draft, rng) for _ in range(_WAYS)):
-        for share in np.linspace(1.0, 0.0, _LOOKS, endpoint=False):
-            q = {joint: start + share * (sample[joint] - start) for joint, start in home.items()}
-            found = finder.bodies(draft.place(draft.model, q, draft.model.qpos0))
+        for share, qpos in zip(shares, _way(draft, home, sample, shares), strict=True):
+            found = finder.bodies(qpos)
             if found:
                 touching, blocked = touching + int(share == 1.0), blocked + int(share < 1.0)
                 (ends if share == 1.0 else between).update({"{!r} and {!r}".format(*sorted(pair)) for pair in found})

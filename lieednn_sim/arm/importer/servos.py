@@ -84,7 +84,7 @@ def reduced_inertia(model: mujoco.MjModel, qpos: Floats, dofs: Sequence[Dof]) ->
     """Inertia ``(n, n)`` in the independent coordinates, armature included."""
     data = mujoco.MjData(model)
     data.qpos[:] = qpos
-    mujoco.mj_forward(model, data)
+    mujoco.mj_fwdPosition(model, data)
     columns = np.zeros((len(dofs), model.nv))
     for column, dof in zip(columns, dofs, strict=True):
         mujoco.mj_mulM(model, data, column, dof.rates)
