@@ -167,20 +167,6 @@ with tempfile.TemporaryDirectory() as folder:
     }
 
 
-def growth(scale: int) -> dict[str, str]:
-    """How the cost of a synthesis grows with the number of neurons: exponents from size to size, of the medians."""
-    sizes, times = (4, 8, 16), []
-    for neurons in sizes:
-        rng = np.random.default_rng(neurons)
-        targets = list(rng.uniform(-0.8, 0.8, (max(20 // scale, 1), neurons, 6)))
-        times.append(np.median([processor_time(partial(synthesize, xi, seed=0), 1) for xi in targets]))
-    exponents = np.diff(np.log(times)) / np.diff(np.log(sizes))
-    return {
-        f"exponent of a synthesis' time in N, from N = {low} to {high}": f"{exponent:.1f}"
-        for low, high, exponent in zip(sizes, sizes[1:], exponents, strict=False)
-    }
-
-
 def floor_ratios(rollout: Rollout, targets: list[np.ndarray], scale: int) -> dict[str, str]:
     """All rows of this module, by what they are called; ``scale`` times fewer cases than usual."""
     arms = [Arm.load(name) for name in arm_names()]
@@ -189,7 +175,6 @@ def floor_ratios(rollout: Rollout, targets: list[np.ndarray], scale: int) -> dic
         "certified synthesis, N = 4, in its solves and eigendecompositions": synthesis_floor(
             targets[: max(200 // scale, 1)]
         ),
-        **growth(scale),
         "checks of a motion among poles, in mj_geomDistance over all pairs": check_ratio(
             Arm.load("telescopic_pr", "poles", 1), 1, repeats
         ),

@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import cost_over_time
 import evaluate_demonstrations
+import growth
 import numpy as np
 import picture_arms
 import pytest
@@ -44,6 +45,25 @@ def test_bounds_are_measured_and_a_broken_one_is_told(tmp_path, monkeypatch, cap
     assert path.read_text().count("| 1 | 0 |") == len(robustness.BOUNDS) * len(robustness.KINDS)
     monkeypatch.setattr(robustness, "unstable_step", lambda jacobian, method: 1e-9)
     assert robustness.main(["--cases", "1", "--output", str(path)]) == 1
+
+
+def test_growth_is_measured_in_sizes_that_grow_as_they_say(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(growth, "ShapingOptions", lambda **options: ShapingOptions(**options | {"iterations": 1}))
+    small = dict(zip(growth.SERIES, ((4, 6), (1, 2), (20, 40), (2, 3), (1, 2)), strict=True))
+    monkeypatch.setattr(growth, "SERIES", {name: (of, small[name]) for name, (of, _) in growth.SERIES.items()})
+    assert growth.main(["--quick", "--output", str(tmp_path)]) == 0
+    assert (tmp_path / "growth.md").read_text() in capsys.readouterr().out
+    rows = (tmp_path / "growth.csv").read_text().splitlines()[1:]
+    assert len(rows) == 2 * len(growth.SERIES)
+    assert all(float(row.rsplit(",", 1)[1]) > 0.0 for row in rows)
+    with Image.open(tmp_path / "growth.png") as picture:
+        assert picture.size[0] > 4 * picture.size[1]
+    # Three times as large, nine times as long, between the largest two.
+    assert growth.exponent(np.array([1.0, 2.0, 6.0]), np.array([5.0, 1.0, 9.0])) == pytest.approx(2.0)
+    # Each sphere makes as many more pairs as the one before.
+    pairs = [len(growth.Collisions(growth.loaded(tmp_path, 4, count)).pairs) for count in (1, 2, 4)]
+    assert pairs[2] - pairs[1] == 2 * (pairs[1] - pairs[0]) > 0
+    assert growth.loaded(tmp_path, 5).n_links == growth.loaded(tmp_path, 5).n_joints == 5
 
 
 ROBOT = """

@@ -376,6 +376,20 @@ def test_missing_and_broken_files_are_named(tmp_path):
         import_arm(3)
 
 
+def test_what_comes_near_on_straight_ways_is_counted_in_one_order_of_names():
+    # From x = 0.424 to 0.776 of -1 to 1 the ball touches both posts: in 17.5 % of postures; to 11.2 % it passes them.
+    posts = "".join(
+        f'<body name="{name}" pos=".6 {y} 0"><geom size=".1"/></body>' for name, y in (("b", -0.1), ("a", 0.1))
+    )
+    hand = '<body name="hand"><joint type="slide" axis="1 0 0" range="-1 1"/><geom size=".1"/></body>'
+    told = import_arm(spec_of(f"<mujoco><worldbody>{posts}{hand}</worldbody></mujoco>"))[1].notes
+    at_end, before = (note for note in told if "within 2 mm of contact" in note)
+    assert "between 'a' and 'hand' (51), 'b' and 'hand' (51): no targets" in at_end
+    assert at_end.startswith("51 of 256 random postures")
+    assert "between 'a' and 'hand' (24), 'b' and 'hand' (24): planners" in before
+    assert before.startswith("24 of 205 straight ways")
+
+
 def test_servos_can_all_be_designed_anew_and_follow_a_step():
     _, kept = arm_of(BY_TENDON)
     arm, designed = arm_of(BY_TENDON, servos="design")

@@ -122,7 +122,9 @@ def look_at_ways(draft: Draft) -> None:
         ),
     ):
         if count:
-            shown = ", ".join(f"{pair} ({times})" for pair, times in pairs.most_common(_SHOWN))
+            # Sets have no order: of pairs that come as often the names decide.
+            most = sorted(pairs.items(), key=lambda one: (-one[1], one[0]))[:_SHOWN]
+            shown = ", ".join(f"{pair} ({times})" for pair, times in most)
             draft.notes.append(f"{count} of {what} within {1e3 * _NEAR:g} mm of contact, between {shown}: {then}")
 
 
