@@ -32,6 +32,8 @@ from lieednn_sim.synthesis import synthesize
 FREE = Arm.load("telescopic_pr")
 POLES = Arm.load("telescopic_pr", "poles", 0)
 SPATIAL = Arm.load("telescopic_compound")
+# Control steps twice as long as by default, where their number is not the point.
+STEP = 0.02
 SEEDS = st.integers(0, 2**32 - 1)
 
 
@@ -58,20 +60,20 @@ def test_no_wanted_velocity_breaks_a_limit_or_touches(arm, seed):
 def test_a_free_way_is_left_alone():
     target = draw_target(FREE, 3)
     network = synthesize(FREE.encode(target), bias="sign-matched", bias_magnitude=0.5).unwrap()
-    run = run_filtered(FREE, network, FREE.keyframe("home"), 6.0)
+    run = run_filtered(FREE, network, FREE.keyframe("home"), 6.0, timestep=STEP)
     assert run.success, run.message
     assert run.filtered_share == 0.0
     assert run.brakings == 0
     assert run.blocked_by == ()
     np.testing.assert_allclose(run.q[-1], target, atol=1e-3)
     # Exactly what the network draws, as long as the accelerations allow it.
-    assert np.abs(run.q[:600] - run.reference.q[:600]).max() < 0.05
+    assert np.abs(run.q[:300] - run.reference.q[:300]).max() < 0.05
 
 
 def test_a_blocked_run_names_what_blocks_it_and_penetrates_nothing():
     target = draw_target(POLES, 0)
     network = synthesize(POLES.encode(target), bias="sign-matched", bias_magnitude=0.5).unwrap()
-    run = run_filtered(POLES, network, POLES.keyframe("home"), 2.5)
+    run = run_filtered(POLES, network, POLES.keyframe("home"), 2.5, timestep=STEP)
     assert not run.success
     assert any("obstacle_pole" in name for name in run.blocked_by)
     assert run.blocked_by[0] in run.message
@@ -97,7 +99,7 @@ def test_postures_on_the_way_are_passed_and_the_network_arrives_all_the_same():
     network = synthesize(FREE.encode(target), bias="sign-matched", bias_magnitude=0.5).unwrap()
     via = home + np.array([[0.3], [0.7]]) * (target - home)
     via[0, 0] += 0.4
-    run = run_filtered(FREE, network, home, 4.0, via=via)
+    run = run_filtered(FREE, network, home, 4.0, via=via, timestep=STEP)
     assert run.success, run.message
     np.testing.assert_allclose(run.q[-1], target, atol=1e-3)
     away = np.abs((run.q[:, None] - via) / FREE.velocity_limits).max(axis=2)
@@ -110,8 +112,8 @@ def test_postures_on_the_way_are_passed_and_the_network_arrives_all_the_same():
     assert (np.diff(run.clock) >= 0.0).all()
     assert run.clock[-1] <= run.reference.t[-1] + 1e-9
     np.testing.assert_allclose(run.reference.xi[-1], FREE.encode(target), atol=1e-6)
-    alone = run_filtered(FREE, network, home, 1.0, via=np.zeros((0, FREE.n_joints)))
-    np.testing.assert_array_equal(alone.q, run_filtered(FREE, network, home, 1.0).q)
+    alone = run_filtered(FREE, network, home, 1.0, via=np.zeros((0, FREE.n_joints)), timestep=STEP)
+    np.testing.assert_array_equal(alone.q, run_filtered(FREE, network, home, 1.0, timestep=STEP).q)
     with pytest.raises(InputError, match=r"via must have shape \(V, 8\), got \(2\)"):
         run_filtered(FREE, network, home, 4.0, via=[0.0, 1.0])
 
@@ -147,15 +149,21 @@ def test_pairs_left_out_change_no_step(monkeypatch):
         q, v = q + 0.005 * (v + step.velocity), step.velocity
 
 
-@pytest.mark.parametrize(("name", "scene", "seed"), [("lieednn-filtered", "shelf", 1), ("lieednn-guided", "poles", 0)])
-def test_the_planners_find_a_way_around(name, scene, seed):
+@pytest.mark.parametrize(
+    ("name", "options", "scene", "seed"),
+    [
+        ("lieednn-filtered", FilteredOptions(control_step=STEP), "shelf", 1),
+        ("lieednn-guided", GuidedOptions(control_step=STEP), "poles", 0),
+    ],
+)
+def test_the_planners_find_a_way_around(name, options, scene, seed):
     if name in missing_planners():
         pytest.skip(f"{name} needs {missing_planners()[name]}")
     arm = Arm.load("telescopic_pr", scene, seed)
     start, target = arm.keyframe("home"), draw_target(arm, seed)
     straight = start + np.linspace(0.0, 1.0, 80)[:, None] * (target - start)
     assert any(arm.contacts(q) for q in straight)
-    made = plan(arm, target, planner=name, seed=seed)
+    made = plan(arm, target, planner=name, options=options, seed=seed)
     motion = made.motion
     assert made.network.certified
     check_motion(arm, motion)
@@ -177,7 +185,10 @@ def test_a_hopeless_problem_says_what_blocks(monkeypatch):
     monkeypatch.setattr(filtered, "optional_module", lambda _: None)
     monkeypatch.setattr(sampling, "connecting_path", lambda *_: None)
     target = draw_target(POLES, 0)
-    for name, options in (("filtered", FilteredOptions(candidates=1)), ("guided", GuidedOptions(candidates=1))):
+    for name, options in (
+        ("filtered", FilteredOptions(candidates=1, control_step=STEP)),
+        ("guided", GuidedOptions(candidates=1, control_step=STEP)),
+    ):
         with pytest.raises(
             PlanError, match=r"no run through the filter arrived; .*the clearance of '.*' from 'obstacle_pole"
         ):
