@@ -209,6 +209,17 @@ def no_plots(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(module, name, lambda *given, **_: Path(given[-1]).write_bytes(b"a picture"))
 
 
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pages of comparisons hold the rows that a figure would show in its place; for tests of everything else in them.
+
+    `evaluation/report/test_page.py` and `cli/test_compare.py` draw them.
+    """
+    from lieednn_sim.evaluation.report import figures, page
+
+    monkeypatch.setattr(page, "plots", lambda rows, controller: [figures.Plot(controller, repr(rows), "")])
+
+
 @pytest.fixture(scope="session")
 def in_this_process() -> Callable[[], contextlib.AbstractContextManager[None]]:
     """In this context comparisons start no worker processes, each of which imports everything first."""

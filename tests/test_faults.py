@@ -79,7 +79,7 @@ sys.exit(main())
     assert "converged after" in capsys.readouterr().out
 
 
-def test_a_comparison_that_is_killed_goes_on_from_its_table(tmp_path, start, in_this_process):
+def test_a_comparison_that_is_killed_goes_on_from_its_table(tmp_path, start, undrawn, in_this_process):
     code = """
 from lieednn_sim.cli import main
 from lieednn_sim.evaluation import table

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import ndtri
 
 from lieednn_sim.errors import InputError
 from lieednn_sim.evaluation.rows import BY_NAME, Case, Row
@@ -95,10 +96,11 @@ def wilson(successes: int, total: int) -> tuple[float, float]:
     """
     if not 0 <= successes <= total or total == 0:
         raise InputError(f"need 0 <= successes <= total and total > 0, got {successes} of {total}")
-    from scipy.stats import binomtest  # a third of the time in which a worker process starts
-
-    interval = binomtest(successes, total).proportion_ci(0.95, method="wilson")
-    return float(interval.low), float(interval.high)
+    rate, z2 = successes / total, float(ndtri(0.975)) ** 2
+    centre = rate + z2 / (2 * total)
+    half = (z2 * (rate * (1.0 - rate) + z2 / (4 * total)) / total) ** 0.5
+    low, high = ((centre + end) / (1.0 + z2 / total) for end in (-half, half))
+    return max(low, 0.0), min(high, 1.0)
 
 
 def grouped(rows: Iterable[Row], columns: Sequence[str]) -> list[Group]:

@@ -53,7 +53,8 @@ def test_what_is_left_out_was_not_seen(monkeypatch):
     assert recaller.left_out.frechet_mm == pytest.approx(1e3 * np.mean(wanted), rel=1e-2)
 
 
-def test_an_executor_makes_the_same_rows():
+def test_an_executor_makes_the_same_rows(monkeypatch):
+    monkeypatch.setattr(paths, "SAMPLES", 100)
     angle = np.linspace(0.0, 3.0, 40)
     shown = align([Demonstration.from_samples(h * np.column_stack([angle, np.sin(angle)])) for h in (0.05, 0.06, 0.07)])
     options = ShapingOptions(neurons=(2,), placed=(), iterations=5)

@@ -34,7 +34,7 @@ def chosen(*arms, scenes=("free",)):
     return Selection(("minimum-jerk",), arms, scenes, ("position-servo",), seeds=1)
 
 
-def test_files_go_the_whole_way_through_workers_into_table_and_page(folder, capsys):
+def test_files_go_the_whole_way_through_workers_into_table_and_page(folder, capsys, undrawn):
     words = "compare --arms two.xml:one,tool two.xml --scenes free post.json --output out"
     assert main([*words.split(), *WORDS.split()]) == 0
     printed = " ".join(capsys.readouterr().out.split())

@@ -18,7 +18,7 @@ WORDS += ["--controllers", "mocap,computed-torque", "--output"]
 
 
 @pytest.fixture(autouse=True)
-def invented(monkeypatch, in_this_process):
+def invented(monkeypatch, in_this_process, undrawn):
     """Rows whose numbers follow from the case, but for a planning time that is another each time."""
     clock = itertools.count()
 

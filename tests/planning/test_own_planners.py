@@ -58,7 +58,7 @@ def installed(folder: Path, points: str, **modules: str) -> None:
     registry.REGISTRY.forget(registry.REGISTRY.given)
 
 
-def test_the_example_appears_in_table_and_page(tmp_path, capsys):
+def test_the_example_appears_in_table_and_page(tmp_path, capsys, undrawn):
     code = re.search(r"```python\n(.*?)```", DOCUMENT.read_text(), re.DOTALL)[1]
     point = re.search(r'planners"\]\n(.*?)\n', DOCUMENT.read_text())[1]
     assert len(code.splitlines()) <= 40
