@@ -40,6 +40,9 @@ os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 for _variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ[_variable] = "1"
 
+# Garbage is little beside what is imported and kept, so that to look for it often takes a tenth of the time.
+gc.set_threshold(100_000, 50, 50)
+
 # No test depends on how fast the machine is: time budgets see a clock that stands still. Tests of them bring their own.
 budget.cpu_time = lambda: 0.0
 

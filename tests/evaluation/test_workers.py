@@ -17,8 +17,10 @@ from lieednn_sim.evaluation.workers import run_each, worker_pool
 
 
 @pytest.mark.parametrize("reason", [KeyboardInterrupt, ValueError])
-def test_a_block_that_fails_leaves_no_worker_and_no_other_child_is_stopped(reason):
+def test_a_block_that_fails_leaves_no_worker_and_no_other_child_is_stopped(reason, monkeypatch):
     """A worker that waits for ever is ended with the block; the child beside it is not."""
+    # To import the package takes longer than all else, and nothing of it is asked of this worker.
+    monkeypatch.setattr(workers, "_prepare_worker", tuple)
     other = multiprocessing.get_context("spawn").Process(target=signal.pause)
     other.start()
     try:
