@@ -160,12 +160,20 @@ class CompoundJoints:
         """
         offset = q - self.reference
         twists = np.empty((*offset.shape[:-1], len(self.joints), 6))
+        others, rotation, translation = [], [], []
         for i, joint in enumerate(self.joints):
             if joint.screw is not None:
                 twists[..., i, :] = offset[..., joint.indices] * joint.screw
             else:
-                rotation, translation = joint.pose(offset)
-                twists[..., i, :] = log(poses(rotations(rotation).as_matrix(), translation))
+                for parts, part in zip((rotation, translation), joint.pose(offset), strict=True):
+                    parts.append(part)
+                others.append(i)
+        if others:
+            # Of all at once, along one axis: see `rotations`.
+            place = np.stack(np.broadcast_arrays(*translation), axis=-2)
+            turn = rotations(np.stack(rotation, axis=-3)).as_matrix()
+            flat = log(poses(turn.reshape(-1, 3, 3), place.reshape(-1, 3)))
+            twists[..., others, :] = flat.reshape(*place.shape[:-1], 6)
         return twists
 
 

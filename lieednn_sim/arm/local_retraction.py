@@ -1,7 +1,8 @@
 """The retraction for states that come one after another in real time: Newton's method from the last posture.
 
-`Retractor` finds the nearest posture wherever the poses are, in milliseconds; here it is near the last one, and
-MuJoCo's own kinematics gives poses and Jacobians in compiled code.
+`Retractor` finds the nearest posture wherever the poses are, in milliseconds; here it is near the last one. All links
+are worked out at once: the poses asked for and those of all joints are the exponentials of one stack of twists, and
+with T = M_1 ... M_F of a link's joints and their twists Z_f the slopes of T are M_1 ... M_(f-1) Z_f M_f ... M_F.
 """
 
 from __future__ import annotations
@@ -9,7 +10,6 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg.lapack import dposv
 
-from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.arm import Arm
 from lieednn_sim.lie import hat
 from lieednn_sim.values import Floats
@@ -20,95 +20,116 @@ _SHORT, _MOST = 1e-3, 8
 _AHEAD = 1e-6
 # Coordinates that no pose determines stay; relative to 1 radian and one unit of length.
 _DAMPING = 1e-12
-_ONE = np.eye(3)
-# Rows: the matrices hat(e_k), flat.
-_HAT = hat(_ONE).reshape(3, 9)
+_ONE = np.eye(4)
+# Rows: the matrices hat(e_k) of twists, flat.
+_HAT = hat(np.eye(6)).reshape(6, 16)
 
 
 class LocalRetraction:
-    """The posture nearest to per-joint poses near the last one, in the metric of `Retractor` to second order.
+    """The posture nearest to per-joint poses near the last one: ||R_i(q) - R_i||^2 / 2 + ||p_i(q) - p_i||^2 / length^2.
 
     Args:
-        arm: whose joints they are; its model is not changed.
+        arm: whose joints they are.
         q: ``(n,)`` where to begin.
 
     Attributes:
         q: ``(n,)`` the last posture [rad, m]; may be set to another one.
-        gap: ``(N, 6)`` what was left there of rotation [rad] and translation [m].
     """
 
     def __init__(self, arm: Arm, q: Floats) -> None:
-        self._arm, self._space, self._model, self._data = arm, arm.space, arm.model, mujoco.MjData(arm.model)
-        self._sites = arm.site_ids
-        mounts, tips = arm.mounts.as_matrix(), arm.tips.inv().as_matrix()
-        self._mount, self._shift = mounts[:, :3, :3], mounts[:, :3, 3]
-        self._tip, self._reach = tips[:, :3, :3], tips[:, :3, 3]
-        self._units, self._weights = arm.twist_units, np.repeat([1.0, 1.0 / arm.length_scale], 3)
-        # The base, which stays, and the links.
-        self._turns, self._places = np.zeros((arm.n_links + 1, 3, 3)), np.zeros((arm.n_links + 1, 3))
-        self._turns[0], self._places[0] = arm.base.as_matrix()[:3, :3], arm.base.as_matrix()[:3, 3]
-        # Jacobians (angular, linear) of each link and of the one before it, at the link's own point.
-        self._own, self._before = np.zeros((2, arm.n_links, 2, 3, arm.model.nv))
-        bodies = [int(body) for body in arm.model.site_bodyid[arm.site_ids]]
-        self._calls = [(self._own[i], i, body) for i, body in enumerate(bodies)]
-        self._calls += [(self._before[i], i, body) for i, body in enumerate(bodies[:-1], start=1)]
-        self._rates, self._identity = arm.space.rates, np.eye(len(q))
-        self.q, self.gap = q, np.zeros((arm.n_links, 6))
+        joints = [joint.factors for joint in arm.joints.joints]
+        n_factors, links, n = max(map(len, joints)), len(joints), len(q)
+        width = 3 if len(arm.space.balls) else 1
+        # In this unit of length squares of entries of a pose weigh as they should.
+        self._length = arm.length_scale / np.sqrt(2.0)
+        self._units = arm.twist_units / np.repeat([1.0, self._length], 3)
+        self._reference = arm.joints.reference
+        # Twists of all joints at displacements; their coordinates' matrices Z; and whose coordinates they are.
+        twists, self._turns = np.zeros((n_factors, links, 6, n)), np.zeros((n_factors, links, width, 4, 4))
+        self._chosen = np.zeros((links, n_factors, width, n))
+        self._balls = []
+        for i, factors in enumerate(joints):
+            for f, factor in enumerate(factors):
+                columns = range(len(factor.indices))
+                # Of a ball that is not turned, as of all others at any time.
+                omega, v = factor.twists(np.zeros(n))
+                twists[f, i][:, factor.indices] = np.concatenate([omega, v / self._length], axis=1).T
+                self._turns[f, i, columns] = self._matrices(omega, v)
+                self._chosen[i, f, columns, factor.indices] = 1.0
+                if factor.kind == "ball":
+                    self._balls.append((f, i, factor))
+        self._twists = twists.reshape(-1, n)
+        self._chosen = self._chosen.reshape(links, -1, n)
+        self._stack = np.empty((2 + n_factors, links, 6))
+        self._before, self._after = np.zeros((2, n_factors, links, 4, 4))
+        self._before[0] = _ONE
+        # What squares of entries make of rotation and translation.
+        rotation = np.zeros((4, 4))
+        rotation[:3, :3] = 0.5
+        self._parts = np.stack([rotation, self._length**2 * np.outer([1, 1, 1, 0], _ONE[3])], axis=-1).reshape(16, 2)
+        self._left = np.zeros(16 * links)
+        self.q = q
+
+    @property
+    def gap(self) -> Floats:
+        """``(N, 2)`` what was left there of rotation [rad] and translation [m]."""
+        return np.sqrt((self._left * self._left).reshape(-1, 16).dot(self._parts))
 
     def __call__(self, xi: Floats, rate: Floats) -> tuple[Floats, Floats]:
         """Joint coordinates and, along ``rate``, their rates, both ``(n,)``, of network states ``(N, 6)``; unchecked.
 
         A posture that is not near is found where Newton's method leads in eight steps.
         """
-        turned, moved = _exp(np.array([xi, xi + _AHEAD * rate]) * self._units)
-        error = np.empty((2, *xi.shape))
+        stack = self._stack
+        stack[0] = xi * self._units
+        stack[1] = stack[0] + (_AHEAD * self._units) * rate
         for _ in range(_MOST):
-            rotation, translation, jacobian = self._linearised()
-            relative = turned @ rotation.transpose(0, 2, 1)
-            # Of the antisymmetric part, the sine of the angle.
-            error[..., :3] = 0.5 * relative.reshape(2, -1, 9) @ _HAT.T
-            error[..., 3:] = moved - translation
-            matrix = jacobian.T @ jacobian
+            offset = self.q - self._reference
+            stack[2:] = self._twists.dot(offset).reshape(stack[2:].shape)
+            poses = _exp(stack)
+            posture, jacobian = self._linearised(offset, poses[2:])
+            error = (poses[:2] - posture).reshape(2, -1)
+            matrix = jacobian.T.dot(jacobian)
             matrix.flat[:: len(matrix) + 1] += _DAMPING
-            _, steps, _ = dposv(matrix, jacobian.T @ (error * self._weights).reshape(2, -1).T)
+            _, steps, _ = dposv(matrix, jacobian.T.dot(error.T))
             step, ahead = steps.T
             self.q = self.q + step
-            if np.abs(step).max() < _SHORT:
+            if max(map(abs, step.tolist())) < _SHORT:
                 break
-        self.gap = error[0] - (jacobian @ step).reshape(xi.shape) / self._weights
+        self._left = error[0] - jacobian.dot(step)
         return self.q, (ahead - step) / _AHEAD
 
-    def _linearised(self) -> tuple[Floats, Floats, Floats]:
-        """Joint poses at q, ``(N, 3, 3)`` and ``(N, 3)``, and their weighted spatial Jacobian ``(6 N, n)``."""
-        model, data, q = self._model, self._data, self.q
-        data.qpos[:] = self._space.to_qpos(q)
-        mujoco.mj_kinematics(model, data)
-        mujoco.mj_comPos(model, data)
-        turns, places = self._turns, self._places
-        turns[1:], places[1:] = data.site_xmat[self._sites].reshape(-1, 3, 3), data.site_xpos[self._sites]
-        # World frames of the joints, at the frame before, and the points that a pose's translation is of.
-        frames = turns[:-1] @ self._mount
-        origins = places[:-1] + (turns[:-1] @ self._shift[:, :, None])[:, :, 0]
-        tips = places[1:] + (turns[1:] @ self._reach[:, :, None])[:, :, 0]
-        back = frames.transpose(0, 2, 1)
-        rotation = back @ turns[1:] @ self._tip
-        translation = (back @ (tips - origins)[:, :, None])[:, :, 0]
-        for (angular, linear), link, body in self._calls:
-            mujoco.mj_jac(model, data, linear, angular, tips[link], body)
-        moving = back[:, None] @ (self._own - self._before)
-        rates = self._space.to_qvel(q, self._identity).T if len(self._space.balls) else self._rates
-        jacobian = (moving.reshape(-1, 6, len(rates)) * self._weights[:, None]).reshape(-1, len(rates)) @ rates
-        return rotation, translation, jacobian
+    def _linearised(self, offset: Floats, moved: Floats) -> tuple[Floats, Floats]:
+        """Poses of the links ``(N, 4, 4)`` and their Jacobian ``(16 N, n)``, with ``(F, N, 4, 4)`` of their joints."""
+        for f, i, ball in self._balls:
+            self._turns[f, i] = self._matrices(*ball.twists(offset))
+        before, after = self._before, self._after
+        before[1:2], after[-1] = moved[: len(moved) > 1], moved[-1]
+        for f in range(2, len(moved)):
+            np.matmul(before[f - 1], moved[f - 1], out=before[f])
+        for f in reversed(range(len(moved) - 1)):
+            np.matmul(moved[f], after[f + 1], out=after[f])
+        slopes = before[:, :, None] @ (self._turns @ after[:, :, None])
+        links, columns, n = self._chosen.shape
+        each = slopes.transpose(1, 3, 4, 0, 2).reshape(links, 16, columns)
+        return after[0], (each @ self._chosen).reshape(-1, n)
+
+    def _matrices(self, omega: Floats, v: Floats) -> Floats:
+        """Of twists ``(c, 3)`` and ``(c, 3)``, ``(c, 4, 4)``."""
+        return np.concatenate([omega, v / self._length], axis=1).dot(_HAT).reshape(-1, 4, 4)
 
 
-def _exp(twist: Floats) -> tuple[Floats, Floats]:
-    """Rotations ``(..., 3, 3)`` and translations ``(..., 3)`` of twists ``(..., 6)``: a third of `lie.exp`'s calls."""
-    omega = twist[..., :3]
-    square = np.maximum((omega * omega).sum(axis=-1), 1e-16)[..., None, None]
+def _exp(twists: Floats) -> Floats:
+    """Poses ``(..., 4, 4)`` of twists ``(..., 6)``: I + X + (1 - cos)/angle^2 X^2 + (angle - sin)/angle^3 X^3."""
+    flat = twists.reshape(-1, 6)
+    matrix = flat.dot(_HAT).reshape(-1, 4, 4)
+    double = matrix @ matrix
+    omega = flat[:, :3]
+    square = np.maximum(np.einsum("ki,ki->k", omega, omega), 1e-16)[:, None, None]
     angle = np.sqrt(square)
-    a = np.sin(angle) / angle
-    b = 2.0 * (np.sin(0.5 * angle) / angle) ** 2
-    skew = (omega @ _HAT).reshape(*omega.shape, 3)
-    double = skew @ skew
-    translation = (_ONE + b * skew + (1.0 - a) / square * double) @ twist[..., 3:, None]
-    return _ONE + a * skew + b * double, translation[..., 0]
+    sine = np.sin(0.5 * angle) / angle
+    poses = (2.0 * sine * sine) * double
+    poses += ((1.0 - np.sin(angle) / angle) / square) * (matrix @ double)
+    poses += matrix
+    poses += _ONE
+    return poses.reshape(*twists.shape[:-1], 4, 4)

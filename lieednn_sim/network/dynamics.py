@@ -159,7 +159,9 @@ def _newton(vector_field: VectorField, jacobian: VectorField, x: Floats, toleran
     return x, 100, False
 
 
-def runge_kutta_step(field: Callable[[Floats, float], Floats], x: Floats, h: float, k: float = 0.0) -> Floats:
+def runge_kutta_step(
+    field: Callable[[Floats, float], Floats], x: Floats, h: float, k: float = 0.0, first: Floats | None = None
+) -> Floats:
     """The state after a step h from time k h, by Runge and Kutta's method of fourth order.
 
     Args:
@@ -167,12 +169,13 @@ def runge_kutta_step(field: Callable[[Floats, float], Floats], x: Floats, h: flo
         x: state, of any shape.
         h: step.
         k: time in units of h.
+        first: rate there, where it is known.
     """
-    k1 = field(x, k)
+    k1 = field(x, k) if first is None else first
     k2 = field(x + 0.5 * h * k1, k + 0.5)
     k3 = field(x + 0.5 * h * k2, k + 0.5)
     k4 = field(x + h * k3, k + 1.0)
-    return x + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+    return x + h / 6.0 * (k1 + 2.0 * (k2 + k3) + k4)
 
 
 def integrate(

@@ -36,6 +36,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.arm.local_retraction import LocalRetraction
 from lieednn_sim.errors import InputError
 from lieednn_sim.network import LieEDNN
+from lieednn_sim.network.dynamics import runge_kutta_step
 from lieednn_sim.planning.filtering import FilterOptions
 from lieednn_sim.planning.network_path import require_fit
 from lieednn_sim.simulation.reference import PeriodReference
@@ -132,13 +133,16 @@ class FeedbackFollower:
         self.reference = PeriodReference(arm, arm.check_position(start, "start"), steps, feedback.safety)
         self._period = self.reference.period
         self._weight, self._visible = network.mu * network.weight, 6 * network.n_visible
+        self._constant = np.zeros(6 * network.n_neurons)
         self.xi = network.start(arm.encode(self.reference.q))
         self._stiffness = network.gamma + network.mu * _certified_norm(network)
         self._low, self._high = arm.position_limits.T
         self._range = arm.ranges
         self._fastest = np.where(np.isfinite(arm.velocity_limits), arm.velocity_limits, _FASTEST)
         self._retraction = LocalRetraction(arm, self.reference.q)
+        # The last target with its goal, and whether the field is that of this goal, not of one ahead of it.
         self._target: tuple[Floats, Floats] | None = None
+        self._settled = False
         # Where the network is, its field there, and both in joint coordinates.
         self._x, self._flow = self.xi.ravel(), np.zeros(self.xi.size)
         self._drawn, self._flow_rate = self.reference.q, self.reference.qd
@@ -148,12 +152,12 @@ class FeedbackFollower:
     @property
     def gap_rotation(self) -> float:
         """See `following.Following`."""
-        return float(np.sqrt(self._gap[:, 0].max()))
+        return float(self._gap[:, 0].max())
 
     @property
     def gap_translation(self) -> float:
         """See `following.Following`."""
-        return float(np.sqrt(self._gap[:, 1].max()))
+        return float(self._gap[:, 1].max())
 
     def advance(self, target: Floats, measured: Floats | None = None) -> tuple[Floats, Floats, Floats]:
         """Run for a control period after a target ``(n,)``, with the joints measured ``(n,)`` at its beginning.
@@ -165,27 +169,27 @@ class FeedbackFollower:
             the end.
         """
         period = self._period
-        goal, drift, rate = self._aim(target)
+        drift, rate = self._aim(target)
         waiting, pull, pull_rate = self._listen(measured)
         scale, rate = waiting * self._speed, rate + pull_rate
         drift[: self._visible] += pull
         allowed = self.reference.allowed()
         wanted = scale * self._flow_rate + rate
-        share = 1.0 / max(1.0, float((np.abs(wanted) / allowed).max()))
+        share = 1.0 / max(1.0, _largest(wanted / allowed))
         for _ in range(_TRIES):
-            x, flow = self._integrate(goal, share * scale, share * drift)
+            x, flow = self._integrate(share * scale, drift / scale)
             drawn, flow_rate = self._decode(x, flow, self._drawn + share * period * wanted)
             qd = share * (scale * flow_rate + rate)
-            excess = float((np.abs(qd) / allowed).max())
+            excess = _largest(qd / allowed)
             if excess <= 1.0 + _TOO_FAST:
                 break
             share /= excess
         self._x, self._flow, self._flow_rate = x, flow, flow_rate
         self.xi, self.share, self.pace = x.reshape(self.xi.shape), share, share * waiting
-        self._gap = np.maximum(self._gap, (self._retraction.gap**2).reshape(-1, 2, 3).sum(axis=2))
+        self._gap = np.maximum(self._gap, self._retraction.gap)
         inside = self._arm.within_angles(drawn) if len(self._arm.space.balls) else drawn
         self._drawn = np.minimum(np.maximum(inside, self._low), self._high)
-        self.limit_excess = max(self.limit_excess, float(np.maximum(self._low - drawn, drawn - self._high).max()))
+        self.limit_excess = max(self.limit_excess, *(self._low - drawn).tolist(), *(drawn - self._high).tolist())
         return (*self.reference(self._drawn, np.where(self._drawn == drawn, qd, 0.0)), self.xi[None])
 
     def sample(self, data: mujoco.MjData) -> Floats:
@@ -196,24 +200,26 @@ class FeedbackFollower:
         """See `log.ChannelSource`."""
         return tuple(samples.T)
 
-    def _aim(self, target: Floats) -> tuple[Floats, Floats, Floats]:
-        """Goal of all neurons in the middle of the period, its velocity, flat, and the joints' with it."""
+    def _aim(self, target: Floats) -> tuple[Floats, Floats]:
+        """Set the goal of all neurons, in the middle of the period; its velocity, flat, and the joints' with it."""
         before, self.jumped = self._target, False
         still = np.zeros(len(self._x)), np.zeros_like(target)
-        if before is not None and (target == before[0]).all():
-            return before[1], *still
+        if before is not None and self._settled and (target == before[0]).all():
+            return still
         goal = self._network.goal(self._arm.encode(target)).ravel()
         self._target, aim = (target.copy(), goal), goal
         if before is not None:
             rate = (target - before[0]) / self._period
             self.jumped = bool((np.abs(rate) > self._fastest).any())
-            if self._feedforward and not self.jumped:
+            if self._feedforward and not self.jumped and rate.any():
                 still = (goal - before[1]) / self._period, rate
                 aim = goal + 0.5 * self._period * still[0]
-        self._flow = self._field(self._x, aim, self._network.phi(aim))
+        self._settled = aim is goal
+        self._constant = self._network.gamma * aim - self._weight.dot(self._network.phi(aim))
+        self._flow = self._field(self._x, self._constant)
         if before is None or self.jumped:
             _, self._flow_rate = self._decode(self._x, self._flow, self._drawn)
-        return aim, *still
+        return still
 
     def _listen(self, measured: Floats | None) -> tuple[float, Floats | float, Floats | float]:
         """How far the clock waits for the measured joints, and how they pull the visible state and its posture."""
@@ -221,37 +227,41 @@ class FeedbackFollower:
         if measured is None:
             return 1.0, 0.0, 0.0
         off = measured - self._drawn
-        self.behind = float((np.abs(off) / self._range).max())
+        self.behind = _largest(off / self._range)
         waiting, strength = feedback.response(self.behind)
         if strength == 0.0:
             return waiting, 0.0, 0.0
         there, here = self._arm.encode(np.stack([measured, self._drawn]))
         return waiting, strength * (there - here).ravel(), strength * off
 
-    def _field(self, x: Floats, aim: Floats, output: Floats) -> Floats:
-        """Flat field at x of the network retargeted to an aim with the output phi(aim)."""
-        return self._weight @ (self._network.phi(x) - output) - self._network.gamma * (x - aim)
+    def _field(self, x: Floats, constant: Floats) -> Floats:
+        """Flat field mu W phi(x) - gamma x + constant; the constant of an aim x_d is gamma x_d - mu W phi(x_d)."""
+        rate: Floats = self._weight.dot(self._network.phi(x))
+        rate -= self._network.gamma * x
+        rate += constant
+        return rate
 
-    def _integrate(self, aim: Floats, scale: float, drift: Floats) -> tuple[Floats, Floats]:
-        """The state after a period, by RK4, and the field there."""
-        x, flow, output = self._x, self._flow, self._network.phi(aim)
-        switching = float(np.abs(flow[self._visible :]).max(initial=0.0))
+    def _integrate(self, scale: float, drift: Floats) -> tuple[Floats, Floats]:
+        """The state after a period of x' = scale (F(x) + drift), by RK4, and F there."""
+        x, constant = self._x, self._constant + drift
+        rate = self._flow + drift
+        switching = _largest(self._flow[self._visible :])
         extent = scale * self._period * max(self._stiffness / _LARGEST_STEP, switching / _LARGEST_SWITCHING)
         count = min(math.ceil(extent), _MOST_STEPS) or 1
-        h = self._period / count
         for _ in range(count):
-            a = scale * flow + drift
-            b = scale * self._field(x + 0.5 * h * a, aim, output) + drift
-            c = scale * self._field(x + 0.5 * h * b, aim, output) + drift
-            d = scale * self._field(x + h * c, aim, output) + drift
-            x = x + (h / 6.0) * (a + 2.0 * (b + c) + d)
-            flow = self._field(x, aim, output)
-        return x, flow
+            x = runge_kutta_step(lambda y, _: self._field(y, constant), x, scale * self._period / count, first=rate)
+            rate = self._field(x, constant)
+        return x, rate - drift
 
     def _decode(self, x: Floats, flow: Floats, near: Floats) -> tuple[Floats, Floats]:
         """Posture of a flat state, near another one, and its rates along a field, both ``(n,)``."""
         self._retraction.q, seen = near, slice(self._visible)
         return self._retraction(x[seen].reshape(-1, 6), flow[seen].reshape(-1, 6))
+
+
+def _largest(values: Floats) -> float:
+    """Of their magnitudes, 0 of none; of a few numbers in a third of the time of NumPy's."""
+    return max(map(abs, values.tolist()), default=0.0)
 
 
 def _certified_norm(network: LieEDNN) -> float:
