@@ -142,6 +142,7 @@ class FeedbackFollower:
         self._retraction = LocalRetraction(arm, self.reference.q)
         # The last target with its goal, and whether the field is that of this goal, not of one ahead of it.
         self._target: tuple[Floats, Floats] | None = None
+        self._still = np.zeros(self.xi.size), np.zeros(arm.n_joints)
         self._settled = False
         # Where the network is, its field there, and both in joint coordinates.
         self._x, self._flow = self.xi.ravel(), np.zeros(self.xi.size)
@@ -170,9 +171,10 @@ class FeedbackFollower:
         """
         period = self._period
         drift, rate = self._aim(target)
-        waiting, pull, pull_rate = self._listen(measured)
-        scale, rate = waiting * self._speed, rate + pull_rate
-        drift[: self._visible] += pull
+        waiting, pull = self._listen(measured)
+        scale = waiting * self._speed
+        if pull is not None:
+            drift, rate = drift + pull[0], rate + pull[1]
         allowed = self.reference.allowed()
         wanted = scale * self._flow_rate + rate
         share = 1.0 / max(1.0, _largest(wanted / allowed))
@@ -203,36 +205,38 @@ class FeedbackFollower:
     def _aim(self, target: Floats) -> tuple[Floats, Floats]:
         """Set the goal of all neurons, in the middle of the period; its velocity, flat, and the joints' with it."""
         before, self.jumped = self._target, False
-        still = np.zeros(len(self._x)), np.zeros_like(target)
-        if before is not None and self._settled and (target == before[0]).all():
-            return still
+        moving = self._still
+        if before is not None and self._settled and target.tolist() == before[0].tolist():
+            return moving
         goal = self._network.goal(self._arm.encode(target)).ravel()
         self._target, aim = (target.copy(), goal), goal
         if before is not None:
             rate = (target - before[0]) / self._period
             self.jumped = bool((np.abs(rate) > self._fastest).any())
             if self._feedforward and not self.jumped and rate.any():
-                still = (goal - before[1]) / self._period, rate
-                aim = goal + 0.5 * self._period * still[0]
+                moving = (goal - before[1]) / self._period, rate
+                aim = goal + 0.5 * self._period * moving[0]
         self._settled = aim is goal
         self._constant = self._network.gamma * aim - self._weight.dot(self._network.phi(aim))
         self._flow = self._field(self._x, self._constant)
         if before is None or self.jumped:
             _, self._flow_rate = self._decode(self._x, self._flow, self._drawn)
-        return still
+        return moving
 
-    def _listen(self, measured: Floats | None) -> tuple[float, Floats | float, Floats | float]:
-        """How far the clock waits for the measured joints, and how they pull the visible state and its posture."""
+    def _listen(self, measured: Floats | None) -> tuple[float, tuple[Floats, Floats] | None]:
+        """How far the clock waits for the measured joints, and how they pull the flat state and its posture."""
         feedback = self._feedback
         if measured is None:
-            return 1.0, 0.0, 0.0
+            return 1.0, None
         off = measured - self._drawn
         self.behind = _largest(off / self._range)
         waiting, strength = feedback.response(self.behind)
         if strength == 0.0:
-            return waiting, 0.0, 0.0
+            return waiting, None
         there, here = self._arm.encode(np.stack([measured, self._drawn]))
-        return waiting, strength * (there - here).ravel(), strength * off
+        pull = np.zeros(self.xi.size)
+        pull[: self._visible] = strength * (there - here).ravel()
+        return waiting, (pull, strength * off)
 
     def _field(self, x: Floats, constant: Floats) -> Floats:
         """Flat field mu W phi(x) - gamma x + constant; the constant of an aim x_d is gamma x_d - mu W phi(x_d)."""

@@ -6,6 +6,7 @@ import pytest
 from lieednn_sim.errors import InputError
 from lieednn_sim.planning.filtering import FilterOptions
 from lieednn_sim.simulation import Disturbances, Feedback, Push, follow
+from lieednn_sim.simulation.feedback import FeedbackFollower
 
 GOAL = np.array([0.3, -0.2, 0.3, 0.2])
 PUSH = Disturbances(pushes=(Push("end effector", (0.0, 80.0, 0.0), 0.3, 0.2),))
@@ -84,6 +85,16 @@ def test_a_target_that_moves_is_followed_without_lag(run):
     )
     np.testing.assert_allclose(ahead, moving[-1], atol=2e-3)
     assert np.abs(behind - moving[-1]).max() > 0.01
+
+
+def test_a_target_that_stops_is_met(gantry, cascade):
+    follower = FeedbackFollower(
+        gantry, cascade(gantry.encode(GOAL)), GOAL, steps=2, speed=5.0, feedforward=True, feedback=Feedback()
+    )
+    # While it moves the network aims ahead of it, by half a period: 2 mm and 2 mrad here.
+    for k in range(400):
+        follower.advance(GOAL + 0.2 * follower.reference.period * min(k, 5))
+    np.testing.assert_allclose(follower.reference.q, GOAL + follower.reference.period, atol=1e-5)
 
 
 def test_the_filter_keeps_the_ball_off_the_floor(gantry, run):
