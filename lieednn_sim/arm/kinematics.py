@@ -160,20 +160,18 @@ class CompoundJoints:
         """
         offset = q - self.reference
         twists = np.empty((*offset.shape[:-1], len(self.joints), 6))
-        others, rotation, translation = [], [], []
+        moved = {}
         for i, joint in enumerate(self.joints):
             if joint.screw is not None:
                 twists[..., i, :] = offset[..., joint.indices] * joint.screw
             else:
-                for parts, part in zip((rotation, translation), joint.pose(offset), strict=True):
-                    parts.append(part)
-                others.append(i)
-        if others:
+                moved[i] = joint.pose(offset)
+        if moved:
             # Of all at once, along one axis: see `rotations`.
-            place = np.stack(np.broadcast_arrays(*translation), axis=-2)
-            turn = rotations(np.stack(rotation, axis=-3)).as_matrix()
+            turn = rotations(np.stack([part[0] for part in moved.values()], axis=-3)).as_matrix()
+            place = np.stack([part[1] for part in moved.values()], axis=-2)
             flat = log(poses(turn.reshape(-1, 3, 3), place.reshape(-1, 3)))
-            twists[..., others, :] = flat.reshape(*place.shape[:-1], 6)
+            twists[..., list(moved), :] = flat.reshape(*place.shape[:-1], 6)
         return twists
 
 

@@ -46,7 +46,7 @@ class LocalRetraction:
         self._reference = arm.joints.reference
         # Twists of all joints at displacements; their coordinates' matrices Z; and whose coordinates they are.
         twists, self._turns = np.zeros((n_factors, links, 6, n)), np.zeros((n_factors, links, width, 4, 4))
-        self._chosen = np.zeros((links, n_factors, width, n))
+        chosen = np.zeros((links, n_factors, width, n))
         self._balls = []
         for i, factors in enumerate(joints):
             for f, factor in enumerate(factors):
@@ -55,11 +55,11 @@ class LocalRetraction:
                 omega, v = factor.twists(np.zeros(n))
                 twists[f, i][:, factor.indices] = np.concatenate([omega, v / self._length], axis=1).T
                 self._turns[f, i, columns] = self._matrices(omega, v)
-                self._chosen[i, f, columns, factor.indices] = 1.0
+                chosen[i, f, columns, factor.indices] = 1.0
                 if factor.kind == "ball":
                     self._balls.append((f, i, factor))
         self._twists = twists.reshape(-1, n)
-        self._chosen = self._chosen.reshape(links, -1, n)
+        self._chosen = chosen.reshape(links, -1, n)
         self._stack = np.empty((2 + n_factors, links, 6))
         self._before, self._after = np.zeros((2, n_factors, links, 4, 4))
         self._before[0] = _ONE
