@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 import shutil
 from dataclasses import replace
@@ -10,7 +11,7 @@ import pytest
 
 from lieednn_sim.errors import InputError
 from lieednn_sim.evaluation import Case, Row, Selection, Settings, Table, compare
-from lieednn_sim.evaluation.report import choose_cases, film, write_page
+from lieednn_sim.evaluation.report import choose_cases, film, page, videos, write_page
 from lieednn_sim.evaluation.report.style import marks, number
 
 CONTROLLERS = ("position-servo", "computed-torque")
@@ -33,18 +34,39 @@ def table(tmp_path_factory, in_this_process):
     return made
 
 
+@pytest.fixture(scope="module")
+def figures_kept():
+    """In its context pages take the figures that were drawn in it before: to draw them takes longer than all else."""
+    drawn, draw = {}, page.plots
+
+    def plots(rows, controller):
+        key = (*rows, controller)
+        if key not in drawn:
+            drawn[key] = draw(rows, controller)
+        return drawn[key]
+
+    @contextlib.contextmanager
+    def keeping():
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(page, "plots", plots)
+            yield
+
+    return keeping
+
+
 def text_of(path):
     return path.read_text(encoding="utf-8")
 
 
-def test_the_page_asks_for_nothing_and_says_what_was_compared(table, tmp_path):
+def test_the_page_asks_for_nothing_and_says_what_was_compared(table, figures_kept, tmp_path):
     path = tmp_path / "page.html"
     given = {
         "date": "2030-01-02",
         "missing": {"rrt-star": "pip install it"},
         "command": "lieednn-sim compare --seeds 1",
     }
-    write_page(path, table, **given)
+    with figures_kept():
+        write_page(path, table, **given)
     text = text_of(path)
     # Addresses are names of XML vocabularies or data; nothing else is loaded.
     assert set(re.findall(r"""(?:src|href|poster)=["'](?!#|data:)([^"']*)""", text)) == set()
@@ -103,12 +125,14 @@ def test_cases_to_show_differ_in_planner_and_place(table):
 
 
 @pytest.fixture(scope="module")
-def browser(table, tmp_path_factory):
+def browser(table, figures_kept, tmp_path_factory):
     """The page with a video, open in a headless Chromium."""
     webdriver = pytest.importorskip("selenium.webdriver")
     path = tmp_path_factory.mktemp("page") / "page.html"
-    clip = film(table, Case("telescopic_pr", "free", "se3-geodesic", 0), "position-servo")
-    write_page(path, table, clips=[clip, replace(clip)])
+    with figures_kept(), pytest.MonkeyPatch.context() as patch:
+        patch.setattr(videos, "FPS", 10)
+        clip = film(table, Case("telescopic_pr", "free", "se3-geodesic", 0), "position-servo")
+        write_page(path, table, clips=[clip, replace(clip)])
     options = webdriver.ChromeOptions()
     options.binary_location = shutil.which("chromium")
     for argument in ("--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage"):
