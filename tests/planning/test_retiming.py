@@ -10,8 +10,10 @@ from lieednn_sim.arm import Arm, arm_names
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.errors import InputError, LieEDNNError
 from lieednn_sim.planning import extras, plan, retime
+from lieednn_sim.planning.baselines.smoothing import SmoothingOptions, motion_along
 from lieednn_sim.planning.laws import eased_law, minimum_jerk_law
 from lieednn_sim.planning.motion import check_motion, least_duration
+from lieednn_sim.planning.problem import PlanningProblem, in_time
 
 pytest.importorskip("toppra")
 
@@ -133,3 +135,21 @@ def test_a_plan_that_turned_sharply_near_its_end_does_so_no_more():
     assert made.motion.t[-1] == 4.0
     # 0.75 of its limit, at nine tenths of the way, before turns were eased.
     assert rates(arm, made.motion)[1] < 0.6
+
+
+def test_a_sharp_corner_does_not_slow_down_the_whole_motion(gantry):
+    start = gantry.keyframe("home")
+    corner = start + np.array([0.0, 0.0, 0.8, 0.0])
+    problem = PlanningProblem(gantry, start, corner + np.array([0.0, 0.3, 0.0, 0.0]), duration=0.1, longest=100.0)
+    corners = np.array([start, corner, problem.target])
+    slow, fast = (
+        in_time(motion_along, problem, corners, SmoothingOptions(control_points=(224,), fastest=fastest), {})
+        for fastest in (False, True)
+    )
+    assert fast.t[-1] < 0.8 * slow.t[-1]
+    check_motion(gantry, fast)
+    # On one leg or on the other, but at the corner, by as much as two control points are apart.
+    assert np.abs(fast.q - corner)[:, 1:3].min(axis=1).max() < 1e-2
+    np.testing.assert_array_equal(fast.q[[0, -1]], corners[[0, -1]])
+    still = dataclasses.replace(problem, target=start)
+    assert not motion_along(still, np.array([start] * 2), SmoothingOptions(fastest=True), {}).qd.any()

@@ -48,8 +48,8 @@ class ClearanceTest:
 
     def first_blocked(self, q: Floats) -> int | None:
         """Index of the first of the positions ``(K, n)`` at which something is closer than the margin, or None."""
-        # One conversion for all: it costs as much as a posture's collision pass.
-        for index, position in enumerate(self._arm.qpos(q)):
+        # One conversion for all, unchecked: it would cost as much as a posture's collision pass.
+        for index, position in enumerate(self._arm.space.to_qpos(q)):
             self.tests += 1
             if self._blocked(position):
                 return index
@@ -141,11 +141,20 @@ def joint_motion(problem: PlanningProblem, q: Floats, qd: Floats, progress: Floa
     Raises:
         PlanError: the motion breaks a limit of the arm.
     """
-    arm, q, qd = problem.arm, q.copy(), qd.copy()
-    # A rounding may miss the ends and leave a limit there.
+    check_joints(problem.arm, problem.times(), *_at_rest(problem, q, qd))
+    return unchecked_motion(problem, q, qd, progress)
+
+
+def unchecked_motion(problem: PlanningProblem, q: Floats, qd: Floats, progress: Floats) -> Motion:
+    """As `joint_motion`, at whatever pace and through whatever is in the way."""
+    (q, qd), arm = _at_rest(problem, q, qd), problem.arm
+    none, xi = np.zeros((len(q), arm.n_links)), continued(arm.encode(q))
+    return Motion(problem.times(), progress, xi, xi[-1], q, qd, none, none.copy())
+
+
+def _at_rest(problem: PlanningProblem, q: Floats, qd: Floats) -> tuple[Floats, Floats]:
+    """With both ends as they are asked for: a rounding may miss them and leave a limit there."""
+    q, qd = q.copy(), qd.copy()
     q[0], q[-1] = problem.start, problem.target
     qd[[0, -1]] = 0.0
-    t = problem.times()
-    check_joints(arm, t, q, qd)
-    none, xi = np.zeros((len(q), arm.n_links)), continued(arm.encode(q))
-    return Motion(t, progress, xi, xi[-1], q, qd, none, none.copy())
+    return q, qd

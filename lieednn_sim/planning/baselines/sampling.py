@@ -177,6 +177,7 @@ def _path(
     information = base.SpaceInformation(space)
     density = scale * sweeps(problem.arm) / spacing
     balls = len(problem.arm.space.balls) > 0
+    known = set[bytes]()
 
     # No exception may pass through the library: out of time nothing is free, so that it ends soon.
     def inside(q: Floats) -> bool:
@@ -185,8 +186,11 @@ def _path(
         return not (out_of_time() or (balls and (problem.arm.limit_excess(q) > 0.0).any()))
 
     def free(state: Any) -> bool:
-        q = scale * np.array(state[0:n])
-        return inside(q) and workspace.clear(q)
+        values = np.array(state[0:n])
+        if not (inside(scale * values) and workspace.clear(scale * values)):
+            return False
+        known.add(values.tobytes())
+        return True
 
     class Edges(base.MotionValidator):  # type: ignore[misc,name-defined]
         """Tests an edge at postures that are evenly spaced in the workspace, not in joint space."""
@@ -196,9 +200,14 @@ def _path(
             if not inside(scale * ends[1]):
                 return False
             count = max(1, math.ceil(float(np.abs(ends[1] - ends[0]) @ density)))
-            # The first end is valid.
-            way = _shares(count)[:, None] * (ends[1] - ends[0])
-            return workspace.clear.first_blocked(scale * (ends[0] + way)) is None
+            # The first end is valid, and the other is where a tree grows back from it; still it counts as work.
+            end = ends[1].tobytes()
+            shares = _shares(count)[end in known :]
+            workspace.clear.tests += end in known
+            if workspace.clear.first_blocked(scale * (ends[0] + shares[:, None] * (ends[1] - ends[0]))) is not None:
+                return False
+            known.add(end)
+            return True
 
     information.setStateValidityChecker(free)
     information.setMotionValidator(Edges(information))

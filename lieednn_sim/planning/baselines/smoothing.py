@@ -9,22 +9,32 @@ curve cannot pass is left to the polyline itself, with a stop at every corner.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.integrate import cumulative_simpson
 from scipy.interpolate import BSpline, CubicHermiteSpline
 
 from lieednn_sim.errors import PlanError, TooFastError
-from lieednn_sim.planning.baselines.joint_space import SPLINE_DEGREE, clamped_knots, joint_motion, joint_scale
+from lieednn_sim.planning.baselines.joint_space import (
+    SPLINE_DEGREE,
+    clamped_knots,
+    joint_motion,
+    joint_scale,
+    unchecked_motion,
+)
 from lieednn_sim.planning.laws import minimum_jerk_law
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.problem import PlanningProblem
+from lieednn_sim.planning.retiming import retime
 from lieednn_sim.values import Floats
 
 # Nodes of the arc length; its inverse is then exact to about 1e-12.
 _NODES = 4097
+# Curves to be run through at the limits are sampled in so many times the duration; each so-manyth sample is looked at
+# before that.
+_SLOWER, _STRIDE = 4.0, 32
 
 
 @dataclass(frozen=True)
@@ -34,12 +44,15 @@ class SmoothingOptions(PlannerOptions):
     Attributes:
         control_points: to lay along the whole polyline, from the roundest curve to the tightest, each up to 10 000.
         bend: curvature, in units of the inverse length of the whole curve, from which on it is run through more slowly.
+        fastest: run through curves as fast as the arm's limits allow, whatever the duration, see `retime`; or else the
+            whole motion gets the time that its sharpest corner needs.
     """
 
     control_points: tuple[int, ...] = field(
         default=(6, 8, 11, 15, 20, 28, 40, 56, 80, 112, 160, 224), metadata={"range": (1, 10_000)}
     )
     bend: float = 8.0
+    fastest: bool = False
 
 
 def motion_along(
@@ -62,8 +75,10 @@ def motion_along(
         if count in blocked:
             refusals.append(blocked[count])
             continue
-        curve = stopping(problem, corners) if count is None else rounded(problem, corners, count, options.bend)
         try:
+            if options.fastest and count is not None and np.ptp(corners, axis=0).any():
+                return _fastest(problem, corners, count, options.bend)
+            curve = stopping(problem, corners) if count is None else rounded(problem, corners, count, options.bend)
             return joint_motion(problem, *curve)
         except PlanError as error:
             refusals.append(error)
@@ -71,6 +86,15 @@ def motion_along(
                 blocked[count] = error
     # What only needs more time, the least of it, tells more than that a rounder way touches something.
     raise min((error for error in refusals if isinstance(error, TooFastError)), key=_duration, default=refusals[-1])
+
+
+def _fastest(problem: PlanningProblem, corners: Floats, count: int, bend: float) -> Motion:
+    """The motion along a rounded curve at the arm's limits, whatever the problem's duration."""
+    slow = replace(problem, duration=_SLOWER * problem.duration)
+    curve = rounded(slow, corners, count, bend)
+    if any(problem.arm.near_contacts_along(curve[0][::_STRIDE])):
+        raise PlanError("something is in the way")
+    return retime(problem.arm, unchecked_motion(slow, *curve))
 
 
 def _duration(error: TooFastError) -> float:
