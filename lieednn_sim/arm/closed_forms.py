@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from lieednn_sim.arm.kinematics import CompoundJoint
 from lieednn_sim.lie import exp, hat, left_jacobian_se3, left_jacobian_so3, rotations
@@ -27,20 +26,15 @@ class MovingPoses:
     twist: Floats
     twist_rate: Floats | None
 
-    @cached_property
-    def rotation(self) -> Rotation:
-        """Of the poses, ``(..., N)``."""
-        return rotations(self._pose[..., :3, :3])
+    @property
+    def rotation(self) -> Floats:
+        """Matrices of the poses, ``(..., N, 3, 3)``."""
+        return self._pose[..., :3, :3]
 
-    @cached_property
+    @property
     def translation(self) -> Floats:
         """Of the poses, ``(..., N, 3)``."""
         return self._pose[..., :3, 3]
-
-    @cached_property
-    def matrix(self) -> Floats:
-        """Of the rotations, ``(..., N, 3, 3)``."""
-        return np.asarray(self.rotation.as_matrix())
 
     @cached_property
     def rates(self) -> tuple[Floats, Floats] | None:
@@ -108,7 +102,7 @@ class HingeSlide:
         The rate of an angle that the pose does not determine is zero.
         """
         link = self.links[0]
-        rotation = poses.matrix[..., link, :, :]
+        rotation = poses.rotation[..., link, :, :]
         x, y, a, b, c = self._coefficients(rotation, poses.translation[..., link, :])
         angle = _highest(x + 2.0 * a * b, y + 2.0 * a * c, b, c)
         cos, sin = np.cos(angle), np.sin(angle)
@@ -211,7 +205,7 @@ class SixFreedoms:
     def __call__(self, poses: MovingPoses, near: Floats | None = None) -> tuple[Floats, Floats | None]:
         """Displacements ``(..., 6)`` and their rates."""
         link = self.links[0]
-        rotvec = poses.rotation.as_rotvec()[..., link, :]
+        rotvec = rotations(poses.rotation[..., link, :, :]).as_rotvec()
         offset = np.concatenate([poses.translation[..., link, :] @ self._inverse.T, rotvec @ self._ball], axis=-1)
         if poses.rates is None:
             return offset, None

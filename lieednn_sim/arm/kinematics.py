@@ -149,9 +149,13 @@ class CompoundJoints:
 
     def poses(self, q: Floats) -> RigidTransform:
         """T_i(q), ``(..., n)`` to poses of shape ``(..., N)``."""
+        rotation, translation = self.matrices(q)
+        return poses(rotations(rotation).as_matrix(), translation)
+
+    def matrices(self, q: Floats) -> tuple[Floats, Floats]:
+        """T_i(q) as rotations ``(..., N, 3, 3)`` and translations ``(..., N, 3)``."""
         parts = [joint.pose(q - self.reference) for joint in self.joints]
-        rotation = rotations(np.stack([part[0] for part in parts], axis=-3)).as_matrix()
-        return poses(rotation, np.stack([part[1] for part in parts], axis=-2))
+        return np.stack([part[0] for part in parts], axis=-3), np.stack([part[1] for part in parts], axis=-2)
 
     def twists(self, q: Floats) -> Floats:
         """Xi_i with T_i = Exp(xi_i), ``(..., n)`` to ``(..., N, 6)``: the screw times its coordinate, else Log T_i(q).

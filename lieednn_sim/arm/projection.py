@@ -11,6 +11,9 @@ several links) are retracted together.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from dataclasses import field
+from functools import cached_property, partial
 from typing import Protocol
 
 import numpy as np
@@ -20,7 +23,6 @@ from lieednn_sim.arm.closed_forms import HingeSlide, MovingPoses, OneScrew, SixF
 from lieednn_sim.arm.kinematics import CompoundJoints
 from lieednn_sim.arm.nearest import NearestPose
 from lieednn_sim.budget import count_states
-from lieednn_sim.lie import rotations
 from lieednn_sim.values import Floats, frozen
 
 
@@ -31,14 +33,30 @@ class Retraction:
     Attributes:
         q: ``(..., n)`` joint coordinates [rad, m].
         qd: ``(..., n)`` their rates; zero for poses at rest.
-        gap_translation: ``(..., N)`` distance between given and feasible pose [m].
-        gap_rotation: ``(..., N)`` angle between them [rad].
+        twist: ``(..., N, 6)`` of the given poses [rad, m].
     """
 
     q: Floats
     qd: Floats
-    gap_translation: Floats
-    gap_rotation: Floats
+    twist: Floats
+    _measure: Callable[[], tuple[Floats, Floats]] = field(repr=False, compare=False)
+
+    @property
+    def gap_translation(self) -> Floats:
+        """``(..., N)`` distance between given and feasible pose [m]."""
+        return self._gap[0]
+
+    @property
+    def gap_rotation(self) -> Floats:
+        """``(..., N)`` angle between them [rad]."""
+        return self._gap[1]
+
+    @cached_property
+    def _gap(self) -> tuple[Floats, Floats]:
+        # Measured when it is asked for: that costs as much as the retraction.
+        for part in (gap := self._measure()):
+            part.setflags(write=False)
+        return gap
 
 
 class _Solver(Protocol):
@@ -90,10 +108,14 @@ class Retractor:
             q[..., solver.indices] += offset
             if rate is not None:
                 qd[..., solver.indices] = rate
-        found = self._joints.poses(q).as_matrix()
-        gap_translation = np.linalg.norm(given.translation - found[..., :3, 3], axis=-1)
-        gap_rotation = np.asarray((rotations(found[..., :3, :3]).inv() * given.rotation).magnitude())
-        return Retraction(q, qd, gap_translation, gap_rotation)
+        return Retraction(q, qd, xi, partial(self._gap, given, q))
+
+    def _gap(self, given: MovingPoses, q: Floats) -> tuple[Floats, Floats]:
+        """Distances [m] and angles [rad] ``(..., N)`` of given poses from those at q ``(..., n)``."""
+        rotation, translation = self._joints.matrices(q)
+        # From the chord, ||R - R'||_F^2 / 2 = 4 sin^2(angle / 2).
+        chord = np.linalg.norm(given.rotation - rotation, axis=(-2, -1)) / np.sqrt(8.0)
+        return np.linalg.norm(given.translation - translation, axis=-1), 2.0 * np.arcsin(np.minimum(chord, 1.0))
 
 
 class _Nearest:
@@ -107,7 +129,7 @@ class _Nearest:
 
     def __call__(self, poses: MovingPoses, near: Floats | None) -> tuple[Floats, Floats | None]:
         links = list(self.links)
-        rotation, translation = poses.matrix[..., links, :, :], poses.translation[..., links, :]
+        rotation, translation = poses.rotation[..., links, :, :], poses.translation[..., links, :]
         vague = None
         if near is None:
             offset = self._problem.solve(rotation, translation)

@@ -138,7 +138,7 @@ def add_comparison(parser: argparse.ArgumentParser) -> None:
         parser.add_argument(
             f"--{name}", nargs="+", metavar="A,B,...", help=f"of {', '.join(known)}{more} (default: {default})"
         )
-    parser.add_argument("--seeds", type=whole, default=10, metavar="N", help="from seed 0 on")
+    parser.add_argument("--seeds", type=whole, default=3, metavar="N", help="from seed 0 on")
     parser.add_argument("--duration", type=decimal, default=4.0, metavar="S", help="of motions")
     _add_time_budget(parser)
     _add_conditions(parser)

@@ -57,7 +57,7 @@ class Selection:
     arms: Sequence[str] = ()
     scenes: Sequence[str] = ()
     controllers: Sequence[str] = ()
-    seeds: int = 10
+    seeds: int = 3
     entries: tuple[Entry, ...] = ()
 
     def __post_init__(self) -> None:

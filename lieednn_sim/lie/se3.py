@@ -64,13 +64,17 @@ def vee(matrix: ArrayLike) -> Floats:
 
 def exp(twist: ArrayLike) -> RigidTransform:
     """Exponential map of twists ``(..., 6)`` [rad, m]: SciPy's, with the input checked."""
-    # SciPy's compiled code refuses arrays that are read-only, as those of results are.
-    return RigidTransform.from_exp_coords(np.require(as_floats("twist", twist, (6,), batched=True), requirements="W"))
+    array = as_floats("twist", twist, (6,), batched=True)
+    # SciPy's compiled code refuses arrays that are read-only, as those of results are, and takes one leading axis; for
+    # more it computes the same in NumPy, many times as slowly.
+    matrix = RigidTransform.from_exp_coords(np.require(array.reshape(-1, 6), requirements="W")).as_matrix()
+    return RigidTransform(matrix.reshape(*array.shape[:-1], 4, 4), normalize=False, copy=False)
 
 
 def log(pose: RigidTransform) -> Floats:
-    """Principal logarithm ``(..., 6)`` of poses, rotation angle at most pi: SciPy's."""
-    return np.asarray(pose.as_exp_coords())
+    """Principal logarithm ``(..., 6)`` of poses, rotation angle at most pi: SciPy's, see `exp`."""
+    flat = RigidTransform(pose.as_matrix().reshape(-1, 4, 4), normalize=False, copy=False)
+    return np.asarray(flat.as_exp_coords()).reshape(*pose.shape, 6)
 
 
 def continued(twists: Floats) -> Floats:
@@ -92,10 +96,7 @@ def continued(twists: Floats) -> Floats:
 
 
 def rotations(matrix: Floats) -> Rotation:
-    """`Rotation.from_matrix` of ``(..., 3, 3)`` that are orthogonal up to rounding: unchecked, and in compiled code.
-
-    SciPy's compiled code takes one leading axis; for more it computes the same in NumPy, many times as slowly.
-    """
+    """`Rotation.from_matrix` of ``(..., 3, 3)`` that are orthogonal up to rounding: unchecked, compiled as in `exp`."""
     quaternions = Rotation.from_matrix(matrix.reshape(-1, 3, 3), assume_valid=True).as_quat()
     return Rotation(quaternions.reshape(*matrix.shape[:-2], 4), normalize=False)
 
