@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -10,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from lieednn_sim.lie import left_jacobian_so3, log, poses, rotations, skew
+from lieednn_sim.lie import left_jacobian_so3, log, poses, skew
 from lieednn_sim.values import Floats
 
 # Brackets of unit twists below this vanish up to rounding [1, m].
@@ -149,13 +150,11 @@ class CompoundJoints:
 
     def poses(self, q: Floats) -> RigidTransform:
         """T_i(q), ``(..., n)`` to poses of shape ``(..., N)``."""
-        rotation, translation = self.matrices(q)
-        return poses(rotations(rotation).as_matrix(), translation)
+        return poses(*self.matrices(q))
 
     def matrices(self, q: Floats) -> tuple[Floats, Floats]:
         """T_i(q) as rotations ``(..., N, 3, 3)`` and translations ``(..., N, 3)``."""
-        parts = [joint.pose(q - self.reference) for joint in self.joints]
-        return np.stack([part[0] for part in parts], axis=-3), np.stack([part[1] for part in parts], axis=-2)
+        return _stacked(joint.pose(q - self.reference) for joint in self.joints)
 
     def twists(self, q: Floats) -> Floats:
         """Xi_i with T_i = Exp(xi_i), ``(..., n)`` to ``(..., N, 6)``: the screw times its coordinate, else Log T_i(q).
@@ -171,12 +170,14 @@ class CompoundJoints:
             else:
                 moved[i] = joint.pose(offset)
         if moved:
-            # Of all at once, along one axis: see `rotations`.
-            turn = rotations(np.stack([part[0] for part in moved.values()], axis=-3)).as_matrix()
-            place = np.stack([part[1] for part in moved.values()], axis=-2)
-            flat = log(poses(turn.reshape(-1, 3, 3), place.reshape(-1, 3)))
-            twists[..., list(moved), :] = flat.reshape(*place.shape[:-1], 6)
+            twists[..., list(moved), :] = log(poses(*_stacked(moved.values())))
         return twists
+
+
+def _stacked(poses: Iterable[tuple[Floats, Floats]]) -> tuple[Floats, Floats]:
+    """Rotations ``(..., 3, 3)`` and translations ``(..., 3)`` of links as ``(..., N, 3, 3)`` and ``(..., N, 3)``."""
+    rotation, translation = zip(*poses, strict=True)
+    return np.stack(rotation, axis=-3), np.stack(translation, axis=-2)
 
 
 def distinctness(jacobian: Floats, least: float = 1e-300) -> Floats:
