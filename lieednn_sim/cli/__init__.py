@@ -163,7 +163,7 @@ def _parser() -> argparse.ArgumentParser:
     compare = command(
         "compare",
         "planners x arms x scenes x controllers x seeds: table and page",
-        "It can be interrupted: the same command goes on. All cases by default, CPU hours.",
+        "It can be interrupted: the same command goes on. By default a quarter of an hour of CPU time.",
     )
     options.add_comparison(compare)
 
