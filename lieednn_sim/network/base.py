@@ -6,7 +6,7 @@ import os
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import fields, replace
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -246,11 +246,16 @@ class BlockNetwork(ABC):
         bias[self.n_visible :] = self.bias[self.n_visible :]
         # Weights and proof are the same: hand over what has been checked and computed of them, and nothing else.
         network, known = object.__new__(type(self)), vars(self)
-        # mypy cannot know that every subclass is a dataclass, here and below.
-        names = (*(field.name for field in fields(self)), *self._bias_free)  # type: ignore[arg-type]
-        vars(network).update({name: known[name] for name in names if name in known})
-        network._store(bias=as_floats("bias", bias, bias.shape))
+        vars(network).update({name: known[name] for name in self._kept() if name in known})
+        vars(network)["bias"] = read_only(as_floats("bias", bias, bias.shape))
         return network
+
+    @classmethod
+    @cache
+    def _kept(cls) -> tuple[str, ...]:
+        """Names of what another bias changes nothing of, and of the bias."""
+        # mypy cannot know that every subclass is a dataclass, here and below.
+        return (*(field.name for field in fields(cls)), *cls._bias_free)  # type: ignore[arg-type]
 
     def _carrying(self, found: stability.Certificate, every: int = 1) -> Self:
         """This network with a found certificate, of which every so-many-th entry is stored."""
