@@ -151,10 +151,10 @@ def table(rows: list[dict[str, object]], command: str) -> str:
 
 
 def plot(rows: list[dict[str, object]], path: Path) -> None:
-    """Each series in a panel of its own, both axes logarithmic."""
+    """Each series in a panel of its own, all axes logarithmic, times on the same."""
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(12.0, 2.9), layout="constrained")
-        for axes, (series, (name, _)) in zip(figure.subplots(1, len(SERIES)), SERIES.items(), strict=True):
+        for axes, (series, (name, _)) in zip(figure.subplots(1, len(SERIES), sharey=True), SERIES.items(), strict=True):
             sizes, times = points(rows, series)
             axes.loglog(sizes, times, "o-")
             axes.set_xticks(sizes, [f"{size:.0f}" for size in sizes])
