@@ -15,7 +15,7 @@ import argparse
 import tempfile
 import time
 from collections.abc import Callable, Iterable
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 
 import matplotlib
@@ -73,6 +73,7 @@ def scene(spheres: int) -> str:
     return "\n".join(rows)
 
 
+@cache
 def loaded(folder: Path, links: int, spheres: int = 0) -> Arm:
     """The chain, with spheres around it."""
     path, names = folder / f"chain{links}.xml", [f"link{index}" for index in range(links)]
