@@ -13,13 +13,13 @@ from __future__ import annotations
 
 import argparse
 import tempfile
-import time
 from collections.abc import Callable, Iterable
 from functools import cache, partial
 from pathlib import Path
 
 import matplotlib
 import numpy as np
+from benchmark_floors import processor_time
 from csv_rows import write_rows
 from matplotlib.figure import Figure
 
@@ -51,9 +51,9 @@ def chain(links: int) -> str:
     """MJCF of so many hinges, their axes by turns along y and z, with a capsule each and servos."""
     bodies, servos = "", ""
     for index in reversed(range(links)):
-        axis, start = ("0 1 0", "0 0 1")[index % 2], f"{_SPACING if index else 0.1}"
+        axis = ("0 1 0", "0 0 1")[index % 2]
         bodies = (
-            f'<body name="link{index}" pos="0 0 {start}" gravcomp="1"><joint name="q{index}" axis="{axis}" '
+            f'<body name="link{index}" pos="0 0 {_SPACING}" gravcomp="1"><joint name="q{index}" axis="{axis}" '
             f'range="-60 60" damping="0.5" armature="0.01"/><geom type="capsule" size="0.01" mass="0.1" '
             f'fromto="0 0 0.03 0 0 {_SPACING - 0.03}"/>{bodies}</body>'
         )
@@ -111,11 +111,7 @@ def works(series: str, size: int, repeats: int, folder: Path) -> Iterable[Callab
 
 def measured(series: str, size: int, repeats: int, folder: Path) -> dict[str, object]:
     """A row: the median CPU time of one of the series' works; of checks the size is the number of pairs."""
-    times = []
-    for work in works(series, size, repeats, folder):
-        begun = time.process_time()
-        work()
-        times.append(time.process_time() - begun)
+    times = [processor_time(work, 1) for work in works(series, size, repeats, folder)]
     if series == "checks of a motion":
         size = len(Collisions(loaded(folder, 4, size)).pairs)
     return dict(zip(FIELDS, (series, size, 1e3 * float(np.median(times))), strict=True))

@@ -37,9 +37,10 @@ from lieednn_sim.values import Floats
 
 SKIPPED = "skipped"
 DEFAULT_PLANNERS = ("minimum-jerk", "rrt-connect", "lieednn-shaped")
+# Whether paths can be run through at the arm's limits.
+_TIMED = importlib.util.find_spec("toppra") is not None
 # Starts and goals are close to things, and no work is too much within the time budget. Chosen on problems that the list
 # of 100 does not hold.
-_TIMED = importlib.util.find_spec("toppra") is not None
 _SEARCH = RrtConnectOptions(margin=0.002, tests=(100_000_000,), reach=0.05, spacings=(0.1, 0.04, 0.02), fastest=_TIMED)
 OPTIONS: Mapping[str, PlannerOptions] = {
     "rrt-connect": _SEARCH,
