@@ -61,16 +61,27 @@ def force_ranges(model: mujoco.MjModel, rates: Floats) -> Floats:
     return np.where(known[:, None], np.stack([low, high], axis=1), [-np.inf, np.inf])
 
 
-def resting_load(model: mujoco.MjModel, qpos: Floats) -> Floats:
-    """Generalised force ``(nv,)`` by which actuators hold the model at rest, gravity compensation and springs apart."""
+def resting_load(model: mujoco.MjModel, postures: Floats) -> Floats:
+    """Generalised forces by which actuators hold the model at rest, gravity compensation and springs apart.
+
+    Args:
+        model: is not changed.
+        postures: MuJoCo's positions ``(S, nq)``.
+
+    Returns:
+        ``(S, nv)``.
+    """
+    # One for all: to make it takes a hundred times as long as to use it.
     data = mujoco.MjData(model)
-    data.qpos[:] = qpos
-    # Of mj_forward what comes before the constraints are solved.
-    mujoco.mj_fwdPosition(model, data)
-    mujoco.mj_fwdVelocity(model, data)
     # Compensation by an actuator counts as its force in MuJoCo, in addition to that of the servo.
     by_actuator = model.jnt_actgravcomp[model.dof_jntid] != 0
-    return np.asarray(data.qfrc_bias - data.qfrc_passive - np.where(by_actuator, data.qfrc_gravcomp, 0.0))
+    loads = np.empty((len(postures), model.nv))
+    for load, data.qpos[:] in zip(loads, postures, strict=True):
+        # Of mj_forward what comes before the constraints are solved.
+        mujoco.mj_fwdPosition(model, data)
+        mujoco.mj_fwdVelocity(model, data)
+        load[:] = data.qfrc_bias - data.qfrc_passive - np.where(by_actuator, data.qfrc_gravcomp, 0.0)
+    return loads
 
 
 def servo_gains(model: mujoco.MjModel, rates: Floats) -> tuple[Floats, Floats]:

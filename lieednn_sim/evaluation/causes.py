@@ -57,7 +57,7 @@ def _reasons(rollout: Rollout, error: Floats) -> tuple[list[list[str]], list[lis
     """For each coordinate what the model has to say of its error ``(n,)``, and what may be done about it."""
     arm, model, basis = rollout.arm, rollout.arm.model, tangent_basis(rollout.arm)
     (kp, _), friction = servo_gains(model, basis), dry_friction(model, basis)
-    load = np.abs(resting_load(model, arm.qpos(rollout.q[-1])) @ basis)
+    load = np.abs(resting_load(model, arm.qpos(rollout.q[-1:]))[0] @ basis)
     pace, limits, changes = _pace(rollout), arm.force_limits, rollout.disturbances
     slow = np.abs(rollout.qd[-1]) > _SHARE * pace * np.abs(error)
     slow &= (np.exp(-pace * rollout.hold) > _LEFT) & (rollout.controller in _SERVOS)

@@ -65,7 +65,7 @@ def design_servos(draft: Draft) -> None:
 def stabilise(draft: Draft) -> None:
     """Where the servos would be unstable at one of a few postures take a better integrator, then shorter timesteps."""
     model, option = draft.bare, draft.spec.option
-    inertias = [reduced_inertia(model, qpos, draft.dofs) for qpos in draft.postures(draft.samples[:8])]
+    inertias = reduced_inertia(model, draft.postures(draft.samples[:8]), draft.dofs)
 
     def unstable() -> bool:
         timestep = float(model.opt.timestep)

@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.contacts import ContactFinder
 from lieednn_sim.arm.forces import dry_friction, resting_load
-from lieednn_sim.arm.importer.draft import Draft
+from lieednn_sim.arm.importer.draft import Draft, stacked
 from lieednn_sim.arm.importer.locking import pose
 from lieednn_sim.arm.importer.postures import random_coordinates
 from lieednn_sim.arm.importer.units import length_unit
@@ -36,9 +36,9 @@ def check_kinematics(draft: Draft) -> None:
     bodies, sites = [frame.body for frame in frames], _frame_sites(model, len(frames))
     fixed = pose(np.array([frame.pos for frame in frames]), np.array([frame.quat for frame in frames]))
     before, after = mujoco.MjData(original), mujoco.MjData(model)
-    for q in draft.samples[:8]:
-        before.qpos[:] = draft.place(original, q, draft.qpos)
-        after.qpos[:] = draft.place(model, q, model.qpos0)
+    samples = stacked(draft.samples[:8])
+    ways = draft.place(original, samples, draft.qpos), draft.place(model, samples, model.qpos0)
+    for before.qpos[:], after.qpos[:] in zip(*ways, strict=True):
         mujoco.mj_kinematics(original, before)
         mujoco.mj_kinematics(model, after)
         wanted = pose(before.xpos[bodies], before.xquat[bodies]) * fixed
@@ -55,7 +55,7 @@ def check_kinematics(draft: Draft) -> None:
 def look_for_half_turns(draft: Draft) -> None:
     """Say which compound joints of several hinges come near half a turn at one of the draft's postures."""
     model, groups = draft.model, draft.groups
-    postures = [model.qpos0, *(draft.place(model, q, model.qpos0) for q in draft.samples)]
+    postures = [model.qpos0, *draft.place(model, stacked(draft.samples), model.qpos0)]
     frames = _frame_matrices(model, postures, len(groups))
     relative = Rotation.from_matrix(frames[:, :-1]).inv() * Rotation.from_matrix(frames[:, 1:])
     turns = (relative[0].inv() * relative).magnitude().max(axis=0)
@@ -72,9 +72,8 @@ def look_at_home(draft: Draft) -> None:
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, model.key("home").id)
     mujoco.mj_forward(model, data)
-    load = resting_load(model, data.qpos)
-    postures = [draft.place(model, q, model.qpos0) for q in draft.samples[:_LOADED]]
-    loads = np.abs([resting_load(model, qpos) for qpos in postures])
+    elsewhere = draft.place(model, stacked(draft.samples[:_LOADED]), model.qpos0)
+    load, *loads = resting_load(model, np.array([data.qpos, *elsewhere]))
     frictions = dry_friction(model, np.array([dof.rates for dof in draft.dofs]).T)
     for dof, servo, friction in zip(draft.dofs, draft.servos, frictions, strict=True):
         force = float(load @ dof.rates)
@@ -90,7 +89,7 @@ def look_at_home(draft: Draft) -> None:
         low, high = servo.force_range
         if not low <= force <= high:
             notes.append(f"{servo.name}: needs {force:.4g} at home, more than its force limits allow")
-        elif (most := float((loads @ np.abs(dof.rates)).max()) / servo.kp) > _SAG:
+        elif (most := float((np.abs(loads) @ np.abs(dof.rates)).max()) / servo.kp) > _SAG:
             sag = f"sags by {abs(force) / servo.kp:.2g} rad or m at home under its load, elsewhere up to {most:.2g}"
             notes.append(f"{servo.name}: {sag}; {helps}")
     for contact in data.contact[: data.ncon]:
@@ -105,8 +104,8 @@ def look_at_ways(draft: Draft) -> None:
     ends, between = Counter[str](), Counter[str]()
     blocked, touching, rng = 0, 0, np.random.default_rng(1)
     shares = np.linspace(1.0, 0.0, _LOOKS, endpoint=False)
-    for sample in (random_coordinates(draft, rng) for _ in range(_WAYS)):
-        for share, qpos in zip(shares, _way(draft, home, sample, shares), strict=True):
+    for way in _ways(draft, home, [random_coordinates(draft, rng) for _ in range(_WAYS)], shares):
+        for share, qpos in zip(shares, way, strict=True):
             found = finder.bodies(qpos)
             if found:
                 touching, blocked = touching + int(share == 1.0), blocked + int(share < 1.0)
@@ -138,10 +137,10 @@ def look_for_singular_links(draft: Draft) -> None:
         columns = [dof.rates for dof in draft.dofs if dof.joint in independent.intersection(group)]
         if len(columns) < 2:
             continue
-        singular, ways = 0, draft.samples[1:]
-        for sample in ways:
+        singular, ways = 0, _ways(draft, home, draft.samples[1:], np.linspace(0.0, 1.0, _LOOKS + 1))
+        for way in ways:
             screws = []
-            for data.qpos[:] in _way(draft, home, sample, np.linspace(0.0, 1.0, _LOOKS + 1)):
+            for data.qpos[:] in way:
                 mujoco.mj_kinematics(model, data)
                 mujoco.mj_comPos(model, data)
                 linear, angular = np.zeros((2, 3, model.nv))
@@ -156,9 +155,10 @@ def look_for_singular_links(draft: Draft) -> None:
             )
 
 
-def _way(draft: Draft, start: dict[int, Floats], end: dict[int, Floats], shares: Floats) -> Floats:
-    """Postures ``(S, nq)`` of the model at shares ``(S,)`` of a straight way."""
-    q = {joint: value + shares[:, None] * (end[joint] - value) for joint, value in start.items()}
+def _ways(draft: Draft, start: dict[int, Floats], ends: Sequence[dict[int, Floats]], shares: Floats) -> Floats:
+    """Postures ``(E, S, nq)`` of the model at shares ``(S,)`` of the straight ways to each of the ends."""
+    last = stacked(ends)
+    q = {joint: value + shares[:, None] * (last[joint][:, None] - value) for joint, value in start.items()}
     return draft.place(draft.model, q, draft.model.qpos0)
 
 

@@ -120,9 +120,9 @@ class Draft:
                 filled[..., address] = value[..., 0]
         return filled
 
-    def postures(self, positions: Sequence[dict[int, Floats]]) -> list[Floats]:
-        """``(nq,)`` of ``bare`` at each of the positions."""
-        return [self.place(self.bare, q, self.bare.qpos0) for q in positions]
+    def postures(self, positions: Sequence[dict[int, Floats]]) -> Floats:
+        """Positions ``(S, nq)`` of ``bare`` at each of those of the independent joints."""
+        return self.place(self.bare, stacked(positions), self.bare.qpos0)
 
     def report(self) -> ImportReport:
         """All of it in words; every remark once."""
@@ -136,3 +136,8 @@ class Draft:
             servos=self.servos,
             notes=tuple(dict.fromkeys(self.notes)),
         )
+
+
+def stacked(positions: Sequence[dict[int, Floats]]) -> dict[int, Floats]:
+    """Positions of the independent joints as one row each, for `Draft.place`."""
+    return {joint: np.array([q[joint] for q in positions]) for joint in positions[0]}

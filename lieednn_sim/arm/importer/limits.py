@@ -80,7 +80,7 @@ def limit_accelerations(draft: Draft) -> None:
     model, servos, postures = draft.bare, draft.servos, draft.postures(draft.samples[:16])
     rates = np.array([dof.rates for dof in draft.dofs])
     inertia = largest_inertia(model, postures, draft.dofs)
-    load = np.max([np.abs(rates @ resting_load(model, qpos)) for qpos in postures], axis=0)
+    load = np.abs(resting_load(model, postures) @ rates.T).max(axis=0)
     force = np.array([min(-servo.force_range[0], servo.force_range[1]) for servo in servos])
     # One that cannot hold its load anywhere near is remarked on elsewhere; a limit of zero would allow no motion.
     limits = np.where(force > load, _SHARE * (force - load) / inertia, np.inf)

@@ -80,20 +80,20 @@ def gain_parameters(servo: Servo) -> tuple[Floats, Floats]:
     return np.array([servo.kp, *np.zeros(9)]), np.array([0.0, -servo.kp, -servo.kv, *np.zeros(7)])
 
 
-def reduced_inertia(model: mujoco.MjModel, qpos: Floats, dofs: Sequence[Dof]) -> Floats:
-    """Inertia ``(n, n)`` in the independent coordinates, armature included."""
+def reduced_inertia(model: mujoco.MjModel, postures: Floats, dofs: Sequence[Dof]) -> Floats:
+    """Inertia ``(S, n, n)`` in the independent coordinates at postures ``(S, nq)``, armature included."""
     data = mujoco.MjData(model)
-    data.qpos[:] = qpos
-    mujoco.mj_fwdPosition(model, data)
-    columns = np.zeros((len(dofs), model.nv))
-    for column, dof in zip(columns, dofs, strict=True):
-        mujoco.mj_mulM(model, data, column, dof.rates)
+    columns = np.zeros((len(postures), len(dofs), model.nv))
+    for at, data.qpos[:] in zip(columns, postures, strict=True):
+        mujoco.mj_fwdPosition(model, data)
+        for column, dof in zip(at, dofs, strict=True):
+            mujoco.mj_mulM(model, data, column, dof.rates)
     return columns @ np.array([dof.rates for dof in dofs]).T
 
 
-def largest_inertia(model: mujoco.MjModel, postures: Sequence[Floats], dofs: Sequence[Dof]) -> Floats:
-    """Largest inertia ``(n,)`` of each coordinate over the postures, the other coordinates held."""
-    return np.array([np.diag(reduced_inertia(model, qpos, dofs)) for qpos in postures]).max(axis=0)
+def largest_inertia(model: mujoco.MjModel, postures: Floats, dofs: Sequence[Dof]) -> Floats:
+    """Largest inertia ``(n,)`` of each coordinate over the postures ``(S, nq)``, the other coordinates held."""
+    return np.asarray(np.diagonal(reduced_inertia(model, postures, dofs), axis1=1, axis2=2).max(axis=0))
 
 
 def growth(
