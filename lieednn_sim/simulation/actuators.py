@@ -94,9 +94,9 @@ class Actuators:
         length, velocity = self.velocities(noise.position), self.velocities(noise.velocity)
         return (self._bias[:, 1] * length + self._bias[:, 2] * velocity) / self._gain
 
-    def direct_controls(self, generalised: Floats) -> Floats:
-        """Controls ``(nu,)`` of drives made direct by `make_direct`."""
-        return self.forces(generalised) + self._idle
+    def direct_controls(self, generalised: Floats, out: Floats | None = None) -> Floats:
+        """Controls ``(nu,)`` of drives made direct by `make_direct`, for generalised forces ``(nv,)``."""
+        return np.add(self._allocation.dot(generalised), self._idle, out)
 
     def free_controls(self, model: mujoco.MjModel) -> None:
         """Let the drives in a model take any control: a servo's range is one of positions, and forces are on top.

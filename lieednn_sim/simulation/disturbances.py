@@ -159,7 +159,8 @@ class Sensors:
         measured = (tangent_basis(arm) != 0.0).any(axis=1)
         self._deviations = np.outer([disturbances.position_noise, disturbances.velocity_noise], measured)
         self.noisy = bool(self._deviations.any())
-        self._none = Noise(self._deviations[0], self._deviations[1], present=False)
+        # To add negative zeros changes no bit.
+        self._none = Noise(-np.zeros(len(measured)), -np.zeros(len(measured)), present=False)
         self.reset()
 
     def reset(self) -> None:
@@ -181,8 +182,8 @@ class Sensors:
     def _draws(self) -> Iterator[Noise]:
         rng = np.random.default_rng(self._seed)
         while True:
-            for errors in self._errors(rng, _AHEAD):
-                yield Noise(*errors)
+            # Pairs of rows, not rows that are pairs: to unpack an array takes five times as long as all the rest.
+            yield from map(Noise, *np.moveaxis(self._errors(rng, _AHEAD), 1, 0))
 
 
 def tangent_basis(arm: Arm) -> Floats:

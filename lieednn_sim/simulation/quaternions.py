@@ -8,6 +8,8 @@ from lieednn_sim.values import Floats
 
 # Signs of the matrix's diagonal in 4 q_i^2 = 1 +- m_00 +- m_11 +- m_22.
 _SIGNS = np.array([[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]])
+# Which of (0, wx, wy, wz, xy, xz, yz) are the products with each component.
+_PRODUCTS = np.array([[0, 1, 2, 3], [1, 0, 4, 5], [2, 4, 0, 6], [3, 5, 6, 0]])
 # Lengths that differ from 1 by less are left alone (mjMINVAL).
 _LEAST = 1e-15
 
@@ -23,11 +25,10 @@ def quaternions(matrices: Floats) -> Floats:
     largest = np.where(x + y + z > 0.0, 0, np.where((x > y) & (x > z), 1, np.where(y > z, 2, 3)))
     wx, wy, wz = m[:, 2, 1] - m[:, 1, 2], m[:, 0, 2] - m[:, 2, 0], m[:, 1, 0] - m[:, 0, 1]
     xy, xz, yz = m[:, 0, 1] + m[:, 1, 0], m[:, 0, 2] + m[:, 2, 0], m[:, 1, 2] + m[:, 2, 1]
-    none = np.zeros(len(m))
-    products = np.array([[none, wx, wy, wz], [wx, none, xy, xz], [wy, xy, none, yz], [wz, xz, yz, none]])
+    products = np.array([np.zeros(len(m)), wx, wy, wz, xy, xz, yz])
     rows, sign = np.arange(len(m)), _SIGNS[largest].T
     size = 0.5 * np.sqrt(1.0 + sign[0] * x + sign[1] * y + sign[2] * z)
-    q = 0.25 * products[largest, :, rows] / size[:, None]
+    q = 0.25 * products[_PRODUCTS[largest], rows[:, None]] / size[:, None]
     q[rows, largest] = size
     norm = np.sqrt(q[:, 0] * q[:, 0] + q[:, 1] * q[:, 1] + q[:, 2] * q[:, 2] + q[:, 3] * q[:, 3])[:, None]
     q = np.where(np.abs(norm - 1.0) > _LEAST, q * (1.0 / norm), q)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -45,7 +46,6 @@ class Reference:
         self.timestep = arm.timestep
         self.hold = hold
         self.known = self.revision = 0
-        self._rates = Foreseen(self, lambda steps: np.moveaxis(self.rates_at(np.array(steps)), 0, 1))
         self.q, self.qd = np.zeros((rows, arm.n_joints)), np.zeros((rows, arm.n_joints))
         self.qpos, self.qvel = np.zeros((rows, arm.model.nq)), np.zeros((rows, arm.model.nv))
 
@@ -75,20 +75,14 @@ class Reference:
         at = np.arange(steps.start, steps.stop, steps.step)
         return at - at % self.hold
 
-    def rates(self, step: int) -> tuple[Floats, Floats]:
-        """Velocity and acceleration ``(nv,)`` with which semi-implicit steps land on every position exactly.
+    def rates_at(self, rows: NDArray[np.int_]) -> Floats:
+        """Velocities and accelerations ``(2, m, nv)`` with which semi-implicit steps land on ascending rows exactly.
 
         q_{k+1} = q_k (+) h v_{k+1} and v_{k+1} = v_k + h a_k, from rest, where (+) is MuJoCo's integration of
         positions: quaternions turn by the exponential map.
         """
-        velocity, acceleration = self._rates[self.row(step)]
-        return velocity, acceleration
-
-    def rates_at(self, rows: NDArray[np.int_]) -> Floats:
-        """The same ``(2, m, nv)`` at some rows."""
-        needed, where = np.unique([rows, rows + 1], return_inverse=True)
-        now, later = self._velocities(needed)[where.reshape(2, -1)]
-        return np.stack([now, (later - now) / self.timestep])
+        velocity, at = self._velocities(np.arange(rows[0], rows[-1] + 2)), rows - rows[0]
+        return np.stack([velocity[at], (velocity[at + 1] - velocity[at]) / self.timestep])
 
     def ahead(self, steps: range, lead: float) -> Floats:
         """Positions ``(m, nq)`` a time ``lead`` [s] after what is seen at steps; cubic between rows."""
@@ -130,14 +124,15 @@ class Foreseen:
 
     Args:
         reference: what is worked out is forgotten when more of it becomes known.
-        rows: gives them for a range of steps, along the first axis.
+        rows: gives them for a range of steps, in an array or a list.
     """
 
-    def __init__(self, reference: Reference, rows: Callable[[range], Floats]) -> None:
+    def __init__(self, reference: Reference, rows: Callable[[range], Any]) -> None:
         self._reference, self._make = reference, rows
-        self._revision, self._steps, self._rows = -1, range(0), np.zeros(0)
+        self._revision, self._steps = -1, range(0)
+        self._rows: Any = ()
 
-    def __getitem__(self, step: int) -> Floats:
+    def __getitem__(self, step: int) -> Any:
         """The row of a step."""
         reference = self._reference
         if self._revision != reference.revision or step not in self._steps:

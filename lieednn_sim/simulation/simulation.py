@@ -134,7 +134,7 @@ class Simulation:
         if self.disturbances.pushes:
             self.pushes.apply(self.data, self.steps)
         mujoco.mj_step(self.model, self.data)
-        if np.count_nonzero(self._warnings) or not _is_finite(self._velocity):
+        if any(self._warnings.tolist()) or not _is_finite(self._velocity):
             raise SimulationError(
                 f"the simulation of {self.arm.name!r} failed at t = {self.time:.4f} s: {_problem(self.data)}"
             )

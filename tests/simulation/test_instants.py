@@ -6,7 +6,7 @@ import pytest
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.simulation import Disturbances, Push, Simulation
-from lieednn_sim.simulation.controllers.base import PositionServo
+from lieednn_sim.simulation.controllers.base import ComputedTorque, PositionServo
 from lieednn_sim.simulation.disturbances import Noise
 from lieednn_sim.simulation.following import Follower
 from lieednn_sim.simulation.reference import Reference
@@ -53,6 +53,25 @@ def test_the_damping_of_the_joints_is_fed_forward(gantry):
     servo.act(data, 0, Noise(np.zeros(4), np.zeros(4)))
     # A force f on a joint is f / gear of its actuator, which 1 / 1000 of the control makes.
     np.testing.assert_allclose(data.ctrl, [0.1 + 20.0 / 2.0 / 1000.0, 0.025, 0.05 + 10.0 / 1000.0, 0.05], atol=1e-12)
+
+
+@pytest.mark.parametrize("turning", [False, True])
+def test_computed_torque_acts_on_what_is_measured(gantry, small_arms, turning):
+    arm, rng = small_arms["compound"] if turning else gantry, np.random.default_rng(1)
+    assert (arm.model.nq > arm.model.nv) == turning
+    torque = ComputedTorque(arm, Reference.of(arm, *0.1 * rng.normal(size=(2, 4, arm.n_joints))))
+    data, silent = mujoco.MjData(arm.model), Noise(*-np.zeros((2, arm.model.nv)))
+    data.qvel[:] = rng.normal(size=arm.model.nv)
+    errors = Noise(*0.1 * rng.normal(size=(2, arm.model.nv)))
+    torque.act(data, 2, silent)
+    true = data.ctrl.copy()
+    torque.act(data, 2, errors)
+    measured = data.ctrl.copy()
+    mujoco.mj_integratePos(arm.model, data.qpos, errors.position, 1.0)
+    data.qvel += errors.velocity
+    torque.act(data, 2, silent)
+    np.testing.assert_allclose(data.ctrl, measured, rtol=1e-12)
+    assert np.abs(measured - true).max() > 1.0
 
 
 def test_a_follower_rests_where_a_limit_stops_it():
