@@ -2,7 +2,7 @@
 
 `Retractor` finds the nearest posture wherever the poses are, in milliseconds; here it is near the last one. All links
 are worked out at once: the poses asked for and those of all joints are the exponentials of one stack of twists, and
-with T = M_1 ... M_F of a link's joints and their twists Z_f the slopes of T are M_1 ... M_(f-1) Z_f M_f ... M_F.
+with T = M_1 ... M_F of a link's joints and their twists Z_f the slopes of T are M_1 ... Z_f M_f ... M_F.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import numpy as np
 from scipy.linalg.lapack import dposv
 
 from lieednn_sim.arm.arm import Arm
-from lieednn_sim.lie import hat
+from lieednn_sim.lie import hat, skew
 from lieednn_sim.values import Floats
 
 # Steps are taken until one is shorter than this [rad, m], whose square is what is left, and at most so many.
@@ -20,9 +20,13 @@ _SHORT, _MOST = 1e-3, 8
 _AHEAD = 1e-6
 # Coordinates that no pose determines stay; relative to 1 radian and one unit of length.
 _DAMPING = 1e-12
-_ONE = np.eye(4)
-# Rows: the matrices hat(e_k) of twists, flat.
-_HAT = hat(np.eye(6)).reshape(6, 16)
+# The unit of length in which squares of entries of a pose weigh as they should, in the network's.
+_UNIT = np.sqrt(0.5)
+# Rows: the matrices hat(e_k) of the network's twists in that unit, flat.
+_HAT = hat(np.diag(np.repeat([1.0, 1.0 / _UNIT], 3))).reshape(6, 16)
+_ONE = np.eye(4).ravel()
+# What makes |omega|^2 = -tr(hat(xi)^2) / 2 of a flat square.
+_TRACE = -0.5 * _ONE[:, None]
 
 
 class LocalRetraction:
@@ -40,33 +44,38 @@ class LocalRetraction:
         joints = [joint.factors for joint in arm.joints.joints]
         n_factors, links, n = max(map(len, joints)), len(joints), len(q)
         width = 3 if len(arm.space.balls) else 1
-        # In this unit of length squares of entries of a pose weigh as they should.
-        self._length = arm.length_scale / np.sqrt(2.0)
-        self._units = arm.twist_units / np.repeat([1.0, self._length], 3)
         self._reference = arm.joints.reference
-        # Twists of all joints at displacements; their coordinates' matrices Z; and whose coordinates they are.
-        twists, self._turns = np.zeros((n_factors, links, 6, n)), np.zeros((n_factors, links, width, 4, 4))
-        chosen = np.zeros((links, n_factors, width, n))
-        self._balls = []
+        # Of all joints the twists at displacements, and the matrices Z of their coordinates.
+        twists, turns = np.zeros((n_factors, links, 6, n)), np.zeros((n_factors, width, links, 16))
+        chosen = np.zeros((links, n, n_factors, width))
+        balls = []
         for i, factors in enumerate(joints):
             for f, factor in enumerate(factors):
                 columns = range(len(factor.indices))
                 # Of a ball that is not turned, as of all others at any time.
-                omega, v = factor.twists(np.zeros(n))
-                twists[f, i][:, factor.indices] = np.concatenate([omega, v / self._length], axis=1).T
-                self._turns[f, i, columns] = self._matrices(omega, v)
-                chosen[i, f, columns, factor.indices] = 1.0
+                each = np.concatenate(factor.twists(np.zeros(n)), axis=1) / arm.twist_units
+                twists[f, i][:, factor.indices], turns[f, columns, i] = each.T, each @ _HAT
+                # Whose coordinates they are.
+                chosen[i, factor.indices, f, columns] = 1.0
                 if factor.kind == "ball":
-                    self._balls.append((f, i, factor))
-        self._twists = twists.reshape(-1, n)
-        self._chosen = chosen.reshape(links, -1, n)
+                    about = np.concatenate([np.eye(3), skew(factor.anchor).T], axis=1) / arm.twist_units
+                    balls.append((f, i, factor.ratio * factor.axes.T, about @ _HAT))
+        self._twists, self._turns = twists.reshape(-1, n), turns.reshape(*turns.shape[:-1], 4, 4)
+        self._balls = [np.array(part) for part in zip(*balls, strict=True)]
+        self._chosen = chosen.reshape(links, n, -1)
         self._stack = np.empty((2 + n_factors, links, 6))
-        self._before, self._after = np.zeros((2, n_factors, links, 4, 4))
-        self._before[0] = _ONE
+        self._joints = self._stack[2:].reshape(-1)
+        # T = M_1 ... M_F, and the same for each coordinate with Z_f M_f in place of M_f.
+        self._chain = np.zeros((n_factors, 1 + n_factors * width, links, 4, 4))
+        self._turned = [chain[1 + f * width : 1 + (f + 1) * width] for f, chain in enumerate(self._chain)]
+        # The Jacobian's columns, and below them what is left of the poses asked for.
+        self._rows, self._damping = np.zeros((n + 2, 16 * links)), _DAMPING * np.eye(n)
+        self._slopes = self._rows[:n].reshape(n, links, 16).transpose(1, 0, 2)
+        self._errors = self._rows[n:].reshape(2, links, 4, 4)
         # What squares of entries make of rotation and translation.
-        rotation = np.zeros((4, 4))
-        rotation[:3, :3] = 0.5
-        self._parts = np.stack([rotation, self._length**2 * np.outer([1, 1, 1, 0], _ONE[3])], axis=-1).reshape(16, 2)
+        rotation, translation = np.zeros((2, 4, 4))
+        rotation[:3, :3], translation[:3, 3] = 0.5, (_UNIT * arm.length_scale) ** 2
+        self._parts = np.stack([rotation, translation], axis=-1).reshape(16, 2)
         self._left = np.zeros(16 * links)
         self.q = q
 
@@ -80,56 +89,54 @@ class LocalRetraction:
 
         A posture that is not near is found where Newton's method leads in eight steps.
         """
-        stack = self._stack
-        stack[0] = xi * self._units
-        stack[1] = stack[0] + (_AHEAD * self._units) * rate
+        stack, rows, n = self._stack, self._rows, len(self.q)
+        stack[0], stack[1] = xi, xi + _AHEAD * rate
         for _ in range(_MOST):
-            offset = self.q - self._reference
-            stack[2:] = self._twists.dot(offset).reshape(stack[2:].shape)
-            poses = _exp(stack)
-            posture, jacobian = self._linearised(offset, poses[2:])
-            error = (poses[:2] - posture).reshape(2, -1)
-            matrix = jacobian.T.dot(jacobian)
-            matrix.flat[:: len(matrix) + 1] += _DAMPING
-            _, steps, _ = dposv(matrix, jacobian.T.dot(error.T))
+            self._twists.dot(self.q - self._reference, out=self._joints)
+            poses, lefts = _exp(stack)
+            np.subtract(poses[:2], self._linearised(poses[2:], lefts[2:]), out=self._errors)
+            products = rows.dot(rows.T)
+            _, steps, _ = dposv(products[:n, :n] + self._damping, products[:n, n:])
             step, ahead = steps.T
             self.q = self.q + step
             if max(map(abs, step.tolist())) < _SHORT:
                 break
-        self._left = error[0] - jacobian.dot(step)
+        self._left = rows[n] - step.dot(rows[:n])
         return self.q, (ahead - step) / _AHEAD
 
-    def _linearised(self, offset: Floats, moved: Floats) -> tuple[Floats, Floats]:
-        """Poses of the links ``(N, 4, 4)`` and their Jacobian ``(16 N, n)``, with ``(F, N, 4, 4)`` of their joints."""
-        for f, i, ball in self._balls:
-            self._turns[f, i] = self._matrices(*ball.twists(offset))
-        before, after = self._before, self._after
-        before[1:2], after[-1] = moved[: len(moved) > 1], moved[-1]
-        for f in range(2, len(moved)):
-            np.matmul(before[f - 1], moved[f - 1], out=before[f])
-        for f in reversed(range(len(moved) - 1)):
-            np.matmul(moved[f], after[f + 1], out=after[f])
-        slopes = before[:, :, None] @ (self._turns @ after[:, :, None])
-        links, columns, n = self._chosen.shape
-        each = slopes.transpose(1, 3, 4, 0, 2).reshape(links, 16, columns)
-        return after[0], (each @ self._chosen).reshape(-1, n)
-
-    def _matrices(self, omega: Floats, v: Floats) -> Floats:
-        """Of twists ``(c, 3)`` and ``(c, 3)``, ``(c, 4, 4)``."""
-        return np.concatenate([omega, v / self._length], axis=1).dot(_HAT).reshape(-1, 4, 4)
+    def _linearised(self, moved: Floats, lefts: Floats) -> Floats:
+        """Poses of the links ``(N, 4, 4)`` for ``(F, N, 4, 4)`` of their joints, as of `_exp`; sets its columns."""
+        if self._balls:
+            f, i, axes, about = self._balls
+            turns = axes @ lefts[f, i, :3, :3].transpose(0, 2, 1) @ about
+            self._turns[f, :, i] = turns.reshape(-1, 3, 4, 4)
+        self._chain[:] = moved[:, None]
+        for turn, pose, turned in zip(self._turns, moved, self._turned, strict=True):
+            np.matmul(turn, pose, out=turned)
+        product = self._chain[0]
+        for chain in self._chain[1:]:
+            product = product @ chain
+        slopes = product[1:].reshape(len(product) - 1, -1, 16)
+        np.matmul(self._chosen, slopes.transpose(1, 0, 2), out=self._slopes)
+        posture: Floats = product[0]
+        return posture
 
 
-def _exp(twists: Floats) -> Floats:
-    """Poses ``(..., 4, 4)`` of twists ``(..., 6)``: I + X + (1 - cos)/angle^2 X^2 + (angle - sin)/angle^3 X^3."""
-    flat = twists.reshape(-1, 6)
-    matrix = flat.dot(_HAT).reshape(-1, 4, 4)
-    double = matrix @ matrix
-    omega = flat[:, :3]
-    square = np.maximum(np.einsum("ki,ki->k", omega, omega), 1e-16)[:, None, None]
+def _exp(twists: Floats) -> tuple[Floats, Floats]:
+    """Poses I + X L ``(..., 4, 4)``, X = hat(xi), of twists ``(..., 6)``; L = I + (1 - cos)/a^2 X + (a - sin)/a^3 X^2.
+
+    The first three rows and columns of L are the left Jacobian of SO(3).
+    """
+    flat = twists.reshape(-1, 6).dot(_HAT)
+    matrix = flat.reshape(-1, 4, 4)
+    double = (matrix @ matrix).reshape(-1, 16)
+    square = np.maximum(double.dot(_TRACE), 1e-16)
     angle = np.sqrt(square)
-    sine = np.sin(0.5 * angle) / angle
-    poses = (2.0 * sine * sine) * double
-    poses += ((1.0 - np.sin(angle) / angle) / square) * (matrix @ double)
-    poses += matrix
+    sine = np.sin(0.5 * angle)
+    left = (2.0 * sine * sine / square) * flat
+    left += ((1.0 - np.sin(angle) / angle) / square) * double
+    left += _ONE
+    poses = (matrix @ left.reshape(-1, 4, 4)).reshape(-1, 16)
     poses += _ONE
-    return poses.reshape(*twists.shape[:-1], 4, 4)
+    shape = (*twists.shape[:-1], 4, 4)
+    return poses.reshape(shape), left.reshape(shape)

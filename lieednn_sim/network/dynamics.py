@@ -159,9 +159,7 @@ def _newton(vector_field: VectorField, jacobian: VectorField, x: Floats, toleran
     return x, 100, False
 
 
-def runge_kutta_step(
-    field: Callable[[Floats, float], Floats], x: Floats, h: float, k: float = 0.0, first: Floats | None = None
-) -> Floats:
+def runge_kutta_step(field: Callable[[Floats, float], Floats], x: Floats, h: float, k: float = 0.0) -> Floats:
     """The state after a step h from time k h, by Runge and Kutta's method of fourth order.
 
     Args:
@@ -169,9 +167,8 @@ def runge_kutta_step(
         x: state, of any shape.
         h: step.
         k: time in units of h.
-        first: rate there, where it is known.
     """
-    k1 = field(x, k) if first is None else first
+    k1 = field(x, k)
     k2 = field(x + 0.5 * h * k1, k + 0.5)
     k3 = field(x + 0.5 * h * k2, k + 0.5)
     k4 = field(x + h * k3, k + 1.0)

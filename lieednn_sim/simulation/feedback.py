@@ -36,7 +36,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.arm.local_retraction import LocalRetraction
 from lieednn_sim.errors import InputError
 from lieednn_sim.network import LieEDNN
-from lieednn_sim.network.dynamics import runge_kutta_step
+from lieednn_sim.network.stepping import Stepping
 from lieednn_sim.planning.filtering import FilterOptions
 from lieednn_sim.planning.network_path import require_fit
 from lieednn_sim.simulation.reference import PeriodReference
@@ -132,8 +132,7 @@ class FeedbackFollower:
         self._speed, self._feedforward = as_positive("speed", speed), feedforward
         self.reference = PeriodReference(arm, arm.check_position(start, "start"), steps, feedback.safety)
         self._period = self.reference.period
-        self._weight, self._visible = network.mu * network.weight, 6 * network.n_visible
-        self._constant = np.zeros(6 * network.n_neurons)
+        self._stepping, self._visible = Stepping(network), 6 * network.n_visible
         self.xi = network.start(arm.encode(self.reference.q))
         self._stiffness = network.gamma + network.mu * _certified_norm(network)
         self._low, self._high = arm.position_limits.T
@@ -144,9 +143,12 @@ class FeedbackFollower:
         self._target: tuple[Floats, Floats] | None = None
         self._still = np.zeros(self.xi.size), np.zeros(arm.n_joints)
         self._settled = False
-        # Where the network is, its field there, and both in joint coordinates.
-        self._x, self._flow = self.xi.ravel(), np.zeros(self.xi.size)
+        # Where the network is, what drives it there, its field, and the first and the last in joint coordinates.
+        self._x = self.xi.ravel()
+        self._drive, self._flow = self._stepping.drive(self._x), np.zeros(self.xi.size)
         self._drawn, self._flow_rate = self.reference.q, self.reference.qd
+        # The pull to where the network shall be at rest.
+        self._pull = np.zeros(self.xi.size)
         self.jumped, self.share, self.pace, self.behind = False, 1.0, 1.0, 0.0
         self.limit_excess, self._gap = -np.inf, np.zeros((arm.n_links, 2))
 
@@ -179,20 +181,24 @@ class FeedbackFollower:
         wanted = scale * self._flow_rate + rate
         share = 1.0 / max(1.0, _largest(wanted / allowed))
         for _ in range(_TRIES):
-            x, flow = self._integrate(share * scale, drift / scale)
+            x, drive, flow = self._integrate(share * scale, drift / scale)
             drawn, flow_rate = self._decode(x, flow, self._drawn + share * period * wanted)
             qd = share * (scale * flow_rate + rate)
             excess = _largest(qd / allowed)
             if excess <= 1.0 + _TOO_FAST:
                 break
             share /= excess
-        self._x, self._flow, self._flow_rate = x, flow, flow_rate
+        self._x, self._drive, self._flow, self._flow_rate = x, drive, flow, flow_rate
         self.xi, self.share, self.pace = x.reshape(self.xi.shape), share, share * waiting
         self._gap = np.maximum(self._gap, self._retraction.gap)
         inside = self._arm.within_angles(drawn) if len(self._arm.space.balls) else drawn
-        self._drawn = np.minimum(np.maximum(inside, self._low), self._high)
-        self.limit_excess = max(self.limit_excess, *(self._low - drawn).tolist(), *(drawn - self._high).tolist())
-        return (*self.reference(self._drawn, np.where(self._drawn == drawn, qd, 0.0)), self.xi[None])
+        outside = max(np.maximum(self._low - drawn, drawn - self._high).tolist())
+        self.limit_excess = max(self.limit_excess, outside)
+        if outside > 0.0 or inside is not drawn:
+            inside = np.minimum(np.maximum(inside, self._low), self._high)
+            qd = np.where(inside == drawn, qd, 0.0)
+        self._drawn = inside
+        return (*self.reference(inside, qd), self.xi[None])
 
     def sample(self, data: mujoco.MjData) -> Floats:
         """See `log.ChannelSource`."""
@@ -217,8 +223,8 @@ class FeedbackFollower:
                 moving = (goal - before[1]) / self._period, rate
                 aim = goal + 0.5 * self._period * moving[0]
         self._settled = aim is goal
-        self._constant = self._network.gamma * aim - self._weight.dot(self._network.phi(aim))
-        self._flow = self._field(self._x, self._constant)
+        self._pull = aim - self._stepping.drive(aim)
+        self._flow = self._field(self._x, self._drive)
         if before is None or self.jumped:
             _, self._flow_rate = self._decode(self._x, self._flow, self._drawn)
         return moving
@@ -238,24 +244,20 @@ class FeedbackFollower:
         pull[: self._visible] = strength * (there - here).ravel()
         return waiting, (pull, strength * off)
 
-    def _field(self, x: Floats, constant: Floats) -> Floats:
-        """Flat field mu W phi(x) - gamma x + constant; the constant of an aim x_d is gamma x_d - mu W phi(x_d)."""
-        rate: Floats = self._weight.dot(self._network.phi(x))
-        rate -= self._network.gamma * x
-        rate += constant
-        return rate
+    def _field(self, x: Floats, drive: Floats) -> Floats:
+        """Flat field F at a state with its drive."""
+        return self._network.gamma * (self._pull + drive - x)
 
-    def _integrate(self, scale: float, drift: Floats) -> tuple[Floats, Floats]:
-        """The state after a period of x' = scale (F(x) + drift), by RK4, and F there."""
-        x, constant = self._x, self._constant + drift
-        rate = self._flow + drift
+    def _integrate(self, scale: float, drift: Floats) -> tuple[Floats, Floats, Floats]:
+        """The state after a period of x' = scale (F(x) + drift), by RK4, and its drive and F there."""
+        x, drive, gamma = self._x, self._drive, self._network.gamma
         switching = _largest(self._flow[self._visible :])
         extent = scale * self._period * max(self._stiffness / _LARGEST_STEP, switching / _LARGEST_SWITCHING)
         count = min(math.ceil(extent), _MOST_STEPS) or 1
+        pull, z = self._pull + drift / gamma, gamma * scale * self._period / count
         for _ in range(count):
-            x = runge_kutta_step(lambda y, _: self._field(y, constant), x, scale * self._period / count, first=rate)
-            rate = self._field(x, constant)
-        return x, rate - drift
+            x, drive = self._stepping.step(x, drive, pull, z)
+        return x, drive, self._field(x, drive)
 
     def _decode(self, x: Floats, flow: Floats, near: Floats) -> tuple[Floats, Floats]:
         """Posture of a flat state, near another one, and its rates along a field, both ``(n,)``."""

@@ -162,8 +162,9 @@ class PeriodReference:
     """
 
     def __init__(self, arm: Arm, start: Floats, steps: int, safety: FilterOptions | None = None) -> None:
-        self._arm, self.q, self.qd = arm, start, np.zeros_like(start)
+        self.q, self.qd = start, np.zeros_like(start)
         self.period = steps * arm.timestep
+        self._fastest, self._gain = arm.velocity_limits, arm.acceleration_limits * self.period
         self._guard = None
         if safety is not None:
             self._guard = SafetyFilter(arm, self.period, safety)
@@ -175,8 +176,7 @@ class PeriodReference:
 
     def allowed(self) -> Floats:
         """Velocities ``(n,)`` at the end of the next period: what gathers speed keeps the acceleration limits, too."""
-        faster = np.abs(self.qd) + self._arm.acceleration_limits * self.period
-        return np.asarray(np.minimum(self._arm.velocity_limits, faster))
+        return np.asarray(np.minimum(self._fastest, np.abs(self.qd) + self._gain))
 
     def __call__(self, q: Floats, qd: Floats) -> tuple[Floats, Floats]:
         """Rows ``(m, n)`` of q and of qd to a posture with its rates ``(n,)``, or as near as is safe; cubic between."""

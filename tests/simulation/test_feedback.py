@@ -1,5 +1,7 @@
 """Networks that run with the arm: a clock that waits keeps the orbits, pushes are taken up; the filter; determinism."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -95,6 +97,33 @@ def test_a_target_that_stops_is_met(gantry, cascade):
     for k in range(400):
         follower.advance(GOAL + 0.2 * follower.reference.period * min(k, 5))
     np.testing.assert_allclose(follower.reference.q, GOAL + follower.reference.period, atol=1e-5)
+
+
+def test_a_network_twice_as_fast_at_half_the_speed_is_the_same(gantry, cascade):
+    network = cascade(gantry.encode(GOAL))
+    states = []
+    for factor in (1.0, 2.0):
+        scaled = replace(network, gamma=factor * network.gamma, mu=factor * network.mu)
+        follower = FeedbackFollower(
+            gantry, scaled, np.zeros(4), steps=2, speed=5.0 / factor, feedforward=True, feedback=Feedback()
+        )
+        # It hears an arm that is off and runs after a target that moves.
+        for k in range(50):
+            follower.advance(GOAL + 1e-3 * k, follower.reference.q + 0.02)
+        states.append(follower.xi)
+    np.testing.assert_allclose(*states, atol=1e-9)
+
+
+def test_a_network_that_is_drawn_out_of_the_limits_leaves_the_reference_there(gantry, cascade):
+    high = gantry.position_limits[:, 1]
+    follower = FeedbackFollower(
+        gantry, cascade(gantry.encode(high)), high, steps=2, speed=0.1, feedforward=True, feedback=Feedback()
+    )
+    for _ in range(20):
+        q, qd, _ = follower.advance(high, high + 0.2 * np.eye(4)[0])
+        assert (q <= high + 1e-12).all()
+    assert follower.limit_excess > 0.001
+    assert qd[-1, 0] == 0.0
 
 
 def test_the_filter_keeps_the_ball_off_the_floor(gantry, run):
