@@ -18,7 +18,8 @@ from lieednn_sim.simulation import simulate
 
 def test_every_row_is_measured_and_written(tmp_path, monkeypatch):
     # What is measured takes as little time as may be.
-    monkeypatch.setattr(benchmark, "plan", partial(plan, duration=1.5))
+    for module in (benchmark, benchmark_floors):
+        monkeypatch.setattr(module, "plan", partial(plan, duration=1.5))
     for module in (benchmark, benchmark_stepping):
         monkeypatch.setattr(module, "simulate", partial(simulate, hold=0.0))
     monkeypatch.setattr(benchmark_floors, "_FRAMES", 2)
