@@ -6,6 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.values import Floats
@@ -18,6 +20,8 @@ PUSH_TIME, PUSHED_OFF, _EXACT = 0.2, 0.1, 0.2
 _GUESS, _TRIALS, _MOST = 300.0, 12, 2e4
 # Postures of the path that are compared with, even over its length.
 _SAMPLES = 2000
+# Among those that are as near in the joint that is furthest away, how much it counts to be near in all.
+_TIE = 1e-6
 
 
 @dataclass(frozen=True)
@@ -46,10 +50,16 @@ class Path:
         at = even.astype(int)
         after, rest = np.minimum(at + 1, len(q) - 1), (even - at)[:, None]
         self._points = ((1.0 - rest) * q[at] + rest * q[after]) / self._range
+        self._tree = KDTree(self._points)
 
     def nearest(self, q: Floats) -> tuple[Floats, Floats]:
         """Distances ``(K,)`` of postures ``(K, n)``, and which share of the path's length its nearest points are at."""
-        found = np.array([self._nearest(posture) for posture in q / self._range])
+        postures = q / self._range
+        least, _ = self._tree.query(postures, p=np.inf)
+        # The Euclidean distance is at most sqrt(n) times the largest of a joint: who is further away cannot be chosen.
+        within = least * (1.0 + 2.0 * _TIE * np.sqrt(postures.shape[1])) + _TIE**2
+        near = self._tree.query_ball_point(postures, within, p=np.inf)
+        found = np.array([self._nearest(*one) for one in zip(postures, map(np.sort, near), strict=True)])
         return found[:, 0], found[:, 1]
 
     def recovery(self, t: Floats, q: Floats, begin: float, end: float) -> Return:
@@ -66,12 +76,12 @@ class Path:
         share = (float(at[back]) - first) / max(1.0 - first, 1e-9)
         return Return(off, max(float(t[after][back] - end), 0.0), share)
 
-    def _nearest(self, posture: Floats) -> tuple[float, float]:
-        away = np.abs(self._points - posture)
+    def _nearest(self, posture: Floats, among: NDArray[np.int_]) -> tuple[float, float]:
+        away = np.abs(self._points[among] - posture)
         distance = away.max(axis=1)
         # Many points are as near in the joint that is furthest away: of these the one that is nearest in all.
-        index = int((distance + 1e-6 * np.linalg.norm(away, axis=1)).argmin())
-        return float(distance[index]), float(self._shares[index])
+        index = int((distance + _TIE * np.linalg.norm(away, axis=1)).argmin())
+        return float(distance[index]), float(self._shares[among[index]])
 
 
 def pushing_force(off: Callable[[float], float]) -> float:
