@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import itertools
 from collections.abc import Sequence
 from typing import Any
 
@@ -14,11 +13,15 @@ from PIL import Image, ImageDraw, ImageFont
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.values import Floats, frozen
 
-_AXIS_COLOURS = ((0.90, 0.22, 0.21, 0.75), (0.26, 0.71, 0.32, 0.75), (0.20, 0.42, 0.92, 0.75))
+_AXIS_COLOURS = np.array(
+    [(0.90, 0.22, 0.21, 0.75), (0.26, 0.71, 0.32, 0.75), (0.20, 0.42, 0.92, 0.75)], dtype=np.float32
+)
 PLANNED_COLOUR = (0.08, 0.75, 0.70, 0.55)
 TRACED_COLOUR = (0.98, 0.80, 0.10, 1.0)
 _AXIS_LENGTH = 0.22
 _MAX_SEGMENTS = 150
+# Of a geom, before its ends are known.
+_NOWHERE, _UPRIGHT = np.zeros(3), np.eye(3).ravel()
 
 
 @frozen
@@ -40,27 +43,27 @@ class Overlay:
         _polyline(scene, self.planned_frames[:, -1, :3, 3], 0.008 * self.scale, PLANNED_COLOUR)
         _polyline(scene, self.traced_tip[: k + 1], 0.011 * self.scale, TRACED_COLOUR)
         for frame in self.planned_frames[k]:
-            for axis, colour in enumerate(_AXIS_COLOURS):
+            for axis, rgba in enumerate(_AXIS_COLOURS):
                 tip = frame[:3, 3] + self.scale * _AXIS_LENGTH * frame[:3, axis]
-                _connect(scene, mujoco.mjtGeom.mjGEOM_ARROW, 0.007 * self.scale, frame[:3, 3], tip, colour)
+                _connect(scene, mujoco.mjtGeom.mjGEOM_ARROW, 0.007 * self.scale, frame[:3, 3], tip, rgba)
 
 
 def _polyline(scene: mujoco.MjvScene, points: Floats, radius: float, colour: tuple[float, ...]) -> None:
     if len(points) < 2:
         return
     chosen = points[np.unique(np.linspace(0, len(points) - 1, _MAX_SEGMENTS + 1, dtype=int))]
-    for a, b in itertools.pairwise(chosen):
-        if np.linalg.norm(b - a) > 1e-5:
-            _connect(scene, mujoco.mjtGeom.mjGEOM_CAPSULE, radius, a, b, colour)
+    rgba = np.array(colour, dtype=np.float32)
+    for i in np.flatnonzero(np.linalg.norm(np.diff(chosen, axis=0), axis=1) > 1e-5):
+        _connect(scene, mujoco.mjtGeom.mjGEOM_CAPSULE, radius, chosen[i], chosen[i + 1], rgba)
 
 
 def _connect(
-    scene: mujoco.MjvScene, kind: mujoco.mjtGeom, width: float, a: Floats, b: Floats, colour: tuple[float, ...]
+    scene: mujoco.MjvScene, kind: mujoco.mjtGeom, width: float, a: Floats, b: Floats, rgba: NDArray[np.float32]
 ) -> None:
     if scene.ngeom >= scene.maxgeom:
         return
     geom = scene.geoms[scene.ngeom]
-    mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.eye(3).ravel(), np.array(colour, dtype=np.float32))
+    mujoco.mjv_initGeom(geom, kind, _NOWHERE, _NOWHERE, _UPRIGHT, rgba)
     mujoco.mjv_connector(geom, kind, width, a, b)
     geom.category = mujoco.mjtCatBit.mjCAT_DECOR  # no shadows
     geom.emission = 0.3

@@ -6,6 +6,7 @@ import contextlib
 import functools
 import os
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -180,10 +181,20 @@ def render_video(
     end = rollout.t[-1]
     view = Camera(arm, camera=camera, size=size, preset=preset, target=rollout.target, points=points)
     with view, storage.atomic_path(path) as temporary:
-        with _writer(temporary, size, rate) as append:
+        # One picture is written upon and encoded while the next is rendered.
+        with _writer(temporary, size, rate) as append, ThreadPoolExecutor(1) as encoder:
+
+            def write(picture: Image, now: float) -> None:
+                append(write_caption(picture, [*names, f"{now:.2f} s of {end:.2f} s"]))
+
+            written: Future[None] | None = None
             for done, k in enumerate(samples, start=1):
                 picture = view.picture(rollout.q[k], functools.partial(overlay.draw, k=int(k)))
-                append(write_caption(picture, [*names, f"{rollout.t[k]:.2f} s of {end:.2f} s"]))
+                if written is not None:
+                    written.result()
+                written = encoder.submit(write, picture, rollout.t[k])
+                if done == total:
+                    written.result()
                 if progress is not None:
                     progress(done, total)
         _check_complete(temporary, total)

@@ -1,8 +1,10 @@
 """A video that is written, reopened and looked at."""
 
+import contextlib
 import io
 import re
 import subprocess
+import threading
 
 import imageio_ffmpeg
 import numpy as np
@@ -61,6 +63,54 @@ def test_the_planned_path_is_drawn_over_the_arm(arm, rollout):
         overlay = video.Overlay(arm.link_poses(rollout.q_ref).as_matrix(), rollout.link_position[:, -1])
         drawn = camera.picture(rollout.q[0], draw=lambda scene: overlay.draw(scene, 0)).astype(int)
     assert (np.abs(drawn - plain).max(axis=-1) > 40).sum() > 30
+
+
+@pytest.fixture
+def encoding(rollout, tmp_path, monkeypatch):
+    """A function that makes a video with a function in place of the encoder; events say which pictures were rendered.
+
+    Frame k is grey, of brightness k, and too small for words.
+    """
+    rendered = [threading.Event() for _ in range(6)]
+
+    class Pictures(contextlib.nullcontext):
+        def picture(self, q, draw):
+            k = sum(event.is_set() for event in rendered)
+            rendered[k].set()
+            return np.full((90, 160, 3), k, np.uint8)
+
+    def make(append):
+        monkeypatch.setattr(video, "Camera", lambda *_, **__: Pictures())
+        writer = contextlib.nullcontext(lambda picture: append(picture[0, 0, 0]))
+        monkeypatch.setattr(video, "_writer", lambda path, *_: path.touch() or writer)
+        monkeypatch.setattr(video, "_check_complete", lambda *_: None)
+        return video.render_video(rollout, tmp_path / "video.mp4", fps=2)
+
+    return make, rendered
+
+
+def test_a_picture_is_encoded_while_the_next_is_rendered(encoding):
+    (make, rendered), written = encoding, []
+
+    def append(k):
+        assert rendered[min(k + 1, 5)].wait(20.0), "the next picture waits for this one"
+        written.append(k)
+
+    assert make(append) == 6
+    assert written == list(range(6))
+
+
+@pytest.mark.parametrize("frame", [0, 3, 5])
+def test_what_the_encoder_says_ends_the_rendering(encoding, frame):
+    make, rendered = encoding
+
+    def append(k):
+        if k == frame:
+            raise FileError("the disk is full")
+
+    with pytest.raises(FileError, match="the disk is full"):
+        make(append)
+    assert sum(event.is_set() for event in rendered) <= frame + 2, "no picture is rendered for nothing"
 
 
 @pytest.mark.rendering
