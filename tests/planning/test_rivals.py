@@ -189,7 +189,7 @@ def test_the_tree_grows_from_the_narrower_end_and_the_path_from_the_start(gantry
         return MagicMock(getState=lambda i: corners[i], getStateCount=lambda: len(corners))
 
     definition.getSolutionPath.side_effect = path
-    corners = sampling._path(asked, workspace, RrtConnectOptions(), "RRTConnect", 0.1)
+    corners = sampling._path(asked, workspace, RrtConnectOptions(), "RRTConnect", 0.1, np.random.SeedSequence(0))
     scale = joint_scale(gantry)
     given_first, given_last = (np.asarray(end) * scale for end in definition.setStartAndGoalStates.call_args.args)
     other = target if narrow == "start" else start

@@ -41,7 +41,9 @@ DEFAULT_PLANNERS = ("minimum-jerk", "rrt-connect", "lieednn-shaped")
 _TIMED = importlib.util.find_spec("toppra") is not None
 # Starts and goals are close to things, and no work is too much within the time budget. Chosen on problems that the list
 # of 100 does not hold.
-_SEARCH = RrtConnectOptions(margin=0.002, tests=(100_000_000,), reach=0.05, spacings=(0.1, 0.04, 0.02), fastest=_TIMED)
+_SEARCH = RrtConnectOptions(
+    margin=0.002, tests=(100_000_000,), reach=0.025, spacings=(0.05, 0.02, 0.008), balanced=True, fastest=_TIMED
+)
 OPTIONS: Mapping[str, PlannerOptions] = {
     "rrt-connect": _SEARCH,
     # Its teacher is minimum jerk, or else that one alone, so that it can be held against it. Long ways take many

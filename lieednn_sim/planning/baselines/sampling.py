@@ -4,7 +4,7 @@ RRT-Connect is Kuffner and LaValle's, ICRA 2000; RRT* Karaman and Frazzoli's, In
 Informed RRT* Gammell, Srinivasa and Barfoot's, IROS 2014, and BIT* theirs, ICRA 2015; AORRTC Wilson, Thomason, Kingston
 and Gammell's, IEEE Robotics and Automation Letters, 2025; the library Sucan, Moll and Kavraki's, IEEE Robotics and
 Automation Magazine 19(4), 2012. Paths are measured in joint coordinates over velocity limits; their length is a time.
-They are shortened, rounded and timed by `smoothing`.
+They are shortened, rounded and timed by `smoothing`. RRT-Connect with balanced trees, which OMPL lacks, is in `trees`.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from lieednn_sim.budget import check_time, out_of_time
 from lieednn_sim.errors import PlanError, TooFastError
 from lieednn_sim.planning.baselines.joint_space import Workspace, joint_scale, sweeps
 from lieednn_sim.planning.baselines.smoothing import SmoothingOptions, motion_along
+from lieednn_sim.planning.baselines.trees import connected
 from lieednn_sim.planning.extras import optional_module
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.options import PlannerOptions
@@ -37,6 +38,10 @@ METHODS = {
     "bit-star": "BITstar",
     "aorrtc": "AORRTC",
 }
+# In place of OMPL's name: the search of `trees`.
+BALANCED = "balanced RRT-Connect"
+# Joints that hardly move a link count in its distances by this share of the one that moves links most.
+_LEAST_SWEEP = 0.1
 # Times that a search looks whether it is over, for each test that it may make: usually once for a test or more.
 _LOOKS = 2
 # A path of this many times the length of the straight one is straight, up to rounding.
@@ -67,20 +72,32 @@ class SearchOptions(PlannerOptions):
 
 
 @dataclass(frozen=True)
-class RrtConnectOptions(SearchOptions, SmoothingOptions):
-    """Of the planner ``rrt-connect``; see the two classes that it is made of."""
+class PathOptions(SearchOptions, SmoothingOptions):
+    """How paths are searched for and rounded; see the two classes that it is made of."""
 
 
 @dataclass(frozen=True)
-class RrtStarOptions(RrtConnectOptions):
-    """Of the planners ``rrt-star``, ``informed-rrt-star`` and ``aorrtc``; as `RrtConnectOptions`."""
+class RrtConnectOptions(PathOptions):
+    """Of the planner ``rrt-connect``; as `PathOptions`.
+
+    Attributes:
+        balanced: search as `trees` does, by distances in the workspace, in place of OMPL's RRTConnect: out of narrow
+            places with a small part of the tests.
+    """
+
+    balanced: bool = False
+
+
+@dataclass(frozen=True)
+class RrtStarOptions(PathOptions):
+    """Of the planners ``rrt-star``, ``informed-rrt-star`` and ``aorrtc``; as `PathOptions`."""
 
     tests: tuple[int, ...] = (80_000, 160_000)
 
 
 @dataclass(frozen=True)
-class BitStarOptions(RrtConnectOptions):
-    """Of the planner ``bit-star``; as `RrtConnectOptions`.
+class BitStarOptions(PathOptions):
+    """Of the planner ``bit-star``; as `PathOptions`.
 
     A test takes several times as long as RRT*'s, and the longer the more samples there are.
     """
@@ -88,7 +105,7 @@ class BitStarOptions(RrtConnectOptions):
     tests: tuple[int, ...] = (5_000, 10_000, 20_000, 40_000)
 
 
-def sampling_planner(name: str) -> Callable[[PlanningProblem, RrtConnectOptions], Motion]:
+def sampling_planner(name: str) -> Callable[[PlanningProblem, PathOptions], Motion]:
     """The planner of a name of `METHODS`.
 
     RRT-Connect grows two trees from start and target until they meet. Those that improve the path for a fixed amount of
@@ -101,8 +118,9 @@ def sampling_planner(name: str) -> Callable[[PlanningProblem, RrtConnectOptions]
         PlanError: no path was found within the work allowed, or it cannot be followed in time.
     """
 
-    def planner(problem: PlanningProblem, options: RrtConnectOptions) -> Motion:
-        return _plan(problem, options, METHODS[name])
+    def planner(problem: PlanningProblem, options: PathOptions) -> Motion:
+        balanced = isinstance(options, RrtConnectOptions) and options.balanced
+        return _plan(problem, options, BALANCED if balanced else METHODS[name])
 
     return planner
 
@@ -110,7 +128,7 @@ def sampling_planner(name: str) -> Callable[[PlanningProblem, RrtConnectOptions]
 rrt_connect = sampling_planner("rrt-connect")
 
 
-def _plan(problem: PlanningProblem, options: RrtConnectOptions, planner: str) -> Motion:
+def _plan(problem: PlanningProblem, options: PathOptions, planner: str) -> Motion:
     # Paths have no part in time: none is searched for again when the motion along it needs more.
     path = cache(partial(connecting_path, problem, Workspace(problem, options.margin), options, planner))
     blocked = {attempt: dict[int | None, PlanError]() for attempt in range(len(options.spacings))}
@@ -143,7 +161,7 @@ def connecting_path(
         problem: start, target and seed.
         workspace: of the problem, with the margin.
         options: of the search.
-        planner: OMPL's name of it.
+        planner: OMPL's name of it, or `BALANCED`.
         attempt: another one draws others, and looks more closely.
 
     Raises:
@@ -156,14 +174,21 @@ def connecting_path(
     try:
         # Every generator made from here on draws its seed from this one. OMPL warns of that for those that exist
         # already, which are not ours. It takes no seed of zero.
-        util.RNG.setSeed(1 + int(np.random.SeedSequence([problem.seed, attempt]).generate_state(1)[0] % (2**31)))
-        return _path(problem, workspace, options, planner, options.spacings[min(attempt, len(options.spacings) - 1)])
+        seed = np.random.SeedSequence([problem.seed, attempt])
+        util.RNG.setSeed(1 + int(seed.generate_state(1)[0] % (2**31)))
+        spacing = options.spacings[min(attempt, len(options.spacings) - 1)]
+        return _path(problem, workspace, options, planner, spacing, seed)
     finally:
         util.setLogLevel(level)
 
 
 def _path(
-    problem: PlanningProblem, workspace: Workspace, options: SearchOptions, planner: str, spacing: float
+    problem: PlanningProblem,
+    workspace: Workspace,
+    options: SearchOptions,
+    planner: str,
+    spacing: float,
+    seed: np.random.SeedSequence,
 ) -> Floats | None:
     """Corners ``(M, n)`` of a shortened path, or None."""
     base, geometric = optional_module("ompl.base"), optional_module("ompl.geometric")
@@ -175,7 +200,8 @@ def _path(
         bounds.setHigh(joint, float(high))
     space.setBounds(bounds)
     information = base.SpaceInformation(space)
-    density = scale * sweeps(problem.arm) / spacing
+    swept = scale * sweeps(problem.arm)
+    density = swept / spacing
     balls = len(problem.arm.space.balls) > 0
     known = set[bytes]()
 
@@ -192,29 +218,66 @@ def _path(
         known.add(values.tobytes())
         return True
 
-    class Edges(base.MotionValidator):  # type: ignore[misc,name-defined]
+    def passable(first: Floats, second: Floats) -> bool:
         """Tests an edge at postures that are evenly spaced in the workspace, not in joint space."""
+        if not inside(scale * second):
+            return False
+        count = max(1, math.ceil(float(np.abs(second - first) @ density)))
+        # The first end is valid, and the other is where a tree grows back from it; still it counts as work.
+        end = second.tobytes()
+        shares = _shares(count)[end in known :]
+        workspace.clear.tests += end in known
+        if workspace.clear.first_blocked(scale * (first + shares[:, None] * (second - first))) is not None:
+            return False
+        known.add(end)
+        return True
 
+    class Edges(base.MotionValidator):  # type: ignore[misc,name-defined]
         def checkMotion(self, first: Any, second: Any) -> bool:
-            ends = np.array(first[0:n]), np.array(second[0:n])
-            if not inside(scale * ends[1]):
-                return False
-            count = max(1, math.ceil(float(np.abs(ends[1] - ends[0]) @ density)))
-            # The first end is valid, and the other is where a tree grows back from it; still it counts as work.
-            end = ends[1].tobytes()
-            shares = _shares(count)[end in known :]
-            workspace.clear.tests += end in known
-            if workspace.clear.first_blocked(scale * (ends[0] + shares[:, None] * (ends[1] - ends[0]))) is not None:
-                return False
-            known.add(end)
-            return True
+            return passable(np.array(first[0:n]), np.array(second[0:n]))
 
     information.setStateValidityChecker(free)
     information.setMotionValidator(Edges(information))
     information.setup()
-    definition = base.ProblemDefinition(information)
     # A tree grows out of a narrow place more easily than into one.
     ends = sorted((problem.start, problem.target), key=workspace.collisions.clearance)
+    looks = itertools.count()
+
+    def spent(tests: int) -> bool:
+        # Where no path can be shorter than the one that is known, nothing is tested any more.
+        return next(looks) >= _LOOKS * tests or workspace.clear.tests >= tests or out_of_time()
+
+    def simplified(path: Any) -> Floats:
+        simplifier = geometric.PathSimplifier(information)
+        simplifier.reduceVertices(path, options.shortcuts, options.shortcuts)
+        simplifier.partialShortcutPath(path, options.shortcuts, options.shortcuts)
+        simplifier.collapseCloseVertices(path)
+        check_time()
+        corners = scale * np.array([path.getState(i)[0:n] for i in range(path.getStateCount())])
+        if ends[0] is not problem.start:
+            corners = corners[::-1].copy()
+        corners[0], corners[-1] = problem.start, problem.target
+        return corners
+
+    if planner == BALANCED:
+        weight = np.maximum(swept, _LEAST_SWEEP * swept.max())
+        box = weight[:, None] * problem.arm.position_limits / scale[:, None]
+        found = connected(
+            *(weight * q / scale for q in ends),
+            bounds=box,
+            reach=options.reach * float(np.linalg.norm(np.ptp(box, axis=1))),
+            clear=lambda first, second: passable(first / weight, second / weight),
+            over=partial(spent, max(options.tests)),
+            seed=seed,
+        )
+        check_time()
+        if found is None:
+            return None
+        path = geometric.PathGeometric(information)
+        for corner in found / weight:
+            path.append(_state(space, corner))
+        return simplified(path)
+    definition = base.ProblemDefinition(information)
     definition.setStartAndGoalStates(*(_state(space, q / scale) for q in ends))
     # The straight way is the shortest there is: who finds it is done.
     objective = base.PathLengthOptimizationObjective(information)
@@ -225,29 +288,13 @@ def _path(
         method.setRange(options.reach * space.getMaximumExtent())
     method.setProblemDefinition(definition)
     method.setup()
-    looks = itertools.count()
-
-    def spent(tests: int) -> bool:
-        # Where no path can be shorter than the one that is known, nothing is tested any more.
-        return next(looks) >= _LOOKS * tests or workspace.clear.tests >= tests or out_of_time()
-
     for tests in options.tests:
         if not definition.hasExactSolution():
             method.solve(base.PlannerTerminationCondition(partial(spent, tests)))
             check_time()
     if not definition.hasExactSolution():
         return None
-    path = definition.getSolutionPath()
-    simplifier = geometric.PathSimplifier(information)
-    simplifier.reduceVertices(path, options.shortcuts, options.shortcuts)
-    simplifier.partialShortcutPath(path, options.shortcuts, options.shortcuts)
-    simplifier.collapseCloseVertices(path)
-    check_time()
-    corners = scale * np.array([path.getState(i)[0:n] for i in range(path.getStateCount())])
-    if ends[0] is not problem.start:
-        corners = corners[::-1].copy()
-    corners[0], corners[-1] = problem.start, problem.target
-    return corners
+    return simplified(definition.getSolutionPath())
 
 
 @lru_cache(maxsize=4096)

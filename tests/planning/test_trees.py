@@ -1,0 +1,140 @@
+"""RRT-Connect with balanced trees in the plane, among walls that are looked up."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from lieednn_sim.arm.collision import Collisions
+from lieednn_sim.errors import PlanError
+from lieednn_sim.planning import RrtConnectOptions, missing_planners, plan
+from lieednn_sim.planning.baselines import sampling, trees
+from lieednn_sim.planning.baselines.joint_space import Workspace
+from lieednn_sim.planning.baselines.trees import connected
+
+from .test_rivals import POSTED, blocked
+
+BOUNDS = np.array([[0.0, 1.0], [0.0, 1.0]])
+REACH = 0.05
+START, TARGET = np.array([0.05, 0.5]), np.array([0.9, 0.9])
+seeds = st.integers(0, 2**32 - 1)
+
+
+class World:
+    """The unit square, solid left of 0.5 but for a passage around y = 0.5, which begins closed where it is so wide."""
+
+    def __init__(self, width: float, most: int = 100_000) -> None:
+        self.width, self.most = width, most
+        self.tested = list[np.ndarray]()
+        self.accepted = 0
+
+    def free(self, points: np.ndarray) -> np.ndarray:
+        passage = np.abs(points[:, 1] - 0.5) < 0.5 * self.width
+        return (points[:, 0] > 0.5) | passage | (np.linalg.norm(points - START, axis=1) < 1e-9)
+
+    def clear(self, first: np.ndarray, second: np.ndarray) -> bool:
+        self.tested.append(second)
+        free = bool(self.free(first + np.linspace(0.0, 1.0, 200)[:, None] * (second - first)).all())
+        self.accepted += free
+        return free
+
+    def path(self, seed: int, start: np.ndarray = START, target: np.ndarray = TARGET) -> np.ndarray | None:
+        world = {"bounds": BOUNDS, "reach": REACH, "clear": self.clear}
+        return connected(start, target, **world, over=lambda: len(self.tested) >= self.most, seed=seed)
+
+
+@given(seed=seeds, backwards=st.booleans())
+@settings(max_examples=10)
+def test_a_path_leads_from_start_to_target_over_clear_edges(seed, backwards):
+    world = World(0.04)
+    ends = (TARGET, START) if backwards else (START, TARGET)
+    corners = world.path(seed, *ends)
+    np.testing.assert_array_equal(corners[[0, -1]], ends)
+    assert all(map(world.clear, corners[:-1], corners[1:]))
+    lengths = np.linalg.norm(np.diff(corners, axis=0), axis=1)
+    assert lengths.max() <= REACH * (1.0 + 1e-9)
+    assert lengths.min() > 0.0, "a corner is there twice"
+    assert (np.abs(corners - 0.5) <= 0.5).all()
+
+
+def test_the_same_seed_draws_the_same_path_and_another_one_another():
+    first, again, other = (World(0.04).path(seed) for seed in (3, 3, 4))
+    np.testing.assert_array_equal(first, again)
+    assert first.shape != other.shape or not np.array_equal(first, other)
+
+
+def test_the_straight_way_is_tried_first():
+    world = World(2.0)
+    np.testing.assert_array_equal(world.path(0), [START, TARGET])
+    assert len(world.tested) == 1
+
+
+@pytest.mark.parametrize("closed", ["start", "target"])
+def test_the_tree_in_the_open_waits_for_the_other_one(closed):
+    """One end cannot be left: the other tree grows once, towards it, and then all work is done at the closed end."""
+    world = World(0.0, most=2_000)
+    ends = (START, TARGET) if closed == "start" else (TARGET, START)
+    assert world.path(0, *ends) is None
+    assert len(world.tested) >= world.most
+    assert world.accepted <= 1 + np.linalg.norm(TARGET - START) / REACH
+
+
+def test_work_out_of_a_narrow_place_is_spent_where_it_helps(monkeypatch):
+    """From a box in four dimensions, open at the far side: else most samples are asked for through the wall."""
+    target = np.full(4, 0.8)
+
+    def free(points: np.ndarray) -> np.ndarray:
+        wall = np.abs(np.abs(points).max(axis=1) - 0.225) < 0.025
+        return ~wall | ((points[:, 0] < -0.2) & (np.abs(points[:, 1:]).max(axis=1) < 0.1))
+
+    def tests(seed: int) -> int:
+        asked = list[np.ndarray]()
+
+        def clear(first: np.ndarray, second: np.ndarray) -> bool:
+            asked.append(second)
+            return bool(free(first + np.linspace(0.0, 1.0, 100)[:, None] * (second - first)).all())
+
+        world = {"bounds": np.tile([-1.0, 1.0], (4, 1)), "reach": 0.1, "clear": clear}
+        connected(np.zeros(4), target, **world, over=lambda: len(asked) >= 3_000, seed=seed)
+        return len(asked)
+
+    with_domain = [tests(seed) for seed in range(5)]
+    assert max(with_domain) < 2_000
+    monkeypatch.setattr(trees, "_DOMAIN", np.inf)
+    assert sum(with_domain) < 0.5 * sum(map(tests, range(5)))
+
+
+def test_where_no_sample_is_near_the_nearest_counts(monkeypatch):
+    """A domain that holds next to nothing slows the search down, and stops it not."""
+    monkeypatch.setattr(trees, "_DOMAIN", 1e-6)
+    assert World(0.2).path(0) is not None
+
+
+@pytest.mark.skipif("rrt-connect" in missing_planners(), reason="OMPL simplifies its path")
+def test_rrt_connect_finds_its_way_with_balanced_trees(monkeypatch):
+    task, options = blocked(3), RrtConnectOptions(balanced=True)
+    asked = dict.fromkeys(("start", "duration", "seed"))
+    asked = {name: getattr(task, name) for name in asked}
+    used = []
+    monkeypatch.setattr(sampling, "connected", lambda *ends, **more: used.append(more) or connected(*ends, **more))
+    first, again = (
+        plan(task.arm, task.target, planner="rrt-connect", options=options, **asked).motion for _ in range(2)
+    )
+    assert len(used) == 2
+    np.testing.assert_array_equal(first.q, again.q)
+    assert min(Collisions(POSTED).clearance(q) for q in first.q[::16]) > POSTED.clearance - 1e-6
+    # From the other end it is the same search: the ends are sorted by what room they have.
+    workspace = Workspace(task, options.margin)
+    back = replace(task, start=task.target, target=task.start)
+    there, home = (sampling.connecting_path(one, workspace, options, sampling.BALANCED, 0) for one in (task, back))
+    for corners, one in ((there, task), (home, back)):
+        np.testing.assert_array_equal(corners[[0, -1]], [one.start, one.target])
+    # The second attempt draws others; and who may do no work finds nothing.
+    other = sampling.connecting_path(task, workspace, options, sampling.BALANCED, 1)
+    assert there.shape != other.shape or not np.array_equal(there, other)
+    with pytest.raises(PlanError, match="balanced RRT-Connect found no path free of contact"):
+        plan(task.arm, task.target, planner="rrt-connect", options=replace(options, tests=(1,)), **asked)
