@@ -52,6 +52,8 @@ class ShapedOptions(PlannerOptions):
         largest_deviation: with which a network is taken when none is as near, the best one first [m].
         rate: rho of the hidden neurons' clock, see `ShapingOptions`: with 1 the network is as fast as the arm, with
             less it returns to its path after a push.
+        teachers: motions that are asked for at most, until a network follows one: of RRT-Connect other paths, each
+            drawn with the next seed.
         neurons: numbers of hidden ones, tried one after another until the motion is near, smooth, and keeps limits and
             clearance.
         optimised: whether teachers optimise, which takes long among many things; without, RRT-Connect's motion is
@@ -67,6 +69,7 @@ class ShapedOptions(PlannerOptions):
     jerk: float = 1.03
     largest_deviation: float = 5e-3
     rate: float = field(default=1.0, metadata={"range": (0.01, 1.0)})
+    teachers: int = 1
     neurons: tuple[int, ...] = field(default=(8, 16, 32, 64), metadata={"range": (2, 256)})
     optimised: bool = True
     optimisation: OptimisationOptions = _OPTIMISATION
@@ -80,7 +83,19 @@ def shaped(problem: PlanningProblem, options: ShapedOptions) -> Plan:
         LieEDNNError: OMPL is needed, and not installed.
         PlanError: no teacher finds a motion, or no network follows it closely enough.
     """
-    teacher = _teacher(problem, options)
+    for attempt in range(options.teachers):
+        teacher = _teacher(replace(problem, seed=problem.seed + attempt), options)
+        try:
+            return _following(problem, options, teacher)
+        except PlanError:
+            # The others are the same with any seed.
+            if attempt + 1 == options.teachers or not teacher.planner.startswith("rrt-connect"):
+                raise
+    raise AssertionError("options.teachers is at least one")
+
+
+def _following(problem: PlanningProblem, options: ShapedOptions, teacher: Plan) -> Plan:
+    """A network shaped after a teacher's motion."""
     guide, arm = teacher.motion, problem.arm
     units = lever_units(arm, guide.q)
     lasts = float(guide.t[-1])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.evaluation.motion_metrics import motion_metrics
-from lieednn_sim.planning import CertifiedOptions, OptimisationOptions, ShapedOptions, missing_planners, plan
+from lieednn_sim.planning import CertifiedOptions, OptimisationOptions, ShapedOptions, missing_planners, plan, shaped
 from lieednn_sim.planning.laws import law_of
 from lieednn_sim.planning.motion import check_motion
 from lieednn_sim.planning.network_path import NetworkPath
@@ -111,6 +112,30 @@ def test_without_a_teacher_there_is_no_motion(monkeypatch):
         PlanError, match=r"no teacher finds a motion; minimum-jerk: .*; trajectory-optimisation: .*; rrt"
     ):
         planned(arm, draw_target(arm, 0), optimisation=OptimisationOptions(guesses=1, evaluations=1))
+
+
+@needs_ompl
+def test_where_no_network_follows_another_path_is_asked_for(monkeypatch):
+    """The first path is refused; minimum jerk's motion would be the same again, and is asked for once."""
+    arm = FREE.among("poles", 0)
+    taught = []
+
+    def picky(_problem, _options, teacher):
+        taught.append(teacher)
+        if len(taught) < 2:
+            raise PlanError("not this one")
+        return replace(teacher, teacher=teacher)
+
+    monkeypatch.setattr(shaped, "_following", picky)
+    made = planned(arm, draw_target(arm, 0), teachers=2, optimised=False)
+    first, second = (teacher.motion for teacher in taught)
+    assert made.teacher is taught[1]
+    assert first.q.shape != second.q.shape or not np.array_equal(first.q, second.q)
+    for teachers, target_arm in ((1, arm), (2, FREE)):
+        taught.clear()
+        with pytest.raises(PlanError, match="not this one"):
+            planned(target_arm, draw_target(target_arm, 0), teachers=teachers, optimised=False)
+        assert len(taught) == 1
 
 
 @pytest.mark.parametrize("options", [{"rate": 1.5}, {"rate": 0.001}, {"neurons": (257,)}, {"deviation": -1.0}])
