@@ -165,10 +165,25 @@ from lieednn_sim.cli import main
 with tempfile.TemporaryDirectory() as folder:
     main(['demo', '--no-video', '--output', folder])"""
     return {
+        **comparison_memory(100_000 // scale),
         "memory of a loaded arm": peak_memory(load),
         f"memory of a rollout of {seconds + 4} s at 500 Hz": peak_memory(long),
         "memory of the demo without its video": peak_memory(demo),
     }
+
+
+def comparison_memory(rows: int) -> dict[str, str]:
+    """Peaks of memory of a comparison with made-up rows: of a hundredth of them, of all, and of what follows."""
+    scripts, peaks = f"import sys\nsys.path.insert(0, {str(Path(__file__).parent)!r})\nfrom pathlib import Path\n", {}
+    with tempfile.TemporaryDirectory() as folder:
+        few, many = Path(folder) / "few", Path(folder) / "many"
+        for name, what in {
+            f"a comparison while {rows // 100:,} rows come in": f"collect(Path({str(few)!r}), {rows // 100})",
+            f"a comparison while {rows:,} rows come in": f"collect(Path({str(many)!r}), {rows})",
+            f"sorting {rows:,} rows, their summary and page": f"finish(Path({str(many)!r}))",
+        }.items():
+            peaks[f"memory of {name}"] = peak_memory(f"{scripts}import benchmark_rows\nbenchmark_rows.{what}")
+    return peaks
 
 
 def floor_ratios(rollout: Rollout, targets: list[np.ndarray], scale: int) -> dict[str, str]:

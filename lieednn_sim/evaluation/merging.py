@@ -78,8 +78,7 @@ def merge(directory: str | os.PathLike[str], folders: Sequence[str | os.PathLike
             rows[row.key] = _agreed(row, folder, *rows.get(row.key, (row, folder)))
     record(storage.make_directory(target), selection.entries)
     table = Table(target, settings)
-    table.rows = {key: row for key, (row, _) in rows.items()}
-    table.save()
+    table.save({key: row for key, (row, _) in rows.items()})
     missing: dict[Shard, list[Case]] = {}
     for case in selection.cases(absent):
         if table.missing(case, selection.controllers):

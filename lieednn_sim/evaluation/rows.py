@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass, field, fields
 from functools import partial
 from typing import Any, ClassVar, Self
@@ -39,7 +40,7 @@ def columns_of(kind: type[TableRow]) -> tuple[Column, ...]:
     return tuple(Column(entry.name, **entry.metadata) for entry in fields(kind) if entry.metadata)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class TableRow:
     """A row of a table, one column a field; subclasses have a ``success`` and a ``reason`` why not.
 
@@ -55,8 +56,8 @@ class TableRow:
             if isinstance(value := getattr(self, entry.name), float):
                 object.__setattr__(self, entry.name, float(f"{value:.{self._digits}g}"))
             elif isinstance(value, str):
-                # A row is a line.
-                object.__setattr__(self, entry.name, " ".join(value.splitlines()))
+                # A row is a line. Most texts are those of many rows.
+                object.__setattr__(self, entry.name, sys.intern(" ".join(value.splitlines())))
 
     @property
     def key(self) -> tuple[Any, ...]:
@@ -119,7 +120,7 @@ class Case:
         return f"{self.planner}:{self.arm}:{self.scene}:{self.seed}"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Row(TableRow):
     """One rollout of a comparison. Measured numbers are called as in `Evaluation` and `MotionMetrics`.
 

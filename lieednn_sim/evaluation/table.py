@@ -24,6 +24,8 @@ _DESCRIBED = ("settings", "versions", "part")
 class Rows(Generic[R]):
     """Rows of one kind by their keys, kept in a directory: a row is in the file as soon as it is added.
 
+    Memory does not grow with what is added: `rows` are read again when they are asked for.
+
     Args:
         directory: made when it is missing. A table in it is read and gone on with.
         name: of the files, without their suffix.
@@ -46,31 +48,39 @@ class Rows(Generic[R]):
         self.directory = storage.make_directory(directory)
         self.csv, self.json = self.directory / f"{name}.csv", self.directory / f"{name}.json"
         self.versions = versions(code=True)
-        self._fields = [field.name for field in fields(kind)]
+        self._kind, self._fields = kind, [field.name for field in fields(kind)]
         self._description: dict[str, Any] = {"kind": name, "format": 1, "settings": shared, "versions": self.versions}
         if part:
             # As it is read: tuples are lists.
             self._description["part"] = json.loads(json.dumps(part))
-        self.rows: dict[tuple[Any, ...], R] = {}
+        self._rows: dict[tuple[Any, ...], R] | None = {}
         if self.csv.exists():
             self._check()
-            self.rows = read_rows(self.csv, kind)
+            self._rows = None
         storage.save_json(self.json, self._description)
         # Without the line that a killed process left half written.
         self.save()
 
+    @property
+    def rows(self) -> dict[tuple[Any, ...], R]:
+        """All rows by their keys."""
+        if self._rows is None:
+            self._rows = read_rows(self.csv, self._kind)
+        return self._rows
+
     def add(self, rows: Iterable[R]) -> None:
         """Add rows, at the end of the file."""
-        added = list(rows)
-        self.rows |= {row.key: row for row in added}
+        texts = [row.as_texts() for row in rows]
+        self._rows = None
         try:
             with self.csv.open("a", encoding="utf-8", newline="") as stream:
-                self._writer(stream).writerows(row.as_texts() for row in added)
+                self._writer(stream).writerows(texts)
         except OSError as error:
             raise FileError(f"cannot write {self.csv}: {error.strerror or error}") from None
 
-    def save(self) -> None:
-        """Write all rows, sorted, atomically."""
+    def save(self, rows: dict[tuple[Any, ...], R] | None = None) -> None:
+        """Write all rows, sorted, atomically; others in their place, if given."""
+        self._rows = self.rows if rows is None else rows
         with storage.atomic_text(self.csv) as stream:
             writer = self._writer(stream)
             writer.writeheader()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import gc
 import json
 import signal
 from concurrent.futures import Executor, Future
@@ -201,6 +202,22 @@ def test_a_table_cut_anywhere_keeps_its_whole_rows_and_grows_to_the_same(finishe
         assert read_rows(path) == rows
         table.save()
         assert path.read_bytes() == whole
+
+
+def test_rows_that_are_added_stay_on_disk_until_they_are_asked_for(finished, tmp_path):
+    def alive():
+        gc.collect()
+        return sum(type(one) is Row for one in gc.get_objects())
+
+    (row, *_), before = read_rows(finished / "comparison.csv").values(), alive()
+    table = Table(tmp_path, QUICK)
+    for seed in range(30):
+        table.add([replace(row, seed=seed), replace(row, seed=seed, controller="mocap")])
+    assert alive() - before <= 1
+    assert len(table.rows) == 60
+    # What many rows say is in memory once.
+    texts = [(one.arm, one.stability, one.stability_level) for one in table.rows.values()]
+    assert all(one is other for text in texts for one, other in zip(text, texts[0], strict=True))
 
 
 def test_the_summary_says_what_is_missing_and_what_is_proved(finished):

@@ -64,7 +64,7 @@ _LONGEST = 100.0
 _SHORTEST = 0.1
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Solution(TableRow):
     """What a planner made of a problem.
 

@@ -31,7 +31,7 @@ _DURATION, _RATE, _AT = 7.0, 100.0, 0.35
 _WEIGHT, _STEP, _DRAWS = 10.0, 0.1, 100
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Reaction(TableRow):
     """A row of the benchmark.
 

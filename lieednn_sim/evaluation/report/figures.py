@@ -45,6 +45,8 @@ _STYLE: Any = {
 _SCENE_MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 # Differences below this are rounding; a logarithmic axis need not show them [mm].
 _FLOOR = 1e-6
+# Marks in a line at most: more of them are one blot, and megabytes of page.
+_MARKS = 200
 
 
 @dataclass(frozen=True)
@@ -109,7 +111,7 @@ def _success(rows: Sequence[Row], controller: str) -> Plot:
 
 def _distribution(rows: Sequence[Row], item: _Distribution, controller: str) -> Plot:
     planners, scenes = in_order(row.planner for row in rows), _scenes(rows)
-    look = marks(planners)
+    look, thinned = marks(planners), False
     with matplotlib.rc_context(_STYLE | {"svg.hashsalt": item.column}):
         figure, axes = _panel(planners)
         for group in grouped(rows, ("planner", "scene")):
@@ -121,10 +123,14 @@ def _distribution(rows: Sequence[Row], item: _Distribution, controller: str) -> 
                 continue
             y, colour = planners.index(planner) + _offset(scenes, scene), look[planner].colour
             axes.plot(np.percentile(values, [25, 75]), [y, y], color=colour, lw=5, alpha=0.3, solid_capstyle="butt")
+            shown = values
+            if len(values) > _MARKS:
+                thinned = True
+                shown = np.sort(values)[np.linspace(0, len(values) - 1, _MARKS).astype(int)]
             # Spread by a fixed pattern, so that equal values can be told apart and every run draws alike.
-            spread = y + 0.07 * (np.arange(len(values)) % 3 - 1)
+            spread = y + 0.07 * (np.arange(len(shown)) % 3 - 1)
             marker = _SCENE_MARKERS[scenes.index(scene) % 7]
-            axes.plot(values, spread, marker, color=colour, ms=2.8, alpha=0.75, mew=0)
+            axes.plot(shown, spread, marker, color=colour, ms=2.8, alpha=0.75, mew=0)
             axes.plot([np.median(values)] * 2, [y - 0.16, y + 0.16], color=colour, lw=2.2)
         if item.logarithmic:
             axes.set_xscale("log")
@@ -143,6 +149,8 @@ def _distribution(rows: Sequence[Row], item: _Distribution, controller: str) -> 
         svg = _svg(figure)
     each = "one mark a motion" if BY_NAME[item.column].of_motion else f"one mark a rollout with {controller}"
     note = "; what is below 10⁻⁶ mm is drawn there" if item.column == "tracking_rms_mm" else ""
+    if thinned:
+        note += f"; of more than {_MARKS} in a line as many are marked, evenly apart in rank"
     return Plot(item.title, f"{each}, bar: quartiles, line: median{note}", svg)
 
 

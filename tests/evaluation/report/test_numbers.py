@@ -155,3 +155,15 @@ def test_controllers_come_in_the_order_of_the_package_then_those_that_are_not_in
     rows = [row(FIRST, 0, controller=name) for name in ("gone", "inverse-dynamics", "position-servo")]
     assert controllers_of(rows) == ["position-servo", "inverse-dynamics", "gone"]
     assert findings(rows[:1])
+
+
+def test_long_lines_of_marks_are_thinned_and_keep_their_ends(monkeypatch):
+    drawn = []
+    monkeypatch.setattr(figures, "_svg", lambda figure: drawn.append(figure) or "<svg/>")
+    many = [row(FIRST, k, clearance_mm=float((7 * k) % 1000)) for k in range(1000)]
+    shown = {plot.title: (plot, drawn[i].axes[0].lines) for i, plot in enumerate(figures.plots(many, "position-servo"))}
+    plot, (quartiles, marks, *_) = shown["Least clearance"]
+    np.testing.assert_array_equal(marks.get_xdata(), np.linspace(0, 999, 200).astype(int))
+    np.testing.assert_allclose(quartiles.get_xdata(), [249.75, 749.25])
+    assert "of more than 200 in a line as many are marked" in plot.caption
+    assert "200" not in figures.plots(ROWS, "position-servo")[2].caption
