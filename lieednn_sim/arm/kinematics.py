@@ -47,7 +47,7 @@ class Factor:
             angle = self.ratio * offset[..., self.indices, None]
             axis, square = self._turning
             rotation = _ONE + np.sin(angle) * axis + (1.0 - np.cos(angle)) * square
-        return rotation, self.anchor - rotation @ self.anchor
+        return rotation, self.anchor - rotation @ self.anchor if self.anchor.any() else np.zeros(rotation.shape[:-1])
 
     def twists(self, offset: Floats) -> tuple[Floats, Floats]:
         """Spatial twists (omega, v) of unit rates of its coordinates, each ``(..., c, 3)``."""
@@ -109,10 +109,11 @@ class CompoundJoint:
 
     def pose(self, offset: Floats) -> tuple[Floats, Floats]:
         """T as rotation ``(..., 3, 3)`` and translation ``(..., 3)`` at displacements ``(..., n)`` of q."""
-        rotation, translation = np.broadcast_to(_ONE, (*offset.shape[:-1], 3, 3)), np.zeros(3)
-        for factor in self.factors:
+        first, *others = self.factors
+        rotation, translation = first.motion(offset)
+        for factor in others:
             rotation, translation = _compose(rotation, translation, *factor.motion(offset))
-        return rotation, translation
+        return np.broadcast_to(rotation, (*offset.shape[:-1], 3, 3)), translation
 
     def pose_and_twists(self, offset: Floats) -> tuple[Floats, Floats, Floats, Floats]:
         """`pose`, and the spatial twists of its joints: omega and v ``(..., r, 3)`` for unit rates of ``coordinates``.

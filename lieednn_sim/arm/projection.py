@@ -113,8 +113,9 @@ class Retractor:
     def _gap(self, given: MovingPoses, q: Floats) -> tuple[Floats, Floats]:
         """Distances [m] and angles [rad] ``(..., N)`` of given poses from those at q ``(..., n)``."""
         rotation, translation = self._joints.matrices(q)
-        # From the chord, ||R - R'||_F^2 / 2 = 4 sin^2(angle / 2).
-        chord = np.linalg.norm(given.rotation - rotation, axis=(-2, -1)) / np.sqrt(8.0)
+        # From the chord, ||R - R'||_F^2 / 2 = 4 sin^2(angle / 2); a product, since sums over short axes are slow.
+        apart = (given.rotation - rotation).reshape(*rotation.shape[:-2], 9)
+        chord = np.sqrt((apart * apart) @ np.full(9, 0.125))
         return np.linalg.norm(given.translation - translation, axis=-1), 2.0 * np.arcsin(np.minimum(chord, 1.0))
 
 

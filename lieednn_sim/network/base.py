@@ -228,6 +228,8 @@ class BlockNetwork(ABC):
 
     def _seen(self, x: Floats) -> Floats:
         """Of a flat state what counts: where the visible neurons are, and what the hidden ones send; a flat array."""
+        if self.n_hidden == 0:
+            return x
         state = x.reshape(self.bias.shape)
         return np.concatenate([state[: self.n_visible].ravel(), self.phi(state[self.n_visible :]).ravel()])
 

@@ -111,7 +111,13 @@ class ComponentwiseNetwork(BlockNetwork):
 
     def flat_vector_field(self, x: Floats) -> Floats:
         """Right-hand side in flat form, ``(dN,)`` to ``(dN,)``; unchecked, for integrators."""
-        return -self.gamma * x + self.mu * (self.weight @ self.phi(x) + self.bias.ravel())
+        weight, bias = self._scaled
+        return weight.dot(self.phi(x)) + bias - self.gamma * x
+
+    @cached_property
+    def _scaled(self) -> tuple[Floats, Floats]:
+        """Times mu, W and b, flat."""
+        return self.mu * self.weight, self.mu * self.bias.ravel()
 
     def _driven(self, state: Floats) -> Floats:
         slope = ACTIVATIONS[self.activation][1](state).reshape(*state.shape[:-2], 1, -1)

@@ -8,7 +8,9 @@ from dataclasses import field
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.integrate import RK45, OdeSolution, solve_ivp
+from scipy.integrate import BDF, DOP853, LSODA, RK45, DenseOutput, OdeSolution, OdeSolver, Radau
+from scipy.interpolate import PPoly
+from scipy.optimize import brentq
 
 from lieednn_sim.budget import check_time
 from lieednn_sim.errors import InputError, LieEDNNError
@@ -24,7 +26,17 @@ _MAX_EVALUATIONS = 200_000
 
 _OVERFLOW = "the equilibrium cannot be found in double precision: weights, bias or start are too large"
 
-INTEGRATORS = ("RK45", "DOP853", "Radau", "BDF", "LSODA")
+INTEGRATORS: dict[str, type[OdeSolver]] = {
+    "RK45": RK45,
+    "DOP853": DOP853,
+    "Radau": Radau,
+    "BDF": BDF,
+    "LSODA": LSODA,
+}
+# Of the time at which a way ends, as closely as SciPy's own events are found.
+_TINY = 4.0 * float(np.finfo(float).eps)
+# Of the powers in RK45's interpolants.
+_ORDERS = np.arange(4)
 
 
 @frozen
@@ -59,7 +71,7 @@ class Trajectory:
 
     t: Floats
     xi: Floats
-    _dense: OdeSolution = field(repr=False)
+    _dense: OdeSolution | PPoly = field(repr=False)
 
     def __repr__(self) -> str:
         n, d = self.xi.shape[1:]
@@ -200,49 +212,65 @@ def integrate(
     for name, value in (("rtol", rtol), ("atol", atol), ("distance", distance)):
         as_positive(name, value)
     longest = as_positive("duration", duration)
-    events = None
+    # Of a flat state, how far it is from where the way ends.
+    away: Callable[[Floats], float] | None = None
     if until is not None:
         goal = seen(until.ravel())
-        if np.abs(seen(start.ravel()) - goal).max() <= distance:
-            # An event needs a crossing; there is none when the start is inside, and nothing to integrate.
-            longest = 1e-9 * longest
 
-        def events(_: float, x: Floats) -> float:
+        def away(x: Floats) -> float:
             return float(np.abs(seen(x) - goal).max()) - distance
 
-        events.terminal = True  # type: ignore[attr-defined]  # SciPy's protocol for stopping at an event
-
-    evaluations = 0
-
-    def field(_: float, x: Floats) -> Floats:
-        nonlocal evaluations
-        check_time()
-        evaluations += 1
-        if evaluations > _MAX_EVALUATIONS:
-            raise LieEDNNError(
-                f"the network is too stiff for {method}: more than {_MAX_EVALUATIONS} evaluations in a duration of "
-                f"{longest:g}; use method='Radau', a shorter duration or smaller weights"
-            )
-        return vector_field(x)
+        if away(start.ravel()) <= 0.0:
+            # An end needs a crossing; there is none when the start is inside, and nothing to integrate.
+            away, longest = None, 1e-9 * longest
 
     with warnings.catch_warnings(), np.errstate(all="ignore"):
         # What overflows ends the integration, or shows up below.
         warnings.simplefilter("ignore")
         try:
-            solution = solve_ivp(
-                field,
-                (0.0, longest),
-                start.ravel(),
-                method=method,
-                events=events,
-                rtol=rtol,
-                atol=atol,
-                dense_output=True,
+            solver = INTEGRATORS[method](
+                lambda _, x: vector_field(x), 0.0, start.ravel(), longest, rtol=rtol, atol=atol
             )
+            t, x, pieces = _run(solver, away)
         except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
             raise LieEDNNError(f"integration of the network failed: {error}") from None
-    if not solution.success:
-        raise LieEDNNError(f"integration of the network failed: {solution.message}")
-    if not (np.isfinite(solution.y).all() and np.isfinite(solution.t).all()):
+    if solver.nfev > _MAX_EVALUATIONS:
+        raise LieEDNNError(
+            f"the network is too stiff for {method}: more than {_MAX_EVALUATIONS} evaluations in a duration of "
+            f"{longest:g}; use method='Radau', a shorter duration or smaller weights"
+        )
+    if not (np.isfinite(x).all() and np.isfinite(t).all()):
         raise LieEDNNError("integration of the network failed: the state left the range of double precision")
-    return Trajectory(t=solution.t, xi=solution.y.T.reshape(-1, *start.shape), _dense=solution.sol)
+    dense = _polynomials(t, pieces) if method == "RK45" else OdeSolution(t, pieces)
+    return Trajectory(t=t, xi=x.reshape(-1, *start.shape), _dense=dense)
+
+
+def _run(solver: OdeSolver, away: Callable[[Floats], float] | None) -> tuple[Floats, Floats, list[DenseOutput]]:
+    """Times ``(K,)``, flat states ``(K, dN)`` and interpolants of all steps, to the end or where ``away`` is zero."""
+    t, x, pieces = [solver.t], [solver.y], list[DenseOutput]()
+    while solver.status == "running" and solver.nfev <= _MAX_EVALUATIONS:
+        check_time()
+        message = solver.step()
+        if solver.status == "failed":
+            raise ArithmeticError(message)
+        piece = solver.dense_output()
+        pieces.append(piece)
+        if away is not None and away(solver.y) <= 0.0:
+            end = brentq(lambda time, piece=piece: away(piece(time)), solver.t_old, solver.t, xtol=_TINY, rtol=_TINY)
+            t.append(end)
+            x.append(piece(end))
+            break
+        t.append(solver.t)
+        x.append(solver.y)
+    return np.array(t), np.array(x), pieces
+
+
+def _polynomials(t: Floats, pieces: list[DenseOutput]) -> PPoly:
+    """The interpolants of RK45's steps as one object: many times are worked out at once, not step by step.
+
+    In a step h from time t they are y + h sum_k Q_k s^(k+1) with s = (time - t) / h.
+    """
+    steps = np.array([step.h for step in pieces])
+    slopes = np.array([step.Q for step in pieces]) / (steps[:, None] ** _ORDERS)[:, None]
+    states = np.array([step.y_old for step in pieces])
+    return PPoly(np.concatenate([slopes[..., ::-1], states[..., None]], axis=-1).transpose(1, 2, 0), t, axis=1)

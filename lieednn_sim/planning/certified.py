@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from itertools import cycle, islice, pairwise
 
 import numpy as np
 
+from lieednn_sim._blas import one_blas_thread
 from lieednn_sim.arm import Arm
 from lieednn_sim.budget import check_time
 from lieednn_sim.errors import NotCertifiedError, PlanError, TooFastError
@@ -84,14 +85,28 @@ class CertifiedOptions(CandidateOptions):
 
 @dataclass(frozen=True)
 class _Candidate:
-    """A network, its roughly integrated way from a start as postures ``(K, n)``, the largest excess and gap on it."""
+    """A network and, once it is asked for, its roughly integrated way from a start, see `_screened`."""
 
     arm: Arm
     network: LieEDNN
     start: Floats
-    way: Floats
-    excess: float
-    gap: float
+    index: int
+    screened: Callable[[], list[tuple[Floats, float, float]]]
+
+    @property
+    def way(self) -> Floats:
+        """Postures ``(K, n)``."""
+        return self.screened()[self.index][0]
+
+    @property
+    def excess(self) -> float:
+        """The largest over the position limits [rad, m]."""
+        return self.screened()[self.index][1]
+
+    @property
+    def gap(self) -> float:
+        """The largest of the mechanism [m]."""
+        return self.screened()[self.index][2]
 
     @functools.cached_property
     def touches(self) -> bool:
@@ -116,6 +131,12 @@ def certified(problem: PlanningProblem, options: CertifiedOptions) -> Plan:
         NotCertifiedError: no candidate could be certified.
         PlanError: every candidate breaks a limit; the message is of the best one.
     """
+    # Threads would wait for each other in products of so small matrices.
+    with one_blas_thread():
+        return _certified(problem, options)
+
+
+def _certified(problem: PlanningProblem, options: CertifiedOptions) -> Plan:
     rng, total = np.random.default_rng(problem.seed), options.candidates
     xi = problem.arm.encode(problem.target)
     networks: list[LieEDNN] = []
@@ -146,10 +167,14 @@ def certified(problem: PlanningProblem, options: CertifiedOptions) -> Plan:
 
 def _plan(problem: PlanningProblem, options: CertifiedOptions, networks: list[LieEDNN], drawn: int) -> Plan:
     """The plan of the best network; errors as of `certified`."""
-    found = _screen(problem.arm, networks, problem.start)
+    arm, start = problem.arm, problem.start
+    screen = functools.cache(lambda: _screened(arm, networks, start))
+    found = [_Candidate(arm, network, start, index, screen) for index, network in enumerate(networks)]
     # Networks and their ways do not depend on the duration.
     network, motion = in_time(_best, problem, options, found)
-    return Plan(motion, network, drawn, sum(candidate.excess <= LIMIT_TOLERANCE for candidate in found))
+    # The motion has been checked.
+    within = sum(candidate.network is network or candidate.excess <= LIMIT_TOLERANCE for candidate in found)
+    return Plan(motion, network, drawn, within)
 
 
 def _best(problem: PlanningProblem, options: CertifiedOptions, found: list[_Candidate]) -> tuple[LieEDNN, Motion]:
@@ -180,6 +205,10 @@ def _promising(found: list[_Candidate]) -> Iterator[_Candidate]:
 
     Contact is looked for posture by posture, which costs more than all else, so only when a candidate's turn has come.
     """
+    if len(found) == 1:
+        # Its turn comes whatever is seen on its way.
+        yield found[0]
+        return
     touching = []
     for candidate in sorted(found, key=lambda one: (max(one.excess, LIMIT_TOLERANCE), one.gap)):
         if candidate.touches:
@@ -195,8 +224,8 @@ def rough_way(network: LieEDNN, start: Floats) -> Floats:
     return network.visible(way.xi)
 
 
-def _screen(arm: Arm, networks: list[LieEDNN], start: Floats) -> list[_Candidate]:
-    """Roughly integrated trajectories, decoded, with their largest excess over the position limits and largest gap."""
+def _screened(arm: Arm, networks: list[LieEDNN], start: Floats) -> list[tuple[Floats, float, float]]:
+    """Roughly integrated ways as postures, with their largest excess over the position limits and largest gap."""
     state = arm.encode(start)
     runs = [rough_way(network, state) for network in networks]
     # All side by side, the shorter ones waiting at their ends: a retraction without closed form costs nearly as much
@@ -206,7 +235,4 @@ def _screen(arm: Arm, networks: list[LieEDNN], start: Floats) -> list[_Candidate
     decoded = arm.decode(side_by_side, start=start)
     excess = arm.limit_excess(decoded.q).max(axis=(0, -1))
     gap = (decoded.gap_translation.max(axis=-1) + arm.length_scale * decoded.gap_rotation.max(axis=-1)).max(axis=0)
-    return [
-        _Candidate(arm, network, start, decoded.q[: len(run), k], float(excess[k]), float(gap[k]))
-        for k, (network, run) in enumerate(zip(networks, runs, strict=True))
-    ]
+    return [(decoded.q[: len(run), k], float(excess[k]), float(gap[k])) for k, run in enumerate(runs)]

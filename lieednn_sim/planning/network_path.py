@@ -31,6 +31,8 @@ from lieednn_sim.values import Floats
 RESIDUAL = 1e-8
 # Of the speed along a path, for each step of the integrator: between them the speed is interpolated with less order.
 _SAMPLES_PER_STEP = 8
+# Of a path's length, to which a place on it is found: where the speed is low its time is known no better.
+_ROUNDING = 1e-14
 # Joints this near to their targets have arrived [rad, m]: two postures with the same poses are further apart.
 _ARRIVED = 1e-3
 
@@ -198,13 +200,16 @@ def _invert(length: PchipInterpolator, speed: PchipInterpolator, grid: Floats, w
     index = np.clip(np.searchsorted(known, wanted, side="right") - 1, 0, len(grid) - 2)
     low, high = grid[index].copy(), grid[index + 1].copy()
     tau = 0.5 * (low + high)
+    # Newton's steps overshoot the ends, and halving alone would lead there slowly.
+    tau[0], tau[-1] = grid[0], grid[-1]
     for _ in range(60):
         error = length(tau) - wanted
+        # What has been found stays: from there rounding may lead out of the bounds, and halving far away.
+        off = np.abs(error) > _ROUNDING * known[-1]
+        if not off.any():
+            break
         low, high = np.where(error < 0.0, tau, low), np.where(error >= 0.0, tau, high)
         newton = tau - error / np.maximum(speed(tau), 1e-300)
         trial = np.where((newton > low) & (newton < high), newton, 0.5 * (low + high))
-        if np.abs(trial - tau).max() <= 1e-14 * grid[-1]:
-            break
-        tau = trial
-    tau[0], tau[-1] = grid[0], grid[-1]
+        tau = np.where(off, trial, tau)
     return tau

@@ -163,6 +163,7 @@ def test_trajectory_stops_near_its_goal():
     trajectory = network.trajectory(np.full((3, 6), 5.0), 1e4, until=goal, distance=1e-3)
     assert np.abs(trajectory.xi[-1] - goal).max() == pytest.approx(1e-3, rel=1e-3)
     assert np.abs(trajectory.xi[:-1] - goal).max(axis=(1, 2)).min() > 1e-3
+    np.testing.assert_allclose(trajectory(trajectory.t), trajectory.xi, atol=1e-12)
 
 
 def test_trajectory_that_starts_at_its_goal_stops_there():
