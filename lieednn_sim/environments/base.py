@@ -141,6 +141,9 @@ class ArmTask(ABC):
         self._over = True
         self._step = 0
         self._seen: dict[str, Floats] = {}
+        self._velocity = np.zeros(self.arm.n_joints)
+        # Of distance and angle, afar and near.
+        self._margins = np.array([(0.5 * self._reach, _NEAR[0]), (np.pi, _NEAR[1])])
 
     @abstractmethod
     def _draw(self, rng: np.random.Generator, options: dict[str, Any]) -> None:
@@ -160,14 +163,14 @@ class ArmTask(ABC):
 
     def reward(self) -> float:
         """Reward at the present time, in [0, 1]."""
-        return float(self._judged()[0])
+        return float(self._judged(self._joints()[1])[0])
 
     def success(self) -> bool:
         """Whether the arm is where it shall be at the present time."""
-        return bool(self._judged()[1])
+        return bool(self._judged(self._joints()[1])[1])
 
-    def _judged(self) -> tuple[Floats, NDArray[np.bool_]]:
-        return self.judge(np.asarray(self.distance), np.asarray(self.angle), self._joints()[1])
+    def _judged(self, qd: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+        return self.judge(np.asarray(self.distance), np.asarray(self.angle), qd)
 
     @property
     def over(self) -> bool:
@@ -213,7 +216,7 @@ class ArmTask(ABC):
         self.advance(self.substeps)
         self.after_step()
         failed = bool(self.failure)
-        reward, success = (0.0, False) if failed else self._judged()
+        reward, success = (0.0, False) if failed else self._judged(self._velocity)
         return Transition(self.observe(), float(reward), failed, self._over and not failed, self._info(bool(success)))
 
     def before_step(self, action: ArrayLike, physics: Any = None) -> None:
@@ -299,6 +302,7 @@ class ArmTask(ABC):
         mujoco.mj_kinematics(simulation.model, simulation.data)
         frames = site_frames(self.arm, simulation.data, self.frames)[None]
         q, qd = self._joints()
+        self._velocity = qd
         seen, distance, angle = self.seen(frames, q[None], qd[None], self._command[None], target)
         self._seen = {name: values[0] for name, values in seen.items()}
         self.distance, self.angle = float(distance[0]), float(angle[0])
@@ -344,11 +348,10 @@ class ArmTask(ABC):
         Each is a product of a term for the distance and one for the angle, which fall to a tenth where the error is
         beyond its tolerance by the margin.
         """
-        errors = np.stack([distance, angle], axis=-1)[..., None, :]
-        allowed = np.array([self.position_tolerance, self.rotation_tolerance])
-        parts = closeness(errors, allowed, np.array([(0.5 * self._reach, np.pi), _NEAR]))
-        far, near = np.moveaxis(parts[..., 0] * parts[..., 1], -1, 0)
-        return 0.5 * (far + near)
+        allowed = np.array([[self.position_tolerance], [self.rotation_tolerance]])
+        parts = closeness(np.array([distance, angle]).T[..., None], allowed, self._margins)
+        both = parts[..., 0, :] * parts[..., 1, :]
+        return 0.5 * (both[..., 0] + both[..., 1])
 
     def _within_tolerance(self, distance: Floats, angle: Floats) -> NDArray[np.bool_]:
         return np.asarray((distance <= self.position_tolerance) & (angle <= self.rotation_tolerance))

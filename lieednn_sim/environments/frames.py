@@ -10,7 +10,7 @@ from lieednn_sim.values import Floats
 
 # Half the sine of an angle [rad] below which the coefficients are the first terms of their series.
 _SMALL = 1e-4
-_NEXT, _AFTER = [1, 2, 0], [2, 0, 1]
+_NEXT_AND_AFTER = [1, 2, 0, 2, 0, 1]
 
 
 def site_frames(arm: Arm, data: mujoco.MjData, frames: slice) -> Floats:
@@ -60,4 +60,5 @@ def _dot(one: Floats, other: Floats) -> Floats:
 
 
 def _cross(one: Floats, other: Floats) -> Floats:
-    return one[..., _NEXT] * other[..., _AFTER] - one[..., _AFTER] * other[..., _NEXT]
+    one, other = one[..., _NEXT_AND_AFTER], other[..., _NEXT_AND_AFTER]
+    return one[..., :3] * other[..., 3:] - one[..., 3:] * other[..., :3]

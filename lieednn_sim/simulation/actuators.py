@@ -59,6 +59,9 @@ class Actuators:
 
     def lengths(self, qpos: Floats) -> Floats:
         """Lengths ``(..., nu)`` at positions ``(..., nq)``; zero for actuators that do not move the arm."""
+        if qpos.shape[-1] == self._moment.shape[1]:
+            # Without quaternions both have the same places.
+            return _times(self._moment, qpos)
         x = np.zeros((*qpos.shape[:-1], self._moment.shape[1]))
         x[..., self._positions[1]] = qpos[..., self._positions[0]]
         for position, dof in self._balls:
