@@ -41,7 +41,7 @@ def test_every_row_is_measured_and_written(tmp_path, monkeypatch):
     assert all(
         any(what in name and (value[0].isdigit() or value[0] in "O-n") for name, value in ratios) for what in floors
     )
-    assert len(codes) == 3
+    assert len(codes) == 6
     assert all(compile(code, "memory", "exec") for code in codes)
     studied = [row for row in rows if "sign-matched" in row["targets"]]
     assert {row["targets"].split(",")[0] for row in studied} == set(arm_names())
