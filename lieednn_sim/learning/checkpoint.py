@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import asdict, fields
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,13 +21,12 @@ from lieednn_sim.theory.groups import catalogue_name
 from lieednn_sim.theory.groups import group as group_by_name
 from lieednn_sim.theory.matrix_group import MatrixLieGroup
 from lieednn_sim.validation import as_count, as_floats, as_positive
-from lieednn_sim.values import Floats, frozen
+from lieednn_sim.values import Floats
 
 _KIND = "training"
 
 
-@frozen
-class TrainingState:
+class TrainingState(NamedTuple):
     """State right after a projection: what a trial goes back to, and what a checkpoint holds.
 
     Attributes:

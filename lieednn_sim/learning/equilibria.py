@@ -7,13 +7,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 from scipy.integrate import RK45, solve_ivp
 from scipy.linalg.lapack import dgetrf, dgetrs
 
 from lieednn_sim.network import ACTIVATIONS
-from lieednn_sim.values import Floats, frozen
+from lieednn_sim.values import Floats
 
 # phi' as a function of phi, which is at hand: two transcendental functions less an epoch.
 _SLOPE_OF_OUTPUT: dict[str, Callable[[Floats], Floats]] = {
@@ -37,8 +38,7 @@ _SETTLING_STEPS = 2000
 _NEARBY = 1e-2
 
 
-@frozen
-class FlatEquilibrium:
+class FlatEquilibrium(NamedTuple):
     """A state where gamma x = mu (W phi(x) + b), or the failed try to find one.
 
     Attributes:

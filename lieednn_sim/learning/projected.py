@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import os
 import time
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -195,13 +194,13 @@ class _ProjectedTraining:
         options, before = self.options, self.anchor
         self.recorder.cut(before.rows)
         if not before.equilibrium.success:
-            self.anchor = replace(before, reason=StopReason.LOST_EQUILIBRIUM)
+            self.anchor = before._replace(reason=StopReason.LOST_EQUILIBRIUM)
             return
         allowed = options.max_epochs
         if before.start < options.restarts:
             allowed = min(allowed, before.start_epoch + options.max_start_epochs)
         if before.epoch >= allowed:
-            self.anchor = replace(before, reason=StopReason.EPOCHS_SPENT)
+            self.anchor = before._replace(reason=StopReason.EPOCHS_SPENT)
             return
         state, arrived = before, False
         for _ in range(options.period):
@@ -212,7 +211,7 @@ class _ProjectedTraining:
             point = self.manifold.project(state.weight, state.alpha, options.projection, state.point)
             weight = point.weight
             equilibrium = self._find(weight, state.equilibrium.x)
-            state = replace(state, weight=weight, alpha=point.alpha, point=point, equilibrium=equilibrium)
+            state = state._replace(weight=weight, alpha=point.alpha, point=point, equilibrium=equilibrium)
         tracked = options.step_control == "tracked"
         lost = not state.equilibrium.success
         if lost or (tracked and np.abs(state.equilibrium.x - before.equilibrium.x).max() > options.max_jump):
@@ -221,17 +220,17 @@ class _ProjectedTraining:
             reason: StopReason | None = StopReason.LOST_EQUILIBRIUM
             if tracked:
                 reason = StopReason.STEP_VANISHED if rate < options.min_rate else None
-            self.anchor = replace(before, epoch=state.epoch, rate=rate, reason=reason)
+            self.anchor = before._replace(epoch=state.epoch, rate=rate, reason=reason)
             return
         if tracked:
-            state = replace(state, rate=min(options.max_rate, state.rate * options.grow))
+            state = state._replace(rate=min(options.max_rate, state.rate * options.grow))
         if options.verified_stop:
             arrived = bool(np.abs(state.equilibrium.x - self.goal).max() < options.tolerance)
         checks = state.epoch // options.stability_interval > before.epoch // options.stability_interval
         if (arrived or checks) and not self.solver.sensitivity(state.weight, state.equilibrium).stable():
-            state = replace(state, reason=StopReason.UNSTABLE)
+            state = state._replace(reason=StopReason.UNSTABLE)
         elif arrived:
-            state = replace(state, reason=StopReason.CONVERGED)
+            state = state._replace(reason=StopReason.CONVERGED)
         self.anchor = state
 
     def _step(self, state: TrainingState) -> tuple[TrainingState, bool]:
@@ -252,7 +251,7 @@ class _ProjectedTraining:
         if error > 0.0:
             nearby = self.solver.sensitivity(weight, now)
             if nearby.singular:
-                return replace(state, equilibrium=replace(now, success=False), epoch=state.epoch + 1), False
+                return state._replace(equilibrium=now._replace(success=False), epoch=state.epoch + 1), False
             if options.direction == "gradient":
                 direction = weight_gradient(nearby.solve_transposed(delta), now.output, ratio)
                 if options.loss == "norm":
