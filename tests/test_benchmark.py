@@ -7,6 +7,7 @@ from functools import partial
 
 import benchmark
 import benchmark_floors
+import benchmark_rows
 import benchmark_stepping
 import numpy as np
 import pytest
@@ -46,6 +47,15 @@ def test_every_row_is_measured_and_written(tmp_path, monkeypatch):
     studied = [row for row in rows if "sign-matched" in row["targets"]]
     assert {row["targets"].split(",")[0] for row in studied} == set(arm_names())
     assert all(row["certified"] == "1 of 1" for row in studied)
+
+
+def test_made_up_rows_come_in_unsorted_and_end_as_table_summary_and_page(tmp_path):
+    benchmark_rows.collect(tmp_path, 60)
+    lines = (tmp_path / "comparison.csv").read_text(encoding="utf-8").splitlines()[1:]
+    benchmark_rows.finish(tmp_path)
+    assert len(lines) == 60
+    assert (tmp_path / "comparison.csv").read_text(encoding="utf-8").splitlines()[1:] != lines
+    assert {path.suffix for path in tmp_path.iterdir()} == {".csv", ".json", ".md", ".html"}
 
 
 @pytest.mark.parametrize("kind", ["mixed", "negative", "tiny", "zero"])
