@@ -49,6 +49,7 @@ def test_every_row_is_measured_and_written(tmp_path, monkeypatch):
     assert all(row["certified"] == "1 of 1" for row in studied)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_made_up_rows_come_in_unsorted_and_end_as_table_summary_and_page(tmp_path):
     benchmark_rows.collect(tmp_path, 60)
     lines = (tmp_path / "comparison.csv").read_text(encoding="utf-8").splitlines()[1:]

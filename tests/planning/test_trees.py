@@ -102,10 +102,10 @@ def test_work_out_of_a_narrow_place_is_spent_where_it_helps(monkeypatch):
         connected(np.zeros(4), target, **world, over=lambda: len(asked) >= 3_000, seed=seed)
         return len(asked)
 
-    with_domain = [tests(seed) for seed in range(5)]
+    with_domain = [tests(seed) for seed in range(3)]
     assert max(with_domain) < 2_000
     monkeypatch.setattr(trees, "_DOMAIN", np.inf)
-    assert sum(with_domain) < 0.5 * sum(map(tests, range(5)))
+    assert sum(with_domain) < 0.5 * sum(map(tests, range(3)))
 
 
 def test_where_no_sample_is_near_the_nearest_counts(monkeypatch):
@@ -121,18 +121,17 @@ def test_rrt_connect_finds_its_way_with_balanced_trees(monkeypatch):
     asked = {name: getattr(task, name) for name in asked}
     used = []
     monkeypatch.setattr(sampling, "connected", lambda *ends, **more: used.append(more) or connected(*ends, **more))
-    first, again = (
-        plan(task.arm, task.target, planner="rrt-connect", options=options, **asked).motion for _ in range(2)
-    )
-    assert len(used) == 2
-    np.testing.assert_array_equal(first.q, again.q)
-    assert min(Collisions(POSTED).clearance(q) for q in first.q[::16]) > POSTED.clearance - 1e-6
+    motion = plan(task.arm, task.target, planner="rrt-connect", options=options, **asked).motion
+    assert len(used) == 1
+    assert min(Collisions(POSTED).clearance(q) for q in motion.q[::32]) > POSTED.clearance - 1e-6
     # From the other end it is the same search: the ends are sorted by what room they have.
     workspace = Workspace(task, options.margin)
     back = replace(task, start=task.target, target=task.start)
     there, home = (sampling.connecting_path(one, workspace, options, sampling.BALANCED, 0) for one in (task, back))
     for corners, one in ((there, task), (home, back)):
         np.testing.assert_array_equal(corners[[0, -1]], [one.start, one.target])
+    again = sampling.connecting_path(task, Workspace(task, options.margin), options, sampling.BALANCED, 0)
+    np.testing.assert_array_equal(there, again)
     # The second attempt draws others; and who may do no work finds nothing.
     sampling.connecting_path(task, workspace, options, sampling.BALANCED, 1)
     assert [used[0]["seed"].entropy, used[-1]["seed"].entropy] == [[task.seed, 0], [task.seed, 1]]
