@@ -269,8 +269,8 @@ def test_cost_over_time_is_the_best_of_all_runs_until_then():
     np.testing.assert_allclose(ratios["rrt-star"], [[1.5, 1.5, 1.0], [none, 1.2, 1.2], [none, none, none]])
     np.testing.assert_allclose(ratios["stomp"], [[none, 1.25, 1.25], [none, none, none], [none, 1.0, 1.0]])
     told = cost_over_time.table(runs, "command").splitlines()
-    assert told[-2] == "| rrt-star | - (1) | - (1) | 1.500 (2) | 1.500 (2) | 1.200 (2) | 1.200 (2) | 0.9 |"
-    assert told[-1] == "| stomp | - (0) | - (1) | 1.250 (2) | 1.250 (2) | 1.250 (2) | 1.250 (2) | 0.6 |"
+    assert told[-2] == "| rrt-star | - (1) | - (1) | 1.500 (2) | 1.500 (2) | 1.200 (2) | 1.200 (2) | 3 |"
+    assert told[-1] == "| stomp | - (0) | - (1) | 1.250 (2) | 1.250 (2) | 1.250 (2) | 1.250 (2) | 20 |"
 
 
 def test_cost_over_time_measures_and_draws(tmp_path, capsys, monkeypatch):
