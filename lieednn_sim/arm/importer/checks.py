@@ -37,8 +37,8 @@ def check_kinematics(draft: Draft) -> None:
     fixed = pose(np.array([frame.pos for frame in frames]), np.array([frame.quat for frame in frames]))
     before, after = mujoco.MjData(original), mujoco.MjData(model)
     samples = stacked(draft.samples[:8])
-    ways = draft.place(original, samples, draft.qpos), draft.place(model, samples, model.qpos0)
-    for before.qpos[:], after.qpos[:] in zip(*ways, strict=True):
+    postures = draft.place(original, samples, draft.qpos), draft.place(model, samples, model.qpos0)
+    for before.qpos[:], after.qpos[:] in zip(*postures, strict=True):
         mujoco.mj_kinematics(original, before)
         mujoco.mj_kinematics(model, after)
         wanted = pose(before.xpos[bodies], before.xquat[bodies]) * fixed
@@ -73,10 +73,11 @@ def look_at_home(draft: Draft) -> None:
     mujoco.mj_resetDataKeyframe(model, data, model.key("home").id)
     mujoco.mj_forward(model, data)
     elsewhere = draft.place(model, stacked(draft.samples[:_LOADED]), model.qpos0)
-    load, *loads = resting_load(model, np.array([data.qpos, *elsewhere]))
+    at_home, *others = resting_load(model, np.array([data.qpos, *elsewhere]))
+    loads = np.abs(others)
     frictions = dry_friction(model, np.array([dof.rates for dof in draft.dofs]).T)
     for dof, servo, friction in zip(draft.dofs, draft.servos, frictions, strict=True):
-        force = float(load @ dof.rates)
+        force = float(at_home @ dof.rates)
         if servo.frequency < _SLOW:
             slow = f"its servo is slow, {servo.frequency:.2g} Hz, and follows motions badly"
             notes.append(f"{servo.name}: {slow}{f'; {_DESIGN}' if servo.kept else ''}")
@@ -89,7 +90,7 @@ def look_at_home(draft: Draft) -> None:
         low, high = servo.force_range
         if not low <= force <= high:
             notes.append(f"{servo.name}: needs {force:.4g} at home, more than its force limits allow")
-        elif (most := float((np.abs(loads) @ np.abs(dof.rates)).max()) / servo.kp) > _SAG:
+        elif (most := float((loads @ np.abs(dof.rates)).max()) / servo.kp) > _SAG:
             sag = f"sags by {abs(force) / servo.kp:.2g} rad or m at home under its load, elsewhere up to {most:.2g}"
             notes.append(f"{servo.name}: {sag}; {helps}")
     for contact in data.contact[: data.ncon]:
@@ -130,6 +131,7 @@ def look_at_ways(draft: Draft) -> None:
 def look_for_singular_links(draft: Draft) -> None:
     """Say of links of several joints on how many straight ways their pose does not tell the joints apart."""
     model, data, home = draft.model, mujoco.MjData(draft.model), draft.samples[0]
+    ways = _ways(draft, home, draft.samples[1:], np.linspace(0.0, 1.0, _LOOKS + 1))
     sites, unit = _frame_sites(model, len(draft.frames)), length_unit(draft)
     independent = {draft.original.joint(joint).name for joint in draft.independent}
     groups = [[draft.original.joint(joint).name for joint in group] for group in draft.groups]
@@ -137,7 +139,7 @@ def look_for_singular_links(draft: Draft) -> None:
         columns = [dof.rates for dof in draft.dofs if dof.joint in independent.intersection(group)]
         if len(columns) < 2:
             continue
-        singular, ways = 0, _ways(draft, home, draft.samples[1:], np.linspace(0.0, 1.0, _LOOKS + 1))
+        singular = 0
         for way in ways:
             screws = []
             for data.qpos[:] in way:
