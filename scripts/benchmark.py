@@ -94,22 +94,24 @@ def epoch_costs(epochs: int, count: int) -> dict[str, float]:
     return costs
 
 
-def control_step_ratio(steps: int = 200) -> str:
-    """What a control step of `follow` with feedback costs, beside evaluations of the field of its 12 neurons."""
-    arm = Arm.load("telescopic_pr")
-    target = draw_target(arm, 0)
+def control_step_costs(arm: Arm, steps: int = 200) -> dict[str, str]:
+    """What a control step of `follow` with feedback costs of a network of 12 neurons, and beside its field."""
+    target, home = draw_target(arm, 0), arm.keyframe("home")
     network = plan(arm, target, planner="lieednn-shaped", options=ShapedOptions(neurons=(8,))).network
     assert isinstance(network, LieEDNN)
     assert network.n_neurons == 12
-    home = arm.keyframe("home")
     follower = FeedbackFollower(arm, network, home, steps=1, speed=1.0, feedforward=True, feedback=Feedback())
     x = network.start(arm.encode(home)).ravel()
 
     def run(what: Callable[[], object]) -> float:
-        return processor_time(lambda: [what() for _ in range(steps)], 5)
+        return processor_time(lambda: [what() for _ in range(steps)], 5) / steps
 
     whole = run(lambda: follower.advance(target, follower.reference.q))
-    return f"{whole / run(lambda: network.flat_vector_field(x)):.0f}"
+    of = f"control step of follow with feedback, 12 neurons, {arm.name}"
+    return {
+        f"{of} [us]": f"{1e6 * whole:.0f}",
+        f"{of}, in evaluations of the field": f"{whole / run(lambda: network.flat_vector_field(x)):.0f}",
+    }
 
 
 def evaluation_ratio(arm: Arm, network: LieEDNN, instants: int, repeats: int) -> str:
@@ -204,7 +206,7 @@ def write(directory: Path, scale: int, suffix: str = "") -> Path:
         "retargeting a certified network, in syntheses": f"1 / {synthesis_time / retarget_time:.0f}",
         "planning with 24 candidates, in syntheses": f"{plan_time / synthesis_time:.0f}",
         "simulation, in real time": f"1 / {rollout.t[-1] / simulation_time:.0f}",
-        "control step of follow with feedback, 12 neurons, in evaluations of the field": control_step_ratio(),
+        **{key: cost for name in arm_names() for key, cost in control_step_costs(Arm.load(name)).items()},
         "retargeting, in products W phi(x)": retargeting_ratio(network, max(20 // scale, 1)),
         "xi(t) and q(t) at 10,000 instants, in SciPy's exponentials": evaluation_ratio(
             arm, chosen.network, max(10_000 // scale, 10), max(20 // scale, 1)

@@ -242,17 +242,18 @@ class Arm:
         q = as_floats("q", q, (self.n_joints,), batched=True)
         low, high = self.position_limits.T
         excess = np.maximum(low - q, q - high)
-        for ball in self.space.balls:
-            excess[..., ball] = np.linalg.norm(q[..., ball], axis=-1, keepdims=True) - high[ball]
+        balls = self.space.balls
+        if len(balls):
+            excess[..., balls] = np.linalg.norm(q[..., balls], axis=-1, keepdims=True) - high[balls]
         return excess
 
     def within_angles(self, q: Floats) -> Floats:
         """Coordinates ``(..., n)`` with the rotation vectors of ball joints shortened to their largest angles."""
         q = as_floats("q", q, (self.n_joints,), batched=True)
-        high, inside = self.position_limits[:, 1], q.copy()
-        for ball in self.space.balls:
-            angle = np.linalg.norm(q[..., ball], axis=-1, keepdims=True)
-            inside[..., ball] *= np.minimum(1.0, high[ball] / np.maximum(angle, 1e-300))
+        high, inside, balls = self.position_limits[:, 1], q.copy(), self.space.balls
+        if len(balls):
+            angle = np.linalg.norm(q[..., balls], axis=-1, keepdims=True)
+            inside[..., balls] *= np.minimum(1.0, high[balls] / np.maximum(angle, 1e-300))
         return inside
 
     def check_reachable(self, q: ArrayLike, what: str = "q") -> Floats:

@@ -7,6 +7,8 @@ with T = M_1 ... M_F of a link's joints and their twists Z_f the slopes of T are
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 from scipy.linalg.lapack import dposv
 
@@ -43,31 +45,36 @@ class LocalRetraction:
     def __init__(self, arm: Arm, q: Floats) -> None:
         joints = [joint.factors for joint in arm.joints.joints]
         n_factors, links, n = max(map(len, joints)), len(joints), len(q)
-        width = 3 if len(arm.space.balls) else 1
+        # Of each factor, as many coordinates as it has at any joint; they begin and end there.
+        widths = [max(len(factors[f].indices) for factors in joints if f < len(factors)) for f in range(n_factors)]
+        ends = np.cumsum([0, *widths])
         self._reference = arm.joints.reference
         # Of all joints the twists at displacements, and the matrices Z of their coordinates.
-        twists, turns = np.zeros((n_factors, links, 6, n)), np.zeros((n_factors, width, links, 16))
-        chosen = np.zeros((links, n, n_factors, width))
+        twists, turns = np.zeros((n_factors, links, 6, n)), np.zeros((ends[-1], links, 16))
+        chosen = np.zeros((links, n, ends[-1]))
         balls = []
         for i, factors in enumerate(joints):
             for f, factor in enumerate(factors):
-                columns = range(len(factor.indices))
+                columns = ends[f] + np.arange(len(factor.indices))
                 # Of a ball that is not turned, as of all others at any time.
                 each = np.concatenate(factor.twists(np.zeros(n)), axis=1) / arm.twist_units
-                twists[f, i][:, factor.indices], turns[f, columns, i] = each.T, each @ _HAT
+                twists[f, i][:, factor.indices], turns[columns, i] = each.T, each @ _HAT
                 # Whose coordinates they are.
-                chosen[i, factor.indices, f, columns] = 1.0
+                chosen[i, factor.indices, columns] = 1.0
                 if factor.kind == "ball":
                     about = np.concatenate([np.eye(3), skew(factor.anchor).T], axis=1) / arm.twist_units
-                    balls.append((f, i, factor.ratio * factor.axes.T, about @ _HAT))
+                    balls.append((f, i, columns, factor.ratio * factor.axes.T, about @ _HAT))
         self._twists, self._turns = twists.reshape(-1, n), turns.reshape(*turns.shape[:-1], 4, 4)
         self._balls = [np.array(part) for part in zip(*balls, strict=True)]
-        self._chosen = chosen.reshape(links, n, -1)
+        self._chosen = chosen
         self._stack = np.empty((2 + n_factors, links, 6))
         self._joints = self._stack[2:].reshape(-1)
         # T = M_1 ... M_F, and the same for each coordinate with Z_f M_f in place of M_f.
-        self._chain = np.zeros((n_factors, 1 + n_factors * width, links, 4, 4))
-        self._turned = [chain[1 + f * width : 1 + (f + 1) * width] for f, chain in enumerate(self._chain)]
+        self._chain = np.zeros((n_factors, 1 + ends[-1], links, 4, 4))
+        self._turned = [
+            (self._turns[begin:end], chain[1 + begin : 1 + end])
+            for chain, (begin, end) in zip(self._chain, pairwise(ends), strict=True)
+        ]
         # The Jacobian's columns, and below them what is left of the poses asked for.
         self._rows, self._damping = np.zeros((n + 2, 16 * links)), _DAMPING * np.eye(n)
         self._slopes = self._rows[:n].reshape(n, links, 16).transpose(1, 0, 2)
@@ -107,11 +114,11 @@ class LocalRetraction:
     def _linearised(self, moved: Floats, lefts: Floats) -> Floats:
         """Poses of the links ``(N, 4, 4)`` for ``(F, N, 4, 4)`` of their joints, as of `_exp`; sets its columns."""
         if self._balls:
-            f, i, axes, about = self._balls
+            f, i, columns, axes, about = self._balls
             turns = axes @ lefts[f, i, :3, :3].transpose(0, 2, 1) @ about
-            self._turns[f, :, i] = turns.reshape(-1, 3, 4, 4)
+            self._turns[columns, i[:, None]] = turns.reshape(-1, 3, 4, 4)
         self._chain[:] = moved[:, None]
-        for turn, pose, turned in zip(self._turns, moved, self._turned, strict=True):
+        for (turn, turned), pose in zip(self._turned, moved, strict=True):
             np.matmul(turn, pose, out=turned)
         product = self._chain[0]
         for chain in self._chain[1:]:
