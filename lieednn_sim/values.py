@@ -8,8 +8,8 @@ from functools import wraps
 from typing import Any, TypeVar, dataclass_transform
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial.transform import RigidTransform, Rotation
 
 # Real numbers in any shape, which is said where one is.
 Floats = NDArray[np.float64]
@@ -79,6 +79,6 @@ def _equal(one: Any, other: Any) -> bool:
         return len(one) == len(other) and all(map(_equal, one, other))
     if isinstance(one, dict):
         return one.keys() == other.keys() and all(_equal(entry, other[key]) for key, entry in one.items())
-    if isinstance(one, RigidTransform | Rotation):
+    if isinstance(one, scipy.spatial.transform.RigidTransform | scipy.spatial.transform.Rotation):
         return np.array_equal(one.as_matrix(), other.as_matrix())
     return bool(one == other) or (isinstance(one, float) and one != one and other != other)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import ast
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import lieednn_sim as ls
@@ -66,6 +68,14 @@ def test_the_front_door_knows_each_name_and_where_it_lives():
         assert value.__name__ == name
         assert value.__module__.startswith(f"lieednn_sim.{ls._ROOM_OF[name]}")
     assert {*ls.__all__, "__version__"} <= set(dir(ls))
+
+
+def test_an_arm_is_imported_without_the_subpackages_of_scipy():
+    """They would take twice as long as MuJoCo."""
+    code = "import sys, scipy; before = set(sys.modules); import lieednn_sim.arm; print(*set(sys.modules) - before)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert "lieednn_sim.arm.arm" in done.stdout.split()
+    assert [name for name in done.stdout.split() if name.startswith("scipy.")] == []
 
 
 def test_the_tests_that_the_documents_name_are_there():

@@ -8,11 +8,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Unpack
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import RigidTransform
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.contacts import ContactFinder
@@ -30,6 +29,9 @@ from lieednn_sim.errors import FileError, InputError, LieEDNNError
 from lieednn_sim.lie import poses
 from lieednn_sim.validation import as_choice, as_floats, as_path, as_seed
 from lieednn_sim.values import Floats
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import RigidTransform
 
 # Planned motions keep this distance from contact by default [m], since what follows them is off by up to a millimetre
 # or two.

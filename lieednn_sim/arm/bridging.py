@@ -17,9 +17,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import sparse
-from scipy.sparse.linalg import spsolve
 
 from lieednn_sim.arm.kinematics import distinctness
 from lieednn_sim.values import Floats
@@ -50,18 +49,19 @@ def bridge(evaluate: _Evaluate, exact: Floats, guess: Floats, goal: Floats) -> t
     stretch = np.cumsum(np.diff(vague, prepend=vague[:1]))
     length = np.bincount(stretch)[stretch]
     weights = VAGUE**2 * ((_SHARE * length) ** 4 * np.maximum(1.0 - share**2, 0.0) ** 4)[1:-1]
-    bends = sparse.diags_array([1.0, -2.0, 1.0], offsets=[0, 1, 2], shape=(len(exact) - 2, len(exact)), format="csr")
+    shape = (len(exact) - 2, len(exact))
+    bends = scipy.sparse.diags_array([1.0, -2.0, 1.0], offsets=[0, 1, 2], shape=shape, format="csr")
     # All samples that a weighted second difference touches, but the ends.
     free = np.convolve(vague, [1, 1, 1], "same").astype(bool)
     free[[0, -1]] = False
-    pulls = bends[:, free].T @ sparse.diags_array(weights)
-    bending = sparse.kron(pulls @ bends[:, free], np.eye(exact.shape[1]), format="csc")
+    pulls = bends[:, free].T @ scipy.sparse.diags_array(weights)
+    bending = scipy.sparse.kron(pulls @ bends[:, free], np.eye(exact.shape[1]), format="csc")
     q = np.where(free[:, None], guess, exact)
     for _ in range(_STEPS):
         values, jacobian = evaluate(q[free])
-        square = sparse.block_diag([sparse.coo_array(one.T @ one) for one in jacobian], format="csc")
+        square = scipy.sparse.block_diag([scipy.sparse.coo_array(one.T @ one) for one in jacobian], format="csc")
         slope = np.einsum("kri,kr->ki", jacobian, values - goal[free]) + pulls @ (bends @ q)
-        step = spsolve(square + bending, slope.ravel()).reshape(slope.shape)
+        step = scipy.sparse.linalg.spsolve(square + bending, slope.ravel()).reshape(slope.shape)
         q[free] -= step
         if np.abs(step).max() < _SHORT:
             break

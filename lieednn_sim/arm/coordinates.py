@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from lieednn_sim.lie import left_jacobian_so3
 from lieednn_sim.values import Floats
@@ -53,7 +53,8 @@ class Coordinates:
         """``(..., n)`` to ``(..., nq)``."""
         qpos = q @ self.coupling.T + self.offset
         if len(self.balls):
-            qpos[..., self.ball_addresses] = Rotation.from_rotvec(q[..., self.balls]).as_quat(scalar_first=True)
+            turns = scipy.spatial.transform.Rotation.from_rotvec(q[..., self.balls])
+            qpos[..., self.ball_addresses] = turns.as_quat(scalar_first=True)
         return qpos
 
     def from_qpos(self, qpos: Floats) -> Floats:
@@ -61,7 +62,9 @@ class Coordinates:
         q = np.empty((*qpos.shape[:-1], len(self)))
         q[..., self.scalars] = qpos[..., self.scalar_addresses]
         if len(self.balls):
-            q[..., self.balls] = Rotation.from_quat(qpos[..., self.ball_addresses], scalar_first=True).as_rotvec()
+            quaternions = qpos[..., self.ball_addresses]
+            turns = scipy.spatial.transform.Rotation.from_quat(quaternions, scalar_first=True)
+            q[..., self.balls] = turns.as_rotvec()
         return q
 
     def to_qvel(self, q: Floats, qd: Floats) -> Floats:

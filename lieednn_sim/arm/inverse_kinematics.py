@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.optimize import least_squares
-from scipy.spatial.transform import Rotation
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.arm import Arm
@@ -13,6 +14,9 @@ from lieednn_sim.errors import InputError, NoSolutionError
 from lieednn_sim.lie import hat
 from lieednn_sim.validation import as_floats, as_seed
 from lieednn_sim.values import Floats
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 _TOLERANCE = 1e-6
 _ATTEMPTS = 8
@@ -41,7 +45,7 @@ def solve_ik(
     goal = as_floats("position", position, (3,))
     if np.abs(goal).max() > _FARTHEST:
         raise InputError(f"position must be within {_FARTHEST:g} m of the origin, got {np.abs(goal).max():g} m")
-    if rotation is not None and not isinstance(rotation, Rotation):
+    if rotation is not None and not isinstance(rotation, scipy.spatial.transform.Rotation):
         raise InputError(f"rotation must be a scipy Rotation, got {type(rotation).__name__}")
     rest = arm.keyframe("home") if start is None else arm.check_position(start, "start")
     low, high = arm.position_limits.T
@@ -78,7 +82,7 @@ def solve_ik(
         # With the posture term first: a solution near the start. Then without: an exact one.
         for weight in (_POSTURE_WEIGHT, 0.0):
             pull = np.diag(weight / spread)
-            q = least_squares(
+            q = scipy.optimize.least_squares(
                 lambda x, pull=pull: np.concatenate([error(x), pull @ (x - rest)]),
                 np.clip(q, low + 1e-9 * spread, high - 1e-9 * spread),
                 jac=lambda x, pull=pull: np.vstack([jacobian(x), pull]),

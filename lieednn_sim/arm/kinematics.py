@@ -6,13 +6,17 @@ import itertools
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial.transform import RigidTransform, Rotation
 
 from lieednn_sim.lie import left_jacobian_so3, log, poses, skew
 from lieednn_sim.values import Floats
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import RigidTransform
 
 # Brackets of unit twists below this vanish up to rounding [1, m].
 _COMMUTING = 1e-12
@@ -42,7 +46,8 @@ class Factor:
         if self.kind == "slide":
             return _ONE, offset[..., self.indices] @ self._scaled
         if self.kind == "ball":
-            rotation = Rotation.from_rotvec(offset[..., self.indices] @ self._scaled).as_matrix()
+            turn = offset[..., self.indices] @ self._scaled
+            rotation = scipy.spatial.transform.Rotation.from_rotvec(turn).as_matrix()
         else:
             angle = self.ratio * offset[..., self.indices, None]
             axis, square = self._turning

@@ -6,9 +6,8 @@ from collections.abc import Sequence
 from functools import cached_property
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline, PchipInterpolator
-from scipy.spatial.transform import Rotation
 
 from lieednn_sim.arm.bridging import VAGUE, bridge
 from lieednn_sim.arm.kinematics import CompoundJoint, distinctness
@@ -114,7 +113,7 @@ class NearestPose:
             known.append(last + stride)
             stride = min(2 * stride, longest)
         if len(known) < len(goal):
-            q = PchipInterpolator(known, q[known])(np.arange(len(goal)))
+            q = scipy.interpolate.PchipInterpolator(known, q[known])(np.arange(len(goal)))
         exact = self._descend(q.reshape(-1, q.shape[-1]), goal.reshape(-1, goal.shape[-1])).reshape(q.shape)
         bridged = np.zeros(q.shape[:-1], dtype=bool)
         for way in range(q.shape[1]):
@@ -191,11 +190,10 @@ class NearestPose:
     @cached_property
     def _spread(self) -> tuple[Floats, Floats, Floats, Floats]:
         """Postures ``(P, c)`` without slides, stacked poses, their derivatives in the slides, and pseudo-inverses."""
-        from scipy.stats import qmc  # a third of the time in which a command starts; few poses are far
-
-        postures = np.pi * (2.0 * qmc.Halton(len(self._indices), scramble=False).random(_POSTURES) - 1.0)
+        spread = scipy.stats.qmc.Halton(len(self._indices), scramble=False).random(_POSTURES)
+        postures = np.pi * (2.0 * spread - 1.0)
         for factor in (factor for joint in self._joints for factor in joint.factors if factor.kind == "ball"):
-            turns = Rotation.random(_POSTURES, rng=np.random.default_rng(0)).as_rotvec()
+            turns = scipy.spatial.transform.Rotation.random(_POSTURES, rng=np.random.default_rng(0)).as_rotvec()
             postures[:, np.searchsorted(self._indices, factor.indices)] = turns @ factor.axes
         postures[:, self._sliding] = 0.0
         values, jacobian = self._evaluate(postures)
@@ -217,7 +215,7 @@ class NearestPose:
         moved = np.gradient(self._stack(rotation, translation), axis=0)
         size = np.maximum((rate**2).sum(axis=-1), 1e-300)
         samples = (moved * rate).sum(axis=-1) / size  # in a unit of the rate's time
-        along = CubicSpline(np.arange(len(q)), q)(np.arange(len(q)), 1)
+        along = scipy.interpolate.CubicSpline(np.arange(len(q)), q)(np.arange(len(q)), 1)
         return np.asarray(along / np.maximum(samples, 1e-300)[..., None])
 
     def _newton_step(self, q: Floats, goal: Floats) -> Floats:

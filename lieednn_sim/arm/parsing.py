@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial.transform import RigidTransform, Rotation
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.coordinates import Coordinates
@@ -17,6 +17,9 @@ from lieednn_sim.arm.forces import force_ranges
 from lieednn_sim.arm.kinematics import CompoundJoint, CompoundJoints, Factor, distinctness
 from lieednn_sim.errors import InputError
 from lieednn_sim.values import Floats
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import RigidTransform, Rotation
 
 _KINDS = {
     int(mujoco.mjtJoint.mjJNT_HINGE): "hinge",
@@ -171,7 +174,8 @@ def read_joints(
         # The joint frame sits on the last axis that turns and takes the axes of the first moving body.
         turning = [joint for joint in group if _kind(model, joint) != "slide"]
         orientation = _orientation(data, model.jnt_bodyid[group[0]])
-        frame = RigidTransform.from_components(data.xanchor[(turning or group)[-1]], orientation)
+        anchor = data.xanchor[(turning or group)[-1]]
+        frame = scipy.spatial.transform.RigidTransform.from_components(anchor, orientation)
         joints.append(CompoundJoint(tuple(_factor(model, data, joint, frame, coordinates) for joint in group)))
         mounts.append((_site_pose(data, parent).inv() * frame).as_matrix())
         tips.append((frame.inv() * _site_pose(data, child)).as_matrix())
@@ -185,8 +189,8 @@ def read_joints(
     return (
         CompoundJoints(tuple(joints), reference),
         _site_pose(data, chain.sites[0]),
-        RigidTransform.from_matrix(np.array(mounts)),
-        RigidTransform.from_matrix(np.array(tips)),
+        scipy.spatial.transform.RigidTransform.from_matrix(np.array(mounts)),
+        scipy.spatial.transform.RigidTransform.from_matrix(np.array(tips)),
     )
 
 
@@ -319,12 +323,12 @@ def _site(model: mujoco.MjModel, arm: str, site: str) -> int:
 
 
 def _site_pose(data: mujoco.MjData, site: int) -> RigidTransform:
-    rotation = Rotation.from_matrix(data.site_xmat[site].reshape(3, 3))
-    return RigidTransform.from_components(data.site_xpos[site], rotation)
+    rotation = scipy.spatial.transform.Rotation.from_matrix(data.site_xmat[site].reshape(3, 3))
+    return scipy.spatial.transform.RigidTransform.from_components(data.site_xpos[site], rotation)
 
 
 def _orientation(data: mujoco.MjData, body: int) -> Rotation:
-    return Rotation.from_matrix(data.xmat[body].reshape(3, 3))
+    return scipy.spatial.transform.Rotation.from_matrix(data.xmat[body].reshape(3, 3))
 
 
 def _kind(model: mujoco.MjModel, joint: int) -> str:

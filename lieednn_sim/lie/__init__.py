@@ -1,6 +1,9 @@
 """SE(3): exponential map, adjoint representation and projections onto it.
 
 Twists of SE(3) are ordered (omega, v), the order of `RigidTransform.from_exp_coords`. Leading batch axes everywhere.
+
+Here and in `arm` SciPy's names are written in full, after `import scipy`: its subpackages are then imported when they
+are used first, and `scipy.spatial` takes longer than MuJoCo.
 """
 
 from lieednn_sim.lie.projection import (

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import Rotation
 
 from lieednn_sim.lie.se3 import hat, vee
 from lieednn_sim.validation import as_floats
 from lieednn_sim.values import Floats
 
 _SKEW_BASIS = hat(np.eye(3))
-# The rotations of the cube, the identity first: starts spread evenly over SO(3).
-_CUBE = np.stack(sorted(Rotation.create_group("O").as_matrix(), key=np.trace, reverse=True))
 # Rounding in the scaled value that `project_to_adjoint_exact` minimises.
 _TIE = 1e-13
 # Entries: what is squared is divided by its size first, so that more is allowed than elsewhere.
@@ -76,7 +75,7 @@ def project_to_adjoint_exact(matrix: ArrayLike) -> tuple[Floats, Floats]:
     size = np.maximum(np.sqrt(np.abs(total).max(axis=(1, 2))), np.abs(lower).max(axis=(1, 2)))[:, None, None]
     size = np.where(size > 0.0, size, 1.0)
     total, lower = total / size / size, lower / size
-    starts = project_to_rotation(total)[:, None] @ _CUBE
+    starts = project_to_rotation(total)[:, None] @ _cube()
     count = starts.shape[1]
 
     def evaluate(rotation: Floats, index: NDArray[np.intp]) -> tuple[Floats, Floats, Floats]:
@@ -94,7 +93,7 @@ def project_to_adjoint_exact(matrix: ArrayLike) -> tuple[Floats, Floats]:
 
     def move(rotation: Floats, step: Floats) -> Floats:
         # Projected, so that rounding does not add up over the steps.
-        return project_to_rotation(Rotation.from_rotvec(step).as_matrix() @ rotation)
+        return project_to_rotation(scipy.spatial.transform.Rotation.from_rotvec(step).as_matrix() @ rotation)
 
     points, values = descend(starts.reshape(-1, 3, 3), evaluate, move)
     # Within rounding (far translations swallow A and D) the block-wise start, the first, is the one to believe.
@@ -174,6 +173,13 @@ def descend(
         damping[active] = np.where(better, 0.1 * damping[active], 10.0 * damping[active] + 1e-2 * scale[:, 0])
         active = active[(length > _SHORTEST_STEP) & (damping[active] < 1e8 * scale[:, 0])]
     return points, value
+
+
+@cache
+def _cube() -> Floats:
+    """The rotations of the cube ``(24, 3, 3)``, the identity first: starts spread evenly over SO(3)."""
+    group = scipy.spatial.transform.Rotation.create_group("O")
+    return np.stack(sorted(group.as_matrix(), key=np.trace, reverse=True))
 
 
 def _trace(matrix: Floats) -> Floats:

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from math import factorial
+from typing import TYPE_CHECKING
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import RigidTransform, Rotation
 
 from lieednn_sim.errors import InputError
 from lieednn_sim.validation import as_floats
 from lieednn_sim.values import Floats
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import RigidTransform, Rotation
 
 # Below this angle [rad] the trigonometric coefficients are summed as Taylor series: their closed forms lose
 # digits by cancellation, (theta - sin theta - theta^3/6) / theta^5 already all of them at 1e-3.
@@ -67,13 +71,14 @@ def exp(twist: ArrayLike) -> RigidTransform:
     array = as_floats("twist", twist, (6,), batched=True)
     # SciPy's compiled code refuses arrays that are read-only, as those of results are, and takes one leading axis; for
     # more it computes the same in NumPy, many times as slowly.
-    matrix = RigidTransform.from_exp_coords(np.require(array.reshape(-1, 6), requirements="W")).as_matrix()
-    return RigidTransform(matrix.reshape(*array.shape[:-1], 4, 4), normalize=False, copy=False)
+    flat = np.require(array.reshape(-1, 6), requirements="W")
+    matrix = scipy.spatial.transform.RigidTransform.from_exp_coords(flat).as_matrix()
+    return scipy.spatial.transform.RigidTransform(matrix.reshape(*array.shape[:-1], 4, 4), normalize=False, copy=False)
 
 
 def log(pose: RigidTransform) -> Floats:
     """Principal logarithm ``(..., 6)`` of poses, rotation angle at most pi: SciPy's, see `exp`."""
-    flat = RigidTransform(pose.as_matrix().reshape(-1, 4, 4), normalize=False, copy=False)
+    flat = scipy.spatial.transform.RigidTransform(pose.as_matrix().reshape(-1, 4, 4), normalize=False, copy=False)
     return np.asarray(flat.as_exp_coords()).reshape(*pose.shape, 6)
 
 
@@ -97,16 +102,16 @@ def continued(twists: Floats) -> Floats:
 
 def rotations(matrix: Floats) -> Rotation:
     """`Rotation.from_matrix` of ``(..., 3, 3)`` that are orthogonal up to rounding: unchecked, compiled as in `exp`."""
-    quaternions = Rotation.from_matrix(matrix.reshape(-1, 3, 3), assume_valid=True).as_quat()
-    return Rotation(quaternions.reshape(*matrix.shape[:-2], 4), normalize=False)
+    quaternions = scipy.spatial.transform.Rotation.from_matrix(matrix.reshape(-1, 3, 3), assume_valid=True).as_quat()
+    return scipy.spatial.transform.Rotation(quaternions.reshape(*matrix.shape[:-2], 4), normalize=False)
 
 
 def poses(rotation: Floats, translation: Floats) -> RigidTransform:
     """`RigidTransform` of shape ``(...)`` from translations ``(..., 3)`` and matrices as for `rotations`."""
-    turns = Rotation.from_matrix(rotation.reshape(-1, 3, 3), assume_valid=True).as_matrix()
+    turns = scipy.spatial.transform.Rotation.from_matrix(rotation.reshape(-1, 3, 3), assume_valid=True).as_matrix()
     matrix = np.zeros((*translation.shape[:-1], 4, 4))
     matrix[..., :3, :3], matrix[..., :3, 3], matrix[..., 3, 3] = turns.reshape(rotation.shape), translation, 1.0
-    return RigidTransform(matrix, normalize=False, copy=False)
+    return scipy.spatial.transform.RigidTransform(matrix, normalize=False, copy=False)
 
 
 def adjoint(rotation: ArrayLike, translation: ArrayLike) -> Floats:

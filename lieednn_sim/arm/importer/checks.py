@@ -6,8 +6,8 @@ from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial.transform import RigidTransform, Rotation
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.contacts import ContactFinder
@@ -42,8 +42,8 @@ def check_kinematics(draft: Draft) -> None:
         mujoco.mj_kinematics(original, before)
         mujoco.mj_kinematics(model, after)
         wanted = pose(before.xpos[bodies], before.xquat[bodies]) * fixed
-        rotations = Rotation.from_matrix(after.site_xmat[sites].reshape(-1, 3, 3))
-        found = RigidTransform.from_components(after.site_xpos[sites], rotations)
+        rotations = scipy.spatial.transform.Rotation.from_matrix(after.site_xmat[sites].reshape(-1, 3, 3))
+        found = scipy.spatial.transform.RigidTransform.from_components(after.site_xpos[sites], rotations)
         same = np.isclose(wanted.as_matrix(), found.as_matrix(), rtol=0.0, atol=1e-9).all(axis=(-2, -1))
         if not same.all():
             raise InputError(
@@ -57,7 +57,8 @@ def look_for_half_turns(draft: Draft) -> None:
     model, groups = draft.model, draft.groups
     postures = [model.qpos0, *draft.place(model, stacked(draft.samples), model.qpos0)]
     frames = _frame_matrices(model, postures, len(groups))
-    relative = Rotation.from_matrix(frames[:, :-1]).inv() * Rotation.from_matrix(frames[:, 1:])
+    inner, outer = (scipy.spatial.transform.Rotation.from_matrix(part) for part in (frames[:, :-1], frames[:, 1:]))
+    relative = inner.inv() * outer
     turns = (relative[0].inv() * relative).magnitude().max(axis=0)
     draft.notes += [
         f"link {i} may turn by {turn:.3g} rad against link {i - 1}; the logarithm is unique below pi: cut it finer"

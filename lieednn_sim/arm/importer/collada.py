@@ -7,8 +7,8 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from lieednn_sim.errors import FileError
 
@@ -77,7 +77,7 @@ def _transform(kind: str, values: Floats) -> Floats:
         matrix[:3, :3] = np.diag(values)
     else:
         axis = values[:3] / np.linalg.norm(values[:3])
-        matrix[:3, :3] = Rotation.from_rotvec(np.deg2rad(values[3]) * axis).as_matrix()
+        matrix[:3, :3] = scipy.spatial.transform.Rotation.from_rotvec(np.deg2rad(values[3]) * axis).as_matrix()
     return matrix
 
 

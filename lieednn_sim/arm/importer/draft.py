@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.importer.report import ImportReport
@@ -115,7 +115,8 @@ class Draft:
         for joint, value in values.items():
             address = model.jnt_qposadr[model.joint(self.original.joint(joint).name).id]
             if self.is_ball(joint):
-                filled[..., address : address + 4] = Rotation.from_rotvec(value).as_quat(scalar_first=True)
+                turn = scipy.spatial.transform.Rotation.from_rotvec(value)
+                filled[..., address : address + 4] = turn.as_quat(scalar_first=True)
             else:
                 filled[..., address] = value[..., 0]
         return filled

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Collection
+from typing import TYPE_CHECKING
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial.transform import RigidTransform, Rotation
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.importer.draft import Draft
@@ -15,12 +16,16 @@ from lieednn_sim.arm.importer.stages import tendon_joints
 from lieednn_sim.errors import InputError
 from lieednn_sim.values import Floats
 
+if TYPE_CHECKING:
+    from scipy.spatial.transform import RigidTransform
+
 _EQ, _OBJ = mujoco.mjtEq, mujoco.mjtObj
 
 
 def pose(pos: Floats, quat: Floats) -> RigidTransform:
     """A pose from a position ``(..., 3)`` and a quaternion ``(..., 4)``, scalar first."""
-    return RigidTransform.from_components(pos, Rotation.from_quat(quat, scalar_first=True))
+    rotation = scipy.spatial.transform.Rotation.from_quat(quat, scalar_first=True)
+    return scipy.spatial.transform.RigidTransform.from_components(pos, rotation)
 
 
 def lock_other_joints(draft: Draft) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.importer.draft import Draft
@@ -72,7 +72,8 @@ def _coordinates_inside(draft: Draft, qpos: Floats) -> tuple[dict[int, Floats], 
         low, high = draft.ranges[joint]
         address = model.jnt_qposadr[joint]
         if draft.is_ball(joint):
-            given = Rotation.from_quat(qpos[address : address + 4], scalar_first=True).as_rotvec()
+            turn = scipy.spatial.transform.Rotation.from_quat(qpos[address : address + 4], scalar_first=True)
+            given = turn.as_rotvec()
             angle = float(np.linalg.norm(given))
             value = given * min(1.0, (1.0 - MARGIN) * high / angle) if angle else given
         else:
