@@ -67,12 +67,25 @@ def vee(matrix: ArrayLike) -> Floats:
 
 
 def exp(twist: ArrayLike) -> RigidTransform:
-    """Exponential map of twists ``(..., 6)`` [rad, m]: SciPy's, with the input checked."""
+    """Exponential map (R, p) of twists ``(..., 6)`` [rad, m]: SciPy's R = Exp(omega), and p = J(omega) v.
+
+    J is the left Jacobian, p = v + (1 - cos a)/a^2 omega x v + (a - sin a)/a^3 omega x (omega x v) with the angle a.
+    """
     array = as_floats("twist", twist, (6,), batched=True)
     # SciPy's compiled code refuses arrays that are read-only, as those of results are, and takes one leading axis; for
-    # more it computes the same in NumPy, many times as slowly.
+    # more it computes the same in NumPy, many times as slowly. Its own map of twists takes twice the time of this one.
     flat = np.require(array.reshape(-1, 6), requirements="W")
-    matrix = scipy.spatial.transform.RigidTransform.from_exp_coords(flat).as_matrix()
+    omega, v = flat[:, :3], flat[:, 3:, None]
+    # Cancellation in the coefficients costs nothing here, where they multiply as small products; nor does underflow.
+    square = np.maximum((omega * omega) @ np.ones(3), 1e-200)
+    angle = np.sqrt(square)
+    half_sine, across = np.sin(0.5 * angle), skew(omega)
+    b, c = 2.0 * half_sine * half_sine / square, (1.0 - np.sin(angle) / angle) / square
+    turned = across @ v
+    matrix = np.zeros((len(flat), 4, 4))
+    matrix[:, :3, :3] = scipy.spatial.transform.Rotation.from_rotvec(omega).as_matrix()
+    matrix[:, :3, 3:] = v + b[:, None, None] * turned + c[:, None, None] * (across @ turned)
+    matrix[:, 3, 3] = 1.0
     return scipy.spatial.transform.RigidTransform(matrix.reshape(*array.shape[:-1], 4, 4), normalize=False, copy=False)
 
 

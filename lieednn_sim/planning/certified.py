@@ -14,6 +14,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.budget import check_time
 from lieednn_sim.errors import NotCertifiedError, PlanError, TooFastError
 from lieednn_sim.network import LieEDNN
+from lieednn_sim.planning.baselines.joint_space import joint_scale
 from lieednn_sim.planning.motion import LIMIT_TOLERANCE, Motion, least_duration
 from lieednn_sim.planning.network_path import NetworkPath, timed_motion
 from lieednn_sim.planning.options import PlannerOptions
@@ -29,6 +30,9 @@ _STRAIGHT = (1.0, 0.5, 0.25, 0.125)
 
 # Shares of the way from one roughly integrated state to the next at which contact is looked for, too: steps are long.
 _BETWEEN = (0.25, 0.5, 0.75)
+
+# Gaps up to this are rounding [m]: where links have six freedoms there is no other.
+_NO_GAP = 1e-9
 
 # A motion below this share of the time that limits of velocity and acceleration allow at best is too fast, however it
 # is made; sampled ones may seem a little faster than they are.
@@ -108,6 +112,17 @@ class _Candidate:
         """The largest of the mechanism [m]."""
         return self.screened()[self.index][2]
 
+    @property
+    def length(self) -> float:
+        """Of the way, joints in units of `joint_scale`."""
+        steps = np.diff(self.way, axis=0) / joint_scale(self.arm)
+        return float(np.linalg.norm(steps, axis=1).sum())
+
+    @property
+    def rank(self) -> tuple[float, float, float]:
+        """The less the better: what leaves the limits, then the gap, and where there is none, the length of the way."""
+        return max(self.excess, LIMIT_TOLERANCE), max(self.gap, _NO_GAP), self.length
+
     @functools.cached_property
     def touches(self) -> bool:
         """Whether the postures, or some straight in between, come too near to contact."""
@@ -126,6 +141,8 @@ class _Candidate:
 
 def certified(problem: PlanningProblem, options: CertifiedOptions) -> Plan:
     """Draw certified networks for the target and keep the one with the smallest mechanism gap within the limits.
+
+    Where no network has a gap, as on arms whose links have six freedoms, the one with the shortest way is kept.
 
     Raises:
         NotCertifiedError: no candidate could be certified.
@@ -178,7 +195,7 @@ def _plan(problem: PlanningProblem, options: CertifiedOptions, networks: list[Li
 
 
 def _best(problem: PlanningProblem, options: CertifiedOptions, found: list[_Candidate]) -> tuple[LieEDNN, Motion]:
-    """The network with the smallest gap among those whose motion the arm can make; errors as of `certified`."""
+    """The first of the `_promising` networks whose motion the arm can make; errors as of `certified`."""
     arm = problem.arm
     # Where no motion at all could be fast enough, one refusal tells as much as all of them.
     hurried = problem.duration <= _HURRIED * least_duration(arm, problem.start, problem.target)
@@ -201,7 +218,7 @@ def _best(problem: PlanningProblem, options: CertifiedOptions, found: list[_Cand
 
 
 def _promising(found: list[_Candidate]) -> Iterator[_Candidate]:
-    """Those whose way touches nothing first, of these those within the limits, the smallest gap first.
+    """Those whose way touches nothing first, of these the best by `_Candidate.rank`.
 
     Contact is looked for posture by posture, which costs more than all else, so only when a candidate's turn has come.
     """
@@ -210,7 +227,7 @@ def _promising(found: list[_Candidate]) -> Iterator[_Candidate]:
         yield found[0]
         return
     touching = []
-    for candidate in sorted(found, key=lambda one: (max(one.excess, LIMIT_TOLERANCE), one.gap)):
+    for candidate in sorted(found, key=lambda one: one.rank):
         if candidate.touches:
             touching.append(candidate)
         else:
