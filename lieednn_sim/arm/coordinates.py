@@ -59,17 +59,19 @@ class Coordinates:
 
     def from_qpos(self, qpos: Floats) -> Floats:
         """``(..., nq)`` to ``(..., n)``; of coupled joints the leading one counts."""
+        scalars = qpos.take(self.scalar_addresses, axis=-1)
+        if not len(self.balls):
+            return scalars
         q = np.empty((*qpos.shape[:-1], len(self)))
-        q[..., self.scalars] = qpos[..., self.scalar_addresses]
-        if len(self.balls):
-            quaternions = qpos[..., self.ball_addresses]
-            turns = scipy.spatial.transform.Rotation.from_quat(quaternions, scalar_first=True)
-            q[..., self.balls] = turns.as_rotvec()
+        q[..., self.scalars] = scalars
+        quaternions = qpos[..., self.ball_addresses]
+        q[..., self.balls] = scipy.spatial.transform.Rotation.from_quat(quaternions, scalar_first=True).as_rotvec()
         return q
 
     def to_qvel(self, q: Floats, qd: Floats) -> Floats:
         """Rates ``(..., n)`` at q to ``(..., nv)``: a ball turns with J_r(w) dw/dt in the frame of its body."""
-        q, qd = np.broadcast_arrays(q, qd)
+        if q.shape != qd.shape:
+            q, qd = np.broadcast_arrays(q, qd)
         qvel = qd @ self.rates.T
         if len(self.balls):
             right = left_jacobian_so3(-q[..., self.balls])
@@ -78,8 +80,11 @@ class Coordinates:
 
     def from_qvel(self, q: Floats, qvel: Floats) -> Floats:
         """Rates ``(..., n)`` at q of velocities ``(..., nv)``, the inverse of `to_qvel`."""
+        scalars = qvel.take(self.scalar_rate_addresses, axis=-1)
+        if not len(self.balls) and q.shape[:-1] == qvel.shape[:-1]:
+            return scalars
         qd = np.empty((*np.broadcast_shapes(q.shape[:-1], qvel.shape[:-1]), len(self)))
-        qd[..., self.scalars] = qvel[..., self.scalar_rate_addresses]
+        qd[..., self.scalars] = scalars
         if len(self.balls):
             right = left_jacobian_so3(-q[..., self.balls])
             qd[..., self.balls] = np.linalg.solve(right, qvel[..., self.ball_rate_addresses, None])[..., 0]

@@ -24,21 +24,24 @@ class Commands:
         self._arm, self._actuators = arm, Actuators(arm)
         self._actuators.require_servos()
         self._damping = arm.model.dof_damping.copy()
-        self._substeps, self._timestep = substeps, substeps * arm.timestep
-        self._parts = np.arange(substeps + 1)[:, None] / substeps
+        self._low, self._high = arm.position_limits.T
+        self._timestep = substeps * arm.timestep
+        parts = np.arange(substeps + 1)[:, None] / substeps
+        self._before, self._after = 1.0 - parts, parts
 
     def moved(self, command: Floats, action: Floats) -> Floats:
         """Commanded positions ``(B, n)`` after actions ``(B, n)``, from those before."""
         share = np.minimum(np.maximum(action, -1.0), 1.0)
-        low, high = self._arm.position_limits.T
         end = command + self._timestep * share * self._arm.velocity_limits
-        return self._arm.within_angles(np.minimum(np.maximum(end, low), high))
+        end = np.minimum(np.maximum(end, self._low), self._high)
+        return self._arm.within_angles(end) if len(self._arm.space.balls) else end
 
     def controls(self, start: Floats, end: Floats) -> Floats:
         """Controls ``(B, substeps, nu)`` of servos that are led from commanded positions to others, ``(B, n)``."""
         # Not start + 1.0 * (end - start), so that the command is on the limit, not beyond it by rounding.
-        q = (1.0 - self._parts) * start[:, None] + self._parts * end[:, None]
-        rate = np.repeat((end - start)[:, None] / self._timestep, self._substeps, axis=1)
+        q = self._before * start[:, None] + self._after * end[:, None]
         space = self._arm.space
-        qvel = space.to_qvel(q[:, 1:], rate)
+        # Only those of balls differ from posture to posture.
+        postures = q[:, 1:] if len(space.balls) else end[:, None]
+        qvel = space.to_qvel(postures, (end - start)[:, None] / self._timestep)
         return self._actuators.servo_controls(space.to_qpos(q[:, :-1]), qvel, self._damping * qvel)

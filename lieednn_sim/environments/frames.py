@@ -10,7 +10,11 @@ from lieednn_sim.values import Floats
 
 # Half the sine of an angle [rad] below which the coefficients are the first terms of their series.
 _SMALL = 1e-4
-_NEXT_AND_AFTER = [1, 2, 0, 2, 0, 1]
+# Entries of two vectors whose products make the cross product: the first three count, the others are taken away.
+_LEFT, _RIGHT = np.array([1, 2, 0, 2, 0, 1]), np.array([2, 0, 1, 1, 2, 0])
+# Entries of two rows of `site_frames` whose products make the vector part of the quaternions' conj(p) q: with p_0 and
+# with q_0, and of the cross product as above.
+_OWN, _GOAL = 12 + np.array([0, 0, 0, 1, 2, 3, *1 + _LEFT]), 12 + np.array([1, 2, 3, 0, 0, 0, *1 + _RIGHT])
 
 
 def site_frames(arm: Arm, data: mujoco.MjData, frames: slice) -> Floats:
@@ -33,20 +37,24 @@ def to_go(frames: Floats, goals: Floats) -> tuple[Floats, Floats, Floats]:
         Twists (omega, v) ``(..., F, 6)`` [rad, m], and the largest distance ``(...)`` [m] and angle ``(...)`` [rad].
     """
     rotation = frames[..., 3:12].reshape(*frames.shape[:-1], 3, 3)
-    place = (np.swapaxes(rotation, -1, -2) @ (goals[..., :3] - frames[..., :3])[..., None])[..., 0]
-    own, other = frames[..., 12:], goals[..., 12:]
-    cosine = _dot(own, other)
-    axis = own[..., :1] * other[..., 1:] - other[..., :1] * own[..., 1:] - _cross(own[..., 1:], other[..., 1:])
-    sine, c = np.sqrt(_dot(axis, axis)), np.abs(cosine)
-    angle, small = 2.0 * np.arctan2(sine, c), sine < _SMALL
-    safe = np.where(small, 1.0, sine)
-    scale = np.where(small, 2.0 / np.maximum(c, 0.5) * (1.0 - sine * sine / 3.0), angle / safe)
-    omega = np.where(cosine < 0.0, -scale, scale)[..., None] * axis
-    square = np.where(small, 1.0, angle * angle)
-    bend = np.where(small, 1.0 / 12.0 + angle * angle / 720.0, (1.0 - 0.5 * angle * c / safe) / square)
+    place = (rotation.swapaxes(-1, -2) @ (goals[..., :3] - frames[..., :3])[..., None])[..., 0]
+    cosine = np.vecdot(frames[..., 12:], goals[..., 12:])
+    products = frames.take(_OWN, axis=-1) * goals.take(_GOAL, axis=-1)
+    axis = products[..., :3] - products[..., 3:6] - (products[..., 6:9] - products[..., 9:])
+    sine, c = np.sqrt(np.vecdot(axis, axis)), np.abs(cosine)
+    angle, safe = 2.0 * np.arctan2(sine, c), np.maximum(sine, _SMALL)
+    scale = angle / safe
+    bend = (1.0 - 0.5 * angle * c / safe) / np.maximum(angle * angle, _SMALL * _SMALL)
+    small = sine < _SMALL
+    if small.any():
+        scale = np.where(small, 2.0 / np.maximum(c, 0.5) * (1.0 - sine * sine / 3.0), scale)
+        bend = np.where(small, 1.0 / 12.0 + angle * angle / 720.0, bend)
+    omega = np.copysign(scale, cosine)[..., None] * axis
     turned = _cross(omega, place)
     twist = np.concatenate([omega, place - 0.5 * turned + bend[..., None] * _cross(omega, turned)], axis=-1)
-    return twist, np.sqrt(_dot(place, place)).max(axis=-1), angle.max(axis=-1)
+    # The reductions of ufuncs: methods of arrays come to them through Python.
+    distance = np.sqrt(np.maximum.reduce(np.vecdot(place, place), axis=-1))
+    return twist, distance, np.maximum.reduce(angle, axis=-1)
 
 
 def closeness(error: Floats | float, allowed: Floats | float, margin: Floats | float) -> Floats:
@@ -55,10 +63,6 @@ def closeness(error: Floats | float, allowed: Floats | float, margin: Floats | f
     return np.asarray(1.0 / (1.0 + 9.0 * beyond * beyond))
 
 
-def _dot(one: Floats, other: Floats) -> Floats:
-    return np.asarray(np.vecdot(one, other))
-
-
 def _cross(one: Floats, other: Floats) -> Floats:
-    one, other = one[..., _NEXT_AND_AFTER], other[..., _NEXT_AND_AFTER]
-    return one[..., :3] * other[..., 3:] - one[..., 3:] * other[..., :3]
+    products = one.take(_LEFT, axis=-1) * other.take(_RIGHT, axis=-1)
+    return np.asarray(products[..., :3] - products[..., 3:])

@@ -54,7 +54,7 @@ class Reach(ArmTask):
 
     def judge(self, distance: Floats, angle: Floats, qd: Floats) -> tuple[Floats, NDArray[np.bool_]]:
         """See `ArmTask`."""
-        speed = np.abs(qd / self.arm.velocity_limits).max(axis=-1)
+        speed = np.maximum.reduce(np.abs(qd / self.arm.velocity_limits), axis=-1)
         reward = self._closeness(distance, angle) * 0.5 * (1.0 + closeness(speed, REST, _REST_MARGIN))
         return reward, self._within_tolerance(distance, angle) & (speed <= REST)
 

@@ -47,7 +47,7 @@ class Simulation:
         self.model = make_plant(arm, self.disturbances) if plant is None else plant
         self.data = mujoco.MjData(self.model)
         # Views are held: to ask for them takes as long as to read them.
-        self._warnings, self._velocity = self.data.warning.number, self.data.qvel
+        self._warnings, self._velocity, self._control = self.data.warning.number, self.data.qvel, self.data.ctrl
         self.pushes = Pushes(arm, self.model, self.disturbances.pushes)
         self._sensors = Sensors(arm, self.disturbances)
         self.steps = 0
@@ -126,7 +126,7 @@ class Simulation:
         with quiet_warnings():
             for k in range(as_count("steps", steps)):
                 if controls is not None:
-                    self.data.ctrl[:] = controls[k]
+                    self._control[:] = controls[k]
                 self.advance_once()
 
     def advance_once(self) -> None:

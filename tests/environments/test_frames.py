@@ -35,6 +35,18 @@ def test_twists_lead_from_frames_to_goals(angle):
     np.testing.assert_array_equal(found, alone)
 
 
+def test_frames_at_their_goals_and_far_from_them_are_each_as_alone():
+    rng = np.random.default_rng(1)
+    begin = RigidTransform.from_components(rng.normal(size=(40, 3)), Rotation.random(40, rng=rng))
+    scale = np.resize([0.0, 1e-7, 1e-4, 1e-2, 1.0], (40, 1))
+    twist = scale * rng.normal(size=(40, 6))
+    frames, goals = rows(begin)[:, None], rows(begin * RigidTransform.from_exp_coords(twist))[:, None]
+    np.testing.assert_allclose(to_go(frames, goals)[0][:, 0], twist, atol=1e-13)
+    alone = [to_go(frame, goal) for frame, goal in zip(frames, goals, strict=True)]
+    for together, each in zip(to_go(frames, goals), zip(*alone, strict=True), strict=True):
+        np.testing.assert_array_equal(together, each)
+
+
 def test_of_several_frames_the_worst_counts_and_tails_fall_to_a_tenth():
     frames = rows(RigidTransform.from_translation(np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])))
     goals = rows(RigidTransform.from_translation(np.array([[0.0, 0.1, 0.0], [1.0, 0.0, 0.3]])))
