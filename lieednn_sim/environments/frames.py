@@ -6,6 +6,7 @@ import numpy as np
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
+from lieednn_sim.simulation.quaternions import quaternions
 from lieednn_sim.values import Floats
 
 # Half the sine of an angle [rad] below which the coefficients are the first terms of their series.
@@ -25,6 +26,20 @@ def site_frames(arm: Arm, data: mujoco.MjData, frames: slice) -> Floats:
     for frame in found:
         mujoco.mju_mat2Quat(frame[12:], frame[3:12])
     return found
+
+
+def frames_at(arm: Arm, model: mujoco.MjModel, data: mujoco.MjData, qpos: Floats, frames: slice) -> Floats:
+    """What `site_frames` gives at each of MuJoCo's positions ``(B, nq)``, ``(B, F, 16)``; they are set in the data."""
+    place, rotation, position = data.site_xpos, data.site_xmat, data.qpos
+    places, rotations = np.empty((len(qpos), *place.shape)), np.empty((len(qpos), *rotation.shape))
+    for row, own_place, own_rotation in zip(qpos, places, rotations, strict=True):
+        position[:] = row
+        mujoco.mj_kinematics(model, data)
+        own_place[:], own_rotation[:] = place, rotation
+    sites = arm.site_ids[frames]
+    rotations = rotations[:, sites]
+    turns = quaternions(rotations.reshape(*rotations.shape[:-1], 3, 3))
+    return np.concatenate([places[:, sites], rotations, turns], axis=-1)
 
 
 def to_go(frames: Floats, goals: Floats) -> tuple[Floats, Floats, Floats]:

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.environments.bounds import Bounds
-from lieednn_sim.environments.frames import site_frames
+from lieednn_sim.environments.frames import frames_at
 from lieednn_sim.environments.tasks import make_task
 from lieednn_sim.errors import InputError
 from lieednn_sim.simulation.simulation import quiet_warnings
@@ -86,6 +86,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[dict[str, Floats], Floats, An
         self._seen = {name: np.zeros((num_envs, *low.shape)) for name, (low, _) in first.bounds.items()}
         self._judged = {"success": np.zeros(num_envs, dtype=bool), "distance": np.zeros(num_envs)}
         self._judged["angle"] = np.zeros(num_envs)
+        self._commands = np.zeros((num_envs, first.arm.n_joints))
         self._over = np.ones(num_envs, dtype=bool)
         self._generators: list[np.random.Generator | None] = [None] * num_envs
 
@@ -148,6 +149,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[dict[str, Floats], Floats, An
         for name, values in task.begin(generator, options).items():
             self._seen[name][i] = values
         mujoco.mj_getState(self._model, task.simulation.data, self._states[i], _STATE)
+        self._commands[i] = task.command
         for name, value in task.info().items():
             self._judged[name][i] = value
         self._over[i] = False
@@ -160,7 +162,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[dict[str, Floats], Floats, An
     def _advance(self, going: NDArray[np.int_], actions: Floats) -> tuple[Floats, NDArray[np.bool_], dict[str, Any]]:
         """Step some environments: rewards and whether they failed, of these, and infos."""
         first, model = self.tasks[0], self._model
-        before, start = self._states[going], np.array([self.tasks[i].command for i in going])
+        before, start = self._states[going], self._commands[going]
         end = first.commands.moved(start, actions)
         controls = first.commands.controls(start, end)
         with quiet_warnings():
@@ -168,8 +170,10 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[dict[str, Floats], Floats, An
         # Where MuJoCo warns, time stands still or begins anew.
         late = np.abs(after[:, 0] - before[:, 0] - first.control_timestep) > 0.5 * first.simulation.timestep
         failed = late | ~np.isfinite(after).all(axis=1)
-        for i, command, row, moves, bad in zip(going, end, before, controls, failed, strict=True):
-            self.tasks[i].took(command, self._failure(int(i), row, moves) if bad else "")
+        self._commands[going] = end
+        failures = {int(going[k]): self._failure(int(going[k]), before[k], controls[k]) for k in np.flatnonzero(failed)}
+        for i, command in zip(going.tolist(), end, strict=True):
+            self.tasks[i].took(command, failures.get(i, ""))
         rewards = np.zeros(len(going))
         good = np.flatnonzero(~failed)
         if len(good):
@@ -180,24 +184,19 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[dict[str, Floats], Floats, An
         for name, values in self._judged.items():
             infos[name], infos[f"_{name}"] = np.zeros_like(values), np.zeros(self.num_envs, dtype=bool)
             infos[name][going], infos[f"_{name}"][going] = values[going], True
-        for i in going[failed]:
-            infos = self._add_info(infos, {"failure": self.tasks[i].failure}, int(i))
+        for i, why in failures.items():
+            infos = self._add_info(infos, {"failure": why}, i)
         return rewards, failed, infos
 
     def _look(self, which: NDArray[np.int_]) -> Floats:
         """Take the observations of some environments, and return their rewards."""
         first, data, model = self.tasks[0], self._data[0], self._model
         qpos, qvel = np.split(self._states[which, 1 : 1 + model.nq + model.nv], [model.nq], axis=1)
-        frames = []
-        for data.qpos[:] in qpos:
-            mujoco.mj_kinematics(model, data)
-            frames.append(site_frames(first.arm, data, first.frames))
+        frames = frames_at(first.arm, model, data, qpos, first.frames)
         q = first.arm.space.from_qpos(qpos)
         qd = first.arm.space.from_qvel(q, qvel)
-        tasks = [self.tasks[i] for i in which]
-        target = [np.array(values) for values in zip(*(task.here() for task in tasks), strict=True)]
-        command = np.array([task.command for task in tasks])
-        seen, distance, angle = first.seen(np.array(frames), q, qd, command, target)
+        target = [np.array(values) for values in zip(*(self.tasks[i].here() for i in which), strict=True)]
+        seen, distance, angle = first.seen(frames, q, qd, self._commands[which], target)
         for name, values in seen.items():
             self._seen[name][which] = values
         rewards, success = first.judge(distance, angle, qd)
