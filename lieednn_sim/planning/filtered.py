@@ -141,8 +141,9 @@ class _Search:
     def guided(self, options: GuidedOptions) -> Plan | None:
         """The most promising networks, retargeted along paths."""
         workspace = Workspace(self.problem, options.search.margin, options.own_margin)
+        search = sampling.ompl_search("rrt-connect")
         for attempt in range(options.paths):
-            corners = sampling.connecting_path(self.problem, workspace, options.search, "RRTConnect", attempt)
+            corners = sampling.connecting_path(self.problem, workspace, options.search, search, attempt)
             if corners is None:
                 continue
             for network in self.networks[: options.followers]:

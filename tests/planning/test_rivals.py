@@ -29,7 +29,7 @@ from lieednn_sim.planning import (
     plan,
     reference_network,
 )
-from lieednn_sim.planning.baselines import sampling
+from lieednn_sim.planning.baselines import sampling, search_space
 from lieednn_sim.planning.baselines.joint_space import ClearanceTest, joint_scale, sweeps
 from lieednn_sim.planning.baselines.optimisation import _Descent
 from lieednn_sim.planning.baselines.smoothing import SmoothingOptions, motion_along, rounded, stopping
@@ -144,7 +144,7 @@ def test_they_improve_on_what_is_found_first(name, tests):
 
     def length(by):
         workspace = sampling.Workspace(task, options.margin)
-        corners = sampling.connecting_path(task, workspace, options, sampling.METHODS[by], 0)
+        corners = sampling.connecting_path(task, workspace, options, sampling.ompl_search(by), 0)
         return np.linalg.norm(np.diff(corners / joint_scale(POSTED), axis=0), axis=1).sum()
 
     straight = np.linalg.norm((task.target - task.start) / joint_scale(POSTED))
@@ -175,8 +175,9 @@ def test_the_tree_grows_from_the_narrower_end_and_the_path_from_the_start(gantry
     """The library is played: it finds one corner near the end that it was given as the start, one near the other."""
     base = MagicMock(MotionValidator=type("MotionValidator", (), {"__init__": lambda *_: None}))
     definition = base.ProblemDefinition.return_value
-    monkeypatch.setattr(sampling, "optional_module", lambda name: base if name == "ompl.base" else MagicMock())
-    monkeypatch.setattr(sampling, "_state", lambda _, values: values)
+    for module in (sampling, search_space):
+        monkeypatch.setattr(module, "optional_module", lambda name: base if name == "ompl.base" else MagicMock())
+    monkeypatch.setattr(search_space.SearchSpace, "state", lambda _, values: values)
     start, target = np.array([-0.5, 0.0, 0.0, 0.0]), np.array([0.5, 1.0, 1.0, 1.0])
     asked = PlanningProblem(gantry, start, target, 4.0)
     near = {"start": start, "target": target}[narrow]
@@ -189,7 +190,7 @@ def test_the_tree_grows_from_the_narrower_end_and_the_path_from_the_start(gantry
         return MagicMock(getState=lambda i: corners[i], getStateCount=lambda: len(corners))
 
     definition.getSolutionPath.side_effect = path
-    corners = sampling._path(asked, workspace, RrtConnectOptions(), "RRTConnect", 0.1, np.random.SeedSequence(0))
+    corners = sampling.connecting_path(asked, workspace, RrtConnectOptions(), sampling.ompl_search("rrt-connect"), 0)
     scale = joint_scale(gantry)
     given_first, given_last = (np.asarray(end) * scale for end in definition.setStartAndGoalStates.call_args.args)
     other = target if narrow == "start" else start
@@ -358,7 +359,7 @@ def test_refusals_say_what_was_tried():
     with pytest.raises(PlanError, match=r"no local optimum of 2 first guesses can be followed: joint .* its limit is"):
         plan_with("trajectory-optimisation", PlanningProblem(ARM, LOW, HIGH, 0.3), options=few)
     needs("rrt-connect")
-    with pytest.raises(PlanError, match="RRTConnect found no path free of contact; try another seed or target"):
+    with pytest.raises(PlanError, match="rrt-connect found no path free of contact; try another seed or target"):
         plan_with("rrt-connect", blocked(), options=RrtConnectOptions(tests=(1,)))
 
 

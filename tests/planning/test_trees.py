@@ -127,13 +127,14 @@ def test_rrt_connect_finds_its_way_with_balanced_trees(monkeypatch):
     # From the other end it is the same search: the ends are sorted by what room they have.
     workspace = Workspace(task, options.margin)
     back = replace(task, start=task.target, target=task.start)
-    there, home = (sampling.connecting_path(one, workspace, options, sampling.BALANCED, 0) for one in (task, back))
+    search = sampling.balanced_search
+    there, home = (sampling.connecting_path(one, workspace, options, search, 0) for one in (task, back))
     for corners, one in ((there, task), (home, back)):
         np.testing.assert_array_equal(corners[[0, -1]], [one.start, one.target])
-    again = sampling.connecting_path(task, Workspace(task, options.margin), options, sampling.BALANCED, 0)
+    again = sampling.connecting_path(task, Workspace(task, options.margin), options, search, 0)
     np.testing.assert_array_equal(there, again)
     # The second attempt draws others; and who may do no work finds nothing.
-    sampling.connecting_path(task, workspace, options, sampling.BALANCED, 1)
+    sampling.connecting_path(task, workspace, options, search, 1)
     assert [used[0]["seed"].entropy, used[-1]["seed"].entropy] == [[task.seed, 0], [task.seed, 1]]
-    with pytest.raises(PlanError, match="balanced RRT-Connect found no path free of contact"):
+    with pytest.raises(PlanError, match="rrt-connect found no path free of contact"):
         plan(task.arm, task.target, planner="rrt-connect", options=replace(options, tests=(1,)), **asked)

@@ -9,18 +9,17 @@ They are shortened, rounded and timed by `smoothing`. RRT-Connect with balanced 
 
 from __future__ import annotations
 
-import itertools
-import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cache, lru_cache, partial
-from typing import Any
+from functools import cache, partial
+from typing import Any, TypeAlias
 
 import numpy as np
 
-from lieednn_sim.budget import check_time, out_of_time
+from lieednn_sim.budget import check_time
 from lieednn_sim.errors import PlanError, TooFastError
-from lieednn_sim.planning.baselines.joint_space import Workspace, joint_scale, sweeps
+from lieednn_sim.planning.baselines.joint_space import Workspace
+from lieednn_sim.planning.baselines.search_space import SearchSpace
 from lieednn_sim.planning.baselines.smoothing import SmoothingOptions, motion_along
 from lieednn_sim.planning.baselines.trees import connected
 from lieednn_sim.planning.extras import optional_module
@@ -38,12 +37,8 @@ METHODS = {
     "bit-star": "BITstar",
     "aorrtc": "AORRTC",
 }
-# In place of OMPL's name: the search of `trees`.
-BALANCED = "balanced RRT-Connect"
 # Joints that hardly move a link count in its distances by this share of the one that moves links most.
 _LEAST_SWEEP = 0.1
-# Times that a search looks whether it is over, for each test that it may make: usually once for a test or more.
-_LOOKS = 2
 # A path of this many times the length of the straight one is straight, up to rounding.
 _STRAIGHT = 1.0 + 1e-9
 
@@ -105,6 +100,10 @@ class BitStarOptions(PathOptions):
     tests: tuple[int, ...] = (5_000, 10_000, 20_000, 40_000)
 
 
+# From a space, options and a seed to a path of OMPL's, or None.
+Search: TypeAlias = Callable[[SearchSpace, SearchOptions, np.random.SeedSequence], Any]
+
+
 def sampling_planner(name: str) -> Callable[[PlanningProblem, PathOptions], Motion]:
     """The planner of a name of `METHODS`.
 
@@ -120,7 +119,7 @@ def sampling_planner(name: str) -> Callable[[PlanningProblem, PathOptions], Moti
 
     def planner(problem: PlanningProblem, options: PathOptions) -> Motion:
         balanced = isinstance(options, RrtConnectOptions) and options.balanced
-        return _plan(problem, options, BALANCED if balanced else METHODS[name])
+        return _plan(problem, options, balanced_search if balanced else ompl_search(name), name)
 
     return planner
 
@@ -128,9 +127,9 @@ def sampling_planner(name: str) -> Callable[[PlanningProblem, PathOptions], Moti
 rrt_connect = sampling_planner("rrt-connect")
 
 
-def _plan(problem: PlanningProblem, options: PathOptions, planner: str) -> Motion:
+def _plan(problem: PlanningProblem, options: PathOptions, search: Search, name: str) -> Motion:
     # Paths have no part in time: none is searched for again when the motion along it needs more.
-    path = cache(partial(connecting_path, problem, Workspace(problem, options.margin), options, planner))
+    path = cache(partial(connecting_path, problem, Workspace(problem, options.margin), options, search))
     blocked = {attempt: dict[int | None, PlanError]() for attempt in range(len(options.spacings))}
 
     def motion(asked: PlanningProblem) -> Motion:
@@ -145,13 +144,13 @@ def _plan(problem: PlanningProblem, options: PathOptions, planner: str) -> Motio
                 refusal = error
                 if isinstance(error, TooFastError) and error.duration <= asked.longest * asked.duration:
                     break
-        raise refusal or PlanError(f"{planner} found no path free of contact; try another seed or target")
+        raise refusal or PlanError(f"{name} found no path free of contact; try another seed or target")
 
     return in_time(motion, problem)
 
 
 def connecting_path(
-    problem: PlanningProblem, workspace: Workspace, options: SearchOptions, planner: str, attempt: int
+    problem: PlanningProblem, workspace: Workspace, options: SearchOptions, search: Search, attempt: int
 ) -> Floats | None:
     """Corners ``(M, n)`` of a shortened path from start to target, clear in the workspace; or None.
 
@@ -161,7 +160,7 @@ def connecting_path(
         problem: start, target and seed.
         workspace: of the problem, with the margin.
         options: of the search.
-        planner: OMPL's name of it, or `BALANCED`.
+        search: `balanced_search`, or `ompl_search` of a name.
         attempt: another one draws others, and looks more closely.
 
     Raises:
@@ -176,140 +175,51 @@ def connecting_path(
         # already, which are not ours. It takes no seed of zero.
         seed = np.random.SeedSequence([problem.seed, attempt])
         util.RNG.setSeed(1 + int(seed.generate_state(1)[0] % (2**31)))
-        spacing = options.spacings[min(attempt, len(options.spacings) - 1)]
-        return _path(problem, workspace, options, planner, spacing, seed)
+        space = SearchSpace(problem, workspace, options.spacings[min(attempt, len(options.spacings) - 1)])
+        found = search(space, options, seed)
+        return None if found is None else space.corners(found, options.shortcuts)
     finally:
         util.setLogLevel(level)
 
 
-def _path(
-    problem: PlanningProblem,
-    workspace: Workspace,
-    options: SearchOptions,
-    planner: str,
-    spacing: float,
-    seed: np.random.SeedSequence,
-) -> Floats | None:
-    """Corners ``(M, n)`` of a shortened path, or None."""
-    base, geometric = optional_module("ompl.base"), optional_module("ompl.geometric")
-    n, scale = problem.arm.n_joints, joint_scale(problem.arm)
-    space = base.RealVectorStateSpace(n)
-    bounds = base.RealVectorBounds(n)
-    for joint, (low, high) in enumerate(problem.arm.position_limits / scale[:, None]):
-        bounds.setLow(joint, float(low))
-        bounds.setHigh(joint, float(high))
-    space.setBounds(bounds)
-    information = base.SpaceInformation(space)
-    swept = scale * sweeps(problem.arm)
-    density = swept / spacing
-    balls = len(problem.arm.space.balls) > 0
-    known = set[bytes]()
+def ompl_search(name: str) -> Search:
+    """The search of one of `METHODS` by OMPL."""
 
-    # No exception may pass through the library: out of time nothing is free, so that it ends soon.
-    def inside(q: Floats) -> bool:
-        # A ball joint's angle is limited, whose limits are no box; but convex, so that ends speak for edges. The box of
-        # the others is what the space draws from.
-        return not (out_of_time() or (balls and (problem.arm.limit_excess(q) > 0.0).any()))
+    def search(space: SearchSpace, options: SearchOptions, _: np.random.SeedSequence) -> Any:
+        base, geometric = optional_module("ompl.base"), optional_module("ompl.geometric")
+        definition = base.ProblemDefinition(space.information)
+        definition.setStartAndGoalStates(*(space.state(q / space.edges.scale) for q in space.ends))
+        # The straight way is the shortest there is: who finds it is done.
+        objective = base.PathLengthOptimizationObjective(space.information)
+        straight = float(np.linalg.norm((space.ends[1] - space.ends[0]) / space.edges.scale))
+        objective.setCostThreshold(base.Cost(_STRAIGHT * straight))
+        definition.setOptimizationObjective(objective)
+        planner = getattr(geometric, METHODS[name])(space.information)
+        if hasattr(planner, "setRange"):
+            planner.setRange(options.reach * space.information.getMaximumExtent())
+        planner.setProblemDefinition(definition)
+        planner.setup()
+        for tests in options.tests:
+            if not definition.hasExactSolution():
+                planner.solve(base.PlannerTerminationCondition(partial(space.edges.over, tests)))
+                check_time()
+        return definition.getSolutionPath() if definition.hasExactSolution() else None
 
-    def free(state: Any) -> bool:
-        values = np.array(state[0:n])
-        if not (inside(scale * values) and workspace.clear(scale * values)):
-            return False
-        known.add(values.tobytes())
-        return True
-
-    def passable(first: Floats, second: Floats) -> bool:
-        """Tests an edge at postures that are evenly spaced in the workspace, not in joint space."""
-        if not inside(scale * second):
-            return False
-        count = max(1, math.ceil(float(np.abs(second - first) @ density)))
-        # The first end is valid, and the other is where a tree grows back from it; still it counts as work.
-        end = second.tobytes()
-        shares = _shares(count)[end in known :]
-        workspace.clear.tests += end in known
-        if workspace.clear.first_blocked(scale * (first + shares[:, None] * (second - first))) is not None:
-            return False
-        known.add(end)
-        return True
-
-    class Edges(base.MotionValidator):  # type: ignore[misc,name-defined]
-        def checkMotion(self, first: Any, second: Any) -> bool:
-            return passable(np.array(first[0:n]), np.array(second[0:n]))
-
-    information.setStateValidityChecker(free)
-    information.setMotionValidator(Edges(information))
-    information.setup()
-    # A tree grows out of a narrow place more easily than into one.
-    ends = sorted((problem.start, problem.target), key=workspace.collisions.clearance)
-    looks = itertools.count()
-
-    def spent(tests: int) -> bool:
-        # Where no path can be shorter than the one that is known, nothing is tested any more.
-        return next(looks) >= _LOOKS * tests or workspace.clear.tests >= tests or out_of_time()
-
-    def simplified(path: Any) -> Floats:
-        simplifier = geometric.PathSimplifier(information)
-        simplifier.reduceVertices(path, options.shortcuts, options.shortcuts)
-        simplifier.partialShortcutPath(path, options.shortcuts, options.shortcuts)
-        simplifier.collapseCloseVertices(path)
-        check_time()
-        corners = scale * np.array([path.getState(i)[0:n] for i in range(path.getStateCount())])
-        if ends[0] is not problem.start:
-            corners = corners[::-1].copy()
-        corners[0], corners[-1] = problem.start, problem.target
-        return corners
-
-    if planner == BALANCED:
-        weight = np.maximum(swept, _LEAST_SWEEP * swept.max())
-        box = weight[:, None] * problem.arm.position_limits / scale[:, None]
-        found = connected(
-            *(weight * q / scale for q in ends),
-            bounds=box,
-            reach=options.reach * float(np.linalg.norm(np.ptp(box, axis=1))),
-            clear=lambda first, second: passable(first / weight, second / weight),
-            over=partial(spent, max(options.tests)),
-            seed=seed,
-        )
-        check_time()
-        if found is None:
-            return None
-        path = geometric.PathGeometric(information)
-        for corner in found / weight:
-            path.append(_state(space, corner))
-        return simplified(path)
-    definition = base.ProblemDefinition(information)
-    definition.setStartAndGoalStates(*(_state(space, q / scale) for q in ends))
-    # The straight way is the shortest there is: who finds it is done.
-    objective = base.PathLengthOptimizationObjective(information)
-    objective.setCostThreshold(base.Cost(_STRAIGHT * float(np.linalg.norm((ends[1] - ends[0]) / scale))))
-    definition.setOptimizationObjective(objective)
-    method = getattr(geometric, planner)(information)
-    if hasattr(method, "setRange"):
-        method.setRange(options.reach * space.getMaximumExtent())
-    method.setProblemDefinition(definition)
-    method.setup()
-    for tests in options.tests:
-        if not definition.hasExactSolution():
-            method.solve(base.PlannerTerminationCondition(partial(spent, tests)))
-            check_time()
-    if not definition.hasExactSolution():
-        return None
-    return simplified(definition.getSolutionPath())
+    return search
 
 
-@lru_cache(maxsize=4096)
-def _shares(count: int) -> Floats:
-    """1/count .. count/count, the last first and the others by halving, so that what is in the way is found soon."""
-    order, gaps = [count], [(0, count)]
-    for low, high in gaps:
-        middle = (low + high) // 2
-        if low < middle:
-            order.append(middle)
-            gaps += [(low, middle), (middle, high)]
-    return np.array(order) / count
-
-
-def _state(space: Any, values: Floats) -> Any:
-    state = space.allocState()
-    state[0 : len(values)] = values.tolist()
-    return state
+def balanced_search(space: SearchSpace, options: SearchOptions, seed: np.random.SeedSequence) -> Any:
+    """The search of `trees`, by distances in the workspace."""
+    edges = space.edges
+    weight = np.maximum(edges.swept, _LEAST_SWEEP * edges.swept.max())
+    box = weight[:, None] * edges.limits / edges.scale[:, None]
+    found = connected(
+        *(weight * q / edges.scale for q in space.ends),
+        bounds=box,
+        reach=options.reach * float(np.linalg.norm(np.ptp(box, axis=1))),
+        clear=lambda first, second: edges.passable(first / weight, second / weight),
+        over=partial(edges.over, max(options.tests)),
+        seed=seed,
+    )
+    check_time()
+    return None if found is None else space.path(found / weight)

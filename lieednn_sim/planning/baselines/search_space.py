@@ -1,0 +1,155 @@
+"""Joint space as sampling-based planners see it: which postures and edges are clear, and when the search is over.
+
+Coordinates are those of the joints over their velocity limits, so that the length of a path is a time.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from lieednn_sim.arm import Arm
+from lieednn_sim.budget import check_time, out_of_time
+from lieednn_sim.planning.baselines.joint_space import Workspace, joint_scale, sweeps
+from lieednn_sim.planning.extras import optional_module
+from lieednn_sim.planning.problem import PlanningProblem
+from lieednn_sim.values import Floats
+
+# Times that a search looks whether it is over, for each test that it may make: usually once for a test or more.
+_LOOKS = 2
+
+
+class EdgeTest:
+    """What is clear in a workspace, and how much may still be tested; it knows nothing of OMPL.
+
+    Args:
+        arm: whose joints they are.
+        workspace: counts the postures that are tested.
+        spacing: a link frame moves at most about this far from one posture tested along an edge to the next [m].
+
+    Attributes:
+        scale: ``(n,)`` of the joints, in whose units points are.
+        limits: ``(n, 2)`` of the joints' positions [rad, m].
+        swept: ``(n,)`` how far a coordinate's unit moves a link frame at most [m].
+    """
+
+    def __init__(self, arm: Arm, workspace: Workspace, spacing: float) -> None:
+        self._arm, self._clear = arm, workspace.clear
+        self.scale, self.limits = joint_scale(arm), arm.position_limits
+        self.swept = self.scale * sweeps(arm)
+        self._density = self.swept / spacing
+        self._balls = len(arm.space.balls) > 0
+        self._known, self._looks = set[bytes](), itertools.count()
+
+    def _inside(self, q: Floats) -> bool:
+        # No exception may pass through the library: out of time nothing is free, so that it ends soon. A ball joint's
+        # angle is limited, whose limits are no box; but convex, so that ends speak for edges. The box of the others is
+        # what samples are drawn from.
+        return not (out_of_time() or (self._balls and (self._arm.limit_excess(q) > 0.0).any()))
+
+    def free(self, point: Floats) -> bool:
+        """Whether a point ``(n,)`` is clear."""
+        if not (self._inside(self.scale * point) and self._clear(self.scale * point)):
+            return False
+        self._known.add(point.tobytes())
+        return True
+
+    def passable(self, first: Floats, second: Floats) -> bool:
+        """Whether an edge from a clear point ``(n,)`` to another one is clear, at postures evenly spaced in space."""
+        if not self._inside(self.scale * second):
+            return False
+        count = max(1, math.ceil(float(np.abs(second - first) @ self._density)))
+        # The first end is valid, and the other is where a tree grows back from it; still it counts as work.
+        end = second.tobytes()
+        shares = _shares(count)[end in self._known :]
+        self._clear.tests += end in self._known
+        if self._clear.first_blocked(self.scale * (first + shares[:, None] * (second - first))) is not None:
+            return False
+        self._known.add(end)
+        return True
+
+    def over(self, tests: int) -> bool:
+        """Whether a search that may test so many postures shall end; to be asked in its loop."""
+        # Where no path can be shorter than the one that is known, nothing is tested any more.
+        return next(self._looks) >= _LOOKS * tests or self._clear.tests >= tests or out_of_time()
+
+
+class SearchSpace:
+    """The joint space of a problem, as OMPL sees it.
+
+    Args:
+        problem: start, target and arm.
+        workspace: of the problem.
+        spacing: see `EdgeTest`.
+
+    Attributes:
+        edges: what is clear.
+        ends: start and target in joint coordinates, the one in the narrower place first: a tree grows out of a narrow
+            place more easily than into one.
+        information: OMPL's of this space.
+    """
+
+    def __init__(self, problem: PlanningProblem, workspace: Workspace, spacing: float) -> None:
+        base, n = optional_module("ompl.base"), problem.arm.n_joints
+        self._problem = problem
+        # What OMPL calls back holds none of OMPL's own objects: such circles are never collected.
+        self.edges = edges = EdgeTest(problem.arm, workspace, spacing)
+        self.ends = sorted((problem.start, problem.target), key=workspace.collisions.clearance)
+        self._space = base.RealVectorStateSpace(n)
+        bounds = base.RealVectorBounds(n)
+        for joint, (low, high) in enumerate(edges.limits / edges.scale[:, None]):
+            bounds.setLow(joint, float(low))
+            bounds.setHigh(joint, float(high))
+        self._space.setBounds(bounds)
+
+        class Edges(base.MotionValidator):  # type: ignore[misc,name-defined]
+            def checkMotion(self, first: Any, second: Any) -> bool:
+                return edges.passable(np.array(first[0:n]), np.array(second[0:n]))
+
+        self.information = base.SpaceInformation(self._space)
+        self.information.setStateValidityChecker(lambda state: edges.free(np.array(state[0:n])))
+        self.information.setMotionValidator(Edges(self.information))
+        self.information.setup()
+
+    def state(self, point: Floats) -> Any:
+        """OMPL's state at a point ``(n,)``."""
+        state = self._space.allocState()
+        state[0 : len(point)] = point.tolist()
+        return state
+
+    def path(self, points: Floats) -> Any:
+        """OMPL's path through points ``(M, n)``."""
+        path = optional_module("ompl.geometric").PathGeometric(self.information)
+        for point in points:
+            path.append(self.state(point))
+        return path
+
+    def corners(self, path: Any, shortcuts: int) -> Floats:
+        """Joint coordinates ``(M, n)`` from start to target of a path of OMPL's, shortened by so many attempts."""
+        simplifier = optional_module("ompl.geometric").PathSimplifier(self.information)
+        simplifier.reduceVertices(path, shortcuts, shortcuts)
+        simplifier.partialShortcutPath(path, shortcuts, shortcuts)
+        simplifier.collapseCloseVertices(path)
+        check_time()
+        problem, n = self._problem, self._problem.arm.n_joints
+        corners = self.edges.scale * np.array([path.getState(i)[0:n] for i in range(path.getStateCount())])
+        if self.ends[0] is not problem.start:
+            corners = corners[::-1].copy()
+        corners[0], corners[-1] = problem.start, problem.target
+        return corners
+
+
+@lru_cache(maxsize=4096)
+def _shares(count: int) -> Floats:
+    """1/count .. count/count, the last first and the others by halving, so that what is in the way is found soon."""
+    order, gaps = [count], [(0, count)]
+    for low, high in gaps:
+        middle = (low + high) // 2
+        if low < middle:
+            order.append(middle)
+            gaps += [(low, middle), (middle, high)]
+    return np.array(order) / count
