@@ -117,9 +117,9 @@ class EquilibriumSolver:
         """
         for step in range(steps + 1):
             output = self._phi(x)
-            residual = x - self.ratio * (weight @ output) - self._drive
-            # Lengths by dot products: reductions over so few numbers take longer than all the rest.
-            length = math.sqrt(residual @ residual)
+            residual = x - self.ratio * weight.dot(output) - self._drive
+            # `dot`, for `@` and reductions take longer to set up than all the rest for so few numbers.
+            length = math.sqrt(residual.dot(residual))
             if not length >= tolerance or step == steps:
                 break
             factored = nearby if nearby is not None and step < _CHORD_STEPS else None
@@ -128,7 +128,7 @@ class EquilibriumSolver:
             if factored.singular:
                 break
             move = factored.solve(residual)
-            far = math.sqrt(move @ move)
+            far = math.sqrt(move.dot(move))
             x = x - (move if far <= _LONGEST_STEP else move * (_LONGEST_STEP / max(np.abs(move).max(), _LONGEST_STEP)))
         return FlatEquilibrium(x, output, self._slope(output), length < max(tolerance, _ACCEPTED))
 

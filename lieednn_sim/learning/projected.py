@@ -177,7 +177,7 @@ class _ProjectedTraining:
         if self.options.equilibrium == "rk45":
             return self.solver.flow(weight, x)
         delta = x - self.goal
-        tolerance = max(_RELATIVE_TOLERANCE * math.sqrt(delta @ delta), _LEAST_TOLERANCE)
+        tolerance = max(_RELATIVE_TOLERANCE * math.sqrt(delta.dot(delta)), _LEAST_TOLERANCE)
         found = self.solver.newton(weight, x, nearby, tolerance=tolerance)
         if found.success or self.options.step_control == "tracked":
             # A tracked trial is taken back and made smaller instead, which costs less and keeps to the equilibrium.
@@ -239,7 +239,7 @@ class _ProjectedTraining:
         options, ratio = self.options, self.problem.ratio
         now = state.equilibrium
         delta = now.x - self.goal
-        error = math.sqrt(delta @ delta)
+        error = math.sqrt(delta.dot(delta))
         rate = state.rate
         if options.step_control == "adaptive":
             factor = options.grow if error < state.error else options.shrink

@@ -89,8 +89,9 @@ class BlockNetwork(ABC):
         Raises:
             InputError: the hidden neurons have no equilibrium while the visible ones are there.
         """
-        state, first = self.start(xi), self.n_visible
-        if first < len(state):
+        state = self.start(xi)
+        if self.n_hidden:
+            first = self.n_visible
             driven = self.blocks[first:, :first].any()
             state[first:] = self._rest(state) if driven else self._undriven_rest
         return state
@@ -243,9 +244,9 @@ class BlockNetwork(ABC):
             InputError: as of `goal`.
         """
         target = self.goal(xi)
-        drive = (self.weight @ self.phi(target).ravel()).reshape(target.shape)
-        bias = self.gamma / self.mu * target - drive
-        bias[self.n_visible :] = self.bias[self.n_visible :]
+        bias = self.gamma / self.mu * target - self.weight.dot(self.phi(target).ravel()).reshape(target.shape)
+        if self.n_hidden:
+            bias[self.n_visible :] = self.bias[self.n_visible :]
         # Weights and proof are the same: hand over what has been checked and computed of them, and nothing else.
         network, known = object.__new__(type(self)), vars(self)
         vars(network).update({name: known[name] for name in self._kept() if name in known})
