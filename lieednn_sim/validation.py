@@ -73,7 +73,10 @@ def as_floats(
     else:
         array = _converted(name, value, shape, batched)
     _require_shape(name, array.shape, shape, batched)
-    # In one pass, since every call of a training loop comes here: a NaN makes the comparison false as well.
+    # Every call of a training loop comes here. With a small sum of squares no entry is large, which is known in a third
+    # of the time that the largest takes; a NaN makes both comparisons false.
+    if np.vdot(array, array) < largest * largest:
+        return array
     if not np.maximum.reduce(np.abs(array), axis=None, initial=0.0) <= largest:
         if not np.isfinite(array).all():
             count = np.count_nonzero(~np.isfinite(array))

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
 from lieednn_sim.errors import InputError, LieEDNNError
-from lieednn_sim.validation import as_choice, as_count, as_floats, as_positive
+from lieednn_sim.validation import LARGEST, as_choice, as_count, as_floats, as_positive
 
 
 def test_floats_accept_lists_integers_and_batches():
@@ -36,6 +38,18 @@ def test_floats_accept_lists_integers_and_batches():
 def test_floats_refuse_with_what_was_given_and_what_is_allowed(value, shape, batched, words):
     with pytest.raises(InputError, match=words):
         as_floats("x", value, shape, batched=batched)
+
+
+@pytest.mark.parametrize("largest", [1e-200, 1.0, LARGEST, 1e152, 1e300])
+def test_no_entry_may_be_larger_than_the_largest_and_many_may_be_as_large(largest):
+    many = np.full((100, 3), -largest)
+    assert as_floats("x", many, ("N", 3), largest=largest) is many
+    many[70, 1] = np.nextafter(largest, np.inf)
+    with pytest.raises(InputError, match=re.escape(f"x must not exceed {largest:g} in size")):
+        as_floats("x", many, ("N", 3), largest=largest)
+    for bad in (np.nan, np.inf, -np.inf):
+        with pytest.raises(InputError, match="x must be finite, got 1 NaN or infinite"):
+            as_floats("x", np.array([0.0, bad]), (2,), largest=largest)
 
 
 @pytest.mark.parametrize(
