@@ -79,7 +79,8 @@ class BlockNetwork(ABC):
 
     def start(self, xi: ArrayLike) -> Floats:
         """The state ``(N, d)`` at time 0 with the visible neurons at ``xi`` ``(N - M, d)``."""
-        return np.concatenate([as_floats("xi", xi, (self.n_visible, self.bias.shape[1])), self.hidden_start])
+        visible = as_floats("xi", xi, (self.n_visible, self.bias.shape[1]))
+        return np.concatenate([visible, self.hidden_start]) if self.n_hidden else visible.copy()
 
     def goal(self, xi: ArrayLike) -> Floats:
         """The state ``(N, d)`` with the visible neurons at ``xi`` ``(N - M, d)`` and the hidden ones at rest there.
