@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import time
 from collections.abc import Callable
@@ -16,7 +17,6 @@ from mujoco import rollout
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.targets import draw_target
-from lieednn_sim.environments import suite
 from lieednn_sim.environments.gymnasium import Environment, VectorEnvironment
 from lieednn_sim.planning import plan
 from lieednn_sim.planning.motion import Motion
@@ -99,7 +99,11 @@ def many_ratios(arm: Arm, count: int, repeats: int) -> dict[str, str]:
 def environment_ratios(arm: Arm, repeats: int, actions: int, count: int) -> dict[str, str]:
     """What environments add to bare substeps, in both interfaces, and many at once beside Gymnasium's processes."""
     rng, ratios = np.random.default_rng(0), {}
-    environments: dict[str, Any] = {"dm_control": suite.load(arm, "reach", random=0), "Gymnasium": Environment(arm=arm)}
+    environments: dict[str, Any] = {"Gymnasium": Environment(arm=arm)}
+    # Not where MuJoCo is beyond version 3.
+    if importlib.util.find_spec("dm_control") is not None:
+        suite = importlib.import_module("lieednn_sim.environments.suite")
+        environments = {"dm_control": suite.load(arm, "reach", random=0)} | environments
     given = 0.3 * rng.uniform(-1.0, 1.0, (actions, arm.n_joints))
     for name, environment in environments.items():
         substeps = environment.task.substeps

@@ -36,6 +36,8 @@ _PACKAGES = (
 # Optional packages, the extra that brings them, and what they are good for.
 _EXTRAS = {
     "ompl": ("rivals", "planners rrt-connect, rrt-star, informed-rrt-star, bit-star, aorrtc and lieednn-guided"),
+    "mjpl": ("cbirrt", "planner mjpl"),
+    "sscbirrt": ("cbirrt", "planner sscbirrt"),
     "toppra": ("timing", "the planned path in the least time, --fastest"),
     "movement_primitives": ("dmp", "planner dmp, rival promp; needs a C compiler and Python's headers"),
     "pytransform3d": ("dmp", "planner dmp, rival promp"),

@@ -13,6 +13,8 @@ PLANNERS = (
     "informed-rrt-star",
     "bit-star",
     "aorrtc",
+    "mjpl",
+    "sscbirrt",
     "trajectory-optimisation",
     "stomp",
     "qshnn",

@@ -15,11 +15,14 @@ REQUIREMENTS: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(
         ("lieednn-guided", "rrt-connect", "rrt-star", "informed-rrt-star", "bit-star", "aorrtc"), ("ompl",)
     ),
+    "mjpl": ("mjpl",),
+    "sscbirrt": ("sscbirrt",),
 }
 # What installs each of them.
 INSTALL: dict[str, str] = {
     **dict.fromkeys(probabilistic.LIBRARIES, probabilistic.INSTALL),
     "ompl": "pip install 'lieednn_sim[rivals]'",
+    **dict.fromkeys(("mjpl", "sscbirrt"), "pip install 'lieednn_sim[cbirrt]'"),
     "toppra": "pip install 'lieednn_sim[timing]'",
 }
 

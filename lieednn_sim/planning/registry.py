@@ -14,7 +14,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.budget import DEFAULT_TIME_BUDGET, cpu_time, time_limit
 from lieednn_sim.errors import InputError, LieEDNNError, PlanError
 from lieednn_sim.planning import filtered, network_planners
-from lieednn_sim.planning.baselines import interpolation, optimisation, primitives, qshnn, sampling, stomp
+from lieednn_sim.planning.baselines import cbirrt, interpolation, optimisation, primitives, qshnn, sampling, stomp
 from lieednn_sim.planning.certified import CertifiedOptions, certified
 from lieednn_sim.planning.extras import optional_module
 from lieednn_sim.planning.motion import Motion, check_motion
@@ -52,6 +52,8 @@ PLANNERS: dict[str, Planner] = {
     "informed-rrt-star": Planner(sampling.sampling_planner("informed-rrt-star"), sampling.RrtStarOptions),
     "bit-star": Planner(sampling.sampling_planner("bit-star"), sampling.BitStarOptions),
     "aorrtc": Planner(sampling.sampling_planner("aorrtc"), sampling.RrtStarOptions),
+    "mjpl": Planner(cbirrt.mjpl, cbirrt.CbirrtOptions),
+    "sscbirrt": Planner(cbirrt.sscbirrt, cbirrt.CbirrtOptions),
     "trajectory-optimisation": Planner(
         partial(in_time, optimisation.trajectory_optimisation), optimisation.OptimisationOptions
     ),

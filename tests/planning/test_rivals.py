@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from dataclasses import replace
 from types import SimpleNamespace
 from unittest.mock import MagicMock
 
@@ -42,7 +43,7 @@ SMOOTHING = SmoothingOptions()
 # Little work, and twice as much until a path is found.
 DOUBLING = tuple(2_000 * 2**k for k in range(7))
 IMPROVING = ("rrt-star", "informed-rrt-star", "bit-star", "aorrtc")
-DETOUR = ("rrt-connect", *IMPROVING, "trajectory-optimisation", "stomp")
+DETOUR = ("rrt-connect", "mjpl", "sscbirrt", *IMPROVING, "trajectory-optimisation", "stomp")
 seeds = st.integers(0, 2**32 - 1)
 
 
@@ -337,6 +338,8 @@ def test_a_primitive_keeps_its_shape_at_every_amplitude():
         ("ompl", {"lieednn-guided", "rrt-connect", *IMPROVING}, "rivals"),
         ("movement_primitives", {"dmp"}, "dmp"),
         ("pytransform3d", {"dmp"}, "dmp"),
+        ("mjpl", {"mjpl"}, "cbirrt"),
+        ("sscbirrt", {"sscbirrt"}, "cbirrt"),
     ],
 )
 def test_what_is_not_installed_is_reported_as_missing(monkeypatch, module, names, extra):
@@ -352,6 +355,25 @@ def test_what_is_not_installed_is_reported_as_missing(monkeypatch, module, names
         ) as caught:
             plan_with(name, blocked())
         assert not isinstance(caught.value, PlanError | InputError), "a missing library is no failed plan"
+
+
+@pytest.mark.parametrize("name", ["mjpl", "sscbirrt"])
+def test_paths_of_other_libraries_are_shortened_and_end_with_the_tests_allowed(name):
+    needs(name)
+    task, options = blocked(3), PLANNERS[name].options(control_points=(24,))
+
+    def length(**changed):
+        motion = plan_with(name, task, options=replace(options, **changed))
+        return np.linalg.norm(np.diff(motion.q / joint_scale(POSTED), axis=0), axis=1).sum()
+
+    assert length() < 0.95 * length(shortcuts=1)
+    with pytest.raises(PlanError, match=f"^{name} found no path free of contact"):
+        length(tests=(5,))
+    # What is clear all along is gone straight, at either library's first look.
+    free = PlanningProblem(ARM, ARM.keyframe("home"), ARM.keyframe("extended"), 4.0)
+    motion = plan_with(name, free)
+    way = np.diff(motion.q, axis=0).sum(axis=0)
+    assert np.linalg.norm(np.diff(motion.q, axis=0), axis=1).sum() == pytest.approx(np.linalg.norm(way), rel=1e-6)
 
 
 def test_refusals_say_what_was_tried():

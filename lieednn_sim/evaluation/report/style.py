@@ -11,7 +11,7 @@ from lieednn_sim.planning import planners
 # The package's, and a grey.
 _COLOURS = (*COLOURS, "#8C8C8C")
 # With more planners than colours the next round has another mark.
-_MARKS = (("o", "round"), ("D", "diamond"), ("s", "square"))
+_MARKS = (("o", "round"), ("D", "diamond"), ("s", "square"), ("^", "triangle"))
 
 
 @dataclass(frozen=True)

@@ -17,15 +17,14 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from lieednn_sim.budget import check_time
-from lieednn_sim.errors import PlanError, TooFastError
 from lieednn_sim.planning.baselines.joint_space import Workspace
 from lieednn_sim.planning.baselines.search_space import SearchSpace
-from lieednn_sim.planning.baselines.smoothing import SmoothingOptions, motion_along
+from lieednn_sim.planning.baselines.smoothing import SmoothingOptions, motion_along_first
 from lieednn_sim.planning.baselines.trees import connected
 from lieednn_sim.planning.extras import optional_module
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.options import PlannerOptions
-from lieednn_sim.planning.problem import PlanningProblem, in_time
+from lieednn_sim.planning.problem import PlanningProblem
 from lieednn_sim.values import Floats
 
 # OMPL's names. PRM* has no place here: OMPL's builds its roadmap by the clock and in two threads, so that its paths
@@ -128,25 +127,8 @@ rrt_connect = sampling_planner("rrt-connect")
 
 
 def _plan(problem: PlanningProblem, options: PathOptions, search: Search, name: str) -> Motion:
-    # Paths have no part in time: none is searched for again when the motion along it needs more.
     path = cache(partial(connecting_path, problem, Workspace(problem, options.margin), options, search))
-    blocked = {attempt: dict[int | None, PlanError]() for attempt in range(len(options.spacings))}
-
-    def motion(asked: PlanningProblem) -> Motion:
-        refusal: PlanError | None = None
-        for attempt, curves in blocked.items():
-            corners = path(attempt)
-            if corners is None:
-                break
-            try:
-                return motion_along(asked, corners, options, curves)
-            except PlanError as error:
-                refusal = error
-                if isinstance(error, TooFastError) and error.duration <= asked.longest * asked.duration:
-                    break
-        raise refusal or PlanError(f"{name} found no path free of contact; try another seed or target")
-
-    return in_time(motion, problem)
+    return motion_along_first(problem, path, len(options.spacings), options, name)
 
 
 def connecting_path(

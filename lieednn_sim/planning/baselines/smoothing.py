@@ -9,6 +9,7 @@ curve cannot pass is left to the polyline itself, with a stop at every corner.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -26,7 +27,7 @@ from lieednn_sim.planning.baselines.joint_space import (
 from lieednn_sim.planning.laws import minimum_jerk_law
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.options import PlannerOptions
-from lieednn_sim.planning.problem import PlanningProblem
+from lieednn_sim.planning.problem import PlanningProblem, in_time
 from lieednn_sim.planning.retiming import retime
 from lieednn_sim.values import Floats
 
@@ -86,6 +87,45 @@ def motion_along(
                 blocked[count] = error
     # What only needs more time, the least of it, tells more than that a rounder way touches something.
     raise min((error for error in refusals if isinstance(error, TooFastError)), key=_duration, default=refusals[-1])
+
+
+def motion_along_first(
+    problem: PlanningProblem,
+    path: Callable[[int], Floats | None],
+    attempts: int,
+    options: SmoothingOptions,
+    name: str,
+) -> Motion:
+    """The motion along the first path that allows one, in the time that it needs.
+
+    Args:
+        problem: of the planner.
+        path: corners ``(M, n)`` by the number of the attempt, or None where there is none. Paths have no part in time:
+            it shall know those that it gave, for they are asked for again when the motion needs more.
+        attempts: paths to ask for at most.
+        options: how corners are rounded.
+        name: of the planner.
+
+    Raises:
+        PlanError: there is no path, or none can be followed.
+    """
+    blocked = {attempt: dict[int | None, PlanError]() for attempt in range(attempts)}
+
+    def motion(asked: PlanningProblem) -> Motion:
+        refusal: PlanError | None = None
+        for attempt, curves in blocked.items():
+            corners = path(attempt)
+            if corners is None:
+                break
+            try:
+                return motion_along(asked, corners, options, curves)
+            except PlanError as error:
+                refusal = error
+                if isinstance(error, TooFastError) and error.duration <= asked.longest * asked.duration:
+                    break
+        raise refusal or PlanError(f"{name} found no path free of contact; try another seed or target")
+
+    return in_time(motion, problem)
 
 
 def _fastest(problem: PlanningProblem, corners: Floats, count: int, bend: float) -> Motion:

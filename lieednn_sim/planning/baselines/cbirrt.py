@@ -1,0 +1,153 @@
+"""CBiRRT (Berenson, Srinivasa, Ferguson and Kuffner, ICRA 2009) as two libraries make it, mjpl and sscbirrt.
+
+Constraints are what it was made for; here there are none but limits and contact, so that it is a bidirectional RRT.
+Both search in the coordinates of `search_space.EdgeTest` and ask it whether an edge is clear, as OMPL's planners do,
+and shorten what they find by means of their own. They need the extra `cbirrt`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from lieednn_sim._mujoco import mujoco
+from lieednn_sim.budget import check_time
+from lieednn_sim.planning.baselines.joint_space import Workspace
+from lieednn_sim.planning.baselines.sampling import PathOptions
+from lieednn_sim.planning.baselines.search_space import EdgeTest
+from lieednn_sim.planning.baselines.smoothing import motion_along_first
+from lieednn_sim.planning.extras import optional_module
+from lieednn_sim.planning.motion import Motion
+from lieednn_sim.planning.problem import PlanningProblem
+from lieednn_sim.values import Floats
+
+# From a test of edges, start and target in its coordinates, longest edge, options and seed to corners, or None.
+_Search = Callable[[EdgeTest, Floats, Floats, float, PathOptions, int], "list[Floats] | None"]
+
+
+@dataclass(frozen=True)
+class CbirrtOptions(PathOptions):
+    """Of the planners ``mjpl`` and ``sscbirrt``; as `PathOptions`."""
+
+
+def mjpl(problem: PlanningProblem, options: CbirrtOptions) -> Motion:
+    """The motion along a path of mjpl's bidirectional RRT.
+
+    Raises:
+        LieEDNNError: mjpl is not installed.
+        PlanError: no path was found within the work allowed, or it cannot be followed in time.
+    """
+    return _plan(problem, options, "mjpl", _mjpl_path)
+
+
+def sscbirrt(problem: PlanningProblem, options: CbirrtOptions) -> Motion:
+    """The motion along a path of sscbirrt's planner, in Python: its compiled one takes no test of ours; as `mjpl`."""
+    return _plan(problem, options, "sscbirrt", _sscbirrt_path)
+
+
+def _plan(problem: PlanningProblem, options: CbirrtOptions, name: str, search: _Search) -> Motion:
+    optional_module(name)
+    workspace = Workspace(problem, options.margin)
+
+    @cache
+    def corners(attempt: int) -> Floats | None:
+        edges = EdgeTest(problem.arm, workspace, options.spacings[attempt])
+        workspace.clear.tests = 0
+        reach = options.reach * float(np.linalg.norm(np.ptp(edges.limits / edges.scale[:, None], axis=1)))
+        seed = int(np.random.SeedSequence([problem.seed, attempt]).generate_state(1)[0])
+        ends = (problem.start / edges.scale, problem.target / edges.scale)
+        found = search(edges, *ends, reach, options, seed)
+        check_time()
+        if found is None:
+            return None
+        path = edges.scale * np.array(found)
+        path[0], path[-1] = problem.start, problem.target
+        return path
+
+    return motion_along_first(problem, corners, len(options.spacings), options, name)
+
+
+class _SpentError(Exception):
+    """The search has made all tests that it may."""
+
+
+def _mjpl_path(
+    edges: EdgeTest, start: Floats, target: Floats, reach: float, options: PathOptions, seed: int
+) -> list[Floats] | None:
+    if edges.passable(start, target):
+        return [start, target]
+    planning = optional_module("mjpl.planning")
+
+    def step(q_old: Floats, q: Floats) -> Floats | None:
+        return q if edges.passable(q_old, q) else None
+
+    def step_of_search(q_old: Floats, q: Floats) -> Floats | None:
+        check_time()
+        if edges.over(max(options.tests)):
+            raise _SpentError
+        return step(q_old, q)
+
+    searched, shortened = (SimpleNamespace(valid_config=edges.free, apply=one) for one in (step_of_search, step))
+    model = _box(edges.limits / edges.scale[:, None])
+    names = [model.joint(k).name for k in range(model.njnt)]
+    # What is nearer than its longest edge it takes for connected.
+    reach = min(reach, 0.5 * float(np.linalg.norm(target - start)))
+    # Its own limit is one of time on the wall: ours is one of work.
+    planner = planning.RRT(model, names, [searched], max_planning_time=math.inf, epsilon=reach, seed=seed)
+    try:
+        found = planner.plan_to_config(start, target)
+    except _SpentError:
+        return None
+    if len(found) > 2:
+        found = planning.smooth_path(found, [shortened], reach, options.shortcuts, seed, sparse=True)
+    return list(found)
+
+
+def _box(limits: Floats) -> mujoco.MjModel:
+    """A model of so many slides with limits ``(n, 2)``, from which mjpl draws its samples."""
+    spec = mujoco.MjSpec()
+    for k, (low, high) in enumerate(limits):
+        body = spec.worldbody.add_body(mass=1.0, inertia=(1.0, 1.0, 1.0), explicitinertial=True)
+        body.add_joint(name=f"coordinate {k}", type=mujoco.mjtJoint.mjJNT_SLIDE, range=(low, high), limited=True)
+    return spec.compile()
+
+
+def _sscbirrt_path(
+    edges: EdgeTest, start: Floats, target: Floats, reach: float, options: PathOptions, seed: int
+) -> list[Floats] | None:
+    library = optional_module("sscbirrt")
+    motions = optional_module("sscbirrt.motion")
+    lower, upper = (edges.limits / edges.scale[:, None]).T
+
+    def validate(q_from: Floats, q_to: Floats) -> Any:
+        clear = edges.passable(np.asarray(q_from), np.asarray(q_to))
+        return motions.LocalMotion([q_to] if clear else [], clear)
+
+    config = library.CBiRRTConfig(
+        timeout=1e9,
+        max_iterations=2**31 - 1,
+        abort_fn=lambda: edges.over(max(options.tests)),
+        step_size=reach,
+        edge_resolution=None,
+        smoothing_iterations=options.shortcuts,
+    )
+    # Poses have no part in a search from joints to joints.
+    robot = SimpleNamespace(dof=len(lower), joint_limits=(lower, upper), forward_kinematics=lambda _: np.eye(4))
+    planner = library.CBiRRT(robot, None, SimpleNamespace(is_valid=edges.free), config, backend="python")
+    result = planner.solve(
+        library.PlanningProblem(
+            space=planner.space,
+            start=library.FiniteSet([start]),
+            goal=library.FiniteSet([target]),
+            validator=SimpleNamespace(is_valid=edges.free),
+            motion_validator=SimpleNamespace(validate=validate),
+        ),
+        seed=seed,
+    )
+    return result.path if result.success else None
