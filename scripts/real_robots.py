@@ -47,6 +47,7 @@ ROBOTS: dict[str, dict[str, Any]] = {
     "trs_so_arm100/so_arm100.xml": {},
     "robotstudio_so101/so101.xml": {},
     "boston_dynamics_spot/spot_arm.xml": {},
+    "hello_robot_stretch/stretch.xml": {},
     "hello_robot_stretch_3/stretch.xml": {},
     "pal_tiago/tiago_position.xml": {},
     "google_robot/robot.xml": {},
