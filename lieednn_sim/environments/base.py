@@ -142,8 +142,7 @@ class ArmTask(ABC):
         self._step = 0
         self._seen: dict[str, Floats] = {}
         self._velocity = np.zeros(self.arm.n_joints)
-        # Of distance and angle; the margins afar and near.
-        self._allowed = np.array([[self.position_tolerance], [self.rotation_tolerance]])
+        # Of distance and angle, afar and near.
         self._margins = np.array([(0.5 * self._reach, _NEAR[0]), (np.pi, _NEAR[1])])
 
     @abstractmethod
@@ -349,7 +348,8 @@ class ArmTask(ABC):
         Each is a product of a term for the distance and one for the angle, which fall to a tenth where the error is
         beyond its tolerance by the margin.
         """
-        parts = closeness(np.array([distance, angle]).T[..., None], self._allowed, self._margins)
+        allowed = np.array([[self.position_tolerance], [self.rotation_tolerance]])
+        parts = closeness(np.array([distance, angle]).T[..., None], allowed, self._margins)
         both = parts[..., 0, :] * parts[..., 1, :]
         return 0.5 * (both[..., 0] + both[..., 1])
 
