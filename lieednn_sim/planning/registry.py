@@ -49,7 +49,7 @@ PLANNERS: dict[str, Planner] = {
     "dmp": Planner(partial(in_time, primitives.dmp), primitives.DmpOptions),
     "rrt-connect": Planner(sampling.rrt_connect, sampling.RrtConnectOptions),
     "rrt-star": Planner(sampling.sampling_planner("rrt-star"), sampling.RrtStarOptions),
-    "informed-rrt-star": Planner(sampling.sampling_planner("informed-rrt-star"), sampling.RrtStarOptions),
+    "informed-rrt-star": Planner(sampling.sampling_planner("informed-rrt-star"), sampling.InformedRrtStarOptions),
     "bit-star": Planner(sampling.sampling_planner("bit-star"), sampling.BitStarOptions),
     "aorrtc": Planner(sampling.sampling_planner("aorrtc"), sampling.RrtStarOptions),
     "mjpl": Planner(cbirrt.mjpl, cbirrt.CbirrtOptions),
