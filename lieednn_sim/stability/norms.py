@@ -93,9 +93,9 @@ def as_weight(name: str, value: ArrayLike) -> Floats:
 
 
 def scale(weight: Floats, log_scale: Floats) -> Floats:
-    """S W S^-1 with S = diag(exp(log_scale))."""
+    """S W S^-1 with S = diag(exp(log_scale)); both may have leading axes."""
     factor = np.exp(log_scale)
-    return factor[:, None] * weight / factor
+    return factor[..., :, None] * weight / factor[..., None, :]
 
 
 def frobenius(matrix: Floats) -> float:

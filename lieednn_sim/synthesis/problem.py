@@ -7,10 +7,16 @@ The unknowns are the quaternions ``(N, N, 4)`` and log S ``(3N,)`` of the certif
 
 from __future__ import annotations
 
+from functools import cache
+from typing import NamedTuple
+
 import numpy as np
+from numpy.typing import NDArray
 
 from lieednn_sim.stability import log_scale_gradient, scale, smooth_largest
-from lieednn_sim.values import Floats, frozen
+from lieednn_sim.values import Floats
+
+Indices = NDArray[np.intp]
 
 
 def _polarise() -> Floats:
@@ -40,9 +46,8 @@ QUATERNION_FORM = _polarise()
 _FORM_ROWS = np.ascontiguousarray(QUATERNION_FORM.reshape(36, 4).T)
 
 
-@frozen
-class Point:
-    """The problem evaluated at one vector of unknowns.
+class Point(NamedTuple):
+    """The problem, or each of a stack, evaluated at one vector of unknowns; all may have leading axes.
 
     Attributes:
         unknowns: ``(4 N^2 + 3N,)``.
@@ -62,9 +67,32 @@ class Point:
     values: Floats
     vectors: Floats
 
+    def of(self, which: Indices) -> Point:
+        """Those of a stack."""
+        return self if len(which) == len(self.unknowns) else Point(*(array[which] for array in self))
+
+    def moved(self, which: Indices, other: Point) -> Point:
+        """The stack with those of another one in their places."""
+        if len(which) == len(self.unknowns):
+            return other
+        for mine, theirs in zip(self, other, strict=True):
+            mine[which] = theirs
+        return self
+
+
+@cache
+def pairs(size: int, first: int) -> tuple[Indices, Indices]:
+    """All (a, b) with a >= first and a >= b, a below ``size``."""
+    a, b = np.tril_indices(size)
+    return a[a >= first], b[a >= first]
+
 
 class Problem:
     """W_R inputs = outputs and lambda_max(sym(S W_R S^-1)) < 1, in units of gamma/mu.
+
+    Arguments, unknowns and what is made of them may have leading axes: they are then a stack of problems of one size,
+    of which none depends on another: products, solves and decompositions are those of each problem by itself, so that
+    the digits of one are the same in every stack.
 
     Args:
         inputs: ``(N, 3, K)`` columns that W_R acts on.
@@ -74,56 +102,77 @@ class Problem:
 
     def __init__(self, inputs: Floats, outputs: Floats, signs: Floats) -> None:
         self.inputs, self.outputs, self.signs = inputs, outputs, signs
-        self.n_neurons = len(inputs)
+        self.n_neurons, _, self.n_columns = inputs.shape[-3:]
         self.n_quaternion = 4 * self.n_neurons**2
         self.size = 3 * self.n_neurons
 
+    def of(self, which: Indices) -> Problem:
+        """Those of a stack."""
+        if len(which) == len(self.signs):
+            return self
+        return Problem(self.inputs[which], self.outputs[which], self.signs[which])
+
+    def one(self, which: int) -> Problem:
+        """One of a stack, by itself."""
+        return Problem(self.inputs[which], self.outputs[which], self.signs[which])
+
+    def blocks(self, unknowns: Floats) -> tuple[Floats, Floats]:
+        """The blocks alpha R and half their derivatives in the quaternions, `Point.blocks` and `Point.slope`."""
+        n, lead = self.n_neurons, unknowns.shape[:-1]
+        q = unknowns[..., : self.n_quaternion].reshape(*lead, n * n, 4)
+        slope = (q @ _FORM_ROWS) * self.signs.reshape(*lead, n * n, 1)
+        blocks = slope.reshape(*lead, n * n, 9, 4) @ q[..., None]
+        return blocks.reshape(*lead, n, n, 3, 3), slope.reshape(*lead, n, n, 3, 3, 4)
+
     def evaluate(self, unknowns: Floats) -> Point:
         """Evaluate blocks, equations and eigenvalues."""
-        n = self.n_neurons
-        q = unknowns[: self.n_quaternion].reshape(n, n, 4)
-        slope = (q.reshape(-1, 4) @ _FORM_ROWS).reshape(n, n, 3, 3, 4) * self.signs[:, :, None, None, None]
-        blocks = (slope @ q[:, :, None, :, None])[..., 0]
-        weight = blocks.transpose(0, 2, 1, 3).reshape(self.size, self.size)
-        scaled = scale(weight, unknowns[self.n_quaternion :])
-        values, vectors = np.linalg.eigh(0.5 * (scaled + scaled.T))
-        residual = (weight @ self.inputs.reshape(self.size, -1)).reshape(self.inputs.shape) - self.outputs
+        lead = unknowns.shape[:-1]
+        blocks, slope = self.blocks(unknowns)
+        weight = blocks.swapaxes(-3, -2).reshape(*lead, self.size, self.size)
+        scaled = scale(weight, unknowns[..., self.n_quaternion :])
+        values, vectors = np.linalg.eigh(0.5 * (scaled + scaled.swapaxes(-1, -2)))
+        image = weight @ self.inputs.reshape(*lead, self.size, self.n_columns)
+        residual = image.reshape(self.inputs.shape) - self.outputs
         return Point(unknowns, slope, blocks, residual, scaled, values, vectors)
 
     def equation_jacobian(self, point: Point) -> Floats:
         """Derivative ``(N, 3 K, 4 N)`` of each neuron's equations in its own row of quaternions."""
-        n, k = self.n_neurons, self.inputs.shape[-1]
-        return 2.0 * np.einsum("ijabk,jbm->iamjk", point.slope, self.inputs).reshape(n, 3 * k, 4 * n)
+        n, k, lead = self.n_neurons, self.n_columns, point.unknowns.shape[:-1]
+        # (i, j, a, k, m) as products over b of slopes (a k, b) and inputs (b, m) of j
+        slope = point.slope.swapaxes(-1, -2).reshape(*lead, n, n, 12, 3)
+        moved = (slope @ self.inputs[..., None, :, :, :]).reshape(*lead, n, n, 3, 4, k)
+        order = tuple(len(lead) + axis for axis in (0, 2, 4, 1, 3))
+        return 2.0 * moved.transpose(*range(len(lead)), *order).reshape(*lead, n, 3 * k, 4 * n)
 
     def eigenspace_jacobian(self, point: Point, first: int) -> Floats:
-        """Derivatives of v_a^T sym(S W_R S^-1) v_b for a >= first and every b, with the eigenvectors held.
+        """Derivatives of v_a^T sym(S W_R S^-1) v_b for all `pairs` a >= first, a >= b, with the eigenvectors held.
 
         Returns:
-            ``(m, 3N, 4 N^2 + 3N)`` with m = 3N - first.
+            ``(P, 4 N^2 + 3N)``.
         """
-        n, size = self.n_neurons, self.size
-        vectors, rows = point.vectors.T, point.vectors.T[first:]
-        m = size - first
-        factor = np.exp(point.unknowns[self.n_quaternion :])
-        left = (vectors * factor).reshape(size, n, 3)
-        right = (vectors / factor).reshape(size, n, 3)
+        n, size, lead = self.n_neurons, self.size, point.unknowns.shape[:-1]
+        a, b = pairs(size, first)
+        vectors = point.vectors.swapaxes(-1, -2)
+        factor = np.exp(point.unknowns[..., None, self.n_quaternion :])
+        # Of each neuron its part of all vectors, (i, a, 3).
+        left = (vectors * factor).reshape(*lead, size, n, 3).swapaxes(-3, -2)
+        right = (vectors / factor).reshape(*lead, size, n, 3).swapaxes(-3, -2)
+
+        def ordered(array: Floats, *order: int) -> Floats:
+            return array.transpose(*range(len(lead)), *(len(lead) + axis for axis in order))
+
         # images[i, a, (b, j, k)]: how the quaternion of block (i, j) moves that block's action on eigenvector b
-        images = np.einsum("ijack,bjc->iabjk", 2.0 * point.slope, right, optimize=False)
-        all_images = images.reshape(n, 3, -1)
-        own_images = images[:, :, first:].reshape(n, 3, -1)
-        forward = left[first:].transpose(1, 0, 2) @ all_images
-        backward = left.transpose(1, 0, 2) @ own_images
-        result = np.empty((m, size, self.n_quaternion + size))
-        result[..., : self.n_quaternion] = 0.5 * (
-            forward.reshape(n, m, size, 4 * n).transpose(1, 2, 0, 3)
-            + backward.reshape(n, size, m, 4 * n).transpose(2, 1, 0, 3)
-        ).reshape(m, size, -1)
-        times, transposed = vectors @ point.scaled, vectors @ point.scaled.T
+        slope = ordered(point.slope, 1, 3, 0, 2, 4).reshape(*lead, n, 3, 12 * n)
+        images = np.ascontiguousarray(ordered((right @ slope).reshape(*lead, n, size, n, 3, 4), 2, 3, 1, 0, 4))
+        forward = left[..., first:, :] @ images.reshape(*lead, n, 3, -1)
+        backward = left @ images[..., first:, :, :].reshape(*lead, n, 3, -1)
+        by_row = forward.reshape(*lead, n, -1, 4 * n)[..., (a - first) * size + b, :]
+        by_row += backward.reshape(*lead, n, -1, 4 * n)[..., b * (size - first) + a - first, :]
         # d(S W S^-1) = diag(ds) M - M diag(ds) for M = S W S^-1
-        result[..., self.n_quaternion :] = 0.5 * (
-            rows[:, None] * (transposed - times)[None] + vectors[None] * (transposed - times)[first:, None]
-        )
-        return result
+        change = 0.5 * (vectors @ point.scaled.swapaxes(-1, -2) - vectors @ point.scaled)
+        in_log_scale = vectors[..., a, :] * change[..., b, :] + vectors[..., b, :] * change[..., a, :]
+        in_quaternion = by_row.swapaxes(-3, -2).reshape(*lead, len(a), self.n_quaternion)
+        return np.concatenate([in_quaternion, in_log_scale], axis=-1)
 
     def smooth_largest_eigenvalue(self, unknowns: Floats, sharpness: float) -> tuple[float, Floats]:
         """Log-sum-exp bound on lambda_max and its gradient in the unknowns."""

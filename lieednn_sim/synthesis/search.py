@@ -2,103 +2,158 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import lapack
 from scipy.optimize import minimize
 
 from lieednn_sim.budget import check_time
-from lieednn_sim.lie import hat
-from lieednn_sim.synthesis.problem import Point, Problem
+from lieednn_sim.lie.se3 import skew
+from lieednn_sim.synthesis.problem import Indices, Point, Problem, pairs
 from lieednn_sim.values import Floats
+
+Flags = NDArray[np.bool_]
 
 # Equations need only be met this well by the searches: the polish then takes quadratic steps.
 _ROUGH = 1e-2
 # Of the fast search: weight of the equations against the eigenvalues, and steps.
 _EQUATION_WEIGHT, _MOST_STEPS = 3.0, 40
+_LEAST_DAMPING, _MOST_DAMPING = 1e-6, 1e6
+# Problems whose eigenspaces are differentiated at once: so many stay in the processor's cache.
+_PIECE = 32
 # Bounds that keep S W S^-1 computable; only targets at the very edge of what can be certified come near them.
 _LOG_SCALE_BOUND = 8.0
 # Of the quaternions in the patient search, tried in turn: most targets have moderate weights, few need large ones.
 QUATERNION_BOUNDS = (3.0, 60.0)
 
 
-def feasible_point(problem: Problem, start: Floats, *, aim: float, accept: float) -> tuple[Point | None, int]:
-    """Levenberg-Marquardt on the distance to feasibility.
+def feasible_points(problem: Problem, start: Floats, *, aim: float, accept: float) -> tuple[Floats, Flags, Indices]:
+    """Levenberg-Marquardt on the distance to feasibility, of each problem of a stack.
 
     Minimises w^2 |W_R u - c|^2 + ||(A - aim I)_+||_F^2 with A = sym(S W_R S^-1), w = 3: the squared distance
     of A to the cone {A <= aim I} is differentiable, and its Gauss-Newton matrix uses the derivative of the projection
     onto that cone (Malick and Sendov, Set-Valued Analysis 14, 2006).
 
+    Each problem has its own damping, and leaves the stack when it is solved or given up: what is found does not depend
+    on the others, to the last bit.
+
     Args:
-        problem: what to solve, bound 1.
-        start: unknowns to begin from.
+        problem: a stack of B problems to solve, bound 1.
+        start: unknowns to begin from, ``(B, 4 N^2 + 3N)``.
         aim: eigenvalue bound of the residual.
         accept: stop as soon as the largest eigenvalue is below this and the equations are roughly met.
 
     Returns:
-        The feasible point or None, and the number of iterations.
+        Unknowns ``(B, 4 N^2 + 3N)``, whether they are feasible ``(B,)``, and the number of iterations ``(B,)``.
     """
-    n_quaternion = problem.n_quaternion
-    point = problem.evaluate(start)
-    damping = 1e-2
-    for iteration in range(_MOST_STEPS):
+    unknowns, feasible, iterations = start.copy(), np.zeros(len(start), bool), np.zeros(len(start), int)
+    # Of those in the stack: which, where, and the linear least squares there.
+    stack, point = np.arange(len(start)), problem.evaluate(start.copy())
+    value, damping = _merit(point, aim), np.full(len(start), 1e-2)
+    linear: list[_Linear] = [_NOTHING] * len(start)
+    moved = np.ones(len(start), bool)
+    while True:
         check_time()
-        if point.values[-1] < accept and np.abs(point.residual).max() < _ROUGH:
-            return point, iteration
-        value = _merit(point, aim)
-        gradient, normal = _normal_equations(problem, point, aim)
-        while True:
-            damped = normal.copy()
-            damped[np.diag_indices_from(damped)] += damping
-            factor, _ = lapack.dpotrf(damped, lower=1)
-            step = -lapack.dpotrs(factor, gradient, lower=1)[0]
-            unknowns = point.unknowns + step
-            unknowns[n_quaternion:] = np.clip(unknowns[n_quaternion:], -_LOG_SCALE_BOUND, _LOG_SCALE_BOUND)
-            trial = problem.evaluate(unknowns)
-            predicted = -(gradient @ step + 0.5 * step @ normal @ step)
-            ratio = (value - _merit(trial, aim)) / max(predicted, 1e-300)
-            if ratio > 1e-3:
-                point = trial
-                if ratio > 0.75:
-                    damping = max(damping / 5.0, 1e-6)
-                elif ratio < 0.25:
-                    damping *= 2.0
-                break
-            damping *= 4.0
-            if damping > 1e6:
-                return None, iteration
-    return None, _MOST_STEPS
+        more = iterations[stack] < _MOST_STEPS
+        met = (point.values[:, -1] < accept) & (np.abs(point.residual).max(axis=(1, 2, 3)) < _ROUGH)
+        solved = moved & more & met
+        kept = np.flatnonzero(~solved & more & (damping <= _MOST_DAMPING))
+        if len(kept) < len(stack):
+            unknowns[stack], feasible[stack] = point.unknowns, solved
+            if not len(kept):
+                return unknowns, feasible, iterations
+            problem, point, stack, moved = problem.of(kept), point.of(kept), stack[kept], moved[kept]
+            value, damping, linear = value[kept], damping[kept], [linear[k] for k in kept]
+        fresh = np.flatnonzero(moved)
+        if len(fresh):
+            for k, one in zip(fresh, _linearised(problem.of(fresh), point.of(fresh), aim), strict=True):
+                linear[k] = one
+        steps = [one.step(weight) for one, weight in zip(linear, damping.tolist(), strict=True)]
+        predicted = value - np.array([left for _, left in steps])
+        there = point.unknowns + np.array([step for step, _ in steps])
+        log_scale = there[:, problem.n_quaternion :]
+        np.clip(log_scale, -_LOG_SCALE_BOUND, _LOG_SCALE_BOUND, out=log_scale)
+        trial = problem.evaluate(there)
+        reached = _merit(trial, aim)
+        ratio = (value - reached) / np.maximum(predicted, 1e-300)
+        moved = ratio > 1e-3
+        damping *= np.where(moved, np.where(ratio > 0.75, 0.2, np.where(ratio < 0.25, 2.0, 1.0)), 4.0)
+        damping[moved] = np.maximum(damping[moved], _LEAST_DAMPING)
+        which = np.flatnonzero(moved)
+        if len(which):
+            value[which] = reached[which]
+            point = point.moved(which, trial.of(which))
+            iterations[stack[which]] += 1
 
 
-def _merit(point: Point, aim: float) -> float:
+def _merit(point: Point, aim: float) -> Floats:
+    residual = _EQUATION_WEIGHT * point.residual.reshape(len(point.values), -1)
     excess = np.maximum(point.values - aim, 0.0)
-    residual = _EQUATION_WEIGHT * point.residual.ravel()
-    return 0.5 * float(residual @ residual + excess @ excess)
+    return 0.5 * ((residual * residual).sum(axis=-1) + (excess * excess).sum(axis=-1))
 
 
-def _normal_equations(problem: Problem, point: Point, aim: float) -> tuple[Floats, Floats]:
-    """Gradient of `_merit` and its Gauss-Newton matrix."""
-    rows = _EQUATION_WEIGHT * problem.full_jacobian(problem.equation_jacobian(point))
-    gradient = rows.T @ (_EQUATION_WEIGHT * point.residual.ravel())
-    normal = rows.T @ rows
+class _Linear(NamedTuple):
+    """Linear least squares |residual + jacobian step|^2, with the Gram matrix of the Jacobian's rows."""
+
+    residual: Floats
+    jacobian: Floats
+    gram: Floats
+
+    def step(self, damping: float) -> tuple[Floats, float]:
+        """The step that with damping |step|^2 is best, and half the square of the residual that it leaves.
+
+        Through the rows, which are fewer than the unknowns: with (J J^T + damping I) y = r the step is -J^T y and
+        leaves damping y. One after another, since NumPy has no stacked Cholesky solve and a LU one costs twice as much.
+        """
+        damped = self.gram.copy()
+        damped.ravel()[:: len(damped) + 1] += damping
+        factor, failure = lapack.dpotrf(damped.T, lower=1, clean=0, overwrite_a=1)
+        if failure:
+            # No step: it is refused, for more damping.
+            return np.zeros(self.jacobian.shape[1]), 0.0
+        y = lapack.dpotrs(factor, self.residual, lower=1)[0]
+        return -(y @ self.jacobian), 0.5 * damping**2 * float(y @ y)
+
+
+_NOTHING = _Linear(np.empty(0), np.empty((0, 0)), np.empty((0, 0)))
+
+
+def _linearised(problem: Problem, point: Point, aim: float) -> list[_Linear]:
+    """What `_merit` is half the square of, to first order."""
+    n, size, count = problem.n_neurons, problem.size, len(point.unknowns)
+    equations = _EQUATION_WEIGHT * problem.equation_jacobian(point)
+    residual = _EQUATION_WEIGHT * point.residual.reshape(count, -1)
+    height = residual.shape[-1]
     excess = np.maximum(point.values - aim, 0.0)
-    first = problem.size - int(np.count_nonzero(excess))
-    if first < problem.size:
-        # Divided differences of max(x - aim, 0): 1 within the violated eigenspace, a ratio across.
-        slope = np.ones((problem.size - first, problem.size))
-        gap = point.values[first:, None] - point.values[None, :first]
-        slope[:, :first] = np.sqrt(2.0) * excess[first:, None] / gap
-        moves = problem.eigenspace_jacobian(point, first)
-        violated = np.arange(problem.size - first)
-        gradient += moves[violated, first + violated].T @ excess[first:]
-        moves *= slope[:, :, None]
-        flat = moves.reshape(-1, moves.shape[-1])
-        normal += flat.T @ flat
-    return gradient, normal
+    firsts = size - np.count_nonzero(excess, axis=-1)
+    linear = [_NOTHING] * count
+    # Those with as many violated eigenvalues together: nothing is padded, and no digit depends on the stack.
+    for first in sorted(set(firsts.tolist())):
+        alike = np.flatnonzero(firsts == first)
+        a, b = pairs(size, first)
+        across, diagonal = b < first, a == b
+        weight = np.where(diagonal, 1.0, np.sqrt(2.0))
+        for piece in (alike[k : k + _PIECE] for k in range(0, len(alike), _PIECE)):
+            part, over = point.of(piece), excess[piece][:, a]
+            # Divided differences of max(x - aim, 0): 1 within the violated eigenspace, a ratio across.
+            gap = part.values[:, a] - part.values[:, b]
+            slope = weight * np.divide(over, gap, out=np.ones_like(gap), where=across)
+            jacobian = np.zeros((len(piece), height + len(a), point.unknowns.shape[-1]))
+            own = jacobian[:, :height, : problem.n_quaternion].reshape(len(piece), n, height // n, n, 4 * n)
+            own[:, range(n), :, range(n)] = equations[piece].swapaxes(0, 1)
+            np.multiply(problem.of(piece).eigenspace_jacobian(part, first), slope[..., None], out=jacobian[:, height:])
+            right = np.concatenate([residual[piece], over * diagonal], axis=-1)
+            gram = jacobian @ jacobian.swapaxes(-1, -2)
+            for k, *one in zip(piece.tolist(), right, jacobian, gram, strict=True):
+                linear[k] = _Linear(*one)
+    return linear
 
 
 def smallest_eigenvalue_point(
     problem: Problem, start: Floats, *, accept: float, quaternion_bound: float
-) -> tuple[Point | None, int]:
+) -> tuple[Floats | None, int]:
     """Minimise a smoothed lambda_max under the equations by sequential quadratic programming (SciPy's SLSQP).
 
     Slower than `feasible_point` by an order of magnitude; it finds the large weights that targets near the edge of
@@ -130,54 +185,86 @@ def smallest_eigenvalue_point(
         unknowns = found.x
         point = problem.evaluate(unknowns)
         if point.values[-1] < accept and np.abs(point.residual).max() < _ROUGH:
-            return point, iterations
+            return unknowns, iterations
     return None, iterations
 
 
 def polish(
-    problem: Problem, point: Point, state: Floats, required: Floats, *, quaternion_weight: float = 0.05
-) -> tuple[Point, Floats]:
+    problem: Problem, unknowns: Floats, state: Floats, required: Floats, *, quaternion_weight: float = 0.05
+) -> tuple[Floats, Floats]:
     """Meet all 6N equilibrium equations by Gauss-Newton steps of least norm in quaternions and translations.
 
     Quaternions are weighted down, so that translations do the work where they can and the certificate hardly moves;
     where the rotations are too small to carry a translation, the quaternions step in and |t| stays small.
 
     Args:
-        problem: gives the blocks as functions of the quaternions.
-        point: a point that meets the rotational equations roughly.
-        state: phi(xi) of the target, ``(N, 6)``.
-        required: what W phi(xi) must be, ``(N, 6)``.
+        problem: a stack of B problems, which give the blocks as functions of the quaternions.
+        unknowns: that meet the rotational equations roughly, ``(B, 4 N^2 + 3N)``.
+        state: phi(xi) of the targets, ``(B, N, 6)``.
+        required: what W phi(xi) must be, ``(B, N, 6)``.
         quaternion_weight: length of a unit quaternion step in the norm, against a unit translation.
 
     Returns:
-        The point and the translations ``(N, N, 3)``.
+        The unknowns and the translations ``(B, N, N, 3)``.
     """
-    n = problem.n_neurons
-    translation = np.zeros((n, n, 3))
-    omega, velocity = state[:, :3], state[:, 3:]
-    best = (point, translation, np.inf)
+    n, count = problem.n_neurons, len(unknowns)
+    best, best_translation = unknowns.copy(), np.zeros((count, n, n, 3))
+    smallest = np.full(count, np.inf)
+    # Of those in the stack: which, and where.
+    stack, unknowns, translation = np.arange(count), unknowns.copy(), best_translation.copy()
     for _ in range(30):
-        spun = np.einsum("ijab,jb->ija", point.blocks, omega)
-        slid = np.einsum("ijab,jb->ija", point.blocks, velocity)
-        error = np.concatenate([spun, slid + np.cross(translation, spun)], axis=-1).sum(axis=1) - required
-        residual = float(np.abs(error).max())
-        if residual >= best[2]:
-            break
-        best = (point, translation, residual)
-        if residual < 1e-13:
-            break
-        spin = 2.0 * np.einsum("ijabk,jb->ijak", point.slope, omega)
-        slide = 2.0 * np.einsum("ijabk,jb->ijak", point.slope, velocity)
-        jacobian = np.zeros((n, n, 6, 7))
-        jacobian[..., :3, :4] = quaternion_weight * spin
-        jacobian[..., 3:, :4] = quaternion_weight * (slide + np.cross(translation[..., None], spin, axis=2))
-        jacobian[..., 3:, 4:] = -hat(spun)
-        rows = jacobian.transpose(0, 2, 1, 3).reshape(n, 6, 7 * n)
-        step = -(np.linalg.pinv(rows, rcond=1e-10) @ error[..., None]).reshape(n, n, 7)
+        blocks, slope = problem.blocks(unknowns)
+        # Both parts of phi(xi) as columns, (N, 3, 2).
+        parts = state.reshape(-1, n, 2, 3).swapaxes(-1, -2)
+        turned = blocks @ parts[:, None]
+        spun, across = turned[..., 0], skew(translation)
+        driven = np.concatenate([spun, turned[..., 1] + (across @ spun[..., None])[..., 0]], axis=-1)
+        error = driven.sum(axis=2) - required
+        residual = np.abs(error).max(axis=(1, 2))
+        better = residual < smallest[stack]
+        improved = stack[better]
+        best[improved], best_translation[improved] = unknowns[better], translation[better]
+        smallest[improved] = residual[better]
+        kept = np.flatnonzero(better & (residual >= 1e-13))
+        if len(kept) < len(stack):
+            if not len(kept):
+                break
+            problem, stack, state, required = problem.of(kept), stack[kept], state[kept], required[kept]
+            unknowns, translation, error = unknowns[kept], translation[kept], error[kept]
+            slope, spun, across, parts = slope[kept], spun[kept], across[kept], parts[kept]
+        # (i, j, a, k) as products over b of slopes (a k, b) and parts (b, 2) of j
+        change = 2.0 * slope.swapaxes(-1, -2).reshape(-1, n, n, 12, 3) @ parts[:, None]
+        spin, slide = np.moveaxis(change.reshape(-1, n, n, 3, 4, 2), -1, 0)
+        rows = np.zeros((len(stack), n, 6, n, 7))
+        by_block = rows.swapaxes(2, 3)
+        by_block[..., :3, :4] = quaternion_weight * spin
+        by_block[..., 3:, :4] = quaternion_weight * (slide + across @ spin)
+        by_block[..., 3:, 4:] = -skew(spun)
+        step = -_least_norm(rows.reshape(-1, n, 6, 7 * n), error).reshape(-1, n, n, 7)
         turn = quaternion_weight * step[..., :4]
-        fraction = min(1.0, 0.5 / max(float(np.abs(turn).max()), 1e-300))
-        unknowns = point.unknowns.copy()
-        unknowns[: problem.n_quaternion] += fraction * turn.ravel()
+        fraction = np.minimum(1.0, 0.5 / np.maximum(np.abs(turn).max(axis=(1, 2, 3)), 1e-300))[:, None, None, None]
+        unknowns[:, : problem.n_quaternion] += (fraction * turn).reshape(len(stack), -1)
         translation = translation + fraction * step[..., 4:]
-        point = problem.evaluate(unknowns)
-    return best[:2]
+    return best, best_translation
+
+
+def _least_norm(rows: Floats, error: Floats) -> Floats:
+    """Least x with rows x = error, ``(..., m, n)`` and ``(..., m)``; in the least squares where the rows depend.
+
+    By normal equations where their condition allows it, for a tenth of the cost; by pseudo-inverses elsewhere.
+    """
+    gram = rows @ rows.swapaxes(-1, -2)
+    squares = np.diagonal(gram, axis1=-2, axis2=-1)
+    largest = squares.max(axis=-1)
+    length = np.sqrt(np.where(squares > 0.0, squares, 1.0))
+    unit = gram / (length[..., :, None] * length[..., None, :])
+    # With unit diagonal the condition is below 4 over the determinant (Merikoski, Urpala, Virtanen, Tam and Uhlig,
+    # Linear Algebra and its Applications 254, 1997); rows of lengths so far apart are left to pseudo-inverses, too.
+    independent = (np.linalg.det(unit) > 1e-6) & (squares.min(axis=-1) > 1e-12 * largest)
+    unit[~independent] = np.eye(unit.shape[-1])
+    weights = np.linalg.solve(unit, (error / length)[..., None])[..., 0] / length
+    solution = (weights[..., None, :] @ rows)[..., 0, :]
+    rest = ~independent
+    if rest.any():
+        solution[rest] = (np.linalg.pinv(rows[rest], rcond=1e-10) @ error[rest][..., None])[..., 0]
+    return solution

@@ -1,0 +1,288 @@
+"""Attempts at certified networks: of many targets at once while they are quick, one by one where it takes patience."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from lieednn_sim._blas import one_blas_thread
+from lieednn_sim.errors import NotCertifiedError
+from lieednn_sim.network import ACTIVATIONS, LieEDNN
+from lieednn_sim.stability import Certificate
+from lieednn_sim.synthesis.bias import bias_for, equation_columns, impossibility
+from lieednn_sim.synthesis.problem import Problem
+from lieednn_sim.synthesis.search import QUATERNION_BOUNDS, feasible_points, polish, smallest_eigenvalue_point
+from lieednn_sim.synthesis.starts import contracted, random_starts
+from lieednn_sim.validation import as_choice, as_count, as_positive
+from lieednn_sim.values import Floats, frozen
+
+RESIDUAL_TOLERANCE = 1e-9
+# No weights are looked for beyond this norm of W_R, in units of gamma/mu.
+_LARGEST_NORM = 1e3
+# Starts of the fast search before the patient one takes over.
+_FAST_ATTEMPTS = 4
+# The less the quaternions move, the better the certificate survives, and the larger the translations become.
+_POLISH_WEIGHTS = (0.05, 0.01, 0.001)
+
+
+@frozen
+class Synthesis:
+    """Result of `synthesize`, and one of those of `synthesize_many`.
+
+    Attributes:
+        impossible: whether it is proved that no weights can be certified with this target and bias.
+        message: how it ended; where it failed, why.
+        network: the certified network, or None. An uncertified network is never returned.
+        residual: largest entry of the vector field at the target.
+        largest_translation: largest |t_ij| of the weights.
+        attempts: starts tried.
+        iterations: iterations of the searches over all starts.
+        seconds: wall time, from the beginning of the call.
+    """
+
+    impossible: bool
+    message: str
+    network: LieEDNN | None
+    residual: float
+    largest_translation: float
+    attempts: int
+    iterations: int
+    seconds: float
+
+    @property
+    def success(self) -> bool:
+        """Whether there is a certified network with the target as its equilibrium."""
+        return self.network is not None
+
+    @property
+    def certificate(self) -> Certificate | None:
+        """The verified certificate of the network."""
+        return self.network.certificate if self.network is not None else None
+
+    def unwrap(self) -> LieEDNN:
+        """The network, or `NotCertifiedError` with the reason."""
+        if self.network is None:
+            raise NotCertifiedError(self.message)
+        return self.network
+
+
+@dataclass(frozen=True)
+class Options:
+    """What all networks of a stack have in common; arguments of `synthesize`.
+
+    Raises:
+        InputError: a value is out of range.
+    """
+
+    gamma: float
+    mu: float
+    activation: str
+    max_translation: float
+    max_attempts: int
+
+    def __post_init__(self) -> None:
+        as_choice("activation", self.activation, ACTIVATIONS)
+        for name in ("gamma", "mu", "max_translation"):
+            as_positive(name, getattr(self, name))
+        as_count("max_attempts", self.max_attempts)
+
+    @property
+    def ratio(self) -> float:
+        """gamma/mu, the unit of weights and biases."""
+        return self.gamma / self.mu
+
+
+@dataclass(eq=False)
+class _Task:
+    """One network to be made, and how far that has come.
+
+    Attributes:
+        target: ``(N, 6)``.
+        state: phi(target).
+        offset: the bias.
+        rng: of the starts.
+        options: as of the others.
+        begun: when, by `time.perf_counter`.
+        required: what W phi(target) must be, in units of gamma/mu: W' = W mu/gamma has bound 1.
+        choices: what the weights serve in turn: what suits the target, and the rotations alone where the translations t
+            may do.
+        attempts: starts so far.
+        iterations: of the searches so far.
+        outcome: None until it is known.
+    """
+
+    target: Floats
+    state: Floats
+    offset: Floats
+    rng: np.random.Generator
+    options: Options
+    begun: float
+    attempts: int = 0
+    iterations: int = 0
+    outcome: Synthesis | None = None
+    required: Floats = field(init=False)
+    choices: list[list[slice]] = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.required = self.target - self.offset / self.options.ratio
+        self.choices = [equation_columns(self.target)]
+        if len(self.choices[0]) > 1 and self.state[:, :3].any():
+            self.choices.append(self.choices[0][:1])
+
+    @property
+    def columns(self) -> list[slice]:
+        """What the weights serve at the next attempt."""
+        return self.choices[self.attempts % len(self.choices)]
+
+    def end(self, message: str, network: LieEDNN | None = None, *, impossible: bool = False) -> Synthesis:
+        """Set the outcome, and return it."""
+        residual, largest = np.inf, np.inf
+        if network is not None:
+            residual = float(np.abs(network.vector_field(self.target)).max())
+            largest = float(np.linalg.norm(network.translation, axis=-1).max())
+        elapsed = time.perf_counter() - self.begun
+        self.outcome = Synthesis(
+            impossible, message, network, residual, largest, self.attempts, self.iterations, elapsed
+        )
+        return self.outcome
+
+    def offer(self, network: LieEDNN) -> None:
+        """End with this network if it is what is looked for: certified, with the target, t not too large."""
+        if network.certified:
+            made = self.end("certified", network)
+            exact = made.residual < RESIDUAL_TOLERANCE * self.options.gamma
+            if not (exact and made.largest_translation < self.options.max_translation):
+                self.outcome = None
+
+    def refuse(self) -> None:
+        """End where no weights serve the target, or only larger ones than are looked for."""
+        reason = impossibility(self.state, self.required)
+        if reason is not None:
+            self.end(f"not certified: {reason}", impossible=True)
+            return
+        norm = _least_norm(self.state[:, :3], self.required[:, :3])
+        if norm > _LARGEST_NORM:
+            self.end(
+                f"not certified: target and bias ask for weights of norm {norm:.2g} gamma/mu or more, beyond the "
+                f"{_LARGEST_NORM:g} that are looked for; use another bias or retarget a certified network"
+            )
+
+
+def attempt_all(
+    targets: Floats,
+    bias: str | Floats,
+    magnitudes: Sequence[float],
+    generators: Sequence[np.random.Generator],
+    options: Options,
+) -> list[Synthesis]:
+    """The outcomes of `synthesize` for targets ``(B, N, 6)``; a bias that is no rule is ``(B, N, 6)``, too."""
+    begun = time.perf_counter()
+    rule = bias if isinstance(bias, str) else None
+    tasks = []
+    for k, (target, state) in enumerate(zip(targets, ACTIVATIONS[options.activation][0](targets), strict=True)):
+        offset = bias_for(bias, target, state, options.ratio, magnitudes[k]) if isinstance(bias, str) else bias[k]
+        tasks.append(_Task(target, state, offset, generators[k], options, begun))
+    solved = rule == "solved"
+    if not solved:
+        for task in tasks:
+            task.refuse()
+    with one_blas_thread():
+        for attempt in range(options.max_attempts):
+            left = [task for task in tasks if task.outcome is None]
+            if solved or attempt < _FAST_ATTEMPTS:
+                # Problems in a stack have equally many equations.
+                stacks = [[task for task in left if len(task.columns) == columns] for columns in (1, 2)]
+                for stack in filter(None, stacks):
+                    _fast_attempt(stack, solved)
+            else:
+                for task in left:
+                    _patient_attempt(task)
+    other = "a larger bias magnitude" if rule == "sign-matched" else "the sign-matched bias"
+    return [
+        task.outcome
+        or task.end(
+            f"not certified: no feasible weights found from {task.attempts} starts, which is no proof that there are "
+            f"none; try another seed, {other}, or retarget a certified network"
+        )
+        for task in tasks
+    ]
+
+
+def _start(stack: Sequence[_Task]) -> tuple[Problem, Floats]:
+    state, required = (np.array([getattr(task, name) for task in stack]) for name in ("state", "required"))
+    return random_starts(state, required, stack[0].columns, [task.rng for task in stack])
+
+
+def _fast_attempt(stack: Sequence[_Task], solved: bool) -> None:
+    """Search from another start of each task."""
+    problem, start = _start(stack)
+    for task in stack:
+        task.attempts += 1
+    if solved:
+        # Any weights will do: the bias that makes the target their equilibrium comes afterwards.
+        still = np.zeros((*problem.signs.shape, 3))
+        for task, network in zip(stack, _networks(stack, problem, contracted(problem, start), still), strict=True):
+            task.offer(network.retarget(task.target))
+        return
+    unknowns, feasible, iterations = feasible_points(problem, start, aim=0.85, accept=0.97)
+    for task, count in zip(stack, iterations.tolist(), strict=True):
+        task.iterations += count
+    found = np.flatnonzero(feasible)
+    _offer_polished([stack[k] for k in found.tolist()], problem.of(found), unknowns[found])
+
+
+def _patient_attempt(task: _Task) -> None:
+    """Search from another start with all that can be done, which may take seconds."""
+    # A bound of its own for each kind of columns in turn.
+    bound = QUATERNION_BOUNDS[task.attempts // len(task.choices) % len(QUATERNION_BOUNDS)]
+    problem, start = _start([task])
+    task.attempts += 1
+    unknowns, count = smallest_eigenvalue_point(problem.one(0), start[0], accept=0.9999, quaternion_bound=bound)
+    task.iterations += count
+    if unknowns is not None:
+        _offer_polished([task], problem, unknowns[None])
+
+
+def _offer_polished(stack: Sequence[_Task], problem: Problem, unknowns: Floats) -> None:
+    """Offer each task its network, polished ever more gently while it is refused."""
+    for weight in _POLISH_WEIGHTS:
+        if not stack:
+            return
+        state, required = (np.array([getattr(task, name) for task in stack]) for name in ("state", "required"))
+        polished, translation = polish(problem, unknowns, state, required, quaternion_weight=weight)
+        for task, network in zip(stack, _networks(stack, problem, polished, translation), strict=True):
+            task.offer(network)
+        left = np.flatnonzero([task.outcome is None for task in stack])
+        stack, problem, unknowns = [stack[k] for k in left.tolist()], problem.of(left), unknowns[left]
+
+
+def _networks(stack: Sequence[_Task], problem: Problem, unknowns: Floats, translation: Floats) -> list[LieEDNN]:
+    """The network of each task's problem with its unknowns and translations."""
+    blocks, _ = problem.blocks(unknowns)
+    size = np.cbrt(np.abs(np.linalg.det(blocks)))
+    safe = np.where(size > 0.0, size, 1.0)
+    rotation = problem.signs[..., None, None] * blocks / safe[..., None, None]
+    rotation[size == 0.0] = np.eye(3)
+    diagonal = np.exp(2.0 * unknowns[:, problem.n_quaternion :])
+    return [
+        LieEDNN(
+            alpha=task.options.ratio * problem.signs[k] * size[k],
+            rotation=rotation[k],
+            translation=translation[k],
+            bias=task.offset,
+            gamma=task.options.gamma,
+            mu=task.options.mu,
+            activation=task.options.activation,
+            lyapunov_diagonal=diagonal[k],
+        )
+        for k, task in enumerate(stack)
+    ]
+
+
+def _least_norm(inputs: Floats, outputs: Floats) -> float:
+    """Least 2-norm of any matrix that maps the inputs to the outputs."""
+    length = float(np.linalg.norm(inputs))
+    return float(np.linalg.norm(outputs)) / length if length > 0.0 else 0.0

@@ -1,0 +1,66 @@
+"""Where searches for certified weights begin: random signs and quaternions, with a log S that lets a solution exist."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from lieednn_sim.synthesis.problem import Problem
+from lieednn_sim.values import Floats
+
+# Of log P, between the coordinates that help and those that hinder.
+_SPREADS = np.arange(0.0, 3.0, 0.1)
+
+
+def random_starts(
+    state: Floats, required: Floats, columns: Sequence[slice], generators: Sequence[np.random.Generator]
+) -> tuple[Problem, Floats]:
+    """A stack of B random problems (signs of the blocks) and a random start for each, drawn by its own generator.
+
+    Args:
+        state: phi(xi) of the targets, ``(B, N, 6)``.
+        required: what W phi(xi) must be, ``(B, N, 6)``.
+        columns: which parts of the twists W_R must serve by itself.
+        generators: B of them.
+
+    Returns:
+        The problems and the unknowns ``(B, 4 N^2 + 3N)``.
+    """
+    count, n = state.shape[:2]
+    signs, quaternion, size = np.empty((count, n, n)), np.empty((count, n, n, 4)), np.empty((count, n, n, 1))
+    for k, rng in enumerate(generators):
+        rng.random(out=signs[k])
+        rng.standard_normal(out=quaternion[k])
+        rng.standard_normal(out=size[k])
+    inputs = np.stack([state[..., part] for part in columns], axis=-1)
+    outputs = np.stack([required[..., part] for part in columns], axis=-1)
+    problem = Problem(inputs, outputs, np.where(signs < 0.5, 1.0, -1.0))
+    quaternion /= np.linalg.norm(quaternion, axis=-1, keepdims=True)
+    quaternion *= np.sqrt(0.3 / np.sqrt(n) * np.abs(size))
+    return problem, np.concatenate([quaternion.reshape(count, -1), _log_scale(inputs, outputs)], axis=-1)
+
+
+def _log_scale(inputs: Floats, outputs: Floats) -> Floats:
+    """The least spread of log S with sum_i s_i^2 u_i (c_i - u_i) < 0, without which no weights can be certified."""
+    work = (inputs * (outputs - 0.9 * inputs)).sum(axis=-1).reshape(len(inputs), -1)
+    helpful, size = np.where(work < 0.0, 1.0, -1.0), np.abs(work)
+    spread = np.full(len(work), _SPREADS[-1])
+    left = np.arange(len(work))
+    for trial in _SPREADS:
+        power = np.exp(trial * helpful[left])
+        enough = (power * work[left]).sum(axis=-1) <= -0.1 * (power * size[left]).sum(axis=-1)
+        spread[left[enough]] = trial
+        left = left[~enough]
+        if not len(left):
+            break
+    return 0.5 * spread[:, None] * helpful
+
+
+def contracted(problem: Problem, start: Floats) -> Floats:
+    """Random weights shrunk until lambda_max is at most 0.5, for a bias that is solved afterwards; shapes as above."""
+    unknowns = start.copy()
+    unknowns[:, problem.n_quaternion :] = 0.0
+    largest = problem.evaluate(unknowns).values[:, -1:]
+    unknowns[:, : problem.n_quaternion] *= np.sqrt(0.5 / np.maximum(largest, 0.5))
+    return unknowns
