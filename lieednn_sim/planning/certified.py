@@ -19,7 +19,7 @@ from lieednn_sim.planning.motion import LIMIT_TOLERANCE, Motion, least_duration
 from lieednn_sim.planning.network_path import NetworkPath, timed_motion
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.problem import Plan, PlanningProblem, in_time
-from lieednn_sim.synthesis import BIAS_RULES, synthesize
+from lieednn_sim.synthesis import BIAS_RULES, Synthesis, synthesize, synthesize_many
 from lieednn_sim.validation import as_choice
 from lieednn_sim.values import Floats
 
@@ -66,7 +66,7 @@ class CertifiedOptions(CandidateOptions):
             takes most of the time. The others are drawn where none of these can be used. Unless other magnitudes are
             asked for, 1 comes before the usual ones, the strongest first.
         attempts: starts of `synthesize` for a candidate.
-        last_attempts: for the last one, when there is none yet.
+        last_attempts: for the last one once more, when there is none at all.
         tried: networks that are tried in full at most, where the first ones are refused.
         hopeless_excess: a network that roughly integrated leaves the limits by more than this [rad, m] is not tried in
             full after another one was refused.
@@ -162,24 +162,45 @@ def _certified(problem: PlanningProblem, options: CertifiedOptions) -> Plan:
     few = min(options.first, total) if one_screw else total
     if one_screw and options.bias_magnitudes == BIAS_MAGNITUDES:
         options = replace(options, bias_magnitudes=_STRAIGHT)
-    for index, magnitude in enumerate(options.magnitudes()):
-        # Patience only where everything else failed: easy candidates are many, hard ones cost seconds.
-        attempts = options.last_attempts if index == total - 1 and not networks else options.attempts
-        result = synthesize(xi, bias=options.bias, bias_magnitude=magnitude, seed=rng, max_attempts=attempts)
-        if result.network is None:
-            message = result.message
-        else:
-            networks.append(result.network)
-        drawn = index + 1
-        if problem.progress is not None:
-            problem.progress(drawn, total)
-        if networks and drawn in (few, total):
+    magnitudes = list(options.magnitudes())
+    for begin, end in ((0, few), (few, total)):
+        if begin == end:
+            continue
+        for number, result in enumerate(_drawn(xi, magnitudes[begin:end], options, rng), begin + 1):
+            if result.network is None:
+                message = result.message
+            else:
+                networks.append(result.network)
+            if problem.progress is not None:
+                problem.progress(number, total)
+        if not networks and end == total:
+            # Patience only where everything else failed: easy candidates are many, hard ones cost seconds.
+            last = synthesize(
+                xi, bias=options.bias, bias_magnitude=magnitudes[-1], seed=rng, max_attempts=options.last_attempts
+            )
+            message, networks = last.message, [last.network] if last.network else []
+        if networks:
             try:
-                return _plan(problem, options, networks, drawn)
+                return _plan(problem, options, networks, end)
             except PlanError:
-                if drawn == total:
+                if end == total:
                     raise
     raise NotCertifiedError(f"none of {total} candidates for the target could be certified; the last one: {message}")
+
+
+def _drawn(xi: Floats, magnitudes: list[float], options: CertifiedOptions, rng: np.random.Generator) -> list[Synthesis]:
+    """Networks for the target ``xi``, one for each magnitude of the bias."""
+    if len(magnitudes) == 1:
+        return [
+            synthesize(xi, bias=options.bias, bias_magnitude=magnitudes[0], seed=rng, max_attempts=options.attempts)
+        ]
+    return synthesize_many(
+        np.broadcast_to(xi, (len(magnitudes), *xi.shape)),
+        bias=options.bias,
+        bias_magnitude=magnitudes,
+        seed=rng,
+        max_attempts=options.attempts,
+    )
 
 
 def _plan(problem: PlanningProblem, options: CertifiedOptions, networks: list[LieEDNN], drawn: int) -> Plan:

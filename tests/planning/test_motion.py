@@ -16,7 +16,7 @@ from lieednn_sim.planning import CertifiedOptions, certified, network_path, plan
 from lieednn_sim.planning.laws import minimum_jerk_law
 from lieednn_sim.planning.motion import Motion, check_motion, count_steps
 from lieednn_sim.planning.network_path import RESIDUAL, _invert, make_motion
-from lieednn_sim.synthesis import synthesize
+from lieednn_sim.synthesis import synthesize, synthesize_many
 
 
 @pytest.fixture(scope="module")
@@ -227,6 +227,23 @@ def test_plans_are_reproducible_and_keep_the_limits(arm):
     assert not np.array_equal(first.network.alpha, other.network.alpha)
 
 
+def test_where_no_candidate_is_certified_the_last_one_is_looked_for_with_patience(arm, monkeypatch):
+    asked = []
+
+    def none_found(*args, **options):
+        return synthesize_many(*args, **(options | {"max_translation": 1e-9}))
+
+    def patient(*args, **options):
+        asked.append(options)
+        return synthesize(*args, **options)
+
+    monkeypatch.setattr(certified, "synthesize_many", none_found)
+    monkeypatch.setattr(certified, "synthesize", patient)
+    made = plan(arm, arm.keyframe("extended"), options=CertifiedOptions(candidates=3, last_attempts=7))
+    assert made.candidates == 3
+    assert [(options["bias_magnitude"], options["max_attempts"]) for options in asked] == [(0.5, 7)]
+
+
 def test_plan_reports_progress_and_refuses_bad_targets(arm):
     seen = []
     plan(
@@ -320,11 +337,11 @@ def test_the_plan_is_the_candidate_with_the_smallest_gap_or_the_shortest_without
     drawn = []
 
     def record(*args, **options):
-        result = synthesize(*args, **options)
-        drawn.append(result.network)
-        return result
+        results = synthesize_many(*args, **options)
+        drawn.extend(result.network for result in results)
+        return results
 
-    monkeypatch.setattr(certified, "synthesize", record)
+    monkeypatch.setattr(certified, "synthesize_many", record)
     arm = Arm.load(name)
     spec = arm.spec.copy()
     spec.option.timestep = 0.02
