@@ -41,7 +41,7 @@ def observation_space(bounds: Bounds) -> spaces.Dict:
 
 
 class VectorEnvironment(gymnasium.vector.VectorEnv[dict[str, Floats], Floats, Any]):
-    """B environments, each of which does to the last bit what an `Environment` with its seed does.
+    """B environments, each of which does what an `Environment` with its seed does, with NumPy 2.4 to the last bit.
 
     Args:
         num_envs: B.

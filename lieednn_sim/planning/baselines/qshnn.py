@@ -60,7 +60,7 @@ class QshnnOptions(PlannerOptions):
         training: how each is learned.
     """
 
-    modulus: float = 0.5
+    modulus: float = 0.25
     bias: float = 0.125
     networks: int = 3
     waypoints: int = 60
