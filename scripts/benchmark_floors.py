@@ -21,12 +21,13 @@ from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.errors import LieEDNNError, RenderingUnavailableError
 from lieednn_sim.planning import missing_planners, plan
+from lieednn_sim.planning.certified import CandidateOptions
 from lieednn_sim.planning.motion import check_motion
 from lieednn_sim.rendering import ffmpeg
 from lieednn_sim.rendering.overlay import Overlay
 from lieednn_sim.rendering.video import Camera, render_video
 from lieednn_sim.simulation import Rollout
-from lieednn_sim.synthesis import synthesize
+from lieednn_sim.synthesis import synthesize, synthesize_many
 
 # What counts as linear algebra in a synthesis, by module.
 _ALGEBRA: tuple[tuple[Any, tuple[str, ...]], ...] = (
@@ -84,6 +85,33 @@ def synthesis_floor(targets: list[np.ndarray]) -> str:
             synthesize(xi, seed=seed)
         shares.append((time.perf_counter() - begun) / sum(times))
     return f"{np.median(shares):.1f}"
+
+
+def stacked_ratios(arms: list[Arm], count: int) -> dict[str, str]:
+    """Syntheses one by one, in the time of all at once: candidates of plans, and targets of four links."""
+    speedups = []
+    for seed, arm in enumerate(arms):
+        candidates = np.repeat(arm.encode(draw_target(arm, seed))[None], 24, axis=0)
+        speedups.append(_speedup(candidates, list(CandidateOptions().magnitudes()), seed))
+    rng = np.random.default_rng(0)
+    targets = rng.uniform(-0.8, 0.8, (count, 4, 6))
+    return {
+        "24 candidates of a plan at once, times as fast as one by one": f"{np.median(speedups):.1f}",
+        f"{count} targets at once, N = 4, times as fast as one by one": f"{_speedup(targets, [0.125] * count, 0):.1f}",
+    }
+
+
+def _speedup(targets: np.ndarray, magnitudes: list[float], seed: int) -> float:
+    generators = np.random.default_rng(seed).spawn(len(targets))
+
+    def one_by_one() -> None:
+        for xi, magnitude, rng in zip(targets, magnitudes, generators, strict=True):
+            synthesize(xi, bias="sign-matched", bias_magnitude=magnitude, seed=rng)
+
+    def at_once() -> None:
+        synthesize_many(targets, bias="sign-matched", bias_magnitude=magnitudes, seed=seed)
+
+    return processor_time(one_by_one, 1) / processor_time(at_once, 1)
 
 
 def check_ratio(arm: Arm, seed: int, repeats: int) -> str:
@@ -194,6 +222,7 @@ def floor_ratios(rollout: Rollout, targets: list[np.ndarray], scale: int) -> dic
         "certified synthesis, N = 4, in its solves and eigendecompositions": synthesis_floor(
             targets[: max(200 // scale, 1)]
         ),
+        **stacked_ratios(arms, max(1000 // scale, 1)),
         "checks of a motion among poles, in mj_geomDistance over all pairs": check_ratio(
             Arm.load("telescopic_pr", "poles", 1), 1, repeats
         ),

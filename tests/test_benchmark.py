@@ -37,7 +37,14 @@ def test_every_row_is_measured_and_written(tmp_path, monkeypatch):
     assert all(value > 0.0 for name, value in stepping.items() if "added" not in name)
     beside = ("in products W", "in SciPy's", "in starts of", "in imports of")
     assert all(sum(what in name and float(value) > 0.0 for name, value in written["ratios"].items()) for what in beside)
-    floors = ("in its solves", "in mj_geomDistance", "of RRT-Connect", "a video, in")
+    floors = (
+        "in its solves",
+        "24 candidates",
+        "1 targets at once",
+        "in mj_geomDistance",
+        "of RRT-Connect",
+        "a video, in",
+    )
     ratios = written["ratios"].items()
     assert all(
         any(what in name and (value[0].isdigit() or value[0] in "O-n") for name, value in ratios) for what in floors
