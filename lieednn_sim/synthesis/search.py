@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -59,14 +60,14 @@ def feasible_points(problem: Problem, start: Floats, *, aim: float, accept: floa
         more = iterations[stack] < _MOST_STEPS
         met = (point.values[:, -1] < accept) & (np.abs(point.residual).max(axis=(1, 2, 3)) < _ROUGH)
         solved = moved & more & met
-        kept = np.flatnonzero(~solved & more & (damping <= _MOST_DAMPING))
+        kept = (~solved & more & (damping <= _MOST_DAMPING)).nonzero()[0]
         if len(kept) < len(stack):
             unknowns[stack], feasible[stack] = point.unknowns, solved
             if not len(kept):
                 return unknowns, feasible, iterations
             problem, point, stack, moved = problem.of(kept), point.of(kept), stack[kept], moved[kept]
             value, damping, linear = value[kept], damping[kept], [linear[k] for k in kept]
-        fresh = np.flatnonzero(moved)
+        fresh = moved.nonzero()[0]
         if len(fresh):
             for k, one in zip(fresh, _linearised(problem.of(fresh), point.of(fresh), aim), strict=True):
                 linear[k] = one
@@ -81,7 +82,7 @@ def feasible_points(problem: Problem, start: Floats, *, aim: float, accept: floa
         moved = ratio > 1e-3
         damping *= np.where(moved, np.where(ratio > 0.75, 0.2, np.where(ratio < 0.25, 2.0, 1.0)), 4.0)
         damping[moved] = np.maximum(damping[moved], _LEAST_DAMPING)
-        which = np.flatnonzero(moved)
+        which = moved.nonzero()[0]
         if len(which):
             value[which] = reached[which]
             point = point.moved(which, trial.of(which))
@@ -120,6 +121,13 @@ class _Linear(NamedTuple):
 _NOTHING = _Linear(np.empty(0), np.empty((0, 0)), np.empty((0, 0)))
 
 
+@cache
+def _kinds_of_pairs(size: int, first: int) -> tuple[Flags, Flags, Floats]:
+    """Of `pairs`: whether b is below ``first``, whether a is b, and the weight that lets them stand for (b, a), too."""
+    a, b = pairs(size, first)
+    return b < first, a == b, np.where(a == b, 1.0, np.sqrt(2.0))
+
+
 def _linearised(problem: Problem, point: Point, aim: float) -> list[_Linear]:
     """What `_merit` is half the square of, to first order."""
     n, size, count = problem.n_neurons, problem.size, len(point.unknowns)
@@ -131,10 +139,9 @@ def _linearised(problem: Problem, point: Point, aim: float) -> list[_Linear]:
     linear = [_NOTHING] * count
     # Those with as many violated eigenvalues together: nothing is padded, and no digit depends on the stack.
     for first in sorted(set(firsts.tolist())):
-        alike = np.flatnonzero(firsts == first)
+        alike = (firsts == first).nonzero()[0]
         a, b = pairs(size, first)
-        across, diagonal = b < first, a == b
-        weight = np.where(diagonal, 1.0, np.sqrt(2.0))
+        across, diagonal, weight = _kinds_of_pairs(size, first)
         for piece in (alike[k : k + _PIECE] for k in range(0, len(alike), _PIECE)):
             part, over = point.of(piece), excess[piece][:, a]
             # Divided differences of max(x - aim, 0): 1 within the violated eigenspace, a ratio across.
@@ -225,7 +232,7 @@ def polish(
         improved = stack[better]
         best[improved], best_translation[improved] = unknowns[better], translation[better]
         smallest[improved] = residual[better]
-        kept = np.flatnonzero(better & (residual >= 1e-13))
+        kept = (better & (residual >= 1e-13)).nonzero()[0]
         if len(kept) < len(stack):
             if not len(kept):
                 break
