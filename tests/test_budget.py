@@ -70,8 +70,8 @@ def test_of_limits_within_each_other_the_earlier_one_counts(monkeypatch):
 def test_every_planner_stops_when_its_time_is_over(name, looks):
     with pytest.raises(OutOfTimeError, match="the budget of 20 s of CPU time is spent"):
         planned(name, time_budget=20.0)
-    # What is made of other libraries' loops may look a few times more.
-    assert 20 < len(looks) < 60
+    # What is made of other libraries' loops looks some times more: at each edge that a tree was about to grow.
+    assert 20 < len(looks) < 100
 
 
 @pytest.mark.parametrize("name", INSTALLED)
