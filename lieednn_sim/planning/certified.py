@@ -28,6 +28,9 @@ BIAS_MAGNITUDES = (0.125, 0.25, 0.5)
 # In their place, unless others are asked for, where every link moves along one screw: the straightest ways first.
 _STRAIGHT = (1.0, 0.5, 0.25, 0.125)
 
+# Candidates that are made at once. More at a time gain little, and neither progress nor an interrupt waits for long.
+_AT_ONCE = 24
+
 # Shares of the way from one roughly integrated state to the next at which contact is looked for, too: steps are long.
 _BETWEEN = (0.25, 0.5, 0.75)
 
@@ -166,13 +169,15 @@ def _certified(problem: PlanningProblem, options: CertifiedOptions) -> Plan:
     for begin, end in ((0, few), (few, total)):
         if begin == end:
             continue
-        for number, result in enumerate(_drawn(xi, magnitudes[begin:end], options, rng), begin + 1):
-            if result.network is None:
-                message = result.message
-            else:
-                networks.append(result.network)
-            if problem.progress is not None:
-                problem.progress(number, total)
+        for first in range(begin, end, _AT_ONCE):
+            drawn = _drawn(xi, magnitudes[first : min(first + _AT_ONCE, end)], options, rng)
+            for number, result in enumerate(drawn, first + 1):
+                if result.network is None:
+                    message = result.message
+                else:
+                    networks.append(result.network)
+                if problem.progress is not None:
+                    problem.progress(number, total)
         if not networks and end == total:
             # Patience only where everything else failed: easy candidates are many, hard ones cost seconds.
             last = synthesize(

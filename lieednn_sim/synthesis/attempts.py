@@ -24,6 +24,8 @@ RESIDUAL_TOLERANCE = 1e-9
 _LARGEST_NORM = 1e3
 # Starts of the fast search before the patient one takes over.
 _FAST_ATTEMPTS = 4
+# Derivatives of all entries of the symmetric matrices in a stack, at most: 64 MB of them.
+_LARGEST_STACK = 2**23
 # The less the quaternions move, the better the certificate survives, and the larger the translations become.
 _POLISH_WEIGHTS = (0.05, 0.01, 0.001)
 
@@ -189,14 +191,17 @@ def attempt_all(
     if not solved:
         for task in tasks:
             task.refuse()
+    size = 3 * targets.shape[1]
+    at_once = max(1, _LARGEST_STACK // (size**4 // 4))
     with one_blas_thread():
         for attempt in range(options.max_attempts):
             left = [task for task in tasks if task.outcome is None]
             if solved or attempt < _FAST_ATTEMPTS:
                 # Problems in a stack have equally many equations.
                 stacks = [[task for task in left if len(task.columns) == columns] for columns in (1, 2)]
-                for stack in filter(None, stacks):
-                    _fast_attempt(stack, solved)
+                for stack in stacks:
+                    for first in range(0, len(stack), at_once):
+                        _fast_attempt(stack[first : first + at_once], solved)
             else:
                 for task in left:
                     _patient_attempt(task)

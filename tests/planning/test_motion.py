@@ -244,6 +244,19 @@ def test_where_no_candidate_is_certified_the_last_one_is_looked_for_with_patienc
     assert [(options["bias_magnitude"], options["max_attempts"]) for options in asked] == [(0.5, 7)]
 
 
+def test_candidates_are_made_a_few_at_a_time_so_that_progress_is_told(arm, monkeypatch):
+    parts, told = [], []
+    made = certified.synthesize_many
+    monkeypatch.setattr(certified, "_AT_ONCE", 2)
+    monkeypatch.setattr(certified, "synthesize_many", lambda xi, **more: parts.append(len(xi)) or made(xi, **more))
+    goal, options = arm.keyframe("extended"), CertifiedOptions(candidates=4)
+    split = plan(arm, goal, options=options, progress=lambda done, total: told.append((done, total, len(parts))))
+    assert parts == [2, 2]
+    assert told == [(1, 4, 1), (2, 4, 1), (3, 4, 2), (4, 4, 2)]
+    monkeypatch.undo()
+    np.testing.assert_array_equal(plan(arm, goal, options=options).motion.q, split.motion.q)
+
+
 def test_plan_reports_progress_and_refuses_bad_targets(arm):
     seen = []
     plan(

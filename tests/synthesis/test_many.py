@@ -10,7 +10,7 @@ import pytest
 from lieednn_sim import budget
 from lieednn_sim.budget import time_limit
 from lieednn_sim.errors import InputError, OutOfTimeError
-from lieednn_sim.synthesis import BIAS_RULES, synthesize, synthesize_many
+from lieednn_sim.synthesis import BIAS_RULES, attempts, synthesize, synthesize_many
 from lieednn_sim.synthesis.problem import Problem
 from lieednn_sim.synthesis.search import _least_norm, _linearised, _merit
 
@@ -153,3 +153,17 @@ def test_least_norm_is_that_of_the_pseudo_inverse_where_rows_depend_too():
     error = rng.normal(size=(6, 3))
     expected = (np.linalg.pinv(rows, rcond=1e-10) @ error[..., None])[..., 0]
     np.testing.assert_allclose(_least_norm(rows, error), expected, rtol=1e-8)
+
+
+def test_large_stacks_are_searched_in_parts_of_bounded_memory(monkeypatch):
+    targets, parts = np.random.default_rng(5).uniform(-0.8, 0.8, (5, 3, 6)), []
+    whole = synthesize_many(targets, bias="sign-matched", seed=3)
+    attempt = attempts._fast_attempt
+    monkeypatch.setattr(attempts, "_LARGEST_STACK", 2 * 9**4 // 4)
+    monkeypatch.setattr(
+        attempts, "_fast_attempt", lambda stack, solved: parts.append(len(stack)) or attempt(stack, solved)
+    )
+    split = synthesize_many(targets, bias="sign-matched", seed=3)
+    assert parts[:3] == [2, 2, 1]
+    for one, other in zip(whole, split, strict=True):
+        np.testing.assert_array_equal(one.unwrap().weight, other.unwrap().weight)
