@@ -22,6 +22,7 @@ from benchmark_stepping import stepping_ratios
 from scipy.spatial.transform import RigidTransform
 
 from lieednn_sim import storage
+from lieednn_sim._blas import one_blas_thread
 from lieednn_sim.arm import Arm, arm_names
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.learning import TrainingOptions, train
@@ -106,11 +107,13 @@ def control_step_costs(arm: Arm, steps: int = 200) -> dict[str, str]:
     def run(what: Callable[[], object]) -> float:
         return processor_time(lambda: [what() for _ in range(steps)], 5) / steps
 
-    whole = run(lambda: follower.advance(target, follower.reference.q))
+    with one_blas_thread():
+        whole = run(lambda: follower.advance(target, follower.reference.q))
+        field = run(lambda: network.flat_vector_field(x))
     of = f"control step of follow with feedback, 12 neurons, {arm.name}"
     return {
         f"{of} [us]": f"{1e6 * whole:.0f}",
-        f"{of}, in evaluations of the field": f"{whole / run(lambda: network.flat_vector_field(x)):.0f}",
+        f"{of}, in evaluations of the field": f"{whole / field:.0f}",
     }
 
 

@@ -25,8 +25,9 @@ from lieednn_sim.values import Floats
 
 # The stronger the bias, the less the weights have to do and the straighter the transient; searches try all.
 BIAS_MAGNITUDES = (0.125, 0.25, 0.5)
-# In their place, unless others are asked for, where every link moves along one screw: the straightest ways first.
-_STRAIGHT = (1.0, 0.5, 0.25, 0.125)
+# In their place, unless others are asked for, where every link moves along one screw: straight ways first, and where
+# the first is blocked one that is nearly as straight as minimum jerk's.
+_STRAIGHT = (1.0, 4.0, 0.5, 0.25, 0.125)
 
 # Candidates that are made at once. More at a time gain little, and neither progress nor an interrupt waits for long.
 _AT_ONCE = 24
@@ -67,7 +68,7 @@ class CertifiedOptions(CandidateOptions):
         bias: a rule of `synthesis.BIAS_RULES`.
         first: of the candidates, where every link moves along one screw: there a gap costs nothing, and what is drawn
             takes most of the time. The others are drawn where none of these can be used. Unless other magnitudes are
-            asked for, 1 comes before the usual ones, the strongest first.
+            asked for, 1 and 4 come before the usual ones, the strongest of which is first.
         attempts: starts of `synthesize` for a candidate.
         last_attempts: for the last one once more, when there is none at all.
         tried: networks that are tried in full at most, where the first ones are refused.
