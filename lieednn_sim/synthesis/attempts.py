@@ -165,7 +165,7 @@ class _Task:
         if reason is not None:
             self.end(f"not certified: {reason}", impossible=True)
             return
-        norm = _least_norm(self.state[:, :3], self.required[:, :3])
+        norm = _norm_needed(self.state[:, :3], self.required[:, :3])
         if norm > _LARGEST_NORM:
             self.end(
                 f"not certified: target and bias ask for weights of norm {norm:.2g} gamma/mu or more, beyond the "
@@ -287,7 +287,7 @@ def _networks(stack: Sequence[_Task], problem: Problem, unknowns: Floats, transl
     ]
 
 
-def _least_norm(inputs: Floats, outputs: Floats) -> float:
+def _norm_needed(inputs: Floats, outputs: Floats) -> float:
     """Least 2-norm of any matrix that maps the inputs to the outputs."""
     length = float(np.linalg.norm(inputs))
     return float(np.linalg.norm(outputs)) / length if length > 0.0 else 0.0

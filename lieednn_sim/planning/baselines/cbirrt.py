@@ -59,7 +59,7 @@ def _plan(problem: PlanningProblem, options: CbirrtOptions, name: str, search: _
     def corners(attempt: int) -> Floats | None:
         edges = EdgeTest(problem.arm, workspace, options.spacings[attempt])
         workspace.clear.tests = 0
-        reach = options.reach * float(np.linalg.norm(np.ptp(edges.limits / edges.scale[:, None], axis=1)))
+        reach = options.reach * float(np.linalg.norm(np.ptp(edges.bounds, axis=1)))
         seed = int(np.random.SeedSequence([problem.seed, attempt]).generate_state(1)[0])
         ends = (problem.start / edges.scale, problem.target / edges.scale)
         found = search(edges, *ends, reach, options, seed)
@@ -94,7 +94,7 @@ def _mjpl_path(
         return step(q_old, q)
 
     searched, shortened = (SimpleNamespace(valid_config=edges.free, apply=one) for one in (step_of_search, step))
-    model = _box(edges.limits / edges.scale[:, None])
+    model = _box(edges.bounds)
     names = [model.joint(k).name for k in range(model.njnt)]
     # What is nearer than its longest edge it takes for connected.
     reach = min(reach, 0.5 * float(np.linalg.norm(target - start)))
@@ -123,7 +123,7 @@ def _sscbirrt_path(
 ) -> list[Floats] | None:
     library = optional_module("sscbirrt")
     motions = optional_module("sscbirrt.motion")
-    lower, upper = (edges.limits / edges.scale[:, None]).T
+    lower, upper = edges.bounds.T
 
     def validate(q_from: Floats, q_to: Floats) -> Any:
         clear = edges.passable(np.asarray(q_from), np.asarray(q_to))

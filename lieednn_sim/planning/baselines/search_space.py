@@ -34,12 +34,14 @@ class EdgeTest:
     Attributes:
         scale: ``(n,)`` of the joints, in whose units points are.
         limits: ``(n, 2)`` of the joints' positions [rad, m].
+        bounds: ``(n, 2)`` of points: the limits in their units.
         swept: ``(n,)`` how far a coordinate's unit moves a link frame at most [m].
     """
 
     def __init__(self, arm: Arm, workspace: Workspace, spacing: float) -> None:
         self._arm, self._clear = arm, workspace.clear
         self.scale, self.limits = joint_scale(arm), arm.position_limits
+        self.bounds = self.limits / self.scale[:, None]
         self.swept = self.scale * sweeps(arm)
         self._density = self.swept / spacing
         self._balls = len(arm.space.balls) > 0
@@ -101,7 +103,7 @@ class SearchSpace:
         self.ends = sorted((problem.start, problem.target), key=workspace.collisions.clearance)
         self._space = base.RealVectorStateSpace(n)
         bounds = base.RealVectorBounds(n)
-        for joint, (low, high) in enumerate(edges.limits / edges.scale[:, None]):
+        for joint, (low, high) in enumerate(edges.bounds):
             bounds.setLow(joint, float(low))
             bounds.setHigh(joint, float(high))
         self._space.setBounds(bounds)
