@@ -7,12 +7,15 @@ with T = M_1 ... M_F of a link's joints and their twists Z_f the slopes of T are
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
+from scipy.linalg.blas import idamax
 from scipy.linalg.lapack import dposv
 
 from lieednn_sim.arm.arm import Arm
+from lieednn_sim.arm.kinematics import Factor
 from lieednn_sim.lie import hat, skew
 from lieednn_sim.values import Floats
 
@@ -43,41 +46,50 @@ class LocalRetraction:
     """
 
     def __init__(self, arm: Arm, q: Floats) -> None:
-        joints = [joint.factors for joint in arm.joints.joints]
+        joints = [_merged(joint.factors) for joint in arm.joints.joints]
         n_factors, links, n = max(map(len, joints)), len(joints), len(q)
         # Of each factor, as many coordinates as it has at any joint; they begin and end there.
         widths = [max(len(factors[f].indices) for factors in joints if f < len(factors)) for f in range(n_factors)]
         ends = np.cumsum([0, *widths])
         self._reference = arm.joints.reference
         # Of all joints the twists at displacements, and the matrices Z of their coordinates.
-        twists, turns = np.zeros((n_factors, links, 6, n)), np.zeros((ends[-1], links, 16))
+        twists, turns = np.zeros((n_factors, links, 6, n)), np.zeros((links, 1 + ends[-1], 16))
+        turns[:, 0] = _ONE
         chosen = np.zeros((links, n, ends[-1]))
         balls = []
         for i, factors in enumerate(joints):
             for f, factor in enumerate(factors):
                 columns = ends[f] + np.arange(len(factor.indices))
-                # Of a ball that is not turned, as of all others at any time.
                 each = np.concatenate(factor.twists(np.zeros(n)), axis=1) / arm.twist_units
-                twists[f, i][:, factor.indices], turns[columns, i] = each.T, each @ _HAT
-                # Whose coordinates they are.
-                chosen[i, factor.indices, columns] = 1.0
+                twists[f, i][:, factor.indices] = each.T
                 if factor.kind == "ball":
-                    about = np.concatenate([np.eye(3), skew(factor.anchor).T], axis=1) / arm.twist_units
-                    balls.append((f, i, columns, factor.ratio * factor.axes.T, about @ _HAT))
-        self._twists, self._turns = twists.reshape(-1, n), turns.reshape(*turns.shape[:-1], 4, 4)
+                    # About the body's axes, whose sums are the coordinates'; as of others while it is not turned.
+                    about = np.concatenate([np.eye(3), skew(factor.anchor).T], axis=1) / arm.twist_units @ _HAT
+                    balls.append((f * links + i, i * len(turns[i]) + 1 + columns, about))
+                    turns[i, 1 + columns], weights = about, factor.ratio * factor.axes.T
+                else:
+                    turns[i, 1 + columns], weights = each @ _HAT, np.eye(len(columns))
+                # Whose coordinates they are.
+                chosen[i][np.ix_(factor.indices, columns)] = weights
+        self._twists = twists.reshape(-1, n)
         self._balls = [np.array(part) for part in zip(*balls, strict=True)]
-        self._chosen = chosen
+        self._turns, self._chosen = turns.reshape(-1, 16), chosen
         self._stack = np.empty((2 + n_factors, links, 6))
         self._joints = self._stack[2:].reshape(-1)
-        # T = M_1 ... M_F, and the same for each coordinate with Z_f M_f in place of M_f.
-        self._chain = np.zeros((n_factors, 1 + ends[-1], links, 4, 4))
-        self._turned = [
-            (self._turns[begin:end], chain[1 + begin : 1 + end])
-            for chain, (begin, end) in zip(self._chain, pairwise(ends), strict=True)
-        ]
+        # Of each link M_1 ... M_f, and below it the same for each coordinate so far with Z_k M_k in place of M_k; last
+        # M_1 ... M_f Z_k for those of the next factor, so that one product with M_f+1 makes the next one of all.
+        turns = turns.reshape(links, -1, 4, 4)
+        before = turns[:, : 1 + ends[1]].reshape(links, -1, 4)
+        self._chain = []
+        for begin, end in pairwise([*ends[1:], ends[-1]]):
+            after = np.zeros((links, 4 * (1 + end), 4))
+            turned = after[:, 4 * (1 + begin) :].reshape(links, -1, 4, 4)
+            self._chain.append((before, after[:, : 4 * (1 + begin)], turns[:, 1 + begin : 1 + end], turned))
+            before = after
+        self._posture, self._slopes = before[:, :4], before[:, 4:].reshape(links, -1, 16)
         # The Jacobian's columns, and below them what is left of the poses asked for.
         self._rows, self._damping = np.zeros((n + 2, 16 * links)), _DAMPING * np.eye(n)
-        self._slopes = self._rows[:n].reshape(n, links, 16).transpose(1, 0, 2)
+        self._columns = self._rows[:n].reshape(n, links, 16).transpose(1, 0, 2)
         self._errors = self._rows[n:].reshape(2, links, 4, 4)
         # What squares of entries make of rotation and translation.
         rotation, translation = np.zeros((2, 4, 4))
@@ -106,7 +118,7 @@ class LocalRetraction:
             _, steps, _ = dposv(products[:n, :n] + self._damping, products[:n, n:])
             step, ahead = steps.T
             self.q = self.q + step
-            if max(map(abs, step.tolist())) < _SHORT:
+            if abs(step[idamax(step)]) < _SHORT:
                 break
         self._left = rows[n] - step.dot(rows[:n])
         return self.q, (ahead - step) / _AHEAD
@@ -114,19 +126,27 @@ class LocalRetraction:
     def _linearised(self, moved: Floats, lefts: Floats) -> Floats:
         """Poses of the links ``(N, 4, 4)`` for ``(F, N, 4, 4)`` of their joints, as of `_exp`; sets its columns."""
         if self._balls:
-            f, i, columns, axes, about = self._balls
-            turns = axes @ lefts[f, i, :3, :3].transpose(0, 2, 1) @ about
-            self._turns[columns, i[:, None]] = turns.reshape(-1, 3, 4, 4)
-        self._chain[:] = moved[:, None]
-        for (turn, turned), pose in zip(self._turned, moved, strict=True):
-            np.matmul(turn, pose, out=turned)
-        product = self._chain[0]
-        for chain in self._chain[1:]:
-            product = product @ chain
-        slopes = product[1:].reshape(len(product) - 1, -1, 16)
-        np.matmul(self._chosen, slopes.transpose(1, 0, 2), out=self._slopes)
-        posture: Floats = product[0]
-        return posture
+            factors, columns, about = self._balls
+            jacobians = lefts.reshape(-1, 4, 4).take(factors, axis=0)[:, :3, :3]
+            self._turns[columns] = jacobians.transpose(0, 2, 1) @ about
+        for (before, after, turns, turned), pose in zip(self._chain, moved, strict=True):
+            np.matmul(before, pose, out=after)
+            np.matmul(after[:, None, :4], turns, out=turned)
+        np.matmul(self._chosen, self._slopes, out=self._columns)
+        return self._posture
+
+
+def _merged(factors: Sequence[Factor]) -> list[Factor]:
+    """Factors with slides that follow on each other as one, of which one exponential is enough: they commute."""
+    merged: list[Factor] = []
+    for factor in factors:
+        last = merged[-1] if merged else None
+        if last is not None and last.kind == factor.kind == "slide" and not set(last.indices) & set(factor.indices):
+            axes = np.concatenate([last.ratio * last.axes, factor.ratio * factor.axes], axis=1)
+            merged[-1] = Factor("slide", axes, last.anchor, np.concatenate([last.indices, factor.indices]))
+        else:
+            merged.append(factor)
+    return merged
 
 
 def _exp(twists: Floats) -> tuple[Floats, Floats]:

@@ -56,7 +56,7 @@ class Stepping:
         """The state after a step of gamma h = z, and its u, from a state, its u and the pull, all ``(dN,)``."""
         parts = self._parts
         parts[0], parts[1], parts[2] = x, pull, drive
-        factors = _FACTORS.dot(z**_POWERS).reshape(_STAGES, -1)
+        factors = _FACTORS.dot((1.0, z, z**2, z**3, z**4)).reshape(_STAGES, -1)
         for factor, later in zip(factors, self._later, strict=False):
             self._weight.dot(self._phi(factor.dot(parts)), out=later)
         end = factors[-1].dot(parts)

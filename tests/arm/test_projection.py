@@ -224,9 +224,10 @@ def test_the_local_retraction_is_the_nearest_posture_near_the_last_one(name):
     np.testing.assert_allclose(gap[..., 1], exact.gap_translation, atol=3e-5)
 
 
-def test_the_local_retraction_meets_feasible_poses_to_rounding():
-    arm = Arm.load("telescopic_rrp")
-    home = arm.keyframe("home")
+@pytest.mark.parametrize("name", ["telescopic_rrp", "telescopic_compound", "of all kinds"])
+def test_the_local_retraction_meets_feasible_poses_to_rounding(name, request):
+    arm = request.getfixturevalue("arm") if name == "of all kinds" else Arm.load(name)
+    home = positions(arm, 1, 3)[0]
     way = home + np.linspace(0.0, 0.05, 6)[:, None] * np.cos(np.arange(arm.n_joints))
     retraction, h = LocalRetraction(arm, home), 1e-5
     rates = (arm.encode(way + h) - arm.encode(way - h)) / (2.0 * h)

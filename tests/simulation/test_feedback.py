@@ -5,10 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError
 from lieednn_sim.planning.filtering import FilterOptions
 from lieednn_sim.simulation import Disturbances, Feedback, Push, follow
 from lieednn_sim.simulation.feedback import FeedbackFollower
+from lieednn_sim.synthesis import synthesize
 
 GOAL = np.array([0.3, -0.2, 0.3, 0.2])
 PUSH = Disturbances(pushes=(Push("end effector", (0.0, 80.0, 0.0), 0.3, 0.2),))
@@ -151,3 +153,19 @@ def test_bad_input(gantry, cascade):
         Feedback(safety=True)
     with pytest.raises(InputError, match="3 visible neurons"):
         follow(gantry, cascade(np.zeros((3, 6))), GOAL[None], 1.0, feedback=Feedback())
+
+
+def test_a_ball_joint_turns_no_further_than_its_largest_angle():
+    arm = Arm.load("telescopic_compound")
+    ball, aside = arm.space.balls[1], np.zeros(arm.n_joints)
+    # At an angle whose components are each within the limit.
+    widest = arm.position_limits[ball[0], 1]
+    start = arm.keyframe("home")
+    start[ball] = widest / np.sqrt(3.0)
+    aside[ball] = 0.1
+    network = synthesize(arm.encode(start), seed=0).network
+    follower = FeedbackFollower(arm, network, start, steps=2, speed=0.1, feedforward=True, feedback=Feedback())
+    for _ in range(20):
+        q, _, _ = follower.advance(start, start + aside)
+        assert (np.linalg.norm(q[:, ball], axis=1) <= widest + 1e-12).all()
+    assert follower.limit_excess < 0.0
