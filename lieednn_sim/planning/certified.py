@@ -14,6 +14,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.budget import check_time
 from lieednn_sim.errors import NotCertifiedError, PlanError, TooFastError
 from lieednn_sim.network import LieEDNN
+from lieednn_sim.network.side_by_side import states_side_by_side
 from lieednn_sim.planning.baselines.joint_space import joint_scale
 from lieednn_sim.planning.motion import LIMIT_TOLERANCE, Motion, least_duration
 from lieednn_sim.planning.network_path import NetworkPath, timed_motion
@@ -262,16 +263,18 @@ def _promising(found: list[_Candidate]) -> Iterator[_Candidate]:
     yield from touching
 
 
-def rough_way(network: LieEDNN, start: Floats) -> Floats:
-    """States ``(K, n, 6)`` of the visible neurons from ``start`` ``(n, 6)``, roughly integrated, to look at first."""
-    way = network.trajectory(network.start(start), 20.0 / network.gamma, rtol=1e-4, atol=1e-6)
-    return network.visible(way.xi)
+def rough_ways(networks: list[LieEDNN], start: Floats) -> list[Floats]:
+    """States ``(K, n, 6)`` from ``start`` ``(n, 6)`` of each network, roughly integrated, to look at first.
+
+    The networks have no hidden neurons, and one decay rate.
+    """
+    return states_side_by_side(networks, start, 20.0 / networks[0].gamma, rtol=1e-4, atol=1e-6)
 
 
 def _screened(arm: Arm, networks: list[LieEDNN], start: Floats) -> list[tuple[Floats, float, float]]:
     """Roughly integrated ways as postures, with their largest excess over the position limits and largest gap."""
     state = arm.encode(start)
-    runs = [rough_way(network, state) for network in networks]
+    runs = rough_ways(networks, state)
     # All side by side, the shorter ones waiting at their ends: a retraction without closed form costs nearly as much
     # for one state as for a hundred.
     length = max(map(len, runs))

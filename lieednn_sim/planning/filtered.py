@@ -21,7 +21,7 @@ from lieednn_sim.network import LieEDNN
 from lieednn_sim.planning.baselines import sampling
 from lieednn_sim.planning.baselines.joint_space import Workspace, joint_scale
 from lieednn_sim.planning.baselines.sampling import SearchOptions
-from lieednn_sim.planning.certified import CandidateOptions, rough_way
+from lieednn_sim.planning.certified import CandidateOptions, rough_ways
 from lieednn_sim.planning.extras import optional_module
 from lieednn_sim.planning.filtering import FilteredRun, FilterOptions, run_filtered
 from lieednn_sim.planning.laws import minimum_jerk_law
@@ -174,7 +174,7 @@ class _Search:
         check_time()
         arm = self.problem.arm
         # From one decoded state to the next the way is nearly straight, and few states are decoded quickly.
-        q = arm.decode(rough_way(network, arm.encode(start)), start=start).q
+        q = arm.decode(rough_ways([network], arm.encode(start))[0], start=start).q
         # A little more than the length, so that it increases where nothing moves.
         length = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(q / self._scale, axis=0), axis=1) + 1e-9))
         way = interp1d(length, q, axis=0)(np.linspace(0.0, length[-1], self.options.looks + 2)[1:-1])
