@@ -25,6 +25,8 @@ Pairs = NDArray[np.int_]
 _PLANE_SIZE = 1e3
 # Rounding of the bounds [m].
 _SLACK = 1e-9
+# Along a path pairs are measured up to so much beyond the least distance so far, and left alone for as long [m].
+_AHEAD = 0.1
 # The normal of two geoms that just touch is lost in rounding below this distance [m].
 _TOUCHING = 1e-10
 
@@ -128,6 +130,33 @@ class Collisions:
         """The smallest signed distance at ``q`` ``(n,)`` [m]; negative when something penetrates, infinite alone."""
         return self.nearest(q)[0]
 
+    def least(self, q: ArrayLike) -> float:
+        """The smallest `clearance` at postures ``(K, n)`` [m], which should follow each other closely.
+
+        A pair is measured again only where it may have come closer than the least so far: no point of a geom moves
+        further than its ball's centre does and what turns about that.
+        """
+        postures = as_floats("q", q, ("K", self.arm.n_joints))
+        if not len(postures):
+            return np.inf
+        least, _ = self.nearest(postures[0])
+        bounds, (center, rotation) = self._lower_bounds(), self._frames()
+        model, data = self.arm.model, self._data
+        for qpos in self.arm.qpos(postures[1:]):
+            data.qpos[:] = qpos
+            mujoco.mj_kinematics(model, data)
+            before, (center, rotation) = (center, rotation), self._frames()
+            # Of a difference of rotations the 2-norm is the Frobenius norm over sqrt(2).
+            turned = np.sqrt(0.5 * np.square(rotation - before[1]).sum(axis=(1, 2)))
+            moved = np.linalg.norm(center - before[0], axis=1) + self._radius * turned
+            bounds -= moved[self._first] + moved[self._second]
+            # How deep geoms are in each other need not change with how far they move.
+            for index in np.flatnonzero(bounds < max(least, 0.0)):
+                first, second = map(int, self.pairs[index])
+                value = mujoco.mj_geomDistance(model, data, first, second, max(least, 0.0) + _AHEAD, self._segment)
+                bounds[index], least = value, min(least, value)
+        return least
+
     def free(self, q: ArrayLike, margin: float = 0.0, *, own: float | None = None) -> bool:
         """Whether everything is further apart than ``margin`` [m] at ``q`` ``(n,)``; the arm's parts than ``own``."""
         self._move(q)
@@ -156,13 +185,17 @@ class Collisions:
         mujoco.mj_kinematics(self.arm.model, self._data)
         return position
 
+    def _frames(self) -> tuple[Floats, Floats]:
+        """Centres ``(G, 3)`` and rotations ``(G, 3, 3)`` of the geoms' boxes."""
+        rotation = self._data.geom_xmat[self._used].reshape(-1, 3, 3)
+        return self._data.geom_xpos[self._used] + (rotation @ self._center[:, :, None])[:, :, 0], rotation
+
     def _lower_bounds(self) -> Floats:
         """Lower bounds ``(P,)`` of the distances: of boxes from each other along their faces' normals, and of balls."""
         count, half, first, second = len(self._used), self._half, self._first, self._second
         if not count:
             return np.zeros(0)
-        rotation = self._data.geom_xmat[self._used].reshape(-1, 3, 3)
-        center = self._data.geom_xpos[self._used] + (rotation @ self._center[:, :, None])[:, :, 0]
+        center, rotation = self._frames()
         # Of all geoms at once, in tables (geom, its axis, other geom): a few large products beat many small ones.
         axes = np.ascontiguousarray(rotation.transpose(0, 2, 1)).reshape(-1, 3)
         own = (rotation.transpose(0, 2, 1) @ center[:, :, None]).reshape(-1, 1)

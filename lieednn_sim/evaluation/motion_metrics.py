@@ -18,11 +18,9 @@ from lieednn_sim.validation import as_floats, as_positive
 CURVATURE_SPEED_SHARE = 0.05
 # A simulated rate may exceed its limit by this share before it counts: the ripple of the control loop.
 RATE_TOLERANCE = 1e-3
-# Clearance is looked at on every so-maniest sample (10 ms at the arms' step), and on all with a contact.
+# Clearance is measured at one of so many samples (10 ms at the arms' step), and at all with a contact.
 CLEARANCE_STRIDE = 5
 _STANDSTILL = 1e-9  # [m/s]
-# Postures that differ by less [rad, m] have the same clearance, to a micrometre.
-_SAME_POSTURE = 1e-7
 
 
 @dataclass(frozen=True)
@@ -95,15 +93,10 @@ def rms_curvature(path: ArrayLike, timestep: float) -> float | None:
 def least_clearance(rollout: Rollout) -> float:
     """Least clearance along the simulated motion [m]; negative in penetration, infinite where nothing can collide.
 
-    Every fifth sample is looked at, and all with a contact, but not a posture that the arm has just held.
+    Every fifth sample is looked at, and all with a contact.
     """
-    collisions = Collisions(rollout.arm)
     chosen = np.union1d(np.arange(0, len(rollout.t), CLEARANCE_STRIDE), np.flatnonzero(rollout.contacts))
-    least, seen = np.inf, np.full(rollout.q.shape[1], np.inf)
-    for q in rollout.q[chosen]:
-        if np.abs(q - seen).max() > _SAME_POSTURE:
-            least, seen = min(least, collisions.clearance(q)), q
-    return least
+    return Collisions(rollout.arm).least(rollout.q[chosen])
 
 
 def violations(rollout: Rollout) -> dict[str, Any]:

@@ -46,6 +46,16 @@ def test_a_posture_has_contacts_exactly_when_its_clearance_is_negative(scene, se
 
 
 @pytest.mark.parametrize("scene", ARMS)
+@given(first=SEEDS, last=SEEDS, count=st.sampled_from([1, 7, 40]))
+@settings(max_examples=10)
+def test_the_least_along_a_path_is_that_of_all_its_postures(scene, first, last, count):
+    arm, collisions = ARMS[scene], COLLISIONS[scene]
+    path = np.linspace(posture(arm, first), posture(arm, last), count)
+    # How deep geoms are in each other MuJoCo finds to a micrometre, which depends on how far it is asked to look.
+    assert collisions.least(path) == pytest.approx(min(map(collisions.clearance, path)), abs=2e-6)
+
+
+@pytest.mark.parametrize("scene", ARMS)
 @given(seed=SEEDS, cutoff=st.sampled_from([0.02, 0.1]))
 @settings(max_examples=5)
 def test_the_bounds_leave_out_no_pair(scene, seed, cutoff):
