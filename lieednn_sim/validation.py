@@ -31,6 +31,8 @@ _SEED_BITS = 128
 _MOST_AXES = 32
 # A gibibyte of float64.
 _LARGEST_SIZE = 2**27
+# OpenBLAS shares the products of longer vectors among threads.
+_LONGEST_OF_ONE_THREAD = 10_000
 
 
 def _describe(shape: Iterable[int | str]) -> str:
@@ -74,8 +76,9 @@ def as_floats(
         array = _converted(name, value, shape, batched)
     _require_shape(name, array.shape, shape, batched)
     # Every call of a training loop comes here. With a small sum of squares no entry is large, which is known in a third
-    # of the time that the largest takes; a NaN makes both comparisons false.
-    if np.vdot(array, array) < largest * largest:
+    # of the time that the largest takes; a NaN makes both comparisons false. Threads of BLAS would wait, spinning, on
+    # the processors of callers with threads of their own.
+    if array.size <= _LONGEST_OF_ONE_THREAD and np.vdot(array, array) < largest * largest:
         return array
     if not np.maximum.reduce(np.abs(array), axis=None, initial=0.0) <= largest:
         if not np.isfinite(array).all():
