@@ -76,7 +76,13 @@ class Collisions:
         self._radius[centred] = np.minimum(self._radius, model.geom_rbound[used])[centred]
         self._identity = np.eye(arm.n_joints)
         self._segment = np.zeros(6)
-        self._translation = np.zeros((3, model.nv))
+        # Bodies that move with the joints, which of them a geom belongs to, and their Jacobians; the last one stands.
+        bodies = np.unique(model.geom_bodyid[used])
+        self._bodies = bodies[model.body_weldid[bodies] != 0]
+        slots = np.full(model.nbody, len(self._bodies))
+        slots[self._bodies] = np.arange(len(self._bodies))
+        self._slots = slots[model.geom_bodyid]
+        self._jacobians = np.zeros((len(self._bodies) + 1, 6, model.nv))
 
     def distances(self, q: ArrayLike, cutoff: ArrayLike) -> Distances:
         """Distances and derivatives of all pairs closer than ``cutoff`` [m], one or ``(P,)``, at ``q`` ``(n,)``.
@@ -95,20 +101,22 @@ class Collisions:
             raise InputError(f"cutoff must be positive, got {limits.min():g}")
         near = np.flatnonzero(self._lower_bounds() < limits)
         model, data = self.arm.model, self._data
-        mujoco.mj_comPos(model, data)
-        distance, rows, found = [], [], []
+        distance, segments, found = [], [], []
         for index in near:
             first, second = map(int, self.pairs[index])
             value = mujoco.mj_geomDistance(model, data, first, second, limits[index], self._segment)
             if value >= limits[index]:
                 continue
-            rows.append(self._velocity_row(first, second, value))
+            segments.append(self._segment.copy())
             distance.append(value)
             found.append(index)
+        if not found:
+            return Distances(np.zeros(0), np.zeros((0, self.arm.n_joints)), self.pairs[:0])
         order = np.argsort(distance, kind="stable")
-        slopes = np.array(rows).reshape(-1, model.nv)[order]
+        sorted_pairs, sorted_distance = self.pairs[np.array(found)[order]], np.array(distance)[order]
+        slopes = self._slopes(sorted_pairs, np.array(segments)[order].reshape(-1, 2, 3), sorted_distance)
         rates = self.arm.qvel(np.broadcast_to(position, self._identity.shape), self._identity)
-        return Distances(np.array(distance)[order], slopes @ rates.T, self.pairs[np.array(found, dtype=int)[order]])
+        return Distances(sorted_distance, slopes @ rates.T, sorted_pairs)
 
     def nearest(self, q: ArrayLike) -> tuple[float, tuple[int, int]]:
         """The smallest signed distance [m] at ``q`` ``(n,)`` and its geom ids; infinite and (-1, -1) without pairs."""
@@ -207,21 +215,20 @@ class Collisions:
         table = np.maximum(faces, np.where(balls > 0.0, balls, -np.inf))
         return np.asarray(np.maximum(table[first, second], table[second, first]) - _SLACK)
 
-    def _velocity_row(self, first: int, second: int, distance: float) -> Floats:
-        """Derivative ``(nv,)`` of the distance just measured, along MuJoCo's velocities."""
+    def _slopes(self, pairs: Pairs, points: Floats, distance: Floats) -> Floats:
+        """Derivatives ``(P, nv)``, along MuJoCo's velocities, of distances just found between points ``(P, 2, 3)``."""
         model, data = self.arm.model, self._data
-        row = np.zeros(model.nv)
-        if abs(distance) < _TOUCHING:
-            return row
-        points = self._segment[:3], self._segment[3:]
-        normal = (points[1] - points[0]) / distance
-        for geom, point, sign in ((first, points[0], -1.0), (second, points[1], 1.0)):
-            body = model.geom_bodyid[geom]
-            if model.body_weldid[body] == 0:
-                continue
-            mujoco.mj_jac(model, data, self._translation, None, point, body)
-            row += sign * (normal @ self._translation)
-        return row
+        mujoco.mj_comPos(model, data)
+        for body, jacobian in zip(self._bodies.tolist(), self._jacobians, strict=False):
+            mujoco.mj_jacBody(model, data, jacobian[:3], jacobian[3:], body)
+        apart = np.abs(distance) >= _TOUCHING
+        normal = np.zeros((len(pairs), 3))
+        normal[apart] = (points[apart, 1] - points[apart, 0]) / distance[apart, None]
+        along = np.stack([-normal, normal], axis=1)
+        # A point x of a body at p moves by v + w x (x - p), and n . (w x r) = (r x n) . w.
+        arms = points - data.xpos[model.geom_bodyid[pairs]]
+        wrenches = np.concatenate([along, np.cross(arms, along)], axis=2)
+        return np.asarray((wrenches[:, :, None] @ self._jacobians[self._slots[pairs]])[:, :, 0].sum(axis=1))
 
 
 def _colliding_pairs(model: mujoco.MjModel) -> Pairs:
