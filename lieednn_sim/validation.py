@@ -180,6 +180,9 @@ def as_times(name: str, value: ArrayLike) -> NDArray[np.float64]:
 
 def as_positive(name: str, value: float) -> float:
     """Return ``value`` as a positive float from 1 / `LARGEST` to `LARGEST`, or raise `InputError`."""
+    # What inner loops hand on; a NaN makes the comparison false.
+    if type(value) is float and 1.0 / LARGEST <= value <= LARGEST:
+        return value
     number = float(as_floats(name, value, ()))
     if number <= 0:
         raise InputError(f"{name} must be positive, got {number:g}")

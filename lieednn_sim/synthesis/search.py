@@ -58,7 +58,7 @@ def feasible_points(problem: Problem, start: Floats, *, aim: float, accept: floa
     while True:
         check_time()
         more = iterations[stack] < _MOST_STEPS
-        met = (point.values[:, -1] < accept) & (np.abs(point.residual).max(axis=(1, 2, 3)) < _ROUGH)
+        met = (point.values[:, -1] < accept) & (np.abs(point.residual.reshape(len(stack), -1)).max(axis=-1) < _ROUGH)
         solved = moved & more & met
         kept = (~solved & more & (damping <= _MOST_DAMPING)).nonzero()[0]
         if len(kept) < len(stack):
@@ -75,7 +75,7 @@ def feasible_points(problem: Problem, start: Floats, *, aim: float, accept: floa
         predicted = value - np.array([left for _, left in steps])
         there = point.unknowns + np.array([step for step, _ in steps])
         log_scale = there[:, problem.n_quaternion :]
-        np.clip(log_scale, -_LOG_SCALE_BOUND, _LOG_SCALE_BOUND, out=log_scale)
+        np.minimum(np.maximum(log_scale, -_LOG_SCALE_BOUND), _LOG_SCALE_BOUND, out=log_scale)
         trial = problem.evaluate(there)
         reached = _merit(trial, aim)
         ratio = (value - reached) / np.maximum(predicted, 1e-300)
@@ -135,7 +135,7 @@ def _linearised(problem: Problem, point: Point, aim: float) -> list[_Linear]:
     residual = _EQUATION_WEIGHT * point.residual.reshape(count, -1)
     height = residual.shape[-1]
     excess = np.maximum(point.values - aim, 0.0)
-    firsts = size - np.count_nonzero(excess, axis=-1)
+    firsts = size - (excess > 0.0).sum(axis=-1)
     linear = [_NOTHING] * count
     # Those with as many violated eigenvalues together: nothing is padded, and no digit depends on the stack.
     for first in sorted(set(firsts.tolist())):
@@ -148,8 +148,9 @@ def _linearised(problem: Problem, point: Point, aim: float) -> list[_Linear]:
             gap = part.values[:, a] - part.values[:, b]
             slope = weight * np.divide(over, gap, out=np.ones_like(gap), where=across)
             jacobian = np.zeros((len(piece), height + len(a), point.unknowns.shape[-1]))
-            own = jacobian[:, :height, : problem.n_quaternion].reshape(len(piece), n, height // n, n, 4 * n)
-            own[:, range(n), :, range(n)] = equations[piece].swapaxes(0, 1)
+            rows, columns = height // n, problem.n_quaternion // n
+            for i in range(n):
+                jacobian[:, i * rows : (i + 1) * rows, i * columns : (i + 1) * columns] = equations[piece, i]
             np.multiply(problem.of(piece).eigenspace_jacobian(part, first), slope[..., None], out=jacobian[:, height:])
             right = np.concatenate([residual[piece], over * diagonal], axis=-1)
             gram = jacobian @ jacobian.swapaxes(-1, -2)
@@ -227,7 +228,7 @@ def polish(
         spun, across = turned[..., 0], skew(translation)
         driven = np.concatenate([spun, turned[..., 1] + (across @ spun[..., None])[..., 0]], axis=-1)
         error = driven.sum(axis=2) - required
-        residual = np.abs(error).max(axis=(1, 2))
+        residual = np.abs(error.reshape(len(stack), -1)).max(axis=-1)
         better = residual < smallest[stack]
         improved = stack[better]
         best[improved], best_translation[improved] = unknowns[better], translation[better]
@@ -240,8 +241,8 @@ def polish(
             unknowns, translation, error = unknowns[kept], translation[kept], error[kept]
             slope, spun, across, parts = slope[kept], spun[kept], across[kept], parts[kept]
         # (i, j, a, k) as products over b of slopes (a k, b) and parts (b, 2) of j
-        change = 2.0 * slope.swapaxes(-1, -2).reshape(-1, n, n, 12, 3) @ parts[:, None]
-        spin, slide = np.moveaxis(change.reshape(-1, n, n, 3, 4, 2), -1, 0)
+        change = (2.0 * slope.swapaxes(-1, -2).reshape(-1, n, n, 12, 3) @ parts[:, None]).reshape(-1, n, n, 3, 4, 2)
+        spin, slide = change[..., 0], change[..., 1]
         rows = np.zeros((len(stack), n, 6, n, 7))
         by_block = rows.swapaxes(2, 3)
         by_block[..., :3, :4] = quaternion_weight * spin
@@ -249,7 +250,8 @@ def polish(
         by_block[..., 3:, 4:] = -skew(spun)
         step = -_least_norm(rows.reshape(-1, n, 6, 7 * n), error).reshape(-1, n, n, 7)
         turn = quaternion_weight * step[..., :4]
-        fraction = np.minimum(1.0, 0.5 / np.maximum(np.abs(turn).max(axis=(1, 2, 3)), 1e-300))[:, None, None, None]
+        longest = np.abs(turn).reshape(len(stack), -1).max(axis=-1)
+        fraction = np.minimum(1.0, 0.5 / np.maximum(longest, 1e-300))[:, None, None, None]
         unknowns[:, : problem.n_quaternion] += (fraction * turn).reshape(len(stack), -1)
         translation = translation + fraction * step[..., 4:]
     return best, best_translation

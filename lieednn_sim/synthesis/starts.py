@@ -44,17 +44,13 @@ def random_starts(
 def _log_scale(inputs: Floats, outputs: Floats) -> Floats:
     """The least spread of log S with sum_i s_i^2 u_i (c_i - u_i) < 0, without which no weights can be certified."""
     work = (inputs * (outputs - 0.9 * inputs)).sum(axis=-1).reshape(len(inputs), -1)
-    helpful, size = np.where(work < 0.0, 1.0, -1.0), np.abs(work)
-    spread = np.full(len(work), _SPREADS[-1])
-    left = np.arange(len(work))
-    for trial in _SPREADS:
-        power = np.exp(trial * helpful[left])
-        enough = (power * work[left]).sum(axis=-1) <= -0.1 * (power * size[left]).sum(axis=-1)
-        spread[left[enough]] = trial
-        left = left[~enough]
-        if not len(left):
-            break
-    return 0.5 * spread[:, None] * helpful
+    helpful = np.where(work < 0.0, 1.0, -1.0)
+    # All spreads at once, (B, T, 3N): one after another they take four times as long.
+    power = np.exp(_SPREADS[:, None] * helpful[:, None])
+    enough = (power * work[:, None]).sum(axis=-1) <= -0.1 * (power * np.abs(work)[:, None]).sum(axis=-1)
+    # The last one where none is enough.
+    enough[:, -1] = True
+    return 0.5 * _SPREADS[enough.argmax(axis=-1)][:, None] * helpful
 
 
 def contracted(problem: Problem, start: Floats) -> Floats:
