@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim._mujoco import mujoco
-from lieednn_sim.arm.contacts import ContactFinder
+from lieednn_sim.arm.contacts import PLANNED_CLEARANCE, ContactFinder
 from lieednn_sim.arm.coordinates import Coordinates
 from lieednn_sim.arm.fingerprint import arm_fingerprint
 from lieednn_sim.arm.importer import ImportOptions, ImportReport
@@ -32,10 +32,6 @@ from lieednn_sim.values import Floats
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import RigidTransform
-
-# Planned motions keep this distance from contact by default [m], since what follows them is off by up to a millimetre
-# or two.
-PLANNED_CLEARANCE = 0.002
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,6 +10,10 @@ from numpy.typing import NDArray
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.values import Floats
 
+# Planned motions keep this distance from contact by default [m], since what follows them is off by up to a millimetre
+# or two.
+PLANNED_CLEARANCE = 0.002
+
 
 class ContactFinder:
     """Finds what is closer to each other than a margin; some ten times faster than all distances (`Collisions`).

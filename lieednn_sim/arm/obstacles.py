@@ -11,7 +11,7 @@ import numpy as np
 
 from lieednn_sim import storage
 from lieednn_sim._mujoco import mujoco
-from lieednn_sim.arm.contacts import ContactFinder
+from lieednn_sim.arm.contacts import PLANNED_CLEARANCE, ContactFinder
 from lieednn_sim.arm.fingerprint import model_fingerprint
 from lieednn_sim.arm.importer.loading import compile_spec, load_spec, unused
 from lieednn_sim.arm.scenes import GOAL_PREFIX, PREFIX, SCENES
@@ -25,8 +25,6 @@ if TYPE_CHECKING:
 
 # Files that are scenes, and no names of scenes.
 SCENE_SUFFIXES = (".xml", ".yaml", ".yml", ".json")
-# Home keeps this distance from them [m], `PLANNED_CLEARANCE`, as every planned motion.
-_CLEARANCE = 0.002
 _GOAL = GOAL_PREFIX.removeprefix(PREFIX)
 _POSE = {"position", "rpy", "quaternion"}
 # What each shape is made of, beside its place.
@@ -93,9 +91,9 @@ def load_obstacles(path: str | os.PathLike[str]) -> mujoco.MjSpec:
     return spec
 
 
-def describe(path: str | os.PathLike[str]) -> tuple[str, str]:
-    """What a file of obstacles holds, in words, and its fingerprint; errors as `load_obstacles`."""
-    model = compile_spec(load_obstacles(path))
+def describe(obstacles: mujoco.MjSpec) -> tuple[str, str]:
+    """What obstacles of a file are, in words, and their fingerprint."""
+    model = compile_spec(obstacles)
     kinds = {int(kind): kind.name.removeprefix("mjGEOM_").lower() for kind in mujoco.mjtGeom.__members__.values()}
     solid = np.flatnonzero(model.geom_contype | model.geom_conaffinity)
     found = [kinds[int(model.geom_type[g])] for g in solid]
@@ -119,7 +117,7 @@ def add_own_obstacles(spec: mujoco.MjSpec, arm: Arm, obstacles: mujoco.MjSpec, l
 def check_home(arm: Arm) -> None:
     """Raise `InputError` where an arm at its keyframe ``home`` touches one of the obstacles around it."""
     model = arm.model
-    near = ContactFinder(model, _CLEARANCE).geoms(arm.qpos(arm.keyframe("home")))[1]
+    near = ContactFinder(model, PLANNED_CLEARANCE).geoms(arm.qpos(arm.keyframe("home")))[1]
     for pair in near:
         names = [model.geom(g).name or model.body(model.geom_bodyid[g]).name for g in pair]
         own = [model.body_weldid[model.geom_bodyid[g]] != 0 for g in pair]

@@ -11,7 +11,7 @@ from typing import NamedTuple
 from lieednn_sim import storage
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.models import is_arm_file
-from lieednn_sim.arm.obstacles import describe, is_scene_file, scene_label
+from lieednn_sim.arm.obstacles import check_home, describe, is_scene_file, load_obstacles, scene_label
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.errors import FileError, InputError, LieEDNNError
 
@@ -65,7 +65,7 @@ def enter(kind: str, values: Sequence[str | os.PathLike[str]], known: Sequence[s
             if kind == ARM:
                 name, fingerprint = bare_arm(source).name, bare_arm(source).fingerprint
             else:
-                name, fingerprint = scene_label(source), describe(source)[1]
+                name, fingerprint = scene_label(source), describe(load_obstacles(source))[1]
             entry = Entry(kind, name, source, fingerprint)
             if any(one in name for one in ":/\n"):
                 raise InputError(f"no {kind} in a table can be called {name!r}; call the file {value} {_else(kind)}")
@@ -120,19 +120,30 @@ def load(name: str, scene: str, seed: int, entries: Iterable[Entry]) -> Arm:
     found = {entry[:2]: entry for entry in entries}
     of_arm, of_scene = found.get((ARM, name)), found.get((SCENE, scene))
     arm = bare_arm(of_arm.source if of_arm else name)
-    for entry, fingerprint in (
-        (of_arm, of_arm and arm.fingerprint),
-        (of_scene, of_scene and describe(of_scene.source)[1]),
-    ):
-        if entry and entry.fingerprint != fingerprint:
-            raise FileError(f"{entry.source} has changed since the comparison began; begin again with another --output")
-    return arm.among(of_scene.source if of_scene else scene, seed)
+    if of_arm:
+        _check_unchanged(of_arm, arm.fingerprint)
+    if not of_scene:
+        return arm.among(scene, seed)
+    obstacles = load_obstacles(of_scene.source)
+    _check_unchanged(of_scene, describe(obstacles)[1])
+    arm = arm.amid(obstacles, of_scene.name)
+    check_home(arm)
+    return arm
+
+
+def _check_unchanged(entry: Entry, fingerprint: str) -> None:
+    if entry.fingerprint != fingerprint:
+        raise FileError(f"{entry.source} has changed since the comparison began; begin again with another --output")
 
 
 def findings(arms: Iterable[str], scenes: Iterable[str], entries: Sequence[Entry]) -> list[str]:
     """What was found in scenes, and which pairs of an arm and a scene come to nothing; a line for each."""
     own = {entry.name for entry in entries}
-    lines = [f"scene {one.name}: {describe(one.source)[0]}, from {one.source}" for one in entries if one.kind == SCENE]
+    lines = [
+        f"scene {one.name}: {describe(load_obstacles(one.source))[0]}, from {one.source}"
+        for one in entries
+        if one.kind == SCENE
+    ]
     for arm in arms:
         for scene in scenes:
             if own.isdisjoint((arm, scene)):

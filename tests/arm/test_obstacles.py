@@ -11,7 +11,7 @@ import pytest
 
 from lieednn_sim.arm import Arm, arm_names
 from lieednn_sim.arm.collision import Collisions
-from lieednn_sim.arm.obstacles import describe
+from lieednn_sim.arm.obstacles import describe, load_obstacles
 from lieednn_sim.arm.targets import TARGET_CLEARANCE, draw_target
 from lieednn_sim.errors import FileError, InputError
 
@@ -89,7 +89,7 @@ def test_the_example_of_the_documentation_is_a_scene_of_every_arm(tmp_path):
     pytest.importorskip("yaml")
     text = re.search(r"```yaml\n(.*?)```", DOCUMENT.read_text(), re.DOTALL)[1]
     path = write(tmp_path, "table.yaml", text)
-    assert describe(path)[0] == "1 box, 1 cylinder, 1 capsule, 1 sphere; targets in 1 goal"
+    assert describe(load_obstacles(path))[0] == "1 box, 1 cylinder, 1 capsule, 1 sphere; targets in 1 goal"
     for name in arm_names():
         arm = Arm.load(name, scene=path)
         draw_target(arm, 0)
@@ -106,7 +106,7 @@ def test_an_mjcf_file_is_an_obstacle_for_every_arm(gantry, tmp_path, bits):
     arm = Arm.from_spec(spec, gantry.source, "gantry").among(path)
     assert clearance(arm, 0, 0, 0, 0) == pytest.approx(0.5 - 0.1 - 0.1)
     assert set(*arm.near_contacts([0.35, 0, 0, 0])) == {"obstacle_own", "wrist"}
-    assert describe(path)[0] == "1 cylinder, 1 mesh; targets anywhere"
+    assert describe(load_obstacles(path))[0] == "1 cylinder, 1 mesh; targets anywhere"
     # The plant of a controller that adds bodies is compiled from the spec again.
     assert arm.spec.copy().compile().ngeom == arm.model.ngeom
     assert [arm.model.key(k).name for k in range(arm.model.nkey)] == [

@@ -7,14 +7,16 @@ from dataclasses import replace
 
 import pytest
 
+from lieednn_sim import storage
 from lieednn_sim.arm import Arm, targets
 from lieednn_sim.cli import main
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.evaluation import Case, Selection, Settings, compare, read_rows, replay
-from lieednn_sim.evaluation.entries import findings, recorded
+from lieednn_sim.evaluation.entries import SCENE, enter, findings, load, recorded
 from lieednn_sim.evaluation.merging import merge
 from lieednn_sim.evaluation.shards import Shard
 from lieednn_sim.evaluation.statistics import grouped
+from lieednn_sim.storage import load_description
 
 POST = {"shape": "box", "name": "post", "size": [0.1, 0.1, 2.0], "position": [0.0, 0.0, 1.2]}
 QUICK = Settings(duration=1.5, hold=0.2)
@@ -62,6 +64,18 @@ def test_an_arm_that_finds_no_target_in_a_scene_is_told_and_is_a_row(folder, in_
     assert {row.scene: row.reason[:8] for row in rows} == {"free": "", "shelf": "problem:"}
 
 
+def test_the_file_of_a_scene_is_read_once_for_its_arm(folder, monkeypatch):
+    (folder / "post.json").write_text(json.dumps({"obstacles": [{**POST, "position": [2.0, 2.0, 1.2]}]}))
+    _, (entry,) = enter(SCENE, ["post.json"], ())
+    expected, read = Arm.load("telescopic_pr", "post.json"), []
+    monkeypatch.setattr(storage, "load_description", lambda *given: read.append(given) or load_description(*given))
+    arm = load("telescopic_pr", "post", 0, (entry,))
+    assert (arm.fingerprint, arm.scene, len(read)) == (expected.fingerprint, "post", 1)
+    (folder / "post.json").write_text(json.dumps({"obstacles": [POST]}))
+    with pytest.raises(InputError, match=r"obstacle 'post' of scene 'post' touches .* at home"):
+        load("telescopic_pr", "post", 0, enter(SCENE, ["post.json"], ())[1])
+
+
 def test_a_table_goes_on_with_the_same_files_and_refuses_others(folder, in_this_process, two_hinges):
     with in_this_process():
         before = compare("out", chosen("two.xml"), QUICK).rows
@@ -83,6 +97,10 @@ def test_a_table_goes_on_with_the_same_files_and_refuses_others(folder, in_this_
         object.__setattr__(late, "entries", tuple(entry._replace(fingerprint="0" * 64) for entry in late.entries))
         (row,) = compare("late", late, QUICK).rows.values()
         assert "two.xml has changed since the comparison began" in row.reason
+        late = chosen("two.xml", scenes=("post.json",))
+        (folder / "post.json").write_text(json.dumps({"obstacles": [POST]}))
+        (row,) = compare("later", late, QUICK).rows.values()
+        assert "post.json has changed since the comparison began" in row.reason
     assert [entry[:2] for entry in recorded("out")] == [("arm", "two"), ("arm", "two(tool)"), ("scene", "post")]
 
 

@@ -7,10 +7,9 @@ from collections.abc import Sequence
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import mujoco
-from lieednn_sim.arm.contacts import ContactFinder
+from lieednn_sim.arm.contacts import PLANNED_CLEARANCE, ContactFinder
 from lieednn_sim.arm.forces import dry_friction, resting_load
 from lieednn_sim.arm.importer.draft import Draft, stacked
 from lieednn_sim.arm.importer.locking import pose
@@ -18,14 +17,15 @@ from lieednn_sim.arm.importer.postures import random_coordinates
 from lieednn_sim.arm.importer.units import length_unit
 from lieednn_sim.arm.kinematics import distinctness
 from lieednn_sim.errors import InputError
+from lieednn_sim.values import Floats
 
-Floats = NDArray[np.float64]
 _SAG = 3e-4  # worth a remark [rad, m]: a millimetre at an arm's length from a few joints
 _LOADED = 16  # postures at which loads are looked at
 _WAYS, _LOOKS = 256, 20  # straight ways, and postures on each
-_NEAR = 0.002  # that planned motions keep from contact [m]
 _SHOWN = 24  # pairs of bodies in a remark
-_SINGULAR = 0.1  # least singular value of a link's screws, of unit size, with which its pose tells its joints apart
+# Least singular value of a link's screws, of unit size, with which its pose tells its joints apart. `bridging.VAGUE`
+# is larger, of the same measure: there ways begin to be straightened; what that leaves is worth a remark further in.
+_SINGULAR = 0.1
 _SLOW = 5.0  # worth a remark [Hz]
 _DESIGN = "servos='design' makes another"
 
@@ -102,7 +102,7 @@ def look_at_home(draft: Draft) -> None:
 
 def look_at_ways(draft: Draft) -> None:
     """Say between which bodies straight ways from home to random postures come near contact."""
-    finder, home = ContactFinder(draft.model, _NEAR), draft.samples[0]
+    finder, home = ContactFinder(draft.model, PLANNED_CLEARANCE), draft.samples[0]
     ends, between = Counter[str](), Counter[str]()
     blocked, touching, rng = 0, 0, np.random.default_rng(1)
     shares = np.linspace(1.0, 0.0, _LOOKS, endpoint=False)
@@ -126,7 +126,9 @@ def look_at_ways(draft: Draft) -> None:
             # Sets have no order: of pairs that come as often the names decide.
             most = sorted(pairs.items(), key=lambda one: (-one[1], one[0]))[:_SHOWN]
             shown = ", ".join(f"{pair} ({times})" for pair, times in most)
-            draft.notes.append(f"{count} of {what} within {1e3 * _NEAR:g} mm of contact, between {shown}: {then}")
+            draft.notes.append(
+                f"{count} of {what} within {1e3 * PLANNED_CLEARANCE:g} mm of contact, between {shown}: {then}"
+            )
 
 
 def look_for_singular_links(draft: Draft) -> None:
