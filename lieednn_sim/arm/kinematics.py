@@ -96,6 +96,10 @@ class CompoundJoint:
         """``(r,)`` of each of its joints in turn; coupled joints share one."""
         return np.concatenate([factor.indices for factor in self.factors])
 
+    def selection(self, indices: NDArray[np.int_]) -> Floats:
+        """``(k, r)``: 1 where one of ``indices`` ``(k,)`` is one of its ``coordinates``; adds up what is theirs."""
+        return np.equal(indices[:, None], self.coordinates).astype(np.float64)
+
     @cached_property
     def screw(self) -> Floats | None:
         """The twist z ``(6,)`` of T(q) = Exp(z q), if there is one: of a hinge, a slide, or what moves along one screw.

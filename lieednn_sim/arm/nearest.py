@@ -22,11 +22,11 @@ _NEAR = 1e-3
 _DAMPING, _DAMPING_FALL, _DAMPING_RISE = 1e-3, 0.2, 5.0
 # Share of the largest curvature that is taken for zero.
 _FLAT = 1e-9
-# Where this much of f is left there may be a lower minimum: it is looked for from the best of so many postures.
+# Where this much of f is left there may be a lower minimum: it is looked for from the two best of 256 postures.
 _FAR, _POSTURES, _STARTS = 0.1, 256, 2
 # Of minima that are equal up to rounding the first counts.
 _TIE = 1e-9
-# A way is followed in at least so many strides, and in shorter ones where a coordinate moves more than this [rad, m].
+# A way is followed in at least 64 strides, and in shorter ones where a coordinate moves more than this [rad, m].
 _STRIDES, _LONG = 64, 0.2
 # On the way the last posture is near already.
 _FOLLOWING_STEPS = 8
@@ -57,7 +57,7 @@ class NearestPose:
         factors = [factor for joint in joints for factor in joint.factors]
         # Of each joint: which of its r coordinates is which of the group's, ``(c, r)``, and for which pairs of them the
         # first one's joint is further in, 1, or the same, 1/2, ``(r, r)``.
-        self._places = [np.equal(indices[:, None], joint.coordinates).astype(np.float64) for joint in joints]
+        self._places = [joint.selection(indices) for joint in joints]
         ranks = [np.repeat(np.arange(len(j.factors)), [len(f.indices) for f in j.factors]) for j in joints]
         self._orders = [np.heaviside(rank - rank[:, None], 0.5) for rank in ranks]
         self._periodic = np.array(

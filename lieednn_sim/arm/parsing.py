@@ -293,8 +293,7 @@ def _check_independent(joint: CompoundJoint, size: int, link: str) -> None:
     if count > 6:
         raise InputError(f"{link} is moved by {count} coordinates, and a pose tells six apart; name more links")
     *_, omega, v = joint.pose_and_twists(rng.uniform(-1.0, 1.0, (_POSTURES, size)))
-    shared = np.equal(joint.coordinates[:, None], joint.indices).astype(np.float64)
-    columns = np.swapaxes(np.concatenate([omega, v], axis=-1), -1, -2) @ shared
+    columns = np.swapaxes(joint.selection(joint.indices) @ np.concatenate([omega, v], axis=-1), -1, -2)
     if distinctness(columns, _DEPENDENT).max() < _DEPENDENT:
         raise InputError(
             f"{link} is moved by {count} coordinates of which some do the same; cut it between them: name more links"
