@@ -14,6 +14,7 @@ from lieednn_sim.arm.kinematics import CompoundJoint
 from lieednn_sim.lie import exp, hat, left_jacobian_se3, left_jacobian_so3, rotations
 from lieednn_sim.values import Floats
 
+# Newton steps to the multiplier at most: they climb to it, and converge quadratically.
 _SECULAR_STEPS = 50
 # Share of its scale below which a curvature is taken for zero.
 _FLAT = 1e-12

@@ -19,7 +19,7 @@ _COUNT = (
     *("mesh_", "hfield_", "key_", "qpos"),
 )
 _LOOK = ("_rgba", "_matid", "_group", "_user", "_pathadr", "texcoord", "texcoordadr", "texcoordnum")
-# Rounded to so many decimals, so that the last bits of another processor's arithmetic make no other arm.
+# Decimals that numbers are rounded to, so that the last bits of another processor's arithmetic make no other arm.
 _DECIMALS = 9
 
 

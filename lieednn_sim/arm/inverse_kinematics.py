@@ -18,6 +18,7 @@ from lieednn_sim.values import Floats
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
 
+# Distance from what is asked for that counts as there [m, rad], and starts from which it is looked for.
 _TOLERANCE = 1e-6
 _ATTEMPTS = 8
 # Nothing reaches further [m], and squares of what is looked for stay far from overflow.

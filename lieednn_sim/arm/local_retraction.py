@@ -19,7 +19,7 @@ from lieednn_sim.arm.kinematics import Factor
 from lieednn_sim.lie import hat, skew
 from lieednn_sim.values import Floats
 
-# Steps are taken until one is shorter than this [rad, m], whose square is what is left, and at most so many.
+# Steps are taken until one is shorter than this [rad, m], whose square is what is left, at most eight times.
 _SHORT, _MOST = 1e-3, 8
 # Time over which a rate is looked at [s of the network's rates].
 _AHEAD = 1e-6

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from rich.console import Group
 
 
-# What fits a model with about so many parameters.
+# What fits a model with about a given number of parameters.
 RIVALS: Mapping[str, Callable[[Demonstrations, int], MotionModel]] = {
     MovementPrimitive.name: MovementPrimitive.fit,
     ProbabilisticPrimitive.name: ProbabilisticPrimitive.fit,

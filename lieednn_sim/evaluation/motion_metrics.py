@@ -18,7 +18,7 @@ from lieednn_sim.validation import as_floats, as_positive
 CURVATURE_SPEED_SHARE = 0.05
 # A simulated rate may exceed its limit by this share before it counts: the ripple of the control loop.
 RATE_TOLERANCE = 1e-3
-# Clearance is measured at one of so many samples (10 ms at the arms' step), and at all with a contact.
+# Clearance is measured at every fifth sample (10 ms at the arms' step), and at all with a contact.
 CLEARANCE_STRIDE = 5
 _STANDSTILL = 1e-9  # [m/s]
 

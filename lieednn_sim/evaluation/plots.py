@@ -87,7 +87,7 @@ def plot_network(rollout: Rollout, path: str | os.PathLike[str], *, network: Blo
 
 
 def _plot_hidden(figure: Figure, height: float, motion: Motion, network: BlockNetwork, columns: int) -> None:
-    """What each hidden neuron sends on, in a panel of a height [inch] at the bottom with so many columns."""
+    """What each hidden neuron sends on, in a panel of a given height [inch] and number of columns at the bottom."""
     first, duration = network.n_visible, max(float(motion.tau[-1]), 1e-9)
     states = network.trajectory(network.start(motion.xi[0]), duration)(motion.tau)
     sent = network.phi(states[:, first:])

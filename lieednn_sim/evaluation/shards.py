@@ -39,7 +39,7 @@ class Shard:
 
     @classmethod
     def holding(cls, case: Case, of: int) -> Shard:
-        """The one of so many that has a case."""
+        """The shard, of a number of them, that has a case."""
         digest = hashlib.sha256(str(case).encode()).digest()
         return cls(int.from_bytes(digest[:8], "big") % of + 1, of)
 

@@ -262,7 +262,7 @@ class BlockNetwork(ABC):
         return (*(field.name for field in fields(cls)), *cls._bias_free)  # type: ignore[arg-type]
 
     def _carrying(self, found: stability.Certificate, every: int = 1) -> Self:
-        """This network with a found certificate, of which every so-many-th entry is stored."""
+        """This network with a certificate that was found; of its diagonal the entries 0, ``every``, ... are stored."""
         if not found.valid:
             raise NotCertifiedError(f"no certificate was found for the weights ({found}); scale alpha or mu down")
         diagonal = found.lyapunov_diagonal[::every]

@@ -20,6 +20,7 @@ from lieednn_sim.values import Floats, frozen
 # Flat vector fields ``(dN,)`` to ``(dN,)`` and their Jacobians, ``(dN,)`` to ``(dN, dN)``.
 VectorField = Callable[[Floats], Floats]
 
+# Steps of the flow at most, see `_follow`.
 _FLOW_STEPS = 5000
 # Of the vector field in one integration, which take some seconds; a usual one needs a thousand.
 _MAX_EVALUATIONS = 200_000
@@ -137,7 +138,7 @@ def _search(
 
 
 def _follow(vector_field: VectorField, x: Floats, duration: float) -> Floats:
-    """The state after ``duration``, or after so many steps: a network far faster than its decay takes no more."""
+    """The state after ``duration``, or after the most steps: a network far faster than its decay takes no more."""
     flow = RK45(lambda _, y: vector_field(y), 0.0, x, duration)
     for _ in range(_FLOW_STEPS):
         if flow.status != "running":
@@ -205,7 +206,7 @@ def integrate(
 
     Raises:
         InputError: duration not positive, or unknown method.
-        LieEDNNError: the integrator gave up, or needed so many evaluations that the network is too stiff for it.
+        LieEDNNError: the integrator gave up, or the network is too stiff for it: it needed too many evaluations.
         OutOfTimeError: the time budget of the present work is spent.
     """
     as_choice("method", method, INTEGRATORS)

@@ -16,7 +16,7 @@ from lieednn_sim.values import Floats, check_fields, frozen
 
 # Positions may exceed a limit by this much [rad, m]: a target on a limit is reached up to the residual.
 LIMIT_TOLERANCE = 1e-6
-# Of the samples of a motion, each so-manyth is looked at first.
+# Every 16th sample of a motion is looked at first, the others after them: most contacts are found early.
 _STRIDE = 16
 # A step between two samples that the velocities do not explain by this much is a jump [rad, m].
 _JUMP = 0.02

@@ -30,7 +30,8 @@ _WINDOWS = np.geomspace(0.002, 1.0, 20)
 _INSTANTS = 2000
 # In place of limits that are not there, for the solver [1/s, 1/s^2 in path lengths]: nothing comes near.
 _NONE = 1e6
-# Sampled at the model's time step, rates may seem a little higher than on the law: so much time more, so often.
+# Sampled at the model's time step, rates may seem a little higher than on the law: the duration is then multiplied by
+# the first of these, at most as often as the second says.
 _LONGER, _TRIES = 1.002, 20
 
 
@@ -119,7 +120,7 @@ class _Path:
         return CubicHermiteSpline(law.x * factor, law(law.x), law(law.x, 1) / factor)
 
     def motion(self, law: CubicHermiteSpline, steps: int) -> Motion:
-        """The motion by a law in so many time steps."""
+        """The motion by a law in a given number of time steps."""
         old, kept, arm = self._motion, self._kept, self._arm
         t = arm.timestep * np.arange(steps + 1, dtype=np.float64)
         pace = law.x[-1] / t[-1]

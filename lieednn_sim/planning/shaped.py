@@ -34,7 +34,7 @@ from lieednn_sim.values import Floats, frozen
 # It keeps a little from the joints' limits, which a network that is a little off it would break.
 _OPTIMISATION = OptimisationOptions(guesses=1, evaluations=12, inset=0.01)
 _RRT = RrtConnectOptions()
-# Of the teacher's motion, each so-manyth sample is a sample of the curve.
+# Every second sample of the teacher's motion is a sample of the curve.
 _STRIDE = 2
 # Samples of a network's motion at which it is compared with the teacher's.
 _COMPARED = 400

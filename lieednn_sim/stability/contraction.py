@@ -36,6 +36,7 @@ from lieednn_sim.validation import as_floats, as_positive, as_ratio
 from lieednn_sim.values import Floats, frozen
 
 _EPS = float(np.finfo(float).eps)
+# Angles of the boundary that are looked at in a quarter turn, before the worst is refined.
 _N_ANGLES = 32
 # Q is moved only where the worst angle costs more than this share of gamma/mu.
 _WORTH_MOVING = 0.01

@@ -23,6 +23,7 @@ from lieednn_sim.theory.matrix_group import Booleans, Matrices, MatrixLieGroup
 from lieednn_sim.validation import as_count, quoted
 from lieednn_sim.values import Floats
 
+# The generator of SO(2), and Pauli's matrices.
 _TURN = np.array([[0.0, -1.0], [1.0, 0.0]])
 _PAULI = np.array([[[0, 1], [1, 0]], [[0, -1j], [1j, 0]], [[1, 0], [0, -1]]])
 # GL(n) has n^6 structure constants: beyond this n the arrays grow out of hand.

@@ -23,7 +23,7 @@ Matrices = NDArray[Any]
 
 # How far, relative to 1 + its norm, a matrix may lie outside the algebra and still be read as rounding in it.
 _TOLERANCE = 1e-8
-# Besides the identity, so many random elements start the search for the nearest adjoint matrix.
+# Besides the identity, this many random elements start the search for the nearest adjoint matrix.
 _RANDOM_STARTS = 5
 
 

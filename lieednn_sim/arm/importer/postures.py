@@ -12,7 +12,7 @@ from lieednn_sim.values import Floats
 
 _SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
 MARGIN = 0.05  # of its range that a keyframe keeps off each limit
-_SAMPLES = 64
+_SAMPLES = 64  # random postures that servos are designed for and that checks look at
 
 
 def draw_postures(draft: Draft) -> None:

@@ -31,7 +31,7 @@ from lieednn_sim.values import Floats
 
 # A file of a problem, in the archive or the folder: its set, what it holds, its number.
 _MEMBER = re.compile(r"(?:.*/)?([^/]+)/(scene|request)(\d+)\.yaml")
-# Limits are given to so many decimals, pi for one; starts and goals in full [rad, m].
+# Limits are given to five decimals, pi for one; starts and goals in full [rad, m].
 _LAST_DIGIT = 1e-5
 # Sizes of primitives but boxes, in the order of the messages.
 _SIZES = {"sphere": ("radius",), "cylinder": ("length", "radius")}
@@ -86,7 +86,7 @@ class ProblemSets:
         return storage.fingerprint({key: np.frombuffer(text, np.uint8) for key, text in texts.items()}, {})
 
     def chosen(self, count: int | None = None) -> list[tuple[str, int]]:
-        """Set and number of so many problems, by default of all: from each set in turn, evenly over it by number.
+        """Set and number of problems, by default of all: from each set in turn, evenly over it by number.
 
         Nothing else is looked at, so that the list is the same for everyone; a part from its beginning is of all sets.
         """

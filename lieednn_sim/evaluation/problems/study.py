@@ -153,7 +153,8 @@ def _planned(arm: Arm, start: Floats, goal: Floats, planner: str, budget: float)
     asked: dict[str, Any] = {"duration": shortest, "longest": _LONGEST, "time_budget": budget, "options": options}
     made = plan(arm, goal, planner=planner, start=start, **asked)
     if _TIMED:
-        # Sampled elsewhere, a path that only just passes may touch something: then the motion stays as it is.
+        # Not plan(fastest=True), which would refuse the plan: sampled elsewhere, a path that only just passes may touch
+        # something. Then the motion stays as it is.
         with contextlib.suppress(PlanError):
             made = replace(made, motion=retime(arm, made.motion))
     return made

@@ -25,6 +25,7 @@ from lieednn_sim.simulation.feedback import FeedbackFollower
 from lieednn_sim.synthesis import synthesize
 from lieednn_sim.values import Floats
 
+# Of the certified network's bias [gamma/mu]: the middle one of its planner's.
 _BIAS_MAGNITUDE = 0.25
 # Of the movement primitive: spring, decay of the phase over the motion (a third of it, as usual, so that its forces
 # are gone when the motion ends), basis functions, ridge of their regression.

@@ -110,7 +110,7 @@ def _mjpl_path(
 
 
 def _box(limits: Floats) -> mujoco.MjModel:
-    """A model of so many slides with limits ``(n, 2)``, from which mjpl draws its samples."""
+    """A model of slides with limits ``(n, 2)``, from which mjpl draws its samples."""
     spec = mujoco.MjSpec()
     for k, (low, high) in enumerate(limits):
         body = spec.worldbody.add_body(mass=1.0, inertia=(1.0, 1.0, 1.0), explicitinertial=True)

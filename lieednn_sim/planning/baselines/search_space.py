@@ -75,7 +75,7 @@ class EdgeTest:
         return True
 
     def over(self, tests: int) -> bool:
-        """Whether a search that may test so many postures shall end; to be asked in its loop."""
+        """Whether a search shall end that may test a given number of postures; to be asked in its loop."""
         # Where no path can be shorter than the one that is known, nothing is tested any more.
         return next(self._looks) >= _LOOKS * tests or self._clear.tests >= tests or out_of_time()
 
@@ -131,7 +131,7 @@ class SearchSpace:
         return path
 
     def corners(self, path: Any, shortcuts: int) -> Floats:
-        """Joint coordinates ``(M, n)`` from start to target of a path of OMPL's, shortened by so many attempts."""
+        """Joint coordinates ``(M, n)`` from start to target of a path of OMPL's, shortened in some attempts."""
         simplifier = optional_module("ompl.geometric").PathSimplifier(self.information)
         simplifier.reduceVertices(path, shortcuts, shortcuts)
         simplifier.partialShortcutPath(path, shortcuts, shortcuts)

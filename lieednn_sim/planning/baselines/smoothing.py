@@ -33,8 +33,8 @@ from lieednn_sim.values import Floats
 
 # Nodes of the arc length; its inverse is then exact to about 1e-12.
 _NODES = 4097
-# Curves to be run through at the limits are sampled in so many times the duration; each so-manyth sample is looked at
-# before that.
+# A curve to be run through at the limits is first sampled as a motion of this many durations, and every 32nd sample is
+# tested for contact, before its law of time is worked out.
 _SLOWER, _STRIDE = 4.0, 32
 
 
@@ -45,8 +45,9 @@ class SmoothingOptions(PlannerOptions):
     Attributes:
         control_points: to lay along the whole polyline, from the roundest curve to the tightest, each up to 10 000.
         bend: curvature, in units of the inverse length of the whole curve, from which on it is run through more slowly.
-        fastest: run through curves as fast as the arm's limits allow, whatever the duration, see `retime`; or else the
-            whole motion gets the time that its sharpest corner needs.
+        fastest: run through each curve as fast as the arm's limits allow, whatever the duration, see `retime`; taken is
+            the roundest that is free of contact then. Otherwise the whole motion gets the time that its sharpest corner
+            needs, and `plan(fastest=True)` makes what was chosen so faster afterwards.
     """
 
     control_points: tuple[int, ...] = field(
