@@ -11,30 +11,25 @@ import scipy
 from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm.checks import (
+    JOINT_KINDS,
+    check_independent,
+    check_integrator,
+    check_limited,
+    check_numbers,
+    check_turn,
+    joint_kind,
+    joint_label,
+)
 from lieednn_sim.arm.coordinates import Coordinates
 from lieednn_sim.arm.couplings import Line, line_of, to_independent_leaders
 from lieednn_sim.arm.forces import force_ranges
-from lieednn_sim.arm.kinematics import CompoundJoint, CompoundJoints, Factor, distinctness
+from lieednn_sim.arm.kinematics import CompoundJoint, CompoundJoints, Factor
 from lieednn_sim.errors import InputError
 from lieednn_sim.values import Floats
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import RigidTransform, Rotation
-
-_KINDS = {
-    int(mujoco.mjtJoint.mjJNT_HINGE): "hinge",
-    int(mujoco.mjtJoint.mjJNT_SLIDE): "slide",
-    int(mujoco.mjtJoint.mjJNT_BALL): "ball",
-}
-# Postures at which the coordinates of a link may be dependent, and how nearly they are.
-_POSTURES, _DEPENDENT = 8, 1e-6
-_NUMBERS = (
-    *(f"body_{what}" for what in ("pos", "quat", "ipos", "iquat", "mass", "inertia", "gravcomp")),
-    *(f"jnt_{what}" for what in ("pos", "axis", "range", "stiffness")),
-    *(f"geom_{what}" for what in ("pos", "quat", "size", "friction", "margin")),
-    *(f"site_{what}" for what in ("pos", "quat")),
-    *(f"actuator_{what}" for what in ("gainprm", "biasprm", "gear", "ctrlrange", "forcerange")),
-)
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,30 +69,6 @@ def read_arm(model: mujoco.MjModel, arm: str) -> dict[str, Any]:
     }
 
 
-def check_integrator(model: mujoco.MjModel, arm: str) -> None:
-    """Raise `InputError` for RK4: MuJoCo neither halves its step, as controllers need, nor inverts it.
-
-    `mj_step1` and `mj_step2` would integrate by Euler's rule without a word; inverse dynamics ends in an error.
-    """
-    if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4:
-        raise InputError(
-            f"arm {arm!r} asks for the integrator RK4, which can neither be stepped in halves nor inverted; write "
-            'implicitfast, implicit or Euler into its <option integrator="...">'
-        )
-
-
-def check_numbers(model: mujoco.MjModel) -> None:
-    """Raise `InputError` where a model holds NaN, which MuJoCo reads and compiles without a word."""
-    for field in _NUMBERS:
-        values = np.asarray(getattr(model, field))
-        bad = np.flatnonzero(np.isnan(values).any(axis=tuple(range(1, values.ndim))))
-        if bad.size:
-            kind, _, what = field.partition("_")
-            kind = "joint" if kind == "jnt" else kind
-            name = getattr(model, kind)(int(bad[0])).name or f"number {bad[0]}"
-            raise InputError(f"the {what} of {kind} {name!r} of the model is {values[bad[0]]}; write numbers")
-
-
 def read_chain(model: mujoco.MjModel, arm: str) -> Chain:
     """Follow the sites base_frame, link1_frame, link2_frame, ...; `InputError` when they are no chain."""
     sites = [_site(model, arm, "base_frame")]
@@ -109,8 +80,8 @@ def read_chain(model: mujoco.MjModel, arm: str) -> Chain:
     for i, (parent, child) in enumerate(itertools.pairwise(sites), start=1):
         group = _joints_between(model, model.site_bodyid[parent], model.site_bodyid[child], arm, i)
         for joint in group:
-            if int(model.jnt_type[joint]) not in _KINDS:
-                raise InputError(f"{_label(model, arm, joint)} is free; an arm has hinge, slide and ball joints")
+            if int(model.jnt_type[joint]) not in JOINT_KINDS:
+                raise InputError(f"{joint_label(model, arm, joint)} is free; an arm has hinge, slide and ball joints")
         groups.append(tuple(group))
     return Chain(tuple(sites), tuple(groups))
 
@@ -127,21 +98,21 @@ def read_coordinates(model: mujoco.MjModel, arm: str, chain: Chain, rest: Floats
     units: list[str] = []
     index: dict[int, NDArray[np.int_]] = {}
     for joint in (joint for joint in joints if joint not in leaders):
-        name, ball = model.joint(joint).name, _kind(model, joint) == "ball"
+        name, ball = model.joint(joint).name, joint_kind(model, joint) == "ball"
         index[joint] = len(names) + np.arange(3 if ball else 1)
         names += [f"{name}_{axis}" for axis in "xyz"] if ball else [name]
-        units += ["m"] if _kind(model, joint) == "slide" else ["rad"] * len(index[joint])
+        units += ["m"] if joint_kind(model, joint) == "slide" else ["rad"] * len(index[joint])
     coupling, rates, offset = np.zeros((model.nq, len(names))), np.zeros((model.nv, len(names))), rest.copy()
     for joint in joints:
-        if _kind(model, joint) == "ball":
+        if joint_kind(model, joint) == "ball":
             offset[_quaternion(model, joint)] = 0.0
             continue
         leader, ratio, shift = leaders.get(joint, (joint, 1.0, 0.0))
         address = model.jnt_qposadr[joint]
         coupling[address, index[leader]] = rates[model.jnt_dofadr[joint], index[leader]] = ratio
         offset[address] = shift
-    scalars = [joint for joint in index if _kind(model, joint) != "ball"]
-    balls = [joint for joint in index if _kind(model, joint) == "ball"]
+    scalars = [joint for joint in index if joint_kind(model, joint) != "ball"]
+    balls = [joint for joint in index if joint_kind(model, joint) == "ball"]
     return Coordinates(
         names=tuple(names),
         units=tuple(units),
@@ -170,9 +141,9 @@ def read_joints(
     joints, mounts, tips = [], [], []
     for (parent, child), group in zip(itertools.pairwise(chain.sites), chain.groups, strict=True):
         for joint in group:
-            _check_joint(model, arm, joint)
+            check_limited(model, arm, joint)
         # The joint frame sits on the last axis that turns and takes the axes of the first moving body.
-        turning = [joint for joint in group if _kind(model, joint) != "slide"]
+        turning = [joint for joint in group if joint_kind(model, joint) != "slide"]
         orientation = _orientation(data, model.jnt_bodyid[group[0]])
         anchor = data.xanchor[(turning or group)[-1]]
         frame = scipy.spatial.transform.RigidTransform.from_components(anchor, orientation)
@@ -183,9 +154,9 @@ def read_joints(
         shared = any(np.isin(compound.indices, other.indices).any() for other in joints if other is not compound)
         if compound.screw is None or shared:
             for joint in group:
-                _check_turn(model, arm, joint)
+                check_turn(model, arm, joint)
         if not shared:
-            _check_independent(compound, len(coordinates), f"link {i} of arm {arm!r}")
+            check_independent(compound, len(coordinates), f"link {i} of arm {arm!r}")
     return (
         CompoundJoints(tuple(joints), reference),
         _site_pose(data, chain.sites[0]),
@@ -199,7 +170,7 @@ def read_position_limits(model: mujoco.MjModel, chain: Chain, coordinates: Coord
     limits = np.tile([-np.inf, np.inf], (len(coordinates), 1))
     for joint in (joint for group in chain.groups for joint in group):
         low, high = model.jnt_range[joint]
-        if _kind(model, joint) == "ball":
+        if joint_kind(model, joint) == "ball":
             row = int(np.flatnonzero(coordinates.ball_addresses[:, 0] == model.jnt_qposadr[joint])[0])
             limits[coordinates.balls[row]] = [-high, high]
             continue
@@ -245,11 +216,11 @@ def _leaders(model: mujoco.MjModel, arm: str, joints: list[int]) -> dict[int, Li
         line = line_of(model, int(equality)) if leader in joints else None
         if line is None:
             raise InputError(
-                f"{_label(model, arm, follower)} is tied by an equality that the arm cannot follow; the arm "
+                f"{joint_label(model, arm, follower)} is tied by an equality that the arm cannot follow; the arm "
                 "needs polycoef 'a0 a1 0 0 0' with a1 other than 0, between two joints of its chain"
             )
         direct[follower] = line
-    return to_independent_leaders(direct, lambda joint: _label(model, arm, joint))
+    return to_independent_leaders(direct, lambda joint: joint_label(model, arm, joint))
 
 
 def _factor(
@@ -257,47 +228,14 @@ def _factor(
 ) -> Factor:
     inverse = frame.inv()
     anchor = inverse.apply(data.xanchor[joint])
-    if _kind(model, joint) == "ball":
+    if joint_kind(model, joint) == "ball":
         row = int(np.flatnonzero(coordinates.ball_addresses[:, 0] == model.jnt_qposadr[joint])[0])
         axes = (inverse.rotation * _orientation(data, model.jnt_bodyid[joint])).as_matrix()
         return Factor("ball", axes, anchor, coordinates.balls[row])
     (index,) = np.flatnonzero(coordinates.coupling[model.jnt_qposadr[joint]])
     ratio = float(coordinates.coupling[model.jnt_qposadr[joint], index])
     axis = inverse.rotation.apply(data.xaxis[joint])
-    return Factor(_kind(model, joint), axis[:, None], anchor, np.array([index]), ratio)
-
-
-def _check_joint(model: mujoco.MjModel, arm: str, joint: int) -> None:
-    """Refuse joints without limits."""
-    if not model.jnt_limited[joint]:
-        raise InputError(f"{_label(model, arm, joint)} has no position limits; give it a range")
-
-
-def _check_turn(model: mujoco.MjModel, arm: str, joint: int) -> None:
-    """Refuse joints that the encoding by a logarithm would get silently wrong."""
-    label, kind = _label(model, arm, joint), _kind(model, joint)
-    if kind == "slide":
-        return
-    reference = 0.0 if kind == "ball" else model.qpos0[model.jnt_qposadr[joint]]
-    span = np.abs(model.jnt_range[joint] - reference).max()
-    if span >= np.pi:
-        raise InputError(
-            f"{label} may turn by {span:.3g} rad from its reference; the logarithm needs less than pi where other "
-            "joints move the same link"
-        )
-
-
-def _check_independent(joint: CompoundJoint, size: int, link: str) -> None:
-    """Refuse a compound joint whose coordinates no pose can tell apart, at none of a few postures."""
-    count, rng = len(joint.indices), np.random.default_rng(0)
-    if count > 6:
-        raise InputError(f"{link} is moved by {count} coordinates, and a pose tells six apart; name more links")
-    *_, omega, v = joint.pose_and_twists(rng.uniform(-1.0, 1.0, (_POSTURES, size)))
-    columns = np.swapaxes(joint.selection(joint.indices) @ np.concatenate([omega, v], axis=-1), -1, -2)
-    if distinctness(columns, _DEPENDENT).max() < _DEPENDENT:
-        raise InputError(
-            f"{link} is moved by {count} coordinates of which some do the same; cut it between them: name more links"
-        )
+    return Factor(joint_kind(model, joint), axis[:, None], anchor, np.array([index]), ratio)
 
 
 def _joints_between(model: mujoco.MjModel, ancestor: int, body: int, arm: str, link: int) -> list[int]:
@@ -328,14 +266,6 @@ def _site_pose(data: mujoco.MjData, site: int) -> RigidTransform:
 
 def _orientation(data: mujoco.MjData, body: int) -> Rotation:
     return scipy.spatial.transform.Rotation.from_matrix(data.xmat[body].reshape(3, 3))
-
-
-def _kind(model: mujoco.MjModel, joint: int) -> str:
-    return _KINDS[int(model.jnt_type[joint])]
-
-
-def _label(model: mujoco.MjModel, arm: str, joint: int) -> str:
-    return f"joint {model.joint(joint).name!r} of arm {arm!r}"
 
 
 def _quaternion(model: mujoco.MjModel, joint: int) -> NDArray[np.int_]:

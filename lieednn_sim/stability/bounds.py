@@ -105,8 +105,8 @@ def invariant_box(
     ratio = as_ratio(gamma, mu)
     low, high = points.min(axis=0), points.max(axis=0)
     steepest = ratio + np.maximum(-np.diag(matrix), 0.0)
-    reach = np.maximum(np.abs(low), np.abs(high))
-    inward = _INWARD * (np.abs(matrix).sum(axis=1) + np.abs(shift) + ratio * reach)
+    radius = np.maximum(np.abs(low), np.abs(high))
+    inward = _INWARD * (np.abs(matrix).sum(axis=1) + np.abs(shift) + ratio * radius)
     for _ in range(_MAX_ITERATIONS):
         outward_low, outward_high = _outward(matrix, shift, low, high, phi, ratio)
         # Grow until the field points inward by half of `inward` at least; each step aims for all of it.

@@ -141,7 +141,7 @@ def test_they_go_around_what_is_in_the_way_with_clearance(name):
 def test_they_improve_on_what_is_found_first(name, tests):
     """The straight way is blocked: a shortest way bends around the post, by less than what RRT-Connect finds."""
     needs(name)
-    task, options = blocked(7), RrtStarOptions(tests=(tests,), shortcuts=1, reach=0.2)
+    task, options = blocked(7), RrtStarOptions(tests=(tests,), shortcuts=1, longest_edge=0.2)
 
     def length(by):
         workspace = sampling.Workspace(task, options.margin)

@@ -43,7 +43,7 @@ class World:
         return free
 
     def path(self, seed: int, start: np.ndarray = START, target: np.ndarray = TARGET) -> np.ndarray | None:
-        world = {"bounds": BOUNDS, "reach": REACH, "clear": self.clear}
+        world = {"bounds": BOUNDS, "longest_edge": REACH, "clear": self.clear}
         return connected(start, target, **world, over=lambda: len(self.tested) >= self.most, seed=seed)
 
 
@@ -98,7 +98,7 @@ def test_work_out_of_a_narrow_place_is_spent_where_it_helps(monkeypatch):
             asked.append(second)
             return bool(free(first + np.linspace(0.0, 1.0, 100)[:, None] * (second - first)).all())
 
-        world = {"bounds": np.tile([-1.0, 1.0], (4, 1)), "reach": 0.1, "clear": clear}
+        world = {"bounds": np.tile([-1.0, 1.0], (4, 1)), "longest_edge": 0.1, "clear": clear}
         connected(np.zeros(4), target, **world, over=lambda: len(asked) >= 3_000, seed=seed)
         return len(asked)
 

@@ -36,7 +36,7 @@ def mend_inertias(draft: Draft) -> None:
 
 
 def replace_integrator(draft: Draft) -> None:
-    """Let a model that asks for RK4 be stepped by implicitfast: see `parsing.check_integrator`."""
+    """Let a model that asks for RK4 be stepped by implicitfast: see `arm.checks.check_integrator`."""
     if draft.spec.option.integrator == mujoco.mjtIntegrator.mjINT_RK4:
         draft.spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
         draft.notes.append("integrator implicitfast in place of RK4, which has no inverse dynamics in discrete time")

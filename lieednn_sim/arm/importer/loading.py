@@ -9,8 +9,8 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm.checks import check_numbers
 from lieednn_sim.arm.importer.collada import read_points
-from lieednn_sim.arm.parsing import check_numbers
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.storage import is_file
 from lieednn_sim.validation import as_path

@@ -67,8 +67,8 @@ def _span(model: mujoco.MjModel, joint: int, notes: list[str], *, alone: bool) -
     if kind == _SLIDE:
         return given
     if kind == _BALL:
-        reach = given[1] if model.jnt_limited[joint] else _DEFAULT
-        span = np.array([0.0, min(reach, _WIDEST)])
+        widest = given[1] if model.jnt_limited[joint] else _DEFAULT
+        span = np.array([0.0, min(widest, _WIDEST)])
     elif alone and model.jnt_limited[joint]:
         return given
     else:

@@ -121,10 +121,10 @@ def longest_chain(model: mujoco.MjModel, base: str | None) -> tuple[Frame, int]:
     driven = _driven_joints(model)
     start = None if base is None else find_frame(model, base)
     weight = np.array([len(driven.intersection(_chain_joints(model, b))) for b in range(model.nbody)], dtype=int)
-    reach = weight.copy()  # the most driven joints on a path outwards from a body, its own included
+    heaviest = weight.copy()  # the most driven joints on a path outwards from a body, its own included
     for body in range(model.nbody - 1, 0, -1):
         parent = model.body_parentid[body]
-        reach[parent] = max(reach[parent], weight[parent] + reach[body])
+        heaviest[parent] = max(heaviest[parent], weight[parent] + heaviest[body])
     tips: dict[int, int] = {}
     for outermost in np.flatnonzero(weight):
         path = _ancestry(model, int(outermost))
@@ -132,7 +132,7 @@ def longest_chain(model: mujoco.MjModel, base: str | None) -> tuple[Frame, int]:
             if start.body not in path[:-1]:
                 continue
             path = path[path.index(start.body) + 1 :]
-        path = _without_hand(model, path, weight, reach)
+        path = _without_hand(model, path, weight, heaviest)
         if path:
             tips[path[-1]] = int(weight[path].sum())
     if not tips:
@@ -261,12 +261,12 @@ def _driven_joints(model: mujoco.MjModel) -> set[int]:
 
 
 def _without_hand(
-    model: mujoco.MjModel, path: list[int], weight: NDArray[np.int_], reach: NDArray[np.int_]
+    model: mujoco.MjModel, path: list[int], weight: NDArray[np.int_], heaviest: NDArray[np.int_]
 ) -> list[int]:
     for i, (body, child) in enumerate(itertools.pairwise(path)):
         before, beyond = weight[path[: i + 1]].sum(), weight[path[i + 1 :]].sum()
         siblings = [b for b in np.flatnonzero(model.body_parentid == body) if b not in (child, 0)]
-        rival = max((int(reach[sibling]) for sibling in siblings), default=0)
+        rival = max((int(heaviest[sibling]) for sibling in siblings), default=0)
         if 0 < beyond < before and 2 * rival >= beyond:
             path = path[: i + 1]
             break

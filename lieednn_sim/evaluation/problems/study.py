@@ -42,7 +42,7 @@ _TIMED = importlib.util.find_spec("toppra") is not None
 # Starts and goals are close to things, and no work is too much within the time budget. Chosen on problems that the list
 # of 100 does not hold.
 _SEARCH = RrtConnectOptions(
-    margin=0.002, tests=(100_000_000,), reach=0.025, spacings=(0.05, 0.02, 0.008), balanced=True, fastest=_TIMED
+    margin=0.002, tests=(100_000_000,), longest_edge=0.025, spacings=(0.05, 0.02, 0.008), balanced=True, fastest=_TIMED
 )
 OPTIONS: Mapping[str, PlannerOptions] = {
     "rrt-connect": _SEARCH,

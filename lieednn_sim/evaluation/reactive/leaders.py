@@ -117,10 +117,10 @@ class _Fabric(JointLeader):
             self._goal, self._there = target.copy(), self._near(target)
         near = self._collisions.distances(self.y, _NEAR)
         known = [min(self._design.get((a, b), np.inf), self._there.get((a, b), np.inf)) for a, b in near.pairs.tolist()]
-        reach = np.minimum(_NEAR, 0.9 * np.array(known))
-        kept = np.minimum(_MARGIN, 0.5 * reach)
+        onset = np.minimum(_NEAR, 0.9 * np.array(known))
+        kept = np.minimum(_MARGIN, 0.5 * onset)
         gap = np.maximum(near.distance - kept, 1e-3)
-        weight = np.maximum((reach - kept) / gap - 1.0, 0.0) ** 2
+        weight = np.maximum((onset - kept) / gap - 1.0, 0.0) ** 2
         slopes, v = near.jacobian * self.range, self._v
         force = _STIFFNESS * (target - self.y) / self.range - _DAMPING * v
         force = force + (weight * (_STRENGTH / gap - _DAMPING * (slopes @ v))) @ slopes

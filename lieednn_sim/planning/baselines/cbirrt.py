@@ -59,10 +59,10 @@ def _plan(problem: PlanningProblem, options: CbirrtOptions, name: str, search: _
     def corners(attempt: int) -> Floats | None:
         edges = EdgeTest(problem.arm, workspace, options.spacings[attempt])
         workspace.clear.tests = 0
-        reach = options.reach * float(np.linalg.norm(np.ptp(edges.bounds, axis=1)))
+        longest_edge = options.longest_edge * float(np.linalg.norm(np.ptp(edges.bounds, axis=1)))
         seed = int(np.random.SeedSequence([problem.seed, attempt]).generate_state(1)[0])
         ends = (problem.start / edges.scale, problem.target / edges.scale)
-        found = search(edges, *ends, reach, options, seed)
+        found = search(edges, *ends, longest_edge, options, seed)
         check_time()
         if found is None:
             return None
@@ -78,7 +78,7 @@ class _SpentError(Exception):
 
 
 def _mjpl_path(
-    edges: EdgeTest, start: Floats, target: Floats, reach: float, options: PathOptions, seed: int
+    edges: EdgeTest, start: Floats, target: Floats, longest_edge: float, options: PathOptions, seed: int
 ) -> list[Floats] | None:
     if edges.passable(start, target):
         return [start, target]
@@ -97,15 +97,15 @@ def _mjpl_path(
     model = _box(edges.bounds)
     names = [model.joint(k).name for k in range(model.njnt)]
     # What is nearer than its longest edge it takes for connected.
-    reach = min(reach, 0.5 * float(np.linalg.norm(target - start)))
+    longest_edge = min(longest_edge, 0.5 * float(np.linalg.norm(target - start)))
     # Its own limit is one of time on the wall: ours is one of work.
-    planner = planning.RRT(model, names, [searched], max_planning_time=math.inf, epsilon=reach, seed=seed)
+    planner = planning.RRT(model, names, [searched], max_planning_time=math.inf, epsilon=longest_edge, seed=seed)
     try:
         found = planner.plan_to_config(start, target)
     except _SpentError:
         return None
     if len(found) > 2:
-        found = planning.smooth_path(found, [shortened], reach, options.shortcuts, seed, sparse=True)
+        found = planning.smooth_path(found, [shortened], longest_edge, options.shortcuts, seed, sparse=True)
     return list(found)
 
 
@@ -119,7 +119,7 @@ def _box(limits: Floats) -> mujoco.MjModel:
 
 
 def _sscbirrt_path(
-    edges: EdgeTest, start: Floats, target: Floats, reach: float, options: PathOptions, seed: int
+    edges: EdgeTest, start: Floats, target: Floats, longest_edge: float, options: PathOptions, seed: int
 ) -> list[Floats] | None:
     library = optional_module("sscbirrt")
     motions = optional_module("sscbirrt.motion")
@@ -133,7 +133,7 @@ def _sscbirrt_path(
         timeout=1e9,
         max_iterations=2**31 - 1,
         abort_fn=lambda: edges.over(max(options.tests)),
-        step_size=reach,
+        step_size=longest_edge,
         edge_resolution=None,
         smoothing_iterations=options.shortcuts,
     )

@@ -52,7 +52,7 @@ class SearchOptions(PlannerOptions):
         tests: postures tested at most, not seconds, for results must not depend on the machine's speed; while nothing
             is found the search goes on to the next number. Planners that improve what they found spend the first on it.
         shortcuts: tried on the path that was found.
-        reach: longest edge that a tree grows at once, as a share of the joint space's diagonal; OMPL's own by default.
+        longest_edge: that a tree grows at once, as a share of the joint space's diagonal; OMPL's own by default.
         spacings: a link frame moves at most about this far from one posture tested along an edge to the next, from
             0.001 to 1 m. What slips through is found by the dense test of the motion; then the next attempt is made,
             with the next one.
@@ -61,7 +61,7 @@ class SearchOptions(PlannerOptions):
     margin: float = 0.01
     tests: tuple[int, ...] = (120_000,)
     shortcuts: int = 60
-    reach: float = field(default=0.1, metadata={"range": (1e-3, 1.0)})
+    longest_edge: float = field(default=0.1, metadata={"range": (1e-3, 1.0)})
     spacings: tuple[float, ...] = field(default=(0.04, 0.02), metadata={"range": (1e-3, 1.0)})
 
 
@@ -93,7 +93,7 @@ class RrtStarOptions(PathOptions):
 class InformedRrtStarOptions(RrtStarOptions):
     """Of the planner ``informed-rrt-star``; as `RrtStarOptions`, with edges that soon make the straight way."""
 
-    reach: float = field(default=0.2, metadata={"range": (1e-3, 1.0)})
+    longest_edge: float = field(default=0.2, metadata={"range": (1e-3, 1.0)})
 
 
 @dataclass(frozen=True)
@@ -185,7 +185,7 @@ def ompl_search(name: str) -> Search:
         definition.setOptimizationObjective(objective)
         planner = getattr(geometric, METHODS[name])(space.information)
         if hasattr(planner, "setRange"):
-            planner.setRange(options.reach * space.information.getMaximumExtent())
+            planner.setRange(options.longest_edge * space.information.getMaximumExtent())
         planner.setProblemDefinition(definition)
         planner.setup()
         for tests in options.tests:
@@ -205,7 +205,7 @@ def balanced_search(space: SearchSpace, options: SearchOptions, seed: np.random.
     found = connected(
         *(weight * q / edges.scale for q in space.ends),
         bounds=box,
-        reach=options.reach * float(np.linalg.norm(np.ptp(box, axis=1))),
+        longest_edge=options.longest_edge * float(np.linalg.norm(np.ptp(box, axis=1))),
         clear=lambda first, second: edges.passable(first / weight, second / weight),
         over=partial(edges.over, max(options.tests)),
         seed=seed,

@@ -29,7 +29,7 @@ def connected(
     target: Floats,
     *,
     bounds: Floats,
-    reach: float,
+    longest_edge: float,
     clear: Callable[[Floats, Floats], bool],
     over: Callable[[], bool],
     seed: int | np.random.SeedSequence,
@@ -40,7 +40,7 @@ def connected(
         start: ``(n,)``, clear.
         target: ``(n,)``, clear.
         bounds: ``(n, 2)`` of samples.
-        reach: longest edge, by the Euclidean norm.
+        longest_edge: by the Euclidean norm.
         clear: whether the edge from a point that is clear to another point is, its end included.
         over: asked before each extension.
         seed: of the samples.
@@ -64,10 +64,10 @@ def connected(
             if over():
                 break
             point = grown.points[node]
-            new = point + (samples[index] - point) * (reach / max(length, reach))
+            new = point + (samples[index] - point) * (longest_edge / max(length, longest_edge))
             if clear(point, new):
                 return int(node), new
-            grown.radius[node] = _DOMAIN * reach
+            grown.radius[node] = _DOMAIN * longest_edge
         return None
 
     while not over():
@@ -81,7 +81,7 @@ def connected(
         node = grown.add(new, near)
         met = int(other.nearest(new[None])[0][0])
         goal = other.points[met]
-        steps = max(1, math.ceil(float(np.linalg.norm(goal - new)) / reach))
+        steps = max(1, math.ceil(float(np.linalg.norm(goal - new)) / longest_edge))
         for step in range(1, steps + 1):
             ahead = goal if step == steps else new + step / steps * (goal - new)
             if not clear(grown.points[node], ahead):

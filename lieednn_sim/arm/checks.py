@@ -1,0 +1,91 @@
+"""What a compiled model must be for an arm: refused with the joint or the number, before anything is made of it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm.kinematics import CompoundJoint, distinctness
+from lieednn_sim.errors import InputError
+
+JOINT_KINDS = {
+    int(mujoco.mjtJoint.mjJNT_HINGE): "hinge",
+    int(mujoco.mjtJoint.mjJNT_SLIDE): "slide",
+    int(mujoco.mjtJoint.mjJNT_BALL): "ball",
+}
+# Postures at which the coordinates of a link may be dependent, and how nearly they are.
+_POSTURES, _DEPENDENT = 8, 1e-6
+_NUMBERS = (
+    *(f"body_{what}" for what in ("pos", "quat", "ipos", "iquat", "mass", "inertia", "gravcomp")),
+    *(f"jnt_{what}" for what in ("pos", "axis", "range", "stiffness")),
+    *(f"geom_{what}" for what in ("pos", "quat", "size", "friction", "margin")),
+    *(f"site_{what}" for what in ("pos", "quat")),
+    *(f"actuator_{what}" for what in ("gainprm", "biasprm", "gear", "ctrlrange", "forcerange")),
+)
+
+
+def joint_kind(model: mujoco.MjModel, joint: int) -> str:
+    """``"hinge"``, ``"slide"`` or ``"ball"``; `KeyError` of a free joint."""
+    return JOINT_KINDS[int(model.jnt_type[joint])]
+
+
+def joint_label(model: mujoco.MjModel, arm: str, joint: int) -> str:
+    """What a joint is called in messages."""
+    return f"joint {model.joint(joint).name!r} of arm {arm!r}"
+
+
+def check_integrator(model: mujoco.MjModel, arm: str) -> None:
+    """Raise `InputError` for RK4: MuJoCo neither halves its step, as controllers need, nor inverts it.
+
+    `mj_step1` and `mj_step2` would integrate by Euler's rule without a word; inverse dynamics ends in an error.
+    """
+    if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4:
+        raise InputError(
+            f"arm {arm!r} asks for the integrator RK4, which can neither be stepped in halves nor inverted; write "
+            'implicitfast, implicit or Euler into its <option integrator="...">'
+        )
+
+
+def check_numbers(model: mujoco.MjModel) -> None:
+    """Raise `InputError` where a model holds NaN, which MuJoCo reads and compiles without a word."""
+    for field in _NUMBERS:
+        values = np.asarray(getattr(model, field))
+        bad = np.flatnonzero(np.isnan(values).any(axis=tuple(range(1, values.ndim))))
+        if bad.size:
+            kind, _, what = field.partition("_")
+            kind = "joint" if kind == "jnt" else kind
+            name = getattr(model, kind)(int(bad[0])).name or f"number {bad[0]}"
+            raise InputError(f"the {what} of {kind} {name!r} of the model is {values[bad[0]]}; write numbers")
+
+
+def check_limited(model: mujoco.MjModel, arm: str, joint: int) -> None:
+    """Refuse joints without limits."""
+    if not model.jnt_limited[joint]:
+        raise InputError(f"{joint_label(model, arm, joint)} has no position limits; give it a range")
+
+
+def check_turn(model: mujoco.MjModel, arm: str, joint: int) -> None:
+    """Refuse joints that the encoding by a logarithm would get silently wrong."""
+    label, kind = joint_label(model, arm, joint), joint_kind(model, joint)
+    if kind == "slide":
+        return
+    reference = 0.0 if kind == "ball" else model.qpos0[model.jnt_qposadr[joint]]
+    span = np.abs(model.jnt_range[joint] - reference).max()
+    if span >= np.pi:
+        raise InputError(
+            f"{label} may turn by {span:.3g} rad from its reference; the logarithm needs less than pi where other "
+            "joints move the same link"
+        )
+
+
+def check_independent(joint: CompoundJoint, size: int, link: str) -> None:
+    """Refuse a compound joint whose coordinates no pose can tell apart, at none of a few postures."""
+    count, rng = len(joint.indices), np.random.default_rng(0)
+    if count > 6:
+        raise InputError(f"{link} is moved by {count} coordinates, and a pose tells six apart; name more links")
+    *_, omega, v = joint.pose_and_twists(rng.uniform(-1.0, 1.0, (_POSTURES, size)))
+    columns = np.swapaxes(joint.selection(joint.indices) @ np.concatenate([omega, v], axis=-1), -1, -2)
+    if distinctness(columns, _DEPENDENT).max() < _DEPENDENT:
+        raise InputError(
+            f"{link} is moved by {count} coordinates of which some do the same; cut it between them: name more links"
+        )
