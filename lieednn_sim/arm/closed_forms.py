@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 
 from lieednn_sim.arm.kinematics import CompoundJoint
-from lieednn_sim.lie import exp, hat, left_jacobian_se3, left_jacobian_so3, rotations
+from lieednn_sim.lie import exp, hat, left_jacobian_so3, rotations, spatial_twist
 from lieednn_sim.values import Floats
 
 # Newton steps to the multiplier at most: they climb to it, and converge quadratically.
@@ -42,7 +42,7 @@ class MovingPoses:
         """Angular and linear velocity in the joint frame, both ``(..., N, 3)``, by the left Jacobian of SE(3)."""
         if self.twist_rate is None:
             return None
-        spatial = (left_jacobian_se3(self.twist) @ self.twist_rate[..., None])[..., 0]
+        spatial = spatial_twist(self.twist, self.twist_rate)
         omega = spatial[..., :3]
         return omega, spatial[..., 3:] + np.cross(omega, self.translation)
 

@@ -23,6 +23,7 @@ from lieednn_sim.lie.se3 import (
     poses,
     rotations,
     skew,
+    spatial_twist,
     vee,
 )
 
@@ -41,5 +42,6 @@ __all__ = [
     "project_to_scaled_adjoint",
     "rotations",
     "skew",
+    "spatial_twist",
     "vee",
 ]

@@ -181,6 +181,29 @@ def left_jacobian_se3(twist: ArrayLike) -> Floats:
     return result
 
 
+def spatial_twist(twist: ArrayLike, rate: ArrayLike) -> Floats:
+    """Spatial twist ``(..., 6)`` of Exp(xi) where xi ``(..., 6)`` changes at a rate ``(..., 6)``: J xi'.
+
+    As `left_jacobian_se3` times the rate, in a third of the time: vectors are multiplied, not matrices.
+    """
+    vector = as_floats("twist", twist, (6,), batched=True, largest=_LARGEST_TWIST)
+    change = as_floats("rate", rate, vector.shape)
+    w, v = skew(vector[..., :3]), skew(vector[..., 3:])
+    b, c, d, e = (k[..., None] for k in _coefficients(np.linalg.norm(vector[..., :3], axis=-1), 2, 3, 4, 5))
+    f = 0.5 * (d - 3.0 * e)
+    # Columns: both parts of the rate, under no, one and two factors hat(omega).
+    plain = change.reshape(*change.shape[:-1], 2, 3).swapaxes(-1, -2)
+    once = w @ plain
+    twice = w @ once
+    turned = plain + b[..., None] * once + c[..., None] * twice
+    # Q omega', its factors hat(omega) on the left taken out of the sum.
+    slid = v @ np.stack([plain[..., 0], once[..., 0], twice[..., 0]], axis=-1)
+    back = w @ slid[..., :2]
+    inner = c * slid[..., 0] + (c - 3.0 * d) * slid[..., 1] + f * slid[..., 2] + d * back[..., 0] + f * back[..., 1]
+    across = 0.5 * slid[..., 0] + c * slid[..., 1] + d * slid[..., 2] + (w @ inner[..., None])[..., 0]
+    return np.concatenate([turned[..., 0], turned[..., 1] + across], axis=-1)
+
+
 def skew(vector: Floats) -> Floats:
     """`hat` of vectors ``(..., 3)`` in inner loops: unchecked, in one product."""
     return (vector @ _GENERATORS).reshape(*vector.shape, 3)

@@ -20,6 +20,7 @@ from lieednn_sim.lie import (
     log,
     poses,
     rotations,
+    spatial_twist,
     vee,
 )
 
@@ -123,6 +124,14 @@ def test_left_jacobian_against_finite_differences_on_the_manifold(angle, directi
     moved = [exp(twist + step * e) * exp(twist - step * e).inv() for e in np.eye(6)]
     numeric = np.stack([log(pose) for pose in moved], axis=-1) / (2.0 * step)
     np.testing.assert_allclose(left_jacobian_se3(twist), numeric, atol=1e-7)
+
+
+@given(large_angles, directions, directions)
+def test_the_spatial_twist_is_the_left_jacobian_times_the_rate(angle, direction, towards):
+    twist, rate = make_twist(angle, direction), make_twist(2.0, towards)[::-1]
+    np.testing.assert_allclose(spatial_twist(twist, rate), left_jacobian_se3(twist) @ rate, rtol=0, atol=1e-13)
+    both = spatial_twist(np.array([[twist, rate]]), np.array([[rate, rate]]))
+    np.testing.assert_allclose(both[0, 0], spatial_twist(twist, rate), rtol=0, atol=1e-14)
 
 
 @pytest.mark.parametrize("function", [hat, left_jacobian_so3, left_jacobian_se3, lambda x: exp(x).as_matrix()])
