@@ -155,11 +155,11 @@ def simulate(
 
 def _drive(driver: Controller, simulation: Simulation, total: int) -> Callable[[int], None]:
     """What sets the controls of each of some steps from a reset on: known beforehand, if they can be."""
-    inputs = driver.inputs(range(total), simulation.first_noise(total))
+    model, data, inputs = simulation.model, simulation.data, driver.inputs(range(total), simulation.first_noise(total))
     if inputs is None:
-        return lambda k: driver.act(simulation.data, k, simulation.noise)
+        return lambda k: driver.act(data, k, simulation.noise)
     kind, rows = joined(inputs)
-    return lambda k: mujoco.mj_setState(simulation.model, simulation.data, rows[k], kind)
+    return lambda k: mujoco.mj_setState(model, data, rows[k], kind)
 
 
 def joined(inputs: Inputs) -> tuple[int, Floats]:

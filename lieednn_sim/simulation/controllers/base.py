@@ -157,8 +157,9 @@ class InverseDynamicsServo(FeedforwardServo):
         # A reference that rests, or is held, asks for the same again.
         firsts, run = runs(np.hstack([qpos, velocity, acceleration]))
         inverse, forces = self._inverse, np.empty((len(firsts), velocity.shape[1]))
-        for row, i in zip(forces, firsts, strict=True):
-            inverse.qpos[:], inverse.velocity[:], inverse.acceleration[:] = qpos[i], velocity[i], acceleration[i]
+        position, rate, change = inverse.qpos, inverse.velocity, inverse.acceleration
+        for row, *wanted in zip(forces, qpos[firsts], velocity[firsts], acceleration[firsts], strict=True):
+            position[:], rate[:], change[:] = wanted
             row[:] = inverse.force()
         return self._actuators.servo_controls(qpos, velocity, forces[run])
 
@@ -179,9 +180,11 @@ class ComputedTorque(DriveController):
         self._model = self._inverse.model
         self._actuators.make_direct(self._model)
         self._foreseen = Foreseen(reference, self._goals)
-        self._turning, self._error = arm.model.nq > arm.model.nv, np.empty(arm.model.nv)
-        # Arrays are multiplied by arrays in half the time that they are by numbers.
-        self._damping, self._stiffness = np.full((2, arm.model.nv), [[2.0 * _OMEGA], [_OMEGA**2]])
+        self._turning = arm.model.nq > arm.model.nv
+        # Of velocity and position. Arrays are multiplied by arrays in half the time that they are by numbers.
+        self._gains = np.full((2, arm.model.nv), [[2.0 * _OMEGA], [_OMEGA**2]])
+        self._errors = np.empty_like(self._gains)
+        self._lag, self._error = self._errors
 
     def equip(self, plant: mujoco.MjModel) -> None:
         """See `Controller`."""
@@ -195,7 +198,7 @@ class ComputedTorque(DriveController):
 
     def act(self, data: mujoco.MjData, step: int, noise: Noise) -> None:
         """See `Controller`."""
-        inverse, error, wanted = self._inverse, self._error, self._inverse.acceleration
+        inverse, lag, error = self._inverse, self._lag, self._error
         goal, velocity, acceleration = self._foreseen[step]
         np.add(data.qvel, noise.velocity, inverse.velocity)
         if self._turning:
@@ -207,11 +210,10 @@ class ComputedTorque(DriveController):
             np.add(data.qpos, noise.position, inverse.qpos)
             np.subtract(goal, inverse.qpos, error)
         # In place: a + 2 w (v - qd) + w^2 e.
-        np.subtract(velocity, inverse.velocity, wanted)
-        wanted *= self._damping
-        wanted += acceleration
-        error *= self._stiffness
-        wanted += error
+        np.subtract(velocity, inverse.velocity, lag)
+        self._errors *= self._gains
+        lag += acceleration
+        np.add(lag, error, inverse.acceleration)
         self._actuators.direct_controls(inverse.force(), data.ctrl)
 
 
