@@ -175,10 +175,12 @@ def write(directory: Path, scale: int, suffix: str = "") -> Path:
     synthesize(random_targets(4, 1)[0])  # warm up
 
     rows = []
-    for neurons, count in ((4, 1000), (2, 200), (3, 200), (8, 100), (12, 50)):
+    sizes = [(4, 10_000, "uniform"), (4, 10_000, "sign-matched")]
+    sizes += [(neurons, count, "uniform") for neurons, count in ((2, 200), (3, 200), (8, 100), (12, 50))]
+    for neurons, count, bias in sizes:
         targets = random_targets(neurons, max(count // scale, 1))
-        outcomes = [synthesize(xi, seed=k) for k, xi in enumerate(targets)]
-        rows.append(summarise(f"N = {neurons}, U(-0.8, 0.8), b = 1/8", outcomes))
+        outcomes = [synthesize(xi, bias=bias, seed=k) for k, xi in enumerate(targets)]
+        rows.append(summarise(f"N = {neurons}, U(-0.8, 0.8), {bias} bias 1/8", outcomes))
         print(rows[-1], flush=True)
     studies = [(name, "mixed", 1000) for name in arm_names()]
     studies += [("telescopic_pr", "negative", 100), ("telescopic_pr", "zero", 100), ("telescopic_pr", "tiny", 1000)]
