@@ -38,6 +38,7 @@ METHODS = ("descent", "lmi")
 # Entries of P further apart prove nothing of use (V then sees one coordinate only), and with `LARGEST`, which bounds W,
 # gamma, mu and their inverses, S W S^-1 stays far from overflow, and gamma/mu far above what underflow can spoil.
 _LARGEST_SPREAD = 1e60
+_EPS, _TINY = float(np.finfo(float).eps), float(np.finfo(float).tiny)
 
 
 @frozen
@@ -95,14 +96,15 @@ def verify(lyapunov_diagonal: ArrayLike, weight: ArrayLike, *, gamma: float = 1.
     if diagonal.size == 0:
         raise InputError("lyapunov_diagonal must have shape (n,) with n >= 1, got (0,)")
     matrix = as_floats("weight", weight, (diagonal.size, diagonal.size))
-    if not (diagonal > 0).all():
-        raise InputError(f"lyapunov_diagonal must be positive, its smallest entry is {diagonal.min():g}")
+    least, most = diagonal.min(), diagonal.max()
+    if not least > 0.0:
+        raise InputError(f"lyapunov_diagonal must be positive, its smallest entry is {least:g}")
     decay = as_positive("gamma", gamma)
-    spread = diagonal.max() / diagonal.min() if diagonal.min() >= 1.0 / LARGEST else np.inf
+    spread = most / least if least >= 1.0 / LARGEST else np.inf
     if spread > _LARGEST_SPREAD:
         raise InputError(
             f"lyapunov_diagonal must have entries from {1.0 / LARGEST:g}, none more than {_LARGEST_SPREAD:g} times "
-            f"another, got {diagonal.min():g} to {diagonal.max():g}"
+            f"another, got {least:g} to {most:g}"
         )
     root = np.sqrt(diagonal)
     # The quotient first: within the bounds on P it neither overflows nor underflows, nor do its products with W.
@@ -113,8 +115,8 @@ def verify(lyapunov_diagonal: ArrayLike, weight: ArrayLike, *, gamma: float = 1.
     # Forming an entry rounds at most five times; the symmetric eigensolver is backward stable, with an error
     # below n eps ||A||_2. Both are taken twice over, in the Frobenius norm. What underflows is off by less than the
     # smallest normal number, entry by entry and in the eigenvalue.
-    relative = (10.0 + 2.0 * diagonal.size) * np.finfo(float).eps * np.linalg.norm(unit)
-    rounding = float(np.ldexp(relative, exponent)) + (diagonal.size + 1.0) * float(np.finfo(float).tiny)
+    relative = (10.0 + 2.0 * diagonal.size) * _EPS * np.linalg.norm(unit)
+    rounding = float(np.ldexp(relative, exponent)) + (diagonal.size + 1.0) * _TINY
     return Certificate(
         lyapunov_diagonal=diagonal * np.exp(-np.log(diagonal).mean()),
         lambda_max=float(np.ldexp(np.linalg.eigvalsh(0.5 * (unit + unit.T))[-1], exponent)),
