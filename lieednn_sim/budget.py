@@ -19,13 +19,13 @@ from contextvars import ContextVar
 from lieednn_sim.errors import OutOfTimeError
 from lieednn_sim.validation import as_positive
 
-# Of a planner [s]; far more than any needs for the arms of the package.
+# CPU time of a planner [s]; far more than any needs for the arms of the package.
 DEFAULT_TIME_BUDGET = 60.0
 
 # States whose nearest posture is searched for, in one piece of work: several times what any planner needs.
 MOST_STATES = 250_000
 
-# Of the present work, those so far.
+# States that the present work has searched so far.
 _STATES: ContextVar[list[int] | None] = ContextVar("lieednn_sim states", default=None)
 # When the present work must be done, by `cpu_time`, and the budget that says so [s].
 _LIMIT: ContextVar[tuple[float, float] | None] = ContextVar("lieednn_sim time limit", default=None)

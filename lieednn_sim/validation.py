@@ -23,11 +23,11 @@ LARGEST = 1e100
 # More characters than any name or sentence of the user's own: what is refused is quoted up to here.
 _QUOTED = 80
 _LARGEST_COUNT = 2**53
-# Of Linux, in bytes; the one of a path counts its final zero.
+# Limits of Linux, in bytes; that of a path counts its final zero.
 _LONGEST_NAME, _LONGEST_PATH = 255, 4096
 # As many as NumPy draws for a seed of its own; all of it can be written into a file.
 _SEED_BITS = 128
-# Of an array of the oldest NumPy that is supported.
+# Axes of an array in the oldest NumPy that is supported.
 _MOST_AXES = 32
 # A gibibyte of float64.
 _LARGEST_SIZE = 2**27

@@ -193,7 +193,7 @@ class Arm:
         return replace(self._of(spec), scene=label)
 
     def _of(self, spec: mujoco.MjSpec) -> Arm:
-        """The same arm, of a spec with more in it."""
+        """This arm, compiled from a spec with more in it."""
         return replace(Arm.from_spec(spec, self.source, self.name, self.import_report), clearance=self.clearance)
 
     def __repr__(self) -> str:

@@ -45,7 +45,7 @@ def bridge(evaluate: _Evaluate, exact: Floats, guess: Floats, goal: Floats) -> t
     vague[[0, -1]] = False
     if not vague.any():
         return exact, vague
-    # Of each sample the length of its stretch.
+    # The length of each sample's stretch.
     stretch = np.cumsum(np.diff(vague, prepend=vague[:1]))
     length = np.bincount(stretch)[stretch]
     weights = VAGUE**2 * ((_SHARE * length) ** 4 * np.maximum(1.0 - share**2, 0.0) ** 4)[1:-1]

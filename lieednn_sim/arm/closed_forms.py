@@ -34,7 +34,7 @@ class MovingPoses:
 
     @property
     def translation(self) -> Floats:
-        """Of the poses, ``(..., N, 3)``."""
+        """Translations of the poses, ``(..., N, 3)``."""
         return self._pose[..., :3, 3]
 
     @cached_property

@@ -154,7 +154,7 @@ class Collisions:
             data.qpos[:] = qpos
             mujoco.mj_kinematics(model, data)
             before, (center, rotation) = (center, rotation), self._frames()
-            # Of a difference of rotations the 2-norm is the Frobenius norm over sqrt(2).
+            # The 2-norm of a difference of rotations is its Frobenius norm over sqrt(2).
             turned = np.sqrt(0.5 * np.square(rotation - before[1]).sum(axis=(1, 2)))
             moved = np.linalg.norm(center - before[0], axis=1) + self._radius * turned
             bounds -= moved[self._first] + moved[self._second]
@@ -204,7 +204,7 @@ class Collisions:
         if not count:
             return np.zeros(0)
         center, rotation = self._frames()
-        # Of all geoms at once, in tables (geom, its axis, other geom): a few large products beat many small ones.
+        # All geoms at once, in tables (geom, its axis, other geom): a few large products beat many small ones.
         axes = np.ascontiguousarray(rotation.transpose(0, 2, 1)).reshape(-1, 3)
         own = (rotation.transpose(0, 2, 1) @ center[:, :, None]).reshape(-1, 1)
         beyond = (np.abs(axes @ center.T - own) - half.reshape(-1, 1)).reshape(count, 3, count)

@@ -39,7 +39,7 @@ def arm_fingerprint(arm: Arm) -> str:
 
 
 def model_fingerprint(model: mujoco.MjModel) -> str:
-    """The same of a compiled model that holds no arm."""
+    """Fingerprint of a compiled model that holds no arm."""
     return storage.fingerprint(_arrays(model), {})
 
 

@@ -77,7 +77,7 @@ def resting_load(model: mujoco.MjModel, postures: Floats) -> Floats:
     by_actuator = model.jnt_actgravcomp[model.dof_jntid] != 0
     loads = np.empty((len(postures), model.nv))
     for load, data.qpos[:] in zip(loads, postures, strict=True):
-        # Of mj_forward what comes before the constraints are solved.
+        # The part of mj_forward before the constraints are solved.
         mujoco.mj_fwdPosition(model, data)
         mujoco.mj_fwdVelocity(model, data)
         load[:] = data.qfrc_bias - data.qfrc_passive - np.where(by_actuator, data.qfrc_gravcomp, 0.0)
@@ -108,7 +108,7 @@ def _sum_of_ranges(weights: Floats, ranges: Floats) -> Floats:
 
 
 def _force_range(model: mujoco.MjModel, actuator: int) -> Floats:
-    """Of one actuator: its own, or that of the controls of a motor."""
+    """Force range of an actuator: its own, or that of the controls of a motor."""
     if model.actuator_forcelimited[actuator]:
         return model.actuator_forcerange[actuator].copy()
     motor = (

@@ -88,12 +88,12 @@ class CompoundJoint:
 
     @cached_property
     def indices(self) -> NDArray[np.int_]:
-        """Of its c coordinates in q, sorted."""
+        """Indices in q of its c coordinates, sorted."""
         return np.unique(self.coordinates)
 
     @cached_property
     def coordinates(self) -> NDArray[np.int_]:
-        """``(r,)`` of each of its joints in turn; coupled joints share one."""
+        """Indices in q ``(r,)`` of each of its joints in turn; coupled joints share one."""
         return np.concatenate([factor.indices for factor in self.factors])
 
     def selection(self, indices: NDArray[np.int_]) -> Floats:

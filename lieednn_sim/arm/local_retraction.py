@@ -69,7 +69,7 @@ class LocalRetraction:
                     turns[i, 1 + columns], weights = about, factor.ratio * factor.axes.T
                 else:
                     turns[i, 1 + columns], weights = each @ _HAT, np.eye(len(columns))
-                # Whose coordinates they are.
+                # Which coordinates of q they are.
                 chosen[i][np.ix_(factor.indices, columns)] = weights
         self._twists = twists.reshape(-1, n)
         self._balls = [np.array(part) for part in zip(*balls, strict=True)]

@@ -24,7 +24,7 @@ _DAMPING, _DAMPING_FALL, _DAMPING_RISE = 1e-3, 0.2, 5.0
 _FLAT = 1e-9
 # Where this much of f is left there may be a lower minimum: it is looked for from the two best of 256 postures.
 _FAR, _POSTURES, _STARTS = 0.1, 256, 2
-# Of minima that are equal up to rounding the first counts.
+# Relative difference of minima that are equal up to rounding; the first of them counts.
 _TIE = 1e-9
 # A way is followed in at least 64 strides, and in shorter ones where a coordinate moves more than this [rad, m].
 _STRIDES, _LONG = 64, 0.2
@@ -55,8 +55,8 @@ class NearestPose:
         turning = [factor.indices for joint in joints for factor in joint.factors if factor.kind != "slide"]
         self._sliding = ~np.isin(indices, np.concatenate([*turning, []]))
         factors = [factor for joint in joints for factor in joint.factors]
-        # Of each joint: which of its r coordinates is which of the group's, ``(c, r)``, and for which pairs of them the
-        # first one's joint is further in, 1, or the same, 1/2, ``(r, r)``.
+        # For each joint: which of its r coordinates is which of the group's, ``(c, r)``; and of pairs ``(r, r)`` 1 if
+        # the first is of a joint further in, 1/2 where both are of the same.
         self._places = [joint.selection(indices) for joint in joints]
         ranks = [np.repeat(np.arange(len(j.factors)), [len(f.indices) for f in j.factors]) for j in joints]
         self._orders = [np.heaviside(rank - rank[:, None], 0.5) for rank in ranks]

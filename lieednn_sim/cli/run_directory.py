@@ -160,7 +160,7 @@ class RunDirectory:
     def load_rollout(self, task: Task, arm: Arm) -> Rollout:
         """The rollout, when it, the motion and the network were made from each other and for the task of the arm."""
         self.check(task, "network", "motion", "rollout")
-        # Of a run that was not simulated it is the rollout that is missed.
+        # Where a run was not simulated the rollout is what is missing.
         motion = Motion.load(self.motion) if self.rollout.exists() else None
         return Rollout.load(self.rollout, arm, motion)
 

@@ -62,7 +62,7 @@ class Task:
 
     @property
     def fingerprint(self) -> str:
-        """Of all values; see `storage.fingerprint`."""
+        """Fingerprint of all values; see `storage.fingerprint`."""
         return storage.fingerprint({}, asdict(self))
 
     def load_arm(self) -> Arm:

@@ -84,7 +84,7 @@ def arm_and_target(name: str, scene: str, seed: int, entries: tuple[Entry, ...] 
 
 @lru_cache(maxsize=4)
 def _arm_and_target(name: str, scene: str, seed: int, entries: tuple[Entry, ...]) -> tuple[Arm, Floats] | LieEDNNError:
-    """The same, or why not: what is sought in vain is not sought again for each planner."""
+    """`arm_and_target`, or its error: what is sought in vain is not sought again for each planner."""
     # Where obstacles are not drawn nothing in the arm depends on the seed, and one arm serves all.
     drawn = scene != FREE and (SCENE, scene) not in {entry[:2] for entry in entries}
     try:

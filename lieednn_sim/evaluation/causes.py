@@ -13,7 +13,7 @@ from lieednn_sim.values import Floats
 
 # What would hold a joint off by less than this share of its error does not explain it.
 _SHARE = 0.25
-# Of a force limit, which is reached up to rounding.
+# Share of a force limit that counts as all of it.
 _FULL = 0.999
 # A servo is slow where it leaves more than this of an error at the end of the hold.
 _LEFT = 0.05

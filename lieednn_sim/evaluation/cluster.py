@@ -13,7 +13,7 @@ from typing import Any
 from lieednn_sim.errors import InputError
 from lieednn_sim.versions import versions
 
-# For the scheduler's first answer [s].
+# How long the scheduler's first answer is waited for [s].
 _PATIENCE = 20.0
 
 

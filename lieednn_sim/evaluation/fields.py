@@ -14,10 +14,10 @@ from lieednn_sim.values import Floats
 
 # Durations after which a start counts as arrived or not.
 HORIZON = 10.0
-# In extents of the demonstrations: what is nearer to the goal is there, what moves less in a duration is at rest, and
-# what rests nearer together is one attractor.
+# In units of the demonstrations' extent: what is nearer to the goal has arrived, what moves less in a duration is at
+# rest, and what rests nearer together is one attractor.
 ARRIVED, AT_REST, ONE_ATTRACTOR = 1e-2, 1e-4, 5e-2
-# Of a random start's turn from the goal [rad].
+# Largest turn of a random start from the goal [rad].
 LARGEST_TURN = 0.9 * np.pi
 # Starts run at once: what is kept of them fits into memory.
 _BATCH = 500

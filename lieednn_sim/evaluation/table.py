@@ -135,7 +135,7 @@ def how_made(path: Path, kind: str) -> dict[str, Any]:
 
 
 def differences(made: Mapping[str, Any], other: Mapping[str, Any], here: str = "now") -> list[str]:
-    """In what two descriptions of tables differ; ``here`` says where the other is."""
+    """Each setting in which two descriptions of tables differ; ``here`` says where the other is."""
     old, new = ({k: v for group in _DESCRIBED for k, v in one.get(group, {}).items()} for one in (made, other))
     names = [name for name in {**new, **old} if old.get(name) != new.get(name)]
     return [f"{name} {old.get(name)}, {here} {new.get(name)}" for name in names]

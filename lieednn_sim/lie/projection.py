@@ -19,7 +19,8 @@ _SKEW_BASIS = hat(np.eye(3))
 _TIE = 1e-13
 # Entries: what is squared is divided by its size first, so that more is allowed than elsewhere.
 _LARGEST = 1e152
-# Of `descend`: steps, their length in the group's coordinates (rad for rotations), and when a point has arrived.
+# `descend`: the most steps, their greatest length in the group's coordinates (rad for rotations), and the one
+# with which a point has arrived.
 _MAX_STEPS = 200
 _LONGEST_STEP = 1.0
 _SHORTEST_STEP = 1e-12

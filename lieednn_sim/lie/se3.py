@@ -20,9 +20,9 @@ if TYPE_CHECKING:
 # digits by cancellation, (theta - sin theta - theta^3/6) / theta^5 already all of them at 1e-3.
 _SERIES_ANGLE = 1.0
 _SERIES_TERMS = 10
-# Of entries that are only moved, or halved and added.
+# Largest entry of what is only moved, or halved and added.
 _LARGEST = 1e300
-# Of a twist whose entries are multiplied five times over.
+# Largest entry of a twist where five of them are multiplied.
 _LARGEST_TWIST = 1e60
 # Rows: hat(e_k), flat; its columns are e_k x e_j.
 _GENERATORS = np.cross(np.eye(3)[:, None], np.eye(3)).swapaxes(-1, -2).reshape(3, 9)

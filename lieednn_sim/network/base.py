@@ -229,7 +229,7 @@ class BlockNetwork(ABC):
         return stability.norm_conditions(self.weight, smallest, gamma=self.gamma, mu=self.mu)
 
     def _seen(self, x: Floats) -> Floats:
-        """Of a flat state what counts: where the visible neurons are, and what the hidden ones send; a flat array."""
+        """What counts of a flat state, flat: where the visible neurons are, and what the hidden ones send."""
         if self.n_hidden == 0:
             return x
         state = x.reshape(self.bias.shape)

@@ -9,7 +9,7 @@ from lieednn_sim.errors import InputError
 from lieednn_sim.validation import as_count, as_floats, as_positive, as_ratio
 from lieednn_sim.values import Floats
 
-# Of the entries of R R^T - I: what rounding may make of a rotation, far from what a wrong matrix has.
+# Largest entry of R R^T - I of a rotation: more than rounding leaves, far less than a wrong matrix has.
 _ORTHONORMAL_TOLERANCE = 1e-9
 
 

@@ -20,9 +20,9 @@ from lieednn_sim.values import Floats, frozen
 # Flat vector fields ``(dN,)`` to ``(dN,)`` and their Jacobians, ``(dN,)`` to ``(dN, dN)``.
 VectorField = Callable[[Floats], Floats]
 
-# Steps of the flow at most, see `_follow`.
+# Steps that a flow is followed for at most, see `_follow`.
 _FLOW_STEPS = 5000
-# Of the vector field in one integration, which take some seconds; a usual one needs a thousand.
+# Evaluations of the vector field in one integration, which take some seconds; a usual one needs a thousand.
 _MAX_EVALUATIONS = 200_000
 
 _OVERFLOW = "the equilibrium cannot be found in double precision: weights, bias or start are too large"
@@ -34,9 +34,9 @@ INTEGRATORS: dict[str, type[OdeSolver]] = {
     "BDF": BDF,
     "LSODA": LSODA,
 }
-# Of the time at which a way ends, as closely as SciPy's own events are found.
+# Relative tolerance of the time at which a way ends, as that of SciPy's own events.
 _TINY = 4.0 * float(np.finfo(float).eps)
-# Of the powers in RK45's interpolants.
+# Exponents of the powers in RK45's interpolants.
 _ORDERS = np.arange(4)
 
 
@@ -213,7 +213,7 @@ def integrate(
     for name, value in (("rtol", rtol), ("atol", atol), ("distance", distance)):
         as_positive(name, value)
     longest = as_positive("duration", duration)
-    # Of a flat state, how far it is from where the way ends.
+    # How far a flat state is from where the way ends.
     away: Callable[[Floats], float] | None = None
     if until is not None:
         goal = seen(until.ravel())

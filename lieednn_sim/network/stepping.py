@@ -13,7 +13,7 @@ from lieednn_sim.network.componentwise import ComponentwiseNetwork
 from lieednn_sim.network.dynamics import runge_kutta_step
 from lieednn_sim.values import Floats
 
-# Of the classical Runge-Kutta method, and the powers of z = -gamma h that its states hold.
+# Stages of the classical Runge-Kutta method, and the powers of z = -gamma h that its states hold.
 _STAGES = 4
 _POWERS = np.arange(1.0 + _STAGES)
 

@@ -39,7 +39,7 @@ _SEARCH = SearchOptions(margin=0.02)
 
 @dataclass(frozen=True)
 class FilteredOptions(CandidateOptions):
-    """Of the planner ``lieednn-filtered``, beside what `CandidateOptions` say.
+    """Options of the planner ``lieednn-filtered``, beside what `CandidateOptions` say.
 
     Attributes:
         attempts: starts of `synthesize` for each network.
@@ -60,7 +60,7 @@ class FilteredOptions(CandidateOptions):
 
 @dataclass(frozen=True)
 class GuidedOptions(FilteredOptions):
-    """Of the planner ``lieednn-guided``, beside those of `FilteredOptions`.
+    """Options of the planner ``lieednn-guided``, beside those of `FilteredOptions`.
 
     Attributes:
         paths: searched for.

@@ -29,9 +29,9 @@ from lieednn_sim.values import Floats
 
 # Distance to the equilibrium at which the network's path is cut [network coordinates: rad, length_scale m].
 RESIDUAL = 1e-8
-# Of the speed along a path, for each step of the integrator: between them the speed is interpolated with less order.
+# Samples of the speed along a path for each step of the integrator: between them it is interpolated with less order.
 _SAMPLES_PER_STEP = 8
-# Of a path's length, to which a place on it is found: where the speed is low its time is known no better.
+# Share of a path's length to which a place on it is found: where the speed is low its time is known no better.
 _ROUNDING = 1e-14
 # Joints this near to their targets have arrived [rad, m]: two postures with the same poses are further apart.
 _ARRIVED = 1e-3

@@ -32,7 +32,7 @@ _ARRIVAL = 1e-6
 
 @dataclass(frozen=True)
 class RetargetedOptions(PlannerOptions):
-    """Of the planner ``lieednn-retargeted``.
+    """Options of the planner ``lieednn-retargeted``.
 
     Attributes:
         bias_magnitude: of the sign-matched bias under which the reference network is certified [gamma/mu].
@@ -43,7 +43,7 @@ class RetargetedOptions(PlannerOptions):
 
 @dataclass(frozen=True)
 class TrainedOptions(CandidateOptions):
-    """Of the planner ``lieednn-trained``, beside what `CandidateOptions` say.
+    """Options of the planner ``lieednn-trained``, beside what `CandidateOptions` say.
 
     Attributes:
         training: how each is learned.
@@ -55,7 +55,7 @@ class TrainedOptions(CandidateOptions):
 
 @dataclass(frozen=True)
 class UnprojectedOptions(TrainedOptions):
-    """Of the planner ``lieednn-unprojected``; as `TrainedOptions`, by gradient steps that are never projected."""
+    """Options of the planner ``lieednn-unprojected``: `TrainedOptions` with gradient steps, never projected."""
 
     training: TrainingOptions = _PLAIN
 

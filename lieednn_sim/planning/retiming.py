@@ -28,7 +28,7 @@ _PIECES = 1000
 _WINDOWS = np.geomspace(0.002, 1.0, 20)
 # Instants at which a law is looked at.
 _INSTANTS = 2000
-# In place of limits that are not there, for the solver [1/s, 1/s^2 in path lengths]: nothing comes near.
+# What the solver is given for limits that are not there [1/s, 1/s^2 in path lengths]: nothing comes near.
 _NONE = 1e6
 # Sampled at the model's time step, rates may seem a little higher than on the law: the duration is then multiplied by
 # the first of these, at most as often as the second says.

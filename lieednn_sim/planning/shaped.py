@@ -44,7 +44,7 @@ _POSTURES = 50
 
 @dataclass(frozen=True)
 class ShapedOptions(PlannerOptions):
-    """Of the planner ``lieednn-shaped``.
+    """Options of the planner ``lieednn-shaped``.
 
     Attributes:
         deviation: of the end effector's path from the teacher's, with which a network is taken at once [m].

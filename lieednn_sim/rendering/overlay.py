@@ -20,7 +20,7 @@ PLANNED_COLOUR = (0.08, 0.75, 0.70, 0.55)
 TRACED_COLOUR = (0.98, 0.80, 0.10, 1.0)
 _AXIS_LENGTH = 0.22
 _MAX_SEGMENTS = 150
-# Of a geom, before its ends are known.
+# Position and orientation of a geom before its ends are known.
 _NOWHERE, _UPRIGHT = np.zeros(3), np.eye(3).ravel()
 
 

@@ -15,7 +15,7 @@ from lieednn_sim.stability.norms import as_weight, log_norms
 from lieednn_sim.validation import as_finite, as_floats, as_positive, as_ratio
 from lieednn_sim.values import Floats
 
-# Of a curve: larger ones than elsewhere do no harm, since they only divide.
+# Largest number of a curve: larger ones than elsewhere do no harm, since they only divide.
 _LARGEST_SLOPE = 1e300
 
 

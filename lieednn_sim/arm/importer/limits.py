@@ -19,7 +19,7 @@ from lieednn_sim.validation import as_choice, as_positive, quoted
 # Custom numerics of the limits.
 RATE_LIMITS = {"velocity": "velocity_limit", "acceleration": "acceleration_limit", "jerk": "jerk_limit"}
 _VELOCITY, _ACCELERATION, _ = RATE_LIMITS.values()
-# Of the force that an actuator has left: the rest is for friction, and for what the other joints do to it.
+# Share of the force that an actuator has left: the rest is for friction, and for what the other joints do to it.
 _SHARE = 0.5
 
 

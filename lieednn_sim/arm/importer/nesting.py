@@ -113,7 +113,7 @@ class _Overlaps:
         return near
 
     def bodies(self, geoms: _Pair) -> _Pair:
-        """Of two geoms."""
+        """The bodies of two geoms."""
         return _pair(*self._model.geom_bodyid[list(geoms)])
 
     def geoms(self, pair: _Pair) -> set[_Pair]:
@@ -126,7 +126,7 @@ class _Overlaps:
         }
 
     def names(self, pair: _Pair) -> str:
-        """Of two bodies, for a note."""
+        """Names of two bodies, for a note."""
         one, other = sorted(self._model.body(body).name for body in pair)
         return f"{one!r} and {other!r}"
 

@@ -275,7 +275,7 @@ def _without_hand(
         last = _joints_of(model, path[-1])
         on_path = {joint for body in path for joint in _joints_of(model, body)}
         leads_others = any(leader in last and follower not in on_path for follower, leader in ties)
-        # Of one joint: what carries it may be called after a finger that does not move.
+        # At most one: what carries it may be called after a finger that does not move.
         gripper = not opened and weight[path[:-1]].any() and any(is_gripper(model, joint) for joint in last)
         if weight[path[-1]] and not leads_others and not gripper:
             break

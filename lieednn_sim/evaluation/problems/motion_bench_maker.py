@@ -80,7 +80,7 @@ class ProblemSets:
 
     @cached_property
     def fingerprint(self) -> str:
-        """Of all that the problems are read from."""
+        """Fingerprint of all that the problems are read from."""
         texts = {f"{key}": text for key, text in self._texts.items()}
         texts |= {path.suffix: path.read_bytes() for path in (self.model, self.semantics) if path}
         return storage.fingerprint({key: np.frombuffer(text, np.uint8) for key, text in texts.items()}, {})
@@ -277,7 +277,7 @@ def _obstacles(scene: Mapping[str, Any], root: str) -> Iterator[dict[str, Any]]:
 
 
 def _pose(pose: Mapping[str, Any]) -> RigidTransform:
-    """Of a message; its quaternions end with the real part."""
+    """The pose that a message holds; its quaternions end with the real part."""
     position, orientation = ([float(value) for value in pose[name]] for name in ("position", "orientation"))
     return RigidTransform.from_components(position, Rotation.from_quat(orientation))
 

@@ -109,7 +109,7 @@ MEASURED = columns_of(Solution)
 
 @dataclass(frozen=True)
 class Statistic:
-    """Of numbers: mean, standard deviation, median, and 75th and 98th percentile."""
+    """Mean, standard deviation, median, and 75th and 98th percentile of some numbers."""
 
     mean: float
     std: float
@@ -119,7 +119,7 @@ class Statistic:
 
     @classmethod
     def of(cls, values: Sequence[float]) -> Statistic | None:
-        """None of none."""
+        """The statistic of some values; None where there are none."""
         if not values:
             return None
         return cls(*map(float, (np.mean(values), np.std(values), *np.percentile(values, (50, 75, 98)))))

@@ -25,12 +25,12 @@ from lieednn_sim.simulation.feedback import FeedbackFollower
 from lieednn_sim.synthesis import synthesize
 from lieednn_sim.values import Floats
 
-# Of the certified network's bias [gamma/mu]: the middle one of its planner's.
+# Size of the certified network's bias [gamma/mu]: the middle one of its planner's.
 _BIAS_MAGNITUDE = 0.25
-# Of the movement primitive: spring, decay of the phase over the motion (a third of it, as usual, so that its forces
+# The movement primitive: spring, decay of the phase over the motion (a third of it, as usual, so that its forces
 # are gone when the motion ends), basis functions, ridge of their regression.
 _SPRING, _DECAY, _BASES, _RIDGE = 25.0, 25.0 / 3.0, 20, 1e-8
-# Of the fabric: stiffness and damping [1/s^2, 1/s], distance from which geoms repel and that they keep [m], strength.
+# The fabric: stiffness and damping [1/s^2, 1/s], distance from which geoms repel and that they keep [m], strength.
 _STIFFNESS, _DAMPING, _NEAR, _MARGIN, _STRENGTH = 16.0, 8.0, 0.15, 0.01, 0.3
 
 
@@ -147,7 +147,7 @@ class _Tracker:
 
 @lru_cache(maxsize=1)
 def _shaped_network(task: Assignment, rate: float) -> LieEDNN:
-    """The same for all disturbances of a case."""
+    """The network of `lieednn-shaped`, made once for all disturbances of a case."""
     options = ShapedOptions(rate=rate)
     network = plan(task.arm, task.target, planner="lieednn-shaped", options=options, seed=task.seed).network
     assert isinstance(network, LieEDNN)

@@ -95,7 +95,7 @@ def _kinematic(arm: Arm, step: float, near: float) -> mujoco.MjModel:
     for sensor in list(spec.sensors):
         spec.delete(sensor)
     wanted = 1 << int(mujoco.mjtConDataField.mjCONDATA_FOUND) | 1 << int(mujoco.mjtConDataField.mjCONDATA_DIST)
-    # Of all contacts the one (3) of the least distance (2).
+    # The sensor reports one contact: that of the least distance.
     spec.add_sensor(name="nearest", type=mujoco.mjtSensor.mjSENS_CONTACT, intprm=[wanted, 1, 1])
     model = spec.compile()
     off = mujoco.mjtDisableBit
@@ -108,7 +108,7 @@ def _kinematic(arm: Arm, step: float, near: float) -> mujoco.MjModel:
 
 
 def weights(costs: Floats) -> Floats:
-    """Of samples, from their costs ``(S,)``; the temperature is a share of the median cost above the least."""
+    """Weights of samples, from their costs ``(S,)``; the temperature is a share of the median cost above the least."""
     above = costs - costs.min()
     return np.asarray(softmax(-above / max(_TEMPERATURE * float(np.median(above)), 1e-300)))
 

@@ -14,13 +14,13 @@ from lieednn_sim.values import Floats
 
 # Back on the path is who is within this share of the largest distance from it, for good.
 BACK = 0.1
-# Of a push: its length [s], the largest deviation of a joint as a share of its range, and how exactly it is met.
+# A push: its length [s], the largest deviation of a joint as a share of its range, and how exactly it is met.
 PUSH_TIME, PUSHED_OFF, _EXACT = 0.2, 0.1, 0.2
-# Of the search for its force: where it begins, how often it tries, and the most that it tries [N].
+# The search for its force: where it begins [N], how often it tries, and the most that it tries [N].
 _GUESS, _TRIALS, _MOST = 300.0, 12, 2e4
 # Postures of the path that are compared with, even over its length.
 _SAMPLES = 2000
-# Among those that are as near in the joint that is furthest away, how much it counts to be near in all.
+# Of postures whose furthest joint is as near the one counts as nearest that is near in all: how much that weighs.
 _TIE = 1e-6
 
 
@@ -63,7 +63,7 @@ class Path:
         return found[:, 0], found[:, 1]
 
     def recovery(self, t: Floats, q: Floats, begin: float, end: float) -> Return:
-        """Of postures ``(K, n)`` at times ``(K,)``, disturbed from ``begin`` to ``end`` [s]."""
+        """How postures ``(K, n)`` at times ``(K,)``, disturbed from ``begin`` to ``end`` [s], come back to the path."""
         after = np.flatnonzero(t >= begin)
         distance, at = self.nearest(q[after])
         off = float(distance.max())

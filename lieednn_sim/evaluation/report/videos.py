@@ -22,7 +22,7 @@ from lieednn_sim.rendering.ffmpeg import count_frames, read_frame
 from lieednn_sim.rendering.video import render_video
 from lieednn_sim.validation import as_count
 
-# Of clips, which the page itself holds, [pixels, 1/s]; the poster is the frame at this share of a clip.
+# Size and rate of clips, which the page itself holds [pixels, 1/s]; the poster is the frame at this share of one.
 SIZE = (480, 270)
 FPS = 25
 _POSTER_SHARE = 0.55

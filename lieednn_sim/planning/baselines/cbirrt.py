@@ -33,7 +33,7 @@ _Search = Callable[[EdgeTest, Floats, Floats, float, PathOptions, int], "list[Fl
 
 @dataclass(frozen=True)
 class CbirrtOptions(PathOptions):
-    """Of the planners ``mjpl`` and ``sscbirrt``; as `PathOptions`."""
+    """Options of the planners ``mjpl`` and ``sscbirrt``; as `PathOptions`."""
 
 
 def mjpl(problem: PlanningProblem, options: CbirrtOptions) -> Motion:

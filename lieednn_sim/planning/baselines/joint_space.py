@@ -13,7 +13,8 @@ from lieednn_sim.planning.motion import Motion, check_joints
 from lieednn_sim.planning.problem import PlanningProblem
 from lieednn_sim.values import Floats
 
-# Of the curves that planners follow: the least with which curvature, and of its own law jerk, is continuous.
+# Degree of the curves that planners follow: the least with which their curvature is continuous, and so is the jerk of a
+# spline in time.
 SPLINE_DEGREE = 5
 # Where start or target are nearer than that, this share of their distance is kept.
 _SHARE = 0.8

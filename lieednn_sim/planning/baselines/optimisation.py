@@ -38,7 +38,7 @@ _FIXED = 3
 
 @dataclass(frozen=True)
 class OptimisationOptions(PlannerOptions):
-    """Of the planner ``trajectory-optimisation``.
+    """Options of the planner ``trajectory-optimisation``.
 
     Attributes:
         margin: what first guesses are judged by, as far as start and target keep it [m].
@@ -121,7 +121,7 @@ class _Descent:
         self.ends = np.zeros((control, self.arm.n_joints))
         self.ends[:_FIXED], self.ends[-_FIXED:] = start, target
         free = squared[self.inner, self.inner]
-        # Of all with these ends: the quintic polynomial, which the splines contain.
+        # The smoothest of all with these ends is the quintic polynomial, which the splines contain.
         self.smoothest = -np.linalg.solve(free, squared[self.inner] @ self.ends)
         # Squared jerk of a unit way is 720: with it cost is a squared length, at least a tenth of the joint space's.
         spread = self.arm.ranges / self.scale

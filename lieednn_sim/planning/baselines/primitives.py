@@ -20,7 +20,7 @@ from lieednn_sim.values import Floats
 
 @dataclass(frozen=True)
 class DmpOptions(PlannerOptions):
-    """Of the planner ``dmp``.
+    """Options of the planner ``dmp``.
 
     Attributes:
         basis_functions: radial ones, of each joint's forcing term, from 2 to 1000.

@@ -38,7 +38,7 @@ from lieednn_sim.values import Floats
 # Distance to the target at which the path ends, a few times what learning leaves, and the longest that it may take in
 # the network's own time, whose slowest part may be far slower than its decay.
 _ARRIVED, _LONGEST = 1e-5, 1000.0
-# Of the path, from which the waypoints are taken.
+# Samples of the path, from which the waypoints are taken.
 _SAMPLES = 2000
 # Their Algorithm 1: rates, period, tolerance. A thousand epochs do mostly; of their 30 000 no more than these.
 _ALGORITHM = TrainingOptions(
@@ -48,7 +48,7 @@ _ALGORITHM = TrainingOptions(
 
 @dataclass(frozen=True)
 class QshnnOptions(PlannerOptions):
-    """Of the planner ``qshnn``.
+    """Options of the planner ``qshnn``.
 
     Attributes:
         modulus: of start and target, whose directions alone are postures. With 1 most networks turn unstable: a state

@@ -72,7 +72,7 @@ class PathOptions(SearchOptions, SmoothingOptions):
 
 @dataclass(frozen=True)
 class RrtConnectOptions(PathOptions):
-    """Of the planner ``rrt-connect``; as `PathOptions`.
+    """Options of the planner ``rrt-connect``; as `PathOptions`.
 
     Attributes:
         balanced: search as `trees` does, by distances in the workspace, in place of OMPL's RRTConnect: out of narrow
@@ -84,21 +84,21 @@ class RrtConnectOptions(PathOptions):
 
 @dataclass(frozen=True)
 class RrtStarOptions(PathOptions):
-    """Of the planners ``rrt-star`` and ``aorrtc``; as `PathOptions`."""
+    """Options of the planners ``rrt-star`` and ``aorrtc``; as `PathOptions`."""
 
     tests: tuple[int, ...] = (80_000, 160_000)
 
 
 @dataclass(frozen=True)
 class InformedRrtStarOptions(RrtStarOptions):
-    """Of the planner ``informed-rrt-star``; as `RrtStarOptions`, with edges that soon make the straight way."""
+    """Options of the planner ``informed-rrt-star``; as `RrtStarOptions`, with edges that soon make the straight way."""
 
     longest_edge: float = field(default=0.2, metadata={"range": (1e-3, 1.0)})
 
 
 @dataclass(frozen=True)
 class BitStarOptions(PathOptions):
-    """Of the planner ``bit-star``; as `PathOptions`.
+    """Options of the planner ``bit-star``; as `PathOptions`.
 
     A test takes several times as long as RRT*'s, and the longer the more samples there are.
     """

@@ -40,7 +40,7 @@ _POSTURES = 100
 
 @dataclass(frozen=True)
 class StompOptions(PlannerOptions):
-    """Of the planner ``stomp``; tuned on seeds from 100 on, which no table uses.
+    """Options of the planner ``stomp``; tuned on seeds from 100 on, which no table uses.
 
     Attributes:
         margin: what paths keep away from everything, unless start or target are closer to something [m].

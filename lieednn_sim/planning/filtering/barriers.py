@@ -226,5 +226,5 @@ class AngleBarrier(Barrier):
 
     def name(self, row: int) -> str:
         """See `Barrier`."""
-        # Of a ball joint's three coordinates the names differ in their last two letters.
+        # The names of a ball joint's three coordinates differ in their last two letters.
         return f"the position limit of joint {self._arm.joint_names[self._balls[row, 0]][:-2]!r}"
