@@ -27,8 +27,7 @@ def _rows(case: Case, controllers: tuple[str, ...], settings: Settings) -> list[
     values: dict[str, Any] = {column.name: 0.123456 * (case.seed + i) for i, column in enumerate(COLUMNS)}
     values |= dict.fromkeys((name for name in values if name.endswith("violations")), 0)
     return [
-        Row(case.arm, case.scene, case.planner, name, case.seed, settings.mass_scale, success=True, **values)
-        for name in controllers
+        Row(case.arm, case.scene, case.planner, name, case.seed, settings.mass_scale, **values) for name in controllers
     ]
 
 

@@ -148,7 +148,7 @@ def failed_case(case: Case, controllers: Sequence[str], settings: Settings, reas
 
 def _row(case: Case, controller: str, settings: Settings, reason: str, **values: Any) -> Row:
     keys = {**asdict(case), "controller": controller, "mass_scale": settings.mass_scale}
-    return Row(**keys, success=not reason, reason=reason, **values)
+    return Row(**keys, reason=reason, **values)
 
 
 def replay(case: Case, controller: str, settings: Settings, *, entries: tuple[Entry, ...] = ()) -> Rollout:

@@ -35,6 +35,11 @@ def column(heading: str, meaning: str, *, of_motion: bool = False) -> Any:
 _of_motion = partial(column, of_motion=True)
 
 
+def outcome() -> Any:
+    """The field ``success`` of a row: whether its ``reason`` why not is empty."""
+    return field(default=True, init=False)
+
+
 def columns_of(kind: type[TableRow]) -> tuple[Column, ...]:
     """The measured columns of a kind of row."""
     return tuple(Column(entry.name, **entry.metadata) for entry in fields(kind) if entry.metadata)
@@ -42,7 +47,7 @@ def columns_of(kind: type[TableRow]) -> tuple[Column, ...]:
 
 @dataclass(frozen=True, slots=True)
 class TableRow:
-    """A row of a table, one column a field; subclasses have a ``success`` and a ``reason`` why not.
+    """A row of a table, one column a field; subclasses have a ``success``, see `outcome`, and a ``reason`` why not.
 
     Numbers are rounded to the digits of the file, so that a table that is read says what it said when it was made.
     """
@@ -58,6 +63,8 @@ class TableRow:
             elif isinstance(value, str):
                 # A row is a line. Most texts are those of many rows.
                 object.__setattr__(self, entry.name, sys.intern(" ".join(value.splitlines())))
+                if entry.name == "reason" and value:
+                    object.__setattr__(self, "success", False)
 
     @property
     def key(self) -> tuple[Any, ...]:
@@ -75,7 +82,7 @@ class TableRow:
             raise ValueError("a row has more columns or fewer")
         if texts["success"] != ("no" if texts["reason"] else "yes"):
             raise ValueError(f"success is {texts['success']!r} where the reason of a failure is {texts['reason']!r}")
-        return cls(**{entry.name: _value(texts[entry.name], str(entry.type)) for entry in fields(cls)})
+        return cls(**{entry.name: _value(texts[entry.name], str(entry.type)) for entry in fields(cls) if entry.init})
 
     def _as_text(self, value: bool | int | float | str | None) -> str:
         if isinstance(value, bool):
@@ -147,7 +154,7 @@ class Row(TableRow):
     controller: str
     seed: int
     mass_scale: float
-    success: bool
+    success: bool = outcome()
     reason: str = ""
     stability: str = ""
     stability_level: str = ""

@@ -54,7 +54,7 @@ def test_bad_options_stop_before_the_work(words, message, tmp_path, capsys):
 
 def test_planners_that_react_have_a_table_and_a_section_of_the_page(tmp_path, monkeypatch, undrawn, in_this_process):
     def ran(arm, scene, leader, seed):
-        return [Reaction(arm, scene, leader, name, seed, success=True, step_us=7.25) for name in DISTURBANCES]
+        return [Reaction(arm, scene, leader, name, seed, step_us=7.25) for name in DISTURBANCES]
 
     monkeypatch.setattr(study, "run_reactions", ran)
     with in_this_process():

@@ -298,7 +298,7 @@ def test_wilson_interval_solves_its_quadratic(count):
 
 def test_failures_that_differ_in_names_and_numbers_are_counted_together():
     def row(planner, controller, seed, reason):
-        return Row("a", "s", planner, controller, seed, 1.0, False, reason, planning_s=1.0)
+        return Row("a", "s", planner, controller, seed, 1.0, reason, planning_s=1.0)
 
     rows = [row("p", c, 0, "plan: joint 'a' at 1.5 rad, range [-1, 1e-3]") for c in ("x", "y")]
     rows += [row("r", c, 0, "plan: joint 'b' at -2 rad, range [-.5, 1]") for c in ("x", "y")]

@@ -26,7 +26,7 @@ def invented(monkeypatch, in_this_process, undrawn):
         where = case.arm, case.scene, case.planner
         spent, reason = float(next(clock)), "" if case.seed % 3 else "contact: 3 mm deep"
         return [
-            Row(*where, name, case.seed, 1.0, not reason, reason, planning_s=spent, gap_mm=1.0 / (1 + case.seed))
+            Row(*where, name, case.seed, 1.0, reason, planning_s=spent, gap_mm=1.0 / (1 + case.seed))
             for name in controllers
         ]
 

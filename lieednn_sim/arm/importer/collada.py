@@ -8,11 +8,10 @@ from xml.etree import ElementTree
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
 from lieednn_sim.errors import FileError
+from lieednn_sim.values import Floats
 
-Floats = NDArray[np.float64]
 # A node's own way to place what is in it; others, such as skews, are refused.
 _PLACING = ("matrix", "translate", "rotate", "scale")
 

@@ -24,7 +24,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.budget import as_time_budget, cpu_time, time_limit
 from lieednn_sim.errors import InputError, LieEDNNError, PlanError
 from lieednn_sim.evaluation.problems.motion_bench_maker import ProblemSets
-from lieednn_sim.evaluation.rows import TableRow, column, columns_of
+from lieednn_sim.evaluation.rows import TableRow, column, columns_of, outcome
 from lieednn_sim.evaluation.study import complete
 from lieednn_sim.evaluation.table import Rows
 from lieednn_sim.planning import Plan, missing_planners, plan, planners, retime
@@ -84,7 +84,7 @@ class Solution(TableRow):
     problem: str
     number: int
     planner: str
-    success: bool
+    success: bool = outcome()
     reason: str = ""
     teacher: str = ""
     solve_time: float | None = column(
@@ -144,7 +144,7 @@ def solve(folder: str, name: str, number: int, planner: str, budget: float) -> l
         except LieEDNNError as error:
             return failed(folder, name, number, planner, budget, f"plan: {error}")
         made = replace(made, cpu_time=cpu_time() - begun)
-        return [Solution(name, number, planner, success=True, **measured(arm, made))]
+        return [Solution(name, number, planner, **measured(arm, made))]
 
 
 def _planned(arm: Arm, start: Floats, goal: Floats, planner: str, budget: float) -> Plan:
@@ -162,7 +162,7 @@ def _planned(arm: Arm, start: Floats, goal: Floats, planner: str, budget: float)
 
 def failed(_folder: str, name: str, number: int, planner: str, _budget: float, reason: str) -> list[Solution]:
     """The row of a problem that came to nothing, with the reason."""
-    return [Solution(name, number, planner, success=False, reason=reason)]
+    return [Solution(name, number, planner, reason=reason)]
 
 
 # A process does the problems of one robot.

@@ -17,7 +17,7 @@ from lieednn_sim.evaluation.metrics import evaluate
 from lieednn_sim.evaluation.reactive.leaders import LEADERS
 from lieednn_sim.evaluation.reactive.protocol import Assignment, Leader, Setpoints
 from lieednn_sim.evaluation.reactive.recovery import PUSH_TIME, Path, pushing_force
-from lieednn_sim.evaluation.rows import TableRow, column, columns_of
+from lieednn_sim.evaluation.rows import TableRow, column, columns_of, outcome
 from lieednn_sim.planning import plan
 from lieednn_sim.planning.filtering import FilterOptions
 from lieednn_sim.simulation import Disturbances, Feedback, Push, Rollout, Simulation
@@ -53,7 +53,7 @@ class Reaction(TableRow):
     leader: str
     disturbance: str
     seed: int
-    success: bool
+    success: bool = outcome()
     reason: str = ""
     push_n: float | None = column("push [N]", "force that takes a joint a tenth of its range off that way")
     final_mm: float | None = column("final [mm]", "distance of the worst link from its target at the end")
@@ -94,9 +94,7 @@ def run_reactions(arm: str, scene: str, leader: str, seed: int, *, entries: tupl
                 targets, changes, end = _disturbed(task, leader, disturbance, begin, path)
                 rollout, steps = _run(task, LEADERS[leader](task), targets, changes)
             except LieEDNNError as error:
-                rows.append(
-                    Reaction(arm, scene, leader, disturbance, seed, success=False, reason=f"simulation: {error}")
-                )
+                rows.append(Reaction(arm, scene, leader, disturbance, seed, reason=f"simulation: {error}"))
                 continue
             row = _row(task, scene, leader, disturbance, rollout, steps)
             if changes is not None:
@@ -110,7 +108,7 @@ def run_reactions(arm: str, scene: str, leader: str, seed: int, *, entries: tupl
 
 def failed_reactions(arm: str, scene: str, leader: str, seed: int, reason: str) -> list[Reaction]:
     """Rows of a leader that could not be run, with the reason."""
-    return [Reaction(arm, scene, leader, name, seed, success=False, reason=reason) for name in DISTURBANCES]
+    return [Reaction(arm, scene, leader, name, seed, reason=reason) for name in DISTURBANCES]
 
 
 @lru_cache(maxsize=2)
@@ -158,7 +156,6 @@ def _row(task: Assignment, scene: str, leader: str, disturbance: str, rollout: R
         leader,
         disturbance,
         task.seed,
-        success=not evaluation.shortfall,
         reason=evaluation.shortfall,
         final_mm=evaluation.final_worst_mm,
         effort=float(use.sum() * rollout.timestep),

@@ -96,7 +96,7 @@ def test_a_study_goes_on_where_it_was_stopped(tiny: Path, tmp_path: Path, monkey
         table: object, run: object, failed: object, todo: list[tuple[str, str, int, str, float]], **_: object
     ) -> None:
         asked.append([task[1:4] for task in todo])
-        table.add([Solution(*todo[0][1:4], success=True, solve_time=1.0)])  # type: ignore[attr-defined]
+        table.add([Solution(*todo[0][1:4], solve_time=1.0)])  # type: ignore[attr-defined]
         table.save()  # type: ignore[attr-defined]
 
     monkeypatch.setattr(study, "complete", stopped)

@@ -103,10 +103,7 @@ def test_the_table_goes_on_and_the_summary_counts(tmp_path, monkeypatch):
     def ran(arm, scene, leader, seed):
         asked.append((leader, seed))
         reason = "contact: up to 1 at a time" if leader == "dmp" else ""
-        return [
-            Reaction(arm, scene, leader, name, seed, success=not reason, reason=reason, back_s=0.1 * seed)
-            for name in DISTURBANCES
-        ]
+        return [Reaction(arm, scene, leader, name, seed, reason=reason, back_s=0.1 * seed) for name in DISTURBANCES]
 
     monkeypatch.setattr(study, "run_reactions", ran)
     monkeypatch.setattr("lieednn_sim.evaluation.workers.worker_pool", ThreadPoolExecutor)

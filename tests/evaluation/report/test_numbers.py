@@ -24,7 +24,7 @@ def row(planner, seed, controller="position-servo", scene="free", **values):
     """A success whose columns hold their place among the columns, and a half."""
     numbers = {column.name: index + 0.5 for index, column in enumerate(COLUMNS)}
     numbers |= {column.name: 0 for column in COLUMNS if column.name.endswith(("_violations", "_excess"))}
-    words = {"success": True, "stability": "-", "stability_level": "-"}
+    words = {"stability": "-", "stability_level": "-"}
     return Row("an_arm", scene, planner, controller, seed, 1.0, **words | numbers | values)
 
 
@@ -34,9 +34,9 @@ ROWS = [
     *(row(SECOND, k, tracking_rms_mm=v, planning_s=7, clearance_mm=8) for k, v in enumerate((2, 3, 9000))),
     *(row(THIRD, k, tracking_rms_mm=40, planning_s=v, clearance_mm=3) for k, v in enumerate((0.5, 0.25, 99))),
 ]
-CONTACT = {"success": False, "reason": "contact: up to 1 at a time"}
+CONTACT = {"reason": "contact: up to 1 at a time"}
 ROWS[1] = replace(ROWS[1], **CONTACT, clearance_mm=-2.5, velocity_violations=7)
-ROWS[8] = replace(ROWS[8], success=False, reason="arrival: link 1 ends 2 mm and 0 deg off")
+ROWS[8] = replace(ROWS[8], reason="arrival: link 1 ends 2 mm and 0 deg off")
 # Another controller follows better; what is said of tracking is of the first one.
 ROWS += [row(THIRD, k, "computed-torque", tracking_rms_mm=1e-9, planning_s=99, clearance_mm=7) for k in range(3)]
 

@@ -29,7 +29,7 @@ def table(tmp_path_factory, in_this_process):
             values = {"tracking_rms_mm": 10.0 ** (index - 3), "planning_s": 0.5 + index}
             made.add([replace(row, arm=arm, scene=scene, seed=3, **values)])
     reason = "plan: <b>no</b> way past 'link4' & co after 3.5 s"
-    made.add([Row("another_arm", "free", "rrt-connect", row.controller, row.seed, row.mass_scale, False, reason)])
+    made.add([Row("another_arm", "free", "rrt-connect", row.controller, row.seed, row.mass_scale, reason)])
     made.save()
     return made
 
