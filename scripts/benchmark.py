@@ -1,4 +1,4 @@
-"""Measure certified synthesis and learning: success, residual, translations and time, on one core.
+"""Measure certified synthesis and learning: success, residual, translations and time.
 
     python scripts/benchmark.py [--quick] [--output results/benchmark]
 
@@ -21,6 +21,7 @@ import numpy as np
 from benchmark_floors import floor_ratios, processor_time
 from benchmark_stepping import stepping_ratios
 from scipy.spatial.transform import RigidTransform
+from threadpoolctl import threadpool_info
 
 from lieednn_sim import storage
 from lieednn_sim._blas import one_blas_thread
@@ -162,6 +163,11 @@ def start_ratios(repeats: int) -> dict[str, str]:
     return {name: f"{cost(*ours) / cost('-c', floor):.1f}" for name, (ours, floor) in pairs.items()}
 
 
+def blas_threads() -> int:
+    """How many threads a product of large matrices may take, as far as is known."""
+    return max((pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"), default=1)
+
+
 def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="a tenth of the targets")
@@ -234,8 +240,8 @@ def write(directory: Path, scale: int, suffix: str = "") -> Path:
     lines = [
         "# Benchmark of synthesis and learning",
         "",
-        f"`python scripts/benchmark.py{suffix}`, one core, {platform.machine()}, "
-        f"Python {platform.python_version()}, NumPy {np.__version__}.",
+        f"`python scripts/benchmark.py{suffix}`, {os.cpu_count()} processors, {blas_threads()} BLAS threads, "
+        f"{platform.machine()}, Python {platform.python_version()}, NumPy {np.__version__}.",
         "",
         "| " + " | ".join(rows[0]) + " |",
         "|" + " --- |" * len(rows[0]),

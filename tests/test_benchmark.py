@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from functools import partial
 
 import benchmark
@@ -11,6 +12,7 @@ import benchmark_rows
 import benchmark_stepping
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_limits
 
 from lieednn_sim.arm import Arm, arm_names
 from lieednn_sim.planning import plan
@@ -29,7 +31,10 @@ def test_every_row_is_measured_and_written(tmp_path, monkeypatch):
     table = benchmark.write(tmp_path, 1000).read_text(encoding="utf-8")
     written = json.loads((tmp_path / "benchmark.json").read_text(encoding="utf-8"))
     rows = written["synthesis"]
-    assert len(rows) == 11
+    assert len(rows) == 12
+    with threadpool_limits(1, "blas"):
+        assert benchmark.blas_threads() == 1
+    assert f"{os.cpu_count()} processors, {benchmark.blas_threads()} BLAS threads, " in table
     assert all(f"| {row['targets']} | {row['certified']} |" in table for row in rows)
     stepping = {name: float(value) for name, value in written["ratios"].items() if "step" in name}
     assert len([name for name in stepping if "mj_step" in name]) == 12
