@@ -13,11 +13,13 @@ from PIL import Image, ImageDraw, ImageFont
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.values import Floats, frozen
 
+# Red, green and blue for x, y and z.
 _AXIS_COLOURS = np.array(
     [(0.90, 0.22, 0.21, 0.75), (0.26, 0.71, 0.32, 0.75), (0.20, 0.42, 0.92, 0.75)], dtype=np.float32
 )
 PLANNED_COLOUR = (0.08, 0.75, 0.70, 0.55)
 TRACED_COLOUR = (0.98, 0.80, 0.10, 1.0)
+# Length of a drawn frame's axes at full size [m], and pieces of a drawn path at most.
 _AXIS_LENGTH = 0.22
 _MAX_SEGMENTS = 150
 # Position and orientation of a geom before its ends are known.

@@ -12,10 +12,11 @@ from lieednn_sim.arm.importer.loading import unused
 from lieednn_sim.values import Floats
 
 _LIGHTS = (((-0.33, 0.43, -0.84), 0.45, True), ((-0.45, -0.72, -0.54), 0.2, False))  # direction, diffuse, shadow
+# Colours of a target's marker: its axes, and the ball around them.
 _AXES = ((0.87, 0.20, 0.20, 1.0), (0.20, 0.68, 0.28, 1.0), (0.18, 0.40, 0.88, 1.0))
 _GLASS = (0.08, 0.75, 0.70, 0.35)
 _AZIMUTH, _ELEVATION = 125.0, -20.0  # of a camera that nobody placed [degrees]
-_POSTURES = 64
+_POSTURES = 64  # random ones, from which the space that the arm takes up is judged
 _UNSEEN = {"contype": 0, "conaffinity": 0, "group": 2, "mass": 0.0}  # by contacts and dynamics
 
 

@@ -35,9 +35,9 @@ class Preset:
     samples: int
 
 
-_MAX_RATE = 1000.0
+_MAX_RATE = 1000.0  # frames per second: more is a mistake in the argument
 _LARGE = 1.3  # across what is in the picture [m], from which on what is drawn over it has its full size
-_MAX_WIDTH, _MAX_HEIGHT = 3840, 2160
+_MAX_WIDTH, _MAX_HEIGHT = 3840, 2160  # 4K [pixels]
 PRESETS = {"draft": Preset(shadows=False, samples=0), "nice": Preset(shadows=True, samples=4)}
 
 
