@@ -56,7 +56,7 @@ def test_every_row_is_measured_and_written(tmp_path, monkeypatch):
     )
     assert len(codes) == 6
     assert all(compile(code, "memory", "exec") for code in codes)
-    studied = [row for row in rows if "sign-matched" in row["targets"]]
+    studied = [row for row in rows if "angles" in row["targets"]]
     assert {row["targets"].split(",")[0] for row in studied} == set(arm_names())
     assert all(row["certified"] == "1 of 1" for row in studied)
 
