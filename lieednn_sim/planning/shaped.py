@@ -108,9 +108,9 @@ def _following(problem: PlanningProblem, options: ShapedOptions, teacher: Plan) 
     law = law_of(guide, units)
     curve = np.concatenate([guide.xi[:-1:_STRIDE], guide.xi_target[None]])
     line, guide_jerk = _effector(arm, guide), rms_jerk(arm, guide)
-    fit_time, refusal, left = 0.0, "no number of neurons was allowed", list[_Candidate]()
+    fit_time, refusal, left = 0.0, "no number of neurons was allowed", list[_Fitted]()
 
-    def planned(candidate: _Candidate) -> Plan | None:
+    def planned(candidate: _Fitted) -> Plan | None:
         nonlocal refusal
         path, deviation = candidate.path, candidate.deviation
         try:
@@ -127,7 +127,7 @@ def _following(problem: PlanningProblem, options: ShapedOptions, teacher: Plan) 
         path = NetworkPath.drawn(arm, result.network, problem.start, units)
         motion = path.timed(lasts, lasts / _COMPARED, law)
         deviation, jerk = _deviation(_effector(arm, motion), line), rms_jerk(arm, motion) / guide_jerk
-        candidate = _Candidate(max(deviation / options.deviation, (jerk - 1.0) / (options.jerk - 1.0)), path, deviation)
+        candidate = _Fitted(max(deviation / options.deviation, (jerk - 1.0) / (options.jerk - 1.0)), path, deviation)
         if candidate.badness <= 1.0:
             if made := planned(candidate):
                 return made
@@ -142,7 +142,9 @@ def _following(problem: PlanningProblem, options: ShapedOptions, teacher: Plan) 
 
 
 @frozen
-class _Candidate:
+class _Fitted:
+    """A network's path along the teacher's: how bad it is in units of what is allowed, and how far it is off [m]."""
+
     badness: float
     path: NetworkPath
     deviation: float
@@ -174,8 +176,8 @@ def _teacher(problem: PlanningProblem, options: ShapedOptions) -> Plan:
 def lever_units(arm: Arm, q: Floats) -> Floats:
     """Metres ``(N, 6)`` for one unit of each network coordinate along postures ``(K, n)``.
 
-    Of a rotation the longest lever arm, from the frame that it turns about to the end effector; of a translation the
-    length scale.
+    For a rotation that is the longest lever arm, from the frame that it turns about to the end effector; for a
+    translation the length scale.
     """
     postures = q[:: max(1, len(q) // _POSTURES)]
     frames = arm.link_poses(postures).as_matrix()[..., :3, 3]
