@@ -395,11 +395,11 @@ class Arm:
 
     @cached_property
     def _touching(self) -> ContactFinder:
-        return ContactFinder(self.model)
+        return ContactFinder(self.without_visuals.model)
 
     @cached_property
     def _nearly_touching(self) -> ContactFinder:
-        return ContactFinder(self.model, self.clearance)
+        return ContactFinder(self.without_visuals.model, self.clearance)
 
     @cached_property
     def _retractor(self) -> Retractor:

@@ -39,8 +39,9 @@ class ClearanceTest:
     def __init__(self, arm: Arm, margin: float, own: float | None = None) -> None:
         self._arm = arm
         self._margin, self._own = margin, margin if own is None else own
-        self._finder = ContactFinder(arm.model, max(self._margin, self._own))
-        self._moving = moving_geoms(arm.model)
+        # What touches nothing would make up most of the cost.
+        model = arm.without_visuals.model
+        self._finder, self._moving = ContactFinder(model, max(self._margin, self._own)), moving_geoms(model)
         self.tests = 0
 
     def __call__(self, q: Floats) -> bool:
