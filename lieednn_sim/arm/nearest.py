@@ -26,8 +26,10 @@ _FLAT = 1e-9
 _FAR, _POSTURES, _STARTS = 0.1, 256, 2
 # Relative difference of minima that are equal up to rounding; the first of them counts.
 _TIE = 1e-9
-# A way is followed in at least 64 strides, and in shorter ones where a coordinate moves more than this [rad, m].
+# A way is followed in at least 64 strides, and in shorter ones where a coordinate moves more than this [rad, m]; in
+# strides of so many times the length where poses tell coordinates apart this many times as well as they must.
 _STRIDES, _LONG = 64, 0.2
+_STRETCH, _PLAIN = 4, 2.0
 # On the way the last posture is near already.
 _FOLLOWING_STEPS = 8
 # Strides that are leapt at most where poses hardly tell the coordinates apart.
@@ -101,7 +103,11 @@ class NearestPose:
             last = known[-1]
             stride = min(stride, len(goal) - 1 - last)
             trial, there = self._approach(q[last], goal[last + stride], _FOLLOWING_STEPS, evaluated)
-            vague, before = bool((distinctness(there[1]) < VAGUE).any()), vague
+            clear = float(distinctness(there[1]).min())
+            if stride > longest and (clear < _PLAIN * VAGUE or np.abs(trial - q[last]).max() > _LONG):
+                stride = longest
+                continue
+            vague, before = clear < VAGUE, vague
             if vague and not before and (leap := self._leap(q, goal, known, longest)):
                 known.append(leap)
                 evaluated = self._evaluate(q[leap])
@@ -111,7 +117,7 @@ class NearestPose:
                 continue
             q[last + stride], evaluated = trial, there
             known.append(last + stride)
-            stride = min(2 * stride, longest)
+            stride = min(2 * stride, longest * (_STRETCH if clear >= _PLAIN * VAGUE else 1))
         if len(known) < len(goal):
             q = scipy.interpolate.PchipInterpolator(known, q[known])(np.arange(len(goal)))
         exact = self._descend(q.reshape(-1, q.shape[-1]), goal.reshape(-1, goal.shape[-1])).reshape(q.shape)
@@ -246,7 +252,7 @@ class NearestPose:
             bend += omega @ np.swapaxes(skew(error[:, 9:]), -1, -2) @ np.swapaxes(rows[..., 9:], -1, -2)
             bend *= order
             hessian += own @ np.swapaxes(own, -1, -2) + place @ (bend + np.swapaxes(bend, -1, -2)) @ place.T
-        return gradient, np.asarray(np.linalg.pinv(hessian, rcond=_FLAT, hermitian=True), dtype=np.float64)
+        return gradient, _pseudo_inverse(hessian)
 
     def _evaluate(self, q: Floats) -> tuple[Floats, Floats]:
         """The stacked poses ``(B, 12m)`` and their Jacobian ``(B, 12m, c)``."""
@@ -277,3 +283,20 @@ class NearestPose:
     def _join(self, rotation: Floats, translation: Floats) -> Floats:
         flat = rotation.reshape(*rotation.shape[:-2], 9) * np.sqrt(0.5)
         return np.concatenate([flat, translation / self._length], axis=-1)
+
+
+def _pseudo_inverse(matrix: Floats) -> Floats:
+    """Pseudo-inverses of symmetric matrices ``(B, c, c)``.
+
+    Where no eigenvalue is taken for zero that is the inverse, in a fifth of the time.
+    """
+    try:
+        inverse = np.asarray(np.linalg.inv(matrix), dtype=np.float64)
+    except np.linalg.LinAlgError:
+        return np.asarray(np.linalg.pinv(matrix, rcond=_FLAT, hermitian=True), dtype=np.float64)
+    # The condition number in the Frobenius norm, which is not below that of the eigenvalues; not a number is flat, too.
+    condition = np.linalg.norm(matrix, axis=(1, 2)) * np.linalg.norm(inverse, axis=(1, 2))
+    flat = ~(condition < 1.0 / _FLAT)
+    if flat.any():
+        inverse[flat] = np.linalg.pinv(matrix[flat], rcond=_FLAT, hermitian=True)
+    return inverse
