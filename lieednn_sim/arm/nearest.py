@@ -26,10 +26,10 @@ _FLAT = 1e-9
 _FAR, _POSTURES, _STARTS = 0.1, 256, 2
 # Relative difference of minima that are equal up to rounding; the first of them counts.
 _TIE = 1e-9
-# A way is followed in at least 64 strides, and in shorter ones where a coordinate moves more than this [rad, m]; in
-# strides of so many times the length where poses tell coordinates apart this many times as well as they must.
+# A way is followed in at least 64 strides, and in shorter ones where a coordinate moves more than this [rad, m]. Where
+# poses tell coordinates apart well, with a distinctness of twice `VAGUE` or more, strides are up to 4 times as long.
 _STRIDES, _LONG = 64, 0.2
-_STRETCH, _PLAIN = 4, 2.0
+_CLEAR, _LENGTHENED = 2.0 * VAGUE, 4
 # On the way the last posture is near already.
 _FOLLOWING_STEPS = 8
 # Strides that are leapt at most where poses hardly tell the coordinates apart.
@@ -104,7 +104,7 @@ class NearestPose:
             stride = min(stride, len(goal) - 1 - last)
             trial, there = self._approach(q[last], goal[last + stride], _FOLLOWING_STEPS, evaluated)
             clear = float(distinctness(there[1]).min())
-            if stride > longest and (clear < _PLAIN * VAGUE or np.abs(trial - q[last]).max() > _LONG):
+            if stride > longest and clear < _CLEAR:
                 stride = longest
                 continue
             vague, before = clear < VAGUE, vague
@@ -117,7 +117,7 @@ class NearestPose:
                 continue
             q[last + stride], evaluated = trial, there
             known.append(last + stride)
-            stride = min(2 * stride, longest * (_STRETCH if clear >= _PLAIN * VAGUE else 1))
+            stride = min(2 * stride, longest * (_LENGTHENED if clear >= _CLEAR else 1))
         if len(known) < len(goal):
             q = scipy.interpolate.PchipInterpolator(known, q[known])(np.arange(len(goal)))
         exact = self._descend(q.reshape(-1, q.shape[-1]), goal.reshape(-1, goal.shape[-1])).reshape(q.shape)
