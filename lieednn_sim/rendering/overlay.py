@@ -72,6 +72,7 @@ def _connect(
     scene.ngeom += 1
 
 
+# White on dark and half transparent, which is readable on any background.
 _INK, _PANEL = (255, 255, 255, 255), (20, 26, 33, 150)
 # Height of the letters as a share of the frame's; smaller ones are not readable.
 _SHARE, _SMALLEST = 1.0 / 34.0, 9

@@ -28,6 +28,7 @@ from lieednn_sim.simulation.simulation import Simulation, quiet_warnings
 from lieednn_sim.validation import as_choice, as_floats, as_positive
 from lieednn_sim.values import Floats
 
+# A longer one is a mistake of units: it would take gigabytes [s].
 _MAX_HOLD = 1000.0
 
 

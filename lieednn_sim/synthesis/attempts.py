@@ -19,6 +19,7 @@ from lieednn_sim.synthesis.starts import contracted, random_starts
 from lieednn_sim.validation import as_choice, as_count, as_positive
 from lieednn_sim.values import Floats, frozen
 
+# The vector field at the target, in units of gamma, below which it is the equilibrium; the polish leaves 1e-13.
 RESIDUAL_TOLERANCE = 1e-9
 # No weights are looked for beyond this norm of W_R, in units of gamma/mu.
 _LARGEST_NORM = 1e3
