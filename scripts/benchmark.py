@@ -241,7 +241,8 @@ def write(directory: Path, scale: int, suffix: str = "") -> Path:
         "# Benchmark of synthesis and learning",
         "",
         f"`python scripts/benchmark.py{suffix}`, {os.cpu_count()} processors, {blas_threads()} BLAS threads, "
-        f"{platform.machine()}, Python {platform.python_version()}, NumPy {np.__version__}.",
+        f"one where processor time is measured, {platform.machine()}, Python {platform.python_version()}, "
+        f"NumPy {np.__version__}.",
         "",
         "| " + " | ".join(rows[0]) + " |",
         "|" + " --- |" * len(rows[0]),
