@@ -31,16 +31,30 @@ _STEPS, _SHORT = 30, 1e-9
 _Evaluate = Callable[[Floats], tuple[Floats, Floats]]
 
 
-def bridge(evaluate: _Evaluate, exact: Floats, guess: Floats, goal: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+def vagueness(jacobian: Floats) -> Floats:
+    """The share s / v ``(B,)`` of Jacobians ``(B, r, c)`` where it is below 1; elsewhere 1 or more."""
+    columns = jacobian / np.maximum(np.linalg.norm(jacobian, axis=-2, keepdims=True), 1e-300)
+    # Gershgorin: eigenvalues of the Gram matrix, 1 on its diagonal, are off that by the sum of the others at most. For
+    # nearly all postures that is enough.
+    others = np.abs(np.swapaxes(columns, -1, -2) @ columns).sum(axis=-1).max(axis=-1) - 1.0
+    share = np.sqrt(np.maximum(1.0 - others, 0.0)) / VAGUE
+    doubtful = share < 1.0
+    share[doubtful] = distinctness(jacobian[doubtful]) / VAGUE
+    return np.asarray(share)
+
+
+def bridge(
+    evaluate: _Evaluate, exact: Floats, guess: Floats, share: Floats, goal: Floats
+) -> tuple[Floats, NDArray[np.bool_]]:
     """Coordinates ``(K, c)`` along one way, and which of them do not minimise the distance alone, ``(K,)``.
 
     Args:
         evaluate: stacked poses ``(B, r)`` of coordinates ``(B, c)``, and their Jacobian ``(B, r, c)``.
         exact: ``(K, c)`` coordinates that minimise the distance of each sample.
         guess: ``(K, c)`` near these, that go straight on.
+        share: ``(K,)`` the `vagueness` there.
         goal: ``(K, r)`` stacked poses of the way.
     """
-    share = distinctness(evaluate(guess)[1]) / VAGUE
     vague = share < 1.0
     vague[[0, -1]] = False
     if not vague.any():

@@ -83,8 +83,8 @@ def check_independent(joint: CompoundJoint, size: int, link: str) -> None:
     count, rng = len(joint.indices), np.random.default_rng(0)
     if count > 6:
         raise InputError(f"{link} is moved by {count} coordinates, and a pose tells six apart; name more links")
-    *_, omega, v = joint.pose_and_twists(rng.uniform(-1.0, 1.0, (_POSTURES, size)))
-    columns = np.swapaxes(joint.selection(joint.indices) @ np.concatenate([omega, v], axis=-1), -1, -2)
+    frames, _ = joint.pose_and_slopes(rng.uniform(-1.0, 1.0, (_POSTURES, size)))
+    columns = np.swapaxes(joint.selection(joint.indices) @ frames[:, 1:].reshape(_POSTURES, -1, 12), -1, -2)
     if distinctness(columns, _DEPENDENT).max() < _DEPENDENT:
         raise InputError(
             f"{link} is moved by {count} coordinates of which some do the same; cut it between them: name more links"

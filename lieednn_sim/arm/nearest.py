@@ -9,7 +9,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from lieednn_sim.arm.bridging import VAGUE, bridge
+from lieednn_sim.arm.bridging import VAGUE, bridge, vagueness
 from lieednn_sim.arm.kinematics import CompoundJoint, distinctness
 from lieednn_sim.budget import check_time
 from lieednn_sim.lie import skew
@@ -20,6 +20,8 @@ _DAMPED_STEPS, _NEWTON_STEPS = 40, 6
 # Steps [rad, m] below which Newton takes over.
 _NEAR = 1e-3
 _DAMPING, _DAMPING_FALL, _DAMPING_RISE = 1e-3, 0.2, 5.0
+# Newton steps [rad, m] whose square is rounding.
+_SETTLED = 1e-9
 # Share of the largest curvature that is taken for zero.
 _FLAT = 1e-9
 # Where this much of f is left there may be a lower minimum: it is looked for from the two best of 256 postures.
@@ -53,13 +55,17 @@ class NearestPose:
     """
 
     def __init__(self, joints: Sequence[CompoundJoint], indices: NDArray[np.int_], size: int, length: float) -> None:
-        self._joints, self._indices, self._size, self._length = tuple(joints), indices, size, length
+        self._joints, self._indices, self._size = tuple(joints), indices, size
+        # Of the entries of [R, p].
+        self._weights = np.tile([np.sqrt(0.5)] * 3 + [1.0 / length], 3)
         turning = [factor.indices for joint in joints for factor in joint.factors if factor.kind != "slide"]
         self._sliding = ~np.isin(indices, np.concatenate([*turning, []]))
         factors = [factor for joint in joints for factor in joint.factors]
-        # For each joint: which of its r coordinates is which of the group's, ``(c, r)``; and of pairs ``(r, r)`` 1 if
-        # the first is of a joint further in, 1/2 where both are of the same.
-        self._places = [joint.selection(indices) for joint in joints]
+        # For each joint: which of its r coordinates is which of the group's, ``(c, r)``, None where all are the same;
+        # and of pairs ``(r, r)`` 1 if the first is of a joint further in, 1/2 where both are of the same.
+        self._places = [
+            None if np.array_equal(joint.coordinates, indices) else joint.selection(indices) for joint in joints
+        ]
         ranks = [np.repeat(np.arange(len(j.factors)), [len(f.indices) for f in j.factors]) for j in joints]
         self._orders = [np.heaviside(rank - rank[:, None], 0.5) for rank in ranks]
         self._periodic = np.array(
@@ -88,14 +94,15 @@ class NearestPose:
     def follow(self, rotation: Floats, translation: Floats, near: Floats) -> tuple[Floats, NDArray[np.bool_]]:
         """Displacements ``(K, ..., c)`` along ways of poses ``(K, ..., m, 3, 3)`` and ``(K, ..., m, 3)``.
 
-        The minimum next to ``near`` ``(c,)``, then each time the one next to the last: where several postures have the
-        same poses, as the two of a wrist, the branch is kept, and hinges are counted beyond half a turn. Where the
+        The minimum next to ``near`` ``(..., c)``, then each time the one next to the last: where several postures have
+        the same poses, as the two of a wrist, the branch is kept, and hinges are counted beyond half a turn. Where the
         poses hardly tell the coordinates apart they go straight on, see `bridging.bridge`; the second result says
         where, ``(K, ...)``.
         """
         goal = self._stack(rotation, translation).reshape(len(translation), -1, 12 * len(self._joints))
         q = np.empty((*goal.shape[:2], len(self._indices)))
-        q[0], evaluated = self._approach(np.broadcast_to(near, q.shape[1:]), goal[0])
+        start = np.broadcast_to(near, (*translation.shape[1:-2], q.shape[-1])).reshape(q.shape[1:])
+        q[0], evaluated = self._approach(start, goal[0])
         known, longest = [0], max(1, len(goal) // _STRIDES)
         stride, vague = longest, False
         while known[-1] < len(goal) - 1:
@@ -120,10 +127,12 @@ class NearestPose:
             stride = min(2 * stride, longest * (_LENGTHENED if clear >= _CLEAR else 1))
         if len(known) < len(goal):
             q = scipy.interpolate.PchipInterpolator(known, q[known])(np.arange(len(goal)))
-        exact = self._descend(q.reshape(-1, q.shape[-1]), goal.reshape(-1, goal.shape[-1])).reshape(q.shape)
-        bridged = np.zeros(q.shape[:-1], dtype=bool)
-        for way in range(q.shape[1]):
-            exact[:, way], bridged[:, way] = bridge(self._evaluate, exact[:, way], q[:, way], goal[:, way])
+        guess = q.reshape(-1, q.shape[-1])
+        evaluated = self._evaluate(guess)
+        exact = self._descend(guess, goal.reshape(-1, goal.shape[-1]), evaluated).reshape(q.shape)
+        share, bridged = vagueness(evaluated[1]).reshape(q.shape[:-1]), np.zeros(q.shape[:-1], dtype=bool)
+        for k in np.flatnonzero((share[1:-1] < 1.0).any(axis=0)):
+            exact[:, k], bridged[:, k] = bridge(self._evaluate, exact[:, k], q[:, k], share[:, k], goal[:, k])
         return exact.reshape(*translation.shape[:-2], len(self._indices)), bridged.reshape(translation.shape[:-2])
 
     def _leap(self, q: Floats, goal: Floats, known: list[int], longest: int) -> int:
@@ -142,13 +151,15 @@ class NearestPose:
                 return there
         return 0
 
-    def _descend(self, q: Floats, goal: Floats) -> Floats:
-        """Minima ``(B, c)`` next to starts ``(B, c)`` for stacked poses ``(B, 12m)``."""
-        q, _ = self._approach(q, goal)
+    def _descend(self, q: Floats, goal: Floats, known: tuple[Floats, Floats] | None = None) -> Floats:
+        """Minima ``(B, c)`` next to starts ``(B, c)`` for stacked poses ``(B, 12m)``; ``known`` as of `_approach`."""
+        q, _ = self._approach(q, goal, known=known)
+        moving = np.arange(len(q))
         for _ in range(_NEWTON_STEPS):
-            step = self._newton_step(q, goal)
-            q = q - step
-            if np.abs(step).max() < 1e-13:
+            step = self._newton_step(q[moving], goal[moving])
+            q[moving] -= step
+            moving = moving[np.abs(step).max(axis=-1) > _SETTLED]
+            if not moving.size:
                 break
         return q
 
@@ -243,15 +254,15 @@ class NearestPose:
         for i, (joint, place, order) in enumerate(zip(self._joints, self._places, self._orders, strict=True)):
             value, rows, omega = self._moved(joint, offset)
             error = value - goal[:, 12 * i : 12 * (i + 1)]
-            own = place @ rows
+            own = rows if place is None else place @ rows
             gradient += (own @ error[..., None])[..., 0]
-            turn = value[:, :9].reshape(-1, 3, 3) @ np.swapaxes(error[:, :9].reshape(-1, 3, 3), -1, -2)
+            frame, left = value.reshape(-1, 3, 4), error.reshape(-1, 3, 4)
+            turn = frame[..., :3] @ np.swapaxes(left[..., :3], -1, -2)
             turn -= np.trace(turn, axis1=-2, axis2=-1)[:, None, None] * np.eye(3)
-            across = np.swapaxes(omega, -1, -2)
-            bend = omega @ turn @ across
-            bend += omega @ np.swapaxes(skew(error[:, 9:]), -1, -2) @ np.swapaxes(rows[..., 9:], -1, -2)
-            bend *= order
-            hessian += own @ np.swapaxes(own, -1, -2) + place @ (bend + np.swapaxes(bend, -1, -2)) @ place.T
+            across = turn @ np.swapaxes(omega, -1, -2) - skew(left[..., 3]) @ np.swapaxes(rows[..., 3::4], -1, -2)
+            bend = order * (omega @ across)
+            bend = bend + np.swapaxes(bend, -1, -2)
+            hessian += own @ np.swapaxes(own, -1, -2) + (bend if place is None else place @ bend @ place.T)
         return gradient, _pseudo_inverse(hessian)
 
     def _evaluate(self, q: Floats) -> tuple[Floats, Floats]:
@@ -261,15 +272,14 @@ class NearestPose:
         for joint, place in zip(self._joints, self._places, strict=True):
             value, rows, _ = self._moved(joint, offset)
             values.append(value)
-            columns.append(place @ rows)
+            columns.append(rows if place is None else place @ rows)
         return np.concatenate(values, axis=-1), np.swapaxes(np.concatenate(columns, axis=-1), -1, -2)
 
     def _moved(self, joint: CompoundJoint, offset: Floats) -> tuple[Floats, Floats, Floats]:
         """A joint's stacked pose ``(B, 12)``, its derivatives ``(B, r, 12)`` and angular velocities ``(B, r, 3)``."""
-        rotation, translation, omega, v = joint.pose_and_twists(offset)
-        spin = skew(omega)
-        rows = self._join(spin @ rotation[:, None], v + (spin @ translation[:, None, :, None])[..., 0])
-        return self._join(rotation, translation), rows, omega
+        frames, omega = joint.pose_and_slopes(offset)
+        flat = frames.reshape(*frames.shape[:2], 12) * self._weights
+        return flat[:, 0], flat[:, 1:], omega
 
     def _offset(self, q: Floats) -> Floats:
         offset = np.zeros((len(q), self._size))
@@ -277,12 +287,9 @@ class NearestPose:
         return offset
 
     def _stack(self, rotation: Floats, translation: Floats) -> Floats:
-        joined = self._join(rotation, translation)
-        return joined.reshape(*joined.shape[:-2], -1)
-
-    def _join(self, rotation: Floats, translation: Floats) -> Floats:
-        flat = rotation.reshape(*rotation.shape[:-2], 9) * np.sqrt(0.5)
-        return np.concatenate([flat, translation / self._length], axis=-1)
+        frames = np.concatenate([rotation, translation[..., None]], axis=-1)
+        flat = frames.reshape(*frames.shape[:-2], 12) * self._weights
+        return flat.reshape(*flat.shape[:-2], -1)
 
 
 def _pseudo_inverse(matrix: Floats) -> Floats:

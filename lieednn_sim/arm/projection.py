@@ -11,7 +11,7 @@ several links) are retracted together.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from dataclasses import field
 from functools import cached_property, partial
 from typing import Protocol
@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieednn_sim.arm.closed_forms import HingeSlide, MovingPoses, OneScrew, SixFreedoms
-from lieednn_sim.arm.kinematics import CompoundJoints
+from lieednn_sim.arm.kinematics import CompoundJoints, Factor
 from lieednn_sim.arm.nearest import NearestPose
 from lieednn_sim.budget import count_states
 from lieednn_sim.values import Floats, frozen
@@ -60,9 +60,8 @@ class Retraction:
 
 
 class _Solver(Protocol):
-    """Retracts the links ``links`` onto the coordinates ``indices``."""
+    """Retracts links onto the coordinates ``indices``."""
 
-    links: tuple[int, ...]
     indices: NDArray[np.int_]
 
     def __call__(self, poses: MovingPoses, near: Floats | None) -> tuple[Floats, Floats | None]:
@@ -79,7 +78,7 @@ class Retractor:
 
     def __init__(self, joints: CompoundJoints, length: float) -> None:
         self._joints = joints
-        self._solvers = [_solver(joints, links, length) for links in _sharing(joints)]
+        self._solvers = _solvers(joints, length)
         self._searching = any(isinstance(solver, _Nearest) for solver in self._solvers)
 
     @property
@@ -120,41 +119,62 @@ class Retractor:
 
 
 class _Nearest:
-    """Any other joints: least squares, see `NearestPose`."""
+    """Any other joints: least squares, see `NearestPose`; of groups that are built alike all at once."""
 
-    def __init__(self, joints: CompoundJoints, links: tuple[int, ...], length: float) -> None:
-        group = [joints.joints[link] for link in links]
-        self.links = links
-        self.indices = np.unique(np.concatenate([joint.indices for joint in group]))
-        self._problem = NearestPose(group, self.indices, len(joints.reference), length)
+    def __init__(self, joints: CompoundJoints, groups: list[tuple[int, ...]], length: float) -> None:
+        self._links = np.array(groups)
+        members = [[joints.joints[link] for link in links] for links in groups]
+        coordinates = [np.unique(np.concatenate([joint.indices for joint in group])) for group in members]
+        self.indices = np.concatenate(coordinates)
+        self._problem = NearestPose(members[0], coordinates[0], len(joints.reference), length)
 
     def __call__(self, poses: MovingPoses, near: Floats | None) -> tuple[Floats, Floats | None]:
-        links = list(self.links)
-        rotation, translation = poses.rotation[..., links, :, :], poses.translation[..., links, :]
+        rotation, translation = poses.rotation[..., self._links, :, :], poses.translation[..., self._links, :]
+        flat = (*translation.shape[:-3], len(self.indices))
         vague = None
         if near is None:
             offset = self._problem.solve(rotation, translation)
         else:
-            offset, vague = self._problem.follow(rotation, translation, near[self.indices])
+            offset, vague = self._problem.follow(
+                rotation, translation, near[self.indices].reshape(len(self._links), -1)
+            )
         if poses.rates is None:
-            return offset, None
-        omega, velocity = (part[..., links, :] for part in poses.rates)
+            return offset.reshape(flat), None
+        omega, velocity = (part[..., self._links, :] for part in poses.rates)
         rates = self._problem.rates(offset, rotation, translation, omega, velocity)
         if vague is not None and vague.any():
             along = self._problem.rates_along(offset, rotation, translation, omega, velocity)
             rates = np.where(vague[..., None], along, rates)
-        return offset, rates
+        return offset.reshape(flat), rates.reshape(flat)
 
 
-def _solver(joints: CompoundJoints, links: tuple[int, ...], length: float) -> _Solver:
-    joint = joints.joints[links[0]]
-    if len(links) == 1 and OneScrew.fits(joint):
-        return OneScrew(joint, links[0], length)
-    if len(links) == 1 and HingeSlide.fits(joint):
-        return HingeSlide(joint, links[0], length)
-    if len(links) == 1 and SixFreedoms.fits(joint):
-        return SixFreedoms(joint, links[0])
-    return _Nearest(joints, links, length)
+def _solvers(joints: CompoundJoints, length: float) -> list[_Solver]:
+    solvers: list[_Solver] = []
+    searched: dict[Hashable, list[tuple[int, ...]]] = {}
+    for links in _sharing(joints):
+        joint = joints.joints[links[0]]
+        if len(links) == 1 and OneScrew.fits(joint):
+            solvers.append(OneScrew(joint, links[0], length))
+        elif len(links) == 1 and HingeSlide.fits(joint):
+            solvers.append(HingeSlide(joint, links[0], length))
+        elif len(links) == 1 and SixFreedoms.fits(joint):
+            solvers.append(SixFreedoms(joint, links[0]))
+        else:
+            searched.setdefault(_build(joints, links), []).append(links)
+    return [*solvers, *(_Nearest(joints, groups, length) for groups in searched.values())]
+
+
+def _build(joints: CompoundJoints, links: tuple[int, ...]) -> Hashable:
+    """What links that move alike have in common: all of their joints but which coordinates of q these move."""
+    group = [joints.joints[link] for link in links]
+    indices = np.unique(np.concatenate([joint.indices for joint in group]))
+
+    def described(factor: Factor) -> Hashable:
+        # Up to rounding, as imported models have it; a sum with 0.0 makes one zero of two.
+        numbers = np.round([factor.ratio, *factor.axes.flat, *factor.anchor], 12) + 0.0
+        return factor.kind, numbers.tobytes(), np.searchsorted(indices, factor.indices).tobytes()
+
+    return tuple(tuple(map(described, joint.factors)) for joint in group)
 
 
 def _sharing(joints: CompoundJoints) -> list[tuple[int, ...]]:

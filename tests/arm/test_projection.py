@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -10,10 +12,11 @@ from scipy.optimize import least_squares
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
+from lieednn_sim.arm.kinematics import CompoundJoint
 from lieednn_sim.arm.local_retraction import LocalRetraction
 from lieednn_sim.arm.nearest import NearestPose
 from lieednn_sim.errors import InputError
-from lieednn_sim.lie import exp
+from lieednn_sim.lie import exp, skew
 
 # A ball shoulder with a telescope of three coupled stages, a universal joint with an off-axis slide, and two links
 # whose slides share one coordinate.
@@ -105,6 +108,55 @@ def test_link_poses_equal_mujocos_kinematics(arm):
         np.testing.assert_allclose(poses[:, :3, :3].reshape(-1, 9), data.site_xmat[arm.site_ids], atol=1e-12)
 
 
+def test_slopes_and_angular_velocities_are_the_derivatives_of_the_pose(arm):
+    offset, h = positions(arm, 5), 1e-6
+    geared = [CompoundJoint(tuple(replace(one, ratio=-0.7) for one in joint.factors)) for joint in arm.joints.joints]
+    for joint in [*arm.joints.joints, *geared]:
+        frames, omega = joint.pose_and_slopes(offset)
+        rotation, translation = joint.pose(offset)
+        np.testing.assert_allclose(frames[:, 0], np.dstack([rotation, translation[..., None]]), atol=1e-15)
+        np.testing.assert_allclose(frames[:, 1:, :, :3], skew(omega) @ rotation[:, None], atol=1e-15)
+        for index in joint.indices:
+            ends = [
+                joint.pose_and_slopes(offset + step)[0][:, 0]
+                for step in h * np.eye(arm.n_joints)[[index]] * [[1], [-1]]
+            ]
+            slope = frames[:, 1:][:, joint.coordinates == index].sum(axis=1)
+            np.testing.assert_allclose(slope, (ends[0] - ends[1]) / (2.0 * h), atol=1e-9)
+
+
+def twins(tmp_path, second):
+    """An arm of two universal joints with a slide, and of a third one of another build in their midst."""
+    links = ['axis="0 0 1"', second, 'axis="0 0 1"']
+    opening = "".join(
+        f"""<body pos="0.2 0 0"><joint name="a{i}" type="hinge" {link} range="-1 1"/><geom/>
+        <body pos="0 0.05 0"><joint name="b{i}" type="hinge" axis="0 1 0" range="-1 1"/>
+        <joint name="c{i}" type="slide" axis="1 0 0" range="0 0.3"/><geom/><site name="link{i + 1}_frame"/>"""
+        for i, link in enumerate(links)
+    )
+    head, tail = ARM[: ARM.index("<body")], ARM[ARM.index('<body name="elsewhere"') :]
+    return make(tmp_path, head + opening + 6 * "</body>" + tail[: tail.index("<equality>")] + "</mujoco>")
+
+
+@pytest.mark.parametrize(
+    "second", ['axis="0 0 1"', 'axis="0 0.6 0.8"', 'axis="0 0 1" pos="0.1 0.1 0"', 'axis="0 0 -1"']
+)
+def test_links_that_are_built_alike_are_retracted_as_each_one_alone(tmp_path, second):
+    arm, rng = twins(tmp_path, second), np.random.default_rng(2)
+    q = positions(arm, 4)
+    np.testing.assert_allclose(arm.decode(arm.encode(q)).q, q, atol=1e-9)
+    way = (
+        arm.encode(np.linspace(q[0], q[1], 200))
+        + 0.1 * rng.normal(size=(3, 6)) * np.linspace(0.0, 1.0, 200)[:, None, None]
+    )
+    given_poses, followed = exp(way), arm.decode(way, np.gradient(way, axis=0), q[0])
+    for link, joint in enumerate(arm.joints.joints):
+        alone = NearestPose([joint], joint.indices, arm.n_joints, 1.0)
+        mine = given_poses.rotation.as_matrix()[:, [link]], given_poses.translation[:, [link]]
+        np.testing.assert_allclose(followed.q[:, joint.indices], alone.follow(*mine, q[0, joint.indices])[0], atol=1e-9)
+    np.testing.assert_allclose(followed.qd[1:-1], np.gradient(followed.q, axis=0)[1:-1], atol=1e-4)
+
+
 def distance(arm, q, xi):
     """What the least squares minimise, by another way: angles and distances of the poses apart."""
     given_poses, found = exp(xi), arm.joint_poses(q)
@@ -126,6 +178,15 @@ def test_feasible_poses_are_met_and_others_to_the_nearest(arm, seed, size):
     assert (best <= distance(arm, q, xi) + 1e-15).all()
     for direction in 1e-4 * np.vstack([np.eye(arm.n_joints), -np.eye(arm.n_joints)]):
         assert (best <= distance(arm, decoded.q + direction, xi) + 1e-12).all()
+
+
+def test_the_distance_is_stationary_at_what_is_found(arm):
+    rng, h = np.random.default_rng(8), 1e-5
+    xi = arm.encode(positions(arm, 40)) + 0.3 * rng.normal(size=(40, arm.n_links, 6))
+    q = arm.decode(xi).q
+    for direction in h * np.eye(arm.n_joints):
+        slope = distance(arm, q + direction, xi) - distance(arm, q - direction, xi)
+        np.testing.assert_allclose(slope / (2.0 * h), 0.0, atol=1e-8)
 
 
 TURN, SLIDE = np.linspace(-np.pi, np.pi, 17)[:-1], np.linspace(-2.4, 2.4, 9)
