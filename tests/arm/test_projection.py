@@ -12,7 +12,7 @@ from scipy.optimize import least_squares
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
-from lieednn_sim.arm.kinematics import CompoundJoint
+from lieednn_sim.arm.kinematics import CompoundJoint, Factor
 from lieednn_sim.arm.local_retraction import LocalRetraction
 from lieednn_sim.arm.nearest import NearestPose
 from lieednn_sim.errors import InputError
@@ -241,6 +241,37 @@ def test_a_far_search_starts_at_the_posture_that_fits_best_with_its_best_slides(
     postures = problem._spread[0][[3, 100, 255]].copy()
     postures[:, problem._sliding] = [[0.3], [-0.2], [0.7]]
     np.testing.assert_allclose(problem._starts(problem._evaluate(postures)[0])[0], postures, atol=1e-12)
+
+
+def two_hinges(second, ratio=1.0):
+    """One about z and one about another axis, as one link."""
+    axes = np.array([[0.0, 0.0, 1.0], np.asarray(second, float) / np.linalg.norm(second)])
+    ratios = (ratio, 1.0)
+    factors = [Factor("hinge", axes[i][:, None], np.zeros(3), np.array([i]), ratios[i]) for i in range(2)]
+    joint = CompoundJoint(tuple(factors))
+    return joint, NearestPose([joint], np.arange(2), 2, 1.0)
+
+
+def test_a_coupled_hinge_is_not_the_same_a_turn_further():
+    """At half the pace of its coordinate a turn of that is half a turn."""
+    joint, problem = two_hinges([0.0, 1.0, 0.0], ratio=0.5)
+    goal = [part[:, None] for part in joint.pose(np.array([[4.0, 0.7]]))]
+    np.testing.assert_allclose(problem.solve(*goal), [[4.0, 0.7]], atol=1e-9)
+
+
+def test_a_fast_way_is_followed_turn_by_turn():
+    joint, problem = two_hinges([0.0, 1.0, 0.0])
+    q = np.stack([0.5 * np.arange(130), np.full(130, 0.7)], axis=1)
+    found, bridged = problem.follow(*(part[:, None] for part in joint.pose(q)), q[0])
+    np.testing.assert_allclose(found, q, atol=1e-9)
+    assert not bridged.any()
+
+
+def test_coordinates_that_poses_do_not_tell_apart_share_what_they_have_to_do():
+    _, problem = two_hinges([1e-6, 0.0, 1.0])
+    still = np.zeros((1, 1, 3))
+    rates = problem.rates(np.zeros((1, 2)), np.eye(3)[None, None], still, np.array([[[0.0, 0.0, 1.0]]]), still)
+    np.testing.assert_allclose(rates, [[0.5, 0.5]], atol=1e-5)
 
 
 @settings(max_examples=10)

@@ -137,6 +137,16 @@ def test_actions_are_velocities_as_shares_of_their_limits(reach):
     assert_allclose(seen["velocity"], action * reach.arm.velocity_limits, atol=0.02)
 
 
+def test_servos_are_told_of_the_velocity_and_of_the_damping_of_joints(reach):
+    model, steps = reach.arm.model, reach.substeps
+    start, velocity = reach.arm.keyframe("home"), np.linspace(-0.2, 0.2, 8)
+    end = start + reach.control_timestep * velocity
+    (found,) = reach.commands.controls(start[None], end[None])
+    kp, kv = model.actuator_gainprm[:, 0], -model.actuator_biasprm[:, 2]
+    ahead = (kv + model.dof_damping) / kp * velocity
+    assert_allclose(found, np.linspace(start, end, steps, endpoint=False) + ahead, rtol=0.0, atol=1e-12)
+
+
 def test_commands_stop_at_the_limits_and_actions_at_one():
     one, other = (make_task("reach", "telescopic_compound") for _ in range(2))
     for task, action in ((one, 1.0), (other, 7.0)):

@@ -303,11 +303,13 @@ def test_failures_that_differ_in_names_and_numbers_are_counted_together():
     rows = [row("p", c, 0, "plan: joint 'a' at 1.5 rad, range [-1, 1e-3]") for c in ("x", "y")]
     rows += [row("r", c, 0, "plan: joint 'b' at -2 rad, range [-.5, 1]") for c in ("x", "y")]
     rows += [row("p", c, 1, "arrival: end effector ends 3 mm and 0 deg off") for c in ("x", "y")]
-    arrival, plan = failures(rows)
-    assert (plan.step, plan.total, plan.counts) == ("plan", 2, (("p", 1), ("r", 1)))
+    rows += [row("r", "x", 1, "plan: joint 'c' at 3 rad, range [0, 1]")]
+    # The most frequent first, and of each the planner that fails most.
+    plan, arrival = failures(rows)
+    assert (plan.step, plan.total, plan.counts) == ("plan", 3, (("r", 2), ("p", 1)))
     assert (arrival.step, arrival.total) == ("arrival", 2)
     # A plan's number counts once, whatever the number of controllers.
-    assert numbers(rows, "planning_s") == [1.0, 1.0, 1.0]
+    assert numbers(rows, "planning_s") == [1.0, 1.0, 1.0, 1.0]
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 import dataclasses
 from concurrent.futures import ThreadPoolExecutor
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -82,6 +83,51 @@ def test_a_target_moves_no_nearer_to_limits_than_other_targets_are(name, gantry,
         assert (high - moved >= 0.05 * (high - low) - 1e-12).all()
         for ball in arm.space.balls:
             assert np.linalg.norm(moved[ball]) <= 0.9 * high[ball][0] + 1e-12
+
+
+def test_a_row_by_hand(task, monkeypatch):
+    measured = {"final_worst_mm": 3.0, "final_effector_mm": 1.0, "velocity_share": 0.25, "force_share": 0.75}
+    monkeypatch.setattr(cases, "evaluate", lambda rollout, clearance: SimpleNamespace(shortfall="", **measured))
+    # A drive at half its limit and one at all of it, for three steps of 0.1 s.
+    arm = SimpleNamespace(force_limits=np.array([2.0, 10.0]))
+    rollout = SimpleNamespace(arm=arm, force=np.tile([1.0, -10.0], (3, 1)), timestep=0.1)
+    row = cases._row(task, "free", "tracker", "none", rollout, [1e-6, 9e-6, 2e-6])
+    assert (row.final_mm, row.velocity_share, row.force_share) == (3.0, 0.25, 0.75)
+    assert (row.effort, row.step_us) == pytest.approx((0.3 * 0.5 * (0.25 + 1.0), 2.0))
+
+
+def test_the_disturbances_of_a_tracker_by_hand(task, monkeypatch):
+    ran, run = {}, cases._run
+
+    def recorded(task, leader, targets, changes=None, *duration):
+        rollout, spent = run(task, leader, targets, changes, *duration)
+        kind = "target" if len(targets) > 1 else "none"
+        if changes is not None:
+            kind = "push" if changes.pushes[0].duration == 0.2 else "payload"
+        ran[kind] = targets, changes, rollout
+        return rollout, spent
+
+    monkeypatch.setattr(cases, "_run", recorded)
+    monkeypatch.setattr(cases, "_task", lambda *case: task)
+    rows = {row.disturbance: row for row in cases.run_reactions("gantry", "free", "tracker", 3)}
+    assert list(rows) == list(DISTURBANCES)
+    assert [row.off is None for row in rows.values()] == [True, False, False, True]
+    # Of 2 s of minimum jerk 35 % of the way are gone where 10 s^3 - 15 s^4 + 6 s^5 = 0.35, at s = 0.4186.
+    (push,) = ran["push"][1].pushes
+    assert push.start == pytest.approx(0.84)
+    assert rows["push"].push_n == pytest.approx(np.linalg.norm(push.force), rel=1e-3)
+    assert rows["push"].off > 0.08
+    assert 0.0 < rows["push"].back_s < 2.0
+    # 10 N hang at a servo of 1000 N/m, and stay there.
+    assert (ran["payload"][2].q[-1] - task.target)[2] == pytest.approx(-0.01, abs=1e-6)
+    assert rows["payload"].final_mm == pytest.approx(10.0)
+    assert (rows["payload"].back_s, rows["payload"].reason[:8]) == (None, "arrival:")
+    # It plays on to the first target, and is judged by the one that counts from then on.
+    targets = ran["target"][0]
+    assert ((targets == task.target).all(axis=1) == (np.arange(len(targets)) < 84)).all()
+    away = (targets[-1] - task.target)[:3]
+    assert rows["target"].final_mm == pytest.approx(1e3 * np.linalg.norm(away), rel=1e-3)
+    assert (rows["none"].success, rows["target"].success) == (True, False)
 
 
 def test_a_fabric_is_not_repelled_at_its_target(task):
