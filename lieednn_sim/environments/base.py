@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections import OrderedDict
 from typing import Any, NamedTuple
 
 import numpy as np
-from dm_env import specs
 from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.environments.bounds import Bounds, common_bounds, reach
 from lieednn_sim.environments.commands import Commands
-from lieednn_sim.environments.frames import closeness, site_frames, to_go
+from lieednn_sim.environments.frames import SiteFrames
+from lieednn_sim.environments.observations import Observations
+from lieednn_sim.environments.rewards import Closeness
 from lieednn_sim.errors import InputError, SimulationError
 from lieednn_sim.evaluation.metrics import SETTLED_ROTATION, SETTLED_TRANSLATION
 from lieednn_sim.simulation import Simulation
@@ -24,13 +24,11 @@ from lieednn_sim.simulation.reference import steps_in
 from lieednn_sim.validation import as_choice, as_floats, as_positive, as_seed
 from lieednn_sim.values import Floats
 
-Observation = OrderedDict[str, Floats]
+Observation = dict[str, Floats]
 
 # Frames that must be where they shall be.
 GOALS = ("end-effector", "links")
 _MAX_TIME_LIMIT = 1000.0
-# Errors [m], [rad] at which the near part of a reward is down to a tenth; the far part's are half the reach and pi.
-_NEAR = (0.05, 0.1)
 
 
 class Transition(NamedTuple):
@@ -53,9 +51,6 @@ class Transition(NamedTuple):
 
 class ArmTask(ABC):
     """Bring an arm to joint positions that its observations tell, by joint velocities.
-
-    It has the methods of dm_control's `Task`, of which it leaves the physics aside: it steps the `simulation` that it
-    has. It needs nothing of dm_control, which not every version of MuJoCo and Python can have.
 
     An action in [-1, 1]^n is a joint velocity as a share of the limits. It moves the commanded position, which stays
     within the position limits, at constant velocity for one control step; the arm's position servos follow it, with
@@ -85,7 +80,9 @@ class ArmTask(ABC):
         commands: what actions make of the commanded position.
         frames: which link frames count.
         bounds: lower and upper bounds of the observations, by name.
-        random: draws the episodes of dm_control's interface.
+        observations: their rows.
+        closeness: rewards distance and angle.
+        row: the observations of the present time, after a failure those of the last good time.
         episode: how many episodes have begun.
         distance: between the frames that count and their targets at the present time, the largest [m].
         angle: the same [rad].
@@ -94,6 +91,9 @@ class ArmTask(ABC):
     Raises:
         InputError: an argument is malformed, or the arm has infinite position or velocity limits.
     """
+
+    # Tolerances and margins of what is rewarded beside distance and angle.
+    _more_errors: tuple[tuple[float, float], ...] = ()
 
     def __init__(
         self,
@@ -126,24 +126,32 @@ class ArmTask(ABC):
         self.goal = as_choice("goal", goal, GOALS)
         self.position_tolerance = as_positive("position_tolerance", position_tolerance)
         self.rotation_tolerance = as_positive("rotation_tolerance", rotation_tolerance)
-        # What is only seen costs as much as what moves.
-        self.simulation = Simulation(self.arm, make_plant(self.arm.without_visuals))
         self.commands = Commands(self.arm, self.substeps)
         self._command = np.zeros(self.arm.n_joints)
         self.frames = slice(-1, None) if self.goal == "end-effector" else slice(None)
-        self._reach = reach(self.arm)
-        self.bounds: Bounds = common_bounds(self.arm, len(range(self.arm.n_links)[self.frames]))
-        self.random = np.random.default_rng()
+        frames = len(range(self.arm.n_links)[self.frames])
+        self.bounds: Bounds = common_bounds(self.arm, frames) | self._more_bounds()
+        self.observations = Observations(self.bounds)
+        # What is only seen costs as much as what moves.
+        self.run_in(Simulation(self.arm, make_plant(self.arm.without_visuals)))
         self.episode = 0
         self.distance, self.angle = float("inf"), float(np.pi)
         self.failure = ""
         self._controls: Floats | None = None
         self._over = True
         self._step = 0
-        self._seen: dict[str, Floats] = {}
+        self.row = np.zeros(self.observations.size)
         self._velocity = np.zeros(self.arm.n_joints)
-        # Of distance and angle, afar and near.
-        self._margins = np.array([(0.5 * self._reach, _NEAR[0]), (np.pi, _NEAR[1])])
+        tolerances = self.position_tolerance, self.rotation_tolerance
+        self.closeness = Closeness(*tolerances, reach(self.arm), *self._more_errors)
+
+    def run_in(self, simulation: Simulation) -> None:
+        """Take another simulation of the arm; the next episode begins in it."""
+        self.simulation = simulation
+        # Views are held: to ask for them takes as long as to read them.
+        data = simulation.data
+        self._qpos, self._qvel, self._warm_start = data.qpos, data.qvel, data.qacc_warmstart
+        self._site_frames = SiteFrames(self.arm, data, self.frames)
 
     @abstractmethod
     def _draw(self, rng: np.random.Generator, options: dict[str, Any]) -> None:
@@ -155,10 +163,14 @@ class ArmTask(ABC):
 
     @abstractmethod
     def here(self) -> tuple[Floats, ...]:
-        """What of the present target observations take: position ``(n,)``, frames ``(F, 16)``, and what a task adds."""
+        """What of the present target `Observations` take: position ``(n,)``, frames ``(F, 16)``, and what is added."""
+
+    def _more_bounds(self) -> Bounds:
+        """Bounds of what the task adds to the observations of every task."""
+        return {}
 
     @abstractmethod
-    def judge(self, distance: Floats, angle: Floats, qd: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+    def judge(self, distance: Floats | float, angle: Floats | float, qd: Floats) -> tuple[Floats, NDArray[np.bool_]]:
         """Rewards ``(...)`` in [0, 1] and successes ``(...)`` at errors ``(...)`` and joint velocities ``(..., n)``."""
 
     def reward(self) -> float:
@@ -170,7 +182,7 @@ class ArmTask(ABC):
         return bool(self._judged(self._joints()[1])[1])
 
     def _judged(self, qd: Floats) -> tuple[Floats, NDArray[np.bool_]]:
-        return self.judge(np.asarray(self.distance), np.asarray(self.angle), qd)
+        return self.judge(self.distance, self.angle, qd)
 
     @property
     def over(self) -> bool:
@@ -219,15 +231,15 @@ class ArmTask(ABC):
         reward, success = (0.0, False) if failed else self._judged(self._velocity)
         return Transition(self.observe(), float(reward), failed, self._over and not failed, self._info(bool(success)))
 
-    def before_step(self, action: ArrayLike, physics: Any = None) -> None:
+    def before_step(self, action: ArrayLike) -> None:
         """Move the command by an action ``(n,)``; errors as of `step`."""
         if self._over:
             raise InputError("the episode is over, or none has begun: reset first")
-        start = self._command[None]
-        end = self.commands.moved(start, as_floats("action", action, (self.arm.n_joints,))[None])
-        self._controls, self._command = self.commands.controls(start, end)[0], end[0]
+        start = self._command
+        end = self.commands.moved(start, as_floats("action", action, (self.arm.n_joints,)))
+        self._controls, self._command = self.commands.controls(start, end), end
         # The solver starts from nothing, so that a control step is a function of the state.
-        self.simulation.data.qacc_warmstart[:] = 0.0
+        self._warm_start[:] = 0.0
 
     def advance(self, steps: int) -> None:
         """Do physics steps, with the controls of the last `before_step` once; where one fails, `failure` says why."""
@@ -237,11 +249,15 @@ class ArmTask(ABC):
         except SimulationError as error:
             self.failure = str(error)
 
-    def after_step(self, physics: Any = None) -> None:
-        """Take the observations, unless the simulation failed."""
+    def after_step(self, *, current: bool = False) -> None:
+        """Take the observations, unless the simulation failed.
+
+        Args:
+            current: whether MuJoCo has worked out the poses of the present time.
+        """
         self.took(self._command, self.failure)
         if not self.failure:
-            self._look()
+            self._look(current)
 
     def took(self, command: Floats, failure: str = "") -> None:
         """Count a control step to a commanded position ``(n,)``, which failed or not."""
@@ -252,41 +268,13 @@ class ArmTask(ABC):
     def failure_of(self, controls: Floats) -> str:
         """Why physics steps with controls ``(substeps, nu)`` fail from the simulation's state."""
         self.simulation.steps, self._controls = self._step * self.substeps, controls
-        self.simulation.data.qacc_warmstart[:] = 0.0
+        self._warm_start[:] = 0.0
         self.advance(self.substeps)
         return self.failure or "the state is not finite"
 
-    def initialize_episode(self, physics: Any = None) -> None:
-        """`begin` with the generator `random`."""
-        self.begin(self.random)
-
-    def get_observation(self, physics: Any = None) -> Observation:
-        """`observe`."""
-        return self.observe()
-
-    def get_reward(self, physics: Any = None) -> float:
-        """`reward`, 0 where the simulation failed."""
-        return 0.0 if self.failure else self.reward()
-
-    def get_termination(self, physics: Any = None) -> float | None:
-        """Discount at the end of an episode: 0 where the simulation failed, 1 at the time limit."""
-        return None if not self._over else 0.0 if self.failure else 1.0
-
-    def action_spec(self, physics: Any = None) -> specs.BoundedArray:
-        """Joint velocities as shares of their limits."""
-        joints = ", ".join(self.arm.joint_names)
-        return specs.BoundedArray((self.arm.n_joints,), np.float64, -1.0, 1.0, name=f"joint velocities ({joints})")
-
-    def observation_spec(self, physics: Any = None) -> OrderedDict[str, specs.BoundedArray]:
-        """Arrays by name, with their bounds."""
-        return OrderedDict(
-            (name, specs.BoundedArray(low.shape, np.float64, low, high, name=name))
-            for name, (low, high) in self.bounds.items()
-        )
-
     def observe(self) -> Observation:
         """Observations of the present time; new arrays. After a failure those of the last good time."""
-        return OrderedDict((name, value.copy()) for name, value in self._seen.items())
+        return self.observations.split(self.row.copy())
 
     def info(self) -> dict[str, Any]:
         """Whether the arm is where it shall be, and the errors, of the present time; see `Transition`."""
@@ -296,38 +284,14 @@ class ArmTask(ABC):
         info = {"success": success, "distance": self.distance, "angle": self.angle}
         return info | ({"failure": self.failure} if self.failure else {})
 
-    def _look(self) -> None:
+    def _look(self, current: bool = False) -> None:
         """Take the observations of the present time, and the errors."""
-        simulation, target = self.simulation, [values[None] for values in self.here()]
-        mujoco.mj_kinematics(simulation.model, simulation.data)
-        frames = site_frames(self.arm, simulation.data, self.frames)[None]
-        q, qd = self._joints()
-        self._velocity = qd
-        seen, distance, angle = self.seen(frames, q[None], qd[None], self._command[None], target)
-        self._seen = {name: values[0] for name, values in seen.items()}
-        self.distance, self.angle = float(distance[0]), float(angle[0])
-
-    def seen(
-        self, frames: Floats, q: Floats, qd: Floats, command: Floats, target: list[Floats]
-    ) -> tuple[dict[str, Floats], Floats, Floats]:
-        """Observations of B environments by name, and the largest distance [m] and angle [rad] ``(B,)`` in each.
-
-        Args:
-            frames: ``(B, F, 16)``, see `site_frames`.
-            q: ``(B, n)``.
-            qd: ``(B, n)``.
-            command: ``(B, n)``.
-            target: what `here` gives of each, stacked.
-        """
-        wanted, goals, *more = target
-        twist, distance, angle = to_go(frames, goals)
-        values = [q, qd, command, wanted - q, twist, *more]
-        # As np.clip, twice as fast.
-        clipped = {
-            name: np.minimum(np.maximum(value, low), high)
-            for value, (name, (low, high)) in zip(values, self.bounds.items(), strict=True)
-        }
-        return clipped, distance, angle
+        if not current:
+            mujoco.mj_kinematics(self.simulation.model, self.simulation.data)
+        q, self._velocity = self._joints()
+        frames = self._site_frames()
+        self.row, distance, angle = self.observations.rows(frames, q, self._velocity, self._command, self.here())
+        self.distance, self.angle = float(distance), float(angle)
 
     def _goals(self, q: Floats) -> Floats:
         """Frames that count ``(..., F, 16)`` at joint targets ``(..., n)``."""
@@ -338,20 +302,6 @@ class ArmTask(ABC):
 
     def _joints(self) -> tuple[Floats, Floats]:
         """Joint positions and velocities ``(n,)``, as the simulation's, without their checks."""
-        space, data = self.arm.space, self.simulation.data
-        q = space.from_qpos(data.qpos)
-        return q, space.from_qvel(q, data.qvel)
-
-    def _closeness(self, distance: Floats, angle: Floats) -> Floats:
-        """1 within the tolerances, else less: the mean of what is seen from afar and of what only counts near by.
-
-        Each is a product of a term for the distance and one for the angle, which fall to a tenth where the error is
-        beyond its tolerance by the margin.
-        """
-        allowed = np.array([[self.position_tolerance], [self.rotation_tolerance]])
-        parts = closeness(np.array([distance, angle]).T[..., None], allowed, self._margins)
-        both = parts[..., 0, :] * parts[..., 1, :]
-        return 0.5 * (both[..., 0] + both[..., 1])
-
-    def _within_tolerance(self, distance: Floats, angle: Floats) -> NDArray[np.bool_]:
-        return np.asarray((distance <= self.position_tolerance) & (angle <= self.rotation_tolerance))
+        space = self.arm.space
+        q = space.from_qpos(self._qpos)
+        return q, space.from_qvel(q, self._qvel)

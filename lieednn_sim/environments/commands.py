@@ -30,18 +30,18 @@ class Commands:
         self._before, self._after = 1.0 - parts, parts
 
     def moved(self, command: Floats, action: Floats) -> Floats:
-        """Commanded positions ``(B, n)`` after actions ``(B, n)``, from those before."""
+        """Commanded positions ``(..., n)`` after actions ``(..., n)``, from those before."""
         share = np.minimum(np.maximum(action, -1.0), 1.0)
         end = command + self._timestep * share * self._arm.velocity_limits
         end = np.minimum(np.maximum(end, self._low), self._high)
         return self._arm.within_angles(end) if len(self._arm.space.balls) else end
 
     def controls(self, start: Floats, end: Floats) -> Floats:
-        """Controls ``(B, substeps, nu)`` of servos that are led from commanded positions to others, ``(B, n)``."""
+        """Controls ``(..., substeps, nu)`` of servos that are led from commanded positions to others, ``(..., n)``."""
         # Not start + 1.0 * (end - start), so that the command is on the limit, not beyond it by rounding.
-        q = self._before * start[:, None] + self._after * end[:, None]
+        q = self._before * start[..., None, :] + self._after * end[..., None, :]
         space = self._arm.space
         # Only those of balls differ from posture to posture.
-        postures = q[:, 1:] if len(space.balls) else end[:, None]
-        qvel = space.to_qvel(postures, (end - start)[:, None] / self._timestep)
-        return self._actuators.servo_controls(space.to_qpos(q[:, :-1]), qvel, self._damping * qvel)
+        postures = q[..., 1:, :] if len(space.balls) else end[..., None, :]
+        qvel = space.to_qvel(postures, ((end - start) / self._timestep)[..., None, :])
+        return self._actuators.servo_controls(space.to_qpos(q[..., :-1, :]), qvel, self._damping * qvel)

@@ -121,7 +121,7 @@ class Environment(gymnasium.Env[Any, Floats]):
         self._camera = None
 
     def _shown(self, observation: Observation) -> Any:
-        return spaces.flatten(self._space, observation) if self._flat else dict(observation)
+        return spaces.flatten(self._space, observation) if self._flat else observation
 
 
 def register() -> None:

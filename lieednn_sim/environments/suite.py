@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from typing import Any
 
 import dm_env
@@ -14,6 +15,7 @@ from lieednn_sim.environments.base import ArmTask
 from lieednn_sim.environments.tasks import make_task
 from lieednn_sim.simulation import Simulation
 from lieednn_sim.validation import as_generator, as_seed
+from lieednn_sim.values import Floats
 
 
 def load(
@@ -37,6 +39,54 @@ def load(
     return ControlEnvironment(make_task(task, arm, **options), random=random)
 
 
+class ControlTask(control.Task):  # type: ignore[misc]  # dm_control has no types
+    """A task as dm_control asks for it. The physics are left aside: they are the task's own simulation.
+
+    Args:
+        task: the task.
+        random: draws its episodes.
+    """
+
+    def __init__(self, task: ArmTask, random: np.random.Generator) -> None:
+        self.task, self.random = task, random
+
+    def initialize_episode(self, physics: Any) -> None:
+        """Begin an episode."""
+        self.task.begin(self.random)
+
+    def before_step(self, action: Floats, physics: Any) -> None:
+        """Move the command by an action ``(n,)``."""
+        self.task.before_step(action)
+
+    def after_step(self, physics: Any) -> None:
+        """Take the observations; a `TaskPhysics` has the link frames of the present time after its steps."""
+        self.task.after_step(current=True)
+
+    def get_observation(self, physics: Any) -> OrderedDict[str, Floats]:
+        """Arrays by name."""
+        return OrderedDict(self.task.observe())
+
+    def get_reward(self, physics: Any) -> float:
+        """The task's, 0 where the simulation failed."""
+        return 0.0 if self.task.failure else self.task.reward()
+
+    def get_termination(self, physics: Any) -> float | None:
+        """Discount at the end of an episode: 0 where the simulation failed, 1 at the time limit."""
+        return None if not self.task.over else 0.0 if self.task.failure else 1.0
+
+    def action_spec(self, physics: Any) -> specs.BoundedArray:
+        """Joint velocities as shares of their limits."""
+        joints = ", ".join(self.task.arm.joint_names)
+        return specs.BoundedArray((self.task.arm.n_joints,), np.float64, -1.0, 1.0, name=f"joint velocities ({joints})")
+
+    def observation_spec(self, physics: Any) -> OrderedDict[str, specs.BoundedArray]:
+        """Arrays by name, with their bounds."""
+        return OrderedDict(
+            (name, specs.BoundedArray(low.shape, np.float64, low, high, name=name))
+            for name, (low, high) in self.task.bounds.items()
+        )
+
+
 class ControlEnvironment(control.Environment):  # type: ignore[misc]  # dm_control has no types
     """A task behind the interface of dm_control: ``physics.render()`` and dm_control's wrappers work on it.
 
@@ -52,9 +102,14 @@ class ControlEnvironment(control.Environment):  # type: ignore[misc]  # dm_contr
         from lieednn_sim.environments.physics import TaskPhysics
 
         # dm_control shows what is simulated.
-        task.simulation = Simulation(task.arm)
-        task.random = np.random.default_rng() if random is None else as_generator("random", random)
-        super().__init__(TaskPhysics(task), task, n_sub_steps=task.substeps)
+        task.run_in(Simulation(task.arm))
+        generator = np.random.default_rng() if random is None else as_generator("random", random)
+        super().__init__(TaskPhysics(task), ControlTask(task, generator), n_sub_steps=task.substeps)
+
+    @property
+    def task(self) -> ArmTask:
+        """The task."""
+        return self._task.task
 
     def reset(self, seed: int | None = None) -> dm_env.TimeStep:
         """Begin an episode.
@@ -64,7 +119,7 @@ class ControlEnvironment(control.Environment):  # type: ignore[misc]  # dm_contr
                 interface.
         """
         if seed is not None:
-            self.task.random = np.random.default_rng(as_seed("seed", seed))
+            self._task.random = np.random.default_rng(as_seed("seed", seed))
         return super().reset()
 
     def reward_spec(self) -> specs.BoundedArray:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.environments.base import ArmTask
-from lieednn_sim.environments.frames import closeness
+from lieednn_sim.environments.bounds import Bounds
 from lieednn_sim.environments.trajectories import JointTrajectory, band_limited, planned
 from lieednn_sim.errors import InputError, NoSolutionError, NotCertifiedError, PlanError
 from lieednn_sim.validation import as_choice, as_count
@@ -36,6 +36,8 @@ class Reach(ArmTask):
     Begin an episode with the option ``target``, a joint position ``(n,)``, to choose it.
     """
 
+    _more_errors = ((REST, _REST_MARGIN),)
+
     def _draw(self, rng: np.random.Generator, options: dict[str, Any]) -> None:
         chosen = options.pop("target", None)
         _refuse(options, "target")
@@ -52,11 +54,11 @@ class Reach(ArmTask):
         """See `ArmTask`."""
         return self._here
 
-    def judge(self, distance: Floats, angle: Floats, qd: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+    def judge(self, distance: Floats | float, angle: Floats | float, qd: Floats) -> tuple[Floats, NDArray[np.bool_]]:
         """See `ArmTask`."""
         speed = np.maximum.reduce(np.abs(qd / self.arm.velocity_limits), axis=-1)
-        reward = self._closeness(distance, angle) * 0.5 * (1.0 + closeness(speed, REST, _REST_MARGIN))
-        return reward, self._within_tolerance(distance, angle) & (speed <= REST)
+        close, resting = self.closeness(distance, angle, speed)
+        return close * 0.5 * (1.0 + resting), self.closeness.within(distance, angle) & (speed <= REST)
 
 
 class Track(ArmTask):
@@ -89,9 +91,11 @@ class Track(ArmTask):
         self.reference = as_choice("reference", reference, REFERENCES)
         self.preview = as_count("preview", preview)
         super().__init__(arm, position_tolerance=position_tolerance, rotation_tolerance=rotation_tolerance, **options)
+
+    def _more_bounds(self) -> Bounds:
         velocity = self.arm.velocity_limits
         low, high = (np.tile(limit, (self.preview, 1)) for limit in self.arm.position_limits.T)
-        self.bounds |= {"target_velocity": (-velocity, velocity), "preview": (low, high)}
+        return {"target_velocity": (-velocity, velocity), "preview": (low, high)}
 
     def _draw(self, rng: np.random.Generator, options: dict[str, Any]) -> None:
         _refuse(options)
@@ -106,7 +110,7 @@ class Track(ArmTask):
     def here(self) -> tuple[Floats, ...]:
         """See `ArmTask`."""
         now, k = self._wanted, self._step
-        return now[k], self._goal_frames[k], self._rates[k], now[k + 1 : k + 1 + self.preview]
+        return now[k], self._goal_frames[k], self._rates[k], now[k + 1 : k + 1 + self.preview].ravel()
 
     def _draw_plan(self, rng: np.random.Generator) -> JointTrajectory:
         refusal = ""
@@ -122,9 +126,9 @@ class Track(ArmTask):
         """See `ArmTask`."""
         return self._trajectory.position(time)
 
-    def judge(self, distance: Floats, angle: Floats, qd: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+    def judge(self, distance: Floats | float, angle: Floats | float, qd: Floats) -> tuple[Floats, NDArray[np.bool_]]:
         """See `ArmTask`."""
-        return self._closeness(distance, angle), self._within_tolerance(distance, angle)
+        return self.closeness(distance, angle)[0], self.closeness.within(distance, angle)
 
 
 TASKS: dict[str, type[ArmTask]] = {"reach": Reach, "track": Track}

@@ -83,7 +83,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[dict[str, Floats], Floats, An
         self._rollouts, self._model = rollout.Rollout(nthread=workers), first.simulation.model
         self._data = [mujoco.MjData(self._model) for _ in range(workers)]
         self._states = np.zeros((num_envs, mujoco.mj_stateSize(self._model, _STATE)))
-        self._seen = {name: np.zeros((num_envs, *low.shape)) for name, (low, _) in first.bounds.items()}
+        self._seen = np.zeros((num_envs, first.observations.size))
         self._judged = {"success": np.zeros(num_envs, dtype=bool), "distance": np.zeros(num_envs)}
         self._judged["angle"] = np.zeros(num_envs)
         self._commands = np.zeros((num_envs, first.arm.n_joints))
@@ -129,7 +129,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[dict[str, Floats], Floats, An
         self._over = terminated | truncated
         if self.autoreset_mode == AutoresetMode.SAME_STEP:
             for i in np.flatnonzero(self._over):
-                last = {name: values[i].copy() for name, values in self._seen.items()}
+                last = self.tasks[0].observations.split(self._seen[i].copy())
                 infos = self._add_info(infos, {"final_obs": last, "final_info": self._info(int(i))}, int(i))
                 infos = self._begin(int(i), infos, {})
             self._over = np.zeros(self.num_envs, dtype=bool)
@@ -140,14 +140,15 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[dict[str, Floats], Floats, An
         self._rollouts.close()
 
     def _observed(self) -> dict[str, Floats]:
-        return {name: values.copy() for name, values in self._seen.items()}
+        # Each in memory of its own, without gaps.
+        return {name: values.copy() for name, values in self.tasks[0].observations.split(self._seen).items()}
 
     def _begin(self, i: int, infos: dict[str, Any], options: dict[str, Any]) -> dict[str, Any]:
         task, generator = self.tasks[i], self._generators[i]
         if generator is None:
             generator = self._generators[i] = seeding.np_random()[0]
-        for name, values in task.begin(generator, options).items():
-            self._seen[name][i] = values
+        task.begin(generator, options)
+        self._seen[i] = task.row
         mujoco.mj_getState(self._model, task.simulation.data, self._states[i], _STATE)
         self._commands[i] = task.command
         for name, value in task.info().items():
@@ -196,9 +197,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[dict[str, Floats], Floats, An
         q = first.arm.space.from_qpos(qpos)
         qd = first.arm.space.from_qvel(q, qvel)
         target = [np.array(values) for values in zip(*(self.tasks[i].here() for i in which), strict=True)]
-        seen, distance, angle = first.seen(frames, q, qd, self._commands[which], target)
-        for name, values in seen.items():
-            self._seen[name][which] = values
+        self._seen[which], distance, angle = first.observations.rows(frames, q, qd, self._commands[which], target)
         rewards, success = first.judge(distance, angle, qd)
         for values, judged in zip(self._judged.values(), (success, distance, angle), strict=True):
             values[which] = judged

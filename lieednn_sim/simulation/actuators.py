@@ -32,17 +32,19 @@ class Actuators:
 
     def __init__(self, arm: Arm) -> None:
         model, moments = arm.model, actuator_moments(arm.model)
+        self._nv = int(model.nv)
         basis = tangent_basis(arm)
         self.driving = _moving(moments, basis)
-        self._moment = np.where(self.driving[:, None], moments, 0.0)
-        transmission = self._moment @ basis
+        moment = np.where(self.driving[:, None], moments, 0.0)
+        transmission = moment @ basis
         _check(model, self.driving)
         _check_complete(arm, transmission)
         # Forces f of least norm with basis^T moment^T f = basis^T tau: whatever joints outside the arm would need, and
         # the forces between coupled stages, do no work on what the arm can do.
-        self._allocation = np.linalg.pinv(transmission.T) @ basis.T
+        allocation = np.linalg.pinv(transmission.T) @ basis.T
+        self._moment, self._allocation = _Product(moment), _Product(allocation)
         self._gain = np.where(self.driving, model.actuator_gainprm[:, 0], 1.0)
-        self._bias = np.where(self.driving[:, None], model.actuator_biasprm[:, :3], 0.0)
+        self._bias = np.where(self.driving, model.actuator_biasprm[:, :3].T, 0.0)
         self._idle = np.where(self.driving, 0.0, _home_controls(model))
         self._scalars = np.flatnonzero(np.isin(model.jnt_type, _SCALAR))
         self._positions = model.jnt_qposadr[self._scalars], model.jnt_dofadr[self._scalars]
@@ -51,7 +53,7 @@ class Actuators:
 
     def require_servos(self) -> None:
         """`InputError` unless every drive is a position servo, whose force falls with the length."""
-        if not (self._bias[self.driving, 1] / self._gain[self.driving] < 0.0).all():
+        if not (self._bias[1, self.driving] / self._gain[self.driving] < 0.0).all():
             raise InputError(
                 "this controller needs position actuators on the arm's joints (biasprm[1] < 0); "
                 "the controller computed-torque does without"
@@ -59,30 +61,31 @@ class Actuators:
 
     def lengths(self, qpos: Floats) -> Floats:
         """Lengths ``(..., nu)`` at positions ``(..., nq)``; zero for actuators that do not move the arm."""
-        if qpos.shape[-1] == self._moment.shape[1]:
+        if qpos.shape[-1] == self._nv:
             # Without quaternions both have the same places.
-            return _times(self._moment, qpos)
-        x = np.zeros((*qpos.shape[:-1], self._moment.shape[1]))
+            return self._moment(qpos)
+        x = np.zeros((*qpos.shape[:-1], self._nv))
         x[..., self._positions[1]] = qpos[..., self._positions[0]]
         for position, dof in self._balls:
             for index in np.ndindex(qpos.shape[:-1]):
                 mujoco.mju_quat2Vel(x[index][dof : dof + 3], qpos[index][position : position + 4], 1.0)
-        return _times(self._moment, x)
+        return self._moment(x)
 
     def velocities(self, qvel: Floats) -> Floats:
         """Velocities ``(..., nu)`` of lengths at generalised velocities ``(..., nv)``."""
-        return _times(self._moment, qvel)
+        return self._moment(qvel)
 
     def forces(self, generalised: Floats) -> Floats:
         """Actuator forces ``(..., nu)`` that do on the arm's joints what generalised forces ``(..., nv)`` do."""
-        return _times(self._allocation, generalised)
+        return self._allocation(generalised)
 
     def servo_controls(self, qpos: Floats, qvel: Floats, generalised: Floats | None = None) -> Floats:
         """Controls ``(..., nu)`` with which the servos exert given forces at states: (f - b0 - b1 l - b2 v) / g.
 
         Off such a state they exert b1 and b2 times the differences on top, which is their feedback.
         """
-        drive = -(self._bias[:, 0] + self._bias[:, 1] * self.lengths(qpos) + self._bias[:, 2] * self.velocities(qvel))
+        constant, stiffness, damping = self._bias
+        drive = -(constant + stiffness * self.lengths(qpos) + damping * self.velocities(qvel))
         if generalised is not None:
             drive += self.forces(generalised)
         return drive / self._gain + self._idle
@@ -95,11 +98,11 @@ class Actuators:
         there the error is one of it.
         """
         length, velocity = self.velocities(noise.position), self.velocities(noise.velocity)
-        return (self._bias[:, 1] * length + self._bias[:, 2] * velocity) / self._gain
+        return (self._bias[1] * length + self._bias[2] * velocity) / self._gain
 
     def direct_controls(self, generalised: Floats, out: Floats | None = None) -> Floats:
         """Controls ``(nu,)`` of drives made direct by `make_direct`, for generalised forces ``(nv,)``."""
-        return np.add(self._allocation.dot(generalised), self._idle, out)
+        return np.add(self._allocation(generalised), self._idle, out)
 
     def free_controls(self, model: mujoco.MjModel) -> None:
         """Let the drives in a model take any control: a servo's range is one of positions, and forces are on top.
@@ -116,9 +119,23 @@ class Actuators:
         self.free_controls(model)
 
 
-def _times(matrix: Floats, vectors: Floats) -> Floats:
-    """The products with vectors along the last axis, each rounded as it is alone, however many there are."""
-    return (matrix @ vectors[..., None])[..., 0]
+class _Product:
+    """Products of a matrix with vectors along the last axis, each rounded as it is alone, however many there are.
+
+    Where every row has one entry, as of drives that move one joint each, the product is a choice among the vector's.
+    """
+
+    def __init__(self, matrix: Floats) -> None:
+        self._matrix, self._columns = matrix, np.abs(matrix).argmax(axis=1)
+        self._entries = matrix[np.arange(len(matrix)), self._columns]
+        self._single = bool((np.count_nonzero(matrix, axis=1) <= 1).all())
+        self._unit = bool((self._entries == 1.0).all())
+
+    def __call__(self, vectors: Floats) -> Floats:
+        if not self._single:
+            return np.asarray((self._matrix @ vectors[..., None])[..., 0])
+        chosen = vectors.take(self._columns, axis=-1)
+        return chosen if self._unit else chosen * self._entries
 
 
 def driving_actuators(arm: Arm) -> NDArray[np.bool_]:

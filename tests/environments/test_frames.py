@@ -7,7 +7,8 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from lieednn_sim._mujoco import mujoco
-from lieednn_sim.environments.frames import closeness, to_go
+from lieednn_sim.environments.frames import to_go
+from lieednn_sim.environments.rewards import closeness
 
 
 def rows(poses: RigidTransform) -> np.ndarray:
