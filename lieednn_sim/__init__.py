@@ -6,7 +6,7 @@
     plan = ls.plan(arm, arm.keyframe("extended"))
     rollout = ls.simulate(arm, plan)
 
-The names below are imported when they are asked for; everything else is in its room: `lie`, `stability`, `network`,
+The names below are imported on first use; everything else is in the subpackages: `lie`, `stability`, `network`,
 `theory`, `synthesis`, `learning`, `arm`, `planning`, `simulation`, `rendering`, `evaluation`, `environments`, `cli`.
 """
 

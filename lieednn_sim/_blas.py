@@ -1,4 +1,4 @@
-"""One BLAS thread for small matrices: threads slow them down many times, and the digits then depend on the machine."""
+"""One BLAS thread for small matrices: more are many times slower, and make results depend on the machine."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 @cache
 def _controller() -> Any:
-    # At the first use: importing threadpoolctl sets an environment variable, which an import of this package shall not.
+    # On first use: importing threadpoolctl sets an environment variable, which importing this package must not.
     from threadpoolctl import ThreadpoolController
 
     return ThreadpoolController()

@@ -1,7 +1,7 @@
-"""MuJoCo, imported even where ``MUJOCO_GL`` names an OpenGL that is not there: physics needs none.
+"""MuJoCo, imported even if ``MUJOCO_GL`` names an OpenGL backend that is not installed, since physics needs none.
 
-MuJoCo imports the OpenGL bindings that the variable names, and fails when they do. What rendering takes is decided when
-something is rendered, in `rendering.opengl`.
+MuJoCo imports the OpenGL bindings that the variable names, and fails if these do. The backend for rendering is chosen
+on the first rendering, in `rendering.opengl`.
 """
 
 import os

@@ -1,11 +1,11 @@
-"""Time budgets: how much CPU time a piece of work may take, looked at by the loops that it is made of.
+"""Time budgets: limits on the CPU time of a piece of work, checked in its loops.
 
     with time_limit(10.0):
         ...  # every loop inside calls `check_time`, which raises `OutOfTimeError` once ten seconds are spent
 
-CPU time of the calling thread, so that what else the machine does costs nothing. Nothing but that error depends on the
-clock: work that ends within its budget gives what it gives without one. Postures that are searched for are counted,
-too, which no machine does faster than another.
+The CPU time is that of the calling thread, so that other load on the machine does not count. Only that error depends on
+the clock: work that ends within its budget has the same result as without one. Searched postures are limited too, by
+their number, which does not depend on the machine.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from lieednn_sim.validation import as_positive
 # CPU time of a planner [s]; far more than any needs for the arms of the package.
 DEFAULT_TIME_BUDGET = 60.0
 
-# States whose nearest posture is searched for, in one piece of work: several times what any planner needs.
+# Most states whose nearest posture is searched for in one piece of work: several times what any planner needs.
 MOST_STATES = 250_000
 
 # States that the present work has searched so far.
 _STATES: ContextVar[list[int] | None] = ContextVar("lieednn_sim states", default=None)
-# When the present work must be done, by `cpu_time`, and the budget that says so [s].
+# Time at which the present work must end, by `cpu_time`, and its budget [s].
 _LIMIT: ContextVar[tuple[float, float] | None] = ContextVar("lieednn_sim time limit", default=None)
 
 
@@ -43,7 +43,7 @@ def cpu_time() -> float:
 
 @contextlib.contextmanager
 def time_limit(seconds: float) -> Iterator[None]:
-    """Give the block, in this thread, a budget of CPU time [s]; of limits within each other the earlier one counts."""
+    """Give the block, in this thread, a budget of CPU time [s]; of nested limits the earlier one counts."""
     mine, outer = (cpu_time() + seconds, seconds), _LIMIT.get()
     token = _LIMIT.set(mine if outer is None else min(mine, outer))
     counting = _STATES.set([0] if outer is None else _STATES.get())
@@ -55,13 +55,13 @@ def time_limit(seconds: float) -> Iterator[None]:
 
 
 def out_of_time() -> bool:
-    """Whether the budget of the present work is spent; for where no exception may be raised."""
+    """Whether the budget of the present work is spent, for places where no exception may be raised."""
     limit = _LIMIT.get()
     return limit is not None and cpu_time() > limit[0]
 
 
 def check_time() -> None:
-    """To be called in loops.
+    """Check the budget; to be called in loops.
 
     Raises:
         OutOfTimeError: the budget of the present work is spent.
@@ -70,12 +70,12 @@ def check_time() -> None:
     if limit is not None and cpu_time() > limit[0]:
         raise OutOfTimeError(
             f"out of time: the budget of {limit[1]:g} s of CPU time is spent and the planner is not done; "
-            "allow more (time_budget, --time-budget), or take another planner, target or seed"
+            "allow more (time_budget, --time-budget), or use another planner, target or seed"
         )
 
 
 def count_states(number: int) -> None:
-    """To be called with the number of states whose nearest posture is about to be searched for.
+    """Count states whose nearest posture is about to be searched for.
 
     Raises:
         OutOfTimeError: the present work has a budget, and these are more than `MOST_STATES`.
@@ -86,5 +86,5 @@ def count_states(number: int) -> None:
         if counted[0] > MOST_STATES:
             raise OutOfTimeError(
                 f"out of work: the postures nearest to more than {MOST_STATES} states would have to be searched for; "
-                "name more links, so that fewer joints move each, or take another planner, target or seed"
+                "name more links, so that fewer joints move each, or use another planner, target or seed"
             )

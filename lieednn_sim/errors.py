@@ -1,10 +1,10 @@
-"""The exceptions that users of the package meet: each message says what was given, what is allowed and what to do."""
+"""The exceptions of the package; each message says what was given, what is allowed and what to do."""
 
 from __future__ import annotations
 
 
 class LieEDNNError(Exception):
-    """Base of every error that the package raises on purpose."""
+    """Base class of all exceptions raised by the package."""
 
 
 class InputError(LieEDNNError, ValueError):
@@ -16,7 +16,7 @@ class FileError(LieEDNNError, OSError):
 
 
 class NoSolutionError(LieEDNNError):
-    """Base of every search that failed on input that was good; another seed, target or planner may succeed."""
+    """Base class for searches that failed on valid input; another seed, target or planner may succeed."""
 
 
 class NotCertifiedError(NoSolutionError):
@@ -28,10 +28,10 @@ class PlanError(NoSolutionError):
 
 
 class TooFastError(PlanError):
-    """A motion that would keep every limit if only it took longer.
+    """A motion that would keep all limits if it took longer.
 
     Attributes:
-        duration: that is enough [s].
+        duration: a sufficient duration [s].
     """
 
     def __init__(self, message: str, duration: float) -> None:

@@ -1,21 +1,18 @@
 """Files: arrays as ``.npz``, everything else as JSON inside it, written atomically and never pickled.
 
-Every ``.npz`` carries a fingerprint of its content, and those of the files that it was made from: a file that was
-changed is refused, and files that do not belong together are told apart (`cli.run_directory.RunDirectory`).
+Every ``.npz`` carries a fingerprint of its content, and those of the files that it was made from: changed files, and
+files that do not belong together (`cli.run_directory.RunDirectory`), are detected.
 """
 
 from __future__ import annotations
 
-import contextlib
-import fcntl
 import hashlib
 import json
 import os
 import struct
-import tempfile
 import zipfile
 import zlib
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import IO, Any
 
@@ -23,132 +20,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieednn_sim.errors import FileError
-from lieednn_sim.validation import as_path
+from lieednn_sim.filesystem import atomic_path, atomic_text
 
 # 2: with a fingerprint.
 FORMAT_VERSION = 2
 _META_KEY, _FINGERPRINT, _MADE_FROM = "meta_json", "fingerprint", "made_from"
-# What the readers of a damaged archive raise, beside the built-in errors.
+# Exceptions from reading a damaged archive, besides built-in ones.
 _DAMAGE = (zipfile.BadZipFile, zlib.error, NotImplementedError)
 # An archive's last record: signature, four counters, size and offset of the directory before it, length of a comment.
 _ARCHIVE_END = struct.Struct("<4s4H2LH")
-# No JSON or YAML file of the package is nearly as large [bytes].
+# Largest size of JSON and YAML files [bytes]; those of the package are far smaller.
 _MAX_TEXT = 1_000_000
-
-
-def make_directory(path: str | os.PathLike[str]) -> Path:
-    """Create ``path`` with its parents, or raise `FileError` that says why not."""
-    directory = as_path("the name of a directory", path)
-    try:
-        directory.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise FileError(f"cannot create directory {directory}: {error.strerror or error}") from None
-    if not os.access(directory, os.W_OK):
-        raise FileError(f"cannot write into {directory}: permission denied; choose another --output")
-    return directory
-
-
-def is_file(path: Path) -> bool:
-    """Whether there is a file; `FileError` where the system does not let us look."""
-    try:
-        return path.is_file()
-    except OSError as error:
-        raise FileError(f"cannot look for {path}: {error.strerror or error}") from None
-
-
-def check_outputs(paths: Iterable[Path]) -> None:
-    """Raise `FileError` when a file cannot be written where it is to be, before the work for it begins."""
-    for path in paths:
-        try:
-            if path.is_dir():
-                raise FileError(f"cannot write {path}: it is a directory; remove it or choose another name")
-            if not path.parent.is_dir():
-                raise FileError(f"cannot write {path}: there is no directory {path.parent}")
-        except OSError as error:
-            if isinstance(error, FileError):
-                raise
-            raise FileError(f"cannot write {path}: {error.strerror or error}") from None
-        if not os.access(path.parent, os.W_OK):
-            raise FileError(f"cannot write {path}: {path.parent} is read-only")
-
-
-@contextlib.contextmanager
-def locked(directory: str | os.PathLike[str], *, shared: bool = False) -> Iterator[None]:
-    """Keep other processes of the package out of a directory; the lock ends with the process, however that ends.
-
-    Args:
-        directory: that exists. The lock is on itself (flock), no file is made.
-        shared: let others in that want no more than that, either.
-
-    Raises:
-        FileError: another process is at work there.
-    """
-    handle = os.open(directory, os.O_RDONLY)
-    try:
-        try:
-            fcntl.flock(handle, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise FileError(
-                f"another lieednn-sim is at work in {directory}; wait for it, or choose another directory"
-            ) from None
-        except OSError:
-            # Some network file systems lock no directories; what is written is atomic and checked all the same.
-            pass
-        yield
-    finally:
-        os.close(handle)
-
-
-@contextlib.contextmanager
-def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Yield a temporary path beside ``path``; it replaces ``path`` only when the block ends well.
-
-    The temporary name keeps the suffix of ``path``, because encoders choose the format by it.
-
-    Raises:
-        FileError: the directory is missing, read-only or full.
-    """
-    with atomic_paths([Path(path)]) as (temporary,):
-        yield temporary
-
-
-@contextlib.contextmanager
-def atomic_paths(targets: Sequence[Path], outdated: Iterable[Path] = ()) -> Iterator[list[Path]]:
-    """As `atomic_path`, for files that belong together.
-
-    When the block ends well, what they make outdated is removed first, and then they appear in the order given. So a
-    process that is killed in between leaves less, never old beside new.
-    """
-    temporaries: list[Path] = []
-    target = targets[0]
-    try:
-        for target in targets:
-            handle, name = tempfile.mkstemp(prefix=f".{target.stem}.", suffix=target.suffix, dir=target.parent)
-            os.close(handle)
-            temporaries.append(Path(name))
-        yield temporaries
-        for target in outdated:
-            target.unlink(missing_ok=True)
-        # mkstemp makes files private; results should have the permissions any new file gets.
-        umask = os.umask(0)
-        os.umask(umask)
-        for target, temporary in zip(targets, temporaries, strict=True):
-            temporary.chmod(0o666 & ~umask)
-            temporary.replace(target)
-    except OSError as error:
-        if isinstance(error, FileError):
-            raise
-        raise FileError(f"cannot write {target}: {error.strerror or error}") from None
-    finally:
-        for temporary in temporaries:
-            temporary.unlink(missing_ok=True)
-
-
-@contextlib.contextmanager
-def atomic_text(path: str | os.PathLike[str]) -> Iterator[IO[str]]:
-    """Open ``path`` for text; the file appears only when the block ends well."""
-    with atomic_path(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as stream:
-        yield stream
 
 
 def save_json(path: str | os.PathLike[str], value: Any) -> None:
@@ -164,7 +46,7 @@ def load_json(path: str | os.PathLike[str], what: str) -> dict[str, Any]:
 
 
 def load_description(path: str | os.PathLike[str], what: str) -> dict[str, Any]:
-    """Read what was written by hand, JSON where the suffix says so, else YAML; errors as `load_json`."""
+    """Read a hand-written object, JSON by its suffix or else YAML; raises as `load_json`."""
     return load_json(path, what) if Path(path).suffix.lower() == ".json" else _load_object(path, what, _parse_yaml)
 
 
@@ -189,7 +71,7 @@ def _load_object(path: str | os.PathLike[str], what: str, parse: Callable[[bytes
 def parse_object(
     content: bytes, path: str | os.PathLike[str], what: str, parse: Callable[[bytes], Any] = _parse_yaml
 ) -> dict[str, Any]:
-    """What the content of a file holds, YAML by default; `FileError` where that is no mapping."""
+    """Parse the content of a file, YAML by default; `FileError` if it is not a mapping."""
     try:
         if len(content) > _MAX_TEXT:
             raise ValueError(f"it is larger than {_MAX_TEXT} bytes")
@@ -202,7 +84,7 @@ def parse_object(
 
 
 def fingerprint(arrays: Mapping[str, NDArray[Any]], meta: Mapping[str, Any]) -> str:
-    """SHA-256 of the names, types, shapes and bytes of arrays and of JSON values, in whatever order they come."""
+    """SHA-256 of the names, types, shapes and bytes of arrays and of JSON values, independent of their order."""
     digest = hashlib.sha256(json.dumps(meta, sort_keys=True).encode())
     for name in sorted(arrays):
         array = np.asarray(arrays[name])
@@ -225,7 +107,7 @@ def save_arrays(
         kind: what the file holds (``"network"``, ``"motion"`` ...), checked by `load_arrays`.
         arrays: named arrays; string arrays are allowed, object arrays are not.
         meta: JSON-serialisable values.
-        made_from: fingerprints of what the content was made from, by name.
+        made_from: fingerprints of the files that the content was made from, by name.
     """
     target = Path(path)
     if target.suffix != ".npz":
@@ -244,7 +126,7 @@ def load_arrays(path: str | os.PathLike[str], kind: str) -> tuple[dict[str, NDAr
         The arrays by name, and the metadata.
 
     Raises:
-        FileError: missing, not such a file, of another kind or format, or not as it was written.
+        FileError: the file is missing, invalid, of another kind or format, or was changed after it was written.
     """
     arrays, meta = _read(path, kind, header_only=False)
     if fingerprint(arrays, {name: value for name, value in meta.items() if name != _FINGERPRINT}) != meta[_FINGERPRINT]:
@@ -253,9 +135,9 @@ def load_arrays(path: str | os.PathLike[str], kind: str) -> tuple[dict[str, NDAr
 
 
 def origin(path: str | os.PathLike[str], kind: str | None = None) -> tuple[str, dict[str, str]]:
-    """The fingerprint of a file of `save_arrays`, and those of what it was made from, by name; errors as `load_arrays`.
+    """The fingerprints of a file of `save_arrays` and of the files it was made from, by name; raises as `load_arrays`.
 
-    Without ``kind`` any will do. The arrays are not read: whether they fit the fingerprint is for `load_arrays` to say.
+    Without ``kind`` any kind is accepted. The arrays are not read, nor checked against the fingerprint.
     """
     _, meta = _read(path, kind, header_only=True)
     made_from = meta.get(_MADE_FROM)
@@ -265,12 +147,12 @@ def origin(path: str | os.PathLike[str], kind: str | None = None) -> tuple[str, 
 
 
 def kind(path: str | os.PathLike[str]) -> str:
-    """What a file of `save_arrays` holds; errors as `origin`."""
+    """The kind of a file of `save_arrays`; raises as `origin`."""
     return str(_read(path, None, header_only=True)[1].get("kind"))
 
 
 def short(fingerprint: object) -> str:
-    """The beginning of a fingerprint, for messages; "none" of anything else."""
+    """The beginning of a fingerprint, for messages; "none" for anything else."""
     return fingerprint[:12] if isinstance(fingerprint, str) else "none"
 
 
@@ -308,7 +190,7 @@ def _read(
 
 
 def _check_archive_end(stream: IO[bytes]) -> None:
-    """Refuse what stands before or behind an archive, which `zipfile` passes over."""
+    """Raise if there is data before or after the archive, which `zipfile` ignores."""
     size = stream.seek(0, os.SEEK_END)
     stream.seek(max(size - _ARCHIVE_END.size, 0))
     record = stream.read()

@@ -1,4 +1,4 @@
-"""Checks of user input, so that bad values stop at the door with a message that helps."""
+"""Checks of user input, with error messages that help."""
 
 from __future__ import annotations
 
@@ -17,15 +17,14 @@ from lieednn_sim.errors import InputError
 
 Shape = tuple[int | str, ...]
 
-# No length, angle, rate or weight that means anything is larger; products of three such numbers stay in range, so what
-# is finite does not become infinite on the way.
+# Larger than any meaningful length, angle, rate or weight; products of three such numbers do not overflow.
 LARGEST = 1e100
-# More characters than any name or sentence of the user's own: what is refused is quoted up to here.
+# Most characters of a refused value that are quoted.
 _QUOTED = 80
 _LARGEST_COUNT = 2**53
 # Limits of Linux, in bytes; that of a path counts its final zero.
 _LONGEST_NAME, _LONGEST_PATH = 255, 4096
-# As many as NumPy draws for a seed of its own; all of it can be written into a file.
+# As many as in NumPy's own seeds.
 _SEED_BITS = 128
 # Axes of an array in the oldest NumPy that is supported.
 _MOST_AXES = 32
@@ -40,7 +39,7 @@ def _describe(shape: Iterable[int | str]) -> str:
 
 
 def quoted(value: object) -> str:
-    """The ``repr`` of a value, cut where it is long: a message need not repeat a million entries."""
+    """The ``repr`` of a value for a message, shortened if it is long."""
     if isinstance(value, str | bytes) and len(value) > _QUOTED:
         return f"{value[:_QUOTED]!r} ... ({len(value)} characters)"
     if isinstance(value, np.ndarray):
@@ -60,24 +59,24 @@ def as_floats(
     """Return ``value`` as a finite float64 array whose trailing axes match ``shape``.
 
     Args:
-        name: what the value is called in the error message.
-        value: anything NumPy can turn into an array of numbers.
-        shape: required sizes; a string is a free size and must agree wherever it recurs.
+        name: name of the value in error messages.
+        value: anything that NumPy can turn into an array of numbers.
+        shape: required sizes; a string is a free size, equal wherever it recurs.
         batched: allow any number of leading axes.
-        largest: no entry may be greater in size.
+        largest: largest absolute value of an entry.
 
     Raises:
-        InputError: not numeric, not finite, too large, or of another shape.
+        InputError: the value is not numeric, not finite, too large, or of another shape.
     """
-    # What inner loops hand on is such an array already.
+    # Fast path for inner loops.
     if type(value) is np.ndarray and value.dtype == np.float64:
         array = value
     else:
         array = _converted(name, value, shape, batched)
     _require_shape(name, array.shape, shape, batched)
-    # Every call of a training loop comes here. With a small sum of squares no entry is large, which is known in a third
-    # of the time that the largest takes; a NaN makes both comparisons false. Threads of BLAS would wait, spinning, on
-    # the processors of callers with threads of their own.
+    # Fast path for training loops. If the sum of squares is small no entry is large, which takes a third of the time of
+    # finding the largest; a NaN makes both comparisons false. Only for short vectors, since BLAS's threads would spin
+    # on the processors of callers with threads of their own.
     if array.size <= _LONGEST_OF_ONE_THREAD and np.vdot(array, array) < largest * largest:
         return array
     if not np.maximum.reduce(np.abs(array), axis=None, initial=0.0) <= largest:
@@ -90,18 +89,18 @@ def as_floats(
 
 def _converted(name: str, value: ArrayLike, shape: Shape, batched: bool) -> NDArray[np.float64]:
     try:
-        # Where the shape is known it decides first: what does not fit need not be copied, however large.
+        # A known shape is checked first, before a large array is copied.
         if isinstance(value, np.ndarray):
             _require_shape(name, value.shape, shape, batched)
         elif isinstance(value, Sequence) and len(value) > _LARGEST_SIZE:
             raise InputError(f"{name} must have at most {_LARGEST_SIZE} entries, got {len(value)}")
         if np.iscomplexobj(value):
-            raise TypeError("complex numbers have no place here")
+            raise TypeError("complex numbers are not allowed")
         return np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError, OverflowError, MemoryError) as error:
         if isinstance(error, InputError):
             raise
-        # NumPy repeats all of a string.
+        # NumPy's messages may repeat a long string.
         why = f": {error}" if len(str(error)) <= 2 * _QUOTED else ""
         raise InputError(f"{name} must be an array of numbers, got {type(value).__name__}{why}") from None
 
@@ -124,7 +123,7 @@ def _require_shape(name: str, given: tuple[int, ...], shape: Shape, batched: boo
 
 
 def as_shape(name: str, value: Iterable[Any], entries: int = 1) -> tuple[int, ...]:
-    """Return the shape of an array of so many ``entries`` each, or raise `InputError` where it is too large."""
+    """Return a shape of items of ``entries`` numbers each, or raise `InputError` if it is invalid or too large."""
     try:
         if isinstance(value, str | bytes):
             raise TypeError
@@ -139,9 +138,9 @@ def as_shape(name: str, value: Iterable[Any], entries: int = 1) -> tuple[int, ..
 
 
 def as_path(name: str, value: object) -> Path:
-    """Return ``value`` as a path that the system can be asked about, or raise `InputError`.
+    """Return ``value`` as a path that the system accepts, or raise `InputError`.
 
-    An empty one is none: `Path` would take it for the current directory.
+    An empty string is refused: `Path` would take it for the current directory.
     """
     if not isinstance(value, str | os.PathLike):
         raise InputError(f"{name} must be a string or a path, got {type(value).__name__}")
@@ -160,10 +159,10 @@ def as_path(name: str, value: object) -> Path:
 
 
 def as_finite(name: str, result: NDArray[Any]) -> NDArray[Any]:
-    """Return a computed array when all its entries are finite: no result is NaN or infinite without a word.
+    """Return a computed array if all its entries are finite.
 
     Raises:
-        InputError: they are not; the input was too large for double precision.
+        InputError: they are not, since the input was too large for double precision.
     """
     if not np.isfinite(result).all():
         raise InputError(f"{name} is beyond the range of double precision for this input; make the input smaller")
@@ -180,7 +179,7 @@ def as_times(name: str, value: ArrayLike) -> NDArray[np.float64]:
 
 def as_positive(name: str, value: float) -> float:
     """Return ``value`` as a positive float from 1 / `LARGEST` to `LARGEST`, or raise `InputError`."""
-    # What inner loops hand on; a NaN makes the comparison false.
+    # Fast path for inner loops; a NaN makes the comparison false.
     if type(value) is float and 1.0 / LARGEST <= value <= LARGEST:
         return value
     number = float(as_floats(name, value, ()))
@@ -210,7 +209,7 @@ def as_count(name: str, value: int, least: int = 1) -> int:
 
 
 def as_seed(name: str, seed: int) -> int:
-    """Return ``seed`` as a whole number from 0 on, of at most 128 bits, or raise `InputError`."""
+    """Return ``seed`` as a whole number >= 0 of at most 128 bits, or raise `InputError`."""
     if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
         raise InputError(f"{name} must be a whole number >= 0, got {quoted(seed)}")
     if int(seed).bit_length() > _SEED_BITS:
@@ -219,7 +218,7 @@ def as_seed(name: str, seed: int) -> int:
 
 
 def as_generator(name: str, seed: int | np.random.Generator) -> np.random.Generator:
-    """Return a random generator from a seed of `as_seed`, or the generator itself."""
+    """Return a random generator from a seed as in `as_seed`, or the generator itself."""
     if isinstance(seed, np.random.Generator):
         return seed
     if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
@@ -228,9 +227,9 @@ def as_generator(name: str, seed: int | np.random.Generator) -> np.random.Genera
 
 
 def as_choice(name: str, value: str, allowed: Iterable[str]) -> str:
-    """Return ``value`` when it is one of ``allowed``, or raise `InputError` that lists them."""
+    """Return ``value`` if it is one of ``allowed``, or raise `InputError` that lists them."""
     choices = sorted(allowed)
-    # Only a string is compared: against an array NumPy would first make one of the choices as well.
+    # Only strings are compared: an array would be compared elementwise.
     if not isinstance(value, str) or value not in choices:
         raise InputError(f"no {name} {quoted(value)}; allowed: {', '.join(choices)}")
     return value

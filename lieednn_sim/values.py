@@ -1,4 +1,4 @@
-"""Results are values: what they hold cannot be changed, and those that hold the same are equal."""
+"""Immutable results that compare equal when their contents are equal."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-# Real numbers in any shape, which is said where one is.
+# Real arrays; their shapes are documented where they are used.
 Floats = NDArray[np.float64]
 _Class = TypeVar("_Class")
 
 
 @dataclass_transform(frozen_default=True, field_specifiers=(field,))
 def frozen(cls: type[_Class]) -> type[_Class]:
-    """Make a class a frozen dataclass whose arrays are read-only, and which is equal to another when all it holds is.
+    """Make a class a frozen dataclass with read-only arrays, which compares equal when all its fields do.
 
-    The arrays may be alone or within tuples, lists and dictionaries. What was handed over is not changed: a value has
-    read-only views of it. Arrays are equal when their shapes and entries are, and NaN is equal to NaN. Equal values
-    have the same hash, and a changed copy is made by `dataclasses.replace`.
+    Arrays may also be within tuples, lists and dictionaries. The given arrays are not changed: the instance has
+    read-only views of them. Arrays are equal if their shapes and entries are, with NaN equal to NaN. Equal instances
+    have the same hash; `dataclasses.replace` makes a changed copy.
     """
     made: Any = dataclass(frozen=True, eq=False, repr=cls.__repr__ is object.__repr__)(cls)
     initialise, names = made.__init__, [item.name for item in fields(made)]
@@ -47,7 +47,7 @@ def frozen(cls: type[_Class]) -> type[_Class]:
 
 
 def check_fields(value: Any, check: Callable[..., Any], *names: str, **how: Any) -> None:
-    """Put in place of fields of a frozen dataclass what a check of `validation` makes of them, by their names."""
+    """Replace the named fields of a frozen dataclass by the results of a check of `validation`."""
     for name in names:
         object.__setattr__(value, name, check(name, getattr(value, name), **how))
 
@@ -60,7 +60,7 @@ def _read_only(item: Any) -> Any:
     if isinstance(item, np.ndarray) and item.flags.writeable:
         item = item.view()
         item.flags.writeable = False
-    # Exactly these: named tuples and mappings of other kinds are made in another way.
+    # Exactly these types: named tuples and other mappings have other constructors.
     elif type(item) in (tuple, list):
         return type(item)(map(_read_only, item))
     elif type(item) is dict:

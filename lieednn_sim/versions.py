@@ -1,4 +1,4 @@
-"""The versions of the packages on which results depend, and of the code itself."""
+"""Versions of the packages on which results depend, and of the code itself."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from functools import cache
 from importlib import metadata
 from pathlib import Path
 
-# Every number depends on these, and those of some planners on the others.
+# All results depend on the former, and those of some planners on the latter.
 _PACKAGES, _OPTIONAL = ("lieednn_sim", "mujoco", "numpy", "scipy"), ("daqp", "ompl", "toppra", "movement_primitives")
-# What only shows results.
+# Modules that only present results.
 _SHOWING = ("cli/", "rendering/", "environments/", "evaluation/report/")
 
 
 @cache
 def code_version() -> str:
-    """Hash of the modules and models of the package on which results depend, the same in a checkout and a wheel."""
+    """Hash of the modules and models on which results depend, the same in a checkout and a wheel."""
     package = Path(__file__).parent
     # Beside the package in a checkout.
     assets = next((one for one in (package / "assets", package.parent / "assets") if one.is_dir()), package)
@@ -29,12 +29,12 @@ def code_version() -> str:
     return digest.hexdigest()[:12]
 
 
-# Tasks on a cluster ask each time.
+# Cached, since every task on a cluster asks.
 _version = cache(metadata.version)
 
 
 def versions(*, optional: bool = False, code: bool = False) -> dict[str, str]:
-    """Versions by package; with those of the planners' libraries that are installed, and of the code, if wanted."""
+    """Versions by package, optionally with those of the planners' installed libraries, and of the code."""
     found = {name: _version(name) for name in _PACKAGES}
     if code:
         found["code"] = code_version()

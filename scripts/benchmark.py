@@ -23,7 +23,7 @@ from benchmark_stepping import stepping_ratios
 from scipy.spatial.transform import RigidTransform
 from threadpoolctl import threadpool_info
 
-from lieednn_sim import storage
+from lieednn_sim import filesystem, storage
 from lieednn_sim._blas import one_blas_thread
 from lieednn_sim.arm import Arm, arm_names
 from lieednn_sim.arm.targets import draw_target
@@ -180,7 +180,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--quick", action="store_true", help="a tenth of the targets")
     parser.add_argument("--output", default="results/benchmark", help="directory (default: %(default)s)")
     options = parser.parse_args(arguments)
-    write(storage.make_directory(options.output), 10 if options.quick else 1, " --quick" if options.quick else "")
+    write(filesystem.make_directory(options.output), 10 if options.quick else 1, " --quick" if options.quick else "")
 
 
 def write(directory: Path, scale: int, suffix: str = "") -> Path:
@@ -265,7 +265,7 @@ def write(directory: Path, scale: int, suffix: str = "") -> Path:
         *(f"| {name} | {value} |" for name, value in ratios.items()),
     ]
     path = directory / "benchmark.md"
-    with storage.atomic_text(path) as stream:
+    with filesystem.atomic_text(path) as stream:
         stream.write("\n".join(lines) + "\n")
     print(path.read_text(encoding="utf-8"))
     return path

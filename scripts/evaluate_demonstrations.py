@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from lieednn_sim import storage
+from lieednn_sim import filesystem, storage
 from lieednn_sim.evaluation.demonstrations import compare_models
 from lieednn_sim.learning.demonstrations import align, load_demonstrations
 from lieednn_sim.learning.demonstrations.shaped import ShapedMotion
@@ -121,7 +121,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--starts", type=int, default=STARTS)
     parser.add_argument("--output", type=Path, default=Path("results/demonstrations"))
     given = parser.parse_args(arguments)
-    directory = storage.make_directory(given.output)
+    directory = filesystem.make_directory(given.output)
     wanted = set(filter(None, given.only.split(",")))
     for kind, (pattern, _) in KINDS.items():
         for path in sorted((given.folder / kind).glob(pattern)):
@@ -135,7 +135,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         sets = [one for one in found if one["kind"] == kind]
         if sets:
             lines += [f"## {kind}", "", *verdicts(sets, kind), "", *table(sets, kind), ""]
-    with storage.atomic_text(directory / "demonstrations.md") as stream:
+    with filesystem.atomic_text(directory / "demonstrations.md") as stream:
         stream.write("\n".join(lines))
     print(directory / "demonstrations.md")
 

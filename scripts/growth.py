@@ -23,7 +23,7 @@ from benchmark_floors import processor_time
 from csv_rows import write_rows
 from matplotlib.figure import Figure
 
-from lieednn_sim import storage
+from lieednn_sim import filesystem
 from lieednn_sim._blas import one_blas_thread
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.collision import Collisions
@@ -169,8 +169,8 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--output", type=Path, default=Path("results/growth"))
     options = parser.parse_args(arguments)
     try:
-        directory = storage.make_directory(options.output)
-        storage.check_outputs([directory / f"growth.{kind}" for kind in ("csv", "md", "png")])
+        directory = filesystem.make_directory(options.output)
+        filesystem.check_outputs([directory / f"growth.{kind}" for kind in ("csv", "md", "png")])
     except LieEDNNError as error:
         parser.error(str(error))
     rows = []
@@ -181,7 +181,7 @@ def main(arguments: list[str] | None = None) -> int:
                 print(*rows[-1].values(), sep=", ", flush=True)
     write_rows(directory / "growth.csv", FIELDS, rows)
     text = table(rows, "python scripts/growth.py" + " --quick" * options.quick)
-    with storage.atomic_text(directory / "growth.md") as file:
+    with filesystem.atomic_text(directory / "growth.md") as file:
         file.write(text)
     plot(rows, directory / "growth.png")
     print(text)

@@ -24,7 +24,7 @@ from typing import Any
 
 from scipy.stats import binomtest
 
-from lieednn_sim import storage
+from lieednn_sim import filesystem, storage
 
 ROOT = Path(__file__).resolve().parents[1]
 # What a room's tests read.
@@ -217,7 +217,7 @@ def main() -> None:
     for name in names:
         results.append(measure(name, options.sample, options.seed, options.jobs, output))
         print(table(results[-1:]).splitlines()[2], flush=True)
-    with storage.atomic_text(output / "mutation.md") as stream:
+    with filesystem.atomic_text(output / "mutation.md") as stream:
         stream.write(table(results))
 
 

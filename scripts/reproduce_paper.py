@@ -22,7 +22,7 @@ from paper.plan import FULL, QUICK, Plan, jobs
 from paper.results import Results
 from rich.console import Console
 
-from lieednn_sim import storage
+from lieednn_sim import filesystem
 from lieednn_sim.evaluation.workers import exit_code
 
 
@@ -36,8 +36,8 @@ def reproduce(
 ) -> Path:
     """Run what has not been run, on processes or an executor; write figures and report, and return its path."""
     begun = time.perf_counter()
-    output = storage.make_directory(directory)
-    cache = storage.make_directory(output / "jobs")
+    output = filesystem.make_directory(directory)
+    cache = filesystem.make_directory(output / "jobs")
     work = jobs(plan)
     count, failures = runner.run_all(work, cache, workers, console, executor)
     results = Results.collect(plan, work, lambda job: runner.load(job, cache))

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from lieednn_sim import storage
+from lieednn_sim import filesystem
 from lieednn_sim._blas import one_blas_thread
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm, arm_names
@@ -181,7 +181,7 @@ def write_summary(rows: list[Row], path: Path) -> None:
         "planned motions; jerk, path and effort over the teacher's. One seed, from 0 on, for target, obstacles and "
         "planner. Every network was saved, loaded and verified again. Times are CPU seconds of one core.\n\n"
     )
-    with storage.atomic_text(path) as file:
+    with filesystem.atomic_text(path) as file:
         file.write(head + "\n".join(summary(rows)) + "\n")
 
 
@@ -200,7 +200,7 @@ def main(arguments: list[str] | None = None) -> None:
     arms = {name: Arm.load(name) for name in given.arms}
     names = [field.name for field in fields(Row)]
     # Written anew, without a line that was cut.
-    with storage.atomic_text(path) as file:
+    with filesystem.atomic_text(path) as file:
         writer = csv.DictWriter(file, names, lineterminator="\n")
         writer.writeheader()
         writer.writerows(asdict(row) for row in rows)

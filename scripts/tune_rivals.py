@@ -20,7 +20,7 @@ from functools import lru_cache
 import numpy as np
 from csv_rows import read_rows, write_rows
 
-from lieednn_sim import storage
+from lieednn_sim import filesystem
 from lieednn_sim._blas import one_blas_thread
 from lieednn_sim.arm import Arm, arm_names
 from lieednn_sim.arm.targets import draw_target
@@ -115,7 +115,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--arms", default=",".join(arm_names()), help="(default: all)")
     parser.add_argument("--output", default="results/tuning", help="directory (default: %(default)s)")
     options = parser.parse_args(arguments)
-    table = storage.make_directory(options.output) / "tuning.csv"
+    table = filesystem.make_directory(options.output) / "tuning.csv"
     rows = read_rows(table)
     done = {tuple(one[name] for name in FIELDS[:5]) for one in rows}
     chosen = options.planners.split(",")
@@ -138,7 +138,7 @@ def main(arguments: list[str] | None = None) -> None:
                 write_rows(table, FIELDS, rows)
     rows.sort(key=lambda one: RIVALS.index(one["planner"]))
     text = summary(rows, f"python scripts/tune_rivals.py --planners {options.planners} --seeds {options.seeds}")
-    with storage.atomic_text(table.with_suffix(".md")) as stream:
+    with filesystem.atomic_text(table.with_suffix(".md")) as stream:
         stream.write(text)
     print(text)
 

@@ -11,7 +11,18 @@ from pathlib import Path
 import lieednn_sim as ls
 
 PACKAGE = Path(ls.__file__).parent
-GROUND = ("errors", "validation", "values", "versions", "storage", "budget", "registration", "_blas", "_mujoco")
+GROUND = (
+    "errors",
+    "validation",
+    "values",
+    "versions",
+    "filesystem",
+    "storage",
+    "budget",
+    "registration",
+    "_blas",
+    "_mujoco",
+)
 ROOMS = (
     "lie",
     "stability",

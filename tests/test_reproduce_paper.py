@@ -225,7 +225,7 @@ def test_an_interrupt_stops_cleanly_and_says_so(tmp_path, start):
     # The worker holds its stderr: this returns when it is gone, too.
     _, message = process.communicate()
     assert process.returncode == 130
-    assert "the same command goes on from there" in " ".join(message.split())
+    assert "the same command continues from there" in " ".join(message.split())
     assert "Traceback" not in message
     (kept,) = (tmp_path / "jobs").iterdir()
     assert kept.name == f"{FEW[0].key}.npz"

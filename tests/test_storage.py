@@ -11,20 +11,8 @@ import numpy as np
 import pytest
 
 from lieednn_sim.errors import FileError, InputError
-from lieednn_sim.storage import (
-    atomic_path,
-    atomic_paths,
-    atomic_text,
-    check_outputs,
-    load_arrays,
-    load_json,
-    locked,
-    make_directory,
-    origin,
-    save_arrays,
-    save_json,
-    take,
-)
+from lieednn_sim.filesystem import atomic_path, atomic_paths, atomic_text, check_outputs, locked, make_directory
+from lieednn_sim.storage import load_arrays, load_json, origin, save_arrays, save_json, take
 from lieednn_sim.validation import as_path
 
 ARRAYS = {

@@ -1,4 +1,4 @@
-"""Obstacles of one's own: an MJCF file, or a list of shapes in YAML or JSON; they stand where they are in the world."""
+"""Obstacles from the user's own files: MJCF, or a list of shapes in YAML or JSON, placed in the world's frame."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from lieednn_sim.arm.fingerprint import model_fingerprint
 from lieednn_sim.arm.importer.loading import compile_spec, load_spec, unused
 from lieednn_sim.arm.scenes import GOAL_PREFIX, PREFIX, SCENES
 from lieednn_sim.errors import FileError, InputError
-from lieednn_sim.storage import is_file
+from lieednn_sim.filesystem import is_file
 from lieednn_sim.validation import as_choice, as_floats, as_path, as_positive
 from lieednn_sim.values import Floats
 
 if TYPE_CHECKING:
     from lieednn_sim.arm.arm import Arm
 
-# Files that are scenes, and no names of scenes.
+# Suffixes that tell a file from the name of a scene.
 SCENE_SUFFIXES = (".xml", ".yaml", ".yml", ".json")
 _GOAL = GOAL_PREFIX.removeprefix(PREFIX)
 _POSE = {"position", "rpy", "quaternion"}
-# What each shape is made of, beside its place.
+# The entries of each shape, besides its pose.
 _SHAPES = {
     "box": {"size"},
     "sphere": {"radius"},
@@ -40,33 +40,32 @@ _COLOUR = (0.72, 0.54, 0.35, 1.0)
 
 
 def is_scene_file(scene: object) -> bool:
-    """Whether a scene is a file, by its suffix, and no name of one."""
+    """Whether a scene is a file, by its suffix, rather than the name of one of the package's."""
     return isinstance(scene, str | os.PathLike) and Path(scene).suffix.lower() in SCENE_SUFFIXES
 
 
 def scene_label(path: str | os.PathLike[str]) -> str:
-    """What the scene of a file is called; `InputError` where that is the name of one of the package's."""
+    """The name of a file's scene, its stem; `InputError` if the package has a scene of that name."""
     label = as_path("the name of a scene", path).stem
     if label in SCENES:
-        raise InputError(f"{path} is called like the scene {label!r} of the package; give the file another name")
+        raise InputError(f"{path} has the name of the package's scene {label!r}; rename the file")
     return label
 
 
 def load_obstacles(path: str | os.PathLike[str]) -> mujoco.MjSpec:
-    """Read a file of obstacles, for every arm; all lengths in metres, all angles in radians, in the world's frame.
+    """Read a file of obstacles; lengths are in metres, angles in radians, poses in the world's frame.
 
-    An MJCF file holds bodies without joints. Its sites ``goal...`` are boxes that targets are drawn in; where there is
-    none they are drawn anywhere. A YAML or JSON file holds a list ``obstacles``, and may hold a list ``goals``. An
-    obstacle has a ``shape`` and what that is made of: ``box``: ``size`` (whole edges, 3); ``sphere``: ``radius``;
-    ``cylinder``, ``capsule``: ``radius``, ``length`` (along z, of a capsule without its caps); ``mesh``: ``file`` (STL,
-    OBJ or MSH, beside the file or absolute) and perhaps ``scale`` (one number or three). It has a ``position`` (3),
-    and may have a ``name``, and one of ``rpy`` (roll, pitch, yaw, as in a URDF) and ``quaternion`` (w, x, y, z). A
-    goal is a box: ``size``, ``position``, and perhaps its orientation.
-    Meshes collide as their convex hulls.
+    An MJCF file holds bodies without joints. Its sites ``goal...`` are boxes in which targets are drawn; without any,
+    they are drawn anywhere. A YAML or JSON file holds a list ``obstacles`` and optionally a list ``goals``. An obstacle
+    has a ``shape`` with its dimensions: ``box``: ``size`` (3 edge lengths); ``sphere``: ``radius``; ``cylinder``,
+    ``capsule``: ``radius``, ``length`` (along z; of a capsule, without its caps); ``mesh``: ``file`` (STL, OBJ or MSH,
+    relative to the list or absolute), and optionally ``scale`` (one number or three). It has a ``position`` (3) and
+    optionally a ``name`` and either ``rpy`` (roll, pitch, yaw, as in a URDF) or ``quaternion`` (w, x, y, z). A goal is
+    a box: ``size``, ``position``, and optionally its orientation. Meshes collide as their convex hulls.
 
     Raises:
         FileError: the file or one of its meshes is missing, or it cannot be read.
-        InputError: what it says makes no obstacles; the message names the entry.
+        InputError: an entry is invalid; the message names it.
     """
     source = as_path("the name of a scene", path)
     if not is_file(source):
@@ -83,16 +82,16 @@ def load_obstacles(path: str | os.PathLike[str]) -> mujoco.MjSpec:
     except FileError as error:
         raise FileError(f"{source}: {error}") from None
     if moving := [model.joint(j).name for j in range(model.njnt)]:
-        raise InputError(f"{source}: obstacles stand still, but it has joints: {', '.join(moving[:5])}")
+        raise InputError(f"{source}: obstacles must not move, but it has joints: {', '.join(moving[:5])}")
     if not (model.geom_contype | model.geom_conaffinity).any():
         raise InputError(f"{source} holds no obstacle: no geom of it collides with anything")
     if flat := [model.site(s).name for s in _goals(model) if model.site_type[s] != mujoco.mjtGeom.mjGEOM_BOX]:
-        raise InputError(f"{source}: goals must be boxes, but {', '.join(flat)} is none")
+        raise InputError(f"{source}: goals must be boxes, which these are not: {', '.join(flat)}")
     return spec
 
 
 def describe(obstacles: mujoco.MjSpec) -> tuple[str, str]:
-    """What obstacles of a file are, in words, and their fingerprint."""
+    """A summary of a file's obstacles, and their fingerprint."""
     model = compile_spec(obstacles)
     kinds = {int(kind): kind.name.removeprefix("mjGEOM_").lower() for kind in mujoco.mjtGeom.__members__.values()}
     solid = np.flatnonzero(model.geom_contype | model.geom_conaffinity)
@@ -104,7 +103,7 @@ def describe(obstacles: mujoco.MjSpec) -> tuple[str, str]:
 
 
 def add_own_obstacles(spec: mujoco.MjSpec, arm: Arm, obstacles: mujoco.MjSpec, label: str) -> None:
-    """Attach obstacles to a copy of an arm's spec; they collide with all of the arm that collides with anything."""
+    """Attach obstacles to a copy of an arm's spec; they collide with every colliding geom of the arm."""
     bits = int(np.bitwise_or.reduce(arm.model.geom_contype | arm.model.geom_conaffinity, initial=1))
     for geom in obstacles.geoms:
         if geom.contype or geom.conaffinity:
@@ -207,9 +206,9 @@ def _half_sizes(entry: dict[str, Any], shape: str) -> Floats:
 
 
 def _pose(entry: dict[str, Any]) -> dict[str, Any]:
-    """Where an entry is in the world, for a body or a site."""
+    """Position and orientation of an entry, for a body or a site."""
     if "rpy" in entry and "quaternion" in entry:
-        raise InputError("it has both rpy and quaternion; one says how it is turned")
+        raise InputError("it has both rpy and quaternion; give one of them")
     pose: dict[str, Any] = {"pos": as_floats("position", entry["position"], (3,))}
     if "rpy" in entry:
         quaternion = np.zeros(4)

@@ -1,4 +1,4 @@
-"""Command line ``lieednn-sim``; the commands import what they need when they run, so that ``--help`` is quick."""
+"""Command line ``lieednn-sim``; commands import their dependencies when they run, so that ``--help`` is quick."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _DESCRIPTION = (
     "Plan the motion of a telescopic manipulator with LieEDNN networks that carry a proof of global stability, "
     "simulate it in MuJoCo, render and evaluate it."
 )
-# Where the commands are that do not stand in `commands`.
+# Modules of the commands that are not in `commands`.
 _MODULES = {
     "train": "training",
     "learn": "demonstrations",
@@ -31,10 +31,10 @@ _MODULES = {
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run a command; returns its exit code.
+    """Run a command and return its exit code.
 
-    0 well, 1 doctor found a problem or merge no complete table, 2 an error, 130 interrupted, 143 terminated, 141 the
-    reader of the output went away.
+    0: success; 1: doctor found a problem, train no network, or merge no complete table; 2: error; 130: interrupted;
+    141: the output's reader closed it; 143: terminated.
     """
     words = list(sys.argv[1:] if argv is None else argv)
     arguments = _parser().parse_args(_join_negative_numbers(words))
@@ -49,10 +49,10 @@ def main(argv: Sequence[str] | None = None) -> int:
             return interruption.report()
         except Exception as error:
             if interruption.received is not None:
-                # Libraries make other exceptions of an interruption.
+                # Libraries may turn an interruption into other exceptions.
                 return interruption.report()
             if isinstance(error, BrokenPipeError):
-                # The reader of our output went away, as in `lieednn-sim demo | head`.
+                # The output's reader closed it, as in `lieednn-sim demo | head`.
                 sys.stderr.close()
                 return 141
             if not isinstance(error, LieEDNNError):
@@ -62,7 +62,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _join_negative_numbers(argv: Sequence[str]) -> list[str]:
-    """Write ``--target -1,2`` as ``--target=-1,2``, for argparse takes a leading minus for another option."""
+    """Rewrite ``--target -1,2`` as ``--target=-1,2``, since argparse takes a leading minus for another option."""
     joined: list[str] = []
     for word in argv:
         if joined and joined[-1].startswith("--") and "=" not in joined[-1] and re.match(r"-\.?\d", word):
@@ -73,7 +73,7 @@ def _join_negative_numbers(argv: Sequence[str]) -> list[str]:
 
 
 class _Help(argparse.HelpFormatter):
-    """Leaves names whole that are written with hyphens, and adds defaults where a help does not say them itself."""
+    """Does not break lines at hyphens, and adds defaults to help texts that do not mention them."""
 
     def _get_help_string(self, action: argparse.Action) -> str:
         text = action.help or ""
@@ -85,7 +85,7 @@ class _Help(argparse.HelpFormatter):
 
 
 class _Version(argparse.Action):
-    """Prints the version, which is not looked up before."""
+    """Looks up and prints the version."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
         import lieednn_sim
@@ -105,10 +105,10 @@ def _parser() -> argparse.ArgumentParser:
 
     demo = command(
         "demo",
-        "the whole road: target, network, motion, simulation, video, report",
-        "Without a target the arm goes to its keyframe 'extended', among obstacles to a random target.",
+        "the whole pipeline: target, network, motion, simulation, video, report",
+        "Without a target the arm goes to its keyframe 'extended', or among obstacles to a random target.",
     )
-    # The paper's bias: the planner's own choice is often stronger, and leaves the weights less to do.
+    # The paper's bias; the planner's own choice is often stronger, and leaves less to the weights.
     options.add_planning(demo, output="results/demo", goal=False, bias_magnitude=0.125)
     options.add_simulation(demo)
     options.add_video(demo)
@@ -117,15 +117,15 @@ def _parser() -> argparse.ArgumentParser:
 
     synthesize = command(
         "synthesize",
-        "make a certified network, or another planner's motion, for a target, into a run directory",
-        "Go on with 'simulate', 'evaluate' and 'render'.",
+        "make a certified network, or another planner's motion, for a target, in a run directory",
+        "Continue with 'simulate', 'evaluate' and 'render'.",
     )
     options.add_planning(synthesize, output="results/run")
 
     train = command(
         "train",
         "learn a network for a target by the paper's algorithm, or a better one",
-        "Go on with 'simulate', 'evaluate' and 'render'; what is interrupted goes on with --resume.",
+        "Continue with 'simulate', 'evaluate' and 'render'; resume an interrupted training with --resume.",
     )
     options.add_training(train)
     options.add_plots(train)
@@ -133,29 +133,29 @@ def _parser() -> argparse.ArgumentParser:
     learn = command(
         "learn",
         "learn a certified network from demonstrations of an end effector or of an arm's joints",
-        "The files are .npy, .npz, .csv or LASA's .mat: positions x y or x y z, or poses with a unit quaternion,"
-        " which are compared with other models; with --arm its joints, into a run that 'simulate' goes on with.",
+        "The files are .npy, .npz, .csv or LASA's .mat: positions x y or x y z, or poses with a unit quaternion; the"
+        " network is compared with other models. With --arm they hold its joints, and 'simulate' continues the run.",
     )
     options.add_demonstrations(learn)
     options.add_plots(learn)
 
     simulate = command(
         "simulate",
-        "simulate a run's motion, disturbed if wanted",
-        "A new simulation takes the place of the run's last one.",
+        "simulate a run's motion, optionally with disturbances",
+        "A new simulation replaces the run's previous one.",
     )
     options.add_run(simulate)
     options.add_simulation(simulate)
 
     render = command(
-        "render", "render a run's simulation", "It needs OpenGL, see 'lieednn-sim doctor', but no display."
+        "render", "render a run's simulation", "This needs OpenGL (see 'lieednn-sim doctor'), but no display."
     )
     options.add_run(render)
     options.add_video(render)
     render.add_argument("--output", metavar="FILE", help=".mp4 or .gif (default: video.mp4 in the run directory)")
 
     evaluate = command(
-        "evaluate", "metrics and plots of a run's simulation", "They are printed, and written into the run directory."
+        "evaluate", "metrics and plots of a run's simulation", "They are printed and written into the run directory."
     )
     options.add_run(evaluate)
     options.add_plots(evaluate)
@@ -163,29 +163,29 @@ def _parser() -> argparse.ArgumentParser:
     compare = command(
         "compare",
         "planners x arms x scenes x controllers x seeds: table and page",
-        "It can be interrupted: the same command goes on. By default a quarter of an hour of CPU time.",
+        "It can be interrupted: the same command continues. The default takes a quarter of an hour of CPU time.",
     )
     options.add_comparison(compare)
 
     merge = command(
         "merge",
-        "put the tables of 'compare --shard' together: table and page",
-        "Exit code 1 where cases are missing, which are named; what there is is written.",
+        "merge the tables of 'compare --shard': table and page",
+        "Exit code 1 if cases are missing, which are named; the others are written.",
     )
-    merge.add_argument("output", metavar="DIR", help="of the whole table")
-    merge.add_argument("folders", nargs="+", metavar="FOLDER", help="of the shards")
+    merge.add_argument("output", metavar="DIR", help="directory of the whole table")
+    merge.add_argument("folders", nargs="+", metavar="FOLDER", help="directories of the shards")
 
     problems = command(
         "problems",
-        "planners on MotionBenchMaker's problems, beside published figures",
-        "It can be interrupted: the same command goes on.",
+        "planners on MotionBenchMaker's problems, as in published benchmarks",
+        "It can be interrupted: the same command continues.",
     )
     options.add_problems(problems)
 
     arms = command(
         "arms",
-        "the arms there are, or what an MJCF file gives as an arm",
-        "Without a name: all arms of the package in a table.",
+        "list the arms, or describe one, of the package or a file",
+        "Without a name, all arms of the package in a table.",
     )
     arms.add_argument("arm", nargs="?", metavar="NAME", help="name of an arm, or an MJCF file, to describe in full")
     options.add_frames(arms)
@@ -193,7 +193,7 @@ def _parser() -> argparse.ArgumentParser:
     doctor = command(
         "doctor",
         "versions, headless OpenGL, and what is missing",
-        "Exit code 1 where physics or rendering would not work.",
+        "Exit code 1 if physics or rendering does not work.",
     )
     doctor.add_argument("--json", action="store_true", help="print JSON instead of a table")
     return parser

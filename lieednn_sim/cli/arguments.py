@@ -1,4 +1,4 @@
-"""What the text of an argument means."""
+"""Conversion of command-line arguments."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from lieednn_sim.simulation.tracking import as_hold
 from lieednn_sim.validation import as_choice, as_positive, as_seed
 from lieednn_sim.values import Floats
 
-# Before the seed of a random joint position.
+# Prefix of the seed of a random joint position.
 RANDOM = "random:"
 
 
@@ -34,7 +34,7 @@ def load_arm(arguments: argparse.Namespace) -> Arm:
 
 
 def import_options(arguments: argparse.Namespace) -> ImportOptions:
-    """How an MJCF or URDF file becomes an arm."""
+    """The options for importing an MJCF or URDF file."""
     return chosen(
         {
             "links": list(names(arguments.links)),
@@ -56,7 +56,7 @@ def make_task(
     reason: str,
     options: Mapping[str, Any],
 ) -> Task:
-    """What a run directory keeps of the arguments; files by their absolute paths."""
+    """The task of a run directory from the arguments; files by their absolute paths."""
     count_steps(arguments.duration, arm.timestep)
     return Task(
         arm=str(Path(arguments.arm).resolve()) if is_arm_file(arguments.arm) else arm.name,
@@ -75,7 +75,7 @@ def make_task(
 
 
 def start_and_target(arm: Arm, arguments: argparse.Namespace) -> tuple[Floats, Floats]:
-    """Joint positions of --start, and of --target or --position."""
+    """Joint positions from --start, and from --target or --position."""
     start = arm.check_position(joint_position(arm, arguments.start, "start"), "start")
     if arguments.position is not None:
         return start, solve_ik(arm, numbers(arguments.position, "position", 3), start=start)
@@ -105,7 +105,7 @@ def keyframes(arm: Arm) -> list[str]:
 
 
 def numbers(text: str, what: str, count: int) -> Floats:
-    """So many comma-separated numbers."""
+    """``count`` comma-separated numbers."""
     try:
         values = [decimal(part.strip(" ")) for part in text.split(",")]
     except argparse.ArgumentTypeError as error:
@@ -116,12 +116,12 @@ def numbers(text: str, what: str, count: int) -> Floats:
 
 
 def names(text: str | None) -> tuple[str, ...]:
-    """Comma-separated names; none for None."""
+    """Comma-separated names; empty for None."""
     return () if text is None else tuple(text.split(","))
 
 
 def named_numbers(text: str | None, what: str) -> dict[str, float]:
-    """Numbers by name, as ``NAME=1,OTHER=2``; none for None."""
+    """Numbers by name, from ``NAME=1,OTHER=2``; empty for None."""
     pairs = [] if text is None else [part.rpartition("=") for part in text.split(",")]
     try:
         return {name.strip(" "): decimal(value.strip(" ")) for name, _, value in pairs}
@@ -144,13 +144,13 @@ def push(text: str) -> Push:
         x, y, z, start, duration = (decimal(part.strip(" ")) for part in rest.split(","))
     except (ValueError, argparse.ArgumentTypeError):
         raise InputError(
-            f"a push must look like BODY,FX,FY,FZ,START,DURATION, as 'link 2,0,50,0,1.5,0.2', got {text!r}"
+            f"a push must look like BODY,FX,FY,FZ,START,DURATION, e.g. 'link 2,0,50,0,1.5,0.2', got {text!r}"
         ) from None
     return Push(body, (x, y, z), start, duration)
 
 
 def disturbances(arm: Arm, arguments: argparse.Namespace) -> Disturbances:
-    """All that the simulation's options do behind the controller's back; the other options are checked, too."""
+    """The disturbances of the simulation's options; checks the other options too."""
     as_choice("controller", arguments.controller, controllers())
     as_hold(arguments.hold)
     if arguments.reference_rate is not None:

@@ -15,16 +15,16 @@ from lieednn_sim.errors import InputError
 from lieednn_sim.evaluation.display import table
 from lieednn_sim.values import Floats
 
-# Starts of the search for the farthest end effector, beside the keyframes; step of its finite differences [rad, m].
+# Random starts of the search for the reach, besides the keyframes, and step of its finite differences [rad, m].
 _STARTS, _DIFFERENCE = 4, 1e-6
 
 
 def arms(arguments: argparse.Namespace) -> None:
-    """All arms of the package, or the one that is named."""
+    """Print all arms of the package, or the named one."""
     if arguments.arm is None:
         if given := import_options(arguments):
             options = ", ".join(f"--{name}" for name in given)
-            raise InputError(f"{options}: of an MJCF or URDF file only, as lieednn-sim arms FILE.xml --links A,B,...")
+            raise InputError(f"{options}: for MJCF or URDF files only, as in lieednn-sim arms FILE.xml --links A,B,...")
         _print_summaries([Arm.load(name) for name in arm_names()])
         return
     arm = Arm.load(arguments.arm, **import_options(arguments))
@@ -34,7 +34,7 @@ def arms(arguments: argparse.Namespace) -> None:
 
 
 def print_import_report(arm: Arm) -> None:
-    """What was made of an MJCF file without the package's conventions; nothing for another arm."""
+    """Print the report of an imported arm; nothing for another arm."""
     if arm.import_report is None:
         return
     rows = table(f"{arm.name}: imported from {arm.source.name}", "what", "how")
@@ -47,9 +47,9 @@ def print_import_report(arm: Arm) -> None:
 
 
 def farthest(arm: Arm) -> float:
-    """Largest distance of the end effector from the base frame that a search within the limits finds [m].
+    """Largest distance of the end effector from the base frame found by a search within the limits [m].
 
-    Contacts don't count.
+    Contacts are ignored.
     """
     low, high = arm.position_limits.T
     origin = np.asarray(arm.base.translation)

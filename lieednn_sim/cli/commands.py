@@ -1,4 +1,4 @@
-"""What the commands do: each step of the road reads its run directory and writes into it."""
+"""The main commands: each step of the pipeline reads its run directory and writes into it."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from lieednn_sim.validation import as_path
 
 
 def demo(arguments: argparse.Namespace) -> None:
-    """The whole road in one command."""
+    """The whole pipeline in one command."""
     from lieednn_sim.cli.planning import synthesize
 
     begun = time.perf_counter()
-    # Bad options stop before the work that comes first.
+    # Check options before any work.
     arm = load_arm(arguments)
     disturbances(arm, arguments)
     if not arguments.no_video:
@@ -138,7 +138,7 @@ def _render(run: RunDirectory, arguments: argparse.Namespace, path: Path) -> Non
 
 
 def _check_video(arm: Arm, arguments: argparse.Namespace) -> None:
-    """Refuse bad video options before the work that comes first."""
+    """Check the video options before any work."""
     from lieednn_sim.rendering.video import check_rate, check_view
 
     check_view(arm, camera=arguments.camera, size=size(arguments.size), preset=arguments.preset)

@@ -9,7 +9,7 @@ import shlex
 from collections.abc import Sequence
 from typing import Any
 
-from lieednn_sim import storage
+from lieednn_sim import filesystem
 from lieednn_sim.cli.arms import print_import_report
 from lieednn_sim.cli.console import console, progress, to_stderr, wrote
 from lieednn_sim.errors import InputError, LieEDNNError
@@ -28,7 +28,7 @@ from lieednn_sim.validation import as_count
 
 
 def compare(arguments: argparse.Namespace) -> None:
-    """Compute what is missing of the table, then write summary and page."""
+    """Compute the missing rows of the table, then write summary and page."""
     settings = Settings(
         duration=arguments.duration,
         hold=arguments.hold,
@@ -43,23 +43,23 @@ def compare(arguments: argparse.Namespace) -> None:
         seeds=arguments.seeds,
     )
     jobs = as_count("jobs", os.cpu_count() or 1 if arguments.jobs is None else arguments.jobs)
-    # Bad values stop before the work that comes first.
+    # Check values before any work.
     as_count("videos", arguments.videos, least=0)
     as_count("reactive", arguments.reactive, least=0)
     cases = [Case.parse(text) for text in arguments.video]
     shard = None if arguments.shard is None else Shard.parse(arguments.shard)
     if shard is not None and (arguments.videos or cases or arguments.reactive):
-        raise InputError("--shard makes a part of the table alone; leave --videos, --video and --reactive to others")
+        raise InputError("--shard makes only a part of the table; it cannot take --videos, --video or --reactive")
     missing = {name: reason for name, reason in missing_planners().items() if name in selection.planners}
     for name, reason in missing.items():
         console.print(f"not compared: {name} is not installed ({reason})")
     cluster = contextlib.nullcontext() if arguments.scheduler is None else dask_executor(arguments.scheduler)
-    with cluster as executor, storage.locked(directory := storage.make_directory(arguments.output)):
+    with cluster as executor, filesystem.locked(directory := filesystem.make_directory(arguments.output)):
         how: dict[str, Any] = {"jobs": jobs, "executor": executor, "console": to_stderr()}
         if executor is not None:
-            console.print(f"{executor.n_workers} workers are at {arguments.scheduler}; cases wait for the first")
+            console.print(f"{executor.n_workers} workers at {arguments.scheduler}; cases wait for the first one")
         summary, page = directory / "comparison.md", directory / "comparison.html"
-        storage.check_outputs([summary, page, page.with_suffix(".csv"), page.with_suffix(".json")])
+        filesystem.check_outputs([summary, page, page.with_suffix(".csv"), page.with_suffix(".json")])
         _print_found(selection)
         table = compare_planners(directory, selection, settings, shard=shard, **how)
         if shard is not None:
@@ -80,11 +80,11 @@ def compare(arguments: argparse.Namespace) -> None:
 
 
 def merge(arguments: argparse.Namespace) -> int:
-    """Put the tables of shards together, and write summary and page; 1 where cases are missing."""
-    directory = storage.make_directory(arguments.output)
+    """Merge the tables of shards, and write summary and page; returns 1 if cases are missing."""
+    directory = filesystem.make_directory(arguments.output)
     summary, page = directory / "comparison.md", directory / "comparison.html"
-    with storage.locked(directory):
-        storage.check_outputs([summary, page, page.with_suffix(".csv"), page.with_suffix(".json")])
+    with filesystem.locked(directory):
+        filesystem.check_outputs([summary, page, page.with_suffix(".csv"), page.with_suffix(".json")])
         merged = merge_shards(directory, arguments.folders)
         write_summary(summary, merged.table, merged.absent)
         line = shlex.join(["lieednn-sim", *arguments.words])
@@ -92,12 +92,12 @@ def merge(arguments: argparse.Namespace) -> int:
     wrote(merged.table.csv, summary, page)
     for shard, cases in sorted(merged.missing.items(), key=lambda one: one[0].number):
         where = ", ".join(str(folder) for folder, there in merged.shards.items() if there == shard) or "in no folder"
-        console.print(f"shard {shard} ({where}) lacks {len(cases)} cases, as {cases[0]}")
+        console.print(f"shard {shard} ({where}) lacks {len(cases)} cases, such as {cases[0]}")
     return 1 if merged.missing else 0
 
 
 def _listed(words: Sequence[str] | None) -> list[str]:
-    """Names and files, apart by commas or spaces; the links of a model file follow it, to the end of the word."""
+    """Names and files, separated by commas or spaces; the links of a model file extend to the end of the word."""
     listed = []
     for word in words or ():
         head, colon, links = word.partition(":")
@@ -107,7 +107,7 @@ def _listed(words: Sequence[str] | None) -> list[str]:
 
 
 def _print_found(selection: Selection) -> None:
-    """What was found of that which does not come with the package."""
+    """Print the user's own arms, scenes, planners and controllers in a comparison."""
     for entry in selection.entries:
         if entry.kind == ARM:
             arm = bare_arm(entry.source)
@@ -121,7 +121,7 @@ def _print_found(selection: Selection) -> None:
 
 
 def _film(table: Table, cases: Sequence[Case], controller: str) -> list[Clip]:
-    """Videos of the cases; of a case that cannot be shown the reason is said."""
+    """Videos of the cases; prints why a case cannot be shown."""
     clips: list[Clip] = []
     for case in dict.fromkeys(cases):
         try:

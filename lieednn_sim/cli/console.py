@@ -1,4 +1,4 @@
-"""What every command prints with: one console and its progress bar."""
+"""The console of all commands, and its progress bar."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from lieednn_sim.network import ComponentwiseNetwork
 
 class _Console(Console):
     def on_broken_pipe(self) -> None:
-        raise BrokenPipeError  # `main` knows what to do; rich would exit with 1
+        raise BrokenPipeError  # handled by `main`; rich would exit with 1
 
 
-# What is printed is somebody's text, a path or a message: [brackets] and :colons: in it are no markup.
+# Output contains the user's texts, paths and messages: [brackets] and :colons: in it are not markup.
 console = _Console(markup=False, emoji=False, highlight=False, soft_wrap=True)
 
 
 def to_stderr() -> Console:
-    """A console for what is shown of the work."""
+    """A console for progress and errors."""
     return Console(stderr=True, markup=False, emoji=False, highlight=False)
 
 
 @contextlib.contextmanager
 def progress(what: str) -> Iterator[Callable[[int, int], None]]:
-    """A progress bar on a terminal's stderr; yields a function of what is done and of the total.
+    """A progress bar on a terminal's stderr; yields a function of the steps done and their total.
 
-    Until it is called only the time goes on.
+    Until it is called, only the time is shown.
     """
     description = TextColumn("{task.description:<10}", markup=False)
     columns = (description, BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
@@ -42,19 +42,19 @@ def progress(what: str) -> Iterator[Callable[[int, int], None]]:
 
 
 def print_stability(network: ComponentwiseNetwork, xi: ArrayLike) -> None:
-    """Every stability condition at the equilibrium found from ``xi``; what is proved of pushes, targets and steps."""
+    """Print the stability conditions at the equilibrium found from ``xi``, and bounds on pushes, targets and steps."""
     console.print(f"stability: {network.assess(xi)}")
     with contextlib.suppress(NotCertifiedError):
         console.print(str(network.robustness()))
 
 
 def one_norm(network: ComponentwiseNetwork, xi: ArrayLike) -> str:
-    """The 1-norm of the weights, and the least that any network with the equilibrium ``xi`` has."""
+    """The 1-norm of the weights, and its least value for any network with the equilibrium ``xi``."""
     found = network.norm_conditions(xi)
     return f"{found.one_norm:.2f} (no network with this equilibrium below {found.smallest_one_norm:.2f})"
 
 
 def wrote(*paths: object) -> None:
-    """Say which files are complete."""
+    """Print the files written."""
     for path in paths:
         console.print(f"wrote {path}")

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from lieednn_sim import storage
+from lieednn_sim import filesystem, storage
 from lieednn_sim.cli.arguments import import_options
 from lieednn_sim.cli.console import console, progress, wrote
 from lieednn_sim.cli.joint_demonstrations import learn_joints
@@ -27,9 +27,9 @@ def learn(arguments: argparse.Namespace) -> None:
     if arguments.arm is not None:
         learn_joints(arguments)
         return
-    # Bad values stop before the work.
+    # Check values before any work.
     if given := import_options(arguments):
-        raise InputError(f"--{next(iter(given))} is of --arm FILE.xml")
+        raise InputError(f"--{next(iter(given))} needs --arm FILE.xml")
     kind = as_choice("kind of plots", arguments.plots, PLOT_KINDS)
     rivals = [] if arguments.rivals in ("", "none") else arguments.rivals.split(",")
     for name in rivals:
@@ -47,11 +47,11 @@ def learn(arguments: argparse.Namespace) -> None:
     demonstrations = align(shown, phase=arguments.phase)
     if demonstrations.extent <= 0.0:
         raise InputError("the mean of the demonstrations does not move")
-    directory = storage.make_directory(arguments.output)
+    directory = filesystem.make_directory(arguments.output)
     network, report = directory / "network.npz", directory / "report.json"
     paths, field = directory / f"paths.{kind}", directory / f"field.{kind}"
-    with storage.locked(directory):
-        storage.check_outputs([network, report, paths, field])
+    with filesystem.locked(directory):
+        filesystem.check_outputs([network, report, paths, field])
         shaped = ShapedMotion.fit(demonstrations, arguments.deviation, options, seed)
         with progress("learn") as bar:
             rows, models = compare_models(
@@ -80,7 +80,7 @@ def learn(arguments: argparse.Namespace) -> None:
 def _report(
     arguments: argparse.Namespace, demonstrations: Demonstrations, shaped: ShapedMotion, rows: list[ModelRow]
 ) -> dict[str, Any]:
-    """All conditions, what the network's numbers mean, and the table."""
+    """All settings, the meaning of the network's coordinates, and the table."""
     goal = demonstrations.goal
     return {
         "files": [str(name) for name in arguments.files],
@@ -102,7 +102,7 @@ def _report(
         "network_deviation_m": shaped.shaping.deviation,
         "network_within_deviation": shaped.shaping.success,
         "network_certified": shaped.network.certified,
-        # The law of time: at t [s] the network is at tau of its own time.
+        # The time law: at t [s] the network is at its own time tau.
         "t_s": shaped.t.tolist(),
         "tau": shaped.tau.tolist(),
         "models": [asdict(row) for row in rows],

@@ -18,7 +18,7 @@ from lieednn_sim.rendering import opengl
 
 _PACKAGES = (
     "mujoco",
-    # It ends at Python 3.12.
+    # It has no release for Python 3.13.
     *(("dm-control",) if sys.version_info < (3, 13) else ()),
     "dm-env",
     "numpy",
@@ -33,7 +33,7 @@ _PACKAGES = (
     "pyyaml",
     "threadpoolctl",
 )
-# Optional packages, the extra that brings them, and what they are good for.
+# Optional packages, the extra that installs them, and their purpose.
 _EXTRAS = {
     "ompl": ("rivals", "planners rrt-connect, rrt-star, informed-rrt-star, bit-star, aorrtc and lieednn-guided"),
     "mjpl": ("cbirrt", "planner mjpl"),

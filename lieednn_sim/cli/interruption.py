@@ -1,4 +1,4 @@
-"""What Ctrl-C and SIGTERM do to a command: a clean end and the shell's exit code, whenever they come."""
+"""Handling of Ctrl-C and SIGTERM: a clean end and the shell's exit code, whenever they arrive."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from typing import Any
 
 
 class Interruption:
-    """While it is entered, in the main thread, SIGINT and SIGTERM raise `KeyboardInterrupt` once.
+    """Context, for the main thread, in which SIGINT and SIGTERM raise `KeyboardInterrupt` once.
 
-    What they do not get that way ends at once: a process whose first modules are still being imported, which would turn
-    the exception into one of their own and has nothing to clean up, and one that is told a second time.
+    The process ends at once on a second signal, and while its first modules are still being imported: these might turn
+    the exception into another one, and there is nothing to clean up yet.
 
     Attributes:
         importing: whether the first modules are still being imported.
-        received: the signal that came.
+        received: the signal received, if any.
     """
 
     def __init__(self) -> None:
@@ -28,13 +28,13 @@ class Interruption:
 
     @property
     def exit_code(self) -> int:
-        """128 and the number of the signal, as shells have it: 130 or 143."""
+        """128 plus the number of the signal, as in shells: 130 or 143."""
         return 128 + int(self.received or signal.SIGINT)
 
     def __enter__(self) -> Interruption:
         if threading.current_thread() is threading.main_thread():
             for number in (signal.SIGINT, signal.SIGTERM):
-                # A shell's job in the background ignores Ctrl-C, which is meant for others.
+                # A shell's background job ignores Ctrl-C.
                 if signal.getsignal(number) is not signal.SIG_IGN:
                     self._before[number] = signal.signal(number, self._handle)
         return self
@@ -46,7 +46,7 @@ class Interruption:
             signal.signal(number, handler)
 
     def report(self) -> int:
-        """Say that the command was stopped; returns the exit code."""
+        """Print that the command was interrupted; returns the exit code."""
         print("lieednn-sim: interrupted; files already reported are complete", file=sys.stderr)
         return self.exit_code
 

@@ -22,7 +22,7 @@ from lieednn_sim.planning.demonstrated import JointDemonstrations, JointMotion
 from lieednn_sim.synthesis import ShapingOptions
 from lieednn_sim.validation import as_count, as_seed
 
-# Options of positions and poses, with what they are where nobody gives them.
+# Options for positions and poses, with their defaults.
 _OF_POSES = {"unit": "m", "quaternion": "wxyz", "rivals": ",".join(RIVALS)}
 
 
@@ -31,7 +31,7 @@ def learn_joints(arguments: argparse.Namespace) -> None:
     for name, usual in _OF_POSES.items():
         if getattr(arguments, name) != usual:
             raise InputError(
-                f"--{name} is of positions and poses; with --arm columns are joints [rad, m], without rivals"
+                f"--{name} is for positions and poses; with --arm columns are joints [rad, m], and there are no rivals"
             )
     run = RunDirectory(arguments.output, arguments.plots)
     starts = as_count("starts", 20 if arguments.starts is None else arguments.starts)

@@ -1,4 +1,4 @@
-"""Names to choose from, for help texts that must not wait for what stands behind them; tests hold them against it."""
+"""Names to choose from, for help texts without slow imports; a test compares them with the registries."""
 
 from __future__ import annotations
 

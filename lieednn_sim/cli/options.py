@@ -1,4 +1,4 @@
-"""The options of each command; nothing heavy is imported here."""
+"""The options of each command; imports nothing slow."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 from lieednn_sim.cli.names import ALGORITHMS, ARMS, BIAS_RULES, CONTROLLERS, PLANNERS, RIVALS, SCENES
 
-# Numbers as the command line takes them: plain ASCII decimals, not all that Python reads as a number.
+# Numbers on the command line: plain ASCII decimals, a subset of what Python accepts.
 _WHOLE = re.compile(r"[+-]?[0-9]{1,18}")
 _DECIMAL = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]{1,3})?")
 
@@ -17,7 +17,7 @@ _DECIMAL = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]{1,3})?")
 def whole(text: str) -> int:
     """A whole number, or `argparse.ArgumentTypeError`."""
     if not _WHOLE.fullmatch(text):
-        raise argparse.ArgumentTypeError(f"must be a whole number, as 12, got {text!r}")
+        raise argparse.ArgumentTypeError(f"must be a whole number, such as 12, got {text!r}")
     return int(text)
 
 
@@ -25,7 +25,7 @@ def decimal(text: str) -> float:
     """A finite number, or `argparse.ArgumentTypeError`."""
     value = float(text) if _DECIMAL.fullmatch(text) else math.inf
     if not math.isfinite(value):
-        raise argparse.ArgumentTypeError(f"must be a finite decimal number, as 0.25 or 1e-3, got {text!r}")
+        raise argparse.ArgumentTypeError(f"must be a finite decimal number, such as 0.25 or 1e-3, got {text!r}")
     return value
 
 
@@ -43,7 +43,7 @@ def add_task(parser: argparse.ArgumentParser, output: str, *, goal: bool = True)
     parser.add_argument(
         "--scene", default="free", metavar="NAME", help=f"obstacles: {_one_of(SCENES)}, or an MJCF or YAML file"
     )
-    parser.add_argument("--scene-seed", type=whole, default=0, metavar="N", help="of the obstacles' positions")
+    parser.add_argument("--scene-seed", type=whole, default=0, metavar="N", help="seed of the obstacles' positions")
     group = parser.add_mutually_exclusive_group(required=goal)
     group.add_argument(
         "--target",
@@ -53,28 +53,26 @@ def add_task(parser: argparse.ArgumentParser, output: str, *, goal: bool = True)
     )
     group.add_argument("--position", metavar="X,Y,Z", help="end effector target in the world [m] instead")
     parser.add_argument("--start", default="home", metavar="Q", help="start, as for --target")
-    parser.add_argument("--duration", type=decimal, default=4.0, metavar="S", help="of the motion")
-    parser.add_argument("--seed", type=whole, default=0, help="of the random draws")
+    parser.add_argument("--duration", type=decimal, default=4.0, metavar="S", help="duration of the motion [s]")
+    parser.add_argument("--seed", type=whole, default=0, help="seed of random draws")
     parser.add_argument("--output", default=output, metavar="DIR", help="run directory")
     return group
 
 
 def add_frames(parser: argparse.ArgumentParser) -> None:
-    """How an MJCF file becomes an arm."""
+    """Options for importing a model file."""
     parser.add_argument(
         "--links",
         metavar="A,B,...",
-        help="bodies or sites of an MJCF file that are the link frames, from the base outwards (default: found)",
+        help="bodies or sites of a model file for the link frames, from the base outwards (default: found)",
     )
     parser.add_argument("--base", metavar="NAME", help="body or site of the base frame (default: found)")
     parser.add_argument(
-        "--keyframe", metavar="NAME", help="of an MJCF file, which home and the locked joints are taken from"
+        "--keyframe", metavar="NAME", help="keyframe of an MJCF file for home and for the locked joints"
     )
+    parser.add_argument("--home", metavar="J=X,...", help="home positions of joints of a model file, by name [rad, m]")
     parser.add_argument(
-        "--home", metavar="J=X,...", help="positions at home of joints of an MJCF or URDF file, by name [rad, m]"
-    )
-    parser.add_argument(
-        "--servos", default="keep", metavar="RULE", help="keep the position servos of an MJCF file, or design all anew"
+        "--servos", default="keep", metavar="RULE", help="keep the position servos of an MJCF file, or design new ones"
     )
 
 
@@ -90,10 +88,10 @@ def add_planning(
     )
     parser.add_argument("--bias", metavar="RULE", help=f"{_one_of(BIAS_RULES)} (default: sign-matched)")
     usual = "several are tried" if bias_magnitude is None else f"{bias_magnitude:g}"
-    parser.add_argument("--bias-magnitude", type=decimal, metavar="B", help=f"of the rule (default: {usual})")
+    parser.add_argument("--bias-magnitude", type=decimal, metavar="B", help=f"size of the bias (default: {usual})")
     parser.add_argument("--candidates", type=whole, metavar="N", help="networks to choose from (default: 24)")
     parser.add_argument(
-        "--fastest", action="store_true", help="run through the planned path as fast as the arm's limits allow"
+        "--fastest", action="store_true", help="follow the planned path as fast as the arm's limits allow"
     )
     _add_time_budget(parser, "; 'inf' for no limit")
     parser.set_defaults(usual_bias_magnitude=bias_magnitude)
@@ -102,24 +100,28 @@ def add_planning(
 def add_training(parser: argparse.ArgumentParser) -> None:
     """Options of ``train``."""
     goal = add_task(parser, output="results/run")
-    goal.add_argument("--resume", metavar="DIR", help="go on with an interrupted training, options as they were")
+    goal.add_argument("--resume", metavar="DIR", help="resume an interrupted training with its options")
     parser.add_argument("--algorithm", default="tracked", metavar="NAME", help=_one_of(ALGORITHMS))
     parser.add_argument(
         "--candidates",
         type=whole,
         default=4,
         metavar="N",
-        help="seeds to try until a network's motion keeps the limits",
+        help="most seeds to try until a network's motion keeps the limits",
     )
     parser.add_argument(
         "--period", type=whole, metavar="P", help="epochs between projections (default: the algorithm's)"
     )
-    parser.add_argument("--epochs", type=whole, metavar="K", help="at most (default: 25000)")
+    parser.add_argument("--epochs", type=whole, metavar="K", help="most epochs (default: 25000)")
     parser.add_argument(
-        "--tolerance", type=decimal, default=1e-5, metavar="TAU", help="of the equilibrium [rad, length units]"
+        "--tolerance",
+        type=decimal,
+        default=1e-5,
+        metavar="TAU",
+        help="error of the equilibrium [rad, length units]",
     )
     parser.add_argument("--bias", default="sign-matched", metavar="RULE", help="uniform or sign-matched")
-    parser.add_argument("--bias-magnitude", type=decimal, default=0.125, metavar="B", help="of the rule")
+    parser.add_argument("--bias-magnitude", type=decimal, default=0.125, metavar="B", help="size of the bias")
 
 
 def add_run(parser: argparse.ArgumentParser) -> None:
@@ -131,60 +133,58 @@ def add_comparison(parser: argparse.ArgumentParser) -> None:
     """Options of ``compare``."""
     for name, known, more, default in (
         ("planners", PLANNERS, "", "all"),
-        ("arms", ARMS, ", or MJCF, URDF or YAML files, as robot.urdf:wrist,tool with its links", "all"),
+        ("arms", ARMS, ", or MJCF, URDF or YAML files, with links as in robot.urdf:wrist,tool", "all"),
         ("scenes", SCENES, ", or MJCF or YAML files of obstacles", "free,window"),
         ("controllers", CONTROLLERS, "", "position-servo,inverse-dynamics"),
     ):
         parser.add_argument(
-            f"--{name}", nargs="+", metavar="A,B,...", help=f"of {', '.join(known)}{more} (default: {default})"
+            f"--{name}", nargs="+", metavar="A,B,...", help=f"any of {', '.join(known)}{more} (default: {default})"
         )
-    parser.add_argument("--seeds", type=whole, default=3, metavar="N", help="from seed 0 on")
-    parser.add_argument("--duration", type=decimal, default=4.0, metavar="S", help="of motions")
+    parser.add_argument("--seeds", type=whole, default=3, metavar="N", help="number of seeds, starting at 0")
+    parser.add_argument("--duration", type=decimal, default=4.0, metavar="S", help="duration of the motions [s]")
     _add_time_budget(parser)
     _add_conditions(parser)
-    parser.add_argument("--output", default="results/comparison", metavar="DIR", help="(default: %(default)s)")
+    parser.add_argument("--output", default="results/comparison", metavar="DIR", help="directory of the table")
     parser.add_argument("--jobs", type=whole, metavar="N", help="worker processes (default: all cores)")
     parser.add_argument(
-        "--scheduler", metavar="ADDRESS", help="of a Dask cluster, whose workers run the cases in place of --jobs"
+        "--scheduler", metavar="ADDRESS", help="address of a Dask cluster that runs the cases instead of --jobs"
     )
-    parser.add_argument(
-        "--shard", metavar="K/N", help="only the K-th of N shares of the cases, for 'merge' to put together"
-    )
+    parser.add_argument("--shard", metavar="K/N", help="only the K-th of N shares of the cases, for 'merge'")
     parser.add_argument(
         "--reactive",
         type=whole,
         default=0,
         metavar="N",
-        help="seeds of the benchmark of planners that react, pushed, loaded and retargeted",
+        help="number of seeds of the reactive benchmark: planners that are pushed, loaded and retargeted",
     )
-    parser.add_argument("--videos", type=whole, default=0, metavar="N", help="cases to show")
+    parser.add_argument("--videos", type=whole, default=0, metavar="N", help="number of cases to show")
     parser.add_argument(
         "--video",
         action="append",
         default=[],
         metavar="CASE",
-        help="a case to show, planner:arm:scene:seed; may be given more than once",
+        help="a case to show, planner:arm:scene:seed; may be repeated",
     )
-    parser.add_argument("--date", default="", metavar="TEXT", help="to put into the page's head (default: none)")
+    parser.add_argument("--date", default="", metavar="TEXT", help="date for the page's head (default: none)")
 
 
 def add_problems(parser: argparse.ArgumentParser) -> None:
     """Options of ``problems``."""
-    parser.add_argument("folder", metavar="FOLDER", help="of one robot: problems.tar.bz2 or problems/, URDF and SRDF")
+    parser.add_argument("folder", metavar="FOLDER", help="folder of a robot: problems.tar.bz2 or problems/, URDF, SRDF")
     parser.add_argument(
         "--planners",
         nargs="+",
         default=["minimum-jerk,rrt-connect,lieednn-shaped"],
         metavar="A,B,...",
-        help=f"of {', '.join(PLANNERS)} (default: minimum-jerk,rrt-connect,lieednn-shaped)",
+        help=f"any of {', '.join(PLANNERS)} (default: minimum-jerk,rrt-connect,lieednn-shaped)",
     )
     parser.add_argument(
-        "--problems", default="100", metavar="N", help="how many, from all sets alike and always the same ones, or all"
+        "--problems", default="100", metavar="N", help="number of problems, a fixed choice evenly from all sets, or all"
     )
     parser.add_argument(
-        "--time-budget", type=decimal, default=10.0, metavar="S", help="CPU time that a problem may take"
+        "--time-budget", type=decimal, default=10.0, metavar="S", help="most CPU time for a problem [s]"
     )
-    parser.add_argument("--output", default="results/problems", metavar="DIR", help="(default: %(default)s)")
+    parser.add_argument("--output", default="results/problems", metavar="DIR", help="directory of the table")
     parser.add_argument("--jobs", type=whole, metavar="N", help="worker processes (default: all cores)")
 
 
@@ -195,7 +195,7 @@ def add_simulation(parser: argparse.ArgumentParser) -> None:
         "--reference-rate",
         type=decimal,
         metavar="HZ",
-        help="the controller sees samples of the motion taken at this rate and held (default: every step)",
+        help="the controller sees the motion sampled at this rate and held (default: every step)",
     )
     _add_conditions(parser)
     parser.add_argument("--payload", type=decimal, default=0.0, metavar="KG", help="mass at the end effector")
@@ -204,7 +204,7 @@ def add_simulation(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="BODY,FX,FY,FZ,START,DURATION",
-        help='force [N] on a body or link ("link 1", ..., "end effector") from START [s] on; may be given again',
+        help='force [N] on a body or link ("link 1", ..., "end effector") from START for DURATION [s]; may be repeated',
     )
     for what, unit in (("position", "rad, m"), ("velocity", "rad/s, m/s")):
         parser.add_argument(
@@ -214,28 +214,28 @@ def add_simulation(parser: argparse.ArgumentParser) -> None:
             metavar="SD",
             help=f"standard deviation of measured joint {what} [{unit}]",
         )
-    parser.add_argument("--noise-seed", type=whole, default=0, metavar="N", help="of that noise")
+    parser.add_argument("--noise-seed", type=whole, default=0, metavar="N", help="seed of the noise")
 
 
 def add_demonstrations(parser: argparse.ArgumentParser) -> None:
-    """Files of demonstrations, how they are read, and what is learned from them."""
+    """Options of ``learn``: files of demonstrations, how they are read, and what is learned from them."""
     parser.add_argument("files", nargs="+", metavar="FILE", help="demonstrations of one motion; each ends at its goal")
     parser.add_argument(
         "--arm", metavar="NAME", help=f"learn its joints, the files' columns [rad, m]: {_one_of(ARMS)}, or an MJCF file"
     )
     add_frames(parser)
-    parser.add_argument("--unit", default="m", help="of positions: m, cm or mm")
-    parser.add_argument("--quaternion", default="wxyz", metavar="ORDER", help="of its entries: wxyz or xyzw")
-    parser.add_argument("--sample-rate", type=decimal, default=100.0, metavar="HZ", help="of files without times")
+    parser.add_argument("--unit", default="m", help="unit of positions: m, cm or mm")
+    parser.add_argument("--quaternion", default="wxyz", metavar="ORDER", help="order of entries: wxyz or xyzw")
+    parser.add_argument("--sample-rate", type=decimal, default=100.0, metavar="HZ", help="for files without times")
     parser.add_argument(
-        "--phase", default="length", help="what demonstrations have in common: length, the share of the way, or time"
+        "--phase", default="length", help="how demonstrations are aligned: by length, the share of the way, or by time"
     )
     parser.add_argument(
         "--deviation",
         type=decimal,
         metavar="M",
-        help="from the mean demonstration that is asked for [m] (default: 0.002 of the demonstrations' extent, of "
-        "joints 0.001 of their way)",
+        help="requested deviation from the mean demonstration [m] (default: 0.002 of the demonstrations' extent, or "
+        "with --arm 0.001 of their way)",
     )
     parser.add_argument(
         "--clock-rate",
@@ -246,11 +246,11 @@ def add_demonstrations(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--rivals", default=",".join(RIVALS), metavar="A,B,...", help="models to compare with, or none")
     parser.add_argument(
-        "--starts", type=whole, metavar="N", help="random ones of each model (default: 1000, of an arm's joints 20)"
+        "--starts", type=whole, metavar="N", help="random starts for each model (default: 1000; with --arm 20)"
     )
-    parser.add_argument("--no-leave-one-out", action="store_true", help="skip the fits without one of them")
-    parser.add_argument("--seed", type=whole, default=0, help="of the random draws")
-    parser.add_argument("--output", default="results/learned-motion", metavar="DIR", help="(default: %(default)s)")
+    parser.add_argument("--no-leave-one-out", action="store_true", help="skip the leave-one-out fits")
+    parser.add_argument("--seed", type=whole, default=0, help="seed of random draws")
+    parser.add_argument("--output", default="results/learned-motion", metavar="DIR", help="directory of the results")
 
 
 def _one_of(names: Sequence[str]) -> str:
@@ -263,7 +263,7 @@ def _add_time_budget(parser: argparse.ArgumentParser, more: str = "") -> None:
         type=decimal_or_inf,
         default=60.0,
         metavar="S",
-        help=f"CPU time that planning a motion may take{more}",
+        help=f"most CPU time for planning a motion [s]{more}",
     )
 
 
@@ -273,9 +273,9 @@ def _add_conditions(parser: argparse.ArgumentParser) -> None:
         type=decimal,
         default=1.0,
         metavar="X",
-        help="true masses in units of those that the controller knows",
+        help="true masses relative to those that the controller knows",
     )
-    parser.add_argument("--hold", type=decimal, default=1.0, metavar="S", help="time simulated after the motion")
+    parser.add_argument("--hold", type=decimal, default=1.0, metavar="S", help="time simulated after the motion [s]")
 
 
 def add_plots(parser: argparse.ArgumentParser) -> None:
@@ -286,8 +286,8 @@ def add_plots(parser: argparse.ArgumentParser) -> None:
 def add_video(parser: argparse.ArgumentParser) -> None:
     """Quality, size and view of a video."""
     parser.add_argument("--preset", default="nice", help="draft or nice")
-    parser.add_argument("--size", default="1280x720", metavar="WxH", help="pixels")
-    parser.add_argument("--fps", type=whole, default=30, help="frames a second")
+    parser.add_argument("--size", default="1280x720", metavar="WxH", help="size in pixels")
+    parser.add_argument("--fps", type=whole, default=30, help="frames per second")
     parser.add_argument(
         "--camera", metavar="NAME", help="a camera of the scene (default: overview, or a view of the whole)"
     )

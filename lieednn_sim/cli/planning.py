@@ -1,4 +1,4 @@
-"""The command ``synthesize``: target to network, and to its motion where a planner makes that, too."""
+"""The command ``synthesize``: target to network, or to the motion of another planner."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def synthesize(run: RunDirectory, arguments: argparse.Namespace) -> None:
             planner=planner,
             start=start,
             duration=arguments.duration,
-            # Where the run keeps the network alone, that draws the motion again in the task's duration.
+            # If the run stores only the network, this generates the motion again in the task's duration.
             longest=1.0 if task.drawn else 3.0,
             seed=arguments.seed,
             time_budget=arguments.time_budget,
@@ -61,9 +61,9 @@ def synthesize(run: RunDirectory, arguments: argparse.Namespace) -> None:
 
 
 def _planner(arm: Arm, arguments: argparse.Namespace) -> tuple[str, str]:
-    """The planner that is asked for, or fits the scene, and why; the search's options are for one alone.
+    """The requested planner, or the default for the arm and scene, and why; checks the options for it.
 
-    It does not depend on what is installed: where the usual one cannot run, that is an error.
+    The default does not depend on what is installed: if it cannot run, that is an error.
     """
     name, reason = default_planner(arm) if arguments.planner is None else (arguments.planner, "asked for")
     as_choice("planner", name, planners())
@@ -80,7 +80,7 @@ def _planner(arm: Arm, arguments: argparse.Namespace) -> tuple[str, str]:
 
 
 def _options(arguments: argparse.Namespace) -> tuple[CertifiedOptions, dict[str, Any]]:
-    """Options of the search for certified networks, and as they stand in the task."""
+    """Options of the search for certified networks, and their values for the task."""
     magnitude = arguments.usual_bias_magnitude if arguments.bias_magnitude is None else arguments.bias_magnitude
     given = {name: getattr(arguments, name) for name in ("bias", "candidates") if getattr(arguments, name) is not None}
     if magnitude is not None:

@@ -1,11 +1,11 @@
-"""The command ``problems``: planners on problems that others have published figures for."""
+"""The command ``problems``: planners on published problems."""
 
 from __future__ import annotations
 
 import argparse
 import os
 
-from lieednn_sim import storage
+from lieednn_sim import filesystem
 from lieednn_sim.cli.console import to_stderr, wrote
 from lieednn_sim.errors import InputError
 from lieednn_sim.evaluation.problems.motion_bench_maker import ProblemSets
@@ -14,13 +14,13 @@ from lieednn_sim.evaluation.problems.summary import write_problems
 
 
 def problems(arguments: argparse.Namespace) -> None:
-    """Compute what is missing of the table, then write its summary."""
+    """Compute the missing rows of the table, then write its summary."""
     count = None if arguments.problems == "all" else _count(arguments.problems)
     sets = ProblemSets(arguments.folder)
-    directory = storage.make_directory(arguments.output)
+    directory = filesystem.make_directory(arguments.output)
     summary = directory / "problems.md"
-    with storage.locked(directory):
-        storage.check_outputs([summary, summary.with_suffix(".csv"), summary.with_suffix(".json")])
+    with filesystem.locked(directory):
+        filesystem.check_outputs([summary, summary.with_suffix(".csv"), summary.with_suffix(".json")])
         table = solve_problems(
             directory,
             sets,
@@ -36,5 +36,5 @@ def problems(arguments: argparse.Namespace) -> None:
 
 def _count(text: str) -> int:
     if not (text.isascii() and text.isdecimal() and int(text)):
-        raise InputError(f"--problems must be a number from 1 on, or all; got {text!r}")
+        raise InputError(f"--problems must be a number of at least 1, or all; got {text!r}")
     return int(text)

@@ -1,8 +1,7 @@
-"""The directory that collects what comes of a task.
+"""The directory of a run.
 
 Task, network, motion, rollout and metrics are made from each other in that order, and each file carries the
-fingerprints of those before it. `RunDirectory.check` compares them, so that files of different runs are never used
-together.
+fingerprints of those before it. `RunDirectory.check` compares them, so that files of different runs are never mixed.
 """
 
 from __future__ import annotations
@@ -12,7 +11,7 @@ import os
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
-from lieednn_sim import storage
+from lieednn_sim import filesystem, storage
 from lieednn_sim.arm import Arm
 from lieednn_sim.cli.task import Task
 from lieednn_sim.errors import FileError, InputError
@@ -26,18 +25,18 @@ from lieednn_sim.versions import versions
 
 # Formats of the plots; the first is the default.
 PLOT_KINDS = ("png", "pdf", "svg")
-# The first two are made of demonstrations, the third of a training, the others of a rollout.
+# The first two are plots of demonstrations, the third of a training, the others of a rollout.
 _PLOTS = ("demonstrations", "starts", "training", "network", "tracking", "joints")
-# What a planner's network may be, by the kind of its file.
+# Classes of networks by the kind of their files.
 _NETWORKS: dict[str, type[ComponentwiseNetwork]] = {network._kind: network for network in (LieEDNN, HopfieldNetwork)}
 
 
 class RunDirectory:
-    """Names of the files of one run, and the one place where they are written, read and checked against each other.
+    """The files of one run; writes them, reads them, and checks that they belong together.
 
     Args:
-        path: of the directory.
-        plots: what plots are written as, one of `PLOT_KINDS`.
+        path: path of the directory.
+        plots: format of plots, one of `PLOT_KINDS`.
     """
 
     def __init__(self, path: str | os.PathLike[str], plots: str = PLOT_KINDS[0]) -> None:
@@ -61,7 +60,7 @@ class RunDirectory:
 
     @property
     def pending(self) -> RunDirectory:
-        """Where a training is at work, until there is a network to replace what the run holds."""
+        """Directory of a training in progress, until there is a network to replace the run's files."""
         return RunDirectory(self.path / "training", self._plots)
 
     @property
@@ -72,7 +71,7 @@ class RunDirectory:
 
     @property
     def results(self) -> list[Path]:
-        """What is made of a rollout; a new one makes it outdated."""
+        """Files made from a rollout, which a new one makes outdated."""
         plots = self._plots_of(*_PLOTS[3:])
         return [self.metrics_json, self.metrics_csv, *plots, self.video, self.divergence]
 
@@ -81,9 +80,9 @@ class RunDirectory:
 
     @contextlib.contextmanager
     def made(self) -> Iterator[None]:
-        """Make the directory if need be, and keep others out as `at_work` does; what stays empty is removed."""
+        """Create the directory if needed, and lock it as `at_work` does; if it stays empty it is removed."""
         made = [path for path in (self.path, *self.path.parents) if not os.path.lexists(path)]
-        storage.make_directory(self.path)
+        filesystem.make_directory(self.path)
         try:
             with self.at_work():
                 yield
@@ -95,34 +94,35 @@ class RunDirectory:
 
     @contextlib.contextmanager
     def at_work(self, *, shared: bool = False, outputs: Iterable[Path] | None = None) -> Iterator[None]:
-        """Keep other commands out of the run, or with ``shared`` those that write task, network, motion and rollout.
+        """Lock the run against other commands, or with ``shared`` against those that write more than results.
 
         Raises:
-            FileError: another command is at work there, or one of ``outputs`` (all files of the run) cannot be written.
+            FileError: another command is at work there, or one of ``outputs`` (by default, all files of the run)
+                cannot be written.
         """
-        with storage.locked(self.path, shared=shared):
-            storage.check_outputs(self.files if outputs is None else outputs)
+        with filesystem.locked(self.path, shared=shared):
+            filesystem.check_outputs(self.files if outputs is None else outputs)
             if not shared:
-                # What a killed command left half-written; nobody else is here.
+                # Temporary files of a killed command; no other one is at work here.
                 for path in self.files:
                     for left in self.path.glob(f".{path.stem}.????????{path.suffix}"):
                         left.unlink(missing_ok=True)
             yield
 
     def create(self) -> None:
-        """Make the directory if need be."""
-        storage.make_directory(self.path)
+        """Create the directory if needed."""
+        filesystem.make_directory(self.path)
 
     def remove(self) -> None:
-        """Remove the files of the run, and the directory when nothing else is in it."""
+        """Remove the files of the run, and the directory if nothing else is in it."""
         for path in self.files:
             path.unlink(missing_ok=True)
         with contextlib.suppress(OSError):
             self.path.rmdir()
 
     def existing(self) -> RunDirectory:
-        """Return self, or raise `FileError` when there is no such run."""
-        if not storage.is_file(self.task):
+        """Return self, or raise `FileError` if there is no such run."""
+        if not filesystem.is_file(self.task):
             raise FileError(
                 f"{self.path} holds no run (no {self.task.name}); make one with 'lieednn-sim synthesize' or 'train'"
             )
@@ -135,7 +135,7 @@ class RunDirectory:
         if arm.fingerprint != task.model:
             now, then = versions()["mujoco"], task.versions.get("mujoco")
             raise FileError(
-                f"arm {task.arm!r} in scene {task.scene!r} is not the one that {self.task} was made for (fingerprint "
+                f"arm {task.arm!r} in scene {task.scene!r} is not the one for which {self.task} was made (fingerprint "
                 f"{storage.short(arm.fingerprint)}, not {storage.short(task.model)}"
                 + ("" if now == then else f"; MuJoCo {now}, not {then}")
                 + "): its model has changed since; make the run again"
@@ -148,27 +148,27 @@ class RunDirectory:
         return task, arm
 
     def load_network(self, task: Task) -> ComponentwiseNetwork:
-        """The network, of whatever class it is, when it was made for the task."""
+        """The network, of whatever class, after checking that it was made for the task."""
         self.check(task, "network")
         return _NETWORKS.get(storage.kind(self.network), LieEDNN).load(self.network)
 
     def load_motion(self, task: Task) -> Motion:
-        """The motion, when it was made for the task and by the network."""
+        """The motion, after checking that it was made for the task and from the network."""
         self.check(task, "network", "motion")
         return Motion.load(self.motion)
 
     def load_rollout(self, task: Task, arm: Arm) -> Rollout:
-        """The rollout, when it, the motion and the network were made from each other and for the task of the arm."""
+        """The rollout, after checking that it, the motion and the network belong together and to the task."""
         self.check(task, "network", "motion", "rollout")
-        # Where a run was not simulated the rollout is what is missing.
+        # In a run that was not simulated, the missing file to report is the rollout.
         motion = Motion.load(self.motion) if self.rollout.exists() else None
         return Rollout.load(self.rollout, arm, motion)
 
     def check(self, task: Task, *names: str) -> dict[str, str]:
-        """Fingerprints of the task and of the named files that are there, in the order in which they were made.
+        """Fingerprints of the task and of the named files that exist, in the order in which they were made.
 
         Raises:
-            FileError: a file was made from another one than the one that is there; names both.
+            FileError: a file was made from another file than the present one; the message names both.
         """
         found = {"task": task.fingerprint}
         for name in names:
@@ -190,10 +190,10 @@ class RunDirectory:
     def save_network(
         self, task: Task, network: BlockNetwork | None, motion: Motion | None = None, history: History | None = None
     ) -> list[Path]:
-        """Write the task and what was made for it, and remove all that the directory held of another one.
+        """Write the task and the results for it, and remove all other files of the run.
 
         Returns:
-            What was written.
+            The files written.
         """
         made_from = {"task": task.fingerprint}
         savers: dict[str, Callable[[Path], None]] = {"task": task.save}
@@ -202,21 +202,21 @@ class RunDirectory:
                 savers[name] = _saver(made, name, made_from)
         targets: list[Path] = [getattr(self, name) for name in savers]
         outdated = [path for path in self.files if path not in targets]
-        with storage.atomic_paths(targets, outdated) as temporaries:
+        with filesystem.atomic_paths(targets, outdated) as temporaries:
             for save, temporary in zip(savers.values(), temporaries, strict=True):
                 save(temporary)
         return targets
 
     def save_rollout(self, task: Task, rollout: Rollout) -> list[Path]:
-        """Write a rollout, before it its motion when the network drew it, and remove what was made of an older one.
+        """Write a rollout, with its motion if the network generated that, and remove results of an older one.
 
         Returns:
-            What was written.
+            The files written.
         """
         made_from = self.check(task, "network", *([] if task.drawn else ["motion"]))
         motion = rollout.motion if task.drawn else None
         targets = [self.rollout] if motion is None else [self.motion, self.rollout]
-        with storage.atomic_paths(targets, self.results) as temporaries:
+        with filesystem.atomic_paths(targets, self.results) as temporaries:
             if motion is not None:
                 _saver(motion, "motion", made_from)(temporaries[0])
             rollout.save(temporaries[-1], made_from)
@@ -224,7 +224,7 @@ class RunDirectory:
 
 
 def _saver(made: BlockNetwork | Motion | History, name: str, made_from: dict[str, str]) -> Callable[[Path], None]:
-    """What saves something and adds its fingerprint to those of what is made from it."""
+    """A function that saves an object and adds its fingerprint to ``made_from``, for files made from it."""
 
     def save(path: Path) -> None:
         made.save(path, dict(made_from))

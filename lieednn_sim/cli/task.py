@@ -1,4 +1,4 @@
-"""A task: arm, start, target, duration, and how its network is made."""
+"""A task: arm, start, target, duration, and planner."""
 
 from __future__ import annotations
 
@@ -14,31 +14,31 @@ from lieednn_sim.errors import FileError
 from lieednn_sim.validation import as_floats, as_positive, as_seed
 from lieednn_sim.versions import versions
 
-# What makes a network that draws its motion by itself (`network_path.make_motion`).
+# Planners whose network generates the motion by itself (`network_path.make_motion`).
 CERTIFIED, TRAINED = "lieednn-certified", "train"
-# What the command ``learn`` makes of an arm's demonstrations, with the motion.
+# The planner of the command ``learn --arm``, whose motion is stored.
 DEMONSTRATED = "learn"
 
 
 @dataclass(frozen=True)
 class Task:
-    """What a run is made for and how, so that it can be made again.
+    """The task of a run, which makes it reproducible.
 
     Attributes:
-        arm: name of an arm of the package, or an MJCF file.
+        arm: name of an arm of the package, or a model file.
         start: joint position at rest [rad, m].
         target: joint target [rad, m].
-        duration: of the motion [s].
+        duration: duration of the motion [s].
         scene: the obstacles around the arm, see `Arm.load`.
-        scene_seed: of their positions.
-        imported: how such a file became an arm, the options of `Arm.load`.
-        planner: a name of `planning.PLANNERS`, `TRAINED` for ``train``, or `DEMONSTRATED` for ``learn``. Unless the
-            network draws the motion by itself it is stored.
-        reason: why this planner.
-        seed: of its random draws.
-        options: its other options by name, as JSON can hold them.
-        model: `Arm.fingerprint` of the arm that it was made for.
-        versions: of the packages that made it.
+        scene_seed: seed of the obstacles' positions.
+        imported: import options of a model file, see `Arm.load`.
+        planner: a name of `planning.PLANNERS`, `TRAINED` for ``train``, or `DEMONSTRATED` for ``learn``. The motion is
+            stored unless the network generates it by itself.
+        reason: why this planner was chosen.
+        seed: seed of its random draws.
+        options: its other options by name, as JSON values.
+        model: `Arm.fingerprint` of the arm.
+        versions: versions of the packages that made it.
     """
 
     arm: str
@@ -57,7 +57,7 @@ class Task:
 
     @property
     def drawn(self) -> bool:
-        """Whether the network draws the motion by itself, in the task's duration."""
+        """Whether the network generates the motion by itself, in the task's duration."""
         return self.planner in (CERTIFIED, TRAINED) and not self.options.get("fastest", False)
 
     @property
@@ -66,7 +66,7 @@ class Task:
         return storage.fingerprint({}, asdict(self))
 
     def load_arm(self) -> Arm:
-        """The arm among its obstacles; errors as `Arm.load`."""
+        """The arm among its obstacles; raises as `Arm.load`."""
         return Arm.load(self.arm, self.scene, self.scene_seed, **self.imported)
 
     def save(self, path: str | os.PathLike[str]) -> None:

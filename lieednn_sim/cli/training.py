@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from lieednn_sim import storage
+from lieednn_sim import filesystem
 from lieednn_sim.arm import Arm
 from lieednn_sim.cli.arguments import load_arm, make_task, start_and_target
 from lieednn_sim.cli.arms import print_import_report
@@ -38,10 +38,10 @@ from lieednn_sim.synthesis import bias_for
 from lieednn_sim.validation import as_choice, as_count, as_positive
 from lieednn_sim.values import Floats
 
-# Learning on the manifold, and whether with a certificate; it keeps no checkpoint, for it takes seconds.
+# Algorithms on the manifold, and whether with a certificate; without checkpoints, since they take seconds.
 RIEMANNIAN = {"riemannian": False, "stability-aware": True}
 
-# What a task keeps of the options.
+# Options stored in the task.
 _OPTIONS = ("algorithm", "period", "epochs", "tolerance", "bias", "bias_magnitude", "candidates")
 
 Learner = Callable[[int], TrainingResult]
@@ -49,12 +49,12 @@ Candidates = Iterable[Callable[[], TrainingResult]]
 
 
 def train(arguments: argparse.Namespace) -> int:
-    """Learn a network for a target into a run directory; 1 when none was learned."""
+    """Learn a network for a target in a run directory; returns 1 when none was learned."""
     run = RunDirectory(arguments.output if arguments.resume is None else arguments.resume, arguments.plots)
     if arguments.resume is None:
         with run.made():
             return _train(run, *_begin(run, arguments))
-    if not storage.is_file(run.pending.checkpoint):
+    if not filesystem.is_file(run.pending.checkpoint):
         raise FileError(f"{run.path} holds no interrupted training (no {run.pending.checkpoint})")
     with run.at_work(), run.pending.at_work():
         task, arm = run.pending.load_task()
@@ -62,7 +62,7 @@ def train(arguments: argparse.Namespace) -> int:
 
 
 def _begin(run: RunDirectory, arguments: argparse.Namespace) -> tuple[Task, Arm, Candidates]:
-    """The task, its arm, and what learns a network for it from one seed after the other."""
+    """The task, its arm, and learners of a network for it from consecutive seeds."""
     arm = load_arm(arguments)
     start, target = start_and_target(arm, arguments)
     arm.check_position(target, "target")
@@ -70,8 +70,8 @@ def _begin(run: RunDirectory, arguments: argparse.Namespace) -> tuple[Task, Arm,
     as_count("candidates", options["candidates"])
     task = make_task(arm, start, target, arguments, planner=TRAINED, reason="asked for", options=options)
     learner = _learner(arguments, arm.encode(target), run.pending)
-    storage.check_outputs(run.pending.files if run.pending.path.exists() else [run.pending.path])
-    # An interrupted training that is not gone on with.
+    filesystem.check_outputs(run.pending.files if run.pending.path.exists() else [run.pending.path])
+    # Remove an interrupted training that is not resumed.
     run.pending.remove()
     try:
         run.pending.create()
@@ -84,21 +84,21 @@ def _begin(run: RunDirectory, arguments: argparse.Namespace) -> tuple[Task, Arm,
 
 
 def _train(run: RunDirectory, task: Task, arm: Arm, learners: Candidates) -> int:
-    """Learn from one seed after the other, as often as the task allows."""
+    """Learn from consecutive seeds, as many as the task allows."""
     pending = run.pending
     try:
         candidates = as_count("candidates", task.options["candidates"])
         result, refusal = _choose(itertools.islice(learners, candidates), run, arm, task)
     except BaseException as error:
         if isinstance(error, KeyboardInterrupt) and pending.checkpoint.is_file():
-            console.print(f"interrupted; go on with: lieednn-sim train --resume {run.path}")
+            console.print(f"interrupted; continue with: lieednn-sim train --resume {run.path}")
         else:
             pending.remove()
         raise
     if result.success:
         pending.remove()
     else:
-        # What the run held before stays as it is.
+        # The run's previous files stay as they are.
         result.history.save(pending.history, {"task": task.fingerprint})
         _plot_history(result, pending, arm.encode(task.target))
         pending.checkpoint.unlink(missing_ok=True)
@@ -109,21 +109,21 @@ def _train(run: RunDirectory, task: Task, arm: Arm, learners: Candidates) -> int
         return 1
     wrote(run.task, run.network, run.history, run.training_plot)
     if refusal is not None:
-        console.print(f"the network is learned, but its motion will be refused: {refusal}")
+        console.print(f"the network is learned, but its motion will be rejected: {refusal}")
     return 0
 
 
 def _choose(learners: Candidates, run: RunDirectory, arm: Arm, task: Task) -> tuple[TrainingResult, str | None]:
     """The first network whose motion keeps the limits, else the first one learned, else the first failure.
 
-    A network is saved as soon as it is the best so far. Second comes why the arm would refuse its motion.
+    A network is saved as soon as it is the best so far. The second value is why its motion would be rejected, or None.
     """
     xi = arm.encode(task.target)
     best: tuple[TrainingResult, str | None] | None = None
     for learner in learners:
         result = learner()
         if result.success and isinstance(result.network, LieEDNN):
-            # Learning does not ask for a proof; what is saved and reported carries one where there is one.
+            # Learning does not need a proof; the network is saved and reported with one where it is found.
             result = replace(result, network=result.network.try_certify())
         refusal = _refusal(result, arm, task)
         if best is None or (result.success and (refusal is None or not best[0].success)):
@@ -143,7 +143,7 @@ def _plot_history(result: TrainingResult, run: RunDirectory, xi: Floats) -> None
 
 
 def _refusal(result: TrainingResult, arm: Arm, task: Task) -> str | None:
-    """Why the arm cannot use the network's motion; None where it can, or where there is no network."""
+    """Why the arm cannot use the network's motion; None if it can, or without a network."""
     if not result.success or not isinstance(result.network, LieEDNN):
         return None
     try:
@@ -154,7 +154,7 @@ def _refusal(result: TrainingResult, arm: Arm, task: Task) -> str | None:
 
 
 def _learner(arguments: argparse.Namespace, xi: Floats, pending: RunDirectory) -> Learner:
-    """What learns a network from a seed."""
+    """A function that learns a network from a seed."""
     name = as_choice("algorithm", arguments.algorithm, [*ALGORITHMS, *RIEMANNIAN])
     bias = _bias(xi, arguments)
     if name in RIEMANNIAN:
@@ -172,7 +172,7 @@ def _training_options(arguments: argparse.Namespace) -> TrainingOptions:
 
 
 def _shown(learn: Callable[..., TrainingResult], *arguments: Any, **named: Any) -> TrainingResult:
-    """What a learner makes of its arguments, with a progress bar."""
+    """Run a learner with a progress bar."""
     with progress("train") as report:
         return learn(*arguments, **named, progress=report)
 
@@ -190,7 +190,7 @@ def _resumed(pending: RunDirectory, task: Task, xi: Floats) -> Iterator[Callable
     if not same or not 0 <= problem.seed - task.seed < task.options["candidates"]:
         raise FileError(f"{pending.checkpoint} was learning with other options than {pending.task} says; train again")
     again = functools.partial(_shown, learn, problem.target, options, bias=problem.bias, checkpoint=pending.checkpoint)
-    # Those before it were learned, and refused or worse.
+    # The candidates before it were learned, and rejected or worse.
     others = range(problem.seed + 1, task.seed + task.options["candidates"])
     return itertools.chain(
         [functools.partial(_shown, resume, pending.checkpoint)],

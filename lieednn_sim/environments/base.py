@@ -16,7 +16,7 @@ from lieednn_sim.environments.frames import SiteFrames
 from lieednn_sim.environments.observations import Observations
 from lieednn_sim.environments.rewards import Closeness
 from lieednn_sim.errors import InputError, SimulationError
-from lieednn_sim.evaluation.metrics import SETTLED_ROTATION, SETTLED_TRANSLATION
+from lieednn_sim.evaluation.frame_errors import SETTLED_ROTATION, SETTLED_TRANSLATION
 from lieednn_sim.simulation import Simulation
 from lieednn_sim.simulation.plant import make_plant
 from lieednn_sim.simulation.quaternions import quaternions

@@ -28,13 +28,13 @@ FREE = "free"
 
 @dataclass(frozen=True)
 class Settings:
-    """What every row of a table shares.
+    """Settings shared by all rows of a table.
 
     Attributes:
-        duration: of every motion [s].
+        duration: duration of every motion [s].
         hold: time simulated after it [s].
-        mass_scale: true masses in units of those that the controller knows.
-        time_budget: CPU time that planning a case may take [s].
+        mass_scale: true masses relative to those that the controller knows.
+        time_budget: largest CPU time for planning a case [s].
 
     Raises:
         InputError: a value is out of range.
@@ -52,28 +52,28 @@ class Settings:
 
 @lru_cache(maxsize=4)
 def load_arm(name: str, scene: str, seed: int, entries: tuple[Entry, ...] = ()) -> Arm:
-    """The arm in its scene, after what is made once for a process, so that no planning time counts it."""
+    """The arm in its scene; warms up what is computed once per process, so that no planning time includes it."""
     arm = load(name, scene, seed, entries)
     try:
         reference_network(arm)
         plan(arm, arm.keyframe("home"), planner="minimum-jerk", duration=100 * arm.timestep)
     except LieEDNNError:
-        pass  # whoever needs what is missing here will say so
+        pass  # reported where it is needed
     return arm
 
 
 def arm_and_target(name: str, scene: str, seed: int, entries: tuple[Entry, ...] = ()) -> tuple[Arm, Floats]:
-    """The arm, and a random target ``(n,)`` that makes sense in the scene; the same for every planner.
+    """The arm, and a random target ``(n,)`` for its scene; the same for every planner.
 
     Args:
-        name: of the arm.
-        scene: its name.
-        seed: of obstacles and target.
-        entries: arms and scenes of files, by their names.
+        name: name of the arm.
+        scene: name of the scene.
+        seed: seed of obstacles and target.
+        entries: arms and scenes from files, by their names.
 
     Raises:
-        FileError: a file is not there any more.
-        InputError: an unknown arm or scene, or one that does not suit the other.
+        FileError: a file no longer exists.
+        InputError: the arm or scene is unknown, or they do not fit together.
         NoSolutionError: no target was found.
     """
     made = _arm_and_target(name, scene, seed, entries)
@@ -84,8 +84,8 @@ def arm_and_target(name: str, scene: str, seed: int, entries: tuple[Entry, ...] 
 
 @lru_cache(maxsize=4)
 def _arm_and_target(name: str, scene: str, seed: int, entries: tuple[Entry, ...]) -> tuple[Arm, Floats] | LieEDNNError:
-    """`arm_and_target`, or its error: what is sought in vain is not sought again for each planner."""
-    # Where obstacles are not drawn nothing in the arm depends on the seed, and one arm serves all.
+    """`arm_and_target`, or its error, so that a failed search is not repeated for each planner."""
+    # Without random obstacles the arm does not depend on the seed, and is shared.
     drawn = scene != FREE and (SCENE, scene) not in {entry[:2] for entry in entries}
     try:
         arm = load_arm(name, scene, seed if drawn else 0, entries)
@@ -108,10 +108,10 @@ def _plan(case: Case, arm: Arm, target: Floats, settings: Settings) -> Plan:
 def run_case(
     case: Case, controllers: Sequence[str], settings: Settings, *, entries: tuple[Entry, ...] = ()
 ) -> list[Row]:
-    """Plan once and track with every controller: one row each. What fails is a row with the reason; bugs are raised.
+    """Plan once and track with every controller: one row each, with the reason for a failure; bugs are raised.
 
-    Arms and scenes of files are found by their names among the entries. The planning time is CPU time of this process,
-    with one BLAS thread.
+    Arms and scenes from files are found by their names among the entries. The planning time is CPU time of this
+    process, with one BLAS thread.
     """
     with one_blas_thread():
         try:
@@ -142,7 +142,7 @@ def run_case(
 
 
 def failed_case(case: Case, controllers: Sequence[str], settings: Settings, reason: str, **values: Any) -> list[Row]:
-    """Rows of a case that came to nothing, with the reason and what was measured all the same."""
+    """Rows of a failed case, with the reason and the values measured before."""
     return [_row(case, name, settings, reason, **values) for name in controllers]
 
 
@@ -152,7 +152,7 @@ def _row(case: Case, controller: str, settings: Settings, reason: str, **values:
 
 
 def replay(case: Case, controller: str, settings: Settings, *, entries: tuple[Entry, ...] = ()) -> Rollout:
-    """Plan and simulate a case again, for a picture of it.
+    """Plan and simulate a case again, to render or plot it.
 
     Raises:
         LieEDNNError: it cannot be planned or simulated.
@@ -167,7 +167,7 @@ def _simulate(arm: Arm, made: Plan, controller: str, settings: Settings) -> Roll
 
 
 def _stability(network: Any) -> dict[str, Any]:
-    """What is proved of the network at its equilibrium: global, local or none; "-" without a network."""
+    """The network's proven stability, global, local or none, and its level; "-" without a network."""
     if network is None:
         return {"stability": "-", "stability_level": "-"}
     verdict = network.assess()

@@ -1,4 +1,4 @@
-"""What keeps an arm off its target, read off its model: dry friction, loads, force limits, servos that are slow."""
+"""Causes of an arm's final error, from its model: dry friction, loads, force limits, slow servos."""
 
 from __future__ import annotations
 
@@ -11,27 +11,28 @@ from lieednn_sim.simulation import Rollout
 from lieednn_sim.simulation.disturbances import tangent_basis
 from lieednn_sim.values import Floats
 
-# What would hold a joint off by less than this share of its error does not explain it.
+# Least share of a joint's error that a cause must explain to be reported.
 _SHARE = 0.25
-# Share of a force limit that counts as all of it.
+# Share of a force limit that counts as reaching it.
 _FULL = 0.999
-# A servo is slow where it leaves more than this of an error at the end of the hold.
+# Share of an error that a slow servo leaves at the end of the hold.
 _LEFT = 0.05
-# Controllers whose feedback is that of the arm's servos.
+# Controllers that use the feedback of the arm's servos.
 _SERVOS = ("position-servo", "inverse-dynamics")
 _DESIGN = "designed servos (servos='design', --servos design)"
 
 
 def causes(rollout: Rollout, translation: float, rotation: float) -> tuple[str, ...]:
-    """Why the joints that matter do not end at their targets, the one that matters most first; then what helps.
+    """Why the relevant joints do not end at their targets, the most relevant first; then remedies.
 
-    A servo at rest exerts kp (q_ref - q): dry friction F holds it anywhere within F / kp, and a load that nobody feeds
-    forward pulls it off by load / kp. One that still moves with the speed v, and decays as exp(-r t), has v / r to go.
-    There is nothing to say of mocap bodies, which lead the arm without servos.
+    A servo at rest exerts kp (q_ref - q): dry friction F holds it anywhere within F / kp, and a load without
+    feedforward pulls it off by load / kp. One that still moves at the speed v, and decays as exp(-r t), has v / r to
+    go. Mocap bodies, which lead the arm without servos, have no such causes.
 
     Args:
-        rollout: that does not end at its target.
-        translation: a joint matters that alone brings a link so far off its target [m], or the worst where none does.
+        rollout: a rollout that does not end at its target.
+        translation: displacement of a link by one joint's error alone that makes it relevant [m]; if no joint is, the
+            worst one is reported.
         rotation: the same as an angle [rad].
     """
     arm, target, error = rollout.arm, rollout.target, rollout.q[-1] - rollout.target
@@ -54,7 +55,7 @@ def causes(rollout: Rollout, translation: float, rotation: float) -> tuple[str, 
 
 
 def _reasons(rollout: Rollout, error: Floats) -> tuple[list[list[str]], list[list[str]]]:
-    """For each coordinate what the model has to say of its error ``(n,)``, and what may be done about it."""
+    """For each coordinate, the causes of its error ``(n,)`` by the model, and their remedies."""
     arm, model, basis = rollout.arm, rollout.arm.model, tangent_basis(rollout.arm)
     (kp, _), friction = servo_gains(model, basis), dry_friction(model, basis)
     load = np.abs(resting_load(model, arm.qpos(rollout.q[-1:]))[0] @ basis)
@@ -93,7 +94,7 @@ def _reasons(rollout: Rollout, error: Floats) -> tuple[list[list[str]], list[lis
 
 
 def _pace(rollout: Rollout) -> Floats:
-    """Rate ``(n,)`` [1/s] at which the servo of each coordinate makes its error decay, the others held.
+    """Decay rate ``(n,)`` [1/s] of each coordinate's error under its servo, with the others held.
 
     The slower root of M r^2 + (kv + D) r + kp = 0.
     """

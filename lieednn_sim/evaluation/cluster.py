@@ -1,4 +1,4 @@
-"""A Dask cluster as an executor; it takes the extra ``cluster``."""
+"""A Dask cluster as an executor; needs the extra ``cluster``."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import Any
 from lieednn_sim.errors import InputError
 from lieednn_sim.versions import versions
 
-# How long the scheduler's first answer is waited for [s].
+# Timeout of the scheduler's first answer [s].
 _PATIENCE = 20.0
 
 
@@ -21,10 +21,10 @@ _PATIENCE = 20.0
 def dask_executor(address: str) -> Iterator[DaskExecutor]:
     """The workers of a Dask scheduler; they need the same version of the package, and one thread each.
 
-    A task whose worker dies is done again elsewhere; Dask gives it up when it has cost four workers.
+    A task whose worker dies is repeated on another one; Dask gives it up after four workers.
 
     Args:
-        address: of the scheduler, as ``tcp://host:8786``.
+        address: address of the scheduler, such as ``tcp://host:8786``.
 
     Raises:
         InputError: Dask is not installed, or there is no scheduler.
@@ -39,13 +39,13 @@ def dask_executor(address: str) -> Iterator[DaskExecutor]:
             await scheduler.identity()
 
     try:
-        # A client would wait for ever for a server of another kind.
+        # A client would wait forever for a server of another kind.
         asyncio.run(asyncio.wait_for(ask(), _PATIENCE))
     except (OSError, ValueError) as error:
         reason = str(error) or f"{_PATIENCE:g} s of silence"
         raise InputError(
             f"no Dask scheduler answers at {address!r} ({reason}); 'dask scheduler' starts one and prints its address, "
-            "as tcp://host:8786"
+            "such as tcp://host:8786"
         ) from None
     with Client(address, set_as_default=False) as client:
         yield DaskExecutor(client)
@@ -54,8 +54,8 @@ def dask_executor(address: str) -> Iterator[DaskExecutor]:
 class DaskExecutor(Executor):
     """Runs tasks on the workers of a client.
 
-    The name of a task is a hash of its inputs and of the code. On a worker that would not run it as it would be run
-    here it ends with `BrokenExecutor`, which stops the whole work.
+    The name of a task is a hash of its inputs and of the code. On a worker with another version of the code it ends
+    with `BrokenExecutor`, which stops all the work.
     """
 
     def __init__(self, client: Any) -> None:
@@ -64,7 +64,7 @@ class DaskExecutor(Executor):
 
     @property
     def n_workers(self) -> int:
-        """Workers at the moment."""
+        """The present number of workers."""
         return len(self._client.nthreads())
 
     def submit(self, function: Callable[..., Any], /, *arguments: Any, **named: Any) -> Future[Any]:
@@ -75,7 +75,7 @@ class DaskExecutor(Executor):
 
 
 def _runner() -> Callable[[dict[str, str], bytes], Any]:
-    # Pickled by value, for it is no module's: it runs where there is another version of the package, or none.
+    # A local function is pickled by value: it also runs where there is another version of the package, or none.
     def run(wanted: dict[str, str], task: bytes) -> Any:
         import pickle
         import socket

@@ -1,4 +1,4 @@
-"""Models of the same demonstrations compared: what they reproduce, what they foretell, and where else they lead."""
+"""Comparison of models of the same demonstrations: reproduction, generalisation, and attraction from other starts."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from rich.console import Group
 
 
-# What fits a model with about a given number of parameters.
+# Functions that fit a model with about a given number of parameters.
 RIVALS: Mapping[str, Callable[[Demonstrations, int], MotionModel]] = {
     MovementPrimitive.name: MovementPrimitive.fit,
     ProbabilisticPrimitive.name: ProbabilisticPrimitive.fit,
@@ -50,12 +50,11 @@ class ModelRow:
 
     Attributes:
         model: its name.
-        n_parameters: numbers that were fitted.
+        n_parameters: number of fitted parameters.
         fit_s: CPU time of the fit [s].
-        mean: errors from the mean start against the mean demonstration.
-        training: errors from each demonstration's start against it, on average.
-        left_out: the same of models fitted without the demonstration; None where there is one alone, or it was not
-            asked for.
+        mean: errors against the mean demonstration, from its start.
+        training: errors against each demonstration, from its start, on average.
+        left_out: the same for models fitted without that demonstration; None with a single one, or if not requested.
         attraction: where random starts ended.
     """
 
@@ -69,7 +68,7 @@ class ModelRow:
 
 
 def missing_rivals() -> dict[str, str]:
-    """Names of the rivals whose libraries are not installed, with what installs them."""
+    """Names of the rivals whose libraries are not installed, and how to install these."""
     return {ProbabilisticPrimitive.name: INSTALL} if missing_library() else {}
 
 
@@ -90,19 +89,18 @@ def compare_models(
     progress: Callable[[int, int], None] | None = None,
     executor: Executor | None = None,
 ) -> tuple[list[ModelRow], dict[str, MotionModel]]:
-    """Compare a shaped network with models of as many parameters.
+    """Compare a shaped network with models that have as many parameters.
 
     Args:
-        demonstrations: to learn from.
-        shaped: fitted to all of them.
-        options: that it was fitted with. What is fitted without one of them has no more hidden neurons.
+        demonstrations: the demonstrations.
+        shaped: the network fitted to all of them.
+        options: the options of its fit. Networks fitted without a demonstration have no more hidden neurons.
         rivals: names of `RIVALS`; by default all that are installed.
-        starts: random ones, see `fields.random_starts`.
+        starts: number of random starts, see `fields.random_starts`.
         leave_one_out: fit each model again without each of the demonstrations.
-        seed: of the starts and the fits.
-        progress: called with what is done, and the total.
-        executor: makes the fits without a demonstration, in whatever order; the rows are the same. By default they are
-            made one after another, here.
+        seed: seed of the starts and the fits.
+        progress: called with the steps done and their total.
+        executor: runs the leave-one-out fits, with the same results; by default they run one after another here.
 
     Returns:
         A row for each model, and the models by name, the network first.
@@ -157,25 +155,25 @@ def _fit(
 def _left_out(
     fit: Callable[[str, Demonstrations], MotionModel], demonstrations: Demonstrations, name: str, k: int
 ) -> PathErrors:
-    """Errors against a demonstration of a model that was fitted without it."""
+    """Errors of a model fitted without a demonstration, against it."""
     with one_blas_thread():
         return _errors(fit(name, demonstrations.without(k)), demonstrations, demonstrations.twists[k])
 
 
 @contextlib.contextmanager
 def _cancelling(futures: Collection[Future[PathErrors]]) -> Iterator[None]:
-    """Whatever ends the block, what has not begun does not begin any more."""
+    """Cancel all futures that have not begun when the block ends, however it ends."""
     try:
         yield
     except (BrokenExecutor, CancelledError):
-        raise LieEDNNError("the executor gave up; nothing is kept, the same call begins again") from None
+        raise LieEDNNError("the executor gave up; nothing is kept, start again with the same call") from None
     finally:
         for future in futures:
             future.cancel()
 
 
 def no_more_than(options: ShapingOptions, network: LieEDNN) -> ShapingOptions:
-    """Options of a search for networks with no more hidden neurons than one that it found has."""
+    """Options of a search for networks with no more hidden neurons than a given network."""
     hidden = network.n_hidden - network.n_clock
     fewer, placed = (tuple(n for n in some if n <= hidden) for some in (options.neurons, options.placed))
     return replace(options, neurons=fewer, placed=placed)
@@ -186,12 +184,12 @@ def _errors(model: MotionModel, demonstrations: Demonstrations, shown: Floats) -
 
 
 def mean_errors(errors: Sequence[PathErrors]) -> PathErrors:
-    """The mean of each number."""
+    """The mean of each error."""
     return PathErrors(*(float(np.mean([getattr(one, f.name) for one in errors])) for f in fields(PathErrors)))
 
 
 def of_models(rows: Sequence[ModelRow], *, turns: bool) -> Group:
-    """What a terminal shows of a comparison; ``turns`` where poses were shown."""
+    """Tables of a comparison for the terminal; ``turns`` if poses were recorded."""
     from rich.console import Group
 
     angle = ["deg"] if turns else []

@@ -1,4 +1,4 @@
-"""What a terminal shows of an evaluation."""
+"""Tables of an evaluation for the terminal."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def table(title: str, *columns: str) -> Table:
 
 
 def of_evaluation(evaluation: Evaluation) -> Group:
-    """Tables of frames, joints and pushes, what disturbed the run, and why it does not end at its target."""
+    """Tables of frames, joints and pushes, the conditions of the run, and why it does not end at its target."""
     shown = [_frames(evaluation), _joints(evaluation), *([_recoveries(evaluation)] if evaluation.recoveries else [])]
     return Group(
         *shown, *(line for line in (_conditions(evaluation), _forces(evaluation), *_causes(evaluation)) if line)
@@ -100,7 +100,7 @@ def _recoveries(evaluation: Evaluation) -> Table:
 
 
 def _conditions(evaluation: Evaluation) -> str:
-    """What the controller did not know of, and what it saw of the reference; empty where there is nothing to say."""
+    """Disturbances unknown to the controller, and the rate of its reference; empty if there is nothing to report."""
     changes, said = evaluation.disturbances, []
     if evaluation.reference_rate is not None:
         said.append(f"reference held at {evaluation.reference_rate:g} Hz")

@@ -1,4 +1,4 @@
-"""What enters a comparison from files: arms and scenes of one's own, what was found in them, and their fingerprints."""
+"""Entries of a comparison from the user's files: arms and scenes, with their fingerprints."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ ARM, SCENE = "arm", "scene"
 
 
 class Entry(NamedTuple):
-    """An arm or a scene of a file.
+    """An arm or a scene from a file.
 
     Attributes:
         kind: `ARM` or `SCENE`.
-        name: in tables.
-        source: what `Arm.load` takes, absolute.
-        fingerprint: of what it makes; rows of another one are others.
+        name: its name in tables.
+        source: its file, as `Arm.load` takes it, with an absolute path.
+        fingerprint: fingerprint of the arm or obstacles; rows with another one belong to another entry.
     """
 
     kind: str
@@ -35,10 +35,10 @@ class Entry(NamedTuple):
     fingerprint: str
 
 
-# Files are read anew by `enter` of arms.
+# Cleared by `enter`, which reads the files of arms anew.
 @lru_cache(maxsize=8)
 def bare_arm(source: str) -> Arm:
-    """An arm without obstacles; its import may take seconds, and is made once."""
+    """An arm without obstacles; cached, since its import may take seconds."""
     return Arm.load(source)
 
 
@@ -48,11 +48,11 @@ def enter(kind: str, values: Sequence[str | os.PathLike[str]], known: Sequence[s
     Args:
         kind: `ARM` or `SCENE`.
         values: names, or files as `Arm.load` takes them.
-        known: the package's names.
+        known: names in the package.
 
     Raises:
         FileError: a file is missing or cannot be read.
-        InputError: it makes no arm or no scene, or its name is taken or cannot stand in a case.
+        InputError: it holds no arm or scene, or its name is taken or not allowed.
     """
     names: list[str] = []
     entries: list[Entry] = []
@@ -68,23 +68,23 @@ def enter(kind: str, values: Sequence[str | os.PathLike[str]], known: Sequence[s
                 name, fingerprint = scene_label(source), describe(load_obstacles(source))[1]
             entry = Entry(kind, name, source, fingerprint)
             if any(one in name for one in ":/\n"):
-                raise InputError(f"no {kind} in a table can be called {name!r}; call the file {value} {_else(kind)}")
+                raise InputError(f"no {kind} in a table can be called {name!r}; rename {value}{_or_describe(kind)}")
             if name in known or any(other.name == name and other != entry for other in entries):
-                raise InputError(f"{kind} {name!r} of {value} is called like another one; call the file {_else(kind)}")
+                raise InputError(f"there is another {kind} {name!r}; rename {value}{_or_describe(kind)}")
             entries.append(entry)
         names.append(name if own else value)  # type: ignore[arg-type]
     return list(dict.fromkeys(names)), list(dict.fromkeys(entries))
 
 
-def _else(kind: str) -> str:
-    return "otherwise" + (", or describe the arm in a YAML file" if kind == ARM else "")
+def _or_describe(kind: str) -> str:
+    return ", or describe the arm in a YAML file" if kind == ARM else ""
 
 
 def record(directory: str | os.PathLike[str], entries: Iterable[Entry]) -> None:
-    """Keep the entries beside the tables of a directory, with those of earlier runs.
+    """Record the entries beside the tables of a directory, with those of earlier runs.
 
     Raises:
-        FileError: its rows are of another arm or scene by the same name.
+        FileError: the directory's rows belong to another arm or scene of the same name.
     """
     folder = Path(directory)
     known = {entry[:2]: entry for entry in recorded(folder)}
@@ -92,7 +92,7 @@ def record(directory: str | os.PathLike[str], entries: Iterable[Entry]) -> None:
         old = known.get(entry[:2], entry)
         if old.fingerprint != entry.fingerprint:
             raise FileError(
-                f"rows in {folder} are of another {entry.kind} {entry.name!r} (fingerprint "
+                f"rows in {folder} belong to another {entry.kind} {entry.name!r} (fingerprint "
                 f"{storage.short(old.fingerprint)}, that of {entry.source} is {storage.short(entry.fingerprint)}); "
                 "choose another --output, or another name for the file"
             )
@@ -116,7 +116,7 @@ def recorded(directory: str | os.PathLike[str]) -> tuple[Entry, ...]:
 
 
 def load(name: str, scene: str, seed: int, entries: Iterable[Entry]) -> Arm:
-    """The arm in its scene, of the package or of files; errors as `Arm.load`, and `FileError` where a file changed."""
+    """The arm in its scene, from the package or from files; raises as `Arm.load`, and `FileError` if a file changed."""
     found = {entry[:2]: entry for entry in entries}
     of_arm, of_scene = found.get((ARM, name)), found.get((SCENE, scene))
     arm = bare_arm(of_arm.source if of_arm else name)
@@ -133,11 +133,11 @@ def load(name: str, scene: str, seed: int, entries: Iterable[Entry]) -> Arm:
 
 def _check_unchanged(entry: Entry, fingerprint: str) -> None:
     if entry.fingerprint != fingerprint:
-        raise FileError(f"{entry.source} has changed since the comparison began; begin again with another --output")
+        raise FileError(f"{entry.source} has changed since the comparison began; start again with another --output")
 
 
 def findings(arms: Iterable[str], scenes: Iterable[str], entries: Sequence[Entry]) -> list[str]:
-    """What was found in scenes, and which pairs of an arm and a scene come to nothing; a line for each."""
+    """Summaries of the scenes, and the pairs of an arm and a scene without any target; a line for each."""
     own = {entry.name for entry in entries}
     lines = [
         f"scene {one.name}: {describe(load_obstacles(one.source))[0]}, from {one.source}"

@@ -1,4 +1,4 @@
-"""Where a model of demonstrations leads from starts that nobody showed."""
+"""Attraction of a model of demonstrations: where it leads from random starts."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from lieednn_sim.learning.demonstrations.models import MotionModel
 from lieednn_sim.validation import as_count, as_generator
 from lieednn_sim.values import Floats
 
-# Durations after which a start counts as arrived or not.
+# Durations after which it is decided whether a start has arrived.
 HORIZON = 10.0
-# In units of the demonstrations' extent: what is nearer to the goal has arrived, what moves less in a duration is at
-# rest, and what rests nearer together is one attractor.
+# In units of the demonstrations' extent: distance from the goal that counts as arrived, motion per duration that counts
+# as rest, and distance between points of rest that count as one attractor.
 ARRIVED, AT_REST, ONE_ATTRACTOR = 1e-2, 1e-4, 5e-2
-# Largest turn of a random start from the goal [rad].
+# Largest rotation of a random start from the goal [rad].
 LARGEST_TURN = 0.9 * np.pi
-# Starts run at once: what is kept of them fits into memory.
+# Number of starts run at once, limited by memory.
 _BATCH = 500
 
 
@@ -28,9 +28,9 @@ class Attraction:
     """Where random starts ended, after `HORIZON` durations.
 
     Attributes:
-        starts: how many.
-        arrived: nearer to the goal than a hundredth of the demonstrations' extent.
-        spurious: places elsewhere at which others came to rest: attractors that nobody asked for.
+        starts: number of starts.
+        arrived: how many ended within a hundredth of the demonstrations' extent from the goal.
+        spurious: number of places elsewhere at which others came to rest.
     """
 
     starts: int
@@ -39,10 +39,10 @@ class Attraction:
 
 
 def random_starts(demonstrations: Demonstrations, count: int, seed: int | np.random.Generator = 0) -> Floats:
-    """Twists ``(count, 6)`` all around the demonstrations.
+    """Random twists ``(count, 6)`` around the demonstrations.
 
-    Positions are uniform in their box, drawn out by its largest side to all sides; turns, where poses were shown, have
-    any axis and an angle up to 162 degrees from the goal's.
+    Positions are uniform in their bounding box, extended on all sides by its longest side; rotations, where poses were
+    recorded, have a random axis and an angle of up to 162 degrees from the goal.
     """
     rng = as_generator("seed", seed)
     count = as_count("count", count)
@@ -60,7 +60,7 @@ def random_starts(demonstrations: Demonstrations, count: int, seed: int | np.ran
 
 
 def attraction(model: MotionModel, demonstrations: Demonstrations, starts: Floats) -> Attraction:
-    """Run a model from twists ``(n, 6)``; distances take a radian for the lever of the demonstrations."""
+    """Run a model from twists ``(n, 6)``; in distances a radian counts for the lever of the demonstrations."""
     t = demonstrations.duration * np.array([0.0, HORIZON - 1.0, HORIZON])
     batches = [starts[k : k + _BATCH] for k in range(0, len(starts), _BATCH)]
     before, ends = (

@@ -1,4 +1,4 @@
-"""Figures of the package: their colours and style, their arrangement, computed once, and their files."""
+"""Style, layout and files of the package's figures."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import matplotlib
 from matplotlib.figure import Figure
 from matplotlib.rcsetup import cycler
 
-from lieednn_sim import storage
+from lieednn_sim import filesystem
 
-# Okabe and Ito's palette, distinguishable by colour-blind readers, less the yellow that is lost on white.
+# Okabe and Ito's palette, distinguishable for colour-blind readers, without the yellow that is invisible on white.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 _DPI = 130
 STYLE: Any = {
@@ -27,22 +27,21 @@ STYLE: Any = {
 
 
 def settle(figure: Figure, dpi: float) -> None:
-    """Arrange a figure for a resolution ``dpi`` [1/inch] by its layout engine, and take the engine away.
+    """Lay out a figure for a resolution ``dpi`` [1/inch] by its layout engine, then remove the engine.
 
-    While a figure has one, even one that is spent, `Figure.savefig` draws everything twice, the first time for nothing
-    but the layout.
+    While a figure has one, `Figure.savefig` draws everything twice, the first time for the layout alone.
     """
     figure.dpi = dpi
     engine = figure.get_layout_engine()
     if engine is not None:
         engine.execute(figure)
-    # Without an engine means without the one of the user's own settings, too.
+    # Nor may the user's own settings supply an engine.
     with matplotlib.rc_context({"figure.autolayout": False, "figure.constrained_layout.use": False}):
         figure.set_layout_engine(None)
 
 
 def save_figure(figure: Figure, path: str | os.PathLike[str]) -> None:
-    """Write a figure, atomically, when its layout has settled."""
+    """Lay out a figure and write it atomically."""
     settle(figure, _DPI)
-    with storage.atomic_path(path) as temporary:
+    with filesystem.atomic_path(path) as temporary:
         figure.savefig(temporary, dpi=_DPI)

@@ -1,4 +1,4 @@
-"""How a moving target was followed."""
+"""Errors in following a moving target."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lieednn_sim.evaluation.metrics import pose_errors, settled
+from lieednn_sim.evaluation.frame_errors import pose_errors, settled
 from lieednn_sim.simulation import Following
 
 
@@ -14,11 +14,11 @@ from lieednn_sim.simulation import Following
 class FollowingErrors:
     """Errors behind a moving target; translations in mm, rotations in degrees.
 
-    ``rms_*`` is the end effector's, over the whole run; ``worst_*`` the largest of any link frame. ``lag_s`` is the
-    delay that explains most of the end effector's distance: sum(e . v) / sum(v . v) over the steps at which the target
-    does not jump, e from its simulated to its target position and v the target's velocity; None when it does not move.
-    ``settling_s`` has for each jump of the target the time until all frames stay within 1 mm and 0.1 deg of it
-    until the next one, None when they do not.
+    ``rms_*`` is the end effector's error over the whole run, ``worst_*`` the largest of any link frame. ``lag_s`` is
+    the delay that explains most of the end effector's distance: sum(e . v) / sum(v . v) over the steps at which the
+    target does not jump, with e from the simulated to the target position and v the target's velocity; None when it
+    does not move. ``settling_s`` has, for each jump of the target, the time until all frames stay within 1 mm and
+    0.1 deg of it until the next jump, or None when they do not.
     """
 
     rms_mm: float
@@ -37,7 +37,7 @@ def evaluate_following(following: Following) -> FollowingErrors:
     tip = np.asarray(wanted.translation)[:, -1]
     velocity, behind = np.diff(tip, axis=0) / np.diff(t)[:, None], (tip - rollout.link_position[:, -1])[1:]
     starts = np.searchsorted(t, np.asarray(following.jumps) - 0.5 * rollout.timestep)
-    # The follower sees a jump at the next control period: it happened at the fastest step of the last one.
+    # The follower sees a jump in the next control period: it occurred at the fastest step of the previous one.
     steady = np.ones(len(velocity), dtype=bool)
     for begin in starts:
         recent = slice(max(begin - following.period, 0), begin)

@@ -1,4 +1,4 @@
-"""What a network of an arm's joints makes of demonstrations: errors at the effector and in joints, starts elsewhere."""
+"""Evaluation of a joint-space network shaped by demonstrations: errors at the effector and in joints, other starts."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from lieednn_sim.values import Floats
 if TYPE_CHECKING:
     from rich.table import Table
 
-# Joints this near to the goal have arrived [rad, m].
+# Largest joint error at the goal that counts as arrived [rad, m].
 _ARRIVED = 1e-3
 
 
@@ -34,9 +34,9 @@ class JointErrors:
 
     Attributes:
         effector: errors of the end effector's path.
-        joints_rms: root mean square of each joint's error over a dynamic time warp in the joints' ranges [rad, m].
-        worst_percent: the largest of these, of its joint's range.
-        gap_mm: largest mechanism gap of the network's states on the way; 0 of what was shown.
+        joints_rms: root mean square error of each joint after dynamic time warping in units of the ranges [rad, m].
+        worst_percent: the largest of these, in percent of its joint's range.
+        gap_mm: largest mechanism gap of the network's states; 0 for demonstrations.
         gap_deg: the same as an angle.
     """
 
@@ -52,11 +52,11 @@ class JointStudy:
     """A network of joints against its demonstrations.
 
     Attributes:
-        mean: from the mean start against the mean demonstration.
-        training: from each demonstration's start against it, on average.
-        left_out: the same of networks that were shaped without it; None of one demonstration, or if not asked for.
-        starts: random ones.
-        arrived: of these.
+        mean: errors against the mean demonstration, from its start.
+        training: errors against each demonstration, from its start, on average.
+        left_out: the same for networks shaped without that demonstration; None with a single one, or if not requested.
+        starts: number of random starts.
+        arrived: how many of them arrived.
     """
 
     mean: JointErrors
@@ -79,16 +79,16 @@ def study_joints(
     """Measure a network shaped by demonstrations.
 
     Args:
-        demonstrations: that it learned from.
+        demonstrations: the demonstrations.
         learned: the network.
-        options: that it was shaped with. What is shaped without one has no more hidden neurons.
-        starts: random postures free of contact (`draw_target`) from which it is run.
+        options: the options of its shaping. Networks shaped without a demonstration have no more hidden neurons.
+        starts: number of random postures free of contact (`draw_target`) from which it is run.
         leave_one_out: shape again without each of the demonstrations.
-        seed: of the starts and the fits.
-        progress: called with what is done, and the total.
+        seed: seed of the starts and the fits.
+        progress: called with the steps done and their total.
 
     Returns:
-        The numbers, and the joints' ways ``(K, n)`` from those of the starts that arrive.
+        The study, and the joints' paths ``(K, n)`` from the starts that arrive.
     """
     arm, n = demonstrations.arm, len(demonstrations)
     again = no_more_than(options, learned.network)
@@ -120,7 +120,7 @@ def study_joints(
 
 
 def joint_errors(arm: Arm, found: Floats, shown: Floats, gap: tuple[float, float] = (0.0, 0.0)) -> JointErrors:
-    """Compare joint positions ``(K, n)`` and ``(L, n)``; ``gap`` [m, rad] is the mechanism's, of the first."""
+    """Compare joint positions ``(K, n)`` and ``(L, n)``; ``gap`` [m, rad] is the mechanism gap of the former."""
     effector = [_effector(arm, q) for q in (found, shown)]
     pairs = warp(found / arm.ranges, shown / arm.ranges).pairs
     rms = np.sqrt(np.mean((found[pairs[:, 0]] - shown[pairs[:, 1]]) ** 2, axis=0))
@@ -134,7 +134,7 @@ def joint_errors(arm: Arm, found: Floats, shown: Floats, gap: tuple[float, float
 
 
 def of_joints(study: JointStudy, arm: Arm) -> Table:
-    """What a terminal shows."""
+    """The table of a study for the terminal."""
     rows = table("reproduction", "path", "effector RMS mm", "deg", "Frechet mm", "joints %", "gap mm", "gap deg")
     for path, found in (("mean", study.mean), ("training", study.training), ("left out", study.left_out)):
         if found is None:
@@ -148,7 +148,7 @@ def of_joints(study: JointStudy, arm: Arm) -> Table:
     )
     rows.caption = (
         "From the start of the mean and of each demonstration; left out: shaped without the one compared with. "
-        f"joints: largest RMS of a joint, of its range; of the mean: {joints}. "
+        f"joints: largest RMS of a joint, in percent of its range; for the mean: {joints}. "
         f"{study.arrived} of {study.starts} random starts arrive."
     )
     return rows
@@ -161,7 +161,7 @@ def _errors(model: JointMotion, shown: Floats) -> JointErrors:
 
 
 def _mean(errors: list[JointErrors]) -> JointErrors:
-    """The mean of each number."""
+    """The mean of each error."""
     rms = np.mean([one.joints_rms for one in errors], axis=0)
     plain = (f.name for f in fields(JointErrors)[2:])
     return JointErrors(

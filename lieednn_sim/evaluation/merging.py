@@ -1,4 +1,4 @@
-"""The shards of a comparison put together again."""
+"""Merging of the shards of a comparison."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from lieednn_sim import storage
+from lieednn_sim import filesystem
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.evaluation.cases import Settings
 from lieednn_sim.evaluation.entries import record
@@ -21,13 +21,13 @@ from lieednn_sim.versions import versions
 
 @dataclass(frozen=True)
 class Merged:
-    """A comparison put together.
+    """A merged comparison.
 
     Attributes:
-        table: of all rows that there are.
+        table: the table of all rows.
         absent: planners that were not compared, with the reason.
-        missing: of each shard that is not complete the cases that lack rows.
-        shards: that there are, by folder.
+        missing: for each incomplete shard, the cases that lack rows.
+        shards: the shards by folder.
     """
 
     table: Table
@@ -37,17 +37,17 @@ class Merged:
 
 
 def merge(directory: str | os.PathLike[str], folders: Sequence[str | os.PathLike[str]]) -> Merged:
-    """Put tables of shards into one; the same shards make the same table, in whatever order and however often.
+    """Merge the tables of shards; the result depends neither on their order nor on repetition.
 
-    Of a row that was computed twice the one with the shorter planning time is kept.
+    Of a row that was computed twice, the one with the shorter planning time is kept.
 
     Args:
-        directory: of the whole table, which may hold rows already.
-        folders: of shards of one comparison; they need be neither all nor finished.
+        directory: directory of the whole table, which may hold rows already.
+        folders: folders of shards of one comparison, which may be incomplete or unfinished.
 
     Raises:
         InputError: there are no folders.
-        FileError: a folder holds no shard of the same comparison, made by this code; rows disagree; see `Table`.
+        FileError: a folder holds no shard of the same comparison made by this code, or rows disagree; see `Table`.
     """
     if not folders:
         raise InputError("there is nothing to merge: give the folders of the shards")
@@ -56,9 +56,9 @@ def merge(directory: str | os.PathLike[str], folders: Sequence[str | os.PathLike
     now = {"versions": versions(code=True)}
     for folder, found in read.items():
         if differ := differences(_without_number(found), _without_number(whole), f"in {first}"):
-            raise FileError(f"{folder} is of another comparison: {'; '.join(differ)}")
+            raise FileError(f"{folder} belongs to another comparison: {'; '.join(differ)}")
         if differ := differences({"versions": found.get("versions", {})}, now):
-            raise FileError(f"{folder} was made with {'; '.join(differ)}; merge with what made it")
+            raise FileError(f"{folder} was made with {'; '.join(differ)}; merge with the versions that made it")
     try:
         part = whole["part"]
         shards = {folder: Shard(found["part"]["shard"], part["shards"]) for folder, found in read.items()}
@@ -76,7 +76,7 @@ def merge(directory: str | os.PathLike[str], folders: Sequence[str | os.PathLike
             if Shard.holding(row.case, shard.of) != shard:
                 raise FileError(f"{folder} is shard {shard}, but holds the case {row.case} of another")
             rows[row.key] = _agreed(row, folder, *rows.get(row.key, (row, folder)))
-    record(storage.make_directory(target), selection.entries)
+    record(filesystem.make_directory(target), selection.entries)
     table = Table(target, settings)
     table.save({key: row for key, (row, _) in rows.items()})
     missing: dict[Shard, list[Case]] = {}
@@ -87,15 +87,15 @@ def merge(directory: str | os.PathLike[str], folders: Sequence[str | os.PathLike
 
 
 def _without_number(description: Mapping[str, Any]) -> dict[str, Any]:
-    """What all shards of a comparison have in common."""
+    """The part of a description that all shards of a comparison share."""
     part = description.get("part", {})
-    # Files may lie elsewhere on other machines; their fingerprints tell.
+    # Files may be elsewhere on other machines; their fingerprints identify them.
     entries = [[*entry[:2], *entry[3:]] for entry in part.get("entries", [])]
     return {**description, "part": {**part, "shard": None, "entries": entries}}
 
 
 def _agreed(row: Row, folder: Path, other: Row, elsewhere: Path) -> tuple[Row, Path]:
-    """One of two rows that say the same but for the time it took, in an order of their own."""
+    """One of two rows that are equal except for their times, independent of their order."""
     timing = dict.fromkeys(TIMING, "")
     if {**row.as_texts(), **timing} != {**other.as_texts(), **timing}:
         raise FileError(f"{elsewhere} and {folder} disagree on {row.case} with {row.controller}; remove one of them")

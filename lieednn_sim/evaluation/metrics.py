@@ -9,11 +9,18 @@ from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform
 
-from lieednn_sim import storage
+from lieednn_sim import filesystem, storage
 from lieednn_sim.evaluation import display
 from lieednn_sim.evaluation.causes import causes
+from lieednn_sim.evaluation.frame_errors import (
+    SETTLED_ROTATION,
+    SETTLED_TRANSLATION,
+    FrameErrors,
+    frame_errors,
+    pose_errors,
+    settled,
+)
 from lieednn_sim.evaluation.motion_metrics import MotionMetrics, least_clearance, motion_metrics, violations
 from lieednn_sim.simulation import Disturbances, Push, Rollout
 from lieednn_sim.values import Floats
@@ -21,35 +28,6 @@ from lieednn_sim.versions import versions
 
 if TYPE_CHECKING:
     from rich.console import Group
-
-
-# A frame has settled when it stays this close to its target.
-SETTLED_TRANSLATION = 1e-3
-SETTLED_ROTATION = float(np.deg2rad(0.1))
-
-
-@dataclass(frozen=True)
-class FrameErrors:
-    """Errors of one link frame.
-
-    ``final_*`` compares the last simulated frame with the target, ``tracking_*`` the simulated with the planned frame
-    of the same instant over the whole rollout. ``settling_s`` is the time from which the frame stays within 1 mm and
-    0.1 deg of its target, None when it does not.
-    """
-
-    name: str
-    final_mm: float
-    final_deg: float
-    tracking_rms_mm: float
-    tracking_rms_deg: float
-    tracking_max_mm: float
-    tracking_max_deg: float
-    settling_s: float | None
-
-    @property
-    def arrived(self) -> bool:
-        """Whether it ends within 1 mm and 0.1 deg of its target."""
-        return self.final_mm <= 1e3 * SETTLED_TRANSLATION and self.final_deg <= np.rad2deg(SETTLED_ROTATION)
 
 
 @dataclass(frozen=True)
@@ -201,17 +179,11 @@ class Evaluation:
 
     def save_csv(self, path: str | os.PathLike[str]) -> None:
         """Write the frames' errors as one CSV row a frame."""
-        with storage.atomic_text(path) as stream:
+        with filesystem.atomic_text(path) as stream:
             rows = [asdict(frame) for frame in self.frames]
             writer = csv.DictWriter(stream, fieldnames=list(rows[0]), lineterminator="\n")
             writer.writeheader()
             writer.writerows(rows)
-
-
-def pose_errors(actual: RigidTransform, wanted: RigidTransform) -> tuple[Floats, Floats]:
-    """Distance [m] and angle [rad] between poses whose shapes broadcast."""
-    difference = wanted.inv() * actual
-    return np.linalg.norm(difference.translation, axis=-1), np.asarray(difference.rotation.magnitude())
 
 
 def evaluate(rollout: Rollout, *, clearance: bool = True) -> Evaluation:
@@ -227,7 +199,7 @@ def evaluate(rollout: Rollout, *, clearance: bool = True) -> Evaluation:
     arrival = pose_errors(simulated, arm.link_poses(rollout.target))
     tip = rollout.link_position[:, -1]
     least = least_clearance(rollout) if clearance else np.inf
-    frames = tuple(_frame_errors(i, name, rollout.t, tracking, arrival) for i, name in enumerate(arm.link_names))
+    frames = tuple(frame_errors(i, name, rollout.t, tracking, arrival) for i, name in enumerate(arm.link_names))
     arrived = all(frame.arrived for frame in frames)
     return Evaluation(
         arm=arm.name,
@@ -262,30 +234,6 @@ def evaluate(rollout: Rollout, *, clearance: bool = True) -> Evaluation:
         causes=() if arrived else causes(rollout, SETTLED_TRANSLATION, SETTLED_ROTATION),
         **violations(rollout),
     )
-
-
-def _frame_errors(
-    i: int, name: str, t: Floats, tracking: tuple[Floats, Floats], arrival: tuple[Floats, Floats]
-) -> FrameErrors:
-    distance, angle = 1e3 * tracking[0][:, i], np.rad2deg(tracking[1][:, i])
-    return FrameErrors(
-        name=name,
-        final_mm=float(1e3 * arrival[0][-1, i]),
-        final_deg=float(np.rad2deg(arrival[1][-1, i])),
-        tracking_rms_mm=float(np.sqrt(np.mean(distance**2))),
-        tracking_rms_deg=float(np.sqrt(np.mean(angle**2))),
-        tracking_max_mm=float(distance.max()),
-        tracking_max_deg=float(angle.max()),
-        settling_s=settled(t, arrival[0][:, i : i + 1], arrival[1][:, i : i + 1]),
-    )
-
-
-def settled(t: Floats, distance: Floats, angle: Floats) -> float | None:
-    """Time from which errors ``(K, N)`` stay within the bounds, None when they do not."""
-    outside = np.flatnonzero(((distance > SETTLED_TRANSLATION) | (angle > SETTLED_ROTATION)).any(axis=1))
-    if outside.size == 0:
-        return float(t[0])
-    return float(t[outside[-1] + 1]) if outside[-1] + 1 < len(t) else None
 
 
 def _peak(rollout: Rollout, channel: str) -> float:

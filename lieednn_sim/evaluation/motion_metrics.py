@@ -1,4 +1,4 @@
-"""Numbers of a plan alone, and how near a rollout came to obstacles and limits."""
+"""Metrics of a plan by itself, and how close a rollout came to obstacles and limits."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from lieednn_sim.planning.motion import LIMIT_TOLERANCE, Motion, rms_jerk
 from lieednn_sim.simulation import Rollout
 from lieednn_sim.validation import as_floats, as_positive
 
-# Curvature is meant where the path is run through: at rest its direction is noise.
+# Share of the peak speed below which curvature is left out: near rest the direction of the path is noise.
 CURVATURE_SPEED_SHARE = 0.05
-# A simulated rate may exceed its limit by this share before it counts: the ripple of the control loop.
+# Share by which a simulated rate may exceed its limit, for the ripple of the control loop.
 RATE_TOLERANCE = 1e-3
-# Clearance is measured at every fifth sample (10 ms at the arms' step), and at all with a contact.
+# Clearance is measured at every fifth sample (10 ms at the arms' step), and at all samples with a contact.
 CLEARANCE_STRIDE = 5
 _STANDSTILL = 1e-9  # [m/s]
 
 
 @dataclass(frozen=True)
 class MotionMetrics:
-    """Numbers of a plan alone; what they mean stands at the columns of `rows.Row`, once.
+    """Metrics of a plan by itself; `rows.Row` documents those that are not listed here.
 
     Attributes:
         curvature: see `rms_curvature`; None where the end effector does not move.
-        network_residual: distance to the equilibrium at which the motion ends [network coordinates].
+        network_residual: distance from the equilibrium at the end of the motion [network coordinates].
     """
 
     motion_s: float
@@ -93,7 +93,7 @@ def rms_curvature(path: ArrayLike, timestep: float) -> float | None:
 def least_clearance(rollout: Rollout) -> float:
     """Least clearance along the simulated motion [m]; negative in penetration, infinite where nothing can collide.
 
-    Every fifth sample is looked at, and all with a contact.
+    It is measured at every fifth sample, and at all samples with a contact.
     """
     chosen = np.union1d(np.arange(0, len(rollout.t), CLEARANCE_STRIDE), np.flatnonzero(rollout.contacts))
     return Collisions(rollout.arm).least(rollout.q[chosen])

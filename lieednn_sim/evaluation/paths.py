@@ -1,4 +1,4 @@
-"""How near two paths of a frame are to each other, whatever their pace."""
+"""Errors between two paths of a frame, independent of their timing."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from lieednn_sim.learning.demonstrations.warping import warp
 from lieednn_sim.validation import as_floats, as_positive
 from lieednn_sim.values import Floats
 
-# Samples of each path, at equal steps of its length: as many as a demonstration of the LASA data set has.
+# Samples of each path, at equal steps of its length: as many as in a demonstration of the LASA data set.
 SAMPLES = 1000
 
 
 @dataclass(frozen=True)
 class PathErrors:
-    """A path against the one it should follow, both at `SAMPLES` equal steps of their length.
+    """Errors of a path against the one it should follow, both sampled at `SAMPLES` equal steps of their length.
 
-    Pairs of samples are those of the dynamic time warp of least sum (`warping.warp`), so pace does not count. In its
-    distances a radian counts as the lever.
+    Samples are paired by dynamic time warping (`warping.warp`), so timing does not count. In its distances a radian
+    counts as the lever.
 
     Attributes:
-        rms_mm: root mean square of the distances of the pairs' positions.
-        rms_deg: the same of the angles between them.
+        rms_mm: root mean square distance of the pairs' positions.
+        rms_deg: root mean square angle between the pairs.
         dtwd_mm: dynamic-time-warping distance: the sum of the distances of all pairs.
         frechet_mm: discrete Frechet distance.
         goal_mm: distance of the ends.
@@ -64,7 +64,7 @@ def path_errors(reproduced: ArrayLike, shown: ArrayLike, lever: float = LEVER) -
 
 
 def _spaced(displaced: Floats, lever: float) -> Floats:
-    """Turns and positions ``(K, 6)`` at `SAMPLES` equal steps of the length; of no length all are the same."""
+    """Rotation vectors and positions ``(K, 6)`` at `SAMPLES` equal steps of the length."""
     turn = Rotation.from_rotvec(displaced[:, :3])
     steps = np.hypot(
         np.linalg.norm(np.diff(displaced[:, 3:], axis=0), axis=1), lever * (turn[1:] * turn[:-1].inv()).magnitude()

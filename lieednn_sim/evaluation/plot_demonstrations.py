@@ -1,4 +1,4 @@
-"""Plots of what was learned from demonstrations: the paths, and the field around them; PNG, or as the name ends."""
+"""Plots of models of demonstrations: their paths, and the field around them; PNG, or by the file's suffix."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from lieednn_sim.planning.demonstrated import JointDemonstrations
 from lieednn_sim.values import Floats
 
 _SHOWN, _ELSEWHERE = "0.72", "0.45"
-# Joints in a row, starts elsewhere that are drawn, and points of the field to each side.
+# Joints in a row, number of other starts drawn, and points of the field along each side.
 _IN_ROW, _STARTS, _FIELD = 3, 12, 28
 # Line styles of the models, the network's first.
 _LINES: tuple[dict[str, Any], ...] = (
@@ -35,9 +35,9 @@ _LINES: tuple[dict[str, Any], ...] = (
 
 
 def plot_paths(models: Mapping[str, MotionModel], demonstrations: Demonstrations, path: str | os.PathLike[str]) -> None:
-    """Demonstrations and each model's reproduction of their mean: in space, and turns over the share of the way.
+    """Demonstrations and each model's reproduction of their mean, in space; rotations over the share of the way.
 
-    In a plane one view is enough; of positions three are shown, and of poses the turns below them.
+    A plane takes one view and positions take three; poses have the rotations below them.
     """
     shown = 1e3 * demonstrations.displaced[..., 3:]
     paths = {
@@ -81,7 +81,7 @@ def plot_joint_paths(
     path: str | os.PathLike[str],
     elsewhere: Sequence[Floats] = (),
 ) -> None:
-    """Each joint over the share of the way: demonstrations, the reproduction ``(K, n)``, ways from elsewhere."""
+    """Each joint over the share of the way: demonstrations, the reproduction ``(K, n)``, paths from other starts."""
     arm = demonstrations.arm
     rows = -(-arm.n_joints // _IN_ROW)
     groups: list[tuple[str, Sequence[Floats], dict[str, Any]]] = [
@@ -112,10 +112,10 @@ def plot_joint_paths(
 
 
 def plot_field(model: MotionModel, demonstrations: Demonstrations, path: str | os.PathLike[str], seed: int = 0) -> None:
-    """Where a model leads from elsewhere: the field in the plane at the first instant, and paths from random starts.
+    """Where a model leads from other starts: its initial field in a plane, and paths from random starts.
 
-    The field is what the model does at first from each place, where its hidden neurons, or its phase, begin; later it
-    changes. Of positions in space the plane is the one in which the demonstrations extend most.
+    The field is the initial velocity at each place, with hidden neurons or phase at their start; later it changes. For
+    positions in space, the plane is spanned by the two axes along which the demonstrations extend most.
     """
     twists = random_starts(demonstrations, _STARTS, seed)
     ways = displacement(np.stack([reproduction(model, demonstrations, start) for start in twists]))
@@ -155,13 +155,13 @@ def plot_field(model: MotionModel, demonstrations: Demonstrations, path: str | o
 def _draw_field(
     axis: Any, model: MotionModel, demonstrations: Demonstrations, box: tuple[Floats, Floats], plane: tuple[int, int]
 ) -> None:
-    """Streamlines of what the model does at first, through every place of a plane."""
+    """Streamlines of the model's initial velocity in a plane."""
     lines = [np.linspace(low, high, _FIELD) for low, high in zip(*box, strict=True)]
     grid = np.stack(np.meshgrid(*lines), axis=-1)
     starts = np.zeros((_FIELD**2, 6))
     starts[:, 3:] = demonstrations.displaced[..., 3:].mean(axis=(0, 1))
     starts[:, [3 + c for c in plane]] = 1e-3 * grid.reshape(-1, 2)
-    # A twist without turns is a position.
+    # A twist without rotation is a position.
     step = 0.02 * demonstrations.duration
     moved = model.reproduce(starts, np.array([0.0, step]))
     flow = 1e3 * (moved[:, 1] - moved[:, 0])[:, [3 + c for c in plane]].reshape(_FIELD, _FIELD, 2)

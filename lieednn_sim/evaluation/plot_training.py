@@ -1,4 +1,4 @@
-"""Plot of a training; PNG, or what the name's ending says."""
+"""Plot of a training; PNG, or by the file's suffix."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def plot_training(history: History, target: ArrayLike, tolerance: float, path: s
         accuracy.set_title("accuracy: coordinates within the tolerance", loc="left")
         accuracy.set_ylabel("[%]")
         rate.semilogy(history.epoch, history.rate)
-        # A range of less than a decade has no tick otherwise, or too many.
+        # Otherwise a range of less than a decade has no tick, or too many.
         low, high = float(history.rate.min()), float(history.rate.max())
         rate.set_ylim(10.0 ** np.floor(np.log10(low) - 1e-9), 10.0 ** np.ceil(np.log10(high) + 1e-9))
         rate.yaxis.set_minor_formatter(NullFormatter())

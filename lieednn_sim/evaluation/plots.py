@@ -1,4 +1,4 @@
-"""Plots of a run: network states, tracking error, joint motion; PNG, or what the name's ending says."""
+"""Plots of a run: network states, tracking error, joint motion; PNG, or by the file's suffix."""
 
 from __future__ import annotations
 
@@ -14,40 +14,40 @@ from matplotlib.patches import Patch
 from lieednn_sim.errors import InputError
 from lieednn_sim.evaluation import figure_layout
 from lieednn_sim.evaluation.figure_layout import COLOURS, STYLE
-from lieednn_sim.evaluation.metrics import SETTLED_ROTATION, SETTLED_TRANSLATION, pose_errors
+from lieednn_sim.evaluation.frame_errors import SETTLED_ROTATION, SETTLED_TRANSLATION, pose_errors
 from lieednn_sim.network import BlockNetwork
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.simulation import Rollout
 from lieednn_sim.values import Floats
 
 _PUSH = "0.85"
-# Hidden neurons in a row of a plot of one block, and how the coordinates of each are drawn.
+# Hidden neurons per row in each block of a plot, and the line styles of their coordinates.
 _HIDDEN_IN_ROW = 4
 _HIDDEN_STYLES = {"\\omega": "-", "v": ":"}
-# Names in a row of a legend.
+# Most names in a row of a legend.
 _MOST_IN_ROW = 7
-# Errors [mm, deg] and shares of a limit [%] below these don't fill the height of an axis.
+# Least half range of axes for errors [mm, deg] and shares of a limit [%], so that small values look small.
 _LEAST_ERROR, _LEAST_PERCENT = 0.01, 10.0
-# A plot of joints has at most this many rows; longer names are written smaller.
+# Most rows of a plot of joints, and the length beyond which names are written smaller.
 _MOST_ROWS, _LONGEST_NAME = 12, 14
-# Left of the axes: ticks and a label of two lines [inch].
+# Room left of each axis for ticks and a label of two lines [inch].
 _LABEL = 0.85
 
 
 def plot_network(rollout: Rollout, path: str | os.PathLike[str], *, network: BlockNetwork | None = None) -> None:
-    """States xi(t) of each neuron, angles and lengths apart, with their targets dashed; a neuron moves a link.
+    """States xi(t) of the neuron of each link, rotations and translations apart, with their targets dashed.
 
-    Below them stands what hidden neurons of the network send to the others, phi(h(t)), where the network is given; it
-    must have drawn the motion by itself, without being retargeted on the way.
+    If the network is given, the outputs phi(h(t)) of its hidden neurons are shown below; it must have generated the
+    motion without being retargeted on the way.
 
     Raises:
-        InputError: the rollout followed no plan, or one of another size than the network.
+        InputError: the rollout followed no plan, or one whose size is not the network's.
     """
     arm, motion = rollout.arm, rollout.motion
     if motion is None:
-        raise InputError("the rollout does not know the plan that it followed, so there are no states to plot")
+        raise InputError("the rollout followed no plan, so there are no states to plot")
     n = arm.n_links
-    # Rows beyond what fits a page stand beside the others.
+    # Rows that do not fit a page go into further columns.
     blocks = -(-n // _MOST_ROWS)
     rows = -(-n // blocks)
     columns = (("rotation $\\omega$", "[rad]", 0, 1.0), ("translation $v$", "[m]", 3, arm.length_scale))
@@ -87,7 +87,7 @@ def plot_network(rollout: Rollout, path: str | os.PathLike[str], *, network: Blo
 
 
 def _plot_hidden(figure: Figure, height: float, motion: Motion, network: BlockNetwork, columns: int) -> None:
-    """What each hidden neuron sends on, in a panel of a given height [inch] and number of columns at the bottom."""
+    """Outputs of the hidden neurons, in a panel of a given height [inch] and number of columns at the bottom."""
     first, duration = network.n_visible, max(float(motion.tau[-1]), 1e-9)
     states = network.trajectory(network.start(motion.xi[0]), duration)(motion.tau)
     sent = network.phi(states[:, first:])
@@ -110,8 +110,8 @@ def _plot_hidden(figure: Figure, height: float, motion: Motion, network: BlockNe
 def plot_tracking(rollout: Rollout, path: str | os.PathLike[str]) -> None:
     """Tracking error of every link frame, and the end effector's distance to its target on a logarithmic scale.
 
-    A line marks the end of the motion, grey bands are pushes. What is below a hundredth of the settled error is not
-    shown: it is rounding.
+    A line marks the end of the motion, grey bands are pushes. Distances below a hundredth of the settled error, which
+    are rounding, are not shown.
     """
     arm, simulated = rollout.arm, rollout.link_poses()
     tracking = pose_errors(simulated, arm.link_poses(rollout.q_ref))
@@ -126,7 +126,7 @@ def plot_tracking(rollout: Rollout, path: str | os.PathLike[str]) -> None:
         for (upper, lower), (what, unit, errors, distance, settled) in zip(axes.T, columns, strict=True):
             for name, error in zip(arm.link_names, errors.T, strict=True):
                 upper.plot(rollout.t, error, label=name)
-            # A tenth of the settled error fills the height at least: less is not made to look like much.
+            # The axis extends to at least a tenth of the settled error, so that small errors look small.
             upper.set_ylim(0.0, max(1.08 * float(errors.max()), 0.1 * settled))
             _label(upper, unit, f"tracking error, {what}: planned to simulated frame")
             lower.semilogy(rollout.t, np.maximum(distance, 1e-3 * settled), color=COLOURS[3])
@@ -166,12 +166,12 @@ def _subplots(
     above: float = 0.0,
     below: float = 0.0,
 ) -> Any:
-    """Axes ``(rows, columns)`` over the times t under a legend, in margins given in inches.
+    """Axes ``(rows, columns)`` over the times t under a legend, with fixed margins.
 
-    ``gap`` [inch] is between rows. Room [inch] for other axes is left above and below.
+    ``gap`` [inch] is the space between rows; ``above`` and ``below`` [inch] are left free for other axes.
 
-    With so many axes an automatic layout takes longer than the drawing, and so does the search for their common range
-    after every line.
+    With this many axes an automatic layout takes longer than the drawing, and so does updating their common range after
+    every line.
     """
     width, height = figure.get_size_inches()
     left, right, bottom, top = _LABEL, 0.12, 0.5 + below, 0.65 + above
@@ -186,7 +186,7 @@ def _subplots(
             "right": 1.0 - right / width,
             "bottom": bottom / height,
             "top": 1.0 - top / height,
-            # Matplotlib counts them in widths and heights of one of the axes.
+            # In widths and heights of one of the axes.
             "wspace": columns * _LABEL / (width - left - right - (columns - 1) * _LABEL),
             "hspace": rows * gap / (height - bottom - top - (rows - 1) * gap),
         },
@@ -197,7 +197,7 @@ def _subplots(
 
 
 def _label(axis: Any, unit: str, title: str = "", **font: Any) -> None:
-    """Set the label of the ordinate and the title at fixed places, which spares the search for free ones."""
+    """Set the label of the ordinate and the title at fixed places, which saves the automatic placement."""
     axis.set_ylabel(unit, **font)
     axis.yaxis.set_label_coords(-0.48 / (axis.get_position().width * axis.figure.get_figwidth()), 0.5)
     if title:
@@ -205,7 +205,7 @@ def _label(axis: Any, unit: str, title: str = "", **font: Any) -> None:
 
 
 def _mark_events(axis: Any, rollout: Rollout) -> None:
-    """A line at the end of the motion, a band for each push."""
+    """Mark the end of the motion by a line, and each push by a band."""
     axis.axvline(rollout.motion_end, color="0.35", lw=0.9, ls="-.")
     for push in rollout.disturbances.pushes:
         axis.axvspan(push.start, min(push.end, rollout.t[-1]), color=_PUSH, zorder=0)
@@ -214,8 +214,8 @@ def _mark_events(axis: Any, rollout: Rollout) -> None:
 def plot_joints(rollout: Rollout, path: str | os.PathLike[str]) -> None:
     """Reference and simulated position with its limits, error, velocity and drive force of each joint.
 
-    Velocity and force are in percent of their limits, and plain where there is none. Joints of one unit share the
-    scale of each column, so that little looks little. More than `_MOST_ROWS` coordinates stand in several blocks.
+    Velocity and force are in percent of their limits, or absolute without limits. Joints of one unit share the scale of
+    each column, so that small values look small. More than `_MOST_ROWS` coordinates are split into blocks.
     """
     arm = rollout.arm
     blocks = -(-arm.n_joints // _MOST_ROWS)
@@ -241,7 +241,7 @@ def plot_joints(rollout: Rollout, path: str | os.PathLike[str]) -> None:
 
 
 def _plot_joints(axes: Any, rollout: Rollout, joints: range) -> None:
-    """Fill rows of axes ``(rows, 4)``; what is left over is hidden."""
+    """Fill rows of axes ``(rows, 4)``; those left over are hidden."""
     arm = rollout.arm
     angular = np.array([arm.unit(j) == "rad" for j in range(arm.n_joints)])
     error = np.where(angular, np.rad2deg(1.0), 1e3) * (rollout.q - rollout.q_ref)
@@ -287,7 +287,7 @@ def _plot_joints(axes: Any, rollout: Rollout, joints: range) -> None:
 
 
 def _from_zero(axis: Any, values: Floats, least: float) -> None:
-    """The range of all values, zero and ``least`` to both sides: nothing small fills the height."""
+    """Set the range to all values, zero, and at least ``least`` to both sides."""
     low, high = min(-least, float(values.min())), max(least, float(values.max()))
     margin = 0.06 * (high - low) or 1.0
     axis.set_ylim(low - margin, high + margin)

@@ -1,4 +1,4 @@
-"""Rows of tables: what tells them apart, what was measured, and their cells in a CSV file."""
+"""Rows of tables: their keys, measured columns, and cells in a CSV file."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from lieednn_sim.errors import InputError
 
 @dataclass(frozen=True)
 class Column:
-    """A measured number.
+    """A measured column.
 
     Attributes:
-        name: of the attribute of a row, and in the CSV file.
-        heading: short, with the unit.
-        meaning: one line.
-        of_motion: whether it belongs to the plan, and so is the same for every controller.
+        name: name of the row's attribute, and of the column in the CSV file.
+        heading: short heading with the unit.
+        meaning: explanation in one line.
+        of_motion: whether it belongs to the plan, so that it is the same for every controller.
     """
 
     name: str
@@ -28,7 +28,7 @@ class Column:
 
 
 def column(heading: str, meaning: str, *, of_motion: bool = False) -> Any:
-    """A field of a row for a measured number, None where there is none; arguments as of `Column`."""
+    """A field of a row for a measured number, or None; arguments as in `Column`."""
     return field(default=None, metadata={"heading": heading, "meaning": meaning, "of_motion": of_motion})
 
 
@@ -36,7 +36,7 @@ _of_motion = partial(column, of_motion=True)
 
 
 def outcome() -> Any:
-    """The field ``success`` of a row: whether its ``reason`` why not is empty."""
+    """The field ``success`` of a row: whether its ``reason`` is empty."""
     return field(default=True, init=False)
 
 
@@ -47,12 +47,12 @@ def columns_of(kind: type[TableRow]) -> tuple[Column, ...]:
 
 @dataclass(frozen=True, slots=True)
 class TableRow:
-    """A row of a table, one column a field; subclasses have a ``success``, see `outcome`, and a ``reason`` why not.
+    """A row of a table, with a field for each column, among them ``success`` (see `outcome`) and ``reason``.
 
-    Numbers are rounded to the digits of the file, so that a table that is read says what it said when it was made.
+    Numbers are rounded to the digits of the file, so that a table is the same after saving and reading.
     """
 
-    # Fields that tell a row from the others, and digits of a number.
+    # The fields that form the key of a row, and the digits of numbers.
     _key: ClassVar[tuple[str, ...]]
     _digits: ClassVar[int]
 
@@ -61,14 +61,14 @@ class TableRow:
             if isinstance(value := getattr(self, entry.name), float):
                 object.__setattr__(self, entry.name, float(f"{value:.{self._digits}g}"))
             elif isinstance(value, str):
-                # A row is a line. Most texts are those of many rows.
+                # A row is one line. Interned, since many rows share their texts.
                 object.__setattr__(self, entry.name, sys.intern(" ".join(value.splitlines())))
                 if entry.name == "reason" and value:
                     object.__setattr__(self, "success", False)
 
     @property
     def key(self) -> tuple[Any, ...]:
-        """What tells the row from the others."""
+        """The values that identify the row."""
         return tuple(getattr(self, name) for name in self._key)
 
     def as_texts(self) -> dict[str, str]:
@@ -77,9 +77,9 @@ class TableRow:
 
     @classmethod
     def from_texts(cls, texts: dict[str, str]) -> Self:
-        """Read `as_texts`; `ValueError` where a cell is not of its column's type."""
+        """The inverse of `as_texts`; `ValueError` if a cell does not have its column's type."""
         if None in texts or None in texts.values():
-            raise ValueError("a row has more columns or fewer")
+            raise ValueError("a row has too many or too few columns")
         if texts["success"] != ("no" if texts["reason"] else "yes"):
             raise ValueError(f"success is {texts['success']!r} where the reason of a failure is {texts['reason']!r}")
         return cls(**{entry.name: _value(texts[entry.name], str(entry.type)) for entry in fields(cls) if entry.init})
@@ -91,7 +91,7 @@ class TableRow:
 
 
 def _value(text: str, kind: str) -> bool | int | float | str | None:
-    """What a cell holds in a column of a type, as annotated."""
+    """The value of a cell in a column with an annotated type."""
     if kind in ("str", "bool"):
         return text if kind == "str" else text == "yes"
     if kind.endswith("None") and not text:
@@ -101,7 +101,7 @@ def _value(text: str, kind: str) -> bool | int | float | str | None:
 
 @dataclass(frozen=True, order=True)
 class Case:
-    """What is planned once."""
+    """A planning task of a comparison, shared by all controllers."""
 
     arm: str
     scene: str
@@ -113,12 +113,12 @@ class Case:
         """Read ``planner:arm:scene:seed``.
 
         Raises:
-            InputError: not of that form.
+            InputError: the text is not of that form.
         """
         parts = text.split(":")
         if len(parts) != 4 or not all(parts) or not (parts[3].isascii() and parts[3].isdecimal()):
             raise InputError(
-                f"a case must look like planner:arm:scene:seed, as se3-geodesic:telescopic_pr:free:0, got {text!r}"
+                f"a case must look like planner:arm:scene:seed, e.g. se3-geodesic:telescopic_pr:free:0, got {text!r}"
             )
         planner, arm, scene, seed = parts
         return cls(arm, scene, planner, int(seed))
@@ -129,19 +129,20 @@ class Case:
 
 @dataclass(frozen=True, slots=True)
 class Row(TableRow):
-    """One rollout of a comparison. Measured numbers are called as in `Evaluation` and `MotionMetrics`.
+    """One rollout of a comparison. Measured columns have their names from `Evaluation` and `MotionMetrics`.
 
     Attributes:
-        arm: with the next four, what tells a row from the others.
-        scene: around the arm.
-        planner: of the motion.
-        controller: that followed it.
-        seed: of target, obstacles and planner.
-        mass_scale: true masses in units of those that the controller knows.
+        arm: name of the arm; together with the next four, the key of the row.
+        scene: name of its scene.
+        planner: name of the planner.
+        controller: name of the controller that followed the motion.
+        seed: seed of target, obstacles and planner.
+        mass_scale: true masses relative to those that the controller knows.
         success: whether the rollout arrived without contact.
-        reason: why it did not; begins with what failed: "problem", "plan", "simulation", "contact",
-            "arrival", or "error": what nobody expected, a bug or a worker that died again and again.
-        stability: proved of the network: "global", "local" or "none"; "-" without a network, "" without a motion.
+        reason: why it did not; begins with what failed: "problem", "plan", "simulation", "contact", "arrival", or
+            "error" for a bug or a worker that died repeatedly.
+        stability: proven stability of the network: "global", "local" or "none"; "-" without a network, "" without a
+            motion.
         stability_level: the condition that proves it.
     """
 
@@ -212,7 +213,7 @@ class Row(TableRow):
 
     @property
     def case(self) -> Case:
-        """What was planned."""
+        """The case of the row."""
         return Case(self.arm, self.scene, self.planner, self.seed)
 
     @property
@@ -224,5 +225,5 @@ class Row(TableRow):
 FIELDS = tuple(entry.name for entry in fields(Row))
 COLUMNS = columns_of(Row)
 BY_NAME = {entry.name: entry for entry in COLUMNS}
-# Everything else is the same on every run.
+# Columns that differ between runs.
 TIMING = ("planning_s",)

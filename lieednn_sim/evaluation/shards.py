@@ -1,4 +1,4 @@
-"""The cases of a comparison dealt to machines that share nothing but a disk."""
+"""Division of a comparison's cases among machines that share only a disk."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from lieednn_sim.validation import as_count
 
 @dataclass(frozen=True)
 class Shard:
-    """A share of the cases; which one has a case follows from the name of the case alone.
+    """A share of the cases; a case's shard depends on the name of the case alone.
 
     Attributes:
-        number: from 1 on.
-        of: how many there are.
+        number: its number, starting at 1.
+        of: the number of shards.
 
     Raises:
         InputError: there is no such shard.
@@ -27,11 +27,11 @@ class Shard:
 
     def __post_init__(self) -> None:
         if as_count("the number of a shard", self.number) > as_count("the number of shards", self.of):
-            raise InputError(f"there is no shard {self}: they are numbered from 1 to {self.of}")
+            raise InputError(f"there is no shard {self}: shards are numbered from 1 to {self.of}")
 
     @classmethod
     def parse(cls, text: str) -> Shard:
-        """Read ``K/N``; `InputError` where it is not of that form."""
+        """Read ``K/N``; `InputError` if the text is not of that form."""
         number, _, of = text.partition("/")
         if not (text.isascii() and number.isdecimal() and of.isdecimal() and len(text) < 20):
             raise InputError(f"a shard must look like 3/10, the third of ten, got {text!r}")
@@ -39,7 +39,7 @@ class Shard:
 
     @classmethod
     def holding(cls, case: Case, of: int) -> Shard:
-        """The shard, of a number of them, that has a case."""
+        """The shard, out of ``of``, that holds a case."""
         digest = hashlib.sha256(str(case).encode()).digest()
         return cls(int.from_bytes(digest[:8], "big") % of + 1, of)
 

@@ -1,4 +1,4 @@
-"""What is said of many rows at once: groups, medians, success with its interval, and failures by reason."""
+"""Statistics over rows: groups, medians, success rates with intervals, and failures by reason."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from lieednn_sim.errors import InputError
 from lieednn_sim.evaluation.rows import BY_NAME, Case, Row
 from lieednn_sim.simulation import CONTROLLERS
 
-# What varies from case to case in a reason: names in quotes, numbers, ranges.
+# The parts of a reason that vary from case to case: names in quotes, and numbers.
 _QUOTED = re.compile(r"'[^']*'")
 _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?")
 
 
 @dataclass(frozen=True)
 class Group:
-    """Rows that agree in some columns.
+    """Rows with equal values in some columns.
 
     Attributes:
-        key: the values they agree in.
+        key: these values.
         rows: at least one.
     """
 
@@ -46,16 +46,16 @@ class Group:
         return wilson(self.successes, self.total)
 
     def values(self, column: str) -> list[float]:
-        """The numbers of a column, of the rows that have one."""
+        """The numbers in a column, without missing ones."""
         return numbers(self.rows, column)
 
     def median(self, column: str) -> float | None:
-        """Median of `values`, None when there are none."""
+        """Median of `values`, or None."""
         found = self.values(column)
         return float(np.median(found)) if found else None
 
     def verdict(self) -> str:
-        """Stability proved: "global 9/10, local 1/10"; "-" where no network was made."""
+        """Proven stability, such as "global 9/10, local 1/10"; "-" without a network."""
         found = [row.stability for row in motions(self.rows) if row.stability not in ("", "-")]
         if not found:
             return "-"
@@ -68,7 +68,7 @@ class Group:
 
 @dataclass(frozen=True)
 class Failure:
-    """Failures that differ in names and numbers only.
+    """Failures whose reasons differ only in names and numbers.
 
     Attributes:
         step: where it failed: "problem", "plan", "simulation", "contact", "arrival" or "error".
@@ -104,7 +104,7 @@ def wilson(successes: int, total: int) -> tuple[float, float]:
 
 
 def grouped(rows: Iterable[Row], columns: Sequence[str]) -> list[Group]:
-    """Rows by the values of some columns, in the order in which these first come."""
+    """Rows grouped by the values of some columns, in the order of first occurrence."""
     found: dict[tuple[str, ...], list[Row]] = {}
     for row in rows:
         found.setdefault(tuple(getattr(row, name) for name in columns), []).append(row)
@@ -112,7 +112,7 @@ def grouped(rows: Iterable[Row], columns: Sequence[str]) -> list[Group]:
 
 
 def motions(rows: Iterable[Row]) -> list[Row]:
-    """One row a motion: what belongs to the plan is the same for all its controllers."""
+    """One row for each motion, whose plan is the same for all controllers."""
     first: dict[Case, Row] = {}
     for row in rows:
         first.setdefault(row.case, row)
@@ -120,22 +120,22 @@ def motions(rows: Iterable[Row]) -> list[Row]:
 
 
 def numbers(rows: Iterable[Row], column: str) -> list[float]:
-    """The numbers of a column, of the rows that have one; of a plan's column one number a motion."""
+    """The numbers in a column, without missing ones; one for each motion if the column belongs to the plan."""
     chosen = motions(rows) if BY_NAME[column].of_motion else rows
     found = (getattr(row, column) for row in chosen)
     return [float(value) for value in found if value is not None]
 
 
 def controllers_of(rows: Iterable[Row]) -> list[str]:
-    """The controllers of rows, those of the package first and in its order."""
+    """The controllers of rows, first those of the package in its order."""
     found = sorted({row.controller for row in rows})
     return [*(name for name in CONTROLLERS if name in found), *(name for name in found if name not in CONTROLLERS)]
 
 
 def failures(rows: Iterable[Row]) -> list[Failure]:
-    """Why rows failed, alike reasons together, the most frequent first.
+    """Failures grouped by similar reasons, the most frequent first.
 
-    A plan's failure counts once, not once a controller.
+    A plan's failure counts once, not once for each controller.
     """
     failed = [row for row in rows if row.reason]
     once = [row for row in motions(failed) if not row.planned] + [row for row in failed if row.planned]

@@ -1,4 +1,4 @@
-"""All cases of a comparison, on several cores or any executor, resumable."""
+"""Comparisons: all their cases on several cores or any executor, resumable."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Any
 
 from rich.console import Console
 
-from lieednn_sim import storage
+from lieednn_sim import filesystem
 from lieednn_sim.arm import arm_names
 from lieednn_sim.arm.scenes import SCENES
 from lieednn_sim.errors import InputError, LieEDNNError
@@ -30,7 +30,7 @@ from lieednn_sim.values import check_fields
 
 DEFAULT_CONTROLLERS = ("position-servo", "inverse-dynamics")
 DEFAULT_SCENES = (FREE, "window")
-# Planning time of planners that are known to be slow [s], until the table knows better; only the order depends on it.
+# Planning times of slow planners and of all others [s], until the table holds measured ones; for the order alone.
 _COSTS = {"lieednn-trained": 5.0, "lieednn-certified": 2.0, "lieednn-unprojected": 1.0, "stomp": 1.0, "qshnn": 1.0}
 _COSTS |= dict.fromkeys(("rrt-star", "informed-rrt-star", "bit-star", "aorrtc"), 4.0)
 _COST = 0.2
@@ -38,19 +38,19 @@ _COST = 0.2
 
 @dataclass(frozen=True)
 class Selection:
-    """What to compare; empty means all (of scenes and controllers, the default ones).
+    """What to compare; empty means all (for scenes and controllers, the default ones).
 
     Attributes:
-        planners: names of `PLANNERS`; one whose package is missing is left out by `compare`.
-        arms: names of `arm_names`, or files as `Arm.load` takes them; afterwards all are names.
-        scenes: names of scenes, or files of obstacles; likewise.
+        planners: names of `PLANNERS`; `compare` leaves out those whose package is missing.
+        arms: names of `arm_names`, or files as for `Arm.load`, which are replaced by their names.
+        scenes: names of scenes, or files of obstacles, likewise.
         controllers: names of `CONTROLLERS`.
-        seeds: number of seeds, from 0 on.
-        entries: the arms and scenes of files; those that are given are known by their names.
+        seeds: number of seeds, starting at 0.
+        entries: the arms and scenes from files; those given here can be referred to by name.
 
     Raises:
         FileError: a file is missing or cannot be read.
-        InputError: an unknown name, where the message lists the known ones, or a file that holds no arm or scene.
+        InputError: a name is unknown (the message lists the known ones), or a file holds no arm or scene.
     """
 
     planners: Sequence[str] = ()
@@ -85,7 +85,7 @@ class Selection:
         check_fields(self, as_count, "seeds")
 
     def cases(self, absent: Container[str] | None = None) -> list[Case]:
-        """What can be planned: all combinations but those of absent planners, by default whose package is missing."""
+        """All combinations without absent planners, which are by default those whose package is missing."""
         absent = missing_planners() if absent is None else absent
         usable = [name for name in self.planners if name not in absent]
         combinations = itertools.product(self.arms, self.scenes, usable, range(self.seeds))
@@ -104,29 +104,28 @@ def compare(
 ) -> Table:
     """Compute the rows that the directory's table lacks.
 
-    A case is planned once for all controllers. Cases of one arm among the same obstacles come together, so that a
-    worker loads it once, and those that take long first.
-    When it is interrupted all finished cases are kept.
+    A case is planned once for all controllers. Cases of one arm among the same obstacles are consecutive, so that a
+    worker loads it once, with the slow ones first. Finished cases are kept when it is interrupted.
 
     Args:
-        directory: of the table.
+        directory: directory of the table.
         selection: what to compare.
-        settings: of all rows; a table made with others is refused.
-        jobs: worker processes.
-        console: for a progress bar; none without.
-        executor: runs the cases in place of worker processes, in whatever order; the rows are the same.
-        shard: of the cases; the table is then for `merging.merge`. None: all of them.
+        settings: settings of all rows; a table made with others is refused.
+        jobs: number of worker processes.
+        console: console for a progress bar; None for no bar.
+        executor: runs the cases instead of worker processes; the rows are the same.
+        shard: compute only this shard of the cases, for `merging.merge`.
 
     Returns:
-        The table, with all rows that it holds, also those of earlier runs.
+        The table, including rows of earlier runs.
 
     Raises:
-        InputError: jobs is less than 1.
+        InputError: ``jobs`` is less than 1.
         FileError: see `Table` and `entries.record`.
         LieEDNNError: a worker process died, or the executor gave up.
     """
     workers = as_count("jobs", jobs)
-    record(storage.make_directory(directory), selection.entries)
+    record(filesystem.make_directory(directory), selection.entries)
     absent = {name: reason for name, reason in missing_planners().items() if name in selection.planners}
     part = {} if shard is None else {"shard": shard.number, "shards": shard.of}
     table = Table(directory, settings, part and {**part, **asdict(selection), "absent": absent})
@@ -154,17 +153,17 @@ def complete(
     console: Console | None,
     executor: Executor | None,
 ) -> None:
-    """Add the rows of cases, run elsewhere; when it is interrupted all finished ones are kept.
+    """Compute the rows of cases in other processes and add them; finished ones are kept when it is interrupted.
 
     Args:
-        table: to add to.
-        run: makes the rows of a case, in another process.
-        failed: makes them where that raises, from the same arguments and the reason.
-        todo: arguments for each case.
-        workers: processes at most.
-        title: of the progress bar.
-        console: for that, and for what raised; none without.
-        executor: in place of processes of our own, if any.
+        table: the table to add to.
+        run: computes the rows of a case, in another process.
+        failed: makes the rows of a case that raised, from the same arguments and the reason.
+        todo: arguments of each case.
+        workers: most worker processes.
+        title: title of the progress bar.
+        console: console for the bar and for errors, or None.
+        executor: runs the cases instead of worker processes, if given.
 
     Raises:
         FileError: the table cannot be written.
@@ -186,9 +185,9 @@ def complete(
     except (BrokenExecutor, CancelledError):
         raise LieEDNNError(
             f"a worker process died (out of memory?); finished cases are kept in {table.csv}, the same command "
-            "goes on; --jobs 1 needs less"
+            "continues; --jobs 1 needs less memory"
             if executor is None
-            else f"the executor gave up; finished cases are kept in {table.csv}, the same command goes on"
+            else f"the executor gave up; finished cases are kept in {table.csv}, the same command continues"
         ) from None
     finally:
         table.save()

@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from lieednn_sim import storage
-from lieednn_sim.evaluation.metrics import SETTLED_ROTATION, SETTLED_TRANSLATION
+from lieednn_sim import filesystem
+from lieednn_sim.evaluation.frame_errors import SETTLED_ROTATION, SETTLED_TRANSLATION
 from lieednn_sim.evaluation.rows import COLUMNS, Column
 from lieednn_sim.evaluation.statistics import Group, failures, grouped, motions
 from lieednn_sim.evaluation.table import Table
@@ -17,11 +17,11 @@ _NOT_SUMMARISED = ("motion_s", "gap_end_deg", "final_effector_deg")
 
 
 def write_summary(path: str | os.PathLike[str], table: Table, missing: Mapping[str, str] | None = None) -> None:
-    """Success and medians by arm, scene, planner and controller, and why what failed did.
+    """Write success and medians by arm, scene, planner and controller, and the reasons of failures.
 
     Args:
         path: the file to write.
-        table: of the comparison.
+        table: table of the comparison.
         missing: planners that could not be compared, with the reason.
     """
     rows = table.sorted_rows()
@@ -51,12 +51,12 @@ def write_summary(path: str | os.PathLike[str], table: Table, missing: Mapping[s
         lines.append(f"- {failure.total} x {failure.step}, as: {failure.example} ({counts})")
     if lines[-1] == "":
         lines.append("- none")
-    with storage.atomic_text(path) as stream:
+    with filesystem.atomic_text(path) as stream:
         stream.write("\n".join(lines) + "\n")
 
 
 def method(table: Table) -> str:
-    """What was done and how the numbers are meant, for the head of a report."""
+    """The method and the meaning of the numbers, for the head of a report."""
     settings = table.settings
     masses = (
         "" if settings.mass_scale == 1.0 else f" with {settings.mass_scale:g} times the masses the controllers know"

@@ -1,4 +1,4 @@
-"""Worker processes of the studies: started, shown and stopped in one way."""
+"""Worker processes of the studies, with progress and interruption."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ from lieednn_sim.errors import LieEDNNError
 from lieednn_sim.planning.registry import REGISTRY as PLANNER_REGISTRY
 from lieednn_sim.simulation.controllers import REGISTRY as CONTROLLER_REGISTRY
 
-# Tasks that an executor holds at once: enough for a cluster, and memory does not grow with the study.
+# Tasks submitted at once: enough for a cluster, while memory does not grow with the study.
 _AHEAD = 4096
 
 
 @contextlib.contextmanager
 def worker_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
-    """A pool of fresh processes; when the block fails or is interrupted they are stopped at once.
+    """A pool of fresh processes, which are stopped at once when the block fails or is interrupted.
 
-    None of them is left when the block is over, however it ends; other children of this process are left alone.
+    None of them survives the block, however it ends; other children of this process are left alone.
     """
     context = multiprocessing.get_context("spawn")
     others = set(multiprocessing.active_children())
@@ -43,7 +43,7 @@ def worker_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
             process.terminate()
         raise
     finally:
-        # Waits for the workers: they finish what is left to do, or were told to end.
+        # Waits for the workers to finish or to be terminated.
         pool.shutdown()
 
 
@@ -57,20 +57,20 @@ def run_each(
     console: Console,
     executor: Executor | None = None,
 ) -> None:
-    """Run tasks on processes of our own, or on an executor, which stays open.
+    """Run tasks on worker processes, or on an executor, which stays open.
 
     Args:
-        run: does a task; it, arguments and results can be pickled.
+        run: runs a task; it, its arguments and results must be picklable.
         todo: arguments of each task.
-        done: called here as a task ends, in whatever order, with its arguments, its result, and what it raised.
-        workers: processes at most, where there is no executor.
-        title: of the progress bar.
-        console: for that.
-        executor: does the tasks in place of processes of our own.
+        done: called here when a task ends, in any order, with its arguments, its result, and its exception.
+        workers: most worker processes, without an executor.
+        title: title of the progress bar.
+        console: console for the bar.
+        executor: runs the tasks instead of worker processes.
 
     Raises:
-        BrokenExecutor: a process of our own died.
-        LieEDNNError: an executor has no workers any more, or others than it needs.
+        BrokenExecutor: a worker process died.
+        LieEDNNError: the executor has lost its workers, or has unsuitable ones.
         CancelledError: the executor gave up a task.
     """
     if not todo:
@@ -90,7 +90,7 @@ def run_each(
                 task, error = running.pop(future), future.exception()
                 if isinstance(error, BrokenExecutor) and executor is not None:
                     raise LieEDNNError(
-                        f"the executor gave up: {error}; finished work is kept, the same command goes on"
+                        f"the executor gave up: {error}; finished work is kept, the same command continues"
                     )
                 if isinstance(error, Exception) and not isinstance(error, BrokenExecutor):
                     done(task, None, error)
@@ -98,27 +98,27 @@ def run_each(
                     done(task, future.result(), None)
                 progress.update(bar, advance=1)
         finally:
-            # Our own processes are stopped instead.
+            # Worker processes are stopped by `worker_pool` instead.
             for future in running if executor is not None else ():
                 future.cancel()
 
 
 def progress_bar(console: Console) -> Progress:
-    """What the work shows of itself."""
+    """The progress bar of a study."""
     times = (TimeElapsedColumn(), TextColumn("done, left"), TimeRemainingColumn())
     return Progress(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), *times, console=console)
 
 
 def exit_code(work: Callable[[], Path], console: Console, kept: str) -> int:
-    """Do the work and print the path that it returns; 130 when it is stopped, 1 when it fails, with the reason."""
+    """Run ``work`` and print the path that it returns; returns 0, 130 when interrupted, or 1 with the error printed."""
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         path = work()
     except KeyboardInterrupt:
-        console.print(f"stopped; finished {kept} are kept, the same command goes on from there")
+        console.print(f"stopped; finished {kept} are kept, the same command continues from there")
         return 130
     except BrokenExecutor:
-        console.print("a worker process died (out of memory?); the same command goes on, --jobs 1 needs less")
+        console.print("a worker process died (out of memory?); the same command continues, --jobs 1 needs less memory")
         return 1
     except (LieEDNNError, OSError) as error:
         console.print(f"error: {error}", markup=False, emoji=False, highlight=False)
@@ -128,14 +128,14 @@ def exit_code(work: Callable[[], Path], console: Console, kept: str) -> int:
 
 
 def _modules() -> list[str]:
-    """Where planners and controllers of others are; what is registered here is to be registered in workers, too."""
+    """Modules of the user's planners and controllers, which workers must import to register these."""
     others = (*PLANNER_REGISTRY.given.values(), *CONTROLLER_REGISTRY.given.values())
     return sorted({str(one.__module__) for one in others} - {"__main__"})
 
 
 def _prepare_worker(modules: Sequence[str]) -> None:
     for name in modules:
-        # Who is missing is told by the rows.
+        # Rows report what is missing then.
         with contextlib.suppress(Exception):
             importlib.import_module(name)
     # Ctrl-C reaches the whole process group; the main process stops the workers.
@@ -144,7 +144,7 @@ def _prepare_worker(modules: Sequence[str]) -> None:
 
 
 def _end_with_parent() -> None:
-    """A pool's worker waits for work for ever, also when the main process was killed."""
+    """End this worker when the main process is killed; a pool's worker would wait forever."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()

@@ -1,8 +1,8 @@
-"""Child process of `lieednn_sim.rendering.opengl`: touches the OpenGL libraries where a crash hurts nobody.
+"""Child process of `lieednn_sim.rendering.opengl`: tries the OpenGL libraries where a crash does no harm.
 
 Run by path, with the standard library alone (``egl``, ``osmesa``) or with MuJoCo (``render``). Prints one JSON object:
 the three strings of the driver, or ``{"error": ...}``. Loading a driver into the caller would cost it 100 MB of LLVM,
-start threads that make a later ``fork`` hang, and take the caller down when the driver is broken.
+start threads that make a later ``fork`` hang, and crash it when the driver is broken.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ Strings = dict[str, str]
 
 _GL_STRINGS = {"GL_VENDOR": 0x1F00, "GL_RENDERER": 0x1F01, "GL_VERSION": 0x1F02}
 
-# Constants of EGL, named as in its headers, and what mujoco.egl asks of a framebuffer.
+# Constants of EGL, named as in its headers, and the framebuffer attributes that mujoco.egl requests.
 _EGL_PLATFORM_DEVICE_EXT = 0x313F
 _EGL_OPENGL_API = 0x30A2
 _EGL_ATTRIBUTES = (
@@ -33,7 +33,7 @@ _EGL_ATTRIBUTES = (
     *(0x3040, 0x0008),  # EGL_RENDERABLE_TYPE, EGL_OPENGL_BIT
     0x3038,  # EGL_NONE
 )
-_MAX_EGL_DEVICES = 10  # mujoco.egl looks at no more
+_MAX_EGL_DEVICES = 10  # as in mujoco.egl
 
 _OSMESA_RGBA = 0x1908
 _GL_FLOAT = 0x1406
@@ -62,7 +62,7 @@ def gl_strings(get_string: Any) -> Strings:
 
 
 def probe_egl() -> Strings:
-    """Walk the road of ``mujoco.egl.GLContext`` up to a current context."""
+    """Follow the steps of ``mujoco.egl.GLContext`` up to a current context."""
     try:
         load("OpenGL")
     except ProbeError:
@@ -130,7 +130,7 @@ def probe_egl() -> Strings:
 
 
 def probe_osmesa() -> Strings:
-    """Walk the road of ``mujoco.osmesa.GLContext`` up to a current context."""
+    """Follow the steps of ``mujoco.osmesa.GLContext`` up to a current context."""
     mesa = load("OSMesa")
     pointer = ctypes.c_void_p
     try:
@@ -182,10 +182,10 @@ def main() -> int:
     probes = {"egl": probe_egl, "osmesa": probe_osmesa, "render": render}
     try:
         report: dict[str, Any] = dict(probes[sys.argv[1]]())
-    except Exception as error:  # whatever went wrong is the answer
+    except Exception as error:  # any failure is the result of the probe
         report = {"error": str(error) if isinstance(error, ProbeError) else f"{type(error).__name__}: {error}"}
     print(json.dumps(report), flush=True)
-    # Skip the drivers' own clean-up at exit: some hang or crash in it, and nothing is left to save.
+    # Skip the drivers' clean-up at exit, in which some hang or crash; there is nothing left to save.
     os._exit(1 if "error" in report else 0)
 
 

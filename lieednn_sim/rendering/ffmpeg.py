@@ -1,4 +1,4 @@
-"""MP4 files through ffmpeg, a child process that is gone and whose pipes are closed when the work is over, or stops.
+"""MP4 files through ffmpeg, as a child process that always ends, with its pipes closed, when the work does.
 
 imageio's own writer and reader leave a stopped ffmpeg running and its pipes open, and its reader gives up after ten
 seconds, which a busy machine may need.
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from lieednn_sim.errors import FileError
 
-_CRF = 10  # constant rate factor of H.264, 0 to 51: next to no loss
+_CRF = 10  # constant rate factor of H.264, 0 to 51: nearly lossless
 
 
 @contextlib.contextmanager
@@ -27,12 +27,12 @@ def mp4_writer(path: Path, size: tuple[int, int], fps: float) -> Iterator[Callab
     """Yields a function that appends an RGB picture ``(height, width, 3)``; the file is complete after the block.
 
     Args:
-        path: of the file; one that exists is overwritten, one of a block that fails is left half-written.
+        path: the file; an existing one is overwritten, and a failing block leaves it unfinished.
         size: (width, height) in pixels, both even.
-        fps: frames a second.
+        fps: frames per second.
 
     Raises:
-        FileError: the encoder stopped; the message has its first words.
+        FileError: the encoder stopped; the message has its first line of output.
     """
     width, height = size
     command = [imageio_ffmpeg.get_ffmpeg_exe(), "-y", "-v", "error"]
@@ -41,7 +41,7 @@ def mp4_writer(path: Path, size: tuple[int, int], fps: float) -> Iterator[Callab
     command += ["-vcodec", "libx264", "-pix_fmt", "yuv420p", "-crf", str(_CRF), "-preset", "veryfast"]
     command += ["-movflags", "+faststart", str(path)]
     with tempfile.TemporaryFile() as words:
-        # In a session of its own Ctrl-C does not reach it.
+        # In its own session, so that Ctrl-C does not reach it.
         encoder = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=words, start_new_session=True
         )
@@ -74,7 +74,7 @@ def mp4_writer(path: Path, size: tuple[int, int], fps: float) -> Iterator[Callab
 
 
 def count_frames(path: Path) -> int:
-    """Number of frames that can be read from a video; 0 where it cannot be read."""
+    """Number of readable frames of a video; 0 if it cannot be read."""
     try:
         return int(imageio_ffmpeg.count_frames_and_secs(str(path))[0])
     except (OSError, RuntimeError):

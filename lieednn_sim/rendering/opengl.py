@@ -1,11 +1,10 @@
-"""Headless OpenGL: choose a backend that works, when something is to be rendered.
+"""Headless OpenGL: choose a backend that works, on the first rendering.
 
-MuJoCo reads ``MUJOCO_GL`` at its import; with nothing set it takes GLFW, which needs a display. `configure` finds a
-backend by asking the drivers in child processes, and lets MuJoCo choose again. Until then nothing is asked and nothing
-is set.
+MuJoCo reads ``MUJOCO_GL`` when it is imported; if unset it takes GLFW, which needs a display. `configure` finds a
+backend by probing the drivers in child processes, and lets MuJoCo choose again. Until then nothing is probed or set.
 
-``python -m lieednn_sim.rendering.opengl`` prints the backend; when there is none it prints the packages to install and
-fails. The module needs the standard library alone.
+``python -m lieednn_sim.rendering.opengl`` prints the backend; if there is none, it prints the packages to install and
+fails. This module needs only the standard library.
 """
 
 from __future__ import annotations
@@ -37,7 +36,7 @@ _SYNONYMS: Mapping[str, BackendName] = {
     **dict.fromkeys(("disable", "disabled", "off", "false", "0"), "disable"),
 }
 
-# Debian and Ubuntu packages. On a bare Debian 12 (download / on disk, with all they pull in, no recommended packages):
+# Debian and Ubuntu packages. On a bare Debian 12 (download / on disk, with dependencies, without recommended packages):
 #   libosmesa6                              43.5 MB / 192 MB   MuJoCo's OSMesa needs nothing else, not even libGL
 #   libegl1 libopengl0 libgl1-mesa-dri      50.9 MB / 215 MB
 #   libegl1 libgl1                          51.4 MB / 217 MB   the same driver, found through libGL
@@ -46,10 +45,10 @@ _SYNONYMS: Mapping[str, BackendName] = {
 _PACKAGES: Mapping[str, list[str]] = {"egl": ["libegl1", "libgl1"], "osmesa": ["libosmesa6"]}
 
 _PROBE = Path(__file__).with_name("_opengl_probe.py")
-_PROBE_TIMEOUT = 20.0  # [s]; takes 0.05 s, a cold disk or a sleeping GPU some seconds
+_PROBE_TIMEOUT = 20.0  # [s]; takes 0.05 s, or some seconds with a cold disk or a sleeping GPU
 _RENDER_TIMEOUT = 120.0  # [s]
 
-# Tells child processes what `configure` found, so that they neither probe again nor take our choice for the user's.
+# Passes the result of `configure` to child processes, so that they neither probe again nor take it for the user's own.
 _INHERITED = "LIEEDNN_SIM_GL"
 
 # The module in which MuJoCo decides which OpenGL context its renderer makes.
@@ -60,13 +59,13 @@ _configured: Backend | None = None
 
 @dataclass(frozen=True)
 class Backend:
-    """The OpenGL that MuJoCo is told to use.
+    """The OpenGL backend for MuJoCo.
 
     Attributes:
         name: value for ``MUJOCO_GL``; ``"disable"`` means physics without rendering.
         source: who chose it: the user's ``MUJOCO_GL``, or the probe.
-        detail: the renderer that answered, or why there is none.
-        requested: what the user's ``MUJOCO_GL`` said, empty when it said nothing.
+        detail: the renderer found, or why there is none.
+        requested: the user's ``MUJOCO_GL``, or empty.
     """
 
     name: BackendName
@@ -81,10 +80,10 @@ class Backend:
 
 
 def choose_backend() -> Backend:
-    """Find a backend that works, without importing MuJoCo and without touching the environment.
+    """Find a backend that works, without importing MuJoCo or changing the environment.
 
-    The user's own ``MUJOCO_GL`` wins when it can work. When it cannot, the answer is ``disable`` rather than another
-    backend, and ``detail`` says why. Without it the order is EGL, OSMesa, ``disable``.
+    The user's own ``MUJOCO_GL`` is taken if it works. If not, the result is ``disable`` rather than another backend,
+    and ``detail`` says why. Without it the order is EGL, OSMesa, ``disable``.
     """
     inherited = _inherited()
     if inherited is not None:
@@ -114,12 +113,12 @@ def configure() -> Backend:
         _configured = choose_backend()
         os.environ["MUJOCO_GL"] = _configured.name
         os.environ[_INHERITED] = json.dumps(asdict(_configured))
-        # MuJoCo refuses a PyOpenGL that is told another platform than its own.
+        # MuJoCo refuses a PyOpenGL with another platform than its own.
         if _configured.name in ("egl", "osmesa"):
             os.environ["PYOPENGL_PLATFORM"] = _configured.name
         contexts = sys.modules.get(_CONTEXTS)
         if contexts is not None and _configured.renders:
-            # It was imported before, with whatever was set then.
+            # It was imported before, with other settings.
             importlib.reload(contexts)
     return _configured
 
@@ -128,7 +127,7 @@ def require() -> Backend:
     """The configured backend.
 
     Raises:
-        RenderingUnavailableError: it cannot render; the message says what to install or to unset.
+        RenderingUnavailableError: it cannot render; the message says what to install or unset.
     """
     backend = configure()
     if not backend.renders:
@@ -153,10 +152,10 @@ def missing_packages() -> list[str]:
 
 
 def describe_renderer() -> dict[str, Any]:
-    """Prove the backend: draw a 16 x 16 MuJoCo frame in a child process.
+    """Test the backend: draw a 16 x 16 MuJoCo frame in a child process.
 
     Returns:
-        ``backend``; when it worked also ``GL_VENDOR``, ``GL_RENDERER``, ``GL_VERSION`` and ``frame_ms`` [ms]; else
+        ``backend``; and ``GL_VENDOR``, ``GL_RENDERER``, ``GL_VERSION`` and ``frame_ms`` [ms] if it works, else
         ``error``.
     """
     backend = configure()
@@ -181,7 +180,7 @@ def main() -> int:
 
 
 def _check_requested(requested: str) -> Backend:
-    """The backend that the user asked for, or ``disable`` when it would fail."""
+    """The backend that the user requested, or ``disable`` if it does not work."""
     name = _SYNONYMS.get(requested.lower())
     if name is None:
         error = f"MUJOCO_GL={requested} is not one of: egl, osmesa, glfw, disable"
@@ -202,7 +201,7 @@ def _check_requested(requested: str) -> Backend:
 
 
 def _inherited() -> Backend | None:
-    """What `configure` found in the parent process, as long as ``MUJOCO_GL`` still says the same."""
+    """The result of `configure` in the parent process, if ``MUJOCO_GL`` has not changed since."""
     try:
         backend = Backend(**json.loads(os.environ[_INHERITED]))
     except (KeyError, TypeError, ValueError):
@@ -222,12 +221,12 @@ def _remedy(backend: Backend) -> str:
 
 
 def _probe(name: str) -> dict[str, Any]:
-    """Ask the driver for its strings: ``GL_VENDOR`` ..., or ``error``. About 45 ms, of which Python takes 15."""
+    """Query the driver's strings: ``GL_VENDOR`` ..., or ``error``. Takes about 45 ms, of which Python takes 15."""
     return _run_probe(["-I", "-S"], name, _PROBE_TIMEOUT)
 
 
 def _run_probe(flags: list[str], name: str, timeout: float) -> dict[str, Any]:
-    """Run `_opengl_probe` in a child process; its crash or hang comes back as ``error``."""
+    """Run `_opengl_probe` in a child process; a crash or hang is returned as ``error``."""
     command = [sys.executable, *flags, str(_PROBE), name]
     try:
         done = subprocess.run(
@@ -259,7 +258,7 @@ def _has_gpu() -> bool:
 
 
 def _has_osmesa_package() -> bool:
-    """Whether apt can install OSMesa; true when apt does not know, as before its first update."""
+    """Whether apt can install OSMesa; true if apt has no package lists yet."""
     apt_cache = shutil.which("apt-cache")
     if apt_cache is None:
         return True
@@ -269,7 +268,7 @@ def _has_osmesa_package() -> bool:
         done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=20.0, check=False)
     except (OSError, subprocess.TimeoutExpired):
         return True
-    # One block per package: its name stands in the first column, the rest is indented.
+    # One block per package: its name in the first column, the rest indented.
     blocks = re.split(r"\n(?=\S)", done.stdout)
     known = {block.split(":", 1)[0] for block in blocks if "Candidate: (none)" not in block}
     return not known.issuperset(_PACKAGES["egl"]) or known.issuperset(_PACKAGES["osmesa"])

@@ -1,4 +1,4 @@
-"""What is drawn over the arm, planned frames and paths, and what is written in the corner of a film's frames."""
+"""Overlays of a video: planned frames and paths around the arm, and the caption in a corner."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _AXIS_COLOURS = np.array(
 )
 PLANNED_COLOUR = (0.08, 0.75, 0.70, 0.55)
 TRACED_COLOUR = (0.98, 0.80, 0.10, 1.0)
-# Length of a drawn frame's axes at full size [m], and pieces of a drawn path at most.
+# Length of a frame's axes at full size [m], and most segments of a path.
 _AXIS_LENGTH = 0.22
 _MAX_SEGMENTS = 150
 # Position and orientation of a geom before its ends are known.
@@ -33,7 +33,7 @@ class Overlay:
     Attributes:
         planned_frames: ``(K, N, 4, 4)`` planned link frames, the last one being the end effector.
         traced_tip: ``(K, 3)`` simulated end effector positions.
-        scale: of lengths and widths, 1 for an arm of two metres.
+        scale: scale of lengths and widths, 1 for an arm of two metres.
     """
 
     planned_frames: Floats
@@ -72,20 +72,20 @@ def _connect(
     scene.ngeom += 1
 
 
-# White on dark and half transparent, which is readable on any background.
+# White on a dark, semi-transparent panel, which is readable on any background.
 _INK, _PANEL = (255, 255, 255, 255), (20, 26, 33, 150)
-# Height of the letters as a share of the frame's; smaller ones are not readable.
+# Font size as a share of the frame's height, and the smallest readable one [pixels].
 _SHARE, _SMALLEST = 1.0 / 34.0, 9
-# A frame below this height [pixels] has no room for words.
+# Frames below this height [pixels] have no room for a caption.
 _LEAST_HEIGHT = 160
-# What the colours of `Overlay` mean.
+# The legend of `Overlay`'s colours.
 KEY = ((PLANNED_COLOUR, "planned"), (TRACED_COLOUR, "travelled"))
 
 
 def write_caption(image: NDArray[np.uint8], lines: Sequence[str]) -> NDArray[np.uint8]:
-    """A copy of a frame ``(height, width, 3)`` with lines of text and the key of colours in its upper left corner.
+    """A copy of a frame ``(height, width, 3)`` with lines of text and the colour legend in its upper left corner.
 
-    Frames too small for readable letters are returned as they are.
+    Frames that are too small are returned unchanged.
     """
     height = image.shape[0]
     if height < _LEAST_HEIGHT:

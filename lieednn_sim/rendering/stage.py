@@ -1,4 +1,4 @@
-"""What a picture needs and a robot's file may lack: light, sky, floor, a marker for the target, and a camera."""
+"""Staging of an arm for rendering: light, sky, floor, target marker and camera, where its model lacks them."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from lieednn_sim.arm.importer.loading import unused
 from lieednn_sim.values import Floats
 
 _LIGHTS = (((-0.33, 0.43, -0.84), 0.45, True), ((-0.45, -0.72, -0.54), 0.2, False))  # direction, diffuse, shadow
-# Colours of a target's marker: its axes, and the ball around them.
+# Colours of the target marker: its axes, and the ball around them.
 _AXES = ((0.87, 0.20, 0.20, 1.0), (0.20, 0.68, 0.28, 1.0), (0.18, 0.40, 0.88, 1.0))
 _GLASS = (0.08, 0.75, 0.70, 0.35)
-_AZIMUTH, _ELEVATION = 125.0, -20.0  # of a camera that nobody placed [degrees]
-_POSTURES = 64  # random ones, from which the space that the arm takes up is judged
-_UNSEEN = {"contype": 0, "conaffinity": 0, "group": 2, "mass": 0.0}  # by contacts and dynamics
+_AZIMUTH, _ELEVATION = 125.0, -20.0  # of the default camera [degrees]
+_POSTURES = 64  # number of random postures from which the arm's workspace is estimated
+_UNSEEN = {"contype": 0, "conaffinity": 0, "group": 2, "mass": 0.0}  # no effect on contacts and dynamics
 
 
 def reached(arm: Arm) -> Floats:
@@ -29,7 +29,7 @@ def reached(arm: Arm) -> Floats:
 
 
 def framing(arm: Arm, points: Floats) -> mujoco.MjvCamera:
-    """A camera that sees the ball around points ``(P, 3)`` of the arm, and a hand beyond them."""
+    """A camera that frames the points ``(P, 3)`` of the arm, with room for a hand beyond them."""
     centre = 0.5 * (points.min(axis=0) + points.max(axis=0))
     radius = 1.15 * float(np.linalg.norm(points - centre, axis=1).max()) + _hand(arm)
     camera = mujoco.MjvCamera()
@@ -41,11 +41,11 @@ def framing(arm: Arm, points: Floats) -> mujoco.MjvCamera:
 
 
 def staged(arm: Arm, points: Floats) -> tuple[mujoco.MjModel, int]:
-    """A copy of the arm's model with what it lacks for a picture, and the mocap id of its target's marker.
+    """A copy of the arm's model, completed for rendering, and the mocap id of its target marker.
 
     Args:
-        arm: joints and their order are the same in the copy.
-        points: ``(P, 3)`` that give the size of the marker.
+        arm: the arm; joints and their order are the same in the copy.
+        points: ``(P, 3)`` points that determine the size of the marker.
     """
     model = arm.model
     body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, "target")
@@ -55,7 +55,7 @@ def staged(arm: Arm, points: Floats) -> tuple[mujoco.MjModel, int]:
     if marked and sky and floor and model.nlight:
         return copy.deepcopy(model), int(model.body_mocapid[body])
     spec = arm.spec.copy()
-    spec.compiler.discardvisual = False  # as URDF files have it, all of this would vanish
+    spec.compiler.discardvisual = False  # with the default of URDF files, all of this would vanish
     names = {element.name for kind in (spec.textures, spec.materials, spec.bodies) for element in kind}
     if not model.nlight:
         spec.visual.headlight.ambient = [0.4] * 3
@@ -94,7 +94,7 @@ def staged(arm: Arm, points: Floats) -> tuple[mujoco.MjModel, int]:
 
 
 def _hand(arm: Arm) -> float:
-    """How far the last body reaches beyond the last link's frame at most [m]."""
+    """Upper bound on how far the last body extends beyond the last link's frame [m]."""
     model, site = arm.model, int(arm.site_ids[-1])
     mine = model.body_weldid[model.geom_bodyid] == model.body_weldid[model.site_bodyid[site]]
     data = mujoco.MjData(model)
@@ -105,7 +105,7 @@ def _hand(arm: Arm) -> float:
 
 
 def _lowest(arm: Arm) -> float:
-    """The lowest point of the arm at home [m], by the boxes around its geoms; the base where it has none."""
+    """Height of the lowest point of the arm at home [m], by its geoms' bounding boxes, and at most that of the base."""
     model, data = arm.model, mujoco.MjData(arm.model)
     data.qpos[:] = arm.qpos(arm.keyframe("home"))
     mujoco.mj_kinematics(model, data)

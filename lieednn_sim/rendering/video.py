@@ -15,7 +15,7 @@ import imageio.v2 as imageio
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lieednn_sim import storage
+from lieednn_sim import filesystem
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import FileError, InputError, RenderingUnavailableError
@@ -29,14 +29,14 @@ Image = NDArray[np.uint8]
 
 @dataclass(frozen=True)
 class Preset:
-    """Rendering quality: what software renderers spend their time on."""
+    """Rendering quality: the settings that take most of a software renderer's time."""
 
     shadows: bool
     samples: int
 
 
-_MAX_RATE = 1000.0  # frames per second: more is a mistake in the argument
-_LARGE = 1.3  # across what is in the picture [m], from which on what is drawn over it has its full size
+_MAX_RATE = 1000.0  # frames per second: more is probably a mistake
+_LARGE = 1.3  # extent of the view [m] from which on overlays have their full size
 _MAX_WIDTH, _MAX_HEIGHT = 3840, 2160  # 4K [pixels]
 PRESETS = {"draft": Preset(shadows=False, samples=0), "nice": Preset(shadows=True, samples=4)}
 
@@ -61,7 +61,7 @@ def check_rate(fps: float, path: str | os.PathLike[str]) -> float:
     if rate > _MAX_RATE:
         raise InputError(f"fps must be at most {_MAX_RATE:g}, got {rate:g}")
     if Path(path).suffix == ".gif" and (rate > 50.0 or 100.0 % rate):
-        raise InputError(f"a GIF counts in hundredths of a second; fps must be 50, 25, 20, 10, 5 ..., got {rate:g}")
+        raise InputError(f"GIFs count in hundredths of a second; fps must be 50, 25, 20, 10, 5 ..., got {rate:g}")
     return rate
 
 
@@ -70,15 +70,14 @@ class Camera:
 
     Args:
         arm: the arm; its model is not changed.
-        camera: name of a camera of its scene; by default ``overview``, or where there is none a view of ``points``.
+        camera: name of a camera of its scene; by default ``overview`` if there is one, else a view of ``points``.
         size: (width, height) in pixels, both even, at most 3840x2160.
         preset: a name of `PRESETS`.
-        target: joint target ``(n,)`` to put a marker at, the scene's own or one that is added like light, sky and floor
-            (`stage.staged`).
-        points: ``(P, 3)`` that the view shall hold; by default what the link frames reach.
+        target: joint target ``(n,)`` for the marker, the scene's own or an added one (`stage.staged`).
+        points: points ``(P, 3)`` that the view must contain; by default those that the link frames reach.
 
     Raises:
-        InputError: unknown camera or preset, or a size that cannot be rendered.
+        InputError: the camera or preset is unknown, or the size cannot be rendered.
         RenderingUnavailableError: there is no working OpenGL.
     """
 
@@ -105,7 +104,7 @@ class Camera:
         self.mark(target)
         try:
             self._renderer = mujoco.Renderer(self._model, size[1], size[0], max_geom=20_000)
-        except Exception as error:  # MuJoCo lets errors of several GL bindings through, with no common base
+        except Exception as error:  # MuJoCo passes on exceptions of several GL bindings, which have no common base
             raise RenderingUnavailableError(f"OpenGL failed to start: {error}; run 'lieednn-sim doctor'") from None
 
     def __enter__(self) -> Camera:
@@ -118,7 +117,7 @@ class Camera:
         """Image ``(height, width, 3)`` of the arm at ``q`` ``(n,)``; ``draw`` may add to the scene."""
         self._data.qpos[:] = self._arm.qpos(q)
         mujoco.mj_forward(self._model, self._data)
-        # Twice, because MuJoCo puts the headlight where the camera was at the update before.
+        # Twice, because MuJoCo puts the headlight where the camera was at the previous update.
         for _ in range(2):
             self._renderer.update_scene(self._data, self._camera)
         flags = self._renderer.scene.flags
@@ -129,7 +128,7 @@ class Camera:
         return np.asarray(self._renderer.render())
 
     def mark(self, target: ArrayLike | None) -> None:
-        """Put the marker at a joint target ``(n,)``; without one it goes into the base, the scene's own stays."""
+        """Put the marker at a joint target ``(n,)``; without one, an added marker goes into the base."""
         if target is None and self._model.nbody == self._arm.model.nbody:
             return
         pose = self._arm.base if target is None else self._arm.link_poses(target)[-1]
@@ -148,18 +147,18 @@ def render_video(
     title: str = "",
     progress: Callable[[int, int], None] | None = None,
 ) -> int:
-    """Render a rollout; frame k shows time k / fps. Planned link frames and the tip's path are drawn over the arm.
+    """Render a rollout; frame k shows time k / fps, with planned link frames and the tip's path drawn over the arm.
 
-    The time, the names of arm, scene and controller, and the key of colours stand in a corner.
+    A caption in a corner has the time, the names of arm, scene and controller, and a colour legend.
 
     Args:
-        rollout: what was simulated; the marker shows its target.
+        rollout: the rollout; the marker shows its target.
         path: ``.mp4`` or ``.gif``; it appears only when the video is complete.
-        camera: as for `Camera`.
+        camera: as in `Camera`.
         size: (width, height) in pixels.
-        fps: frames a second of simulated time.
+        fps: frames per second of simulated time.
         preset: a name of `PRESETS`.
-        title: a first line for the corner, the planner's name, say.
+        title: first line of the caption, such as the planner's name.
         progress: called with (done, total) after every frame.
 
     Returns:
@@ -169,7 +168,7 @@ def render_video(
         raise InputError(f"a video's name must end in .mp4 or .gif, got {Path(path).name!r}")
     arm = rollout.arm
     rate = check_rate(fps, path)
-    # The small slack keeps the last frame when duration * fps is a whole number up to rounding.
+    # The slack keeps the last frame when duration * fps is a whole number up to rounding.
     total = int(np.floor((rollout.t[-1] - rollout.t[0]) * rate + 1e-6)) + 1
     samples = np.rint(np.arange(total) / rate / rollout.timestep).astype(int)
     ends = [arm.base.translation, arm.link_poses(rollout.target).translation[-1]]
@@ -180,8 +179,8 @@ def render_video(
     names += [arm.name if arm.scene == "free" else f"{arm.name}, {arm.scene}", rollout.controller]
     end = rollout.t[-1]
     view = Camera(arm, camera=camera, size=size, preset=preset, target=rollout.target, points=points)
-    with view, storage.atomic_path(path) as temporary:
-        # One picture is written upon and encoded while the next is rendered.
+    with view, filesystem.atomic_path(path) as temporary:
+        # A picture is captioned and encoded while the next one is rendered.
         with _writer(temporary, size, rate) as append, ThreadPoolExecutor(1) as encoder:
 
             def write(picture: Image, now: float) -> None:
@@ -202,7 +201,7 @@ def render_video(
 
 
 def _check_complete(path: Path, total: int) -> None:
-    """The encoder's last words go unheard: a disk that fills with the last frame leaves a file that cannot be read."""
+    """Check that a video is readable: a disk that fills up with the last frame goes unnoticed by the encoder."""
     if path.suffix == ".mp4":
         frames = ffmpeg.count_frames(path)
         if frames != total:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lieednn_sim import storage
+from lieednn_sim import filesystem, storage
 from paper.checks import CHECKS
 from paper.claims import judge
 from paper.measures import FAILS, FEW, HOLDS, MOST, PART, UNKNOWN
@@ -93,7 +93,7 @@ def write(results: Results, figures: dict[str, str], run: Run, directory: Path) 
     for name, caption in figures.items():
         parts.append(f"![{Path(name).stem}]({name})\n\n{caption} ([PDF]({Path(name).stem}.pdf))\n")
     path = directory / "report.md"
-    with storage.atomic_text(path) as stream:
+    with filesystem.atomic_text(path) as stream:
         stream.write("\n".join(parts))
     return path
 

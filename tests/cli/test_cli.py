@@ -87,10 +87,10 @@ def test_candidates_are_tried_until_a_motion_keeps_the_limits(tmp_path, capsys):
     target = "-0.383,0.148,0.411,0.016,0.134,0.065,0.795,0.012"
     arguments = ["train", "--target", target, "--algorithm", "stability-aware", "--output", str(directory)]
     assert main([*arguments, "--candidates", "1"]) == 0
-    assert "its motion will be refused" in capsys.readouterr().out
+    assert "its motion will be rejected" in capsys.readouterr().out
     assert main(["simulate", str(directory)]) == 2
     assert main([*arguments, "--candidates", "8"]) == 0
-    assert "its motion will be refused" not in capsys.readouterr().out
+    assert "its motion will be rejected" not in capsys.readouterr().out
     assert main(["simulate", str(directory), "--hold", "0.5"]) == 0
 
 

@@ -91,7 +91,7 @@ def test_learn_joints(gantry, tmp_path, capsys, monkeypatch):
     # A run like any other, with the motion at hand.
     assert main(["simulate", str(run)]) == 0
     assert main(["learn", *files, "--arm", str(gantry.source), "--output", str(run), "--unit", "cm"]) == 2
-    assert "--unit is of positions and poses" in capsys.readouterr().err
+    assert "--unit is for positions and poses" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -104,7 +104,7 @@ def test_learn_joints(gantry, tmp_path, capsys, monkeypatch):
         (["--phase", "pace"], "no phase 'pace'"),
         (["--starts", "0"], "starts must be at least 1"),
         (["--deviation", "-1"], "deviation must be positive"),
-        (["--links", "a,b"], "--links is of --arm FILE.xml"),
+        (["--links", "a,b"], "--links needs --arm FILE.xml"),
         (["--arm", "telescopic_pr"], "must have 8 columns"),
     ],
 )

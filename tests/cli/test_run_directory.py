@@ -10,7 +10,7 @@ import shutil
 import numpy as np
 import pytest
 
-from lieednn_sim import storage
+from lieednn_sim import filesystem, storage
 from lieednn_sim.arm import Arm
 from lieednn_sim.cli import main
 from lieednn_sim.cli.run_directory import RunDirectory
@@ -197,7 +197,7 @@ def test_an_arm_that_changed_since_is_refused(tmp_path, made, capsys):
         ('"b"', '"c"'),
     ):
         path.write_text(OWN.replace(old, new))
-        assert f"is not the one that {run.task} was made for" in fails(capsys, "simulate", tmp_path)
+        assert f"is not the one for which {run.task} was made" in fails(capsys, "simulate", tmp_path)
 
 
 def test_obstacles_belong_to_the_arm():
@@ -375,7 +375,7 @@ def test_a_command_waits_for_no_other_but_says_that_one_is_at_work(tmp_path, mad
     # A video takes minutes; the plots may be made meanwhile, another rollout may not.
     with run.at_work(shared=True), run.at_work(shared=True):
         assert busy in fails(capsys, "simulate", run.path)
-    with storage.locked(tmp_path):
+    with filesystem.locked(tmp_path):
         assert f"at work in {tmp_path}" in fails(capsys, "compare", "--output", tmp_path)
     run.load_rollout(task, made[3].arm)
 

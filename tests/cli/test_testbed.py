@@ -98,7 +98,7 @@ def test_arms_are_listed_and_described(own, capsys):
     printed = capsys.readouterr().out
     assert re.search(r"link 1 +two, moved by \[b\]", printed)
     assert re.search(r"c +rad +-1.571 +1.571 +- +- +-", printed)
-    assert "--links, --home: of an MJCF" in error(capsys, "arms", "--links", "a", "--home", "c=1")
+    assert "--links, --home: for MJCF" in error(capsys, "arms", "--links", "a", "--home", "c=1")
     assert "home must look like JOINT=0.3" in error(capsys, "arms", str(own), "--home", "c")
     assert "no keyframe 'stow'; keyframes of the model: 'bent'" in error(capsys, "arms", str(own), "--keyframe", "stow")
     # The arm is straight at its reference, where nothing is further out.
@@ -215,7 +215,7 @@ def test_where_the_filter_blocks_nothing_is_left_and_the_line_says_by_what(tmp_p
         ),
         (["--scene", "cave"], "no scene 'cave'; allowed: free, poles"),
         (["--scene-seed", "-1", "--scene", "poles"], "seed"),
-        (["--links", "a,b"], "arm 'telescopic_pr' has its own"),
+        (["--links", "a,b"], "takes no import options, got"),
         (["--arm", "nowhere.xml"], "no such file: nowhere.xml"),
         (["--target", "random:x"], "a random target must look like random:7"),
     ],

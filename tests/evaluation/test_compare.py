@@ -163,7 +163,7 @@ def test_other_settings_versions_and_files_are_refused(finished, tmp_path):
     for text, message in (
         (older, "made with mujoco 3.0.0, now"),
         (changed, "made with code 0123456789ab, now"),
-        ("[]", "does not say how it was made"),
+        ("[]", "does not tell how it was made"),
     ):
         description.write_text(text, encoding="utf-8")
         with pytest.raises(FileError, match=message):
@@ -184,7 +184,7 @@ def test_other_settings_versions_and_files_are_refused(finished, tmp_path):
         *(written.replace(*pair, 1) for pair in wrong),
     ):
         path.write_text(text, encoding="utf-8")
-        with pytest.raises(FileError, match="cannot go on from"):
+        with pytest.raises(FileError, match="cannot continue"):
             Table(tmp_path, QUICK)
         assert path.read_text(encoding="utf-8") == text
 

@@ -87,10 +87,10 @@ def test_a_table_goes_on_with_the_same_files_and_refuses_others(folder, in_this_
         assert {key: table.rows[key] for key in before} == before
         assert len(table.rows) == 4
         (folder / "post.json").write_text(json.dumps({"obstacles": [{**POST, "position": [0.0, 0.1, 1.2]}]}))
-        with pytest.raises(FileError, match=r"rows in out are of another scene 'post' \(fingerprint .* choose another"):
+        with pytest.raises(FileError, match=r"rows in out belong to another scene 'post' \(.* choose another"):
             compare("out", chosen("moved/two.xml", scenes=("post.json",)), QUICK)
         (folder / "two.xml").write_text(two_hinges.replace('pos="0.3 0 0"', 'pos="0.31 0 0"'))
-        with pytest.raises(FileError, match=r"of another arm 'two' .* that of .*two.xml is"):
+        with pytest.raises(FileError, match=r"belong to another arm 'two' .* that of .*two.xml is"):
             compare("out", chosen("two.xml"), QUICK)
         # One that changes between the choice and the work is no other arm by the same name.
         late = chosen("two.xml")
@@ -118,7 +118,7 @@ def test_shards_of_files_that_lie_elsewhere_merge_unless_they_make_another_arm(f
     merged = merge("merged", ["here/out", "there/out"])
     assert (len(merged.table.rows), merged.missing) == (2, {})
     assert [entry.name for entry in recorded("merged")] == ["two"]
-    with pytest.raises(FileError, match="other/out is of another comparison: entries"):
+    with pytest.raises(FileError, match="other/out belongs to another comparison: entries"):
         merge("mixed", ["here/out", "other/out"])
 
 
@@ -128,8 +128,8 @@ def test_shards_of_files_that_lie_elsewhere_merge_unless_they_make_another_arm(f
         (["gone.xml"], ["free"], FileError, "no such file: .*gone.xml"),
         (["two.xml"], ["gone.json"], FileError, "no such file: .*gone.json"),
         (["two.xml:one,nothing"], ["free"], InputError, "nothing"),
-        (["two.xml", "other/two.xml"], ["free"], InputError, "arm 'two' of other/two.xml is called like another one"),
-        (["telescopic_pr.json"], ["free"], InputError, "arm 'telescopic_pr' .* called like another one; call the file"),
+        (["two.xml", "other/two.xml"], ["free"], InputError, "there is another arm 'two'; rename other/two.xml"),
+        (["telescopic_pr.json"], ["free"], InputError, "another arm 'telescopic_pr'; rename telescopic_pr.json"),
         (["a:b.json"], ["free"], InputError, "no arm in a table can be called 'a:b'"),
         (["two.xml", "crane"], ["free"], InputError, "no arm 'crane'; allowed: telescopic_compound, .*, two"),
         ([3], ["free"], InputError, "no arm 3"),

@@ -90,8 +90,8 @@ def test_what_is_missing_is_said_and_added_later(shards, tmp_path, capsys):
     capsys.readouterr()
     assert merge(tmp_path / "out", *shards[:2]) == 1
     printed = capsys.readouterr().out
-    assert f"shard 1/3 ({shards[0]}) lacks 1 cases, as se3-geodesic:telescopic_pr:free:" in printed
-    assert f"shard 3/3 (in no folder) lacks {len(set(cases[2]))} cases, as {min(cases[2])}" in printed
+    assert f"shard 1/3 ({shards[0]}) lacks 1 cases, such as se3-geodesic:telescopic_pr:free:" in printed
+    assert f"shard 3/3 (in no folder) lacks {len(set(cases[2]))} cases, such as {min(cases[2])}" in printed
     assert "shard 2/3" not in printed
     assert main(["compare", *WORDS, str(shards[0]), "--shard", "1/3"]) == 0
     assert merge(tmp_path / "out", *shards) == 0
@@ -120,10 +120,10 @@ def replaced(old, new):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (edit(versions={"code": "0123456789ab"}), "shard2 is of another comparison: code 0123456789ab, in"),
-        (edit(settings={"duration": 3.0}), "shard2 is of another comparison: duration 3.0, in"),
-        (edit(part={"seeds": 4}), "shard2 is of another comparison: seeds 4, in"),
-        (edit(part={"shards": 4}), "shard2 is of another comparison: shards 4, in"),
+        (edit(versions={"code": "0123456789ab"}), "shard2 belongs to another comparison: code 0123456789ab, in"),
+        (edit(settings={"duration": 3.0}), "shard2 belongs to another comparison: duration 3.0, in"),
+        (edit(part={"seeds": 4}), "shard2 belongs to another comparison: seeds 4, in"),
+        (edit(part={"shards": 4}), "shard2 belongs to another comparison: shards 4, in"),
         (edit(part={"shard": 1}), "shard2 is shard 1/3, but holds the case"),
         (replaced("3 mm", "4 mm"), "begun and {0}/shard2 disagree on"),
         (replaced("yes", "perhaps"), "success is 'perhaps'"),

@@ -57,7 +57,7 @@ def test_the_network_s_plot_names_links_and_shows_radians_and_metres(arm, drawn)
     xi = np.stack([np.zeros((4, 6)), target])
     zeros = np.zeros((2, 8))
     motion = Motion(t, t, xi, target, zeros, zeros, np.zeros((2, 4)), np.zeros((2, 4)))
-    with pytest.raises(InputError, match="does not know the plan"):
+    with pytest.raises(InputError, match="followed no plan"):
         plots.plot_network(rollout_of(arm, zeros, zeros), "network.png")
     plots.plot_network(replace(rollout_of(arm, zeros, zeros), motion=motion), "network.png")
     axes = [axis for axis in drawn[0].axes if axis.get_visible()]

@@ -132,7 +132,7 @@ def test_an_interrupted_rendering_leaves_no_file(arm, rollout, tmp_path):
 def test_bad_input_is_refused_before_rendering(arm, rollout, tmp_path):
     with pytest.raises(InputError, match=r"\.mp4 or \.gif"):
         video.render_video(rollout, tmp_path / "video.avi")
-    with pytest.raises(InputError, match=r"a GIF counts in hundredths of a second.*got 30"):
+    with pytest.raises(InputError, match=r"GIFs count in hundredths of a second.*got 30"):
         video.render_video(rollout, tmp_path / "video.gif", fps=30)
     with pytest.raises(InputError, match=r"no camera 'moon'; allowed: .*overview"):
         video.render_video(rollout, tmp_path / "video.mp4", camera="moon")

@@ -114,7 +114,7 @@ def test_what_breaks_a_promise_is_refused_with_the_reason(make, message):
 
 
 def test_names_and_makers_are_checked():
-    with pytest.raises(InputError, match="controller 'mocap' is registered already"):
+    with pytest.raises(InputError, match="controller 'mocap' is already registered"):
         register_controller("mocap")(PositionServo)
     with pytest.raises(InputError, match="controller 'mine' must be a Controller, or a function"):
         register_controller("mine")(3)

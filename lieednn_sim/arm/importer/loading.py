@@ -12,25 +12,25 @@ from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.checks import check_numbers
 from lieednn_sim.arm.importer.collada import read_points
 from lieednn_sim.errors import FileError, InputError
-from lieednn_sim.storage import is_file
+from lieednn_sim.filesystem import is_file
 from lieednn_sim.validation import as_path
 
 _PACKAGE = "package://"
-# How a file begins that Git keeps elsewhere.
+# The first bytes of a Git LFS pointer file.
 _POINTER = b"version https://git-lfs.github.com/"
 
 
 def load_spec(model: str | os.PathLike[str] | mujoco.MjSpec, notes: list[str] | None = None) -> mujoco.MjSpec:
-    """A spec of one's own from a file or another spec, ready for edits: bodies stay apart, all have names.
+    """A new spec from a file or another spec, ready for edits: no bodies are fused, and all have names.
 
-    What was made of its files is added to ``notes``.
+    Conversions of its files are added to ``notes``.
 
     Raises:
         FileError: there is no such file, or MuJoCo cannot read it.
         InputError: neither a path nor a spec.
     """
     if isinstance(model, mujoco.MjSpec):
-        compile_spec(model)  # a copy leaves out, without a word, what refers to names that aren't there
+        compile_spec(model)  # a copy silently leaves out references to missing names
         spec = model.copy()
     else:
         if not isinstance(model, str | os.PathLike):
@@ -45,7 +45,7 @@ def load_spec(model: str | os.PathLike[str] | mujoco.MjSpec, notes: list[str] | 
         _resolve_packages(spec, source.resolve())
         if (points := _read_collada(spec)) and notes is not None:
             notes.append(f"meshes in COLLADA taken as the convex hulls of their points: {', '.join(points)}")
-    spec.compiler.fusestatic = False  # a link that doesn't move in its parent would vanish
+    spec.compiler.fusestatic = False  # a link fixed to its parent would vanish
     spec.compiler.alignfree = False  # a locked object would keep the pose of its principal axes instead of its own
     for kind, elements in (("body", spec.bodies), ("joint", spec.joints)):
         names = {element.name for element in elements}
@@ -59,7 +59,7 @@ def load_spec(model: str | os.PathLike[str] | mujoco.MjSpec, notes: list[str] | 
 
 
 def compile_spec(spec: mujoco.MjSpec) -> mujoco.MjModel:
-    """Compile; `FileError` says what MuJoCo says, and which files of meshes and textures are missing."""
+    """Compile; `FileError` gives MuJoCo's message, or the files of meshes and textures that are missing."""
     try:
         model = spec.compile()
     except ValueError as error:
@@ -68,7 +68,7 @@ def compile_spec(spec: mujoco.MjSpec) -> mujoco.MjModel:
             raise FileError(f"files of the model are missing: {_first(missing)}") from None
         if pointers := [name for name, path in files.items() if path is not None and _is_pointer(path)]:
             raise FileError(
-                "files of the model are pointers of Git LFS in place of their contents, fetch these by `git lfs pull`: "
+                "files of the model are Git LFS pointers instead of their contents; fetch these with `git lfs pull`: "
                 + _first(pointers)
             ) from None
         raise FileError(f"MuJoCo cannot compile the model: {str(error).strip()}") from None
@@ -77,7 +77,7 @@ def compile_spec(spec: mujoco.MjSpec) -> mujoco.MjModel:
 
 
 def _resolve_packages(spec: mujoco.MjSpec, source: Path) -> None:
-    """Find the files of ``package://NAME/...``; ``file://`` is no part of a path."""
+    """Resolve file names of the form ``package://NAME/...`` and ``file://...``."""
     for element in (*spec.meshes, *spec.textures):
         scheme, _, path = element.file.partition("://")
         if scheme == "file":
@@ -89,10 +89,10 @@ def _resolve_packages(spec: mujoco.MjSpec, source: Path) -> None:
 
 
 def _folders(package: str, source: Path) -> Iterator[Path]:
-    """Where a ROS package may be: above a file, beside it or what is above it, or where ROS looks for packages."""
+    """Where a ROS package may be: a folder above the file or beside one, or on ROS's search paths."""
     for folder in source.parents:
         yield folder / package
-        # What is above may itself be the package, checked out by another name.
+        # A folder above may itself be the package, checked out under another name.
         if package in (folder.name, _package_name(folder)):
             yield folder
     for variable, below in (("ROS_PACKAGE_PATH", ""), ("AMENT_PREFIX_PATH", "share")):
@@ -102,7 +102,7 @@ def _folders(package: str, source: Path) -> Iterator[Path]:
 
 @functools.lru_cache(maxsize=256)
 def _package_name(folder: Path) -> str:
-    """The name of the ROS package that a folder is, or nothing."""
+    """The name of the ROS package in a folder, or an empty string."""
     try:
         return (ElementTree.parse(folder / "package.xml").findtext("name") or "").strip()
     except (OSError, ElementTree.ParseError):
@@ -110,7 +110,7 @@ def _package_name(folder: Path) -> str:
 
 
 def _read_collada(spec: mujoco.MjSpec) -> list[str]:
-    """Give meshes in COLLADA, which MuJoCo does not read, as their points; returns the files' names."""
+    """Replace meshes in COLLADA, which MuJoCo does not read, by their points; return the files' names."""
     read = []
     for mesh in spec.meshes:
         path = Path(spec.modelfiledir) / spec.meshdir / mesh.file
@@ -130,14 +130,14 @@ def _first(names: list[str]) -> str:
 
 
 def unused(name: str, names: set[str], suffix: str = "_") -> str:
-    """The name, with suffixes until none of ``names`` is the same."""
+    """The name, with suffixes appended until it is not one of ``names``."""
     while name in names:
         name += suffix
     return name
 
 
 def _files(spec: mujoco.MjSpec) -> Iterator[tuple[str, Path | None]]:
-    """The files of meshes and textures that a model names, and where they are, if anywhere."""
+    """The files of meshes and textures that a model names, and where they are; None for a missing one."""
     known = set(spec.assets)
     for folder, elements in (
         ("meshdir", [*spec.meshes, *spec.hfields, *spec.skins]),
@@ -155,7 +155,7 @@ def _files(spec: mujoco.MjSpec) -> Iterator[tuple[str, Path | None]]:
             own = Path(spec.modelfiledir)
             path = own / below / element.file
             if below and not path.is_file() and path.is_relative_to(own) and Path(element.file).is_absolute():
-                # Behind an <include>, where MuJoCo tries the included file's own folder at last, without meshdir.
+                # From an <include>: MuJoCo lastly tries the included file's own folder, without meshdir.
                 path = own / below / path.name
             if path.is_file():
                 yield str(path), path

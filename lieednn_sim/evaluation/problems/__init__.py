@@ -1,1 +1,1 @@
-"""Planning problems that others have published figures for, and how planners do on them."""
+"""Published planning problems, and how planners perform on them."""

@@ -29,19 +29,19 @@ from lieednn_sim.errors import FileError
 from lieednn_sim.validation import as_path
 from lieednn_sim.values import Floats
 
-# A file of a problem, in the archive or the folder: its set, what it holds, its number.
+# A file of a problem, in the archive or the folder: set, kind and number.
 _MEMBER = re.compile(r"(?:.*/)?([^/]+)/(scene|request)(\d+)\.yaml")
-# Limits are given to five decimals, pi for one; starts and goals in full [rad, m].
+# Limits, such as pi, are given to five decimals; starts and goals in full precision [rad, m].
 _LAST_DIGIT = 1e-5
-# Sizes of primitives but boxes, in the order of the messages.
+# Dimensions of primitives other than boxes, in the order of the messages.
 _SIZES = {"sphere": ("radius",), "cylinder": ("length", "radius")}
 
 
 class Posed(NamedTuple):
-    """A problem.
+    """A planning problem.
 
     Attributes:
-        arm: among the obstacles.
+        arm: the arm among the obstacles.
         start: ``(n,)`` joint position [rad, m].
         goal: ``(n,)`` joint position [rad, m].
     """
@@ -54,13 +54,12 @@ class Posed(NamedTuple):
 class ProblemSets:
     """The problems of one robot: a folder with ``problems.tar.bz2`` or ``problems/``, a URDF, and perhaps an SRDF.
 
-    Of several URDF files that called ``..._spherized.urdf`` is taken. The joints are those that goals are given for,
-    one a link; what else moves is locked where the first problem starts. Parts of the robot that an SRDF says never to
-    collide do not, all others do but neighbours and what is welded to them; without an SRDF the import decides
-    (`importer.import_arm`).
+    Of several URDF files, ``..._spherized.urdf`` is taken. The arm's joints are those of the goals, one per link; other
+    joints are locked where the first problem starts. Collisions that an SRDF disables are ignored, and so are those
+    with neighbours and bodies welded to these; without an SRDF the import decides (`importer.import_arm`).
 
     Args:
-        folder: of the robot, called like it.
+        folder: folder of the robot, with its name.
 
     Raises:
         FileError: one of the files is missing or cannot be read.
@@ -75,20 +74,20 @@ class ProblemSets:
 
     @property
     def robot(self) -> str:
-        """Its name, the folder's."""
+        """Name of the robot, the folder's."""
         return self.folder.name
 
     @cached_property
     def fingerprint(self) -> str:
-        """Fingerprint of all that the problems are read from."""
+        """Fingerprint of all files that the problems are read from."""
         texts = {f"{key}": text for key, text in self._texts.items()}
         texts |= {path.suffix: path.read_bytes() for path in (self.model, self.semantics) if path}
         return storage.fingerprint({key: np.frombuffer(text, np.uint8) for key, text in texts.items()}, {})
 
     def chosen(self, count: int | None = None) -> list[tuple[str, int]]:
-        """Set and number of problems, by default of all: from each set in turn, evenly over it by number.
+        """Set and number of ``count`` problems, by default of all: from each set in turn, spread evenly over it.
 
-        Nothing else is looked at, so that the list is the same for everyone; a part from its beginning is of all sets.
+        The list depends on nothing else, so it is the same for everyone; any beginning of it covers all sets.
         """
         sets: dict[str, list[int]] = {}
         for name, number, kind in sorted(self._texts):
@@ -103,8 +102,8 @@ class ProblemSets:
         """A problem of a set.
 
         Raises:
-            FileError: it is not there, malformed, or for another arm.
-            InputError: the model holds no such arm, or an obstacle cannot be.
+            FileError: the problem is missing, malformed, or for another arm.
+            InputError: the model holds no such arm, or an obstacle is invalid.
         """
         where = f"problem {number} of {name} in {self.folder}"
         request, scene = (self._message(name, number, kind) for kind in ("request", "scene"))
@@ -112,22 +111,22 @@ class ProblemSets:
             start, goal = _start(request), _goal(request)
             entries = list(_obstacles(scene, self._root))
         if goal.keys() != set(self.arm.joint_names):
-            raise FileError(f"{where} is of the joints {', '.join(goal)}, not {', '.join(self.arm.joint_names)}")
+            raise FileError(f"{where} is for the joints {', '.join(goal)}, not {', '.join(self.arm.joint_names)}")
         if moved := [joint for joint, q in self._locked.items() if start.get(joint, q) != q]:
-            raise FileError(f"{where} begins with {', '.join(moved)} elsewhere than the first problem does")
+            raise FileError(f"{where} has {', '.join(moved)} at other start positions than the first problem")
         if missing := goal.keys() - start.keys():
-            raise FileError(f"{where} says not where {', '.join(sorted(missing))} begin")
+            raise FileError(f"{where} has no start position of {', '.join(sorted(missing))}")
         ends = (self._rounded(np.array([one[joint] for joint in self.arm.joint_names])) for one in (start, goal))
         return Posed(self.arm.amid(shapes({"obstacles": entries}, Path(where)), name), *ends)
 
     def _rounded(self, q: Floats) -> Floats:
-        """Coordinates ``(n,)``, on a limit where they are beyond it in a digit that the URDF does not give."""
+        """Coordinates ``(n,)``, put on a limit where they exceed it by less than the URDF's precision."""
         inside = np.clip(q, *self.arm.position_limits.T)
         return np.where(np.abs(inside - q) < _LAST_DIGIT, inside, q)
 
     @cached_property
     def arm(self) -> Arm:
-        """The arm without obstacles; it keeps no clearance, since published starts and goals keep none.
+        """The arm without obstacles; its clearance is zero, as that of published starts and goals may be.
 
         Raises:
             FileError: the model or the first problem cannot be read.
@@ -135,7 +134,7 @@ class ProblemSets:
         """
         start, goal = self._first
         if missing := [joint for joint in goal if joint not in self._children]:
-            raise FileError(f"{self.model} has no joint {', '.join(missing)}, which goals are given for")
+            raise FileError(f"{self.model} has no joint {', '.join(missing)}, for which goals are given")
         home = {joint: q for joint, q in start.items() if joint in goal} | self._locked
         spec, report = import_arm(self.model, links=[self._children[joint] for joint in goal], home=home)
         if self.semantics:
@@ -162,7 +161,7 @@ class ProblemSets:
 
     @cached_property
     def _root(self) -> str:
-        """The link that stands still, in whose frame all obstacles are."""
+        """The root link, in whose frame all obstacles are given."""
         moved = set(map(_moved, self._joints))
         with _malformed(self.model):
             return next(
@@ -180,14 +179,14 @@ class ProblemSets:
 
     @cached_property
     def _locked(self) -> dict[str, float]:
-        """Joints that the URDF has and goals have not, where the first problem begins."""
+        """Start positions, in the first problem, of the URDF's joints that are not in goals."""
         start, goal = self._first
         return {joint: start[joint] for joint in self._children if joint not in goal and joint in start}
 
     def _message(self, name: str, number: int, kind: str) -> dict[str, Any]:
         content = self._texts.get((name, number, kind))
         if content is None:
-            raise FileError(f"{self.folder} has no {kind} {number} in a set {name!r} of problems")
+            raise FileError(f"{self.folder} has no {kind} {number} in the problem set {name!r}")
         return storage.parse_object(content, f"{self.folder.name}/{name}/{kind}{number:04}.yaml", kind)
 
 
@@ -226,19 +225,19 @@ def _unpacked(archive: Path) -> Iterator[tuple[str, bytes]]:
 
 
 def _one(folder: Path, *patterns: str) -> Path:
-    """The file of the first pattern that there is one of."""
+    """The single file that matches the first pattern with any matches."""
     for pattern in patterns:
         found = sorted(folder.glob(pattern))
         if len(found) == 1:
             return found[0]
         if found:
             raise FileError(f"{folder} holds several of {pattern}: {', '.join(path.name for path in found)}; keep one")
-    raise FileError(f"no {' nor '.join(patterns)} in {folder}; the folder of one robot is wanted")
+    raise FileError(f"no {' nor '.join(patterns)} in {folder}; give the folder of one robot")
 
 
 @contextlib.contextmanager
 def _malformed(where: object) -> Iterator[None]:
-    """What goes wrong in reading a message is a `FileError`."""
+    """Turn exceptions from reading a message into a `FileError`."""
     try:
         yield
     except (LookupError, TypeError, ValueError, AttributeError, StopIteration, ElementTree.ParseError) as error:
@@ -277,13 +276,13 @@ def _obstacles(scene: Mapping[str, Any], root: str) -> Iterator[dict[str, Any]]:
 
 
 def _pose(pose: Mapping[str, Any]) -> RigidTransform:
-    """The pose that a message holds; its quaternions end with the real part."""
+    """The pose in a message; its quaternions are scalar-last."""
     position, orientation = ([float(value) for value in pose[name]] for name in ("position", "orientation"))
     return RigidTransform.from_components(position, Rotation.from_quat(orientation))
 
 
 def _never_colliding(semantics: Path) -> list[tuple[str, str]]:
-    """Links that an SRDF says not to look at, in pairs."""
+    """Pairs of links whose collisions an SRDF disables."""
     with _malformed(semantics):
         root = ElementTree.parse(semantics).getroot()
         return [(one.attrib["link1"], one.attrib["link2"]) for one in root.iterfind("disable_collisions")]

@@ -1,8 +1,8 @@
-"""Planners on published problems: a row each on disk as it is made, and the statistics that the field reports.
+"""Planners on published problems: rows written to disk as they are computed, and the usual statistics.
 
-What is measured is called as in robometrics (A. Fishman et al., github.com/fishbotics/robometrics), and summed up by
-the same statistics: mean, median, 75th and 98th percentile over what was solved, problems that were skipped apart from
-those that failed.
+Metrics have their names from robometrics (A. Fishman et al., github.com/fishbotics/robometrics), and are summarised by
+the same statistics: mean, median, 75th and 98th percentile over the solved problems; skipped problems are counted apart
+from failed ones.
 """
 
 from __future__ import annotations
@@ -37,18 +37,18 @@ from lieednn_sim.values import Floats
 
 SKIPPED = "skipped"
 DEFAULT_PLANNERS = ("minimum-jerk", "rrt-connect", "lieednn-shaped")
-# Whether paths can be run through at the arm's limits.
+# Whether paths can be retimed to the arm's limits.
 _TIMED = importlib.util.find_spec("toppra") is not None
-# Starts and goals are close to things, and no work is too much within the time budget. Chosen on problems that the list
-# of 100 does not hold.
+# Starts and goals are close to obstacles, and the time budget is the only limit of the search. Chosen on problems that
+# are not in the list of 100.
 _SEARCH = RrtConnectOptions(
     margin=0.002, tests=(100_000_000,), longest_edge=0.025, spacings=(0.05, 0.02, 0.008), balanced=True, fastest=_TIMED
 )
 OPTIONS: Mapping[str, PlannerOptions] = {
     "rrt-connect": _SEARCH,
-    # Its teacher is minimum jerk, or else that one alone, so that it can be held against it. Long ways take many
-    # neurons; what a network that is a little off touches the check of its motion says. These numbers, unlike the
-    # search's, were chosen on six problems of the list on which fewer neurons had failed.
+    # Its teacher is minimum jerk, or else the same search, for a fair comparison with it. Long ways take many neurons;
+    # contacts of a network that deviates a little are found by the check of its motion. Unlike those of the search,
+    # these numbers were chosen on six problems of the list on which fewer neurons had failed.
     "lieednn-shaped": ShapedOptions(
         search=_SEARCH,
         optimised=False,
@@ -59,23 +59,23 @@ OPTIONS: Mapping[str, PlannerOptions] = {
         largest_deviation=1e-2,
     ),
 }
-# Motions may take as many times the least that the straight way takes [s].
+# Largest duration of a motion relative to the least one of the straight way, and the shortest duration [s].
 _LONGEST = 100.0
 _SHORTEST = 0.1
 
 
 @dataclass(frozen=True, slots=True)
 class Solution(TableRow):
-    """What a planner made of a problem.
+    """The result of a planner on a problem.
 
     Attributes:
-        problem: name of its set; with the next two, what tells a row from the others.
-        number: in the set.
-        planner: its name.
-        success: whether there is a motion, within all limits and free of contact.
-        reason: why there is none; begins with "skipped" where start or goal cannot be, with "plan" where the planner
-            failed, with "problem" where it could not be read, and with "error" where something else did.
-        teacher: of a shaped network, the planner whose motion it follows.
+        problem: name of its set; together with the next two, the key of the row.
+        number: number in the set.
+        planner: name of the planner.
+        success: whether there is a motion within all limits and free of contact.
+        reason: why there is none; begins with "skipped" where start or goal are invalid, with "plan" where the planner
+            failed, with "problem" where it could not be read, and with "error" for anything else.
+        teacher: for a shaped network, the planner whose motion it follows.
     """
 
     _key = ("problem", "number", "planner")
@@ -100,7 +100,7 @@ class Solution(TableRow):
 
     @property
     def skipped(self) -> bool:
-        """Whether the problem was not asked."""
+        """Whether the problem was skipped."""
         return self.reason.startswith(SKIPPED)
 
 
@@ -126,7 +126,7 @@ class Statistic:
 
 
 def solve(folder: str, name: str, number: int, planner: str, budget: float) -> list[Solution]:
-    """The row of a planner and a problem; what fails is one with the reason, bugs are raised."""
+    """The row of a planner and a problem, with the reason for a failure; bugs are raised."""
     with one_blas_thread():
         try:
             arm, start, goal = _sets(folder).pose(name, number)
@@ -148,24 +148,24 @@ def solve(folder: str, name: str, number: int, planner: str, budget: float) -> l
 
 
 def _planned(arm: Arm, start: Floats, goal: Floats, planner: str, budget: float) -> Plan:
-    """A plan whose path is run through at the arm's limits, where toppra is installed."""
+    """A plan, retimed to the arm's limits where toppra is installed."""
     shortest, options = max(_SHORTEST, least_duration(arm, start, goal)), OPTIONS.get(planner)
     asked: dict[str, Any] = {"duration": shortest, "longest": _LONGEST, "time_budget": budget, "options": options}
     made = plan(arm, goal, planner=planner, start=start, **asked)
     if _TIMED:
-        # Not plan(fastest=True), which would refuse the plan: sampled elsewhere, a path that only just passes may touch
-        # something. Then the motion stays as it is.
+        # Not plan(fastest=True), which would reject the plan where a path that only just passes touches something at
+        # its new samples. Then the motion stays as it is.
         with contextlib.suppress(PlanError):
             made = replace(made, motion=retime(arm, made.motion))
     return made
 
 
 def failed(_folder: str, name: str, number: int, planner: str, _budget: float, reason: str) -> list[Solution]:
-    """The row of a problem that came to nothing, with the reason."""
+    """The row of a failed problem, with the reason."""
     return [Solution(name, number, planner, reason=reason)]
 
 
-# A process does the problems of one robot.
+# Cached, since a process solves the problems of one robot.
 @lru_cache(maxsize=1)
 def _sets(folder: str) -> ProblemSets:
     return ProblemSets(folder)
@@ -198,19 +198,19 @@ def solve_problems(
     jobs: int = 1,
     console: Console | None = None,
 ) -> Rows[Solution]:
-    """Compute the rows that the directory's table lacks; when it is interrupted what is finished is kept.
+    """Compute the rows that the directory's table lacks; finished rows are kept when it is interrupted.
 
     Args:
-        directory: of the table, ``problems.csv``.
+        directory: directory of the table, ``problems.csv``.
         sets: the problems of one robot.
-        names: of planners.
+        names: names of planners.
         problems: how many of the list, see `ProblemSets.chosen`; None for all.
         budget: CPU time for each problem [s].
-        jobs: worker processes.
-        console: for a progress bar; none without.
+        jobs: number of worker processes.
+        console: console for a progress bar; None for no bar.
 
     Raises:
-        FileError: the directory holds a table of others, or of another budget.
+        FileError: the directory holds a table for other problems, or with another budget.
         InputError: an unknown planner or a number out of range.
         LieEDNNError: a planner is not installed, or a worker process died.
     """

@@ -6,12 +6,12 @@ import os
 from collections.abc import Sequence
 from dataclasses import asdict
 
-from lieednn_sim import storage
+from lieednn_sim import filesystem
 from lieednn_sim.evaluation.problems.study import MEASURED, Solution, Statistic
 from lieednn_sim.evaluation.statistics import pattern_of, wilson
 from lieednn_sim.evaluation.summary import table_line
 
-# Problems of one kind of failure that are named.
+# Most problems that are named for one kind of failure.
 _NAMED = 10
 _STATISTICS = ("mean", "std", "median", "75 %", "98 %")
 METHOD = (
@@ -25,12 +25,12 @@ METHOD = (
 
 
 def write_problems(path: str | os.PathLike[str], robot: str, rows: Sequence[Solution], budget: float) -> None:
-    """Write what was solved, statistics by planner, what was solved of each set, and why all else was not.
+    """Write the numbers solved, by planner and set, statistics by planner, and the reasons of failures.
 
     Args:
         path: the file to write.
-        robot: its name.
-        rows: of a table, see `study.solve_problems`.
+        robot: name of the robot.
+        rows: rows of a table, see `study.solve_problems`.
         budget: CPU time for each problem [s].
     """
     names = list(dict.fromkeys(row.planner for row in rows))
@@ -61,7 +61,7 @@ def write_problems(path: str | os.PathLike[str], robot: str, rows: Sequence[Solu
         lines.append(f"- {len(members)} x {name}, as: {members[0].reason} ({which})")
     if not alike:
         lines.append("- none")
-    with storage.atomic_text(path) as stream:
+    with filesystem.atomic_text(path) as stream:
         stream.write("\n".join(lines) + "\n")
 
 
@@ -70,7 +70,7 @@ def _solved(rows: Sequence[Solution]) -> str:
 
 
 def _interval(rows: Sequence[Solution]) -> str:
-    """Wilson's of the rate of success."""
+    """Wilson's interval of the success rate."""
     return "{:.0%} to {:.0%}".format(*wilson(sum(row.success for row in rows), len(rows))) if rows else "-"
 
 

@@ -1,1 +1,1 @@
-"""Planners that react, disturbed in the closed loop: their own benchmark."""
+"""The reactive benchmark: planners that react to disturbances in the closed loop."""

@@ -25,9 +25,9 @@ from lieednn_sim.simulation.following import closed_loop
 from lieednn_sim.values import Floats
 
 DISTURBANCES = ("none", "push", "payload", "target")
-# Simulated time [s], rate of control [Hz], and the share of the leader's own path at which it is disturbed.
+# Simulated time [s], control rate [Hz], and the share of the leader's own path at which it is disturbed.
 _DURATION, _RATE, _AT = 7.0, 100.0, 0.35
-# Weight of the payload that is taken up [N], and the largest step of the target as a share of the ranges.
+# Weight of the payload [N], largest step of the target as a share of the ranges, and tries to draw one.
 _WEIGHT, _STEP, _DRAWS = 10.0, 0.1, 100
 
 
@@ -36,13 +36,13 @@ class Reaction(TableRow):
     """A row of the benchmark.
 
     Attributes:
-        arm: with the next four, what tells a row from the others.
-        scene: around the arm.
+        arm: name of the arm; together with the next four, the key of the row.
+        scene: name of its scene.
         leader: a name of `LEADERS`.
         disturbance: a name of `DISTURBANCES`.
-        seed: of target, obstacles, disturbance.
+        seed: seed of target, obstacles and disturbance.
         success: whether every link ends within 1 mm and 0.1 degrees of the target without contact.
-        reason: why it did not; begins with "problem", "plan", "simulation", "contact", "arrival" or "error".
+        reason: why it does not; begins with "problem", "plan", "simulation", "contact", "arrival" or "error".
     """
 
     _key = ("arm", "scene", "leader", "disturbance", "seed")
@@ -72,9 +72,9 @@ MEASURED = columns_of(Reaction)
 
 
 def run_reactions(arm: str, scene: str, leader: str, seed: int, *, entries: tuple[Entry, ...] = ()) -> list[Reaction]:
-    """All disturbances of one leader: one row each. What fails is a row with the reason.
+    """One row for each disturbance of a leader, with the reason for a failure.
 
-    Arms and scenes of files are found by their names among the entries.
+    Arms and scenes from files are found by their names among the entries.
     """
     with one_blas_thread():
         try:
@@ -114,7 +114,7 @@ def failed_reactions(arm: str, scene: str, leader: str, seed: int, reason: str) 
 @lru_cache(maxsize=2)
 def _task(name: str, scene: str, seed: int, entries: tuple[Entry, ...]) -> Assignment:
     arm, target = arm_and_target(name, scene, seed, entries)
-    # What the shaped networks' teacher makes of it: all that are shown a motion are shown the same.
+    # The motion of the shaped networks' teacher, which is the same for all leaders that learn from one.
     shown = plan(arm, target, planner="lieednn-shaped", seed=seed)
     feedback = Feedback(safety=None if scene == FREE else FilterOptions())
     steps = round(1.0 / (_RATE * arm.timestep))
@@ -125,7 +125,7 @@ def _task(name: str, scene: str, seed: int, entries: tuple[Entry, ...]) -> Assig
 def _run(
     task: Assignment, leader: Leader, targets: Floats, changes: Disturbances | None = None, duration: float = _DURATION
 ) -> tuple[Rollout, list[float]]:
-    """A rollout, with the target that it ends at, and the CPU times of its control steps [s]."""
+    """A rollout, with its final target, and the CPU times of its control steps [s]."""
     spent: list[float] = []
 
     def lead(target: Floats, simulation: Simulation) -> Setpoints:
@@ -186,7 +186,7 @@ def _disturbed(
     if disturbance == "payload":
         push = Push("end effector", (0.0, 0.0, -_WEIGHT), begin, _DURATION)
         return task.target[None], Disturbances(pushes=(push,)), begin
-    # As far from limits as other random targets: the safety filter stops short of them.
+    # As far from the limits as other random targets, since the safety filter stops short of limits.
     inset = LIMIT_MARGIN * arm.ranges[:, None] * [1.0, -1.0]
     inner = replace(arm, position_limits=arm.position_limits + inset)
     moved = task.target

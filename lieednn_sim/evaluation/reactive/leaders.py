@@ -1,8 +1,8 @@
 """Planners that react, in one protocol: from the target and the measured joints to the reference of the next period.
 
-All of them keep the limits of velocity and, gathering speed, of acceleration; all but the tracker are pushed with the
-arm and wait for it as `simulation.feedback` says. Among obstacles networks, primitives and the linear attractor go
-through the safety filter; the fabric and the path integral (`mppi`) look after clearance themselves.
+All of them keep the limits of velocity and, when speeding up, of acceleration; all but the tracker yield to pushes with
+the arm and wait for it, see `simulation.feedback`. Among obstacles, networks, primitives and the linear attractor use
+the safety filter; the fabric and the path integral (`mppi`) avoid obstacles themselves.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ from lieednn_sim.values import Floats
 
 # Size of the certified network's bias [gamma/mu]: the middle one of its planner's.
 _BIAS_MAGNITUDE = 0.25
-# The movement primitive: spring, decay of the phase over the motion (a third of it, as usual, so that its forces
-# are gone when the motion ends), basis functions, ridge of their regression.
+# The movement primitive: spring, decay of the phase over the motion (a third of the spring, as usual, so that its
+# forces vanish when the motion ends), number of basis functions, ridge of their regression.
 _SPRING, _DECAY, _BASES, _RIDGE = 25.0, 25.0 / 3.0, 20, 1e-8
-# The fabric: stiffness and damping [1/s^2, 1/s], distance from which geoms repel and that they keep [m], strength.
+# The fabric: stiffness and damping [1/s^2, 1/s], distances at which geoms repel and that are kept [m], strength.
 _STIFFNESS, _DAMPING, _NEAR, _MARGIN, _STRENGTH = 16.0, 8.0, 0.15, 0.01, 0.3
 
 
@@ -57,8 +57,8 @@ class _Primitive(JointLeader):
     """A dynamic movement primitive in joint space that imitates the teacher's motion.
 
     T z' = a (a / 4 (g - y) - z) + f(x), T y' = z, T x' = -b x (Ijspeert et al., Neural Computation 25(2), 2013), with f
-    of normalised radial functions times x and the joint's own weights, learned by ridge regression. What the target has
-    moved since then moves the attractor, not the forces. In a push the phase waits with the rest.
+    of normalised radial functions times x and weights for each joint, learned by ridge regression. When the target
+    moves, so does the attractor, but not the forces. During a push the phase waits too.
     """
 
     def __init__(self, task: Assignment) -> None:
@@ -82,7 +82,7 @@ class _Primitive(JointLeader):
     def velocity(self, target: Floats, waiting: float) -> Floats:
         h = waiting * self.period / self._time
         force = self._features(self._x) @ self._weights
-        # Implicit in z, so that a stiff spring does no harm at a low control rate.
+        # Implicit in z, so that a stiff spring stays stable at a low control rate.
         pull = self._z + h * (_SPRING * 0.25 * _SPRING * (target - self.y) + force)
         self._z = pull / (1.0 + h * _SPRING)
         return np.asarray(self._z / self._time)
@@ -95,15 +95,15 @@ class _Fabric(JointLeader):
     """An attractor and repelling geoms, weighted by their metrics as in Riemannian motion policies.
 
     With joints in units of their range, M a = k (g - y) - c v + sum_i w_i n_i (r / d_i - c n_i . v) and
-    M = I + sum_i w_i n_i n_i', n_i the gradient of the distance of a pair, d_i what it is above its margin, and
-    w_i = (d_0 / d_i - 1)^2 within d_0 (Ratliff et al., arXiv 1801.02854). It sees no further than d_0, nor than 0.9
-    of the distance of a pair at the start or at the target.
+    M = I + sum_i w_i n_i n_i', with n_i the gradient of the distance of a pair, d_i this distance above its margin, and
+    w_i = (d_0 / d_i - 1)^2 within d_0 (Ratliff et al., arXiv 1801.02854). A pair repels only within d_0, and within 0.9
+    of its distance at the start and at the target.
     """
 
     def __init__(self, task: Assignment) -> None:
         super().__init__(task, replace(task.feedback, safety=None))
         self._collisions, self._v = Collisions(task.arm), np.zeros_like(task.start)
-        # What is close together by design, or at the target, repels where it comes closer: else it would not arrive.
+        # Pairs that are close by design, or at the target, repel only when closer still: else it would not arrive.
         self._design, self._goal = self._near(task.start), np.full_like(task.start, np.nan)
         self._there: dict[tuple[int, int], float] = {}
 
@@ -132,7 +132,7 @@ class _Fabric(JointLeader):
 
 
 class _Tracker:
-    """The motion, sample by sample, whatever happens; it hears neither the arm nor the target."""
+    """Plays the motion sample by sample, ignoring the arm and the target."""
 
     def __init__(self, task: Assignment) -> None:
         self._motion, self._row, self._steps = task.motion, 0, task.steps
@@ -147,7 +147,7 @@ class _Tracker:
 
 @lru_cache(maxsize=1)
 def _shaped_network(task: Assignment, rate: float) -> LieEDNN:
-    """The network of `lieednn-shaped`, made once for all disturbances of a case."""
+    """The network of `lieednn-shaped`, cached for all disturbances of a case."""
     options = ShapedOptions(rate=rate)
     network = plan(task.arm, task.target, planner="lieednn-shaped", options=options, seed=task.seed).network
     assert isinstance(network, LieEDNN)
@@ -161,7 +161,7 @@ def _shaped(rate: float) -> Callable[[Assignment], Leader]:
 def _certified(task: Assignment) -> Leader:
     xi = task.arm.encode(task.target)
     network = synthesize(xi, bias="sign-matched", bias_magnitude=_BIAS_MAGNITUDE, seed=task.seed).unwrap()
-    # A network has a time of its own: its slowest mode at the target shall decay as the linear attractor does.
+    # Network time is scaled so that the slowest mode at the target decays like the linear attractor.
     slowest = -float(np.linalg.eigvals(network.jacobian(xi)).real.max())
     return _Network(task, network, PACE / slowest)
 

@@ -1,11 +1,11 @@
 """Model-predictive path integral control over joint velocities, with samples rolled out by `mujoco.rollout`.
 
-At every control period velocities over a horizon T are drawn around those of the period before, u_i = u + e_i, rolled
-out from the present posture, and averaged with the weights of their costs S_i (Williams et al., ICRA 2017),
+At every control period, velocities over a horizon T are sampled around those of the previous period, u_i = u + e_i,
+rolled out from the present posture, and averaged with weights from their costs S_i (Williams et al., ICRA 2017),
 
     u <- sum_i w_i u_i,    w_i = exp(-(S_i - min S) / lambda) / sum_j exp(-(S_j - min S) / lambda).
 
-Noise is drawn around u, so there is no cost of having moved u itself (their gamma = lambda (1 - alpha) is zero).
+Noise is sampled around u, so changes of u itself cost nothing (their gamma = lambda (1 - alpha) is zero).
 """
 
 from __future__ import annotations
@@ -23,27 +23,26 @@ from lieednn_sim.evaluation.reactive.protocol import PACE, Assignment, JointLead
 from lieednn_sim.simulation.simulation import quiet_warnings
 from lieednn_sim.values import Floats
 
-# Half the number of samples, steps of the horizon and their length [s], and knots of the velocities over it.
+# Half the number of samples, number and length [s] of the horizon's steps, and number of velocity knots.
 _PAIRS, _STEPS, _STEP, _KNOTS = 12, 10, 0.06, 4
-# Standard deviation of a joint's velocity as a share of PACE times the largest distance of a joint from its target; the
-# temperature as a share of the median cost above the least.
+# Standard deviation of velocities as a share of PACE times the largest distance of a joint from its target; temperature
+# as a share of the median cost above the least.
 _NOISE, _TEMPERATURE = 0.4, 0.3
-# Distance from the surroundings that is kept where the target allows it [m], what it costs to be at half of it, and to
-# touch something [1/s].
+# Distance kept from the surroundings where the target allows it [m], and costs of nearness and of contact [1/s].
 _NEAR, _NEARNESS, _TOUCHING = 0.03, 2.0, 1e3
-# With this inertia of every joint and this gain, far above all that the arm has, a joint has its velocity at once.
+# Armature and velocity gain so far above the arm's own that joints take their commanded velocities at once.
 _INERTIA, _GAIN = 1e4, 1e9
 
 
 class VelocityRollouts:
-    """An arm whose joints have the velocities that they are told, in its scene, rolled out by `mujoco.rollout`.
+    """An arm whose joints have commanded velocities, in its scene, rolled out by `mujoco.rollout`.
 
-    That is the arm as leaders see it: drives under inverse dynamics follow a reference to rounding.
+    This is the arm as leaders see it: under inverse dynamics its drives follow a reference up to rounding.
 
     Args:
         arm: the arm; its model is not changed.
         step: length of a step [s].
-        near: distance from the surroundings that is seen [m]; parts of the arm see each other when they overlap.
+        near: distance from the surroundings that is detected [m]; parts of the arm are detected when they overlap.
     """
 
     def __init__(self, arm: Arm, step: float, near: float) -> None:
@@ -57,11 +56,11 @@ class VelocityRollouts:
         """Postures after each step, and clearances before it.
 
         Args:
-            q: ``(n,)`` where all begin.
-            velocities: ``(S, H, n)`` of the joint coordinates, for each sample and step.
+            q: ``(n,)`` initial posture of all samples.
+            velocities: ``(S, H, n)`` joint velocities for each sample and step.
 
         Returns:
-            ``(S, H, n)``; and ``(S, H)`` [m], infinite where nothing is near.
+            Postures ``(S, H, n)``, and clearances ``(S, H)`` [m], infinite where nothing is near.
         """
         model, data, first = self._model, self._data, self._arm.qpos(q)
         mujoco.mj_resetData(model, data)
@@ -76,7 +75,7 @@ class VelocityRollouts:
 
 def _kinematic(arm: Arm, step: float, near: float) -> mujoco.MjModel:
     spec = arm.spec.copy()
-    # All masses are beside the point: geoms that touch nothing are only a burden.
+    # Masses do not matter here, and geoms that do not collide only cost time.
     spec.compiler.boundmass, spec.compiler.boundinertia = 1e-3, 1e-6
     for geom, moves in zip(list(spec.geoms), moving_geoms(arm.model), strict=True):
         if not (geom.contype or geom.conaffinity):
@@ -114,14 +113,14 @@ def weights(costs: Floats) -> Floats:
 
 
 class PathIntegral(JointLeader):
-    """The controller of the module, towards a target and clear of the surroundings.
+    """The controller of this module, towards a target and clear of the surroundings.
 
     With joints in units of their range and e = g - y the cost of a sample is
 
         integral of |e|^2 + |u|^2 / c^2 + near + touching dt, and |e|^2 / c at its end,
 
     which the linear attractor u = c e minimises where nothing is near. Noise shrinks with the distance from the target,
-    without which it would never end there.
+    so that the arm comes to rest there.
     """
 
     def __init__(self, task: Assignment) -> None:
@@ -161,5 +160,5 @@ class PathIntegral(JointLeader):
         return np.asarray(_STEP * rate.sum(axis=1) + off[:, -1] / PACE)
 
     def _at(self, times: Floats) -> Floats:
-        """Matrix from the knots to what is at times ``(m,)``; the last knot stays."""
+        """Interpolation matrix from the knots to times ``(m,)``, constant after the last knot."""
         return np.array([np.interp(times, self._knots, unit) for unit in np.eye(_KNOTS)]).T

@@ -1,4 +1,4 @@
-"""What leaders are made for and give, and what those share that move in joint space."""
+"""The protocol of leaders, and the base class of those that move in joint space."""
 
 from __future__ import annotations
 
@@ -13,26 +13,26 @@ from lieednn_sim.simulation import Feedback, Simulation
 from lieednn_sim.simulation.reference import PeriodReference
 from lieednn_sim.values import Floats, frozen
 
-# Joint positions and their rates ``(m, n)`` after each of a period's m steps.
+# Joint positions and rates ``(m, n)`` after each of a period's m steps.
 Setpoints = tuple[Floats, Floats]
 Leader = Callable[[Floats, Simulation], Setpoints]
 
-# Rate at which those without a law of time approach their target [1/s].
+# Rate at which leaders without a time law approach their target [1/s].
 PACE = 2.0
 
 
 @frozen
 class Assignment:
-    """What a leader is made for.
+    """The task of a leader.
 
     Attributes:
-        arm: among its obstacles.
-        start: ``(n,)``.
-        target: ``(n,)``.
-        motion: from start to target, of the teacher: what trackers track and primitives imitate.
-        steps: simulation steps in a control period.
-        feedback: settings that all share.
-        seed: of what is drawn.
+        arm: the arm among its obstacles.
+        start: ``(n,)`` joint position.
+        target: ``(n,)`` joint position.
+        motion: the teacher's motion from start to target, which trackers track and primitives imitate.
+        steps: number of simulation steps in a control period.
+        feedback: settings common to all leaders.
+        seed: seed of random draws.
     """
 
     arm: Arm
@@ -45,7 +45,7 @@ class Assignment:
 
 
 class JointLeader(ABC):
-    """What moves in joint space: y' = l (s v(y) + k d (q - y)), with the same s, k d and l as networks."""
+    """A leader in joint space: y' = l (s v(y) + k d (q - y)), with the same s, k d and l as networks."""
 
     def __init__(self, task: Assignment, feedback: Feedback | None = None) -> None:
         self.arm, self._feedback = task.arm, feedback or task.feedback
@@ -70,4 +70,4 @@ class JointLeader(ABC):
         """The velocity v ``(n,)`` at the end of the period."""
 
     def went(self, time: float) -> None:  # noqa: B027 (most have no time of their own)
-        """Own time that the period took [s]."""
+        """Advance the leader's own time [s]."""

@@ -1,4 +1,4 @@
-"""How hard a push has to be, how far it takes an arm off its path, and how long it takes until it is back on it."""
+"""Recovery from a disturbance: deviation from the path and time until the arm is back, and the force of a push."""
 
 from __future__ import annotations
 
@@ -12,26 +12,26 @@ from scipy.spatial import KDTree
 from lieednn_sim.arm import Arm
 from lieednn_sim.values import Floats
 
-# Back on the path is who is within this share of the largest distance from it, for good.
+# Share of the largest distance from the path within which an arm must stay to be back on it.
 BACK = 0.1
-# A push: its length [s], the largest deviation of a joint as a share of its range, and how exactly it is met.
+# A push: its duration [s], the wanted deviation of a joint as a share of its range, and the relative tolerance of that.
 PUSH_TIME, PUSHED_OFF, _EXACT = 0.2, 0.1, 0.2
-# The search for its force: where it begins [N], how often it tries, and the most that it tries [N].
+# The search for its force: first guess [N], number of trials, largest force [N].
 _GUESS, _TRIALS, _MOST = 300.0, 12, 2e4
-# Postures of the path that are compared with, even over its length.
+# Number of postures at which the path is sampled, evenly over its length.
 _SAMPLES = 2000
-# Of postures whose furthest joint is as near the one counts as nearest that is near in all: how much that weighs.
+# Weight of the Euclidean distance, which breaks ties between postures with equal largest joint distance.
 _TIE = 1e-6
 
 
 @dataclass(frozen=True)
 class Return:
-    """After a disturbance; distances of postures are the largest difference of a joint, as a share of its range.
+    """Recovery from a disturbance; distances of postures are the largest difference of a joint, relative to its range.
 
     Attributes:
         off: largest distance from the path.
-        time_s: from the disturbance's end until the distance stays within a tenth of that; None when it does not.
-        share: of the path that was left when the disturbance began, how much was gone then; None likewise.
+        time_s: time from the disturbance's end until the distance stays within a tenth of that; None when it does not.
+        share: share of the path left at the disturbance's beginning that was covered by then; None likewise.
     """
 
     off: float
@@ -40,7 +40,7 @@ class Return:
 
 
 class Path:
-    """The way ``(K, n)`` that an arm goes undisturbed."""
+    """The undisturbed path ``(K, n)`` of an arm."""
 
     def __init__(self, arm: Arm, q: Floats) -> None:
         self._range = arm.ranges
@@ -53,17 +53,17 @@ class Path:
         self._tree = KDTree(self._points)
 
     def nearest(self, q: Floats) -> tuple[Floats, Floats]:
-        """Distances ``(K,)`` of postures ``(K, n)``, and which share of the path's length its nearest points are at."""
+        """Distances ``(K,)`` of postures ``(K, n)``, and the shares of the path's length of the nearest points."""
         postures = q / self._range
         least, _ = self._tree.query(postures, p=np.inf)
-        # The Euclidean distance is at most sqrt(n) times the largest of a joint: who is further away cannot be chosen.
+        # The Euclidean distance is at most sqrt(n) times the largest of a joint, so points further away cannot win.
         within = least * (1.0 + 2.0 * _TIE * np.sqrt(postures.shape[1])) + _TIE**2
         near = self._tree.query_ball_point(postures, within, p=np.inf)
         found = np.array([self._nearest(*one) for one in zip(postures, map(np.sort, near), strict=True)])
         return found[:, 0], found[:, 1]
 
     def recovery(self, t: Floats, q: Floats, begin: float, end: float) -> Return:
-        """How postures ``(K, n)`` at times ``(K,)``, disturbed from ``begin`` to ``end`` [s], come back to the path."""
+        """How postures ``(K, n)`` at times ``(K,)``, disturbed from ``begin`` to ``end`` [s], return to the path."""
         after = np.flatnonzero(t >= begin)
         distance, at = self.nearest(q[after])
         off = float(distance.max())
@@ -79,23 +79,23 @@ class Path:
     def _nearest(self, posture: Floats, among: NDArray[np.int_]) -> tuple[float, float]:
         away = np.abs(self._points[among] - posture)
         distance = away.max(axis=1)
-        # Many points are as near in the joint that is furthest away: of these the one that is nearest in all.
+        # Many points may be equally near in the furthest joint: the Euclidean distance breaks the tie.
         index = int((distance + _TIE * np.linalg.norm(away, axis=1)).argmin())
         return float(distance[index]), float(self._shares[among[index]])
 
 
 def pushing_force(off: Callable[[float], float]) -> float:
-    """Force [N] that takes a joint 8 to 12 % of its range off, or what the search ends at; at most 20 kN.
+    """Force [N] that makes a joint deviate by 8 to 12 % of its range, or the last one tried; at most 20 kN.
 
-    It has to be found in the run itself. Drives hold a growing force almost stiffly until they are at their limits, and
-    give way all at once: half more force throws the arm ten times as far, and where that begins depends on the posture,
-    on what the motion itself asks of the drives, and on who leads.
+    It must be found in the run itself. Drives resist a growing force almost rigidly up to their limits, then yield
+    suddenly: half as much force again throws the arm ten times as far. Where that begins depends on the posture, on the
+    forces that the motion itself takes, and on the leader.
 
     Args:
-        off: from a force to the largest deviation of a joint from the undisturbed path, as a share of its range; grows.
+        off: maps a force to the largest deviation of a joint from the undisturbed path, as a share of its range.
     """
     force, low, high = _GUESS, (0.0, 0.0), (np.inf, np.inf)
-    # Bracket it, then false position in the logarithm.
+    # Bracketing, then false position in the logarithms.
     for _ in range(_TRIALS):
         found = off(force)
         if abs(found / PUSHED_OFF - 1.0) < _EXACT or (found < PUSHED_OFF and force >= _MOST):

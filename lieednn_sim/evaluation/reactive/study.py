@@ -1,4 +1,4 @@
-"""The reactive benchmark: all its cases on several cores, resumable, and its summary."""
+"""The reactive benchmark: its cases on several cores, resumable, and its summary."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from functools import partial
 import numpy as np
 from rich.console import Console
 
-from lieednn_sim import storage
+from lieednn_sim import filesystem
 from lieednn_sim.evaluation.entries import Entry, record
 from lieednn_sim.evaluation.reactive.cases import DISTURBANCES, MEASURED, Reaction, failed_reactions, run_reactions
 from lieednn_sim.evaluation.reactive.leaders import LEADERS
@@ -37,7 +37,7 @@ METHOD = (
 
 
 class ReactionTable(Rows[Reaction]):
-    """Rows of the benchmark; arguments and errors as of `Rows`. They share no settings."""
+    """Rows of the benchmark, which share no settings; raises as `Rows`."""
 
     def __init__(self, directory: str | os.PathLike[str]) -> None:
         super().__init__(directory, "reactions", Reaction, {})
@@ -58,25 +58,25 @@ def compare_reactions(
     """Compute the rows that the directory's table lacks; finished cases are kept when it is interrupted.
 
     Args:
-        directory: of the table.
-        arms: names.
-        scenes: names.
-        seeds: number of seeds, from 0 on.
+        directory: directory of the table.
+        arms: names of arms.
+        scenes: names of scenes.
+        seeds: number of seeds, starting at 0.
         leaders: names of `LEADERS`.
-        jobs: worker processes.
-        console: for a progress bar; none without.
-        executor: runs the cases in place of worker processes.
-        entries: arms and scenes of files, by their names; see `Selection.entries`.
+        jobs: number of worker processes.
+        console: console for a progress bar; None for no bar.
+        executor: runs the cases instead of worker processes.
+        entries: arms and scenes from files, by their names; see `Selection.entries`.
 
     Raises:
-        InputError: jobs or seeds is less than 1.
+        InputError: ``jobs`` or ``seeds`` is less than 1.
         FileError: see `Rows`.
         LieEDNNError: a worker process died, or the executor gave up.
     """
     workers, count = as_count("jobs", jobs), as_count("seeds", seeds)
-    record(storage.make_directory(directory), entries)
+    record(filesystem.make_directory(directory), entries)
     table = ReactionTable(directory)
-    # Seeds first: who stops early has all leaders on all arms.
+    # Seeds first, so that an early stop leaves all leaders on all arms.
     wanted = itertools.product(range(count), arms, scenes, leaders)
     todo = [
         (arm, scene, leader, seed)
@@ -94,11 +94,11 @@ class ReactionGroup:
 
     Attributes:
         key: scene, disturbance, leader.
-        arrived: rows that arrived.
-        touched: rows with contact.
-        back: rows that were back on their way, of those that have a deviation.
-        total: rows.
-        medians: of the measured columns, None where there are none.
+        arrived: number of rows that arrived.
+        touched: number of rows with contact.
+        back: number of rows that were back on their path.
+        total: number of rows.
+        medians: medians of the measured columns, None for empty ones.
     """
 
     key: tuple[str, str, str]
@@ -110,7 +110,7 @@ class ReactionGroup:
 
 
 def groups(rows: Iterable[Reaction]) -> list[ReactionGroup]:
-    """Over arms and seeds, by scene, disturbance and leader, in the order of these."""
+    """Groups over arms and seeds, sorted by scene, disturbance and leader."""
     found: dict[tuple[str, str, str], list[Reaction]] = {}
     for row in rows:
         found.setdefault((row.scene, row.disturbance, row.leader), []).append(row)
@@ -155,5 +155,5 @@ def write_reactions(path: str | os.PathLike[str], table: ReactionTable) -> None:
     lines += [
         f"- {row.leader}, {row.arm}, {row.scene}, {row.disturbance}, seed {row.seed}: {row.reason}" for row in failed
     ]
-    with storage.atomic_text(path) as stream:
+    with filesystem.atomic_text(path) as stream:
         stream.write("\n".join(lines) + "\n")

@@ -1,4 +1,4 @@
-"""Figures of a comparison as SVG text that takes its colours for text and lines from the page around it."""
+"""Figures of a comparison as SVG, with the colours of text and lines inherited from the page."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from lieednn_sim.evaluation.report.style import in_order, marks
 from lieednn_sim.evaluation.rows import BY_NAME, Row
 from lieednn_sim.evaluation.statistics import grouped, numbers
 
-# Stand-ins that `_svg` turns into the page's own colours, so that a figure is readable on light and on dark.
+# Placeholders that `_svg` replaces by the page's colours, so that figures are readable in light and dark mode.
 _INK, _FAINT = "#010203", "#040506"
 _STYLE: Any = {
     "font.size": 9,
@@ -43,15 +43,15 @@ _STYLE: Any = {
     "legend.frameon": False,
 }
 _SCENE_MARKERS = ("o", "s", "^", "D", "v", "P", "X")
-# Differences below this are rounding; a logarithmic axis need not show them [mm].
+# Errors below this are rounding; logarithmic axes do not show them [mm].
 _FLOOR = 1e-6
-# Marks in a line at most: more of them are one blot, and megabytes of page.
+# Most marks in a line: more would merge, and take megabytes.
 _MARKS = 200
 
 
 @dataclass(frozen=True)
 class Plot:
-    """A figure of the page: what it shows and its SVG."""
+    """A figure of the page."""
 
     title: str
     caption: str
@@ -79,8 +79,8 @@ def plots(rows: Sequence[Row], controller: str) -> list[Plot]:
     """Success by planner and scene, and distributions, of the rows of one arm.
 
     Args:
-        rows: of one arm.
-        controller: whose rollouts are shown where the controller counts.
+        rows: rows of one arm.
+        controller: the controller whose rollouts are shown.
     """
     chosen = [row for row in rows if row.controller == controller]
     made = [_success(chosen, controller)] if chosen else []
@@ -127,7 +127,7 @@ def _distribution(rows: Sequence[Row], item: _Distribution, controller: str) -> 
             if len(values) > _MARKS:
                 thinned = True
                 shown = np.sort(values)[np.linspace(0, len(values) - 1, _MARKS).astype(int)]
-            # Spread by a fixed pattern, so that equal values can be told apart and every run draws alike.
+            # Spread by a fixed pattern, so that equal values are distinguishable and every run is the same.
             spread = y + 0.07 * (np.arange(len(shown)) % 3 - 1)
             marker = _SCENE_MARKERS[scenes.index(scene) % 7]
             axes.plot(shown, spread, marker, color=colour, ms=2.8, alpha=0.75, mew=0)
@@ -135,7 +135,7 @@ def _distribution(rows: Sequence[Row], item: _Distribution, controller: str) -> 
         if item.logarithmic:
             axes.set_xscale("log")
             low, high = axes.get_xlim()
-            # Over less than two decades powers of ten alone are too few labels, over more 1, 2, 5 are too many.
+            # Labels at 1, 2, 5 below two decades, and at powers of ten above.
             few = high < 100.0 * low
             axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if few else (1.0,), numticks=8))
             axes.xaxis.set_minor_locator(NullLocator())
@@ -148,9 +148,9 @@ def _distribution(rows: Sequence[Row], item: _Distribution, controller: str) -> 
         _legend(figure, scenes)
         svg = _svg(figure)
     each = "one mark a motion" if BY_NAME[item.column].of_motion else f"one mark a rollout with {controller}"
-    note = "; what is below 10⁻⁶ mm is drawn there" if item.column == "tracking_rms_mm" else ""
+    note = "; values below 10⁻⁶ mm are drawn there" if item.column == "tracking_rms_mm" else ""
     if thinned:
-        note += f"; of more than {_MARKS} in a line as many are marked, evenly apart in rank"
+        note += f"; at most {_MARKS} in a line are marked, evenly spaced in rank"
     return Plot(item.title, f"{each}, bar: quartiles, line: median{note}", svg)
 
 
@@ -180,7 +180,7 @@ def _offset(scenes: Sequence[str], scene: str) -> float:
 
 
 def _svg(figure: Figure) -> str:
-    """The figure as an SVG element to stand in a page: no prologue, no styles of its own, no ids that clash."""
+    """The figure as an SVG element for a page, without prologue, styles or clashing ids."""
     buffer = io.StringIO()
     settle(figure, 72)  # an SVG's resolution
     figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None})
@@ -190,7 +190,7 @@ def _svg(figure: Figure) -> str:
     text = re.sub(r"<style.*?</style>", "", text, count=1, flags=re.DOTALL)
     used = set(re.findall(r"#([\w-]+)", text))
     text = re.sub(r' id="([\w-]+)"', lambda found: found[0] if found[1] in used else "", text)
-    # The page decides the size; fonts are the page's.
+    # Size and fonts come from the page.
     text = re.sub(r'(<svg[^>]*?) width="[^"]*"', r"\1", text, count=1)
     text = re.sub(r'(<svg[^>]*?) height="[^"]*"', r"\1", text, count=1)
     text = re.sub(r"font: ([\d.]+)px [^;\"]*", r"font-size: \1px", text)

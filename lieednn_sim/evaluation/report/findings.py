@@ -1,4 +1,4 @@
-"""The few numbers that a reader should see first, computed from the table."""
+"""Headline numbers of a comparison."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from lieednn_sim.evaluation.statistics import controllers_of, grouped, motions, 
 
 @dataclass(frozen=True)
 class Finding:
-    """A number, what it is, and the rest of the sentence."""
+    """A number, its label, and details."""
 
     value: str
     label: str
@@ -20,10 +20,10 @@ class Finding:
 
 
 def findings(rows: Sequence[Row]) -> list[Finding]:
-    """What stands out; an entry whose numbers the table lacks is left out."""
+    """The headline numbers; those for which the table lacks data are left out."""
     if not rows:
         return []
-    # The others may follow to rounding, where nothing is left to compare.
+    # Other controllers may track up to rounding, which leaves nothing to compare.
     controller = controllers_of(rows)[0]
     tracked = [row for row in rows if row.controller == controller]
     made = [

@@ -1,4 +1,4 @@
-"""The page: a table of medians, plots, failures and videos in one HTML file that asks the network for nothing."""
+"""The page: a table of medians, plots, failures and videos in one HTML file without external resources."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import jinja2
 
-from lieednn_sim import storage
+from lieednn_sim import filesystem
 from lieednn_sim.errors import InputError
 from lieednn_sim.evaluation.reactive.cases import MEASURED
 from lieednn_sim.evaluation.reactive.study import METHOD, ReactionTable, groups
@@ -21,7 +21,7 @@ from lieednn_sim.evaluation.statistics import Group, controllers_of, failures, g
 from lieednn_sim.evaluation.summary import method
 from lieednn_sim.evaluation.table import Table
 
-# Columns of the page's table; the rest is in the CSV file.
+# Columns of the page's table; all others are in the CSV file.
 _SHOWN = (
     "final_worst_mm",
     "final_worst_deg",
@@ -40,7 +40,7 @@ _SHOWN = (
     "gap_deg",
     "planning_s",
 )
-# A picometre is rounding, and no digit of it means anything [mm, deg].
+# Values below this are rounding [mm, deg].
 _ROUNDING = 1e-6
 _VIOLATIONS = ("position_violations", "velocity_violations", "acceleration_violations")
 
@@ -81,13 +81,13 @@ def write_page(
 
     Args:
         path: the file to write.
-        table: of the comparison.
+        table: table of the comparison.
         missing: planners that could not be compared, with the reason.
-        clips: videos to put into it.
-        command: that made the table.
-        date: to put into its head; none when empty, so that the page depends on the table alone.
-        title: of the page.
-        reactions: of planners that react, for a section of its own.
+        clips: videos to embed.
+        command: command that made the table.
+        date: date for the page's head; none when empty, so that the page depends on the table alone.
+        title: title of the page.
+        reactions: results of the reactive benchmark, for a section of their own.
 
     Raises:
         InputError: the table is empty.
@@ -130,7 +130,7 @@ def write_page(
             reaction_method=METHOD,
         )
     )
-    with storage.atomic_text(path) as stream:
+    with filesystem.atomic_text(path) as stream:
         stream.write(page)
 
 
@@ -147,7 +147,7 @@ def _environment() -> jinja2.Environment:
 
 
 def _columns() -> list[Column]:
-    """The columns of the page's table; an angle's heading, which follows that of its distance, says of what it is."""
+    """The columns of the page's table, with full headings for angles, which follow their distances."""
     columns: list[Column] = []
     for column in (BY_NAME[name] for name in _SHOWN):
         own = column.heading != "[deg]"
@@ -156,7 +156,7 @@ def _columns() -> list[Column]:
 
 
 def _heads(columns: Sequence[Column]) -> list[tuple[str, str, bool]]:
-    """Text of a head, its explanation, and whether numbers stand below it."""
+    """Text of each heading, its explanation, and whether its column is numeric."""
     return [
         *((name, "", False) for name in ("planner", "arm", "scene", "controller")),
         ("success", "rollouts without contact that end at their target", True),
@@ -167,7 +167,7 @@ def _heads(columns: Sequence[Column]) -> list[tuple[str, str, bool]]:
 
 
 def _reaction_heads() -> list[tuple[str, str, bool]]:
-    """As `_heads`, of the table of planners that react."""
+    """As `_heads`, for the table of the reactive benchmark."""
     numbers = ("arrived", "touched", "back", *(column.heading for column in MEASURED))
     return [(name, "", False) for name in ("leader", "scene", "disturbance")] + [(name, "", True) for name in numbers]
 

@@ -1,4 +1,4 @@
-"""How a page shows planners and numbers: colour and mark of each, the same in all figures and tables; digits."""
+"""Style of a page: colours and marks of planners, the same in all figures and tables, and number formats."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from dataclasses import dataclass
 from lieednn_sim.evaluation.figure_layout import COLOURS
 from lieednn_sim.planning import planners
 
-# The package's, and a grey.
+# The package's colours, and a grey.
 _COLOURS = (*COLOURS, "#8C8C8C")
-# With more planners than colours the next round has another mark.
+# Marks and their shapes in the page's styles; each repetition of the colours has another one.
 _MARKS = (("o", "round"), ("D", "diamond"), ("s", "square"), ("^", "triangle"))
 
 
 @dataclass(frozen=True)
 class Mark:
-    """How a planner is drawn: colour, Matplotlib's marker and the name of the same shape in the page's styles."""
+    """Colour of a planner, its Matplotlib marker, and the name of that shape in the page's styles."""
 
     colour: str
     marker: str
@@ -24,7 +24,7 @@ class Mark:
 
 
 def marks(names: Iterable[str]) -> dict[str, Mark]:
-    """A mark for each planner, by its place among all known ones: no selection changes it."""
+    """A mark for each planner, by its place among all known ones, so that it does not depend on the selection."""
     known = list(planners())
     order = known + sorted(set(names) - set(known))
     made = {}
@@ -44,7 +44,7 @@ _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def number(value: float, *, rounding: float = 0.0) -> str:
-    """Three digits, with a power of ten only where zeros would be counted; below ``rounding`` no digits at all."""
+    """Three digits, with a power of ten for very small or large values; "< ..." for values below ``rounding``."""
     if 0.0 < abs(value) < rounding:
         return f"< {number(rounding)}"
     if value == 0.0 or 1e-3 <= abs(value) < 1e5:

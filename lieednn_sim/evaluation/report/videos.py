@@ -1,4 +1,4 @@
-"""Short videos of chosen cases, small enough to stand inside a page."""
+"""Short videos of chosen cases, small enough to be embedded in a page."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 
 from PIL import Image
 
-from lieednn_sim import storage
+from lieednn_sim import filesystem
 from lieednn_sim.errors import InputError
 from lieednn_sim.evaluation.cases import replay
 from lieednn_sim.evaluation.entries import recorded
@@ -22,7 +22,7 @@ from lieednn_sim.rendering.ffmpeg import count_frames, read_frame
 from lieednn_sim.rendering.video import render_video
 from lieednn_sim.validation import as_count
 
-# Size and rate of clips, which the page itself holds [pixels, 1/s]; the poster is the frame at this share of one.
+# Size [pixels] and frame rate [1/s] of clips, and the share of a clip at which its poster is taken.
 SIZE = (480, 270)
 FPS = 25
 _POSTER_SHARE = 0.55
@@ -34,7 +34,7 @@ class Clip:
     """A video of a case.
 
     Attributes:
-        row: of the table.
+        row: its row in the table.
         path: MP4 file.
         poster: JPEG of one of its frames.
     """
@@ -45,20 +45,20 @@ class Clip:
 
     @property
     def data_uri(self) -> str:
-        """The video as a URI that needs no file."""
+        """The video as a data URI."""
         return _uri("video/mp4", self.path.read_bytes())
 
     @property
     def poster_uri(self) -> str:
-        """The picture as a URI that needs no file."""
+        """The poster as a data URI."""
         return _uri("image/jpeg", self.poster)
 
 
 def choose_cases(table: Table, count: int) -> list[Case]:
-    """So many cases of a table: planners in turn, each time in another arm and scene, successes first.
+    """Choose up to ``count`` cases of a table: planners in turn, each in another arm and scene, successes first.
 
     Raises:
-        InputError: count is negative or no whole number.
+        InputError: ``count`` is not a whole number >= 0.
     """
     wanted = as_count("videos", count, least=0)
     rows = [row for row in table.sorted_rows() if row.tracking_rms_mm is not None]
@@ -82,7 +82,7 @@ def film(
     *,
     progress: Callable[[int, int], None] | None = None,
 ) -> Clip:
-    """Plan and simulate a case of a table again and render it; a video that is there is taken as it is.
+    """Plan and simulate a case of a table again and render it; an existing video is reused.
 
     Raises:
         InputError: the table has no such case, or it has no motion.
@@ -92,8 +92,8 @@ def film(
     if row is None:
         raise InputError(f"the table has no case {case} with {controller}; compare it first")
     if row.tracking_rms_mm is None:
-        raise InputError(f"nothing to show of case {case}: {row.reason}")
-    directory = storage.make_directory(table.directory / "videos")
+        raise InputError(f"case {case} has nothing to show: {row.reason}")
+    directory = filesystem.make_directory(table.directory / "videos")
     path = directory / f"{case.planner}-{case.arm}-{case.scene}-{case.seed}-{controller}.mp4"
     if not path.is_file():
         render_video(

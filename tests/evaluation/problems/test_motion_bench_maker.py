@@ -98,8 +98,8 @@ def test_the_list_takes_the_sets_in_turn_and_evenly(tiny: Path) -> None:
         (lambda folder: _edit(folder, "scene", lambda world: world.pop("world")), "(KeyError: 'world')"),
         (lambda folder: _edit(folder, "scene", _as_mesh), "post is a mesh or a plane"),
         (lambda folder: _edit(folder, "scene", _in_hand), "post is in the frame 'finger'"),
-        (lambda folder: _edit(folder, "request", _other_joint), "is of the joints torso, shoulder, wrist"),
-        (lambda folder: _edit(folder, "request", _open_hand), "begins with grip elsewhere"),
+        (lambda folder: _edit(folder, "request", _other_joint), "is for the joints torso, shoulder, wrist"),
+        (lambda folder: _edit(folder, "request", _open_hand), "has grip at other start positions"),
     ],
 )
 def test_what_is_wrong_with_a_folder_is_said(tiny: Path, tmp_path: Path, change: object, message: str) -> None:

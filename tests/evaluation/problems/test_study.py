@@ -128,4 +128,4 @@ def test_the_command_writes_table_and_summary(
     assert "- 1 x minimum-jerk, as: skipped: goal is out of reach" in text
     assert "there (post 2)\n" in text
     assert main([*words[:5], "none", *words[6:]]) == 2
-    assert "--problems must be a number from 1 on, or all; got 'none'" in capsys.readouterr().err
+    assert "--problems must be a number of at least 1, or all; got 'none'" in capsys.readouterr().err

@@ -165,5 +165,5 @@ def test_long_lines_of_marks_are_thinned_and_keep_their_ends(monkeypatch):
     plot, (quartiles, marks, *_) = shown["Least clearance"]
     np.testing.assert_array_equal(marks.get_xdata(), np.linspace(0, 999, 200).astype(int))
     np.testing.assert_allclose(quartiles.get_xdata(), [249.75, 749.25])
-    assert "of more than 200 in a line as many are marked" in plot.caption
+    assert "at most 200 in a line are marked" in plot.caption
     assert "200" not in figures.plots(ROWS, "position-servo")[2].caption
