@@ -45,23 +45,23 @@ class Arm:
     Attributes:
         name: name of the model.
         source: the scene file.
-        spec: what `model` was compiled from, for whoever adds bodies to a copy of it.
+        spec: the spec that `model` was compiled from; copy it to add bodies.
         model: the compiled scene.
-        space: the joint coordinates, and the way to MuJoCo's.
+        space: the joint coordinates, and their conversion to MuJoCo's.
         joints: the compound joints.
         mounts: fixed poses, shape ``(N,)``, from link frame i-1 to joint frame i.
         tips: fixed poses, shape ``(N,)``, from joint frame i to link frame i at the reference position.
         position_limits: ``(n, 2)`` [rad, m].
-        velocity_limits: ``(n,)`` [rad/s, m/s]; like the next three infinite where the model names none.
+        velocity_limits: ``(n,)`` [rad/s, m/s]; infinite, as are the next three, where the model gives none.
         acceleration_limits: ``(n,)`` [rad/s^2, m/s^2].
         jerk_limits: ``(n,)`` [rad/s^3, m/s^3].
         force_limits: ``(n,)`` [N m, N].
-        length_scale: metres per unit of v in the network's coordinates, since the activation sees bare numbers.
-        site_ids: ``(N,)`` the link frames' sites.
-        scene: the obstacles around it, a name of `scenes.SCENES`, or that of their file.
-        scene_seed: of their positions.
-        import_report: what was made of an MJCF file without the package's conventions; None for others.
-        clearance: that planned motions keep from contact, start and target included [m]; another one by
+        length_scale: metres per unit of v in the network's coordinates, since the activation takes pure numbers.
+        site_ids: ``(N,)`` ids of the link frames' sites.
+        scene: name of the obstacles around it: one of `scenes.SCENES`, or the stem of their file.
+        scene_seed: seed of the obstacles' positions.
+        import_report: what the importer did, for a file without the package's conventions; otherwise None.
+        clearance: distance that planned motions keep from contact, start and target included [m]; change it with
             `dataclasses.replace`.
     """
 
@@ -97,11 +97,11 @@ class Arm:
         """Load an arm, with the obstacles of a scene.
 
         Args:
-            name: of an arm of the package; or an MJCF or URDF file, see `from_xml`, where its links may follow,
-                ``robot.urdf:wrist,tool``; or a YAML or JSON file that describes the import, see `models.find_model`.
-            scene: a name of `scenes.SCENES`, or a file of obstacles, see `among`.
-            seed: of the obstacles.
-            options: of such a file, see `from_xml`.
+            name: an arm of the package; or an MJCF or URDF file (see `from_xml`), optionally followed by its links as
+                in ``robot.urdf:wrist,tool``; or a YAML or JSON file that describes the import (`models.find_model`).
+            scene: a name of `scenes.SCENES`, or a file of obstacles (see `among`).
+            seed: seed of the obstacles' positions.
+            options: import options for such a file (see `from_xml`).
 
         Raises:
             FileError: there is no such file, or MuJoCo cannot compile it.
@@ -117,16 +117,15 @@ class Arm:
         name: str | None = None,
         **options: Unpack[ImportOptions],
     ) -> Arm:
-        """Load an MJCF file that holds one arm.
+        """Load an MJCF or URDF file that holds one arm.
 
         A file with the sites ``base_frame`` and ``link1_frame``, ``link2_frame``, ... is taken as it is. Any other is
         imported (`importer.import_arm`): cut into compound joints, given servos where it has none, other joints locked.
 
         Args:
-            path: of the file.
-            name: of the arm; by default that of the file, or of its folder when the file is ``scene.xml``.
-            options: ``links``, ``base``, ``keyframe``, ``home`` and ``servos`` of `importer.import_arm`, for a
-                file that is to be imported.
+            path: the file.
+            name: the arm's name; by default the file's stem, or its folder's name when the file is ``scene.xml``.
+            options: the options of `importer.import_arm`; naming any of them imports the file.
 
         Raises:
             FileError: there is no such file, or MuJoCo cannot compile it.
@@ -138,10 +137,7 @@ class Arm:
 
     @classmethod
     def from_spec(cls, spec: mujoco.MjSpec, source: Path, name: str, import_report: ImportReport | None = None) -> Arm:
-        """Compile a spec that holds one arm with the conventions of this class, such as one of `import_arm`.
-
-        Errors as `from_xml`.
-        """
+        """Compile a spec in the conventions of this class, such as one from `import_arm`; raises as `from_xml`."""
         try:
             model = spec.compile()
         except ValueError as error:
@@ -151,17 +147,17 @@ class Arm:
         )
 
     def among(self, scene: str | os.PathLike[str], seed: int = 0) -> Arm:
-        """This arm with the obstacles of a scene; itself when that is free.
+        """This arm with the obstacles of a scene; itself for the scene ``"free"``.
 
         Args:
-            scene: a name of `scenes.SCENES`, or a file of obstacles with a suffix of `obstacles.SCENE_SUFFIXES`, see
-                `obstacles.load_obstacles`; the arm's `scene` is that file's name without its suffix then.
-            seed: of the obstacles, where they are drawn.
+            scene: a name of `scenes.SCENES`, or a file of obstacles with a suffix of `obstacles.SCENE_SUFFIXES` (see
+                `obstacles.load_obstacles`), whose stem becomes the arm's `scene`.
+            seed: seed of the obstacles' positions, where these are random.
 
         Raises:
             FileError: there is no such file, or it cannot be read.
-            InputError: no such scene, a bad seed, obstacles already there, no place for them around this arm, or a
-                file's obstacles touch it at home.
+            InputError: no such scene, a bad seed, the arm has obstacles already, there is no place for them around it,
+                or a file's obstacles touch it at home.
         """
         as_seed("seed", seed)
         own = is_scene_file(scene)
@@ -169,7 +165,7 @@ class Arm:
         if label == "free":
             return self
         if self.scene != "free":
-            raise InputError(f"arm {self.name!r} has the obstacles of scene {self.scene!r} already")
+            raise InputError(f"arm {self.name!r} already has the obstacles of scene {self.scene!r}")
         if own:
             arm = self.amid(load_obstacles(scene), label)
             check_home(arm)
@@ -179,7 +175,7 @@ class Arm:
         return replace(self._of(spec), scene=label, scene_seed=seed)
 
     def amid(self, obstacles: mujoco.MjSpec, label: str) -> Arm:
-        """This arm, without obstacles, with those of a spec, see `obstacles.shapes`; home is not looked at.
+        """This arm with the obstacles of a spec (see `obstacles.shapes`); does not check that home is free of them.
 
         Args:
             obstacles: bodies without joints, in the world's frame.
@@ -193,7 +189,7 @@ class Arm:
         return replace(self._of(spec), scene=label)
 
     def _of(self, spec: mujoco.MjSpec) -> Arm:
-        """This arm, compiled from a spec with more in it."""
+        """This arm, compiled from an extended spec."""
         return replace(Arm.from_spec(spec, self.source, self.name, self.import_report), clearance=self.clearance)
 
     def __repr__(self) -> str:
@@ -222,12 +218,12 @@ class Arm:
 
     @property
     def joint_names(self) -> tuple[str, ...]:
-        """Names of the joint coordinates; of a ball joint's three they end in ``_x``, ``_y``, ``_z``."""
+        """Names of the joint coordinates; a ball joint's three end in ``_x``, ``_y``, ``_z``."""
         return self.space.names
 
     @property
     def exact(self) -> bool:
-        """Whether every compound joint has six degrees of freedom: any network state is a posture then, no gap."""
+        """Whether every compound joint has six degrees of freedom, so that every network state is met without a gap."""
         return self._retractor.exact
 
     @property
@@ -236,7 +232,7 @@ class Arm:
         return (*(f"link {i}" for i in range(1, self.n_links)), "end effector")
 
     def limit_excess(self, q: Floats) -> Floats:
-        """How far each of the coordinates ``(..., n)`` is outside its limits, negative inside; of a ball its angle."""
+        """How far each coordinate ``(..., n)`` is outside its limits, negative inside; for a ball joint, its angle."""
         q = as_floats("q", q, (self.n_joints,), batched=True)
         low, high = self.position_limits.T
         excess = np.maximum(low - q, q - high)
@@ -246,7 +242,7 @@ class Arm:
         return excess
 
     def within_angles(self, q: Floats) -> Floats:
-        """Coordinates ``(..., n)`` with the rotation vectors of ball joints shortened to their largest angles."""
+        """Coordinates ``(..., n)`` with the rotation vectors of ball joints clipped to their largest angles."""
         q = as_floats("q", q, (self.n_joints,), batched=True)
         high, inside, balls = self.position_limits[:, 1], q.copy(), self.space.balls
         if len(balls):
@@ -255,7 +251,7 @@ class Arm:
         return inside
 
     def check_reachable(self, q: ArrayLike, what: str = "q") -> Floats:
-        """As `check_position`, and nothing may come closer than the arm's `clearance` at ``q``."""
+        """As `check_position`, and nothing may be closer than the arm's `clearance` at ``q``."""
         position = self.check_position(q, what)
         touching = self.near_contacts(position)
         if touching:
@@ -271,7 +267,7 @@ class Arm:
         return self.coordinates(self.model.key_qpos[key])
 
     def check_position(self, q: ArrayLike, what: str = "q") -> Floats:
-        """Return ``q`` ``(n,)`` when it keeps the limits; else `InputError` names the joint, value and range."""
+        """Return ``q`` ``(n,)`` if it is within the limits; else raise `InputError` with the joint, value and range."""
         position = as_floats(what, q, (self.n_joints,))
         outside = self.limit_excess(position)
         worst = int(outside.argmax())
@@ -280,7 +276,7 @@ class Arm:
         return position
 
     def describe_excess(self, q: Floats, joint: int) -> str:
-        """Say that a coordinate of q ``(n,)`` is out of its limits; of a ball joint the angle counts."""
+        """The message that a coordinate of q ``(n,)`` is outside its limits; for a ball joint, that its angle is."""
         low, high = self.position_limits[joint]
         value, name = q[joint], self.joint_names[joint]
         if joint in self.space.balls:
@@ -310,11 +306,11 @@ class Arm:
         return self._touching.bodies(self.space.to_qpos(as_floats("q", q, (self.n_joints,))))
 
     def near_contacts(self, q: ArrayLike) -> list[tuple[str, str]]:
-        """Names of the bodies that come closer than the arm's `clearance` to each other at ``q`` ``(n,)``."""
+        """Names of the bodies that are closer than the arm's `clearance` to each other at ``q`` ``(n,)``."""
         return self._nearly_touching.bodies(self.space.to_qpos(as_floats("q", q, (self.n_joints,))))
 
     def near_contacts_along(self, q: Floats) -> Iterator[list[tuple[str, str]]]:
-        """`near_contacts` at each of the postures ``(K, n)``, one after another; converted all at once."""
+        """`near_contacts` at each of the postures ``(K, n)``, lazily; the conversion to qpos is done at once."""
         return map(self._nearly_touching.bodies, self.qpos(q))
 
     def unit(self, joint: int) -> str:
@@ -342,16 +338,16 @@ class Arm:
     def encode(self, q: ArrayLike) -> Floats:
         """Network coordinates (omega, v / length_scale) of T_i(q), ``(..., n)`` to ``(..., N, 6)``.
 
-        Those of Log T_i(q), and of a link that moves along one screw, as by a hinge, that screw times its coordinate,
-        however far it turns.
+        They are Log T_i(q); or, for a link that moves along one screw, such as behind a hinge, the screw times its
+        coordinate, however far it turns.
         """
         return self.joints.twists(as_floats("q", q, (self.n_joints,), batched=True)) / self.twist_units
 
     def decode(self, xi: ArrayLike, xi_dot: ArrayLike | None = None, start: ArrayLike | None = None) -> Retraction:
-        """Nearest joint positions to network coordinates ``(..., N, 6)``, with rates along ``xi_dot`` and the gap.
+        """Nearest joint positions to network coordinates ``(..., N, 6)``, their rates along ``xi_dot``, and the gap.
 
-        From a joint position ``start`` ``(n,)`` on, coordinates ``(K, ..., N, 6)`` are followed along their first axis:
-        of several postures that are as near, the one that goes on.
+        With a joint position ``start`` ``(n,)``, coordinates ``(K, ..., N, 6)`` are followed along their first axis: of
+        several equally near postures, the one that continues the way is taken.
         """
         shape = (self.n_links, 6)
         twist = as_floats("xi", xi, shape, batched=True) * self.twist_units
@@ -360,10 +356,10 @@ class Arm:
         return self._retractor(twist, rate, begin)
 
     def physics(self) -> Any:
-        """A `dm_control.mujoco.Physics` of the scene at the keyframe ``home``, for tasks and viewers of dm_control.
+        """A `dm_control.mujoco.Physics` of the scene at the keyframe ``home``, for dm_control's tasks and viewers.
 
         Raises:
-            LieEDNNError: dm_control is not installed: it has no version for MuJoCo 4 or Python 3.13.
+            LieEDNNError: dm_control is not installed; it has no release for MuJoCo 4 or Python 3.13.
         """
         try:
             from dm_control import mujoco as dm_mujoco
@@ -377,9 +373,9 @@ class Arm:
 
     @property
     def without_visuals(self) -> Arm:
-        """This arm without what is only seen: it moves to the last bit as this one does, at half the cost.
+        """This arm without its visual geoms: it moves exactly as this one does, to the last bit, at half the cost.
 
-        Itself where the model's motion depends on that, or has been changed since it was compiled.
+        Itself where the motion depends on them, or where the model has been changed since it was compiled.
         """
         return self._bare if moves_alike(self._bare.model, self.model) else self
 
@@ -390,7 +386,7 @@ class Arm:
 
     @cached_property
     def fingerprint(self) -> str:
-        """What tells this arm among its obstacles from others, see `fingerprint.arm_fingerprint`."""
+        """Fingerprint of this arm and its obstacles, see `fingerprint.arm_fingerprint`."""
         return arm_fingerprint(self)
 
     @cached_property
@@ -407,5 +403,5 @@ class Arm:
 
     @property
     def twist_units(self) -> Floats:
-        """``(6,)`` of the network's coordinates (omega, v) in radians and metres."""
+        """``(6,)`` the units of the network's coordinates (omega, v) [rad, m]."""
         return np.repeat([1.0, self.length_scale], 3)

@@ -1,15 +1,15 @@
-"""Ways through postures at which poses hardly tell the coordinates of a joint apart: they go on as straight as may be.
+"""Straightened ways through nearly singular postures, where poses hardly determine the coordinates of a joint.
 
-Four hinges in one link, the first and the third of which come into line: the pose tells their sum alone. A way of poses
-that is a hair beside one through there has the hinges turn about abruptly, at any speed and to any angle, to stay
-exactly on it. So there the coordinates minimise
+When the first and third of four hinges in one link come into line, the pose determines only the sum of their angles.
+To follow a way of poses that passes close by exactly, the hinges would turn abruptly, at any speed and to any angle.
+There the coordinates minimise instead
 
     sum_k f_k(q_k) + sum_k w_k ||q_{k+1} - 2 q_k + q_{k-1}||^2,     w_k = v^2 (r n_k)^4 (1 - s_k^2 / v^2)_+^4
 
-with the distance f_k of the poses (`nearest`), the least singular value s_k of the poses' Jacobian, v below which it is
-small, the length n_k of the stretch of samples where it is, and r, the share of a stretch over which what it would do
-is straightened at least. The weights fall steeply enough for the way to join what is exact without a kink. What they
-leave of the poses is part of the gap.
+with the distance f_k of the poses (`nearest`), the least singular value s_k of the poses' Jacobian, the threshold v
+below which it counts as small, the length n_k of the stretch of samples where it is small, and r, the least share of a
+stretch that is straightened. The weights fall off steeply enough for the way to join the exact one without a kink. The
+deviation from the poses is part of the gap.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 from lieednn_sim.arm.kinematics import distinctness
 from lieednn_sim.values import Floats
 
-# v, with columns of the Jacobian of unit length, and r. Smaller ones follow the poses more closely, and turn the hinges
-# more: 0.3 mm aside where the posture changes by a radian a second these turn by 5 mrad, at 2 rad/s^2.
+# v, for a Jacobian with columns of unit length, and r. Smaller values follow the poses more closely, and turn the
+# hinges more. With these, 0.3 mm beside a pose where the posture changes by 1 rad/s, they turn by 5 mrad at 2 rad/s^2.
 VAGUE, _SHARE = 0.15, 0.05
 _STEPS, _SHORT = 30, 1e-9
 
@@ -46,13 +46,13 @@ def vagueness(jacobian: Floats) -> Floats:
 def bridge(
     evaluate: _Evaluate, exact: Floats, guess: Floats, share: Floats, goal: Floats
 ) -> tuple[Floats, NDArray[np.bool_]]:
-    """Coordinates ``(K, c)`` along one way, and which of them do not minimise the distance alone, ``(K,)``.
+    """Coordinates ``(K, c)`` along one way, and which of them ``(K,)`` do not minimise the distance alone.
 
     Args:
-        evaluate: stacked poses ``(B, r)`` of coordinates ``(B, c)``, and their Jacobian ``(B, r, c)``.
+        evaluate: maps coordinates ``(B, c)`` to stacked poses ``(B, r)`` and their Jacobian ``(B, r, c)``.
         exact: ``(K, c)`` coordinates that minimise the distance of each sample.
-        guess: ``(K, c)`` near these, that go straight on.
-        share: ``(K,)`` the `vagueness` there.
+        guess: ``(K, c)`` coordinates near these that continue straight on.
+        share: ``(K,)`` their `vagueness`.
         goal: ``(K, r)`` stacked poses of the way.
     """
     vague = share < 1.0
@@ -65,7 +65,7 @@ def bridge(
     weights = VAGUE**2 * ((_SHARE * length) ** 4 * np.maximum(1.0 - share**2, 0.0) ** 4)[1:-1]
     shape = (len(exact) - 2, len(exact))
     bends = scipy.sparse.diags_array([1.0, -2.0, 1.0], offsets=[0, 1, 2], shape=shape, format="csr")
-    # All samples that a weighted second difference touches, but the ends.
+    # All samples that a weighted second difference involves, except the ends.
     free = np.convolve(vague, [1, 1, 1], "same").astype(bool)
     free[[0, -1]] = False
     pulls = bends[:, free].T @ scipy.sparse.diags_array(weights)

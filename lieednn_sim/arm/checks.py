@@ -1,4 +1,4 @@
-"""What a compiled model must be for an arm: refused with the joint or the number, before anything is made of it."""
+"""Requirements on a compiled model before it is read as an arm; errors name the joint or the number at fault."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ JOINT_KINDS = {
     int(mujoco.mjtJoint.mjJNT_SLIDE): "slide",
     int(mujoco.mjtJoint.mjJNT_BALL): "ball",
 }
-# Postures at which the coordinates of a link may be dependent, and how nearly they are.
+# Random postures at which the coordinates of a link are tested, and the singular value below which they are dependent.
 _POSTURES, _DEPENDENT = 8, 1e-6
 _NUMBERS = (
     *(f"body_{what}" for what in ("pos", "quat", "ipos", "iquat", "mass", "inertia", "gravcomp")),
@@ -35,19 +35,19 @@ def joint_label(model: mujoco.MjModel, arm: str, joint: int) -> str:
 
 
 def check_integrator(model: mujoco.MjModel, arm: str) -> None:
-    """Raise `InputError` for RK4: MuJoCo neither halves its step, as controllers need, nor inverts it.
+    """Raise `InputError` for RK4: MuJoCo can neither split its step, as controllers need, nor invert it.
 
-    `mj_step1` and `mj_step2` would integrate by Euler's rule without a word; inverse dynamics ends in an error.
+    `mj_step1` and `mj_step2` would silently integrate with Euler's method; inverse dynamics would fail.
     """
     if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4:
         raise InputError(
-            f"arm {arm!r} asks for the integrator RK4, which can neither be stepped in halves nor inverted; write "
-            'implicitfast, implicit or Euler into its <option integrator="...">'
+            f"arm {arm!r} asks for the integrator RK4, which can neither be stepped in halves nor inverted; set "
+            'its <option integrator="..."> to implicitfast, implicit or Euler'
         )
 
 
 def check_numbers(model: mujoco.MjModel) -> None:
-    """Raise `InputError` where a model holds NaN, which MuJoCo reads and compiles without a word."""
+    """Raise `InputError` where a model holds NaN, which MuJoCo silently reads and compiles."""
     for field in _NUMBERS:
         values = np.asarray(getattr(model, field))
         bad = np.flatnonzero(np.isnan(values).any(axis=tuple(range(1, values.ndim))))
@@ -59,13 +59,13 @@ def check_numbers(model: mujoco.MjModel) -> None:
 
 
 def check_limited(model: mujoco.MjModel, arm: str, joint: int) -> None:
-    """Refuse joints without limits."""
+    """Raise `InputError` for a joint without limits."""
     if not model.jnt_limited[joint]:
         raise InputError(f"{joint_label(model, arm, joint)} has no position limits; give it a range")
 
 
 def check_turn(model: mujoco.MjModel, arm: str, joint: int) -> None:
-    """Refuse joints that the encoding by a logarithm would get silently wrong."""
+    """Raise `InputError` for a joint that turns too far to be encoded by a logarithm."""
     label, kind = joint_label(model, arm, joint), joint_kind(model, joint)
     if kind == "slide":
         return
@@ -79,13 +79,13 @@ def check_turn(model: mujoco.MjModel, arm: str, joint: int) -> None:
 
 
 def check_independent(joint: CompoundJoint, size: int, link: str) -> None:
-    """Refuse a compound joint whose coordinates no pose can tell apart, at none of a few postures."""
+    """Raise `InputError` for a compound joint whose pose determines its coordinates at none of a few postures."""
     count, rng = len(joint.indices), np.random.default_rng(0)
     if count > 6:
-        raise InputError(f"{link} is moved by {count} coordinates, and a pose tells six apart; name more links")
+        raise InputError(f"{link} is moved by {count} coordinates, but a pose determines six; name more links")
     frames, _ = joint.pose_and_slopes(rng.uniform(-1.0, 1.0, (_POSTURES, size)))
     columns = np.swapaxes(joint.selection(joint.indices) @ frames[:, 1:].reshape(_POSTURES, -1, 12), -1, -2)
     if distinctness(columns, _DEPENDENT).max() < _DEPENDENT:
         raise InputError(
-            f"{link} is moved by {count} coordinates of which some do the same; cut it between them: name more links"
+            f"{link} is moved by {count} coordinates that are not independent; name more links to separate them"
         )

@@ -1,6 +1,6 @@
 """Joints whose nearest posture has a closed form: one screw, a hinge and a slide, three slides below a ball joint.
 
-But for the first nearest is meant as in `nearest.NearestPose`: 4 sin^2(angle / 2) + ||shift||^2 / length^2 is least.
+Except for the first, nearest means as in `nearest.NearestPose`: least 4 sin^2(angle / 2) + ||shift||^2 / length^2.
 """
 
 from __future__ import annotations
@@ -14,15 +14,15 @@ from lieednn_sim.arm.kinematics import CompoundJoint
 from lieednn_sim.lie import exp, hat, left_jacobian_so3, rotations, spatial_twist
 from lieednn_sim.values import Floats
 
-# Newton steps to the multiplier at most: they climb to it, and converge quadratically.
+# Most Newton steps to the multiplier; they increase monotonically, and converge quadratically.
 _SECULAR_STEPS = 50
-# Share of its scale below which a curvature is taken for zero.
+# Relative size below which a curvature counts as zero.
 _FLAT = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
 class MovingPoses:
-    """The exponentials of twists, ``(..., N, 6)``, that move at rates; None for poses at rest."""
+    """The exponentials of twists ``(..., N, 6)``, moving at ``twist_rate``; None for poses at rest."""
 
     twist: Floats
     twist_rate: Floats | None
@@ -54,18 +54,18 @@ class MovingPoses:
 class HingeSlide:
     """Rot(n, theta) Trans(s d), or the two factors swapped; several coupled stages make one direction s.
 
-    With e = s / |s| the best slide for an angle is the projection m(theta) = e . Rot(theta)^T p (of p itself where the
-    slide comes first), and what is left to maximise is a trigonometric polynomial of degree two:
+    With e = s / |s|, the best slide for an angle is the projection m(theta) = e . Rot(theta)^T p (of p itself where the
+    slide comes first). It remains to maximise a trigonometric polynomial of degree two,
 
         g(theta) = x cos theta + y sin theta + (m(theta) / length)^2,  m(theta) = a + b cos theta + c sin theta,
 
     where tr(Rot(theta)^T R) = x cos theta + y sin theta + const. (cos, sin) turned by atan2(c, b) makes it a quadratic
-    form on the unit circle. Its global maximum is the trust-region subproblem in the plane: the root of a secular
-    equation beyond the largest eigenvalue (More and Sorensen, SIAM J. Sci. Stat. Comput. 4(3), 1983), convex there.
+    form on the unit circle. Maximising it is a trust-region subproblem in the plane: the root of a secular equation
+    beyond the largest eigenvalue, where that is convex (More and Sorensen, SIAM J. Sci. Stat. Comput. 4(3), 1983).
 
     The maximum is unique and smooth in the pose except where two angles are equally near (the cut locus: the rotation
     is half a turn away from the joint's own, or a translation against the slide outweighs the rotation). There the
-    posture jumps; `motion.check_motion` refuses a motion that does.
+    posture jumps; `motion.check_motion` rejects a motion that crosses it.
     """
 
     def __init__(self, joint: CompoundJoint, link: int, length: float) -> None:
@@ -85,7 +85,7 @@ class HingeSlide:
 
     @staticmethod
     def fits(joint: CompoundJoint) -> bool:
-        """Whether the joint is of this kind: the hinge at one end, its axis through the origin."""
+        """Whether the joint is of this kind, with the hinge at one end and its axis through the origin."""
         kinds = [factor.kind for factor in joint.factors]
         hinges = [factor for factor in joint.factors if factor.kind == "hinge"]
         return (
@@ -100,7 +100,7 @@ class HingeSlide:
     def __call__(self, poses: MovingPoses, near: Floats | None = None) -> tuple[Floats, Floats | None]:
         """Displacements ``(..., 2)`` (angle, slide) and their rates by the implicit function theorem.
 
-        The rate of an angle that the pose does not determine is zero.
+        The rate is zero for an angle that the pose does not determine.
         """
         link = self.links[0]
         rotation = poses.rotation[..., link, :, :]
@@ -123,7 +123,7 @@ class HingeSlide:
         return offset, np.stack([angle_rate, unit * (m_rate + slope * angle_rate)], axis=-1)
 
     def _coefficients(self, rotation: Floats, translation: Floats) -> tuple[Floats, ...]:
-        """x, y and, in units of length, a, b, c, each ``(...)``; linear in ``(..., 3, 3)`` and ``(..., 3)``."""
+        """x, y and, in units of ``length``, a, b, c, each ``(...)``; linear in ``(..., 3, 3)`` and ``(..., 3)``."""
         flat = rotation.reshape(*rotation.shape[:-2], 9)
         rows = np.concatenate([flat @ self._of_rotation.T, translation @ self._of_translation.T], axis=-1)
         return tuple(np.moveaxis(rows, -1, 0))
@@ -134,7 +134,7 @@ def _highest(p: Floats, q: Floats, b: Floats, c: Floats) -> Floats:
 
     Turned by atan2(c, b) that is alpha X + beta Y + strength X^2 on the unit circle, X = alpha / (2 t) and
     Y = beta / (2 (t + strength)) at the maximum, with the multiplier t >= 0 that makes X^2 + Y^2 = 1. Newton's method
-    on (X^2 + Y^2)^(-1/2) = 1, concave and increasing in t, climbs to the root from any t below it.
+    on (X^2 + Y^2)^(-1/2) = 1, concave and increasing in t, converges monotonically to the root from any t below it.
     """
     turn, strength = np.arctan2(c, b), b**2 + c**2
     alpha, beta = p * np.cos(turn) + q * np.sin(turn), q * np.cos(turn) - p * np.sin(turn)
@@ -145,7 +145,7 @@ def _highest(p: Floats, q: Floats, b: Floats, c: Floats) -> Floats:
             u, v = half / t, other / (t + strength)
             square = u**2 + v**2
             step = square * (np.sqrt(square) - 1.0) / (u**2 / t + v**2 / (t + strength))
-        # Where alpha vanishes t may be zero: then Y alone is known, and X up to its sign.
+        # Where alpha vanishes, t may be zero: then Y is known, and X only up to its sign.
         step = np.where(np.isfinite(step), step, 0.0)
         t = t + step
         if (step <= 1e-12 * t).all():
@@ -158,10 +158,10 @@ def _highest(p: Floats, q: Floats, b: Floats, c: Floats) -> Floats:
 
 
 class OneScrew:
-    """Exp(z q): the twist's orthogonal projection onto the line of z, lengths measured in units of ``length``.
+    """Exp(z q): the twist's orthogonal projection onto the line of z, with lengths in units of ``length``.
 
-    Nearest in the twist itself, so that there is no cut locus and a joint may turn as far as it likes. That agrees with
-    the nearest pose to second order in what is left.
+    It is nearest in the twist itself, so that there is no cut locus and a joint may turn any number of times. It agrees
+    with the nearest pose to second order in the residual.
     """
 
     def __init__(self, joint: CompoundJoint, link: int, length: float) -> None:

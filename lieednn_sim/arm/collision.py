@@ -1,8 +1,8 @@
-"""Signed distances between an arm's links and their surroundings, and their derivatives in the joint coordinates.
+"""Signed distances between an arm's links and their surroundings, and their gradients in the joint coordinates.
 
-Distances are MuJoCo's (`mj_geomDistance`), of the geom pairs that its own collision filter lets collide. Boxes around
-the geoms bound them from below, so that few pairs are measured. With witness points a on geom A and b on geom B at a
-distance d, negative in penetration, the normal is n = (b - a) / d, and d changes by n . (b' - a').
+Distances are MuJoCo's (`mj_geomDistance`), of the geom pairs that pass its collision filter. Bounding boxes of the
+geoms give lower bounds, so that few pairs are measured. With witness points a on geom A and b on geom B at a distance
+d, negative in penetration, the normal is n = (b - a) / d, and d changes at the rate n . (b' - a').
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from lieednn_sim.values import Floats
 
 Pairs = NDArray[np.int_]
 
-# A plane is half a space: in the bounds a box of this half size [m].
+# A plane is a half-space: for the bounds, a box of this half size [m].
 _PLANE_SIZE = 1e3
 # Rounding of the bounds [m].
 _SLACK = 1e-9
-# Along a path pairs are measured up to so much beyond the least distance so far, and left alone for as long [m].
+# Along a path, pairs are measured up to this much beyond the least distance [m], and skipped until they move as much.
 _AHEAD = 0.1
-# The normal of two geoms that just touch is lost in rounding below this distance [m].
+# Below this distance the normal of two touching geoms is lost in rounding [m].
 _TOUCHING = 1e-10
 
 
@@ -54,7 +54,7 @@ class Collisions:
         arm: the arm.
         pairs: ``(P, 2)`` ids of the geoms that may collide, by MuJoCo's filter: contype and conaffinity, bodies
             welded together, parent and child, excludes, and the model's explicit pairs.
-        own: ``(P,)`` which of them are parts of the arm both; links may pass each other closely by design.
+        own: ``(P,)`` which pairs are both parts of the arm; links may pass each other closely by design.
     """
 
     def __init__(self, arm: Arm) -> None:
@@ -71,12 +71,12 @@ class Collisions:
         planes = model.geom_type[used] == mujoco.mjtGeom.mjGEOM_PLANE
         self._center[planes], self._half[planes] = (0.0, 0.0, -_PLANE_SIZE), _PLANE_SIZE
         self._radius = np.linalg.norm(self._half, axis=1)
-        # A geom's ball is inside its box's and around the geom's own frame, so it serves where it is centred alike.
+        # MuJoCo's bounding sphere is smaller than the box's, but centred at the geom's frame: used where these agree.
         centred = ~planes & (np.abs(self._center).max(axis=1) < _SLACK) & (model.geom_rbound[used] > 0.0)
         self._radius[centred] = np.minimum(self._radius, model.geom_rbound[used])[centred]
         self._identity = np.eye(arm.n_joints)
         self._segment = np.zeros(6)
-        # Bodies that move with the joints, which of them a geom belongs to, and their Jacobians; the last one stands.
+        # The moving bodies, which of them each geom belongs to, and their Jacobians; the last is zero, for fixed ones.
         bodies = np.unique(model.geom_bodyid[used])
         self._bodies = bodies[model.body_weldid[bodies] != 0]
         slots = np.full(model.nbody, len(self._bodies))
@@ -85,10 +85,10 @@ class Collisions:
         self._jacobians = np.zeros((len(self._bodies) + 1, 6, model.nv))
 
     def distances(self, q: ArrayLike, cutoff: ArrayLike) -> Distances:
-        """Distances and derivatives of all pairs closer than ``cutoff`` [m], one or ``(P,)``, at ``q`` ``(n,)``.
+        """Distances and gradients of all pairs closer than ``cutoff`` [m], a scalar or ``(P,)``, at ``q`` ``(n,)``.
 
-        The derivative is exact where geoms are apart. In penetration it is the rate along MuJoCo's direction of
-        separation, which for capsules in boxes is not always the shortest one.
+        The gradient is exact where geoms are apart. In penetration it is taken along MuJoCo's direction of separation,
+        which for capsules in boxes is not always the shortest one.
 
         Raises:
             InputError: q is malformed, or the cutoff is not positive.
@@ -127,7 +127,7 @@ class Collisions:
             if bounds[index] >= best:
                 break
             first, second = map(int, self.pairs[index])
-            # MuJoCo returns the largest distance asked for when the geoms are further apart.
+            # MuJoCo returns the cutoff when the geoms are further apart.
             most = best if np.isfinite(best) else bounds[index] + 2.0 * _PLANE_SIZE
             value = mujoco.mj_geomDistance(self.arm.model, self._data, first, second, most, self._segment)
             if value < best:
@@ -135,14 +135,14 @@ class Collisions:
         return best, pair
 
     def clearance(self, q: ArrayLike) -> float:
-        """The smallest signed distance at ``q`` ``(n,)`` [m]; negative when something penetrates, infinite alone."""
+        """The smallest signed distance at ``q`` ``(n,)`` [m]; negative in penetration, infinite without pairs."""
         return self.nearest(q)[0]
 
     def least(self, q: ArrayLike) -> float:
-        """The smallest `clearance` at postures ``(K, n)`` [m], which should follow each other closely.
+        """The smallest `clearance` at postures ``(K, n)`` [m]; fastest when consecutive postures are close.
 
         A pair is measured again only where it may have come closer than the least so far: no point of a geom moves
-        further than its ball's centre does and what turns about that.
+        further than its bounding sphere's centre plus what the rotation moves it about that centre.
         """
         postures = as_floats("q", q, ("K", self.arm.n_joints))
         if not len(postures):
@@ -158,7 +158,7 @@ class Collisions:
             turned = np.sqrt(0.5 * np.square(rotation - before[1]).sum(axis=(1, 2)))
             moved = np.linalg.norm(center - before[0], axis=1) + self._radius * turned
             bounds -= moved[self._first] + moved[self._second]
-            # How deep geoms are in each other need not change with how far they move.
+            # Penetration depths are not bounded by how far geoms move.
             for index in np.flatnonzero(bounds < max(least, 0.0)):
                 first, second = map(int, self.pairs[index])
                 value = mujoco.mj_geomDistance(model, data, first, second, max(least, 0.0) + _AHEAD, self._segment)
@@ -166,7 +166,7 @@ class Collisions:
         return least
 
     def free(self, q: ArrayLike, margin: float = 0.0, *, own: float | None = None) -> bool:
-        """Whether everything is further apart than ``margin`` [m] at ``q`` ``(n,)``; the arm's parts than ``own``."""
+        """Whether all pairs are further apart than ``margin`` [m] at ``q`` ``(n,)``; the arm's own, than ``own``."""
         self._move(q)
         limit = float(as_floats("margin", margin, ()))
         limits = np.where(self.own, limit if own is None else float(as_floats("own", own, ())), limit)
@@ -180,7 +180,7 @@ class Collisions:
         return True
 
     def names(self, pair: ArrayLike) -> tuple[str, str]:
-        """Names of two geoms by id; a geom without one goes by its body."""
+        """Names of two geoms by id; an unnamed geom is called after its body."""
         return tuple(self._name(int(geom)) for geom in np.asarray(pair))  # type: ignore[return-value]
 
     def _name(self, geom: int) -> str:
@@ -199,24 +199,24 @@ class Collisions:
         return self._data.geom_xpos[self._used] + (rotation @ self._center[:, :, None])[:, :, 0], rotation
 
     def _lower_bounds(self) -> Floats:
-        """Lower bounds ``(P,)`` of the distances: of boxes from each other along their faces' normals, and of balls."""
+        """Lower bounds ``(P,)`` of the distances, from boxes along their faces' normals and from bounding spheres."""
         count, half, first, second = len(self._used), self._half, self._first, self._second
         if not count:
             return np.zeros(0)
         center, rotation = self._frames()
-        # All geoms at once, in tables (geom, its axis, other geom): a few large products beat many small ones.
+        # All geoms at once, in arrays (geom, its axis, other geom): a few large products beat many small ones.
         axes = np.ascontiguousarray(rotation.transpose(0, 2, 1)).reshape(-1, 3)
         own = (rotation.transpose(0, 2, 1) @ center[:, :, None]).reshape(-1, 1)
         beyond = (np.abs(axes @ center.T - own) - half.reshape(-1, 1)).reshape(count, 3, count)
         extent = np.einsum("ghk,hk->gh", np.abs(axes @ axes.T).reshape(-1, count, 3), half)
         faces = (beyond - extent.reshape(count, 3, count)).max(axis=1)
         balls = np.sqrt((np.maximum(beyond, 0.0) ** 2).sum(axis=1)) - self._radius
-        # A ball's centre may be in the box: then it says nothing about the depth.
+        # A sphere whose centre is inside the box says nothing about the depth.
         table = np.maximum(faces, np.where(balls > 0.0, balls, -np.inf))
         return np.asarray(np.maximum(table[first, second], table[second, first]) - _SLACK)
 
     def _slopes(self, pairs: Pairs, points: Floats, distance: Floats) -> Floats:
-        """Derivatives ``(P, nv)``, along MuJoCo's velocities, of distances just found between points ``(P, 2, 3)``."""
+        """Derivatives ``(P, nv)``, in MuJoCo's velocities, of distances just found between points ``(P, 2, 3)``."""
         model, data = self.arm.model, self._data
         mujoco.mj_comPos(model, data)
         for body, jacobian in zip(self._bodies.tolist(), self._jacobians, strict=False):
@@ -232,7 +232,7 @@ class Collisions:
 
 
 def _colliding_pairs(model: mujoco.MjModel) -> Pairs:
-    """Geom pairs ``(P, 2)`` that pass MuJoCo's filter, and the explicit ones."""
+    """Geom pairs ``(P, 2)`` that pass MuJoCo's collision filter, and the explicit ones."""
     first, second = np.triu_indices(model.ngeom, k=1)
     kind, affinity = model.geom_contype, model.geom_conaffinity
     meets = ((kind[first] & affinity[second]) | (kind[second] & affinity[first])) != 0

@@ -1,4 +1,4 @@
-"""What comes near what at a posture, by MuJoCo's collision detection."""
+"""Which geoms and bodies are near contact at a posture, by MuJoCo's collision detection."""
 
 from __future__ import annotations
 
@@ -10,25 +10,24 @@ from numpy.typing import NDArray
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.values import Floats
 
-# Planned motions keep this distance from contact by default [m], since what follows them is off by up to a millimetre
-# or two.
+# Planned motions keep this distance from contact by default [m], since tracking them is off by a millimetre or two.
 PLANNED_CLEARANCE = 0.002
 
 
 class ContactFinder:
-    """Finds what is closer to each other than a margin; some ten times faster than all distances (`Collisions`).
+    """Finds geoms and bodies closer than a margin, about ten times faster than all distances (`Collisions`).
 
     Holds a `mujoco.MjData` of its own: one instance for each thread.
 
     Args:
-        model: is not changed.
+        model: the compiled model, which is not changed.
         margin: distance [m] below which geoms count as touching.
     """
 
     def __init__(self, model: mujoco.MjModel, margin: float = 0.0) -> None:
         self._margin = margin
         self._model = copy.deepcopy(model)
-        # Overridden rather than written into the geoms, whose bounding volumes were made for the old margins.
+        # Overridden rather than written into the geoms, whose bounding volumes were built for the old margins.
         self._model.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_OVERRIDE)
         self._model.opt.o_margin = margin
         self._data = mujoco.MjData(self._model)
@@ -38,7 +37,7 @@ class ContactFinder:
         if not self._found(qpos):
             return np.zeros(0), np.zeros((0, 2), dtype=int)
         contact = self._data.contact
-        # Pairs that are just found need not be nearer than the margin.
+        # MuJoCo may also report pairs that are not nearer than the margin.
         near = contact.dist < self._margin
         return contact.dist[near], contact.geom[near]
 
@@ -47,7 +46,7 @@ class ContactFinder:
         return self._found(qpos) > 0 and bool(self._data.contact.dist.min() < self._margin)
 
     def _found(self, qpos: Floats) -> int:
-        """How many contacts MuJoCo finds; its data then holds them."""
+        """The number of contacts, which are then in ``_data``."""
         model, data = self._model, self._data
         data.qpos[:] = qpos
         mujoco.mj_kinematics(model, data)
@@ -65,6 +64,6 @@ class ContactFinder:
 
 
 def moving_geoms(model: mujoco.MjModel) -> NDArray[np.bool_]:
-    """Which geoms ``(ngeom,)`` are parts of the arm, and not of the world or of what is welded to it."""
+    """Which geoms ``(ngeom,)`` belong to moving bodies, not to the world or to what is welded to it."""
     moving: NDArray[np.bool_] = model.body_weldid[model.geom_bodyid] != 0
     return moving

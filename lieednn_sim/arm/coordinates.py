@@ -1,4 +1,4 @@
-"""Joint coordinates: one number for each degree of freedom, and the way to MuJoCo's coordinates and back."""
+"""Joint coordinates, one number for each degree of freedom, and their conversion to MuJoCo's and back."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from lieednn_sim.values import Floats
 class Coordinates:
     """Coordinates q in R^n: the angle of a hinge, the displacement of a slide, the rotation vector of a ball joint.
 
-    Where stages of a telescope are coupled only the leading one has a coordinate: all scalar joints together are
-    qpos = coupling @ q + offset. Joints that are no part of the arm keep the position that ``offset`` holds for them.
+    Of coupled stages of a telescope only the leader has a coordinate: all scalar joints together are
+    qpos = coupling @ q + offset. Joints that are not part of the arm keep their position in ``offset``.
 
     Attributes:
-        names: n names; those of a ball joint's three end in ``_x``, ``_y``, ``_z``.
-        units: n times ``"rad"`` or ``"m"``.
+        names: n names; a ball joint's three end in ``_x``, ``_y``, ``_z``.
+        units: n units, ``"rad"`` or ``"m"``.
         coupling: ``(nq, n)``, zero in the rows of ball joints.
         rates: ``(nv, n)``, the same for velocities.
         offset: ``(nq,)``.
@@ -65,7 +65,7 @@ class Coordinates:
         return qpos
 
     def from_qpos(self, qpos: Floats) -> Floats:
-        """``(..., nq)`` to ``(..., n)``; of coupled joints the leading one counts."""
+        """``(..., nq)`` to ``(..., n)``; for coupled joints, the leader's position."""
         scalars = qpos.take(self.scalar_addresses, axis=-1)
         if not len(self.balls):
             return scalars
@@ -76,7 +76,7 @@ class Coordinates:
         return q
 
     def to_qvel(self, q: Floats, qd: Floats) -> Floats:
-        """Rates ``(..., n)`` at q to ``(..., nv)``: a ball turns with J_r(w) dw/dt in the frame of its body."""
+        """Rates ``(..., n)`` at q to ``(..., nv)``; a ball turns at J_r(w) dw/dt in the frame of its body."""
         if q.shape != qd.shape:
             q, qd = np.broadcast_arrays(q, qd)
         # A sum with nothing is a new array, too, whose zeros have the sign of the product's.
@@ -87,7 +87,7 @@ class Coordinates:
         return qvel
 
     def from_qvel(self, q: Floats, qvel: Floats) -> Floats:
-        """Rates ``(..., n)`` at q of velocities ``(..., nv)``, the inverse of `to_qvel`."""
+        """Velocities ``(..., nv)`` at q to rates ``(..., n)``, the inverse of `to_qvel`."""
         scalars = qvel.take(self.scalar_rate_addresses, axis=-1)
         if not len(self.balls) and q.shape[:-1] == qvel.shape[:-1]:
             return scalars

@@ -1,4 +1,4 @@
-"""Joints that follow others by MuJoCo's joint equalities, as lines qpos = ratio * qpos of the leader + shift."""
+"""Joints that follow others by MuJoCo's joint equalities: qpos = ratio * (qpos of the leader) + shift."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Line = tuple[int, float, float]
 
 
 def line_of(model: mujoco.MjModel, equality: int) -> Line | None:
-    """The line of an equality between two joints; None when it is curved, or its ratio is zero.
+    """The line of an equality between two joints; None when it is not linear, or its ratio is zero.
 
     MuJoCo's equality is y - y0 = a0 + a1 (x - x0) + a2 (x - x0)^2 + ..., y the first joint and x the second.
     """
@@ -25,10 +25,10 @@ def line_of(model: mujoco.MjModel, equality: int) -> Line | None:
 
 
 def to_independent_leaders(direct: Mapping[int, Line], label: Callable[[int], str]) -> dict[int, Line]:
-    """The lines of followers, some of which follow followers, each to a leader that follows none.
+    """Resolve chains of followers: each follower's line to a leader that follows no other joint.
 
     Raises:
-        InputError: they follow each other in a circle; ``label`` says how to call a joint.
+        InputError: joints follow each other in a circle; ``label`` names a joint in the message.
     """
     resolved: dict[int, Line] = {}
     for follower, (leader, ratio, shift) in direct.items():

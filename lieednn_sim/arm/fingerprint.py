@@ -1,4 +1,4 @@
-"""What tells one arm from another: a fingerprint of everything that moves or stands in its way."""
+"""Fingerprints that identify an arm: a hash of everything that affects its motion, obstacles included."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ from lieednn_sim._mujoco import mujoco
 if TYPE_CHECKING:
     from lieednn_sim.arm.arm import Arm
 
-# Beginnings of the names of MuJoCo's arrays that count, and ends of those among them that only look.
+# Prefixes of MuJoCo's arrays that count, and suffixes of those among them that concern appearance alone.
 _COUNT = (
     *("body_", "jnt_", "dof_", "geom_", "site_", "actuator_", "eq_", "tendon_", "wrap_", "pair_", "exclude_"),
     *("mesh_", "hfield_", "key_", "qpos"),
 )
 _LOOK = ("_rgba", "_matid", "_group", "_user", "_pathadr", "texcoord", "texcoordadr", "texcoordnum")
-# Decimals that numbers are rounded to, so that the last bits of another processor's arithmetic make no other arm.
+# Decimals that numbers are rounded to, so that rounding on another processor does not change the fingerprint.
 _DECIMALS = 9
 
 
 def arm_fingerprint(arm: Arm) -> str:
     """Fingerprint of an arm: its compiled model with the obstacles, its frames, coordinates and limits.
 
-    Colours do not count, nor where the files lie. Another version of MuJoCo may give another one.
+    Neither colours nor file locations count. Another version of MuJoCo may give another fingerprint.
     """
     arrays = _arrays(arm.model)
     for name in ("position_limits", "velocity_limits", "acceleration_limits", "force_limits", "site_ids"):
         arrays[name] = _rounded(np.asarray(getattr(arm, name)))
-    # Named by few arms: the others keep the fingerprint that they had before there were any.
+    # Few arms have them: the others keep the fingerprint that they had before jerk limits existed.
     if np.isfinite(arm.jerk_limits).any():
         arrays["jerk_limits"] = _rounded(arm.jerk_limits)
     arrays |= {"base": _rounded(arm.base.as_matrix()), "length_scale": _rounded(np.asarray(arm.length_scale))}
@@ -39,7 +39,7 @@ def arm_fingerprint(arm: Arm) -> str:
 
 
 def model_fingerprint(model: mujoco.MjModel) -> str:
-    """Fingerprint of a compiled model that holds no arm."""
+    """Fingerprint of a compiled model without an arm."""
     return storage.fingerprint(_arrays(model), {})
 
 
@@ -55,5 +55,5 @@ def _arrays(model: mujoco.MjModel) -> dict[str, NDArray[Any]]:
 
 
 def _rounded(values: NDArray[Any]) -> NDArray[Any]:
-    # Zero is added for its sign.
+    # Adding zero turns -0.0 into 0.0.
     return np.round(values, _DECIMALS) + 0.0 if values.dtype.kind == "f" else values

@@ -1,4 +1,4 @@
-"""What the actuators of a model can exert on the coordinates of an arm."""
+"""Forces of a model's actuators on the coordinates of an arm, and the loads that they hold."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def on_fixed_tendon(model: mujoco.MjModel, actuator: int) -> bool:
 
 
 def constant_moments(model: mujoco.MjModel) -> Floats:
-    """The `actuator_moments` of those on joints and fixed tendons, whose moments are constant; zero for the others."""
+    """The `actuator_moments` of actuators on joints and fixed tendons, which are constant; zero for the others."""
     constant = [model.actuator_trntype[a] in _ON_JOINTS or on_fixed_tendon(model, a) for a in range(model.nu)]
     return np.where(np.array(constant, dtype=bool)[:, None], actuator_moments(model), 0.0)
 
@@ -40,13 +40,13 @@ def constant_moments(model: mujoco.MjModel) -> Floats:
 def force_ranges(model: mujoco.MjModel, rates: Floats) -> Floats:
     """Least and largest force ``(n, 2)`` [N m, N] of the actuators on each coordinate.
 
-    The ranges of all actuators that act on a coordinate add up, each times its moment; the ``actfrcrange`` of a joint
-    bounds what arrives there. Where one direction would have no force at all nothing is known of the limits, and they
-    are infinite, as where there is no actuator.
+    The ranges of all actuators on a coordinate add up, each times its moment; the ``actfrcrange`` of a joint bounds
+    their sum. A range without any force in one direction says nothing about the limits: they are infinite, as without
+    an actuator.
 
     Args:
-        model: with the actuators, on joints or fixed tendons; others don't count.
-        rates: ``(nv, n)`` how fast its dofs move with each coordinate, coupled stages included.
+        model: the compiled model; only its actuators on joints or fixed tendons count.
+        rates: ``(nv, n)`` velocities of its dofs per unit rate of each coordinate, coupled stages included.
     """
     moments = constant_moments(model)
     single = np.array([_force_range(model, a) for a in range(model.nu)]).reshape(-1, 2)
@@ -62,18 +62,18 @@ def force_ranges(model: mujoco.MjModel, rates: Floats) -> Floats:
 
 
 def resting_load(model: mujoco.MjModel, postures: Floats) -> Floats:
-    """Generalised forces by which actuators hold the model at rest, gravity compensation and springs apart.
+    """Generalised forces that actuators need to hold the model at rest, after gravity compensation and springs.
 
     Args:
-        model: is not changed.
+        model: the compiled model, which is not changed.
         postures: MuJoCo's positions ``(S, nq)``.
 
     Returns:
         ``(S, nv)``.
     """
-    # One for all: to make it takes a hundred times as long as to use it.
+    # One for all postures: making it takes a hundred times as long as using it.
     data = mujoco.MjData(model)
-    # Compensation by an actuator counts as its force in MuJoCo, in addition to that of the servo.
+    # Where actgravcomp is set, MuJoCo adds the compensation to the actuator's force instead of the passive ones.
     by_actuator = model.jnt_actgravcomp[model.dof_jntid] != 0
     loads = np.empty((len(postures), model.nv))
     for load, data.qpos[:] in zip(loads, postures, strict=True):
@@ -88,27 +88,27 @@ def servo_gains(model: mujoco.MjModel, rates: Floats) -> tuple[Floats, Floats]:
     """The gains kp [N m/rad, N/m] and kv [N m s/rad, N s/m], both ``(n,)``, of the position servos on each coordinate.
 
     Args:
-        model: with servos on joints or fixed tendons; others don't count, nor do drives that are none.
-        rates: as of `force_ranges`.
+        model: the compiled model; only its position servos on joints or fixed tendons count.
+        rates: as in `force_ranges`.
     """
     kp, kv = -model.actuator_biasprm[:, 1:3].T @ (constant_moments(model) @ rates) ** 2
     return kp, kv
 
 
 def dry_friction(model: mujoco.MjModel, rates: Floats) -> Floats:
-    """Largest force ``(n,)`` by which the dry friction of the joints withstands each coordinate [N m, N]."""
+    """Largest force ``(n,)`` of the joints' dry friction against each coordinate [N m, N]."""
     return np.asarray(model.dof_frictionloss @ np.abs(rates))
 
 
 def _sum_of_ranges(weights: Floats, ranges: Floats) -> Floats:
-    """Ranges ``(n, 2)`` of sums with weights ``(m, n)`` of independent numbers in ``(m, 2)`` ranges."""
+    """Ranges ``(n, 2)`` of weighted sums, with weights ``(m, n)``, of independent numbers in the ranges ``(m, 2)``."""
     factors = np.repeat(weights[..., None], 2, axis=-1)
     scaled = np.multiply(factors, ranges[:, None], where=factors != 0.0, out=np.zeros_like(factors))
     return np.sort(scaled, axis=-1).sum(axis=0)
 
 
 def _force_range(model: mujoco.MjModel, actuator: int) -> Floats:
-    """Force range of an actuator: its own, or that of the controls of a motor."""
+    """Force range of an actuator: its own, or that which the control range of a motor gives it."""
     if model.actuator_forcelimited[actuator]:
         return model.actuator_forcerange[actuator].copy()
     motor = (

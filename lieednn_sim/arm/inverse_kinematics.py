@@ -1,4 +1,4 @@
-"""Inverse kinematics: a joint target from an end effector pose."""
+"""Inverse kinematics: a joint position from an end effector pose."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from lieednn_sim.values import Floats
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
 
-# Distance from what is asked for that counts as there [m, rad], and starts from which it is looked for.
+# Error at which the pose counts as reached [m, rad], and the number of starts.
 _TOLERANCE = 1e-6
 _ATTEMPTS = 8
-# Nothing reaches further [m], and squares of what is looked for stay far from overflow.
+# No arm reaches further [m], and squares stay far from overflow.
 _FARTHEST = 1e6
 # Weight of the pull towards the start, which picks one of the many solutions of a redundant arm.
 _POSTURE_WEIGHT = 1e-3
@@ -35,13 +35,13 @@ def solve_ik(
     Args:
         arm: the arm.
         position: ``(3,)`` of the end effector, world [m].
-        rotation: of the end effector; free when omitted.
+        rotation: orientation of the end effector; free when omitted.
         start: ``(n,)`` posture to stay near, the keyframe ``home`` by default.
-        seed: of the further starts tried when the first fails.
+        seed: seed of the random starts that are tried when the first one fails.
 
     Raises:
         InputError: a value is malformed.
-        NoSolutionError: no such joint position was found; says how close one gets.
+        NoSolutionError: no such joint position was found; the message says how close the search came.
     """
     goal = as_floats("position", position, (3,))
     if np.abs(goal).max() > _FARTHEST:
@@ -80,7 +80,7 @@ def solve_ik(
     best, refused = np.inf, ""
     for attempt in range(_ATTEMPTS):
         q = rest if attempt == 0 else rng.uniform(low, high)
-        # With the posture term first: a solution near the start. Then without: an exact one.
+        # First with the posture term, for a solution near the start; then without it, for an exact one.
         for weight in (_POSTURE_WEIGHT, 0.0):
             pull = np.diag(weight / spread)
             q = scipy.optimize.least_squares(

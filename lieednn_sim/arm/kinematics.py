@@ -18,7 +18,7 @@ from lieednn_sim.values import Floats
 if TYPE_CHECKING:
     from scipy.spatial.transform import RigidTransform
 
-# Brackets of unit twists below this vanish up to rounding [1, m].
+# Lie brackets of unit twists below this vanish up to rounding [1, m].
 _COMMUTING = 1e-12
 _ONE = np.eye(3)
 
@@ -29,10 +29,10 @@ class Factor:
 
     Attributes:
         kind: ``"hinge"``, ``"slide"`` or ``"ball"``.
-        axes: ``(3, c)``: the unit axis of a hinge or slide; of a ball the axes its rotation vector refers to.
-        anchor: ``(3,)`` a point that the joint leaves where it is.
-        indices: ``(c,)`` of its coordinates in q.
-        ratio: of its displacement to that of its coordinate; other than 1 for coupled joints.
+        axes: ``(3, c)`` the unit axis of a hinge or slide; for a ball joint, the axes of its rotation vector.
+        anchor: ``(3,)`` a point that the joint does not move.
+        indices: ``(c,)`` indices of its coordinates in q.
+        ratio: displacement per displacement of its coordinate; other than 1 for coupled joints.
     """
 
     kind: str
@@ -126,15 +126,15 @@ class CompoundJoint:
         return np.concatenate([factor.indices for factor in self.factors])
 
     def selection(self, indices: NDArray[np.int_]) -> Floats:
-        """``(k, r)``: 1 where one of ``indices`` ``(k,)`` is one of its ``coordinates``; adds up what is theirs."""
+        """Matrix ``(k, r)`` that adds up, for each of ``indices`` ``(k,)``, the entries of its ``coordinates``."""
         return np.equal(indices[:, None], self.coordinates).astype(np.float64)
 
     @cached_property
     def screw(self) -> Floats | None:
-        """The twist z ``(6,)`` of T(q) = Exp(z q), if there is one: of a hinge, a slide, or what moves along one screw.
+        """The twist z ``(6,)`` of T(q) = Exp(z q), if there is one.
 
-        That is where one coordinate moves the link by joints whose twists commute: their bracket
-        [z, y] = (omega_z x omega_y, omega_z x v_y + v_z x omega_y) vanishes.
+        There is one where a single coordinate moves the link by joints whose twists commute, as for a hinge or a slide:
+        their Lie bracket [z, y] = (omega_z x omega_y, omega_z x v_y + v_z x omega_y) vanishes.
         """
         if len(self.indices) > 1:
             return None
@@ -197,9 +197,9 @@ class CompoundJoints:
         return _stacked(joint.pose(q - self.reference) for joint in self.joints)
 
     def twists(self, q: Floats) -> Floats:
-        """Xi_i with T_i = Exp(xi_i), ``(..., n)`` to ``(..., N, 6)``: the screw times its coordinate, else Log T_i(q).
+        """The xi_i with T_i = Exp(xi_i), ``(..., n)`` to ``(..., N, 6)``: a screw times its coordinate, or Log T_i(q).
 
-        The former is as long as the joint turns, which the logarithm is up to pi only.
+        Unlike the logarithm, the former is not confined to angles below pi.
         """
         offset = q - self.reference
         twists = np.empty((*offset.shape[:-1], len(self.joints), 6))
@@ -221,9 +221,9 @@ def _stacked(poses: Iterable[tuple[Floats, Floats]]) -> tuple[Floats, Floats]:
 
 
 def distinctness(jacobian: Floats, least: float = 1e-300) -> Floats:
-    """How well poses tell coordinates apart: the least singular value ``(B,)`` of Jacobians ``(B, r, c)``.
+    """How well poses determine coordinates: the least singular value ``(B,)`` of Jacobians ``(B, r, c)``.
 
-    Their columns are of unit length, but for those that are shorter than ``least``.
+    Their columns are scaled to unit length, except those shorter than ``least``.
     """
     columns = jacobian / np.maximum(np.linalg.norm(jacobian, axis=-2, keepdims=True), least)
     return np.asarray(np.linalg.svd(columns, compute_uv=False)[:, -1])

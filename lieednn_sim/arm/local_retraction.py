@@ -1,8 +1,8 @@
-"""The retraction for states that come one after another in real time: Newton's method from the last posture.
+"""The retraction for states that arrive one after another in real time: Newton's method from the last posture.
 
 `Retractor` finds the nearest posture wherever the poses are, in milliseconds; here it is near the last one. All links
-are worked out at once: the poses asked for and those of all joints are the exponentials of one stack of twists, and
-with T = M_1 ... M_F of a link's joints and their twists Z_f the slopes of T are M_1 ... Z_f M_f ... M_F.
+are computed at once: the given poses and those of all joints are the exponentials of one stack of twists. With
+T = M_1 ... M_F over a link's joints with twists Z_f, the derivatives of T are M_1 ... Z_f M_f ... M_F.
 """
 
 from __future__ import annotations
@@ -19,18 +19,18 @@ from lieednn_sim.arm.kinematics import Factor
 from lieednn_sim.lie import hat, skew
 from lieednn_sim.values import Floats
 
-# Steps are taken until one is shorter than this [rad, m], whose square is what is left, at most eight times.
+# Steps are taken, at most eight, until one is shorter than this [rad, m]; the remaining error is about its square.
 _SHORT, _MOST = 1e-3, 8
-# Time over which a rate is looked at [s of the network's rates].
+# Step of the finite difference for rates [s].
 _AHEAD = 1e-6
-# Coordinates that no pose determines stay; relative to 1 radian and one unit of length.
+# Keeps coordinates that the poses do not determine where they are; relative to one radian and one unit of length.
 _DAMPING = 1e-12
-# The unit of length in which squares of entries of a pose weigh as they should, in the network's.
+# The unit of length, in the network's, in which the squared entries of a pose have the weights of the metric.
 _UNIT = np.sqrt(0.5)
-# Rows: the matrices hat(e_k) of the network's twists in that unit, flat.
+# Rows: the matrices hat(e_k) of the network's twists in that unit, flattened.
 _HAT = hat(np.diag(np.repeat([1.0, 1.0 / _UNIT], 3))).reshape(6, 16)
 _ONE = np.eye(4).ravel()
-# What makes |omega|^2 = -tr(hat(xi)^2) / 2 of a flat square.
+# Maps a flattened hat(xi)^2 to |omega|^2 = -tr(hat(xi)^2) / 2.
 _TRACE = -0.5 * _ONE[:, None]
 
 
@@ -38,21 +38,21 @@ class LocalRetraction:
     """The posture nearest to per-joint poses near the last one: ||R_i(q) - R_i||^2 / 2 + ||p_i(q) - p_i||^2 / length^2.
 
     Args:
-        arm: whose joints they are.
-        q: ``(n,)`` where to begin.
+        arm: the arm.
+        q: ``(n,)`` the posture to begin from.
 
     Attributes:
-        q: ``(n,)`` the last posture [rad, m]; may be set to another one.
+        q: ``(n,)`` the last posture [rad, m]; may be set.
     """
 
     def __init__(self, arm: Arm, q: Floats) -> None:
         joints = [_merged(joint.factors) for joint in arm.joints.joints]
         n_factors, links, n = max(map(len, joints)), len(joints), len(q)
-        # Of each factor, as many coordinates as it has at any joint; they begin and end there.
+        # The most coordinates that each factor has in any link, and where they begin and end.
         widths = [max(len(factors[f].indices) for factors in joints if f < len(factors)) for f in range(n_factors)]
         ends = np.cumsum([0, *widths])
         self._reference = arm.joints.reference
-        # Of all joints the twists at displacements, and the matrices Z of their coordinates.
+        # Of all joints, the maps from displacements to twists, and the matrices Z of their coordinates.
         twists, turns = np.zeros((n_factors, links, 6, n)), np.zeros((links, 1 + ends[-1], 16))
         turns[:, 0] = _ONE
         chosen = np.zeros((links, n, ends[-1]))
@@ -63,7 +63,7 @@ class LocalRetraction:
                 each = np.concatenate(factor.twists(np.zeros(n)), axis=1) / arm.twist_units
                 twists[f, i][:, factor.indices] = each.T
                 if factor.kind == "ball":
-                    # About the body's axes, whose sums are the coordinates'; as of others while it is not turned.
+                    # About the body's axes, combined into those of the coordinates; valid while the ball is not turned.
                     about = np.concatenate([np.eye(3), skew(factor.anchor).T], axis=1) / arm.twist_units @ _HAT
                     balls.append((f * links + i, i * len(turns[i]) + 1 + columns, about))
                     turns[i, 1 + columns], weights = about, factor.ratio * factor.axes.T
@@ -76,8 +76,8 @@ class LocalRetraction:
         self._turns, self._chosen = turns.reshape(-1, 16), chosen
         self._stack = np.empty((2 + n_factors, links, 6))
         self._joints = self._stack[2:].reshape(-1)
-        # Of each link M_1 ... M_f, and below it the same for each coordinate so far with Z_k M_k in place of M_k; last
-        # M_1 ... M_f Z_k for those of the next factor, so that one product with M_f+1 makes the next one of all.
+        # For each link M_1 ... M_f; below it, for each coordinate so far, the same with Z_k M_k in place of M_k; last,
+        # M_1 ... M_f Z_k for the coordinates of the next factor: one product with M_f+1 advances all of them.
         turns = turns.reshape(links, -1, 4, 4)
         before = turns[:, : 1 + ends[1]].reshape(links, -1, 4)
         self._chain = []
@@ -87,11 +87,11 @@ class LocalRetraction:
             self._chain.append((before, after[:, : 4 * (1 + begin)], turns[:, 1 + begin : 1 + end], turned))
             before = after
         self._posture, self._slopes = before[:, :4], before[:, 4:].reshape(links, -1, 16)
-        # The Jacobian's columns, and below them what is left of the poses asked for.
+        # The Jacobian's columns, and below them the residuals of the given poses.
         self._rows, self._damping = np.zeros((n + 2, 16 * links)), _DAMPING * np.eye(n)
         self._columns = self._rows[:n].reshape(n, links, 16).transpose(1, 0, 2)
         self._errors = self._rows[n:].reshape(2, links, 4, 4)
-        # What squares of entries make of rotation and translation.
+        # Weights that sum squared entries to squares of the rotation's and the translation's gap.
         rotation, translation = np.zeros((2, 4, 4))
         rotation[:3, :3], translation[:3, 3] = 0.5, (_UNIT * arm.length_scale) ** 2
         self._parts = np.stack([rotation, translation], axis=-1).reshape(16, 2)
@@ -100,13 +100,13 @@ class LocalRetraction:
 
     @property
     def gap(self) -> Floats:
-        """``(N, 2)`` what was left there of rotation [rad] and translation [m]."""
+        """``(N, 2)`` distance of the last posture from the given poses, in rotation [rad] and translation [m]."""
         return np.sqrt((self._left * self._left).reshape(-1, 16).dot(self._parts))
 
     def __call__(self, xi: Floats, rate: Floats) -> tuple[Floats, Floats]:
-        """Joint coordinates and, along ``rate``, their rates, both ``(n,)``, of network states ``(N, 6)``; unchecked.
+        """Joint coordinates and their rates along ``rate``, both ``(n,)``, for a network state ``(N, 6)``; unchecked.
 
-        A posture that is not near is found where Newton's method leads in eight steps.
+        If the nearest posture is not near the last one, eight steps of Newton's method may not reach it.
         """
         stack, rows, n = self._stack, self._rows, len(self.q)
         stack[0], stack[1] = xi, xi + _AHEAD * rate
@@ -124,7 +124,7 @@ class LocalRetraction:
         return self.q, (ahead - step) / _AHEAD
 
     def _linearised(self, moved: Floats, lefts: Floats) -> Floats:
-        """Poses of the links ``(N, 4, 4)`` for ``(F, N, 4, 4)`` of their joints, as of `_exp`; sets its columns."""
+        """Poses of the links ``(N, 4, 4)`` from those of their joints ``(F, N, 4, 4)``; also sets the Jacobian."""
         if self._balls:
             factors, columns, about = self._balls
             jacobians = lefts.reshape(-1, 4, 4).take(factors, axis=0)[:, :3, :3]
@@ -137,7 +137,7 @@ class LocalRetraction:
 
 
 def _merged(factors: Sequence[Factor]) -> list[Factor]:
-    """Factors with slides that follow on each other as one, of which one exponential is enough: they commute."""
+    """Factors with consecutive slides merged: these commute, so that one exponential is enough."""
     merged: list[Factor] = []
     for factor in factors:
         last = merged[-1] if merged else None

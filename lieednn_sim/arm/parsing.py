@@ -1,4 +1,4 @@
-"""From a compiled MuJoCo model to what an `Arm` knows of it: frames, compound joints, coordinates and limits."""
+"""Reads the fields of an `Arm` from a compiled model: frames, compound joints, coordinates and limits."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Chain:
 
 
 def read_arm(model: mujoco.MjModel, arm: str) -> dict[str, Any]:
-    """The fields of an `Arm` that its model says; `InputError` when the model is none."""
+    """The fields of an `Arm` that its model determines; `InputError` when the model is not an arm."""
     check_numbers(model)
     check_integrator(model, arm)
     chain = read_chain(model, arm)
@@ -70,7 +70,7 @@ def read_arm(model: mujoco.MjModel, arm: str) -> dict[str, Any]:
 
 
 def read_chain(model: mujoco.MjModel, arm: str) -> Chain:
-    """Follow the sites base_frame, link1_frame, link2_frame, ...; `InputError` when they are no chain."""
+    """Follow the sites base_frame, link1_frame, link2_frame, ...; `InputError` when they do not form a chain."""
     sites = [_site(model, arm, "base_frame")]
     while (found := mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, f"link{len(sites)}_frame")) >= 0:
         sites.append(found)
@@ -90,7 +90,7 @@ def read_coordinates(model: mujoco.MjModel, arm: str, chain: Chain, rest: Floats
     """Coordinates of the chain's joints in qpos order; joints elsewhere stay at ``rest`` ``(nq,)``.
 
     Raises:
-        InputError: joints are coupled in another way than by a straight line, or in a circle.
+        InputError: joints are coupled other than linearly, or in a circle.
     """
     joints = sorted(joint for group in chain.groups for joint in group)
     leaders = _leaders(model, arm, joints)
@@ -166,7 +166,7 @@ def read_joints(
 
 
 def read_position_limits(model: mujoco.MjModel, chain: Chain, coordinates: Coordinates) -> Floats:
-    """Limits ``(n, 2)``: of a coordinate the strictest of the joints it moves, of a ball's three its largest angle."""
+    """Limits ``(n, 2)``: the strictest of the joints that a coordinate moves; for a ball joint, its largest angle."""
     limits = np.tile([-np.inf, np.inf], (len(coordinates), 1))
     for joint in (joint for group in chain.groups for joint in group):
         low, high = model.jnt_range[joint]
@@ -182,7 +182,7 @@ def read_position_limits(model: mujoco.MjModel, chain: Chain, coordinates: Coord
 
 
 def read_force_limits(model: mujoco.MjModel, coordinates: Coordinates) -> Floats:
-    """What the actuators can exert on each coordinate in both directions ``(n,)``, infinite where nothing limits it."""
+    """The force ``(n,)`` that actuators can exert on each coordinate in both directions; infinite without a limit."""
     rates = coordinates.rates.copy()
     rates[coordinates.ball_rate_addresses, coordinates.balls] = 1.0
     low, high = force_ranges(model, rates).T
@@ -201,7 +201,7 @@ def read_numeric(model: mujoco.MjModel, arm: str, field: str, default: Floats) -
 
 
 def _rest(model: mujoco.MjModel) -> Floats:
-    """Where joints that are no part of the arm stay: the keyframe ``home``, else the model's reference position."""
+    """Where joints that are not the arm's stay: the keyframe ``home``, else the model's reference position."""
     key = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, "home")
     return np.array(model.qpos0 if key < 0 else model.key_qpos[key])
 

@@ -1,11 +1,11 @@
 """Retraction: the joint position nearest to given per-joint poses, in closed form where there is one.
 
-Nearest is meant in one metric for all joints: with the angle and the shift between the given and the feasible pose,
-4 sin^2(angle / 2) + ||shift||^2 / length^2, which is angle^2 + ||shift||^2 / length^2 up to the fourth order of the
-angle, and smooth at half a turn. Hinge and slide, and six dofs, are met exactly (`closed_forms`), other joints by
-least squares (`nearest`). A link that moves along one screw, as by a single hinge, is measured in the twist instead,
-which goes on beyond half a turn (`closed_forms.OneScrew`). Compound joints that share a coordinate (coupled stages on
-several links) are retracted together.
+Nearest is meant in one metric for all joints: with the angle and the shift between the given and the feasible pose, it
+is 4 sin^2(angle / 2) + ||shift||^2 / length^2, which equals angle^2 + ||shift||^2 / length^2 up to fourth order in the
+angle, and is smooth at half a turn. A hinge with a slide, and six dofs, are solved in closed form (`closed_forms`),
+other joints by least squares (`nearest`). A link that moves along one screw, as by a single hinge, is projected in its
+twist instead, which extends beyond half a turn (`closed_forms.OneScrew`). Compound joints that share a coordinate (on
+several links, as coupled stages may) are retracted together.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class Retraction:
     Attributes:
         q: ``(..., n)`` joint coordinates [rad, m].
         qd: ``(..., n)`` their rates; zero for poses at rest.
-        twist: ``(..., N, 6)`` of the given poses [rad, m].
+        twist: ``(..., N, 6)`` twists of the given poses [rad, m].
     """
 
     q: Floats
@@ -53,7 +53,7 @@ class Retraction:
 
     @cached_property
     def _gap(self) -> tuple[Floats, Floats]:
-        # Measured when it is asked for: that costs as much as the retraction.
+        # Computed on demand: it costs as much as the retraction.
         for part in (gap := self._measure()):
             part.setflags(write=False)
         return gap
@@ -72,8 +72,8 @@ class Retractor:
     """Retracts the poses of an arm's compound joints.
 
     Args:
-        joints: of the arm.
-        length: [m] that weighs as much as one radian where a pose cannot be met and both must give way.
+        joints: the arm's compound joints.
+        length: length [m] that counts as much as one radian where a pose cannot be met.
     """
 
     def __init__(self, joints: CompoundJoints, length: float) -> None:
@@ -92,7 +92,7 @@ class Retractor:
         Args:
             xi: ``(..., N, 6)``.
             xi_dot: ``(..., N, 6)``, or None for poses at rest.
-            start: ``(n,)``; then ``xi`` ``(K, ..., N, 6)`` are ways that are followed from there, see
+            start: ``(n,)`` posture from which ``xi`` ``(K, ..., N, 6)`` are followed as ways, see
                 `nearest.NearestPose.follow`.
         """
         if self._searching:

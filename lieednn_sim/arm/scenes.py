@@ -1,8 +1,8 @@
-"""Obstacles around an arm: a wall with a window, a shelf, a field of poles; drawn from a seed, scaled to the arm.
+"""Obstacles around an arm, random but reproducible and scaled to it: a wall with a window, a shelf, a field of poles.
 
-All stand on the floor in front of the arm, as seen along its keyframe ``home``, at least `HOME_CLEARANCE` away from the
-arm there. Sites ``obstacle_goal<i>`` are boxes where targets make sense: behind the window, in the compartments of the
-shelf, between the poles (`targets.draw_target`).
+All stand on the floor in front of the arm, in the direction of its tip at the keyframe ``home``, at least
+`HOME_CLEARANCE` away from the arm there. Sites ``obstacle_goal<i>`` are boxes for targets: behind the window, in the
+compartments of the shelf, between the poles (`targets.draw_target`).
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ HOME_CLEARANCE = 0.05
 PREFIX = "obstacle_"
 GOAL_PREFIX = "obstacle_goal"
 
-# The arm of this horizontal reach has obstacles of the sizes written below [m].
+# The sizes below are for an arm of this horizontal reach [m].
 _NOMINAL_REACH = 2.3
 _SAMPLES = 2048
-# Groups of geoms that are drawn, and that are not.
+# Groups of geoms that are rendered, and that are not.
 _SEEN, _UNSEEN = 2, 3
 _MATERIALS = {
-    # What the arm goes behind is seen through.
+    # Obstacles that the arm goes behind are transparent.
     "obstacle_panel": (0.83, 0.80, 0.74, 0.35),
     "obstacle_side": (0.13, 0.30, 0.42, 0.45),
     "obstacle_trim": (0.13, 0.30, 0.42, 1.0),
@@ -43,16 +43,16 @@ _MATERIALS = {
 
 @dataclass(frozen=True)
 class _Surroundings:
-    """What obstacles are fitted to: lengths [m] in a frame on the floor below the base, x towards the tip at home.
+    """The arm's dimensions [m] in a frame on the floor below the base, with x towards the tip at home.
 
     Attributes:
-        arm: without obstacles.
-        origin: ``(3,)`` world position of that frame.
+        arm: the arm, without obstacles.
+        origin: ``(3,)`` world position of the frame.
         yaw: its rotation about the vertical [rad].
-        scale: sizes of obstacles, 1 for an arm of the nominal reach.
-        front: how far the arm at home reaches along x.
-        tip: ``(3,)`` of the end effector at home.
-        reach: how far the end effector can get along the horizontal near the height it has at home.
+        scale: factor for the sizes of obstacles, 1 for an arm of the nominal reach.
+        front: how far the arm extends along x at home.
+        tip: ``(3,)`` position of the end effector at home.
+        reach: horizontal reach of the end effector near its height at home.
     """
 
     arm: Arm
@@ -65,7 +65,7 @@ class _Surroundings:
 
     @property
     def place(self) -> dict[str, Any]:
-        """Where that frame is in the world, for a body."""
+        """Pose of the frame in the world, for a body."""
         return {"pos": self.origin, "quat": [np.cos(self.yaw / 2.0), 0.0, 0.0, np.sin(self.yaw / 2.0)]}
 
 
@@ -73,11 +73,11 @@ def add_obstacles(spec: mujoco.MjSpec, arm: Arm, scene: str, seed: int = 0) -> N
     """Add the obstacles of a scene to a copy of an arm's spec; ``free`` adds nothing.
 
     Args:
-        spec: to add to, a copy of ``arm.spec``. Bodies, geoms, materials and sites are named
-            ``obstacle_...``; geoms that are drawn are of group 2.
-        arm: the arm of the spec, without obstacles.
+        spec: a copy of ``arm.spec`` to add to. New bodies, geoms, materials and sites are named ``obstacle_...``;
+            visible geoms are in group 2.
+        arm: the spec's arm, without obstacles.
         scene: a name of `SCENES`.
-        seed: of positions and sizes; the same seed gives the same scene.
+        seed: seed of positions and sizes; the same seed gives the same scene.
 
     Raises:
         InputError: no such scene, a bad seed, or no place for the obstacles around this arm.
@@ -93,7 +93,7 @@ def add_obstacles(spec: mujoco.MjSpec, arm: Arm, scene: str, seed: int = 0) -> N
 
 
 def _window(spec: mujoco.MjSpec, body: mujoco.MjsBody, room: _Surroundings, rng: np.random.Generator) -> None:
-    """A wall across x with an opening that the tip at home may or may not look through."""
+    """A wall across x with an opening, which need not be in front of the tip at home."""
     s = room.scale
     thickness, width = 0.03 * s, 1.3 * s
     depth = room.reach - room.front
@@ -112,13 +112,13 @@ def _window(spec: mujoco.MjSpec, body: mujoco.MjsBody, room: _Surroundings, rng:
     }
     for name, (pos, size) in panels.items():
         _box(body, f"wall_{name}", pos, size, "panel", group=_UNSEEN)
-    # Touching panels that are seen through show the faces between them: what is seen is one wall with a hole.
+    # Transparent panels would show the faces between them: one wall with a hole is rendered instead.
     outline = np.array([(-width, 0.0), (width, 0.0), (width, top), (-width, top)])
     opening = np.array([y, z]) + half * np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])
     mesh, origin = PREFIX + "wall", (0.0, 0.0, 0.0)
     spec.add_mesh(name=mesh, **_pierced_plate(x, thickness, outline, opening))
     _geom(body, "wall", mujoco.mjtGeom.mjGEOM_MESH, origin, origin, "panel", collides=False, meshname=mesh)
-    # The frame lies around the panels' edges, with no face in one of theirs, and only shows where the opening is.
+    # The frame encloses the panels' edges without coplanar faces, and only shows where the opening is.
     bar, inset = 0.025 * s, 0.002
     away, across, along = bar + inset, half[0] + inset, half[1] + inset + 2.0 * bar
     for name, dy, dz, wide, high in (
@@ -134,7 +134,7 @@ def _window(spec: mujoco.MjSpec, body: mujoco.MjsBody, room: _Surroundings, rng:
 
 
 def _shelf(_: mujoco.MjSpec, body: mujoco.MjsBody, room: _Surroundings, rng: np.random.Generator) -> None:
-    """A rack of two columns and two rows of compartments, open towards the arm, which looks into one at home."""
+    """A shelf of two columns and two rows, open towards the arm, which points into one compartment at home."""
     s = room.scale
     board = 0.015 * s
     depth = rng.uniform(0.16, 0.22) * s
@@ -151,7 +151,7 @@ def _shelf(_: mujoco.MjSpec, body: mujoco.MjsBody, room: _Surroundings, rng: np.
         top = middle + high + board
         _box(body, f"upright{column}", (x, y + (column - 1) * wide, top / 2.0), (depth, board, top / 2.0), "side")
     _box(body, "back", (x + depth + board, y, middle), (board, wide + board, high + board), "panel")
-    # Straight up or down is easy, and hardly ever blocked: not there.
+    # No goals straight above or below: these are easy, and hardly ever blocked.
     cells = [(column, row) for column in range(2) for row in range(2) if column != facing[0] or row == facing[1]]
     for number, (column, row) in enumerate(cells):
         inside = (near + 0.25 * depth, y + (column - 0.5) * wide, middle + (row - 0.5) * high)
@@ -185,13 +185,13 @@ def _poles(_: mujoco.MjSpec, body: mujoco.MjsBody, room: _Surroundings, rng: np.
         _goal(body, number, (*middle, room.tip[2]), (0.22 * room.reach, 0.3 * room.reach, 0.4 * s))
 
 
-# What puts the obstacles of a scene on a body; the index of a name is part of the seed.
+# Functions that add the obstacles of a scene to a body; the index of a name is part of the seed.
 _OBSTACLES = {"window": _window, "shelf": _shelf, "poles": _poles}
 SCENES = ("free", *_OBSTACLES)
 
 
 def _pole_clearances(room: _Surroundings, spots: Floats, radius: Floats, half: float) -> Floats:
-    """Distances ``(P,)`` of poles at ``(P, 2)`` from what collides of the arm at home."""
+    """Distances ``(P,)`` of poles at ``(P, 2)`` from the arm's colliding geoms at home."""
     arm, spec = room.arm, room.arm.spec.copy()
     body = spec.worldbody.add_body(name="trial", **room.place)
     for number, (spot, size) in enumerate(zip(spots, radius, strict=True)):
@@ -230,7 +230,7 @@ def _surroundings(arm: Arm) -> _Surroundings:
     centers = data.geom_xpos[parts] + (turns @ model.geom_aabb[parts, :3, None])[:, :, 0]
     extents = np.abs(ahead @ turns) * model.geom_aabb[parts, 3:]
     front = float(((centers - origin) @ ahead + extents.sum(axis=1)).max())
-    # Postures near the ends of the ranges as well: the middle ones reach nowhere far.
+    # Weighted towards the ends of the ranges: postures in the middle do not reach far.
     draws = np.random.default_rng(0).beta(0.4, 0.4, (_SAMPLES, arm.n_joints))
     tips = np.asarray(arm.link_poses(arm.position_limits[:, 0] + draws * arm.ranges).translation)[:, -1] - origin
     spread = np.linalg.norm(tips[:, :2], axis=1)
@@ -245,10 +245,10 @@ def _solid(model: mujoco.MjModel) -> list[int]:
 
 
 def _pierced_plate(x: float, thickness: float, outline: Floats, opening: Floats) -> dict[str, list[float]]:
-    """Vertices and triangles of a plate across x with a hole; corners ``(4, 2)`` (y, z), counter-clockwise."""
+    """Vertices and triangles of a plate across x with a hole, both with corners ``(4, 2)`` (y, z) counter-clockwise."""
     rings = [(x + side * thickness, corners) for side in (-1.0, 1.0) for corners in (outline, opening)]
     vertices = np.concatenate([np.column_stack([np.full(4, at), corners]) for at, corners in rings])
-    # Corners of each quadrilateral counter-clockwise as seen from outside; rings: near outline, opening, far ones.
+    # Corners of each quadrilateral are counter-clockwise from outside; rings: near outline and opening, then far ones.
     quadrilaterals = []
     for i in range(4):
         j = (i + 1) % 4

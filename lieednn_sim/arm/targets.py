@@ -1,4 +1,4 @@
-"""Random joint targets that make sense in a scene: free ones, behind its window, in its shelf, between its poles."""
+"""Random joint targets for a scene: free of contact, and where it has goals, behind, in or between its obstacles."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from lieednn_sim.errors import NoSolutionError
 from lieednn_sim.validation import as_seed
 from lieednn_sim.values import Floats
 
-# At a target the arm keeps this distance from obstacles, and its parts this one from each other [m].
+# Distances that the arm keeps from obstacles, and its parts from each other, at a target [m].
 TARGET_CLEARANCE, OWN_CLEARANCE = 0.02, 0.0025
-# Targets keep this share of a joint's range from its limits.
+# Share of a joint's range that targets keep away from its limits.
 LIMIT_MARGIN = 0.05
 # Targets of arms whose joints have six dofs each: U(-0.8, 0.8) in the network's coordinates (paper, section 5).
 NETWORK_SPREAD = 0.8
 _ATTEMPTS = 400
 _STEPS = 25
-# The end effector may be so far from the drawn point [m]: any near it will do.
+# How far the end effector may be from the drawn point [m]; any point near it will do.
 _TOLERANCE = 1e-3
 
 
@@ -35,7 +35,7 @@ def draw_target(arm: Arm, seed: int = 0) -> Floats:
     goal boxes the end effector is at a uniform point of one of them, in a posture not far from home.
 
     Raises:
-        InputError: a bad seed.
+        InputError: the seed is invalid.
         NoSolutionError: no target was found.
     """
     rng = np.random.default_rng([as_seed("seed", seed), 1])
@@ -63,14 +63,14 @@ def draw_target(arm: Arm, seed: int = 0) -> Floats:
             return q
     raise NoSolutionError(
         f"no target was found for arm {arm.name!r} among its obstacles: in {_ATTEMPTS} tries its end effector did not "
-        f"get into a goal of scene {arm.scene!r} without coming near anything; use another scene or seed"
+        f"reach a goal of scene {arm.scene!r} without coming near an obstacle; use another scene or seed"
     )
 
 
 def reference_posture(arm: Arm) -> Floats:
-    """The keyframe ``extended`` ``(n,)``; without one, half way from home to each joint's farther limit.
+    """The keyframe ``extended`` ``(n,)``; without one, halfway from home to each joint's farther limit.
 
-    It need not be free of contact: it is for networks and demonstrations that are made once for an arm.
+    It need not be free of contact: it is for networks and demonstrations that are independent of the scene.
     """
     if "extended" in {arm.model.key(k).name for k in range(arm.model.nkey)}:
         return arm.keyframe("extended")
@@ -84,7 +84,7 @@ def _anywhere(arm: Arm, rng: np.random.Generator) -> Floats:
     near: Counter[tuple[str, str]] = Counter()
     collisions = None if arm.scene == "free" else Collisions(arm)
     for attempt in range(_ATTEMPTS):
-        # Where the joints are too short for the paper's law, within the limits as for any other arm.
+        # Where the joint ranges are too small for the paper's distribution, fall back to that of other arms.
         if arm.exact and attempt < _ATTEMPTS // 2:
             q = arm.decode(rng.uniform(-NETWORK_SPREAD, NETWORK_SPREAD, (arm.n_links, 6))).q
         else:
@@ -97,7 +97,7 @@ def _anywhere(arm: Arm, rng: np.random.Generator) -> Floats:
         near.update(contacts)
     shown = ", ".join(f"{one!r} and {other!r} in {count}" for (one, other), count in near.most_common(3))
     raise NoSolutionError(
-        f"no target free of contact was found for arm {arm.name!r}; of {_ATTEMPTS} postures drawn touch {shown}"
+        f"no target free of contact was found for arm {arm.name!r}; of {_ATTEMPTS} random postures, contacts: {shown}"
     )
 
 
@@ -114,7 +114,7 @@ def _towards(arm: Arm, data: Any, q: Floats, point: Floats, low: Floats, high: F
             return q
         mujoco.mj_comPos(arm.model, data)
         mujoco.mj_jacSite(arm.model, data, slope, None, site)
-        # Stops that are pushed against take no part, or the others would not make up for them.
+        # Joints that would be pushed into their limits are left out, so that the others make up for them.
         jacobian = slope @ arm.qvel(np.broadcast_to(q, (len(q), len(q))), np.eye(len(q))).T
         pushed = jacobian.T @ away
         moving = weights * ~(((q <= low) & (pushed < 0.0)) | ((q >= high) & (pushed > 0.0)))

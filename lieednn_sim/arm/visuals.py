@@ -1,4 +1,4 @@
-"""A model without what is only seen: it moves to the last bit as the whole one does, at half the cost."""
+"""A model without its visual geoms: it moves exactly as the whole one does, to the last bit, at half the cost."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from lieednn_sim._mujoco import mujoco
 if TYPE_CHECKING:
     from lieednn_sim.arm.arm import Arm
 
-# What moves a model beside its geoms. Where a body's geoms begin and end is no motion; of `dof_length` see below.
+# Arrays that affect motion, besides those of geoms; for `dof_length` see `discard_visuals`.
 _BEGINNINGS = (
     *("body_", "jnt_", "dof_", "site_pos", "site_quat", "actuator_", "eq_", "tendon_", "wrap_", "pair_", "exclude_"),
     *("sensor_", "plugin", "flex_", "hfield_", "qpos", "tree_"),
@@ -19,7 +19,7 @@ _BEGINNINGS = (
 _OTHERS = ("body_geomadr", "body_geomnum", "dof_length", "tendon_matid", "tendon_rgba", "flex_matid", "flex_rgba")
 _ARRAYS = [name for name in dir(mujoco.MjModel) if name.startswith(_BEGINNINGS) and name not in _OTHERS]
 _OPTIONS = [name for name in dir(mujoco.MjOption) if not name.startswith("_")]
-# What of geoms only looks, or follows from their sizes.
+# Arrays of geoms that concern appearance alone, or follow from the geoms' sizes.
 _OF_GEOMS = (
     "geom_rgba",
     "geom_matid",
@@ -34,20 +34,20 @@ _GEOMS = [name for name in dir(mujoco.MjModel) if name.startswith("geom_") and n
 
 
 def discard_visuals(arm: Arm) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
-    """Spec and model of an arm without textures, materials and geoms that touch nothing; its own where that fails."""
+    """Spec and model of an arm without textures, materials and non-colliding geoms; its own where that fails."""
     spec: Any = arm.spec.copy()
     spec.compiler.discardvisual = True
     try:
         model = spec.compile()
     except ValueError:
         return arm.spec, arm.model
-    # The size of all that a dof moves, by which MuJoCo decides whether it sleeps.
+    # The extent of the bodies that a dof moves, by which MuJoCo decides whether it sleeps.
     model.dof_length[:] = arm.model.dof_length
     return spec, model
 
 
 def moves_alike(bare: mujoco.MjModel, model: mujoco.MjModel) -> bool:
-    """Whether a model of `discard_visuals` still moves as the whole one, which may have been changed since."""
+    """Whether a model of `discard_visuals` still moves like the whole one, which may have been changed since."""
     touching = np.flatnonzero(model.geom_contype | model.geom_conaffinity)
     sees = (model.sensor_type == int(mujoco.mjtSensor.mjSENS_RANGEFINDER)).any()
     return bool(

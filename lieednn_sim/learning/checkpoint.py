@@ -27,16 +27,16 @@ _KIND = "training"
 
 
 class TrainingState(NamedTuple):
-    """State right after a projection: what a trial goes back to, and what a checkpoint holds.
+    """State right after a projection: what a rejected trial returns to, and what a checkpoint stores.
 
     Attributes:
         weight: ``(Nd, Nd)``.
         alpha: ``(N, N)`` learned strengths.
         point: the last projection of the weights.
-        equilibrium: of the weights.
+        equilibrium: equilibrium of the weights.
         rate: learning rate.
         error: E of the last epoch, to which the adaptive rate compares the next one.
-        epoch: epochs done, of all starts together.
+        epoch: epochs done, over all starts.
         rows: rows of history up to here.
         start: number of the initial weights.
         start_epoch: epoch at which this start began.

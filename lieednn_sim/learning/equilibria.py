@@ -1,6 +1,6 @@
-"""The equilibrium of a flat network, followed from one epoch to the next: by Newton steps, or by running the network.
+"""The equilibrium of a flat network, followed from one epoch to the next by Newton steps or by running the network.
 
-Made for the inner loop: `dynamics.find_equilibrium` is the careful one.
+This is for the inner loop of learning; `dynamics.find_equilibrium` is the more careful method.
 """
 
 from __future__ import annotations
@@ -16,30 +16,30 @@ from scipy.linalg.lapack import dgetrf, dgetrs
 from lieednn_sim.network import ACTIVATIONS
 from lieednn_sim.values import Floats
 
-# phi' as a function of phi, which is at hand: two transcendental functions less an epoch.
+# phi' as a function of phi, which saves two transcendental functions per epoch.
 _SLOPE_OF_OUTPUT: dict[str, Callable[[Floats], Floats]] = {
     "tanh": lambda y: 1.0 - y * y,
     "arctan": lambda y: np.cos(0.5 * np.pi * y) ** 2,
 }
 _TOLERANCE = 1e-12
-# What rounding leaves; a point with a larger residual is no equilibrium.
+# Residual that rounding may leave; a point with a larger one is not an equilibrium.
 _ACCEPTED = 1e-9
 _LONGEST_STEP = 1.0
 _PATIENT_STEPS = 50
-# Steps with the matrix of the epoch before; it is almost right, and already factored.
+# Steps with the matrix of the previous epoch, which is almost right and already factored.
 _CHORD_STEPS = 4
-# Algorithm 1 says "solve by RK45" and no more: this long, again and again until the network rests.
+# Algorithm 1 only says "solve by RK45": we repeat runs of this length until the network rests.
 _HORIZON = 15.0
 _HORIZONS = 10
-# A tenth of the paper's tau, and far above what the integrator's own error leaves.
+# A tenth of the paper's tau, and far above the integrator's own error.
 _AT_REST = 1e-6
 _SETTLING_STEPS = 2000
-# Newton steps may improve a point of rest by so much; farther off they have found another equilibrium.
+# Most that Newton steps may move a point of rest; beyond that they have found another equilibrium.
 _NEARBY = 1e-2
 
 
 class FlatEquilibrium(NamedTuple):
-    """A state where gamma x = mu (W phi(x) + b), or the failed try to find one.
+    """A state where gamma x = mu (W phi(x) + b), or a failed attempt to find one.
 
     Attributes:
         x: ``(n,)`` state.
@@ -55,9 +55,9 @@ class FlatEquilibrium(NamedTuple):
 
 
 class SensitivityMatrix:
-    """S = I - (mu/gamma) W diag(phi'(x)), factored once for all that is solved with it; ``ratio`` is mu/gamma.
+    """S = I - (mu/gamma) W diag(phi'(x)), factored once for several right-hand sides; ``ratio`` is mu/gamma.
 
-    Straight to LAPACK: NumPy's and SciPy's checks cost more than solving with 24 unknowns.
+    Calls LAPACK directly: NumPy's and SciPy's checks cost more than a solve with 24 unknowns.
     """
 
     def __init__(self, weight: Floats, slope: Floats, ratio: float) -> None:
@@ -111,14 +111,14 @@ class EquilibriumSolver:
         Args:
             weight: ``(n, n)``.
             x: ``(n,)`` first guess.
-            nearby: S of weights and state close by, which does for the first steps.
-            tolerance: on the length of x - (mu/gamma) (W phi(x) + b).
-            steps: at most.
+            nearby: S of nearby weights and state, which is used for the first steps.
+            tolerance: tolerance on the length of x - (mu/gamma) (W phi(x) + b).
+            steps: most steps.
         """
         for step in range(steps + 1):
             output = self._phi(x)
             residual = x - self.ratio * weight.dot(output) - self._drive
-            # `dot`, for `@` and reductions take longer to set up than all the rest for so few numbers.
+            # `dot`, since `@` and reductions have more overhead than all the rest for so few numbers.
             length = math.sqrt(residual.dot(residual))
             if not length >= tolerance or step == steps:
                 break
@@ -133,16 +133,16 @@ class EquilibriumSolver:
         return FlatEquilibrium(x, output, self._slope(output), length < max(tolerance, _ACCEPTED))
 
     def first(self, weight: Floats) -> FlatEquilibrium:
-        """The equilibrium found from zero, patiently, and by running the network where Newton's method fails."""
+        """The equilibrium found from zero by more Newton steps, or by running the network where these fail."""
         found = self.newton(weight, np.zeros(len(weight)), steps=_PATIENT_STEPS)
         return found if found.success else self.flow(weight, np.zeros(len(weight)))
 
     def settled(self, weight: Floats, x: Floats, *, tolerance: float = _TOLERANCE) -> FlatEquilibrium:
-        """The equilibrium to which the network itself runs from ``x``: slow, and for where Newton steps fail.
+        """The equilibrium to which the network itself runs from ``x``: slow, for where Newton steps fail.
 
-        It may lie far from ``x``, beyond a bifurcation; it attracts its surroundings, as a point found by Newton's
-        method need not. A network that is far faster than its decay, or does not rest at all, is given up after
-        `_SETTLING_STEPS` steps of the integrator.
+        It may lie far from ``x``, beyond a bifurcation; unlike a point found by Newton's method, it is attracting. A
+        network that is far faster than its decay, or does not come to rest, is given up after `_SETTLING_STEPS` steps
+        of the integrator.
         """
         field = self._field(weight)
         run = RK45(field, 0.0, x, _HORIZONS * _HORIZON, rtol=1e-7, atol=1e-9)

@@ -1,4 +1,4 @@
-"""What happened during a training, epoch by epoch."""
+"""The history of a training, epoch by epoch."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class History:
     """One row for the weights at the beginning of each epoch; K rows.
 
     Attributes:
-        epoch: ``(K,)`` epochs done before the row; trials taken back leave gaps.
+        epoch: ``(K,)`` epochs done before the row; rejected trials leave gaps.
         error: ``(K,)`` E = ||xi* - xi_d||_2, the printed loss.
         accuracy: ``(K,)`` fraction of coordinates within the tolerance of the target.
         rate: ``(K,)`` learning rate of the epoch.
@@ -73,11 +73,11 @@ class History:
 
 
 class Recorder:
-    """Collects the rows of a `History`; may be cut back to an earlier length.
+    """Collects the rows of a `History`; can be truncated to an earlier length.
 
     Args:
         target: ``(N, d)`` xi_d.
-        tolerance: tau of the accuracy.
+        tolerance: tau, the tolerance of the accuracy.
     """
 
     def __init__(self, target: Floats, tolerance: float) -> None:
@@ -89,14 +89,14 @@ class Recorder:
         return len(self._scalars)
 
     def add(self, epoch: int, x: Floats, rate: float, weight: Floats) -> None:
-        """Append a row for flat weights with the flat equilibrium ``x``, which is kept, not copied."""
-        # LAPACK's norms of the transpose, which is in its order: a third of the time of NumPy's reductions.
+        """Append a row for flat weights with the flat equilibrium ``x``, which is not copied."""
+        # LAPACK's norms of the transpose, which is in its memory order, in a third of the time of NumPy's reductions.
         transposed = weight.T
         self._scalars.append((epoch, rate, dlange("I", transposed), dlange("1", transposed)))
         self._equilibria.append(x)
 
     def cut(self, length: int) -> None:
-        """Forget all rows from ``length`` on."""
+        """Delete all rows from ``length`` on."""
         del self._scalars[length:], self._equilibria[length:]
 
     def history(self) -> History:

@@ -1,4 +1,4 @@
-"""The manifold that projective learning keeps returning to: blocks alpha_ij Ad(theta_ij), or quaternions."""
+"""The manifold onto which projective learning projects: blocks alpha_ij Ad(theta_ij), or quaternions."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from lieednn_sim.theory.groups import nonzero_quaternion
 from lieednn_sim.theory.matrix_group import MatrixLieGroup
 from lieednn_sim.values import Floats, frozen
 
-# A block whose strength vanishes has no direction: W/alpha is taken with at least this much of it.
+# Least |alpha| in W/alpha: a block without strength has no direction.
 _SMALLEST_ALPHA = 1e-9
 # Alternations of strength and element in the scaled projection onto a group without a closed form.
 _ALTERNATIONS = 3
@@ -44,18 +44,18 @@ class WeightPoint:
 
 
 class WeightManifold(Protocol):
-    """What learning needs to know of a group."""
+    """The operations that learning needs on a group's weights."""
 
     dimension: int
 
     def project(self, weight: Floats, alpha: Floats, kind: str, near: WeightPoint | None = None) -> WeightPoint:
-        """Point for weights ``(Nd, Nd)``; ``kind`` of `options.PROJECTIONS`, alpha is used unless it is "scaled".
+        """Project weights ``(Nd, Nd)``; ``kind`` is one of `options.PROJECTIONS`, and "scaled" ignores alpha.
 
-        ``near`` is where a search may begin.
+        ``near`` is a point from which a search may start.
         """
 
     def point(self, alpha: Floats, elements: dict[str, NDArray[Any]]) -> WeightPoint:
-        """Point of given strengths and elements."""
+        """The point with given strengths and elements."""
 
     def network(
         self, point: WeightPoint, bias: Floats, rates: dict[str, Any]
@@ -69,7 +69,7 @@ class SE3Weights:
     dimension = 6
 
     def project(self, weight: Floats, alpha: Floats, kind: str, near: WeightPoint | None = None) -> WeightPoint:
-        """See `WeightManifold.project`; everything is in closed form, or searched from everywhere."""
+        """See `WeightManifold.project`; no projection needs ``near``."""
         blocks = block_view(weight, 6)
         if kind == "scaled":
             alpha, rotation, translation = project_to_scaled_adjoint(blocks)
@@ -97,13 +97,13 @@ class GroupWeights:
         self.dimension = group.dimension
 
     def project(self, weight: Floats, alpha: Floats, kind: str, near: WeightPoint | None = None) -> WeightPoint:
-        """See `WeightManifold.project`; there is no block-wise projection, so "block-wise" is the exact one too."""
+        """See `WeightManifold.project`; "block-wise" is the same as "exact"."""
         blocks = block_view(weight, self.dimension)
         start = None if near is None else near.elements["theta"]
         if kind != "scaled":
             alpha = guarded(alpha)
             return self.point(alpha, {"theta": self._nearest(blocks, alpha, start)})
-        # From the strengths before, a point on the manifold is its own projection. Either sign; the nearer point stays.
+        # Started from its own strengths, a point on the manifold is its own projection. The nearer of both signs wins.
         size = near.alpha if near is not None else np.linalg.norm(blocks, axis=(-2, -1)) / np.sqrt(self.dimension)
         points = [self._alternate(blocks, guarded(sign * size), start) for sign in (1.0, -1.0)]
         far = [np.linalg.norm(blocks - p.alpha[:, :, None, None] * p.adjoints, axis=(-2, -1)) for p in points]
@@ -112,7 +112,7 @@ class GroupWeights:
         return self.point(np.where(first, points[0].alpha, points[1].alpha), {"theta": theta})
 
     def _alternate(self, blocks: Floats, alpha: Floats, start: NDArray[Any] | None) -> WeightPoint:
-        """Best element for the strength, best strength for the element, and again."""
+        """Alternate between the best element for the strengths and the best strengths for the element."""
         for _ in range(_ALTERNATIONS):
             start = self._nearest(blocks, alpha, start)
             adjoints = self.group.adjoint(start)
@@ -136,12 +136,12 @@ class QuaternionWeights:
     """Blocks that multiply quaternions (w, x, y, z) from the left, |omega_ij| L(omega_ij / |omega_ij|)."""
 
     dimension = 4
-    # In checkpoints, where no group has it.
+    # Its name in checkpoints; no group has it.
     name = "quaternions"
 
     def project(self, weight: Floats, alpha: Floats, kind: str, near: WeightPoint | None = None) -> WeightPoint:
-        """See `WeightManifold.project`; the blocks are a linear space, onto which "scaled" is orthogonal."""
-        # L(1), L(i), L(j), L(k) are orthogonal, and 2 long.
+        """See `WeightManifold.project`; "scaled" is the orthogonal projection onto the linear space of blocks."""
+        # L(1), L(i), L(j), L(k) are orthogonal, with norm 2.
         quaternion = np.einsum("ijab,cab->ijc", block_view(weight, 4), _LEFT) / 4.0
         length = np.linalg.norm(quaternion, axis=-1)
         unit = quaternion / np.maximum(length, np.finfo(float).tiny)[..., None]
@@ -160,7 +160,7 @@ _LEFT = np.asarray(nonzero_quaternion().basis)
 
 
 def guarded(alpha: Floats) -> Floats:
-    """Strengths kept away from zero, their sign kept."""
+    """Strengths kept away from zero, with their signs."""
     return np.where(np.abs(alpha) < _SMALLEST_ALPHA, np.copysign(_SMALLEST_ALPHA, alpha), alpha)
 
 
@@ -171,7 +171,7 @@ def block_view(weight: Floats, dimension: int) -> Floats:
 
 
 def weight_manifold(group: MatrixLieGroup | QuaternionWeights | None) -> WeightManifold:
-    """The manifold of a group, or the quaternions' own; None is SE(3) with the paper's coordinates."""
+    """The manifold of a group, or the given one of quaternions; for None, that of SE(3) in the paper's coordinates."""
     if group is None:
         return SE3Weights()
     if isinstance(group, QuaternionWeights):

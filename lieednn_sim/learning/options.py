@@ -1,4 +1,4 @@
-"""Options of learning, with the settings that are worth a name."""
+"""Options of learning, with named settings."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ PROJECTIONS = ("block-wise", "exact", "scaled", "none")
 BLOCK_SCALE = "block-scale"
 STEP_CONTROLS = ("adaptive", "tracked")
 METHODS = ("gradient", "gauss-newton")
-# Of the learning rate, the same in both kinds of learning.
+# Options of the learning rate, common to both kinds of learning.
 _RATES = ("initial_rate", "min_rate", "max_rate", "grow", "shrink", "max_jump")
 
 
@@ -39,26 +39,26 @@ class TrainingOptions:
         loss: ``"squared"``, E^2/2, or ``"norm"``, the printed E; the Gauss-Newton direction is the same for both.
         equilibrium: ``"newton"``, damped Newton steps from the last one, or ``"rk45"``, running the network.
         projection: ``"block-wise"`` (paper, App. F), ``"exact"`` (Frobenius-nearest), ``"scaled"`` (alpha and block
-            together, alpha of either sign), or ``"none"`` (the ablation).
+            together, alpha of either sign), or ``"none"`` (ablation).
         period: epochs from one projection to the next.
-        learn_alpha: step in alpha with dE/dalpha; without, alpha stays. The scaled projection sets alpha itself.
-        initial_alpha: constant start of alpha, None for 1/(3N), or ``"block-scale"``, the least-squares scale of each
-            block of the first weights onto its rotation.
+        learn_alpha: step in alpha by dE/dalpha; otherwise alpha is fixed. The scaled projection sets alpha itself.
+        initial_alpha: initial alpha of all blocks, None for 1/(3N), or ``"block-scale"``, the least-squares scale of
+            each block of the first weights onto its rotation.
         initial_rate: first learning rate.
-        min_rate: adaptive: the rate never falls below; tracked: the start is given up there.
-        max_rate: the rate never rises above.
+        min_rate: with ``"adaptive"``, the least rate; with ``"tracked"``, the rate at which a start is given up.
+        max_rate: the largest rate.
         grow: factor of the rate after a good epoch.
         shrink: factor after a bad one.
-        step_control: ``"adaptive"``: every step is taken, the rate follows the loss. ``"tracked"``: the steps from one
-            projection to the next are a trial, taken back at a smaller rate when the equilibrium is lost or jumps
-            by more than ``max_jump``.
+        step_control: ``"adaptive"``: every step is taken, and the rate follows the loss. ``"tracked"``: the steps from
+            one projection to the next are a trial, repeated at a smaller rate when the equilibrium is lost or jumps by
+            more than ``max_jump``.
         max_jump: largest change of a coordinate of the equilibrium in one trial [rad, m].
         tolerance: tau on the largest coordinate of xi* - xi_d [rad, m].
-        max_epochs: of all starts together.
+        max_epochs: most epochs over all starts.
         restarts: new initial weights to draw when a start is given up.
-        max_start_epochs: a start that takes longer is given up while there are restarts left.
+        max_start_epochs: most epochs of a start while there are restarts left.
         verified_stop: test the weights after step and projection; the printed algorithm tests those before.
-        stability_interval: epochs from one check of the equilibrium's stability to the next; it costs several epochs.
+        stability_interval: epochs from one check of the equilibrium's stability, which costs several, to the next.
     """
 
     direction: str = "gradient"
@@ -83,7 +83,7 @@ class TrainingOptions:
     stability_interval: int = 100
 
     def __post_init__(self) -> None:
-        # What is stored is what was checked: plain numbers, which JSON can hold.
+        # Checked values are stored as plain numbers, which JSON can hold.
         as_choice("direction", self.direction, DIRECTIONS)
         as_choice("loss", self.loss, LOSSES)
         as_choice("equilibrium", self.equilibrium, EQUILIBRIA)
@@ -106,14 +106,15 @@ class TrainingOptions:
 
     @classmethod
     def repaired(cls, **changes: Any) -> TrainingOptions:
-        """Algorithm 1 that can converge: Newton equilibrium, E^2/2, alpha learned with W."""
+        """Algorithm 1 repaired so that it can converge: Newton equilibrium, E^2/2, alpha learned with W."""
         return cls(**changes)
 
     @classmethod
     def tracked(cls, **changes: Any) -> TrainingOptions:
-        """Projective learning that nearly always arrives.
+        """Projective learning that nearly always reaches the target.
 
-        Gauss-Newton direction, alpha projected with its block, each projection a trial that must keep the equilibrium.
+        Gauss-Newton direction, alpha projected with its block, and each projection a trial that must keep the
+        equilibrium.
         """
         return cls(
             **{
@@ -134,7 +135,7 @@ class TrainingOptions:
         )
 
 
-# A gradient step beyond it leaves the range of floating point before it is taken back.
+# Largest rate of gradient steps, which could overflow beyond it.
 _LARGEST_RATE = 1e6
 
 
@@ -144,21 +145,21 @@ class RiemannianOptions:
 
     Attributes:
         method: ``"gradient"``, each step lowers E, or ``"gauss-newton"``, each step aims straight at the target.
-        certified: learn a certificate of global stability with the weights, and give up a start that ends without;
-            Gauss-Newton only.
-        barrier: where the certificate pushes back: this part of gamma/mu, below 1.
+        certified: learn a certificate of global stability along with the weights, and give up a start that ends
+            without one; Gauss-Newton only.
+        barrier: share of gamma/mu, below 1, at which the certificate starts to push back.
         damping: Levenberg damping of the Gauss-Newton equations.
         initial_rate: first learning rate of each start.
-        min_rate: a start is given up below.
-        max_rate: the rate never rises above; 1 is the full Gauss-Newton step.
-        grow: factor of the rate after a step that was taken.
-        shrink: factor after one taken back: the equilibrium was lost, jumped or was unstable; or, with the gradient, E
-            did not fall.
+        min_rate: rate below which a start is given up.
+        max_rate: the largest rate; 1 is the full Gauss-Newton step.
+        grow: factor of the rate after an accepted step.
+        shrink: factor after a rejected step: the equilibrium was lost, jumped or was unstable; or, with the gradient,
+            E did not fall.
         max_jump: largest change of a coordinate of the equilibrium in one step [rad, m].
         tolerance: tau on the largest coordinate of xi* - xi_d [rad, m].
         restarts: new initial weights to draw when a start is given up.
-        max_start_epochs: a start that takes longer is given up.
-        stability_interval: epochs from one check of the equilibrium's stability to the next; the last is checked too.
+        max_start_epochs: most epochs of a start.
+        stability_interval: epochs from one check of the equilibrium's stability to the next; the last one is checked.
     """
 
     method: str = "gauss-newton"
@@ -192,7 +193,7 @@ class RiemannianOptions:
         check_rates(self.initial_rate, (self.min_rate, self.max_rate), grow=self.grow, shrink=self.shrink)
 
 
-# The named settings, for command lines.
+# The named settings, for the command line.
 ALGORITHMS = {
     "literal": TrainingOptions.literal,
     "repaired": TrainingOptions.repaired,

@@ -1,4 +1,4 @@
-"""What is to be learned: a target, and the network around the weights."""
+"""The learning problem: a target, and the parts of the network that are not learned."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from lieednn_sim.theory.matrix_group import MatrixLieGroup
 from lieednn_sim.validation import as_choice, as_floats, as_positive, as_seed
 from lieednn_sim.values import Floats, frozen
 
-# Called with epochs done and epochs at most.
+# Called with the epochs done and the most epochs.
 Progress = Callable[[int, int], None]
 
 # The paper's epsilon in W / (epsilon + ||W||_1).
@@ -30,9 +30,9 @@ class TrainingProblem:
     Attributes:
         target: ``(N, d)`` xi_d.
         bias: ``(N, d)``.
-        gamma, mu, activation: of the network.
-        group: None for SE(3), or `QuaternionWeights`.
-        seed: of the initial weights.
+        gamma, mu, activation: parameters of the network.
+        group: the group, None for SE(3), or `QuaternionWeights`.
+        seed: seed of the initial weights.
     """
 
     target: Floats
@@ -54,7 +54,7 @@ class TrainingProblem:
         group: MatrixLieGroup | QuaternionWeights | None,
         seed: int,
     ) -> TrainingProblem:
-        """Build from user input; a scalar bias is that of every coordinate.
+        """Build from user input; a scalar bias applies to every coordinate.
 
         Raises:
             InputError: a value has the wrong shape or range.
@@ -67,7 +67,7 @@ class TrainingProblem:
             bias = np.full(goal.shape, as_floats("bias", bias, ()))
         offset = as_floats("bias", bias, goal.shape)
         if not offset.any():
-            raise InputError("bias must not be zero: the equilibrium would be zero, whose output no weights can change")
+            raise InputError("bias must not be zero: zero would be an equilibrium for all weights")
         return cls(
             target=goal,
             bias=offset,
@@ -85,15 +85,15 @@ class TrainingProblem:
 
     @property
     def rates(self) -> dict[str, Any]:
-        """What a network's constructor takes beside weights and bias."""
+        """Arguments of a network's constructor besides weights and bias."""
         return {"gamma": self.gamma, "mu": self.mu, "activation": self.activation}
 
     def manifold(self) -> WeightManifold:
-        """Where the weights live."""
+        """The manifold of the weights."""
         return weight_manifold(self.group)
 
     def solver(self) -> EquilibriumSolver:
-        """Solver of the equilibrium for given weights."""
+        """A solver for the equilibrium of given weights."""
         return EquilibriumSolver(self.bias, self.ratio, self.activation)
 
     def initial_weight(self, start: int) -> Floats:

@@ -27,7 +27,7 @@ from lieednn_sim.values import Floats
 
 # Seconds from one checkpoint to the next.
 _CHECKPOINT_SECONDS = 10.0
-# Of the equilibrium, beside its distance to the target: E must fall, and not by the error of E.
+# Tolerance of the equilibrium relative to its distance from the target, so that its error does not affect E.
 _RELATIVE_TOLERANCE = 1e-6
 _LEAST_TOLERANCE = 1e-12
 
@@ -46,9 +46,9 @@ def train(
     checkpoint: str | os.PathLike[str] | None = None,
     progress: Progress | None = None,
 ) -> TrainingResult:
-    """Learn weights whose equilibrium is the target, returning to the manifold every few epochs.
+    """Learn weights whose equilibrium is the target, projecting onto the manifold every few epochs.
 
-    One neuron alone reaches few targets: a single block turns (omega, v) as a whole, and keeps their angle.
+    A single neuron reaches few targets: one block rotates omega and v together, which keeps the angle between them.
 
     Args:
         target: ``(N, 6)`` xi_d, or ``(N, d)`` with a group of dimension d.
@@ -60,12 +60,12 @@ def train(
         group: another group than SE(3), or `manifold.QuaternionWeights` for quaternions, d = 4.
         initial_weight: ``(Nd, Nd)`` weights of the first start; by default, and for every other start, random ones of
             1-norm 1, as in the paper.
-        seed: of the initial weights; the same seed gives the same network.
-        checkpoint: ``.npz`` file to keep the state in, every ten seconds and when interrupted; see `resume`.
-        progress: called with epochs done and epochs at most.
+        seed: seed of the initial weights; the same seed gives the same network.
+        checkpoint: ``.npz`` file for the state, written every ten seconds and when interrupted; see `resume`.
+        progress: called with the epochs done and the most epochs.
 
     Returns:
-        The outcome; it failed where `success` is false, and `reason` says how.
+        The outcome; where `success` is false, `reason` says why.
 
     Raises:
         InputError: a value has the wrong shape or range.
@@ -84,7 +84,7 @@ def train(
 
 
 def resume(checkpoint: str | os.PathLike[str], *, progress: Progress | None = None) -> TrainingResult:
-    """Go on where `train` was interrupted, to the same result as without the interruption.
+    """Continue where `train` was interrupted, to the same result as without the interruption.
 
     Raises:
         FileError: the file cannot be read or is no checkpoint.
@@ -118,7 +118,7 @@ class _ProjectedTraining:
             weight, alpha, "block-wise" if options.projection == "none" else options.projection
         )
         if options.step_control == "tracked" and options.projection != "none":
-            # Algorithm 1 starts off the manifold; a trial, which may be taken back, needs a point on it to begin with.
+            # Algorithm 1 starts off the manifold; a trial, which may be rejected, needs a point on it to return to.
             weight, alpha = point.weight, point.alpha
         self.recorder.cut(0)
         rk45 = options.equilibrium == "rk45"
@@ -136,7 +136,7 @@ class _ProjectedTraining:
                 elapsed = self.seconds + time.perf_counter() - begun
                 checkpoints.save(checkpoint, self.problem, self.options, self.anchor, self.recorder, elapsed)
 
-        # At once, so that a path that cannot be written is known before the work.
+        # At once, so that an unwritable path is reported before the work.
         save()
         try:
             while self.anchor.reason is None or self._may_restart():
@@ -169,10 +169,10 @@ class _ProjectedTraining:
         )
 
     def _find(self, weight: Floats, x: Floats, nearby: SensitivityMatrix | None = None) -> FlatEquilibrium:
-        """The equilibrium near ``x``, far more exact than it is near the target.
+        """The equilibrium near ``x``, to a small share of its distance from the target.
 
-        Where Newton's method finds none and the training would end, the network is run, as Algorithm 1 does in every
-        epoch: it often still settles.
+        Where Newton's method fails and the training would end, the network is run, as Algorithm 1 does in every epoch:
+        it often still settles.
         """
         if self.options.equilibrium == "rk45":
             return self.solver.flow(weight, x)
@@ -180,7 +180,7 @@ class _ProjectedTraining:
         tolerance = max(_RELATIVE_TOLERANCE * math.sqrt(delta.dot(delta)), _LEAST_TOLERANCE)
         found = self.solver.newton(weight, x, nearby, tolerance=tolerance)
         if found.success or self.options.step_control == "tracked":
-            # A tracked trial is taken back and made smaller instead, which costs less and keeps to the equilibrium.
+            # A tracked trial is repeated with a smaller step instead, which costs less and keeps the equilibrium.
             return found
         return self.solver.settled(weight, x, tolerance=tolerance)
 
@@ -215,7 +215,7 @@ class _ProjectedTraining:
         tracked = options.step_control == "tracked"
         lost = not state.equilibrium.success
         if lost or (tracked and np.abs(state.equilibrium.x - before.equilibrium.x).max() > options.max_jump):
-            # Back to the last weights that have the equilibrium; one anchor, so that an interruption finds all of it.
+            # Back to the last weights that have the equilibrium; one assignment, so that interruptions see all of it.
             rate = before.rate * options.shrink if tracked else before.rate
             reason: StopReason | None = StopReason.LOST_EQUILIBRIUM
             if tracked:
@@ -234,7 +234,7 @@ class _ProjectedTraining:
         self.anchor = state
 
     def _step(self, state: TrainingState) -> tuple[TrainingState, bool]:
-        """One epoch of Algorithm 1 without the projection; whether its stop test passed as printed."""
+        """One epoch of Algorithm 1 without the projection, and whether its stop test passed as printed."""
         check_time()
         options, ratio = self.options, self.problem.ratio
         now = state.equilibrium
@@ -245,7 +245,7 @@ class _ProjectedTraining:
             factor = options.grow if error < state.error else options.shrink
             rate = min(max(rate * factor, options.min_rate), options.max_rate)
         self.recorder.add(state.epoch, now.x, rate, state.weight)
-        # The length is at most sqrt(n) times the largest coordinate, so this is looked at only when it can be.
+        # The length is at most sqrt(n) times the largest coordinate, so this is computed only when it may hold.
         arrived = error < options.tolerance * math.sqrt(delta.size) and bool(np.abs(delta).max() < options.tolerance)
         weight, alpha, nearby = state.weight, state.alpha, None
         if error > 0.0:

@@ -1,4 +1,4 @@
-"""How a training ended."""
+"""The outcome of a training."""
 
 from __future__ import annotations
 
@@ -31,18 +31,18 @@ class TrainingResult:
     """Outcome of a training.
 
     Attributes:
-        success: the final weights have a stable equilibrium within the tolerance of the target, checked afresh.
+        success: whether the final weights have a stable equilibrium within the tolerance of the target, checked anew.
         reason: why it stopped.
-        network: with weights on the manifold; the ablation without projection has none, and this is None.
+        network: the network, with weights on the manifold; None for the ablation without projection.
         weight: ``(Nd, Nd)`` the last weights: the network's, or those that left the manifold.
-        error: largest coordinate of xi* - xi_d for these weights; infinite without equilibrium.
-        tolerance: that `success` was judged by.
+        error: largest coordinate of xi* - xi_d for these weights; infinite without an equilibrium.
+        tolerance: the tolerance of `success`.
         structure_error: ||W - projected W|| / ||W|| in the Frobenius norm: how much of the group's structure is lost.
             The ablation, which has no alpha, is projected with the best alpha of each block.
-        history: epoch by epoch, of the last start.
-        epochs: of all starts together.
-        starts: initial weights tried.
-        seconds: wall time, of all sittings.
+        history: history of the last start, epoch by epoch.
+        epochs: epochs over all starts.
+        starts: number of initial weights tried.
+        seconds: wall time, including that before interruptions.
     """
 
     success: bool
@@ -64,7 +64,7 @@ class TrainingResult:
     def message(self) -> str:
         """The outcome in a sentence."""
         tries = "" if self.starts == 1 else f" and {self.starts} starts"
-        verdict = "" if self.success or self.reason is not StopReason.CONVERGED else ", which does not hold afresh"
+        verdict = "" if self.success or self.reason is not StopReason.CONVERGED else ", not confirmed by a final check"
         return f"{self.reason} after {self.epochs} epochs{tries}: max |xi* - xi_d| is {self.error:.2g}{verdict}"
 
 
@@ -81,7 +81,7 @@ def conclude(
     starts: int,
     seconds: float,
 ) -> TrainingResult:
-    """Check the last weights afresh; ``point`` is None where they left the manifold."""
+    """Check the last weights anew; ``point`` is None where they left the manifold."""
     manifold = problem.manifold()
     network = manifold.network(point, problem.bias, problem.rates) if point is not None else None
     if network is not None:

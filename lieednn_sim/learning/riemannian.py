@@ -6,10 +6,10 @@ With delta = xi* - xi_d, S = I - (mu/gamma) W diag(phi'(xi*)) and B the derivati
 - gradient: p = -rate (mu/gamma) B^T S^-T delta, the Riemannian gradient of E^2/2, with Armijo backtracking;
 - gauss-newton: the shortest p with (mu/gamma) B p = -rate S delta, which needs no inverse of S.
 
-The second leaves 7 N^2 - 6 N directions along which the equilibrium stands still to first order. Stability-aware
-training uses them: it learns log S_P of a Lyapunov diagonal P = S_P^2 beside the weights, and whenever the smoothed
-largest eigenvalue of (mu/gamma) sym(S_P W_R S_P^-1) nears 1, log S_P and the neutral part of the weights go down its
-gradient. Below 1 the network has one equilibrium only, globally stable, which can neither be lost nor jump.
+The second leaves 7 N^2 - 6 N directions along which the equilibrium does not move to first order. Certified training
+uses them: it learns log S_P of a Lyapunov diagonal P = S_P^2 along with the weights, and whenever the smoothed largest
+eigenvalue of (mu/gamma) sym(S_P W_R S_P^-1) nears 1, log S_P and the neutral part of the weights descend its gradient.
+Below 1 the network has only one equilibrium, globally stable, which can neither be lost nor jump.
 """
 
 from __future__ import annotations
@@ -40,14 +40,14 @@ from lieednn_sim.network import LieEDNN
 from lieednn_sim.stability import Certificate, find_certificate, verify
 from lieednn_sim.values import Floats
 
-# Armijo's condition: the loss falls at least by this part of what its slope promises.
+# Armijo's condition: the loss must fall by at least this share of what its slope predicts.
 _SUFFICIENT_DECREASE = 1e-4
-# A Gauss-Newton step aims at this part of the largest jump: the second-order rest of the move needs room.
+# Share of the largest jump at which a Gauss-Newton step aims, to leave room for second-order terms.
 _AIM = 0.4
 # The smoothed eigenvalue lies above the largest by at most log(3N) / sharpness.
 _SHARPNESS = 16.0
-# The barrier asks for this part of the excess, and no more than this much, in one epoch. Where the slope is smaller
-# than the root of the last number it asks for less, so that the weights come to rest at a minimum.
+# In one epoch the barrier asks for this share of the excess, and at most this much. Where the squared slope is below
+# the last number it asks for less, so that the weights come to rest at a minimum.
 _BARRIER_GAIN = 0.3
 _LARGEST_DROP = 0.1
 _LEAST_SQUARED_SLOPE = 0.3
@@ -73,12 +73,12 @@ def train_riemannian(
         gamma: decay rate of the network.
         mu: scale of its interaction.
         activation: a name of `network.ACTIVATIONS`.
-        seed: of the initial weights; the same seed gives the same network.
-        progress: called with epochs done and epochs at most.
+        seed: seed of the initial weights; the same seed gives the same network.
+        progress: called with the epochs done and the most epochs.
 
     Returns:
-        The outcome; it failed where `success` is false, and `reason` says how. Certified training succeeds only with a
-        network that carries a valid certificate.
+        The outcome; where `success` is false, `reason` says why. Certified training succeeds only with a network that
+        carries a valid certificate.
 
     Raises:
         InputError: a value has the wrong shape or range.
@@ -178,7 +178,7 @@ class _RiemannianTraining:
             elif (rate := rate * options.shrink) < options.min_rate:
                 return now, StopReason.STEP_VANISHED
             else:
-                # The row is written again with the epoch and the rate of the next trial.
+                # The row is rewritten with the epoch and the rate of the next trial.
                 self.recorder.cut(len(self.recorder) - 1)
         return now, StopReason.LOST_EQUILIBRIUM
 
@@ -189,7 +189,7 @@ class _RiemannianTraining:
         return self.solver.sensitivity(now.weight, now.equilibrium).stable()
 
     def _followed(self, now: _Iterate, trial: _Iterate, decrease: float) -> bool:
-        """Whether the trial has the same equilibrium, moved a little, and the loss fell at least by `decrease`."""
+        """Whether the trial has the same equilibrium, slightly moved, and the loss fell by at least ``decrease``."""
         before, after = now.equilibrium.x, trial.equilibrium.x
         if not trial.equilibrium.success or np.abs(after - before).max() > self.options.max_jump:
             return False
@@ -209,7 +209,7 @@ class _RiemannianTraining:
         return trial, _SUFFICIENT_DECREASE * rate * float(np.vdot(gradient, gradient))
 
     def _gauss_newton_step(self, now: _Iterate, delta: Floats, rate: float, nearby: SensitivityMatrix) -> _Iterate:
-        """The trial with the shortest step to the target or towards it, and the certificate's neutral step."""
+        """The trial with the shortest step towards the target, plus the certificate's neutral step."""
         longest = _AIM * self.options.max_jump
         aim = delta * (longest / max(longest, np.abs(delta).max()))
         equations = RowEquations(differential(now.point, now.equilibrium.output), self.options.damping)
@@ -218,7 +218,7 @@ class _RiemannianTraining:
         if self.options.certified:
             value, in_point, in_log_scale = smoothed_eigenvalue(now.point, log_scale, self.ratio, _SHARPNESS)
             if value > self.options.barrier:
-                # Never slowed down with the rate: the certificate goes before the target.
+                # Not scaled by the rate: the certificate takes precedence over the target.
                 neutral = equations.neutral(in_point)
                 slope = float(np.vdot(neutral, neutral) + in_log_scale @ in_log_scale)
                 drop = min(_BARRIER_GAIN * (value - self.options.barrier), _LARGEST_DROP)
@@ -227,7 +227,7 @@ class _RiemannianTraining:
         return self._iterate(retract(now.point, step), now.equilibrium.x, log_scale, nearby)
 
     def _proved(self, now: _Iterate, *, search: bool) -> bool:
-        """Whether the learned diagonal certifies the weights; with `search`, whether any that can be found does."""
+        """Whether the learned diagonal certifies the weights, or with ``search`` any that is found."""
         return self._learned_certificate(now).valid or (search and self._certificate(now).valid)
 
     def _learned_certificate(self, now: _Iterate) -> Certificate:

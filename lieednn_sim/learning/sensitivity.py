@@ -22,7 +22,7 @@ LOSSES = ("squared", "norm")
 
 @frozen
 class Sensitivity:
-    """How the equilibrium error answers to the weights.
+    """The equilibrium error and its derivatives in the weights.
 
     Attributes:
         loss: E^2/2 ("squared") or E ("norm"), E = ||xi* - xi_d||_2.
@@ -43,7 +43,7 @@ def sensitivity(network: LieEDNN, target: ArrayLike, *, loss: str = "squared") -
     """Loss and gradients of a network whose equilibrium should be ``target`` (paper, eqs. 3.15 to 3.19).
 
     Args:
-        network: its equilibrium is found from zero; with several, from there.
+        network: its equilibrium is searched for from zero.
         target: ``(N - M, 6)`` xi_d of the visible neurons.
         loss: a name of `LOSSES`.
 
@@ -58,7 +58,7 @@ def sensitivity(network: LieEDNN, target: ArrayLike, *, loss: str = "squared") -
     # The Jacobian of the vector field is -gamma S.
     matrix = -network.jacobian(found.xi) / network.gamma
     output = network.phi(found.xi).ravel()
-    # Hidden neurons may be anywhere.
+    # Hidden neurons do not count.
     delta = np.zeros_like(found.xi)
     delta[: network.n_visible] = network.visible(found.xi) - goal
     delta = delta.ravel()
@@ -90,7 +90,7 @@ def weight_gradient(multiplier: Floats, output: Floats, ratio: float) -> Floats:
 def strength_gradient(weight: Floats, adjoints: Floats) -> Floats:
     """Gradient in alpha from the gradient in W: <dE/dW_ij, L_ij> with L_ij the adjoint blocks ``(N, N, d, d)``.
 
-    The paper writes w/alpha for L_ij (eq. 3.19), which is the same on the manifold only, between projections it is not.
+    The paper writes w/alpha for L_ij (eq. 3.19), which is the same on the manifold, but not between projections.
     """
     return np.einsum("ijab,ijab->ij", block_view(weight, adjoints.shape[-1]), adjoints)
 
@@ -98,6 +98,6 @@ def strength_gradient(weight: Floats, adjoints: Floats) -> Floats:
 def gauss_newton_direction(matrix: Floats, output: Floats, delta: Floats, ratio: float) -> Floats:
     """Smallest change of W that moves the equilibrium by delta to first order: (gamma/mu) S delta phi^T / ||phi||^2.
 
-    Unlike the gradient it needs no inverse of S, so near a bifurcation it does not blow up.
+    Unlike the gradient it needs no inverse of S, so it does not blow up near a bifurcation.
     """
     return (matrix @ (delta / ratio))[:, None] * (output / (output @ output))

@@ -1,6 +1,6 @@
-"""Tangent vectors of the weight manifold R^(N x N) x SE(3)^(N x N), and what the weights do along them.
+"""Tangent vectors of the weight manifold R^(N x N) x SE(3)^(N x N), and derivatives along them.
 
-A step has the coordinates (d_alpha, omega, d_t) at block (i, j), shape ``(N, N, 7)``. It is walked by the retraction of
+A step has the coordinates (d_alpha, omega, d_t) at block (i, j), shape ``(N, N, 7)``. It is taken by the retraction of
 the product R x SO(3) x R^3, not by the exponential of SE(3):
 
     alpha + d_alpha,  Exp(hat(omega)) R,  t + d_t.
@@ -63,7 +63,7 @@ def loss_gradient(rows: Floats, nearby: SensitivityMatrix, delta: Floats, ratio:
     """Riemannian gradient (mu/gamma) B^T S^-T delta of E^2/2, ``(N, N, 7)``.
 
     Args:
-        rows: ``(N, 6, 7N)`` B, of `differential`.
+        rows: ``(N, 6, 7N)`` B, from `differential`.
         nearby: S, not singular.
         delta: ``(6N,)`` xi* - xi_d.
         ratio: mu/gamma.
@@ -84,13 +84,13 @@ def smoothed_eigenvalue(
     """Log-sum-exp bound on the largest eigenvalue of sym(M), M = (mu/gamma) S W_R S^-1, and its gradients.
 
     With G the gradient in W_R, that in block (i, j) is <G, d_alpha R + hat(omega) alpha R> = d_alpha <G, R>
-    + omega . 2 vee(alpha G R^T); translations play no part.
+    + omega . 2 vee(alpha G R^T); it does not depend on translations.
 
     Args:
         point: weights.
         log_scale: ``(3N,)`` log S.
         ratio: mu/gamma.
-        sharpness: of the log-sum-exp.
+        sharpness: sharpness of the log-sum-exp.
 
     Returns:
         The bound, the Riemannian gradient ``(N, N, 7)``, and the gradient in log S ``(3N,)``.
@@ -108,11 +108,11 @@ def smoothed_eigenvalue(
 class RowEquations:
     """The N linear systems B_i p_i = r_i on a step's rows p_i, each with fewer equations than unknowns.
 
-    Solved through (B_i B_i^T + damping I) z_i = r_i and p_i = B_i^T z_i (Levenberg): the shortest solution when damping
-    is small against the squared singular values of B_i, and no long one where they vanish.
+    Solved by (B_i B_i^T + damping I) z_i = r_i and p_i = B_i^T z_i (Levenberg): the shortest solution when the damping
+    is small against the squared singular values of B_i, and still a short one where these vanish.
 
     Args:
-        rows: ``(N, 6, 7N)`` B, of `differential`.
+        rows: ``(N, 6, 7N)`` B, from `differential`.
         damping: positive.
     """
 

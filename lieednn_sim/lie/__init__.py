@@ -2,8 +2,8 @@
 
 Twists of SE(3) are ordered (omega, v), the order of `RigidTransform.from_exp_coords`. Leading batch axes everywhere.
 
-Here and in `arm` SciPy's names are written in full, after `import scipy`: its subpackages are then imported when they
-are used first, and `scipy.spatial` takes longer than MuJoCo.
+Here and in `arm`, SciPy's names are written in full after `import scipy`: its subpackages are then imported on first
+use, and importing `scipy.spatial` takes longer than importing MuJoCo.
 """
 
 from lieednn_sim.lie.projection import (

@@ -17,10 +17,10 @@ from lieednn_sim.values import Floats
 _SKEW_BASIS = hat(np.eye(3))
 # Rounding in the scaled value that `project_to_adjoint_exact` minimises.
 _TIE = 1e-13
-# Entries: what is squared is divided by its size first, so that more is allowed than elsewhere.
+# Largest entries; larger than elsewhere, since matrices are normalised before they are squared.
 _LARGEST = 1e152
-# `descend`: the most steps, their greatest length in the group's coordinates (rad for rotations), and the one
-# with which a point has arrived.
+# `descend`: the most steps, their greatest length in the group's coordinates (rad for rotations), and the length
+# at which a point has converged.
 _MAX_STEPS = 200
 _LONGEST_STEP = 1.0
 _SHORTEST_STEP = 1e-12
@@ -140,9 +140,9 @@ def descend(
 
     Args:
         points: ``(B, ...)`` starts.
-        evaluate: points and their indices to values ``(B,)``, gradients ``(B, d)`` and Hessians ``(B, d, d)`` of the
-            value in the coordinates of a step.
-        move: points and steps ``(B, d)`` to new points.
+        evaluate: maps points and their indices to values ``(B,)``, gradients ``(B, d)`` and Hessians ``(B, d, d)`` of
+            the value in the coordinates of a step.
+        move: maps points and steps ``(B, d)`` to new points.
 
     Returns:
         The last points and their values.

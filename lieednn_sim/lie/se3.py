@@ -17,10 +17,10 @@ if TYPE_CHECKING:
     from scipy.spatial.transform import RigidTransform, Rotation
 
 # Below this angle [rad] the trigonometric coefficients are summed as Taylor series: their closed forms lose
-# digits by cancellation, (theta - sin theta - theta^3/6) / theta^5 already all of them at 1e-3.
+# digits by cancellation, (theta - sin theta - theta^3/6) / theta^5 all of them at 1e-3.
 _SERIES_ANGLE = 1.0
 _SERIES_TERMS = 10
-# Largest entry of what is only moved, or halved and added.
+# Largest entry where entries are only copied, or halved and added.
 _LARGEST = 1e300
 # Largest entry of a twist where five of them are multiplied.
 _LARGEST_TWIST = 1e60
@@ -96,10 +96,10 @@ def log(pose: RigidTransform) -> Floats:
 
 
 def continued(twists: Floats) -> Floats:
-    """Logarithms ``(K, ..., 6)`` along ways of poses, in place of those after half a turn the ones that go on.
+    """Make the logarithms ``(K, ..., 6)`` along ways of poses continuous where these turn by more than half a turn.
 
     The axis -n and the angle 2 pi - a give the same rotation as n and a, and v = J_l^-1 p there the same translation,
-    in any unit. Where ways turn by nearly 2 pi there is none.
+    in any unit. Near a turn of 2 pi there is no continuous logarithm.
     """
     omega = twists[..., :3]
     turned = np.linalg.norm(np.diff(omega, axis=0), axis=-1) > np.pi
@@ -114,7 +114,7 @@ def continued(twists: Floats) -> Floats:
 
 
 def rotations(matrix: Floats) -> Rotation:
-    """`Rotation.from_matrix` of ``(..., 3, 3)`` that are orthogonal up to rounding: unchecked, compiled as in `exp`."""
+    """`Rotation.from_matrix` of ``(..., 3, 3)`` orthogonal up to rounding, unchecked; compiled code as in `exp`."""
     quaternions = scipy.spatial.transform.Rotation.from_matrix(matrix.reshape(-1, 3, 3), assume_valid=True).as_quat()
     return scipy.spatial.transform.Rotation(quaternions.reshape(*matrix.shape[:-2], 4), normalize=False)
 
@@ -184,8 +184,8 @@ def left_jacobian_se3(twist: ArrayLike) -> Floats:
 def spatial_twist(twist: ArrayLike, rate: ArrayLike) -> Floats:
     """Spatial twist ``(..., 6)`` of Exp(xi) where xi ``(..., 6)`` changes at a rate ``(..., 6)``: J xi'.
 
-    As `left_jacobian_se3` times the rate, in a tenth of the time: vectors are multiplied, not matrices, and components
-    of all vectors stand next to each other.
+    The same as `left_jacobian_se3` times the rate, in a tenth of the time: products are with vectors, not matrices, and
+    components of all vectors are contiguous.
     """
     vector = as_floats("twist", twist, (6,), batched=True, largest=_LARGEST_TWIST)
     change = as_floats("rate", rate, vector.shape)

@@ -1,4 +1,4 @@
-"""Proofs about x' = -gamma x + mu W phi(x) + mu b: stability and its rate, limits that hold, pushes and time steps.
+"""Proofs about x' = -gamma x + mu W phi(x) + mu b: stability and its rate, invariant limits, pushes and time steps.
 
 `assess` evaluates the hierarchy of conditions; a `Certificate` is the strongest of them, in a form that can be stored.
 """
@@ -14,6 +14,7 @@ from lieednn_sim.stability.certificate import (
 )
 from lieednn_sim.stability.conditions import CONDITIONS, Condition, Verdict, assess
 from lieednn_sim.stability.contraction import Contraction, find_contraction, verify_contraction
+from lieednn_sim.stability.guarantees import Guarantee
 from lieednn_sim.stability.norms import (
     LogNorms,
     NormConditions,
@@ -24,7 +25,7 @@ from lieednn_sim.stability.norms import (
     smallest_one_norm,
     weighted_norm,
 )
-from lieednn_sim.stability.robustness import INTEGRATORS_WITH_PROOF, Guarantee, Robustness, robustness
+from lieednn_sim.stability.robustness import INTEGRATORS_WITH_PROOF, Robustness, robustness
 
 __all__ = [
     "CONDITIONS",

@@ -1,4 +1,4 @@
-"""Box invariance: bounds lower <= xi <= upper that no trajectory leaves, proved face by face.
+"""Invariant boxes: bounds lower <= xi <= upper that no trajectory leaves, proved face by face.
 
 Nagumo's theorem: a box is never left when on each face the vector field does not point outward. For
 xi' = -gamma xi + mu W phi(xi) + mu b with phi increasing, the worst point of the face xi_i = upper_i puts every other
@@ -24,7 +24,7 @@ from lieednn_sim.values import Floats
 Activation = Callable[[Floats], Floats]
 
 _EPS = float(np.finfo(float).eps)
-# Part of the terms on a face by which the search lets the field point inward, so that rounding cannot undo it.
+# Relative size by which the search lets the field point inward on a face, so that rounding cannot undo it.
 _INWARD = 1e-9
 _MAX_ITERATIONS = 200_000
 
@@ -51,7 +51,7 @@ def is_invariant(
         mu: scale of the interaction, positive.
 
     Returns:
-        True only when proved. For a box that touches the condition with equality rounding decides against it.
+        True only when proved. A box that meets the condition with equality fails, because of rounding.
 
     Raises:
         InputError: wrong shapes, or an upper end below its lower end.
@@ -74,7 +74,7 @@ def is_invariant(
 def invariant_box(
     weight: ArrayLike, bias: ArrayLike, start: ArrayLike, phi: Activation, *, gamma: float, mu: float
 ) -> tuple[Floats, Floats]:
-    """The least invariant box around one or more start points: limits for the whole motion from each of them.
+    """The least invariant box around one or more start points, which bounds the whole motion from each of them.
 
     Invariant boxes around the starts intersect in another, so there is a least one. The box grows from the starts: each
     face moves out by its outward field over the largest slope that this can have in the face's own position,
@@ -93,8 +93,8 @@ def invariant_box(
 
     Raises:
         InputError: wrong shapes.
-        NoSolutionError: the box did not stop growing; with a bounded phi it does, though slowly where an invariant box
-            has only just ceased to exist.
+        NoSolutionError: the box did not stop growing. With a bounded phi it does, though slowly where a smaller
+            invariant box has only just ceased to exist.
     """
     matrix = as_weight("weight", weight)
     n = len(matrix)

@@ -1,10 +1,10 @@
-"""The best diagonal Lyapunov matrix by the method of centres: no solver but NumPy's, and no local minimum to stop in.
+"""The best diagonal Lyapunov matrix by the method of centres, which needs only NumPy and has no local minima.
 
-A level lambda can be had when some positive diagonal P makes F(P) = 2 lambda P - P W - W^T P positive definite. F is
-linear in P, so the set of such P is convex, with -log det F for a barrier. Its analytic centre, that is the least of
-the barrier within bounds on P, is found by Newton's method and lies where lambda can be lowered; so centre and level
-follow each other down to the least lambda there is (Boyd and El Ghaoui, Linear Algebra and its Applications 188, 1993).
-Each lowering first goes along the tangent of the path of centres, which saves most of the Newton steps.
+A level lambda is feasible when some positive diagonal P makes F(P) = 2 lambda P - P W - W^T P positive definite. F is
+linear in P, so the set of such P is convex, with the barrier -log det F. Its analytic centre, the minimum of the
+barrier within bounds on P, is found by Newton's method, and leaves room to lower lambda; so centre and level follow
+each other down to the least lambda (Boyd and El Ghaoui, Linear Algebra and its Applications 188, 1993). Each lowering
+first follows the tangent of the path of centres, which saves most of the Newton steps.
 
 In relative changes d of P the barrier's derivatives need three products of matrices. With M = S W S^-1, S = P^(1/2),
 A = lambda I - M and G = (A + A^T)^-1 the gradient is -2 (A G)_ii, the Hessian 2 (G o (A G A^T) + (A G) o (A G)^T), o
@@ -18,17 +18,17 @@ import numpy as np
 from lieednn_sim.stability.norms import scale
 from lieednn_sim.values import Floats
 
-# exp(+-_LOG_SCALE_BOUND) bounds S, so that S W S^-1 keeps its digits.
+# exp(+-_LOG_SCALE_BOUND) bounds S, so that S W S^-1 stays accurate.
 _LOG_SCALE_BOUND = 8.0
 _LEAST, _MOST = np.exp(-2.0 * _LOG_SCALE_BOUND), np.exp(2.0 * _LOG_SCALE_BOUND)
-# In units of |S W S^-1|_2 at the start: first level above its eigenvalue, and the gap at which the search ends. The
-# eigenvalue is then within about n gaps of the least.
+# Gap of the first level above its eigenvalue, and the gap at which the search ends, in units of |S W S^-1|_2 at the
+# start. The final eigenvalue is within about n gaps of the least.
 _FIRST_GAP, _LAST_GAP = 0.03, 1e-8
 _MAX_LEVELS, _MAX_NEWTON = 100, 30
-# A centre is near enough when the barrier can fall by no more than about half the square of this.
+# Newton decrement at which a centre is accepted: the barrier can then fall by no more than about half its square.
 _DECREMENT = 0.3
-# Steps of the level along the tangent in gaps: the longest tried, the shortest, the factor between two trials, and the
-# share that is taken of the longest possible. Without a tangent that helps, the share of the gap by which it falls.
+# Steps of the level along the tangent, in gaps: the longest tried, the shortest, the factor between trials, and the
+# share taken of the longest feasible one. Last, the share of the gap by which the level falls if the tangent fails.
 _LONGEST, _SHORTEST, _SHRINK, _SHARE, _PLAIN = 64.0, 0.5, 0.6, 0.8, 0.9
 
 
@@ -38,7 +38,7 @@ def minimise_by_centres(weight: Floats, group_size: int, start: Floats) -> Float
     Args:
         weight: W, ``(n, n)``.
         group_size: entries of S are equal within consecutive groups of this size.
-        start: log S of each group to start from; a common factor of S and what is out of bounds are ignored.
+        start: initial log S of each group; a common factor of S is removed, and the rest is clipped to the bounds.
 
     Returns:
         The best found. Nothing about it is guaranteed: pass it to `stability.verify`.
@@ -60,13 +60,13 @@ def minimise_by_centres(weight: Floats, group_size: int, start: Floats) -> Float
             tangent = np.asarray(np.linalg.solve(hessian, slope), np.float64)
             entries, level = search.lower(entries, tangent, level, gap)
     except np.linalg.LinAlgError:
-        # So near to the least level that F is singular up to rounding.
+        # So near the least level that F is singular up to rounding.
         pass
     return 0.5 * np.log(search.best)
 
 
 class _CentreSearch:
-    """The best diagonal met, and the steps of the search."""
+    """The steps of the search, and the best diagonal so far."""
 
     def __init__(self, weight: Floats, group_size: int) -> None:
         self._weight, self._size = weight, group_size
@@ -82,7 +82,7 @@ class _CentreSearch:
         return value
 
     def centre(self, entries: Floats, level: float) -> tuple[Floats, Floats, Floats]:
-        """The analytic centre of a level that ``entries`` has, the Hessian there and the gradient's fall with it."""
+        """The analytic centre of a level feasible for ``entries``, the Hessian there and the gradient's rate in it."""
         for _ in range(_MAX_NEWTON):
             a = level * np.eye(len(self._weight)) - self._scaled(entries)
             g = np.linalg.inv(a + a.T)

@@ -35,22 +35,22 @@ from lieednn_sim.values import Floats, frozen
 
 METHODS = ("descent", "lmi")
 
-# Entries of P further apart prove nothing of use (V then sees one coordinate only), and with `LARGEST`, which bounds W,
-# gamma, mu and their inverses, S W S^-1 stays far from overflow, and gamma/mu far above what underflow can spoil.
+# Entries of P further apart prove nothing useful (V would depend on one coordinate only). With `LARGEST`, which bounds
+# W, gamma, mu and their inverses, S W S^-1 stays far from overflow, and gamma/mu far from underflow.
 _LARGEST_SPREAD = 1e60
 _EPS, _TINY = float(np.finfo(float).eps), float(np.finfo(float).tiny)
 
 
 @frozen
 class Certificate:
-    """Verdict on one diagonal P for one W_R, decided by eigenvalues alone.
+    """The result for one diagonal P and one W_R, decided by eigenvalues alone.
 
     Attributes:
         lyapunov_diagonal: the diagonal of P, ``(3N,)``, geometric mean 1.
         lambda_max: largest eigenvalue of sym(S W_R S^-1), S = P^(1/2).
         rounding: bound on the error of `lambda_max` in floating point.
         bound: gamma/mu.
-        gamma: decay rate of a neuron left alone, in 1 / (the network's time).
+        gamma: decay rate of an isolated neuron, in 1 / (the network's time).
     """
 
     lyapunov_diagonal: Floats
@@ -61,7 +61,7 @@ class Certificate:
 
     @property
     def valid(self) -> bool:
-        """Whether the inequality holds with the rounding error on the unsafe side."""
+        """Whether the inequality holds in spite of rounding errors."""
         return self.lambda_max + self.rounding < self.bound
 
     @property
@@ -90,7 +90,7 @@ def verify(lyapunov_diagonal: ArrayLike, weight: ArrayLike, *, gamma: float = 1.
 
     Raises:
         InputError: shapes disagree, an entry of the diagonal is not positive, or the numbers are so large, small or far
-            apart (entries of P by more than 1e60) that a proof could drown in overflow or underflow.
+            apart (entries of P by more than 1e60) that overflow or underflow could invalidate a proof.
     """
     diagonal = as_floats("lyapunov_diagonal", lyapunov_diagonal, ("n",))
     if diagonal.size == 0:
@@ -113,8 +113,8 @@ def verify(lyapunov_diagonal: ArrayLike, weight: ArrayLike, *, gamma: float = 1.
     exponent = int(np.frexp(np.abs(scaled).max())[1])
     unit = np.ldexp(scaled, -exponent)
     # Forming an entry rounds at most five times; the symmetric eigensolver is backward stable, with an error
-    # below n eps ||A||_2. Both are taken twice over, in the Frobenius norm. What underflows is off by less than the
-    # smallest normal number, entry by entry and in the eigenvalue.
+    # below n eps ||A||_2. Both are doubled, in the Frobenius norm. Underflow changes each entry, and the eigenvalue, by
+    # less than the smallest normal number.
     relative = (10.0 + 2.0 * diagonal.size) * _EPS * np.linalg.norm(unit)
     rounding = float(np.ldexp(relative, exponent)) + (diagonal.size + 1.0) * _TINY
     return Certificate(
@@ -129,27 +129,27 @@ def verify(lyapunov_diagonal: ArrayLike, weight: ArrayLike, *, gamma: float = 1.
 def find_certificate(
     weight: ArrayLike, *, gamma: float = 1.0, mu: float = 1.0, group_size: int = 1, method: str = "descent"
 ) -> Certificate:
-    """Search the diagonal P that makes lambda_max(sym(S W S^-1)) smallest, and verify it.
+    """Search for the diagonal P that minimises lambda_max(sym(S W S^-1)), and verify it.
 
-    `descent` goes down the path of analytic centres (`stability.centres`) from the P that weighted norms suggest. In P
-    the problem is quasi-convex, so a failure is strong evidence, though no proof, that no diagonal P exists with
+    `descent` follows the path of analytic centres (`stability.centres`) down from the P that weighted norms suggest. In
+    P the problem is quasi-convex, so a failure is strong evidence, though no proof, that there is no diagonal P with
     entries within exp(+-16). `lmi` solves linear matrix inequalities by bisection, see `stability.lmi`; it needs cvxpy,
-    takes longer, and is here to check the first. Whatever a method answers goes through `verify`.
+    takes longer, and serves as a check of the first. The result of either is checked by `verify`.
 
     Args:
         weight: W_R (or any square matrix), ``(n, n)``.
         gamma: decay rate, positive.
         mu: scale of the interaction, positive.
-        group_size: entries of P are equal within consecutive groups of this size. 3 leaves P the form p_i I_3 that a
-            network with a common rotation of all omega_i as its symmetry needs.
+        group_size: entries of P are equal within consecutive groups of this size. With 3, P has the form diag(p_i I_3)
+            that a network needs whose symmetry is a common rotation of all omega_i.
         method: a name of `METHODS`.
 
     Returns:
-        The best certificate found; look at its `valid`.
+        The best certificate found, which need not be `valid`.
 
     Raises:
-        InputError: no square matrix, n not a multiple of `group_size`, or an unknown method.
-        LieEDNNError: `lmi` without cvxpy installed.
+        InputError: the matrix is not square, n is not a multiple of `group_size`, or the method is unknown.
+        LieEDNNError: `lmi` needs cvxpy, which is not installed.
     """
     matrix = as_weight("weight", weight)
     n, size = len(matrix), as_count("group_size", group_size)
@@ -162,7 +162,7 @@ def find_certificate(
 
         candidates += [0.5 * np.log(minimise_largest_eigenvalue(matrix, size)[::size])]
     else:
-        # Diagonals that prove whatever a weighted norm proves: Perron vectors of the majorant, left over right.
+        # The diagonal that proves whatever a weighted norm proves: the majorant's Perron vectors, left over right.
         weights = weighted_norm(matrix)
         perron = 0.5 * np.log(weights.left / weights.right).reshape(-1, size).mean(axis=1)
         candidates += [perron, minimise_by_centres(matrix, size, perron)]
@@ -171,7 +171,7 @@ def find_certificate(
 
 
 def known_or_found(lyapunov_diagonal: ArrayLike | None, weight: ArrayLike, *, gamma: float, mu: float) -> Certificate:
-    """The certificate of a known diagonal where there is one and it holds, else the best that is found."""
+    """The certificate of a known diagonal if it is valid, else the best one found."""
     if lyapunov_diagonal is not None:
         certificate = verify(lyapunov_diagonal, weight, gamma=gamma, mu=mu)
         if certificate.valid:

@@ -1,10 +1,10 @@
-"""The hierarchy of stability conditions: which proofs hold for a network, and how fast each one proves it to be.
+"""The hierarchy of stability conditions: which of them hold for a network, and the rate that each one proves.
 
-They go from sums of weights to the best diagonal Lyapunov matrix, then to local stability. Implications, for one
-matrix: the paper's norms imply the log norms; those imply the weighted norm; that, as well as the sum condition by way
-of the Euclidean log norm, implies the diagonal Lyapunov condition, and so does contraction in a quadratic norm
-(`stability.contraction`). No converse holds. A later condition need not prove
-a higher rate than an earlier one in its own distance, so the verdict names both the first that holds and the fastest.
+They range from sums of weights over the best diagonal Lyapunov matrix to local stability. For one matrix, the paper's
+norms imply the log norms, and those the weighted norm; this implies the diagonal Lyapunov condition, and so do the sum
+condition, by way of the Euclidean log norm, and contraction in a quadratic norm (`stability.contraction`). No converse
+holds. A later condition need not prove a higher rate than an earlier one in its own distance, so the verdict names both
+the first that holds and the fastest.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from lieednn_sim.stability.norms import as_weight, frobenius, log_norms, weighte
 from lieednn_sim.validation import as_floats, as_positive, as_ratio
 from lieednn_sim.values import Floats
 
-# In the order of the hierarchy; a verdict's level is one of these or "none".
+# In hierarchical order; a verdict's level is one of these or "none".
 CONDITIONS = (
     "1-norm",
     "infinity norm",
@@ -35,8 +35,8 @@ CONDITIONS = (
     "local",
 )
 
-# Couplings stronger than this against the decay make a network stiff: what its slowest and fastest parts do in the same
-# time differs so much that explicit integrators need very many steps, and little rounding shows up large.
+# Couplings stronger than this, relative to the decay, make a network stiff: its time scales are so far apart that
+# explicit integrators need very many steps, and rounding errors are amplified.
 STIFF = 100.0
 
 # Both diagonal blocks of a twist's adjoint are the same rotation; other orders of multiplication may round differently.
@@ -84,7 +84,7 @@ class Verdict:
 
     @property
     def warning(self) -> str | None:
-        """What is to be said of couplings more than `STIFF` times as strong as the decay; None of weaker ones."""
+        """A warning about couplings more than `STIFF` times as strong as the decay, or None."""
         if self.stiffness <= STIFF:
             return None
         return (
@@ -99,7 +99,7 @@ class Verdict:
 
     @property
     def level(self) -> str:
-        """Name of the first condition that holds, which is the simplest proof there is; "none" if none does."""
+        """Name of the first condition that holds, the simplest proof; "none" if none does."""
         return next((condition.name for condition in self.conditions if condition.holds), "none")
 
     @property
@@ -114,10 +114,10 @@ class Verdict:
         return max(condition.rate for condition in self.conditions if condition.scope == "global")
 
     def __getitem__(self, name: str) -> Condition:
-        """Condition of that name.
+        """The condition with this name.
 
         Raises:
-            InputError: no such condition here.
+            InputError: there is no such condition.
         """
         for condition in self.conditions:
             if condition.name == name:
@@ -156,21 +156,21 @@ def assess(
     """Evaluate every condition for x' = -gamma x + mu W phi(x) + mu b, each slope of phi in (0, 1].
 
     The adjoint of SE(3) makes W block triangular once all omega are sorted before all v, with W_R twice on the
-    diagonal; weighting v little against omega then makes W_C as small as one likes, so the weighted and the Lyapunov
+    diagonal; a small weight of v against omega then makes W_C arbitrarily small, so the weighted and the Lyapunov
     conditions hold for W exactly when they hold for W_R, at the same rate up to any small epsilon. The log norm 2 on
-    W_R proves the same for W through diag(I, eps I). Only unweighted norms see W_C, and need the whole W.
+    W_R proves the same for W through diag(I, eps I). Only unweighted norms depend on W_C, and need the whole W.
 
     Args:
         weight: W, ``(n, n)``; n = 6N with interleaved twists (omega, v) when `rotational_weight` is given.
         gamma: decay rate, positive.
         mu: scale of the interaction, positive.
-        rotational_weight: W_R, ``(3N, 3N)``, which the last global conditions then look at.
-        jacobian: ``(n, n)`` of the vector field at an equilibrium, for the local condition.
-        lyapunov_diagonal: a known diagonal P, of the size of `rotational_weight` or else of `weight`; it spares the
+        rotational_weight: W_R, ``(3N, 3N)``, on which the last global conditions are then evaluated.
+        jacobian: Jacobian ``(n, n)`` of the vector field at an equilibrium, for the local condition.
+        lyapunov_diagonal: a known diagonal P, of the size of `rotational_weight` or else of `weight`; it saves the
             search when it is valid.
 
     Raises:
-        InputError: shapes disagree, or `rotational_weight` is not what `weight` is made of.
+        InputError: shapes disagree, or `rotational_weight` does not belong to `weight`.
     """
     matrix = as_weight("weight", weight)
     decay, scale = as_positive("gamma", gamma), as_positive("mu", mu)
@@ -183,7 +183,7 @@ def assess(
 
     def condition(name: str, value: float, *, factor: float = 1.0) -> Condition:
         holds = value < factor * bound
-        # Every one of these is a bound v on the interaction, and proves the rate gamma - mu max(v, 0).
+        # Each value is a bound v on the interaction, and proves the rate gamma - mu max(v, 0).
         rate = decay - scale * max(value, 0.0) / factor if holds else 0.0
         return Condition(name, holds, value, factor * bound, rate, "global")
 
@@ -200,7 +200,7 @@ def assess(
     ]
     if jacobian is not None:
         slopes = as_floats("jacobian", jacobian, matrix.shape)
-        # The backward error of the eigenvalues; what a badly conditioned one makes of it is not bounded.
+        # Backward error of the eigenvalues; the forward error of ill-conditioned ones is not bounded by it.
         rounding = len(slopes) * np.finfo(float).eps * frobenius(slopes)
         abscissa = float(np.linalg.eigvals(slopes).real.max() + rounding)
         conditions.append(Condition("local", abscissa < 0.0, abscissa, 0.0, max(0.0, -abscissa), "local"))
@@ -216,7 +216,7 @@ def _strongest_coupling(core: Floats, size: int) -> float:
 
 
 def _rotational_part(weight: Floats, rotational_weight: ArrayLike) -> Floats:
-    """Check W_R against W; a proof about another matrix would be none."""
+    """Check that W_R belongs to W; a proof about another matrix would be worthless."""
     given = as_weight("rotational_weight", rotational_weight)
     n = len(given)
     if n % 3 or len(weight) != 2 * n:

@@ -1,4 +1,4 @@
-"""Contraction: the distance of any two solutions falls at a proven rate, in one norm, from everywhere.
+"""Contraction: the distance between any two solutions falls at a proven rate in one norm.
 
 Between two solutions of x' = -gamma x + mu W phi(x) + mu b, e' = -gamma e + mu W z with z = D e, where D is diagonal
 and its entries, mean slopes of phi, lie in [0, 1]; so z^T Q (e - z) >= 0 for every positive diagonal Q. Added to the
@@ -36,27 +36,27 @@ from lieednn_sim.validation import as_floats, as_positive, as_ratio
 from lieednn_sim.values import Floats, frozen
 
 _EPS = float(np.finfo(float).eps)
-# Angles of the boundary that are looked at in a quarter turn, before the worst is refined.
+# Angles at which the boundary is evaluated in a quarter turn, before the worst is refined.
 _N_ANGLES = 32
 # Q is moved only where the worst angle costs more than this share of gamma/mu.
 _WORTH_MOVING = 0.01
-# How far above the least v, relative to v or gamma/mu, its P is looked for: the first at which one is found.
+# Distances above the least v, relative to v or gamma/mu, at which P is searched for, in turn.
 _ABOVE = (1e-6, 1e-4, 1e-2, 1.0)
-# A triangular factor worse conditioned than this has no inverse to speak of in floating point.
+# A triangular factor with a larger condition number has no useful inverse in floating point.
 _LARGEST_CONDITION = 1e12
 
 
 @frozen
 class Contraction:
-    """Verdict on one pair (P, Q) for one W, decided by a spectral norm alone.
+    """The result for one pair (P, Q) and one W, decided by a spectral norm alone.
 
     Attributes:
         factor: upper triangular T ``(n, n)`` of the norm |e|_P = |T e|_2, P = T^T T.
         multiplier: the diagonal of Q, ``(n,)``.
-        value: v, the least with which the pair proves anything.
-        rounding: bound on the error of `value` in floating point; infinite where T is too badly conditioned.
+        value: the least v for which the inequality holds.
+        rounding: bound on the error of `value` in floating point; infinite where T is too ill-conditioned.
         bound: gamma/mu.
-        gamma: decay rate of a neuron left alone, in 1 / (the network's time).
+        gamma: decay rate of an isolated neuron, in 1 / (the network's time).
     """
 
     factor: Floats
@@ -68,7 +68,7 @@ class Contraction:
 
     @property
     def valid(self) -> bool:
-        """Whether distances fall, with the rounding error on the unsafe side."""
+        """Whether distances fall in spite of rounding errors."""
         return self.value + self.rounding < self.bound
 
     @property
@@ -111,7 +111,7 @@ def verify_contraction(
     total = inverse.T + local @ scaled
     norm = float(np.linalg.norm(total, 2))
     size, inverse_size = float(np.linalg.norm(local)), float(np.linalg.norm(inverse))
-    # Forming the entries, a product of n terms, the norm; and the inverse, with the largest error: T^-1 dT T^-1.
+    # Rounding in the entries, in a product of n terms, in the norm, and in the inverse, the largest: T^-1 dT T^-1.
     error = (10.0 + 2.0 * n) * _EPS * (inverse_size * (1.0 + size * inverse_size) + 2.0 * size * frobenius(scaled))
     if size * inverse_size > _LARGEST_CONDITION or not np.isfinite(norm + error):
         error = np.inf
@@ -128,27 +128,27 @@ def verify_contraction(
 def find_contraction(
     weight: ArrayLike, *, gamma: float = 1.0, mu: float = 1.0, lyapunov_diagonal: ArrayLike | None = None
 ) -> Contraction:
-    """Search the norm in which distances fall fastest, and verify it.
+    """Search for the norm in which distances fall fastest, and verify it.
 
-    Q starts as the best diagonal Lyapunov matrix, and is moved once by the method of centres so that the worst angle at
-    the start counts as well as angle 0 (which leaves it a few thousandths above the least there is); P is then the
+    Q starts as the best diagonal Lyapunov matrix, and is moved once by the method of centres so that the initially
+    worst angle counts as well as angle 0, which leaves v a few thousandths above the least possible; P is then the
     stabilising solution of a Riccati equation.
 
     Args:
         weight: W_R (or any square matrix), ``(n, n)``.
         gamma: decay rate, positive.
         mu: scale of the interaction, positive.
-        lyapunov_diagonal: ``(n,)`` to start from; the best one is searched for by default.
+        lyapunov_diagonal: initial Q ``(n,)``; by default, the best one is searched for.
 
     Returns:
-        The best found; look at its `valid`.
+        The best result, which need not be `valid`.
     """
     matrix = as_weight("weight", weight)
     bound = as_ratio(as_positive("gamma", gamma), mu)
     if lyapunov_diagonal is None:
         lyapunov_diagonal = find_certificate(matrix, gamma=gamma, mu=mu).lyapunov_diagonal
     best = 0.5 * np.log(as_floats("lyapunov_diagonal", lyapunov_diagonal, (len(matrix),)))
-    # Entries of about 1; T shrinks by the root of what W grows by.
+    # Scaled to entries of about 1; T scales with the inverse root of W.
     magnitude = float(np.abs(scale(matrix, best)).max()) or 1.0
     unit = matrix / magnitude
     level, angle, symmetric = least_level(scale(unit, best))
@@ -170,7 +170,7 @@ def find_contraction(
 
 
 def least_level(scaled: Floats) -> tuple[float, float, float]:
-    """Least v of any P for S W S^-1 ``(n, n)``, at least 0; the angle a in [0, pi/2) that decides it; v at a = 0."""
+    """The least v over all P for S W S^-1 ``(n, n)``, at least 0; the angle in [0, pi/2) that decides it; v at 0."""
 
     def level(angle: Floats) -> Floats:
         turned = np.exp(1j * angle)[..., None, None] * scaled
@@ -190,7 +190,7 @@ def least_level(scaled: Floats) -> tuple[float, float, float]:
 
 
 def norm_at(weight: Floats, log_scale: Floats, level: float) -> Floats | None:
-    """T ``(n, n)`` of the well-conditioned end of the P that prove a level v with Q = S^2; None where none is found.
+    """T ``(n, n)`` of a well-conditioned P that proves a level v with Q = S^2, or None.
 
     Equality in the inequality is a Riccati equation for X = S^-1 P S^-1: with M = S W S^-1,
     (I + X M) (I + X M)^T = 4 v X, of which this is the stabilising solution.

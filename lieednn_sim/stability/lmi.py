@@ -20,8 +20,8 @@ def minimise_largest_eigenvalue(weight: Floats, group_size: int = 1) -> Floats:
 
     See Boyd, El Ghaoui, Feron and Balakrishnan, Linear Matrix Inequalities in System and Control Theory, 1994. For a
     fixed lambda the inequality is linear in P; its largest margin t with P W + W^T P - 2 lambda P <= -t I and P <= I is
-    positive exactly when lambda can be beaten. Bisection on lambda, each answer's own largest eigenvalue taken as the
-    new upper end.
+    positive exactly when a smaller lambda is feasible. Bisection on lambda takes the largest eigenvalue of each
+    solution as the new upper end.
 
     Args:
         weight: ``(n, n)``, n a multiple of `group_size`.
@@ -54,12 +54,12 @@ def minimise_largest_eigenvalue(weight: Floats, group_size: int = 1) -> Floats:
     )
     best = np.ones(n)
     high = _largest_eigenvalue(best, matrix)
-    # No similarity moves the spectrum or the diagonal, and both lie below the largest eigenvalue.
+    # The scaling changes neither the spectrum nor the diagonal, and both lie below the largest eigenvalue.
     low = max(float(np.linalg.eigvals(matrix).real.max()), float(np.diag(matrix).max()))
     while high - low > _RELATIVE_TOLERANCE:
         level.value = 0.5 * (low + high)
         with warnings.catch_warnings():
-            # An inaccurate solution is no worry: only its own eigenvalues count.
+            # An inaccurate solution does no harm: only its own eigenvalues count.
             warnings.simplefilter("ignore")
             try:
                 problem.solve(solver=cp.CLARABEL)

@@ -18,7 +18,7 @@ from lieednn_sim.validation import as_floats, as_ratio
 from lieednn_sim.values import Floats, frozen
 
 _EPS = float(np.finfo(float).eps)
-# Weights further apart than this make a distance that says nothing about the state.
+# Weights further apart than this give a distance that says nothing about the state.
 _WEIGHT_RANGE = 1e12
 _N_HALVINGS = 30
 
@@ -56,7 +56,7 @@ class NormConditions:
 
 
 def norm_conditions(weight: ArrayLike, smallest: float, *, gamma: float = 1.0, mu: float = 1.0) -> NormConditions:
-    """Evaluate the paper's norm conditions on the whole W ``(6N, 6N)``; `smallest` is of `smallest_one_norm`."""
+    """Evaluate the paper's norm conditions on the whole W ``(6N, 6N)``; `smallest` is from `smallest_one_norm`."""
     matrix = as_floats("weight", weight, ("n", "n"))
     return NormConditions(
         one_norm=float(np.linalg.norm(matrix, 1)),
@@ -99,7 +99,7 @@ def scale(weight: Floats, log_scale: Floats) -> Floats:
 
 
 def frobenius(matrix: Floats) -> float:
-    """Frobenius norm, of which neither the squares of large entries overflow nor those of small ones underflow."""
+    """Frobenius norm, without overflow of large squares or underflow of small ones."""
     largest = float(np.abs(matrix).max(initial=0.0))
     return largest * float(np.linalg.norm(matrix / largest)) if largest > 0.0 else 0.0
 
@@ -113,8 +113,8 @@ class LogNorms:
         infinity_norm: ||W||_inf.
         norm_sum: max_j sum_i (|w_ij| + |w_ji|), the paper's stability condition before it is split into two norms.
         log_norm_one: max_j max(0, w_jj + sum_{i != j} |w_ij|).
-        log_norm_infinity: max_i (max(0, w_ii) + sum_{j != i} |w_ij|); a slope can spare a row its own negative w_ii
-            while the others stay, so a negative w_ii does not count here.
+        log_norm_infinity: max_i (max(0, w_ii) + sum_{j != i} |w_ij|); a negative w_ii does not count, since its slope
+            may be 0 while the others are 1.
     """
 
     one_norm: float
@@ -147,8 +147,8 @@ class WeightedNorm:
     """The log norm of W in the best weighted 1-norm sum_i p_i |e_i|, largest over all slopes in [0, 1].
 
     Attributes:
-        value: max(0, largest (p^T M)_j / p_j), rounded up; M is the Metzler majorant of W. It lies just above the
-            spectral abscissa of M, which no positive p beats (Collatz and Wielandt), or above 0.
+        value: max(0, largest (p^T M)_j / p_j), rounded up; M is the Metzler majorant of W. It lies just above 0 or the
+            spectral abscissa of M, the infimum over positive p (Collatz and Wielandt).
         left: ``(n,)`` the weights p, largest entry 1.
         right: ``(n,)`` positive v with M v <= value v up to rounding; diag(p / v) is then a diagonal Lyapunov matrix.
     """
@@ -159,19 +159,19 @@ class WeightedNorm:
 
 
 def weighted_norm(weight: ArrayLike) -> WeightedNorm:
-    """Find the weighted 1-norm in which W proves most.
+    """Find the weighted 1-norm in which the log norm of W is smallest.
 
     The majorant M has |w_ij| off the diagonal and w_jj, with its sign, on it: slopes scale whole columns in W D, so the
     log norm of column j is d_j (w_jj + sum_i p_i |w_ij| / p_j), largest at d_j = 0 or 1. For every v above the
     spectral abscissa of M, v I - M is an M-matrix: p = (v I - M^T)^-1 1 is positive and p^T M < v p^T. Bisection finds
-    the least v, and p is checked afresh, so an inexact solve can only cost sharpness.
+    the least v, and p is checked anew, so an inexact solve can only cost sharpness.
 
     Args:
         weight: W_R (or W), ``(n, n)``.
     """
     matrix = as_weight("weight", weight)
     n = len(matrix)
-    # By a power of two, which changes no digit: the linear systems are then solved for numbers of about 1.
+    # Scaled by a power of two, which is exact, to entries of about 1 for the linear systems.
     exponent = int(np.frexp(np.abs(matrix).max())[1])
     matrix = np.ldexp(matrix, -exponent)
     majorant = np.abs(matrix)
@@ -187,7 +187,7 @@ def weighted_norm(weight: ArrayLike) -> WeightedNorm:
             best = trial
         else:
             low = level
-    # What underflowed in between is less than the smallest normal number.
+    # Underflow in between is less than the smallest normal number.
     value = float(np.ldexp(best.value, exponent))
     return replace(best, value=value + float(np.finfo(float).tiny) if value > 0.0 else 0.0)
 

@@ -1,8 +1,9 @@
-"""Certified synthesis: networks that carry a proof of global stability, made in milliseconds, or shaped by a curve."""
+"""Certified synthesis: networks with a proof of global stability, made in milliseconds, or shaped to follow a curve."""
 
-from lieednn_sim.synthesis.attempts import RESIDUAL_TOLERANCE, Synthesis
+from lieednn_sim.synthesis.attempts import RESIDUAL_TOLERANCE
 from lieednn_sim.synthesis.bias import BIAS_RULES, bias_for
 from lieednn_sim.synthesis.certified import synthesize, synthesize_many
+from lieednn_sim.synthesis.result import Synthesis
 from lieednn_sim.synthesis.shaping import Shaping, ShapingOptions, shape
 
 __all__ = [

@@ -1,4 +1,4 @@
-"""Attempts at certified networks: of many targets at once while they are quick, one by one where it takes patience."""
+"""Attempts at certified networks: a fast search for many targets at once, then a patient one for each that is left."""
 
 from __future__ import annotations
 
@@ -9,72 +9,30 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from lieednn_sim._blas import one_blas_thread
-from lieednn_sim.errors import NotCertifiedError
 from lieednn_sim.network import ACTIVATIONS, LieEDNN
-from lieednn_sim.stability import Certificate
 from lieednn_sim.synthesis.bias import bias_for, equation_columns, impossibility
 from lieednn_sim.synthesis.problem import Problem
+from lieednn_sim.synthesis.result import Synthesis
 from lieednn_sim.synthesis.search import QUATERNION_BOUNDS, feasible_points, polish, smallest_eigenvalue_point
 from lieednn_sim.synthesis.starts import contracted, random_starts
 from lieednn_sim.validation import as_choice, as_count, as_positive
-from lieednn_sim.values import Floats, frozen
+from lieednn_sim.values import Floats
 
-# The vector field at the target, in units of gamma, below which it is the equilibrium; the polish leaves 1e-13.
+# Residual of the vector field, in units of gamma, below which the target is the equilibrium; the polish reaches 1e-13.
 RESIDUAL_TOLERANCE = 1e-9
-# No weights are looked for beyond this norm of W_R, in units of gamma/mu.
+# Largest norm of W_R that is searched for, in units of gamma/mu.
 _LARGEST_NORM = 1e3
 # Starts of the fast search before the patient one takes over.
 _FAST_ATTEMPTS = 4
-# Derivatives of all entries of the symmetric matrices in a stack, at most: 64 MB of them.
+# Most derivatives of entries of the symmetric matrices in a stack: 64 MB.
 _LARGEST_STACK = 2**23
-# The less the quaternions move, the better the certificate survives, and the larger the translations become.
+# Tried in turn: the less the quaternions move, the better the certificate survives, but the larger the translations.
 _POLISH_WEIGHTS = (0.05, 0.01, 0.001)
-
-
-@frozen
-class Synthesis:
-    """Result of `synthesize`, and one of those of `synthesize_many`.
-
-    Attributes:
-        impossible: whether it is proved that no weights can be certified with this target and bias.
-        message: how it ended; where it failed, why.
-        network: the certified network, or None. An uncertified network is never returned.
-        residual: largest entry of the vector field at the target.
-        largest_translation: largest |t_ij| of the weights.
-        attempts: starts tried.
-        iterations: iterations of the searches over all starts.
-        seconds: wall time, from the beginning of the call.
-    """
-
-    impossible: bool
-    message: str
-    network: LieEDNN | None
-    residual: float
-    largest_translation: float
-    attempts: int
-    iterations: int
-    seconds: float
-
-    @property
-    def success(self) -> bool:
-        """Whether there is a certified network with the target as its equilibrium."""
-        return self.network is not None
-
-    @property
-    def certificate(self) -> Certificate | None:
-        """The verified certificate of the network."""
-        return self.network.certificate if self.network is not None else None
-
-    def unwrap(self) -> LieEDNN:
-        """The network, or `NotCertifiedError` with the reason."""
-        if self.network is None:
-            raise NotCertifiedError(self.message)
-        return self.network
 
 
 @dataclass(frozen=True)
 class Options:
-    """What all networks of a stack have in common; arguments of `synthesize`.
+    """The arguments of `synthesize` that all networks of a stack share.
 
     Raises:
         InputError: a value is out of range.
@@ -100,20 +58,20 @@ class Options:
 
 @dataclass(eq=False)
 class _Task:
-    """One network to be made, and how far that has come.
+    """One network to be made, and the progress so far.
 
     Attributes:
         target: ``(N, 6)``.
         state: phi(target).
         offset: the bias.
-        rng: of the starts.
-        options: as of the others.
-        begun: when, by `time.perf_counter`.
+        rng: generator of the starts.
+        options: the common options.
+        begun: time of the start, by `time.perf_counter`.
         required: what W phi(target) must be, in units of gamma/mu: W' = W mu/gamma has bound 1.
-        choices: what the weights serve in turn: what suits the target, and the rotations alone where the translations t
-            may do.
+        choices: column sets that W_R is to meet, tried in turn: those that suit the target, then the rotational ones
+            alone where the translations t may meet the others.
         attempts: starts so far.
-        iterations: of the searches so far.
+        iterations: iterations of the searches so far.
         outcome: None until it is known.
     """
 
@@ -137,7 +95,7 @@ class _Task:
 
     @property
     def columns(self) -> list[slice]:
-        """What the weights serve at the next attempt."""
+        """The columns that W_R is to meet at the next attempt."""
         return self.choices[self.attempts % len(self.choices)]
 
     def end(self, message: str, network: LieEDNN | None = None, *, impossible: bool = False) -> Synthesis:
@@ -153,7 +111,7 @@ class _Task:
         return self.outcome
 
     def offer(self, network: LieEDNN) -> None:
-        """End with this network if it is what is looked for: certified, with the target, t not too large."""
+        """End with this network if it is certified, has the target as equilibrium, and t is not too large."""
         if network.certified:
             made = self.end("certified", network)
             exact = made.residual < RESIDUAL_TOLERANCE * self.options.gamma
@@ -161,7 +119,7 @@ class _Task:
                 self.outcome = None
 
     def refuse(self) -> None:
-        """End where no weights serve the target, or only larger ones than are looked for."""
+        """End if no weights can reach the target, or only larger ones than are searched for."""
         reason = impossibility(self.state, self.required)
         if reason is not None:
             self.end(f"not certified: {reason}", impossible=True)
@@ -169,8 +127,8 @@ class _Task:
         norm = _norm_needed(self.state[:, :3], self.required[:, :3])
         if norm > _LARGEST_NORM:
             self.end(
-                f"not certified: target and bias ask for weights of norm {norm:.2g} gamma/mu or more, beyond the "
-                f"{_LARGEST_NORM:g} that are looked for; use another bias or retarget a certified network"
+                f"not certified: target and bias need weights of norm {norm:.2g} gamma/mu or more, and the largest "
+                f"searched for is {_LARGEST_NORM:g}; use another bias or retarget a certified network"
             )
 
 
@@ -181,7 +139,7 @@ def attempt_all(
     generators: Sequence[np.random.Generator],
     options: Options,
 ) -> list[Synthesis]:
-    """The outcomes of `synthesize` for targets ``(B, N, 6)``; a bias that is no rule is ``(B, N, 6)``, too."""
+    """The outcomes of `synthesize` for targets ``(B, N, 6)``; the bias is a rule or an array ``(B, N, 6)``."""
     begun = time.perf_counter()
     rule = bias if isinstance(bias, str) else None
     tasks = []
@@ -206,7 +164,7 @@ def attempt_all(
         for attempt in range(options.max_attempts):
             left = [task for task in tasks if task.outcome is None]
             if solved or attempt < _FAST_ATTEMPTS:
-                # Problems in a stack have equally many equations.
+                # All problems in a stack have the same number of equations.
                 stacks = [[task for task in left if len(task.columns) == columns] for columns in (1, 2)]
                 for stack in stacks:
                     for first in range(0, len(stack), at_once):
@@ -218,8 +176,8 @@ def attempt_all(
     return [
         task.outcome
         or task.end(
-            f"not certified: no feasible weights found from {task.attempts} starts, which is no proof that there are "
-            f"none; try another seed, {other}, or retarget a certified network"
+            f"not certified: no feasible weights found from {task.attempts} starts, which does not prove that there "
+            f"are none; try another seed, {other}, or retarget a certified network"
         )
         for task in tasks
     ]
@@ -236,7 +194,7 @@ def _fast_attempt(stack: Sequence[_Task], solved: bool) -> None:
     for task in stack:
         task.attempts += 1
     if solved:
-        # Any weights will do: the bias that makes the target their equilibrium comes afterwards.
+        # Any weights will do: the bias that makes the target their equilibrium is solved for afterwards.
         still = np.zeros((*problem.signs.shape, 3))
         for task, network in zip(stack, _networks(stack, problem, contracted(problem, start), still), strict=True):
             task.offer(network.retarget(task.target))
@@ -249,8 +207,8 @@ def _fast_attempt(stack: Sequence[_Task], solved: bool) -> None:
 
 
 def _patient_attempt(task: _Task) -> None:
-    """Search from another start with all that can be done, which may take seconds."""
-    # A bound of its own for each kind of columns in turn.
+    """Search from another start by the patient method, which may take seconds."""
+    # The bounds in turn for each choice of columns.
     bound = QUATERNION_BOUNDS[task.attempts // len(task.choices) % len(QUATERNION_BOUNDS)]
     problem, start = _start([task])
     task.attempts += 1
@@ -261,7 +219,7 @@ def _patient_attempt(task: _Task) -> None:
 
 
 def _offer_polished(stack: Sequence[_Task], problem: Problem, unknowns: Floats) -> None:
-    """Offer each task its network, polished ever more gently while it is refused."""
+    """Offer each task its network, polished with smaller and smaller quaternion weights until it is accepted."""
     for weight in _POLISH_WEIGHTS:
         if not stack:
             return

@@ -1,4 +1,4 @@
-"""Bias rules: which equilibria a certified network can have is decided by the bias."""
+"""Bias rules: the bias decides which equilibria a certified network can have."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from lieednn_sim.values import Floats
 
 BIAS_RULES = ("uniform", "sign-matched", "solved")
 
-# Rotations carry translations through t badly when all their coordinates are below this [rad] ...
+# Rotations drive translations through t poorly when all their coordinates are below this [rad] ...
 _SMALL_ROTATION = 0.6
 # ... and not at all when a single neuron turns by more than this [rad].
 _TURNING = 0.05
-# Where the strength must be raised: W u = c shall leave room below the bound, u^T P c <= _AIM u^T P u, with a P that
-# weighs what helps at most 1 / _HELP times as much as what hinders.
+# Where the strength must be raised: W u = c must leave room below the bound, u^T P c <= _AIM u^T P u, for a P that
+# weights helpful coordinates at most 1 / _HELP times as much as harmful ones.
 _AIM, _HELP = 0.85, 0.2
 
 
@@ -23,10 +23,10 @@ def bias_for(rule: str, xi: Floats, outputs: Floats, bound: float, magnitude: fl
     """The bias that a rule prescribes for a target ``xi`` ``(N, 6)`` with outputs phi(xi) and bound gamma/mu.
 
     - ``"uniform"``: every entry is ``magnitude``, as in the paper.
-    - ``"sign-matched"``: ``xi`` clipped to +-``magnitude``, times ``bound``: the sign of the target at full strength
-      for every coordinate larger than the magnitude, and continuous through zero, so that a coordinate that is zero up
-      to rounding gets no push that the weights would have to cancel. The magnitude is raised where a certificate needs
-      it, see `_least_strength`, for each part of `equation_columns`.
+    - ``"sign-matched"``: ``xi`` clipped to +-``magnitude``, times ``bound``. It has the target's sign at full strength
+      for every coordinate larger than the magnitude and is continuous through zero, so that a coordinate that is zero
+      up to rounding gets no bias that the weights would have to cancel. The magnitude is raised where a certificate
+      needs it, see `_least_strength`, for each part of `equation_columns`.
     - ``"solved"``: the bias that makes ``xi`` the equilibrium of weights drawn without regard to it; it starts at zero.
     """
     as_choice("bias rule", rule, BIAS_RULES)
@@ -45,8 +45,8 @@ def _least_strength(xi: Floats, outputs: Floats, magnitude: float) -> float:
     """The least strength, at least ``magnitude``, at which the target leaves room for a certificate.
 
     With P diagonal, u = phi(xi) and W u = c = xi - clip(xi, -strength, strength), sum_i p_i u_i (c_i - u_i) < 0 is
-    necessary. Coordinate i helps where u_i (c_i - _AIM u_i) < 0, and all that help must outweigh `_HELP` times all that
-    hinder. So an angle next to zero, which always helps but by no more than its square, is not taken for one that
+    necessary. Coordinate i helps where u_i (c_i - _AIM u_i) < 0, and those that help must together outweigh `_HELP`
+    times the others. So an angle near zero, which always helps but only by its square, does not count as one that
     carries the certificate. Every term falls with the strength, and all help once it reaches the largest |xi_i|.
     """
 
@@ -60,10 +60,10 @@ def _least_strength(xi: Floats, outputs: Floats, magnitude: float) -> float:
 
 
 def equation_columns(xi: Floats) -> list[slice]:
-    """Which coordinates (omega, v) the weights W_R had better serve by themselves.
+    """Which coordinates (omega, v) the weights W_R should meet by themselves.
 
-    The rotational equations always; the translational ones too where t could not carry them: when the rotations are
-    small, or when only one neuron turns. Then a row that must not turn, alpha_i0 R_i0 phi(omega_0) = 0, has no lever.
+    The rotational ones always; the translational ones too where t could not meet them: when the rotations are small, or
+    when only one neuron turns, so that a row that must not turn, alpha_i0 R_i0 phi(omega_0) = 0, has no lever arm.
     """
     turning = np.linalg.norm(xi[:, :3], axis=1) > _TURNING
     if np.abs(xi[:, :3]).max() < _SMALL_ROTATION or np.count_nonzero(turning) < 2:
@@ -90,7 +90,7 @@ def impossibility(outputs: Floats, required: Floats) -> str | None:
                     f"no {name} coordinate has its bias on the side of its target, so no diagonal Lyapunov matrix can "
                     "exist; use the sign-matched bias or retarget a certified network"
                 )
-            # Rotations that are not zero may carry the translations through t.
+            # Nonzero rotations may drive the translations through t.
             return None
         if wanted.any():
             return (

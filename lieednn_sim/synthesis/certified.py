@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lieednn_sim.errors import InputError
-from lieednn_sim.synthesis.attempts import Options, Synthesis, attempt_all
+from lieednn_sim.synthesis.attempts import Options, attempt_all
+from lieednn_sim.synthesis.result import Synthesis
 from lieednn_sim.validation import as_floats, as_generator, as_positive
 from lieednn_sim.values import Floats
 
@@ -23,10 +24,10 @@ def synthesize(
     max_translation: float = 20.0,
     max_attempts: int = 16,
 ) -> Synthesis:
-    """Make a network whose one equilibrium is ``xi``, globally attractive by proof.
+    """Make a network whose only equilibrium is ``xi``, with a proof that it is globally attractive.
 
-    xi is an equilibrium exactly when W phi(xi) = (gamma/mu) xi - b. The 3N rotational equations are met in (alpha, R)
-    under the eigenvalue bound of `stability`, the 3N translational ones then almost always through t alone.
+    xi is an equilibrium exactly when W phi(xi) = (gamma/mu) xi - b. The 3N rotational equations are solved for
+    (alpha, R) under the eigenvalue bound of `stability`, the 3N translational ones then almost always for t alone.
 
     Args:
         xi: ``(N, 6)`` target, twists (omega, v).
@@ -35,13 +36,13 @@ def synthesize(
         gamma: decay rate.
         mu: scale of the interaction.
         activation: a name of `network.ACTIVATIONS`.
-        seed: of the random starts; the same seed gives the same network.
+        seed: seed of the random starts; the same seed gives the same network.
         max_translation: largest |t_ij| allowed.
         max_attempts: starts to try before giving up.
 
     Returns:
-        The outcome. It failed where `network` is None: then `message` says whether no such network exists, or none was
-        found in ``max_attempts`` starts.
+        The outcome. Where `network` is None it failed, and `message` says whether no such network exists, or none was
+        found from ``max_attempts`` starts.
 
     Raises:
         InputError: a value has the wrong shape or range.
@@ -68,23 +69,23 @@ def synthesize_many(
 ) -> list[Synthesis]:
     """Make a network for each of many targets, as `synthesize` makes one, in a fraction of the time.
 
-    The first starts of all are searched from at once, in stacked arrays; what is left then is searched for one by one.
-    The k-th network is, to the last bit, the one that ``synthesize`` makes with the k-th generator that ``seed``
-    spawns, whatever the other targets are and however many.
+    The fast searches run for all targets at once, in stacked arrays; the targets left are then searched one by one. The
+    k-th network is, to the last bit, the one that ``synthesize`` makes with the k-th generator spawned from ``seed``,
+    whatever the other targets are.
 
     Args:
-        xi: ``(B, N, 6)`` targets; they may be equal, for several networks with one equilibrium.
+        xi: ``(B, N, 6)`` targets; equal ones give several networks with one equilibrium.
         bias: a name of `BIAS_RULES` or an array ``(B, N, 6)``.
-        bias_magnitude: as of `synthesize`, for all or for each ``(B,)``.
+        bias_magnitude: as in `synthesize`, one number or one for each target ``(B,)``.
         gamma: decay rate.
         mu: scale of the interaction.
         activation: a name of `network.ACTIVATIONS`.
-        seed: of the random starts; each target has a generator of its own, spawned from it.
+        seed: seed from which a generator for each target's starts is spawned.
         max_translation: largest |t_ij| allowed.
         max_attempts: starts to try for each target before giving up on it.
 
     Returns:
-        B outcomes, in the order of the targets; those that failed say why and leave the others alone.
+        B outcomes, in the order of the targets; a failure does not affect the others.
 
     Raises:
         InputError: a value has the wrong shape or range.

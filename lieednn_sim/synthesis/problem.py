@@ -53,7 +53,7 @@ class Point(NamedTuple):
         unknowns: ``(4 N^2 + 3N,)``.
         slope: ``(N, N, 3, 3, 4)`` half the derivative of each block in its quaternion.
         blocks: ``(N, N, 3, 3)`` the blocks alpha R.
-        residual: ``(N, 3, K)`` of the linear equations.
+        residual: ``(N, 3, K)`` residual of the linear equations.
         scaled: ``(3N, 3N)`` S W_R S^-1.
         values: ``(3N,)`` ascending eigenvalues of its symmetric part.
         vectors: ``(3N, 3N)`` their eigenvectors, in columns.
@@ -68,11 +68,11 @@ class Point(NamedTuple):
     vectors: Floats
 
     def of(self, which: Indices) -> Point:
-        """Those of a stack."""
+        """The points of a stack with these indices."""
         return self if len(which) == len(self.unknowns) else Point(*(array[which] for array in self))
 
     def moved(self, which: Indices, other: Point) -> Point:
-        """The stack with those of another one in their places."""
+        """The stack with the points of another one in the places ``which``."""
         if len(which) == len(self.unknowns):
             return other
         for mine, theirs in zip(self, other, strict=True):
@@ -90,13 +90,13 @@ def pairs(size: int, first: int) -> tuple[Indices, Indices]:
 class Problem:
     """W_R inputs = outputs and lambda_max(sym(S W_R S^-1)) < 1, in units of gamma/mu.
 
-    Arguments, unknowns and what is made of them may have leading axes: they are then a stack of problems of one size,
-    of which none depends on another: products, solves and decompositions are those of each problem by itself, so that
-    the digits of one are the same in every stack.
+    Arguments, unknowns and results may have leading axes, as a stack of independent problems of one size: products,
+    solves and decompositions are those of each problem by itself, so that its results are the same in every stack, to
+    the last bit.
 
     Args:
         inputs: ``(N, 3, K)`` columns that W_R acts on.
-        outputs: ``(N, 3, K)`` what it must make of them.
+        outputs: ``(N, 3, K)`` what it must map them to.
         signs: ``(N, N)`` signs of the blocks' alpha, fixed.
     """
 
@@ -107,7 +107,7 @@ class Problem:
         self.size = 3 * self.n_neurons
 
     def of(self, which: Indices) -> Problem:
-        """Those of a stack."""
+        """The problems of a stack with these indices."""
         if len(which) == len(self.signs):
             return self
         return Problem(self.inputs[which], self.outputs[which], self.signs[which])
@@ -154,7 +154,7 @@ class Problem:
         a, b = pairs(size, first)
         vectors = point.vectors.swapaxes(-1, -2)
         factor = np.exp(point.unknowns[..., None, self.n_quaternion :])
-        # Of each neuron its part of all vectors, (i, a, 3).
+        # Each neuron's part of all vectors, (i, a, 3).
         left = (vectors * factor).reshape(*lead, size, n, 3).swapaxes(-3, -2)
         right = (vectors / factor).reshape(*lead, size, n, 3).swapaxes(-3, -2)
 

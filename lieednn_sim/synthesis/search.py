@@ -17,32 +17,32 @@ from lieednn_sim.values import Floats
 
 Flags = NDArray[np.bool_]
 
-# Equations need only be met this well by the searches: the polish then takes quadratic steps.
+# The searches need meet the equations only this well: from there the polish converges quadratically.
 _ROUGH = 1e-2
-# Of the fast search: weight of the equations against the eigenvalues, and steps.
+# Fast search: weight of the equations against the eigenvalues, most steps, and bounds of the damping.
 _EQUATION_WEIGHT, _MOST_STEPS = 3.0, 40
 _LEAST_DAMPING, _MOST_DAMPING = 1e-6, 1e6
-# Problems whose eigenspaces are differentiated at once: so many stay in the processor's cache.
+# Number of problems whose eigenspaces are differentiated at once: so many fit into the processor's cache.
 _PIECE = 32
-# Bounds that keep S W S^-1 computable; only targets at the very edge of what can be certified come near them.
+# Bound on |log S| that keeps S W S^-1 computable; only targets at the very edge of what can be certified come near it.
 _LOG_SCALE_BOUND = 8.0
-# Of the quaternions in the patient search, tried in turn: most targets have moderate weights, few need large ones.
+# Bounds on quaternions in the patient search, tried in turn: most targets have moderate weights, few need large ones.
 QUATERNION_BOUNDS = (3.0, 60.0)
 
 
 def feasible_points(problem: Problem, start: Floats, *, aim: float, accept: float) -> tuple[Floats, Flags, Indices]:
-    """Levenberg-Marquardt on the distance to feasibility, of each problem of a stack.
+    """Levenberg-Marquardt on the distance to feasibility, for each problem of a stack.
 
     Minimises w^2 |W_R u - c|^2 + ||(A - aim I)_+||_F^2 with A = sym(S W_R S^-1), w = 3: the squared distance
     of A to the cone {A <= aim I} is differentiable, and its Gauss-Newton matrix uses the derivative of the projection
     onto that cone (Malick and Sendov, Set-Valued Analysis 14, 2006).
 
-    Each problem has its own damping, and leaves the stack when it is solved or given up: what is found does not depend
-    on the others, to the last bit.
+    Each problem has its own damping, and leaves the stack when it is solved or given up: its result does not depend on
+    the others, to the last bit.
 
     Args:
         problem: a stack of B problems to solve, bound 1.
-        start: unknowns to begin from, ``(B, 4 N^2 + 3N)``.
+        start: initial unknowns, ``(B, 4 N^2 + 3N)``.
         aim: eigenvalue bound of the residual.
         accept: stop as soon as the largest eigenvalue is below this and the equations are roughly met.
 
@@ -50,7 +50,7 @@ def feasible_points(problem: Problem, start: Floats, *, aim: float, accept: floa
         Unknowns ``(B, 4 N^2 + 3N)``, whether they are feasible ``(B,)``, and the number of iterations ``(B,)``.
     """
     unknowns, feasible, iterations = start.copy(), np.zeros(len(start), bool), np.zeros(len(start), int)
-    # Of those in the stack: which, where, and the linear least squares there.
+    # For the problems left in the stack: their indices, points, and linear least squares there.
     stack, point = np.arange(len(start)), problem.evaluate(start.copy())
     value, damping = _merit(point, aim), np.full(len(start), 1e-2)
     linear: list[_Linear] = [_NOTHING] * len(start)
@@ -103,16 +103,16 @@ class _Linear(NamedTuple):
     gram: Floats
 
     def step(self, damping: float) -> tuple[Floats, float]:
-        """The step that with damping |step|^2 is best, and half the square of the residual that it leaves.
+        """The minimiser of |residual + jacobian step|^2 + damping |step|^2, and half the squared residual there.
 
-        Through the rows, which are fewer than the unknowns: with (J J^T + damping I) y = r the step is -J^T y and
-        leaves damping y. One after another, since NumPy has no stacked Cholesky solve and a LU one costs twice as much.
+        In the dual form, since rows are fewer than unknowns: with (J J^T + damping I) y = r the step is -J^T y, and the
+        residual left is damping y. One by one, since NumPy has no stacked Cholesky solve and LU costs twice as much.
         """
         damped = self.gram.copy()
         damped.ravel()[:: len(damped) + 1] += damping
         factor, failure = lapack.dpotrf(damped.T, lower=1, clean=0, overwrite_a=1)
         if failure:
-            # No step: it is refused, for more damping.
+            # A zero step is rejected, and the damping raised.
             return np.zeros(self.jacobian.shape[1]), 0.0
         y = lapack.dpotrs(factor, self.residual, lower=1)[0]
         return -(y @ self.jacobian), 0.5 * damping**2 * float(y @ y)
@@ -123,13 +123,13 @@ _NOTHING = _Linear(np.empty(0), np.empty((0, 0)), np.empty((0, 0)))
 
 @cache
 def _kinds_of_pairs(size: int, first: int) -> tuple[Flags, Flags, Floats]:
-    """Of `pairs`: whether b is below ``first``, whether a is b, and the weight that lets them stand for (b, a), too."""
+    """For `pairs`: whether b < ``first``, whether a = b, and the weight with which (a, b) also accounts for (b, a)."""
     a, b = pairs(size, first)
     return b < first, a == b, np.where(a == b, 1.0, np.sqrt(2.0))
 
 
 def _linearised(problem: Problem, point: Point, aim: float) -> list[_Linear]:
-    """What `_merit` is half the square of, to first order."""
+    """Linearisation of the vector of which `_merit` is half the square."""
     n, size, count = problem.n_neurons, problem.size, len(point.unknowns)
     equations = _EQUATION_WEIGHT * problem.equation_jacobian(point)
     residual = _EQUATION_WEIGHT * point.residual.reshape(count, -1)
@@ -137,7 +137,7 @@ def _linearised(problem: Problem, point: Point, aim: float) -> list[_Linear]:
     excess = np.maximum(point.values - aim, 0.0)
     firsts = size - (excess > 0.0).sum(axis=-1)
     linear = [_NOTHING] * count
-    # Those with as many violated eigenvalues together: nothing is padded, and no digit depends on the stack.
+    # Grouped by the number of violated eigenvalues: nothing is padded, and no result depends on the stack.
     for first in sorted(set(firsts.tolist())):
         alike = (firsts == first).nonzero()[0]
         a, b = pairs(size, first)
@@ -164,9 +164,9 @@ def smallest_eigenvalue_point(
 ) -> tuple[Floats | None, int]:
     """Minimise a smoothed lambda_max under the equations by sequential quadratic programming (SciPy's SLSQP).
 
-    Slower than `feasible_point` by an order of magnitude; it finds the large weights that targets near the edge of
-    what can be certified at all need. Where smaller ones do, a start may still run off to weights in the thousands,
-    whose translations are as large: hence a bound on every quaternion, of `QUATERNION_BOUNDS`.
+    Slower than `feasible_points` by an order of magnitude, but it finds the large weights that targets near the edge of
+    what can be certified need. Where smaller weights suffice, a start may still run off to weights in the thousands,
+    with translations as large: hence a bound on every quaternion, from `QUATERNION_BOUNDS`.
     """
     unknowns, iterations = start, 0
     bounds = [(-quaternion_bound, quaternion_bound)] * problem.n_quaternion
@@ -202,15 +202,15 @@ def polish(
 ) -> tuple[Floats, Floats]:
     """Meet all 6N equilibrium equations by Gauss-Newton steps of least norm in quaternions and translations.
 
-    Quaternions are weighted down, so that translations do the work where they can and the certificate hardly moves;
-    where the rotations are too small to carry a translation, the quaternions step in and |t| stays small.
+    Quaternions are weighted down, so that translations do the work where they can and the certificate hardly changes;
+    where the rotations are too small to drive a translation, the quaternions step in and |t| stays small.
 
     Args:
-        problem: a stack of B problems, which give the blocks as functions of the quaternions.
-        unknowns: that meet the rotational equations roughly, ``(B, 4 N^2 + 3N)``.
+        problem: a stack of B problems, which define the blocks as functions of the quaternions.
+        unknowns: ``(B, 4 N^2 + 3N)``, which meet the rotational equations roughly.
         state: phi(xi) of the targets, ``(B, N, 6)``.
         required: what W phi(xi) must be, ``(B, N, 6)``.
-        quaternion_weight: length of a unit quaternion step in the norm, against a unit translation.
+        quaternion_weight: size of a quaternion step that counts as much as a unit translation.
 
     Returns:
         The unknowns and the translations ``(B, N, N, 3)``.
@@ -218,7 +218,7 @@ def polish(
     n, count = problem.n_neurons, len(unknowns)
     best, best_translation = unknowns.copy(), np.zeros((count, n, n, 3))
     smallest = np.full(count, np.inf)
-    # Of those in the stack: which, and where.
+    # For the problems left in the stack: their indices and unknowns.
     stack, unknowns, translation = np.arange(count), unknowns.copy(), best_translation.copy()
     for _ in range(30):
         blocks, slope = problem.blocks(unknowns)
@@ -258,17 +258,17 @@ def polish(
 
 
 def _least_norm(rows: Floats, error: Floats) -> Floats:
-    """Least x with rows x = error, ``(..., m, n)`` and ``(..., m)``; in the least squares where the rows depend.
+    """Least-norm x with rows x = error, ``(..., m, n)`` and ``(..., m)``; least squares where rows are dependent.
 
-    By normal equations where their condition allows it, for a tenth of the cost; by pseudo-inverses elsewhere.
+    By normal equations where their condition number allows it, at a tenth of the cost; else by pseudo-inverses.
     """
     gram = rows @ rows.swapaxes(-1, -2)
     squares = np.diagonal(gram, axis1=-2, axis2=-1)
     largest = squares.max(axis=-1)
     length = np.sqrt(np.where(squares > 0.0, squares, 1.0))
     unit = gram / (length[..., :, None] * length[..., None, :])
-    # With unit diagonal the condition is below 4 over the determinant (Merikoski, Urpala, Virtanen, Tam and Uhlig,
-    # Linear Algebra and its Applications 254, 1997); rows of lengths so far apart are left to pseudo-inverses, too.
+    # With unit diagonal the condition number is below 4 over the determinant (Merikoski, Urpala, Virtanen, Tam and
+    # Uhlig, Linear Algebra and its Applications 254, 1997). Rows of very different lengths go to pseudo-inverses too.
     independent = (np.linalg.det(unit) > 1e-6) & (squares.min(axis=-1) > 1e-12 * largest)
     unit[~independent] = np.eye(unit.shape[-1])
     weights = np.linalg.solve(unit, (error / length)[..., None])[..., 0] / length

@@ -1,4 +1,4 @@
-"""Where searches for certified weights begin: random signs and quaternions, with a log S that lets a solution exist."""
+"""Starts of searches for certified weights: random signs and quaternions, and a log S that permits a solution."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from lieednn_sim.synthesis.problem import Problem
 from lieednn_sim.values import Floats
 
-# Of log P, between the coordinates that help and those that hinder.
+# Candidate differences of log P between helpful and harmful coordinates.
 _SPREADS = np.arange(0.0, 3.0, 0.1)
 
 
@@ -21,8 +21,8 @@ def random_starts(
     Args:
         state: phi(xi) of the targets, ``(B, N, 6)``.
         required: what W phi(xi) must be, ``(B, N, 6)``.
-        columns: which parts of the twists W_R must serve by itself.
-        generators: B of them.
+        columns: parts of the twists that W_R must meet by itself.
+        generators: B generators.
 
     Returns:
         The problems and the unknowns ``(B, 4 N^2 + 3N)``.
@@ -42,19 +42,19 @@ def random_starts(
 
 
 def _log_scale(inputs: Floats, outputs: Floats) -> Floats:
-    """The least spread of log S with sum_i s_i^2 u_i (c_i - u_i) < 0, without which no weights can be certified."""
+    """The log S of least spread with sum_i s_i^2 u_i (c_i - u_i) < 0, without which no weights can be certified."""
     work = (inputs * (outputs - 0.9 * inputs)).sum(axis=-1).reshape(len(inputs), -1)
     helpful = np.where(work < 0.0, 1.0, -1.0)
-    # All spreads at once, (B, T, 3N): one after another they take four times as long.
+    # All spreads at once, (B, T, 3N), in a quarter of the time of one after another.
     power = np.exp(_SPREADS[:, None] * helpful[:, None])
     enough = (power * work[:, None]).sum(axis=-1) <= -0.1 * (power * np.abs(work)[:, None]).sum(axis=-1)
-    # The last one where none is enough.
+    # Where none is enough, the last one.
     enough[:, -1] = True
     return 0.5 * _SPREADS[enough.argmax(axis=-1)][:, None] * helpful
 
 
 def contracted(problem: Problem, start: Floats) -> Floats:
-    """Random weights shrunk until lambda_max is at most 0.5, for a bias that is solved afterwards; shapes as above."""
+    """Random weights shrunk until lambda_max is at most 0.5, for a bias that is solved for afterwards."""
     unknowns = start.copy()
     unknowns[:, problem.n_quaternion :] = 0.0
     largest = problem.evaluate(unknowns).values[:, -1:]

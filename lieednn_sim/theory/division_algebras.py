@@ -40,7 +40,7 @@ def complex_network(
     Args:
         weights: w_ij, complex ``(N, N)``.
         bias: b_i, complex ``(N,)``.
-        gamma, mu, activation: of the network; the activation acts on real and imaginary part.
+        gamma, mu, activation: as in `GroupLieEDNN`; the activation acts on the real and the imaginary part.
 
     Raises:
         InputError: wrong shapes, or entries that are not finite.
@@ -58,7 +58,7 @@ def quaternion_network(
     Args:
         weights: w_ij as (w, x, y, z), ``(N, N, 4)``; they multiply from the left.
         bias: b_i, ``(N, 4)``.
-        gamma, mu, activation: of the network; the activation acts on each of the four components.
+        gamma, mu, activation: as in `GroupLieEDNN`; the activation acts on each of the four components.
 
     Raises:
         InputError: wrong shapes, or entries that are not finite.
@@ -67,7 +67,7 @@ def quaternion_network(
 
 
 def complex_state(z: ArrayLike) -> Floats:
-    """State ``(..., N, 4)`` of a `complex_network` that stands for complex numbers z ``(..., N)``."""
+    """State ``(..., N, 4)`` of a `complex_network` that represents complex numbers z ``(..., N)``."""
     return _embed(_components("z", z))
 
 
@@ -78,7 +78,7 @@ def complex_values(xi: ArrayLike) -> Complexes:
 
 
 def quaternion_state(q: ArrayLike) -> Floats:
-    """State ``(..., N, 8)`` of a `quaternion_network` that stands for quaternions (w, x, y, z) ``(..., N, 4)``."""
+    """State ``(..., N, 8)`` of a `quaternion_network` that represents quaternions (w, x, y, z) ``(..., N, 4)``."""
     return _embed(as_floats("q", q, (4,), batched=True))
 
 

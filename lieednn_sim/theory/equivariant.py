@@ -68,7 +68,7 @@ class EquivariantLieEDNN(RigidNetwork):
         lyapunov_diagonal: ``(N,)`` p with P = diag(p_i I_3) certifying W_R, or None. Checked by `certificate`.
 
     Raises:
-        InputError: wrong shapes, entries that are not finite, or rotations that are none.
+        InputError: wrong shapes, entries that are not finite, or matrices that are not rotations.
     """
 
     alpha: Floats
@@ -104,7 +104,7 @@ class EquivariantLieEDNN(RigidNetwork):
         return stability.verify(diagonal, self.rotational_weight, gamma=self.gamma, mu=self.mu)
 
     def certify(self) -> EquivariantLieEDNN:
-        """Search a certificate, and return this network carrying it.
+        """Search for a certificate, and return this network carrying it.
 
         Raises:
             NotCertifiedError: none was found; the network may be unstable.
@@ -170,8 +170,9 @@ class EquivariantLieEDNN(RigidNetwork):
         The trajectory from Ad(h_i) xi_i(0) of the returned network is Ad(h_i) xi_i(t), and its certificate is the same.
 
         Args:
-            rotation: of h, ``(3, 3)`` for one frame common to all neurons (the paper's case), or ``(N, 3, 3)``.
-            translation: of h, ``(3,)`` or ``(N, 3)``.
+            rotation: rotation of h, ``(3, 3)`` for one frame common to all neurons (the paper's case), or
+                ``(N, 3, 3)``.
+            translation: translation of h, ``(3,)`` or ``(N, 3)``.
         """
         n = self.n_neurons
         turns = as_floats("rotation", rotation, (n, 3, 3) if np.ndim(rotation) == 3 else (3, 3))

@@ -24,17 +24,17 @@ class GroupLieEDNN(ComponentwiseNetwork):
     """X_i' = -gamma X_i + mu sum_j alpha_ij theta_ij phi(X_j) theta_ij^-1 + mu B_i in a Lie algebra (paper, eq. 3.9).
 
     The state ``(..., N, d)`` holds the coordinates of X_i in the basis of the group, and phi acts on each of them: the
-    network depends on the basis. theta_ij counts up to the kernel of Ad: SU(2) gives the networks of SO(3).
+    network depends on the basis. theta_ij matters only up to the kernel of Ad: SU(2) gives the networks of SO(3).
 
     Attributes:
-        group: with d coordinates and m x m matrices.
+        group: the group, with d coordinates and m x m matrices.
         alpha: ``(N, N)`` connection strengths.
         theta: ``(N, N, m, m)`` group elements; i receives, j sends.
         bias: ``(N, d)``.
         gamma: decay rate, positive.
         mu: scale of the interaction, positive.
         activation: a name of `ACTIVATIONS`.
-        lyapunov_diagonal: ``(dN,)`` diagonal P that certifies the whole W, or None. Checked by `certificate`.
+        lyapunov_diagonal: ``(dN,)`` diagonal of P that certifies the whole W, or None. Checked by `certificate`.
 
     Raises:
         InputError: wrong shapes, entries that are not finite, or theta outside the group.
@@ -89,7 +89,7 @@ class GroupLieEDNN(ComponentwiseNetwork):
             alpha: ``(N, N)`` connection strengths.
             blocks: W_ij, ``(N, N, d, d)``.
             bias: ``(N, d)``.
-            gamma, mu, activation: of the network.
+            gamma, mu, activation: as in the class.
 
         Raises:
             InputError: wrong shapes, or an alpha_ij so small that W_ij / alpha_ij overflows.

@@ -1,9 +1,9 @@
 """The catalogue of matrix Lie groups, and the affine group over each real one.
 
-The paper claims complex and quaternion networks as the cases C^x and H^x of its adjoint blocks (section 5). Taken at
-its word that fails: C^x is abelian, so its adjoint matrices are all the identity, and those of H^x are diag(1, R), the
-rotations of SO(3) beside one idle coordinate. What does hold: in the adjoint of ``affine(C^x)`` and ``affine(H^x)`` the
-block that acts on the translations is complex, and left quaternion, multiplication.
+The paper claims complex and quaternion networks as the cases C^x and H^x of its adjoint blocks (section 5). Taken
+literally that fails: C^x is abelian, so its adjoint matrices are all the identity, and those of H^x are diag(1, R), the
+rotations of SO(3) beside one idle coordinate. But in the adjoint of ``affine(C^x)`` and ``affine(H^x)`` the block that
+acts on the translations is complex, and left quaternion, multiplication.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from lieednn_sim.values import Floats
 # The generator of SO(2), and Pauli's matrices.
 _TURN = np.array([[0.0, -1.0], [1.0, 0.0]])
 _PAULI = np.array([[[0, 1], [1, 0]], [[0, -1j], [1j, 0]], [[1, 0], [0, -1]]])
-# GL(n) has n^6 structure constants: beyond this n the arrays grow out of hand.
+# GL(n) has n^6 structure constants: beyond this n the arrays become too large.
 _LARGEST_GENERAL_LINEAR = 8
 # The same for affine groups of affine groups.
 _LARGEST_DIMENSION = 128
@@ -36,7 +36,7 @@ def group(name: str) -> MatrixLieGroup:
     """The group called ``name``: one of `GROUPS`, "GL(n)" with n from 1 to 8, or "affine(...)" of one of these.
 
     Raises:
-        InputError: there is none of that name; the message lists them.
+        InputError: there is no such group; the message lists them.
     """
     linear, times = name, 0
     while isinstance(linear, str) and linear.startswith("affine(") and linear.endswith(")"):
@@ -57,14 +57,14 @@ def catalogue_name(one: MatrixLieGroup) -> str:
     """Name by which `group` gives the same group again, for files.
 
     Raises:
-        InputError: it is a group of the user's own.
+        InputError: it is the user's own group.
     """
     try:
         known = group(one.name)
     except InputError:
         known = None
     if known is None or not np.array_equal(known.basis, one.basis):
-        raise InputError(f"only a group of lieednn_sim.theory.groups can be saved, and {one.name!r} is not from there")
+        raise InputError(f"only a group of lieednn_sim.theory.groups can be saved, and {one.name!r} is not one of them")
     return one.name
 
 
@@ -139,10 +139,10 @@ def similarities() -> MatrixLieGroup:
 def general_linear(n: int) -> MatrixLieGroup:
     """Invertible real n x n matrices, coordinates in row-major order; the kernel is the multiples of the identity.
 
-    det < 0 is let in too: such elements act on the algebra like the others, but are no exponentials.
+    Elements with det < 0 are included: they act on the algebra like the others, but are not exponentials.
 
     Raises:
-        InputError: n is no whole number from 1 to 8.
+        InputError: n is not a whole number from 1 to 8.
     """
     if (size := as_count("n", n)) > _LARGEST_GENERAL_LINEAR:
         raise InputError(f"n must be at most {_LARGEST_GENERAL_LINEAR} for GL(n), got {n}")
@@ -151,7 +151,7 @@ def general_linear(n: int) -> MatrixLieGroup:
     return MatrixLieGroup(f"GL({size})", basis, projection, _is_invertible)
 
 
-# Built on first use, and once.
+# Built on first use.
 GROUPS: dict[str, Callable[[], MatrixLieGroup]] = {
     "SO(2)": so2,
     "SO(3)": so3,
@@ -169,7 +169,7 @@ def affine(linear: MatrixLieGroup) -> MatrixLieGroup:
     """The affine group of a real matrix group G <= GL(m, R): maps p -> A p + b with A in G, as (m+1, m+1) matrices.
 
     The basis of G comes first, then the translations: SE(3) = affine(SO(3)) has twists (omega, v). Its adjoint matrix
-    is [[L[Ad_A], 0], [K, A]]: unlike that of G it shows A itself.
+    is [[L[Ad_A], 0], [K, A]]: unlike that of G, it contains A itself.
 
     Raises:
         InputError: G is a complex matrix group, or the affine group would have more than 128 dimensions.
@@ -186,7 +186,7 @@ def affine(linear: MatrixLieGroup) -> MatrixLieGroup:
 
 
 def _identities(size: int, theta: Floats) -> Matrices:
-    """Of an abelian group: there is one adjoint matrix only."""
+    """The projection of an abelian group, whose only adjoint matrix is the identity."""
     return np.broadcast_to(np.eye(size), (*theta.shape[:-2], size, size)).copy()
 
 

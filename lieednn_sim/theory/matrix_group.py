@@ -36,10 +36,10 @@ class MatrixLieGroup:
     with g hat(x) g^-1 = hat(L[Ad_g] x).
 
     Attributes:
-        name: for messages.
+        name: name in messages.
         basis: ``(d, m, m)``, real or complex, linearly independent over the reals and closed under the commutator.
-        projection: closed form of `project_to_adjoint`, ``(..., d, d)`` to ``(..., m, m)``; None: search.
-        membership: closed form of `contains`, ``(..., m, m)`` and a tolerance to booleans; None: by the logarithm.
+        projection: closed form of `project_to_adjoint`, ``(..., d, d)`` to ``(..., m, m)``; None to search.
+        membership: closed form of `contains`, ``(..., m, m)`` and a tolerance to booleans; None to use the logarithm.
 
     Raises:
         InputError: the basis has another shape, is dependent, or spans no Lie algebra.
@@ -107,10 +107,10 @@ class MatrixLieGroup:
         """Group elements ``(..., m, m)`` of coordinates ``(..., d)``: the matrix exponential of `hat`.
 
         Raises:
-            InputError: the coordinates are malformed, or so large that the exponential cannot be had in floating point.
+            InputError: the coordinates are malformed, or so large that the exponential overflows.
         """
         with warnings.catch_warnings(), np.errstate(all="ignore"):
-            # What overflows on the way is said below.
+            # Overflow is reported by `as_finite`.
             warnings.simplefilter("ignore")
             return as_finite(f"the exponential in {self.name}", expm(self.hat(x)))
 
@@ -118,7 +118,7 @@ class MatrixLieGroup:
         """Coordinates ``(..., d)`` of the principal matrix logarithm: no eigenvalue's angle reaches pi.
 
         Raises:
-            InputError: that logarithm is not in the algebra. So it is outside the group, and for a few elements inside:
+            InputError: that logarithm is not in the algebra, as for matrices outside the group and for a few inside:
                 half turns of SO(n), -I in SU(2), the elements of SU(n) whose eigenvalue angles sum to 2 pi, not 0.
         """
         array = self._matrices("g", g)
@@ -126,7 +126,7 @@ class MatrixLieGroup:
         if not inside.all():
             raise InputError(
                 f"g must have its principal logarithm in the Lie algebra of {self.name}; "
-                f"{np.count_nonzero(~inside)} of {inside.size} have not"
+                f"{np.count_nonzero(~inside)} of {inside.size} do not"
             )
         return coordinates
 
@@ -137,7 +137,7 @@ class MatrixLieGroup:
             InputError: g is singular, out of range, or g E_k g^-1 leaves the Lie algebra: g is not in the group.
         """
         array = self._matrices("g", g)
-        # What overflows on the way is said below.
+        # Overflow is reported by `as_finite`, and below.
         with np.errstate(all="ignore"):
             try:
                 inverse = np.linalg.inv(array)
@@ -158,15 +158,15 @@ class MatrixLieGroup:
         return np.swapaxes(np.tensordot(coordinates, self.structure_constants, axes=1), -1, -2)
 
     def contains(self, g: ArrayLike, tolerance: float = 1e-9) -> Booleans:
-        """Whether g ``(..., m, m)`` are in the group, entries right to about ``tolerance``.
+        """Whether g ``(..., m, m)`` are in the group, up to about ``tolerance`` in each entry.
 
-        Without a closed form the principal logarithm decides, with its own tolerance of 1e-8: elements for which it
-        leaves the algebra (see `log`) are then missed.
+        Without a closed form the principal logarithm decides, with its own tolerance of 1e-8; group elements for which
+        it leaves the algebra (see `log`) are then rejected.
         """
         array, tolerance = self._matrices("g", g), as_positive("tolerance", tolerance)
         if self.membership is None:
             return self._try_log(array)[1]
-        # What overflows, or is divided by zero, compares as outside.
+        # Overflow and division by zero compare as outside.
         with np.errstate(all="ignore"):
             return self.membership(array, tolerance)
 
@@ -189,12 +189,12 @@ class MatrixLieGroup:
 
         g is fixed up to the kernel only. Without a closed form a damped Newton search on the group, with
         Ad(g exp(x)) = Ad(g) exp(ad x), runs from the identity and a few random elements (always the same ones) and
-        returns the best: a local minimum, not always the nearest of all. Of a group that is not compact, theta far from
-        its image may have no nearest element; the search then stops on its way out.
+        returns the best: a local minimum, not always the nearest of all. In a group that is not compact, theta far from
+        its image may have no nearest element; the search then stops on its way to infinity.
 
         Args:
             theta: matrices to project.
-            start: elements ``(..., m, m)`` that are known to be near: the search runs from there alone, much faster.
+            start: elements ``(..., m, m)`` that are known to be near: the search runs from these alone, much faster.
         """
         array = as_floats("theta", theta, (self.dimension, self.dimension), batched=True)
         if self.projection is not None:
@@ -237,7 +237,7 @@ class MatrixLieGroup:
     def _try_log(self, g: Matrices) -> tuple[Floats, Booleans]:
         """Least-squares coordinates of the principal logarithm, and whether they give g back."""
         with warnings.catch_warnings(), np.errstate(all="ignore"):
-            # The result is judged below, for each element; logm only warns that some element is singular or inaccurate.
+            # Each result is checked below; logm only warns that some element is singular or inaccurate.
             warnings.simplefilter("ignore")
             matrix = _logarithms(g)
         finite: Booleans = np.asarray(np.isfinite(matrix).all(axis=(-2, -1)))
@@ -280,7 +280,7 @@ def _logarithms(g: Matrices) -> Matrices:
     try:
         return np.asarray(logm(g))
     except Exception:
-        # It raises nothing more special, and for a whole batch when one of it fails.
+        # It raises no more specific exception, and for a whole batch when one element fails.
         if g.ndim == 2:
             return np.full_like(g, np.nan)
         flat = [_logarithms(one) for one in g.reshape(-1, *g.shape[-2:])]
@@ -295,7 +295,7 @@ def _as_numbers(name: str, value: ArrayLike, shape: tuple[int | str, ...], *, ba
     except (TypeError, ValueError):
         is_complex = False
     if not is_complex:
-        # Also what is no array of numbers at all: `as_floats` has the words for it.
+        # `as_floats` also reports what is not an array of numbers at all.
         return as_floats(name, value, shape, batched=batched).copy()
     return as_floats(name, array.real, shape, batched=batched) + 1j * as_floats(
         name, array.imag, shape, batched=batched

@@ -1,4 +1,4 @@
-"""How fast and how sharply a trajectory may turn: the paper's bounds on velocity, acceleration and curvature (App. H).
+"""The paper's bounds on velocity, acceleration and curvature of a network's trajectory (App. H).
 
 All hold while |xi|_inf <= R; `stability.bounds.invariant_box` gives such an R for all time.
 """
@@ -15,7 +15,7 @@ from lieednn_sim.stability.norms import as_weight, log_norms
 from lieednn_sim.validation import as_finite, as_floats, as_positive, as_ratio
 from lieednn_sim.values import Floats
 
-# Largest number of a curve: larger ones than elsewhere do no harm, since they only divide.
+# Largest velocity: larger than elsewhere, since velocities only divide.
 _LARGEST_SLOPE = 1e300
 
 
@@ -26,7 +26,7 @@ class SmoothnessBounds:
     Attributes:
         velocity: on |xi'|_inf: gamma R + mu ||W||_inf M + mu |b|_inf.
         acceleration: on |xi''|_inf: (gamma + mu L ||W||_inf) times that.
-        curvature: on each component's curvature, the same number: the denominator (1 + xi_i'^2)^(3/2) is at least 1.
+        curvature: on each component's curvature, equal to `acceleration`, since (1 + xi_i'^2)^(3/2) is at least 1.
         closing: the paper's closing bound gamma (1 + L) (gamma R + gamma M + mu |b|_inf), which for tanh is
             2 gamma (gamma R + gamma + mu b_max). Valid only when ||W||_inf < gamma/mu, None otherwise.
     """
@@ -52,7 +52,7 @@ def smoothness_bounds(
     Args:
         weight: W, ``(n, n)``.
         bias: b, ``(n,)``.
-        radius: R, largest |xi_i(t)| on the interval looked at.
+        radius: R, largest |xi_i(t)| on the interval considered.
         gamma: decay rate, positive.
         mu: scale of the interaction, positive.
         output_bound: M, largest |phi| there.

@@ -384,9 +384,9 @@ def test_what_comes_near_on_straight_ways_is_counted_in_one_order_of_names():
     hand = '<body name="hand"><joint type="slide" axis="1 0 0" range="-1 1"/><geom size=".1"/></body>'
     told = import_arm(spec_of(f"<mujoco><worldbody>{posts}{hand}</worldbody></mujoco>"))[1].notes
     at_end, before = (note for note in told if "within 2 mm of contact" in note)
-    assert "between 'a' and 'hand' (51), 'b' and 'hand' (51): no targets" in at_end
+    assert "between 'a' and 'hand' (51), 'b' and 'hand' (51): these cannot be targets" in at_end
     assert at_end.startswith("51 of 256 random postures")
-    assert "between 'a' and 'hand' (24), 'b' and 'hand' (24): planners" in before
+    assert "between 'a' and 'hand' (24), 'b' and 'hand' (24): there planners fail" in before
     assert before.startswith("24 of 205 straight ways")
 
 
@@ -415,7 +415,7 @@ def test_rk4_is_replaced_with_a_note_and_refused_where_nothing_may_be_replaced()
     assert any("implicitfast in place of RK4" in note for note in report.notes)
     assert not any("RK4" in note for note in import_arm(spec_of(HINGES.format(options="")))[1].notes)
     spec.option.integrator = rk4
-    with pytest.raises(InputError, match=r"arm 'imported' asks for the integrator RK4, .*; write implicitfast"):
+    with pytest.raises(InputError, match=r"arm 'imported' asks for the integrator RK4, .* to implicitfast"):
         Arm.from_spec(spec, Path("imported.xml"), "imported")
 
 

@@ -150,7 +150,7 @@ def test_what_overlaps_in_every_posture_is_ignored_geom_by_geom():
 def test_an_arm_without_room_for_a_target_is_told_what_it_touches():
     box = '<geom type="box" size="3 3 .3" pos="0 0 0"/><body name="column"'
     arm, _ = arm_of(COLUMN.replace('<body name="column"', box).replace("0 0 1", "0 0 .1"))
-    with pytest.raises(NoSolutionError, match="of 400 postures drawn touch 'turret' and 'world' in 400, 'arm'"):
+    with pytest.raises(NoSolutionError, match="of 400 random postures, contacts: 'turret' and 'world' in 400, 'arm'"):
         draw_target(arm, 0)
 
 
@@ -186,8 +186,8 @@ def test_dry_friction_makes_no_servo_faster_and_the_report_says_what_it_costs():
     assert report.servos == plain
     _, report = arm_of(LIFT.format(compensation="", joint='frictionloss="8"'))
     found = [note for note in report.notes if "dry friction of 8" in note]
-    cost = "leaves it up to 0.002 rad or m off; the controller inverse-dynamics makes up for it, servos='design' makes"
-    assert found == [f"lift: dry friction of 8 {cost} another"]
+    cost = "leaves it up to 0.002 rad or m off; the controller inverse-dynamics compensates for it, servos='design'"
+    assert found == [f"lift: dry friction of 8 {cost} designs a new one"]
 
 
 def test_soft_ties_between_stages_are_made_stiff_unless_somebody_chose_a_stiffness():
@@ -292,7 +292,7 @@ def test_an_urdf_loads_as_shipped_with_its_packages_and_its_sloppy_inertias(tmp_
         for name in ("post", "tube"):
             (tmp_path / folder / f"{name}.obj").write_text(TETRAHEDRON)
         arm = Arm.load(path)
-        assert "inertias that no body can have made larger: post" in arm.import_report.notes
+        assert "physically impossible inertias made larger: post" in arm.import_report.notes
         least, _, most = np.sort(arm.model.body("post").inertia)
         assert most == pytest.approx(0.002)
         assert least == pytest.approx(0.001, rel=1e-3)
@@ -321,7 +321,7 @@ def test_a_package_is_known_by_its_manifest_and_by_where_ros_looks(tmp_path, mon
     mesh = path.parents[1] / "meshes" / "post.obj"
     mesh.write_text("version https://git-lfs.github.com/spec/v1\nsize 9\n")
     os.utime(mesh, (0, 0))
-    with pytest.raises(FileError, match=r"pointers of Git LFS .*`git lfs pull`: .*post.obj$"):
+    with pytest.raises(FileError, match=r"Git LFS pointers .*`git lfs pull`: .*post.obj$"):
         Arm.load(path)
 
 
@@ -358,7 +358,7 @@ def test_meshes_in_collada_are_their_points(tmp_path):
 
 
 def test_macros_of_ros_are_to_be_expanded_first():
-    with pytest.raises(InputError, match=r"macros of ROS: make a URDF of it, `xacro ur10.urdf.xacro -o robot.urdf`"):
+    with pytest.raises(InputError, match=r"ROS macros: make it a URDF with `xacro ur10.urdf.xacro -o robot.urdf`"):
         Arm.load("ur10.urdf.xacro")
 
 

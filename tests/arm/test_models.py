@@ -57,7 +57,7 @@ def test_limits_of_a_description_go_before_those_of_the_model(folder):
     np.testing.assert_array_equal(arm.acceleration_limits, [bare.acceleration_limits[0], 7.0])
     np.testing.assert_array_equal(arm.jerk_limits, [500.0, np.inf])
     assert "limits of jerk as asked for: a 500" in arm.import_report.notes
-    # A limit of jerk makes another arm; one that has none is what it was before there were any.
+    # A limit of jerk designs a new one arm; one that has none is what it was before there were any.
     rest = {"a": {"velocity": 2}, "b": {"acceleration": 7.0}}
     assert Arm.load("two.xml", limits=rest).fingerprint not in (arm.fingerprint, bare.fingerprint)
 
@@ -66,7 +66,7 @@ def test_limits_of_a_description_go_before_those_of_the_model(folder):
     ("text", "error", "message"),
     [
         ("[1]", FileError, "mine.json is not a valid description of an arm"),
-        ('{"links": ["tool"]}', FileError, "names no model of an arm: it needs an entry as `model: robot.urdf`"),
+        ('{"links": ["tool"]}', FileError, "names no model: it needs an entry such as `model: robot.urdf`"),
         ('{"model": "other.json"}', FileError, "got 'other.json'"),
         (described(link=["tool"]), FileError, "has no link; allowed: model, base, home"),
         (described(links="tool"), InputError, "links must be a list of names"),

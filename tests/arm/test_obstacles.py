@@ -165,12 +165,12 @@ def test_targets_are_in_the_goals_of_a_file_or_anywhere_free(gantry, tmp_path):
         (
             '<mujoco><worldbody><body><joint name="door"/><geom size="1"/></body></worldbody></mujoco>',
             InputError,
-            "obstacles stand still, but it has joints: door",
+            "obstacles must not move, but it has joints: door",
         ),
         (
             '<mujoco><worldbody><geom size="1"/><site name="goal"/></worldbody></mujoco>',
             InputError,
-            "goals must be boxes, but goal is none",
+            "goals must be boxes, which these are not: goal",
         ),
     ],
 )
@@ -184,8 +184,8 @@ def test_what_a_file_says_wrongly_is_named(gantry, tmp_path, content, error, mes
 def test_a_scene_is_a_file_that_is_there_and_no_name_of_the_packages(gantry, tmp_path):
     with pytest.raises(FileError, match=r"no such file: .*gone.yaml"):
         gantry.among(tmp_path / "gone.yaml")
-    with pytest.raises(InputError, match=r"window.json is called like the scene 'window' of the package"):
+    with pytest.raises(InputError, match=r"window.json has the name of the package's scene 'window'"):
         gantry.among(write(tmp_path, "window.json", {"obstacles": [BOX]}))
     around = gantry.among(write(tmp_path, "own.json", {"obstacles": [BOX]}))
-    with pytest.raises(InputError, match="has the obstacles of scene 'own' already"):
+    with pytest.raises(InputError, match="already has the obstacles of scene 'own'"):
         around.among("poles")

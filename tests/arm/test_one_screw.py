@@ -95,9 +95,9 @@ def test_coordinates_that_no_pose_tells_apart_are_refused():
     )
     xml = f'<mujoco><compiler angle="radian"/><worldbody>{bodies}{"</body>" * 7}</worldbody></mujoco>'
     assert arm_of(xml, links=["b5"]).n_joints == 6
-    with pytest.raises(InputError, match=r"link 1 of arm .* is moved by 7 coordinates, and a pose tells six apart"):
+    with pytest.raises(InputError, match=r"link 1 of arm .* is moved by 7 coordinates, but a pose determines six"):
         arm_of(xml, links=["b6"])
-    with pytest.raises(InputError, match=r"link 1 of arm .* is moved by 3 coordinates of which some do the same"):
+    with pytest.raises(InputError, match=r"link 1 of arm .* is moved by 3 coordinates that are not independent"):
         arm_of(xml.replace("0 1 0", "0 0 1"), links=["b4"], base="b1")
 
 

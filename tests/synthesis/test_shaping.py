@@ -45,7 +45,7 @@ def test_a_spread_says_where_a_curve_counts():
     for curves, spread, message in (
         (line, [1.0] * 4, "spread must have shape"),
         (line, [-1.0] * 5, "spread must not be negative"),
-        ([line, line], [1.0] * 5, "spread is of one curve"),
+        ([line, line], [1.0] * 5, "spread is for a single curve"),
     ):
         with pytest.raises(InputError, match=message):
             shape(curves, 1e-3, spread=spread)

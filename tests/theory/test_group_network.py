@@ -138,10 +138,10 @@ def test_save_and_load_are_bit_exact(tmp_path, name):
 def test_groups_that_a_file_cannot_name_are_refused(tmp_path):
     network = random_network(0, "SO(3)")
     foreign = dataclasses.replace(network, group=dataclasses.replace(network.group, name="mine"))
-    with pytest.raises(InputError, match="'mine' is not from there"):
+    with pytest.raises(InputError, match="'mine' is not one of them"):
         foreign.save(tmp_path / "n.npz")
     scaled = dataclasses.replace(network, group=dataclasses.replace(network.group, basis=2.0 * network.group.basis))
-    with pytest.raises(InputError, match=r"'SO\(3\)' is not from there"):
+    with pytest.raises(InputError, match=r"'SO\(3\)' is not one of them"):
         scaled.save(tmp_path / "n.npz")
 
 

@@ -1,4 +1,4 @@
-"""Bring your own arm: any MJCF with a serial chain of hinge, slide and ball joints, made into one that `Arm` reads."""
+"""Import of arms: any MJCF or URDF with a serial chain of hinge, slide and ball joints, made into one `Arm` reads."""
 
 from lieednn_sim.arm.importer.importing import ImportOptions, import_arm
 from lieednn_sim.arm.importer.report import ImportReport

@@ -1,4 +1,4 @@
-"""The actuators of an arm: what its model has is read, one position servo for each coordinate is made of it."""
+"""The actuators of an imported arm: those of its model are read, and replaced by one position servo per coordinate."""
 
 from __future__ import annotations
 
@@ -22,20 +22,19 @@ from lieednn_sim.arm.importer.servos import (
 from lieednn_sim.arm.importer.softening import soften
 from lieednn_sim.values import Floats
 
-_EXPLICIT = (int(mujoco.mjtIntegrator.mjINT_EULER), int(mujoco.mjtIntegrator.mjINT_RK4))
 _NATURAL_FREQUENCY = 20.0  # of a designed servo [Hz]
-_HALVINGS = 6  # of the timestep at most
+_HALVINGS = 6  # of the timestep, at most
 
 
 def read_actuators(draft: Draft) -> None:
-    """What moves each coordinate in the model as it came, and which coordinates need new servos for what reason."""
+    """Find what drives each coordinate in the original model, and which coordinates need new servos, and why."""
     dofs, model = draft.dofs_of(draft.original), draft.original
     rates = np.array([dof.rates for dof in dofs]).T
     moments, ranges = constant_moments(model) @ rates, force_ranges(model, rates)
     for k, dof in enumerate(dofs):
         joint = model.joint(dof.joint).id
         if model.jnt_actfrclimited[joint] and not moments[:, k].any():
-            # What the joint lets through of any servo to come, such as the effort of a URDF.
+            # The joint's own bound, such as the effort of a URDF, applies to any servo added later.
             ranges[k] = model.jnt_actfrcrange[joint]
     found = [_actuation(model, moments, (float(low), float(high)), k) for k, (low, high) in enumerate(ranges)]
     if draft.servo_rule == "design":
@@ -47,11 +46,11 @@ def read_actuators(draft: Draft) -> None:
 
 
 def design_servos(draft: Draft) -> None:
-    """One servo for each coordinate: with the gains it has, if any, else kp = I w^2, kv = 2 I w, w = 2 pi f.
+    """Design one servo for each coordinate: with its present gains, if any, else kp = I w^2, kv = 2 I w, w = 2 pi f.
 
-    I = M_ii is the inertia with the other coordinates held, M in the independent coordinates, coupled stages and
-    armature included; the largest of a few postures counts, and f = 20 Hz. With the others free to give way the
-    inertia may be next to nothing, as of two axes in line, and a servo made for that is weak when both turn.
+    I = M_ii, the largest over a few postures, is the inertia with the other coordinates held; M is in the independent
+    coordinates and includes coupled stages and armature; f = 20 Hz. With the other coordinates free the inertia may
+    nearly vanish, as for two axes in line, and a servo designed for that would be weak when both turn.
     """
     omega, servos = 2.0 * np.pi * _NATURAL_FREQUENCY, []
     inertia = largest_inertia(draft.bare, draft.postures(draft.samples[:16]), draft.dofs)
@@ -63,7 +62,7 @@ def design_servos(draft: Draft) -> None:
 
 
 def stabilise(draft: Draft) -> None:
-    """Where the servos would be unstable at one of a few postures take a better integrator, then shorter timesteps."""
+    """If the servos are unstable at one of a few postures, change the integrator, then shorten the timestep."""
     model, option = draft.bare, draft.spec.option
     inertias = reduced_inertia(model, draft.postures(draft.samples[:8]), draft.dofs)
 
@@ -71,7 +70,7 @@ def stabilise(draft: Draft) -> None:
         timestep = float(model.opt.timestep)
         return any(growth(model, inertia, draft.dofs, draft.servos, timestep) > 1.0 + 1e-9 for inertia in inertias)
 
-    if unstable() and model.opt.integrator in _EXPLICIT:
+    if unstable() and model.opt.integrator == int(mujoco.mjtIntegrator.mjINT_EULER):
         model.opt.integrator = option.integrator = int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
         draft.notes.append("the servos would be unstable with the model's integrator; it is implicitfast now")
     for _ in range(_HALVINGS):
@@ -83,13 +82,13 @@ def stabilise(draft: Draft) -> None:
 
 
 def add_servos(draft: Draft) -> None:
-    """Add the servos to the spec, slowed down where soft ties between stages could not keep up with them."""
+    """Add the servos to the spec, slowed down where the soft ties between coupled stages could not follow them."""
     names = [_add_servo(draft.spec, dof, servo) for dof, servo in zip(draft.dofs, draft.servos, strict=True)]
     draft.servos = soften(draft.spec, draft.postures(draft.samples[:1])[0], draft.dofs, draft.servos, names)
 
 
 def _add_servo(spec: mujoco.MjSpec, dof: Dof, servo: Servo) -> str:
-    """Add a servo to a spec, its control range that of the coordinate; returns the actuator's name."""
+    """Add a servo with the coordinate's range as control range; return the actuator's name."""
     gear = np.zeros(6)
     gear[dof.axis] = 1.0
     actuator = spec.add_actuator(
@@ -114,19 +113,19 @@ def _add_servo(spec: mujoco.MjSpec, dof: Dof, servo: Servo) -> str:
 
 
 def _actuation(model: mujoco.MjModel, moments: Floats, limits: tuple[float, float], k: int) -> Actuation:
-    """What moves coordinate ``k``; ``moments`` ``(nu, n)`` of the actuators are on the coordinates.
+    """What drives coordinate ``k``, given the actuators' ``moments`` ``(nu, n)`` on the coordinates.
 
-    An actuator of moment r on the coordinate, r = gear times d(transmission length)/dq, exerts r F. A position servo
+    An actuator with moment r, gear times d(transmission length)/dq, exerts r F on the coordinate. A position servo
     F = kp (ctrl - l) - kv dl/dt with l = r q is one on q with the gains r^2 kp and r^2 kv.
     """
     acting = np.flatnonzero(moments[:, k])
     if not acting.size:
         return Actuation(limits, None, "there was no actuator")
     if acting.size > 1:
-        return Actuation(limits, None, f"there were {acting.size} actuators each")
+        return Actuation(limits, None, f"each had {acting.size} actuators")
     (a,) = acting
     if np.count_nonzero(moments[a]) > 1:
-        return Actuation(limits, None, "the actuator moves other joints, too")
+        return Actuation(limits, None, "the actuator moves other joints too")
     gain, (b0, b1, b2) = model.actuator_gainprm[a, 0], model.actuator_biasprm[a, :3]
     plain = (
         model.actuator_gaintype[a] == int(mujoco.mjtGain.mjGAIN_FIXED)
@@ -134,5 +133,5 @@ def _actuation(model: mujoco.MjModel, moments: Floats, limits: tuple[float, floa
         and model.actuator_dyntype[a] == int(mujoco.mjtDyn.mjDYN_NONE)
     )
     if not (plain and gain > 0.0 and np.isclose(gain, -b1) and b0 == 0.0 and b2 <= 0.0):
-        return Actuation(limits, None, "the actuator is no position servo with ctrl = position")
+        return Actuation(limits, None, "the actuator is not a position servo with ctrl = position")
     return Actuation(limits, (float(gain * moments[a, k] ** 2), float(abs(b2) * moments[a, k] ** 2)), "")

@@ -1,4 +1,4 @@
-"""Checks of an imported model: kinematics, sag, touching bodies, turns near pi."""
+"""Checks of an imported model: kinematics, sag, contacts, turns near pi, singular links."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from lieednn_sim.arm.kinematics import distinctness
 from lieednn_sim.errors import InputError
 from lieednn_sim.values import Floats
 
-_SAG = 3e-4  # worth a remark [rad, m]: a millimetre at an arm's length from a few joints
-_LOADED = 16  # postures at which loads are looked at
+_SAG = 3e-4  # worth a remark [rad, m]: over a few joints, a millimetre at an arm's length
+_LOADED = 16  # postures at which loads are computed
 _WAYS, _LOOKS = 256, 20  # straight ways, and postures on each
 _SHOWN = 24  # pairs of bodies in a remark
-# Least singular value of a link's screws, of unit size, with which its pose tells its joints apart. `bridging.VAGUE`
-# is larger, of the same measure: there ways begin to be straightened; what that leaves is worth a remark further in.
+# Least singular value of a link's screws, of unit size, at which its pose still determines its joints. By the same
+# measure ways begin to be straightened at the larger `bridging.VAGUE`; the gap that this leaves is worth a remark here.
 _SINGULAR = 0.1
 _SLOW = 5.0  # worth a remark [Hz]
-_DESIGN = "servos='design' makes another"
+_DESIGN = "servos='design' designs a new one"
 
 
 def check_kinematics(draft: Draft) -> None:
@@ -48,12 +48,12 @@ def check_kinematics(draft: Draft) -> None:
         if not same.all():
             raise InputError(
                 f"the frame {frames[int(same.argmin())].name!r} moved while other joints were locked; the model uses a "
-                "feature that cannot be carried over: remove the joints beside the arm by hand"
+                "feature that cannot be carried over: remove the joints that are not the arm's by hand"
             )
 
 
 def look_for_half_turns(draft: Draft) -> None:
-    """Say which compound joints of several hinges come near half a turn at one of the draft's postures."""
+    """Note the compound joints of several hinges that come near half a turn at one of the draft's postures."""
     model, groups = draft.model, draft.groups
     postures = [model.qpos0, *draft.place(model, stacked(draft.samples), model.qpos0)]
     frames = _frame_matrices(model, postures, len(groups))
@@ -61,14 +61,14 @@ def look_for_half_turns(draft: Draft) -> None:
     relative = inner.inv() * outer
     turns = (relative[0].inv() * relative).magnitude().max(axis=0)
     draft.notes += [
-        f"link {i} may turn by {turn:.3g} rad against link {i - 1}; the logarithm is unique below pi: cut it finer"
+        f"link {i} may turn by {turn:.3g} rad against link {i - 1}; the logarithm is unique below pi: name more links"
         for i, (group, turn) in enumerate(zip(groups, turns, strict=True), start=1)
         if len(group) > 1 and turn > 0.95 * np.pi
     ]
 
 
 def look_at_home(draft: Draft) -> None:
-    """Say which servos sag, stick or are too weak at the keyframe ``home``, and which bodies touch there."""
+    """Note the servos that sag, stick or are too weak at the keyframe ``home``, and the bodies that touch there."""
     model, notes = draft.model, draft.notes
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, model.key("home").id)
@@ -82,7 +82,7 @@ def look_at_home(draft: Draft) -> None:
         if servo.frequency < _SLOW:
             slow = f"its servo is slow, {servo.frequency:.2g} Hz, and follows motions badly"
             notes.append(f"{servo.name}: {slow}{f'; {_DESIGN}' if servo.kept else ''}")
-        helps = "the controller inverse-dynamics makes up for it" + (f", {_DESIGN}" if servo.kept else "")
+        helps = "the controller inverse-dynamics compensates for it" + (f", {_DESIGN}" if servo.kept else "")
         if friction / servo.kp > _SAG:
             notes.append(
                 f"{servo.name}: dry friction of {friction:.3g} leaves it up to {friction / servo.kp:.2g} rad or m off; "
@@ -101,7 +101,7 @@ def look_at_home(draft: Draft) -> None:
 
 
 def look_at_ways(draft: Draft) -> None:
-    """Say between which bodies straight ways from home to random postures come near contact."""
+    """Note the bodies between which straight ways from home to random postures come near contact."""
     finder, home = ContactFinder(draft.model, PLANNED_CLEARANCE), draft.samples[0]
     ends, between = Counter[str](), Counter[str]()
     blocked, touching, rng = 0, 0, np.random.default_rng(1)
@@ -114,16 +114,16 @@ def look_at_ways(draft: Draft) -> None:
                 (ends if share == 1.0 else between).update({"{!r} and {!r}".format(*sorted(pair)) for pair in found})
                 break
     for count, what, pairs, then in (
-        (touching, f"{_WAYS} random postures are", ends, "no targets"),
+        (touching, f"{_WAYS} random postures are", ends, "these cannot be targets"),
         (
             blocked,
             f"{_WAYS - touching} straight ways from home to the others come",
             between,
-            "planners that look for no way around fail there, lieednn-shaped and rrt-connect look",
+            "there planners fail that do not search for a way around, as lieednn-shaped and rrt-connect do",
         ),
     ):
         if count:
-            # Sets have no order: of pairs that come as often the names decide.
+            # Sets have no order: ties are broken by name.
             most = sorted(pairs.items(), key=lambda one: (-one[1], one[0]))[:_SHOWN]
             shown = ", ".join(f"{pair} ({times})" for pair, times in most)
             draft.notes.append(
@@ -132,7 +132,7 @@ def look_at_ways(draft: Draft) -> None:
 
 
 def look_for_singular_links(draft: Draft) -> None:
-    """Say of links of several joints on how many straight ways their pose does not tell the joints apart."""
+    """Note the links of several joints whose pose does not determine the joints somewhere on a straight way."""
     model, data, home = draft.model, mujoco.MjData(draft.model), draft.samples[0]
     ways = _ways(draft, home, draft.samples[1:], np.linspace(0.0, 1.0, _LOOKS + 1))
     sites, unit = _frame_sites(model, len(draft.frames)), length_unit(draft)
@@ -154,9 +154,9 @@ def look_for_singular_links(draft: Draft) -> None:
             singular += int(distinctness(np.array(screws)).min() < _SINGULAR)
         if singular:
             draft.notes.append(
-                f"link {i}: on {singular} of {len(ways)} straight ways from home it comes near postures at which its "
-                f"pose does not tell {', '.join(group)} apart; networks, which lead an arm by poses, go straight on "
-                "there with a gap, or fail: with more links named they need not"
+                f"link {i}: {singular} of {len(ways)} straight ways from home pass near postures at which its pose "
+                f"does not determine {', '.join(group)}; networks, which lead an arm by poses, leave a gap there, or "
+                "fail: name more links to avoid that"
             )
 
 

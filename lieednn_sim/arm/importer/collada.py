@@ -1,4 +1,4 @@
-"""Meshes in COLLADA, which many ROS packages have and MuJoCo does not read: of such a mesh its points."""
+"""The points of meshes in COLLADA, which many ROS packages have and MuJoCo does not read."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ import scipy
 from lieednn_sim.errors import FileError
 from lieednn_sim.values import Floats
 
-# A node's own way to place what is in it; others, such as skews, are refused.
+# The supported transforms of a node; others, such as skews, are refused.
 _PLACING = ("matrix", "translate", "rotate", "scale")
 
 
 def read_points(path: Path) -> Floats:
-    """The points ``(n, 3)`` [m] of a file's scene: all that MuJoCo needs, whose collisions are with convex hulls.
+    """The points ``(n, 3)`` [m] of a file's scene; they suffice for MuJoCo, which collides meshes as convex hulls.
 
-    In the file's unit and along its own axes: as in ROS, ``up_axis`` turns nothing.
+    Lengths are converted to metres; as in ROS, ``up_axis`` is ignored.
 
     Raises:
-        FileError: the file is no COLLADA, or has no points.
+        FileError: the file is not COLLADA, or has no points.
     """
     try:
         root = ElementTree.parse(path).getroot()
@@ -39,7 +39,7 @@ def read_points(path: Path) -> Floats:
 def _placed(
     node: ElementTree.Element, outer: Floats, elements: dict[str | None, ElementTree.Element]
 ) -> Iterator[Floats]:
-    """The points of what a node shows, and of those in it."""
+    """The points of a node's geometries and of its children's."""
     inner = outer
     for child in node:
         kind = _tag(child)

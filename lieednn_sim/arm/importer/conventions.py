@@ -1,4 +1,4 @@
-"""Edits that give a spec this package's conventions: sites at the frames, stiff ties, ranges, no gravity."""
+"""Edits that give a spec this package's conventions: frame sites, stiff ties, ranges, gravity compensation."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _LEAST_INERTIA = 1e-6  # of the largest moment of a body, or [kg m^2]
 
 
 def mend_inertias(draft: Draft) -> None:
-    """Enlarge inertias of a URDF that no body can have, which other simulators let pass: A + B >= C > 0 must hold."""
+    """Enlarge impossible inertias of a URDF, which other simulators accept: A + B >= C > 0 must hold."""
     if draft.source is None or draft.source.suffix.lower() != ".urdf":
         return
     mended = []
@@ -32,18 +32,18 @@ def mend_inertias(draft: Draft) -> None:
             body.fullinertia = tensor[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
             mended.append(body.name)
     if mended:
-        draft.notes.append(f"inertias that no body can have made larger: {', '.join(mended)}")
+        draft.notes.append(f"physically impossible inertias made larger: {', '.join(mended)}")
 
 
 def replace_integrator(draft: Draft) -> None:
-    """Let a model that asks for RK4 be stepped by implicitfast: see `arm.checks.check_integrator`."""
+    """Replace RK4 by implicitfast, see `arm.checks.check_integrator`."""
     if draft.spec.option.integrator == mujoco.mjtIntegrator.mjINT_RK4:
         draft.spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
         draft.notes.append("integrator implicitfast in place of RK4, which has no inverse dynamics in discrete time")
 
 
 def add_frames(draft: Draft) -> None:
-    """Add the sites ``base_frame``, ``link1_frame``, ... at the frames; sites of these names elsewhere are renamed."""
+    """Add the sites ``base_frame``, ``link1_frame``, ... at the frames; rename other sites with these names."""
     spec, model, frames = draft.spec, draft.original, draft.frames
     names = ("base_frame", *(f"link{i}_frame" for i in range(1, len(frames))))
     # By name: a spec forgets the ids of a compiled model as soon as something is added to it.
@@ -63,11 +63,11 @@ def add_frames(draft: Draft) -> None:
 
 
 def tie_stages(draft: Draft) -> None:
-    """Tie stages of a telescope to their leaders by equalities stiff enough to pass for rigid belts.
+    """Tie the stages of a telescope to their leaders by equalities that are nearly as stiff as rigid belts.
 
-    Those that only a tendon ties get one. Where the model's own are softer they are made as stiff: MuJoCo's default
-    gives a light stage a spring of a few hundred newtons a metre, and friction of a few newtons leaves it centimetres
-    behind the others, where no servo notices.
+    Stages tied by a tendon alone get an equality, and softer ones of the model are made as stiff: by MuJoCo's default a
+    light stage hangs on a spring of a few hundred newtons per metre, and friction of a few newtons leaves it
+    centimetres behind the others, unseen by any servo.
     """
     spec, model, couplings = draft.spec, draft.original, draft.couplings
     # MuJoCo's least time constant is two timesteps.
@@ -86,7 +86,7 @@ def tie_stages(draft: Draft) -> None:
     for equality in spec.equalities:
         if equality.type != mujoco.mjtEq.mjEQ_JOINT or not equality.active or equality.name1 not in followers:
             continue
-        # Negative numbers are a stiffness and a damping that somebody chose.
+        # Negative numbers are a stiffness and a damping that were chosen explicitly.
         if equality.solref[0] > reference[0] or equality.solref[0] == 0.0:
             equality.solref, equality.solimp = reference, impedance
             stiffened.append(equality.name1)
@@ -95,7 +95,7 @@ def tie_stages(draft: Draft) -> None:
 
 
 def set_ranges(draft: Draft) -> None:
-    """Limit the arm's joints to their ranges, whatever unit the spec is in."""
+    """Limit the arm's joints to their ranges, in the spec's unit."""
     for identifier in draft.joints:
         joint = draft.spec.joint(draft.original.joint(identifier).name)
         degrees = joint.compiler.degree and joint.type != mujoco.mjtJoint.mjJNT_SLIDE
@@ -104,7 +104,7 @@ def set_ranges(draft: Draft) -> None:
 
 
 def compensate_gravity(draft: Draft) -> None:
-    """Switch gravity compensation on for all that moves with the arm, unless the model has it somewhere there."""
+    """Switch gravity compensation on for every body that moves with the arm, unless one of these has it already."""
     model = draft.original
     if model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_GRAVITY) or not np.any(model.opt.gravity):
         return

@@ -1,4 +1,4 @@
-"""An arm in the making: what the importer's steps share."""
+"""The state that the importer's steps share."""
 
 from __future__ import annotations
 
@@ -21,32 +21,32 @@ _BALL = int(mujoco.mjtJoint.mjJNT_BALL)
 
 @dataclass(eq=False)
 class Draft:
-    """A spec on its way to an arm, and what is known of it so far: each step uses what those before it have found.
+    """An arm during its import: each step uses and adds to what the steps before it have found.
 
     Joints are ids in ``original``; positions ``q`` of the independent ones are ``(1,)`` for a hinge or slide and
     a rotation vector ``(3,)`` for a ball joint.
 
     Attributes:
-        spec: changed by the steps.
-        source: its file, if it came from one.
-        links, base, keyframe, home, limits, servo_rule: as the caller of `import_arm` gave them.
+        spec: the spec, edited by the steps.
+        source: its file, if any.
+        links, base, keyframe, home, limits, servo_rule: the options of `import_arm`.
         notes: remarks for the report.
-        original: the model as it came.
-        keyframes: of ``original``, those that are postures.
+        original: the model as given.
+        keyframes: those of ``original`` that hold postures.
         posture: name of the posture of the locked joints.
         qpos: ``(nq,)`` that posture in ``original``.
-        frames: of the base and the links.
-        groups: of each link the joints that move it.
-        couplings: of joints that follow others.
-        ranges: of each joint, ``(2,)`` [rad, m].
-        locked: names of the joints that are gone.
+        frames: frames of the base and the links.
+        groups: for each link, the joints that move it.
+        couplings: joints that follow others.
+        ranges: for each joint, its range ``(2,)`` [rad, m].
+        locked: names of the removed joints.
         bare: the model with the arm's joints, without actuators.
         dofs: the independent coordinates, with rates in ``bare``.
         samples: positions of the independent joints: at home, then random ones within the ranges.
         extremes: at home but with all slides retracted, and with all extended.
-        actuations: what moved each coordinate in ``original``.
-        servos: what moves it now.
-        model: the arm.
+        actuations: what drove each coordinate in ``original``.
+        servos: the servo that drives it now.
+        model: the compiled arm.
     """
 
     spec: mujoco.MjSpec
@@ -82,7 +82,7 @@ class Draft:
 
     @property
     def independent(self) -> list[int]:
-        """Those that follow no other."""
+        """The joints that follow no other."""
         return [joint for joint in self.joints if joint not in self.couplings.lines]
 
     def is_ball(self, joint: int) -> bool:
@@ -104,10 +104,7 @@ class Draft:
         return dofs
 
     def place(self, model: mujoco.MjModel, q: dict[int, Floats], qpos: Floats) -> Floats:
-        """``qpos`` ``(nq,)`` of ``model`` with the arm's joints, found by name, at ``q``; as many rows as its values.
-
-        Many at once take hardly longer than one.
-        """
+        """``qpos`` ``(nq,)`` of ``model`` with the arm's joints, found by name, at ``q``; one row for each of ``q``."""
         values = dict(q)
         filled = np.tile(qpos, (*np.shape(next(iter(q.values())))[:-1], 1))
         for follower, (leader, ratio, shift) in self.couplings.lines.items():
@@ -122,11 +119,11 @@ class Draft:
         return filled
 
     def postures(self, positions: Sequence[dict[int, Floats]]) -> Floats:
-        """Positions ``(S, nq)`` of ``bare`` at each of those of the independent joints."""
+        """``qpos`` ``(S, nq)`` of ``bare`` at positions of the independent joints."""
         return self.place(self.bare, stacked(positions), self.bare.qpos0)
 
     def report(self) -> ImportReport:
-        """All of it in words; every remark once."""
+        """The report for the user, without repeated remarks."""
         return ImportReport(
             posture=self.posture,
             base=self.frames[0].name,
@@ -140,5 +137,5 @@ class Draft:
 
 
 def stacked(positions: Sequence[dict[int, Floats]]) -> dict[int, Floats]:
-    """Positions of the independent joints as one row each, for `Draft.place`."""
+    """Positions of the independent joints, one row per posture, for `Draft.place`."""
     return {joint: np.array([q[joint] for q in positions]) for joint in positions[0]}

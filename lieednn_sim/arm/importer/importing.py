@@ -1,4 +1,4 @@
-"""Bring your own arm: any MJCF with a serial chain of hinge, slide and ball joints, made into one that `Arm` reads."""
+"""`import_arm`, and its steps in order."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ from lieednn_sim.arm.importer.units import set_length_unit
 from lieednn_sim.errors import InputError
 from lieednn_sim.validation import as_choice
 
-# What becomes of the position servos that a model has.
+# What is done with the position servos of a model.
 SERVOS = ("keep", "design")
 
 STEPS: tuple[Callable[[Draft], None], ...] = (
@@ -76,7 +76,7 @@ STEPS: tuple[Callable[[Draft], None], ...] = (
 
 
 class ImportOptions(TypedDict, total=False):
-    """The options of `import_arm`, for whoever passes them on."""
+    """The options of `import_arm`, for functions that pass them on."""
 
     links: Sequence[str] | None
     base: str | None
@@ -96,33 +96,32 @@ def import_arm(
     limits: Mapping[str, Mapping[str, float]] | None = None,
     servos: str = "keep",
 ) -> tuple[mujoco.MjSpec, ImportReport]:
-    """Make a model into an arm by `STEPS`: sites at the link frames, one servo per coordinate, all else locked.
+    """Make a model into an arm by `STEPS`: sites at the link frames, one servo per coordinate, all other joints locked.
 
-    Without ``links`` the link frames are the model's own sites base_frame, link1_frame, ..., if it has them, else
-    the arm is the chain with the most driven joints (`serial_chain.longest_chain`), cut by the rule
-    of `serial_chain.cut`, its link frames the origins of the bodies behind the cuts. Every joint off the arm is locked.
+    Without ``links`` the link frames are the model's own sites base_frame, link1_frame, ..., if it has them; otherwise
+    the arm is the chain with the most driven joints (`serial_chain.longest_chain`), cut into compound joints
+    (`compound_joints.cut`), with its link frames at the origins of the bodies behind the cuts.
+
     Coupled stages count as one coordinate; a fixed tendon that drives several stages becomes equalities between them,
-    and soft equalities become stiff, as belts are.
-    Plain position servos keep their gains; other actuators are replaced by servos of 20 Hz, critically damped, on the
-    largest inertia M_ii of a few postures, slower where coupled stages could not keep up. Where actuators have force
-    limits, accelerations get limits (`limits.limit_accelerations`); a URDF's efforts and
-    velocities are limits, too. Gravity compensation is switched on
-    where no body of the arm has any, because a position servo would sag. Tubes of a telescope, and what else overlaps
-    by design, don't collide with each other, and home is moved off other contacts of the robot with itself
-    (`nesting.ignore_nested`). Hinges that share a
-    link with other joints are held within 0.99 pi of their reference, where the logarithm is unique.
+    and soft equalities become as stiff as belts. Plain position servos keep their gains; other actuators are replaced
+    by critically damped servos of 20 Hz on the largest inertia M_ii of a few postures, slower where coupled stages
+    could not follow. Force limits of actuators limit accelerations (`limits.limit_accelerations`); a URDF's efforts
+    and velocities are limits too. Gravity compensation is switched on where no body of the arm has any, because
+    position servos would sag. Tubes of a telescope, and other parts that overlap by design, don't collide with each
+    other, and home is moved away from other self-collisions (`nesting.ignore_nested`). Hinges that share a link with
+    other joints are kept within 0.99 pi of their reference, where the logarithm is unique.
 
     Args:
         model: an MJCF or URDF file, or a `mujoco.MjSpec`, which is not changed.
-        links: bodies or sites, in order from the base outwards; the frame of a body is its origin.
-        base: body or site of the base frame. Default: the body that carries the first moving body of link 1.
-        keyframe: posture of the locked joints, and of the new keyframe ``home``, which keeps 5 % of each range off
-            the limits. Default: ``home``, else the first keyframe, else the reference position. Keyframes that have
-            controls for another posture and no positions don't count.
-        home: positions of joints in place of those of the keyframe, by name [rad, m]; for a URDF, which has none.
-        limits: of coordinates by name, each its ``velocity``, ``acceleration`` and ``jerk`` [rad or m, s]; they go
-            before those of the model.
-        servos: ``"keep"`` the position servos of the model, or ``"design"`` all anew.
+        links: names of bodies or sites, from the base outwards; the frame of a body is at its origin.
+        base: body or site of the base frame. Default: the parent of the first moving body of link 1.
+        keyframe: posture of the locked joints, and of the new keyframe ``home``, which stays 5 % of each range away
+            from the limits. Default: ``home``, else the first keyframe, else the reference position. Keyframes without
+            positions, and with controls for another posture, don't count.
+        home: positions of joints by name [rad, m] that replace those of the keyframe; for a URDF, which has none.
+        limits: ``velocity``, ``acceleration`` and ``jerk`` of coordinates by name [rad or m, s]; they take precedence
+            over the model's.
+        servos: ``"keep"`` the model's position servos, or ``"design"`` all of them anew.
 
     Returns:
         A spec for `Arm.from_spec`, and the report.

@@ -1,4 +1,4 @@
-"""Limits of a foreign arm: velocities of a URDF, accelerations that its actuators are good for, and what is asked."""
+"""Rate limits of an imported arm: a URDF's velocities, accelerations from force limits, and those of the caller."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from lieednn_sim.arm.importer.servos import largest_inertia
 from lieednn_sim.errors import InputError
 from lieednn_sim.validation import as_choice, as_positive, quoted
 
-# Custom numerics of the limits.
+# The custom numerics that hold the limits.
 RATE_LIMITS = {"velocity": "velocity_limit", "acceleration": "acceleration_limit", "jerk": "jerk_limit"}
 _VELOCITY, _ACCELERATION, _ = RATE_LIMITS.values()
-# Share of the force that an actuator has left: the rest is for friction, and for what the other joints do to it.
+# Share of an actuator's spare force used for acceleration: the rest is for friction and coupling to other joints.
 _SHARE = 0.5
 
 
 def drop_old_limits(draft: Draft) -> None:
-    """Delete custom limits of velocity, acceleration and jerk that are not for as many coordinates as the arm has."""
+    """Delete custom limits of velocity, acceleration and jerk whose size is not the arm's number of coordinates."""
     size = sum(3 if draft.is_ball(joint) else 1 for joint in draft.independent)
     for name in RATE_LIMITS.values():
         numeric = draft.spec.numeric(name)
@@ -34,9 +34,9 @@ def drop_old_limits(draft: Draft) -> None:
 
 
 def limit_velocities(draft: Draft) -> None:
-    """Limit velocities as a URDF says, which MuJoCo does not read: each by all the joints that a coordinate moves.
+    """Limit each coordinate by the URDF velocity limits, which MuJoCo does not read, of all the joints that it moves.
 
-    A velocity of zero is none; a custom numeric ``velocity_limit`` of the model stays.
+    Zero means no limit; a custom numeric ``velocity_limit`` of the model stays.
     """
     if draft.source is None or draft.spec.numeric(_VELOCITY) is not None:
         return
@@ -69,10 +69,10 @@ def _velocities(source: Path) -> dict[str, float]:
 
 
 def limit_accelerations(draft: Draft) -> None:
-    """Limit accelerations where actuators have force limits, or motions would be planned that they cannot follow.
+    """Limit accelerations where actuators have force limits, so that planned motions can be followed.
 
-    Each limit is (F - |load|) / (2 I): F the actuator's force limit, the load that of gravity and springs at rest, I
-    the inertia with the other coordinates held, both the largest of a few postures. A custom numeric
+    Each limit is (F - |load|) / (2 I), with the actuator's force limit F, the load of gravity and springs at rest, and
+    the inertia I with the other coordinates held, both the largest over a few postures. A custom numeric
     ``acceleration_limit`` of the model stays.
     """
     if draft.spec.numeric(_ACCELERATION) is not None:
@@ -82,7 +82,7 @@ def limit_accelerations(draft: Draft) -> None:
     inertia = largest_inertia(model, postures, draft.dofs)
     load = np.abs(resting_load(model, postures) @ rates.T).max(axis=0)
     force = np.array([min(-servo.force_range[0], servo.force_range[1]) for servo in servos])
-    # One that cannot hold its load anywhere near is remarked on elsewhere; a limit of zero would allow no motion.
+    # An actuator that cannot hold its load is reported by `look_at_home`; a limit of zero would allow no motion.
     limits = np.where(force > load, _SHARE * (force - load) / inertia, np.inf)
     finite = np.flatnonzero(np.isfinite(limits))
     if finite.size:
@@ -92,7 +92,7 @@ def limit_accelerations(draft: Draft) -> None:
 
 
 def check_rates(limits: Any) -> None:
-    """Raise `InputError` unless limits are those of `import_arm`."""
+    """Raise `InputError` unless ``limits`` is as in `import_arm`."""
     if limits is None:
         return
     if not isinstance(limits, Mapping) or not all(isinstance(given, Mapping) for given in limits.values()):
@@ -106,7 +106,7 @@ def check_rates(limits: Any) -> None:
 
 
 def limit_as_asked(draft: Draft) -> None:
-    """Limit velocities, accelerations and jerks as the caller says, in place of what the model says."""
+    """Replace the model's limits of velocity, acceleration and jerk by those of the caller."""
     names = [dof.name for dof in draft.dofs]
     for coordinate in draft.limits:
         as_choice("coordinate", coordinate, names)

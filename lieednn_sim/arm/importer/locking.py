@@ -1,4 +1,4 @@
-"""Joint locking: every joint that is not the arm's is removed, and what referred to it."""
+"""Joint locking: every joint that is not the arm's is removed, together with all references to it."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ def pose(pos: Floats, quat: Floats) -> RigidTransform:
 def lock_other_joints(draft: Draft) -> None:
     """Remove all joints but the arm's from the spec, leaving their bodies at the posture of the draft.
 
-    With them go the equalities, tendons, sensors and tuples that refer to them, and all actuators and keyframes.
-    Pairs of bodies that could not touch before, being parent and child, are excluded where locking would change that:
-    MuJoCo lets the fixed parts of the world touch everything.
+    The equalities, tendons, sensors and tuples that refer to them go too, and all actuators and keyframes. Pairs of
+    bodies that MuJoCo did not let collide, as parent and child, are excluded where locking would change that: its
+    filter does not apply to the fixed parts of the world.
 
     Raises:
         InputError: an equality closes a loop over the arm.
@@ -54,7 +54,7 @@ def lock_other_joints(draft: Draft) -> None:
 
 
 def _place(spec: mujoco.MjSpec, body: mujoco.MjsBody, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-    """Give a body the pose in its parent that its joints give it now."""
+    """Fix a body at its present pose in its parent."""
     parent = int(model.body_parentid[body.id])
     now = pose(data.xpos[parent], data.xquat[parent]).inv() * pose(data.xpos[body.id], data.xquat[body.id])
     quat = np.array(body.quat)
@@ -111,7 +111,7 @@ def _unlink(spec: mujoco.MjSpec, model: mujoco.MjModel, locked: set[int], rigid:
 def _superfluous_equalities(
     model: mujoco.MjModel, locked: set[int], tendons: set[int], rigid: NDArray[np.int_]
 ) -> tuple[set[int], list[str]]:
-    """Equalities that refer to what is locked or hold what is rigid anyway, with remarks on the others."""
+    """Equalities that refer to locked joints or hold bodies that are rigid anyway, and remarks on them."""
     found, notes = set(), []
     for e in range(model.neq):
         kind, one, other = int(model.eq_type[e]), int(model.eq_obj1id[e]), int(model.eq_obj2id[e])
@@ -164,7 +164,7 @@ def _keep_contact_filter(spec: mujoco.MjSpec, model: mujoco.MjModel, rigid: NDAr
 
 
 def _filtered(model: mujoco.MjModel, part: NDArray[np.int_], one: int, other: int) -> bool:
-    """MuJoCo's rule: no contact within a rigid part, nor with the part that carries it unless that is the world."""
+    """MuJoCo's rule: no contact within a rigid part, nor with its parent part unless that is the world."""
     a, b = int(part[one]), int(part[other])
     if a == b:
         return True

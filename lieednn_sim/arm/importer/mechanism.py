@@ -1,4 +1,4 @@
-"""The mechanism of a foreign model: in which posture it is taken, and which of its joints are the arm."""
+"""The mechanism of a foreign model: its posture at import, and which of its joints are the arm."""
 
 from __future__ import annotations
 
@@ -9,23 +9,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm.importer.compound_joints import cut
 from lieednn_sim.arm.importer.draft import Draft
 from lieednn_sim.arm.importer.loading import compile_spec
 from lieednn_sim.arm.importer.ranges import joint_ranges
-from lieednn_sim.arm.importer.serial_chain import body_frame, cut, is_gripper, joint_groups, longest_chain, named_frames
+from lieednn_sim.arm.importer.serial_chain import body_frame, is_gripper, joint_groups, longest_chain, named_frames
 from lieednn_sim.arm.importer.stages import find_couplings
 from lieednn_sim.errors import InputError
 from lieednn_sim.validation import as_choice, as_floats
 
 _SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
-_SAME = 1e-3  # controls so near to a position hold it [rad, m]
+_SAME = 1e-3  # controls this close to a position hold it [rad, m]
 
 
 def choose_posture(draft: Draft) -> None:
-    """Compile the model as it came, and take the posture of a keyframe, of given joint positions, or of reference.
+    """Compile the model as given, and take the posture of a keyframe or the reference, with the given joint positions.
 
     Raises:
-        InputError: there is no such keyframe or joint, or its position is none; the message lists those there are.
+        InputError: there is no such keyframe or joint (the message lists those there are), or a position is invalid.
     """
     model = draft.original = compile_spec(draft.spec)
     names = [model.key(k).name or f"key{k}" for k in range(model.nkey)]
@@ -54,10 +55,10 @@ def choose_posture(draft: Draft) -> None:
 
 
 def find_mechanism(draft: Draft) -> None:
-    """Frames, joint groups, couplings and ranges of the arm, as named, as its sites say, or found.
+    """Find the arm's frames, joint groups, couplings and ranges, from the given names, its sites, or its longest chain.
 
     Raises:
-        InputError: there is no such arm, several are as good, or coupled joints move different links.
+        InputError: there is no such arm, the choice is ambiguous, or coupled joints move different links.
     """
     model, links, base = draft.original, draft.links, draft.base
     if links is None and base is None:
@@ -106,7 +107,7 @@ def _frames_of_the_model(model: mujoco.MjModel) -> tuple[tuple[str, ...] | None,
 
 
 def _holds_another(model: mujoco.MjModel, keyframe: int) -> bool:
-    """Whether the controls of a keyframe let position servos hold another posture than the keyframe's own."""
+    """Whether position servos would hold another posture at a keyframe's controls than the keyframe's own."""
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, keyframe)
     mujoco.mj_forward(model, data)

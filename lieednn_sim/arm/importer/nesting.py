@@ -1,7 +1,7 @@
-"""Parts of a robot that overlap by design, as the tubes of a telescope do: their contacts are ignored.
+"""Parts of a robot that overlap by design, such as the tubes of a telescope: their contacts are ignored.
 
-MuJoCo lets a body overlap its parent only, and no part of the world. The third tube of a telescope sits in the first
-as well, and a first link in its base.
+MuJoCo ignores contacts of a body with its parent only, and not where that is fixed to the world. But the third tube of
+a telescope sits in the first as well, and a first link in its base.
 """
 
 from __future__ import annotations
@@ -23,20 +23,20 @@ from lieednn_sim.values import Floats
 _Pair = tuple[int, int]
 _Distances = Mapping[_Pair, float]
 _SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
-# Planned motions keep 2 mm between all that may collide; what is designed to be closer cannot be moved at all [m].
+# Planned motions keep 2 mm between geoms that may collide: parts that are closer by design could not move at all [m].
 _CLOSE = 0.0025
 _PARALLEL = 1e-6
 _SHARES = np.linspace(0.02, 1.0, 50)  # of a range by which home is moved
 
 
 def ignore_nested(draft: Draft) -> None:
-    """Ignore contacts between parts of one robot that overlap by design, and move home off those that do not.
+    """Ignore contacts between parts of one robot that overlap by design, and move home away from other overlaps.
 
-    By design overlap stages of one telescope (bodies with nothing but parallel slides between them) where they do at
-    any of the draft's postures, neighbours (bodies with one coordinate between them) where they do at home, and what
-    does at every posture: of these the geoms alone, if the same ones always overlap. Other bodies are kept apart. Where
-    they overlap at home the nearest free posture becomes home, since no motion could start; where none is found,
-    contacts of the geoms that overlap there are ignored.
+    Three kinds of bodies overlap by design: stages of one telescope (with only parallel slides between them) that
+    overlap at any of the draft's postures; neighbours (with one coordinate between them) that overlap at home; and
+    bodies that overlap at every posture, of which only the geoms that always overlap are ignored, if there are any.
+    Where other bodies overlap at home, the nearest free posture becomes home, since no motion could start; if none is
+    found, contacts of the geoms that overlap there are ignored.
     """
     overlaps = _Overlaps(draft)
     bodies = overlaps.bodies
@@ -99,11 +99,11 @@ class _Overlaps:
         mujoco.mj_kinematics(draft.bare, self._data)
         original = draft.original
         names = [draft.bare.body(body).name for body in range(draft.bare.nbody)]
-        # What is one robot the model with all joints says.
+        # The original model, with all joints, tells which bodies are one robot.
         self._robot = [int(original.body_rootid[original.body(name).id]) for name in names]
 
     def at(self, qpos: Floats) -> _Distances:
-        """The geoms of one robot that are near each other, and how near [m]."""
+        """Pairs of geoms of one robot that are near each other, and their distances [m]."""
         near: dict[_Pair, float] = {}
         for distance, found in zip(*self._finder.geoms(qpos), strict=True):
             geoms = _pair(*found)
@@ -158,7 +158,7 @@ class _Overlaps:
 
 
 def _nearby(draft: Draft) -> Iterator[dict[int, Floats]]:
-    """Postures off the limits, the nearest to home first: with one joint moved, then on the way to random postures."""
+    """Postures away from the limits, nearest to home first: with one joint moved, then on ways to random postures."""
     home = draft.samples[0]
     scalar = [joint for joint in draft.independent if not draft.is_ball(joint)]
     for share, joint, side in product(_SHARES, scalar, (-1.0, 1.0)):
@@ -173,7 +173,7 @@ def _nearby(draft: Draft) -> Iterator[dict[int, Floats]]:
 
 
 def _exclude(draft: Draft, overlaps: _Overlaps, ignored: Mapping[_Pair, Collection[_Pair]]) -> None:
-    """Exclude pairs of bodies; MuJoCo cannot exclude geoms alone, so the others of the bodies become explicit pairs."""
+    """Exclude pairs of bodies; MuJoCo cannot exclude single geoms, so the bodies' other geoms become explicit pairs."""
     spec, model = draft.spec, draft.bare
     kept = {geoms for pair, gone in ignored.items() for geoms in overlaps.geoms(pair) - set(gone)}
     names = {geom.name for geom in spec.geoms}
@@ -196,10 +196,10 @@ def _exclude(draft: Draft, overlaps: _Overlaps, ignored: Mapping[_Pair, Collecti
 
 
 def _contact(model: mujoco.MjModel, geoms: list[int]) -> dict[str, Any]:
-    """Parameters of an explicit pair that touches as two geoms do by MuJoCo's rule for contacts that it finds itself.
+    """Parameters of an explicit pair that make it touch as the two geoms would by MuJoCo's own rule for contacts.
 
-    The geom of the higher priority decides; of equal ones the larger dimension and friction count, and the mean of the
-    rest, by `solmix`, unless a stiffness is given directly. What is not a number the compiler takes from the geoms.
+    The geom of higher priority decides; at equal priority the larger dimension and friction count, and of the rest the
+    mean weighted by `solmix`, unless a stiffness is given directly. NaN lets the compiler take the geoms' values.
     """
     ranks = model.geom_priority[geoms]
     deciding = np.array(geoms)[ranks == ranks.max()]

@@ -1,4 +1,4 @@
-"""Postures of the arm: home, those that limits and servos are judged at, and its keyframes."""
+"""Postures of the arm: home, those at which limits and servos are designed and checked, and its keyframes."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from lieednn_sim.arm.importer.loading import compile_spec
 from lieednn_sim.values import Floats
 
 _SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
-MARGIN = 0.05  # of its range that a keyframe keeps off each limit
-_SAMPLES = 64  # random postures that servos are designed for and that checks look at
+MARGIN = 0.05  # share of its range that a keyframe keeps away from each limit
+_SAMPLES = 64  # random postures for which servos are designed and checked
 
 
 def draw_postures(draft: Draft) -> None:
-    """Compile the arm's joints without actuators, and choose home, random postures with a fixed seed, and extremes."""
+    """Compile the arm without actuators; choose home, random postures with a fixed seed, and extremes."""
     draft.bare = compile_spec(draft.spec)
     draft.dofs = draft.dofs_of(draft.bare)
     home, moved = _coordinates_inside(draft, draft.qpos)
@@ -27,7 +27,7 @@ def draw_postures(draft: Draft) -> None:
 
 
 def place_home(draft: Draft, home: dict[int, Floats]) -> None:
-    """Take other positions of the independent joints for home."""
+    """Make other positions of the independent joints home."""
     draft.samples[0] = home
     kinds, ranges = draft.original.jnt_type, draft.ranges
     draft.extremes = [
@@ -62,9 +62,9 @@ def random_coordinates(draft: Draft, rng: np.random.Generator) -> dict[int, Floa
 
 
 def _coordinates_inside(draft: Draft, qpos: Floats) -> tuple[dict[int, Floats], list[str]]:
-    """Positions of the independent joints at ``qpos``, each 5 % of its range off its limits, and which were moved.
+    """Positions of the independent joints at ``qpos``, each kept 5 % of its range off its limits; names of those moved.
 
-    Stages that only a tendon couples together keep its length: the leader takes the least-squares share.
+    For stages that only a tendon couples, the leader takes the least-squares fit of all their positions.
     """
     q, moved = {}, []
     model, couplings = draft.original, draft.couplings

@@ -19,16 +19,16 @@ _DEFAULT = 0.95 * np.pi  # of a hinge or ball joint without a range
 def joint_ranges(
     model: mujoco.MjModel, groups: Sequence[Sequence[int]], couplings: Couplings, notes: list[str]
 ) -> dict[int, Floats]:
-    """The range ``(2,)`` [rad, m] of each joint; what was made or narrowed is added to ``notes``.
+    """The range ``(2,)`` [rad, m] of each joint; new and narrowed ranges are added to ``notes``.
 
     A coordinate may move as far as all the joints that it moves. A hinge or ball joint without a range gets 0.95 pi
-    either way of its reference. A hinge that is alone in its link keeps its range, whatever it is; those of other
-    links, and balls, are narrowed to 0.99 pi, where the logarithm is still unique.
+    either side of its reference. A hinge alone in its link keeps its range, whatever it is; other hinges, and ball
+    joints, are narrowed to 0.99 pi, where the logarithm is still unique.
 
     Args:
-        model: as it came.
-        groups: of each link the joints that move it.
-        couplings: of joints that follow others.
+        model: the model as given.
+        groups: for each link, the joints that move it.
+        couplings: joints that follow others.
         notes: remarks for the report.
 
     Raises:

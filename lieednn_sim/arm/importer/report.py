@@ -1,4 +1,4 @@
-"""What the importer did to a model, for its user to read before planning with it."""
+"""The report on an import, to be read before planning with the arm."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ class ImportReport:
     Attributes:
         posture: the keyframe that the locked joints and the new keyframe ``home`` were taken from.
         base: name of the body or site of the base frame.
-        links: names of those of the link frames.
-        groups: of each link the joints of its compound joint, from the base outwards.
+        links: names of the bodies or sites of the link frames.
+        groups: for each link, the joints of its compound joint, from the base outwards.
         couplings: joints that follow others.
         locked: joints that were removed, their bodies left where the posture has them.
         servos: the position servo of each independent coordinate.

@@ -1,4 +1,4 @@
-"""The serial chain of a foreign MJCF: which joints are the arm, and where its compound joints are cut."""
+"""The serial chain of a foreign MJCF: its frames, and which joints are the arm."""
 
 from __future__ import annotations
 
@@ -11,12 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import mujoco
-from lieednn_sim.arm.importer.stages import Couplings, tendon_joints, tied_joints
+from lieednn_sim.arm.importer.stages import tendon_joints, tied_joints
 from lieednn_sim.errors import InputError
 from lieednn_sim.values import Floats
 
-_FREE, _BALL, _SLIDE, _HINGE = (int(getattr(mujoco.mjtJoint, f"mjJNT_{k}")) for k in ("FREE", "BALL", "SLIDE", "HINGE"))
-_SINGULAR = 1e-3  # smallest relative singular value with which the screws of a compound joint count as independent
+_FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 _FINGER = re.compile(r"jaw|finger|fngr|claw|pincer", re.IGNORECASE)
 _GRIPPER = re.compile(_FINGER.pattern + r"|grip", re.IGNORECASE)  # a body of that name may be the one it is fixed to
 
@@ -26,7 +25,7 @@ class Frame:
     """A named frame fixed to a body: a site, or the body's own origin.
 
     Attributes:
-        name: of the body or site.
+        name: name of the body or site.
         body: its id.
         pos: ``(3,)`` in the body [m].
         quat: ``(4,)`` in the body, scalar first.
@@ -83,7 +82,7 @@ def joint_groups(model: mujoco.MjModel, frames: Sequence[Frame]) -> tuple[tuple[
     """The joints between consecutive frames, each group from the base outwards.
 
     Raises:
-        InputError: the frames lie on no single chain, no joint is between two of them, or one is free.
+        InputError: the frames are not on one chain, there is no joint between two of them, or a joint is free.
     """
     groups = []
     for inner, outer in itertools.pairwise(frames):
@@ -110,10 +109,9 @@ def longest_chain(model: mujoco.MjModel, base: str | None) -> tuple[Frame, int]:
     """Base frame and last moving body of the chain with the most driven joints.
 
     A joint counts when an actuator drives it, directly or through a fixed tendon, or when an equality ties it to such a
-    joint; in a model without such actuators all count. From each path out of the base a hand is cut off: where
-    a path forks, what lies beyond belongs to a hand when it is shorter than what lies before and another branch is at
-    least half as long; so does a last joint that joints off the path follow, as the fingers of a gripper do, or that
-    goes by the name of one (`is_gripper`).
+    joint; in a model without such actuators all joints count. A hand at the end of a path is cut off: what lies beyond
+    a fork when it is shorter than what lies before it and another branch is at least half as long, and a last joint
+    that joints off the path follow, as the fingers of a gripper do, or that is named like a gripper (`is_gripper`).
 
     Raises:
         InputError: there is no such joint, or several chains are equally long.
@@ -150,7 +148,7 @@ def longest_chain(model: mujoco.MjModel, base: str | None) -> tuple[Frame, int]:
 
 
 def is_gripper(model: mujoco.MjModel, joint: int) -> bool:
-    """Whether a joint opens a gripper, going by names: its own, its actuators', and of its body a finger's or jaw's."""
+    """Whether a joint opens a gripper, judging by its name, its actuators' names, and its body's (a finger or jaw)."""
     driving = [
         model.actuator(a).name
         for a in range(model.nu)
@@ -158,88 +156,6 @@ def is_gripper(model: mujoco.MjModel, joint: int) -> bool:
     ]
     body = model.body(model.jnt_bodyid[joint]).name
     return any(map(_GRIPPER.search, (model.joint(joint).name, *driving))) or bool(_FINGER.search(body))
-
-
-def cut(
-    model: mujoco.MjModel, data: mujoco.MjData, joints: Sequence[int], ranges: dict[int, Floats], couplings: Couplings
-) -> tuple[tuple[int, ...], ...]:
-    """Cut a chain into compound joints.
-
-    Coupled joints, and joints of one body, stay together. Each slide, or telescope, closes a compound joint, which
-    takes in the hinges or the ball directly inboard as long as the whole turns by less than pi from its reference, so
-    that the logarithm is unique, and its dofs are independent, so that a pose tells the joints. Every other joint
-    is a compound joint of its own. Where all would be one the first joint is set apart: a network of a single neuron
-    has hardly any target that can be certified.
-
-    Args:
-        model, data: the model with its kinematics at a representative posture.
-        joints: from the base outwards.
-        ranges: of each joint, ``(2,)``.
-        couplings: of the coupled ones.
-    """
-    units = _units(model, data, joints, ranges, couplings)
-    groups: list[list[_Unit]] = []
-    for unit in units:
-        group = [unit]
-        while unit.kind == "slide" and groups and len(groups[-1]) == 1 and groups[-1][0].kind in ("hinge", "ball"):
-            if not _fits([*groups[-1], *group]):
-                break
-            group = [*groups.pop(), *group]
-        groups.append(group)
-    if len(groups) == 1 and len(units) > 1:
-        groups = [units[:1], units[1:]]
-    return tuple(tuple(joint for unit in group for joint in unit.joints) for group in groups)
-
-
-@dataclass(frozen=True, eq=False)
-class _Unit:
-    joints: tuple[int, ...]
-    kind: str
-    turn: float  # how far it turns from its reference at most [rad]
-    screws: Floats  # (6, k), translations in units of the arm's size
-
-
-def _units(
-    model: mujoco.MjModel, data: mujoco.MjData, joints: Sequence[int], ranges: dict[int, Floats], couplings: Couplings
-) -> list[_Unit]:
-    anchors = data.xanchor[list(joints)]
-    size = max(float(np.linalg.norm(anchors - anchors[0], axis=1).max()), 1e-2)
-    runs: list[list[int]] = []
-    leader = [couplings.leader(joint) for joint in joints]
-    last = {lead: i for i, lead in enumerate(leader)}
-    end, bodies = -1, model.jnt_bodyid
-    for i, joint in enumerate(joints):
-        if i > end:
-            runs.append([])
-        runs[-1].append(joint)
-        end = max(end, last[leader[i]], max(k for k, other in enumerate(joints) if bodies[other] == bodies[joint]))
-    units = []
-    for run in runs:
-        kinds = {int(model.jnt_type[joint]) for joint in run}
-        kind = {_SLIDE: "slide", _HINGE: "hinge", _BALL: "ball"}[kinds.pop()] if len(kinds) == 1 else "mixed"
-        turns, columns = 0.0, {couplings.leader(joint): np.zeros((6, 1)) for joint in run}
-        for joint in run:
-            axis, ratio = data.xaxis[joint], couplings.ratio(joint)
-            arm = (data.xanchor[joint] - anchors[0]) / size
-            if model.jnt_type[joint] == _SLIDE:
-                columns[couplings.leader(joint)] += ratio * np.concatenate([np.zeros(3), axis])[:, None]
-                continue
-            reference = 0.0 if model.jnt_type[joint] == _BALL else model.qpos0[model.jnt_qposadr[joint]]
-            turns += float(np.abs(ranges[joint] - reference).max())
-            if model.jnt_type[joint] == _BALL:
-                columns[joint] = np.array([np.concatenate([e, np.cross(arm, e)]) for e in np.eye(3)]).T
-            else:
-                columns[couplings.leader(joint)] += ratio * np.concatenate([axis, np.cross(arm, axis)])[:, None]
-        units.append(_Unit(tuple(run), kind, turns, np.hstack(list(columns.values()))))
-    return units
-
-
-def _fits(units: Sequence[_Unit]) -> bool:
-    screws = np.hstack([unit.screws for unit in units])
-    if screws.shape[1] > 6 or sum(unit.turn for unit in units) >= np.pi:
-        return False
-    sizes = np.linalg.svd(screws / np.linalg.norm(screws, axis=0), compute_uv=False)
-    return bool(sizes[-1] > _SINGULAR * sizes[0])
 
 
 def _driven_joints(model: mujoco.MjModel) -> set[int]:
@@ -275,7 +191,7 @@ def _without_hand(
         last = _joints_of(model, path[-1])
         on_path = {joint for body in path for joint in _joints_of(model, body)}
         leads_others = any(leader in last and follower not in on_path for follower, leader in ties)
-        # At most one: what carries it may be called after a finger that does not move.
+        # At most one: the body that carries it may be named after a finger that does not move.
         gripper = not opened and weight[path[:-1]].any() and any(is_gripper(model, joint) for joint in last)
         if weight[path[-1]] and not leads_others and not gripper:
             break

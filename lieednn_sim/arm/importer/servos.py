@@ -1,4 +1,4 @@
-"""Coordinates of an arm, the servos on them, and the dynamics that these are judged by."""
+"""Coordinates of an imported arm, their servos, and the dynamics by which these are designed."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ class Dof:
     """One independent coordinate of the arm in a compiled model.
 
     Attributes:
-        name: of the joint, with ``_x``, ``_y`` or ``_z`` for those of a ball joint.
+        name: name of the joint, with ``_x``, ``_y`` or ``_z`` for those of a ball joint.
         joint: name of the joint.
         axis: 0, or 0 to 2 in a ball joint.
-        rates: ``(nv,)`` how fast the model's dofs move with it, coupled stages included.
+        rates: ``(nv,)`` velocities of the model's dofs per unit rate, coupled stages included.
         span: ``(2,)`` its range [rad, m].
     """
 
@@ -32,10 +32,10 @@ class Dof:
 
 @dataclass(frozen=True)
 class Servo:
-    """Force kp (ctrl - q) - kv dq/dt on one coordinate.
+    """A servo with force kp (ctrl - q) - kv dq/dt on one coordinate.
 
     Attributes:
-        name: of the coordinate.
+        name: name of the coordinate.
         kp: [N m/rad, N/m].
         kv: [N m s/rad, N s/m].
         force_range: [N m, N]; infinite where nothing limits the actuators.
@@ -62,7 +62,7 @@ class Servo:
 
 @dataclass(frozen=True)
 class Actuation:
-    """What a given model has to move one coordinate.
+    """What drives one coordinate in the original model.
 
     Attributes:
         force_range: sum over its actuators, referred to the coordinate [N m, N].
@@ -102,19 +102,12 @@ def growth(
     """Largest factor by which one step of MuJoCo's integrator multiplies a small error of the servo loops.
 
     Linearised, without springs and Coriolis forces: M dv/dt = -K q - (D + Kv) v, one step of the semi-implicit Euler
-    method (D implicit; with the implicit methods Kv, too) or of Runge-Kutta 4.
+    method (D implicit; with the implicit methods, Kv too).
     """
     rates = np.array([dof.rates for dof in dofs])
     stiffness, gains = (np.diag([getattr(servo, gain) for servo in servos]) for gain in ("kp", "kv"))
     damping = rates @ np.diag(model.dof_damping) @ rates.T
-    n, h = len(servos), timestep
-    identity = np.eye(n)
-    if model.opt.integrator == int(mujoco.mjtIntegrator.mjINT_RK4):
-        flow = np.block(
-            [[np.zeros((n, n)), identity], [-np.linalg.solve(inertia, m) for m in (stiffness, damping + gains)]]
-        )
-        z = h * np.linalg.eigvals(flow)
-        return float(np.abs(1 + z + z**2 / 2 + z**3 / 6 + z**4 / 24).max())
+    h, identity = timestep, np.eye(len(servos))
     implicit = damping.copy()
     if model.opt.integrator != int(mujoco.mjtIntegrator.mjINT_EULER):
         implicit += gains

@@ -10,7 +10,7 @@ from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.importer.servos import Dof, Servo, gain_parameters
 from lieednn_sim.values import Floats
 
-# How fast motions of tied stages shall decay [1/s], and the factors by which their servos are slowed down for that.
+# Least decay rate of the motions of tied stages [1/s], and the factors by which their servos are slowed down for it.
 _DECAY, _SOFTER = 10.0, 0.8 ** np.arange(13)
 
 
@@ -19,15 +19,15 @@ def soften(
 ) -> tuple[Servo, ...]:
     """Slow down the designed servos of coupled stages, which act on one stage, until their soft ties can keep up.
 
-    Taken are the fastest servos with which the model's slowest motion decays at 10 / s, or nearly as fast as with any
-    slower ones: what else is slow in the model is none of theirs. Dry friction is left out.
+    The fastest servos are taken with which the model's slowest mode decays at 10 / s, or nearly as fast as with any
+    slower ones, since other parts of the model may be slow by themselves. Dry friction is left out.
 
     Args:
-        spec: with the servos; changed.
-        qpos: ``(nq,)`` posture of the whole model, in which one step is linearised.
-        dofs: of the arm, with rates of the model of the spec.
-        servos: of the dofs.
-        names: of their actuators.
+        spec: the spec with the servos, which is changed.
+        qpos: ``(nq,)`` posture of the whole model at which a step is linearised.
+        dofs: the arm's coordinates, with rates in the spec's model.
+        servos: the coordinates' servos.
+        names: names of the servos' actuators.
     """
     tied = [
         k
@@ -37,7 +37,7 @@ def soften(
     if not tied:
         return servos
     model = spec.compile()
-    # Dry friction holds what is at rest, and would hide that it swings once it moves.
+    # Dry friction holds the stages at rest, and would hide how they swing once they move.
     model.dof_frictionloss[:] = model.tendon_frictionloss[:] = 0.0
     choices = [tuple(_slower(s, factor) if k in tied else s for k, s in enumerate(servos)) for factor in _SOFTER]
     decays: list[float] = []
@@ -62,7 +62,7 @@ def _slower(servo: Servo, factor: float) -> Servo:
 
 
 def _step_growth(model: mujoco.MjModel, qpos: Floats) -> float:
-    """Spectral radius of one step of the whole model, at rest and with the servos at the posture."""
+    """Spectral radius of one step of the whole model, at rest with the servos commanded to the posture."""
     data = mujoco.MjData(model)
     data.qpos[:] = qpos
     mujoco.mj_forward(model, data)

@@ -14,13 +14,13 @@ from lieednn_sim.errors import InputError
 
 @dataclass(frozen=True)
 class Coupling:
-    """One joint that follows another: qpos = ratio * qpos of the leader + shift.
+    """One joint that follows another: qpos = ratio * (qpos of the leader) + shift.
 
     Attributes:
         follower, leader: joint names.
         ratio: dimensionless between two joints of one kind.
         shift: [rad, m].
-        source: what ties them.
+        source: the equality or tendon that ties them, for the report.
     """
 
     follower: str
@@ -37,11 +37,11 @@ class Coupling:
 
 @dataclass(frozen=True)
 class Couplings:
-    """Joints that follow others: qpos = ratio * qpos of the leader + shift.
+    """Joints that follow others: qpos = ratio * (qpos of the leader) + shift.
 
     Attributes:
-        lines: of each follower its independent leader, ratio and shift.
-        added: followers whose line comes from a fixed tendon, with the tendon; no equality ties them yet.
+        lines: for each follower, its independent leader, ratio and shift.
+        added: for each follower tied by a fixed tendon and by no equality yet, the tendon.
     """
 
     lines: dict[int, Line] = field(default_factory=dict)
@@ -81,13 +81,13 @@ def tied_joints(model: mujoco.MjModel) -> list[tuple[int, int]]:
 def find_couplings(model: mujoco.MjModel, joints: Sequence[int]) -> Couplings:
     """Couplings among the joints of a chain, by equalities and, where these leave it open, by fixed tendons.
 
-    An actuator on a fixed tendon of length sum c_i q_i says only how far the stages extend together. It pulls stage i
-    with c_i times its force, so stages alike (same inertia and friction) move by amounts in the ratio of the c_i, which
-    is also the smallest motion that gives the length. Equal coefficients are equal displacements, as with a belt around
-    all stages.
+    An actuator on a fixed tendon of length sum c_i q_i determines only how far the stages extend together. It pulls
+    stage i with c_i times its force, so similar stages (of equal inertia and friction) move in the ratio of the c_i,
+    which is also the smallest motion that gives the length. Equal coefficients mean equal displacements, as with a belt
+    around all stages.
 
     Raises:
-        InputError: a chain joint is tied in another way than by a straight line to one other joint, or in a circle.
+        InputError: a chain joint is tied other than linearly to one other joint, or joints are tied in a circle.
     """
     direct: dict[int, Line] = {}
     for e in np.flatnonzero(model.eq_type == int(mujoco.mjtEq.mjEQ_JOINT)):

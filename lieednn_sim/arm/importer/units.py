@@ -12,10 +12,10 @@ _FIELD = "length_scale"
 
 
 def set_length_unit(draft: Draft) -> None:
-    """Give a large arm a unit of length in which its joints move by no more than about one.
+    """Give a large arm a unit of length in which its joints move by about one at most.
 
-    The activation of the network saturates at one, whatever the unit: the stroke of a crane in metres is out of its
-    range, and hardly any target of it could be certified. A custom numeric ``length_scale`` of the model stays.
+    The activation of the network saturates at one, whatever the unit: a crane's stroke in metres is beyond its range,
+    and hardly any target could be certified. A custom numeric ``length_scale`` of the model stays.
     """
     if draft.spec.numeric(_FIELD) is not None:
         return

@@ -1,4 +1,4 @@
-"""Learning from demonstrations: recorded motions of a frame, what they have in common, and models of them."""
+"""Learning from demonstrations: recorded motions of a frame, their alignment, and models of them."""
 
 from lieednn_sim.learning.demonstrations.alignment import Demonstrations, align
 from lieednn_sim.learning.demonstrations.files import load_demonstrations

@@ -1,4 +1,4 @@
-"""Several demonstrations at equal phases: their mean, its time law, and how far they spread."""
+"""Several demonstrations at equal phases: their mean, its time law, and their spread."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ LEVER = 0.2
 
 @frozen
 class Demonstrations:
-    """Demonstrations of one motion, each seen from its own goal, at K equal steps of the phase.
+    """Demonstrations of one motion, each relative to its own goal, at K equal steps of the phase.
 
-    Goals are aligned: every demonstration ends at the twist zero, see `Demonstration.twists`, wherever in the world it
+    Goals are aligned: every demonstration ends at the twist zero (see `Demonstration.twists`), wherever in the world it
     ended.
 
     Attributes:
-        goal: pose in the world at which the motion ends: the mean of the recorded ends.
+        goal: world pose at which the motion ends: the mean of the recorded ends.
         t: ``(K,)`` mean time at which a phase is reached, from 0 to the mean duration [s].
         twists: ``(n, K, 6)`` [rad, m].
-        freedoms: 2, 3 or 6: numbers that were shown of each pose.
+        freedoms: degrees of freedom that were recorded: 2, 3 or 6.
         lever: metres that a radian counts for, in lengths and distances.
     """
 
@@ -42,7 +42,7 @@ class Demonstrations:
     lever: float = LEVER
 
     def __len__(self) -> int:
-        """How many demonstrations."""
+        """The number of demonstrations."""
         return len(self.twists)
 
     @property
@@ -62,18 +62,18 @@ class Demonstrations:
 
     @property
     def spread(self) -> Floats:
-        """Standard deviation of the twists ``(K, 6)`` [rad, m]; zero of one demonstration."""
+        """Standard deviation of the twists ``(K, 6)`` [rad, m]; zero for a single demonstration."""
         return self.twists.std(axis=0)
 
     @cached_property
     def extent(self) -> float:
-        """Largest side of the box of all positions [m], or of all turns by the lever where nothing else moves."""
+        """Largest side of the bounding box of all positions, or of all rotations times the lever [m]."""
         turns, positions = (np.ptp(part.reshape(-1, 3), axis=0).max() for part in np.split(self.displaced, 2, axis=-1))
         return float(max(positions, self.lever * turns))
 
     @cached_property
     def displaced(self) -> Floats:
-        """Turns and positions relative to the goal ``(n, K, 6)`` [rad, m], along the world's axes."""
+        """Rotation vectors and positions relative to the goal ``(n, K, 6)`` [rad, m], along the world's axes."""
         return displacement(self.twists)
 
     def without(self, index: int) -> Demonstrations:
@@ -83,11 +83,11 @@ class Demonstrations:
         return replace(self, twists=np.delete(self.twists, index, axis=0))
 
     def only(self, index: int) -> Demonstrations:
-        """One alone, with times unchanged."""
+        """A single one, with times unchanged."""
         return replace(self, twists=self.twists[index : index + 1])
 
     def to_world(self, twists: Floats) -> RigidTransform:
-        """Poses in the world of twists ``(..., 6)``."""
+        """World poses of twists ``(..., 6)``."""
         seen = exp(twists)
         origin = self.goal.rotation.as_matrix()
         return poses(seen.rotation.as_matrix() @ origin, seen.translation + self.goal.translation)
@@ -96,14 +96,14 @@ class Demonstrations:
 def align(
     demonstrations: Sequence[Demonstration], *, phase: str = "length", samples: int = 200, lever: float = LEVER
 ) -> Demonstrations:
-    """Bring demonstrations to equal phases.
+    """Resample demonstrations at equal phases.
 
     Args:
-        demonstrations: at least one, all of the same freedoms.
-        phase: ``"length"``, the share of the way, which does not depend on pace and pauses, or ``"time"``, the share of
-            the duration.
+        demonstrations: at least one, all with the same freedoms.
+        phase: ``"length"``, the share of the length, which does not depend on speed and pauses, or ``"time"``, the
+            share of the duration.
         samples: K.
-        lever: metres that a radian counts for in the length of the way.
+        lever: metres that a radian counts for in lengths.
 
     Raises:
         InputError: there is none, or they show different things.
@@ -135,7 +135,7 @@ def at_phases(shares: Floats, samples: Floats, t: Floats, steps: Floats, phase: 
         phase: a name of `PHASES`.
     """
     way = t if phase == "time" else np.concatenate([[0.0], np.cumsum(steps)])
-    # Where nothing moves there is no phase: of a pause only its beginning counts, of the motion also its end.
+    # The phase does not advance during a pause: only its first sample is kept.
     kept = np.flatnonzero(np.concatenate([[True], np.diff(way) > 1e-12 * way[-1]]))
     share = way[kept] / way[kept[-1]]
     reached = np.stack([np.interp(shares, share, entry) for entry in samples[kept].T], axis=-1)
@@ -143,16 +143,16 @@ def at_phases(shares: Floats, samples: Floats, t: Floats, steps: Floats, phase: 
 
 
 def shown_part(freedoms: int) -> slice:
-    """Which of a twist's six entries were shown, by their number."""
+    """The entries of a twist that were recorded, given their number."""
     return slice(0, 6) if freedoms == 6 else slice(3, 3 + freedoms)
 
 
 def displacement(twists: Floats) -> Floats:
-    """Turns and positions ``(..., 6)`` [rad, m] that twists ``(..., 6)`` stand for: (omega, J(omega) v)."""
+    """Rotation vectors and positions (omega, J(omega) v), ``(..., 6)`` [rad, m], of twists ``(..., 6)``."""
     return np.concatenate([twists[..., :3], exp(twists).translation], axis=-1)
 
 
 def twist_of(displaced: Floats) -> Floats:
-    """Twists ``(..., 6)`` that stand for turns and positions ``(..., 6)``: the inverse of `displacement`."""
+    """Twists ``(..., 6)`` of rotation vectors and positions ``(..., 6)``: the inverse of `displacement`."""
     turn, position = displaced[..., :3], displaced[..., 3:]
     return np.concatenate([turn, np.linalg.solve(left_jacobian_so3(turn), position[..., None])[..., 0]], axis=-1)

@@ -19,9 +19,9 @@ from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.learning.demonstrations.recording import QUATERNIONS, Demonstration
 from lieednn_sim.validation import as_choice, as_path, as_positive
 
-# Samples, and their times where the file has them.
+# Samples, and their times if the file has them.
 Table = tuple[NDArray[Any], NDArray[Any] | None]
-# Which of the columns that a csv file names are the samples', in order.
+# Maps a csv file and the names of its columns to those of the samples, in order.
 Columns = Callable[[Path, list[str]], Sequence[str]]
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
@@ -39,21 +39,21 @@ def load_demonstrations(
     """Read demonstrations of one motion, one or several from each file.
 
     - ``.npy``: ``(K, D)`` or ``(n, K, D)`` with D = 2, 3 or 7.
-    - ``.npz``: such an array, as the only one or named ``poses`` or ``positions``; ``quaternions`` ``(..., K, 4)``
-      may stand apart, and times ``t`` ``(K,)`` or ``(n, K)`` [s] beside.
+    - ``.npz``: such an array, the only one or named ``poses`` or ``positions``; optionally separate ``quaternions``
+      ``(..., K, 4)``, and times ``t`` ``(K,)`` or ``(n, K)`` [s].
     - ``.csv``: one demonstration, separated by commas. A first line may name the columns x, y, z, qw, qx, qy, qz and t
-      in any order; others are passed over.
+      in any order; others are ignored.
     - ``.mat``: the structures ``demos`` of the LASA data set, with ``pos`` ``(2, K)`` and ``t``.
 
     Args:
         files: at least one.
-        unit: of the positions, a name of `UNITS`.
+        unit: unit of the positions, a name of `UNITS`.
         quaternion: order of the quaternions' entries, a name of `QUATERNIONS`.
-        rate: samples a second where a file has no times [1/s].
+        rate: sampling rate of files without times [1/s].
 
     Raises:
-        FileError: a file cannot be read, or is none of these.
-        InputError: its numbers are no demonstration, or demonstrations differ in what they show.
+        FileError: a file cannot be read, or is of another kind.
+        InputError: its numbers are not a demonstration, or demonstrations record different quantities.
     """
     length = UNITS[as_choice("unit", unit, UNITS)]
     as_choice("order of quaternions", quaternion, QUATERNIONS)
@@ -73,11 +73,11 @@ def load_demonstrations(
 def read_tables(
     files: Iterable[str | os.PathLike[str]], columns: Columns
 ) -> list[tuple[str, NDArray[Any], NDArray[Any] | None]]:
-    """Where each table of the files comes from, its samples, and its times if it has them.
+    """The source of each table in the files, its samples, and its times if it has them.
 
     Raises:
         FileError: a file cannot be read, or is of another kind.
-        InputError: there is none, or a csv file's names are not those of ``columns``.
+        InputError: there is no table, or a csv file's columns are not those of ``columns``.
     """
     found = []
     for name in files:
@@ -100,7 +100,7 @@ def _tables(path: Path, columns: Columns) -> Iterator[Table]:
         raise
     except FileNotFoundError:
         raise FileError(f"no such file: {path}") from None
-    # The readers raise whatever they stumble over in a damaged file.
+    # The readers raise all kinds of exceptions on a damaged file.
     except Exception as error:
         raise FileError(f"{path} is not a readable file of demonstrations ({type(error).__name__}: {error})") from None
 

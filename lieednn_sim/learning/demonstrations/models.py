@@ -1,4 +1,4 @@
-"""What a model of demonstrations is, the simplest one, and how the others' differential equations are solved."""
+"""The protocol of models of demonstrations, the simplest model, and integration for the others."""
 
 from __future__ import annotations
 
@@ -13,32 +13,32 @@ from lieednn_sim.learning.demonstrations.alignment import Demonstrations
 from lieednn_sim.network.dynamics import runge_kutta_step
 from lieednn_sim.values import Floats
 
-# What decays by itself has a hundredth left after a duration.
+# Decay rate, per duration, that leaves a hundredth.
 DECAY = float(np.log(100.0))
 
 
 class MotionModel(Protocol):
-    """A model of a motion to the twist zero, seen from its goal as in `Demonstration.twists`."""
+    """A model of a motion to the twist zero, relative to its goal as in `Demonstration.twists`."""
 
     @property
     def name(self) -> str:
-        """Of the kind of model."""
+        """Name of the kind of model."""
 
     @property
     def n_parameters(self) -> int:
-        """Numbers that were fitted."""
+        """The number of fitted parameters."""
 
     @property
     def durations(self) -> float:
-        """Durations of the demonstrations after which the motion is over, or as good as."""
+        """Time after which the motion is over or nearly so, in durations of the demonstrations."""
 
     def reproduce(self, start: Floats, t: Floats) -> Floats:
-        """Twists ``(..., K, 6)`` at increasing times ``(K,)`` from 0 on [s], from rest at twists ``(..., 6)``."""
+        """Twists ``(..., K, 6)`` at increasing times ``(K,)`` from 0 [s], starting at rest at twists ``(..., 6)``."""
 
 
 @dataclass(frozen=True)
 class LinearAttractor:
-    """xi' = -k xi: straight in the chart, with k so that a hundredth is left after the demonstrations' duration."""
+    """xi' = -k xi: straight in the chart, with k that leaves a hundredth after the demonstrations' duration."""
 
     duration: float
     name: ClassVar[str] = "linear-attractor"
@@ -47,7 +47,7 @@ class LinearAttractor:
 
     @classmethod
     def fit(cls, demonstrations: Demonstrations) -> LinearAttractor:
-        """Take over the duration."""
+        """Take the duration of the demonstrations."""
         return cls(demonstrations.duration)
 
     def reproduce(self, start: Floats, t: Floats) -> Floats:
@@ -58,7 +58,7 @@ class LinearAttractor:
 def run_field(field: Callable[[Floats], Floats], start: Floats, grid: Floats, t: Floats) -> Floats:
     """States ``(n, K, d)`` of x' = field(x) at times ``(K,)``, from states ``(n, d)`` at the first time of a grid.
 
-    Runge and Kutta's method of fourth order on the grid ``(G,)``, linear in between.
+    The classical Runge-Kutta method on the grid ``(G,)``, with linear interpolation.
     """
     states = [start]
     for step in np.diff(grid):
@@ -68,7 +68,7 @@ def run_field(field: Callable[[Floats], Floats], start: Floats, grid: Floats, t:
 
 
 def even_grid(end: float, step: float) -> Floats:
-    """Times from 0 to ``end`` or just beyond."""
+    """Evenly spaced times from 0 to at least ``end``."""
     return step * np.arange(float(np.ceil(end / step)) + 1.0)
 
 

@@ -1,12 +1,12 @@
 """Dynamic movement primitives of position and orientation.
 
 Position: Ijspeert et al., Dynamical movement primitives, Neural Computation 25(2), 2013; orientation: Ude et al.,
-Orientation in Cartesian space dynamic movement primitives, ICRA 2014. In units of the duration, and seen from the goal,
+Orientation in Cartesian space dynamic movement primitives, ICRA 2014. In units of the duration, relative to the goal,
 
     p'' = alpha (-beta p - p') + f_p(s),    eta' = alpha (-beta log R - eta) + f_R(s),    R' = hat(eta) R,    s' = -k s,
 
 with f(s) = s sum_b psi_b(s) w_b / sum_b psi_b(s). The forcing is not scaled by the distance from start to goal, which
-has no meaning where that is small; a start elsewhere is forgotten with alpha.
+may be arbitrarily small; the effect of another start decays with alpha.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from lieednn_sim.learning.demonstrations.models import DECAY, at_times, even_gri
 from lieednn_sim.lie import exp
 from lieednn_sim.values import Floats, frozen
 
-# Ijspeert's: critically damped.
+# Ijspeert's values: critically damped.
 _ALPHA = 25.0
 _BETA = _ALPHA / 4.0
-# Of the integrator, in durations; the weights are fitted to its very steps.
+# Step of the integrator, in durations; the weights are fitted to exactly these steps.
 STEP = 1.0 / 200.0
-# Corrections of the weights: one would do for positions, turns are not quite linear in them.
+# Corrections of the weights: positions need one, since rotations are not quite linear in the weights.
 _CORRECTIONS = 4
-# Singular values of the responses below this share are not inverted: neighbouring basis functions respond alike.
+# Relative size below which singular values are not inverted: responses to neighbouring basis functions are similar.
 _LEAST_RESPONSE = 1e-6
 
 
@@ -38,8 +38,8 @@ class MovementPrimitive:
     """A fitted primitive.
 
     Attributes:
-        weights: ``(B, 6)``, of turns [rad] and positions [m]; zero in what was not shown.
-        duration: of the demonstrations [s].
+        weights: ``(B, 6)`` for rotations [rad] and positions [m]; zero for entries that were not recorded.
+        duration: mean duration of the demonstrations [s].
         freedoms: 2, 3 or 6.
     """
 
@@ -54,8 +54,8 @@ class MovementPrimitive:
     def fit(cls, demonstrations: Demonstrations, n_parameters: int) -> MovementPrimitive:
         """Fit as many basis functions as there are parameters to spend, at least two.
 
-        The path depends linearly on the weights but for the turns' curvature, so that the least squares are on the path
-        itself: no recorded motion is differentiated.
+        The path is linear in the weights except for the curvature of rotations, so that the least squares are in the
+        path itself: no recorded motion is differentiated.
         """
         freedoms, duration = demonstrations.freedoms, demonstrations.duration
         shown = shown_part(freedoms)
@@ -76,7 +76,7 @@ class MovementPrimitive:
 
     @property
     def n_parameters(self) -> int:
-        """Weights of what was shown."""
+        """The number of weights of recorded entries."""
         return len(self.weights) * self.freedoms
 
     def reproduce(self, start: Floats, t: Floats) -> Floats:
@@ -101,11 +101,11 @@ class MovementPrimitive:
 
 
 def _forcing(n_basis: int, grid: Floats) -> Floats:
-    """What weights one make of the forcing ``(G, B)``; the basis functions are equally spaced in time."""
+    """Forcing ``(G, B)`` per unit weight; the basis functions are equally spaced in time."""
     phase = np.exp(-DECAY * grid)[:, None]
     centres = np.exp(-DECAY * np.linspace(0.0, 1.0, n_basis))
     widths = np.abs(np.diff(centres, append=centres[-1] ** 2 / centres[-2]))
-    # Logarithms, for far from all centres every function is zero in double precision.
+    # By logarithms, since far from all centres every function underflows.
     exponent = -(((phase - centres) / widths) ** 2)
     psi = np.exp(exponent - exponent.max(axis=1, keepdims=True))
     return phase * psi / psi.sum(axis=1, keepdims=True)

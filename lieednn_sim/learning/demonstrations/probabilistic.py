@@ -1,9 +1,9 @@
 """Probabilistic movement primitives (Paraschos et al., NeurIPS 2013) by `movement_primitives`, an optional library.
 
-The path at a share of the duration is a sum of normalised Gaussian bumps in it. Their weights are normally
-distributed: of each demonstration they are found by least squares, and have a mean and a covariance over the
-demonstrations. The motion from a start is the mean of the distribution given that start at the beginning, and the goal
-at the end.
+The path is a weighted sum of normalised Gaussian basis functions of the share of the duration. The weights are normally
+distributed: they are fitted to each demonstration by least squares, and have a mean and a covariance over the
+demonstrations. The motion from a start is the mean of the distribution conditioned on that start, and on the goal at
+the end.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from lieednn_sim.learning.demonstrations.alignment import Demonstrations, displa
 from lieednn_sim.learning.demonstrations.models import at_times
 from lieednn_sim.values import Floats, frozen
 
-# What it needs, and what installs it; the library imports the second and does not say so.
+# The required libraries, and how to install them; the first imports the second without declaring it.
 LIBRARIES = ("movement_primitives", "pytransform3d")
 INSTALL = "pip install 'lieednn_sim[dmp]' (needs a C compiler and Python's headers)"
-# Shares of the duration at which paths are fitted and drawn.
+# Number of instants at which paths are fitted and evaluated.
 _INSTANTS = 201
-# Standard deviation of every weight beside what the demonstrations show, in their extent: without it few demonstrations
-# could not be conditioned on a start elsewhere.
+# Standard deviation added to every weight, in extents of the demonstrations: without it, a model of few demonstrations
+# could not be conditioned on another start.
 _DOUBT = 1e-2
 
 
@@ -33,10 +33,10 @@ class ProbabilisticPrimitive:
     """The mean of a fitted primitive, given a start and the goal: affine in the start.
 
     Attributes:
-        path: ``(K, 6)`` turns and positions from a start at the goal [rad, m], at equal steps of the duration.
-        response: ``(K, 6, 6)`` what each coordinate of the start adds to that.
-        duration: of the demonstrations [s].
-        n_parameters: weights of what was shown: the mean's. The covariance's are not counted.
+        path: ``(K, 6)`` rotations and positions from a start at the goal [rad, m], at equal steps of the duration.
+        response: ``(K, 6, 6)`` derivatives of the path in the coordinates of the start.
+        duration: mean duration of the demonstrations [s].
+        n_parameters: number of weights of recorded entries; the covariance is not counted.
     """
 
     path: Floats
@@ -64,7 +64,7 @@ class ProbabilisticPrimitive:
         shares = np.linspace(0.0, 1.0, _INSTANTS)
         paths = displacement(at_times(demonstrations.twists, demonstrations.t / duration, shares))
         scale = demonstrations.scale[shown]
-        # One coordinate after another: the least squares do not couple them.
+        # The least squares do not couple coordinates.
         single = ProMP(1, n_basis)
         weights = np.array(
             [
@@ -78,7 +78,7 @@ class ProbabilisticPrimitive:
             weights.mean(axis=0), centred.T @ centred / len(weights) + doubt
         )
         told = told.condition_position(np.zeros(freedoms), t=1.0)
-        # The mean given a start is affine in it: from the goal itself, and from each unit beside it.
+        # The conditional mean is affine in the start: evaluated at the goal, and one unit away in each coordinate.
         drawn = np.array(
             [
                 told.condition_position(start, t=0.0).mean_trajectory(shares.copy()) / scale

@@ -14,28 +14,28 @@ from lieednn_sim.validation import as_floats, as_times
 from lieednn_sim.values import Floats, frozen
 
 QUATERNIONS = ("wxyz", "xyzw")
-# What a table's columns show, and how many numbers are free in it.
+# What a table shows, by its number of columns.
 _SHOWN = {2: "positions in a plane", 3: "positions", 7: "poses"}
-# Recorded unit quaternions are rounded; others than these are something else.
+# Accepted norms of recorded unit quaternions, which may be rounded.
 _NORMS = (0.9, 1.1)
-# Of the rotation vector: the chart is singular at a full turn [rad].
+# Largest angle of a rotation vector [rad]: the chart is singular at a full turn.
 _LARGEST_TURN = 2.0 * np.pi - 0.2
-# No frame of an arm is further away [in any unit].
+# Largest entry of a sample, in any unit.
 _LARGEST_SAMPLE = 1e9
-# A motion shorter than this is none [m, or as much by the lever].
+# Least length of a motion, with a lever of 1 m [m].
 _LEAST_LENGTH = 1e-9
 
 
 @frozen
 class Demonstration:
-    """A recorded motion of a frame, seen from its goal.
+    """A recorded motion of a frame.
 
     Attributes:
-        t: ``(K,)`` times from 0 on [s].
-        position: ``(K, 3)`` in the world [m]; the third entry is zero of what was shown in a plane.
-        rotation: ``(K, 3, 3)`` of the frame to the world, the identity where none was shown.
-        freedoms: 2, 3 or 6: numbers that were shown of each pose.
-        source: where it comes from.
+        t: ``(K,)`` times, starting at 0 [s].
+        position: ``(K, 3)`` in the world [m]; the third entry is zero for a motion in a plane.
+        rotation: ``(K, 3, 3)`` from the frame to the world; the identity if not recorded.
+        freedoms: degrees of freedom that were recorded: 2, 3 or 6.
+        source: where it comes from, for messages.
     """
 
     t: Floats
@@ -57,15 +57,15 @@ class Demonstration:
         """Make a demonstration of rows x, y; x, y, z; or x, y, z and a quaternion.
 
         Args:
-            samples: ``(K, 2)``, ``(K, 3)`` or ``(K, 7)``, at least two rows. Quaternions need be units to 10 % only.
-            t: ``(K,)`` increasing times [s]; None where there are none.
-            length: metres in a unit of the positions.
+            samples: ``(K, 2)``, ``(K, 3)`` or ``(K, 7)``, at least two rows; quaternions are normalised if within 10 %.
+            t: ``(K,)`` increasing times [s], or None.
+            length: metres per unit of the positions.
             quaternion: order of its entries, a name of `QUATERNIONS`.
-            rate: samples a second where there are no times [1/s].
-            source: for messages.
+            rate: sampling rate without times [1/s].
+            source: name in messages.
 
         Raises:
-            InputError: something else was given, or nothing moves.
+            InputError: the samples or times are malformed, or nothing moves.
         """
         table = as_floats(source, samples, ("K", "D"), largest=_LARGEST_SAMPLE)
         count, columns = table.shape
@@ -102,17 +102,16 @@ class Demonstration:
         """Twists ``(K, 6)`` [rad, m]: logarithms of the poses relative to the last one, along the world's axes.
 
         xi = log (R R_K^T, p - p_K), so the goal is zero. Where the frame turns by more than pi from its goal, the
-        rotation vector goes on instead of jumping to the other side: it is followed from the goal backwards, and of
-        all vectors of a rotation, which differ by full turns about its axis, the one nearest to the following sample
-        is taken. A quaternion and its negative are the same here.
+        rotation vector continues instead of jumping to the other side: going backwards from the goal, of all vectors of
+        a rotation, which differ by full turns about its axis, the one nearest to the following sample is taken.
 
         Raises:
-            InputError: it turns by nearly a full turn, where the logarithm has no continuation.
+            InputError: it turns by nearly a full turn or more, where the logarithm is singular.
         """
         return self.twists_from(self)
 
     def twists_from(self, other: Demonstration) -> Floats:
-        """As `twists`, relative to the last pose of another one."""
+        """As `twists`, relative to the last pose of another demonstration."""
         turn = Rotation.from_matrix(self.rotation @ other.rotation[-1].T).as_rotvec()
         for k in reversed(range(len(turn) - 1)):
             angle = np.linalg.norm(turn[k])

@@ -1,9 +1,9 @@
 """A certified network shaped by demonstrations: one visible neuron, whose state is the frame's displacement.
 
-The state is (omega, p), turn and position from the goal: the pose is Exp(0, p) Exp(omega, 0). Another start than the
-mean's is forgotten as e^-t in every coordinate of the state, so positions return to the mean whatever the turns do. In
-one twist (omega, v), with p = J(omega) v, a turn that is off would drag the position along, by about half of it times
-the way that has been gone.
+The state is (omega, p), rotation vector and position relative to the goal: the pose is Exp(0, p) Exp(omega, 0). The
+effect of a start other than the mean's decays as e^-t in every coordinate of the state, so positions return to the mean
+whatever the rotations do. In a twist (omega, v), with p = J(omega) v, a rotation error would pull the position along,
+by about half of it times the distance covered.
 """
 
 from __future__ import annotations
@@ -20,26 +20,26 @@ from lieednn_sim.synthesis import Shaping, ShapingOptions, shape
 from lieednn_sim.validation import as_positive
 from lieednn_sim.values import Floats, frozen
 
-# Deviation asked for where the user asks for none, in extents of the demonstrations.
+# Default of the requested deviation, in extents of the demonstrations.
 DEVIATION = 2e-3
-# Of the network's time: after this, over rho, less than a millionth of the way is left; steps at most; and steps in
-# the share of the way that the clock has left, a tenth of the width of the steepest switch.
+# Network time, times rho, after which less than a millionth of the way is left; longest time step; and step in the
+# share that the clock has left, a tenth of the width of the steepest switch.
 _SPAN, _LONGEST_STEP, _SHARE_STEP = 16.0, 0.2, 1.0 / 600.0
-# Numbers of a switch that are not zero by construction: all of them, or without rotational halves and shifts.
+# Parameters of a switch that are not zero by construction, by freedoms: without rotations, halves and shifts vanish.
 _PER_SWITCH = {2: 10, 3: 10, 6: 19}
-# Of a placed one: its place, its slope, and a vector.
+# The same for a placed switch: its position, its slope, and a vector.
 _PER_PLACED = {2: 4, 3: 5, 6: 5}
 
 
 @frozen
 class ShapedMotion:
-    """A shaped network with the law of time of the demonstrations.
+    """A shaped network with the time law of the demonstrations.
 
     Attributes:
-        network: of one visible neuron, turn and position [rad, m] from the goal; certified.
-        rate: rho, of its clock.
+        network: certified network with one visible neuron: rotation and position relative to the goal [rad, m].
+        rate: rho of its clock.
         t: ``(K,)`` times of the demonstrations' phases [s].
-        tau: ``(K,)`` the network's own time there.
+        tau: ``(K,)`` network times at these phases.
         freedoms: 2, 3 or 6.
         shaping: the search that found the network.
     """
@@ -62,14 +62,14 @@ class ShapedMotion:
         options: ShapingOptions | None = None,
         seed: int = 0,
     ) -> ShapedMotion:
-        """Shape a network by the mean of the demonstrations.
+        """Shape a network to follow the mean of the demonstrations.
 
         Args:
-            demonstrations: to follow.
-            deviation: from their mean that is asked for [m], a radian counting for their lever; `DEVIATION` of their
-                extent by default. Neurons are added until it is met; see `Shaping.success`.
-            options: of the search.
-            seed: of its starts.
+            demonstrations: the demonstrations.
+            deviation: requested deviation from their mean [m], a radian counting for their lever; by default
+                `DEVIATION` times their extent. Neurons are added until it is met; see `Shaping.success`.
+            options: options of the search.
+            seed: seed of its starts.
         """
         chosen = ShapingOptions() if options is None else options
         asked = DEVIATION * demonstrations.extent if deviation is None else as_positive("deviation", deviation)
@@ -83,21 +83,21 @@ class ShapedMotion:
 
     @property
     def n_parameters(self) -> int:
-        """Numbers of the switches that are not zero by construction."""
+        """The number of switch parameters that are not zero by construction."""
         each = _PER_PLACED if self.shaping.placed else _PER_SWITCH
         return each[self.freedoms] * (self.network.n_hidden - self.network.n_clock)
 
     def reproduce(self, start: Floats, t: Floats) -> Floats:
-        """As `MotionModel.reproduce`: the network run from there, hidden neurons at their start.
+        """As `MotionModel.reproduce`: the network is run from there, with hidden neurons at their start.
 
-        After the demonstrations' duration the network runs on as it did on average.
+        After the demonstrations' duration the network runs on at its mean pace.
         """
         pace = self.tau[-1] / self.t[-1]
         tau = np.where(t > self.t[-1], self.tau[-1] + pace * (t - self.t[-1]), np.interp(t, self.t, self.tau))
         return twist_of(self._run(displacement(start).reshape(-1, 6), tau)).reshape(*start.shape[:-1], len(t), 6)
 
     def _run(self, start: Floats, tau: Floats) -> Floats:
-        """Displacements ``(n, K, 6)`` at times of the network's own, from displacements ``(n, 6)``."""
+        """Displacements ``(n, K, 6)`` at network times ``tau``, from displacements ``(n, 6)``."""
         network = self.network
         weight, bias = network.weight.T, network.bias.ravel()
 
@@ -109,18 +109,18 @@ class ShapedMotion:
         return run_field(field, states, _grid(max(tau[-1], 1.0), self.rate), tau)[..., :6]
 
     def _beside(self, demonstrations: Demonstrations) -> Floats:
-        """Times ``(K,)`` of the network's own at which it is beside the mean demonstration's phases."""
+        """Network times ``(K,)`` that match the phases of the mean demonstration."""
         tau = _grid(_SPAN / self.rate, self.rate)
         shown = displacement(demonstrations.mean)
         phase, index = warp(*(path * demonstrations.scale for path in (shown, self._run(shown[:1], tau)[0]))).pairs.T
-        # The middle of all that a phase is matched with; the last is at rest.
+        # The mean of all times matched with a phase; the last is at rest.
         beside = np.bincount(phase, tau[index]) / np.bincount(phase)
         beside[0], beside[-1] = 0.0, tau[-1]
         return beside
 
 
 def _grid(end: float, rate: float) -> Floats:
-    """Times ``(G,)`` from 0 to ``end`` of the network's own, closer together while its switches are steep."""
+    """Network times ``(G,)`` from 0 to ``end``, denser while its switches are steep."""
     # dt = d ln(1 / share) / rho in equal steps of the share, until the longest step.
     shares = np.arange(1.0, _SHARE_STEP / (_LONGEST_STEP * rate), -_SHARE_STEP)
     first = -np.log(shares) / rate

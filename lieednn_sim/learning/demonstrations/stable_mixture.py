@@ -1,9 +1,9 @@
-"""A stable dynamical system of local linear laws under one quadratic Lyapunov function, as SEDS and LPV-DS are.
+"""A stable dynamical system of local linear laws with a common quadratic Lyapunov function, like SEDS and LPV-DS.
 
-x' = sum_k gamma_k(x) A_k x, gamma_k the posterior of a Gaussian mixture of the shown positions, and
+x' = sum_k gamma_k(x) A_k x, with gamma_k the posterior of a Gaussian mixture fitted to the positions, and
 P A_k + A_k^T P <= -2 epsilon I for one P: V = x^T P x falls everywhere, so the goal attracts every start
-(Khansari-Zadeh and Billard, IEEE T-RO 27(5), 2011; Figueroa and Billard, CoRL 2018). The constraint is built in, as
-A_k = P^-1 (S_k - D_k D_k^T - epsilon I) with S_k skew, so that the fit of the velocities is plain least squares.
+(Khansari-Zadeh and Billard, IEEE T-RO 27(5), 2011; Figueroa and Billard, CoRL 2018). The constraint is built in by
+A_k = P^-1 (S_k - D_k D_k^T - epsilon I) with S_k skew, so that fitting the velocities is unconstrained least squares.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from lieednn_sim.learning.demonstrations.alignment import Demonstrations, shown_
 from lieednn_sim.learning.demonstrations.models import even_grid, run_field
 from lieednn_sim.values import Floats, frozen
 
-# Of V per duration, where the fit asks for no more.
+# epsilon, the least decay of V per duration.
 _EPSILON = 0.1
-# Of the mixture: rounds of expectation and maximisation, and the least variance of a component [extent^2].
+# Rounds of expectation maximisation, and the least variance of a component [extent^2].
 _ROUNDS, _LEAST_VARIANCE = 60, 1e-4
-# Of the integrator, in durations.
+# Step of the integrator, in durations.
 _STEP = 1.0 / 100.0
-# By freedoms, samples of a demonstration in the fit, and evaluations of the residual: ten times as many gain little.
+# Samples per demonstration and evaluations of the residual, by freedoms: ten times as many gain little.
 _SAMPLES = {2: 60, 3: 60, 6: 40}
 _EVALUATIONS = {2: 100, 3: 100, 6: 40}
 
@@ -35,13 +35,13 @@ class StableMixture:
     """A fitted system, in d coordinates scaled to the extent of the demonstrations and in units of their duration.
 
     Attributes:
-        prior: ``(k,)``.
-        mean: ``(k, d)``.
+        prior: ``(k,)`` priors of the components.
+        mean: ``(k, d)`` means of the components.
         factor: ``(k, d, d)`` Cholesky factors of the inverse covariances.
         laws: ``(k, d, d)`` matrices A_k.
         lyapunov: ``(d, d)`` P.
-        units: ``(d,)`` of the coordinates [rad, m].
-        duration: of the demonstrations [s].
+        units: ``(d,)`` units of the coordinates [rad, m].
+        duration: mean duration of the demonstrations [s].
     """
 
     prior: Floats
@@ -57,7 +57,7 @@ class StableMixture:
 
     @classmethod
     def fit(cls, demonstrations: Demonstrations, n_parameters: int, seed: int = 0) -> StableMixture:
-        """Fit as many components as there are parameters to spend, at least one; ``seed`` is of the first clusters."""
+        """Fit as many components as there are parameters to spend, at least one; ``seed`` is for k-means."""
         d = demonstrations.freedoms
         extent = demonstrations.extent
         units = np.full(d, extent)
@@ -75,7 +75,7 @@ class StableMixture:
 
     @property
     def n_parameters(self) -> int:
-        """Of priors, means, covariances, laws and P."""
+        """The number of parameters of priors, means, covariances, laws and P."""
         k, d = self.mean.shape
         return k * (1 + d + d * (d + 1) // 2 + d * d) - 1 + d * (d + 1) // 2
 
@@ -103,12 +103,12 @@ def _posterior(x: Floats, prior: Floats, mean: Floats, factor: Floats) -> Floats
 
 
 def _mixture(x: Floats, components: int, rng: np.random.Generator) -> tuple[Floats, Floats, Floats]:
-    """Prior, means and factors of a Gaussian mixture by expectation and maximisation, from k-means."""
+    """Priors, means and factors of a Gaussian mixture by expectation maximisation, starting from k-means."""
     d = x.shape[1]
     _, label = kmeans2(x, components, minit="++", rng=rng)
     gamma = np.eye(components)[label]
     for _ in range(_ROUNDS):
-        # A component that nothing belongs to keeps a place without weight.
+        # An empty component keeps a tiny prior.
         count = gamma.sum(axis=0) + 1e-9
         prior, mean = count / count.sum(), gamma.T @ x / count[:, None]
         away = x[:, None] - mean
@@ -119,9 +119,9 @@ def _mixture(x: Floats, components: int, rng: np.random.Generator) -> tuple[Floa
 
 
 def _laws(gamma: Floats, x: Floats, rates: Floats) -> tuple[Floats, Floats]:
-    """A_k ``(k, d, d)`` and P ``(d, d)`` with the least squared error of the velocities.
+    """A_k ``(k, d, d)`` and P ``(d, d)`` by least squares on the velocities.
 
-    Unknown are the lower triangles of D_k and of C, with P = C C^T, and the entries of S_k below the diagonal.
+    The unknowns are the lower triangles of D_k and of C, with P = C C^T, and the entries of S_k below the diagonal.
     """
     d, k = x.shape[1], gamma.shape[1]
     low, below = np.tril_indices(d), np.tril_indices(d, -1)

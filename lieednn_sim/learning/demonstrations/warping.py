@@ -1,4 +1,4 @@
-"""Dynamic time warping: which samples of two paths belong together."""
+"""Dynamic time warping of two paths."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from lieednn_sim.values import frozen
 
 @frozen
 class Warp:
-    """How two paths are run through together.
+    """A match of the samples of two paths.
 
     Attributes:
-        total: dynamic-time-warping distance: the least sum of distances over all ways to run through both, at each step
-            further in one or in both (Sakoe and Chiba, IEEE T-ASSP 26(1), 1978); not divided by their number.
-        frechet: discrete Frechet distance: the least largest distance over all such ways (Eiter and Mannila, 1994).
-        pairs: ``(L, 2)`` indices of the samples of the way of least sum.
+        total: dynamic-time-warping distance: the least sum of distances over all alignments, each step of which
+            advances in one path or both (Sakoe and Chiba, IEEE T-ASSP 26(1), 1978); not normalised.
+        frechet: discrete Frechet distance: the least maximal distance over these alignments (Eiter and Mannila, 1994).
+        pairs: ``(L, 2)`` indices of the samples matched by the alignment of least sum.
     """
 
     total: float
@@ -30,14 +30,14 @@ def warp(one: ArrayLike, other: ArrayLike) -> Warp:
     """Match samples ``(K, D)`` and ``(L, D)`` of two paths.
 
     Raises:
-        InputError: there is no sample, or they are of different sizes.
+        InputError: a path has no samples, or their dimensions differ.
     """
     first, second = (as_floats(name, path, ("K", "D")) for name, path in (("one", one), ("other", other)))
     n, m, backwards = len(first), len(second), second[::-1]
     if not n or not m or first.shape[1] != second.shape[1]:
         raise InputError(f"paths must have samples of the same size, got {first.shape} and {second.shape}")
-    # Pairs (i, k - i) of one sum k at a time: they depend on those of the two sums before it alone. By i + 1 there are
-    # kept the least sums in the first row, the least largest distances in the second.
+    # Antidiagonals (i, k - i) in turn, each of which depends on the two before it alone. At index i + 1, the first row
+    # holds the least sums, the second the least maximal distances.
     older, last = np.full((2, 2, n + 1), np.inf)
     older[:, 0] = 0.0
     came = np.zeros((n + m - 1, n), dtype=np.int8)

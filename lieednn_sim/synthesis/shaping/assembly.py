@@ -8,7 +8,7 @@ from lieednn_sim.network import LieEDNN
 from lieednn_sim.synthesis.shaping.cascade import CLOCK_START, Parameters
 from lieednn_sim.values import Floats
 
-# What a layer receives from the next one may add this much to lambda_max, in S-scaled weights.
+# Most that a layer's input from the next one may add to lambda_max, in S-scaled weights.
 _SHARE = 0.02
 _UNIT = np.eye(3)[0]
 
@@ -16,13 +16,13 @@ _UNIT = np.eye(3)[0]
 def assemble(parameters: Parameters, rate: float, target: Floats) -> LieEDNN:
     """The network of a cascade to ``target`` ``(N, 6)``, with its Lyapunov diagonal in closed form.
 
-    Sorted (visible, hidden, clock) W_R is block triangular with a diagonal of 0, 0 and 1 - rho. With P = S^2 and
-    S = diag(1, s_h, s_c) what a layer receives is divided by the ratio of two scales, so that lambda_max of
-    sym(S W_R S^-1) comes as close as one likes to 1 - rho: each scale is the least for which it comes within `_SHARE`.
+    Ordered (visible, hidden, clock), W_R is block triangular with a diagonal of 0, 0 and 1 - rho. With P = S^2 and
+    S = diag(1, s_h, s_c), a layer's input is divided by the ratio of two scales, so that lambda_max of
+    sym(S W_R S^-1) comes arbitrarily close to 1 - rho: each scale is the least with which it comes within `_SHARE`.
 
     Args:
-        parameters: of N visible neurons and M switches.
-        rate: rho, of the clock; 1 for none.
+        parameters: parameters of N visible neurons and M switches.
+        rate: rho of the clock; 1 for no clock.
         target: visible equilibrium.
     """
     n, m = parameters.q.shape[:2]
@@ -41,7 +41,7 @@ def assemble(parameters: Parameters, rate: float, target: Floats) -> LieEDNN:
     hidden_start = np.zeros((m + clock, 6))
     hidden_start[:m] = parameters.a + parameters.c
     for part in range(clock):
-        # One neuron of the clock for the rotational halves of c, one for the translational ones.
+        # One clock neuron drives the rotational halves of c, the other the translational ones.
         sender, half = n + m + part, slice(3 * part, 3 * part + 3)
         alpha[sender, sender] = 1.0 - rate
         hidden_start[m + part, half.start] = CLOCK_START
@@ -68,10 +68,10 @@ def assemble(parameters: Parameters, rate: float, target: Floats) -> LieEDNN:
 
 
 def _turns_to(vectors: Floats) -> Floats:
-    """Rotations ``(M, 3, 3)`` of e_x to the directions of ``vectors`` ``(M, 3)``: two reflections."""
+    """Rotations ``(M, 3, 3)`` of e_x to the directions of ``vectors`` ``(M, 3)``, as products of two reflections."""
     size = np.linalg.norm(vectors, axis=1, keepdims=True)
     direction = np.where(size > 0.0, vectors / np.maximum(size, 1e-300), _UNIT)
-    # The mirror between e_x and the direction, after the one between e_x and itself across e_y.
+    # The mirror that swaps e_x and the direction (that of e_y where they agree), after one that leaves e_x alone.
     normal = direction - _UNIT
     length = np.linalg.norm(normal, axis=1, keepdims=True)
     normal = np.where(length > 1e-12, normal / np.maximum(length, 1e-300), np.eye(3)[1])

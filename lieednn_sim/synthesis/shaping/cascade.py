@@ -4,9 +4,9 @@ With gamma = mu = 1 the hidden neurons are h_n(t) = a_n + c_n g(t), where g fall
 
     x_i(t) = x_d,i + (x_0,i - x_d,i) e^-t + sum_n alpha_in Ad(theta_in) Q[tanh(a_n + c_n g) - tanh a_n](t)
 
-with Q = 1 / (1 + d/dt) from rest. For rho = 1 g = e^-t, the hidden neurons' own decay. For rho < 1 a clock
+with Q = 1 / (1 + d/dt) from rest. For rho = 1, g = e^-t is the hidden neurons' own decay. For rho < 1, a clock
 p' = -p + (1 - rho) tanh p drives them with (1 - rho) tanh p, so that they follow it exactly: g is p over its start, and
-falls at the rate rho in the end. In no case does g depend on the parameters, so Q is one matrix, and no differential
+finally falls at the rate rho. In neither case does g depend on the parameters, so Q is one matrix, and no differential
 equation is solved when they change.
 """
 
@@ -20,28 +20,28 @@ from scipy.integrate import solve_ivp
 from lieednn_sim.synthesis.problem import QUATERNION_FORM
 from lieednn_sim.values import Floats, frozen
 
-# State of the clock at time 0: below it tanh is nearly linear, above it is slow to begin.
+# State of the clock at time 0: below this tanh is nearly linear, above it the clock starts slowly.
 CLOCK_START = 0.5
-# g is followed down to here; the rest of the way is below a ten thousandth of its first slope.
+# g is sampled down to this value, a ten thousandth of its start.
 _END = 1e-4
-# Pieces of time: g falls by this at most, and time passes by this at most.
+# Most that g falls, and that time passes, within one piece of time.
 _FALL, _PACE = 1.0 / 60.0, 0.5
-# For rho = 1 hidden and visible neurons fade alike, and x - x_d ends as e^-t (A + B t): beyond t = -A/B it comes back.
-# B counts with this weight, as much as if the target were missed by so much of it.
+# For rho = 1, hidden and visible neurons decay at one rate, and x - x_d ends as e^-t (A + B t), which overshoots beyond
+# t = -A/B. B is penalised with this weight, as if the target were missed by that share of it.
 TAIL = 0.05
-# Points of Gauss's rule on each: switches are no steeper than 60, so that one fits on a piece.
+# Nodes of the Gauss rule on each piece: switches have slopes up to 60, so that one spans a piece.
 _NODES = 3
 
 
 @frozen
 class Clockwork:
-    """What time does to a cascade, sampled: see `clockwork`.
+    """The time functions of a cascade, sampled; see `clockwork`.
 
     Attributes:
         rate: rho.
         t: ``(K,)`` instants.
-        g: ``(K,)`` the switches' argument there.
-        fine: ``(F,)`` the same at the nodes of the filter.
+        g: ``(K,)`` g at these instants.
+        fine: ``(F,)`` g at the nodes of the filter's quadrature.
         filter: ``(K, F)`` Q.
     """
 
@@ -54,7 +54,7 @@ class Clockwork:
 
 @lru_cache(maxsize=8)
 def clockwork(rate: float, refinement: int = 1) -> Clockwork:
-    """The clock of a rate rho in (0, 1], on its grid, or on one so many times as fine."""
+    """The clock with a rate rho in (0, 1], on its grid refined ``refinement`` times."""
     span = 30.0 / rate
 
     def flow(_: float, p: Floats) -> Floats:
@@ -68,7 +68,7 @@ def clockwork(rate: float, refinement: int = 1) -> Clockwork:
     looks = np.linspace(0.0, span, 20_001)
     levels = falling(looks)
     end = looks[np.argmax(levels < _END)]
-    # Pieces as even as possible in what bounds them.
+    # Pieces that are even in the measure that bounds them.
     measure = np.append(0.0, np.cumsum(np.hypot(np.diff(levels) / _FALL, np.diff(looks) / _PACE)))
     total = np.interp(end, looks, measure)
     edges = np.interp(np.linspace(0.0, total, refinement * int(np.ceil(total)) + 1), measure, looks)
@@ -83,7 +83,7 @@ def clockwork(rate: float, refinement: int = 1) -> Clockwork:
 
 @frozen
 class Parameters:
-    """Of a cascade with N visible neurons and M switches.
+    """Parameters of a cascade with N visible neurons and M switches.
 
     Attributes:
         a: ``(M, 6)`` equilibria of the hidden neurons.
@@ -99,7 +99,7 @@ class Parameters:
 
     @property
     def flat(self) -> Floats:
-        """``(12 M + 7 N M,)``: a, c, then each visible neuron's (q, tau), of every switch the first entry first."""
+        """``(12 M + 7 N M,)``: a, c, then for each visible neuron the entries of (q, tau), each over all switches."""
         own = np.concatenate([self.q, self.tau], axis=2).transpose(0, 2, 1)
         return np.concatenate([self.a.ravel(), self.c.ravel(), own.ravel()])
 
@@ -136,7 +136,7 @@ class Cascade:
         self.free = target + fading[:, None, None] * (start - target)
 
     def switched(self, a: Floats, c: Floats) -> tuple[Floats, Floats, Floats]:
-        """Q[tanh(a + c g) - tanh a] and its derivatives in a and c, each ``(K + 1, M, 6)``; last the `TAIL`."""
+        """Q[tanh(a + c g) - tanh a] and its derivatives in a and c, each ``(K + 1, M, 6)``; last row: `TAIL` B."""
         shape, g = a.shape, self.clock.fine[:, None]
         a, c = a.ravel(), c.ravel()
         value, rest = np.tanh(a + c * g), np.tanh(a)
@@ -150,16 +150,16 @@ class Cascade:
         return filtered[:, 0], filtered[:, 1], filtered[:, 2]
 
     def states(self, parameters: Parameters) -> Floats:
-        """Visible states ``(K + 1, N, 6)`` at the clock's instants; last the target and what is left of the `TAIL`."""
+        """Visible states ``(K + 1, N, 6)`` at the clock's instants; the last row is the target plus `TAIL` B."""
         blocks, _ = parameters.blocks()
         outputs, _, _ = self.switched(parameters.a, parameters.c)
         return self.free + _applied(blocks, outputs)
 
     def linearised(self, parameters: Parameters) -> tuple[Floats, Floats, Floats]:
-        """`states` and their derivatives: in what all share, and in what is a visible neuron's own.
+        """`states` and their derivatives in the shared parameters, and in each visible neuron's own.
 
         Returns:
-            The states, ``(N, K + 1, 6, 12 M)`` in a and c, and ``(N, K + 1, 6, 7 M)`` of each neuron in its q and tau.
+            The states, ``(N, K + 1, 6, 12 M)`` in a and c, and ``(N, K + 1, 6, 7 M)`` in the neuron's own q and tau.
         """
         n, m = parameters.q.shape[:2]
         blocks, slope = parameters.blocks()
@@ -170,7 +170,7 @@ class Cascade:
         np.multiply(arranged, in_a[None, :, None], out=shared[..., 0, :, :])
         np.multiply(arranged, in_c[None, :, None], out=shared[..., 1, :, :])
         own = np.zeros((n, k, 6, 7, m))
-        # (M, N 4 3, 3) times (M, 3, K): how each quaternion moves what the rotations make of both halves.
+        # (M, N 4 3, 3) times (M, 3, K): derivatives of both rotated halves in each quaternion.
         rows = slope.transpose(1, 0, 2, 3, 4).reshape(m, -1, 3)
         half = outputs.transpose(1, 2, 0)
         turned, shifted = (
@@ -181,7 +181,7 @@ class Cascade:
         own[:, :, 3:, :4] = shifted + np.cross(parameters.tau.transpose(0, 2, 1)[:, None, :, None], turned, axis=2)
         drive = np.einsum("nmab,kmb->nkam", blocks[..., :3, :3], outputs[..., :3])
         x, y, z = (drive[:, :, i] for i in range(3))
-        # tau x d, in tau: minus hat(d).
+        # The derivative of tau x d in tau is -hat(d).
         own[:, :, 3, 5], own[:, :, 3, 6] = z, -y
         own[:, :, 4, 4], own[:, :, 4, 6] = -z, x
         own[:, :, 5, 4], own[:, :, 5, 5] = y, -x

@@ -1,4 +1,4 @@
-"""A curve to follow: a table over its length, in metres, with the foot points of other curves on it."""
+"""A curve to follow, tabulated over its length, and foot points on it."""
 
 from __future__ import annotations
 
@@ -8,24 +8,24 @@ from scipy.interpolate import PchipInterpolator
 from lieednn_sim.errors import InputError
 from lieednn_sim.values import Floats, frozen
 
-# Rows of a table: curves of two metres are then known to a millimetre along, and to micrometres across.
+# Rows of a table: a curve of two metres is then resolved to a millimetre along, and to micrometres across.
 _ROWS = 2048
-# Newton steps to a foot point from the one before.
+# Newton steps to a foot point from its previous estimate.
 _NEWTON_STEPS = 3
-# How far from the end of its straight piece a foot point is looked for, in rows.
+# Longest such step, in rows.
 _REACH = 64
 
 
 @frozen
 class Curve:
-    """A curve, evenly tabulated over its length in the metric.
+    """A curve, tabulated evenly over its length.
 
     Attributes:
-        points: ``(R, N, 6)`` in network coordinates, first its start and last its target.
-        tangents: ``(R, N, 6)`` derivative in the share s of the length, from 0 to 1.
-        units: ``(N, 6)`` metres that count for one unit of each coordinate.
-        length: in the metric [m].
-        weights: ``(R,)`` how much a deviation counts, at most 1.
+        points: ``(R, N, 6)`` in network coordinates, from start to target.
+        tangents: ``(R, N, 6)`` derivatives in the share s of the length, from 0 to 1.
+        units: ``(N, 6)`` metric: metres that one unit of each coordinate counts for.
+        length: length in this metric [m].
+        weights: ``(R,)`` weights of deviations, at most 1.
     """
 
     points: Floats
@@ -39,14 +39,14 @@ class Curve:
         """The curve through samples ``(K, N, 6)``, smooth between them and without overshoot.
 
         Raises:
-            InputError: it does not move.
+            InputError: all samples are the same point.
         """
         steps = np.linalg.norm((np.diff(samples, axis=0) * units).reshape(len(samples) - 1, -1), axis=1)
         kept = np.append(True, steps > 1e-9 * max(float(steps.sum()), 1e-300))
         if kept.sum() < 2:
             raise InputError("the curve must move: all its samples are the same point")
         kept_samples = samples[kept]
-        # The last sample is the target, also where it repeats the one before it.
+        # The last sample is the target, even where it repeats the one before it.
         kept_samples[-1] = samples[-1]
         chord = np.append(0.0, np.cumsum(steps[kept[1:]]))
         dense = np.linspace(0.0, chord[-1], 4 * _ROWS)
@@ -69,7 +69,7 @@ class Curve:
         return point, tangent
 
     def feet(self, x: Floats, s: Floats) -> Floats:
-        """Shares ``(K,)`` of the points nearest to ``x`` ``(K, N, 6)``, near ``s``, in order, from 0 to 1."""
+        """Shares ``(K,)`` of the points nearest to ``x`` ``(K, N, 6)``, near ``s``; nondecreasing from 0 to 1."""
         for _ in range(_NEWTON_STEPS):
             point, tangent = self.at(s)
             along = (tangent * self.units**2).reshape(len(x), -1)
@@ -82,5 +82,5 @@ class Curve:
         return s
 
     def weight(self, s: Floats) -> Floats:
-        """How much a deviation counts at shares ``(K,)`` of the length."""
+        """Weights of deviations at shares ``(K,)`` of the length."""
         return np.asarray(np.interp(s, np.linspace(0.0, 1.0, len(self.weights)), self.weights))

@@ -1,10 +1,10 @@
-"""Levenberg and Marquardt's descent on the distance of a cascade's way from a curve.
+"""Levenberg-Marquardt descent on the distance of a cascade's way from a curve.
 
-Foot points on the curve are found anew at every step, so that only what is across the curve counts in full. A visible
-neuron's readouts move that neuron alone, so the normal matrix is an arrow: what the switches share, and a diagonal
-block for each visible neuron. What is along the curve counts little; it couples all, by a term of low rank: a row for
-each instant. Steps follow the curvature of the residual as well (geodesic acceleration: Transtrum and Sethna,
-arXiv:1201.5885), without which sums of soft switches need ten times as many.
+Foot points on the curve are found anew at every step, so that only deviations across the curve count in full. A visible
+neuron's readouts move that neuron alone, so the normal matrix has an arrow shape: the switches' shared part, and a
+diagonal block for each visible neuron. Deviations along the curve count little; they couple all neurons by a low-rank
+term, one row for each instant. Steps include the second-order correction of geodesic acceleration (Transtrum and
+Sethna, arXiv:1201.5885), without which sums of soft switches need ten times as many steps.
 """
 
 from __future__ import annotations
@@ -17,18 +17,18 @@ from lieednn_sim.synthesis.shaping.cascade import Cascade, Parameters
 from lieednn_sim.synthesis.shaping.curve import Curve
 from lieednn_sim.values import Floats, frozen
 
-# What is off along the curve counts this share; the time law comes later.
+# Weight of deviations along the curve, which the time law decides later.
 _TANGENT = 0.05
-# Bound on a and c: the steepest switch passes on a sixtieth of the way, as finely as `cascade` looks.
+# Bound on a and c: the steepest switch spans a sixtieth of the way, the resolution of `cascade`.
 LARGEST_SLOPE = 60.0
-# Decay of the readouts, of squared lengths of the curve; it shrinks where it is more than this share of the cost.
+# Ridge on the parameters, in squared lengths of the curve; it shrinks where it exceeds this share of the cost.
 _DECAY, _DECAY_SHARE = 1e-9, 0.3
 _LEAST_DECAY = 1e-14
-# Damping at first; beyond the largest nothing helps any more.
+# Initial damping, and the damping at which the descent gives up.
 _DAMPING, _LARGEST_DAMPING = 1e-3, 1e8
-# Of a step, with which its curvature is probed; and how much a correction may be of it, by Transtrum and Sethna.
+# Share of a step with which its curvature is probed, and the largest relative correction, by Transtrum and Sethna.
 _PROBE, _CORRECTION = 0.1, 0.375
-# So often it is asked whether the goal can still be reached at the pace of so many last steps.
+# Steps from one check to the next whether the goal can still be reached at the pace of the last such steps.
 _PACE = 10
 
 
@@ -37,9 +37,9 @@ class Fit:
     """Where a descent ended.
 
     Attributes:
-        parameters: of the cascade.
-        worst: largest deviation at its instants, across the curve [m].
-        iterations: steps made.
+        parameters: parameters of the cascade.
+        worst: largest deviation across the curve at the clock's instants [m].
+        iterations: steps taken.
     """
 
     parameters: Parameters
@@ -49,7 +49,7 @@ class Fit:
 
 @frozen
 class _Place:
-    """Parameters, flat, and what follows from them: states, feet, error ``(K, 6 N)`` [m], directions, cost, worst."""
+    """Flat parameters and the states, feet, errors ``(K, 6 N)`` [m], directions, cost and worst that they give."""
 
     flat: Floats
     x: Floats
@@ -64,8 +64,8 @@ class Descent:
     """The least-squares problem of one curve and one cascade.
 
     Args:
-        cascade: of the curve's start and target.
-        curve: to follow.
+        cascade: a cascade from the curve's start to its target.
+        curve: the curve to follow.
     """
 
     def __init__(self, cascade: Cascade, curve: Curve) -> None:
@@ -74,7 +74,7 @@ class Descent:
         self._decay = _DECAY * curve.length**2
 
     def run(self, start: Parameters, iterations: int, goal: float) -> Fit:
-        """Descend until the deviation is below ``goal`` [m], cannot come there, or after so many steps."""
+        """Descend until the deviation is below ``goal`` [m], is not expected to get there, or the steps are spent."""
         bounded = 12 * len(start.a)
         place = self._place(start.flat, np.append(1.0 - self.cascade.clock.g, 1.0))
         damping, growth, count = _DAMPING, 2.0, 0
@@ -90,7 +90,7 @@ class Descent:
                 damping, growth = growth * damping, 2.0 * growth
             if trial.cost >= place.cost:
                 break
-            # Nielsen's rule: trust what was foretold well.
+            # Nielsen's rule: less damping where the prediction was good.
             gain = min((place.cost - trial.cost) / max(expected, 1e-300), 1.0)
             damping, growth = max(damping * max(0.2, 1.0 - (2.0 * gain - 1.0) ** 3), 1e-12), 2.0
             place = trial
@@ -127,20 +127,20 @@ class Descent:
         return _Place(flat, x, feet, error, along, cost, float(worst))
 
     def units(self, feet: Floats) -> Floats:
-        """What deviations at foot points ``(K,)`` are multiplied by, ``(K, N, 6)``."""
+        """Factors ``(K, N, 6)`` of deviations at foot points ``(K,)``: units times weights."""
         return np.asarray(self.curve.units * self.curve.weight(feet)[:, None, None])
 
 
 class NormalEquations:
-    """Gauss and Newton's equations at a place.
+    """The Gauss-Newton normal equations at a place.
 
     Args:
         descent: the problem.
-        place: where.
+        place: the point of linearisation.
 
     Attributes:
-        matrix: ``(p, p)`` sum of the instants' squares, with the decay.
-        gradient: ``(p,)`` half of that of the cost.
+        matrix: ``(p, p)`` normal matrix, including the ridge; only its lower triangle is valid.
+        gradient: ``(p,)`` half the gradient of the cost.
     """
 
     def __init__(self, descent: Descent, place: _Place) -> None:
@@ -149,7 +149,7 @@ class NormalEquations:
         parameters = Parameters.of(place.flat, n)
         _, shared, own = descent.cascade.linearised(parameters)
         k, first, each = shared.shape[1], shared.shape[-1], own.shape[-1]
-        # Of all instants the mean counts.
+        # The cost is the mean over the instants.
         self._units = descent.units(place.feet).transpose(1, 0, 2) / np.sqrt(k)
         rows = np.concatenate([shared, own], axis=3) * self._units[..., None]
         self._rows = rows.reshape(n, 6 * k, -1)
@@ -173,7 +173,7 @@ class NormalEquations:
         self.gradient = self._pulled(place.error) + descent._decay * place.flat
 
     def step(self, damping: float) -> tuple[Floats, float]:
-        """The step ``(p,)`` at a damping, and by how much the linear model expects the cost to fall."""
+        """The step ``(p,)`` at a damping, and the decrease of the cost that the linear model predicts."""
         scale = self._diagonal + 1e-14
         factor = None
         while factor is None:
@@ -194,7 +194,7 @@ class NormalEquations:
         return step + min(1.0, _CORRECTION / max(share, 1e-300)) * second, expected
 
     def _pushed(self, step: Floats) -> Floats:
-        """The rows' linear answer ``(N, K, 6)`` to a step."""
+        """The linear response ``(N, K, 6)`` of the rows to a step."""
         parts = [np.concatenate([step[: self._first], step[mine]]) for mine in self._slices]
         return np.asarray(self._rows @ np.array(parts)[..., None]).reshape(self._units.shape)
 

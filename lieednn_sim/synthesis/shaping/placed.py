@@ -1,12 +1,12 @@
-"""A cascade by linear least squares: its switches are placed first, along the curve, and only readouts are unknown.
+"""A cascade by linear least squares: its switches are placed along the curve first, and only readouts are unknown.
 
 Each hidden neuron is a turn or a shift: one coordinate of its rotational or of its translational half switches, and the
-other half rests. Then what a visible neuron receives is a sum of vectors alpha R e_x, one for each switch, and theta
-need not translate. No start, no iteration, no local minimum; in return it takes several times as many neurons as a
-descent on everything (`fit`) does.
+other half rests. Then a visible neuron's input is a sum of vectors alpha R e_x, one for each switch, and theta need not
+translate. There is no start, no iteration and no local minimum, but it takes several times as many neurons as a descent
+on all parameters (`fit`).
 
-Overlapping soft switches hide ripples far below the deviation asked for, which a motion feels as jerk. So the third
-derivative of the error counts too.
+Overlapping soft switches leave ripples far below the requested deviation, which a motion feels as jerk. So the third
+derivative of the error is penalised too.
 """
 
 from __future__ import annotations
@@ -22,31 +22,31 @@ from lieednn_sim.synthesis.shaping.fit import LARGEST_SLOPE
 from lieednn_sim.synthesis.shaping.start import towards
 from lieednn_sim.values import Floats
 
-# Pieces over which curvature is looked at, and the share of the length over which it is smoothed.
+# Pieces over which curvature is computed, and the share of the length over which it is smoothed.
 _PIECES, _SMOOTHING = 512, 0.01
-# A turn of the tangent by one radian takes as much of the clock as this share of the length: in a sharp corner, where
-# a motion is slow anyway, the switches have room.
+# A turn of the tangent by one radian takes as much of the clock as this share of the length: it makes room for switches
+# in a sharp corner, where a motion is slow anyway.
 _TURNING = 0.03
-# Slope of a switch, over the density of switches: they overlap, or the way between them would ripple.
+# Slope of a switch over the density of switches, and the least slope: without overlap the way would ripple.
 _OVERLAP = 1.0
 _GENTLEST = 1.0
-# Switches are as dense as the root of the curve's second derivative, and this much everywhere.
+# The density of switches is the root of the curve's second derivative plus this much everywhere.
 _EVEN = 0.1
-# Ripples shorter than 2 pi times this share of the clock count more than deviations, as its third power.
+# Ripples shorter than 2 pi times this share of the clock count more than deviations.
 _RIPPLE = 0.03
-# Instants at which ripples are looked at: as many as would be even down to where g has all but vanished.
+# Number of instants at which ripples are penalised, nearly even down to where g is this small.
 _INSTANTS, _VANISHED = 120, 0.01
 # Weight of the squared readouts.
 _RIDGE = 1e-9
 
 
 def placed(cascade: Cascade, curve: Curve, n_switches: int) -> Parameters:
-    """Parameters of the cascade with ``n_switches`` placed switches that is nearest to the curve."""
+    """Parameters of the cascade nearest to the curve with ``n_switches`` placed switches."""
     n, m, clock = len(cascade.target), n_switches, cascade.clock
     pace = _pace(curve)
     shares = pace(1.0 - clock.g)
     goal, _ = curve.at(shares)
-    # The last row is the tail, of which nothing shall be left.
+    # The last row is the tail, which should vanish.
     missing = np.concatenate([goal - cascade.free[:-1], np.zeros((1, n, 6))])
     weight = np.append(curve.weight(shares), 1.0)[:, None]
     looks, ripples = _third_derivative(1.0 - clock.g)
@@ -69,13 +69,13 @@ def placed(cascade: Cascade, curve: Curve, n_switches: int) -> Parameters:
 
 
 def _halves(curve: Curve, count: int) -> list[tuple[slice, Floats]]:
-    """Which neurons switch which half: turns and shifts in equal parts, where the curve has both."""
+    """Which neurons switch which half: equally many turns and shifts where the curve has both."""
     halves = [half for half in (slice(0, 3), slice(3, 6)) if np.ptp(curve.points[..., half], axis=0).max() > 0.0]
     return list(zip(halves, np.array_split(np.arange(count), len(halves)), strict=True))
 
 
 def _pace(curve: Curve) -> CubicSpline:
-    """Share of the curve's length at a share of the clock: slower where the curve turns."""
+    """Share of the curve's length as a function of the share of the clock: slower where the curve turns."""
     s = np.linspace(0.0, 1.0, _PIECES + 1)
     pieces = np.diff((curve.at(s)[0] * curve.units).reshape(len(s), -1), axis=0)
     directions = pieces / np.maximum(np.linalg.norm(pieces, axis=1, keepdims=True), 1e-300)
@@ -86,7 +86,7 @@ def _pace(curve: Curve) -> CubicSpline:
 
 
 def _switches(curve: Curve, pace: CubicSpline, half: slice, count: int) -> tuple[Floats, Floats]:
-    """Shares of the clock ``(count,)`` at which switches stand, and their slopes there."""
+    """Positions of the switches, as shares ``(count,)`` of the clock, and their slopes."""
     w = np.linspace(0.0, 1.0, _PIECES // 4 + 1)
     points = (curve.at(pace(w))[0] * curve.units)[:, :, half].reshape(len(w), -1) / curve.length
     second = np.linalg.norm(np.diff(points, n=2, axis=0), axis=1) / w[1] ** 2
@@ -98,7 +98,7 @@ def _switches(curve: Curve, pace: CubicSpline, half: slice, count: int) -> tuple
 
 
 def _third_derivative(w: Floats) -> tuple[NDArray[np.int_], Floats]:
-    """Indices of instants, nearly even in ``w``, and a matrix of divided differences of what is known there."""
+    """Indices of instants, nearly even in ``w``, and the matrix of third divided differences there."""
     wanted = np.linspace(0.0, 1.0 - _VANISHED, _INSTANTS)
     looks = np.unique(np.abs(w[:, None] - wanted).argmin(axis=0))
     at, matrix = w[looks], np.eye(len(looks))

@@ -1,8 +1,8 @@
 """From a curve, or several, to a certified network that follows it.
 
-The network is a cascade: hidden neurons switch one after another on their own way to rest, and steer the visible ones
-(`cascade`). Its equilibrium and its certificate hold by construction for all values of the parameters, so the fit has
-no constraint; what it may miss is the curve, and the result says by how much.
+The network is a cascade: hidden neurons switch one after another as they come to rest, and steer the visible ones
+(`cascade`). Its equilibrium and its certificate hold by construction for all parameters, so the fit is unconstrained;
+it may miss the curve, and the result says by how much.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lieednn_sim._blas import one_blas_thread
 from lieednn_sim.budget import check_time, cpu_time
@@ -25,35 +25,34 @@ from lieednn_sim.synthesis.shaping.fit import Descent
 from lieednn_sim.synthesis.shaping.placed import placed
 from lieednn_sim.synthesis.shaping.start import starting_point
 from lieednn_sim.validation import as_count, as_floats, as_generator, as_positive, quoted
-from lieednn_sim.values import frozen
+from lieednn_sim.values import Floats, frozen
 
-Floats = NDArray[np.float64]
-
-# The fit looks at some seventy instants and aims at this share of the deviation asked for, since there are others.
+# Share of the requested deviation at which the fit aims, since it sees only about seventy instants.
 _AIM = 0.7
-# Placed switches are many, and their ripples short: so many times as many instants.
+# Refinement of the clock for placed switches, whose ripples are short.
 _REFINEMENT = 2
-# Samples of the network's way between which and the curve deviations are measured.
+# Samples at which deviations between the network's way and the curve are measured.
 _SAMPLES = 1000
-# States of the way from which they are taken.
+# States of the network's way from which its curve is tabulated.
 _WAY_SAMPLES = 4000
-# Network time after which what is left of the way is below a micrometre of a metre's, over rho.
+# Network time, times rho, after which less than a micrometre of a way of a metre is left.
 _SPAN = 16.0
-# Of several curves: no weight is less than this share of the largest, however far they are apart.
+# Least weight of a deviation relative to the largest, however far demonstrations are apart.
 _LEAST_WEIGHT = 0.1
 
 
 @dataclass(frozen=True)
 class ShapingOptions:
-    """How `shape` searches.
+    """Options of `shape`.
 
     Attributes:
-        rate: rho in (0, 1], at which the hidden neurons' clock runs down: 1 goes on with the visible neurons, which
-            after a push return to the target; with less they return to the path 1/rho times as fast as they move on.
-        neurons: numbers of hidden neurons beside the clock, tried one after another by a descent on all parameters.
-        placed: larger numbers, tried where those do not suffice: switches are placed along the curve beforehand, and
-            what is left is a linear problem.
-        iterations: of the descent, at most, from each start.
+        rate: rho in (0, 1], the rate at which the hidden neurons' clock runs down. With 1 it keeps pace with the
+            visible neurons, which return to the target after a push; with less they return to the path 1/rho times as
+            fast as they move on.
+        neurons: numbers of hidden neurons besides the clock, tried in turn by a descent on all parameters.
+        placed: larger numbers, tried where those do not suffice: switches are placed along the curve beforehand, which
+            leaves a linear problem.
+        iterations: most iterations of the descent from each start.
 
     Raises:
         InputError: a value is out of range.
@@ -81,14 +80,14 @@ class Shaping:
     """Result of `shape`.
 
     Attributes:
-        success: whether the deviation asked for was met.
-        message: how it ended.
-        network: the best network found; certified in any case.
-        deviation: largest distance of network's way and curve, either from the other, in the metric [m].
-        rms: root mean square of the distances of the network's way from the curve, even over its length [m].
+        success: whether the requested deviation was met.
+        message: the outcome in words.
+        network: the best network found; always certified.
+        deviation: largest distance between the network's way and the curve, from either to the other [m].
+        rms: root mean square distance of the network's way from the curve, over its length [m].
         placed: whether the network's switches are placed ones.
-        tries: numbers of neurons tried.
-        iterations: of the descents, together.
+        tries: how many numbers of neurons were tried.
+        iterations: iterations of all descents together.
         seconds: CPU time.
     """
 
@@ -103,7 +102,7 @@ class Shaping:
     seconds: float
 
     def unwrap(self) -> LieEDNN:
-        """The network, or `NotCertifiedError`, with the reason, when it deviates by more than was asked for."""
+        """The network, or `NotCertifiedError` with the reason when it deviates by more than requested."""
         if not self.success:
             raise NotCertifiedError(self.message)
         return self.network
@@ -118,26 +117,26 @@ def shape(
     options: ShapingOptions | None = None,
     seed: int | np.random.Generator = 0,
 ) -> Shaping:
-    """Make a certified network whose visible neurons, started on a curve's first point, follow it to its last.
+    """Make a certified network whose visible neurons follow a curve from its first point to its last.
 
-    Only the curve counts, not the times of its samples: how fast it is run through is for a law of time (`planning`).
+    Only the curve matters, not the times of its samples: the speed along it is decided by a time law (`planning`).
 
     Args:
-        curves: samples ``(K, N, 6)`` of a curve, or a sequence of such arrays, several demonstrations of one motion:
-            the network follows their mean at equal shares of their lengths, more closely where they agree.
-        deviation: asked for [m]; neurons are added until it is met.
-        units: ``(N, 6)``, or of a shape that broadcasts to it, metres that count for one unit of each coordinate: the
-            lever arm of a rotation, the length scale of a translation.
-        spread: ``(K,)`` of one curve that is a mean already: how far demonstrations are from it at each sample [m]; it
-            is followed more closely where that is little.
-        options: of the search.
-        seed: of the starts; the same seed gives the same network.
+        curves: samples ``(K, N, 6)`` of a curve, or a sequence of such arrays with demonstrations of one motion: the
+            network follows their mean at equal shares of their lengths, more closely where they agree.
+        deviation: largest deviation requested [m]; neurons are added until it is met.
+        units: metres that one unit of each coordinate counts for, of a shape that broadcasts to ``(N, 6)``: the lever
+            arm of a rotation, the length scale of a translation.
+        spread: ``(K,)`` for a single curve that is itself a mean: how far demonstrations are from it at each sample
+            [m]; where that is little, it is followed more closely.
+        options: options of the search.
+        seed: seed of the starts; the same seed gives the same network.
 
     Returns:
-        The outcome. Its network is certified also where it deviates by more.
+        The outcome. Its network is certified even where it deviates by more.
 
     Raises:
-        InputError: a value is malformed, a curve does not move, or demonstrations differ in their numbers of neurons.
+        InputError: a value is malformed, a curve does not move, or the curves have different numbers of neurons.
         OutOfTimeError: the time budget is spent.
     """
     begun = cpu_time()
@@ -176,7 +175,7 @@ def shape(
         f"within {1e3 * found:.3g} mm of the curve with {hidden} hidden neurons"
         if success
         else f"{1e3 * found:.3g} mm off the curve, {1e3 * goal:.3g} mm were asked for: the best of {tries} tries, "
-        f"with {hidden} hidden neurons; allow more, as `placed` or as `neurons`"
+        f"with {hidden} hidden neurons; allow more by `placed` or `neurons`"
     )
     if not network.certified:
         raise NotCertifiedError(f"the closed-form certificate does not hold ({network.certificate}); curve too large")
@@ -186,7 +185,7 @@ def shape(
 
 
 def as_curve(curves: ArrayLike | Sequence[ArrayLike], units: ArrayLike, spread: ArrayLike | None = None) -> Curve:
-    """The curve through samples ``(K, N, 6)``, or the mean of several; errors as of `shape`."""
+    """The curve through samples ``(K, N, 6)``, or the mean of several; raises as `shape`."""
     alone = isinstance(curves, np.ndarray) and curves.ndim == 3
     if not alone and not isinstance(curves, Sequence | np.ndarray):
         raise InputError(f"curves must be an array (K, N, 6) or a sequence of such arrays, got {quoted(curves)}")
@@ -205,7 +204,7 @@ def as_curve(curves: ArrayLike | Sequence[ArrayLike], units: ArrayLike, spread: 
         raise InputError(f"units must be positive, the smallest is {scale.min():g}")
     if spread is not None:
         if len(checked) > 1:
-            raise InputError("spread is of one curve; of several it is measured")
+            raise InputError("spread is for a single curve; for several it is computed from them")
         apart = as_floats("spread", spread, (len(checked[0]),))
         if apart.min() < 0.0:
             raise InputError(f"spread must not be negative, the smallest is {apart.min():g}")
@@ -221,14 +220,14 @@ def as_curve(curves: ArrayLike | Sequence[ArrayLike], units: ArrayLike, spread: 
 
 
 def _trust(spread: Floats) -> Floats:
-    """How much deviations count ``(K,)`` where demonstrations are ``spread`` ``(K,)`` [m] from their mean."""
-    # Where all agree to the last digit a little spread is added, or nothing else would count.
+    """Weights ``(K,)`` of deviations where demonstrations are ``spread`` ``(K,)`` [m] from their mean."""
+    # A little is added, so that a sample where all demonstrations agree exactly does not take all the weight.
     spread = spread + _LEAST_WEIGHT * spread.mean() + 1e-12
     return np.maximum(spread.min() / spread, _LEAST_WEIGHT)
 
 
 def _measured(parameters: Parameters, rate: float, curve: Curve) -> tuple[float, float, LieEDNN]:
-    """Deviation, its root mean square, and the network, whose way is integrated."""
+    """Deviation, its root mean square, and the network, by integrating the network."""
     network = assemble(parameters, rate, curve.points[-1])
     way = network.trajectory(network.start(curve.points[0]), _SPAN / rate, rtol=1e-7, atol=1e-9)
     # Closer together at first, where it is fast.

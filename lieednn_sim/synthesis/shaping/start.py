@@ -1,36 +1,34 @@
-"""Where the descent starts: switches where the curve bends, readouts by linear least squares, the rest drawn."""
+"""Start of the descent: switches where the curve bends, readouts by linear least squares, the rest at random."""
 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lieednn_sim.synthesis.shaping.cascade import Cascade, Parameters
 from lieednn_sim.synthesis.shaping.curve import Curve
+from lieednn_sim.values import Floats
 
-Floats = NDArray[np.float64]
-
-# Pieces over which the bend of the curve is looked at.
+# Pieces over which the bend of the curve is computed.
 _PIECES = 128
-# Slopes that switches start with, in 1 / (share of the way). From steeper ones the fit ends in worse places, and with
-# many times the jerk; for a sharp corner it makes them steeper by itself.
+# Initial slopes of switches, per share of the way. From steeper ones the fit ends in worse minima, and with many times
+# the jerk; for a sharp corner it makes them steeper by itself.
 _GENTLEST, _STEEPEST = 1.5, 12.0
-# Spread of the slopes that are drawn: of the leading switches as a share, and of the others.
+# Spread of the random slopes: relative for the leading switches, absolute for the others.
 _LEADING_SPREAD, _OTHER_SPREAD = 0.2, 1.0
-# Least strength of a block: one of none would have no slope in its quaternion.
+# Least strength of a block: at zero its derivative in the quaternion would vanish.
 _LEAST_STRENGTH = 0.02
 # Weight of the squared readouts in the linear problems.
 _RIDGE, _SHIFT_RIDGE = 1e-6, 1e-4
-# Rotations this near to a line are on it.
+# Largest distance of rotations from a line that still counts as on it [rad].
 _LINE = 1e-9
 
 
 def starting_point(cascade: Cascade, curve: Curve, n_switches: int, rng: np.random.Generator) -> Parameters:
     """Parameters of a cascade whose way is roughly the curve's.
 
-    Of each hidden neuron the first rotational and the first translational coordinate lead: they switch where the curve
-    bends most, sharp where it has a corner. The others begin at random. Where all rotations stay on lines through zero,
-    as those of hinges do, the other rotational coordinates stay out of it: every rotation begins on its line.
+    The first rotational and the first translational coordinate of each hidden neuron lead: they switch where the curve
+    bends most, sharply at a corner. The others start at random. Where all rotations stay on lines through zero, as
+    those of hinges do, the other rotational coordinates start at zero, so that every rotation starts on its line.
     """
     n, m = len(cascade.target), n_switches
     a, c = np.zeros((m, 6)), rng.normal(scale=_OTHER_SPREAD, size=(m, 6))
@@ -62,11 +60,11 @@ def starting_point(cascade: Cascade, curve: Curve, n_switches: int, rng: np.rand
 
 
 def _switches(curve: Curve, part: slice, count: int) -> tuple[Floats, Floats]:
-    """Shares of the length ``(count,)`` and slopes there: as dense as the root of the bend, and as steep."""
+    """Positions, as shares ``(count,)`` of the length, and slopes: density and slope follow the root of the bend."""
     way = (curve.tangents * curve.units)[:: len(curve.points) // _PIECES, :, part] / curve.length
     way = way.reshape(len(way), -1)
     density = np.sqrt(len(way) * np.linalg.norm(np.gradient(way, axis=0), axis=1))
-    # A little everywhere: what bends gently is long.
+    # A little everywhere, for long stretches that bend gently.
     density += 0.1 * density.mean() + 0.1
     mass = np.append(0.0, np.cumsum(0.5 * (density[1:] + density[:-1])))
     edges = np.interp(np.linspace(0.0, mass[-1], 2 * count + 1), mass, np.linspace(0.0, 1.0, len(way)))
@@ -74,13 +72,13 @@ def _switches(curve: Curve, part: slice, count: int) -> tuple[Floats, Floats]:
 
 
 def _ridge(columns: Floats, wanted: Floats, weight: float) -> Floats:
-    """Least squares with a little decay: columns that say the same share the work."""
+    """Ridge regression; similar columns share the work."""
     square = columns.T @ columns
     return np.asarray(np.linalg.solve(square + weight * np.eye(len(square)), columns.T @ wanted))
 
 
 def _crossing(turned: Floats) -> Floats:
-    """What translations ``(M, 3)`` add to the drive for rotational drives ``(N, K, 3, M)``: ``(N, 3 K, 3 M)``."""
+    """Matrix ``(N, 3 K, 3 M)`` from translations ``(M, 3)`` to their input, for rotational inputs ``(N, K, 3, M)``."""
     n, k, _, m = turned.shape
     columns = np.zeros((n, k, 3, m, 3))
     for row in range(3):
@@ -93,11 +91,11 @@ def _crossing(turned: Floats) -> Floats:
 def towards(wanted: Floats, spin: Floats | float = 0.0, least: float = 0.0) -> Floats:
     """Quaternions ``(..., 4)`` with |q|^2 R(q) e_x = ``wanted`` ``(..., 3)``, turned about it by ``spin`` ``(...)``.
 
-    Where ``wanted`` is shorter than ``least``, |q|^2 is that.
+    Where ``wanted`` is shorter than ``least``, |q|^2 is ``least``.
     """
     size = np.linalg.norm(wanted, axis=-1, keepdims=True)
     x, y, z = np.moveaxis(np.where(size > 1e-12, wanted / np.maximum(size, 1e-300), np.eye(3)[0]), -1, 0)
-    # Half way from e_x to it; about the third axis where it points back.
+    # The halfway rotation from e_x; about the third axis where the direction is opposite.
     none = np.zeros_like(x)
     half = np.stack([1.0 + x, none, -z, y], axis=-1)
     half[x < -1.0 + 1e-9] = np.eye(4)[3]

@@ -1,0 +1,97 @@
+"""Where the serial chain of a foreign MJCF is cut into compound joints."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm.importer.stages import Couplings
+from lieednn_sim.values import Floats
+
+_BALL, _SLIDE, _HINGE = (int(getattr(mujoco.mjtJoint, f"mjJNT_{kind}")) for kind in ("BALL", "SLIDE", "HINGE"))
+_SINGULAR = 1e-3  # least relative singular value at which the screws of a compound joint count as independent
+
+
+def cut(
+    model: mujoco.MjModel, data: mujoco.MjData, joints: Sequence[int], ranges: dict[int, Floats], couplings: Couplings
+) -> tuple[tuple[int, ...], ...]:
+    """Cut a chain into compound joints.
+
+    Coupled joints, and joints of one body, stay together. Each slide, or telescope, ends a compound joint, which
+    includes the hinge or ball joint directly inboard if together they turn by less than pi from their reference, so
+    that the logarithm is unique, and their dofs are independent, so that the pose determines them. Every other joint
+    is a compound joint of its own. If all would be one, the first joint is separated: a network of a single neuron has
+    hardly any target that can be certified.
+
+    Args:
+        model, data: the model, with its kinematics at a representative posture.
+        joints: joint ids from the base outwards.
+        ranges: for each joint, its range ``(2,)``.
+        couplings: joints that follow others.
+    """
+    units = _units(model, data, joints, ranges, couplings)
+    groups: list[list[_Unit]] = []
+    for unit in units:
+        group = [unit]
+        while unit.kind == "slide" and groups and len(groups[-1]) == 1 and groups[-1][0].kind in ("hinge", "ball"):
+            if not _fits([*groups[-1], *group]):
+                break
+            group = [*groups.pop(), *group]
+        groups.append(group)
+    if len(groups) == 1 and len(units) > 1:
+        groups = [units[:1], units[1:]]
+    return tuple(tuple(joint for unit in group for joint in unit.joints) for group in groups)
+
+
+@dataclass(frozen=True, eq=False)
+class _Unit:
+    joints: tuple[int, ...]
+    kind: str
+    turn: float  # how far it turns from its reference at most [rad]
+    screws: Floats  # (6, k), translations in units of the arm's size
+
+
+def _units(
+    model: mujoco.MjModel, data: mujoco.MjData, joints: Sequence[int], ranges: dict[int, Floats], couplings: Couplings
+) -> list[_Unit]:
+    anchors = data.xanchor[list(joints)]
+    size = max(float(np.linalg.norm(anchors - anchors[0], axis=1).max()), 1e-2)
+    runs: list[list[int]] = []
+    leader = [couplings.leader(joint) for joint in joints]
+    last = {lead: i for i, lead in enumerate(leader)}
+    end, bodies = -1, model.jnt_bodyid
+    for i, joint in enumerate(joints):
+        if i > end:
+            runs.append([])
+        runs[-1].append(joint)
+        end = max(end, last[leader[i]], max(k for k, other in enumerate(joints) if bodies[other] == bodies[joint]))
+    units = []
+    for run in runs:
+        kinds = {int(model.jnt_type[joint]) for joint in run}
+        kind = {_SLIDE: "slide", _HINGE: "hinge", _BALL: "ball"}[kinds.pop()] if len(kinds) == 1 else "mixed"
+        turns, columns = 0.0, {couplings.leader(joint): np.zeros((6, 1)) for joint in run}
+        for joint in run:
+            axis, ratio = data.xaxis[joint], couplings.ratio(joint)
+            arm = (data.xanchor[joint] - anchors[0]) / size
+            if model.jnt_type[joint] == _SLIDE:
+                columns[couplings.leader(joint)] += ratio * np.concatenate([np.zeros(3), axis])[:, None]
+                continue
+            reference = 0.0 if model.jnt_type[joint] == _BALL else model.qpos0[model.jnt_qposadr[joint]]
+            turns += float(np.abs(ranges[joint] - reference).max())
+            if model.jnt_type[joint] == _BALL:
+                columns[joint] = np.array([np.concatenate([e, np.cross(arm, e)]) for e in np.eye(3)]).T
+            else:
+                columns[couplings.leader(joint)] += ratio * np.concatenate([axis, np.cross(arm, axis)])[:, None]
+        units.append(_Unit(tuple(run), kind, turns, np.hstack(list(columns.values()))))
+    return units
+
+
+def _fits(units: Sequence[_Unit]) -> bool:
+    screws = np.hstack([unit.screws for unit in units])
+    if screws.shape[1] > 6 or sum(unit.turn for unit in units) >= np.pi:
+        return False
+    sizes = np.linalg.svd(screws / np.linalg.norm(screws, axis=0), compute_uv=False)
+    return bool(sizes[-1] > _SINGULAR * sizes[0])

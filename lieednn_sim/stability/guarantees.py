@@ -1,0 +1,144 @@
+"""Bounds on pushes, moving targets and time steps, in one norm each: proofs by contraction and by the certificate.
+
+On the coordinates considered, e' = -gamma e + mu W f, with f_i between 0 and e_i, has two kinds of proof, in the norm
+|e|_P = |T e|_2.
+
+Contraction (`stability.contraction`), of any two motions: |e(t)|_P <= exp(-c t) |e(0)|_P. If the equilibrium moves at
+the velocity x*', then e = x - x* obeys |e|_P' <= -c |e|_P + |x*'|_P, and the lag is at most |x*'|_P / c.
+
+The certificate's own diagonal P = S^2, about the equilibrium, where contraction is not proved: with y = S e, g = S f,
+M = S W S^-1, s = |M|_2 and V of `stability.certificate`, U = eps |y|^2 / 2 + V has
+
+    U' + c U <= -eps (gamma - c/2) |y|^2 + eps mu s |y| |g| - k |g|^2,  k = gamma - c - mu max(lambda_max, 0),
+
+which is not positive for eps = 4 k (gamma - c/2) / (mu s)^2. As eps |y|^2 <= 2 U <= (1 + eps) |y|^2,
+|y(t)| <= sqrt(1 + 1/eps) exp(-c t / 2) |y(0)|. A moving equilibrium adds at most (1 + eps) |y| |S x*'| to U', and the
+lag comes to 2 (1 + 1/eps) / c |S x*'|.
+
+Time steps h. Under contraction, with w = (e, f), the inequality says 2 <e', e>_P <= -w^T N w with N positive definite,
+and |e'|_P^2 = w^T K w. So 2 <e', e>_P <= -h_0 |e'|_P^2 with the largest h_0 for which N - h_0 K >= 0, and a step of
+forward Euler brings two runs closer when h < h_0. A Runge-Kutta method with coefficients a_ij and weights b_i obeys
+|e_new|^2 = |e|^2 + 2 h sum_i b_i <e_i', e_i> - h^2 sum_ij m_ij <e_i', e_j'>, m_ij = b_i a_ij + b_j a_ji - b_i b_j, so
+it does when diag(b) h_0 + h m is positive definite (Dahlquist and Jeltsch, 1979): for the classical method of order 4
+again when h < h_0. The weights of Runge-Kutta 4(5) are not all positive: nothing is proved about it except that its
+error is small. (Lipschitz constants of the stages, as in Kawano and Bullo, arXiv 2603.11349, 2026, prove far smaller
+steps.) Under U, whose second derivative is at most (1 + eps) P, a quadratic form in |y| and |g| tells when U falls. The
+mean of the four fields of Runge-Kutta 4 differs from the first by at most z/2 + z^2/6 + z^3/24 of it, z = h (gamma + mu
+s).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.linalg import eigh
+
+from lieednn_sim.stability.certificate import Certificate, verify
+from lieednn_sim.stability.contraction import Contraction, norm_at, verify_contraction
+from lieednn_sim.stability.norms import scale
+from lieednn_sim.values import Floats, frozen
+
+# Rounding of norms of well-conditioned matrices, many times over.
+UP = 1.0 + 1e-9
+# Shares of the highest rate that are given up, by contraction, or kept, by the certificate: slower rates allow rounder
+# norms.
+_CONTRACTION_SHARES = (1e-3, 0.25, 0.5, 0.75)
+_LYAPUNOV_SHARES = (0.1, 0.5, 0.9)
+
+
+@frozen
+class Guarantee:
+    """|T e(t)| <= overshoot exp(-rate t) |T e(0)|, and |T e| <= delay |T x*'| behind an equilibrium that moves.
+
+    Attributes:
+        contracting: whether e may be the distance of any two motions; otherwise it is the distance to the equilibrium.
+        factor: T ``(m, m)`` of the norm, on the coordinates reached.
+        inverse: T^-1.
+        overshoot: at least 1.
+        rate: in 1 / (the network's time).
+        delay: in the network's time.
+        euler_step: largest time step of the forward Euler method that keeps the proof, in the network's time.
+        rk4_step: the same for the classical Runge-Kutta method of order 4.
+    """
+
+    contracting: bool
+    factor: Floats
+    inverse: Floats
+    overshoot: float
+    rate: float
+    delay: float
+    euler_step: float
+    rk4_step: float
+
+
+def by_contraction(weight: Floats, log_scale: Floats, best: Contraction, gamma: float, mu: float) -> list[Guarantee]:
+    """Guarantees of contraction with Q = S^2, at rates below the best one."""
+    found = []
+    for share in _CONTRACTION_SHARES if best.valid else ():
+        factor = norm_at(weight, log_scale, best.value + share * (best.bound - best.value))
+        if factor is None:
+            continue
+        proof = verify_contraction(factor, np.exp(2.0 * log_scale), weight, gamma=gamma, mu=mu)
+        if not proof.valid:
+            continue
+        inverse = np.asarray(np.linalg.inv(factor), np.float64)
+        step = _contraction_step(scale(weight, log_scale), factor / np.exp(log_scale), gamma, mu)
+        found.append(Guarantee(True, factor, inverse, 1.0, proof.rate, 1.0 / proof.rate, step, step))
+    return found
+
+
+def _contraction_step(scaled: Floats, factor: Floats, gamma: float, mu: float) -> float:
+    """h_0 from M = S W S^-1 and T S^-1, in the coordinates S e and S f."""
+    n = len(scaled)
+    metric, one = factor.T @ factor, np.eye(n)
+    cross = -mu * (metric @ scaled + one)
+    decay = np.block([[2.0 * gamma * metric, cross], [cross.T, 2.0 * mu * one]])
+    field = factor @ np.hstack([gamma * one, -mu * scaled])
+    try:
+        return (1.0 - 1e-6) / float(eigh(field.T @ field, decay, eigvals_only=True)[-1])
+    except np.linalg.LinAlgError:
+        return 0.0
+
+
+def by_lyapunov(weight: Floats, log_scale: Floats, gamma: float, mu: float) -> list[Guarantee]:
+    """Guarantees of U = eps |y|^2 / 2 + V, for several rates."""
+    certificate: Certificate = verify(np.exp(2.0 * log_scale), weight, gamma=gamma, mu=mu)
+    found = []
+    drive = max(mu * spectral_norm(scale(weight, log_scale)) * UP, 1e-6 * gamma)
+    for share in _LYAPUNOV_SHARES if certificate.valid else ():
+        c = share * certificate.rate
+        # Below the largest, so that the quadratic form of the steps is definite.
+        eps = min(4.0 * (certificate.rate - c) * (gamma - 0.5 * c) / drive**2, 1e6)
+        euler, rk4 = (_lyapunov_step(certificate.rate, eps, gamma, drive, stages) for stages in (1, 4))
+        root = np.asarray(np.exp(log_scale), np.float64)
+        growth = 1.0 + 1.0 / eps
+        found.append(
+            Guarantee(
+                False, np.diag(root), np.diag(1.0 / root), float(np.sqrt(growth)), 0.5 * c, 2.0 * growth / c, euler, rk4
+            )
+        )
+    return found
+
+
+def _lyapunov_step(margin: float, eps: float, gamma: float, drive: float, stages: int) -> float:
+    """Largest step found at which U falls, by its quadratic form in (|y|, |g|); a smaller step is then safe, too."""
+
+    def falls(h: float) -> bool:
+        z = h * (gamma + drive)
+        more = z / 2.0 + z**2 / 6.0 + z**3 / 24.0 if stages > 1 else 0.0
+        # |S x'| <= gamma |y| + drive |g|, and the gradient of U is at most eps |y| + |g|.
+        curved = 0.5 * h * (1.0 + eps) * (1.0 + more) ** 2
+        yy = eps * gamma * (1.0 - more) - curved * gamma**2
+        gg = margin - more * drive - curved * drive**2
+        yg = -0.5 * eps * drive * (1.0 + more) - 0.5 * more * gamma - curved * gamma * drive
+        return yy > 0.0 and gg > 0.0 and yy * gg > yg**2 * (1.0 + 1e-9)
+
+    low, high = 0.0, 2.0 / gamma
+    for _ in range(50):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if falls(middle) else (low, middle)
+    return low
+
+
+def spectral_norm(matrix: Floats) -> float:
+    """The largest singular value; zero for an empty matrix."""
+    return float(np.linalg.norm(matrix, 2)) if matrix.size else 0.0

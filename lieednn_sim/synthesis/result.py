@@ -1,0 +1,49 @@
+"""The outcome of a certified synthesis."""
+
+from __future__ import annotations
+
+from lieednn_sim.errors import NotCertifiedError
+from lieednn_sim.network import LieEDNN
+from lieednn_sim.stability import Certificate
+from lieednn_sim.values import frozen
+
+
+@frozen
+class Synthesis:
+    """Result of `synthesize`, or one of those of `synthesize_many`.
+
+    Attributes:
+        impossible: whether it is proved that no weights can be certified with this target and bias.
+        message: the outcome, with the reason for a failure.
+        network: the certified network, or None. An uncertified network is never returned.
+        residual: largest entry of the vector field at the target.
+        largest_translation: largest |t_ij| of the weights.
+        attempts: starts tried.
+        iterations: iterations of the searches from all starts.
+        seconds: wall time since the beginning of the call.
+    """
+
+    impossible: bool
+    message: str
+    network: LieEDNN | None
+    residual: float
+    largest_translation: float
+    attempts: int
+    iterations: int
+    seconds: float
+
+    @property
+    def success(self) -> bool:
+        """Whether there is a certified network with the target as its equilibrium."""
+        return self.network is not None
+
+    @property
+    def certificate(self) -> Certificate | None:
+        """The verified certificate of the network."""
+        return self.network.certificate if self.network is not None else None
+
+    def unwrap(self) -> LieEDNN:
+        """The network, or `NotCertifiedError` with the reason."""
+        if self.network is None:
+            raise NotCertifiedError(self.message)
+        return self.network
