@@ -134,15 +134,15 @@ def load_arrays(path: str | os.PathLike[str], kind: str) -> tuple[dict[str, NDAr
     return arrays, meta
 
 
-def origin(path: str | os.PathLike[str], kind: str | None = None) -> tuple[str, dict[str, str]]:
+def origin(path: str | os.PathLike[str]) -> tuple[str, dict[str, str]]:
     """The fingerprints of a file of `save_arrays` and of the files it was made from, by name; raises as `load_arrays`.
 
-    Without ``kind`` any kind is accepted. The arrays are not read, nor checked against the fingerprint.
+    Any kind is accepted. The arrays are not read, nor checked against the fingerprint.
     """
-    _, meta = _read(path, kind, header_only=True)
+    _, meta = _read(path, None, header_only=True)
     made_from = meta.get(_MADE_FROM)
     if not isinstance(made_from, dict) or not all(isinstance(value, str) for value in made_from.values()):
-        raise FileError(f"{path} is not a readable {kind or 'result'} file (it was made from {made_from!r})")
+        raise FileError(f"{path} is not a readable result file (it was made from {made_from!r})")
     return meta[_FINGERPRINT], made_from
 
 

@@ -86,7 +86,7 @@ def test_garbage_around_an_archive_is_refused(saved, around):
     with pytest.raises(FileError, match="something is missing, or was added"):
         load_arrays(saved, "thing")
     with pytest.raises(FileError, match="something is missing, or was added"):
-        origin(saved, "thing")
+        origin(saved)
 
 
 @pytest.mark.parametrize(
@@ -111,18 +111,18 @@ def test_what_was_changed_after_it_was_written_is_refused(saved, change):
 
 
 def test_a_file_knows_what_it_was_made_from(saved, tmp_path):
-    first, nothing = origin(saved, "thing")
+    first, nothing = origin(saved)
     assert nothing == {}
     save_arrays(tmp_path / "y.npz", "child", ARRAYS, META, {"thing": first})
-    second, made_from = origin(tmp_path / "y.npz", "child")
+    second, made_from = origin(tmp_path / "y.npz")
     assert made_from == {"thing": first}
     assert second != first
     # The same content, the same fingerprint, whatever the order.
     backwards = [dict(reversed(values.items())) for values in (ARRAYS, META)]
     save_arrays(tmp_path / "z.npz", "child", *backwards, {"thing": first})
-    assert origin(tmp_path / "z.npz", "child") == (second, made_from)
+    assert origin(tmp_path / "z.npz") == (second, made_from)
     save_arrays(tmp_path / "z.npz", "child", ARRAYS, META, {"thing": second})
-    assert origin(tmp_path / "z.npz", "child")[0] != second
+    assert origin(tmp_path / "z.npz")[0] != second
 
 
 def test_pickles_are_never_opened(tmp_path):

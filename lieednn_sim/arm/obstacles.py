@@ -11,7 +11,7 @@ import numpy as np
 
 from lieednn_sim import storage
 from lieednn_sim._mujoco import mujoco
-from lieednn_sim.arm.contacts import PLANNED_CLEARANCE, ContactFinder
+from lieednn_sim.arm.contacts import PLANNED_CLEARANCE, ContactFinder, moving_geoms
 from lieednn_sim.arm.fingerprint import model_fingerprint
 from lieednn_sim.arm.importer.loading import compile_spec, load_spec, unused
 from lieednn_sim.arm.scenes import GOAL_PREFIX, PREFIX, SCENES
@@ -117,11 +117,11 @@ def check_home(arm: Arm) -> None:
     """Raise `InputError` where an arm at its keyframe ``home`` touches one of the obstacles around it."""
     model = arm.model
     near = ContactFinder(model, PLANNED_CLEARANCE).geoms(arm.qpos(arm.keyframe("home")))[1]
+    moving = moving_geoms(model)
     for pair in near:
-        names = [model.geom(g).name or model.body(model.geom_bodyid[g]).name for g in pair]
-        own = [model.body_weldid[model.geom_bodyid[g]] != 0 for g in pair]
-        if own[0] != own[1] and any(_is_obstacle(model, int(g)) for g in pair):
-            part, obstacle = names if own[0] else names[::-1]
+        if moving[pair].sum() == 1 and any(_is_obstacle(model, int(g)) for g in pair):
+            names = [model.geom(g).name or model.body(model.geom_bodyid[g]).name for g in pair]
+            part, obstacle = names if moving[pair[0]] else names[::-1]
             raise InputError(
                 f"obstacle {obstacle.removeprefix(PREFIX)!r} of scene {arm.scene!r} touches {part!r} of arm "
                 f"{arm.name!r} at home; move it, or give the arm another home"

@@ -77,7 +77,7 @@ def _medians(group: Group, columns: Sequence[Column]) -> list[str]:
     return ["-" if value is None else f"{value:.3g}" for value in found]
 
 
-def table_head(names: Sequence[str], columns: Sequence[Column]) -> list[str]:
+def table_head(names: Sequence[str], columns: Sequence[Column] = ()) -> list[str]:
     """The first two lines of a table in Markdown: names, then the headings of columns."""
     cells = [*names, *(column.heading for column in columns)]
     return [table_line(cells), "|" + " --- |" * len(cells)]

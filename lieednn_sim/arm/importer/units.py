@@ -19,7 +19,7 @@ def set_length_unit(draft: Draft) -> None:
     """
     if draft.spec.numeric(_FIELD) is not None:
         return
-    model, postures = draft.bare, np.array(draft.postures([*draft.samples, *draft.extremes]))
+    model, postures = draft.bare, draft.postures([*draft.samples, *draft.extremes])
     chain = read_chain(model, "imported")
     space = read_coordinates(model, "imported", chain, model.qpos0)
     joints, *_ = read_joints(model, "imported", chain, space)

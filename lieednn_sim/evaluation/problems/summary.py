@@ -9,7 +9,7 @@ from dataclasses import asdict
 from lieednn_sim import filesystem
 from lieednn_sim.evaluation.problems.study import MEASURED, Solution, Statistic
 from lieednn_sim.evaluation.statistics import pattern_of, wilson
-from lieednn_sim.evaluation.summary import table_line
+from lieednn_sim.evaluation.summary import table_head, table_line
 
 # Most problems that are named for one kind of failure.
 _NAMED = 10
@@ -37,14 +37,14 @@ def write_problems(path: str | os.PathLike[str], robot: str, rows: Sequence[Solu
     sets = sorted({row.problem for row in rows})
     by_planner = {name: [row for row in rows if row.planner == name] for name in names}
     lines = [f"# Published problems: {robot}", "", METHOD.format(budget=budget), "", "## Solved", ""]
-    lines += _head("planner", "problems", "skipped", "failed", "solved", "95 %", *sets)
+    lines += table_head(["planner", "problems", "skipped", "failed", "solved", "95 %", *sets])
     for name, own in by_planner.items():
         asked = [row for row in own if not row.skipped]
         of_sets = [[row for row in asked if row.problem == one] for one in sets]
         solved = [_solved(asked), _interval(asked), *map(_solved, of_sets)]
         failed = sum(not row.success for row in asked)
         lines.append(table_line([name, str(len(own)), str(len(own) - len(asked)), str(failed), *solved]))
-    lines += ["", "## Statistics", "", *_head("planner", "metric", *_STATISTICS)]
+    lines += ["", "## Statistics", "", *table_head(["planner", "metric", *_STATISTICS])]
     for name, own in by_planner.items():
         for column in MEASURED:
             values = [value for row in own if row.success and (value := getattr(row, column.name)) is not None]
@@ -72,7 +72,3 @@ def _solved(rows: Sequence[Solution]) -> str:
 def _interval(rows: Sequence[Solution]) -> str:
     """Wilson's interval of the success rate."""
     return "{:.0%} to {:.0%}".format(*wilson(sum(row.success for row in rows), len(rows))) if rows else "-"
-
-
-def _head(*names: str) -> list[str]:
-    return [table_line(names), "|" + " --- |" * len(names)]

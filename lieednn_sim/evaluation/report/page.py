@@ -74,7 +74,6 @@ def write_page(
     clips: Sequence[Clip] = (),
     command: str = "",
     date: str = "",
-    title: str = "Motion planners compared",
     reactions: ReactionTable | None = None,
 ) -> None:
     """Write the page of a comparison; the same table gives the same page.
@@ -86,7 +85,6 @@ def write_page(
         clips: videos to embed.
         command: command that made the table.
         date: date for the page's head; none when empty, so that the page depends on the table alone.
-        title: title of the page.
         reactions: results of the reactive benchmark, for a section of their own.
 
     Raises:
@@ -104,7 +102,6 @@ def write_page(
         _environment()
         .get_template("page.html")
         .render(
-            title=title,
             method=method(table),
             date=date,
             command=command,
