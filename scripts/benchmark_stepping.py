@@ -96,44 +96,95 @@ def many_ratios(arm: Arm, count: int, repeats: int) -> dict[str, str]:
     return ratios
 
 
-def environment_ratios(arm: Arm, repeats: int, actions: int, count: int) -> dict[str, str]:
-    """What environments add to bare substeps, in both interfaces, and many at once beside Gymnasium's processes."""
-    rng, ratios = np.random.default_rng(0), {}
-    environments: dict[str, Any] = {"Gymnasium": Environment(arm=arm)}
+def empty_environment(arm: Arm, substeps: int) -> Any:
+    """An environment of dm_control with the same physics and controls, whose task observes and rewards nothing."""
+    control = importlib.import_module("dm_control.rl.control")
+    engine = importlib.import_module("dm_control.mujoco")
+
+    class Nothing(control.Task):  # type: ignore[name-defined, misc]  # dm_control has no types
+        def initialize_episode(self, physics: Any) -> None:
+            pass
+
+        def action_spec(self, physics: Any) -> None:
+            pass
+
+        def before_step(self, action: Any, physics: Any) -> None:
+            pass
+
+        def get_observation(self, physics: Any) -> dict[str, Any]:
+            return {}
+
+        def get_reward(self, physics: Any) -> float:
+            return 0.0
+
+    physics = engine.Physics(engine.wrapper.MjData(mujoco.MjData(arm.model)))
+    return control.Environment(physics, Nothing(), n_sub_steps=substeps)
+
+
+def environment_ratios(arm: Arm, repeats: int, actions: int) -> dict[str, str]:
+    """What environments add to bare substeps, in both interfaces."""
+    own, ratios = Environment(arm=arm), {}
+    substeps = own.task.substeps
+    environments: dict[str, Any] = {"Gymnasium": own}
+    resets: dict[str, Callable[[], object]] = {"Gymnasium": partial(own.reset, seed=0)}
     # Not where MuJoCo is beyond version 3.
     if importlib.util.find_spec("dm_control") is not None:
-        suite = importlib.import_module("lieednn_sim.environments.suite")
-        environments = {"dm_control": suite.load(arm, "reach", random=0)} | environments
-    given = 0.3 * rng.uniform(-1.0, 1.0, (actions, arm.n_joints))
+        suite = importlib.import_module("lieednn_sim.environments.suite").load(arm, "reach", random=0)
+        environments |= {"dm_control": suite, "dm_control with an empty task": empty_environment(arm, substeps)}
+        resets |= {"dm_control": partial(suite.reset, seed=0)}
+    given = 0.3 * np.random.default_rng(0).uniform(-1.0, 1.0, (actions, arm.n_joints))
     for name, environment in environments.items():
-        substeps = environment.task.substeps
-        data = mujoco.MjData(arm.model)
-        added, shares = [], []
-        for _ in range(repeats):
-            environment.reset(seed=0)
-            mujoco.mj_resetDataKeyframe(arm.model, data, arm.model.key("home").id)
-            begun = time.process_time()
-            for action in given:
-                environment.step(action)
-            middle = time.process_time()
-            for _ in given:
-                mujoco.mj_step(arm.model, data, substeps)
-            ours, bare = middle - begun, time.process_time() - middle
-            added.append(1e6 * (ours - bare) / actions)
-            shares.append(ours / bare)
-        ratios[f"environment step of {name}, in its {substeps} bare substeps"] = f"{np.median(shares):.2f}"
-        ratios[f"environment step of {name}, added to its {substeps} bare substeps [us]"] = f"{np.median(added):.0f}"
+        # What dm_control shows is what it simulates.
+        bare = {" without visual geoms": arm.without_visuals.model} if environment is own else {}
+        for label, model in {"": arm.model, **bare}.items():
+            data, added, shares = mujoco.MjData(model), [], []
+            for _ in range(repeats):
+                resets.get(name, environment.reset)()
+                mujoco.mj_resetDataKeyframe(model, data, model.key("home").id)
+                begun = time.process_time()
+                for action in given:
+                    environment.step(action)
+                middle = time.process_time()
+                for _ in given:
+                    mujoco.mj_step(model, data, substeps)
+                ours, alone = middle - begun, time.process_time() - middle
+                added.append(1e6 * (ours - alone) / actions)
+                shares.append(ours / alone)
+            of = f"environment step of {name}"
+            ratios[f"{of}, in its {substeps} bare substeps{label}"] = f"{np.median(shares):.2f}"
+            ratios[f"{of}, added to its {substeps} bare substeps{label} [us]"] = f"{np.median(added):.0f}"
+    return ratios
+
+
+def vector_ratios(arm: Arm, repeats: int, actions: int, count: int) -> dict[str, str]:
+    """Many environments at once, and their physics alone, beside Gymnasium's processes."""
     own, processes = VectorEnvironment(count, arm=arm), AsyncVectorEnv([partial(Environment, arm=arm.name)] * count)
-    some = 0.3 * rng.uniform(-1.0, 1.0, (count, arm.n_joints))
+    some, task = 0.3 * np.random.default_rng(0).uniform(-1.0, 1.0, (count, arm.n_joints)), own.tasks[0]
+    model, kind = task.simulation.model, mujoco.mjtState.mjSTATE_FULLPHYSICS
+    data = [mujoco.MjData(model) for _ in range(os.cpu_count() or 1)]
 
     def run(environments: gymnasium.vector.VectorEnv[Any, Any, Any]) -> None:
-        for _ in range(min(actions, 20)):
+        for _ in range(actions):
             environments.step(some)
 
     own.reset(seed=0)
     processes.reset(seed=0)
-    name = f"steps/s of {count} environments at once, in those of Gymnasium's AsyncVectorEnv"
-    ratios[name] = ratio(partial(run, processes), partial(run, own), min(repeats, 5), time.perf_counter)
+    states = np.zeros((count, mujoco.mj_stateSize(model, kind)))
+    mujoco.mj_getState(model, task.simulation.data, states[0], kind)
+    states[:] = states[0]
+    home = np.array([task.command for task in own.tasks])
+    controls = task.commands.controls(home, task.commands.moved(home, some))
+    name = f"of {count} environments at once, in those of Gymnasium's AsyncVectorEnv"
+    with rollout.Rollout(nthread=len(data)) as threads:
+
+        def physics() -> None:
+            for _ in range(actions):
+                threads.rollout(model, data, states, controls)
+
+        ratios = {
+            f"steps/s {name}": ratio(partial(run, processes), partial(run, own), repeats, time.perf_counter),
+            f"steps/s of the physics alone {name}": ratio(partial(run, processes), physics, repeats, time.perf_counter),
+        }
     own.close()
     processes.close()
     return ratios
@@ -144,5 +195,6 @@ def stepping_ratios(arm: Arm, motion: Motion, repeats: int, scale: int) -> dict[
     return {
         **rollout_ratios(arm, motion, repeats),
         **many_ratios(arm, max(256 // scale, 2), min(repeats, 3)),
-        **environment_ratios(arm, repeats, max(50 // scale, 2), max(64 // scale, 2)),
+        **environment_ratios(arm, repeats, max(50 // scale, 2)),
+        **vector_ratios(arm, min(repeats, 5), max(20 // scale, 2), max(64 // scale, 2)),
     }

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from functools import partial
+from importlib.util import find_spec
 
 import benchmark
 import benchmark_floors
@@ -38,7 +39,8 @@ def test_every_row_is_measured_and_written(tmp_path, monkeypatch):
     assert all(f"| {row['targets']} | {row['certified']} |" in table for row in rows)
     stepping = {name: float(value) for name, value in written["ratios"].items() if "step" in name}
     assert len([name for name in stepping if "mj_step" in name]) == 12
-    assert len([name for name in stepping if "simulate_many" in name or "at once" in name]) == 3
+    assert len([name for name in stepping if "simulate_many" in name or "at once" in name]) == 4
+    assert len([name for name in stepping if "environment step of " in name]) == (8 if find_spec("dm_control") else 4)
     assert all(value > 0.0 for name, value in stepping.items() if "added" not in name)
     beside = ("in products W", "in SciPy's", "in starts of", "in imports of")
     assert all(sum(what in name and float(value) > 0.0 for name, value in written["ratios"].items()) for what in beside)
