@@ -55,6 +55,24 @@ def test_the_least_along_a_path_is_that_of_all_its_postures(scene, first, last, 
     assert collisions.least(path) == pytest.approx(min(map(collisions.clearance, path)), abs=2e-6)
 
 
+@pytest.mark.parametrize("before", [True, False])
+def test_the_least_along_a_path_sees_what_turns_on_the_spot(before, tmp_path):
+    """A bar about its middle comes upon a ball and is past it; the ball's id is below the bar's, or above it.
+
+    All the while another ball is near the middle, 25 cm off.
+    """
+    ball = '<geom size="0.1" pos="0 0.95 0"/><geom size="0.1" pos="0 0 0.4"/>'
+    bar = """<body><joint name="a" axis="0 0 1" range="-180 180"/><geom type="box" size="1 0.05 0.05"/>
+      <site name="tool" pos="1 0 0"/></body>"""
+    path = tmp_path / "bar.xml"
+    path.write_text(f"<mujoco><worldbody>{ball + bar if before else bar + ball}</worldbody></mujoco>")
+    collisions = Collisions(Arm.load(path))
+    turn = np.deg2rad(np.arange(0.0, 136.0, 3.0))[:, None]
+    # At right angles they are deepest: the face of the bar is 5 cm and that of the ball 10 cm from the ball's middle.
+    assert collisions.least(turn) == pytest.approx(-0.15, abs=1e-3)
+    assert collisions.least(turn[:10]) == pytest.approx(0.25)
+
+
 @pytest.mark.parametrize("scene", ARMS)
 @given(seed=SEEDS, cutoff=st.sampled_from([0.02, 0.1]))
 @settings(max_examples=5)

@@ -259,6 +259,14 @@ def test_a_coupled_hinge_is_not_the_same_a_turn_further():
     np.testing.assert_allclose(problem.solve(*goal), [[4.0, 0.7]], atol=1e-9)
 
 
+def test_what_is_nearest_weighs_shifts_by_the_length():
+    """Turned by q about (-1, 0, 0): 2 - 2 cos q + (2 - 2 cos q - 2 s sin q + s^2) / l^2 is least at s / (l^2 + 1)."""
+    hinge = Factor("hinge", np.array([[0.0], [0.0], [1.0]]), np.array([-1.0, 0.0, 0.0]), np.array([0]))
+    problem = NearestPose([CompoundJoint((hinge,))], np.arange(1), 1, 0.5)
+    found = problem.solve(np.eye(3)[None, None], np.array([[[0.0, 1.0, 0.0]]]))
+    np.testing.assert_allclose(np.tan(found), 1.0 / (0.5**2 + 1.0))
+
+
 def test_a_fast_way_is_followed_turn_by_turn():
     joint, problem = two_hinges([0.0, 1.0, 0.0])
     q = np.stack([0.5 * np.arange(130), np.full(130, 0.7)], axis=1)

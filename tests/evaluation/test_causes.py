@@ -1,5 +1,6 @@
 """Errors whose causes are known, on a hoist of two slides with simple numbers."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.importer import import_arm
 from lieednn_sim.evaluation import evaluate
+from lieednn_sim.evaluation.causes import causes
 from lieednn_sim.planning import plan
 from lieednn_sim.simulation import Disturbances, simulate
 
@@ -51,6 +53,11 @@ def moved(controller="position-servo", disturbances=None, **changes):
         ),
         # 1 kg and 210 N s/m against 10 N/m: the slow root is at 0.05 / s.
         ({"compensation": 0.7, "kp": 10, "kv": 210}, ["'lift' ends ", "its servo is slow", "in 15 s", "a longer hold"]),
+        # The same, nearly half of it from the joint itself.
+        (
+            {"compensation": 0.7, "kp": 10, "kv": 110, "lift": 'damping="100"'},
+            ["'lift' ends ", "its servo is slow", "in 15 s", "a longer hold"],
+        ),
         ({"disturbances": Disturbances(payload=2.0)}, ["'lift' ends 9.81 mm", "knows nothing of payload"]),
     ],
 )
@@ -76,3 +83,15 @@ def test_the_joint_that_matters_most_is_first_and_what_helps_does():
     told = moved(controller="inverse-dynamics", **changes)
     assert told.causes == ()
     assert told.final_worst_mm < 1e-6
+
+
+def test_angles_are_in_degrees_and_times_at_a_limit_in_percent(gantry):
+    motion = plan(gantry, np.array([0.5, 0.0, 0.0, 0.5]), planner="minimum-jerk", duration=1.0).motion
+    rollout, limit = simulate(gantry, motion, controller="inverse-dynamics"), gantry.force_limits[0]
+    force = 0.9 * np.abs(rollout.force)
+    force[:, 0] = np.where(np.arange(len(force)) % 4 == 0, limit, 0.9 * limit)
+    off = replace(rollout, force=force, target=rollout.q[-1] - [0.05, 0.0, 0.0, np.deg2rad(7.0)])
+    turn, x, _ = causes(off, 1e-3, np.deg2rad(0.1))
+    assert turn.startswith("joint 'turn' ends 7 degrees off, which alone moves a link by 0 mm and 7 degrees")
+    assert x.startswith("joint 'x' ends 50 mm off, which alone moves a link by 50 mm and 0 degrees")
+    assert f"its force limit of {limit:.3g} N is reached in 25 % of the time" in x

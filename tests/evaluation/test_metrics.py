@@ -343,7 +343,7 @@ def test_following_errors_by_hand(gantry):
     position[:, :, 0] += (target[:, 0] - 0.5 * lag)[:, None]
     position[10:13, :, 0] -= 0.05
     position[13:, :, 0] += 0.5 * lag
-    position[15, 0, 1] += 0.06
+    position[15, 0, 1] += 0.07
     rollout = dataclasses.replace(rollout, link_position=position)
     rollout = turned(turned(rollout, 4, 1, 21.0), 2, 0, 33.0)
     following = Following(
@@ -361,7 +361,7 @@ def test_following_errors_by_hand(gantry):
     # Ten instants 10 mm behind, three 60 mm.
     assert errors.rms_mm == pytest.approx(np.sqrt((10 * 10.0**2 + 3 * 60.0**2) / 21))
     assert errors.rms_deg == pytest.approx(21.0 / np.sqrt(21.0))
-    assert errors.worst_mm == pytest.approx(60.0)
+    assert errors.worst_mm == pytest.approx(70.0), "of link 1"
     assert errors.worst_deg == pytest.approx(33.0)
     # Of the steps without the jump nine are 10 mm late, two 60 mm and eight on time, all at 0.5 m/s.
     assert errors.lag_s == pytest.approx((9 * 0.01 + 2 * 0.06) * 0.5 / (19 * 0.25))

@@ -8,6 +8,7 @@ import pytest
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError
 from lieednn_sim.planning.filtering import FilterOptions
+from lieednn_sim.planning.network_planners import without_weights
 from lieednn_sim.simulation import Disturbances, Feedback, Push, follow
 from lieednn_sim.simulation.feedback import FeedbackFollower
 from lieednn_sim.synthesis import synthesize
@@ -99,6 +100,50 @@ def test_a_target_that_stops_is_met(gantry, cascade):
     for k in range(400):
         follower.advance(GOAL + 0.2 * follower.reference.period * min(k, 5))
     np.testing.assert_allclose(follower.reference.q, GOAL + follower.reference.period, atol=1e-5)
+
+
+def test_waiting_and_pulling_by_hand(gantry):
+    feedback = Feedback(rate=5.0, tolerance=0.01, patience=0.002)
+    # At the tolerance nothing is pulled, at twice that with half the rate; the clock stands at a hundredth at least.
+    for behind, expected in ((0.0, (1.0, 0.0)), (0.002, (0.5, 0.0)), (0.004, (0.2, 0.0)), (0.02, (0.01, 2.5))):
+        assert feedback.response(behind) == pytest.approx(expected)
+    # 5 cm aside along x, of which the range is 2 m: 5 (1 - 0.01 / 0.025) 0.05 m/s.
+    rest = without_weights(gantry.encode(GOAL))
+    follower = FeedbackFollower(gantry, rest, GOAL, steps=2, speed=5.0, feedforward=True, feedback=feedback)
+    _, qd, _ = follower.advance(GOAL, GOAL + 0.05 * np.eye(4)[0])
+    np.testing.assert_allclose(qd[-1], [0.15, 0.0, 0.0, 0.0], atol=1e-3)
+    assert follower.behind == pytest.approx(0.025)
+
+
+def test_a_target_of_which_one_joint_leaps_has_jumped(gantry, cascade):
+    follower = FeedbackFollower(
+        gantry, cascade(gantry.encode(GOAL)), GOAL, steps=2, speed=5.0, feedforward=True, feedback=Feedback()
+    )
+    for moved, jumped in ((0.0, False), (0.01, False), (0.5, True)):
+        follower.advance(GOAL + moved * np.eye(4)[1])
+        assert follower.jumped == jumped
+
+
+def test_the_gap_is_the_largest_on_the_way(gantry, cascade):
+    follower = FeedbackFollower(
+        gantry, cascade(gantry.encode(GOAL)), np.zeros(4), steps=2, speed=5.0, feedforward=True, feedback=Feedback()
+    )
+    states = [follower.advance(GOAL)[2][0, : gantry.n_links] for _ in range(100)]
+    retracted = gantry.decode(np.array(states))
+    # The follower's retraction is the nearest one only where the gap is small.
+    found, largest = ([one.gap_rotation, one.gap_translation] for one in (follower, retracted))
+    np.testing.assert_allclose(found, [np.max(gap) for gap in largest], rtol=0.02)
+    assert max(np.max(gap[-1]) for gap in largest) < 0.1, "not the last one"
+
+
+def test_a_target_that_moves_steadily_is_met_at_the_end_of_each_period(gantry):
+    network = without_weights(gantry.encode(GOAL))
+    follower = FeedbackFollower(gantry, network, GOAL, steps=2, speed=5.0, feedforward=True, feedback=Feedback())
+    step = 0.02 * np.array([0.05, 0.05, 0.0, 0.05])
+    for k in range(150):
+        follower.advance(GOAL + k * step)
+    # By then the target is a sample further.
+    np.testing.assert_allclose(follower.reference.q, GOAL + 150 * step, atol=2e-5)
 
 
 def test_a_network_twice_as_fast_at_half_the_speed_is_the_same(gantry, cascade):

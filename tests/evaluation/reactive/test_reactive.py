@@ -1,6 +1,7 @@
 """Planners that react: recovery by hand, rivals that arrive, the table that goes on, its summary."""
 
 import dataclasses
+import itertools
 from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace
 
@@ -31,6 +32,17 @@ def test_a_recovery_by_hand(gantry):
     assert recovery.share == pytest.approx(0.36 / 0.8, abs=0.02)
     pushed[60:, 1] = 0.3
     assert Path(gantry, way).recovery(t, pushed, 0.2, 0.3).time_s is None
+    # Back before the disturbance is over: what is gone counts from when it is.
+    early = Path(gantry, way).recovery(t, np.where(np.arange(101)[:, None] < 60, pushed, way), 0.2, 0.7)
+    assert (early.time_s, early.share) == pytest.approx((0.0, 0.5 / 0.8), abs=0.02)
+
+
+def test_a_path_of_few_samples_is_gone_between_them(gantry):
+    distance, share = Path(gantry, np.array([[0.0, 0.0, 0.0, 0.0], [0.8, 0.0, 0.0, 0.0]])).nearest(
+        np.array([[0.2, 0.0, 0.0, 0.0], [0.2, 0.4, 0.0, 0.0]])
+    )
+    np.testing.assert_allclose(distance, [0.0, 0.1], atol=1e-3)
+    np.testing.assert_allclose(share, [0.25, 0.25], atol=1e-3)
 
 
 def test_the_force_of_a_push_is_found_where_drives_give_way_all_at_once():
@@ -130,6 +142,24 @@ def test_the_disturbances_of_a_tracker_by_hand(task, monkeypatch):
     assert (rows["none"].success, rows["target"].success) == (True, False)
 
 
+def test_a_target_does_not_move_into_the_floor(task):
+    # By up to half a metre, 5 cm above it.
+    low = dataclasses.replace(task, target=np.array([0.3, -0.4, -0.85, 0.6]))
+    for seed in range(5):
+        targets, _, _ = cases._disturbed(dataclasses.replace(low, seed=seed), "tracker", "target", 0.0, None)
+        assert targets[-1][2] > -0.9
+
+
+def test_a_fabric_above_the_floor_by_hand(task):
+    fabric = LEADERS["fabric"](dataclasses.replace(task, target=np.zeros(4)))
+    # The ball is 0.1 m off, 0.09 m above its margin; in units of its range of 5 m that falls by 5 m.
+    fabric.y = np.array([0.0, 0.0, -0.8, 0.0])
+    weight, slope = (0.14 / 0.09 - 1.0) ** 2, 5.0
+    force = 16.0 * 0.8 / 5.0 + weight * slope * 0.3 / 0.09
+    faster = 0.02 * force / (1.0 + weight * slope**2)
+    np.testing.assert_allclose(fabric.velocity(np.zeros(4), 1.0), [0.0, 0.0, 5.0 * faster, 0.0], atol=1e-6)
+
+
 def test_a_fabric_is_not_repelled_at_its_target(task):
     # 5 cm above the floor, a third of the way at which it repels.
     target = np.array([0.3, -0.4, -0.85, 0.6])
@@ -141,6 +171,8 @@ def test_a_primitive_goes_the_way_it_was_shown(task):
     rollout, _ = cases._run(task, LEADERS["dmp"](task), task.target[None], None, 2.0)
     distance, _ = Path(task.arm, task.motion.q).nearest(rollout.q_ref)
     assert distance.max() < 0.01
+    # And when it was there.
+    np.testing.assert_allclose(rollout.q_ref, task.motion.q, atol=5e-3)
 
 
 def test_the_table_goes_on_and_the_summary_counts(tmp_path, monkeypatch):
@@ -160,3 +192,27 @@ def test_the_table_goes_on_and_the_summary_counts(tmp_path, monkeypatch):
     text = (tmp_path / "reactions.md").read_text("utf-8")
     assert "| free | push | dmp | 0 of 2 | 2 | 2 | - | - | - | 0.05 |" in text
     assert "| free | push | tracker | 2 of 2 | 0 | 2 |" in text
+
+
+def test_the_summary_is_in_the_order_of_the_benchmark_and_tells_what_could_not_be_run(tmp_path):
+    def row(leader, disturbance, seed, **values):
+        return Reaction("an_arm", "free", leader, disturbance, seed, **values)
+
+    table = study.ReactionTable(tmp_path)
+    reasons = ("contact: up to 1 at a time", "arrival: link 1 ends 2 mm and 0 deg off", "")
+    for leader, disturbance in itertools.product(("dmp", "linear-attractor"), ("payload", "push")):
+        table.add(
+            row(leader, disturbance, k, reason=reason, final_mm=(1.0, 2.0, 9.0)[k]) for k, reason in enumerate(reasons)
+        )
+    table.add([row("tracker", "push", 0, reason="simulation: it fell over")])
+    study.write_reactions(tmp_path / "reactions.md", table)
+    lines = (tmp_path / "reactions.md").read_text("utf-8").splitlines()
+    assert [line.split(" | ")[1:3] for line in lines if line.startswith("| free")] == [
+        ["push", "linear-attractor"],
+        ["push", "dmp"],
+        ["push", "tracker"],
+        ["payload", "linear-attractor"],
+        ["payload", "dmp"],
+    ]
+    assert any(line.startswith("| free | push | dmp | 1 of 3 | 1 | 0 | - | 2 |") for line in lines)
+    assert lines[-1] == "- tracker, an_arm, free, push, seed 0: simulation: it fell over"

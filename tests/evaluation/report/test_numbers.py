@@ -10,9 +10,12 @@ import numpy as np
 import pytest
 
 from lieednn_sim.evaluation import Settings, Table, write_summary
-from lieednn_sim.evaluation.report import choose_cases, figures, write_page
+from lieednn_sim.evaluation.reactive.cases import MEASURED, Reaction
+from lieednn_sim.evaluation.reactive.study import ReactionTable
+from lieednn_sim.evaluation.report import choose_cases, figures, page, write_page
 from lieednn_sim.evaluation.report.findings import findings
-from lieednn_sim.evaluation.report.page import _SHOWN
+from lieednn_sim.evaluation.report.page import _SHOWN, _columns
+from lieednn_sim.evaluation.report.style import number
 from lieednn_sim.evaluation.rows import BY_NAME, COLUMNS, Row
 from lieednn_sim.evaluation.statistics import controllers_of
 
@@ -85,6 +88,54 @@ def test_the_page_has_each_median_in_its_column(table, tmp_path):
         assert f"{low}\N{EN DASH}{high} %" in line
     titles = [html.unescape(title) for title in re.findall(r'title="([^"]*)"', body[: body.index("</thead>")])]
     assert titles[1 : len(_SHOWN) + 1] == [BY_NAME[name].meaning for name in _SHOWN]
+
+
+def test_heads_of_angles_say_of_what_they_are():
+    heads = {column.name: column.heading for column in _columns()}
+    assert [heads[name] for name in ("final_worst_deg", "tracking_rms_deg", "gap_deg")] == [
+        "final worst link [deg]",
+        "tracking RMS [deg]",
+        "gap [deg]",
+    ]
+
+
+def test_reactions_stand_below_their_heads(table, tmp_path, monkeypatch):
+    monkeypatch.setattr(page, "plots", lambda rows, controller: [])
+    reactions = ReactionTable(tmp_path / "reactions")
+    measured = {column.name: float(index) for index, column in enumerate(MEASURED, 2)}
+    for k, reason in enumerate(("contact: up to 1 at a time", "arrival: link 1 ends 2 mm and 0 deg off", "")):
+        values = measured | {"back_s": measured["back_s"] if k else None}
+        reactions.add([Reaction("an_arm", "free", "dmp", "push", k, reason=reason, **values)])
+    write_page(tmp_path / "page.html", table, reactions=reactions)
+    text = (tmp_path / "page.html").read_text(encoding="utf-8")
+    section = re.search(r'<section id="reactions".*?</section>', text, re.DOTALL)[0]
+    plain = [
+        [
+            html.unescape(re.sub(r"<.*?>", "", cell)).strip()
+            for cell in re.findall(r"<t[hd].*?</t[hd]>", line, re.DOTALL)
+        ]
+        for line in re.findall(r"<tr.*?</tr>", section, re.DOTALL)
+    ]
+    heads, cells = plain
+    expected = {"leader": "dmp", "scene": "free", "disturbance": "push", "arrived": "1/3", "touched": "1", "back": "2"}
+    expected |= {column.heading: f"{measured[column.name]:g}" for column in MEASURED}
+    assert dict(zip(heads, cells, strict=True)) == expected
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (0.0, "0"),
+        (-1.234, "\N{MINUS SIGN}1.23"),
+        (1234.5, "1234"),
+        (99999.0, "99999"),
+        (2.5e5, "2.5·10⁵"),
+        (1e-4, "10⁻⁴"),
+    ],
+)
+def test_numbers_have_three_digits_and_powers_only_where_zeros_would_be_counted(value, text):
+    assert number(value, rounding=1e-6) == text
+    assert number(5e-7, rounding=1e-6) == "< 10⁻⁶"
 
 
 def test_the_summary_has_each_median_in_its_column(table, tmp_path):
