@@ -32,10 +32,10 @@ _Evaluate = Callable[[Floats], tuple[Floats, Floats]]
 
 
 def vagueness(jacobian: Floats) -> Floats:
-    """The share s / v ``(B,)`` of Jacobians ``(B, r, c)`` where it is below 1; elsewhere 1 or more."""
+    """The share s / v ``(B,)`` of Jacobians ``(B, r, c)``; where it is 1 or more, a lower bound that is 1 or more."""
     columns = jacobian / np.maximum(np.linalg.norm(jacobian, axis=-2, keepdims=True), 1e-300)
-    # Gershgorin: eigenvalues of the Gram matrix, 1 on its diagonal, are off that by the sum of the others at most. For
-    # nearly all postures that is enough.
+    # The eigenvalues of the Gram matrix, whose diagonal is 1, are within Gershgorin's discs around 1. For nearly all
+    # postures that bound suffices.
     others = np.abs(np.swapaxes(columns, -1, -2) @ columns).sum(axis=-1).max(axis=-1) - 1.0
     share = np.sqrt(np.maximum(1.0 - others, 0.0)) / VAGUE
     doubtful = share < 1.0

@@ -63,10 +63,11 @@ class Factor:
         return directions, directions @ skew(self.anchor).T
 
     def carry(self, frames: Floats, offset: Floats) -> tuple[Floats, Floats]:
-        """Frames [R, p] ``(B, k, 3, 4)`` moved by this joint at displacements ``(B, n)``, and how the first one turns.
+        """Move frames [R, p] ``(B, k, 3, 4)`` by this joint at displacements ``(B, n)``.
 
-        After the moved frames come the derivatives of the first of them, ``(B, k + c, 3, 4)`` in all; the other result
-        is its angular velocities ``(B, c, 3)`` at unit rates of the coordinates.
+        Returns:
+            The moved frames followed by the derivatives of the first one, ``(B, k + c, 3, 4)``, and the first one's
+            angular velocities ``(B, c, 3)`` at unit rates of the coordinates.
         """
         if self.kind == "ball":
             (rotation, shift), (omega, v) = self.motion(offset), self.twists(offset)
@@ -154,11 +155,11 @@ class CompoundJoint:
         return np.broadcast_to(rotation, (*offset.shape[:-1], 3, 3)), translation
 
     def pose_and_slopes(self, offset: Floats) -> tuple[Floats, Floats]:
-        """`pose` and its derivatives for each of ``coordinates`` in turn, at displacements ``(B, n)`` of q.
+        """`pose` and its derivatives by each of ``coordinates``, at displacements ``(B, n)`` of q.
 
         Returns:
-            ``(B, 1 + r, 3, 4)`` [R, p] and its derivatives, and the angular velocities ``(B, r, 3)`` of their unit
-            rates. The second derivatives, for an inner coordinate a and an outer one b, are hat(omega_a) times b's.
+            [R, p] and its derivatives ``(B, 1 + r, 3, 4)``, and the angular velocities ``(B, r, 3)`` at unit rates. The
+            second derivative by an inner coordinate a and an outer one b is hat(omega_a) times the derivative by b.
         """
         frames, omega = np.broadcast_to(np.eye(3, 4), (len(offset), 1, 3, 4)), []
         for factor in self.factors:
@@ -172,7 +173,7 @@ def _compose(rotation: Floats, translation: Floats, turn: Floats, shift: Floats)
 
 
 def _times(frames: Floats, matrix: Floats) -> Floats:
-    """Frames ``(B, k, 3, 4)`` times one matrix ``(4, m)``, as one product: a stack of them takes five times as long."""
+    """Frames ``(B, k, 3, 4)`` times a matrix ``(4, m)``, in a fifth of the time of a stacked product."""
     return (frames.reshape(-1, 4) @ matrix).reshape(*frames.shape[:-1], -1)
 
 

@@ -119,7 +119,7 @@ class Retractor:
 
 
 class _Nearest:
-    """Any other joints: least squares, see `NearestPose`; of groups that are built alike all at once."""
+    """Other joints, by least squares (`NearestPose`); groups of the same geometry are solved at once."""
 
     def __init__(self, joints: CompoundJoints, groups: list[tuple[int, ...]], length: float) -> None:
         self._links = np.array(groups)
@@ -165,12 +165,12 @@ def _solvers(joints: CompoundJoints, length: float) -> list[_Solver]:
 
 
 def _build(joints: CompoundJoints, links: tuple[int, ...]) -> Hashable:
-    """What links that move alike have in common: all of their joints but which coordinates of q these move."""
+    """A key that is equal for links with the same joints, whichever coordinates of q these move."""
     group = [joints.joints[link] for link in links]
     indices = np.unique(np.concatenate([joint.indices for joint in group]))
 
     def described(factor: Factor) -> Hashable:
-        # Up to rounding, as imported models have it; a sum with 0.0 makes one zero of two.
+        # Rounded, as imported models differ in the last bits; adding 0.0 turns -0.0 into 0.0.
         numbers = np.round([factor.ratio, *factor.axes.flat, *factor.anchor], 12) + 0.0
         return factor.kind, numbers.tobytes(), np.searchsorted(indices, factor.indices).tobytes()
 

@@ -193,11 +193,11 @@ def spatial_twist(twist: ArrayLike, rate: ArrayLike) -> Floats:
     plain = change.reshape(-1, 6).T.copy().reshape(2, 3, -1)
     b, c, d, e = _coefficients(np.sqrt(np.einsum("ib,ib->b", w, w)), 2, 3, 4, 5)
     f = 0.5 * (d - 3.0 * e)
-    # Both parts of the rate, under no, one and two factors hat(omega).
+    # Both parts of the rate, multiplied by hat(omega) not at all, once and twice.
     once = _cross(w, plain)
     twice = _cross(w, once)
     turned = plain + b * once + c * twice
-    # Q omega', its factors hat(omega) on the left taken out of the sum.
+    # Q omega', with its left factor hat(omega) taken out of the sum.
     slid = _cross(v, np.stack([plain[0], once[0], twice[0]]))
     back = _cross(w, slid[:2])
     inner = c * slid[0] + (c - 3.0 * d) * slid[1] + f * slid[2] + d * back[0] + f * back[1]
@@ -211,7 +211,7 @@ def skew(vector: Floats) -> Floats:
 
 
 def _cross(a: Floats, b: Floats) -> Floats:
-    """Cross products of vectors ``(..., 3, M)``, components next to each other: ten times as fast as NumPy's.
+    """Cross products of vectors ``(..., 3, M)``, with contiguous components: ten times as fast as NumPy's.
 
     The shape is that of ``b``; unchecked.
     """
