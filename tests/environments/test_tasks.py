@@ -1,3 +1,5 @@
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -5,7 +7,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from lieednn_sim.arm import Arm, arm_names
-from lieednn_sim.environments import trajectories
+from lieednn_sim.environments import bounds, trajectories
 from lieednn_sim.environments.expert import Expert
 from lieednn_sim.environments.tasks import REST, TASKS, make_task
 from lieednn_sim.environments.trajectories import band_limited, planned
@@ -195,6 +197,36 @@ def test_random_trajectories_keep_limits_and_touch_nothing(seed):
     # The velocity is that of the position: its mean over the way, against the ends.
     assert_allclose(np.trapezoid(qd, t, axis=0), q[-1] - q[0], atol=1e-4)
     assert not any(arm.contacts(posture) for posture in q[::100])
+
+
+def test_a_random_trajectory_has_its_rates_and_stays_within_the_angle_of_a_ball():
+    """Drawn from the very corner of the cube that is within the ball: 0.8 of its angle, reached in 1.5 s."""
+    arm = Arm.load("telescopic_compound")
+    corner = SimpleNamespace(
+        uniform=lambda low, high, size: np.broadcast_to(high, size), dirichlet=lambda _, n: np.full((n, 3), 1.0 / 3.0)
+    )
+    trajectory = trajectories._draw(arm, corner, arm.keyframe("home"), 3.0, 0.8)
+    t = trajectory.spline.x
+    q = trajectory.position(t)
+    for ball in arm.space.balls:
+        expected = arm.keyframe("home")[ball] * 0.2 + 0.8 * arm.position_limits[ball, 1] / np.sqrt(3.0)
+        assert_allclose(q[-1, ball], expected)
+    assert arm.limit_excess(q).max() <= 0.0
+    numeric = (q[2:] - q[:-2]) / (t[2:] - t[:-2])[:, None]
+    assert_allclose(trajectory.velocity(t)[1:-1], numeric, atol=0.01 * np.abs(numeric).max())
+
+
+def test_the_pace_is_of_the_hardest_limit_by_hand(gantry):
+    """Rates go with one over the time, accelerations with one over its square."""
+    # A steady gain of x, whose limits are 1 m/s and 10 m/s^2: to 1.8 m/s in a second, or at 22.5 m/s^2 to 0.225 m/s.
+    for duration, gain, expected in ((1.0, 1.8, 2.0), (0.01, 22.5, np.sqrt(2.5))):
+        t = np.linspace(0.0, duration, 11)
+        assert trajectories._pace(gantry, t, gain * t[:, None] * np.eye(4)[0], 0.9) == pytest.approx(expected)
+
+
+def test_the_reach_is_all_lengths_and_slides_by_hand(gantry):
+    """The end effector is 1 m beside link 1, which x, y and z move by up to 1, 2 and 3 m."""
+    assert bounds.reach(gantry) == pytest.approx(7.0)
 
 
 @pytest.mark.parametrize("planner", [None, "minimum-jerk"])

@@ -208,7 +208,7 @@ def by_hand(arm):
     position = np.zeros((5, 2, 3))
     # Of link 1 the root of the mean of 0, 100, 25, 0, 0 is 5 mm; of the end effector that of 16, 0, 4, 0, 0 is 2 mm.
     position[:, 0] = 1e-3 * np.array([[0, 0, 0], [6, 8, 0], [0, 3, 4], [0, 0, 0], [0, 0, 0]])
-    position[:, 1] = [1.0, 0.0, 0.0] + 1e-3 * np.array([[0, 0, 0], [0, 0, 4], [0, 0, 2], [0, 0, 0], [0, 0, 0]])
+    position[:, 1] = [1.0, 0.0, 0.0] + 1e-3 * np.array([[0, 0, 0], [0, 2.4, 3.2], [0, 1.2, 1.6], [0, 0, 0], [0, 0, 0]])
     # The root of the mean of 900, 3600, 0, 0, 0 is 30 degrees.
     half = 0.5 * np.deg2rad([30.0, -60.0, 0.0, 0.0, 0.0])
     quaternion = np.zeros((5, 2, 4))
@@ -317,6 +317,10 @@ def test_recovery_from_pushes_by_hand(gantry):
     assert dataclasses.astuple(second) == pytest.approx(("end effector", 0.2, 0.23, 3.0, 30.0, 0.0))
     late = evaluate(moved(rollout, 30, 1, 6.0)).recoveries[1]
     assert (late.peak_deviation_mm, late.recovery_s) == (pytest.approx(6.0), None)
+    # One that lasts beyond the end has a deviation, too.
+    lasting = Disturbances(pushes=(Push("link 1", (1.0, 0.0, 0.0), 0.15, 9.0),))
+    (only,) = evaluate(dataclasses.replace(rollout, disturbances=lasting)).recoveries
+    assert (only.peak_deviation_deg, only.recovery_s) == (pytest.approx(30.0), None)
 
 
 def test_pushes_that_begin_together_share_their_recovery(gantry):
@@ -366,6 +370,9 @@ def test_following_errors_by_hand(gantry):
     # Of the steps without the jump nine are 10 mm late, two 60 mm and eight on time, all at 0.5 m/s.
     assert errors.lag_s == pytest.approx((9 * 0.01 + 2 * 0.06) * 0.5 / (19 * 0.25))
     assert errors.settling_s == (pytest.approx(0.06),)
+    # Before the next jump nothing stays there; after it all does.
+    twice = dataclasses.replace(following, jumps=(0.1, 0.16))
+    assert evaluate_following(twice).settling_s == (None, pytest.approx(0.0, abs=1e-12))
     away = moved(rollout, 20, 0, 1.5)
     assert evaluate_following(dataclasses.replace(following, rollout=away)).settling_s == (None,)
     rest = dataclasses.replace(following, target=np.zeros((21, 4)), jumps=())

@@ -2,6 +2,7 @@
 
 import dataclasses
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -342,6 +343,33 @@ def _gap(arm, motion):
 
 def _length(arm, motion):
     return np.linalg.norm(np.diff(motion.q, axis=0) / arm.velocity_limits, axis=1).sum()
+
+
+def test_candidates_are_screened_by_hand(gantry, monkeypatch):
+    """One way through y = 2.25, where y ends at 2; one that turns link 1 by 0.1 rad about x, which no joint does."""
+    arm = dataclasses.replace(gantry, length_scale=2.0)
+    ways = [arm.encode(np.zeros((count, 4))) for count in (3, 5)]
+    ways[0][1] = arm.encode([0.0, 2.25, 0.0, 0.0])
+    ways[1][2, 0, 0] = 0.1
+    monkeypatch.setattr(certified, "rough_ways", lambda networks, start: ways)
+    found = certified._screened(arm, [None, None], np.zeros(4))
+    (outside, excess, no_gap), (turned, within, gap) = found
+    np.testing.assert_allclose(outside, [[0.0] * 4, [0.0, 2.25, 0.0, 0.0], [0.0] * 4], atol=1e-9)
+    np.testing.assert_allclose(turned, np.zeros((5, 4)), atol=1e-9)
+    assert (excess, no_gap) == pytest.approx((0.25, 0.0), abs=1e-9)
+    assert gap == pytest.approx(0.1 * 2.0)
+    assert within <= 0.0
+    one, other = (certified._Candidate(arm, None, np.zeros(4), k, lambda: found) for k in range(2))
+    # There and back along y, of which 2 m are a second's way at most.
+    assert (one.length, other.length) == pytest.approx((2.25, 0.0), abs=1e-8)
+    # To keep the limits counts more than to have no gap.
+    assert other.rank < one.rank
+
+
+def test_candidates_that_touch_something_come_last_and_the_best_first():
+    made = [SimpleNamespace(rank=(rank,), touches=touches) for rank, touches in enumerate([1, 0, 1, 0, 1])]
+    order = [candidate.rank[0] for candidate in certified._promising([made[k] for k in (3, 2, 4, 0, 1)])]
+    assert order == [1, 3, 0, 2, 4]
 
 
 @pytest.mark.parametrize(("name", "quality"), [("telescopic_pr", _gap), ("telescopic_compound", _length)])

@@ -13,6 +13,7 @@ from lieednn_sim.errors import InputError, OutOfTimeError
 from lieednn_sim.synthesis import BIAS_RULES, attempts, synthesize, synthesize_many
 from lieednn_sim.synthesis.problem import Problem
 from lieednn_sim.synthesis.search import _least_norm, _linearised, _merit
+from lieednn_sim.synthesis.starts import _log_scale
 
 
 def mixed_targets(count, neurons, seed=0):
@@ -77,6 +78,65 @@ def test_what_is_left_is_searched_for_with_patience():
     assert many[1].attempts <= 4
     for one, target, rng in zip(many, targets, np.random.default_rng(0).spawn(2), strict=True):
         assert_same(one, synthesize(target, seed=rng, max_attempts=8))
+
+
+def task_of(target, offset=None):
+    options = attempts.Options(1.0, 1.0, "tanh", 100.0, 8)
+    offset = np.zeros_like(target) if offset is None else offset
+    return attempts._Task(target, np.tanh(target), offset, np.random.default_rng(0), options, 0.0)
+
+
+def test_only_a_network_with_the_very_target_is_taken():
+    target = np.random.default_rng(1).uniform(0.1, 0.8, (4, 6))
+    network = synthesize(target, seed=0).unwrap()
+    for moved, taken in ((0.0, True), (1e-7, False)):
+        task = task_of(target + moved)
+        task.offer(network)
+        assert (task.outcome is not None) == taken
+
+
+def test_patience_tries_every_bound_for_every_kind_of_equations(monkeypatch):
+    """Moderate weights first, for rotations and translations, then for rotations alone; then large ones; and again."""
+    tried = []
+
+    def given_up(problem, start, *, accept, quaternion_bound):
+        tried.append((quaternion_bound, problem.inputs.shape[-1]))
+        return None, 1
+
+    monkeypatch.setattr(attempts, "smallest_eigenvalue_point", given_up)
+    target = np.random.default_rng(1).uniform(0.1, 0.8, (2, 6))
+    target[1, :3] = 0.0
+    task = task_of(target)
+    assert [len(choice) for choice in task.choices] == [2, 1]
+    for _ in range(5):
+        attempts._patient_attempt(task)
+    assert tried == [(3.0, 2), (3.0, 1), (60.0, 2), (60.0, 1), (3.0, 2)]
+    assert (task.attempts, task.iterations) == (5, 5)
+
+
+@pytest.mark.parametrize(("needed", "refused"), [(900.0, False), (1100.0, True)])
+def test_weights_beyond_a_norm_of_a_thousand_are_not_searched_for(needed, refused):
+    # One coordinate that is driven against its target, so that a certificate is not ruled out.
+    target = np.zeros((2, 6))
+    target[:, 0] = 1e-3
+    offset = np.zeros((2, 6))
+    offset[:, 0] = [1e-3, 1e-3 + needed * 1e-3 * np.sqrt(2.0)]
+    task = task_of(target, offset)
+    task.refuse()
+    assert (task.outcome is not None) == refused
+    if refused:
+        assert not task.outcome.impossible
+        assert "weights of norm 1.1e+03 gamma/mu" in task.outcome.message
+
+
+def test_starts_spread_log_p_as_little_as_helps_by_hand():
+    """With p = exp(s), exp(-s) of work -1, 1 it takes e^-2s <= 9 / 11, s = 0.1003; steps are 0.1.
+
+    Where all work hinders, the largest spread is as good as any.
+    """
+    inputs = np.ones((2, 1, 3, 1))
+    outputs = 0.9 + np.array([[[-1.0], [1.0], [0.0]], [[1.0], [1.0], [1.0]]])[:, None]
+    np.testing.assert_allclose(_log_scale(inputs, outputs), [[0.1, -0.1, -0.1], [-1.45, -1.45, -1.45]])
 
 
 def test_giving_up_says_how_often_each_was_tried():

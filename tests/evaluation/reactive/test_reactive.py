@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from lieednn_sim.arm import Arm
-from lieednn_sim.evaluation.reactive import cases, study
+from lieednn_sim.evaluation.reactive import cases, leaders, study
 from lieednn_sim.evaluation.reactive.cases import DISTURBANCES, Reaction
 from lieednn_sim.evaluation.reactive.leaders import LEADERS
-from lieednn_sim.evaluation.reactive.protocol import Assignment
+from lieednn_sim.evaluation.reactive.protocol import PACE, Assignment
 from lieednn_sim.evaluation.reactive.recovery import Path, pushing_force
-from lieednn_sim.planning import plan
+from lieednn_sim.planning import Plan, plan
 from lieednn_sim.simulation import Disturbances, Feedback, Push
 
 
@@ -140,6 +140,33 @@ def test_the_disturbances_of_a_tracker_by_hand(task, monkeypatch):
     away = (targets[-1] - task.target)[:3]
     assert rows["target"].final_mm == pytest.approx(1e3 * np.linalg.norm(away), rel=1e-3)
     assert (rows["none"].success, rows["target"].success) == (True, False)
+
+
+@pytest.mark.parametrize(("scene", "taught"), [("free", True), ("poles", False)])
+def test_a_task_is_controlled_at_100_hertz_and_shows_the_teachers_motion(scene, taught, monkeypatch, gantry, task):
+    own, teachers = dataclasses.replace(task.motion), task.motion
+    made = Plan(own, None, teacher=Plan(teachers) if taught else None)
+    monkeypatch.setattr(cases, "arm_and_target", lambda *_: (gantry, task.target))
+    monkeypatch.setattr(cases, "plan", lambda *_, **__: made)
+    found = cases._task.__wrapped__("gantry", scene, 3, ())
+    # A step takes 10 ms.
+    assert (found.steps, found.seed) == (1, 3)
+    assert found.motion is (teachers if taught else own)
+    assert (found.feedback.safety is None) == (scene == "free")
+
+
+def test_networks_run_as_fast_as_the_linear_attractor_decays(monkeypatch, gantry, task):
+    """Where they are slowest: in the slowest mode at the target, or by their clock."""
+    made = []
+    monkeypatch.setattr(leaders, "_Network", lambda task, network, speed: made.append((network, speed)))
+    LEADERS["lieednn-certified"](task)
+    network, speed = made.pop()
+    modes = np.linalg.eigvals(network.jacobian(gantry.encode(task.target))).real
+    assert speed * modes.max() == pytest.approx(-PACE)
+    monkeypatch.setattr(leaders, "_shaped_network", lambda task, rate: network)
+    for rate in (1.0, 0.3, 0.1):
+        LEADERS[f"lieednn-shaped, rho {rate:g}"](task)
+        assert rate * made.pop()[1] == pytest.approx(PACE)
 
 
 def test_a_target_does_not_move_into_the_floor(task):

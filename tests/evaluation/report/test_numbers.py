@@ -17,7 +17,7 @@ from lieednn_sim.evaluation.report.findings import findings
 from lieednn_sim.evaluation.report.page import _SHOWN, _columns
 from lieednn_sim.evaluation.report.style import number
 from lieednn_sim.evaluation.rows import BY_NAME, COLUMNS, Row
-from lieednn_sim.evaluation.statistics import controllers_of
+from lieednn_sim.evaluation.statistics import controllers_of, grouped
 
 # In this order in the registry, and so in what is shown.
 FIRST, SECOND, THIRD = "minimum-jerk", "se3-geodesic", "rrt-connect"
@@ -64,6 +64,8 @@ def test_findings_name_the_best_and_the_worst():
     (finding,) = (finding for finding in findings(proofs) if finding.label == "proved globally stable")
     assert finding.value == "50.0%"
     assert finding.detail == "2 of 4 motions of networks; largest gap at the end of any plan 3 mm"
+    (group,) = grouped(proofs, ("planner",))
+    assert group.verdict() == "global 2/4, local 1/4, none 1/4"
 
 
 def test_the_page_has_each_median_in_its_column(table, tmp_path):
@@ -140,7 +142,12 @@ def test_numbers_have_three_digits_and_powers_only_where_zeros_would_be_counted(
 
 def test_the_summary_has_each_median_in_its_column(table, tmp_path):
     write_summary(tmp_path / "s.md", table)
-    lines = [line.strip("| ").split(" | ") for line in (tmp_path / "s.md").read_text(encoding="utf-8").splitlines()]
+    text = (tmp_path / "s.md").read_text(encoding="utf-8")
+    assert "within 1 mm and 0.1 deg of the target" in text
+    # What touched something was made all the same.
+    assert f"| an_arm | free | {FIRST} | 3 of 3 | - |" in text
+    assert f"| an_arm | free | {FIRST} | position-servo | 2 of 3 | 21% to 94% |" in text
+    lines = [line.strip("| ").split(" | ") for line in text.splitlines()]
     for names, headings, expected in (
         (
             ["an_arm", "free", SECOND, "3 of 3", "-"],
