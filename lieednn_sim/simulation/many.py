@@ -18,6 +18,7 @@ from lieednn_sim.errors import InputError, SimulationError
 from lieednn_sim.planning import Plan
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.simulation.controllers import controllers
+from lieednn_sim.simulation.controllers.base import Controller
 from lieednn_sim.simulation.disturbances import Disturbances
 from lieednn_sim.simulation.plant import make_plant
 from lieednn_sim.simulation.rollout import Rollout
@@ -108,13 +109,17 @@ def simulate_many(
 
     def run(index: int) -> None:
         reference = as_reference(arm, chosen[index], total - len(chosen[index].t), rate)
-        driver = make(bare, reference)
-        if not hasattr(own, "simulation"):
-            plant = make_plant(bare, changes, driver.add_bodies if driver.adds_bodies else None)
+        if hasattr(own, "simulation"):
+            own.reference.become(reference)
+        else:
+            # A controller asks a model much that is the same for every motion.
+            own.reference, own.driver = reference, make(bare, reference)
+            plant = make_plant(bare, changes, own.driver.add_bodies if own.driver.adds_bodies else None)
+            own.driver.equip(plant)
             own.simulation = Simulation(bare, plant, disturbances=changes)
+        driver: Controller = own.driver
         simulation: Simulation = own.simulation
         model, data = simulation.model, simulation.data
-        driver.equip(model)
         simulation.reset(reference.q[0])
         inputs = driver.inputs(range(total), simulation.first_noise(total))
         if inputs is None:
