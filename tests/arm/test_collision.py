@@ -83,6 +83,12 @@ def test_the_bounds_leave_out_no_pair(scene, seed, cutoff):
     every = np.array([mujoco.mj_geomDistance(arm.model, data, *pair, 5.0, None) for pair in collisions.pairs.tolist()])
     found = collisions.distances(q, cutoff)
     np.testing.assert_allclose(found.distance, np.sort(every[every < cutoff]), atol=1e-12)
+    each = np.random.default_rng(seed).uniform(0.0, 2.0 * cutoff, len(every)) + 1e-6
+    found = collisions.distances(q, each)
+    order = np.argsort(every, kind="stable")
+    order = order[(every < each)[order]]
+    np.testing.assert_allclose(found.distance, every[order], atol=1e-12)
+    np.testing.assert_array_equal(found.pairs, collisions.pairs[order])
     nearest, pair = collisions.nearest(q)
     assert nearest == pytest.approx(every.min(), abs=1e-12)
     assert collisions.pairs.tolist()[int(every.argmin())] == list(pair) or np.sum(every < nearest + 1e-9) > 1
@@ -112,6 +118,25 @@ def test_derivatives_agree_with_finite_differences(scene, seed):
     tolerance = 2e-3 * np.linalg.norm(way)
     assert (exact >= slopes[0] - tolerance)[apart].all()
     assert (exact <= slopes[1] + tolerance)[apart].all()
+
+
+@pytest.mark.parametrize("gap", [0.04, 1e-5, -1e-5, -0.03])
+def test_a_ball_over_the_floor_comes_off_it_as_it_is_lifted(gap, gantry):
+    """Also where it is just off, or in the floor."""
+    found = Collisions(gantry).distances([0.3, -0.2, gap - 0.9, 0.5], 0.05)
+    assert found.distance == pytest.approx([gap])
+    np.testing.assert_allclose(found.jacobian, [[0.0, 0.0, 1.0, 0.0]], atol=1e-9)
+
+
+@pytest.mark.parametrize("scene", ARMS)
+def test_parts_of_the_arm_may_be_nearer_to_each_other_than_to_all_else(scene):
+    arm, collisions = ARMS[scene], COLLISIONS[scene]
+    data, q = placed(arm, arm.keyframe("home")), arm.keyframe("home")
+    every = np.array([mujoco.mj_geomDistance(arm.model, data, *pair, 5.0, None) for pair in collisions.pairs.tolist()])
+    own, other = every[collisions.own].min(), every[~collisions.own].min()
+    for beyond_own, beyond_other in ((-1e-6, -1e-6), (1e-6, -1e-6), (-1e-6, 1e-6)):
+        free = collisions.free(q, other + beyond_other, own=own + beyond_own)
+        assert free == (beyond_own < 0.0 and beyond_other < 0.0)
 
 
 def test_the_pairs_are_those_that_mujoco_lets_collide():

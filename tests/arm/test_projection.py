@@ -267,6 +267,29 @@ def test_what_is_nearest_weighs_shifts_by_the_length():
     np.testing.assert_allclose(np.tan(found), 1.0 / (0.5**2 + 1.0))
 
 
+def test_the_local_retraction_follows_slides_of_which_one_is_coupled(tmp_path):
+    """The second link is moved by 0.4 of the first one's slide, the other way, and then by a slide of its own."""
+    arm = make(
+        tmp_path,
+        """
+        <mujoco><default><geom type="sphere" size="0.01" contype="0" conaffinity="0" mass="1"/></default><worldbody>
+          <site name="base_frame"/>
+          <body><joint name="a" type="slide" axis="1 0 0" range="0 1"/><geom/><site name="link1_frame"/>
+            <body><joint name="b" type="slide" axis="0 1 0" range="-1 1"/><geom/>
+              <body><joint name="c" type="slide" axis="0 0 1" range="0 1"/><geom/><site name="link2_frame"/></body>
+            </body></body></worldbody>
+          <equality><joint joint1="b" joint2="a" polycoef="0 -0.4 0 0 0"/></equality></mujoco>
+        """,
+    )
+    q = np.array([[0.2, 0.3], [0.25, 0.35]])
+    retraction = LocalRetraction(arm, q[0])
+    found, qd = retraction(arm.encode(q[1]), arm.encode(q[1]) - arm.encode(q[0]))
+    np.testing.assert_allclose(found, q[1], atol=1e-9)
+    np.testing.assert_allclose(qd, [0.05, 0.05], atol=1e-8)
+    # By hand: b is at -0.4 a, and what is carried along is no part of the second link.
+    np.testing.assert_allclose(arm.encode(q[1])[:, 3:], [[0.25, 0.0, 0.0], [0.0, -0.1, 0.35]], atol=1e-12)
+
+
 def test_a_fast_way_is_followed_turn_by_turn():
     joint, problem = two_hinges([0.0, 1.0, 0.0])
     q = np.stack([0.5 * np.arange(130), np.full(130, 0.7)], axis=1)
@@ -322,6 +345,7 @@ def test_the_local_retraction_is_the_nearest_posture_near_the_last_one(name):
     np.testing.assert_allclose(q, exact.q, atol=3e-4)
     np.testing.assert_allclose(qd, exact.qd, atol=0.02 * np.abs(exact.qd).max())
     np.testing.assert_allclose(gap[..., 1], exact.gap_translation, atol=3e-5)
+    np.testing.assert_allclose(gap[..., 0], exact.gap_rotation, atol=1e-4)
 
 
 @pytest.mark.parametrize("name", ["telescopic_rrp", "telescopic_compound", "of all kinds"])

@@ -99,12 +99,16 @@ def test_the_joints_plot_tells_the_error_and_does_not_exaggerate(arm, drawn):
     q = reference.copy()
     q[:, 0] += np.deg2rad([0.0, 0.5, 0.2])
     q[:, 1] += [0.0, 0.002, 0.001]
-    plots.plot_joints(rollout_of(arm, q, reference), "joints.png")
+    rates = np.zeros_like(q)
+    rates[1, :2] = [0.25, -0.5] * arm.velocity_limits[:2]
+    plots.plot_joints(replace(rollout_of(arm, q, reference), qd=rates), "joints.png")
     rows = np.array(drawn[0].axes).reshape(-1, 4)
     turn, lift = rows[0], rows[1]
     assert turn[1].lines[0].get_ydata() == pytest.approx([0.0, 0.5, 0.2])
     assert lift[1].lines[0].get_ydata() == pytest.approx([0.0, 2.0, 1.0])
     assert (turn[1].get_ylabel(), lift[1].get_ylabel()) == ("[deg]", "[mm]")
+    assert turn[2].lines[0].get_ydata() == pytest.approx([0.0, 25.0, 0.0])
+    assert lift[2].lines[0].get_ydata() == pytest.approx([0.0, -50.0, 0.0])
     np.testing.assert_allclose(turn[3].lines[0].get_ydata(), 5.0)
     assert turn[3].get_ylim()[1] >= 10.0, "a twentieth of the limit does not fill the height"
     assert turn[0].lines[0].get_color() != turn[0].lines[1].get_color()
@@ -124,6 +128,17 @@ def test_the_tracking_plot_shows_how_far_from_the_reference_and_from_the_target(
     for line in upper.lines[: arm.n_links]:
         assert line.get_ydata() == pytest.approx([0.0, 0.5, 0.2])
     assert lower.lines[0].get_ydata() == pytest.approx([2.0, 1.5, 1.8])
+
+
+def test_the_tracking_plot_shows_how_far_the_end_effector_is_from_its_target(arm, drawn):
+    q = np.tile(arm.keyframe("home"), (3, 1))
+    target = q[0].copy()
+    # It moves no other link.
+    target[-1] += 0.01
+    unit = 1e3 if arm.unit(arm.n_joints - 1) == "m" else np.rad2deg(1.0)
+    plots.plot_tracking(replace(rollout_of(arm, q, q), target=target), "tracking.png")
+    lower = drawn[0].axes[2 if unit == 1e3 else 3]
+    assert lower.lines[0].get_ydata() == pytest.approx(np.full(3, 0.01 * unit))
 
 
 def test_the_tracking_plot_ends_where_nothing_matters(arm, drawn):
