@@ -24,57 +24,56 @@ from lieednn_sim.synthesis import BIAS_RULES, Synthesis, synthesize, synthesize_
 from lieednn_sim.validation import as_choice
 from lieednn_sim.values import Floats
 
-# The stronger the bias, the less the weights have to do and the straighter the transient; searches try all.
+# The stronger the bias, the less the weights have to do and the straighter the transient; tried in turn.
 BIAS_MAGNITUDES = (0.125, 0.25, 0.5)
-# In their place, unless others are asked for, where every link moves along one screw: straight ways first, and where
-# the first is blocked one that is nearly as straight as minimum jerk's.
+# Used instead by default if every link moves along one screw: the straightest ways first.
 _STRAIGHT = (1.0, 4.0, 0.5, 0.25, 0.125)
 
-# Candidates that are made at once. More at a time gain little, and neither progress nor an interrupt waits for long.
+# Candidates made at once: more gain little, and would delay progress reports and interrupts.
 _AT_ONCE = 24
 
-# Shares of the way from one roughly integrated state to the next at which contact is looked for, too: steps are long.
+# Shares of the long steps between roughly integrated states at which contact is checked, too.
 _BETWEEN = (0.25, 0.5, 0.75)
 
-# Gaps up to this are rounding [m]: where links have six freedoms there is no other.
+# Gaps up to this are rounding errors [m], the only gaps of links with six degrees of freedom.
 _NO_GAP = 1e-9
 
-# A motion below this share of the time that limits of velocity and acceleration allow at best is too fast, however it
-# is made; sampled ones may seem a little faster than they are.
+# No motion is possible below this share of the least duration under the limits; below 1, since sampled motions may
+# seem slightly faster than they are.
 _HURRIED = 0.99
 
 
 @dataclass(frozen=True)
 class CandidateOptions(PlannerOptions):
-    """Of planners that make one network after another.
+    """Options of planners that make one network after another.
 
     Attributes:
-        candidates: networks to make, at most.
-        bias_magnitudes: of their bias, in turn [gamma/mu].
+        candidates: largest number of networks to make.
+        bias_magnitudes: magnitudes of their biases, used in turn [gamma/mu].
     """
 
     candidates: int = 24
     bias_magnitudes: tuple[float, ...] = BIAS_MAGNITUDES
 
     def magnitudes(self) -> Iterator[float]:
-        """Of the bias of one network after another."""
+        """The bias magnitude of one network after another."""
         return islice(cycle(self.bias_magnitudes), self.candidates)
 
 
 @dataclass(frozen=True)
 class CertifiedOptions(CandidateOptions):
-    """How the planner ``lieednn-certified`` searches, beside what `CandidateOptions` say.
+    """Options of the planner ``lieednn-certified``, besides those of `CandidateOptions`.
 
     Attributes:
         bias: a rule of `synthesis.BIAS_RULES`.
-        first: of the candidates, where every link moves along one screw: there a gap costs nothing, and what is drawn
-            takes most of the time. The others are drawn where none of these can be used. Unless other magnitudes are
-            asked for, 1 and 4 come before the usual ones, the strongest of which is first.
+        first: number of candidates to begin with if every link moves along one screw: there gaps matter little, and
+            synthesis takes most of the time. The others are made only if none of these can be used. By default, the
+            magnitudes 1 and 4 then come before the usual ones, of which the strongest is first.
         attempts: starts of `synthesize` for a candidate.
-        last_attempts: for the last one once more, when there is none at all.
-        tried: networks that are tried in full at most, where the first ones are refused.
-        hopeless_excess: a network that roughly integrated leaves the limits by more than this [rad, m] is not tried in
-            full after another one was refused.
+        last_attempts: starts for one last candidate if no other could be certified.
+        tried: largest number of networks tried in full while the first ones are refused.
+        hopeless_excess: after a refusal, networks whose rough integration exceeds the limits by more than this [rad, m]
+            are not tried in full.
 
     Raises:
         InputError: a value is out of range.
@@ -94,7 +93,7 @@ class CertifiedOptions(CandidateOptions):
 
 @dataclass(frozen=True)
 class _Candidate:
-    """A network and, once it is asked for, its roughly integrated way from a start, see `_screened`."""
+    """A network and, computed when first used, its roughly integrated way from a start (`_screened`)."""
 
     arm: Arm
     network: LieEDNN
@@ -109,28 +108,28 @@ class _Candidate:
 
     @property
     def excess(self) -> float:
-        """The largest over the position limits [rad, m]."""
+        """Largest excess over the position limits [rad, m]."""
         return self.screened()[self.index][1]
 
     @property
     def gap(self) -> float:
-        """The largest of the mechanism [m]."""
+        """Largest mechanism gap [m]."""
         return self.screened()[self.index][2]
 
     @property
     def length(self) -> float:
-        """Of the way, joints in units of `joint_scale`."""
+        """Length of the way, joints in units of `joint_scale`."""
         steps = np.diff(self.way, axis=0) / joint_scale(self.arm)
         return float(np.linalg.norm(steps, axis=1).sum())
 
     @property
     def rank(self) -> tuple[float, float, float]:
-        """The less the better: what leaves the limits, then the gap, and where there is none, the length of the way."""
+        """The smaller the better: excess over the limits, then the gap, then the length of the way."""
         return max(self.excess, LIMIT_TOLERANCE), max(self.gap, _NO_GAP), self.length
 
     @functools.cached_property
     def touches(self) -> bool:
-        """Whether the postures, or some straight in between, come too near to contact."""
+        """Whether the postures, or some on straight lines between them, come too near to contact."""
         between = [start + share * (end - start) for start, end in pairwise(self.way) for share in _BETWEEN]
         for touching in self.arm.near_contacts_along(np.array([*self.way, *between])):
             check_time()
@@ -140,20 +139,20 @@ class _Candidate:
 
     @functools.cached_property
     def path(self) -> NetworkPath:
-        """Where the network really goes, from which motions of any duration are made."""
+        """The network's exact path, from which motions of any duration are made."""
         return NetworkPath.drawn(self.arm, self.network, self.start)
 
 
 def certified(problem: PlanningProblem, options: CertifiedOptions) -> Plan:
     """Draw certified networks for the target and keep the one with the smallest mechanism gap within the limits.
 
-    Where no network has a gap, as on arms whose links have six freedoms, the one with the shortest way is kept.
+    If no network has a gap, as on arms whose links have six degrees of freedom, keep the one with the shortest way.
 
     Raises:
         NotCertifiedError: no candidate could be certified.
         PlanError: every candidate breaks a limit; the message is of the best one.
     """
-    # Threads would wait for each other in products of so small matrices.
+    # For matrices this small, threads would only wait for each other.
     with one_blas_thread():
         return _certified(problem, options)
 
@@ -181,7 +180,7 @@ def _certified(problem: PlanningProblem, options: CertifiedOptions) -> Plan:
                 if problem.progress is not None:
                     problem.progress(number, total)
         if not networks and end == total:
-            # Patience only where everything else failed: easy candidates are many, hard ones cost seconds.
+            # Only as a last resort: hard candidates cost seconds, and mostly an easy one suffices.
             last = synthesize(
                 xi, bias=options.bias, bias_magnitude=magnitudes[-1], seed=rng, max_attempts=options.last_attempts
             )
@@ -196,7 +195,7 @@ def _certified(problem: PlanningProblem, options: CertifiedOptions) -> Plan:
 
 
 def _drawn(xi: Floats, magnitudes: list[float], options: CertifiedOptions, rng: np.random.Generator) -> list[Synthesis]:
-    """Networks for the target ``xi``, one for each magnitude of the bias."""
+    """Networks for the target ``xi``, one per magnitude of the bias."""
     if len(magnitudes) == 1:
         return [
             synthesize(xi, bias=options.bias, bias_magnitude=magnitudes[0], seed=rng, max_attempts=options.attempts)
@@ -211,11 +210,11 @@ def _drawn(xi: Floats, magnitudes: list[float], options: CertifiedOptions, rng: 
 
 
 def _plan(problem: PlanningProblem, options: CertifiedOptions, networks: list[LieEDNN], drawn: int) -> Plan:
-    """The plan of the best network; errors as of `certified`."""
+    """The plan of the best network; raises as `certified`."""
     arm, start = problem.arm, problem.start
     screen = functools.cache(lambda: _screened(arm, networks, start))
     found = [_Candidate(arm, network, start, index, screen) for index, network in enumerate(networks)]
-    # Networks and their ways do not depend on the duration.
+    # Networks and their ways are independent of the duration.
     network, motion = in_time(_best, problem, options, found)
     # The motion has been checked.
     within = sum(candidate.network is network or candidate.excess <= LIMIT_TOLERANCE for candidate in found)
@@ -223,9 +222,9 @@ def _plan(problem: PlanningProblem, options: CertifiedOptions, networks: list[Li
 
 
 def _best(problem: PlanningProblem, options: CertifiedOptions, found: list[_Candidate]) -> tuple[LieEDNN, Motion]:
-    """The first of the `_promising` networks whose motion the arm can make; errors as of `certified`."""
+    """The first of the `_promising` networks with a feasible motion; raises as `certified`."""
     arm = problem.arm
-    # Where no motion at all could be fast enough, one refusal tells as much as all of them.
+    # If no motion can be fast enough, one refusal suffices.
     hurried = problem.duration <= _HURRIED * least_duration(arm, problem.start, problem.target)
     refusals: list[PlanError] = []
     for candidate in _promising(found):
@@ -246,12 +245,12 @@ def _best(problem: PlanningProblem, options: CertifiedOptions, found: list[_Cand
 
 
 def _promising(found: list[_Candidate]) -> Iterator[_Candidate]:
-    """Those whose way touches nothing first, of these the best by `_Candidate.rank`.
+    """Candidates by `_Candidate.rank`, those whose way is free of contact first.
 
-    Contact is looked for posture by posture, which costs more than all else, so only when a candidate's turn has come.
+    Contact is checked only when a candidate's turn comes, since that costs more than everything else.
     """
     if len(found) == 1:
-        # Its turn comes whatever is seen on its way.
+        # It comes first in any case.
         yield found[0]
         return
     touching = []
@@ -264,19 +263,19 @@ def _promising(found: list[_Candidate]) -> Iterator[_Candidate]:
 
 
 def rough_ways(networks: list[LieEDNN], start: Floats) -> list[Floats]:
-    """States ``(K, n, 6)`` from ``start`` ``(n, 6)`` of each network, roughly integrated, to look at first.
+    """Roughly integrated states ``(K, n, 6)`` of each network from ``start`` ``(n, 6)``, for a first check.
 
-    The networks have no hidden neurons, and one decay rate.
+    The networks have no hidden neurons, and share one decay rate.
     """
     return states_side_by_side(networks, start, 20.0 / networks[0].gamma, rtol=1e-4, atol=1e-6)
 
 
 def _screened(arm: Arm, networks: list[LieEDNN], start: Floats) -> list[tuple[Floats, float, float]]:
-    """Roughly integrated ways as postures, with their largest excess over the position limits and largest gap."""
+    """Postures along roughly integrated ways, with the largest excess over the position limits and the largest gap."""
     state = arm.encode(start)
     runs = rough_ways(networks, state)
-    # All side by side, the shorter ones waiting at their ends: a retraction without closed form costs nearly as much
-    # for one state as for a hundred.
+    # Side by side, the shorter ones padded with their ends: a retraction without closed form costs nearly as much for
+    # one state as for a hundred.
     length = max(map(len, runs))
     side_by_side = np.stack([run[np.minimum(np.arange(length), len(run) - 1)] for run in runs], axis=1)
     decoded = arm.decode(side_by_side, start=start)

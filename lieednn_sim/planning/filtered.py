@@ -1,9 +1,9 @@
-"""The LieEDNN with limits and clearance enforced while it runs, for scenes with obstacles: alone, and guided.
+"""Networks whose limits and clearance a safety filter enforces while they run: alone, and guided along a path.
 
-Alone, certified networks are drawn for the target, and those whose own motion stays clearest of obstacles run through
-the filter. The filter sees no further than the next step; where it blocks them all, a path helps: RRT-Connect finds one
-(`sampling`), and the network is retargeted on the way. Its bias draws it to one corner of the path after another and
-then to the target, with the same weights and the same certificate.
+Alone, certified networks are drawn for the target, and those whose own motion is most free of obstacles run through the
+filter. The filter looks one step ahead; if it blocks them all, RRT-Connect searches for a path (`sampling`), and the
+network is retargeted on the way: its bias draws it to one corner of the path after another and then to the target, with
+the same weights and the same certificate.
 """
 
 from __future__ import annotations
@@ -31,23 +31,22 @@ from lieednn_sim.synthesis import synthesize
 from lieednn_sim.values import Floats
 
 _FILTER = FilterOptions()
-# The last difference to the target is closed in this time [s].
+# Time in which the remaining distance to the target is closed [s].
 _CLOSING = 0.1
-# More clearance than the filter keeps, so that it need not hold back what follows the path.
+# More clearance than the filter keeps, so that it does not impede a network that follows the path.
 _SEARCH = SearchOptions(margin=0.02)
 
 
 @dataclass(frozen=True)
 class FilteredOptions(CandidateOptions):
-    """Options of the planner ``lieednn-filtered``, beside what `CandidateOptions` say.
+    """Options of the planner ``lieednn-filtered``, besides those of `CandidateOptions`.
 
     Attributes:
         attempts: starts of `synthesize` for each network.
-        tried: of those whose own way is not free, how many are run all the same; where one is blocked the others mostly
-            are.
-        looks: postures on a network's own way that are looked at before the filter runs, up to 10 000.
-        control_step: of the filter, up to 0.1 s, rounded to a whole number of the model's time steps.
-        filter: of the filter.
+        tried: number of networks run although their own way is not free; if one is blocked, the others usually are.
+        looks: postures on a network's own way that are checked before the filter runs, up to 10 000.
+        control_step: control period of the filter, up to 0.1 s, rounded to a whole number of the model's time steps.
+        filter: options of the filter.
     """
 
     candidates: int = 12
@@ -60,15 +59,15 @@ class FilteredOptions(CandidateOptions):
 
 @dataclass(frozen=True)
 class GuidedOptions(FilteredOptions):
-    """Options of the planner ``lieednn-guided``, beside those of `FilteredOptions`.
+    """Options of the planner ``lieednn-guided``, besides those of `FilteredOptions`.
 
     Attributes:
-        paths: searched for.
-        followers: networks that follow each.
-        halvings: of an edge on which the network's own way is not free, up to 16; there are more postures to pass at
-            their ends.
-        search: of the paths; by default they keep 0.02 m of clearance.
-        own_margin: what they keep between parts of the arm [m].
+        paths: number of paths to search for.
+        followers: number of networks that follow each path.
+        halvings: how often an edge is halved, up to 16, while the network's own way along it is not free; the network
+            passes the ends of the halves.
+        search: options of the path search; by default paths keep 0.02 m of clearance.
+        own_margin: clearance that paths keep between parts of the arm [m].
     """
 
     paths: int = 2
@@ -79,9 +78,7 @@ class GuidedOptions(FilteredOptions):
 
 
 def filtered(problem: PlanningProblem, options: FilteredOptions) -> Plan:
-    """The first motion of a certified network through the filter that arrives.
-
-    It takes what time it needs, up to ``problem.longest`` durations.
+    """The first motion of a certified network through the filter that arrives, within ``problem.longest`` durations.
 
     Raises:
         NotCertifiedError: no network could be certified.
@@ -92,7 +89,7 @@ def filtered(problem: PlanningProblem, options: FilteredOptions) -> Plan:
 
 
 def guided(problem: PlanningProblem, options: GuidedOptions) -> Plan:
-    """As `filtered`; where that does not arrive, the network is retargeted along a path of RRT-Connect.
+    """As `filtered`; if no motion arrives, the network is retargeted along a path of RRT-Connect.
 
     Raises:
         LieEDNNError: OMPL is not installed.
@@ -108,8 +105,8 @@ class _Search:
     """Runs through the filter for one problem.
 
     Attributes:
-        networks: drawn so far, once `alone` is through the most promising first.
-        refusals: of the runs that did not arrive.
+        networks: networks drawn by `alone`, the most promising first.
+        refusals: reasons of the runs that did not arrive.
     """
 
     def __init__(self, problem: PlanningProblem, options: FilteredOptions) -> None:
@@ -121,7 +118,7 @@ class _Search:
         self._ratio = max(round(options.control_step / problem.timestep), 1)
 
     def alone(self) -> Plan | None:
-        """Certified networks whose own way is free as soon as they are drawn, then the most promising other one."""
+        """Run certified networks whose own way is free as they are drawn, then the most promising others."""
         drawn: list[tuple[float, LieEDNN]] = []
         for network, unsafe in self._candidates():
             drawn.append((unsafe, network))
@@ -158,7 +155,7 @@ class _Search:
         raise PlanError(f"no run through the filter arrived; the most promising: {first}")
 
     def _candidates(self) -> Iterator[tuple[LieEDNN, float]]:
-        """Certified networks for the target, with the share of their own motion that is not free."""
+        """Certified networks for the target, each with the share of its own motion that is not free."""
         problem, arm = self.problem, self.problem.arm
         xi, rng = arm.encode(problem.target), np.random.default_rng(problem.seed)
         for magnitude in self.options.magnitudes():
@@ -173,16 +170,16 @@ class _Search:
         """The share of a network's own way from a start that is not free."""
         check_time()
         arm = self.problem.arm
-        # From one decoded state to the next the way is nearly straight, and few states are decoded quickly.
+        # The way is nearly straight between decoded states, so that few of them suffice.
         q = arm.decode(rough_ways([network], arm.encode(start))[0], start=start).q
-        # A little more than the length, so that it increases where nothing moves.
+        # A little more than the length, so that it increases even where nothing moves.
         length = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(q / self._scale, axis=0), axis=1) + 1e-9))
         way = interp1d(length, q, axis=0)(np.linspace(0.0, length[-1], self.options.looks + 2)[1:-1])
         inside = arm.limit_excess(way).max(axis=1) <= 0.0
         return 1.0 - float(np.mean(inside & [self._clear(position) for position in way]))
 
     def _run(self, network: LieEDNN, via: Floats | tuple[()] = ()) -> Motion | None:
-        """The motion through the filter, or None and the reason among the refusals."""
+        """The motion through the filter, or None with the reason added to the refusals."""
         problem, arm = self.problem, self.problem.arm
         try:
             run = run_filtered(
@@ -205,7 +202,7 @@ class _Search:
         return motion
 
     def _postures(self, network: LieEDNN, corners: Floats, halvings: int) -> Floats:
-        """Postures to pass ``(V, n)``: the inner corners, and others between where the network leaves the edges."""
+        """Postures to pass ``(V, n)``: the inner corners, and more between them where the network leaves the edges."""
         parts = [self._between(network, *edge, halvings) for edge in itertools.pairwise(corners)]
         return np.array([posture for part in parts for posture in part][:-1])
 
@@ -221,13 +218,13 @@ class _Search:
 
 
 def motion_of(run: FilteredRun, target: Floats, xi_target: Floats, ratio: int) -> Motion:
-    """The motion of a run that arrived, and the rest of the way to where its network ends.
+    """The motion of a run that arrived, extended to the target itself.
 
     Args:
-        run: with control steps of equal length.
+        run: a run with control steps of equal length.
         target: ``(n,)`` joint position to end at, near the run's last.
-        xi_target: ``(N, 6)`` its network state.
-        ratio: samples of the motion in a control step.
+        xi_target: ``(N, 6)`` network state of the target.
+        ratio: samples of the motion per control step.
     """
     h = float(run.t[1] - run.t[0])
     step = h / ratio
@@ -254,12 +251,12 @@ def motion_of(run: FilteredRun, target: Floats, xi_target: Floats, ratio: int) -
 
 
 def _closing(q: Floats, qd: Floats, goal: Floats, step: float) -> tuple[Floats, Floats]:
-    """From nearly at rest near the goal to rest at the goal, by the quintic whose accelerations vanish at both ends."""
+    """From nearly at rest near the goal to rest at the goal, by the quintic without acceleration at both ends."""
     count = max(round(_CLOSING / step), 2)
     s = (np.arange(count + 1) / count)[:, None]
     length = count * step
     ease, slope = minimum_jerk_law(s)
-    # Position and slope of the quintic with unit slope at s = 0 and zeros else.
+    # The quintic with unit slope at s = 0 whose other boundary values are zero, and its slope.
     start, start_slope = s * (1.0 - s) ** 3 * (1.0 + 3.0 * s), (1.0 - s) ** 2 * (1.0 + 2.0 * s - 15.0 * s**2)
     way = goal - q
     positions = q + ease * way + length * start * qd

@@ -1,4 +1,4 @@
-"""What every planner is given and what it makes: a problem, a plan, and the one rule for motions that are too fast."""
+"""The input and result of every planner, and the rule for motions that are too fast."""
 
 from __future__ import annotations
 
@@ -19,27 +19,27 @@ from lieednn_sim.values import Floats, check_fields, frozen
 
 _Made = TypeVar("_Made")
 
-# A motion that is too fast gets the time that it needs and this much more: that time is estimated from samples.
+# Factor on the duration that a too fast motion needs, since that is estimated from samples.
 _SLOWER = 1.02
 
 
 @dataclass(frozen=True, eq=False)
 class PlanningProblem:
-    """A motion to plan from rest to rest; what is stored is what was checked. The values are those of `plan`.
+    """A motion to plan from rest to rest; values as for `plan`, stored as they were checked.
 
     Attributes:
         arm: the arm.
         start: ``(n,)`` joint position at rest [rad, m].
-        target: ``(n,)`` joint position to come to rest at [rad, m].
-        duration: of the motion [s].
-        seed: of planners that draw.
+        target: ``(n,)`` joint position at rest at the end [rad, m].
+        duration: duration of the motion [s].
+        seed: seed of randomised planners.
         time_budget: CPU time that a planner may take [s].
-        longest: durations that the motion may take at most.
-        progress: called with (done, total) after every candidate, by planners that draw a number of them.
+        longest: largest duration that the motion may take, as a multiple of `duration`.
+        progress: called with (done, total) after every candidate, by planners that draw a fixed number of them.
 
     Raises:
-        InputError: a value is malformed, or start or target are out of the arm's reach: beyond a limit, or where
-            something comes closer than the arm's `clearance`.
+        InputError: a value is malformed, or start or target cannot be used: beyond a limit, or closer to contact than
+            the arm's `clearance`.
     """
 
     arm: Arm
@@ -78,20 +78,19 @@ class PlanningProblem:
 
 @frozen
 class Plan:
-    """What a planner made of a problem; `plan` adds the target, the planner's name and the time.
+    """Result of a planner; `plan` adds the target, the planner's name and the time.
 
     Attributes:
-        motion: from rest at the start to rest at the target; keeps the limits and touches nothing, see
-            `motion.check_motion`.
-        network: that made the motion, with the target as its equilibrium; None of planners without one.
-        candidates: networks synthesised by ``lieednn-certified``; None of other planners.
-        within_limits: of these, networks whose transient keeps the position limits.
+        motion: from rest at the start to rest at the target, within limits and free of contact (`motion.check_motion`).
+        network: the network that made the motion, with the target as its equilibrium; None for planners without one.
+        candidates: number of networks synthesised by ``lieednn-certified``; None for other planners.
+        within_limits: number of these whose transient keeps the position limits.
         target: ``(n,)`` joint target [rad, m].
-        planner: its name.
-        cpu_time: that it took [s].
-        teacher: of a shaped network the plan that it follows, with its planner's name.
-        deviation: of its end effector's path from the teacher's, at most [m].
-        fit_time: CPU time that its shaping took [s].
+        planner: name of the planner.
+        cpu_time: CPU time that planning took [s].
+        teacher: for a shaped network, the plan that it follows, with its planner's name.
+        deviation: largest distance of the end effector's path from the teacher's [m].
+        fit_time: CPU time of the shaping [s].
     """
 
     motion: Motion
@@ -107,9 +106,9 @@ class Plan:
 
 
 def in_time(make: Callable[..., _Made], problem: PlanningProblem, *options: Any) -> _Made:
-    """What ``make(problem, *options)`` gives, or with the least duration that it asks for where it is too fast.
+    """The result of ``make(problem, *options)``; if the motion is too fast, of another call with the duration it needs.
 
-    The same rule for all planners, so that none is judged by how much time it was given.
+    All planners share this rule, so that a comparison does not depend on the duration asked for.
 
     Raises:
         TooFastError: even ``problem.longest`` durations are not enough.

@@ -1,4 +1,4 @@
-"""One way to plan: planners by name, all asked alike."""
+"""The registry of planners, and `plan`, which calls any of them by name."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ from lieednn_sim.planning.shaped import ShapedOptions, shaped
 from lieednn_sim.registration import Registry
 from lieednn_sim.validation import as_choice
 
-# How far a motion may begin and end from where it was asked to, in joint coordinates [rad, m].
+# Largest distance of a motion's ends from the start and target asked for, in joint coordinates [rad, m].
 _MISSED = 1e-3
 _Solve = TypeVar("_Solve", bound=Callable[..., Plan | Motion])
 
 
 class Planner(NamedTuple):
-    """A function of a problem, and of options where it has any.
+    """A planning function and the class of its options.
 
     Attributes:
-        solve: returns a plan, or where there is no network the motion alone, or raises; the motion is sampled at the
-            model's time step, and `motion.check_motion` passes it.
-        options: class of its options, its second argument; None where it has none.
+        solve: takes a problem, and options if there are any; returns a plan, or a motion if there is no network, or
+            raises. The motion is sampled at the model's time step and passes `motion.check_motion`.
+        options: class of the options; None for a planner without options.
     """
 
     solve: Callable[..., Plan | Motion]
@@ -71,24 +71,24 @@ PLANNERS: dict[str, Planner] = {
 
 
 def register_planner(name: str, options: type[PlannerOptions] | None = None) -> Callable[[_Solve], _Solve]:
-    """Decorate a function of a `PlanningProblem` to be known as a planner, to `plan`, `compare` and the command line.
+    """Register the decorated function of a `PlanningProblem` as a planner for `plan`, `compare` and the command line.
 
-    It returns a `Motion` (see `planning.joint_motion`) or a `Plan` with its network, and raises `PlanError` where it
-    finds none. Every motion is checked: limits, clearance, start and target; one that is too fast is asked for again
-    with the duration that it needs. Worker processes and the command line know
-    what an installed package names in its entry points:
+    It returns a `Motion` (see `planning.joint_motion`) or a `Plan` with its network, and raises `PlanError` if it finds
+    none. Limits, clearance, start and target of every motion are checked; if the motion is too fast, the function is
+    called again with the duration that it needs. For worker processes and the command line, an installed package
+    declares its planners as entry points:
 
         [project.entry-points."lieednn_sim.planners"]
         my-planner = "my_package.my_module:my_function"
 
-    There the function needs no decorator, unless it takes options.
+    A function declared like this needs the decorator only if it takes options.
 
     Args:
-        name: of the planner, in small letters, digits and hyphens.
+        name: name of the planner, in lower-case letters, digits and hyphens.
         options: class of its options, which are its second argument.
 
     Raises:
-        InputError: the name is malformed or taken, or the options are none.
+        InputError: the name is malformed or taken, or the options are no subclass of `PlannerOptions`.
     """
     if not isinstance(options, type | None) or (options is not None and not issubclass(options, PlannerOptions)):
         raise InputError(f"options of planner {name!r} must be a subclass of PlannerOptions, got {options!r}")
@@ -101,9 +101,9 @@ def register_planner(name: str, options: type[PlannerOptions] | None = None) -> 
 
 
 def planners() -> Mapping[str, Planner]:
-    """All planners by name: `PLANNERS`, with those of the entry points of installed packages.
+    """All planners by name: `PLANNERS`, and the entry points of installed packages.
 
-    Of one that cannot be loaded a warning names the package, and it is left out.
+    An entry point that cannot be loaded is left out, with a warning that names its package.
     """
     return REGISTRY.all()
 
@@ -118,7 +118,7 @@ REGISTRY = Registry("planner", PLANNERS, _planner)
 
 
 def _checked(solve: Callable[..., Plan | Motion], problem: PlanningProblem, *options: PlannerOptions) -> Plan | Motion:
-    """What somebody's planner makes, held against what every planner promises."""
+    """The result of a registered planner, checked for what every planner guarantees."""
     try:
         made = solve(problem, *options)
     except LieEDNNError:
@@ -142,16 +142,16 @@ def _checked(solve: Callable[..., Plan | Motion], problem: PlanningProblem, *opt
     return made
 
 
-# The LieEDNN planner that gets furthest among obstacles, and most smoothly, whether OMPL is installed or not.
+# The LieEDNN planner with the most successes and the smoothest motions among obstacles, with or without OMPL.
 OBSTACLE_PLANNER = "lieednn-shaped"
 _MANY = 3  # hinges that move one link
 
 
 def default_planner(arm: Arm) -> tuple[str, str]:
-    """The planner for an arm in its scene when none is asked for, and why.
+    """The default planner for an arm in its scene, and the reason for it.
 
-    Where three or more hinges move one link a network's own way soon leaves what they can do, and the posture nearest
-    to it turns abruptly: there as among obstacles a teacher's motion is followed.
+    Where three or more hinges move one link, a network's own way soon becomes infeasible, and the posture nearest to it
+    turns abruptly; so there, as among obstacles, the default follows a teacher's motion.
     """
     if arm.scene != "free":
         return OBSTACLE_PLANNER, "the default among obstacles"
@@ -182,25 +182,24 @@ def plan(
         target: joint target ``(n,)`` [rad, m].
         planner: a name of `PLANNERS`; by default the `default_planner`.
         start: joint position at rest ``(n,)`` [rad, m], the keyframe ``home`` by default.
-        duration: of the motion [s], rounded to a whole number of the model's time steps.
-        longest: durations that the motion may take at most, where the arm's limits need more time; with 1 one that is
-            too fast is refused, with the time that would do. Learned networks are never given more than one; motions
-            through the filter need a little more than one, even where nothing is in their way.
-        seed: of planners that draw; the same seed gives the same plan.
-        time_budget: CPU time that planning may take [s]; infinity for no limit. A planner that needs less makes the
-            same motion whatever the budget and the machine, one that needs more makes none.
-        options: of the planner, an object of its class in `PLANNERS`; by default that class's defaults.
-        fastest: run through the path that was planned as fast as the arm's limits allow, see `retime`; the duration is
-            then only what is planned with.
-        progress: called with (done, total) after every candidate, by planners that draw a number of them.
+        duration: duration of the motion [s], rounded to a whole number of the model's time steps.
+        longest: largest duration, as a multiple of `duration`, that the motion may take if the arm's limits require it;
+            with 1, a motion that is too fast is refused with a sufficient duration. Learned networks always keep the
+            duration; motions through the safety filter need slightly more than it even without obstacles.
+        seed: seed of randomised planners; the same seed gives the same plan.
+        time_budget: CPU time that planning may take [s]; infinity for no limit. It decides only whether there is a
+            motion, never which one.
+        options: options of the planner, of its class in `PLANNERS`; by default that class's defaults.
+        fastest: retime the planned path to the arm's limits (`retime`); the duration then applies to planning only.
+        progress: called with (done, total) after every candidate, by planners that draw a fixed number of them.
 
     Raises:
-        InputError: a value is malformed, an unknown planner or options of another one, or start or target are out of
-            the arm's reach.
+        InputError: a value is malformed, the planner is unknown, the options are those of another one, or start or
+            target cannot be used.
         NotCertifiedError: no network could be certified.
-        PlanError: the motion breaks a limit of the arm, or does not arrive; `TooFastError` where more time would do.
+        PlanError: the motion breaks a limit of the arm, or does not arrive; `TooFastError` if more time would suffice.
         OutOfTimeError: the time budget is spent.
-        LieEDNNError: a library that the planner needs is not installed; see `missing_planners`.
+        LieEDNNError: a library that the planner needs is not installed (see `missing_planners`).
     """
     if planner is None:
         planner = default_planner(arm)[0] if isinstance(arm, Arm) else "lieednn-certified"
@@ -210,7 +209,7 @@ def plan(
         wanted = "has no options" if kind is None else f"takes options of class {kind.__name__}"
         raise InputError(f"the planner {planner!r} {wanted}, got {type(options).__name__}")
     given = () if kind is None else (kind() if options is None else options,)
-    # All is checked, and start and target are made arrays, by the problem.
+    # The problem checks everything, and converts start and target to arrays.
     origin = arm.keyframe("home") if start is None and isinstance(arm, Arm) else start
     problem = PlanningProblem(arm, origin, target, duration, seed, time_budget, longest, progress)  # type: ignore[arg-type]
     if fastest:
