@@ -1,7 +1,7 @@
-"""A certified network for an arm's joints from demonstrations of them, such as an arm led by hand records.
+"""A certified network for an arm's joints from demonstrations of them, for example by kinesthetic teaching.
 
 Joints are averaged at equal shares of the way, the mean is encoded by the arm, and `synthesis.shape` makes a network
-that follows it, more closely where the demonstrations agree. Its motion runs by the demonstrations' own law of time.
+that follows it, more closely where the demonstrations agree. Its motion has the demonstrations' time law.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ from lieednn_sim.synthesis import Shaping, ShapingOptions, shape
 from lieednn_sim.validation import as_choice, as_floats, as_positive, as_times
 from lieednn_sim.values import Floats, frozen
 
-# Steps of the phase, and those of them at which the law of time is taken over: recorded times tremble.
+# Steps of the phase, and the number of them that define the time law: recorded times are noisy.
 _STEPS, _LAW_STEPS = 200, 40
-# Ends of demonstrations may be so far from their mean, in the joints' ranges.
+# Largest distance of a demonstration's end from the mean end, in the joints' ranges.
 _ONE_GOAL = 0.02
-# Way of a motion [m] that is none.
+# Length below which nothing moves [m].
 _LEAST_LENGTH = 1e-6
-# Deviation asked for where the user asks for none, in lengths of the mean's way.
+# Default deviation, relative to the length of the mean.
 DEVIATION = 1e-3
 
 
@@ -67,13 +67,13 @@ class JointDemonstrations:
         Args:
             arm: the arm.
             files: at least one.
-            rate: samples a second where a file has no times [1/s].
+            rate: sampling rate of files without times [1/s].
             phase: a name of `PHASES`; see `align`.
 
         Raises:
             FileError: a file cannot be read, or is none of these.
-            InputError: its numbers are no motion of the arm within its limits, or ends differ by more than 2 % of a
-                joint's range.
+            InputError: a file is no motion of the arm within its limits, or ends differ by more than 2 % of a joint's
+                range.
         """
         as_choice("phase", phase, PHASES)
         rate = as_positive("rate", rate)
@@ -103,7 +103,7 @@ class JointDemonstrations:
         return made
 
     def __len__(self) -> int:
-        """How many demonstrations."""
+        """Number of demonstrations."""
         return len(self.q)
 
     @cached_property
@@ -113,12 +113,12 @@ class JointDemonstrations:
 
     @cached_property
     def spread(self) -> Floats:
-        """Root mean square ``(K,)`` of the demonstrations' distances from the mean, of all links, in the units [m]."""
+        """Root mean square ``(K,)`` of the demonstrations' distances from the mean, over all links, in `units` [m]."""
         away = (self.arm.encode(self.q) - self.arm.encode(self.mean)) * self.units
         return np.asarray(np.sqrt(np.mean(np.sum(away**2, axis=(-2, -1)), axis=0)))
 
     def shares(self, q: Floats) -> Floats:
-        """Shares ``(K,)`` of the length, in the units, that are behind each of joint positions ``(K, n)``."""
+        """Share of the length, in `units`, up to each of the joint positions ``(K, n)``, ``(K,)``."""
         way = np.append(0.0, np.cumsum(step_lengths(self.arm.encode(q), self.units)))
         return way / max(way[-1], 1e-300)
 
@@ -129,15 +129,15 @@ class JointDemonstrations:
 
 @frozen
 class JointMotion:
-    """A shaped network of an arm's joints with the law of time of the demonstrations.
+    """A shaped network of an arm's joints with the time law of the demonstrations.
 
     Attributes:
-        network: with one visible neuron for each link of the arm; certified.
+        network: certified network with one visible neuron for each link of the arm.
         arm: the arm.
-        units: of lengths, see `JointDemonstrations`.
+        units: as in `JointDemonstrations`.
         goal: ``(n,)`` joint position at which the motion ends [rad, m].
-        duration: of the demonstrations [s].
-        law: of time.
+        duration: duration of the demonstrations [s].
+        law: their time law.
         shaping: the search that found the network.
     """
 
@@ -160,11 +160,11 @@ class JointMotion:
         """Shape a network by the demonstrations' mean and spread.
 
         Args:
-            demonstrations: to follow.
-            deviation: from their mean that is asked for, in the units of `JointDemonstrations` [m]; by default
-                `DEVIATION` of its length. Neurons are added until it is met; see `Shaping.success`.
-            options: of the search.
-            seed: of its starts.
+            demonstrations: demonstrations to follow.
+            deviation: largest deviation from their mean, in their `units` [m]; by default `DEVIATION` times its length.
+                Neurons are added until it is met; see `Shaping.success`.
+            options: options of the search.
+            seed: seed of its starts.
 
         Raises:
             InputError: the mean does not move.
@@ -184,7 +184,7 @@ class JointMotion:
         return cls(shaping.network, arm, demonstrations.units, mean[-1], duration, law, shaping)
 
     def run(self, start: Floats, samples: int = 400) -> Motion:
-        """The motion from joint position ``(n,)`` in the demonstrations' time, whatever limits it breaks.
+        """The motion from joint position ``(n,)`` in the demonstrations' time, without checks of limits.
 
         Raises:
             PlanError: the network does not arrive.
@@ -192,10 +192,10 @@ class JointMotion:
         return self._path(start).timed(self.duration, self.duration / samples, self.law)
 
     def planned(self, start: Floats) -> tuple[Motion, str]:
-        """The motion at the model's time step, slowed down where limits ask for it, and which limit it breaks.
+        """The motion at the model's time step, slowed down if limits require it, and the reason if it still breaks one.
 
         Raises:
-            InputError: the start is out of reach, or the duration is too long or too short for the time step.
+            InputError: the start cannot be used, or the duration is too long or too short for the time step.
         """
         path, problem = self._path(start), PlanningProblem(self.arm, start, self.goal, self.duration)
         try:
@@ -208,7 +208,7 @@ class JointMotion:
 
 
 def _joint_columns(arm: Arm, path: Path, names: list[str]) -> Sequence[str]:
-    """The joints' columns; others may stand beside them."""
+    """The names of the joints' columns; a table may have others."""
     wanted = [name.lower() for name in arm.joint_names]
     if missing := [name for name in wanted if name not in names]:
         strange = [name for name in names if name not in (*wanted, "t")]

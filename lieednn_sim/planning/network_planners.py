@@ -1,4 +1,4 @@
-"""Planners that run a network: certified once and retargeted, learned, and without weights."""
+"""Planners whose network is certified once and retargeted, learned, or without weights."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from lieednn_sim.planning.problem import Plan, PlanningProblem, in_time
 from lieednn_sim.synthesis import bias_for, synthesize
 from lieednn_sim.values import Floats
 
-# Where a learned network has its equilibrium the motion ends, and it shall end at the target [rad, length_scale m].
+# The motion ends at the learned network's equilibrium, which must be the target [rad, length_scale m].
 _LEARNED_TOLERANCE = 1e-8
 _TRACKED = TrainingOptions.tracked(tolerance=_LEARNED_TOLERANCE)
 _PLAIN = TrainingOptions.repaired(projection="none", tolerance=_LEARNED_TOLERANCE, max_epochs=20_000, restarts=1)
-# A network's equilibrium further away than this is not the target [rad, length_scale m]: a hundred times what learning
-# leaves, and as much as a position may exceed a limit.
+# Largest distance of a network's equilibrium from the target [rad, length_scale m]: a hundred times the tolerance of
+# learning, and the tolerance of position limits.
 _ARRIVAL = 1e-6
 
 
@@ -35,7 +35,7 @@ class RetargetedOptions(PlannerOptions):
     """Options of the planner ``lieednn-retargeted``.
 
     Attributes:
-        bias_magnitude: of the sign-matched bias under which the reference network is certified [gamma/mu].
+        bias_magnitude: magnitude of the reference network's sign-matched bias [gamma/mu].
     """
 
     bias_magnitude: float = 0.25
@@ -43,10 +43,10 @@ class RetargetedOptions(PlannerOptions):
 
 @dataclass(frozen=True)
 class TrainedOptions(CandidateOptions):
-    """Options of the planner ``lieednn-trained``, beside what `CandidateOptions` say.
+    """Options of the planner ``lieednn-trained``, besides those of `CandidateOptions`.
 
     Attributes:
-        training: how each is learned.
+        training: options of the training.
     """
 
     candidates: int = 4
@@ -61,7 +61,7 @@ class UnprojectedOptions(TrainedOptions):
 
 
 def retargeted(problem: PlanningProblem, options: RetargetedOptions) -> Plan:
-    """The one network of `reference_network`, made to end at the target by its bias alone.
+    """The network of `reference_network`, retargeted by its bias alone.
 
     Raises:
         NotCertifiedError: the arm's reference network could not be certified.
@@ -72,11 +72,11 @@ def retargeted(problem: PlanningProblem, options: RetargetedOptions) -> Plan:
 
 
 def reference_network(arm: Arm, bias_magnitude: float = RetargetedOptions.bias_magnitude) -> LieEDNN:
-    """The network certified once for the arm's `reference_posture`, for every target and seed the same.
+    """The network certified once for the arm's `reference_posture`, the same for every target and seed.
 
     Args:
         arm: the arm.
-        bias_magnitude: of its sign-matched bias [gamma/mu].
+        bias_magnitude: magnitude of its sign-matched bias [gamma/mu].
 
     Raises:
         NotCertifiedError: it could not be certified.
@@ -91,7 +91,7 @@ def _reference_network(arm: Arm, bias_magnitude: float) -> LieEDNN:
 
 
 def trained(problem: PlanningProblem, options: TrainedOptions) -> Plan:
-    """The first of a few learned networks whose motion the arm can make; with a certificate where there is one.
+    """The first of a few learned networks with a feasible motion; certified if a certificate is found.
 
     The weights are learned by tracked projective learning (`learning.train`) under the sign-matched bias.
 
@@ -104,8 +104,8 @@ def trained(problem: PlanningProblem, options: TrainedOptions) -> Plan:
 def unprojected(problem: PlanningProblem, options: UnprojectedOptions) -> Plan:
     """As `trained`, by the gradient steps of Algorithm 1 alone: weights that never return to the adjoint matrices.
 
-    What is left is a plain network of 6N neurons (`HopfieldNetwork`), the ablation that shows what the structure is
-    good for. It gets a certificate where there is one.
+    The result is a plain network of 6N neurons (`HopfieldNetwork`), an ablation of the group structure; certified if a
+    certificate is found.
 
     Raises:
         PlanError: no network was learned, or every motion breaks a limit of the arm.
@@ -125,7 +125,7 @@ def _learned(
         result = train(xi, options.training, bias=bias, seed=problem.seed + candidate)
         network = network_of(result, bias) if result.success else None
         if network is None:
-            # A refused motion tells more than a failed training.
+            # The reason of a refused motion is more informative than that of a failed training.
             refusal = refusal or result.message
             continue
         try:
@@ -140,8 +140,8 @@ def _learned(
 def linear_attractor(problem: PlanningProblem) -> Plan:
     """The linear attractor xi' = -k (xi - xi_d), which is the LieEDNN without weights and with bias xi_d.
 
-    So it shares the network's way through time (`network_path.NetworkPath`), where k has no part: only the path counts,
-    a straight line in the network's coordinates. Its certificate is trivial.
+    It is timed like any network (`network_path.NetworkPath`), so only the path matters, not k: a straight line in the
+    network's coordinates. Its certificate is trivial.
 
     Raises:
         PlanError: the motion breaks a limit of the arm.
@@ -151,7 +151,7 @@ def linear_attractor(problem: PlanningProblem) -> Plan:
 
 
 def without_weights(target: Floats) -> LieEDNN:
-    """The certified network whose visible neurons go straight to ``target`` ``(N, 6)``, each on its own."""
+    """The certified network whose visible neurons go straight to ``target`` ``(N, 6)``, independently."""
     n = len(target)
     return LieEDNN(
         alpha=np.zeros((n, n)),
@@ -162,9 +162,9 @@ def without_weights(target: Floats) -> LieEDNN:
 
 
 def _path(problem: PlanningProblem, network: ComponentwiseNetwork) -> NetworkPath:
-    """The path of a network, when it ends at the problem's target."""
+    """The path of a network, checked to end at the problem's target."""
     path = NetworkPath.drawn(problem.arm, network, problem.start)
-    # An uncertified network may have more equilibria than the one it was made for.
+    # An uncertified network may have several equilibria.
     distance = float(np.abs(network.visible(path.target) - problem.arm.encode(problem.target)).max())
     if distance > _ARRIVAL:
         raise PlanError(

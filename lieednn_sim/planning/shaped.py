@@ -1,9 +1,9 @@
-"""The LieEDNN that follows a good motion: a teacher finds the path, a certified cascade of neurons is shaped after it.
+"""A certified network shaped after the motion of a teacher.
 
-The teacher is minimum jerk where that touches nothing, else trajectory optimisation from there, else trajectory
-optimisation from what RRT-Connect finds, else that itself. Its path is fitted by `synthesis.shape`, and the network's
-motion runs through it by the teacher's own law of time. What is proved is where the network ends, for every start; how
-near it comes to the path is measured, as is all else that a motion keeps.
+The teacher is minimum jerk if that is free of contact, else trajectory optimisation from there, else trajectory
+optimisation from a path of RRT-Connect, else that path itself. It is fitted by `synthesis.shape`, and the network's
+motion follows it by the teacher's time law. Proved is only where the network ends, for every start; its distance from
+the path is measured, as are limits and clearance.
 """
 
 from __future__ import annotations
@@ -30,15 +30,15 @@ from lieednn_sim.planning.problem import Plan, PlanningProblem, in_time
 from lieednn_sim.synthesis import ShapingOptions, shape
 from lieednn_sim.values import Floats, frozen
 
-# From one guess: where it fails a path of RRT-Connect is a better one than any that is drawn.
-# It keeps a little from the joints' limits, which a network that is a little off it would break.
+# From one guess: if that fails, a path of RRT-Connect is a better one than a random guess. The inset keeps it off the
+# joints' limits, which a network slightly off the path would break.
 _OPTIMISATION = OptimisationOptions(guesses=1, evaluations=12, inset=0.01)
 _RRT = RrtConnectOptions()
 # Every second sample of the teacher's motion is a sample of the curve.
 _STRIDE = 2
 # Samples of a network's motion at which it is compared with the teacher's.
 _COMPARED = 400
-# Postures at which lever arms are looked at.
+# Postures at which lever arms are measured.
 _POSTURES = 50
 
 
@@ -47,19 +47,20 @@ class ShapedOptions(PlannerOptions):
     """Options of the planner ``lieednn-shaped``.
 
     Attributes:
-        deviation: of the end effector's path from the teacher's, with which a network is taken at once [m].
-        jerk: of the joints, over the teacher's, with which a network is taken at once.
-        largest_deviation: with which a network is taken when none is as near, the best one first [m].
-        rate: rho of the hidden neurons' clock, see `ShapingOptions`: with 1 the network is as fast as the arm, with
-            less it returns to its path after a push.
-        teachers: motions that are asked for at most, until a network follows one: of RRT-Connect other paths, each
-            drawn with the next seed.
-        neurons: numbers of hidden ones, tried one after another until the motion is near, smooth, and keeps limits and
+        deviation: deviation of the end effector's path from the teacher's up to which a network is accepted at once
+            [m].
+        jerk: joint jerk, relative to the teacher's, up to which a network is accepted at once.
+        largest_deviation: deviation up to which the best network is accepted if none is accepted at once [m].
+        rate: rho of the hidden neurons' clock (`ShapingOptions`): with 1 the network is as fast as the arm; with less
+            it returns to its path after a push.
+        teachers: largest number of teachers' motions to try until a network follows one; further ones are other paths
+            of RRT-Connect, each from the next seed.
+        neurons: numbers of hidden neurons, tried in turn until the motion is near, smooth, and keeps limits and
             clearance.
-        optimised: whether teachers optimise, which takes long among many things; without, RRT-Connect's motion is
-            followed as it is where minimum jerk touches something.
-        optimisation: of the teacher that is asked where minimum jerk touches something, and of RRT-Connect's paths.
-        search: of RRT-Connect, which is asked where that fails.
+        optimised: whether to optimise trajectories, which is slow among many obstacles; otherwise RRT-Connect's motion
+            is followed as it is if minimum jerk is not free of contact.
+        optimisation: options of the trajectory optimisation.
+        search: options of RRT-Connect.
 
     Raises:
         InputError: a value is out of range.
@@ -77,10 +78,10 @@ class ShapedOptions(PlannerOptions):
 
 
 def shaped(problem: PlanningProblem, options: ShapedOptions) -> Plan:
-    """A network shaped after the first teacher's motion that can be made.
+    """A network shaped after the motion of the first successful teacher.
 
     Raises:
-        LieEDNNError: OMPL is needed, and not installed.
+        LieEDNNError: OMPL is needed but not installed.
         PlanError: no teacher finds a motion, or no network follows it closely enough.
     """
     for attempt in range(options.teachers):
@@ -88,7 +89,7 @@ def shaped(problem: PlanningProblem, options: ShapedOptions) -> Plan:
         try:
             return _following(problem, options, teacher)
         except PlanError:
-            # The others are the same with any seed.
+            # Other teachers' motions do not depend on the seed.
             if attempt + 1 == options.teachers or not teacher.planner.startswith("rrt-connect"):
                 raise
     raise AssertionError("options.teachers is at least one")
@@ -99,7 +100,7 @@ def _following(problem: PlanningProblem, options: ShapedOptions, teacher: Plan) 
     guide, arm = teacher.motion, problem.arm
     units = lever_units(arm, guide.q)
     lasts = float(guide.t[-1])
-    # As long as the teacher's, which may have asked for more time already.
+    # The teacher's duration, which may be longer than the problem's.
     asked = replace(problem, duration=lasts, longest=max(1.0, problem.longest * problem.duration / lasts))
     if np.abs(guide.xi - guide.xi[0]).max() == 0.0:
         network = without_weights(guide.xi_target)
@@ -143,7 +144,7 @@ def _following(problem: PlanningProblem, options: ShapedOptions, teacher: Plan) 
 
 @frozen
 class _Fitted:
-    """A network's path along the teacher's: how bad it is in units of what is allowed, and how far it is off [m]."""
+    """A network's path along the teacher's, its badness (at most 1 is accepted at once), and its deviation [m]."""
 
     badness: float
     path: NetworkPath
@@ -151,7 +152,7 @@ class _Fitted:
 
 
 def _teacher(problem: PlanningProblem, options: ShapedOptions) -> Plan:
-    """The motion of the first planner that finds one, by that planner's name."""
+    """The plan of the first successful teacher, under that planner's name."""
     optimised = partial(in_time, optimisation.trajectory_optimisation, problem, options.optimisation)
     refusals = []
 
@@ -176,8 +177,8 @@ def _teacher(problem: PlanningProblem, options: ShapedOptions) -> Plan:
 def lever_units(arm: Arm, q: Floats) -> Floats:
     """Metres ``(N, 6)`` for one unit of each network coordinate along postures ``(K, n)``.
 
-    For a rotation that is the longest lever arm, from the frame that it turns about to the end effector; for a
-    translation the length scale.
+    For rotations, the longest lever arm from the frame of rotation to the end effector; for translations, the length
+    scale.
     """
     postures = q[:: max(1, len(q) // _POSTURES)]
     frames = arm.link_poses(postures).as_matrix()[..., :3, 3]
@@ -194,7 +195,7 @@ def _effector(arm: Arm, motion: Motion) -> Floats:
 
 
 def _deviation(path: Floats, line: Floats) -> float:
-    """Largest distance of a path ``(K, 3)`` from a line ``(L, 3)`` [m], to the nearest of its samples' pieces."""
+    """Largest distance of a path ``(K, 3)`` from a polyline ``(L, 3)`` [m], near its nearest vertices."""
     _, nearest = KDTree(line).query(path)
     off = np.full(len(path), np.inf)
     for first in (np.maximum(nearest - 1, 0), np.minimum(nearest, len(line) - 2)):
