@@ -1,4 +1,4 @@
-"""What a controller does not know of: pushes, a payload, other masses, sensor noise."""
+"""Disturbances unknown to the controller: pushes, a payload, other masses, sensor noise."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ _AHEAD = 256
 
 @dataclass(frozen=True)
 class Push:
-    """A constant force on a body for a while.
+    """A constant force on a body for a limited time.
 
     Attributes:
-        body: name of a body of the scene, or of a link ("link 1", ..., "end effector").
+        body: name of a body of the scene or of a link ("link 1", ..., "end effector").
         force: ``(3,)`` [N], world frame, at the body's centre of mass.
-        start: [s], from the start of the rollout.
-        duration: [s]; the force acts in the simulation steps whose time t has start <= t < start + duration.
+        start: time since the start of the rollout [s].
+        duration: the force acts in simulation steps at times t with start <= t < start + duration [s].
     """
 
     body: str
@@ -63,16 +63,16 @@ class Push:
 
 @dataclass(frozen=True)
 class Disturbances:
-    """All that happens to one rollout behind the controller's back; the default is nothing.
+    """Disturbances of one rollout, unknown to the controller; none by default.
 
     Attributes:
         pushes: forces on bodies.
         payload: mass at the frame of the end effector [kg], unknown to controller and gravity compensation.
-        mass_scale: masses and inertias of the simulated arm in units of those that controller and gravity compensation
-            know.
-        position_noise: standard deviation of each measured joint position [rad, m], white, new at every step.
-        velocity_noise: the same of the velocities [rad/s, m/s].
-        seed: of the noise.
+        mass_scale: masses and inertias of the simulated arm, relative to those in the controller's model and in gravity
+            compensation.
+        position_noise: standard deviation of the white noise on each measured joint position, at every step [rad, m].
+        velocity_noise: the same for velocities [rad/s, m/s].
+        seed: seed of the noise.
     """
 
     pushes: tuple[Push, ...] = ()
@@ -97,7 +97,7 @@ class Disturbances:
 
     @classmethod
     def from_json(cls, value: Mapping[str, Any]) -> Disturbances:
-        """The inverse of `to_json`; KeyError, TypeError or InputError when it is none."""
+        """The inverse of `to_json`; raises KeyError, TypeError or InputError for malformed values."""
         return cls(**{**value, "pushes": tuple(Push(**push) for push in value["pushes"])})
 
 

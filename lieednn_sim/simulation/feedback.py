@@ -1,6 +1,6 @@
-"""A network that runs with the arm, not ahead of it: its visible state hears the joints, and its time waits for them.
+"""Feedback from the arm to its network: measured joints pull the visible state, and the network's time waits for them.
 
-At every control period the follower measures the joints q and compares them with its own reference q_r of that instant.
+At every control period the follower compares the measured joints q with its own reference q_r of that instant.
 With e = max |q - q_r| / range, the state x = (visible, hidden and clock) obeys
 
     x_v' = l (s c F_v(x) + x'_ff + k d (xi(q) - xi(q_r))),    x_h' = l s c F_h(x),
@@ -8,17 +8,17 @@ With e = max |q - q_r| / range, the state x = (visible, hidden and clock) obeys
 where F is the field of the network retargeted to the present target, c its speed, xi the arm's encoding, and
 
     s = max(1 / (1 + (e / e_1)^2), s_0)    the clock waits for an arm that does not keep up,
-    d = max(0, 1 - e_0 / e)                what is within the tolerance e_0 is the controller's to mend,
-    l <= 1                                 keeps the joints within their limits of velocity and, gathering speed, of
+    d = max(0, 1 - e_0 / e)                errors within the tolerance e_0 are left to the controller,
+    l <= 1                                 keeps the joints within their limits of velocity and, while speeding up, of
                                            acceleration.
 
 The proof is kept. Without the coupling (k d = 0) and behind a target at rest x' = r(t) F(x) with a factor
 r = l s c > 0: in the time integral of r it is the network itself, so x runs along the same orbits, and the network's
-Lyapunov function V falls, dV/dt = r grad V . F < 0, until the target is reached, for s and l never vanish for good. It
-is the whole field that must wait: to hold back the hidden neurons or the clock alone would make another system of it,
-which no certificate covers. The coupling is an input of the visible neurons. It vanishes as the arm comes within the
-tolerance of its reference, and from then on the state is one of the certified network's, wherever it has been drawn;
-hidden neurons of a cascade do not hear it at all.
+Lyapunov function V decreases, dV/dt = r grad V . F < 0, until the target is reached, since s and l never vanish for
+good. The whole field must be scaled: slowing the hidden neurons or the clock alone would give another system, which no
+certificate covers. The coupling is an input of the visible neurons. It vanishes when the arm comes within the tolerance
+of its reference; from then on the certified network runs from whatever state it was pulled to. The hidden neurons of a
+cascade have no input from it.
 """
 
 from __future__ import annotations
@@ -44,25 +44,26 @@ from lieednn_sim.simulation.reference import PeriodReference
 from lieednn_sim.validation import as_floats, as_positive
 from lieednn_sim.values import Floats
 
-# The clock never stands still: without it the network would not arrive.
+# Least s: a clock that stopped would keep the network from arriving.
 _SLOWEST = 0.01
-# A joint whose target is faster than that has jumped, where it has no limit [rad/s, m/s].
+# For joints without limits, a target faster than this has jumped [rad/s, m/s].
 _FASTEST = 10.0
-# Of |l s c| T in the certificate's norm, and of the way of a switch's argument, in a step of Runge and Kutta.
+# Largest |l s c| T in the certificate's norm and largest change of a switch's argument in a Runge-Kutta step, and the
+# largest number of such steps.
 _LARGEST_STEP, _LARGEST_SWITCHING, _MOST_STEPS = 0.5, 0.5, 100
-# Velocities at the end of a period may be above their limits by this share before it is run again, and so often.
+# A period is run again, this often, if velocities at its end exceed their limits by more than this share.
 _TOO_FAST, _TRIES = 1e-3, 4
 
 
 @dataclass(frozen=True)
 class Feedback:
-    """How a network runs with the arm; see the module.
+    """Settings of the feedback from the arm to its network; see the module for the equations.
 
     Attributes:
-        rate: k, at which the visible state is drawn to the measured joints [1/s]; 0 lets the clock wait alone.
-        tolerance: e_0, share of the joints' ranges by which the arm may be off its reference and pull nothing.
-        patience: e_1, share of the joints' ranges by which the arm is off its reference at half the speed.
-        safety: the filter of limits and clearance between the network and the reference; None for none.
+        rate: k, rate at which the visible state is pulled to the measured joints [1/s]; with 0 only the clock waits.
+        tolerance: e_0, error up to which the arm does not pull, as a share of the joints' ranges.
+        patience: e_1, error at which the network runs at half its speed, as a share of the joints' ranges.
+        safety: options of a filter of limits and clearance between network and reference; None for no filter.
 
     Raises:
         InputError: a value is out of range.
@@ -84,13 +85,13 @@ class Feedback:
             raise InputError(f"safety must be FilterOptions or None, got {type(self.safety).__name__}")
 
     def response(self, behind: float) -> tuple[float, float]:
-        """To an arm that is off by e: s, and k d [1/s]."""
+        """The factors s and k d [1/s] for an error e."""
         waiting = max(1.0 / (1.0 + (behind / self.patience) ** 2), _SLOWEST)
         return waiting, self.rate * max(0.0, 1.0 - self.tolerance / max(behind, 1e-300))
 
 
 class FeedbackFollower:
-    """A certified network that runs after a target together with the arm; see the module.
+    """A certified network that follows a target with feedback from the arm; see the module.
 
     Args:
         arm: encodes targets; states are decoded by `LocalRetraction`.
@@ -104,9 +105,9 @@ class FeedbackFollower:
     Attributes:
         xi: ``(N, 6)`` state of all neurons.
         reference: what the arm is to follow.
-        jumped: whether the last target was faster than the joints may be.
-        share: l, of the last period.
-        pace: l s, of the last period: its share of the speed c.
+        jumped: whether the last target was faster than the joints' limits.
+        share: l of the last period.
+        pace: l s of the last period, as a share of the speed c.
         behind: e, at the beginning of the last period.
         limit_excess: as of `following.Following`.
 

@@ -1,13 +1,13 @@
-"""A moving target followed while it moves: the network runs in real time and its bias goes with the target.
+"""Following a moving target in real time: the network's bias moves with the target.
 
 The certificate of a network does not depend on its bias, so the bias b(x) = (gamma/mu) x - W phi(x) makes any target x
 the global attractor, at any moment. With the network's rate c [1/s], the state follows
 
     xi' = c (-gamma (xi - x) + mu W (phi(xi) - phi(x))) + x'_ff,
 
-which is c times the field of the network retargeted to x. Behind a target that moves with velocity v in the network's
-coordinates a state near it stays behind by (-c J)^-1 v, J the Jacobian of the field at the target; the feedforward
-x'_ff = v, a stronger bias, takes that away. The joints that decode the state are the reference of a controller.
+which is c times the field of the network retargeted to x. A state near a target that moves with velocity v in the
+network's coordinates lags by (-c J)^-1 v, with the Jacobian J of the field at the target; the feedforward x'_ff = v, a
+stronger bias, removes the lag. The decoded joints are the reference of a controller.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from lieednn_sim.simulation.tracking import make_controlled
 from lieednn_sim.validation import as_floats, as_positive
 from lieednn_sim.values import Floats, frozen
 
-# A target that is faster than the joints may be has jumped; without limits, one faster than this [rad/s, m/s].
+# A target faster than the joints' limits has jumped; for joints without limits, one faster than this [rad/s, m/s].
 _FASTEST = 10.0
 # Largest |c J| h for which RK4 is accurate, far inside its region of stability.
 _LARGEST_STEP = 1.0
@@ -45,16 +45,16 @@ class Following:
     """A rollout behind a moving target.
 
     Attributes:
-        rollout: its reference is what the network made of the target; motion_end is its end.
+        rollout: its reference is the network's decoded state, and `motion_end` its end.
         target: ``(K, n)`` the target at the rollout's times.
-        xi: ``(K, N, 6)`` the states of all neurons of the network; with feedback ``(L, N, 6)``, at the L beginnings of
-            control periods.
+        xi: ``(K, N, 6)`` states of all neurons; with feedback ``(L, N, 6)``, at the beginnings of the L control
+            periods.
         period: simulation steps between two samples of the target.
-        jumps: times at which the target jumped [s], as the follower saw it.
+        jumps: times at which the follower took the target to have jumped [s].
         slowed: share of the control periods in which the velocity limits slowed the network down.
-        limit_excess: how far the decoded joints would have left their position limits [rad, m]; the reference stops
-            at the limits. Not positive when they never would have.
-        gap_translation: largest distance of the decoded poses from the joints' own set [m].
+        limit_excess: largest excess of the decoded joints over their position limits, at which the reference stops
+            [rad, m]; not positive if they kept the limits.
+        gap_translation: largest mechanism gap [m].
         gap_rotation: the same as an angle [rad].
     """
 
@@ -70,7 +70,7 @@ class Following:
 
 
 class Follower:
-    """A certified network that runs after a target; its state is set once and never again.
+    """A certified network that follows a target; its state is only set at the start.
 
     Args:
         arm: encodes targets and decodes states.
@@ -82,12 +82,12 @@ class Follower:
 
     Attributes:
         xi: ``(N, 6)`` state of all neurons.
-        jumped: whether the last target was faster than the joints may be.
-        share: of its speed at which the network ran in the last period, less than 1 where joints would be too fast.
+        jumped: whether the last target was faster than the joints' limits.
+        share: share of its speed at which the network ran in the last period, below 1 if joints would be too fast.
 
     Raises:
-        InputError: network and arm differ in size, the network has no proof and need not follow, or the speed is
-            too high for the time step.
+        InputError: network and arm differ in size, the network is not certified, or the speed is too high for the time
+            step.
     """
 
     def __init__(
@@ -110,7 +110,7 @@ class Follower:
         self.limit_excess, self.gap_translation, self.gap_rotation = -np.inf, 0.0, 0.0
 
     def advance(self, target: Floats) -> tuple[Floats, Floats, Floats]:
-        """Run for a control period after a target ``(n,)``, which was never seen before.
+        """Follow a new target ``(n,)`` for a control period.
 
         Returns:
             Joint coordinates and rates ``(m, n)`` and states ``(m, N, 6)`` after each of the period's m steps.

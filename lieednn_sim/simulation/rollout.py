@@ -1,4 +1,4 @@
-"""Rollouts: what MuJoCo did with a planned motion, every row of one instant."""
+"""Rollouts: logs of simulated motions, with one row per instant."""
 
 from __future__ import annotations
 
@@ -43,34 +43,35 @@ def _zeros() -> Floats:
 
 @frozen
 class Rollout:
-    """Log of a simulation and what it was made from; row k of every array over time belongs to time t[k].
+    """Log of a simulation and its conditions; row k of every array over time belongs to time t[k].
 
     Attributes:
-        arm: what was simulated, among its obstacles.
-        t: ``(K,)`` [s].
+        arm: the simulated arm in its scene.
+        t: ``(K,)`` times [s].
         q: ``(K, n)`` joint coordinates [rad, m].
         qd: ``(K, n)`` their rates [rad/s, m/s].
-        q_ref: ``(K, n)`` what was to be followed, whether the controller saw every row of it or held samples.
+        q_ref: ``(K, n)`` reference of the joint coordinates; the controller may have seen held samples of it.
         qd_ref: ``(K, n)`` its rates.
         ctrl: ``(K, nu)`` actuator controls.
-        force: ``(K, n)`` what the drives exert along each coordinate, gravity compensation included [N m, N]; on ball
-            joints about the axes of the moving body.
-        constraint_force: ``(K, n)`` the same of contacts, joint limits and welds.
+        force: ``(K, n)`` actuator force along each coordinate, including gravity compensation [N m, N]; for ball joints
+            about the axes of the moving body.
+        constraint_force: ``(K, n)`` the same for contacts, joint limits and welds.
         link_position: ``(K, N, 3)`` simulated link frames, world [m].
         link_quaternion: ``(K, N, 4)`` the same, (w, x, y, z).
         contacts: ``(K,)`` number of contacts.
         contact_force: ``(K,)`` largest normal force among the contacts [N]; zero by default.
-        channels: ``(K, ...)`` what controller and disturbances log beside that, by name; see `MocapWelds` and `Pushes`.
-        channel_units: their units, by name.
+        channels: ``(K, ...)`` further logs of controllers and disturbances by name, such as of `MocapWelds` and
+            `Pushes`.
+        channel_units: units of the channels, by name.
         motion_end: time at which the reference comes to rest [s].
         controller: a name of `CONTROLLERS`.
         reference_rate: rate at which the controller saw samples of the reference [Hz], None for every step.
-        disturbances: what the controller did not know of.
-        motion: the plan that was followed, None where there was none.
-        target: ``(n,)`` joint position that was to be reached; by default the reference's last one.
+        disturbances: disturbances unknown to the controller.
+        motion: the planned motion that was followed; None without one.
+        target: ``(n,)`` joint position to reach; by default the reference's last one.
 
     Raises:
-        InputError: arrays are malformed, or arm, motion and what was simulated do not belong together.
+        InputError: arrays are malformed, or do not match the arm and the motion.
     """
 
     arm: Arm

@@ -28,14 +28,14 @@ from lieednn_sim.simulation.simulation import Simulation, quiet_warnings
 from lieednn_sim.validation import as_choice, as_floats, as_positive
 from lieednn_sim.values import Floats
 
-# A longer one is a mistake of units: it would take gigabytes [s].
+# Largest time after the motion [s]: a longer one is an error of units, and would take gigabytes.
 _MAX_HOLD = 1000.0
 
 
 def make_controlled(
     arm: Arm, controller: str, reference: Reference, disturbances: Disturbances
 ) -> tuple[Controller, Simulation]:
-    """A controller of `CONTROLLERS` and the simulation of the plant that it drives, without what is only seen."""
+    """A controller by name, and the simulation of the plant that it drives, without visual geoms."""
     known, bare = controllers(), arm.without_visuals
     driver = known[as_choice("controller", controller, known)](bare, reference)
     plant = make_plant(bare, disturbances, driver.add_bodies if driver.adds_bodies else None)
@@ -103,15 +103,15 @@ def simulate(
 
     Args:
         arm: the arm; its model is not changed.
-        motion: sampled at the model's time step; or the plan that holds it.
-        target: ``(n,)`` joint position that the motion shall reach; by default the plan's, or where the motion ends.
+        motion: a plan, or a motion sampled at the model's time step.
+        target: ``(n,)`` joint position to reach; by default the plan's, or the motion's end.
         controller: a name of `CONTROLLERS`.
         hold: time after the end of the motion [s].
-        mass_scale: short for `Disturbances.mass_scale`, and multiplied with it.
-        reference_rate: the controller sees samples of the motion taken at this rate [Hz] and held in between; a
-            divisor of the simulation's rate. By default it sees every step.
-        disturbances: what the controller does not know of.
-        dump_directory: where to leave ``divergence.npz`` when the run fails; by default nothing is written.
+        mass_scale: short for `Disturbances.mass_scale`; the two are multiplied.
+        reference_rate: rate of the samples of the motion that the controller sees, held in between [Hz]; a divisor of
+            the simulation's rate. By default it sees every step.
+        disturbances: disturbances unknown to the controller.
+        dump_directory: directory for ``divergence.npz`` if the simulation fails; by default nothing is written.
         progress: called with (done, total) steps, about every tenth of a second.
 
     Raises:
