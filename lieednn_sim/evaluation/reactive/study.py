@@ -22,17 +22,18 @@ from lieednn_sim.evaluation.table import Rows
 from lieednn_sim.validation import as_count
 
 METHOD = (
-    "From home to random reachable targets in the closed loop at 100 Hz, with inverse-dynamics servos, 7 s. When 35 % "
-    "of a leader's own undisturbed way is gone it is disturbed: a force of 0.2 s on a random link, in one direction "
-    "for all, as large as it takes to throw a joint 8 to 12 % of its range off that way in this very run, at most 20 "
-    "kN; or a weight of 10 N at the end effector from then on; or another target, up to a tenth of the ranges away. "
-    "Arrived is who ends with every link within 1 mm and 0.1 degrees of the last target and never touched anything. "
-    "Back is who stays within a tenth of the largest deviation from the undisturbed way, for good; a weight that "
-    "stays keeps an arm off it. Effort is the integral of the mean squared drive force in units of the limits. All "
-    "are pushed with the arm and wait for it but the tracker, which plays the teacher's motion and hears neither arm "
-    "nor target. Among obstacles networks, primitives and the linear attractor go through the safety filter, fabric "
-    "and path integral (mppi) keep clear by themselves. All without a law of time of their own approach the target at "
-    "2/s. The CPU time of a control step, measured in Python, is the one number that differs between runs."
+    "From home to random reachable targets with feedback at 100 Hz and inverse-dynamics servos, for 7 s. After 35 % of"
+    " its own undisturbed path each leader is disturbed: by a force of 0.2 s on a random link, in the same direction "
+    "for all, as large as is needed in this run to make a joint deviate by 8 to 12 % of its range while the force acts"
+    " or soon after, at most 20 kN; by a weight of 10 N at the end effector from then on; or by another target, up to "
+    "a tenth of the ranges away. A leader has arrived if every link ends within 1 mm and 0.1 degrees of the last "
+    "target without any contact. It is back once its deviation from the undisturbed path stays below a tenth of the "
+    "largest one, which a lasting weight prevents. Effort is the integral of the mean squared actuator force relative "
+    "to its limits. All leaders but the tracker see the measured joints and wait for the arm; the tracker plays the "
+    "teacher's motion, whatever arm and target do. Among obstacles, networks, primitives and the linear attractor use "
+    "the safety filter; fabric and path integral (mppi) avoid contact by themselves. Leaders without a time law of "
+    "their own approach the target at 2/s. Only the CPU time of a control step, measured in Python, differs between "
+    "runs."
 )
 
 
