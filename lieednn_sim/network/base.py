@@ -1,4 +1,4 @@
-"""What all networks share: x_i' = -gamma x_i + mu sum_j W_ij phi(x_j) + mu b_i with blocks W_ij of size d x d."""
+"""Base class of all networks: x_i' = -gamma x_i + mu sum_j W_ij phi(x_j) + mu b_i with blocks W_ij of size d x d."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from lieednn_sim.values import Floats
 class BlockNetwork(ABC):
     """N neurons of d coordinates each, coupled by d x d blocks; subclasses are frozen dataclasses.
 
-    The state has shape ``(..., N, d)``; the flat state is its C-order ravel. The last M neurons are hidden: what is
-    made of a state shows the visible ones alone, which come first. In most networks M = 0.
+    The state has shape ``(..., N, d)``; the flat state is its C-order ravel. The last M neurons are hidden: only the
+    visible ones, which come first, are decoded. In most networks M = 0.
 
     Attributes:
         bias: ``(N, d)``.
         gamma: decay rate, positive.
         mu: scale of the interaction, positive.
-        n_clock: how many of the last hidden neurons are the clock, which drives the other hidden ones.
+        n_clock: number of hidden neurons, the last ones, that are the clock, which drives the other hidden ones.
     """
 
     bias: Floats
@@ -41,9 +41,9 @@ class BlockNetwork(ABC):
     _kind: ClassVar[str]
     _arrays: ClassVar[tuple[str, ...]]
     _scalars: ClassVar[tuple[str, ...]]
-    # Those of them that a file need not hold.
+    # Those that may be missing in a file.
     _optional: ClassVar[tuple[str, ...]] = ("lyapunov_diagonal", "hidden_start", "n_clock")
-    # What does not depend on the visible neurons' bias, so that a network with another one can take it over.
+    # Cached values independent of the visible neurons' bias, which `retarget` hands over.
     _bias_free: ClassVar[tuple[str, ...]] = ("blocks", "weight", "certificate", "_undriven_rest")
 
     def __repr__(self) -> str:
@@ -74,7 +74,7 @@ class BlockNetwork(ABC):
         return self.n_neurons - self.n_hidden
 
     def visible(self, xi: ArrayLike) -> Floats:
-        """States of the visible neurons ``(..., N - M, d)`` in those of all, ``(..., N, d)``."""
+        """The visible neurons' states ``(..., N - M, d)`` of the states ``(..., N, d)`` of all neurons."""
         return as_floats("xi", xi, self.bias.shape, batched=True)[..., : self.n_visible, :]
 
     def start(self, xi: ArrayLike) -> Floats:
@@ -85,7 +85,7 @@ class BlockNetwork(ABC):
     def goal(self, xi: ArrayLike) -> Floats:
         """The state ``(N, d)`` with the visible neurons at ``xi`` ``(N - M, d)`` and the hidden ones at rest there.
 
-        Where no hidden neuron hears a visible one, the hidden ones rest at the same state for every ``xi``.
+        If no hidden neuron has input from a visible one, the hidden ones rest at the same state for every ``xi``.
 
         Raises:
             InputError: the hidden neurons have no equilibrium while the visible ones are there.
@@ -99,7 +99,7 @@ class BlockNetwork(ABC):
 
     @cached_property
     def _undriven_rest(self) -> Floats:
-        """Equilibrium ``(M, d)`` of hidden neurons that hear no visible ones."""
+        """Equilibrium ``(M, d)`` of hidden neurons without inputs from visible ones."""
         return read_only(self._rest(self.start(np.zeros((self.n_visible, self.bias.shape[1])))))
 
     def _rest(self, state: Floats) -> Floats:
@@ -170,8 +170,8 @@ class BlockNetwork(ABC):
 
         Args:
             start: ``(N, d)`` first guess, zero by default.
-            tolerance: on the largest entry of the vector field, relative to gamma (1 + |xi|); a hundred times as much
-                passes where rounding keeps Newton's method from doing better.
+            tolerance: tolerance of the largest entry of the vector field, relative to gamma (1 + |xi|); a hundred times
+                as much is accepted if rounding keeps Newton's method from improving further.
 
         Returns:
             The point found and whether it converged; a certified network has exactly one equilibrium.
@@ -202,8 +202,8 @@ class BlockNetwork(ABC):
             start: ``(N, d)`` state at time 0, see `start`.
             duration: longest time to integrate, in the network's own time.
             until: ``(N, d)`` state to stop at, usually the equilibrium.
-            distance: stop when the largest coordinate of xi - until is below this; of hidden neurons that of what the
-                others hear of them, phi(xi) - phi(until).
+            distance: stop when the largest coordinate of xi - until is below this; for hidden neurons, of their
+                outputs' difference phi(xi) - phi(until).
             method: a name of `dynamics.INTEGRATORS`.
             rtol: relative tolerance of the integrator.
             atol: absolute tolerance of the integrator.
@@ -222,14 +222,14 @@ class BlockNetwork(ABC):
         )
 
     def norm_conditions(self, xi: ArrayLike) -> stability.NormConditions:
-        """The paper's norm conditions, beside the smallest 1-norm possible with equilibrium ``xi``."""
+        """The paper's norm conditions, and the smallest 1-norm possible with equilibrium ``xi``."""
         target = as_floats("xi", xi, self.bias.shape)
         required = self.gamma / self.mu * target - self.bias
         smallest = stability.smallest_one_norm(self.phi(target), required)
         return stability.norm_conditions(self.weight, smallest, gamma=self.gamma, mu=self.mu)
 
     def _seen(self, x: Floats) -> Floats:
-        """What counts of a flat state, flat: where the visible neurons are, and what the hidden ones send."""
+        """Visible neurons' states and hidden ones' outputs of a flat state, flat."""
         if self.n_hidden == 0:
             return x
         state = x.reshape(self.bias.shape)
@@ -238,17 +238,17 @@ class BlockNetwork(ABC):
     def retarget(self, xi: ArrayLike) -> Self:
         """The same weights with the bias that makes ``xi`` ``(N - M, d)`` the equilibrium of the visible neurons.
 
-        It is b = (gamma/mu) x - W phi(x) of the visible neurons alone, with x the `goal`; the hidden ones keep theirs.
+        The visible neurons' bias becomes b = (gamma/mu) x - W phi(x) with x the `goal`; the hidden ones keep theirs.
         The certificate does not depend on the bias: a certified network stays certified.
 
         Raises:
-            InputError: as of `goal`.
+            InputError: as `goal`.
         """
         target = self.goal(xi)
         bias = self.gamma / self.mu * target - self.weight.dot(self.phi(target).ravel()).reshape(target.shape)
         if self.n_hidden:
             bias[self.n_visible :] = self.bias[self.n_visible :]
-        # Weights and proof are the same: hand over what has been checked and computed of them, and nothing else.
+        # Weights and proof are the same: hand over what was checked and computed for them, and nothing else.
         network, known = object.__new__(type(self)), vars(self)
         vars(network).update({name: known[name] for name in self._kept() if name in known})
         vars(network)["bias"] = read_only(as_floats("bias", bias, bias.shape))
@@ -257,12 +257,12 @@ class BlockNetwork(ABC):
     @classmethod
     @cache
     def _kept(cls) -> tuple[str, ...]:
-        """Names of what another bias changes nothing of, and of the bias."""
+        """Names of the fields, and of cached values independent of the bias."""
         # mypy cannot know that every subclass is a dataclass, here and below.
         return (*(field.name for field in fields(cls)), *cls._bias_free)  # type: ignore[arg-type]
 
     def _carrying(self, found: stability.Certificate, every: int = 1) -> Self:
-        """This network with a certificate that was found; of its diagonal the entries 0, ``every``, ... are stored."""
+        """This network with a new certificate, of whose diagonal the entries 0, ``every``, ... are stored."""
         if not found.valid:
             raise NotCertifiedError(f"no certificate was found for the weights ({found}); scale alpha or mu down")
         diagonal = found.lyapunov_diagonal[::every]
@@ -298,7 +298,7 @@ class BlockNetwork(ABC):
 
     @classmethod
     def _from_meta(cls, meta: Mapping[str, Any]) -> dict[str, Any]:
-        """Arguments of the constructor out of metadata; KeyError or InputError when they are not there."""
+        """Arguments of the constructor from metadata; raises KeyError or InputError if some are missing."""
         return {name: meta[name] for name in cls._scalars if name in meta or name not in cls._optional}
 
     def _store(self, **checked: Any) -> None:

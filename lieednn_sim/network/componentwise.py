@@ -15,7 +15,7 @@ from lieednn_sim.network.base import BlockNetwork
 from lieednn_sim.validation import as_choice, as_floats
 from lieednn_sim.values import Floats
 
-# Odd, bounded activations with slopes in (0, 1]: what the certificate of `stability` assumes. (phi, phi').
+# (phi, phi') of odd, bounded activations with slopes in (0, 1], as the certificates of `stability` assume.
 ACTIVATIONS: dict[str, tuple[Callable[[Floats], Floats], Callable[[Floats], Floats]]] = {
     "tanh": (np.tanh, lambda x: 1.0 / np.cosh(np.clip(x, -350.0, 350.0)) ** 2),
     "arctan": (lambda x: 2.0 / np.pi * np.arctan(0.5 * np.pi * x), lambda x: 1.0 / (1.0 + (0.5 * np.pi * x) ** 2)),
@@ -51,7 +51,7 @@ class ComponentwiseNetwork(BlockNetwork):
         return stability.verify(self.lyapunov_diagonal, self.certifiable_weight, gamma=self.gamma, mu=self.mu)
 
     def certify(self) -> Self:
-        """Search a certificate, and return this network carrying it.
+        """Search for a certificate, and return this network with it.
 
         Raises:
             NotCertifiedError: none was found; the network may be unstable.
@@ -59,14 +59,14 @@ class ComponentwiseNetwork(BlockNetwork):
         return self._carrying(stability.find_certificate(self.certifiable_weight, gamma=self.gamma, mu=self.mu))
 
     def try_certify(self) -> Self:
-        """This network carrying a certificate, where one is found; else as it is."""
+        """This network with a certificate if one is found; else unchanged."""
         try:
             return self.certify()
         except NotCertifiedError:
             return self
 
     def assess(self, start: ArrayLike | None = None) -> stability.Verdict:
-        """Every stability condition with the rate it proves; the local one at the equilibrium found from ``start``."""
+        """All stability conditions with the rates they prove; the local one at the equilibrium found from ``start``."""
         found = self.equilibrium(start)
         return stability.assess(
             self.weight,
@@ -84,7 +84,7 @@ class ComponentwiseNetwork(BlockNetwork):
             pushed: flat coordinates that pushes and targets move, those of all visible neurons by default.
 
         Raises:
-            NotCertifiedError: what the pushes reach is not certified.
+            NotCertifiedError: the neurons that the pushes affect are not certified.
         """
         return stability.robustness(
             self.weight,
@@ -100,7 +100,7 @@ class ComponentwiseNetwork(BlockNetwork):
         return ACTIVATIONS[self.activation][0](x)
 
     def invariant_box(self, start: ArrayLike) -> tuple[Floats, Floats]:
-        """Least box, ``(N, d)`` lower and upper, that holds ``start`` ``(..., N, d)`` and that no trajectory leaves.
+        """Least invariant box, ``(N, d)`` lower and upper corner, that contains ``start`` ``(..., N, d)``.
 
         It proves limits on the coordinates for the whole transient (`stability.invariant_box`).
         """
@@ -116,7 +116,7 @@ class ComponentwiseNetwork(BlockNetwork):
 
     @cached_property
     def _scaled(self) -> tuple[Floats, Floats]:
-        """Times mu, W and b, flat."""
+        """Mu W and mu b, flat."""
         return self.mu * self.weight, self.mu * self.bias.ravel()
 
     def _driven(self, state: Floats) -> Floats:

@@ -20,7 +20,7 @@ from lieednn_sim.values import Floats, frozen
 # Flat vector fields ``(dN,)`` to ``(dN,)`` and their Jacobians, ``(dN,)`` to ``(dN, dN)``.
 VectorField = Callable[[Floats], Floats]
 
-# Steps that a flow is followed for at most, see `_follow`.
+# Largest number of integration steps in `_follow`.
 _FLOW_STEPS = 5000
 # Evaluations of the vector field in one integration, which take some seconds; a usual one needs a thousand.
 _MAX_EVALUATIONS = 200_000
@@ -34,7 +34,7 @@ INTEGRATORS: dict[str, type[OdeSolver]] = {
     "BDF": BDF,
     "LSODA": LSODA,
 }
-# Relative tolerance of the time at which a way ends, as that of SciPy's own events.
+# Relative tolerance of the time of arrival, as for SciPy's own events.
 _TINY = 4.0 * float(np.finfo(float).eps)
 # Exponents of the powers in RK45's interpolants.
 _ORDERS = np.arange(4)
@@ -90,20 +90,20 @@ class Trajectory:
 def find_equilibrium(
     vector_field: VectorField, jacobian: VectorField, start: Floats, *, rate: float, tolerance: float
 ) -> Equilibrium:
-    """Find an equilibrium by damped Newton steps; where they stall, follow the flow and try again.
+    """Find an equilibrium by damped Newton steps; if they stall, follow the flow and try again.
 
     Args:
         vector_field: flat right-hand side.
         jacobian: its derivative.
         start: ``(N, d)`` first guess.
         rate: decay rate of the system, which scales residuals and times.
-        tolerance: on the largest entry of the vector field, relative to rate (1 + |x|).
+        tolerance: tolerance of the largest entry of the vector field, relative to rate (1 + |x|).
 
     Raises:
         LieEDNNError: the numbers are so large that the search overflows.
     """
     with np.errstate(all="ignore"):
-        # Squares may overflow on the way; a result that is not finite is none.
+        # Squares may overflow meanwhile; a result that is not finite is rejected below.
         try:
             found = _search(vector_field, jacobian, start, rate, tolerance)
         except (np.linalg.LinAlgError, ValueError) as error:
@@ -138,7 +138,7 @@ def _search(
 
 
 def _follow(vector_field: VectorField, x: Floats, duration: float) -> Floats:
-    """The state after ``duration``, or after the most steps: a network far faster than its decay takes no more."""
+    """The state after ``duration``, or after `_FLOW_STEPS`, which only a network far faster than its decay needs."""
     flow = RK45(lambda _, y: vector_field(y), 0.0, x, duration)
     for _ in range(_FLOW_STEPS):
         if flow.status != "running":
@@ -166,14 +166,14 @@ def _newton(vector_field: VectorField, jacobian: VectorField, x: Floats, toleran
                 break
             fraction *= 0.5
         else:
-            # At the rounding floor no step can shrink the residual any more.
+            # At the rounding floor no step reduces the residual further.
             return x, step, bool(np.abs(value).max() <= 100.0 * limit)
         x, value = trial, trial_value
     return x, 100, False
 
 
 def runge_kutta_step(field: Callable[[Floats, float], Floats], x: Floats, h: float, k: float = 0.0) -> Floats:
-    """The state after a step h from time k h, by Runge and Kutta's method of fourth order.
+    """The state after a step h from time k h, by the fourth-order Runge-Kutta method.
 
     Args:
         field: rate at a state and a time in units of h.
@@ -207,13 +207,13 @@ def integrate(
     Raises:
         InputError: duration not positive, or unknown method.
         LieEDNNError: the integrator gave up, or the network is too stiff for it: it needed too many evaluations.
-        OutOfTimeError: the time budget of the present work is spent.
+        OutOfTimeError: the time budget is spent.
     """
     as_choice("method", method, INTEGRATORS)
     for name, value in (("rtol", rtol), ("atol", atol), ("distance", distance)):
         as_positive(name, value)
     longest = as_positive("duration", duration)
-    # How far a flat state is from where the way ends.
+    # Distance of a flat state from the end, less the one asked for.
     away: Callable[[Floats], float] | None = None
     if until is not None:
         goal = seen(until.ravel())
@@ -222,11 +222,11 @@ def integrate(
             return float(np.abs(seen(x) - goal).max()) - distance
 
         if away(start.ravel()) <= 0.0:
-            # An end needs a crossing; there is none when the start is inside, and nothing to integrate.
+            # The end is a crossing; if the start is inside, there is none, and nothing to integrate.
             away, longest = None, 1e-9 * longest
 
     with warnings.catch_warnings(), np.errstate(all="ignore"):
-        # What overflows ends the integration, or shows up below.
+        # An overflow ends the integration, or is noticed below.
         warnings.simplefilter("ignore")
         try:
             solver = INTEGRATORS[method](
@@ -267,7 +267,7 @@ def _run(solver: OdeSolver, away: Callable[[Floats], float] | None) -> tuple[Flo
 
 
 def _polynomials(t: Floats, pieces: list[DenseOutput]) -> PPoly:
-    """The interpolants of RK45's steps as one object: many times are worked out at once, not step by step.
+    """The interpolants of RK45's steps as one object, which evaluates many times at once.
 
     In a step h from time t they are y + h sum_k Q_k s^(k+1) with s = (time - t) / h.
     """

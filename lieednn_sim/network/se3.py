@@ -59,10 +59,10 @@ class LieEDNN(RigidNetwork, ComponentwiseNetwork):
         activation: a name of `ACTIVATIONS`.
         lyapunov_diagonal: ``(3N,)`` diagonal P that certifies W_R, or None. Checked by `certificate`.
         hidden_start: ``(M, 6)`` state of the hidden neurons at time 0, M < N; by default none is hidden.
-        n_clock: how many of the last hidden neurons are the clock.
+        n_clock: number of hidden neurons, the last ones, that are the clock.
 
     Raises:
-        InputError: wrong shapes, entries that are not finite, or rotations that are none.
+        InputError: wrong shapes, entries that are not finite, or matrices that are no rotations.
     """
 
     alpha: Floats
