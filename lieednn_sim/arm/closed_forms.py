@@ -183,7 +183,7 @@ class OneScrew:
         return offset, None if poses.twist_rate is None else poses.twist_rate[..., link, :] @ self._dual[:, None]
 
 
-class SixFreedoms:
+class SixDof:
     """Trans(S s) Rot(A w), three slides below a ball joint: every pose is met exactly."""
 
     def __init__(self, joint: CompoundJoint, link: int) -> None:

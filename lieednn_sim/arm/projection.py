@@ -19,7 +19,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from lieednn_sim.arm.closed_forms import HingeSlide, MovingPoses, OneScrew, SixFreedoms
+from lieednn_sim.arm.closed_forms import HingeSlide, MovingPoses, OneScrew, SixDof
 from lieednn_sim.arm.kinematics import CompoundJoints, Factor
 from lieednn_sim.arm.nearest import NearestPose
 from lieednn_sim.budget import count_states
@@ -84,7 +84,7 @@ class Retractor:
     @property
     def exact(self) -> bool:
         """Whether every compound joint has six degrees of freedom, so that no pose leaves a gap."""
-        return all(isinstance(solver, SixFreedoms) for solver in self._solvers)
+        return all(isinstance(solver, SixDof) for solver in self._solvers)
 
     def __call__(self, xi: Floats, xi_dot: Floats | None = None, start: Floats | None = None) -> Retraction:
         """Nearest joint position to exp(xi_i), with its derivative along xi_dot.
@@ -157,8 +157,8 @@ def _solvers(joints: CompoundJoints, length: float) -> list[_Solver]:
             solvers.append(OneScrew(joint, links[0], length))
         elif len(links) == 1 and HingeSlide.fits(joint):
             solvers.append(HingeSlide(joint, links[0], length))
-        elif len(links) == 1 and SixFreedoms.fits(joint):
-            solvers.append(SixFreedoms(joint, links[0]))
+        elif len(links) == 1 and SixDof.fits(joint):
+            solvers.append(SixDof(joint, links[0]))
         else:
             searched.setdefault(_build(joints, links), []).append(links)
     return [*solvers, *(_Nearest(joints, groups, length) for groups in searched.values())]

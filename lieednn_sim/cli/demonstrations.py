@@ -72,7 +72,7 @@ def learn(arguments: argparse.Namespace) -> None:
         f"{len(shown)} demonstrations, {shown[0].shown}, {demonstrations.extent:.3g} m across, "
         f"{demonstrations.duration:.3g} s; {shaped.shaping.message}"
     )
-    console.print(of_models(rows, turns=demonstrations.freedoms == 6))
+    console.print(of_models(rows, turns=demonstrations.dof == 6))
     console.print(f"stability: {shaped.network.certificate}")
     wrote(network, report, paths, field)
 
@@ -91,7 +91,7 @@ def _report(
         "clock_rate": arguments.clock_rate,
         "seed": arguments.seed,
         "demonstrations": len(demonstrations),
-        "freedoms": demonstrations.freedoms,
+        "dof": demonstrations.dof,
         "extent_m": demonstrations.extent,
         "spread_m": float(np.linalg.norm(demonstrations.spread[:, 3:], axis=1).max()),
         "lever_m": demonstrations.lever,

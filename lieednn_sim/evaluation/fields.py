@@ -51,10 +51,10 @@ def random_starts(demonstrations: Demonstrations, count: int, seed: int | np.ran
     margin = np.ptp(place, axis=0).max()
     starts = np.zeros((count, 6))
     starts[:, 3:] = rng.uniform(low - margin, high + margin, (count, 3))
-    if demonstrations.freedoms == 6:
+    if demonstrations.dof == 6:
         axis = rng.normal(size=(count, 3))
         starts[:, :3] = rng.uniform(0.0, LARGEST_TURN, (count, 1)) * axis / np.linalg.norm(axis, axis=1, keepdims=True)
-    elif demonstrations.freedoms == 2:
+    elif demonstrations.dof == 2:
         starts[:, 5] = 0.0
     return twist_of(starts)
 

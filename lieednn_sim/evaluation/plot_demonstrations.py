@@ -44,9 +44,9 @@ def plot_paths(models: Mapping[str, MotionModel], demonstrations: Demonstrations
         name: displacement(reproduction(model, demonstrations, demonstrations.mean[0]))
         for name, model in models.items()
     }
-    views = ((0, 1),) if demonstrations.freedoms == 2 else ((0, 1), (0, 2), (1, 2))
+    views = ((0, 1),) if demonstrations.dof == 2 else ((0, 1), (0, 2), (1, 2))
     with matplotlib.rc_context(STYLE):
-        turns = demonstrations.freedoms == 6
+        turns = demonstrations.dof == 6
         size = (6.4, 5.6) if len(views) == 1 else (12.5, 7.6 if turns else 4.4)
         figure = Figure(figsize=size, layout="constrained")
         axes = figure.subplots(2 if turns else 1, len(views), squeeze=False)
@@ -128,7 +128,7 @@ def plot_field(model: MotionModel, demonstrations: Demonstrations, path: str | o
         every = 1e3 * ways[..., [3 + h, 3 + v]]
         low, high = every.min(axis=(0, 1)), every.max(axis=(0, 1))
         low, high = low - 0.05 * (high - low), high + 0.05 * (high - low)
-        if demonstrations.freedoms < 6:
+        if demonstrations.dof < 6:
             _draw_field(axis, model, demonstrations, (low, high), (h, v))
         for number, way in enumerate(every):
             axis.plot(way[:, 0], way[:, 1], color=_ELSEWHERE, lw=0.8, ls="-", zorder=3)

@@ -106,9 +106,9 @@ def decoding(results: Results) -> tuple[str, str]:
 def telescopic(results: Results) -> tuple[str, str]:
     record = check(results, "decoding")
     measured = (
-        f"a joint of six freedoms can take every decoded pose; one hinge and one slide {record['on_hinge']:.0%} of "
-        f"{record['count']} random targets: the pose is tilted against the hinge by {record['tilt_deg']:.0f} degrees "
-        "(median)"
+        "a joint with six degrees of freedom can take every decoded pose; one hinge and one slide "
+        f"{record['on_hinge']:.0%} of {record['count']} random targets: the pose is tilted against the hinge by "
+        f"{record['tilt_deg']:.0f} degrees (median)"
     )
     return measured, HOLDS if record["on_hinge"] >= MOST else PART
 

@@ -147,7 +147,7 @@ def test_gap_is_the_distance_between_decoded_and_feasible_poses(arm, motion):
     difference = arm.joint_poses(motion.q).inv() * exp(motion.xi)
     np.testing.assert_allclose(motion.gap_translation, np.linalg.norm(difference.translation, axis=-1), atol=1e-9)
     np.testing.assert_allclose(motion.gap_rotation, difference.rotation.magnitude(), atol=1e-7)
-    assert motion.gap_translation.max() > 1e-3, "a mechanism of two freedoms cannot follow se(3) exactly on the way"
+    assert motion.gap_translation.max() > 1e-3, "a mechanism with two dof cannot follow se(3) exactly on the way"
     assert motion.gap_translation[-1].max() < 10 * RESIDUAL
 
 

@@ -12,7 +12,7 @@ from lieednn_sim.planning.laws import minimum_jerk_law
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.simulation import Rollout, simulate
 
-# One joint of six freedoms on a body that is not compensated, and a second link behind it with a servo of gear 2.
+# One joint with six dof on a body that is not compensated, and a second link behind it with a servo of gear 2.
 COMPOUND = """
 <mujoco model="compound">
   <compiler angle="radian" autolimits="true"/>

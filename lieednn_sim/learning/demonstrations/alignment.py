@@ -31,14 +31,14 @@ class Demonstrations:
         goal: world pose at which the motion ends: the mean of the recorded ends.
         t: ``(K,)`` mean time at which a phase is reached, from 0 to the mean duration [s].
         twists: ``(n, K, 6)`` [rad, m].
-        freedoms: degrees of freedom that were recorded: 2, 3 or 6.
+        dof: degrees of freedom that were recorded: 2, 3 or 6.
         lever: metres that a radian counts for, in lengths and distances.
     """
 
     goal: RigidTransform
     t: Floats
     twists: Floats
-    freedoms: int
+    dof: int
     lever: float = LEVER
 
     def __len__(self) -> int:
@@ -99,7 +99,7 @@ def align(
     """Resample demonstrations at equal phases.
 
     Args:
-        demonstrations: at least one, all with the same freedoms.
+        demonstrations: at least one, all with the same dof.
         phase: ``"length"``, the share of the length, which does not depend on speed and pauses, or ``"time"``, the
             share of the duration.
         samples: K.
@@ -111,7 +111,7 @@ def align(
     as_choice("phase", phase, PHASES)
     lever = as_positive("lever", lever)
     shares = np.linspace(0.0, 1.0, as_count("samples", samples, least=2))
-    if not demonstrations or len({one.freedoms for one in demonstrations}) > 1:
+    if not demonstrations or len({one.dof for one in demonstrations}) > 1:
         raise InputError("align needs at least one demonstration, and all must show the same")
     twists, times = [], []
     for one in demonstrations:
@@ -121,7 +121,7 @@ def align(
     ends = Rotation.from_matrix(np.stack([one.rotation[-1] for one in demonstrations]))
     place = np.mean([one.position[-1] for one in demonstrations], axis=0)
     goal = RigidTransform.from_components(place, ends.mean())
-    return Demonstrations(goal, np.mean(times, axis=0), np.stack(twists), demonstrations[0].freedoms, lever)
+    return Demonstrations(goal, np.mean(times, axis=0), np.stack(twists), demonstrations[0].dof, lever)
 
 
 def at_phases(shares: Floats, samples: Floats, t: Floats, steps: Floats, phase: str) -> tuple[Floats, Floats]:
@@ -142,9 +142,9 @@ def at_phases(shares: Floats, samples: Floats, t: Floats, steps: Floats, phase: 
     return reached, np.interp(shares, share, t[kept])
 
 
-def shown_part(freedoms: int) -> slice:
+def shown_part(dof: int) -> slice:
     """The entries of a twist that were recorded, given their number."""
-    return slice(0, 6) if freedoms == 6 else slice(3, 3 + freedoms)
+    return slice(0, 6) if dof == 6 else slice(3, 3 + dof)
 
 
 def displacement(twists: Floats) -> Floats:

@@ -62,7 +62,7 @@ def load_demonstrations(
     for source, samples, t in read_tables(files, partial(_pose_columns, quaternion)):
         found.append(Demonstration.from_samples(samples, t, length, quaternion, rate, source))
     for other in found[1:]:
-        if other.freedoms != found[0].freedoms:
+        if other.dof != found[0].dof:
             raise InputError(
                 f"demonstrations must all show the same: {found[0].source} has {found[0].shown}, "
                 f"{other.source} {other.shown}"

@@ -40,12 +40,12 @@ class MovementPrimitive:
     Attributes:
         weights: ``(B, 6)`` for rotations [rad] and positions [m]; zero for entries that were not recorded.
         duration: mean duration of the demonstrations [s].
-        freedoms: 2, 3 or 6.
+        dof: 2, 3 or 6.
     """
 
     weights: Floats
     duration: float
-    freedoms: int
+    dof: int
 
     name: ClassVar[str] = "dmp"
     durations: ClassVar[float] = 1.0
@@ -57,27 +57,27 @@ class MovementPrimitive:
         The path is linear in the weights except for the curvature of rotations, so that the least squares are in the
         path itself: no recorded motion is differentiated.
         """
-        freedoms, duration = demonstrations.freedoms, demonstrations.duration
-        shown = shown_part(freedoms)
-        n_basis = max(2, round(n_parameters / freedoms))
+        dof, duration = demonstrations.dof, demonstrations.duration
+        shown = shown_part(dof)
+        n_basis = max(2, round(n_parameters / dof))
         grid = np.arange(0.0, 1.0 + 0.5 * STEP, STEP)
         wanted = displacement(at_times(demonstrations.twists, demonstrations.t / duration, grid))
         inverse = np.linalg.pinv(_responses(_forcing(n_basis, grid)), rcond=_LEAST_RESPONSE)
         weights = np.zeros((n_basis, 6))
-        for _ in range(_CORRECTIONS if freedoms == 6 else 1):
-            model = cls(weights, duration, freedoms)
+        for _ in range(_CORRECTIONS if dof == 6 else 1):
+            model = cls(weights, duration, dof)
             missing = wanted - displacement(model.reproduce(demonstrations.twists[:, 0], duration * grid))
-            if freedoms == 6:
+            if dof == 6:
                 turns = [Rotation.from_rotvec(path[..., :3].reshape(-1, 3)) for path in (wanted, wanted - missing)]
                 missing[..., :3] = (turns[0] * turns[1].inv()).as_rotvec().reshape((*missing.shape[:-1], 3))
             weights = weights.copy()
             weights[:, shown] += inverse @ missing.mean(axis=0)[:, shown]
-        return cls(weights, duration, freedoms)
+        return cls(weights, duration, dof)
 
     @property
     def n_parameters(self) -> int:
         """The number of weights of recorded entries."""
-        return len(self.weights) * self.freedoms
+        return len(self.weights) * self.dof
 
     def reproduce(self, start: Floats, t: Floats) -> Floats:
         """As `MotionModel.reproduce`."""
@@ -92,7 +92,7 @@ class MovementPrimitive:
             rate = rate + STEP * (_ALPHA * (-_BETA * path[-1] - rate) + force)
             position = position + STEP * rate[:, 3:]
             turned = path[-1][:, :3]
-            if self.freedoms == 6:
+            if self.dof == 6:
                 turn = Rotation.from_rotvec(STEP * rate[:, :3]) * turn
                 turned = turn.as_rotvec()
             path.append(np.concatenate([turned, position], axis=1))

@@ -58,9 +58,9 @@ class ProbabilisticPrimitive:
             raise LieEDNNError(f"the rival {cls.name!r} needs movement_primitives: {INSTALL}")
         from movement_primitives.promp import ProMP
 
-        freedoms, duration = demonstrations.freedoms, demonstrations.duration
-        shown = shown_part(freedoms)
-        n_basis = max(2, round(n_parameters / freedoms))
+        dof, duration = demonstrations.dof, demonstrations.duration
+        shown = shown_part(dof)
+        n_basis = max(2, round(n_parameters / dof))
         shares = np.linspace(0.0, 1.0, _INSTANTS)
         paths = displacement(at_times(demonstrations.twists, demonstrations.t / duration, shares))
         scale = demonstrations.scale[shown]
@@ -74,21 +74,21 @@ class ProbabilisticPrimitive:
         ).reshape(len(paths), -1)
         doubt = (_DOUBT * demonstrations.extent) ** 2 * np.eye(weights.shape[1])
         centred = weights - weights.mean(axis=0)
-        told = ProMP(freedoms, n_basis).from_weight_distribution(
+        told = ProMP(dof, n_basis).from_weight_distribution(
             weights.mean(axis=0), centred.T @ centred / len(weights) + doubt
         )
-        told = told.condition_position(np.zeros(freedoms), t=1.0)
+        told = told.condition_position(np.zeros(dof), t=1.0)
         # The conditional mean is affine in the start: evaluated at the goal, and one unit away in each coordinate.
         drawn = np.array(
             [
                 told.condition_position(start, t=0.0).mean_trajectory(shares.copy()) / scale
-                for start in (np.zeros(freedoms), *np.diag(scale))
+                for start in (np.zeros(dof), *np.diag(scale))
             ]
         )
         path, response = np.zeros((_INSTANTS, 6)), np.zeros((_INSTANTS, 6, 6))
         path[:, shown] = drawn[0]
         response[:, shown, shown] = (drawn[1:] - drawn[0]).transpose(1, 2, 0)
-        return cls(path, response, duration, n_basis * freedoms)
+        return cls(path, response, duration, n_basis * dof)
 
     def reproduce(self, start: Floats, t: Floats) -> Floats:
         """As `MotionModel.reproduce`; after the duration it rests."""

@@ -34,14 +34,14 @@ class Demonstration:
         t: ``(K,)`` times, starting at 0 [s].
         position: ``(K, 3)`` in the world [m]; the third entry is zero for a motion in a plane.
         rotation: ``(K, 3, 3)`` from the frame to the world; the identity if not recorded.
-        freedoms: degrees of freedom that were recorded: 2, 3 or 6.
+        dof: degrees of freedom that were recorded: 2, 3 or 6.
         source: where it comes from, for messages.
     """
 
     t: Floats
     position: Floats
     rotation: Floats
-    freedoms: int
+    dof: int
     source: str = ""
 
     @classmethod
@@ -95,7 +95,7 @@ class Demonstration:
     @property
     def shown(self) -> str:
         """What was recorded, in words."""
-        return _SHOWN[7 if self.freedoms == 6 else self.freedoms]
+        return _SHOWN[7 if self.dof == 6 else self.dof]
 
     @cached_property
     def twists(self) -> Floats:

@@ -25,7 +25,7 @@ DEVIATION = 2e-3
 # Network time, times rho, after which less than a millionth of the way is left; longest time step; and step in the
 # share that the clock has left, a tenth of the width of the steepest switch.
 _SPAN, _LONGEST_STEP, _SHARE_STEP = 16.0, 0.2, 1.0 / 600.0
-# Parameters of a switch that are not zero by construction, by freedoms: without rotations, halves and shifts vanish.
+# Parameters of a switch that are not zero by construction, by dof: without rotations, halves and shifts vanish.
 _PER_SWITCH = {2: 10, 3: 10, 6: 19}
 # The same for a placed switch: its position, its slope, and a vector.
 _PER_PLACED = {2: 4, 3: 5, 6: 5}
@@ -40,7 +40,7 @@ class ShapedMotion:
         rate: rho of its clock.
         t: ``(K,)`` times of the demonstrations' phases [s].
         tau: ``(K,)`` network times at these phases.
-        freedoms: 2, 3 or 6.
+        dof: 2, 3 or 6.
         shaping: the search that found the network.
     """
 
@@ -48,7 +48,7 @@ class ShapedMotion:
     rate: float
     t: Floats
     tau: Floats
-    freedoms: int
+    dof: int
     shaping: Shaping
 
     name: ClassVar[str] = "lieednn-shaped"
@@ -77,15 +77,15 @@ class ShapedMotion:
         shaping = shape(curve, asked, units=demonstrations.scale, options=chosen, seed=seed)
         times = np.array([0.0, demonstrations.duration])
         ends = np.array([0.0, _SPAN / chosen.rate])
-        made = cls(shaping.network, chosen.rate, times, ends, demonstrations.freedoms, shaping)
+        made = cls(shaping.network, chosen.rate, times, ends, demonstrations.dof, shaping)
         tau = made._beside(demonstrations)
-        return cls(shaping.network, chosen.rate, demonstrations.t, tau, demonstrations.freedoms, shaping)
+        return cls(shaping.network, chosen.rate, demonstrations.t, tau, demonstrations.dof, shaping)
 
     @property
     def n_parameters(self) -> int:
         """The number of switch parameters that are not zero by construction."""
         each = _PER_PLACED if self.shaping.placed else _PER_SWITCH
-        return each[self.freedoms] * (self.network.n_hidden - self.network.n_clock)
+        return each[self.dof] * (self.network.n_hidden - self.network.n_clock)
 
     def reproduce(self, start: Floats, t: Floats) -> Floats:
         """As `MotionModel.reproduce`: the network is run from there, with hidden neurons at their start.

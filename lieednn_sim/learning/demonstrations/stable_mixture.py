@@ -25,7 +25,7 @@ _EPSILON = 0.1
 _ROUNDS, _LEAST_VARIANCE = 60, 1e-4
 # Step of the integrator, in durations.
 _STEP = 1.0 / 100.0
-# Samples per demonstration and evaluations of the residual, by freedoms: ten times as many gain little.
+# Samples per demonstration and evaluations of the residual, by dof: ten times as many gain little.
 _SAMPLES = {2: 60, 3: 60, 6: 40}
 _EVALUATIONS = {2: 100, 3: 100, 6: 40}
 
@@ -58,7 +58,7 @@ class StableMixture:
     @classmethod
     def fit(cls, demonstrations: Demonstrations, n_parameters: int, seed: int = 0) -> StableMixture:
         """Fit as many components as there are parameters to spend, at least one; ``seed`` is for k-means."""
-        d = demonstrations.freedoms
+        d = demonstrations.dof
         extent = demonstrations.extent
         units = np.full(d, extent)
         if d == 6:

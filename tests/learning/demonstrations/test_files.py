@@ -30,7 +30,7 @@ def test_formats_of_several_in_a_plane_agree(tmp_path):
         for one, shown, t in zip(found, PLANE, times - times[:, :1], strict=True):
             np.testing.assert_allclose(one.position, np.pad(1e-3 * shown, ((0, 0), (0, 1))), atol=1e-15)
             np.testing.assert_array_equal(one.t, t if files[0] in ("all.npz", "all.mat") else [0.0, 0.25, 0.5])
-            assert one.freedoms == 2
+            assert one.dof == 2
             np.testing.assert_array_equal(one.twists[:, :3], 0.0)
             np.testing.assert_allclose(one.twists[:, 3:5], 1e-3 * (shown - shown[-1]), atol=1e-15)
 
@@ -47,7 +47,7 @@ def test_quaternions_in_either_order_apart_and_named(tmp_path):
     np.savetxt(tmp_path / "named.csv", table, delimiter=",", header=header, comments="")
     for name, order in (("first.npy", "wxyz"), ("last.npy", "xyzw"), ("apart.npz", "wxyz"), ("named.csv", "xyzw")):
         (one,) = load_demonstrations([tmp_path / name], quaternion=order)
-        assert one.freedoms == 6
+        assert one.dof == 6
         # Columns are the frame's axes in the world: x to y, then y to z.
         np.testing.assert_allclose(one.rotation[0], [[0, -1, 0], [1, 0, 0], [0, 0, 1]], atol=1e-15)
         np.testing.assert_allclose(one.rotation[1], [[1, 0, 0], [0, 0, -1], [0, 1, 0]], atol=1e-15)

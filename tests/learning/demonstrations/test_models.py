@@ -81,7 +81,7 @@ def test_a_probabilistic_primitive_goes_from_any_start_as_the_demonstrations_wou
 def test_a_stable_mixture_obeys_its_lyapunov_function_and_the_demonstrations(name, request):
     shown = request.getfixturevalue(name)
     model = StableMixture.fit(shown, 64 * 2)
-    d = shown.freedoms
+    d = shown.dof
     assert model.n_parameters == (132 if d == 2 else 148)  # 13 components of 10 and 2 more, or 2 of 64 and 20 more
     for law in model.laws:
         falls = np.linalg.eigvalsh(model.lyapunov @ law + law.T @ model.lyapunov)
