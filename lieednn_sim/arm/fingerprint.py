@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lieednn_sim import storage
 from lieednn_sim._mujoco import mujoco
-
-if TYPE_CHECKING:
-    from lieednn_sim.arm.arm import Arm
+from lieednn_sim.arm.serial_arm import SerialArm
 
 # Prefixes of MuJoCo's arrays that count, and suffixes of those among them that concern appearance alone.
 _COUNT = (
@@ -23,7 +21,7 @@ _LOOK = ("_rgba", "_matid", "_group", "_user", "_pathadr", "texcoord", "texcoord
 _DECIMALS = 9
 
 
-def arm_fingerprint(arm: Arm) -> str:
+def arm_fingerprint(arm: SerialArm) -> str:
     """Fingerprint of an arm: its compiled model with the obstacles, its frames, coordinates and limits.
 
     Neither colours nor file locations count. Another version of MuJoCo may give another fingerprint.

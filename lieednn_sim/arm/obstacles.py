@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -15,13 +15,11 @@ from lieednn_sim.arm.contacts import PLANNED_CLEARANCE, ContactFinder, moving_ge
 from lieednn_sim.arm.fingerprint import model_fingerprint
 from lieednn_sim.arm.importer.loading import compile_spec, load_spec, unused
 from lieednn_sim.arm.scenes import GOAL_PREFIX, PREFIX, SCENES
+from lieednn_sim.arm.serial_arm import SerialArm
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.filesystem import is_file
 from lieednn_sim.validation import as_choice, as_floats, as_path, as_positive
 from lieednn_sim.values import Floats
-
-if TYPE_CHECKING:
-    from lieednn_sim.arm.arm import Arm
 
 # Suffixes that tell a file from the name of a scene.
 SCENE_SUFFIXES = (".xml", ".yaml", ".yml", ".json")
@@ -102,7 +100,7 @@ def describe(obstacles: mujoco.MjSpec) -> tuple[str, str]:
     return f"{', '.join(counts)}; {where}", model_fingerprint(model)
 
 
-def add_own_obstacles(spec: mujoco.MjSpec, arm: Arm, obstacles: mujoco.MjSpec, label: str) -> None:
+def add_own_obstacles(spec: mujoco.MjSpec, arm: SerialArm, obstacles: mujoco.MjSpec, label: str) -> None:
     """Attach obstacles to a copy of an arm's spec; they collide with every colliding geom of the arm."""
     bits = int(np.bitwise_or.reduce(arm.model.geom_contype | arm.model.geom_conaffinity, initial=1))
     for geom in obstacles.geoms:
@@ -113,7 +111,7 @@ def add_own_obstacles(spec: mujoco.MjSpec, arm: Arm, obstacles: mujoco.MjSpec, l
     spec.attach(obstacles, prefix=PREFIX, frame=body.add_frame())
 
 
-def check_home(arm: Arm) -> None:
+def check_home(arm: SerialArm, scene: str) -> None:
     """Raise `InputError` where an arm at its keyframe ``home`` touches one of the obstacles around it."""
     model = arm.model
     near = ContactFinder(model, PLANNED_CLEARANCE).geoms(arm.qpos(arm.keyframe("home")))[1]
@@ -123,7 +121,7 @@ def check_home(arm: Arm) -> None:
             names = [model.geom(g).name or model.body(model.geom_bodyid[g]).name for g in pair]
             part, obstacle = names if moving[pair[0]] else names[::-1]
             raise InputError(
-                f"obstacle {obstacle.removeprefix(PREFIX)!r} of scene {arm.scene!r} touches {part!r} of arm "
+                f"obstacle {obstacle.removeprefix(PREFIX)!r} of scene {scene!r} touches {part!r} of arm "
                 f"{arm.name!r} at home; move it, or give the arm another home"
             )
 

@@ -8,18 +8,15 @@ compartments of the shelf, between the poles (`targets.draw_target`).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm.serial_arm import SerialArm
 from lieednn_sim.errors import InputError
 from lieednn_sim.validation import as_choice, as_seed
 from lieednn_sim.values import Floats
-
-if TYPE_CHECKING:
-    from lieednn_sim.arm.arm import Arm
-
 
 # Distance that every obstacle keeps from the arm at home [m].
 HOME_CLEARANCE = 0.05
@@ -55,7 +52,7 @@ class _Surroundings:
         reach: horizontal reach of the end effector near its height at home.
     """
 
-    arm: Arm
+    arm: SerialArm
     origin: Floats
     yaw: float
     scale: float
@@ -69,7 +66,7 @@ class _Surroundings:
         return {"pos": self.origin, "quat": [np.cos(self.yaw / 2.0), 0.0, 0.0, np.sin(self.yaw / 2.0)]}
 
 
-def add_obstacles(spec: mujoco.MjSpec, arm: Arm, scene: str, seed: int = 0) -> None:
+def add_obstacles(spec: mujoco.MjSpec, arm: SerialArm, scene: str, seed: int = 0) -> None:
     """Add the obstacles of a scene to a copy of an arm's spec; ``free`` adds nothing.
 
     Args:
@@ -212,7 +209,7 @@ def _pole_clearances(room: _Surroundings, spots: Floats, radius: Floats, half: f
     )
 
 
-def _surroundings(arm: Arm) -> _Surroundings:
+def _surroundings(arm: SerialArm) -> _Surroundings:
     home = arm.keyframe("home")
     base = np.asarray(arm.base.translation)
     tip = np.asarray(arm.link_poses(home).translation)[-1]

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from lieednn_sim._mujoco import mujoco
-
-if TYPE_CHECKING:
-    from lieednn_sim.arm.arm import Arm
+from lieednn_sim.arm.serial_arm import SerialArm
 
 # Arrays that affect motion, besides those of geoms; for `dof_length` see `discard_visuals`.
 _BEGINNINGS = (
@@ -33,7 +31,7 @@ _OF_GEOMS = (
 _GEOMS = [name for name in dir(mujoco.MjModel) if name.startswith("geom_") and name not in _OF_GEOMS]
 
 
-def discard_visuals(arm: Arm) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
+def discard_visuals(arm: SerialArm) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
     """Spec and model of an arm without textures, materials and non-colliding geoms; its own where that fails."""
     spec: Any = arm.spec.copy()
     spec.compiler.discardvisual = True

@@ -127,7 +127,7 @@ def load(name: str, scene: str, seed: int, entries: Iterable[Entry]) -> Arm:
     obstacles = load_obstacles(of_scene.source)
     _check_unchanged(of_scene, describe(obstacles)[1])
     arm = arm.amid(obstacles, of_scene.name)
-    check_home(arm)
+    check_home(arm, of_scene.name)
     return arm
 
 
