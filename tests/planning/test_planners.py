@@ -351,7 +351,7 @@ def test_of_refused_roundings_the_least_time_is_told(monkeypatch):
     def refuse(*_):
         raise next(refusals, PlanError("the polyline"))
 
-    monkeypatch.setattr(smoothing, "rounded", lambda *_: (None, None, None))
+    monkeypatch.setattr(smoothing, "smoothed", lambda *_: (None, None, None))
     monkeypatch.setattr(smoothing, "stopping", lambda *_: (None, None, None))
     monkeypatch.setattr(smoothing, "joint_motion", refuse)
     with pytest.raises(TooFastError, match="three"):

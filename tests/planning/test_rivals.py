@@ -33,7 +33,7 @@ from lieednn_sim.planning import (
 from lieednn_sim.planning.baselines import sampling, search_space
 from lieednn_sim.planning.baselines.joint_space import ClearanceTest, joint_scale, sweeps
 from lieednn_sim.planning.baselines.optimisation import _Descent
-from lieednn_sim.planning.baselines.smoothing import SmoothingOptions, motion_along, rounded, stopping
+from lieednn_sim.planning.baselines.smoothing import SmoothingOptions, motion_along, smoothed, stopping
 from lieednn_sim.planning.laws import minimum_jerk_law
 from lieednn_sim.planning.motion import Motion
 
@@ -224,7 +224,7 @@ def test_rounded_paths_stay_within_limits_and_come_close_to_the_polyline(seed, c
     task = PlanningProblem(ARM, polyline[0], ARM.keyframe("extended"), 8.0)
     polyline[-1] = task.target
     scale, times = joint_scale(ARM), task.times()
-    q, qd, progress = rounded(task, polyline, count, SMOOTHING.bend)
+    q, qd, progress = smoothed(task, polyline, count, SMOOTHING.bend)
     np.testing.assert_allclose(q[[0, -1]], polyline[[0, -1]], atol=1e-9)
     np.testing.assert_array_equal(qd[[0, -1]], 0.0)
     assert (ARM.limit_excess(q) <= 1e-9).all()

@@ -1,8 +1,8 @@
-"""CBiRRT (Berenson, Srinivasa, Ferguson and Kuffner, ICRA 2009) as two libraries make it, mjpl and sscbirrt.
+"""CBiRRT (Berenson, Srinivasa, Ferguson and Kuffner, ICRA 2009), as implemented by the libraries mjpl and sscbirrt.
 
-Constraints are what it was made for; here there are none but limits and contact, so that it is a bidirectional RRT.
-Both search in the coordinates of `search_space.EdgeTest` and ask it whether an edge is clear, as OMPL's planners do,
-and shorten what they find by means of their own. They need the extra `cbirrt`.
+It was made for constrained motions; here only limits and contact constrain it, so it is a bidirectional RRT. Like
+OMPL's planners, both search in the coordinates of `search_space.EdgeTest` and ask it whether an edge is clear. They
+shorten their paths by methods of their own. They need the extra `cbirrt`.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.problem import PlanningProblem
 from lieednn_sim.values import Floats
 
-# From a test of edges, start and target in its coordinates, longest edge, options and seed to corners, or None.
+# Arguments: edge test, start and target in its coordinates, longest edge, options, seed. Returns corners, or None.
 _Search = Callable[[EdgeTest, Floats, Floats, float, PathOptions, int], "list[Floats] | None"]
 
 
@@ -47,7 +47,7 @@ def mjpl(problem: PlanningProblem, options: CbirrtOptions) -> Motion:
 
 
 def sscbirrt(problem: PlanningProblem, options: CbirrtOptions) -> Motion:
-    """The motion along a path of sscbirrt's planner, in Python: its compiled one takes no test of ours; as `mjpl`."""
+    """As `mjpl`, with sscbirrt's planner: its Python backend, since the compiled one accepts no custom edge test."""
     return _plan(problem, options, "sscbirrt", _sscbirrt_path)
 
 
@@ -74,7 +74,7 @@ def _plan(problem: PlanningProblem, options: CbirrtOptions, name: str, search: _
 
 
 class _SpentError(Exception):
-    """The search has made all tests that it may."""
+    """The search has used up its tests."""
 
 
 def _mjpl_path(
@@ -96,9 +96,9 @@ def _mjpl_path(
     searched, shortened = (SimpleNamespace(valid_config=edges.free, apply=one) for one in (step_of_search, step))
     model = _box(edges.bounds)
     names = [model.joint(k).name for k in range(model.njnt)]
-    # What is nearer than its longest edge it takes for connected.
+    # It takes points closer than the longest edge for connected, without a test.
     longest_edge = min(longest_edge, 0.5 * float(np.linalg.norm(target - start)))
-    # Its own limit is one of time on the wall: ours is one of work.
+    # Work is limited by the number of tests, not by its wall-clock time.
     planner = planning.RRT(model, names, [searched], max_planning_time=math.inf, epsilon=longest_edge, seed=seed)
     try:
         found = planner.plan_to_config(start, target)
@@ -110,7 +110,7 @@ def _mjpl_path(
 
 
 def _box(limits: Floats) -> mujoco.MjModel:
-    """A model of slides with limits ``(n, 2)``, from which mjpl draws its samples."""
+    """A model of slide joints with limits ``(n, 2)``, from whose ranges mjpl draws its samples."""
     spec = mujoco.MjSpec()
     for k, (low, high) in enumerate(limits):
         body = spec.worldbody.add_body(mass=1.0, inertia=(1.0, 1.0, 1.0), explicitinertial=True)
@@ -137,7 +137,7 @@ def _sscbirrt_path(
         edge_resolution=None,
         smoothing_iterations=options.shortcuts,
     )
-    # Poses have no part in a search from joints to joints.
+    # A search between joint positions does not use poses.
     robot = SimpleNamespace(dof=len(lower), joint_limits=(lower, upper), forward_kinematics=lambda _: np.eye(4))
     planner = library.CBiRRT(robot, None, SimpleNamespace(is_valid=edges.free), config, backend="python")
     result = planner.solve(

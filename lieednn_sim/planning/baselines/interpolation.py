@@ -1,4 +1,4 @@
-"""Planners without a network: from start to target along a path known beforehand, run through by minimum jerk."""
+"""Planners without a network: interpolation from start to target, timed by minimum jerk."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ from lieednn_sim.values import Floats
 def minimum_jerk(problem: PlanningProblem) -> Motion:
     """Straight in joint space: q(t) = q_0 + sigma(t/T) (q_1 - q_0), sigma = 10 s^3 - 15 s^4 + 6 s^5.
 
-    The law is Flash and Hogan's, J. Neuroscience 5(7), 1985. Its poses are the joints' own: there is no mechanism gap.
+    The time law is Flash and Hogan's, J. Neuroscience 5(7), 1985. The poses are those of the joints, so there is no
+    mechanism gap.
 
     Raises:
         PlanError: the motion breaks a limit of the arm.
@@ -26,11 +27,11 @@ def minimum_jerk(problem: PlanningProblem) -> Motion:
 
 
 def se3_geodesic(problem: PlanningProblem) -> Motion:
-    """Every compound joint's pose on the geodesic of SE(3): T_i(t) = T_i(0) exp(sigma(t/T) log(T_i(0)^-1 T_i(1))).
+    """Every compound joint's pose on a geodesic of SE(3): T_i(t) = T_i(0) exp(sigma(t/T) log(T_i(0)^-1 T_i(1))).
 
-    Such a geodesic leaves what a joint with fewer than six freedoms can do, so it is decoded to the nearest joint
-    position. Of other links than those along one screw the shorter of two rotations is taken: between angles more than
-    pi apart it passes the logarithm's cut, outside every joint's limits.
+    A joint with fewer than six degrees of freedom cannot follow such a geodesic, so it is decoded to the nearest joint
+    position. Links that move along one screw turn as far as their joint does. For others the shorter rotation is taken;
+    between angles more than pi apart it crosses the logarithm's cut, outside every joint's limits.
 
     Raises:
         PlanError: the motion breaks a limit of the arm.
@@ -45,7 +46,7 @@ def se3_geodesic(problem: PlanningProblem) -> Motion:
     units = arm.twist_units
     for i, joint in enumerate(arm.joints.joints):
         if joint.screw is not None:
-            # Here the geodesic is the screw's own line, whose logarithm ends at half a turn.
+            # Here the geodesic is the screw motion itself, of which the logarithm covers only half a turn.
             ends = [arm.joints.twists(q)[i] for q in (problem.start, problem.target)]
             twists[:, i] = ends[0] + sigma[:, None] * (ends[1] - ends[0])
             twist_rates[:, i] = rate[:, None] * (ends[1] - ends[0])

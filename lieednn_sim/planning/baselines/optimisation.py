@@ -1,9 +1,9 @@
-"""Trajectory optimisation: the smoothest spline in time that keeps the limits and stays away from everything.
+"""Trajectory optimisation: the smoothest spline in time that keeps the limits and a distance from everything.
 
 In the style of CHOMP (Zucker et al., Int. J. Robotics Research 32(9-10), 2013) and TrajOpt (Schulman et al., ibid.
-33(9), 2014): smoothness plus hinges on signed distances, descended from several first guesses. Here smoothness is the
-integral of the squared jerk, so that in free space the minimum-jerk motion comes out; the trajectory is a quintic
-B-spline; and as every term is a square, the descent is Gauss and Newton's in a trust region with bounds (SciPy).
+33(9), 2014): smoothness plus hinge losses on signed distances, minimised from several first guesses. Here smoothness
+is the integral of the squared jerk, so in free space the result is the minimum-jerk motion. The trajectory is a quintic
+B-spline. Since every term is a square, SciPy's Gauss-Newton method in a trust region with bounds minimises them.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.problem import PlanningProblem
 from lieednn_sim.values import Floats
 
-# Control points that rest at each end takes: position, velocity and acceleration.
+# Control points fixed at each end by its position and zero velocity and acceleration.
 _FIXED = 3
 
 
@@ -41,15 +41,16 @@ class OptimisationOptions(PlannerOptions):
     """Options of the planner ``trajectory-optimisation``.
 
     Attributes:
-        margin: what first guesses are judged by, as far as start and target keep it [m].
-        intervals: of the spline, from 2 to 1000.
-        instants: at which distances and rates are weighed, up to 10 000.
-        influence: distance at which its hinge begins [m]; it is a soft wish, so what is to be kept lies well below.
-        rate_share: of the velocity and acceleration limits, at which their hinges begin.
-        weights: of the hinges against smoothness, from the first descent of a guess to the last.
-        evaluations: of the cost in a descent.
-        guesses: first ones, from which it descends.
-        drawn: bent guesses drawn, of which the clearest are descended from.
+        margin: clearance by which first guesses are judged, as far as start and target keep it [m].
+        intervals: number of intervals of the spline, from 2 to 1000.
+        instants: number of instants at which distances and rates are weighed, up to 10 000.
+        influence: distance below which its hinge loss grows [m]; the loss is soft, so choose it well above the distance
+            that must be kept.
+        rate_share: share of the velocity and acceleration limits above which their hinge losses grow.
+        weights: weights of the hinge losses against smoothness, one for each descent from a guess.
+        evaluations: largest number of evaluations of the cost in a descent.
+        guesses: number of first guesses to descend from.
+        drawn: number of bent guesses drawn; the clearest are used.
         inset: share of a joint's range that control points keep from its limits, where start and target do.
 
     Raises:
@@ -73,11 +74,11 @@ def trajectory_optimisation(
 ) -> Motion:
     """The first of a few locally optimal trajectories that the arm can follow.
 
-    The first guess is minimum jerk, straight in joint space, the others are bent towards drawn postures; with a
-    ``guide``, a motion from start to target in any time, there is one guess, and that is the spline nearest to it.
+    The first guess is minimum jerk, straight in joint space; the others are bent towards random postures. With a
+    ``guide``, a motion from start to target of any duration, the only guess is the spline nearest to it.
 
     Raises:
-        PlanError: no local optimum keeps the limits and the clearance; the message is of the first one.
+        PlanError: no local optimum keeps the limits and the clearance; the message says why the first one does not.
     """
     descent = _Descent(problem, options)
     refusal: PlanError | None = None
@@ -94,24 +95,24 @@ def trajectory_optimisation(
 
 
 class _Descent:
-    """The costs of one problem; the variables are the free control points ``(F, n)`` over the joints' scale, flat."""
+    """The cost of a problem; the variables are the free control points ``(F, n)`` over the joints' scale, flat."""
 
     def __init__(self, problem: PlanningProblem, options: OptimisationOptions) -> None:
         self.problem, self.arm, self.options = problem, problem.arm, options
         intervals, count = options.intervals, options.instants
         self.workspace, self.scale = Workspace(problem, options.margin), joint_scale(problem.arm)
         self.near = ClearanceTest(problem.arm, options.influence)
-        # In free space minimum jerk is one of its quintics.
+        # The minimum-jerk motion of free space is such a quintic.
         control = intervals + SPLINE_DEGREE
         basis = BSpline(clamped_knots(control), np.eye(control), SPLINE_DEGREE)
         t = problem.times()
-        # Closer together where the motion is fast, or it would jump over what is thin.
+        # Denser where the motion is fast, or it would skip thin obstacles.
         share = 0.5 * (t / t[-1] + minimum_jerk_law(t / t[-1])[0])
         instants = np.interp((np.arange(count) + 0.5) / count, share, t / t[-1])
-        # Basis functions and their derivatives in time, at the samples and at the instants.
+        # Basis functions and their time derivatives, at the samples and at the instants.
         self.sampled = [basis(t / t[-1], nu=nu) / t[-1] ** nu for nu in (0, 1)]
         self.weighed = [basis(instants, nu=nu) / t[-1] ** nu for nu in (0, 1, 2)]
-        # Gauss's rule of three points is exact for the squared jerk, of degree 4.
+        # The three-point Gauss rule is exact for the squared jerk, whose degree is 4.
         nodes, weights = np.polynomial.legendre.leggauss(3)
         u = (np.arange(intervals)[:, None] + 0.5 * (nodes + 1.0)).ravel() / intervals
         jerk = basis(u, nu=3) * np.sqrt(np.tile(weights, intervals) / (2 * intervals))[:, None]
@@ -121,9 +122,9 @@ class _Descent:
         self.ends = np.zeros((control, self.arm.n_joints))
         self.ends[:_FIXED], self.ends[-_FIXED:] = start, target
         free = squared[self.inner, self.inner]
-        # The smoothest of all with these ends is the quintic polynomial, which the splines contain.
+        # The smoothest trajectory with these ends is the quintic polynomial, which is among the splines.
         self.smoothest = -np.linalg.solve(free, squared[self.inner] @ self.ends)
-        # Squared jerk of a unit way is 720: with it cost is a squared length, at least a tenth of the joint space's.
+        # A unit way has a squared jerk of 720. The unit is the way's length, at least a tenth of the joint space's.
         spread = self.arm.ranges / self.scale
         unit = max(float(np.linalg.norm(target - start)), 0.1 * float(np.linalg.norm(spread)))
         self.root = np.linalg.cholesky(free).T / (math.sqrt(720.0) * unit)
@@ -133,14 +134,14 @@ class _Descent:
         self.high = np.tile(np.maximum(high - inset, np.maximum(start, target)), len(free))
 
     def guesses(self) -> Iterator[Floats]:
-        """First guesses, flat: the smoothest trajectory, then bent ones, the clearest first."""
+        """First guesses, flat: the smoothest trajectory, then bent ones, clearest first."""
         yield self.smoothest.ravel()
         rng = np.random.default_rng(self.problem.seed)
         low, high = self.arm.position_limits.T / self.scale
         u = (np.arange(len(self.smoothest)) + 1.0) / (len(self.smoothest) + 1)
         drawn, blocked = [], []
         for _ in range(self.options.drawn):
-            # Bent towards a drawn posture, at a drawn instant.
+            # Bent towards a random posture, at a random instant.
             shape = u ** (2.0 * rng.uniform(0.4, 1.6)) * (1.0 - u) ** (2.0 * rng.uniform(0.4, 1.6))
             peak = int(shape.argmax())
             way = rng.uniform(low, high) - self.smoothest[peak]
@@ -151,7 +152,7 @@ class _Descent:
             yield drawn[index]
 
     def near_to(self, guide: Motion) -> Floats:
-        """The first guess, flat, of the spline that is nearest to a motion at equal shares of their times."""
+        """The spline, flat, nearest to a motion at equal shares of their durations."""
         basis, rows = self.sampled[0], np.linspace(0.0, len(guide.q) - 1.0, len(self.sampled[0])).round().astype(int)
         left = guide.q[rows] / self.scale - basis @ self.ends
         return np.asarray(np.linalg.lstsq(basis[:, self.inner], left)[0].ravel())
@@ -165,14 +166,14 @@ class _Descent:
         return np.asarray(self.scale * (self.weighed[0] @ self._control(x)))
 
     def _control(self, x: Floats) -> Floats:
-        """All control points over the joints' scale ``(F + 6, n)``, of the free ones, flat."""
+        """All control points over the joints' scale ``(F + 6, n)``, from the free ones, flat."""
         control = self.ends.copy()
         control[self.inner] = x.reshape(-1, self.arm.n_joints)
         return control
 
     def minimise(self, x: Floats, weight: float) -> Floats:
         """The local optimum ``(F n,)`` near ``x``."""
-        # Gauss and Newton's steps need a start inside the bounds.
+        # The solver needs a start strictly inside the bounds.
         edge = 1e-6 * (self.high - self.low)
         found = least_squares(
             lambda y: self.terms(y, weight)[0],
@@ -187,7 +188,7 @@ class _Descent:
         return np.asarray(found.x)
 
     def terms(self, x: Floats, weight: float) -> tuple[Floats, Floats]:
-        """Terms whose squares are summed, and their Jacobian ``(terms, F n)``."""
+        """Residuals, whose squares are summed, and their Jacobian ``(terms, F n)``."""
         n, control = self.arm.n_joints, self._control(x)
         smooth = (self.root @ (control[self.inner] - self.smoothest)).ravel()
         values, rows = [smooth], [np.kron(self.root, np.eye(n))]

@@ -1,4 +1,4 @@
-"""A dynamic movement primitive, generalised from one demonstration; it needs the extra `dmp`."""
+"""A dynamic movement primitive, learned from one demonstration; it needs the extra `dmp`."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ class DmpOptions(PlannerOptions):
     """Options of the planner ``dmp``.
 
     Attributes:
-        basis_functions: radial ones, of each joint's forcing term, from 2 to 1000.
-        least_share: joints that move by less of their range in the demonstration show no shape.
+        basis_functions: number of radial basis functions in each joint's forcing term, from 2 to 1000.
+        least_share: share of its range that a joint must move in the demonstration to show a shape.
     """
 
     basis_functions: int = field(default=20, metadata={"range": (2, 1000)})
@@ -32,20 +32,20 @@ class DmpOptions(PlannerOptions):
 
 
 def dmp(problem: PlanningProblem, options: DmpOptions) -> Motion:
-    """A primitive that imitates minimum jerk from home to `reference_posture`, moved to the problem's start and target.
+    """A primitive that imitates minimum jerk from home to `reference_posture`, between the problem's start and target.
 
-    A spring and damper to the goal, critically damped, and a learned forcing term that fades (Ijspeert et al., Neural
-    Computation 25(2), 2013), with the smooth start of Pastor et al., ICRA 2009:
+    A critically damped spring to the goal and a learned forcing term that fades (Ijspeert et al., Neural Computation
+    25(2), 2013), with the smooth start of Pastor et al., ICRA 2009:
 
         T^2 q'' = alpha (beta (g - q) - T q' - beta (g - q_0) z) + f(z),  z decaying from 1 to 0.01.
 
-    The forces f are multiplied by the joint's way over its way in the demonstration, which keeps the demonstrated shape
-    at every amplitude; unscaled, those of a long demonstration throw a joint with a short way over its limits. A joint
-    that hardly moves in the demonstration, by less than ``least_share`` of its range, has no shape to keep: it gets no
-    forces, and goes from start to target as spring and damper take it.
+    The forcing f is scaled by the joint's displacement over that in the demonstration, which keeps the demonstrated
+    shape at every amplitude; unscaled, the forcing of a long demonstration throws a joint with a short way over its
+    limits. A joint that moves less than ``least_share`` of its range in the demonstration has no shape to keep: it gets
+    no forcing, and the spring alone takes it from start to target.
 
-    The phase has 1 % left when the time is over, and the joints about as much of their way. A quintic polynomial, zero
-    at the start, takes up what is left of position, velocity and acceleration at the end.
+    At the end of the duration 1 % of the phase is left, and about as much of the way. A quintic polynomial, zero at the
+    start, removes the remaining errors of position, velocity and acceleration.
 
     Raises:
         LieEDNNError: movement_primitives is not installed.
@@ -77,6 +77,6 @@ def dmp(problem: PlanningProblem, options: DmpOptions) -> Motion:
 
 
 def _amplitudes(problem: PlanningProblem, shown: Floats, least: float) -> Floats:
-    """Way of each joint ``(n,)`` over its way in the demonstration; zero where that shows nothing."""
+    """Displacement of each joint ``(n,)`` over that in the demonstration; zero where it hardly moves there."""
     moves = np.abs(shown) > least * problem.arm.ranges
     return np.where(moves, problem.target - problem.start, 0.0) / np.where(moves, shown, 1.0)

@@ -1,18 +1,19 @@
-"""QSHNN, the quaternion-valued Hopfield-structured network with supervised learning that LieEDNN goes back to.
+"""QSHNN, the quaternion-valued Hopfield-structured network with supervised learning that preceded LieEDNN.
 
 Wang, Ma and Pang, NeurIPS 2025 (arXiv 2510.16607): q_i' = -gamma q_i + mu sum_j omega_ij phi(q_j) + mu b_i, with tanh
-on each component and quaternion weights from the left, 4 x 4 blocks of W. Gradient steps of E = |q* - d|^2 / 2 move the
-equilibrium q* towards the target d, and every ten steps each block returns to the nearest quaternion's (their
-Algorithm 1, here `learning.train` with `QuaternionWeights`: Newton's method finds the equilibrium that they run to).
+on each component, and weights that multiply quaternions from the left, 4 x 4 blocks of W. Gradient steps on
+E = |q* - d|^2 / 2 move the equilibrium q* towards the target d, and every ten steps each block is projected onto the
+nearest such block (their Algorithm 1, here `learning.train` with `QuaternionWeights`; the equilibrium, which they reach
+by running the network, is found by Newton's method).
 
-One neuron stands for one joint's posture, as in their robotic arm, whose joints are balls: a multiple of the unit
-quaternion of the turn from the middle of its range. Their paper knows no sliding joints; here a slide's displacement is
-a turn about its axis, its range half a turn. On the way the states have other moduli and turn about other axes, too:
-the nearest posture of each joint is followed, 2 atan2(v . a, w) of a hinge about a.
+As in their arm, whose joints are balls, a neuron represents the posture of a joint: a multiple of the unit quaternion
+of its rotation from the middle of its range. They have no sliding joints; here a slide's displacement counts as a
+rotation about its axis, with half a turn for its range. On the way, states have other moduli and rotate about other
+axes, too; the motion takes the nearest posture of each joint, 2 atan2(v . a, w) for a hinge about a.
 
-What is proved of their networks needs weights below 1 in the infinity norm, and those that are learned exceed it: that
-the equilibrium attracts is checked, that the network arrives is seen when it runs, and no more is promised. Limits and
-obstacles have no part in it.
+The stability proof for their networks needs weights with an infinity norm below 1, which learned weights exceed. Hence
+it is checked that the equilibrium attracts, and seen in a run that the network arrives; nothing more is guaranteed. The
+method takes no account of limits and obstacles.
 """
 
 from __future__ import annotations
@@ -29,18 +30,18 @@ from lieednn_sim.learning import TrainingOptions, TrainingResult, train
 from lieednn_sim.learning.manifold import QuaternionWeights
 from lieednn_sim.network.hopfield import HopfieldNetwork
 from lieednn_sim.planning.baselines.joint_space import joint_motion, joint_scale
-from lieednn_sim.planning.baselines.smoothing import rounded
+from lieednn_sim.planning.baselines.smoothing import smoothed
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.problem import PlanningProblem, in_time
 from lieednn_sim.values import Floats
 
-# Distance to the target at which the path ends, a few times what learning leaves, and the longest that it may take in
-# the network's own time, whose slowest part may be far slower than its decay.
+# Distance to the target at which the path ends, a few times the error of learning; and the longest duration in the
+# network's own time, since its slowest mode may be far slower than its decay.
 _ARRIVED, _LONGEST = 1e-5, 1000.0
-# Samples of the path, from which the waypoints are taken.
+# Samples of the path, between which waypoints are interpolated.
 _SAMPLES = 2000
-# Their Algorithm 1: rates, period, tolerance. A thousand epochs do mostly; of their 30 000 no more than these.
+# Their Algorithm 1: rates, period, tolerance. A thousand epochs usually suffice; they allow 30 000.
 _ALGORITHM = TrainingOptions(
     projection="scaled", period=10, min_rate=0.001, max_rate=0.2, tolerance=1e-6, max_epochs=10_000
 )
@@ -51,13 +52,14 @@ class QshnnOptions(PlannerOptions):
     """Options of the planner ``qshnn``.
 
     Attributes:
-        modulus: of start and target, whose directions alone are postures. With 1 most networks turn unstable: a state
-            w near 1 takes a weight beyond 1, and the same weight is that of components near 0, where tanh is steepest.
-        bias: of every component, 0.125 to 0.2 in the paper.
-        networks: to learn, each from other weights, until one's motion can be made.
-        waypoints: of the network's path, evenly laid; control points of the curve that is followed.
-        bend: curvature from which on it is run through more slowly, as of `SmoothingOptions`.
-        training: how each is learned.
+        modulus: modulus of the states at start and target; only their directions are postures. With 1, most networks
+            become unstable: a component w near 1 needs a weight above 1, which also acts on components near 0, where
+            tanh is steepest.
+        bias: bias of every component, 0.125 to 0.2 in the paper.
+        networks: number of networks to learn, each from other weights, until one's motion can be made.
+        waypoints: number of evenly spaced waypoints of the network's path, the control points of the curve followed.
+        bend: curvature above which the curve is followed more slowly, as in `SmoothingOptions`.
+        training: how each network is learned.
     """
 
     modulus: float = 0.25
@@ -69,10 +71,10 @@ class QshnnOptions(PlannerOptions):
 
 
 def qshnn(problem: PlanningProblem, options: QshnnOptions) -> Motion:
-    """The motion along the path of the first learned network that the arm can follow.
+    """The motion along the path of the first learned network whose path the arm can follow.
 
     Raises:
-        PlanError: no network was learned, or none arrives, or every motion breaks a limit of the arm.
+        PlanError: no network could be learned, none arrives, or every motion breaks a limit of the arm.
     """
     postures = JointPostures(problem.arm, options.modulus)
     target = postures.quaternions(problem.target)
@@ -80,7 +82,7 @@ def qshnn(problem: PlanningProblem, options: QshnnOptions) -> Motion:
     for attempt in range(options.networks):
         result = learned(target, options, [problem.seed, attempt])
         if not isinstance(result.network, HopfieldNetwork) or not result.success:
-            # A refused motion tells more than a failed training.
+            # The reason why a motion was refused takes precedence over that of a failed training.
             refusal = refusal or result.message
             continue
         try:
@@ -92,18 +94,18 @@ def qshnn(problem: PlanningProblem, options: QshnnOptions) -> Motion:
 
 
 class JointPostures:
-    """Each joint's posture as a quaternion (w, x, y, z): one for a hinge, a slide or a ball.
+    """Postures of joints as quaternions (w, x, y, z), one for each hinge, slide or ball joint.
 
-    Coupled joints, which share a coordinate, have one together.
+    Coupled joints, which share a coordinate, share a quaternion.
 
     Args:
-        arm: whose joints they are.
-        modulus: of the quaternions.
+        arm: the arm.
+        modulus: modulus of the quaternions.
     """
 
     def __init__(self, arm: Arm, modulus: float) -> None:
         self._modulus = modulus
-        # By their coordinates; axes ``(3, c)`` in turns by a unit of each coordinate.
+        # For the indices of a joint's coordinates, the rotation vectors ``(3, c)`` of a unit of each.
         axes: dict[tuple[int, ...], Floats] = {}
         for joint in arm.joints.joints:
             for factor in joint.factors:
@@ -120,7 +122,7 @@ class JointPostures:
         return self._modulus * np.concatenate([np.cos(half), 0.5 * np.sinc(half / np.pi) * vector], axis=-1)
 
     def positions(self, x: Floats) -> Floats:
-        """Joint positions ``(..., n)`` whose quaternions are nearest in direction to ``x`` ``(..., N, 4)``."""
+        """Joint positions ``(..., n)`` with the quaternions nearest in direction to ``x`` ``(..., N, 4)``."""
         q = np.broadcast_to(self._middle, (*x.shape[:-2], len(self._middle))).copy()
         for neuron, (indices, axes) in enumerate(self._axes):
             w, vector = x[..., neuron, 0], x[..., neuron, 1:]
@@ -135,14 +137,14 @@ class JointPostures:
 
 
 def learned(target: Floats, options: QshnnOptions, seed: Sequence[int]) -> TrainingResult:
-    """A network with the target ``(N, 4)`` as its equilibrium, from weights in U(-1, 1) over their infinity norm."""
+    """Learn a network with the equilibrium ``(N, 4)``, starting from U(-1, 1) weights over their infinity norm."""
     drawn = np.random.default_rng(seed).uniform(-1.0, 1.0, (target.size, target.size))
     weight = drawn / np.abs(drawn).sum(axis=1).max()
     return train(target, options.training, bias=options.bias, group=QuaternionWeights(), initial_weight=weight)
 
 
 def path_of(problem: PlanningProblem, postures: JointPostures, network: HopfieldNetwork, count: int) -> Floats:
-    """Joint positions ``(count, n)`` along the network's path from the problem's start to its target, evenly laid.
+    """Evenly spaced joint positions ``(count, n)`` on the network's path from the problem's start to its target.
 
     Raises:
         PlanError: the network does not arrive.
@@ -165,4 +167,4 @@ def path_of(problem: PlanningProblem, postures: JointPostures, network: Hopfield
 
 
 def _motion(problem: PlanningProblem, path: Floats, bend: float) -> Motion:
-    return joint_motion(problem, *rounded(problem, path, 1, bend))
+    return joint_motion(problem, *smoothed(problem, path, 1, bend))

@@ -3,8 +3,9 @@
 RRT-Connect is Kuffner and LaValle's, ICRA 2000; RRT* Karaman and Frazzoli's, Int. J. Robotics Research 30(7), 2011;
 Informed RRT* Gammell, Srinivasa and Barfoot's, IROS 2014, and BIT* theirs, ICRA 2015; AORRTC Wilson, Thomason, Kingston
 and Gammell's, IEEE Robotics and Automation Letters, 2025; the library Sucan, Moll and Kavraki's, IEEE Robotics and
-Automation Magazine 19(4), 2012. Paths are measured in joint coordinates over velocity limits; their length is a time.
-They are shortened, rounded and timed by `smoothing`. RRT-Connect with balanced trees, which OMPL lacks, is in `trees`.
+Automation Magazine 19(4), 2012. Paths are measured in joint coordinates over velocity limits, so a length is a time.
+They are shortened, then smoothed and timed by `smoothing`. RRT-Connect with balanced trees, which OMPL lacks, is in
+`trees`.
 """
 
 from __future__ import annotations
@@ -27,8 +28,8 @@ from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.problem import PlanningProblem
 from lieednn_sim.values import Floats
 
-# OMPL's names. PRM* has no place here: OMPL's builds its roadmap by the clock and in two threads, so that its paths
-# depend on the machine.
+# OMPL's names. PRM* is left out: OMPL's builds its roadmap against the clock and in two threads, so its paths depend on
+# the machine.
 METHODS = {
     "rrt-connect": "RRTConnect",
     "rrt-star": "RRTstar",
@@ -36,9 +37,9 @@ METHODS = {
     "bit-star": "BITstar",
     "aorrtc": "AORRTC",
 }
-# Joints that hardly move a link count in its distances by this share of the one that moves links most.
+# Least weight of a joint in the distances of balanced trees, as a share of that of the joint that moves links most.
 _LEAST_SWEEP = 0.1
-# A path of this many times the length of the straight one is straight, up to rounding.
+# A path of at most this many straight lengths is straight, up to rounding.
 _STRAIGHT = 1.0 + 1e-9
 
 
@@ -47,15 +48,15 @@ class SearchOptions(PlannerOptions):
     """How paths are searched for.
 
     Attributes:
-        margin: what paths keep away from everything, unless start or target are closer to something [m]; motions along
-            them are rounded, and checked for less.
-        tests: postures tested at most, not seconds, for results must not depend on the machine's speed; while nothing
-            is found the search goes on to the next number. Planners that improve what they found spend the first on it.
-        shortcuts: tried on the path that was found.
-        longest_edge: that a tree grows at once, as a share of the joint space's diagonal; OMPL's own by default.
-        spacings: a link frame moves at most about this far from one posture tested along an edge to the next, from
-            0.001 to 1 m. What slips through is found by the dense test of the motion; then the next attempt is made,
-            with the next one.
+        margin: clearance of paths, reduced where start or target is closer to something [m]; smoothed motions are
+            checked for less.
+        tests: largest number of postures tested (not seconds, so that results do not depend on the machine). While no
+            path is found, the search goes on to the next number; planners that improve their paths stop at the first
+            at which they have one.
+        shortcuts: number of shortcuts tried on the path.
+        longest_edge: longest edge that a tree grows at once, as a share of the joint space's diagonal.
+        spacings: distance that a link frame moves between postures tested on an edge, about, from 0.001 to 1 m. If the
+            dense test of the motion finds a contact in between, another attempt is made with the next spacing.
     """
 
     margin: float = 0.01
@@ -67,16 +68,16 @@ class SearchOptions(PlannerOptions):
 
 @dataclass(frozen=True)
 class PathOptions(SearchOptions, SmoothingOptions):
-    """How paths are searched for and rounded; see the two classes that it is made of."""
+    """How paths are searched for and smoothed; see the two base classes."""
 
 
 @dataclass(frozen=True)
 class RrtConnectOptions(PathOptions):
-    """Options of the planner ``rrt-connect``; as `PathOptions`.
+    """Options of the planner ``rrt-connect``, besides those of `PathOptions`.
 
     Attributes:
-        balanced: search as `trees` does, by distances in the workspace, in place of OMPL's RRTConnect: out of narrow
-            places with a small part of the tests.
+        balanced: search by `trees`, with distances in the workspace, instead of OMPL's RRTConnect; it leaves narrow
+            places with a fraction of the tests.
     """
 
     balanced: bool = False
@@ -91,7 +92,7 @@ class RrtStarOptions(PathOptions):
 
 @dataclass(frozen=True)
 class InformedRrtStarOptions(RrtStarOptions):
-    """Options of the planner ``informed-rrt-star``; as `RrtStarOptions`, with edges that soon make the straight way."""
+    """Options of the planner ``informed-rrt-star``; as `RrtStarOptions`, with longer edges for straighter paths."""
 
     longest_edge: float = field(default=0.2, metadata={"range": (1e-3, 1.0)})
 
@@ -100,23 +101,23 @@ class InformedRrtStarOptions(RrtStarOptions):
 class BitStarOptions(PathOptions):
     """Options of the planner ``bit-star``; as `PathOptions`.
 
-    A test takes several times as long as RRT*'s, and the longer the more samples there are.
+    A test takes several times as long as with RRT*, and longer as the number of samples grows.
     """
 
     tests: tuple[int, ...] = (5_000, 10_000, 20_000, 40_000)
 
 
-# From a space, options and a seed to a path of OMPL's, or None.
+# Arguments: space, options, seed. Returns a path of OMPL's, or None.
 Search: TypeAlias = Callable[[SearchSpace, SearchOptions, np.random.SeedSequence], Any]
 
 
 def sampling_planner(name: str) -> Callable[[PlanningProblem, PathOptions], Motion]:
-    """The planner of a name of `METHODS`.
+    """The planner with a name of `METHODS`.
 
-    RRT-Connect grows two trees from start and target until they meet. Those that improve the path for a fixed amount of
-    work: RRT* rewires one tree, Informed RRT* draws only where a shorter path may be, BIT* searches batches of samples
-    in the order of the length that they promise, and AORRTC runs RRT-Connect again and again, each time for a shorter
-    path.
+    RRT-Connect grows two trees from start and target until they meet. The others improve the path with a fixed amount
+    of work: RRT* rewires one tree, Informed RRT* samples only where a shorter path is possible, BIT* searches batches
+    of samples in the order of the path lengths that they promise, and AORRTC repeats RRT-Connect, each time for a
+    shorter path.
 
     The planner raises:
         LieEDNNError: OMPL is not installed.
@@ -143,14 +144,14 @@ def connecting_path(
 ) -> Floats | None:
     """Corners ``(M, n)`` of a shortened path from start to target, clear in the workspace; or None.
 
-    It is the same whatever ran before.
+    The result does not depend on earlier calls.
 
     Args:
         problem: start, target and seed.
-        workspace: of the problem, with the margin.
-        options: of the search.
+        workspace: the problem's, with the margin.
+        options: options of the search.
         search: `balanced_search`, or `ompl_search` of a name.
-        attempt: another one draws others, and looks more closely.
+        attempt: number of the attempt; each has other samples, and later ones a finer spacing.
 
     Raises:
         LieEDNNError: OMPL is not installed.
@@ -160,8 +161,8 @@ def connecting_path(
     level = util.getLogLevel()
     util.setLogLevel(util.LOG_NONE)
     try:
-        # Every generator made from here on draws its seed from this one. OMPL warns of that for those that exist
-        # already, which are not ours. It takes no seed of zero.
+        # Seeds all generators made from here on; OMPL warns about existing ones, which are not ours. Zero is not
+        # allowed.
         seed = np.random.SeedSequence([problem.seed, attempt])
         util.RNG.setSeed(1 + int(seed.generate_state(1)[0] % (2**31)))
         space = SearchSpace(problem, workspace, options.spacings[min(attempt, len(options.spacings) - 1)])
@@ -178,7 +179,7 @@ def ompl_search(name: str) -> Search:
         base, geometric = optional_module("ompl.base"), optional_module("ompl.geometric")
         definition = base.ProblemDefinition(space.information)
         definition.setStartAndGoalStates(*(space.state(q / space.edges.scale) for q in space.ends))
-        # The straight way is the shortest there is: who finds it is done.
+        # No path is shorter than the straight one, so a planner that finds it stops.
         objective = base.PathLengthOptimizationObjective(space.information)
         straight = float(np.linalg.norm((space.ends[1] - space.ends[0]) / space.edges.scale))
         objective.setCostThreshold(base.Cost(_STRAIGHT * straight))
@@ -198,7 +199,7 @@ def ompl_search(name: str) -> Search:
 
 
 def balanced_search(space: SearchSpace, options: SearchOptions, seed: np.random.SeedSequence) -> Any:
-    """The search of `trees`, by distances in the workspace."""
+    """The search by `trees`, with distances in the workspace."""
     edges = space.edges
     weight = np.maximum(edges.swept, _LEAST_SWEEP * edges.swept.max())
     box = weight[:, None] * edges.limits / edges.scale[:, None]

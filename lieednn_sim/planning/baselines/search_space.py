@@ -1,6 +1,6 @@
-"""Joint space as sampling-based planners see it: which postures and edges are clear, and when the search is over.
+"""Joint space for sampling-based planners: tests of postures and edges, and the end of the search.
 
-Coordinates are those of the joints over their velocity limits, so that the length of a path is a time.
+Points are joint coordinates over velocity limits, so the length of a path is a time.
 """
 
 from __future__ import annotations
@@ -19,23 +19,23 @@ from lieednn_sim.planning.extras import optional_module
 from lieednn_sim.planning.problem import PlanningProblem
 from lieednn_sim.values import Floats
 
-# Times that a search looks whether it is over, for each test that it may make: usually once for a test or more.
+# How often a search may ask whether it is over, per test that it may make; usually it makes a test or more each time.
 _LOOKS = 2
 
 
 class EdgeTest:
-    """What is clear in a workspace, and how much may still be tested; it knows nothing of OMPL.
+    """Tests of points and edges in a workspace, within an amount of work; independent of OMPL.
 
     Args:
-        arm: whose joints they are.
-        workspace: counts the postures that are tested.
-        spacing: a link frame moves at most about this far from one posture tested along an edge to the next [m].
+        arm: the arm.
+        workspace: has the clearance test, which counts the postures tested.
+        spacing: distance that a link frame moves, about, between postures tested on an edge [m].
 
     Attributes:
-        scale: ``(n,)`` of the joints, in whose units points are.
-        limits: ``(n, 2)`` of the joints' positions [rad, m].
-        bounds: ``(n, 2)`` of points: the limits in their units.
-        swept: ``(n,)`` how far a coordinate's unit moves a link frame at most [m].
+        scale: ``(n,)`` units of the coordinates of points [rad, m].
+        limits: ``(n, 2)`` position limits of the joints [rad, m].
+        bounds: ``(n, 2)`` the same in the units of points.
+        swept: ``(n,)`` largest distance that a unit of a coordinate moves a link frame [m].
     """
 
     def __init__(self, arm: Arm, workspace: Workspace, spacing: float) -> None:
@@ -48,9 +48,9 @@ class EdgeTest:
         self._known, self._looks = set[bytes](), itertools.count()
 
     def _inside(self, q: Floats) -> bool:
-        # No exception may pass through the library: out of time nothing is free, so that it ends soon. A ball joint's
-        # angle is limited, whose limits are no box; but convex, so that ends speak for edges. The box of the others is
-        # what samples are drawn from.
+        # No exception may pass through the library; when time is out nothing is free, so that it ends soon. Samples are
+        # drawn within the box of the limits, but the angle limit of a ball joint is not a box. It is convex, so an edge
+        # is within it if its ends are.
         return not (out_of_time() or (self._balls and (self._arm.limit_excess(q) > 0.0).any()))
 
     def free(self, point: Floats) -> bool:
@@ -61,11 +61,11 @@ class EdgeTest:
         return True
 
     def passable(self, first: Floats, second: Floats) -> bool:
-        """Whether an edge from a clear point ``(n,)`` to another one is clear, at postures evenly spaced in space."""
+        """Whether the edge from a clear point ``(n,)`` to another one is clear, at evenly spaced postures."""
         if not self._inside(self.scale * second):
             return False
         count = max(1, math.ceil(float(np.abs(second - first) @ self._density)))
-        # The first end is valid, and the other is where a tree grows back from it; still it counts as work.
+        # An end found clear before is not tested again, but counts as work.
         end = second.tobytes()
         shares = _shares(count)[end in self._known :]
         self._clear.tests += end in self._known
@@ -75,30 +75,30 @@ class EdgeTest:
         return True
 
     def over(self, tests: int) -> bool:
-        """Whether a search shall end that may test a given number of postures; to be asked in its loop."""
-        # Where no path can be shorter than the one that is known, nothing is tested any more.
+        """Whether a search that may test this many postures must end; to be asked in its loop."""
+        # Calls count, too: a planner that knows the shortest path tests nothing any more.
         return next(self._looks) >= _LOOKS * tests or self._clear.tests >= tests or out_of_time()
 
 
 class SearchSpace:
-    """The joint space of a problem, as OMPL sees it.
+    """The joint space of a problem for OMPL.
 
     Args:
         problem: start, target and arm.
-        workspace: of the problem.
+        workspace: the problem's.
         spacing: see `EdgeTest`.
 
     Attributes:
-        edges: what is clear.
-        ends: start and target in joint coordinates, the one in the narrower place first: a tree grows out of a narrow
+        edges: tests of points and edges.
+        ends: start and target in joint coordinates, the one with less clearance first: a tree grows out of a narrow
             place more easily than into one.
-        information: OMPL's of this space.
+        information: OMPL's space information.
     """
 
     def __init__(self, problem: PlanningProblem, workspace: Workspace, spacing: float) -> None:
         base, n = optional_module("ompl.base"), problem.arm.n_joints
         self._problem = problem
-        # What OMPL calls back holds none of OMPL's own objects: such circles are never collected.
+        # Callbacks must not hold OMPL's objects: such reference cycles are never collected.
         self.edges = edges = EdgeTest(problem.arm, workspace, spacing)
         self.ends = sorted((problem.start, problem.target), key=workspace.collisions.clearance)
         self._space = base.RealVectorStateSpace(n)
@@ -131,7 +131,7 @@ class SearchSpace:
         return path
 
     def corners(self, path: Any, shortcuts: int) -> Floats:
-        """Joint coordinates ``(M, n)`` from start to target of a path of OMPL's, shortened in some attempts."""
+        """Joint coordinates ``(M, n)`` from start to target of one of OMPL's paths, after attempts to shorten it."""
         simplifier = optional_module("ompl.geometric").PathSimplifier(self.information)
         simplifier.reduceVertices(path, shortcuts, shortcuts)
         simplifier.partialShortcutPath(path, shortcuts, shortcuts)
@@ -147,7 +147,7 @@ class SearchSpace:
 
 @lru_cache(maxsize=4096)
 def _shares(count: int) -> Floats:
-    """1/count .. count/count, the last first and the others by halving, so that what is in the way is found soon."""
+    """1/count to count/count, the last one first, the others by bisection, so that contacts are found early."""
     order, gaps = [count], [(0, count)]
     for low, high in gaps:
         middle = (low + high) // 2

@@ -1,10 +1,10 @@
-"""From a polyline in joint space to a motion: corners rounded by a B-spline, run through by minimum jerk.
+"""Path smoothing: from a polyline in joint space to a motion along a B-spline, timed by minimum jerk.
 
-The control points of a clamped quintic B-spline are laid along the polyline, evenly. The curve stays in the convex hull
-of every six neighbours among them: within the joint limits, which are convex, and on the polyline itself except near
-its corners. More control points round them more tightly. It is run through more slowly where it bends, so that
-accelerations stay bounded; they are continuous, since the curvature has a continuous derivative. What even the tightest
-curve cannot pass is left to the polyline itself, with a stop at every corner.
+The control points of a clamped quintic B-spline are spaced evenly along the polyline. Each point of the curve lies in
+the convex hull of six neighbouring ones: within the joint limits, which are convex, and on the polyline itself except
+near its corners. With more control points the curve is closer to the corners. It is followed more slowly where it
+bends, so accelerations stay bounded; they are continuous, since the curvature has a continuous derivative. If even the
+closest curve touches something, the polyline itself is followed, with a stop at every corner.
 """
 
 from __future__ import annotations
@@ -31,23 +31,23 @@ from lieednn_sim.planning.problem import PlanningProblem, in_time
 from lieednn_sim.planning.retiming import retime
 from lieednn_sim.values import Floats
 
-# Nodes of the arc length; its inverse is then exact to about 1e-12.
+# Nodes of the arc length; with these its inverse is accurate to about 1e-12.
 _NODES = 4097
-# A curve to be run through at the limits is first sampled as a motion of this many durations, and every 32nd sample is
-# tested for contact, before its law of time is worked out.
+# A curve to be followed at the limits is first sampled as a motion of this many durations, and every 32nd sample tested
+# for contact, before its time law is computed.
 _SLOWER, _STRIDE = 4.0, 32
 
 
 @dataclass(frozen=True)
 class SmoothingOptions(PlannerOptions):
-    """How polylines are rounded.
+    """How polylines are smoothed.
 
     Attributes:
-        control_points: to lay along the whole polyline, from the roundest curve to the tightest, each up to 10 000.
-        bend: curvature, in units of the inverse length of the whole curve, from which on it is run through more slowly.
-        fastest: run through each curve as fast as the arm's limits allow, whatever the duration, see `retime`; taken is
-            the roundest that is free of contact then. Otherwise the whole motion gets the time that its sharpest corner
-            needs, and `plan(fastest=True)` makes what was chosen so faster afterwards.
+        control_points: numbers of control points to try, from the smoothest curve to the closest, each up to 10 000.
+        bend: curvature above which a curve is followed more slowly, in units of its inverse length.
+        fastest: follow each curve as fast as the arm's limits allow, whatever the duration (`retime`), and take the
+            smoothest that is then free of contact. Otherwise the whole motion gets the time that its sharpest corner
+            needs, and `plan(fastest=True)` only speeds up the curve chosen that way.
     """
 
     control_points: tuple[int, ...] = field(
@@ -60,14 +60,14 @@ class SmoothingOptions(PlannerOptions):
 def motion_along(
     problem: PlanningProblem, corners: Floats, options: SmoothingOptions, blocked: dict[int | None, PlanError]
 ) -> Motion:
-    """The roundest motion along a polyline ``(M, n)`` from start to target that keeps limits and clearance.
+    """The smoothest motion along a polyline ``(M, n)`` from start to target that keeps limits and clearance.
 
     Args:
-        problem: where it starts and ends, and in what time.
-        corners: of the polyline.
-        options: how it is rounded.
-        blocked: numbers of control points whose curves no time would make passable, and why; to be passed on from one
-            duration to the next, for those are not looked at again.
+        problem: start, target and duration.
+        corners: corners of the polyline.
+        options: how it is smoothed.
+        blocked: numbers of control points whose curves are blocked at any duration, with the reasons. It is added to;
+            pass it on to calls with other durations, in which these curves are skipped.
 
     Raises:
         PlanError: not even the polyline itself can be followed in the problem's duration.
@@ -80,13 +80,13 @@ def motion_along(
         try:
             if options.fastest and count is not None and np.ptp(corners, axis=0).any():
                 return _fastest(problem, corners, count, options.bend)
-            curve = stopping(problem, corners) if count is None else rounded(problem, corners, count, options.bend)
+            curve = stopping(problem, corners) if count is None else smoothed(problem, corners, count, options.bend)
             return joint_motion(problem, *curve)
         except PlanError as error:
             refusals.append(error)
             if not isinstance(error, TooFastError):
                 blocked[count] = error
-    # What only needs more time, the least of it, tells more than that a rounder way touches something.
+    # A motion that only needs more time, and the least of it, is better news than one that is blocked.
     raise min((error for error in refusals if isinstance(error, TooFastError)), key=_duration, default=refusals[-1])
 
 
@@ -97,15 +97,15 @@ def motion_along_first(
     options: SmoothingOptions,
     name: str,
 ) -> Motion:
-    """The motion along the first path that allows one, in the time that it needs.
+    """The motion along the first path that can be followed, in the time that it needs.
 
     Args:
-        problem: of the planner.
-        path: corners ``(M, n)`` by the number of the attempt, or None where there is none. Paths have no part in time:
-            it shall know those that it gave, for they are asked for again when the motion needs more.
-        attempts: paths to ask for at most.
-        options: how corners are rounded.
-        name: of the planner.
+        problem: the problem.
+        path: function from the number of an attempt to corners ``(M, n)``, or None if it fails. Paths do not depend on
+            the duration; it should remember them, since they are asked for again when the motion needs more time.
+        attempts: largest number of paths to ask for.
+        options: how paths are smoothed.
+        name: name of the planner.
 
     Raises:
         PlanError: there is no path, or none can be followed.
@@ -130,9 +130,9 @@ def motion_along_first(
 
 
 def _fastest(problem: PlanningProblem, corners: Floats, count: int, bend: float) -> Motion:
-    """The motion along a rounded curve at the arm's limits, whatever the problem's duration."""
+    """The motion along a smooth curve at the arm's limits, whatever the problem's duration."""
     slow = replace(problem, duration=_SLOWER * problem.duration)
-    curve = rounded(slow, corners, count, bend)
+    curve = smoothed(slow, corners, count, bend)
     if any(problem.arm.near_contacts_along(curve[0][::_STRIDE])):
         raise PlanError("something is in the way")
     return retime(problem.arm, unchecked_motion(slow, *curve))
@@ -142,7 +142,7 @@ def _duration(error: TooFastError) -> float:
     return error.duration
 
 
-def rounded(problem: PlanningProblem, corners: Floats, count: int, bend: float) -> tuple[Floats, Floats, Floats]:
+def smoothed(problem: PlanningProblem, corners: Floats, count: int, bend: float) -> tuple[Floats, Floats, Floats]:
     """Positions, velocities, both ``(K, n)``, and progress ``(K,)`` along a B-spline of about ``count`` points."""
     t, scale = problem.times(), joint_scale(problem.arm)
     scaled, lengths = _measured(corners / scale)
@@ -176,13 +176,13 @@ def _weighted(tangent: Floats, second: Floats, bend: float) -> Floats:
 
 
 def stopping(problem: PlanningProblem, corners: Floats) -> tuple[Floats, Floats, Floats]:
-    """As `rounded`, along the polyline itself: minimum jerk on every edge, in its share of the time by length."""
+    """As `smoothed`, along the polyline itself: minimum jerk on each edge, in a share of the time by its length."""
     t, scale = problem.times(), joint_scale(problem.arm)
     scaled, lengths = _measured(corners / scale)
     if not len(lengths):
         return _resting(problem)
     ends = np.concatenate([[0.0], np.cumsum(lengths)]) / lengths.sum()
-    # Its rounding must not put the last sample on an edge that is not there.
+    # Rounding errors must not put the last sample on an edge beyond the last.
     edge = np.clip(np.searchsorted(ends, t / t[-1], side="right") - 1, 0, len(lengths) - 1)
     share = ends[edge + 1] - ends[edge]
     sigma, rate = minimum_jerk_law(np.clip((t / t[-1] - ends[edge]) / share, 0.0, 1.0))
@@ -200,7 +200,7 @@ def _measured(points: Floats) -> tuple[Floats, Floats]:
 
 
 def _laid(points: Floats, lengths: Floats, count: int) -> Floats:
-    """Control points ``(M, n)`` on every corner and evenly between, at least six."""
+    """Control points ``(M, n)`` at all corners and evenly in between, at least six."""
     pieces = np.maximum(1, np.ceil(lengths / (lengths.sum() / count)).astype(int))
     pieces[0] += max(0, SPLINE_DEGREE - pieces.sum())
     laid = [

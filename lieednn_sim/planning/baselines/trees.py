@@ -1,9 +1,9 @@
 """RRT-Connect with balanced trees and dynamic domains.
 
-Kuffner and LaValle's (ICRA 2000), of whose two trees always the smaller one grows (theirs, 2005), and from a node that
-an extension has failed at only towards samples nearby (Yershova, Jaillet, Simeon and LaValle, ICRA 2005). Where one end
-is in a narrow place both keep the work there: else the tree in the open grows to thousands of nodes, each of which
-tries in vain to reach the other one.
+RRT-Connect is Kuffner and LaValle's (ICRA 2000). Here the smaller of the two trees grows (theirs, 2005), and after a
+failed extension a node grows only towards samples nearby (Yershova, Jaillet, Simeon and LaValle, ICRA 2005). If one end
+is in a narrow place, both measures keep the work there; otherwise the tree in the open would grow to thousands of
+nodes, each of which tries in vain to reach the other tree.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from scipy.spatial.distance import cdist
 
 from lieednn_sim.values import Floats
 
-# Radius of the domain of a node that an extension failed at, in longest edges; as VAMP's.
+# Radius of a node's domain after a failed extension, in longest edges; as VAMP's.
 _DOMAIN = 4.0
-# Samples drawn at once: those in the domain of the node nearest to them are grown to in turn until a tree changes, or
-# else the one that is least beyond.
+# Samples drawn at once. Extensions towards those within the domains of their nearest nodes are tried in turn until one
+# succeeds; if there are none, towards the sample that is least outside.
 _DRAWN = 64
 
 
@@ -34,16 +34,16 @@ def connected(
     over: Callable[[], bool],
     seed: int | np.random.SeedSequence,
 ) -> Floats | None:
-    """Corners ``(M, n)`` from start to target, or None when the search is over before they are found.
+    """Corners ``(M, n)`` of a path from start to target, or None if the search ends before one is found.
 
     Args:
         start: ``(n,)``, clear.
         target: ``(n,)``, clear.
-        bounds: ``(n, 2)`` of samples.
-        longest_edge: by the Euclidean norm.
-        clear: whether the edge from a point that is clear to another point is, its end included.
-        over: asked before each extension.
-        seed: of the samples.
+        bounds: ``(n, 2)`` bounds of the samples.
+        longest_edge: longest edge to grow, in the Euclidean norm.
+        clear: whether the edge from a clear point to another point is clear, including its end.
+        over: whether the search must end; asked before each extension.
+        seed: seed of the samples.
     """
     if clear(start, target):
         return np.stack([start, target])
@@ -52,13 +52,13 @@ def connected(
     other = _Tree(target)
 
     def extension() -> tuple[int, Floats] | None:
-        """The node to grow from and the point to grow to, if one of some samples allows it."""
+        """A node and the new point that it can be extended to, or None if no extension succeeds."""
         samples = rng.uniform(bounds[:, 0], bounds[:, 1], (_DRAWN, len(bounds)))
         near, distance = grown.nearest(samples)
         inside = distance <= grown.radius[near]
         for index in np.flatnonzero(inside) if inside.any() else [np.argmin(distance / grown.radius[near])]:
             node, length = near[index], distance[index]
-            # The domain may have become smaller meanwhile.
+            # The domain may have shrunk meanwhile.
             if inside[index] and length > grown.radius[node]:
                 continue
             if over():
@@ -71,7 +71,7 @@ def connected(
         return None
 
     while not over():
-        # Both try in turn while neither grows.
+        # Trees of equal size take turns.
         if len(grown) >= len(other):
             grown, other = other, grown
         found = extension()
@@ -88,7 +88,7 @@ def connected(
                 break
             node = grown.add(ahead, node)
         else:
-            # Both end in the same point.
+            # The two branches end at the same point.
             corners = np.concatenate([grown.branch(node)[:-1], other.branch(met)[::-1]])
             return corners if grown is first else corners[::-1]
     return None
@@ -110,7 +110,7 @@ class _Tree:
 
     @property
     def radius(self) -> Floats:
-        """``(M,)``, to be written to; infinite of nodes that no extension has failed at."""
+        """``(M,)`` radii of the domains, writable; infinite until an extension of the node fails."""
         return self._radius[: len(self)]
 
     def add(self, point: Floats, parent: int) -> int:
