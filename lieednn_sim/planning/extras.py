@@ -1,4 +1,4 @@
-"""Optional libraries of planners and of the fastest law of time: which are missing, and what to install."""
+"""Optional libraries of planners and of the fastest time law: which are missing, and what to install."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 from lieednn_sim.errors import LieEDNNError
 from lieednn_sim.learning.demonstrations import probabilistic
 
-# The libraries that a planner needs beside the package's own.
+# Libraries that planners need besides the package's dependencies.
 REQUIREMENTS: dict[str, tuple[str, ...]] = {
     "dmp": probabilistic.LIBRARIES,
     **dict.fromkeys(
@@ -18,7 +18,7 @@ REQUIREMENTS: dict[str, tuple[str, ...]] = {
     "mjpl": ("mjpl",),
     "sscbirrt": ("sscbirrt",),
 }
-# What installs each of them.
+# Commands that install them.
 INSTALL: dict[str, str] = {
     **dict.fromkeys(probabilistic.LIBRARIES, probabilistic.INSTALL),
     "ompl": "pip install 'lieednn_sim[rivals]'",
@@ -28,7 +28,7 @@ INSTALL: dict[str, str] = {
 
 
 def missing_planners() -> dict[str, str]:
-    """Names of the planners whose libraries are not installed, with what installs them."""
+    """Names of the planners whose libraries are not installed, with the commands that install them."""
     missing = {}
     for planner, modules in REQUIREMENTS.items():
         absent = [module for module in modules if importlib.util.find_spec(module) is None]
@@ -38,9 +38,9 @@ def missing_planners() -> dict[str, str]:
 
 
 def require_planner(name: str) -> None:
-    """Raise `LieEDNNError` when a library that a planner needs is not installed; says what to do.
+    """Raise `LieEDNNError` if a library that a planner needs is not installed; the message says what to do.
 
-    No other planner takes its place: what is planned must not depend on what is installed.
+    No other planner takes its place: results must not depend on what is installed.
     """
     missing = missing_planners()
     if name in missing:

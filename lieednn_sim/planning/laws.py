@@ -1,4 +1,4 @@
-"""Laws of time: how a path is run through."""
+"""Time laws: how fast a motion follows its path."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from lieednn_sim.values import Floats
 # Share of a path's length and its slope, both ``(K,)``, at shares ``(K,)`` of the duration.
 Law = Callable[[Floats], tuple[Floats, Floats]]
 
-# Acceleration across a path, in units of its length over the square of the duration, from which on a turn is sharp.
-# Along it minimum jerk needs 5.8 at most; five of six certified motions of the package's arms stay below.
+# Acceleration across a path above which a turn is sharp, in units of the path's length over the squared duration. Along
+# the path minimum jerk needs at most 5.8; five of six certified motions of the package's arms stay below.
 _SHARP = 10.0
-# Share of the duration in which a motion slows down for a sharp turn, and in which it speeds up again after it.
+# Share of the duration in which a motion slows down before a sharp turn, and in which it speeds up again.
 _EASING = 0.1
 
 
 def minimum_jerk_law(s: Floats) -> tuple[Floats, Floats]:
-    """Position and slope in s of the minimum-jerk law on [0, 1] (Flash and Hogan, J. Neuroscience 5(7), 1985)."""
+    """The minimum-jerk law on [0, 1] and its slope, at s (Flash and Hogan, J. Neuroscience 5(7), 1985)."""
     return s**3 * (10.0 - 15.0 * s + 6.0 * s**2), 30.0 * s**2 * (1.0 - s) ** 2
 
 
@@ -33,7 +33,7 @@ def step_lengths(xi: Floats, units: Floats) -> Floats:
 
 
 def law_of(motion: Motion, units: Floats) -> Law:
-    """The law by which a motion runs through its path, whose length is that of its states in ``units`` ``(N, 6)``."""
+    """The law by which a motion follows its path, whose length is that of its states in ``units`` ``(N, 6)``."""
     length = np.append(0.0, np.cumsum(step_lengths(motion.xi, units)))
     s, share = motion.t / motion.t[-1], length / length[-1]
     slope = np.gradient(share, s, edge_order=2)
@@ -41,21 +41,21 @@ def law_of(motion: Motion, units: Floats) -> Law:
 
 
 def law_of_times(t: Floats, share: Floats) -> Law:
-    """The law, from rest to rest, that has the shares ``(K,)`` behind it at times ``(K,)``; it never goes back."""
+    """The monotonic law from rest to rest with the given shares ``(K,)`` of the length at times ``(K,)``."""
     s = t / t[-1]
     return _through(s, share, PchipInterpolator(s, share).derivative()(s))
 
 
 def eased_law(motion: Motion, law: Law, units: Floats) -> Law | None:
-    """A law that slows down where a motion by another one turns sharply; None where it does so nowhere.
+    """A law that slows down where a motion by another law turns sharply; None if it does so nowhere.
 
-    By a law of length alone the acceleration across the path is v^2 kappa, whatever the curvature kappa. Here times
-    are stretched around every instant at which that is above a bound, by the square root of the excess.
+    With a law that ignores the curvature kappa, the acceleration across the path, v^2 kappa, is unbounded. Here time is
+    stretched around every instant at which it exceeds a bound, by the square root of their ratio.
 
     Args:
-        motion: by the other law.
-        law: that one.
-        units: ``(n,)`` of the joints in the path's length.
+        motion: a motion by the other law.
+        law: the other law.
+        units: ``(n,)`` units of the joints in the path's length.
     """
     count, duration = len(motion.t), motion.t[-1]
     velocity = motion.qd / units
@@ -70,7 +70,7 @@ def eased_law(motion: Motion, law: Law, units: Floats) -> Law | None:
     sharpness = across * duration**2 / (_SHARP * length)
     if sharpness.max() <= 1.0:
         return None
-    # Hann's window; scipy.signal has it, but takes as long to import as all else that a planning process needs.
+    # A Hann window; scipy.signal has it, but takes as long to import as everything else in a planning process.
     window = 1.0 + np.cos(np.linspace(-np.pi, np.pi, 2 * max(1, round(_EASING * count)) + 1))
     slower = maximum_filter1d(np.sqrt(np.maximum(sharpness, 1.0)), len(window), mode="nearest")
     slower = convolve1d(slower, window / window.sum(), mode="nearest")

@@ -1,4 +1,4 @@
-"""Joint trajectories that start and end at rest and take a stated duration, and what is asked of them."""
+"""Joint trajectories that start and end at rest and take a given duration, and their checks."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from lieednn_sim.values import Floats, check_fields, frozen
 
 # Positions may exceed a limit by this much [rad, m]: a target on a limit is reached up to the residual.
 LIMIT_TOLERANCE = 1e-6
-# Every 16th sample of a motion is looked at first, the others after them: most contacts are found early.
+# Every 16th sample of a motion is tested for contact first, then the others, so that most contacts are found early.
 _STRIDE = 16
-# A step between two samples that the velocities do not explain by this much is a jump [rad, m].
+# A step between samples that exceeds what the velocities explain by more than this is a jump [rad, m].
 _JUMP = 0.02
-# At a simulation step of 2 ms this is 200 s: more takes minutes to plan, and a table of results nobody needs.
+# 200 s at a simulation step of 2 ms; longer motions would take minutes to plan.
 _MAX_STEPS = 100_000
 
 
@@ -30,12 +30,12 @@ class Motion:
 
     Attributes:
         t: ``(K,)`` [s].
-        tau: ``(K,)`` the network's own time; of a planner without a network, its progress from 0 to 1.
+        tau: ``(K,)`` the network's own time; for a planner without a network, the progress from 0 to 1.
         xi: ``(K, N, 6)`` states of the network's visible neurons, one for each link.
-        xi_target: ``(N, 6)`` where these are at its equilibrium.
+        xi_target: ``(N, 6)`` their states at the equilibrium.
         q: ``(K, n)`` joint positions [rad, m].
         qd: ``(K, n)`` joint velocities [rad/s, m/s].
-        gap_translation: ``(K, N)`` distance of the decoded poses from the joints' own set [m].
+        gap_translation: ``(K, N)`` mechanism gap, the distance of the poses from those that the joints can take [m].
         gap_rotation: ``(K, N)`` the same as an angle [rad].
     """
 
@@ -75,12 +75,12 @@ class Motion:
         return float(self.t[1] - self.t[0])
 
     def save(self, path: str | os.PathLike[str], made_from: Mapping[str, str] | None = None) -> None:
-        """Write to an ``.npz`` file, atomically; ``made_from`` as for `storage.save_arrays`."""
+        """Write to an ``.npz`` file, atomically; ``made_from`` as in `storage.save_arrays`."""
         storage.save_arrays(path, "motion", vars(self), {}, made_from)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Motion:
-        """Read a file of `save`; `FileError` when it is none."""
+        """Read a file of `save`; raise `FileError` if it is not one."""
         arrays, _ = storage.load_arrays(path, "motion")
         names = tuple(cls.__dataclass_fields__)
         try:
@@ -90,7 +90,7 @@ class Motion:
 
 
 def count_steps(duration: float, timestep: float) -> int:
-    """Number of time steps in ``duration`` [s], or `InputError` when there are less than 2 or too many to hold."""
+    """Number of time steps in ``duration`` [s]; raise `InputError` if there are less than 2, or too many."""
     ratio = as_positive("duration", duration) / as_positive("timestep", timestep)
     if not 1.5 <= ratio <= _MAX_STEPS:
         raise InputError(
@@ -100,17 +100,17 @@ def count_steps(duration: float, timestep: float) -> int:
 
 
 def least_duration(arm: Arm, start: Floats, target: Floats) -> float:
-    """Time [s] from rest at ``start`` to rest at ``target``, both ``(n,)``, at the limits of velocity to jerk.
+    """Least time [s] from rest at ``start`` to rest at ``target``, both ``(n,)``, under the limits of all rates.
 
-    To reach a speed v takes v / a + a / j with limits a and j of acceleration and jerk, where v >= a^2 / j, else
-    2 sqrt(v / j). Every joint reaches the highest speed from which it can brake in time, at most its limit, cruises and
-    brakes: a way d takes d / v and the time to reach v. No motion within the limits is faster.
+    With limits a of acceleration and j of jerk, a joint needs v / a + a / j to reach a speed v >= a^2 / j, and
+    2 sqrt(v / j) for a lower one. Each joint reaches the highest speed from which it can brake in time, at most its
+    limit, cruises, and brakes: a way d takes d / v plus the time to reach v. No motion within the limits is faster.
     """
     way, v, a = np.abs(target - start), arm.velocity_limits, arm.acceleration_limits
-    # A limit that is not there is so high that it costs nothing.
+    # Missing limits are infinite; large finite ones have the same effect.
     a, j = np.minimum(a, 1e60), np.minimum(arm.jerk_limits, 1e300)
     ramped = a * (a / j)
-    # The speed of which the way is made of the two ramps alone.
+    # The speed for which the way consists of the two ramps alone.
     long, short = 0.5 * (np.sqrt(ramped**2 + 4.0 * a * way) - ramped), np.cbrt(0.25 * way**2 * j)
     peak = np.minimum(v, np.where(way * j >= 2.0 * a * ramped, long, short))
     ramp = np.where(peak >= ramped, peak / a + a / j, 2.0 * np.sqrt(peak / j))
@@ -118,20 +118,20 @@ def least_duration(arm: Arm, start: Floats, target: Floats) -> float:
 
 
 def rms_jerk(arm: Arm, motion: Motion) -> float:
-    """Root mean square of the joints' jerk, each in its range [1/s^3]."""
+    """Root mean square of the joints' jerk, in units of their ranges [1/s^3]."""
     jerk = np.diff(motion.qd / arm.ranges, n=2, axis=0) / motion.timestep**2
     return float(np.sqrt(np.mean(jerk**2)))
 
 
 def check_motion(arm: Arm, motion: Motion) -> None:
-    """As `check_joints`, of a motion."""
+    """As `check_joints`, for a motion."""
     check_joints(arm, motion.t, motion.q, motion.qd)
 
 
 def rates_and_limits(arm: Arm, qd: Floats, timestep: float) -> tuple[tuple[Floats, Floats, float], ...]:
     """Velocities, accelerations and jerks from rates ``(K, n)``, each with its limits ``(n,)`` and a power.
 
-    A duration T scales them by 1 / T, 1 / T^2 and 1 / T^3, so that T times their excess to that power keeps the limit.
+    They scale as 1 / T, 1 / T^2 and 1 / T^3 with the duration T, so T times their excess to this power keeps the limit.
     """
     acceleration = np.diff(qd, axis=0) / timestep
     jerk = np.diff(acceleration, axis=0) / timestep
@@ -145,8 +145,8 @@ def rates_and_limits(arm: Arm, qd: Floats, timestep: float) -> tuple[tuple[Float
 def check_joints(arm: Arm, t: Floats, q: Floats, qd: Floats) -> None:
     """Check limits of position, velocity, acceleration and jerk and the arm's `clearance` at every sample of a motion.
 
-    A motion whose nearest posture jumps from one sample to the next is refused: where two postures are equally near to
-    the network's state the joints cannot follow, and neither branch is better.
+    A motion that jumps from one sample to the next is refused: where two postures are equally near to the network's
+    state, the nearest one changes abruptly, and joints cannot follow.
 
     Args:
         arm: the arm, in its scene.
@@ -155,8 +155,8 @@ def check_joints(arm: Arm, t: Floats, q: Floats, qd: Floats) -> None:
         qd: ``(K, n)`` their rates [rad/s, m/s].
 
     Raises:
-        TooFastError: only velocity, acceleration or jerk is too high; it knows the duration that keeps them.
-        PlanError: names the joint or bodies, the value and the bound.
+        TooFastError: only velocity, acceleration or jerk is too high; it has the duration that keeps the limits.
+        PlanError: another check fails; the message names the joint or bodies, the value and the bound.
     """
     timestep = t[1] - t[0]
     outside = arm.limit_excess(q)
@@ -179,7 +179,7 @@ def check_joints(arm: Arm, t: Floats, q: Floats, qd: Floats) -> None:
     if too_fast:
         enough, reason = max(too_fast)
         raise TooFastError(f"{reason}; a duration of at least {enough:.2f} s keeps it", float(enough))
-    # Coarsely first: what touches something is mostly found soon.
+    # Coarsely first, so that contacts are found early.
     order = np.argsort(np.arange(len(q)) % _STRIDE != 0, kind="stable")
     for k, touching in zip(order, arm.near_contacts_along(q[order]), strict=True):
         check_time()
@@ -189,7 +189,7 @@ def check_joints(arm: Arm, t: Floats, q: Floats, qd: Floats) -> None:
 
 
 def _check_continuity(arm: Arm, t: Floats, q: Floats, qd: Floats) -> None:
-    """Refuse a step that the velocities at its ends cannot explain twice over."""
+    """Refuse steps much longer than twice what the velocities at their ends explain."""
     step = np.abs(np.diff(q, axis=0))
     speed = np.maximum(np.abs(qd[1:]), np.abs(qd[:-1]))
     unexplained = step - 2.0 * (t[1] - t[0]) * speed

@@ -29,26 +29,27 @@ from lieednn_sim.values import Floats
 
 # Distance to the equilibrium at which the network's path is cut [network coordinates: rad, length_scale m].
 RESIDUAL = 1e-8
-# Samples of the speed along a path for each step of the integrator: between them it is interpolated with less order.
+# Samples of the speed per step of the integrator; between them it is interpolated with a lower order than the states.
 _SAMPLES_PER_STEP = 8
-# Share of a path's length to which a place on it is found: where the speed is low its time is known no better.
+# Tolerance of a place on a path, as a share of its length; where the speed is low, times are no more accurate.
 _ROUNDING = 1e-14
-# Joints this near to their targets have arrived [rad, m]: two postures with the same poses are further apart.
+# Distance at which joints have arrived [rad, m]; two postures with the same poses differ by more.
 _ARRIVED = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
 class NetworkPath:
-    """The path that a network draws for an arm, in the network's own time; `timed` makes motions of it.
+    """The path on which a network leads an arm, in the network's own time; `timed` makes motions of it.
 
     Attributes:
         arm: decodes states to joint positions.
         network: with as many visible neurons as the arm has links.
-        start: ``(n,)`` joint position from which the states are followed.
+        start: ``(n,)`` joint position at the beginning.
         origin: ``(N, 6)`` state of all neurons at the start.
         target: ``(N, 6)`` the network's equilibrium.
-        way: the states from there to here and the speed along them, over tau; None where both are the same. The speed
-            is that of the joints in units of their limits, with the pace of the approach, or the network's own.
+        way: the states from origin to target and the speed along them, over tau; None if origin and target coincide.
+            The speed is that of the joints in units of their limits, combined with the rate of convergence, or that of
+            the network's states.
     """
 
     arm: Arm
@@ -62,9 +63,9 @@ class NetworkPath:
     def drawn(
         cls, arm: Arm, network: ComponentwiseNetwork, start: ArrayLike, units: Floats | None = None
     ) -> NetworkPath:
-        """The path from joint position ``start`` ``(n,)``; errors as of `make_motion`.
+        """The path from joint position ``start`` ``(n,)``; raises as `make_motion`.
 
-        With ``units`` ``(N, 6)`` of the visible neurons' coordinates lengths are measured in these, as by `law_of`.
+        With ``units`` ``(N, 6)`` of the visible neurons' coordinates, lengths are measured in these, as in `law_of`.
         """
         require_fit(arm, network)
         begin = arm.check_position(start, "start")
@@ -75,14 +76,14 @@ class NetworkPath:
         target = equilibrium.xi
         if np.abs(origin - target).max() <= RESIDUAL:
             return cls(arm, network, begin, origin, target, None)
-        # Far from the equilibrium the pace is gamma's, close to it the slowest eigenvalue's.
+        # The pace is gamma's far from the equilibrium, and the slowest eigenvalue's close to it.
         pace = max(-equilibrium.spectral_abscissa, 1e-3 * network.gamma)
         longest = 100.0 / network.gamma + 40.0 / pace
         arrived = False
-        # The integrator's error, a share of the states, may keep it from a target with large entries: then a finer one.
-        # Where a slow clock ends the way, the speed is low there, and the error must be small beside it.
+        # The integrator's error, relative to the states, may keep it from a target with large entries; then a smaller
+        # tolerance is used. Where a slow clock ends the way, the speed is low, and the error must be small beside it.
         usual = 1e-8 if units is None else max(1e-8 * min(1.0, pace / network.gamma) ** 2, 1e-12)
-        # What does not attract needs none.
+        # An equilibrium that does not attract is not tried.
         for rtol, atol in ((usual, 1e-10), (1e-10, 1e-10)) if equilibrium.spectral_abscissa < 0.0 else ():
             trajectory = network.trajectory(origin, longest, until=target, distance=RESIDUAL, rtol=rtol, atol=atol)
             arrived = np.abs(network.visible(trajectory.xi[-1] - target)).max() <= 2.0 * RESIDUAL
@@ -117,8 +118,8 @@ class NetworkPath:
     def timed(self, duration: float, timestep: float, law: Law | None = None) -> Motion:
         """The motion along the path in ``duration``, sampled every ``timestep`` [s]; see `make_motion`.
 
-        The law says which share of the path's length is behind it at which share of the duration: by default
-        minimum jerk's, slowed down where the path turns sharply.
+        The law maps shares of the duration to shares of the path's length: by default minimum jerk, slowed down where
+        the path turns sharply.
         """
         if law is not None:
             return self._timed(duration, timestep, law)
@@ -148,7 +149,7 @@ class NetworkPath:
 
 
 def require_fit(arm: Arm, network: BlockNetwork, *, certified: bool = False) -> None:
-    """Raise `InputError` unless the network has one visible neuron for each link, and a proof if asked for."""
+    """Raise `InputError` unless the network has a visible neuron for each link, and, if asked for, a certificate."""
     if network.n_visible != arm.n_links:
         raise InputError(
             f"the network has {network.n_visible} visible neurons, arm {arm.name!r} has {arm.n_links} links"
@@ -164,7 +165,7 @@ def make_motion(arm: Arm, network: ComponentwiseNetwork, start: ArrayLike, durat
         arm: decodes states to joint positions.
         network: with as many visible neurons as the arm has links.
         start: joint position at rest.
-        duration: of the motion [s], rounded to a whole number of time steps.
+        duration: duration of the motion [s], rounded to a whole number of time steps.
         timestep: sampling period [s], the simulation's step.
 
     Raises:
@@ -176,7 +177,7 @@ def make_motion(arm: Arm, network: ComponentwiseNetwork, start: ArrayLike, durat
 
 
 def timed_motion(problem: PlanningProblem, path: NetworkPath, *law: Law) -> Motion:
-    """The checked motion along a path in the problem's duration, by a law of time or as `NetworkPath.timed` chooses.
+    """The checked motion along a path in the problem's duration, by a given time law or that of `NetworkPath.timed`.
 
     Raises:
         PlanError: the motion breaks a limit of the arm, or ends at another posture with the target's poses.
@@ -195,16 +196,16 @@ def timed_motion(problem: PlanningProblem, path: NetworkPath, *law: Law) -> Moti
 
 
 def _invert(length: PchipInterpolator, speed: PchipInterpolator, grid: Floats, wanted: Floats) -> Floats:
-    """Tau with length(tau) = wanted, by bisection-safeguarded Newton steps on all samples at once."""
+    """Solutions tau of length(tau) = wanted, by Newton steps safeguarded by bisection, for all samples at once."""
     known = length(grid)
     index = np.clip(np.searchsorted(known, wanted, side="right") - 1, 0, len(grid) - 2)
     low, high = grid[index].copy(), grid[index + 1].copy()
     tau = 0.5 * (low + high)
-    # Newton's steps overshoot the ends, and halving alone would lead there slowly.
+    # Newton steps overshoot the ends, and bisection alone converges to them slowly.
     tau[0], tau[-1] = grid[0], grid[-1]
     for _ in range(60):
         error = length(tau) - wanted
-        # What has been found stays: from there rounding may lead out of the bounds, and halving far away.
+        # Solutions stay: rounding could lead them out of their brackets, and bisection then far away.
         off = np.abs(error) > _ROUNDING * known[-1]
         if not off.any():
             break

@@ -1,4 +1,4 @@
-"""What the planners' options have in common: each field is checked against its default."""
+"""Base class of the planners' options: each field is checked against its default."""
 
 from __future__ import annotations
 
@@ -12,15 +12,14 @@ from lieednn_sim.validation import as_count, as_positive, quoted
 
 @dataclass(frozen=True)
 class PlannerOptions:
-    """Base of the options of planners, and of what they hold: the filter's, a search's.
+    """Base class of the options of planners and of their parts, such as the filter and searches.
 
-    A field whose default is a whole number takes whole numbers from 1 on, one whose default is another number positive
-    ones, one whose default is a tuple any number of these, and any other what is of its default's class: True or False
-    where that is one of them. Numbers may be
-    bounded by ``range`` in the field's metadata: where more or less would be an error, or need memory without end.
+    A field with an integer default takes integers from 1 on; with another number, positive numbers; with a tuple, one
+    or more of the same; with anything else, including True and False, values of the default's class. Numbers may have
+    further bounds, in the field's metadata ``range``.
 
     Raises:
-        InputError: a value is something else.
+        InputError: a value is not allowed.
     """
 
     def __post_init__(self) -> None:

@@ -1,11 +1,11 @@
-"""The same way in the least time: a motion's path run through at the arm's limits.
+"""The same path in the least time: a motion retimed to the arm's limits.
 
-TOPP-RA (Pham and Pham, IEEE Transactions on Robotics 34(3), 2018; the library toppra) finds the fastest law of time
-within limits of velocity and acceleration. It brakes and accelerates at full force, without a bound of jerk, and where
-the path turns sharply its pieces are too coarse for the limits to hold in between. So the law is averaged over a window
-of time, which rounds its corners, and stretched by what is left too much; of several windows the one with the shortest
-motion is taken. A motion of a network keeps its path, on which its field is multiplied by a positive number at every
-instant: what is proven of it stays.
+TOPP-RA (Pham and Pham, IEEE Transactions on Robotics 34(3), 2018; the library toppra) finds the fastest time law within
+limits of velocity and acceleration. That law switches between full acceleration and braking, without a bound on jerk,
+and where the path turns sharply its pieces are too coarse for the limits to hold in between. So it is averaged over a
+window of time, which smooths it, and stretched until it keeps the limits; of several windows the one with the shortest
+motion is taken. A network's motion keeps its path: its field is only multiplied by a positive number at every instant,
+so what is proven of the path still holds.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ from lieednn_sim.planning.baselines.joint_space import joint_scale
 from lieednn_sim.planning.extras import optional_module
 from lieednn_sim.planning.motion import Motion, check_motion, count_steps, rates_and_limits
 
-# Pieces of the path, of equal length, on each of which the law has one acceleration.
+# Pieces of the path, of equal length, with one acceleration of the law on each.
 _PIECES = 1000
-# Windows of the average, shares of the fastest law's duration.
+# Windows of the average, as shares of the fastest law's duration.
 _WINDOWS = np.geomspace(0.002, 1.0, 20)
-# Instants at which a law is looked at.
+# Instants at which laws are sampled.
 _INSTANTS = 2000
-# What the solver is given for limits that are not there [1/s, 1/s^2 in path lengths]: nothing comes near.
+# Bounds given to the solver for missing limits [1/s, 1/s^2 in path lengths], far above all rates.
 _NONE = 1e6
-# Sampled at the model's time step, rates may seem a little higher than on the law: the duration is then multiplied by
-# the first of these, at most as often as the second says.
+# Rates sampled at the model's time step may exceed those of the law slightly. Then the duration is multiplied by this
+# factor, at most this many times.
 _LONGER, _TRIES = 1.002, 20
 
 
@@ -39,11 +39,11 @@ def retime(arm: Arm, motion: Motion) -> Motion:
     """A motion along the path of another one, as fast as the arm's limits of velocity, acceleration and jerk allow.
 
     Args:
-        arm: that the motion is for, in its scene.
-        motion: from rest to rest, at any pace.
+        arm: the motion's arm, in its scene.
+        motion: a motion from rest to rest, at any pace.
 
     Returns:
-        The motion, within one time step of the model of the duration that was found, or a few thousandths more.
+        The motion; its duration is the least one found, rounded up to a time step, or a few thousandths more.
 
     Raises:
         InputError: the motion goes nowhere, or a joint that moves has no limit of acceleration.
@@ -66,7 +66,7 @@ def retime(arm: Arm, motion: Motion) -> Motion:
 
 
 class _Path:
-    """A motion's way by its length in units of the joints' limits."""
+    """A motion's path over its length, in units of the joints' limits."""
 
     def __init__(self, arm: Arm, motion: Motion) -> None:
         if motion.q.shape[1] != arm.n_joints:
@@ -90,7 +90,7 @@ class _Path:
         self._own = CubicHermiteSpline(motion.t[kept], self._share, speed / length[-1])
 
     def fastest(self) -> CubicHermiteSpline:
-        """The law of the path's share over time with the shortest duration."""
+        """The law with the shortest duration, from time to the share of the path."""
         topp = optional_module("toppra")
         constraint, algorithm = optional_module("toppra.constraint"), optional_module("toppra.algorithm")
         bounds = (self._arm.velocity_limits, self._arm.acceleration_limits)
@@ -112,7 +112,7 @@ class _Path:
         return min(map(self._stretched, laws), key=lambda one: float(one.x[-1]))
 
     def _stretched(self, law: CubicHermiteSpline) -> CubicHermiteSpline:
-        """The law in the least time in which it keeps all limits."""
+        """The law, stretched or compressed to the least time in which it keeps all limits."""
         t = np.linspace(0.0, law.x[-1], _INSTANTS + 1)
         qd = self._q(law(t), 1) * law(t, 1)[:, None]
         rates = rates_and_limits(self._arm, qd, t[1])
@@ -120,7 +120,7 @@ class _Path:
         return CubicHermiteSpline(law.x * factor, law(law.x), law(law.x, 1) / factor)
 
     def motion(self, law: CubicHermiteSpline, steps: int) -> Motion:
-        """The motion by a law in a given number of time steps."""
+        """The motion by a law, in a given number of time steps."""
         old, kept, arm = self._motion, self._kept, self._arm
         t = arm.timestep * np.arange(steps + 1, dtype=np.float64)
         pace = law.x[-1] / t[-1]
@@ -137,7 +137,7 @@ class _Path:
 
 
 def _averaged(law: CubicHermiteSpline, window: float) -> CubicHermiteSpline:
-    """A law averaged over a window of time, by which it takes longer: steps of its acceleration become ramps."""
+    """A law averaged over a window of time: steps of its acceleration become ramps, and it takes a window longer."""
     duration = float(law.x[-1])
     t = np.linspace(0.0, duration + window, _INSTANTS + 1)
     rate = (law(np.minimum(t, duration)) - law(np.maximum(t - window, 0.0))) / window

@@ -317,16 +317,16 @@ def test_legs_are_joined_a_step_apart():
 
 
 @pytest.mark.parametrize(("clock", "samples"), [(0.0, 2), (0.25, 3), (0.35, 4), (9.0, 5)])
-def test_a_leg_is_cut_where_the_next_begins_and_hidden_neurons_go_on(monkeypatch, cascade, clock, samples):
-    leg, network = object.__new__(run._Leg), cascade(np.zeros((1, 6)))
-    leg.reference, leg._h, leg.begun = counting(5), 0.1, 2.0
-    leg._drawn = SimpleNamespace(arm="arm", state=lambda tau: tau + np.arange(24.0).reshape(4, 6))
-    monkeypatch.setattr(run, "_Leg", lambda *arguments: arguments)
-    following = leg.next(network, "q", 1.5, clock)
+def test_a_segment_is_cut_where_the_next_begins_and_hidden_neurons_go_on(monkeypatch, cascade, clock, samples):
+    segment, network = object.__new__(run._Segment), cascade(np.zeros((1, 6)))
+    segment.reference, segment._h, segment.begun = counting(5), 0.1, 2.0
+    segment._drawn = SimpleNamespace(arm="arm", state=lambda tau: tau + np.arange(24.0).reshape(4, 6))
+    monkeypatch.setattr(run, "_Segment", lambda *arguments: arguments)
+    following = segment.next(network, "q", 1.5, clock)
     moved = dataclasses.replace(network, hidden_start=samples - 1 + np.arange(6.0, 24.0).reshape(3, 6))
     assert following == ("arm", moved, "q", 1.5, 0.1, pytest.approx(2.0 + 0.1 * samples))
-    np.testing.assert_array_equal(leg.reference.q[:, 0], np.arange(samples))
-    np.testing.assert_array_equal(leg.reference.xi_target, np.zeros((1, 6)))
+    np.testing.assert_array_equal(segment.reference.q[:, 0], np.arange(samples))
+    np.testing.assert_array_equal(segment.reference.xi_target, np.zeros((1, 6)))
 
 
 def test_a_network_with_hidden_neurons_runs_through_the_filter(gantry, cascade):

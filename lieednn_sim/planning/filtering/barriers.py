@@ -1,8 +1,8 @@
-"""Barriers: functions of the joint positions that shall stay positive, each a row of the filter's quadratic program.
+"""Barriers: functions of the joint positions that must stay positive, each a row of the filter's quadratic program.
 
-With a barrier's value d and gradient, the filter asks for d' + c (d + h (d' + d'_old) / 2) >= 0, a control barrier
-function (Ames et al., European Control Conference 2019) that is linear in the velocities v' by d' = grad d . v'. Its
-rate c is at most what the accelerations can brake, sqrt(2 a_n / d) with a share a_n of |grad d| . a.
+For a barrier of value d, the filter requires d' + c (d + h (d' + d'_old) / 2) >= 0, a control barrier condition (Ames
+et al., European Control Conference 2019) that is linear in the velocities v', since d' = grad d . v'. Its rate c is at
+most sqrt(2 a_n / d), from which the joints can brake, where a_n is a share of |grad d| . a.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ from lieednn_sim.errors import InputError
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.values import Floats
 
-# Share of the accelerations that braking before obstacles may count on: constraints share them, and normals turn.
+# Share of the accelerations available to brake before an obstacle: several constraints may need them, and normals turn.
 _BRAKING_SHARE = 0.15
-# Parts of the arm this near at home belong to neighbouring links, which close in slowly: a shorter cutoff does [m].
+# Parts of the arm this close at home are taken for neighbours, which approach slowly: a shorter cutoff suffices [m].
 _NEIGHBOURS, _NEIGHBOUR_CUTOFF = 0.15, 0.04
-# Pairs are looked at up to here at least [m].
+# Least distance up to which pairs are measured [m].
 _LEAST_CUTOFF = 0.001
-# Where start or target are nearer than the margin, this share of their distance is kept.
+# Share of the distance of start and target that is kept where these are closer than the margin.
 _MARGIN_SHARE = 0.8
-# Sliding along the limit of a ball joint's angle goes beyond it by second order in a step [rad], and takes most of the
-# acceleration to stay inside.
+# Motion along the angle limit of a ball joint exceeds it to second order in a step [rad], and staying inside takes most
+# of the acceleration.
 _ANGLE_INSET, _ANGLE_BRAKING_SHARE = 5e-3, 0.05
 
 
@@ -40,9 +40,9 @@ class FilterOptions(PlannerOptions):
     Attributes:
         margin: distance kept from the surroundings [m].
         own_margin: distance that parts of the arm keep from each other [m].
-        approach: largest c, geoms approach each other by at most this share of their distance each second [1/s].
-        cutoff: pairs further apart are not looked at [m].
-        smoothing: s, weight of the change of velocity.
+        approach: largest c: the share of their distance by which geoms may approach each other in a second [1/s].
+        cutoff: distance beyond which pairs are ignored [m].
+        smoothing: s, the weight of the change of velocity.
 
     Raises:
         InputError: a value is not positive.
@@ -56,38 +56,38 @@ class FilterOptions(PlannerOptions):
 
 
 class Barrier(ABC):
-    """Functions of the joint positions that shall stay positive.
+    """Functions of the joint positions that must stay positive.
 
     Attributes:
-        braking_share: of the joints' accelerations that braking may count on.
+        braking_share: share of the joints' accelerations available to brake.
     """
 
     braking_share = _BRAKING_SHARE
 
     @abstractmethod
     def values(self, q: Floats, velocity: Floats, speeds: Floats) -> tuple[Floats, Floats]:
-        """Values ``(m,)`` [m, rad] and gradients ``(m, n)`` of those that matter in a step.
+        """Values ``(m,)`` [m, rad] and gradients ``(m, n)`` of the functions that matter in a step.
 
         Args:
-            q: ``(n,)`` at its beginning.
-            velocity: ``(n,)`` there.
-            speeds: ``(n,)`` no joint can be faster at its end.
+            q: ``(n,)`` joint positions at its beginning.
+            velocity: ``(n,)`` joint velocities there.
+            speeds: ``(n,)`` bounds of the joints' speeds at its end.
         """
 
     def allow(self, positions: Floats) -> None:  # noqa: B027 (few barriers need it)
-        """Fit the barrier to positions ``(P, n)`` that shall be reached; `InputError` where it cannot be."""
+        """Adapt the barrier to positions ``(P, n)`` that must be allowed; raise `InputError` if that is impossible."""
 
     def name(self, row: int) -> str:
-        """What is said where one of the last `values` holds the arm back."""
+        """Name of one of the last `values`, for messages about what holds the arm back."""
         return f"{type(self).__name__} {row}"
 
 
 class ApproachBounds:
-    """Bounds of the rates at which the distances of pairs change: pairs that are too far apart to matter are left out.
+    """Bounds of the rates at which the distances of pairs change, by which pairs too far apart to matter are left out.
 
-    A degree of freedom that moves both geoms of a pair does not change their distance. Any other moves the points of a
-    geom by at most 1 for a slide, and by the distance of its anchor from the geom's centre plus the geom's radius for a
-    turn.
+    A degree of freedom that moves both geoms of a pair does not change their distance. A unit of any other moves the
+    points of a geom by at most 1 if it is a slide's, and otherwise by the distance of its anchor from the geom's centre
+    plus the geom's radius.
 
     Args:
         arm: the arm.
@@ -129,11 +129,11 @@ def _moved_by(model: mujoco.MjModel, body: int) -> NDArray[np.bool_]:
 
 
 class ClearanceBarrier(Barrier):
-    """Distances of pairs of geoms, less the margins that are kept.
+    """Distances of pairs of geoms less their margins.
 
     Attributes:
         collisions: the pairs.
-        clearance: smallest distance [m] among the last `values`, infinite without any.
+        clearance: smallest distance [m] among the last `values`; infinite if there are none.
 
     Args:
         arm: the arm, with its obstacles.
@@ -145,7 +145,7 @@ class ClearanceBarrier(Barrier):
     def __init__(self, arm: Arm, acceleration_limits: Floats, timestep: float, options: FilterOptions) -> None:
         self._acceleration, self._timestep, self._options = acceleration_limits, timestep, options
         self.collisions = Collisions(arm)
-        # By geom ids; what is no pair is never looked up.
+        # By geom ids; other entries than those of pairs are never read.
         self._margins = np.zeros((arm.model.ngeom, arm.model.ngeom))
         own, pairs = self.collisions.own, tuple(self.collisions.pairs.T)
         self._margins[pairs] = np.where(own, options.own_margin, options.margin)
@@ -164,10 +164,10 @@ class ClearanceBarrier(Barrier):
         return near.distance - self._margins[tuple(near.pairs.T)], near.jacobian
 
     def needed(self, q: Floats, velocity: Floats, speeds: Floats) -> Floats:
-        """Distances ``(P,)`` from which on no velocities within the bounds can break a pair's barrier, or the cutoff.
+        """Distances ``(P,)`` beyond which no velocities within the bounds break a pair's barrier; at most the cutoff.
 
-        With s the largest rate of the distance, a barrier holds where c room > (1 + c h) s. Either c is the option's,
-        or the root of 2 b / room with the deceleration b >= braking share times s / T, T the longest time to stop.
+        With s the largest rate of the distance, a barrier holds where c room > (1 + c h) s. Here c is the option's, or
+        the root of 2 b / room, with the deceleration b >= braking share times s / T and T the longest time to stop.
         """
         h, rate = self._timestep, self._options.approach
         speeds = np.maximum(speeds, np.abs(velocity))
@@ -177,7 +177,7 @@ class ClearanceBarrier(Barrier):
         return np.minimum(margins + times * self._approach(q, speeds) + _LEAST_CUTOFF, self.cutoffs)
 
     def allow(self, positions: Floats) -> None:
-        """Let pairs that are nearer there than their margin keep a share of that distance.
+        """Reduce the margins of pairs that are closer at these positions to a share of their distance there.
 
         Raises:
             InputError: something touches at a position.
@@ -199,10 +199,10 @@ class ClearanceBarrier(Barrier):
 
 
 class AngleBarrier(Barrier):
-    """Angles left to ball joints, whose three coordinates are limited together, by their norm.
+    """Angles left to ball joints, whose three coordinates have a common limit, on their norm.
 
     Attributes:
-        limits: ``(B,)`` in use [rad].
+        limits: ``(B,)`` angle limits in use [rad].
     """
 
     braking_share = _ANGLE_BRAKING_SHARE
@@ -220,7 +220,7 @@ class AngleBarrier(Barrier):
         return self.limits - angles, inward
 
     def allow(self, positions: Floats) -> None:
-        """Draw the limits in, but not beyond the positions."""
+        """Tighten the limits, but not below these positions."""
         angles = np.linalg.norm(positions[:, self._balls], axis=-1).max(axis=0, initial=0.0)
         self.limits = np.minimum(np.maximum(self._largest - _ANGLE_INSET, angles), self._largest)
 

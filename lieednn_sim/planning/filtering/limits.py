@@ -1,4 +1,4 @@
-"""Limits of the joints: bounds of their velocities at the end of a control step of constant acceleration."""
+"""Limits of the joints: bounds of their velocities at the end of a control step with constant acceleration."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import numpy as np
 from lieednn_sim.arm import Arm
 from lieednn_sim.values import Floats
 
-# Where an arm names no acceleration limits, its joints get up to their velocity limits in this time [s].
+# Without acceleration limits, joints reach their velocity limits in this time [s].
 _ACCELERATION_TIME = 0.25
-# And where it names no velocity limit either, a joint crosses its range in this time [s].
+# Without a velocity limit, a joint crosses its range in this time [s].
 _RANGE_TIME = 1.0
 
 
@@ -19,20 +19,20 @@ class Limit(ABC):
     """Bounds of the joint velocities at the end of a step.
 
     Attributes:
-        yields: whether it gives way to the limits before it where it contradicts them.
+        yields: whether preceding limits take precedence over it.
     """
 
     yields = True
 
     @abstractmethod
     def bounds(self, q: Floats, velocity: Floats) -> tuple[Floats, Floats]:
-        """Lower and upper ends ``(n,)`` for a step that begins at ``q`` with ``velocity``, both ``(n,)``."""
+        """Lower and upper bounds ``(n,)`` for a step that begins at ``q`` with ``velocity``, both ``(n,)``."""
 
     def allow(self, positions: Floats) -> None:  # noqa: B027 (few limits need it)
-        """Fit the limit to positions ``(P, n)`` that shall be reached."""
+        """Adapt the limit to positions ``(P, n)`` that must be allowed."""
 
     def name(self, joint: int) -> str:
-        """What is said where it holds a joint back; empty for nothing."""
+        """Name of the limit for messages about what holds a joint back; empty to leave it out."""
         return ""
 
 
@@ -65,18 +65,18 @@ class AccelerationLimit(Limit):
 class PositionLimit(Limit):
     """The braking rule: v'^2 / (2 a) + h (v + v') / 2 <= d for the distance d to a position limit.
 
-    A joint that keeps it can still stop before its limit; it bounds v' from above and, where v keeps it, can be kept by
-    braking, so that it never contradicts the limits of velocity and acceleration. Such bounds, which make joint
-    limits viable under bounded accelerations, are those of Flacco, De Luca and Khatib (ICRA 2012; IEEE Transactions on
-    Robotics 31(3), 2015), and in discrete time of Del Prete (Joint position and velocity bounds in discrete-time
+    A joint that keeps the rule can still stop before its limit. The rule is an upper bound of v'; if v satisfies it,
+    braking does, too, so it never contradicts the limits of velocity and acceleration. Such bounds, which make position
+    limits viable under bounded accelerations, are due to Flacco, De Luca and Khatib (ICRA 2012; IEEE Transactions on
+    Robotics 31(3), 2015), and in discrete time to Del Prete (Joint position and velocity bounds in discrete-time
     acceleration/torque control of robot manipulators, IEEE Robotics and Automation Letters 3(1), 2018).
 
     Attributes:
-        limits: ``(n, 2)`` in use [rad, m].
+        limits: ``(n, 2)`` position limits in use [rad, m].
 
     Args:
-        arm: whose position limits are kept.
-        acceleration_limits: a ``(n,)``.
+        arm: the arm.
+        acceleration_limits: a, ``(n,)``.
         timestep: h [s].
     """
 
@@ -85,7 +85,7 @@ class PositionLimit(Limit):
         self.limits = arm.position_limits.copy()
 
     def bounds(self, q: Floats, velocity: Floats) -> tuple[Floats, Floats]:
-        """See `Limit`; outside a limit, where only a bad start can be, back as fast as the others allow."""
+        """See `Limit`; from outside the limits, as only after a bad start, back as fast as the other limits allow."""
         low, high = self.limits.T
         return -self.stopping(q - low, -velocity), self.stopping(high - q, velocity)
 
@@ -97,7 +97,7 @@ class PositionLimit(Limit):
         return np.where(left >= 0.0, root, 2.0 * left / h)
 
     def allow(self, positions: Floats) -> None:
-        """Draw the limits in, so that joints that turn round within a step keep the arm's; not beyond the positions."""
+        """Tighten the limits, not beyond these positions, so that joints that reverse within a step keep the arm's."""
         inset = self._acceleration * self._timestep**2 / 4.0
         low, high = self._arm.position_limits.T
         lower = np.maximum(np.minimum(low + inset, positions.min(axis=0)), low)
@@ -110,7 +110,7 @@ class PositionLimit(Limit):
 
 
 def finite_rates(arm: Arm) -> tuple[Floats, Floats]:
-    """Limits of velocity and acceleration ``(n,)``, finite also where the arm names none."""
+    """Limits of velocity and acceleration ``(n,)``; finite, even where the arm has none."""
     velocity = np.where(np.isfinite(arm.velocity_limits), arm.velocity_limits, arm.ranges / _RANGE_TIME)
     named = np.isfinite(arm.acceleration_limits)
     return velocity, np.where(named, arm.acceleration_limits, velocity / _ACCELERATION_TIME)

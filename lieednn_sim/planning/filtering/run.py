@@ -1,12 +1,12 @@
-"""A network run through the filter in real time: it draws the way, the filter keeps the arm safe on it.
+"""A network run through the safety filter: the network leads the way, and the filter keeps the arm safe on it.
 
-The network is autonomous and proved to arrive, so its path and its pace are known beforehand (`NetworkPath`); what the
-filter changes is the clock at which the arm follows: it runs slower the further the joints are behind, so the
-network never runs away, and never stands still, so the network arrives and its equilibrium stays the attractor. The
-joints that filter and obstacles leave behind are drawn to the network's present state by a bounded velocity.
+The network is autonomous and proved to arrive, so its path and pace are known beforehand (`NetworkPath`). The filter
+changes the clock of the reference: the further the joints are behind, the slower it runs, so the network never runs
+away; but it never stands still, so the network arrives, and its equilibrium stays the attractor. Joints that filter and
+obstacles have held back are drawn to the network's present state with bounded velocity.
 
-On the way the network may be given other targets, by its bias alone: then its visible neurons take their state from
-where the arm is, and the hidden ones go on.
+On the way the network may be given other targets, by its bias alone. Then its visible neurons take their state from the
+arm's present posture, and the hidden ones continue.
 """
 
 from __future__ import annotations
@@ -31,18 +31,18 @@ from lieednn_sim.values import Floats, frozen
 # Pull of the joints towards the network's state [1/s], and the share of the acceleration limits left for braking.
 _GAIN = 8.0
 _BRAKING_SHARE = 0.5
-# The clock slows down in proportion to how far the joints are behind [s, at full speed], but not below a share.
+# Lag of the joints at which the clock would stop [s, at full speed], and the least share of its pace.
 _BEHIND = 0.15
 _SLOWEST = 0.3
-# The run has arrived when every joint is this close [rad, m] and this slow [1/s of that].
+# The run has arrived when every joint is this close [rad, m] and this slow [rad/s, m/s].
 _ARRIVED = 1e-4
 _STILL = 5e-3
-# A posture on the way is passed when every joint is this close to it [s, at full speed], and no further than a share of
-# the way to the next.
+# Distance at which an intermediate posture counts as passed [s, at full speed]: a share of the way to the next one,
+# within these bounds.
 _PASSING, _LEAST_PASSING, _PASSING_SHARE = 0.02, 0.001, 0.2
-# Each way between postures gets at least this share of the mean time for one.
+# Least time between two postures, as a share of the mean.
 _LEAST_SHARE = 0.4
-# Blocked: after the network's arrival the distance did not shrink by this share in this time [s].
+# After the network's arrival, the arm is blocked if its distance does not shrink by this share in this time [s].
 _PROGRESS = 0.02
 _PATIENCE = 0.4
 
@@ -53,18 +53,18 @@ class FilteredRun:
 
     Attributes:
         success: whether the joints came to rest at the target.
-        message: how it ended; where it is blocked, by what.
-        blocked_by: position limits and pairs of geoms that hold the arm back, the hardest first; empty on success.
+        message: how the run ended; if blocked, by what.
+        blocked_by: position limits and pairs of geoms that hold the arm back, the strongest first; empty on success.
         t: ``(K,)`` times of the control steps [s].
         q: ``(K, n)`` joint positions [rad, m].
-        qd: ``(K, n)`` joint velocities; linear in between, which makes q's part between two steps quadratic.
-        clock: ``(K,)`` the reference's time that the network had got to [s].
-        clearance: ``(K,)`` smallest distance [m] among the pairs that could come too near within a step, infinite
-            without any; at the end the smallest of all.
+        qd: ``(K, n)`` joint velocities [rad/s, m/s]; linear in between, so that q is quadratic.
+        clock: ``(K,)`` time of the reference that the network had reached [s].
+        clearance: ``(K,)`` smallest distance [m] among the pairs that could come too close within a step, infinite if
+            there are none; at the end the smallest of all.
         filtered_share: share of the steps in which position limits or clearance changed the velocities.
-        brakings: steps in which the limits allowed nothing but braking.
-        limits_proved: whether box invariance proves the position limits, filter or not.
-        reference: the network's own motion, unfiltered; with postures on the way, those between them.
+        brakings: number of steps in which the limits allowed nothing but braking.
+        limits_proved: whether an invariant box proves the position limits, even without the filter.
+        reference: the network's own motion, unfiltered; with intermediate postures, its motions between them.
     """
 
     success: bool
@@ -101,13 +101,13 @@ def run_filtered(
     Args:
         arm: the arm, with its obstacles.
         network: with as many visible neurons as the arm has links.
-        start: joint position.
-        duration: of the motion where nothing has to be filtered [s].
-        via: joint positions ``(V, n)`` to pass: the network is retargeted to one after another, each time from where
-            the arm is when it has come near the one before, and at last back to its own equilibrium.
+        start: joint position at rest.
+        duration: duration of the motion if the filter changes nothing [s].
+        via: intermediate joint positions ``(V, n)``: the network is retargeted to one after another, each time from the
+            arm's posture when it has come close to the previous one, and finally to its own equilibrium.
         timestep: control step [s].
-        longest: the run ends after this many durations, arrived or not.
-        options: of the filter.
+        longest: number of durations after which the run ends, arrived or not.
+        options: settings of the filter.
 
     Raises:
         InputError: a value is malformed, the start is out of the arm's reach, or something touches at start or end.
@@ -131,11 +131,11 @@ def run_filtered(
     speeds, brakes = filter_.velocity_limits, _BRAKING_SHARE * filter_.acceleration_limits
     lengths = np.abs(np.diff([q, *passed, target], axis=0) / speeds).max(axis=1)
     durations = as_positive("duration", duration) * _shares(lengths)
-    # Where the next way is short the arm must not start far beside it.
+    # If the next way is short, the arm must not start far beside it.
     closeness = np.clip(_PASSING_SHARE * lengths[1:], _LEAST_PASSING, _PASSING)
     h = filter_.timestep
-    legs = [_Leg(arm, networks[0], q, float(durations[0]), h)]
-    leg, clock = legs[0], 0.0
+    segments = [_Segment(arm, networks[0], q, float(durations[0]), h)]
+    segment, clock = segments[0], 0.0
     positions, velocities, clocks, clearances = [q], [v], [clock], [np.inf]
     filtered = brakings = 0
     blocked_by: tuple[str, ...] = ()
@@ -143,26 +143,28 @@ def run_filtered(
     best, since = np.inf, 0.0
     for k in range(1, int(np.ceil(factor * duration / h)) + 1):
         check_time()
-        error = leg.path(clock) - q
-        rate = float(np.clip(1.0 - np.abs(error / speeds).max() / _BEHIND, _SLOWEST, 1.0)) if clock < leg.end else 0.0
-        clock = min(clock + rate * h, leg.end)
-        # Velocities at the end of the step are asked for, so that is where the reference is read.
-        error = leg.path(clock) - q - 0.5 * h * v
-        wanted = _bounded(_towards(error, brakes) + rate * leg.path(clock, 1), speeds)
+        error = segment.path(clock) - q
+        rate = (
+            float(np.clip(1.0 - np.abs(error / speeds).max() / _BEHIND, _SLOWEST, 1.0)) if clock < segment.end else 0.0
+        )
+        clock = min(clock + rate * h, segment.end)
+        # Velocities at the end of the step are wanted, so the reference is read there.
+        error = segment.path(clock) - q - 0.5 * h * v
+        wanted = _bounded(_towards(error, brakes) + rate * segment.path(clock, 1), speeds)
         step = filter_.step(q, v, wanted)
         q, v = q + 0.5 * h * (v + step.velocity), step.velocity
         filtered, brakings = filtered + step.active, brakings + step.braked
         positions.append(q)
         velocities.append(v)
-        clocks.append(leg.begun + clock)
+        clocks.append(segment.begun + clock)
         clearances.append(step.clearance)
-        away = np.abs(leg.path(leg.end) - q)
-        if len(legs) < len(networks) and (away / speeds).max() < closeness[len(legs) - 1]:
-            leg = leg.next(networks[len(legs)], q, float(durations[len(legs)]), clock)
-            legs.append(leg)
+        away = np.abs(segment.path(segment.end) - q)
+        if len(segments) < len(networks) and (away / speeds).max() < closeness[len(segments) - 1]:
+            segment = segment.next(networks[len(segments)], q, float(durations[len(segments)]), clock)
+            segments.append(segment)
             clock, best = 0.0, np.inf
             continue
-        if clock < leg.end:
+        if clock < segment.end:
             continue
         distance = away.max()
         if distance < _ARRIVED and np.abs(v).max() < _STILL:
@@ -173,7 +175,7 @@ def run_filtered(
         elif k * h - since > _PATIENCE:
             blocked_by = step.blocking
             by = " and ".join(blocked_by[:2]) or "the acceleration limits"
-            where = "the target" if len(legs) == len(networks) else f"posture {len(legs)} on the way"
+            where = "the target" if len(segments) == len(networks) else f"posture {len(segments)} on the way"
             message = f"blocked by {by} after {k * h:.2f} s, {distance:.2g} (largest joint difference) from {where}"
             break
     else:
@@ -189,17 +191,17 @@ def run_filtered(
         q=np.array(positions),
         qd=np.array(velocities),
         clock=np.array(clocks),
-        # A step measures where it begins.
+        # Steps measure the clearance at their beginning.
         clearance=np.array([*clearances[1:], min(filter_.clearance.collisions.clearance(q), np.inf)]),
         filtered_share=filtered / steps,
         brakings=brakings,
-        limits_proved=all(leg.proved for leg in legs),
-        reference=_joined([leg.reference for leg in legs]),
+        limits_proved=all(segment.proved for segment in segments),
+        reference=_joined([segment.reference for segment in segments]),
     )
 
 
-class _Leg:
-    """One network's own motion from a posture; `reference` is cut where the arm has passed its end."""
+class _Segment:
+    """A network's own motion from a posture; `reference` is cut when the arm has passed its end."""
 
     def __init__(self, arm: Arm, network: LieEDNN, q: Floats, duration: float, h: float, begun: float = 0.0) -> None:
         self._drawn = NetworkPath.drawn(arm, network, q)
@@ -209,55 +211,55 @@ class _Leg:
         self.begun, self._h = begun, h
         self.proved = limits_proved(arm, network, self.reference.xi[0])
 
-    def next(self, network: LieEDNN, q: Floats, duration: float, clock: float) -> _Leg:
-        """The leg that follows when this one's clock is at a time: hidden neurons go on from where they are."""
+    def next(self, network: LieEDNN, q: Floats, duration: float, clock: float) -> _Segment:
+        """The next segment, from this clock time of the present one; hidden neurons continue from their state."""
         count = max(min(int(clock / self._h) + 1, len(self.reference.t)), 2)
         arrays = {name: value[:count] for name, value in vars(self.reference).items() if name != "xi_target"}
         self.reference = Motion(**arrays, xi_target=self.reference.xi_target)
         hidden = self._drawn.state(self.reference.tau[-1])[network.n_visible :]
         network = replace(network, hidden_start=hidden)
-        return _Leg(self._drawn.arm, network, q, duration, self._h, self.begun + count * self._h)
+        return _Segment(self._drawn.arm, network, q, duration, self._h, self.begun + count * self._h)
 
 
-def _joined(legs: list[Motion]) -> Motion:
+def _joined(segments: list[Motion]) -> Motion:
     """Motions one after another, a time step apart."""
-    if len(legs) == 1:
-        return legs[0]
-    tau, step = 0.0, legs[0].timestep
-    arrays: dict[str, list[Floats]] = {name: [] for name in vars(legs[0]) if name not in ("t", "xi_target")}
-    for leg in legs:
+    if len(segments) == 1:
+        return segments[0]
+    tau, step = 0.0, segments[0].timestep
+    arrays: dict[str, list[Floats]] = {name: [] for name in vars(segments[0]) if name not in ("t", "xi_target")}
+    for segment in segments:
         for name, parts in arrays.items():
-            parts.append(getattr(leg, name) + (tau if name == "tau" else 0.0))
-        tau += leg.tau[-1]
+            parts.append(getattr(segment, name) + (tau if name == "tau" else 0.0))
+        tau += segment.tau[-1]
     whole = {name: np.concatenate(parts) for name, parts in arrays.items()}
-    return Motion(t=step * np.arange(len(whole["q"]), dtype=np.float64), xi_target=legs[-1].xi_target, **whole)
+    return Motion(t=step * np.arange(len(whole["q"]), dtype=np.float64), xi_target=segments[-1].xi_target, **whole)
 
 
 def _shares(lengths: Floats) -> Floats:
-    """Shares of the time for the ways between postures, by length, none of them very short."""
+    """Shares of the duration for the ways between postures, by their lengths, none of them very short."""
     shares = np.maximum(lengths / max(lengths.sum(), 1e-12), _LEAST_SHARE / len(lengths))
     return np.asarray(shares / shares.sum())
 
 
 def _towards(error: Floats, brakes: Floats) -> Floats:
-    """Velocities along the error ``(n,)``: in proportion to it, and never more than can be braked on the way."""
+    """Velocities along the error ``(n,)``, proportional to it, from which the joints can brake on the way."""
     size = np.abs(error)
     share = np.sqrt(2.0 * brakes / np.maximum(size, 1e-12)).min()
     return min(_GAIN, float(share)) * error
 
 
 def _bounded(velocity: Floats, speeds: Floats) -> Floats:
-    """The velocity, slowed down as a whole where a joint is too fast."""
+    """The velocity, scaled down as a whole if a joint is too fast."""
     return velocity / max(1.0, float(np.abs(velocity / speeds).max()))
 
 
 def limits_proved(arm: Arm, network: LieEDNN, start: ArrayLike) -> bool:
     """Whether it is proved that the joints keep their position limits on the network's way from ``start`` ``(n, 6)``.
 
-    The box that no trajectory leaves (`ComponentwiseNetwork.invariant_box`) is carried to the joints where each
-    compound joint has six freedoms, three slides below a ball: the angle of the ball is |omega|, and the slides' way is
-    V(omega) v with |V(omega) v - v| <= |omega| |v| / 2. Other joints take the nearest position to a pose that they
-    cannot meet, which no box bounds tightly: for them nothing is proved, and the filter has to work.
+    The box that no trajectory leaves (`ComponentwiseNetwork.invariant_box`) bounds the joints if each compound joint
+    has six degrees of freedom, three slides below a ball: the angle of the ball is |omega|, and the displacement of the
+    slides is V(omega) v with |V(omega) v - v| <= |omega| |v| / 2. Other joints take the nearest position to a pose that
+    they cannot meet, which no box bounds tightly; for them nothing is proved, and the filter is needed.
 
     Raises:
         InputError: start is malformed.

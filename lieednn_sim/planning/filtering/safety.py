@@ -1,16 +1,16 @@
-"""A filter on joint velocities: the nearest ones to the wanted that keep all limits, now and later, and clearance.
+"""A filter on joint velocities: the nearest to the wanted ones that keep all limits, now and later, and clearance.
 
 Within a control step of h seconds the acceleration is constant, so the joints move by h (v + v') / 2 to the velocities
 v' that a quadratic program chooses:
 
     minimise  |D^-1 (v' - v_wanted)|^2 + s |D^-1 (v' - v)|^2     with D the velocity limits,
 
-within the bounds of the `limits` and above the rows of the `barriers`. The limits always have a solution together.
-Where a barrier contradicts them or another one the arm brakes: it gives way as little as it can, and comes to rest.
+subject to the bounds of `limits` and the rows of `barriers`. The bounds always have a common solution. If a barrier
+contradicts them or another barrier, the arm brakes: it comes to rest, violating barriers as little as possible.
 
-Limits and barriers are objects as in mink and pink. Not theirs: mink's limits know no accelerations, nor velocities to
-start from, and its collision limit measures every pair of geoms each time. The solver is the one it prefers, DAQP
-(Arnstrom et al., IEEE Trans. Autom. Control 2022).
+Limits and barriers are objects, as in mink and pink, but not theirs: mink's limits know neither accelerations nor the
+present velocity, and its collision limit measures every pair of geoms at every step. The solver is the one that mink
+prefers, DAQP (Arnstrom et al., IEEE Trans. Autom. Control 2022).
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ from lieednn_sim.planning.filtering.limits import AccelerationLimit, Limit, Posi
 from lieednn_sim.validation import as_floats, as_positive
 from lieednn_sim.values import Floats, frozen
 
-# A change of the wanted velocity by more than this share of the limits counts as filtering.
+# Changes of the wanted velocity above this share of the limits count as filtering.
 _ACTIVE = 1e-3
-# Multipliers above this mark a constraint that holds the arm back.
+# Constraints with multipliers above this hold the arm back.
 _PRESSING = 1e-4
 _UNBOUNDED = 1e30
-# Positions and velocities beyond this are none of an arm, and the quadratic program could not tell its bounds apart.
+# No arm has larger positions and velocities, and the quadratic program could not tell its bounds apart.
 _LARGEST = 1e9
-# DAQP's mark of a constraint that may give way, and the inverse of the weight of doing so.
+# DAQP's flag of a soft constraint, and the inverse of the weight of violating it.
 _SOFT, _GIVING = 8, 1e-4
 
 
@@ -45,11 +45,11 @@ class FilterStep:
 
     Attributes:
         velocity: ``(n,)`` joint velocities at the end of the step [rad/s, m/s].
-        active: whether they differ from the wanted by more than the acceleration limits make them.
-        braked: whether clearance could not be kept together with the other limits, and the arm braked.
-        clearance: smallest distance at the beginning of the step [m] among the pairs that its velocities could bring
-            too near; infinite when there are none.
-        blocking: what held the arm back, the hardest first: position limits and pairs of geoms.
+        active: whether they differ from the wanted velocities by more than acceleration limits require.
+        braked: whether the arm braked since clearance could not be kept together with the other limits.
+        clearance: smallest distance at the beginning of the step [m] among the pairs that could come too close in it;
+            infinite if there are none.
+        blocking: what held the arm back, the strongest first: position limits and pairs of geoms.
     """
 
     velocity: Floats
@@ -63,20 +63,20 @@ class SafetyFilter:
     """The filter of one arm at one control step.
 
     Attributes:
-        velocity_limits: ``(n,)`` in use [rad/s, m/s].
-        acceleration_limits: ``(n,)`` in use [rad/s^2, m/s^2]; finite also where the arm names none.
-        limits: all limits, the user's last. One that yields gives way to those before it.
+        velocity_limits: ``(n,)`` limits in use [rad/s, m/s].
+        acceleration_limits: ``(n,)`` limits in use [rad/s^2, m/s^2]; finite, even where the arm has none.
+        limits: all limits, the user's last. Preceding ones take precedence over one that yields.
         barriers: all barriers, the user's last.
-        position: the limit of the joint positions, one of the former.
-        clearance: the barrier of the distances, one of the former.
-        angles: the barrier of the ball joints, one of the former.
+        position: the limit of the joint positions, one of ``limits``.
+        clearance: the barrier of the distances, one of ``barriers``.
+        angles: the barrier of the ball joints, one of ``barriers``.
 
     Args:
         arm: the arm, with its obstacles.
         timestep: h, the control step [s].
-        options: settings.
-        limits: more limits.
-        barriers: more barriers.
+        options: settings of the filter.
+        limits: additional limits.
+        barriers: additional barriers.
 
     Raises:
         InputError: a value is malformed.
@@ -106,7 +106,7 @@ class SafetyFilter:
         self.barriers: tuple[Barrier, ...] = (self.clearance, self.angles, *barriers)
 
     def allow(self, *positions: Floats) -> None:
-        """Fit limits and barriers to positions ``(n,)`` that shall be reached.
+        """Adapt limits and barriers to positions ``(n,)`` that must be allowed.
 
         Raises:
             InputError: something touches at a position.
@@ -140,7 +140,7 @@ class SafetyFilter:
         hard = np.zeros(n + len(rows), dtype=np.int32)
         solution, _, flag, info = daqp.solve(np.eye(n), -pull, scaled, upper, lower, hard)
         if flag < 1:
-            # Come to rest, breaking the barriers as little as the bounds allow.
+            # Come to rest, violating barriers as little as the bounds allow.
             sense = np.concatenate([np.zeros(n), np.full(len(rows), _SOFT)]).astype(np.int32)
             solution, _, flag, _ = daqp.solve(np.eye(n), np.zeros(n), scaled, upper, lower, sense, rho_soft=_GIVING)
             braking = np.clip(solution * scale if flag > 0 else np.zeros(n), low, high)
@@ -163,7 +163,7 @@ class SafetyFilter:
         return FilterStep(chosen, active, False, clearance, blocking)
 
     def _bounds(self, q: Floats, old: Floats) -> tuple[Floats, Floats, NDArray[np.int_], NDArray[np.int_]]:
-        """Lower and upper ends ``(n,)`` of the velocities, and which of the limits make them."""
+        """Lower and upper bounds ``(n,)`` of the velocities, and the indices of the limits that set them."""
         lower, upper = np.full(len(q), -np.inf), np.full(len(q), np.inf)
         low_makers, high_makers = np.zeros((2, len(q)), dtype=int)
         for index, limit in enumerate(self.limits):
@@ -176,12 +176,12 @@ class SafetyFilter:
         return np.minimum(lower, upper), upper, low_makers, high_makers
 
     def _rows(self, q: Floats, old: Floats, low: Floats, high: Floats) -> tuple[Floats, Floats, NDArray[np.int_]]:
-        """Barrier rows that the bounds do not keep already, their lower ends, and which of all rows they are."""
+        """Barrier rows not implied by the bounds, their lower bounds, and their indices among all rows."""
         h, rate, speeds = self.timestep, self.options.approach, np.maximum(np.abs(low), np.abs(high))
         found = [barrier.values(q, old, speeds) for barrier in self.barriers]
         self._counts = [len(values) for values, _ in found]
         rooms, slopes = (np.concatenate(parts) for parts in zip(*found, strict=True))
-        # What the joints can do along each slope, of which a share must do for braking.
+        # Decelerations along each gradient: the share of the joints' accelerations available to brake.
         shares = np.repeat([barrier.braking_share for barrier in self.barriers], self._counts)
         brakes = shares * (np.abs(slopes) @ self.acceleration_limits)
         rates = np.minimum(rate, np.sqrt(2.0 * brakes / np.maximum(rooms, 1e-6)))
