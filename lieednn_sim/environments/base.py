@@ -1,4 +1,4 @@
-"""An episode on a simulated arm: actions are joint velocities, observations are arrays with names and bounds."""
+"""Episodes on a simulated arm: actions are joint velocities, observations are named arrays with bounds."""
 
 from __future__ import annotations
 
@@ -26,20 +26,21 @@ from lieednn_sim.values import Floats
 
 Observation = dict[str, Floats]
 
-# Frames that must be where they shall be.
+# Which frames must reach their targets.
 GOALS = ("end-effector", "links")
+# Longest episode [s]; targets that move are drawn for all of it.
 _MAX_TIME_LIMIT = 1000.0
 
 
 class Transition(NamedTuple):
-    """What follows an action.
+    """The result of an action.
 
     Attributes:
         observation: arrays by name, those of `ArmTask.bounds`.
-        reward: in [0, 1].
-        terminated: the simulation failed, there is no state to go on from.
-        truncated: the time limit is reached, the state is like any other.
-        info: ``success``, ``distance`` [m], ``angle`` [rad]; and ``failure``, why the simulation failed.
+        reward: reward in [0, 1].
+        terminated: whether the simulation failed, so that there is no state to continue from.
+        truncated: whether the time limit is reached.
+        info: ``success``, ``distance`` [m], ``angle`` [rad]; and ``failure``, the reason if the simulation failed.
     """
 
     observation: Observation
@@ -50,49 +51,49 @@ class Transition(NamedTuple):
 
 
 class ArmTask(ABC):
-    """Bring an arm to joint positions that its observations tell, by joint velocities.
+    """Tasks in which joint velocities bring an arm to target positions that are among the observations.
 
     An action in [-1, 1]^n is a joint velocity as a share of the limits. It moves the commanded position, which stays
     within the position limits, at constant velocity for one control step; the arm's position servos follow it, with
-    velocity feedforward, at every physics step. Actions outside are clipped.
+    velocity feedforward, at every physics step. Actions outside this range are clipped.
 
-    Observations, of which each has finite bounds and is clipped to them:
+    Observations, each with finite bounds, to which it is clipped:
 
     - ``position`` ``(n,)`` [rad, m], ``velocity`` ``(n,)`` [rad/s, m/s] of the joints,
     - ``command`` ``(n,)``: the commanded position,
     - ``position_error`` ``(n,)``: target minus position,
-    - ``pose_error`` ``(F, 6)``: for each of the frames that count, Log(T^-1 T_target) as twist (omega, v) [rad, m].
+    - ``pose_error`` ``(F, 6)``: for each goal frame, Log(T^-1 T_target) as a twist (omega, v) [rad, m].
 
     Args:
         arm: name of an arm of the package, or an arm.
-        scene: obstacles around it, a name of `arm.scenes.SCENES` or their file, see `Arm.among`.
-        scene_seed: of the obstacles' positions.
+        scene: obstacles around it, a name of `arm.scenes.SCENES` or a file, see `Arm.among`.
+        scene_seed: seed of the obstacles' positions.
         control_timestep: time between actions [s], a whole number of physics steps.
-        time_limit: of an episode [s].
-        goal: ``"end-effector"``: its frame counts; ``"links"``: all link frames do, and the worst decides.
-        position_tolerance: [m]; by default that of a settled frame in an `Evaluation`.
-        rotation_tolerance: [rad]; likewise.
+        time_limit: duration of an episode [s].
+        goal: ``"end-effector"``: its frame is the goal frame; ``"links"``: all link frames are, and the worst counts.
+        position_tolerance: tolerance of success [m]; by default that of a settled frame in an `Evaluation`.
+        rotation_tolerance: the same [rad].
 
     Attributes:
         arm: the arm.
-        simulation: of the arm.
-        substeps: physics steps in a control step.
-        commands: what actions make of the commanded position.
-        frames: which link frames count.
+        simulation: its simulation.
+        substeps: number of physics steps in a control step.
+        commands: computes commanded positions and controls from actions.
+        frames: slice of the goal frames among the link frames.
         bounds: lower and upper bounds of the observations, by name.
-        observations: their rows.
-        closeness: rewards distance and angle.
-        row: the observations of the present time, after a failure those of the last good time.
-        episode: how many episodes have begun.
-        distance: between the frames that count and their targets at the present time, the largest [m].
-        angle: the same [rad].
-        failure: why the simulation failed in this episode; empty while it has not.
+        observations: computes rows of observations.
+        closeness: reward of distance and angle.
+        row: present observations; after a failure, those before it.
+        episode: number of episodes begun.
+        distance: largest distance of a goal frame from its target at present [m].
+        angle: the same as an angle [rad].
+        failure: reason why the simulation failed in this episode, or empty.
 
     Raises:
         InputError: an argument is malformed, or the arm has infinite position or velocity limits.
     """
 
-    # Tolerances and margins of what is rewarded beside distance and angle.
+    # Tolerances and margins of further errors that are rewarded besides distance and angle.
     _more_errors: tuple[tuple[float, float], ...] = ()
 
     def __init__(
@@ -132,7 +133,7 @@ class ArmTask(ABC):
         frames = len(range(self.arm.n_links)[self.frames])
         self.bounds: Bounds = common_bounds(self.arm, frames) | self._more_bounds()
         self.observations = Observations(self.bounds)
-        # What is only seen costs as much as what moves.
+        # Visual geoms would double the time of a step.
         self.run_in(Simulation(self.arm, make_plant(self.arm.without_visuals)))
         self.episode = 0
         self.distance, self.angle = float("inf"), float(np.pi)
@@ -146,16 +147,16 @@ class ArmTask(ABC):
         self.closeness = Closeness(*tolerances, reach(self.arm), *self._more_errors)
 
     def run_in(self, simulation: Simulation) -> None:
-        """Take another simulation of the arm; the next episode begins in it."""
+        """Use another simulation of the arm from the next episode on."""
         self.simulation = simulation
-        # Views are held: to ask for them takes as long as to read them.
+        # Views are kept, since asking MuJoCo for one takes as long as reading it.
         data = simulation.data
         self._qpos, self._qvel, self._warm_start = data.qpos, data.qvel, data.qacc_warmstart
         self._site_frames = SiteFrames(self.arm, data, self.frames)
 
     @abstractmethod
     def _draw(self, rng: np.random.Generator, options: dict[str, Any]) -> None:
-        """Draw what is to be done in the episode that begins, unless options tell; unknown ones are errors."""
+        """Draw the target of the episode that begins, or take it from the options; raise on unknown options."""
 
     @abstractmethod
     def target(self, time: float) -> Floats:
@@ -163,10 +164,10 @@ class ArmTask(ABC):
 
     @abstractmethod
     def here(self) -> tuple[Floats, ...]:
-        """What of the present target `Observations` take: position ``(n,)``, frames ``(F, 16)``, and what is added."""
+        """Present target for `Observations.rows`: position ``(n,)``, frames ``(F, 16)``, additional observations."""
 
     def _more_bounds(self) -> Bounds:
-        """Bounds of what the task adds to the observations of every task."""
+        """Bounds of the task's additional observations."""
         return {}
 
     @abstractmethod
@@ -178,7 +179,7 @@ class ArmTask(ABC):
         return float(self._judged(self._joints()[1])[0])
 
     def success(self) -> bool:
-        """Whether the arm is where it shall be at the present time."""
+        """Whether the arm is at its target at the present time."""
         return bool(self._judged(self._joints()[1])[1])
 
     def _judged(self, qd: Floats) -> tuple[Floats, NDArray[np.bool_]]:
@@ -200,9 +201,9 @@ class ArmTask(ABC):
         return self._command.copy()
 
     def begin(self, rng: np.random.Generator, options: dict[str, Any] | None = None) -> Observation:
-        """Begin an episode: the arm rests at ``home``, and what is to be done is drawn from the generator.
+        """Begin an episode: the arm rests at ``home``, and the target is drawn from the generator.
 
-        Nothing is left of earlier episodes: the episode is a function of the generator's state, options and actions.
+        Nothing remains of earlier episodes: an episode is a function of the generator's state, options and actions.
 
         Raises:
             InputError: unknown or malformed options.
@@ -222,7 +223,7 @@ class ArmTask(ABC):
         """Do one control step with an action ``(n,)``.
 
         Raises:
-            InputError: the action is malformed or not finite, or there is no episode to go on with.
+            InputError: the action is malformed or not finite, or no episode is running.
         """
         self.before_step(action)
         self.advance(self.substeps)
@@ -232,17 +233,17 @@ class ArmTask(ABC):
         return Transition(self.observe(), float(reward), failed, self._over and not failed, self._info(bool(success)))
 
     def before_step(self, action: ArrayLike) -> None:
-        """Move the command by an action ``(n,)``; errors as of `step`."""
+        """Move the command by an action ``(n,)``; raises as `step`."""
         if self._over:
             raise InputError("the episode is over, or none has begun: reset first")
         start = self._command
         end = self.commands.moved(start, as_floats("action", action, (self.arm.n_joints,)))
         self._controls, self._command = self.commands.controls(start, end), end
-        # The solver starts from nothing, so that a control step is a function of the state.
+        # Without a warm start of the solver, a control step is a function of the state.
         self._warm_start[:] = 0.0
 
     def advance(self, steps: int) -> None:
-        """Do physics steps, with the controls of the last `before_step` once; where one fails, `failure` says why."""
+        """Do physics steps, with the controls of the last `before_step`, used once; sets `failure` if one fails."""
         controls, self._controls = self._controls, None
         try:
             self.simulation.advance(steps, controls)
@@ -250,34 +251,34 @@ class ArmTask(ABC):
             self.failure = str(error)
 
     def after_step(self, *, current: bool = False) -> None:
-        """Take the observations, unless the simulation failed.
+        """Update the observations, unless the simulation failed.
 
         Args:
-            current: whether MuJoCo has worked out the poses of the present time.
+            current: whether MuJoCo has computed the poses of the present time.
         """
         self.took(self._command, self.failure)
         if not self.failure:
             self._look(current)
 
     def took(self, command: Floats, failure: str = "") -> None:
-        """Count a control step to a commanded position ``(n,)``, which failed or not."""
+        """Count a control step to a commanded position ``(n,)``, with the reason if it failed."""
         self._command, self.failure = command, failure
         self._step += not failure
         self._over = bool(failure) or self._step >= self.steps
 
     def failure_of(self, controls: Floats) -> str:
-        """Why physics steps with controls ``(substeps, nu)`` fail from the simulation's state."""
+        """The reason why physics steps with controls ``(substeps, nu)`` fail from the present state."""
         self.simulation.steps, self._controls = self._step * self.substeps, controls
         self._warm_start[:] = 0.0
         self.advance(self.substeps)
         return self.failure or "the state is not finite"
 
     def observe(self) -> Observation:
-        """Observations of the present time; new arrays. After a failure those of the last good time."""
+        """Present observations, as new arrays; after a failure, those before it."""
         return self.observations.split(self.row.copy())
 
     def info(self) -> dict[str, Any]:
-        """Whether the arm is where it shall be, and the errors, of the present time; see `Transition`."""
+        """Success and errors at the present time; see `Transition`."""
         return self._info(self.success() and not self.failure)
 
     def _info(self, success: bool) -> dict[str, Any]:
@@ -285,7 +286,7 @@ class ArmTask(ABC):
         return info | ({"failure": self.failure} if self.failure else {})
 
     def _look(self, current: bool = False) -> None:
-        """Take the observations of the present time, and the errors."""
+        """Update observations and errors to the present time."""
         if not current:
             mujoco.mj_kinematics(self.simulation.model, self.simulation.data)
         q, self._velocity = self._joints()
@@ -294,14 +295,14 @@ class ArmTask(ABC):
         self.distance, self.angle = float(distance), float(angle)
 
     def _goals(self, q: Floats) -> Floats:
-        """Frames that count ``(..., F, 16)`` at joint targets ``(..., n)``."""
+        """Goal frames ``(..., F, 16)`` at joint targets ``(..., n)``."""
         matrices = self.arm.link_poses(q).as_matrix()[..., self.frames, :, :]
         rotation = matrices[..., :3, :3]
         parts = matrices[..., :3, 3], rotation.reshape(*rotation.shape[:-2], 9), quaternions(rotation)
         return np.concatenate(parts, axis=-1)
 
     def _joints(self) -> tuple[Floats, Floats]:
-        """Joint positions and velocities ``(n,)``, as the simulation's, without their checks."""
+        """Joint positions and velocities ``(n,)`` of the simulation, without checks."""
         space = self.arm.space
         q = space.from_qpos(self._qpos)
         return q, space.from_qvel(q, self._qvel)

@@ -1,4 +1,4 @@
-"""Bounds of what is observed."""
+"""Bounds of observations."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ import numpy as np
 from lieednn_sim.arm import Arm
 from lieednn_sim.values import Floats
 
-# Lower and upper ones, by name.
+# Lower and upper bounds by name.
 Bounds = dict[str, tuple[Floats, Floats]]
 
-# Observed joint positions may be beyond their limits by this share of their range, and velocities are observed up to
-# this multiple of theirs: servos overshoot a little, and contacts push.
+# Share of their range by which observed positions may exceed their limits, and the largest observed velocity as a
+# multiple of its limit: servos overshoot slightly, and contacts push.
 _POSITION_SLACK, _VELOCITY_SLACK = 0.1, 5.0
 
 
 def common_bounds(arm: Arm, frames: int) -> Bounds:
-    """Of the observations that every task has, of so many frames."""
+    """Bounds of the observations that all tasks have, with this number of goal frames."""
     low, high = arm.position_limits.T
     slack = _POSITION_SLACK * (high - low)
     velocity = _VELOCITY_SLACK * arm.velocity_limits
@@ -33,7 +33,7 @@ def common_bounds(arm: Arm, frames: int) -> Bounds:
 
 
 def reach(arm: Arm) -> float:
-    """No link frame is further from the base than this [m]: the lengths between frames, and what slides add."""
+    """Upper bound of the distance of link frames from the base [m]: lengths between frames plus travel of slides."""
     lengths = np.linalg.norm(arm.mounts.translation, axis=-1) + np.linalg.norm(arm.tips.translation, axis=-1)
     slides = np.array([unit == "m" for unit in arm.space.units])
     return float(lengths.sum() + np.abs(arm.position_limits[slides]).max(axis=1).sum())

@@ -1,4 +1,4 @@
-"""Commanded joint positions, of many environments at once: what actions make of them, and what servos are told."""
+"""Commanded joint positions after actions, and the controls of servos, for many environments at once."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ class Commands:
     """Commands that move at constant velocity for one control step, followed by position servos with feedforward.
 
     Args:
-        arm: whose limits scale the actions.
-        substeps: physics steps in a control step.
+        arm: the arm, whose limits scale the actions.
+        substeps: number of physics steps in a control step.
 
     Raises:
         InputError: the arm is not driven by position actuators on joints or fixed tendons.
@@ -30,18 +30,18 @@ class Commands:
         self._before, self._after = 1.0 - parts, parts
 
     def moved(self, command: Floats, action: Floats) -> Floats:
-        """Commanded positions ``(..., n)`` after actions ``(..., n)``, from those before."""
+        """Commanded positions ``(..., n)`` after actions ``(..., n)``, from those before them."""
         share = np.minimum(np.maximum(action, -1.0), 1.0)
         end = command + self._timestep * share * self._arm.velocity_limits
         end = np.minimum(np.maximum(end, self._low), self._high)
         return self._arm.within_angles(end) if len(self._arm.space.balls) else end
 
     def controls(self, start: Floats, end: Floats) -> Floats:
-        """Controls ``(..., substeps, nu)`` of servos that are led from commanded positions to others, ``(..., n)``."""
-        # Not start + 1.0 * (end - start), so that the command is on the limit, not beyond it by rounding.
+        """Controls ``(..., substeps, nu)`` that lead servos between commanded positions ``(..., n)``."""
+        # Not start + share * (end - start), which may exceed a limit by rounding.
         q = self._before * start[..., None, :] + self._after * end[..., None, :]
         space = self._arm.space
-        # Only those of balls differ from posture to posture.
+        # Generalised velocities depend on the posture only with ball joints.
         postures = q[..., 1:, :] if len(space.balls) else end[..., None, :]
         qvel = space.to_qvel(postures, ((end - start) / self._timestep)[..., None, :])
         return self._actuators.servo_controls(space.to_qpos(q[..., :-1, :]), qvel, self._damping * qvel)

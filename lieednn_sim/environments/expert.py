@@ -1,4 +1,4 @@
-"""The expert policy: follows a LieEDNN plan, or the target that moves, in every interface."""
+"""An expert policy for all interfaces: it follows a LieEDNN plan, or the moving target."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from lieednn_sim.values import Floats
 
 
 class Expert:
-    """A policy that knows the arm.
+    """A policy with access to the arm and the task.
 
-    In `Reach` it plans for each episode's target a certified network's motion from ``home``, around obstacles where
-    there are any, and commands its positions, as fast as 90 % of the limits allow. In `Track` it commands the target's
-    next position. Its actions are within [-1, 1].
+    In `Reach` it plans a certified network's motion from ``home`` to each episode's target, around obstacles if there
+    are any, and commands its positions, as fast as 90 % of the limits allow. In `Track` it commands the target's next
+    position. Its actions are within [-1, 1].
 
     Args:
         environment: an `ArmTask`, an environment of `suite.load`, or a Gymnasium one, wrapped or not.
         planner: a name of `planning.PLANNERS`; by default a certified LieEDNN, and among obstacles `OBSTACLE_PLANNER`.
-        candidates: networks to draw for a plan at first, see `trajectories.planned`.
-        seed: of the draws.
+        candidates: number of networks drawn for a plan at first, see `trajectories.planned`.
+        seed: seed of the draws.
 
     Raises:
         InputError: the environment is none of these, or there is no such planner.
@@ -53,7 +53,7 @@ class Expert:
         self._plan: JointTrajectory
 
     def act(self) -> Floats:
-        """Action ``(n,)`` for the present time of the environment, of whose task it knows more than is observed.
+        """Action ``(n,)`` for the present time; it uses more of the task than the observations tell.
 
         Raises:
             PlanError: no plan was found for the episode's target.

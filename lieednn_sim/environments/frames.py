@@ -1,4 +1,4 @@
-"""Errors of link frames, of many environments at once: each is rounded as it is alone."""
+"""Pose errors of link frames, for many environments at once; each is rounded as for a single one."""
 
 from __future__ import annotations
 
@@ -9,26 +9,26 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.simulation.quaternions import quaternions
 from lieednn_sim.values import Floats
 
-# Half the sine of an angle [rad] below which the coefficients are the first terms of their series.
+# Sine of half an angle below which the first terms of series are used.
 _SMALL = 1e-4
-# Entries of two vectors whose products make the cross product: the first three count, the others are taken away.
+# Indices of the factors in a cross product: of the positive terms, then of the negative ones.
 _LEFT, _RIGHT = np.array([1, 2, 0, 2, 0, 1]), np.array([2, 0, 1, 1, 2, 0])
-# Entries of two rows of `SiteFrames` whose products make the vector part of the quaternions' conj(p) q: with p_0 and
-# with q_0, and of the cross product as above.
+# Indices of the factors, in two rows of `SiteFrames`, of the vector part of conj(p) q: terms with p_0, terms with q_0,
+# and the cross product as above.
 _OWN, _GOAL = 12 + np.array([0, 0, 0, 1, 2, 3, *1 + _LEFT]), 12 + np.array([1, 2, 3, 0, 0, 0, *1 + _RIGHT])
 
 
 class SiteFrames:
-    """Reads link frames where MuJoCo has them, ``(F, 16)``: position, rotation matrix row by row, quaternion.
+    """Reads link frames from MuJoCo's data as rows ``(F, 16)``: position, rotation matrix by rows, quaternion.
 
-    Views of the data are held: to ask for them takes as long as to read them.
+    Views of the data are kept, since asking MuJoCo for one takes as long as reading it.
     """
 
     def __init__(self, arm: Arm, data: mujoco.MjData, frames: slice) -> None:
         self._sites, self._positions, self._rotations = arm.site_ids[frames], data.site_xpos, data.site_xmat
 
     def __call__(self) -> Floats:
-        """Return the frames as they are now, in a new array."""
+        """Return the present frames in a new array."""
         sites = self._sites
         found = np.empty((len(sites), 16))
         found[:, :3], found[:, 3:12] = self._positions.take(sites, axis=0), self._rotations.take(sites, axis=0)
@@ -38,7 +38,7 @@ class SiteFrames:
 
 
 def frames_at(arm: Arm, model: mujoco.MjModel, data: mujoco.MjData, qpos: Floats, frames: slice) -> Floats:
-    """What `SiteFrames` reads at each of MuJoCo's positions ``(B, nq)``, ``(B, F, 16)``; they are set in the data."""
+    """Rows of `SiteFrames` at MuJoCo's positions ``(B, nq)``, ``(B, F, 16)``; changes the data."""
     place, rotation, position = data.site_xpos, data.site_xmat, data.qpos
     places, rotations = np.empty((len(qpos), *place.shape)), np.empty((len(qpos), *rotation.shape))
     for row, own_place, own_rotation in zip(qpos, places, rotations, strict=True):
@@ -52,10 +52,10 @@ def frames_at(arm: Arm, model: mujoco.MjModel, data: mujoco.MjData, qpos: Floats
 
 
 def to_go(frames: Floats, goals: Floats) -> tuple[Floats, Floats, Floats]:
-    """Log(T^-1 T_goal) of frames, with rows as of `SiteFrames`, to goals that are given alike.
+    """Log(T^-1 T_goal) for frames and goals given as rows of `SiteFrames`.
 
-    With the unit quaternion (c, s n) of the relative rotation, c >= 0, the angle is a = 2 atan2(s, c), and of the
-    translation p the twist has v = J_l^-1 p = p - w x p / 2 + (1 - (a / 2) cot(a / 2)) / a^2 w x (w x p), w = a n.
+    If the relative rotation has the unit quaternion (c, s n), c >= 0, its angle is a = 2 atan2(s, c). With w = a n and
+    the relative translation p, v = J_l^-1 p = p - w x p / 2 + (1 - (a / 2) cot(a / 2)) / a^2 w x (w x p).
 
     Returns:
         Twists (omega, v) ``(..., F, 6)`` [rad, m], and the largest distance ``(...)`` [m] and angle ``(...)`` [rad].
@@ -80,8 +80,8 @@ def to_go(frames: Floats, goals: Floats) -> tuple[Floats, Floats, Floats]:
 
 
 def _largest(values: Floats) -> Floats:
-    """Along the last axis, of one value in a tenth of the time of a reduction."""
-    # The reductions of ufuncs: methods of arrays come to them through Python.
+    """Largest value along the last axis; a single one is taken in a tenth of the time of a reduction."""
+    # Array methods would call the same reduction through Python.
     return values[..., 0] if values.shape[-1] == 1 else np.asarray(np.maximum.reduce(values, axis=-1))
 
 

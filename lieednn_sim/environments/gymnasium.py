@@ -45,12 +45,12 @@ class Environment(gymnasium.Env[Any, Floats]):
     Args:
         task: a name of `tasks.TASKS`.
         arm: name of an arm of the package, or an arm.
-        scene: obstacles around it, a name of `arm.scenes.SCENES` or their file, see `Arm.among`.
+        scene: obstacles around it, a name of `arm.scenes.SCENES` or a file, see `Arm.among`.
         render_mode: ``"rgb_array"`` or None.
-        size: (width, height) of frames.
+        size: (width, height) of rendered frames.
         preset: rendering quality, a name of `rendering.video.PRESETS`.
-        flat: observe one vector, `gymnasium.spaces.flatten` of the dictionary.
-        options: others of the task, see `ArmTask`, `Reach` and `Track`.
+        flat: whether observations are one vector, `gymnasium.spaces.flatten` of the dictionary.
+        options: further options of the task, see `ArmTask`, `Reach` and `Track`.
 
     Attributes:
         task: the task.
@@ -102,7 +102,7 @@ class Environment(gymnasium.Env[Any, Floats]):
         return self._shown(after.observation), after.reward, after.terminated, after.truncated, after.info
 
     def render(self) -> Any:
-        """Frame ``(height, width, 3)`` of the present time with the marker at the target, or None without a mode.
+        """Frame ``(height, width, 3)`` at the present time with a marker at the target, or None without a mode.
 
         Raises:
             RenderingUnavailableError: there is no working OpenGL.
@@ -116,7 +116,7 @@ class Environment(gymnasium.Env[Any, Floats]):
         return self._camera.picture(self.task.simulation.q)
 
     def close(self) -> None:
-        """Free the OpenGL context; the environment may be closed twice, and rendered again."""
+        """Free the OpenGL context; closing again is harmless, and rendering makes a new one."""
         self._resources.close()
         self._camera = None
 
@@ -125,7 +125,7 @@ class Environment(gymnasium.Env[Any, Floats]):
 
 
 def register() -> None:
-    """Tell Gymnasium the environments; done at import, harmless when repeated."""
+    """Register the environments with Gymnasium; done at import, harmless when repeated."""
     for name, task in ENVIRONMENTS.items():
         if name not in gymnasium.registry:
             gymnasium.register(

@@ -1,4 +1,4 @@
-"""What is observed of arms, of many environments at once: a row each, of arrays with names and bounds."""
+"""Observations of many environments at once: a row each, which holds named arrays with bounds."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from lieednn_sim.values import Floats
 
 
 class Observations:
-    """Rows that hold the observations of a task, clipped to their bounds.
+    """Computes rows that hold the observations of a task, clipped to their bounds.
 
-    One row is clipped and copied at once, where its arrays would take as long each.
+    A row is clipped and copied in the time that each of its arrays would take.
 
     Args:
-        bounds: of the observations by name: those of `common_bounds`, then what a task adds.
+        bounds: bounds by name: those of `common_bounds`, then those of a task's additional observations.
     """
 
     def __init__(self, bounds: Bounds) -> None:
@@ -36,16 +36,16 @@ class Observations:
         """Rows ``(..., size)``, and the largest distance [m] and angle [rad] ``(...)`` of a frame from its goal.
 
         Args:
-            frames: ``(..., F, 16)``, see `SiteFrames`.
-            q: ``(..., n)``.
-            qd: ``(..., n)``.
-            command: ``(..., n)``.
-            target: position ``(..., n)``, frames ``(..., F, 16)``, and what a task adds, flat.
+            frames: goal frames ``(..., F, 16)`` of the arm, see `SiteFrames`.
+            q: joint positions ``(..., n)``.
+            qd: joint velocities ``(..., n)``.
+            command: commanded positions ``(..., n)``.
+            target: positions ``(..., n)``, frames ``(..., F, 16)``, and a task's additional observations, flat.
         """
         wanted, goals, *more = target
         twist, distance, angle = to_go(frames, goals)
         values = [q, qd, command, wanted - q, twist.reshape(*q.shape[:-1], -1), *more]
-        # As np.clip, twice as fast.
+        # Twice as fast as np.clip.
         clipped = np.minimum(np.maximum(np.concatenate(values, axis=-1), self._low), self._high)
         return clipped, distance, angle
 

@@ -1,6 +1,6 @@
 """The simulation of a task as dm_control's physics.
 
-dm_control decides at its import which OpenGL it renders by, so importing this module chooses one.
+dm_control chooses its OpenGL backend at import, so importing this module configures one first.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from dm_control.mujoco import Physics, wrapper  # noqa: E402
 
 
 class TaskPhysics(Physics):  # type: ignore[misc]  # dm_control has no types
-    """Model and data of a task's simulation, shared with it: what is read, set and rendered is what is simulated.
+    """Model and data of a task's simulation, shared with it, so that dm_control reads, sets and renders its state.
 
-    Its steps are the simulation's: dm_control holds the controls during a control step, and the servos follow the
-    command at every physics step. A copy has no task, and is a physics of dm_control like any other.
+    Its steps are those of the simulation, in which the servos follow the command at every physics step, whereas
+    dm_control would hold the controls during a control step. A copy has no task, and is an ordinary dm_control physics.
     """
 
     _task: ArmTask | None = None
@@ -28,11 +28,11 @@ class TaskPhysics(Physics):  # type: ignore[misc]  # dm_control has no types
         super().__init__(wrapper.MjData(task.simulation.data))
 
     def step(self, nstep: int = 1) -> None:
-        """Do physics steps; a failure of the simulation is told to the task, which ends the episode."""
+        """Do physics steps; if the simulation fails, the task ends the episode."""
         if self._task is None:
             super().step(nstep)
             return
         self._task.advance(nstep)
         if not self._task.failure:
-            # As after dm_control's own steps, what follows from positions and velocities is up to date.
+            # As after dm_control's own steps, values derived from positions and velocities are up to date.
             mujoco.mj_step1(self.model.ptr, self.data.ptr)

@@ -1,4 +1,4 @@
-"""How near the arm is to where it shall be, as a number in [0, 1], of many environments at once."""
+"""Closeness of the arm to its target, as a number in [0, 1], for many environments at once."""
 
 from __future__ import annotations
 
@@ -7,21 +7,21 @@ from numpy.typing import NDArray
 
 from lieednn_sim.values import Floats
 
-# Errors [m], [rad] at which the near part of a reward is down to a tenth; the far part's are half the reach and pi.
+# Errors [m, rad] at which the near part of a reward falls to a tenth; for the far part, half the reach and pi.
 _NEAR = (0.05, 0.1)
 
 
 class Closeness:
-    """1 within the tolerances, else less: the mean of what is seen from afar and of what only counts near by.
+    """1 within the tolerances, otherwise less: the mean of a part that guides from afar and one that matters nearby.
 
-    Each is a product of a term for the distance and one for the angle, which fall to a tenth where the error is beyond
-    its tolerance by the margin.
+    Each is the product of a term for the distance and one for the angle. A term falls to a tenth where its error
+    exceeds the tolerance by the margin.
 
     Args:
-        position_tolerance: [m].
-        rotation_tolerance: [rad].
-        reach: of the arm [m].
-        more: tolerances and margins of other errors that a task judges with them.
+        position_tolerance: tolerance of the distance [m].
+        rotation_tolerance: tolerance of the angle [rad].
+        reach: reach of the arm [m].
+        more: tolerances and margins of further errors of a task.
     """
 
     def __init__(
@@ -33,7 +33,7 @@ class Closeness:
         self._allowed, self._margins = np.array([*zip(allowed, margins, strict=True), *more]).T
 
     def __call__(self, distance: Floats | float, angle: Floats | float, *more: Floats | float) -> list[Floats]:
-        """Closeness ``(B,)`` at distances [m] and angles [rad] ``(B,)`` or of one, and the terms of other errors."""
+        """Closeness ``(...)`` at distances [m] and angles [rad] ``(...)``, and the terms of further errors."""
         errors = np.array([distance, angle, distance, angle, *more]).T
         far, far_turn, near, near_turn, *others = closeness(errors, self._allowed, self._margins).T
         return [0.5 * (far * far_turn + near * near_turn), *others]
@@ -44,6 +44,6 @@ class Closeness:
 
 
 def closeness(error: Floats | float, allowed: Floats | float, margin: Floats | float) -> Floats:
-    """1 up to the allowed error, 1 / (1 + 9 x^2) beyond it by x margins; dm_control's tolerance with a long tail."""
+    """1 up to the allowed error, then 1 / (1 + 9 x^2) at x margins beyond; dm_control's ``tolerance``, long tail."""
     beyond = np.maximum(error - allowed, 0.0) / margin
     return np.asarray(1.0 / (1.0 + 9.0 * beyond * beyond))

@@ -1,4 +1,4 @@
-"""The tasks in the manner of the dm_control suite: `load` returns a `dm_control.rl.control.Environment`."""
+"""The tasks in the style of the dm_control suite: `load` returns a `dm_control.rl.control.Environment`."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ def load(
     random: int | np.random.Generator | None = None,
     **options: Any,
 ) -> ControlEnvironment:
-    """An environment.
+    """Load an environment.
 
     Args:
         arm: name of an arm, or an arm.
         task: a name of `TASKS`.
-        random: seed or generator of all that is random; None for a fresh one.
-        options: of the task, see `ArmTask`, `Reach` and `Track`.
+        random: seed or generator of everything random; None for a fresh generator.
+        options: options of the task, see `ArmTask`, `Reach` and `Track`.
 
     Raises:
         InputError: an argument is malformed.
@@ -40,11 +40,11 @@ def load(
 
 
 class ControlTask(control.Task):  # type: ignore[misc]  # dm_control has no types
-    """A task as dm_control asks for it. The physics are left aside: they are the task's own simulation.
+    """A task with the interface of dm_control. Arguments ``physics`` are ignored, since the task has its simulation.
 
     Args:
         task: the task.
-        random: draws its episodes.
+        random: generator of its episodes.
     """
 
     def __init__(self, task: ArmTask, random: np.random.Generator) -> None:
@@ -59,7 +59,7 @@ class ControlTask(control.Task):  # type: ignore[misc]  # dm_control has no type
         self.task.before_step(action)
 
     def after_step(self, physics: Any) -> None:
-        """Take the observations; a `TaskPhysics` has the link frames of the present time after its steps."""
+        """Update the observations; after its steps a `TaskPhysics` has up-to-date link frames."""
         self.task.after_step(current=True)
 
     def get_observation(self, physics: Any) -> OrderedDict[str, Floats]:
@@ -67,11 +67,11 @@ class ControlTask(control.Task):  # type: ignore[misc]  # dm_control has no type
         return OrderedDict(self.task.observe())
 
     def get_reward(self, physics: Any) -> float:
-        """The task's, 0 where the simulation failed."""
+        """The task's reward; 0 if the simulation failed."""
         return 0.0 if self.task.failure else self.task.reward()
 
     def get_termination(self, physics: Any) -> float | None:
-        """Discount at the end of an episode: 0 where the simulation failed, 1 at the time limit."""
+        """Discount at the end of an episode: 0 if the simulation failed, 1 at the time limit; otherwise None."""
         return None if not self.task.over else 0.0 if self.task.failure else 1.0
 
     def action_spec(self, physics: Any) -> specs.BoundedArray:
@@ -90,8 +90,8 @@ class ControlTask(control.Task):  # type: ignore[misc]  # dm_control has no type
 class ControlEnvironment(control.Environment):  # type: ignore[misc]  # dm_control has no types
     """A task behind the interface of dm_control: ``physics.render()`` and dm_control's wrappers work on it.
 
-    An episode that reaches its time limit ends with discount 1, one whose simulation fails with discount 0. A step
-    raises `InputError` where the action is malformed or not finite, and begins an episode when the last one is over.
+    Episodes end with discount 1 at their time limit, and with discount 0 if the simulation fails. A step raises
+    `InputError` if the action is malformed or not finite, and begins a new episode if the last one is over.
 
     Attributes:
         task: the task.
@@ -101,7 +101,7 @@ class ControlEnvironment(control.Environment):  # type: ignore[misc]  # dm_contr
     def __init__(self, task: ArmTask, *, random: int | np.random.Generator | None = None) -> None:
         from lieednn_sim.environments.physics import TaskPhysics
 
-        # dm_control shows what is simulated.
+        # dm_control renders the simulated model, which must have its visual geoms.
         task.run_in(Simulation(task.arm))
         generator = np.random.default_rng() if random is None else as_generator("random", random)
         super().__init__(TaskPhysics(task), ControlTask(task, generator), n_sub_steps=task.substeps)
@@ -115,7 +115,7 @@ class ControlEnvironment(control.Environment):  # type: ignore[misc]  # dm_contr
         """Begin an episode.
 
         Args:
-            seed: begins the random numbers anew, as if the environment had been loaded with it; not part of dm_env's
+            seed: restarts the random numbers, as if the environment had been loaded with it; not part of dm_env's
                 interface.
         """
         if seed is not None:

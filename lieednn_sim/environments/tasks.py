@@ -17,11 +17,11 @@ from lieednn_sim.errors import InputError, NoSolutionError, NotCertifiedError, P
 from lieednn_sim.validation import as_choice, as_count
 from lieednn_sim.values import Floats
 
-# Joints at rest move no faster than this share of their velocity limits.
+# Joints are at rest below this share of their velocity limits.
 REST = 0.01
-# Where a target comes from that moves.
+# Sources of moving targets.
 REFERENCES = ("band-limited", "plan")
-# Share of the velocity limits, beyond the former, at which the reward for resting is down to a tenth.
+# Share of the velocity limits, beyond `REST`, at which the reward for resting falls to a tenth.
 _REST_MARGIN = 0.5
 _ATTEMPTS = 10
 
@@ -29,11 +29,10 @@ _ATTEMPTS = 10
 class Reach(ArmTask):
     """Come to rest at a random target that the arm can reach, drawn for each episode by `arm.targets.draw_target`.
 
-    Success: the frames that count are within the tolerances, and no joint moves faster than `REST` of its limit.
-    The reward is the closeness of distance and angle, at rest all of it, in motion down to half of it; it is 1
-    exactly at success.
+    Success: the goal frames are within the tolerances, and no joint moves faster than `REST` of its limit. The reward
+    is the closeness of distance and angle, reduced in motion by up to a half; it is 1 exactly at success.
 
-    Begin an episode with the option ``target``, a joint position ``(n,)``, to choose it.
+    To choose the target of an episode, begin it with the option ``target``, a joint position ``(n,)``.
     """
 
     _more_errors = ((REST, _REST_MARGIN),)
@@ -41,7 +40,7 @@ class Reach(ArmTask):
     def _draw(self, rng: np.random.Generator, options: dict[str, Any]) -> None:
         chosen = options.pop("target", None)
         _refuse(options, "target")
-        # Drawn in any case, so that what follows in the generator does not depend on the options.
+        # Drawn in any case, so that the generator's state does not depend on the options.
         seed = int(rng.integers(2**32))
         self._target = draw_target(self.arm, seed) if chosen is None else self.arm.check_position(chosen, "target")
         self._here = self._target, self._goals(self._target)
@@ -64,18 +63,18 @@ class Reach(ArmTask):
 class Track(ArmTask):
     """Keep up with a target that moves from ``home`` within the arm's limits, free of contact.
 
-    Observations tell beside those of every task ``target_velocity`` ``(n,)`` and ``preview`` ``(P, n)``, where the
-    target will be at the ends of this and the following control steps. Success: the frames that count are within
-    the tolerances now. The reward is the closeness, 1 exactly at success.
+    Additional observations are ``target_velocity`` ``(n,)`` and ``preview`` ``(P, n)``, the target positions at the
+    ends of this and the following control steps. Success: the goal frames are within the tolerances now. The reward is
+    the closeness, 1 exactly at success.
 
     Args:
         arm: as in `ArmTask`.
-        reference: ``"band-limited"``, a random joint trajectory without end; or ``"plan"``, a LieEDNN plan to a random
-            target, which takes a second to make for each episode.
+        reference: ``"band-limited"``, a random endless joint trajectory; or ``"plan"``, a LieEDNN plan to a random
+            target, which takes a second for each episode.
         preview: P.
-        position_tolerance: [m]; an error of half a centimetre counts as none, for no servo follows without any.
-        rotation_tolerance: [rad].
-        options: others of `ArmTask`.
+        position_tolerance: tolerance of success [m]; half a centimetre by default, since no servo tracks exactly.
+        rotation_tolerance: the same [rad].
+        options: further options of `ArmTask`.
     """
 
     def __init__(
@@ -137,7 +136,7 @@ TASKS: dict[str, type[ArmTask]] = {"reach": Reach, "track": Track}
 def make_task(task: str, arm: str | Arm = "telescopic_pr", **options: Any) -> ArmTask:
     """A task of `TASKS` by name, with its options; `InputError` lists the names."""
     kind = TASKS[as_choice("task", task, TASKS)]
-    # Options of the task itself, and those that every task takes.
+    # Options of the task itself, and of every task.
     known = {*signature(kind).parameters, *signature(ArmTask).parameters} - {"arm", "options"}
     unknown = sorted(set(options) - known)
     if unknown:

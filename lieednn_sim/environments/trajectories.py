@@ -1,4 +1,4 @@
-"""Joint trajectories in continuous time: LieEDNN plans run as fast as the limits allow, and random smooth ones."""
+"""Joint trajectories in continuous time: LieEDNN plans as fast as the limits allow, and smooth random ones."""
 
 from __future__ import annotations
 
@@ -17,25 +17,24 @@ from lieednn_sim.planning.motion import Motion
 from lieednn_sim.validation import as_count, as_positive
 from lieednn_sim.values import Floats
 
-# Plans are made this slow [s] and run faster afterwards: minimum jerk draws the same path in any time.
+# Duration with which plans are made before they are sped up [s]; minimum jerk gives the same path in any duration.
 _PLANNING_DURATION = 10.0
-# Fastest of a plan, as share of the limits of velocities and accelerations. The rest is for the servos.
+# Share of the velocity and acceleration limits that a plan may use; the rest is left to the servos.
 _PLAN_SHARE = 0.9
-# Of a random trajectory.
+# The same for a random trajectory; the number of its sines and their frequencies [Hz]; the duration of its onset, and
+# the spacing of its samples [s].
 _RANDOM_SHARE = 0.5
-_SINES = 3
-_BAND = (0.1, 0.5)
-_ONSET = 1.5
-_SPACING = 0.02
-# Share of the joint ranges that a random trajectory takes up, and its part in the next attempt after a contact.
-_SPREAD, _SHRINKAGE = 0.8, 0.85
-_ATTEMPTS = 40
+_SINES, _BAND = 3, (0.1, 0.5)
+_ONSET, _SPACING = 1.5, 0.02
+# Share of the joint ranges that a random trajectory covers, its reduction after a contact, and the number of attempts.
+_SPREAD, _SHRINKAGE, _ATTEMPTS = 0.8, 0.85, 40
+# Rate at which random trajectories are tested for contact [Hz].
 _POSTURES_PER_SECOND = 10
 
 
 @dataclass(frozen=True, eq=False)
 class JointTrajectory:
-    """A joint trajectory from t = 0; before it and after its end it rests where it begins and ends.
+    """A joint trajectory from t = 0; before its beginning and after its end it rests.
 
     Attributes:
         spline: positions ``(n,)`` [rad, m] over time [s].
@@ -45,7 +44,7 @@ class JointTrajectory:
 
     @property
     def duration(self) -> float:
-        """[s]."""
+        """Duration [s]."""
         return float(self.spline.x[-1])
 
     def position(self, time: ArrayLike) -> Floats:
@@ -67,16 +66,16 @@ def planned(
     candidates: int = 2,
     seed: int = 0,
 ) -> JointTrajectory:
-    """A planned motion, as fast as 90 % of the velocity and acceleration limits allow on its path.
+    """A planned motion, as fast as 90 % of the velocity and acceleration limits allow.
 
     Args:
         arm: the arm.
         target: joint target ``(n,)``.
         start: joint position at rest, the keyframe ``home`` by default.
-        planner: a name of `planning.PLANNERS`; by default a certified LieEDNN, which `candidates` belongs to.
-        candidates: networks to draw at first by default; where their motions break limits, four times as many, and
-            once more.
-        seed: of the draws.
+        planner: a name of `planning.PLANNERS`; by default a certified LieEDNN, to which ``candidates`` applies.
+        candidates: number of networks to draw at first; if their motions break limits, four times as many are drawn,
+            and then sixteen times as many.
+        seed: seed of the draws.
 
     Raises:
         InputError: an unknown planner, or target or start are out of the arm's reach.
@@ -101,7 +100,7 @@ def _patient_plan(arm: Arm, target: ArrayLike, start: ArrayLike | None, candidat
             arm, target, start=start, duration=_PLANNING_DURATION, longest=1.0, seed=seed, options=options
         ).motion
 
-    # Most targets are easy, and a plan costs its candidates.
+    # Few candidates suffice for most targets, and each takes time.
     for total in (candidates, 4 * candidates):
         with contextlib.suppress(PlanError, NotCertifiedError):
             return drawn(total)
@@ -112,9 +111,8 @@ def band_limited(arm: Arm, rng: np.random.Generator, duration: float) -> JointTr
     """A random trajectory that starts at rest at ``home`` and keeps the limits free of contact.
 
     q(t) = home + r(t) (m + h u(t) - home), elementwise, where u is a sum of sines of 0.1 to 0.5 Hz with random
-    weights, frequencies and phases, |u| <= 1; m - h and m + h are random positions within the limits; r rises
-    from 0 to 1 by the minimum-jerk law. Where it would be faster than half the velocity and acceleration limits it
-    is slowed down as a whole.
+    weights, frequencies and phases, |u| <= 1; m - h and m + h are random positions within the limits; r rises from 0
+    to 1 by the minimum-jerk law. If it exceeds half the velocity or acceleration limits, it is slowed down as a whole.
 
     Raises:
         NoSolutionError: every attempt touches something.
@@ -134,15 +132,15 @@ def _draw(arm: Arm, rng: np.random.Generator, home: Floats, total: float, spread
     n = len(home)
     low, high = arm.position_limits.T.copy()
     for ball in arm.space.balls:
-        # The cube within the ball.
+        # Limits of the cube inscribed in the ball.
         low[ball], high[ball] = low[ball] / np.sqrt(3.0), high[ball] / np.sqrt(3.0)
-    # Towards home as the spread shrinks: convex, so within the limits.
+    # Closer to home as the spread shrinks; convex combinations stay within the limits.
     ends = np.sort(home + spread * (rng.uniform(low, high, (2, n)) - home), axis=0)
     middle, half = 0.5 * (ends[0] + ends[1]), 0.5 * (ends[1] - ends[0])
     weights = rng.dirichlet(np.ones(_SINES), n)
     omega = 2.0 * np.pi * rng.uniform(*_BAND, (n, _SINES))
     phase = rng.uniform(0.0, 2.0 * np.pi, (n, _SINES))
-    # Long enough for the part of it that is left when it runs as it is.
+    # Long enough even if it is not slowed down.
     t = np.linspace(0.0, total, int(np.ceil(total / _SPACING)) + 1)
     angle = omega * t[:, None, None] + phase
     wave = middle + half * (weights * np.sin(angle)).sum(axis=-1) - home
@@ -155,7 +153,7 @@ def _draw(arm: Arm, rng: np.random.Generator, home: Floats, total: float, spread
 
 
 def _pace(arm: Arm, t: Floats, qd: Floats, share: float) -> float:
-    """Factor of the time [s] with which the fastest joint is at a share of its limits; 0 when nothing moves."""
+    """Factor of time with which the fastest joint reaches a share of its limits; 0 if nothing moves."""
     velocity = (np.abs(qd) / arm.velocity_limits).max()
     acceleration = (np.abs(np.gradient(qd, t, axis=0)) / arm.acceleration_limits).max()
     return float(max(velocity / share, np.sqrt(acceleration / share)))

@@ -41,19 +41,19 @@ def observation_space(bounds: Bounds) -> spaces.Dict:
 
 
 class VectorEnvironment(gymnasium.vector.VectorEnv[dict[str, Floats], Floats, Any]):
-    """B environments, each of which does what an `Environment` with its seed does, with NumPy 2.4 to the last bit.
+    """B environments, each equal to an `Environment` with its seed; with NumPy 2.4 to the last bit.
 
     Args:
         num_envs: B.
         task: a name of `tasks.TASKS`.
         arm: name of an arm of the package, or an arm.
-        scene: as of `Environment`.
-        autoreset_mode: when an episode that is over is followed by the next, see Gymnasium.
-        threads: by default as many as there are processors.
-        options: others of the task, see `ArmTask`, `Reach` and `Track`.
+        scene: as for `Environment`.
+        autoreset_mode: when the next episode begins, see Gymnasium.
+        threads: number of threads, by default that of processors.
+        options: further options of the task, see `ArmTask`, `Reach` and `Track`.
 
     Attributes:
-        tasks: of the environments; they share an arm and one simulation.
+        tasks: tasks of the environments; they share an arm and a simulation.
 
     Raises:
         InputError: an argument is malformed.
@@ -93,7 +93,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[dict[str, Floats], Floats, An
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Floats], dict[str, Any]]:
-        """Begin episodes; environment i with seed + i. ``options``: of each, and the ``reset_mask`` of Gymnasium."""
+        """Begin episodes, with seed + i in environment i; ``options`` may hold Gymnasium's ``reset_mask``."""
         seeds = seed if isinstance(seed, list) else [None if seed is None else seed + i for i in range(self.num_envs)]
         if len(seeds) != self.num_envs:
             raise InputError(f"seed must be a number or a list of {self.num_envs}, got one of {len(seeds)}")
@@ -109,10 +109,10 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[dict[str, Floats], Floats, An
         return self._observed(), infos
 
     def step(self, actions: Floats) -> Stepped:
-        """Do one control step with actions ``(B, n)``, those of environments that begin an episode aside.
+        """Do one control step with actions ``(B, n)``; environments that begin an episode ignore theirs.
 
         Raises:
-            InputError: actions are malformed or not finite, or an episode is over and is not begun anew by itself.
+            InputError: actions are malformed or not finite, or an episode is over and autoreset is disabled.
         """
         share = as_floats("actions", actions, (self.num_envs, self.tasks[0].arm.n_joints))
         rewards, terminated = np.zeros(self.num_envs), np.zeros(self.num_envs, dtype=bool)
@@ -140,7 +140,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[dict[str, Floats], Floats, An
         self._rollouts.close()
 
     def _observed(self) -> dict[str, Floats]:
-        # Each in memory of its own, without gaps.
+        # Contiguous copies.
         return {name: values.copy() for name, values in self.tasks[0].observations.split(self._seen).items()}
 
     def _begin(self, i: int, infos: dict[str, Any], options: dict[str, Any]) -> dict[str, Any]:
@@ -161,14 +161,14 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[dict[str, Floats], Floats, An
         return info | ({"failure": self.tasks[i].failure} if self.tasks[i].failure else {})
 
     def _advance(self, going: NDArray[np.int_], actions: Floats) -> tuple[Floats, NDArray[np.bool_], dict[str, Any]]:
-        """Step some environments: rewards and whether they failed, of these, and infos."""
+        """Step some environments; returns their rewards, whether they failed, and infos."""
         first, model = self.tasks[0], self._model
         before, start = self._states[going], self._commands[going]
         end = first.commands.moved(start, actions)
         controls = first.commands.controls(start, end)
         with quiet_warnings():
             after = self._rollouts.rollout(model, self._data, before, controls)[0][:, -1]
-        # Where MuJoCo warns, time stands still or begins anew.
+        # After a warning of MuJoCo time stands still, or restarts.
         late = np.abs(after[:, 0] - before[:, 0] - first.control_timestep) > 0.5 * first.simulation.timestep
         failed = late | ~np.isfinite(after).all(axis=1)
         self._commands[going] = end
@@ -190,7 +190,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[dict[str, Floats], Floats, An
         return rewards, failed, infos
 
     def _look(self, which: NDArray[np.int_]) -> Floats:
-        """Take the observations of some environments, and return their rewards."""
+        """Update the observations of some environments, and return their rewards."""
         first, data, model = self.tasks[0], self._data[0], self._model
         qpos, qvel = np.split(self._states[which, 1 : 1 + model.nq + model.nv], [model.nq], axis=1)
         frames = frames_at(first.arm, model, data, qpos, first.frames)
@@ -204,7 +204,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[dict[str, Floats], Floats, An
         return rewards
 
     def _failure(self, i: int, state: Floats, controls: Floats) -> str:
-        """Why a control step failed: it is done again, step by step."""
+        """The reason why a control step failed, found by repeating it step by step."""
         task = self.tasks[i]
         mujoco.mj_setState(self._model, task.simulation.data, state, _STATE)
         return task.failure_of(controls)

@@ -1,4 +1,4 @@
-"""The drives of an arm: position servos and direct drives, on joints or fixed tendons, of any gear.
+"""The actuators of an arm: position servos and direct drives, on joints or fixed tendons, with any gear.
 
 With l and v the length and velocity of its transmission an actuator exerts f = g ctrl + b0 + b1 l + b2 v, which moves
 the joints with moment^T f. On hinges, slides, ball joints and fixed tendons the moment is a constant matrix, and
@@ -19,10 +19,10 @@ from lieednn_sim.values import Floats
 
 
 class Actuators:
-    """The actuators of an arm's model, and what they must be told.
+    """The actuators of an arm's model, and the controls for wanted states and forces.
 
     Attributes:
-        driving: ``(nu,)`` whether an actuator moves the arm's joints. The others keep the controls of the keyframe
+        driving: ``(nu,)`` whether actuators move the arm's joints. The others keep their controls of the keyframe
             ``home``, or zero.
 
     Raises:
@@ -39,8 +39,8 @@ class Actuators:
         transmission = moment @ basis
         _check(model, self.driving)
         _check_complete(arm, transmission)
-        # Forces f of least norm with basis^T moment^T f = basis^T tau: whatever joints outside the arm would need, and
-        # the forces between coupled stages, do no work on what the arm can do.
+        # Forces f of least norm with basis^T moment^T f = basis^T tau: components of tau that do no work on the arm,
+        # such as forces on other joints and between coupled stages, are left out.
         allocation = np.linalg.pinv(transmission.T) @ basis.T
         self._moment, self._allocation = _Product(moment), _Product(allocation)
         self._gain = np.where(self.driving, model.actuator_gainprm[:, 0], 1.0)
@@ -52,7 +52,7 @@ class Actuators:
         self._balls = [(int(model.jnt_qposadr[ball]), int(model.jnt_dofadr[ball])) for ball in balls]
 
     def require_servos(self) -> None:
-        """`InputError` unless every drive is a position servo, whose force falls with the length."""
+        """Raise `InputError` unless every driving actuator is a position servo."""
         if not (self._bias[1, self.driving] / self._gain[self.driving] < 0.0).all():
             raise InputError(
                 "this controller needs position actuators on the arm's joints (biasprm[1] < 0); "
@@ -62,7 +62,7 @@ class Actuators:
     def lengths(self, qpos: Floats) -> Floats:
         """Lengths ``(..., nu)`` at positions ``(..., nq)``; zero for actuators that do not move the arm."""
         if qpos.shape[-1] == self._nv:
-            # Without quaternions both have the same places.
+            # Without quaternions both have the same layout.
             return self._moment(qpos)
         x = np.zeros((*qpos.shape[:-1], self._nv))
         x[..., self._positions[1]] = qpos[..., self._positions[0]]
@@ -76,13 +76,13 @@ class Actuators:
         return self._moment(qvel)
 
     def forces(self, generalised: Floats) -> Floats:
-        """Actuator forces ``(..., nu)`` that do on the arm's joints what generalised forces ``(..., nv)`` do."""
+        """Actuator forces ``(..., nu)`` with the effect of generalised forces ``(..., nv)`` on the arm's joints."""
         return self._allocation(generalised)
 
     def servo_controls(self, qpos: Floats, qvel: Floats, generalised: Floats | None = None) -> Floats:
-        """Controls ``(..., nu)`` with which the servos exert given forces at states: (f - b0 - b1 l - b2 v) / g.
+        """Controls ``(..., nu)`` for which servos exert given forces at given states: (f - b0 - b1 l - b2 v) / g.
 
-        Off such a state they exert b1 and b2 times the differences on top, which is their feedback.
+        At other states they add b1 and b2 times the differences, their feedback.
         """
         constant, stiffness, damping = self._bias
         drive = -(constant + stiffness * self.lengths(qpos) + damping * self.velocities(qvel))
@@ -91,38 +91,38 @@ class Actuators:
         return drive / self._gain + self._idle
 
     def measurement_error(self, noise: Noise) -> Floats:
-        """What to add ``(..., nu)`` to the controls so that servos act on measured lengths and velocities.
+        """Change ``(..., nu)`` of the controls with the effect of measurement errors on the servos' feedback.
 
         f = g ctrl + b0 + b1 (l + e_l) + b2 (v + e_v) = g (ctrl + (b1 e_l + b2 e_v) / g) + b0 + b1 l + b2 v; for a
-        position actuator that is ctrl - e_l - (kv / kp) e_v. The servos of a ball joint measure its rotation vector, so
-        there the error is one of it.
+        position actuator that is ctrl - e_l - (kv / kp) e_v. The servos of a ball joint measure its rotation vector,
+        and e_l is an error of that.
         """
         length, velocity = self.velocities(noise.position), self.velocities(noise.velocity)
         return (self._bias[1] * length + self._bias[2] * velocity) / self._gain
 
     def direct_controls(self, generalised: Floats, out: Floats | None = None) -> Floats:
-        """Controls ``(nu,)`` of drives made direct by `make_direct`, for generalised forces ``(nv,)``."""
+        """Controls ``(nu,)`` of direct drives (`make_direct`) for generalised forces ``(nv,)``."""
         return np.add(self._allocation(generalised), self._idle, out)
 
     def free_controls(self, model: mujoco.MjModel) -> None:
-        """Let the drives in a model take any control: a servo's range is one of positions, and forces are on top.
+        """Remove the control ranges of the driving actuators in a model; their force ranges stay.
 
-        What is fed forward shifts the control by tau / kp, off the range where a joint is near its limit. The range of
-        forces stays.
+        The range of a servo is one of positions, and feedforward shifts the control by tau / kp, out of that range near
+        a joint limit.
         """
         model.actuator_ctrllimited[self.driving] = 0
 
     def make_direct(self, model: mujoco.MjModel) -> None:
-        """Let the drives in a model exert their controls, with the same force limits."""
+        """Make the driving actuators of a model direct drives, which exert their controls; force limits stay."""
         model.actuator_gainprm[self.driving, 0] = 1.0
         model.actuator_biasprm[self.driving, :3] = 0.0
         self.free_controls(model)
 
 
 class _Product:
-    """Products of a matrix with vectors along the last axis, each rounded as it is alone, however many there are.
+    """Products of a matrix with vectors along the last axis; each is bit-identical to the product with one vector.
 
-    Where every row has one entry, as of drives that move one joint each, the product is a choice among the vector's.
+    If each row has a single entry, as for drives that move one joint each, the product only selects entries.
     """
 
     def __init__(self, matrix: Floats) -> None:

@@ -15,7 +15,7 @@ from lieednn_sim.errors import InputError
 from lieednn_sim.validation import as_floats, as_positive, as_seed
 from lieednn_sim.values import Floats, check_fields
 
-# Measurements whose errors are drawn at once.
+# Number of measurements whose errors are drawn at once.
 _AHEAD = 256
 
 
@@ -102,7 +102,7 @@ class Disturbances:
 
 
 class Pushes:
-    """Applies pushes to a plant. They log ``push_force`` ``(K, B, 3)`` on each of the B pushed bodies, world frame."""
+    """Applies pushes to a plant; logs ``push_force`` ``(K, B, 3)`` on each of the B pushed bodies, world frame."""
 
     def __init__(self, arm: Arm, model: mujoco.MjModel, pushes: tuple[Push, ...]) -> None:
         self._pushes = [(push, push.body_id(arm, model)) for push in pushes]
@@ -115,7 +115,7 @@ class Pushes:
         applied, now = np.zeros((len(steps), *self._shape)), self._timestep * np.array(steps)
         half = 0.5 * self._timestep
         for push, body in self._pushes:
-            # Halfway between steps, so that rounding of the times does not decide.
+            # Compared halfway between steps, so that rounding of the times does not matter.
             applied[(push.start - half < now) & (now < push.end - half), body, :3] += push.force
         return applied
 
@@ -159,7 +159,7 @@ class Sensors:
         measured = (tangent_basis(arm) != 0.0).any(axis=1)
         self._deviations = np.outer([disturbances.position_noise, disturbances.velocity_noise], measured)
         self.noisy = bool(self._deviations.any())
-        # To add negative zeros changes no bit.
+        # Adding negative zeros changes no bit.
         self._none = Noise(-np.zeros(len(measured)), -np.zeros(len(measured)), present=False)
         self.reset()
 
@@ -172,7 +172,7 @@ class Sensors:
         return next(self._sequence) if self.noisy else self._none
 
     def first(self, count: int) -> Noise:
-        """Errors ``(m, nv)`` of the first measurements after a reset, which are drawn all the same."""
+        """Errors ``(m, nv)`` of the first measurements after a reset; does not advance the sequence."""
         errors = self._errors(np.random.default_rng(self._seed), count) if self.noisy else self._deviations[None]
         return Noise(errors[:, 0], errors[:, 1], present=self.noisy)
 
@@ -182,7 +182,7 @@ class Sensors:
     def _draws(self) -> Iterator[Noise]:
         rng = np.random.default_rng(self._seed)
         while True:
-            # Pairs of rows, not rows that are pairs: to unpack an array takes five times as long as all the rest.
+            # Two arrays of rows: unpacking rows that are pairs would take five times as long as everything else.
             yield from map(Noise, *np.moveaxis(self._errors(rng, _AHEAD), 1, 0))
 
 

@@ -1,4 +1,4 @@
-"""Many motions at once: the states of rollouts whose controls are known beforehand, by `mujoco.rollout` in threads."""
+"""Many motions at once: states of rollouts with known controls, by `mujoco.rollout` in threads."""
 
 from __future__ import annotations
 
@@ -33,17 +33,17 @@ _PUSHES = mujoco.mjtState.mjSTATE_XFRC_APPLIED
 
 @frozen
 class Rollouts:
-    """States of B rollouts at the same K times; each has the bits of its `Rollout`, held for as long as the longest.
+    """States of B rollouts at the same K times, each bit-identical to its `Rollout`; all last as long as the longest.
 
     Attributes:
-        arm: what was simulated.
-        motions: what was followed.
+        arm: the simulated arm.
+        motions: the motions that were followed.
         t: ``(K,)`` [s].
         q: ``(B, K, n)`` joint coordinates [rad, m]; NaN where a simulation failed.
         qd: ``(B, K, n)`` their rates [rad/s, m/s].
         ctrl: ``(B, K, nu)`` actuator controls.
-        failures: why a simulation failed, by its number.
-        settings: what `simulate` takes besides arm, motion and hold.
+        failures: reasons of failed simulations, by index.
+        settings: arguments of `simulate` other than arm, motion and hold.
     """
 
     arm: Arm
@@ -63,7 +63,7 @@ class Rollouts:
         return f"<Rollouts of {self.arm.name}: {len(self)} of {self.t[-1]:g} s, {len(self.failures)} failed>"
 
     def rollout(self, index: int) -> Rollout:
-        """One of them with all that a log holds, simulated again; raises the `SimulationError` of one that failed."""
+        """One rollout with its whole log, simulated again; raises `SimulationError` if it failed."""
         motion = self.motions[index]
         return simulate(self.arm, motion, hold=self.t[-1] - as_motion(self.arm, motion).t[-1], **self.settings)
 
@@ -79,17 +79,17 @@ def simulate_many(
     disturbances: Disturbances | None = None,
     threads: int | None = None,
 ) -> Rollouts:
-    """Follow many motions, each as `simulate` does, and keep the states; all end at the same time.
+    """Follow many motions, as `simulate` follows one, and keep their states; all end at the same time.
 
     Args:
         arm: the arm; its model is not changed.
         motions: sampled at the model's time step; or plans that hold them.
-        controller: one whose controls follow from the reference alone.
-        hold: time after the end of the longest motion [s]; the others are held for longer.
-        mass_scale: as of `simulate`.
-        reference_rate: as of `simulate`.
-        disturbances: of each rollout.
-        threads: by default as many as there are processors.
+        controller: name of a controller whose controls follow from the reference alone.
+        hold: time simulated after the end of the longest motion [s]; the others are held longer.
+        mass_scale: as for `simulate`.
+        reference_rate: as for `simulate`.
+        disturbances: disturbances of each rollout.
+        threads: number of threads, by default that of processors.
 
     Raises:
         InputError: there are no motions, one does not fit the model, or the controller needs the state.
@@ -112,7 +112,7 @@ def simulate_many(
         if hasattr(own, "simulation"):
             own.reference.become(reference)
         else:
-            # A controller asks a model much that is the same for every motion.
+            # Once per thread: setting up a controller takes long and is the same for every motion.
             own.reference, own.driver = reference, make(bare, reference)
             plant = make_plant(bare, changes, own.driver.add_bodies if own.driver.adds_bodies else None)
             own.driver.equip(plant)
@@ -151,7 +151,7 @@ def simulate_many(
 
 
 def _failure(arm: Arm, motion: Motion, total: int, settings: dict[str, Any]) -> str:
-    """What `simulate` says of a rollout that fails."""
+    """The error message of `simulate` for a rollout that fails."""
     try:
         simulate(arm, motion, hold=arm.timestep * (total - len(motion.t)), **settings)
     except SimulationError as error:

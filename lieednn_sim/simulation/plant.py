@@ -1,4 +1,4 @@
-"""The model that is simulated: the arm's own, with what a controller adds to it and what a disturbance changes."""
+"""The simulated model: the arm's own, with the bodies of a controller and the changes by disturbances."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.simulation.disturbances import Disturbances
 
 _PAYLOAD = "unknown_payload"
-# The payload is a ball of steel [kg/m^3], so that it has the inertia of something.
+# Density of steel: the payload has the inertia of a steel ball [kg/m^3].
 _DENSITY = 7850.0
 
 
@@ -24,8 +24,8 @@ def make_plant(
 
     Args:
         arm: the arm; neither its model nor its spec is changed.
-        disturbances: of these, payload and mass scale; gravity compensation stays that of the arm without them.
-        add_bodies: called with a copy of the arm's spec, to add bodies behind the arm's.
+        disturbances: only payload and mass scale are used; gravity compensation stays that of the arm without them.
+        add_bodies: called with a copy of the arm's spec, to add bodies after the arm's.
     """
     changes = Disturbances() if disturbances is None else disturbances
     if add_bodies is None and changes.payload == 0.0:
@@ -37,7 +37,7 @@ def make_plant(
         if changes.payload > 0.0:
             _add_payload(spec, arm, changes.payload)
         plant = spec.compile()
-        # The compiler derives servo damping from the inertia, and would know of the payload.
+        # The compiler derives servo damping from the inertia, which would include the payload.
         plant.actuator_gainprm[:], plant.actuator_biasprm[:] = arm.model.actuator_gainprm, arm.model.actuator_biasprm
     if changes.mass_scale != 1.0:
         known = np.array([plant.body(i).name != _PAYLOAD for i in range(plant.nbody)])
@@ -49,7 +49,7 @@ def make_plant(
 
 
 def _add_payload(spec: Any, arm: Arm, mass: float) -> None:
-    """A ball fixed to the end effector's frame; it touches nothing and is not compensated."""
+    """Add a ball at the end effector's frame, without collisions and gravity compensation."""
     site = spec.site(arm.model.site(int(arm.site_ids[-1])).name)
     radius = (3.0 * mass / (4.0 * np.pi * _DENSITY)) ** (1.0 / 3.0)
     site.parent.add_body(

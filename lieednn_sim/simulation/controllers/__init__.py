@@ -1,4 +1,4 @@
-"""The controllers by name, those of others among them."""
+"""All controllers by name, including those of other packages."""
 
 from __future__ import annotations
 
@@ -34,20 +34,20 @@ REGISTRY = Registry("controller", CONTROLLERS, _controller)
 
 
 def register_controller(name: str) -> Callable[[_Make], _Make]:
-    """Decorate a `Controller` to be known by name, to `simulate`, `compare` and the command line.
+    """Decorator that registers a `Controller` by name for `simulate`, `compare` and the command line.
 
-    It is made from an arm and a reference; a function that returns one will do. What it does is checked at every step:
-    it may set controls, finite ones, and mocap bodies, but neither the state nor forces. Worker processes and the
-    command line know what an installed package names in its entry points:
+    It is made from an arm and a reference; a function that returns one is also accepted. Its actions are checked at
+    every step: it may set finite controls and mocap bodies, but neither the state nor forces. Worker processes and the
+    command line find controllers that an installed package names in its entry points:
 
         [project.entry-points."lieednn_sim.controllers"]
         my-controller = "my_package.my_module:MyController"
 
     Args:
-        name: in small letters, digits and hyphens.
+        name: lower-case letters, digits and hyphens.
 
     Raises:
-        InputError: the name is malformed or taken, or what is decorated makes nothing.
+        InputError: the name is malformed or taken, or the decorated object is not callable.
     """
 
     def register(make: _Make) -> _Make:
@@ -58,8 +58,8 @@ def register_controller(name: str) -> Callable[[_Make], _Make]:
 
 
 def controllers() -> Mapping[str, Callable[[Arm, Reference], Controller]]:
-    """All controllers by name: `CONTROLLERS`, with those of the entry points of installed packages.
+    """All controllers by name: `CONTROLLERS`, and those of the entry points of installed packages.
 
-    Of one that cannot be loaded a warning names the package, and it is left out.
+    Those that cannot be loaded are left out, with a warning that names the package.
     """
     return REGISTRY.all()

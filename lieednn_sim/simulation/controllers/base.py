@@ -1,7 +1,7 @@
-"""Controllers: what drives the arm so that it follows a reference.
+"""Controllers, which drive the arm along a reference.
 
-A controller may need other drives than the arm's model has, so each changes the plant that is simulated. What it knows
-of the dynamics is the arm's model; the plant may have other masses.
+A controller may need other drives than the arm's model has, so it may change the simulated plant. It knows the dynamics
+of the arm's model; the plant may have other masses.
 """
 
 from __future__ import annotations
@@ -21,18 +21,18 @@ from lieednn_sim.simulation.disturbances import Noise
 from lieednn_sim.simulation.reference import Foreseen, Reference, runs
 from lieednn_sim.values import Floats
 
-# By the part of MuJoCo's state which it sets, each with steps along the first axis.
+# Inputs by the part of MuJoCo's state that they set, each with steps along the first axis.
 Inputs = dict[mujoco.mjtState, Floats]
 
-# Natural frequency w of the computed-torque loop [rad/s], that is 10 Hz; critically damped.
+# Natural frequency w of the computed-torque loop, 10 Hz [rad/s]; it is critically damped.
 _OMEGA = 2.0 * np.pi * 10.0
 
 
 class Controller(ABC):
-    """Drives one rollout along a reference, of which it reads what is known, and may log channels of its own.
+    """Drives a rollout along the known part of a reference, and may log channels of its own.
 
     Attributes:
-        adds_bodies: whether `add_bodies` does anything; a plant without new bodies need not be compiled again.
+        adds_bodies: whether `add_bodies` does anything; otherwise the plant need not be compiled again.
         channel_units: see `ChannelSource`.
     """
 
@@ -46,11 +46,11 @@ class Controller(ABC):
         """Give the compiled plant the drives that the controller needs."""
 
     def inputs(self, steps: range, noise: Noise) -> Inputs | None:
-        """What `act` would set at some steps, where that follows from the reference alone; None where it does not.
+        """What `act` would set at some steps if it follows from the reference alone; otherwise None.
 
         Args:
-            steps: m of them.
-            noise: errors of their measurements ``(m, nv)``.
+            steps: m steps.
+            noise: errors of the measurements at these steps, ``(m, nv)``.
         """
         return None
 
@@ -58,7 +58,7 @@ class Controller(ABC):
     def act(self, data: mujoco.MjData, step: int, noise: Noise) -> None:
         """Set the controls of a step.
 
-        Called before the step; of ``data`` only time, qpos and qvel belong to it, what follows from them does not yet.
+        Called before the step: time, qpos and qvel in ``data`` are those of this step, derived values are not yet.
         """
 
     def sample(self, data: mujoco.MjData) -> Floats:
@@ -71,7 +71,7 @@ class Controller(ABC):
 
 
 class DriveController(Controller):
-    """What controllers with joint drives share: the arm's own drives, as they are."""
+    """Base class of controllers that use the arm's own drives."""
 
     def __init__(self, arm: Arm, reference: Reference) -> None:
         self._actuators = Actuators(arm)
@@ -79,7 +79,7 @@ class DriveController(Controller):
 
 
 class FeedforwardServo(DriveController):
-    """A servo whose controls follow from the reference alone, but for what the sensors get wrong.
+    """A servo whose controls follow from the reference alone, apart from sensor errors.
 
     Raises:
         InputError: the arm is not driven by position actuators on joints or fixed tendons.
@@ -96,7 +96,7 @@ class FeedforwardServo(DriveController):
 
     @abstractmethod
     def controls(self, steps: range) -> Floats:
-        """Controls ``(m, nu)`` of some steps, whose states are measured without error."""
+        """Controls ``(m, nu)`` of some steps, if states are measured without error."""
 
     def inputs(self, steps: range, noise: Noise) -> Inputs:
         """See `Controller`."""
@@ -115,9 +115,9 @@ class FeedforwardServo(DriveController):
 class PositionServo(FeedforwardServo):
     """Position actuators with velocity feedforward: ctrl = q_ref + (kv / kp) qd_ref, per unit gear.
 
-    A position actuator pulls with kp (ctrl - q) - kv qd, so without the second term it lags a moving reference by
-    kv / kp seconds; the damping of the joints themselves, which the model knows, is fed forward with it. The velocity
-    is taken one step ahead of the position, because implicitfast damps with the velocity at the end of the step.
+    A position actuator exerts kp (ctrl - q) - kv qd, so without the second term it would lag a moving reference by
+    kv / kp seconds. The joint damping of the model is compensated in the same way. The velocity is that of the next
+    step, since the integrator implicitfast damps with the velocity at the end of the step.
 
     Raises:
         InputError: the arm is not driven by position actuators on joints or fixed tendons.
@@ -138,8 +138,8 @@ class PositionServo(FeedforwardServo):
 class InverseDynamicsServo(FeedforwardServo):
     """The position servo with the forces of the reference fed forward: ctrl = q_ref + (kv qd_ref + tau) / kp.
 
-    tau is what MuJoCo's inverse dynamics asks for, discretised as the integrator is, so a plant equal to the model
-    follows to rounding. Feedback is the servo's own.
+    tau is the result of MuJoCo's inverse dynamics, discretised like the integrator, so a plant equal to the model
+    follows the reference up to rounding. Feedback is that of the servo.
 
     Raises:
         InputError: the arm is not driven by position actuators on joints or fixed tendons.
@@ -154,7 +154,7 @@ class InverseDynamicsServo(FeedforwardServo):
         reference = self._reference
         rows = reference.rows(steps)
         qpos, (velocity, acceleration) = reference.qpos[rows], reference.rates_at(rows)
-        # A reference that rests, or is held, asks for the same again.
+        # Equal rows, as of a reference that rests or is held, are computed once.
         firsts, run = runs(np.hstack([qpos, velocity, acceleration]))
         inverse, forces = self._inverse, np.empty((len(firsts), velocity.shape[1]))
         position, rate, change = inverse.qpos, inverse.velocity, inverse.acceleration
@@ -167,8 +167,8 @@ class InverseDynamicsServo(FeedforwardServo):
 class ComputedTorque(DriveController):
     """Torque drives with feedback linearisation: tau = ID(q, qd, a_ref + 2 w (v_ref - qd) + w^2 (q_ref - q)).
 
-    The plant's actuators become direct drives with the same force limits; w is 2 pi 10 Hz. The difference of positions
-    is the velocity that leads from one to the other in unit time. q and qd are measured.
+    The plant's actuators become direct drives with the same force limits; w is 2 pi 10 Hz. The difference of two
+    positions is the velocity that leads from one to the other in unit time. q and qd are measured values.
 
     Raises:
         InputError: the arm's actuators are not on joints or fixed tendons.
@@ -181,7 +181,7 @@ class ComputedTorque(DriveController):
         self._actuators.make_direct(self._model)
         self._foreseen = Foreseen(reference, self._goals)
         self._turning = arm.model.nq > arm.model.nv
-        # Of velocity and position. Arrays are multiplied by arrays in half the time that they are by numbers.
+        # Gains of velocity and position, as arrays: multiplying by numbers takes twice as long.
         self._gains = np.full((2, arm.model.nv), [[2.0 * _OMEGA], [_OMEGA**2]])
         self._errors = np.empty_like(self._gains)
         self._lag, self._error = self._errors
@@ -191,9 +191,9 @@ class ComputedTorque(DriveController):
         self._actuators.make_direct(plant)
 
     def _goals(self, steps: range) -> list[tuple[Floats, ...]]:
-        """Positions, velocities and accelerations to be at some steps."""
+        """Wanted positions, velocities and accelerations at some steps."""
         rows = self._reference.rows(steps)
-        # An array takes longer to be unpacked than a tuple.
+        # Tuples are faster to unpack than arrays.
         return list(zip(self._reference.qpos[rows], *self._reference.rates_at(rows), strict=True))
 
     def act(self, data: mujoco.MjData, step: int, noise: Noise) -> None:
@@ -202,7 +202,7 @@ class ComputedTorque(DriveController):
         goal, velocity, acceleration = self._foreseen[step]
         np.add(data.qvel, noise.velocity, inverse.velocity)
         if self._turning:
-            # Without noise quaternions are made of unit length all the same.
+            # Even without noise this normalises quaternions.
             inverse.qpos[:] = data.qpos
             mujoco.mj_integratePos(self._model, inverse.qpos, noise.position, 1.0)
             mujoco.mj_differentiatePos(self._model, error, 1.0, inverse.qpos, goal)
@@ -218,13 +218,14 @@ class ComputedTorque(DriveController):
 
 
 class _InverseDynamics:
-    """Joint forces that the drives must exert, in the discrete time of the model's integrator.
+    """Joint forces required of the drives, in the discrete time of the model's integrator.
 
     Attributes:
-        model: a copy of its own.
-        qpos: ``(nq,)`` to be set, like the next two; views are held, for to ask for them takes as long as to fill them.
-        velocity: ``(nv,)``.
-        acceleration: ``(nv,)``.
+        model: a copy of the model.
+        qpos: ``(nq,)`` positions, to be set by the user, like the next two. These views are kept, since asking MuJoCo
+            for one takes as long as filling it.
+        velocity: ``(nv,)`` velocities.
+        acceleration: ``(nv,)`` accelerations.
     """
 
     def __init__(self, model: mujoco.MjModel) -> None:
@@ -235,6 +236,6 @@ class _InverseDynamics:
         self._force = self._data.qfrc_inverse
 
     def force(self) -> Floats:
-        """Joint forces ``(nv,)`` of what was set, until the next call."""
+        """Joint forces ``(nv,)`` for the present values; overwritten by the next call."""
         mujoco.mj_inverse(self.model, self._data)
         return self._force

@@ -1,4 +1,4 @@
-"""Somebody's controller, held against what every controller promises."""
+"""Checks of controllers from other packages."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ from lieednn_sim.simulation.disturbances import Noise
 from lieednn_sim.simulation.reference import Reference
 from lieednn_sim.values import Floats
 
-# What moves the arm without its drives.
+# Arrays that would move the arm without its drives.
 _NOT_ITS_OWN = ("qpos", "qvel", "qfrc_applied", "xfrc_applied")
 
 
 class CheckedController(Controller):
-    """A controller of others: what it raises is a `SimulationError`, and so is what it may not do.
+    """A controller from another package; its exceptions, and forbidden actions, become a `SimulationError`.
 
     Args:
-        name: of the controller.
-        make: makes it.
-        arm: to drive.
-        reference: to follow.
+        name: name of the controller.
+        make: function that makes the controller.
+        arm: arm to drive.
+        reference: reference to follow.
 
     Raises:
-        SimulationError: that fails, or makes no controller.
+        SimulationError: ``make`` fails, or returns no controller.
     """
 
     def __init__(self, name: str, make: Callable[[Arm, Reference], Controller], arm: Arm, reference: Reference) -> None:

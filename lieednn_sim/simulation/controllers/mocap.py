@@ -1,4 +1,4 @@
-"""The arm led by mocap bodies: one for each link frame, welded to it, in place of the drives."""
+"""Arms led by mocap bodies instead of drives: one for each link frame, welded to it."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from lieednn_sim.simulation.quaternions import quaternions
 from lieednn_sim.simulation.reference import AHEAD, Foreseen, Reference, runs
 from lieednn_sim.values import Floats
 
-# Reference acceleration of the welds: time constant T [s] and damping ratio zeta; impedance d of the soft constraint.
+# Reference acceleration of the welds: time constant T [s] and damping ratio zeta; and the impedance of the constraint.
 _TIME_CONSTANT = 0.01
 _DAMPING_RATIO = 1.0
 _IMPEDANCE = (0.9999, 0.9999, 0.001, 0.5, 2.0)
@@ -28,13 +28,13 @@ _EQUALITY = int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
 
 
 class MocapWelds(Controller):
-    """Mocap bodies on the reference's link frames, welded to the arm's; the drives are idle.
+    """Mocap bodies at the reference's link frames, welded to those of the arm; the drives are idle.
 
-    The reference's poses are those of joint positions, so the welds ask for nothing that the joints cannot do. A mocap
-    body has no velocity, and a weld with time constant T and damping ratio zeta follows it 2 T zeta^2 late: the bodies
-    run ahead by as much. There is no feedback of joints, so no sensor noise either.
+    The reference's poses are those of joint positions, so the joints can meet them. A mocap body has no velocity, and a
+    weld with time constant T and damping ratio zeta follows it with a delay of 2 T zeta^2, by which the bodies run
+    ahead. There is no joint feedback, and hence no sensor noise.
 
-    They log ``weld_force`` and ``weld_torque`` ``(K, N)``, between each link and its mocap body.
+    Logged channels: ``weld_force`` and ``weld_torque`` ``(K, N)``, between each link and its mocap body.
     """
 
     adds_bodies = True
@@ -77,7 +77,7 @@ class MocapWelds(Controller):
         plant.actuator_gainprm[idle], plant.actuator_biasprm[idle] = 0.0, 0.0
 
     def mocap_poses(self, steps: range) -> Floats:
-        """Where the reference will be after the lead: positions and quaternions ``(m, N, 7)`` at some steps."""
+        """Link frames of the reference a lead ahead of some steps: positions and quaternions ``(m, N, 7)``."""
         model, scratch, sites = self._arm.model, self._scratch, self._arm.site_ids
         qpos = self._reference.ahead(steps, self._lead)
         firsts, run = runs(qpos)
@@ -93,20 +93,20 @@ class MocapWelds(Controller):
     def inputs(self, steps: range, noise: Noise) -> Inputs:
         """See `Controller`."""
         poses = np.tile(self._rest, (len(steps), 1, 1))
-        # Frames of all sites are in memory for some steps only.
+        # In parts, since frames of all sites are computed.
         for begin in range(0, len(steps), AHEAD):
             some = slice(begin, begin + AHEAD)
             poses[some, self._ids] = self.mocap_poses(steps[some])
         return {mujoco.mjtState.mjSTATE_MOCAP_POS: poses[..., :3], mujoco.mjtState.mjSTATE_MOCAP_QUAT: poses[..., 3:]}
 
     def act(self, data: mujoco.MjData, step: int, noise: Noise) -> None:
-        """Place the mocap bodies where the reference will be after the lead."""
+        """Place the mocap bodies at the reference a lead ahead."""
         poses = self._foreseen[step]
         data.mocap_pos[self._ids], data.mocap_quat[self._ids] = poses[:, :3], poses[:, 3:]
 
     def sample(self, data: mujoco.MjData) -> Floats:
-        """Forces ``(6 N,)`` of the welds' rows, as MuJoCo's solver has them."""
-        # Equalities come first among the constraints, and stay where they are while none is switched on or off.
+        """Constraint forces ``(6 N,)`` of the welds' rows in MuJoCo's solver."""
+        # Equalities are the first constraints, in the same rows until one is switched on or off.
         if data.ne != self._equalities:
             self._equalities = data.ne
             of_weld = (data.efc_type == _EQUALITY) & (data.efc_id == self._welds[:, None])
@@ -123,16 +123,16 @@ class MocapWelds(Controller):
         """See `ChannelSource`."""
         wrench = samples.reshape(-1, len(self._welds), 6)
         force, torque = (np.sqrt(np.vecdot(part, part)) for part in (wrench[:, :, :3], wrench[:, :, 3:]))
-        # The angular rows measure half the angle's sine: what they exert is half a torque.
+        # The angular rows measure the sine of half the angle, so a torque is half their force.
         return force, 0.5 * torque
 
 
 class DeadbeatWelds(MocapWelds):
-    """The same with welds that reach their mocap bodies within one step.
+    """As `MocapWelds`, with welds that reach their mocap bodies within one step.
 
-    With solref (2 h, 1/2) a weld's reference acceleration is -r/h^2 - v/h at the distance r, so the step
-    v' = v + h a = -r/h ends on the body, which stands where the reference is one step later. A jump of the bodies
-    is followed at once, with forces of its size: a reference that is held between samples is refused.
+    With solref (2 h, 1/2) a weld's reference acceleration at the distance r is -r/h^2 - v/h, so the step
+    v' = v + h a = -r/h ends at the body, which is where the reference will be one step later. Jumps of the bodies are
+    followed at once, with proportional forces; hence references held between samples are refused.
 
     Raises:
         InputError: the reference is held.
