@@ -1,15 +1,15 @@
-"""Straightened ways through nearly singular postures, where poses hardly determine the coordinates of a joint.
+"""Straightened ways through nearly singular postures, in which poses hardly determine the coordinates of a joint.
 
-When the first and third of four hinges in one link come into line, the pose determines only the sum of their angles.
-To follow a way of poses that passes close by exactly, the hinges would turn abruptly, at any speed and to any angle.
-There the coordinates minimise instead
+When the first and third of four hinges in one link align, the pose determines only the sum of their angles. To follow
+exactly a way of poses that passes close by, the hinges would turn abruptly, at any speed and to any angle. There the
+coordinates minimise instead
 
     sum_k f_k(q_k) + sum_k w_k ||q_{k+1} - 2 q_k + q_{k-1}||^2,     w_k = v^2 (r n_k)^4 (1 - s_k^2 / v^2)_+^4
 
-with the distance f_k of the poses (`nearest`), the least singular value s_k of the poses' Jacobian, the threshold v
-below which it counts as small, the length n_k of the stretch of samples where it is small, and r, the least share of a
-stretch that is straightened. The weights fall off steeply enough for the way to join the exact one without a kink. The
-deviation from the poses is part of the gap.
+where f_k is the distance of the poses (`nearest`), s_k the least singular value of their Jacobian, v the threshold
+below which it counts as small, n_k the length of the stretch of samples where it is small, and r the least share of a
+stretch that is straightened. The weights vanish smoothly at the ends of a stretch, so the way joins the exact one
+without a kink. The deviation from the poses is part of the gap.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 from lieednn_sim.arm.kinematics import distinctness
 from lieednn_sim.values import Floats
 
-# v, for a Jacobian with columns of unit length, and r. Smaller values follow the poses more closely, and turn the
-# hinges more. With these, 0.3 mm beside a pose where the posture changes by 1 rad/s, they turn by 5 mrad at 2 rad/s^2.
+# v, for a Jacobian with columns of unit length, and r. With smaller values poses are followed more closely, and hinges
+# turn more. With these, 0.3 mm beside a pose where the posture changes by 1 rad/s, they turn by 5 mrad at 2 rad/s^2.
 VAGUE, _SHARE = 0.15, 0.05
 _STEPS, _SHORT = 30, 1e-9
 
@@ -32,9 +32,9 @@ _Evaluate = Callable[[Floats], tuple[Floats, Floats]]
 
 
 def vagueness(jacobian: Floats) -> Floats:
-    """The share s / v ``(B,)`` of Jacobians ``(B, r, c)``; where it is 1 or more, a lower bound that is 1 or more."""
+    """The ratio s / v ``(B,)`` for Jacobians ``(B, r, c)``; if it is at least 1, only a lower bound that is, too."""
     columns = jacobian / np.maximum(np.linalg.norm(jacobian, axis=-2, keepdims=True), 1e-300)
-    # The eigenvalues of the Gram matrix, whose diagonal is 1, are within Gershgorin's discs around 1. For nearly all
+    # The eigenvalues of the Gram matrix, which has a unit diagonal, lie in Gershgorin's discs around 1. For nearly all
     # postures that bound suffices.
     others = np.abs(np.swapaxes(columns, -1, -2) @ columns).sum(axis=-1).max(axis=-1) - 1.0
     share = np.sqrt(np.maximum(1.0 - others, 0.0)) / VAGUE
@@ -46,13 +46,13 @@ def vagueness(jacobian: Floats) -> Floats:
 def bridge(
     evaluate: _Evaluate, exact: Floats, guess: Floats, share: Floats, goal: Floats
 ) -> tuple[Floats, NDArray[np.bool_]]:
-    """Coordinates ``(K, c)`` along one way, and which of them ``(K,)`` do not minimise the distance alone.
+    """Coordinates ``(K, c)`` along a way, and which of them ``(K,)`` are straightened.
 
     Args:
         evaluate: maps coordinates ``(B, c)`` to stacked poses ``(B, r)`` and their Jacobian ``(B, r, c)``.
-        exact: ``(K, c)`` coordinates that minimise the distance of each sample.
-        guess: ``(K, c)`` coordinates near these that continue straight on.
-        share: ``(K,)`` their `vagueness`.
+        exact: ``(K, c)`` coordinates that minimise the distance at each sample.
+        guess: ``(K, c)`` coordinates near these that go straight on.
+        share: ``(K,)`` `vagueness` at the samples.
         goal: ``(K, r)`` stacked poses of the way.
     """
     vague = share < 1.0

@@ -1,6 +1,6 @@
 """Joints whose nearest posture has a closed form: one screw, a hinge and a slide, three slides below a ball joint.
 
-Except for the first, nearest means as in `nearest.NearestPose`: least 4 sin^2(angle / 2) + ||shift||^2 / length^2.
+Except for the first, the distance is that of `nearest.NearestPose`, 4 sin^2(angle / 2) + ||shift||^2 / length^2.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from lieednn_sim.arm.kinematics import CompoundJoint
 from lieednn_sim.lie import exp, hat, left_jacobian_so3, rotations, spatial_twist
 from lieednn_sim.values import Floats
 
-# Most Newton steps to the multiplier; they increase monotonically, and converge quadratically.
+# Largest number of Newton steps to the multiplier, which converge monotonically and quadratically.
 _SECULAR_STEPS = 50
-# Relative size below which a curvature counts as zero.
+# Relative curvature below which it counts as zero.
 _FLAT = 1e-12
 
 
@@ -52,20 +52,21 @@ class MovingPoses:
 
 
 class HingeSlide:
-    """Rot(n, theta) Trans(s d), or the two factors swapped; several coupled stages make one direction s.
+    """Rot(n, theta) Trans(s d), or the two factors swapped; coupled stages together have one direction s.
 
-    With e = s / |s|, the best slide for an angle is the projection m(theta) = e . Rot(theta)^T p (of p itself where the
+    With e = s / |s|, the best slide for an angle is the projection m(theta) = e . Rot(theta)^T p (of p itself if the
     slide comes first). It remains to maximise a trigonometric polynomial of degree two,
 
         g(theta) = x cos theta + y sin theta + (m(theta) / length)^2,  m(theta) = a + b cos theta + c sin theta,
 
-    where tr(Rot(theta)^T R) = x cos theta + y sin theta + const. (cos, sin) turned by atan2(c, b) makes it a quadratic
-    form on the unit circle. Maximising it is a trust-region subproblem in the plane: the root of a secular equation
-    beyond the largest eigenvalue, where that is convex (More and Sorensen, SIAM J. Sci. Stat. Comput. 4(3), 1983).
+    where tr(Rot(theta)^T R) = x cos theta + y sin theta + const. Rotating (cos, sin) by atan2(c, b) turns it into a
+    quadratic form on the unit circle. Its maximisation is a trust-region subproblem in the plane, solved by a root of a
+    secular equation beyond the largest eigenvalue, where that is convex (More and Sorensen, SIAM J. Sci. Stat. Comput.
+    4(3), 1983).
 
-    The maximum is unique and smooth in the pose except where two angles are equally near (the cut locus: the rotation
-    is half a turn away from the joint's own, or a translation against the slide outweighs the rotation). There the
-    posture jumps; `motion.check_motion` rejects a motion that crosses it.
+    The maximum is unique and smooth in the pose except on the cut locus, where two angles are equally near: the
+    rotation is half a turn away from those of the joint, or a translation against the slide outweighs the rotation.
+    There the posture jumps; `motion.check_motion` rejects motions that cross it.
     """
 
     def __init__(self, joint: CompoundJoint, link: int, length: float) -> None:
@@ -100,7 +101,7 @@ class HingeSlide:
     def __call__(self, poses: MovingPoses, near: Floats | None = None) -> tuple[Floats, Floats | None]:
         """Displacements ``(..., 2)`` (angle, slide) and their rates by the implicit function theorem.
 
-        The rate is zero for an angle that the pose does not determine.
+        Angles that the pose does not determine get a rate of zero.
         """
         link = self.links[0]
         rotation = poses.rotation[..., link, :, :]
@@ -158,10 +159,10 @@ def _highest(p: Floats, q: Floats, b: Floats, c: Floats) -> Floats:
 
 
 class OneScrew:
-    """Exp(z q): the twist's orthogonal projection onto the line of z, with lengths in units of ``length``.
+    """Exp(z q): orthogonal projection of the twist onto the line of z, with lengths in units of ``length``.
 
-    It is nearest in the twist itself, so that there is no cut locus and a joint may turn any number of times. It agrees
-    with the nearest pose to second order in the residual.
+    Since the twist itself is projected, there is no cut locus, and a joint may turn any number of times. The result
+    agrees with the nearest pose to second order in the residual.
     """
 
     def __init__(self, joint: CompoundJoint, link: int, length: float) -> None:

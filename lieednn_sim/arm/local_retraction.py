@@ -1,7 +1,7 @@
-"""The retraction for states that arrive one after another in real time: Newton's method from the last posture.
+"""Retraction in real time, for states that arrive one after another: Newton's method from the last posture.
 
-`Retractor` finds the nearest posture wherever the poses are, in milliseconds; here it is near the last one. All links
-are computed at once: the given poses and those of all joints are the exponentials of one stack of twists. With
+`Retractor` finds the nearest posture to any poses, in milliseconds; here it is known to be near the last one. All links
+are computed at once: the given poses and those of all joints are the exponentials of one stack of twists. For
 T = M_1 ... M_F over a link's joints with twists Z_f, the derivatives of T are M_1 ... Z_f M_f ... M_F.
 """
 
@@ -19,13 +19,13 @@ from lieednn_sim.arm.kinematics import Factor
 from lieednn_sim.lie import hat, skew
 from lieednn_sim.values import Floats
 
-# Steps are taken, at most eight, until one is shorter than this [rad, m]; the remaining error is about its square.
+# Size of the last step [rad, m], whose square is about the remaining error; and the largest number of steps.
 _SHORT, _MOST = 1e-3, 8
 # Step of the finite difference for rates [s].
 _AHEAD = 1e-6
-# Keeps coordinates that the poses do not determine where they are; relative to one radian and one unit of length.
+# Damping that keeps undetermined coordinates in place, relative to one radian and one unit of length.
 _DAMPING = 1e-12
-# The unit of length, in the network's, in which the squared entries of a pose have the weights of the metric.
+# Unit of length, in the network's unit, in which squared entries of a pose have the weights of the metric.
 _UNIT = np.sqrt(0.5)
 # Rows: the matrices hat(e_k) of the network's twists in that unit, flattened.
 _HAT = hat(np.diag(np.repeat([1.0, 1.0 / _UNIT], 3))).reshape(6, 16)
@@ -48,11 +48,11 @@ class LocalRetraction:
     def __init__(self, arm: Arm, q: Floats) -> None:
         joints = [_merged(joint.factors) for joint in arm.joints.joints]
         n_factors, links, n = max(map(len, joints)), len(joints), len(q)
-        # The most coordinates that each factor has in any link, and where they begin and end.
+        # The largest number of coordinates of each factor in any link, and where they begin and end.
         widths = [max(len(factors[f].indices) for factors in joints if f < len(factors)) for f in range(n_factors)]
         ends = np.cumsum([0, *widths])
         self._reference = arm.joints.reference
-        # Of all joints, the maps from displacements to twists, and the matrices Z of their coordinates.
+        # For all joints, the maps from displacements to twists, and the matrices Z of their coordinates.
         twists, turns = np.zeros((n_factors, links, 6, n)), np.zeros((links, 1 + ends[-1], 16))
         turns[:, 0] = _ONE
         chosen = np.zeros((links, n, ends[-1]))
@@ -63,21 +63,21 @@ class LocalRetraction:
                 each = np.concatenate(factor.twists(np.zeros(n)), axis=1) / arm.twist_units
                 twists[f, i][:, factor.indices] = each.T
                 if factor.kind == "ball":
-                    # About the body's axes, combined into those of the coordinates; valid while the ball is not turned.
+                    # About the body's axes, and combined into those of the coordinates; for the reference posture.
                     about = np.concatenate([np.eye(3), skew(factor.anchor).T], axis=1) / arm.twist_units @ _HAT
                     balls.append((f * links + i, i * len(turns[i]) + 1 + columns, about))
                     turns[i, 1 + columns], weights = about, factor.ratio * factor.axes.T
                 else:
                     turns[i, 1 + columns], weights = each @ _HAT, np.eye(len(columns))
-                # Which coordinates of q they are.
+                # Selects and combines the coordinates of q.
                 chosen[i][np.ix_(factor.indices, columns)] = weights
         self._twists = twists.reshape(-1, n)
         self._balls = [np.array(part) for part in zip(*balls, strict=True)]
         self._turns, self._chosen = turns.reshape(-1, 16), chosen
         self._stack = np.empty((2 + n_factors, links, 6))
         self._joints = self._stack[2:].reshape(-1)
-        # For each link M_1 ... M_f; below it, for each coordinate so far, the same with Z_k M_k in place of M_k; last,
-        # M_1 ... M_f Z_k for the coordinates of the next factor: one product with M_f+1 advances all of them.
+        # For each link M_1 ... M_f; below it, for each earlier coordinate, the same with Z_k M_k in place of M_k; last,
+        # M_1 ... M_f Z_k for the coordinates of the next factor. One product with M_f+1 advances all of them.
         turns = turns.reshape(links, -1, 4, 4)
         before = turns[:, : 1 + ends[1]].reshape(links, -1, 4)
         self._chain = []
@@ -91,7 +91,7 @@ class LocalRetraction:
         self._rows, self._damping = np.zeros((n + 2, 16 * links)), _DAMPING * np.eye(n)
         self._columns = self._rows[:n].reshape(n, links, 16).transpose(1, 0, 2)
         self._errors = self._rows[n:].reshape(2, links, 4, 4)
-        # Weights that sum squared entries to squares of the rotation's and the translation's gap.
+        # Weights that sum squared entries to the squared gaps of rotation and translation.
         rotation, translation = np.zeros((2, 4, 4))
         rotation[:3, :3], translation[:3, 3] = 0.5, (_UNIT * arm.length_scale) ** 2
         self._parts = np.stack([rotation, translation], axis=-1).reshape(16, 2)
@@ -106,7 +106,7 @@ class LocalRetraction:
     def __call__(self, xi: Floats, rate: Floats) -> tuple[Floats, Floats]:
         """Joint coordinates and their rates along ``rate``, both ``(n,)``, for a network state ``(N, 6)``; unchecked.
 
-        If the nearest posture is not near the last one, eight steps of Newton's method may not reach it.
+        If the nearest posture is far from the last one, eight steps of Newton's method may not reach it.
         """
         stack, rows, n = self._stack, self._rows, len(self.q)
         stack[0], stack[1] = xi, xi + _AHEAD * rate
@@ -137,7 +137,7 @@ class LocalRetraction:
 
 
 def _merged(factors: Sequence[Factor]) -> list[Factor]:
-    """Factors with consecutive slides merged: these commute, so that one exponential is enough."""
+    """Factors with consecutive slides merged; they commute, so one exponential is enough."""
     merged: list[Factor] = []
     for factor in factors:
         last = merged[-1] if merged else None

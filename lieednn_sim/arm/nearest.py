@@ -1,4 +1,4 @@
-"""Least squares on SE(3): the coordinates of a chain whose poses are nearest to given ones, for whole trajectories."""
+"""Least squares on SE(3): coordinates of a chain whose poses are nearest to given ones, also for whole trajectories."""
 
 from __future__ import annotations
 
@@ -15,54 +15,54 @@ from lieednn_sim.budget import check_time
 from lieednn_sim.lie import skew
 from lieednn_sim.values import Floats
 
-# Levenberg-Marquardt to get near, Newton to get exact: with a gap left, Gauss-Newton steps converge linearly only.
+# Levenberg-Marquardt steps to come close, then Newton steps: if a gap remains, Gauss-Newton converges only linearly.
 _DAMPED_STEPS, _NEWTON_STEPS = 40, 6
-# Steps [rad, m] below which Newton takes over.
+# Step size below which Newton's method takes over [rad, m].
 _NEAR = 1e-3
 _DAMPING, _DAMPING_FALL, _DAMPING_RISE = 1e-3, 0.2, 5.0
-# Newton steps [rad, m] whose square is rounding.
+# Size of a Newton step below which the next one, its square, is rounding [rad, m].
 _SETTLED = 1e-9
-# Share of the largest curvature that is taken for zero.
+# Curvatures below this share of the largest count as zero.
 _FLAT = 1e-9
-# Where this much of f is left there may be a lower minimum: it is looked for from the two best of 256 postures.
+# If f exceeds this at a minimum, there may be a lower one, which is searched for from the two best of 256 postures.
 _FAR, _POSTURES, _STARTS = 0.1, 256, 2
-# Relative difference of minima that are equal up to rounding; the first of them counts.
+# Relative difference below which minima count as equal; the first one is taken.
 _TIE = 1e-9
-# A way is followed in at least 64 strides, and in shorter ones where a coordinate moves more than this [rad, m]. Where
-# poses tell coordinates apart well, with a distinctness of twice `VAGUE` or more, strides are up to 4 times as long.
+# A way is followed in at least 64 strides, and shorter ones if a coordinate moves more than this [rad, m]. Where poses
+# determine the coordinates well, with a distinctness of at least twice `VAGUE`, strides may be 4 times as long.
 _STRIDES, _LONG = 64, 0.2
 _CLEAR, _LENGTHENED = 2.0 * VAGUE, 4
-# On the way the last posture is near already.
+# Damped steps on the way, where the last posture is close.
 _FOLLOWING_STEPS = 8
-# Strides that are leapt at most where poses hardly tell the coordinates apart.
+# Longest leap, in strides, over a part where poses hardly determine the coordinates.
 _LEAPS = 16
 
 
 class NearestPose:
     """Minimises f(q) = sum_i ||R_i(q) - R_i||_F^2 / 2 + ||p_i(q) - p_i||^2 / length^2 over a group of compound joints.
 
-    The first term is 4 sin^2(angle / 2), the chordal distance. The minimum is sought from the joints' own linearisation
-    at the reference; where f is above 0.1 there, also from the best of 256 postures spread over all angles, each with
-    its best slides, and the lowest is returned. That is a search, no proof: on universal joints, balls and telescopes
-    disturbed by 0.1 rad and m no dense search found a nearer posture, disturbed by 0.8 in 3 of 3850 poses one (by
-    at most 0.09 in the root of f; from the reference alone it would be 9 %, by at most 1.7).
+    The first term is 4 sin^2(angle / 2), the squared chordal distance. The minimum is searched for from the reference
+    posture. If f exceeds 0.1 there, it is also searched for from the best of 256 postures spread over all angles, each
+    with its best slides, and the lowest minimum is returned. This is a search, not a proof: for universal joints, balls
+    and telescopes, a dense search found no nearer posture for poses disturbed by 0.1 rad and m, and a nearer one for 3
+    of 3850 poses disturbed by 0.8 (by at most 0.09 in the root of f; from the reference alone for 9 %, by at most 1.7).
 
     Args:
         joints: the group.
-        indices: ``(c,)`` of its coordinates.
+        indices: ``(c,)`` indices of its coordinates in q.
         size: n, the length of q.
-        length: [m] that weighs as much as one radian.
+        length: length that weighs as much as one radian [m].
     """
 
     def __init__(self, joints: Sequence[CompoundJoint], indices: NDArray[np.int_], size: int, length: float) -> None:
         self._joints, self._indices, self._size = tuple(joints), indices, size
-        # Of the entries of [R, p].
+        # Weights of the entries of [R, p].
         self._weights = np.tile([np.sqrt(0.5)] * 3 + [1.0 / length], 3)
         turning = [factor.indices for joint in joints for factor in joint.factors if factor.kind != "slide"]
         self._sliding = ~np.isin(indices, np.concatenate([*turning, []]))
         factors = [factor for joint in joints for factor in joint.factors]
-        # For each joint: which of its r coordinates is which of the group's, ``(c, r)``, None where all are the same;
-        # and of pairs ``(r, r)`` 1 if the first is of a joint further in, 1/2 where both are of the same.
+        # For each joint: a selection matrix ``(c, r)`` of its r coordinates among the group's, or None if equal;
+        # and for pairs ``(r, r)`` of them 1 if the first belongs to an earlier factor, 1/2 if both to the same one.
         self._places = [
             None if np.array_equal(joint.coordinates, indices) else joint.selection(indices) for joint in joints
         ]
@@ -94,10 +94,10 @@ class NearestPose:
     def follow(self, rotation: Floats, translation: Floats, near: Floats) -> tuple[Floats, NDArray[np.bool_]]:
         """Displacements ``(K, ..., c)`` along ways of poses ``(K, ..., m, 3, 3)`` and ``(K, ..., m, 3)``.
 
-        The minimum next to ``near`` ``(..., c)``, then each time the one next to the last: where several postures have
-        the same poses, as the two of a wrist, the branch is kept, and hinges are counted beyond half a turn. Where the
-        poses hardly tell the coordinates apart they go straight on, see `bridging.bridge`; the second result says
-        where, ``(K, ...)``.
+        The first is the minimum next to ``near`` ``(..., c)``, each other one that next to its predecessor. So if
+        several postures have the same poses, as the two of a wrist, the branch is kept, and hinges may exceed half a
+        turn. Where poses hardly determine the coordinates, these go straight on, see `bridging.bridge`; the second
+        result says where, ``(K, ...)``.
         """
         goal = self._stack(rotation, translation).reshape(len(translation), -1, 12 * len(self._joints))
         q = np.empty((*goal.shape[:2], len(self._indices)))
@@ -136,7 +136,7 @@ class NearestPose:
         return exact.reshape(*translation.shape[:-2], len(self._indices)), bridged.reshape(translation.shape[:-2])
 
     def _leap(self, q: Floats, goal: Floats, known: list[int], longest: int) -> int:
-        """Go straight on from the last two postures to where poses tell coordinates apart; that sample, or zero."""
+        """Go straight on from the last two postures to where poses determine coordinates; returns that sample, or 0."""
         last = known[-1]
         if len(known) < 2:
             return 0
@@ -152,7 +152,7 @@ class NearestPose:
         return 0
 
     def _descend(self, q: Floats, goal: Floats, known: tuple[Floats, Floats] | None = None) -> Floats:
-        """Minima ``(B, c)`` next to starts ``(B, c)`` for stacked poses ``(B, 12m)``; ``known`` as of `_approach`."""
+        """Minima ``(B, c)`` next to starts ``(B, c)`` for stacked poses ``(B, 12m)``; ``known`` as in `_approach`."""
         q, _ = self._approach(q, goal, known=known)
         moving = np.arange(len(q))
         for _ in range(_NEWTON_STEPS):
@@ -166,9 +166,9 @@ class NearestPose:
     def _approach(
         self, q: Floats, goal: Floats, steps: int = _DAMPED_STEPS, known: tuple[Floats, Floats] | None = None
     ) -> tuple[Floats, tuple[Floats, Floats]]:
-        """Postures near these minima, by damped steps down to `_NEAR`, and what `_evaluate` gives there.
+        """Postures close to these minima, by damped steps down to `_NEAR`, and the result of `_evaluate` there.
 
-        It is given at ``q`` by ``known``, where that is known.
+        ``known`` is its result at ``q``, if available.
         """
         damping = np.full(len(goal), _DAMPING)
         values, jacobian = self._evaluate(q) if known is None else known
@@ -193,9 +193,9 @@ class NearestPose:
         return np.asarray(((self._evaluate(q)[0] - goal) ** 2).sum(axis=-1))
 
     def _starts(self, goal: Floats) -> Floats:
-        """The best postures ``(S, B, c)`` of a set for stacked poses ``(B, 12m)``."""
+        """The best postures ``(S, B, c)`` of a spread for stacked poses ``(B, 12m)``."""
         postures, values, slopes, inverse = self._spread
-        # Given the angles f is quadratic in the slides: what their best leaves is what a projection does.
+        # For given angles f is quadratic in the slides; its minimum is the residual of a projection.
         slides = np.tensordot(goal, inverse, axes=(1, 2)) - (inverse @ values[..., None])[..., 0]
         taken = np.einsum("bps,pst,bpt->bp", slides, np.swapaxes(slopes, -1, -2) @ slopes, slides)
         left = (values**2).sum(axis=-1) - 2.0 * goal @ values.T - taken
@@ -238,15 +238,15 @@ class NearestPose:
     def _newton_step(self, q: Floats, goal: Floats) -> Floats:
         gradient, inverse = self._quadratic(q, goal)
         step = (inverse @ gradient[..., None])[..., 0]
-        # Far from the minimum the quadratic model means nothing.
+        # Long steps are outside the range of the quadratic model.
         return np.where(np.abs(step).max(axis=-1, keepdims=True) < 0.1, step, 0.0)
 
     def _quadratic(self, q: Floats, goal: Floats) -> tuple[Floats, Floats]:
-        """The gradient ``(B, c)`` of f / 2, and its Hessian's pseudo-inverse: where no pose depends on q it stays.
+        """The gradient ``(B, c)`` of f / 2, and the pseudo-inverse of its Hessian: undetermined coordinates stay.
 
-        With Y = R (R - R_goal)^T / 2 and e = p - p_goal the second derivatives of the poses T_i add, for rates a and b
-        of joints one after the other, omega_a^T Y omega_b - (omega_a . omega_b) tr Y + (e x omega_a) . p_b / length^2.
-        Within a ball their symmetric part stands for them, which is exact where the gradient vanishes.
+        With Y = R (R - R_goal)^T / 2 and e = p - p_goal, the second derivatives of the poses T_i contribute, for joints
+        a before b, omega_a^T Y omega_b - (omega_a . omega_b) tr Y + (e x omega_a) . p_b / length^2. Within a ball joint
+        their symmetric part is used, which is exact where the gradient vanishes.
         """
         size = q.shape[-1]
         gradient, hessian = np.zeros(q.shape), np.zeros((*q.shape, size))
@@ -293,15 +293,12 @@ class NearestPose:
 
 
 def _pseudo_inverse(matrix: Floats) -> Floats:
-    """Pseudo-inverses of symmetric matrices ``(B, c, c)``.
-
-    Where no eigenvalue is taken for zero that is the inverse, in a fifth of the time.
-    """
+    """Pseudo-inverses of symmetric matrices ``(B, c, c)``; inverses, in a fifth of the time, unless nearly singular."""
     try:
         inverse = np.asarray(np.linalg.inv(matrix), dtype=np.float64)
     except np.linalg.LinAlgError:
         return np.asarray(np.linalg.pinv(matrix, rcond=_FLAT, hermitian=True), dtype=np.float64)
-    # The condition number in the Frobenius norm, which is not below that of the eigenvalues; not a number is flat, too.
+    # The condition number in the Frobenius norm is an upper bound of the spectral one; NaN counts as singular.
     condition = np.linalg.norm(matrix, axis=(1, 2)) * np.linalg.norm(inverse, axis=(1, 2))
     flat = ~(condition < 1.0 / _FLAT)
     if flat.any():

@@ -1,11 +1,11 @@
 """Retraction: the joint position nearest to given per-joint poses, in closed form where there is one.
 
-Nearest is meant in one metric for all joints: with the angle and the shift between the given and the feasible pose, it
-is 4 sin^2(angle / 2) + ||shift||^2 / length^2, which equals angle^2 + ||shift||^2 / length^2 up to fourth order in the
-angle, and is smooth at half a turn. A hinge with a slide, and six dofs, are solved in closed form (`closed_forms`),
-other joints by least squares (`nearest`). A link that moves along one screw, as by a single hinge, is projected in its
-twist instead, which extends beyond half a turn (`closed_forms.OneScrew`). Compound joints that share a coordinate (on
-several links, as coupled stages may) are retracted together.
+All joints use one metric: for an angle and a shift between the given and the feasible pose, the squared distance is
+4 sin^2(angle / 2) + ||shift||^2 / length^2, which equals angle^2 + ||shift||^2 / length^2 up to fourth order in the
+angle, and is smooth at half a turn. A hinge with a slide, and joints with six dof, are solved in closed form
+(`closed_forms`), other joints by least squares (`nearest`). If a link moves along one screw, as behind a single hinge,
+its twist is projected instead, which extends beyond half a turn (`closed_forms.OneScrew`). Compound joints that share a
+coordinate, such as coupled stages in several links, are retracted together.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from lieednn_sim.values import Floats, frozen
 
 @frozen
 class Retraction:
-    """Joint motion nearest to given per-joint poses, with what the mechanism cannot follow.
+    """Joint motion nearest to given per-joint poses, with the mechanism gap.
 
     Attributes:
         q: ``(..., n)`` joint coordinates [rad, m].
@@ -53,7 +53,7 @@ class Retraction:
 
     @cached_property
     def _gap(self) -> tuple[Floats, Floats]:
-        # Computed on demand: it costs as much as the retraction.
+        # Computed on demand, since it takes as long as the retraction.
         for part in (gap := self._measure()):
             part.setflags(write=False)
         return gap
@@ -92,7 +92,7 @@ class Retractor:
         Args:
             xi: ``(..., N, 6)``.
             xi_dot: ``(..., N, 6)``, or None for poses at rest.
-            start: ``(n,)`` posture from which ``xi`` ``(K, ..., N, 6)`` are followed as ways, see
+            start: ``(n,)`` posture from which ``xi`` ``(K, ..., N, 6)`` are followed along their first axis, see
                 `nearest.NearestPose.follow`.
         """
         if self._searching:
@@ -119,7 +119,7 @@ class Retractor:
 
 
 class _Nearest:
-    """Other joints, by least squares (`NearestPose`); groups of the same geometry are solved at once."""
+    """Solves other joints by least squares (`NearestPose`); groups with the same geometry are solved at once."""
 
     def __init__(self, joints: CompoundJoints, groups: list[tuple[int, ...]], length: float) -> None:
         self._links = np.array(groups)
@@ -165,12 +165,12 @@ def _solvers(joints: CompoundJoints, length: float) -> list[_Solver]:
 
 
 def _build(joints: CompoundJoints, links: tuple[int, ...]) -> Hashable:
-    """A key that is equal for links with the same joints, whichever coordinates of q these move."""
+    """A key that is equal for links with the same joints, whichever coordinates they have."""
     group = [joints.joints[link] for link in links]
     indices = np.unique(np.concatenate([joint.indices for joint in group]))
 
     def described(factor: Factor) -> Hashable:
-        # Rounded, as imported models differ in the last bits; adding 0.0 turns -0.0 into 0.0.
+        # Rounded, since imported models differ in the last bits; adding 0.0 turns -0.0 into 0.0.
         numbers = np.round([factor.ratio, *factor.axes.flat, *factor.anchor], 12) + 0.0
         return factor.kind, numbers.tobytes(), np.searchsorted(indices, factor.indices).tobytes()
 
@@ -178,7 +178,7 @@ def _build(joints: CompoundJoints, links: tuple[int, ...]) -> Hashable:
 
 
 def _sharing(joints: CompoundJoints) -> list[tuple[int, ...]]:
-    """Links in groups that have no coordinate in common."""
+    """Links in groups without common coordinates."""
     groups: list[tuple[set[int], tuple[int, ...]]] = []
     for link, joint in enumerate(joints.joints):
         mine: set[int] = set(joint.indices.tolist())
