@@ -49,7 +49,7 @@ LADDERS: dict[str, tuple[str, tuple[object, ...]]] = {
 }
 # CPU times of the table [s], and of the curves.
 TIMES = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
-CURVE = np.geomspace(0.1, 16.0, 120)
+CURVE = np.geomspace(0.02, 16.0, 160)
 FIELDS = ("planner", "arm", "seed", "work", "length", "cpu_s", "reason")
 
 
@@ -110,8 +110,8 @@ def table(runs: Sequence[Run], command: str) -> str:
         "# Cost over time",
         "",
         f"`{command}`: median length of joint paths over the shortest that any planner has for the problem, of {count} "
-        "problems, by CPU time; in brackets problems solved by then. A dash where less than half are. After its "
-        "longest run a planner was given no more work.",
+        "problems, by CPU time; in brackets the number of problems solved by then; a dash where fewer than half are "
+        "solved. Beyond its longest run a planner was given no more work.",
         "",
         "| planner | " + " | ".join(f"{t:g} s" for t in TIMES) + " | longest run [s] |",
         "| --- |" + " --- |" * (len(TIMES) + 1),
@@ -141,9 +141,7 @@ def plot(runs: Sequence[Run], path: Path) -> None:
         axes.set_xscale("log")
         axes.set_xlabel("CPU time [s]")
         axes.set_ylabel("joint path / shortest known")
-        axes.set_title(
-            "median over problems, from where half of them are solved; dotted: after the longest runs", loc="left"
-        )
+        axes.set_title("median over problems, once half of them are solved; dotted: beyond the longest run", loc="left")
         axes.legend()
         save_figure(figure, path)
 
