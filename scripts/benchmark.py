@@ -1,8 +1,8 @@
-"""Measure certified synthesis and learning: success, residual, translations and time.
+"""Benchmark: success and time of synthesis and learning, and costs of the package beside those of its engines.
 
     python scripts/benchmark.py [--quick] [--output results/benchmark]
 
-Writes a JSON file and a Markdown table. Absolute times depend on the machine; the last table gives ratios of one run.
+Writes a JSON file and Markdown tables. Absolute times depend on the machine; the last table has ratios within the run.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def random_targets(neurons: int, count: int, seed: int = 0) -> list[np.ndarray]:
 
 
 def arm_targets(arm: Arm, kind: str, count: int, seed: int = 0) -> list[np.ndarray]:
-    """Joint targets within the limits, as `draw_target` draws them, with their angles changed.
+    """Joint targets within the limits, as `draw_target` draws them, with changed angles.
 
     ``"mixed"`` angles as they are; ``"negative"``, within the limits; ``"tiny"``, each shrunk by 1 to 1e-7; or
     ``"zero"``, pure extension.
@@ -83,7 +83,7 @@ def summarise(name: str, outcomes: list[Synthesis]) -> dict[str, object]:
 
 
 def epoch_costs(epochs: int, count: int) -> dict[str, float]:
-    """Microseconds an epoch of each learning algorithm takes at N = 4, the median over ``count`` targets."""
+    """Microseconds per epoch of each learning algorithm at N = 4, medians over ``count`` targets."""
     runs = {
         "literal Algorithm 1": TrainingOptions.literal(max_epochs=max(epochs // 10, 1)),
         "repaired Algorithm 1": TrainingOptions.repaired(max_epochs=epochs),
@@ -98,16 +98,16 @@ def epoch_costs(epochs: int, count: int) -> dict[str, float]:
 
 
 def lu_solve(size: int, repeats: int = 1000) -> float:
-    """Seconds that `numpy.linalg.solve` takes for as many unknowns, once."""
+    """Seconds per call of `numpy.linalg.solve` with this number of unknowns."""
     rng = np.random.default_rng(0)
     matrix, right = rng.normal(size=(size, size)), rng.normal(size=size)
     return processor_time(lambda: [np.linalg.solve(matrix, right) for _ in range(repeats)], 5) / repeats
 
 
 def control_step_costs(arm: Arm) -> dict[str, str]:
-    """What a control step of `follow` with feedback costs of a network of 12 neurons, and beside its field.
+    """Time of a control step of `follow` with feedback and 12 neurons, and in evaluations of the vector field.
 
-    The median over a run with its simulation, which leaves little in the caches from one step to the next.
+    The median over a run with its simulation, which empties the processor's caches between steps.
     """
     target, home = draw_target(arm, 0), arm.keyframe("home")
     network = plan(arm, target, planner="lieednn-shaped", options=ShapedOptions(neurons=(8,))).network
@@ -133,7 +133,7 @@ def control_step_costs(arm: Arm) -> dict[str, str]:
 
 
 def evaluation_ratio(arm: Arm, network: LieEDNN, instants: int, repeats: int) -> str:
-    """What xi(t) and the joints at many instants cost beside the exponentials of SciPy alone."""
+    """Time to evaluate xi(t) and joints at many instants, in that of SciPy's exponentials alone."""
     path = NetworkPath.drawn(arm, network, arm.keyframe("home"))
     assert path.way is not None
     tau = np.linspace(0.0, path.way[0].t[-1], instants)
@@ -143,7 +143,7 @@ def evaluation_ratio(arm: Arm, network: LieEDNN, instants: int, repeats: int) ->
 
 
 def retargeting_ratio(network: LieEDNN, repeats: int) -> str:
-    """What another target costs beside one product W phi(x)."""
+    """Time to retarget, in that of a product W phi(x)."""
     xi, weight = random_targets(network.n_visible, 1, seed=1)[0], network.weight
     times = [
         processor_time(lambda run=run: [run() for _ in range(500)], repeats)  # type: ignore[misc]
@@ -153,7 +153,7 @@ def retargeting_ratio(network: LieEDNN, repeats: int) -> str:
 
 
 def start_ratios(repeats: int) -> dict[str, str]:
-    """What a start costs beside that of what it stands on, in processor time of a fresh Python."""
+    """Start-up times in those of the libraries that they need; processor times of a fresh Python."""
 
     def cost(*arguments: str) -> float:
         times = []
@@ -171,7 +171,7 @@ def start_ratios(repeats: int) -> dict[str, str]:
 
 
 def blas_threads() -> int:
-    """How many threads a product of large matrices may take, as far as is known."""
+    """Number of threads that a product of large matrices may use, as far as known."""
     return max((pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"), default=1)
 
 
@@ -246,7 +246,7 @@ def write(directory: Path, scale: int, suffix: str = "") -> Path:
         directory / "benchmark.json", {"synthesis": rows, "microseconds an epoch": costs, "ratios": ratios}
     )
     lines = [
-        "# Benchmark of synthesis and learning",
+        "# Benchmark",
         "",
         f"`python scripts/benchmark.py{suffix}`, {os.cpu_count()} processors, {blas_threads()} BLAS threads, "
         f"one where processor time is measured, {platform.machine()}, Python {platform.python_version()}, "

@@ -1,4 +1,4 @@
-"""Rows of the benchmark that hold parts of the package against what they cannot do without, timed alone."""
+"""Rows of the benchmark that compare parts of the package with the least work that they need."""
 
 from __future__ import annotations
 
@@ -30,20 +30,20 @@ from lieednn_sim.rendering.video import Camera, render_video
 from lieednn_sim.simulation import Rollout
 from lieednn_sim.synthesis import synthesize, synthesize_many
 
-# What counts as linear algebra in a synthesis, by module.
+# Functions that count as linear algebra in a synthesis, by module.
 _ALGEBRA: tuple[tuple[Any, tuple[str, ...]], ...] = (
     (np.linalg, ("eigh", "eigvals", "eigvalsh", "solve", "inv", "lstsq", "pinv", "svd", "cholesky", "qr")),
     (lapack, ("dpotrf", "dpotrs")),
 )
-# Two geoms further apart than this are not measured exactly by anyone [m].
+# Largest distance that is measured [m].
 _FAR = 0.05
 _FRAME_SIZE, _FRAMES = (640, 360), 60
 
 
 def processor_time(what: Callable[[], object], repeats: int) -> float:
-    """Median of the processor time [s], which other work on the machine disturbs less than the time on the wall.
+    """Median processor time [s], which other load on the machine disturbs less than wall time.
 
-    With one BLAS thread: others that wait for work count as if they did it.
+    With one BLAS thread, since threads that wait for work count as busy.
     """
     times = []
     with one_blas_thread():
@@ -56,7 +56,7 @@ def processor_time(what: Callable[[], object], repeats: int) -> float:
 
 @contextlib.contextmanager
 def timed_algebra() -> Iterator[list[float]]:
-    """Lists the times of all linear algebra in the block [s]; what one calls of the other counts once."""
+    """List of the times of all linear algebra in the block [s]; nested calls count once."""
     times: list[float] = []
     depth = [0]
 
@@ -82,7 +82,7 @@ def timed_algebra() -> Iterator[list[float]]:
 
 
 def synthesis_floor(targets: list[np.ndarray]) -> str:
-    """A certified synthesis, beside the linear solves and eigendecompositions that it made; the median over targets."""
+    """Time of a certified synthesis in that of its solves and eigendecompositions; the median over targets."""
     shares = []
     for seed, xi in enumerate(targets):
         begun = time.perf_counter()
@@ -93,7 +93,7 @@ def synthesis_floor(targets: list[np.ndarray]) -> str:
 
 
 def stacked_ratios(arms: list[Arm], count: int) -> dict[str, str]:
-    """Syntheses one by one, in the time of all at once: candidates of plans, and targets of four links."""
+    """Speed-up of syntheses at once over one by one, for candidates of plans and for targets of four links."""
     speedups = []
     for seed, arm in enumerate(arms):
         candidates = np.repeat(arm.encode(draw_target(arm, seed))[None], 24, axis=0)
@@ -120,7 +120,7 @@ def _speedup(targets: np.ndarray, magnitudes: list[float], seed: int) -> float:
 
 
 def check_ratio(arm: Arm, seed: int, repeats: int) -> str:
-    """The checks of a motion, beside `mj_geomDistance` over all pairs that may touch at every sample."""
+    """Time of the checks of a motion, in that of `mj_geomDistance` for all pairs at all samples."""
     motion = plan(arm, draw_target(arm, seed), planner="lieednn-shaped", seed=seed).motion
     model, pairs, positions = arm.model, Collisions(arm).pairs, arm.qpos(motion.q)
     data = mujoco.MjData(model)
@@ -137,7 +137,7 @@ def check_ratio(arm: Arm, seed: int, repeats: int) -> str:
 
 
 def planning_ratio(arms: list[Arm], seeds: int) -> str:
-    """A plan of ``lieednn-certified``, beside RRT-Connect's; medians over targets in free space."""
+    """Time of a plan of ``lieednn-certified`` in that of RRT-Connect's; medians over targets in free space."""
     if "rrt-connect" in missing_planners():
         return "OMPL is not installed"
     times: dict[str, list[float]] = {"lieednn-certified": [], "rrt-connect": []}
@@ -151,9 +151,9 @@ def planning_ratio(arms: list[Arm], seeds: int) -> str:
 
 
 def video_ratio(rollout: Rollout, repeats: int) -> str:
-    """Frames a second of a video, in those of the same pictures rendered first, encoded then; by the wall's clock.
+    """Frames per second of wall time of a video, in those of rendering all pictures first and then encoding them.
 
-    A run before warms OpenGL up, and each of the two begins every other time: to come first may cost a tenth.
+    A first run warms OpenGL up, and the two take turns to begin, since the first one may take a tenth longer.
     """
     fps, shares = round(_FRAMES / float(rollout.t[-1])), []
     with tempfile.TemporaryDirectory() as folder:
@@ -185,15 +185,15 @@ def _render_then_encode(rollout: Rollout, path: Path, fps: int, frames: int) -> 
 
 
 def peak_memory(code: str) -> str:
-    """The largest resident memory of a fresh Python that runs some code [MB]."""
-    # Not `ru_maxrss`, which begins with what the parent held when it forked.
+    """Peak resident memory of a fresh Python that runs some code [MB]."""
+    # Not `ru_maxrss`, which starts from the parent's memory when it forked.
     words = f"{code}\nprint(*(line for line in open('/proc/self/status') if 'VmHWM' in line))"
     done = subprocess.run([sys.executable, "-c", words], check=True, capture_output=True, text=True)
     return f"{int(done.stdout.split()[-2]) / 1024:.0f} MB"
 
 
 def memory(scale: int) -> dict[str, str]:
-    """Peaks of memory: of what everything starts with, of a long rollout, and of the demo without its video."""
+    """Peak memory of a loaded arm, a long rollout, the demo without its video, and comparisons."""
     seconds = max(600 // scale, 1)
     load = "from lieednn_sim.arm import Arm\narm = Arm.load('telescopic_pr')"
     long = f"""{load}
@@ -213,7 +213,7 @@ with tempfile.TemporaryDirectory() as folder:
 
 
 def comparison_memory(rows: int) -> dict[str, str]:
-    """Peaks of memory of a comparison with made-up rows: of a hundredth of them, of all, and of what follows."""
+    """Peak memory of a comparison with made-up rows: a hundredth of them, all of them, and their summary."""
     scripts, peaks = f"import sys\nsys.path.insert(0, {str(Path(__file__).parent)!r})\nfrom pathlib import Path\n", {}
     with tempfile.TemporaryDirectory() as folder:
         few, many = Path(folder) / "few", Path(folder) / "many"
@@ -227,7 +227,7 @@ def comparison_memory(rows: int) -> dict[str, str]:
 
 
 def floor_ratios(rollout: Rollout, targets: list[np.ndarray], scale: int) -> dict[str, str]:
-    """All rows of this module, by what they are called; ``scale`` times fewer cases than usual."""
+    """All rows of this module by name, with a share 1 / ``scale`` of the cases."""
     arms = [Arm.load(name) for name in arm_names()]
     repeats = max(5 // scale, 1)
     return {

@@ -1,4 +1,4 @@
-"""A comparison of many rows that nobody planned, for the memory that the rows themselves take."""
+"""A comparison with many made-up rows, to measure the memory that the rows themselves take."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from lieednn_sim.planning import planners
 
 
 class _Here(Executor):
-    """Runs a task as it is submitted; processes would take memory of their own."""
+    """An executor that runs tasks at once; processes would need memory of their own."""
 
     def submit(self, function: Any, /, *given: Any, **named: Any) -> Future[Any]:
         future: Future[Any] = Future()
@@ -32,7 +32,7 @@ def _rows(case: Case, controllers: tuple[str, ...], settings: Settings) -> list[
 
 
 def collect(folder: Path, rows: int) -> None:
-    """Run a comparison up to the moment when its table is sorted."""
+    """Run a comparison, except for sorting its table."""
     table, settings, names = Table(folder, Settings()), Settings(), list(planners())
     table.save = lambda *_: None  # type: ignore[method-assign]
     cases = [Case("telescopic_pr", "free", names[k % len(names)], k // len(names)) for k in range(rows // 2)]
@@ -41,7 +41,7 @@ def collect(folder: Path, rows: int) -> None:
 
 
 def finish(folder: Path) -> None:
-    """Sort its table, and write summary and page."""
+    """Sort the table, and write summary and page."""
     table = Table(folder, Settings())
     table.save()
     write_summary(folder / "comparison.md", table)

@@ -1,4 +1,4 @@
-"""What rollouts and environments cost beside MuJoCo's own steps; `benchmark.py` writes the table."""
+"""Rows of the benchmark that compare rollouts and environments with MuJoCo's bare steps."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ from lieednn_sim.simulation.reference import Reference
 
 _NSTEP, _LOOP = "a bare call of mj_step with nstep", "a bare Python loop of mj_step"
 _NOISE = Disturbances(position_noise=1e-4, velocity_noise=1e-3)
-# What is simulated has no visual geoms, so there are two floors.
+# Visual geoms are not simulated, so there are two floors.
 _FLOORS = {" on the whole model": False, " without visual geoms": True}
 
 
 def ratio(rival: Callable[[], object], ours: Callable[[], object], repeats: int, clock: Any = time.process_time) -> str:
-    """Median of what a rival takes in times of ours, one after the other: other work on the machine disturbs both."""
+    """Median ratio of a rival's time to ours, measured in turns, so that other load affects both."""
     shares = []
     for _ in range(repeats):
         times = []
@@ -45,7 +45,7 @@ def ratio(rival: Callable[[], object], ours: Callable[[], object], repeats: int,
 
 
 def floor(arm: Arm, controller: str, followed: Rollout, bare: bool) -> Simulation:
-    """A plant and its state at the start, with or without what is only seen, and the controls of the first step."""
+    """A plant at the start of a rollout, with the controls of its first step, with or without visual geoms."""
     arm = arm.without_visuals if bare else arm
     driver = controllers()[controller](arm, Reference.of(arm, followed.q_ref, followed.qd_ref))
     plant = make_plant(arm, None, driver.add_bodies if driver.adds_bodies else None)
@@ -62,7 +62,7 @@ def _step_by_step(model: mujoco.MjModel, data: mujoco.MjData, steps: int) -> Non
 
 
 def rollout_ratios(arm: Arm, motion: Motion, repeats: int) -> dict[str, str]:
-    """Steps/s of rollouts, with their log, beside bare ones of the same arm."""
+    """Steps/s of rollouts with their log, in those of bare ones of the same arm."""
     ratios = {}
     cases = [(name, Disturbances(), _NSTEP) for name in ("position-servo", "inverse-dynamics", "mocap")]
     cases += [("computed-torque", Disturbances(), _LOOP), ("computed-torque", _NOISE, _LOOP)]
@@ -79,7 +79,7 @@ def rollout_ratios(arm: Arm, motion: Motion, repeats: int) -> dict[str, str]:
 
 
 def many_ratios(arm: Arm, count: int, repeats: int) -> dict[str, str]:
-    """Steps/s of many rollouts at once beside `mujoco.rollout` with as many threads."""
+    """Steps/s of many rollouts at once, in those of `mujoco.rollout` with as many threads."""
     motions = [plan(arm, draw_target(arm, k), planner="minimum-jerk").motion for k in range(count)]
     threads, kind, ratios = os.cpu_count() or 1, mujoco.mjtState.mjSTATE_FULLPHYSICS, {}
     ours = partial(simulate_many, arm, motions, hold=0.0, threads=threads)
@@ -97,7 +97,7 @@ def many_ratios(arm: Arm, count: int, repeats: int) -> dict[str, str]:
 
 
 def empty_environment(arm: Arm, substeps: int) -> Any:
-    """An environment of dm_control with the same physics and controls, whose task observes and rewards nothing."""
+    """An environment of dm_control with the same physics, whose task has neither observations nor rewards."""
     control = importlib.import_module("dm_control.rl.control")
     engine = importlib.import_module("dm_control.mujoco")
 
@@ -122,19 +122,19 @@ def empty_environment(arm: Arm, substeps: int) -> Any:
 
 
 def environment_ratios(arm: Arm, repeats: int, actions: int) -> dict[str, str]:
-    """What environments add to bare substeps, in both interfaces."""
+    """Time that environments add to bare substeps, in both interfaces."""
     own, ratios = Environment(arm=arm), {}
     substeps = own.task.substeps
     environments: dict[str, Any] = {"Gymnasium": own}
     resets: dict[str, Callable[[], object]] = {"Gymnasium": partial(own.reset, seed=0)}
-    # Not where MuJoCo is beyond version 3.
+    # dm_control does not support MuJoCo 4.
     if importlib.util.find_spec("dm_control") is not None:
         suite = importlib.import_module("lieednn_sim.environments.suite").load(arm, "reach", random=0)
         environments |= {"dm_control": suite, "dm_control with an empty task": empty_environment(arm, substeps)}
         resets |= {"dm_control": partial(suite.reset, seed=0)}
     given = 0.3 * np.random.default_rng(0).uniform(-1.0, 1.0, (actions, arm.n_joints))
     for name, environment in environments.items():
-        # What dm_control shows is what it simulates.
+        # dm_control simulates the model that it renders.
         bare = {" without visual geoms": arm.without_visuals.model} if environment is own else {}
         for label, model in {"": arm.model, **bare}.items():
             data, added, shares = mujoco.MjData(model), [], []
@@ -157,7 +157,7 @@ def environment_ratios(arm: Arm, repeats: int, actions: int) -> dict[str, str]:
 
 
 def vector_ratios(arm: Arm, repeats: int, actions: int, count: int) -> dict[str, str]:
-    """Many environments at once, and their physics alone, beside Gymnasium's processes."""
+    """Steps/s of many environments at once, and of their physics alone, in those of Gymnasium's processes."""
     own, processes = VectorEnvironment(count, arm=arm), AsyncVectorEnv([partial(Environment, arm=arm.name)] * count)
     some, task = 0.3 * np.random.default_rng(0).uniform(-1.0, 1.0, (count, arm.n_joints)), own.tasks[0]
     model, kind = task.simulation.model, mujoco.mjtState.mjSTATE_FULLPHYSICS
@@ -191,7 +191,7 @@ def vector_ratios(arm: Arm, repeats: int, actions: int, count: int) -> dict[str,
 
 
 def stepping_ratios(arm: Arm, motion: Motion, repeats: int, scale: int) -> dict[str, str]:
-    """All of these, with a share 1 / ``scale`` of rollouts, actions and environments."""
+    """All rows of this module by name, with a share 1 / ``scale`` of rollouts, actions and environments."""
     return {
         **rollout_ratios(arm, motion, repeats),
         **many_ratios(arm, max(256 // scale, 2), min(repeats, 3)),

@@ -2,15 +2,14 @@
 
     python scripts/cost_over_time.py [--planners rrt-star,...] [--seeds 4] [--output results/cost_over_time]
 
-Work allowed, which the planners' options count, is doubled from run to run, and each run is a plan of its own with its
-CPU time and the length of its joint path, in units of the joints' velocity limits: what these planners make short. So
-no planner has to look at a clock for its figures, and all columns but the CPU time are the same on every run; a curve
-is later by what the shortest runs took than that of one run that is watched, and never earlier. Smoothing and the
-check of the motion are part of a run, as of every plan. The problems are every arm among poles, which seldom leave the
-straight way free, with seeds from 2000 on. Lengths are divided by the shortest that any planner has for the problem;
-medians are over all problems, where one not yet solved counts as longer than every other. Writes
-``cost_over_time.csv``, a row a run, ``cost_over_time.md`` and ``cost_over_time.png``; a run that is interrupted goes on
-where it was.
+The work allowed, which the planners' options count, doubles from run to run. Each run is a separate plan, with its CPU
+time and the length of its joint path in units of the joints' velocity limits, which is what these planners minimise.
+So planners need not watch a clock, and all columns except the CPU time are reproducible; compared with watching a
+single run, curves are late by the times of the shorter runs, and never early. Smoothing and checks of the motion are
+part of a run, as of every plan. The problems are all arms among poles, which rarely leave the straight way free, with
+seeds from 2000 on. Lengths are divided by the shortest that any planner has for the problem; medians are over all
+problems, with unsolved ones as the longest. Writes ``cost_over_time.csv`` with a row for each run,
+``cost_over_time.md`` and ``cost_over_time.png``; an interrupted run can be continued.
 """
 
 from __future__ import annotations
@@ -39,7 +38,7 @@ from lieednn_sim.planning.baselines.joint_space import joint_scale
 from lieednn_sim.validation import as_choice, as_count
 
 SCENE, FIRST_SEED = "poles", 2000
-# What is allowed in each run, by the option that counts it.
+# The work allowed in each run, by the option that counts it.
 LADDERS: dict[str, tuple[str, tuple[object, ...]]] = {
     "rrt-connect": ("tests", ((120_000,),)),
     **dict.fromkeys(("rrt-star", "informed-rrt-star", "aorrtc"), ("tests", tuple((2_500 * 2**k,) for k in range(6)))),
@@ -55,7 +54,7 @@ FIELDS = ("planner", "arm", "seed", "work", "length", "cpu_s", "reason")
 
 @dataclass(frozen=True)
 class Run:
-    """A row of the table: the length of the joint path is infinite where there is none, for the ``reason``."""
+    """A row of the table; the length of the joint path is infinite if there is none, for the ``reason``."""
 
     planner: str
     arm: str
@@ -81,12 +80,12 @@ def measured(planner: str, name: str, seed: int, work: object) -> Run:
 
 
 def allowed(planner: str, work: object) -> str:
-    """Work in words: the option that counts it, and how much."""
+    """The work allowed, in words: the option that counts it, and its value."""
     return f"{LADDERS[planner][0]} {np.ravel([work])[0]}"
 
 
 def best_by(runs: Sequence[Run], times: Sequence[float]) -> dict[str, np.ndarray]:
-    """Of each planner the shortest length over the best known of every problem, ``(problems, times)``, by times [s]."""
+    """For each planner, shortest lengths by some times [s], over the best known, ``(problems, times)``."""
     problems = sorted({(run.arm, run.seed) for run in runs})
     known = {one: min(run.length for run in runs if (run.arm, run.seed) == one) for one in problems}
     found = {name: np.full((len(problems), len(times)), np.inf) for name in dict.fromkeys(run.planner for run in runs)}
@@ -147,7 +146,7 @@ def plot(runs: Sequence[Run], path: Path) -> None:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Measure, and write all three files."""
+    """Measure missing runs, and write all three files."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--planners", default=",".join(name for name in LADDERS if name not in missing_planners()))
     parser.add_argument("--arms", default=",".join(arm_names()))

@@ -1,4 +1,4 @@
-"""Rows of a script's table on disk, so that an interrupted run goes on where it was."""
+"""Rows of a script's table on disk, so that interrupted runs can be continued."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from lieednn_sim import filesystem
 
 
 def read_rows(path: Path) -> list[dict[str, str]]:
-    """The rows of a file of `write_rows`; none where there is no file."""
+    """The rows of a file of `write_rows`; none if there is no file."""
     if not path.exists():
         return []
     with path.open(encoding="utf-8", newline="") as stream:
@@ -19,7 +19,7 @@ def read_rows(path: Path) -> list[dict[str, str]]:
 
 
 def write_rows(path: Path, fields: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> None:
-    """Write all rows under a head of their fields, atomically."""
+    """Write all rows below a header of their fields, atomically."""
     with filesystem.atomic_text(path) as stream:
         writer = csv.DictWriter(stream, fields, lineterminator="\n")
         writer.writeheader()

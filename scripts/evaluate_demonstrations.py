@@ -81,7 +81,7 @@ def table(found: Sequence[dict[str, Any]], kind: str) -> list[str]:
 
 
 def verdicts(found: Sequence[dict[str, Any]], kind: str) -> list[str]:
-    """What the shaped network is to keep, and whether it does."""
+    """Requirements of the shaped network, and whether they hold."""
     rows = [{row["model"]: row for row in one["models"]} for one in found]
     pairs = [(row["lieednn-shaped"], row["dmp"]) for row in rows]
     there = [ours["attraction"] for ours, _ in pairs]

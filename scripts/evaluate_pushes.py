@@ -1,11 +1,11 @@
-"""Push arms off the way of a shaped network by a tenth of their range, and see where they are back on it.
+"""Push arms off the path of a shaped network by a tenth of their range, and measure where they return to it.
 
     python scripts/evaluate_pushes.py [--pushes 50] [--rates 0.1,0.3,1] [--arms ...] [--output results/pushes]
 
-For each arm and rho: the arm follows the network with feedback (`follow(..., feedback=Feedback())`) in MuJoCo, without
-obstacles. A force on a random link in a random direction, of 0.2 s and when 20 to 50 % of the path are gone, is made as
-large as it takes for the largest joint deviation from the undisturbed path to be 8 to 12 % of that range. Writes
-``pushes.csv``, a row a push, and ``pushes.md``; a run that is interrupted goes on where it was.
+For each arm and rho, the arm follows the network with feedback (`follow(..., feedback=Feedback())`) in MuJoCo, without
+obstacles. A force acts for 0.2 s on a random link in a random direction, after 20 to 50 % of the path. Its size is
+chosen so that the largest joint deviation from the undisturbed path is 8 to 12 % of the range. Writes ``pushes.csv``
+with a row for each push, and ``pushes.md``; an interrupted run can be continued.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ FIELDS = ("arm", "rate", "seed", "link", "force_n", "off", "time_s", "share", "v
 
 @lru_cache(maxsize=2)
 def prepared(name: str, rate: float, problem: int) -> tuple[Arm, ComponentwiseNetwork, np.ndarray, Following, Path]:
-    """Arm, network, target, the undisturbed run and its path."""
+    """Arm, network, target, the undisturbed run, and its path."""
     arm = Arm.load(name)
     target = draw_target(arm, problem)
     network = plan(arm, target, planner="lieednn-shaped", options=ShapedOptions(rate=rate), seed=problem).network
@@ -53,7 +53,7 @@ def run(
     *pushes: Push,
     feedback: Feedback | None = None,
 ) -> Following:
-    """Follow, pushed."""
+    """Follow the network, with a push."""
     assert isinstance(network, LieEDNN)
     return follow(
         arm,
@@ -67,7 +67,7 @@ def run(
 
 
 def pushed(name: str, rate: float, seed: int, feedback: Feedback | None = None) -> dict[str, object]:
-    """A row: one push, whose force [N] is searched for."""
+    """A row of one push, whose force [N] is searched for."""
     arm, network, target, nominal, path = prepared(name, rate, seed // EACH)
     rng = np.random.default_rng([seed, 7])
     _, gone = path.nearest(nominal.rollout.q)

@@ -2,11 +2,11 @@
 
     python scripts/growth.py [--quick] [--output results/growth]
 
-Each series doubles one number and keeps the rest: neurons of a certified synthesis; neurons and samples of a curve that
-a network with four hidden neurons is shaped after; links of a chain of hinges that is simulated behind its position
-servos; spheres around such a chain of four, each of which makes one more pair with every link that moves, of a motion
-that is checked. A figure is CPU time of one core, the median of a few; an exponent is the slope of its logarithm over
-that of the number, between the two largest sizes. Writes ``growth.csv``, ``growth.md`` and ``growth.png``.
+Each series doubles one size and keeps the others: neurons in certified synthesis; neurons, and samples, of a curve for
+which a network with four hidden neurons is shaped; links of a simulated chain of hinges with position servos; spheres
+around such a chain of four, each of which adds a pair with every moving link to the checks of a motion. Times are CPU
+times of one core, medians of a few; an exponent is the slope in a log-log plot between the two largest sizes. Writes
+``growth.csv``, ``growth.md`` and ``growth.png``.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from lieednn_sim.simulation import simulate
 from lieednn_sim.synthesis import ShapingOptions, shape, synthesize
 
 FIELDS = ("series", "size", "cpu_ms")
-# Of one core, in a series: name of the size, and its values.
+# Name and values of the size in each series.
 SERIES: dict[str, tuple[str, tuple[int, ...]]] = {
     "certified synthesis": ("neurons N", (2, 4, 8, 16, 32)),
     "shaping, 100 samples": ("neurons N", (2, 4, 8, 16, 32)),
@@ -44,11 +44,11 @@ SERIES: dict[str, tuple[str, tuple[int, ...]]] = {
     "a simulated second": ("links", (2, 4, 8, 16, 32)),
     "checks of a motion": ("pairs", (1, 2, 4, 8, 16, 32, 64)),
 }
-_SPACING = 0.1  # of the chain's hinges [m]
+_SPACING = 0.1  # distance between the chain's hinges [m]
 
 
 def chain(links: int) -> str:
-    """MJCF of so many hinges, their axes by turns along y and z, with a capsule each and servos."""
+    """MJCF of a chain of hinges with capsules and servos, their axes alternately along y and z."""
     bodies, servos = "", ""
     for index in reversed(range(links)):
         axis = ("0 1 0", "0 0 1")[index % 2]
@@ -86,7 +86,7 @@ def loaded(folder: Path, links: int, spheres: int = 0) -> Arm:
 
 
 def curve(neurons: int, samples: int) -> np.ndarray:
-    """``(samples, neurons, 6)``: from zero on, each coordinate at its own pace, and around a bend."""
+    """A curve ``(samples, neurons, 6)`` from zero, with a random end and bend of each coordinate."""
     rng = np.random.default_rng(neurons)
     s = np.linspace(0.0, 1.0, samples)[:, None, None]
     ends, bends = rng.uniform(-0.8, 0.8, (2, neurons, 6))
@@ -94,7 +94,7 @@ def curve(neurons: int, samples: int) -> np.ndarray:
 
 
 def works(series: str, size: int, repeats: int, folder: Path) -> Iterable[Callable[[], object]]:
-    """What is timed, as often as it is to be repeated."""
+    """Functions to be timed, one for each repetition."""
     if series == "certified synthesis":
         targets = np.random.default_rng(size).uniform(-0.8, 0.8, (repeats, size, 6))
         return [partial(synthesize, xi, seed=0) for xi in targets]
@@ -110,7 +110,7 @@ def works(series: str, size: int, repeats: int, folder: Path) -> Iterable[Callab
 
 
 def measured(series: str, size: int, repeats: int, folder: Path) -> dict[str, object]:
-    """A row: the median CPU time of one of the series' works; of checks the size is the number of pairs."""
+    """A row with the median CPU time of a series at a size; for checks the size is the number of pairs."""
     times = [processor_time(work, 1) for work in works(series, size, repeats, folder)]
     if series == "checks of a motion":
         size = len(Collisions(loaded(folder, 4, size)).pairs)
@@ -130,7 +130,7 @@ def points(rows: list[dict[str, object]], series: str) -> tuple[np.ndarray, np.n
 
 
 def table(rows: list[dict[str, object]], command: str) -> str:
-    """All series in Markdown."""
+    """Markdown table of all series."""
     lines = [
         "# How cost grows",
         "",
@@ -148,7 +148,7 @@ def table(rows: list[dict[str, object]], command: str) -> str:
 
 
 def plot(rows: list[dict[str, object]], path: Path) -> None:
-    """Each series in a panel of its own, all axes logarithmic, times on the same."""
+    """A panel for each series, with logarithmic axes and a common axis of times."""
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(12.0, 2.9), layout="constrained")
         for axes, (series, (name, _)) in zip(figure.subplots(1, len(SERIES), sharey=True), SERIES.items(), strict=True):

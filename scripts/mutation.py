@@ -1,11 +1,11 @@
-"""Measure the tests: change the code a little, by mutmut, and count the changes that a room's tests notice.
+"""Mutation testing: change the code slightly, with mutmut, and count the changes that a room's tests notice.
 
     pip install 'lieednn_sim[mutation]'
     python scripts/mutation.py [--rooms lie,motion] [--sample 40] [--seed 0] [--jobs 2] [--output results/mutation]
 
-Of each room a seeded random sample of mutants is tried (0: all of them). Rooms are tested by their own fast tests, in a
-copy of the checkout under the output, so nothing in it changes. Writes ``ROOM.json`` for each room, with the diffs of
-what survived, and the table ``mutation.md``. An interrupted run goes on where it was.
+A seeded random sample of each room's mutants is tried (0: all of them), with its own fast tests, in a copy of the
+checkout below the output. Writes ``ROOM.json`` for each room, with the diffs of the survivors, and the table
+``mutation.md``. An interrupted run can be continued.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _BY_CODE = {1: "killed", 3: "killed", 0: "survived", 5: "no tests", 33: "no test
 
 @dataclass(frozen=True)
 class Room:
-    """Modules, as globs under the package, the tests that shall notice a change of them, and those too slow for it."""
+    """Modules, as globs under the package, the tests that should notice changes in them, and those too slow for it."""
 
     modules: tuple[str, ...]
     tests: tuple[str, ...]
@@ -84,7 +84,7 @@ ROOMS = {
 
 
 def measure(name: str, sample: int, seed: int, jobs: int, output: Path) -> dict[str, Any]:
-    """Outcomes of a room's mutants by name, and the diffs of those that are not killed."""
+    """Outcomes of a room's mutants by name, and the diffs of the survivors."""
     place = output / name
     if not (place / "mutants").exists():
         prepare(ROOMS[name], place)
@@ -116,7 +116,7 @@ def measure(name: str, sample: int, seed: int, jobs: int, output: Path) -> dict[
 
 
 def prepare(room: Room, place: Path) -> None:
-    """Copy the checkout, and tell mutmut what to change and which tests to run."""
+    """Copy the checkout, and configure mutmut."""
     shutil.rmtree(place, ignore_errors=True)
     place.mkdir(parents=True)
     for name in _COPIED:
@@ -144,7 +144,7 @@ def noticed(room: Room, place: Path, mutant: str) -> bool:
 
 
 def run(place: Path, arguments: list[str], *, check: bool = True) -> str:
-    """Run mutmut in a copy; returns what it says."""
+    """Run mutmut in a copy; returns its output."""
     environment = os.environ | {"OPENBLAS_NUM_THREADS": "1", "PYTHONPATH": str(place)}
     done = subprocess.run(
         [sys.executable, "-m", "mutmut", *arguments], cwd=place, env=environment, capture_output=True, text=True
@@ -163,7 +163,7 @@ def outcomes(place: Path) -> dict[str, int | None]:
 
 
 def of_words_only(diff: str) -> bool:
-    """Whether a mutant changes text alone: one line whose strings differ, or lose their names for messages."""
+    """Whether a mutant only changes text: one line whose strings differ, or lose their names for messages."""
     lines = diff.splitlines()
     old, new = ([line[1:] for line in lines if re.match(rf"\{sign}(?!\{sign})", line)] for sign in "-+")
     blank = re.compile(r"""f?(["']).*?\1""")

@@ -1,10 +1,10 @@
-"""Import robots that nobody here wrote, plan to random targets, and follow the plans: one line a robot.
+"""Import robots of others, plan to random targets, and follow the plans: a line for each robot.
 
     python scripts/real_robots.py FOLDER... [--robots NAME,...] [--targets 10] [--output results/robots]
 
-The folders hold the models, such as checkouts of MuJoCo Menagerie and of ROS packages; those of `ROBOTS` that are in
-none are left out, and `--robots` takes any other files. One JSON file a robot, so that an interrupted run goes on where
-it was, and all of them in `robots.md`. Seconds are CPU time.
+The folders hold the models, such as checkouts of MuJoCo Menagerie and of ROS packages. Those of `ROBOTS` that are in
+none are left out; `--robots` also takes other files. Writes a JSON file for each robot, so that interrupted runs can be
+continued, and a table of all of them, `robots.md`. Seconds are CPU time.
 """
 
 from __future__ import annotations
@@ -74,12 +74,12 @@ ROBOTS: dict[str, dict[str, Any]] = {
 }
 PLANNERS = ("lieednn-certified", "minimum-jerk")
 CONTROLLERS = ("position-servo", "inverse-dynamics")
-_EVERY = 20  # of a motion's samples one is looked at in the original model
+_EVERY = 20  # every 20th sample of a motion is checked in the original model
 _POSTURES = 100  # at which the forward map is compared
 
 
 def try_robot(file: Path, options: dict[str, Any], targets: int) -> dict[str, Any]:
-    """What comes of one robot, as a row of the table with what is behind it."""
+    """The results for a robot: a row of the table, with details."""
     begun = time.process_time()
     row: dict[str, Any] = {}
     try:
@@ -132,7 +132,7 @@ def try_robot(file: Path, options: dict[str, Any], targets: int) -> dict[str, An
 
 
 def _unexplained_plan(name: str, failure: str, report: list[str]) -> list[str]:
-    """What the report before planning does not say of a plan that failed: which bodies are in each other's way."""
+    """Bodies in contact in a failed plan that the import report does not mention."""
     pair = re.search(r"'([^']+)' would come within 2 mm of '([^']+)'", failure)
     fast = re.search(r"joint '([^']+)' would (?:move|accelerate) at .*, its limit is ([0-9.e+-]+)", failure)
     limits = [line for line in report if "velocity limits" in line or "acceleration limits" in line]
@@ -146,7 +146,7 @@ def _unexplained_plan(name: str, failure: str, report: list[str]) -> list[str]:
 
 
 def _unexplained_error(name: str, evaluation: Evaluation, report: list[str]) -> list[str]:
-    """What it does not say of an arm that does not arrive: which joint is held by friction, a load or a slow servo."""
+    """Joints that keep an arm from arriving, by friction, load or slow servos, that the report does not mention."""
     told = [line.removeprefix("note: ") for line in report]
     words = {"dry friction": "dry friction", "load of": "sags", "slow": "slow", "force limit": "force"}
     lines = []
@@ -159,7 +159,7 @@ def _unexplained_error(name: str, evaluation: Evaluation, report: list[str]) -> 
 
 
 class _Original:
-    """The model as it came, with the arm's joints where the arm has them and all else at its posture."""
+    """The original model, with the arm's joints as in the arm and all others as at home."""
 
     def __init__(self, arm: Arm, file: Path) -> None:
         self._arm = arm
@@ -200,11 +200,11 @@ class _Original:
         return worst
 
     def wrong(self, file: Path) -> list[str]:
-        """What the report says wrongly."""
+        """Wrong statements of the report."""
         return wrong_in_report(self._arm, self._model, self._qpos, file)
 
     def penetration(self, motion: Motion) -> float:
-        """How deep the arm is in anything in the original model on the way, but for what the report ignores [m]."""
+        """Deepest penetration on the way in the original model, without contacts that the report ignores [m]."""
         deepest = 0.0
         for qpos in self._arm.qpos(motion.q[::_EVERY]):
             for distance, geoms in zip(*self._finder.geoms(self._placed(qpos)), strict=True):
@@ -221,7 +221,7 @@ class _Original:
 
 
 def as_markdown(rows: list[dict[str, Any]], folder: str) -> str:
-    """The table, and what the reports said before planning of each robot with a failure."""
+    """The table, and the import reports' remarks on each robot with a failure."""
     heads = ["robot", "links", "joints", "report right", "forward map [m]", *PLANNERS, *CONTROLLERS]
     heads += ["deepest [mm]", "times minimum jerk's", "failures not in the report", "seconds"]
     lines = [f"Models: {folder}", "", f"| {' | '.join(heads)} |", "| --- |" + " ---: |" * (len(heads) - 1)]
@@ -257,7 +257,7 @@ def as_markdown(rows: list[dict[str, Any]], folder: str) -> str:
 
 
 def main(words: list[str] | None = None) -> None:
-    """Try the robots of a folder that are not done yet; the table is written after each."""
+    """Try the robots that are not done yet; the table is written after each."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folders", type=Path, nargs="+")
     parser.add_argument("--robots", default="", help="files in the folders, by default those of ROBOTS")

@@ -1,4 +1,4 @@
-"""What an import report says of a robot, held against the model that came, without a line of the importer's code."""
+"""Checks of import reports against the imported models, without any of the importer's code."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ _HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLI
 
 
 def wrong_in_report(arm: Arm, original: mujoco.MjModel, qpos: np.ndarray, file: Path) -> list[str]:
-    """Each thing that the report says wrongly or leaves out; none where it is right.
+    """Wrong or missing statements of a report; none if it is right.
 
     Args:
         arm: with the report.
-        original: the model as it came.
+        original: the original model.
         qpos: ``(nq,)`` its posture that the report names.
         file: of the model; limits of a URDF are read from there.
     """
@@ -64,7 +64,7 @@ def _joints(report: ImportReport, model: mujoco.MjModel) -> list[str]:
 
 
 def _ranges(arm: Arm, report: ImportReport, model: mujoco.MjModel) -> list[str]:
-    """Ranges are the model's, or a note says of the joint what became of it."""
+    """Ranges are the model's, or a note tells how the joint's was changed."""
     wrong = []
     for k, name in enumerate(arm.joint_names):
         joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name)
@@ -145,7 +145,7 @@ def _contacts(arm: Arm, report: ImportReport, model: mujoco.MjModel) -> list[str
 
 
 def _servos(arm: Arm, report: ImportReport, model: mujoco.MjModel) -> list[str]:
-    """Kept gains are the model's; friction and sag that cost more than the least are told, and no others."""
+    """Kept gains are the model's; friction and sag above the thresholds are reported, and no others."""
     wrong = []
     for name, servo in zip(arm.joint_names, report.servos, strict=True):
         joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name)

@@ -1,4 +1,4 @@
-"""Measure the bounds on pushes, moving targets and time steps on 1000 seeded networks: never broken, and how tight.
+"""Measure the bounds on pushes, moving targets and time steps on 1000 seeded networks: whether they hold, how tight.
 
     python scripts/robustness.py [--cases 1000] [--jobs 1] [--output results/robustness.md]
 
@@ -50,13 +50,13 @@ def synthesized(rng: np.random.Generator) -> LieEDNN:
 
 
 def scaled(rng: np.random.Generator) -> LieEDNN:
-    """The same with its strengths scaled down, so that it is well inside its certificate."""
+    """As `synthesized`, with smaller strengths, so that the network is well inside its certificate."""
     network = synthesized(rng)
     return replace(network, alpha=rng.uniform(0.2, 0.95) * network.alpha).certify()
 
 
 def cascade(rng: np.random.Generator) -> LieEDNN:
-    """Hidden neurons that switch on visible ones, and a clock half of the time; no weight leads back."""
+    """Hidden neurons that drive visible ones, half of the time with a clock; no weight leads back."""
     visible, hidden, clock = int(rng.integers(1, 5)), int(rng.integers(2, 6)), int(rng.integers(0, 2))
     n = visible + hidden + clock
     alpha = np.zeros((n, n))
@@ -73,7 +73,7 @@ def cascade(rng: np.random.Generator) -> LieEDNN:
 
 
 def run(network: LieEDNN, starts: np.ndarray, times: np.ndarray, velocity: np.ndarray | None = None) -> np.ndarray:
-    """States ``(K, S, n)`` from starts ``(S, n)``; with a velocity the equilibrium moves by the bias."""
+    """States ``(K, S, n)`` from starts ``(S, n)``; with a velocity, the bias moves the equilibrium."""
     shift = np.zeros(starts.shape[1]) if velocity is None else velocity
     target = network.goal(np.zeros((network.n_visible, 6))).ravel()
     still = network.retarget(np.zeros((network.n_visible, 6)))
@@ -88,7 +88,7 @@ def run(network: LieEDNN, starts: np.ndarray, times: np.ndarray, velocity: np.nd
 
 
 def unstable_step(jacobian: np.ndarray, method: str) -> float:
-    """Step beyond which the method's linearisation at the equilibrium grows; what no proof can exceed."""
+    """Step beyond which the method is unstable at the linearised equilibrium, an upper bound of provable steps."""
     values = np.linalg.eigvals(jacobian)
 
     def growth(h: float) -> float:
@@ -103,7 +103,7 @@ def unstable_step(jacobian: np.ndarray, method: str) -> float:
 
 
 def measure(network: LieEDNN, rng: np.random.Generator) -> dict[str, float]:
-    """Measured over bound, for each of `BOUNDS` that there is; above 1 is broken."""
+    """Ratio of measurement to bound for each available one of `BOUNDS`; above 1 it is broken."""
     bounds = network.robustness()
     m, n = 6 * network.n_visible, 6 * network.n_neurons
     visible = np.arange(m)
@@ -182,12 +182,12 @@ def closer(
         if guarantee.contracting and (now > last * (1.0 + 1e-9) + 1e-12).any():
             return False
         last = now
-    # What is not contracting promises the function U, which bounds the distance by the overshoot.
+    # Without contraction, the function U bounds the distance by the overshoot.
     return bool((last <= guarantee.overshoot * first * (1.0 + 1e-9)).all())
 
 
 def case(seed: int) -> tuple[str, dict[str, float], float | None]:
-    """Kind of a seeded network, what was measured, and for every fourth the rate of contraction over the best one."""
+    """Kind of a seeded network, its ratios, and for every fourth the rate of contraction over the best one."""
     kind = KINDS[seed % len(KINDS)]
     rng = np.random.default_rng(seed)
     with one_blas_thread():
@@ -201,7 +201,7 @@ def case(seed: int) -> tuple[str, dict[str, float], float | None]:
 
 
 def report(cases: int, jobs: int) -> tuple[str, int]:
-    """The table, and how many bounds were broken."""
+    """The table, and the number of broken bounds."""
     ratios: dict[tuple[str, str], list[float]] = defaultdict(list)
     rates: dict[str, list[float]] = defaultdict(list)
     with ProcessPoolExecutor(jobs) as pool:

@@ -2,8 +2,8 @@
 
     python scripts/shaped.py [--arms ...] [--scenes ...] [--seeds 50] [--output results/shaped]
 
-Writes `rows.csv`, one line as soon as a case is done; lines that are there are not measured again. `summary.md` is made
-of them. Times are CPU seconds of one core with one BLAS thread.
+Writes a line of `rows.csv` as soon as a case is done, and skips cases that have one; then `summary.md`. Times are CPU
+seconds of one core with one BLAS thread.
 """
 
 from __future__ import annotations
@@ -35,13 +35,13 @@ COLUMNS = (
     *("arm", "scene", "motions", "certified", "off the path [mm]", "gap [mm]", "joint jerk", "effector jerk", "path"),
     *("effort", "clearance [mm]", "teacher's", "fit [s]", "planning [s]"),
 )
-# Clearance is looked at on every so-manieth sample.
+# Forces and clearance are evaluated at every tenth sample.
 STRIDE = 10
 
 
 @dataclass
 class Row:
-    """A case: ratios are the shaped network's motion over its teacher's."""
+    """A case; ratios are those of the shaped network's motion to its teacher's."""
 
     arm: str
     scene: str
@@ -66,7 +66,7 @@ class Row:
 
 
 def effort(arm: Arm, motion: Motion) -> float:
-    """Root mean square of the generalised forces that the motion needs, over their limits where there are any."""
+    """Root mean square of the generalised forces that the motion needs."""
     data = mujoco.MjData(arm.model)
     qpos, qvel = arm.qpos(motion.q), arm.qvel(motion.q, motion.qd)
     qacc = np.gradient(qvel, motion.timestep, axis=0)
@@ -79,13 +79,13 @@ def effort(arm: Arm, motion: Motion) -> float:
 
 
 def clearance(arm: Arm, motion: Motion) -> float:
-    """Least distance of anything along the motion [mm]."""
+    """Least clearance along the motion [mm]."""
     collisions = Collisions(arm)
     return 1e3 * min(collisions.clearance(q) for q in motion.q[::STRIDE])
 
 
 def verified_after_loading(network: LieEDNN) -> bool:
-    """Whether the network's file holds a proof that is checked when it is read."""
+    """Whether the network is certified after saving and loading, which verifies the certificate again."""
     with tempfile.TemporaryDirectory() as directory:
         path = Path(directory) / "network.npz"
         network.save(path)
@@ -122,7 +122,7 @@ def measured(arm: Arm, scene: str, seed: int) -> Row:
 
 
 def read(path: Path) -> list[Row]:
-    """Rows of a file, without a last one that was cut."""
+    """Rows of a file, without a truncated last one."""
     if not path.exists():
         return []
     kinds = {field.name: str(field.type) for field in fields(Row)}
@@ -186,7 +186,7 @@ def write_summary(rows: list[Row], path: Path) -> None:
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Measure what is missing, then write the summary."""
+    """Measure missing cases, then write the summary."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--arms", nargs="+", default=arm_names())
     parser.add_argument("--scenes", nargs="+", default=["window", "shelf", "poles"])
@@ -199,14 +199,14 @@ def main(arguments: list[str] | None = None) -> None:
     done = {(row.arm, row.scene, row.seed) for row in rows}
     arms = {name: Arm.load(name) for name in given.arms}
     names = [field.name for field in fields(Row)]
-    # Written anew, without a line that was cut.
+    # Rewritten without a truncated line.
     with filesystem.atomic_text(path) as file:
         writer = csv.DictWriter(file, names, lineterminator="\n")
         writer.writeheader()
         writer.writerows(asdict(row) for row in rows)
     with one_blas_thread(), path.open("a", newline="") as file:
         writer = csv.DictWriter(file, names, lineterminator="\n")
-        # All cells grow alike, so that what is there when it is interrupted is a fair sample.
+        # Seeds in the outer loop, so that an interrupted run covers all arms and scenes.
         for seed in range(given.seeds):
             for name in given.arms:
                 for scene in given.scenes:

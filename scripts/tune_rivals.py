@@ -1,13 +1,13 @@
-"""Try other settings of the rival planners on problems that no table uses, and say which are better.
+"""Try other settings of the rival planners on problems that no table uses, and report which are better.
 
     python scripts/tune_rivals.py [--planners rrt-connect,...] [--seeds 3] [--output results/tuning]
 
-Every number among a planner's options is halved and doubled, one at a time, a list of numbers as a whole, beside the
-defaults. The problems are every arm among window, shelf and poles with seeds from 1000 on; those of `compare` and of
-the other scripts begin at 0. A setting is better when it arrives in more problems than the defaults, or in as many
-with paths that are shorter by more than 2 % in the median over those that both solve; lengths are those of joint
-paths in units of the joints' velocity limits, which is what these planners make short. Writes ``tuning.csv``, a row a
-problem and setting, and ``tuning.md``; a run that is interrupted goes on where it was.
+Besides the defaults, each number among a planner's options is halved and doubled, one option at a time, lists of
+numbers as a whole. The problems are all arms among window, shelf and poles, with seeds from 1000 on; those of `compare`
+and of the other scripts begin at 0. A setting is better if it solves more problems than the defaults, or as many with
+paths shorter by more than 2 % in the median over problems that both solve. Lengths are those of joint paths in units of
+the joints' velocity limits, which these planners minimise. Writes ``tuning.csv`` with a row for each problem and
+setting, and ``tuning.md``; an interrupted run can be continued.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ from lieednn_sim.planning.options import PlannerOptions
 SCENES, FIRST_SEED, TIME_BUDGET = ("window", "shelf", "poles"), 1000, 60.0
 RIVALS = tuple(name for name, planner in PLANNERS.items() if planner.options and not name.startswith("lieednn"))
 DEFAULTS = "defaults"
-# A path counts as shorter from this share on: less is chance.
+# Share by which a path must be shorter to count as such.
 SHORTER = 0.98
 FIELDS = ("planner", "setting", "arm", "scene", "seed", "length", "cpu_s", "reason")
 
 
 def settings(options: PlannerOptions) -> dict[str, PlannerOptions]:
-    """The defaults, and each number halved and doubled, where the options take that; by what is changed."""
+    """The defaults, and options with a number halved or doubled, where allowed; by the change."""
     found = {DEFAULTS: options}
     for field, factor in itertools.product(fields(options), (0.5, 2.0)):
         value = getattr(options, field.name)
@@ -57,13 +57,13 @@ def settings(options: PlannerOptions) -> dict[str, PlannerOptions]:
 
 @lru_cache(maxsize=4)
 def problem(name: str, scene: str, seed: int) -> tuple[Arm, np.ndarray]:
-    """An arm among obstacles, and where it shall go."""
+    """An arm among obstacles, and its target."""
     arm = Arm.load(name, scene, seed)
     return arm, draw_target(arm, seed)
 
 
 def row(planner: str, setting: str, options: PlannerOptions, name: str, scene: str, seed: int) -> dict[str, str]:
-    """What a planner makes of a problem with a setting; no length where it makes no motion."""
+    """The result of a planner with a setting; without a length if it finds no motion."""
     known = dict(zip(FIELDS, (planner, setting, name, scene, str(seed)), strict=False))
     arm, target = problem(name, scene, seed)
     try:
@@ -76,7 +76,7 @@ def row(planner: str, setting: str, options: PlannerOptions, name: str, scene: s
 
 
 def summary(rows: list[dict[str, str]], command: str) -> str:
-    """A table for each planner in Markdown, and in words what is better than the defaults."""
+    """A Markdown table for each planner, and a sentence on settings better than the defaults."""
     lines = ["# Settings of the rivals", "", f"`{command}`. What is tried, and what is better: see the script.", ""]
     for planner, group in itertools.groupby(rows, key=lambda one: one["planner"]):
         by_setting: dict[str, dict[tuple[str, ...], dict[str, str]]] = {}
@@ -97,7 +97,7 @@ def summary(rows: list[dict[str, str]], command: str) -> str:
 def compared(
     found: dict[tuple[str, ...], dict[str, str]], usual: dict[tuple[str, ...], dict[str, str]]
 ) -> tuple[int, float]:
-    """In how many more problems one setting arrives than another, and its path's length in the other's, the median."""
+    """Number of problems that one setting solves beyond another, and the median ratio of their path lengths."""
     both = [key for key in found if key in usual]
     more = sum(bool(found[key]["length"]) - bool(usual[key]["length"]) for key in both)
     ratios = [
@@ -128,7 +128,7 @@ def main(arguments: list[str] | None = None) -> None:
         kind = PLANNERS[planner].options
         assert kind is not None
         seeds = range(FIRST_SEED, FIRST_SEED + options.seeds)
-        # All settings of one problem after each other: it is loaded once.
+        # Settings in the inner loop, so that each problem is loaded once.
         for name, scene, seed in itertools.product(options.arms.split(","), SCENES, seeds):
             for setting, values in settings(kind()).items():
                 if (planner, setting, name, scene, str(seed)) in done:

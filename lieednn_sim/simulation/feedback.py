@@ -150,7 +150,7 @@ class FeedbackFollower:
         self._x = self.xi.ravel()
         self._drive, self._flow = self._stepping.drive(self._x), np.zeros(self.xi.size)
         self._drawn, self._flow_rate = self.reference.q, self.reference.qd
-        # The pull to where the network shall be at rest.
+        # The pull towards the network's rest state.
         self._pull = np.zeros(self.xi.size)
         self.jumped, self.share, self.pace, self.behind = False, 1.0, 1.0, 0.0
         self.limit_excess, self._gap = -np.inf, np.zeros((arm.n_links, 2))

@@ -28,7 +28,7 @@ class Reference:
     Rows become known by `extend`: all at once for a motion, bit by bit for a target that is followed while it moves.
     Beyond the last one the motion goes on with its last velocity.
 
-    A held reference is sampled every so-many-th row, and a controller that asks at a row between sees the sample.
+    A held reference is sampled every ``hold`` rows, and keeps its value in between.
 
     Attributes:
         q: ``(K, n)`` joint coordinates [rad, m].

@@ -134,8 +134,8 @@ class Simulation:
         if self.disturbances.pushes:
             self.pushes.apply(self.data, self.steps)
         mujoco.mj_step(self.model, self.data)
-        # Positions follow from velocities, with factors below 1. What is not finite makes the sum so. That of large
-        # numbers may overflow, so then each is looked at; few are added up sooner in a list than in an array.
+        # Positions follow from velocities. A sum is finite only if its terms are; since it may overflow, terms are then
+        # checked one by one. For a few numbers a list is faster than an array.
         finite = isfinite(sum(self._velocity.tolist())) or np.isfinite(self._velocity).all()
         if not finite or any(self._warnings.tolist()):
             raise SimulationError(

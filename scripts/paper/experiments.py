@@ -130,7 +130,7 @@ def thinned(history: History) -> Arrays:
 
 
 def _described(network: LieEDNN | None, weight: np.ndarray | None, seed: int, scalars: Scalars) -> Outcome:
-    """What can be said of a network at its target; the ablation has weights but no network, a failure may have none."""
+    """Properties of a network at its target; the ablation has weights but no network, a failure may have neither."""
     if network is not None:
         weight = network.weight
     if weight is None:

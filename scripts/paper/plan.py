@@ -1,4 +1,4 @@
-"""What is run: a list of jobs, each a pure function of its parameters."""
+"""The jobs to run, each a pure function of its parameters."""
 
 from __future__ import annotations
 
@@ -66,23 +66,25 @@ def normalised(source: str) -> str:
     return ast.dump(tree)
 
 
-# Of the package, what the experiments use.
+# Subpackages that the experiments use.
 _PARTS = ("lie", "stability", "network", "theory", "synthesis", "learning")
 
 
 @dataclass(frozen=True)
 class Plan:
-    """How much is run.
+    """The extent of the experiments.
 
     Attributes:
-        name: for the report.
-        targets: random targets of the comparisons.
-        some_targets: of them, for other projection periods than 10 and for other changes of the repaired algorithm.
-        slow_targets: of them, for the algorithm as printed and the exact projection, which cost milliseconds an epoch.
-        max_epochs: of the trainings with the gradient.
-        slow_epochs: of the slow ones.
-        gradient_steps: of the Riemannian gradient.
-        samples: random matrices or states in each check of a formula.
+        name: name for the report.
+        targets: number of random targets in comparisons.
+        some_targets: number of them for projection periods other than 10, and for other variants of the repaired
+            algorithm.
+        slow_targets: number of them for the algorithm as printed and for the exact projection, whose epochs take
+            milliseconds.
+        max_epochs: largest number of epochs of trainings with the gradient.
+        slow_epochs: the same for the slow ones.
+        gradient_steps: number of steps along the Riemannian gradient.
+        samples: number of random matrices or states in each check of a formula.
     """
 
     name: str
@@ -101,12 +103,12 @@ QUICK = Plan("quick", 6, 3, 1, 5000, 500, 200, 200)
 
 @dataclass(frozen=True)
 class Job:
-    """One unit of work.
+    """A unit of work.
 
     Attributes:
-        name: of the group that it belongs to.
-        kind: which function of `experiments.KINDS` does it.
-        parameters: of that function; JSON values.
+        name: name of its group.
+        kind: name of its function in `experiments.KINDS`.
+        parameters: arguments of that function, JSON values.
     """
 
     name: str

@@ -62,7 +62,7 @@ def load(job: Job, directory: Path) -> Record | None:
 def run_all(
     jobs: Iterable[Job], directory: Path, workers: int, console: Console, executor: Executor | None = None
 ) -> tuple[int, list[str]]:
-    """Run what has no result yet, on so many processes, or on an executor.
+    """Run the jobs without a result, on worker processes or an executor.
 
     Returns:
         How many jobs were run, and a line for each that failed.
