@@ -55,8 +55,8 @@ class SearchOptions(PlannerOptions):
             at which they have one.
         shortcuts: number of shortcuts tried on the path.
         longest_edge: longest edge that a tree grows at once, as a share of the joint space's diagonal.
-        spacings: distance that a link frame moves between postures tested on an edge, about, from 0.001 to 1 m. If the
-            dense test of the motion finds a contact in between, another attempt is made with the next spacing.
+        spacings: largest distances that a link frame moves between postures tested on an edge, about, from 0.001 to
+            1 m. If the dense test of the motion finds a contact in between, the next attempt is made with the next one.
     """
 
     margin: float = 0.01

@@ -29,7 +29,7 @@ class EdgeTest:
     Args:
         arm: the arm.
         workspace: has the clearance test, which counts the postures tested.
-        spacing: distance that a link frame moves, about, between postures tested on an edge [m].
+        spacing: largest distance that a link frame moves between postures tested on an edge, about [m].
 
     Attributes:
         scale: ``(n,)`` units of the coordinates of points [rad, m].

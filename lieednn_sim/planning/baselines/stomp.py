@@ -1,20 +1,20 @@
-"""STOMP: a path improved by noisy ones, each waypoint by the noise that did well there.
+"""STOMP: stochastic trajectory optimisation, which updates each waypoint by the noise that lowered its cost.
 
-Kalakrishnan, Chitta, Theodorou, Pastor and Schaal, ICRA 2011. A path theta has N waypoints between start and target;
-A theta are its second differences, up to a constant, and R = A' A. Every round draws K paths with noise from
-N(0, R^-1), which is smooth. At each waypoint the noises are averaged with weights exp(-h S), S the cost there on a
-scale from 0, the best of the K, to 1, the worst; where all cost the same nothing is changed. The average is smoothed by
-M, which is R^-1 with every column scaled to a maximum of 1 / N. No derivative of the cost is needed.
+Kalakrishnan, Chitta, Theodorou, Pastor and Schaal, ICRA 2011. A path theta has N waypoints between start and target.
+Its second differences are A theta, up to a constant, and R = A' A. Every round draws K paths with smooth noise from
+N(0, R^-1). At each waypoint, the noise is averaged with weights proportional to exp(-h S), where S is the cost there,
+scaled from 0 for the best of the K to 1 for the worst; it is zero if all costs are equal. The average is smoothed by M,
+which is R^-1 with every column scaled to a maximum of 1 / N. No derivative of the cost is needed.
 
-Ours differs where the paper leaves the way open, or a plain round seldom finds a passage:
+This version differs where the paper leaves a choice, or where a plain round seldom finds a passage:
 
-- The paper's A ends with the rows that bring the path to rest. Here the law of time does, minimum jerk: without
-  obstacles the path of least second differences is straight, run through evenly, and the motion is minimum jerk.
-- A waypoint costs what geoms lack of the margin, the worst along its two edges: else noise jumps over what is thin.
-- A round's best path as a whole is taken where it costs less than the average, and neither where the path before does.
-  The noise grows while nothing is better; after a few such rounds all begins anew, from the straight path.
-- A clear path has only the paper's second term left, theta' R theta, a sum over the joints: no noise is needed for
-  implicit steps down, (1 + lambda R)^-1 of a joint's deviation from the straight path, as long as the path stays clear.
+- The paper's A includes rows at its ends that bring the path to rest. Here the minimum-jerk time law does so: without
+  obstacles, the path of least second differences is straight with even spacing, and the motion is minimum jerk.
+- A waypoint's cost is the worst lack of clearance on its two edges; otherwise noise could jump over thin obstacles.
+- The best noisy path replaces the average if it costs less in total; neither is taken unless it improves the path. The
+  noise grows while nothing is better; after a few such rounds the search restarts from the straight path.
+- On a clear path, only the paper's second term theta' R theta is left, a sum over the joints. It needs no noise:
+  implicit steps multiply a joint's deviation from the straight path by (1 + lambda R)^-1 while the path stays clear.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.problem import PlanningProblem, in_time
 from lieednn_sim.values import Floats
 
-# Postures from one look at the clock to the next.
+# Postures tested between two checks of the time budget.
 _POSTURES = 100
 
 
@@ -43,20 +43,20 @@ class StompOptions(PlannerOptions):
     """Options of the planner ``stomp``; tuned on seeds from 100 on, which no table uses.
 
     Attributes:
-        margin: what paths keep away from everything, unless start or target are closer to something [m].
-        spacing: a link frame moves at most about this far from one posture tested to the next, from 0.001 to 1 m; what
-            slips through is found by the dense test of the motion, and with a half of it all begins anew.
-        waypoints: between start and target, from 4 to 500: enough for a passage on both sides of an obstacle.
-        rollouts: noisy paths in a round, the paper's K; more find better ones, in as many times the time.
+        margin: clearance of paths, reduced where start or target is closer to something [m].
+        spacing: largest distance that a link frame moves between postures tested, about, from 0.001 to 1 m. If the
+            dense test of the motion finds a contact in between, the search starts again with half of it.
+        waypoints: number of waypoints between start and target, from 4 to 500; enough for a way around an obstacle.
+        rollouts: number of noisy paths in a round, the paper's K; more find better paths, in proportionally more time.
         sensitivity: the paper's h, ten there, too.
-        spread: standard deviation of the first noise in the middle of the path, in units of each joint's range: small,
-            for the least detour; it grows where that does not do.
+        spread: standard deviation of the initial noise in the middle of the path, in units of each joint's range;
+            small, for the least detour, and increased if that fails.
         grow: factor of the spread after a round without a better path.
-        shrink: after one with a better path.
-        widest: the spread grows no further.
-        stalled: rounds without a better path after which all begins anew.
-        rounds: at most.
-        steps: down the second term, of each joint.
+        shrink: factor of the spread after a round with a better path.
+        widest: largest spread.
+        stalled: number of successive rounds without a better path after which the search restarts.
+        rounds: largest number of rounds.
+        steps: number of steps down the second term for each joint.
     """
 
     margin: float = 0.01
@@ -94,11 +94,11 @@ def stomp(problem: PlanningProblem, options: StompOptions) -> Motion:
 
 
 def motion_along(problem: PlanningProblem, path: Floats) -> Motion:
-    """The checked motion along waypoints ``(N, n)``: a B-spline, which stays in their convex hull, by minimum jerk."""
+    """The checked motion along a B-spline in the convex hull of ends and waypoints ``(N, n)``, by minimum jerk."""
     way = np.concatenate([problem.start[None], path, problem.target[None]])
     share = np.linspace(0.0, 1.0, len(way))
     knots = clamped_knots(len(way))
-    # Control points at the means of their knots make a straight way, evenly run through, of a straight way.
+    # With control points at the means of their knots, an evenly spaced straight path gives a curve of constant speed.
     means = np.lib.stride_tricks.sliding_window_view(knots[1:-1], SPLINE_DEGREE).mean(axis=1)
     curve = BSpline(knots, np.stack([np.interp(means, share, joint) for joint in way.T], axis=1), SPLINE_DEGREE)
     t = problem.times()
@@ -110,17 +110,17 @@ class StompSearch:
     """The search for one problem's path.
 
     Args:
-        problem: where paths begin and end.
-        options: of the planner.
-        spacing: that paths are tested with, as in the options [m].
-        rng: that noise is drawn from.
+        problem: start, target and arm.
+        options: options of the planner.
+        spacing: spacing of the postures tested, as in the options [m].
+        rng: generator of the noise.
 
     Attributes:
         metric: R, ``(N, N)``.
         smoother: M, ``(N, N)``.
-        straight: ``(N, n)`` waypoints of the path with the least second differences.
-        path: ``(N, n)`` the best path of the present start.
-        cost: ``(N,)`` of its waypoints.
+        straight: ``(N, n)`` waypoints of the straight path, which has the least second differences.
+        path: ``(N, n)`` waypoints of the best path since the last restart.
+        cost: ``(N,)`` costs of its waypoints.
     """
 
     def __init__(
@@ -139,14 +139,14 @@ class StompSearch:
         self.cost = self.costs(self.path)
 
     def noise(self, count: int) -> Floats:
-        """``count`` samples for each joint ``(count, N, n)`` of N(0, R^-1), over its largest standard deviation."""
+        """``count`` samples ``(count, N, n)`` of N(0, R^-1) for each joint, over the largest standard deviation."""
         n, joints = self.straight.shape
-        # With R = L L', L'^-1 of white noise.
+        # With R = L L', white noise times L'^-1 has the covariance R^-1.
         drawn = solve_triangular(self._root, self.rng.normal(size=(n, count * joints))) / self._deviation
         return np.asarray(drawn.reshape(n, count, joints).transpose(1, 0, 2))
 
     def costs(self, path: Floats) -> Floats:
-        """What geoms lack of the margin [m] and joints of their limits [rad, m], worst about each waypoint ``(N,)``."""
+        """Worst sum of lacking clearance [m] and excess over limits [rad, m] on the edges of each waypoint ``(N,)``."""
         way = np.concatenate([self.problem.start[None], path, self.problem.target[None]])
         edges = np.diff(way, axis=0)
         counts = np.maximum(np.ceil(np.abs(edges) @ self._density), 1).astype(int)
@@ -163,7 +163,7 @@ class StompSearch:
         return np.maximum(worst[:-1], worst[1:])
 
     def clear_path(self) -> Floats | None:
-        """Waypoints ``(N, n)`` of a path that costs nothing, or None after all rounds."""
+        """Waypoints ``(N, n)`` of a path of zero cost, or None if all rounds find none."""
         options, spread, stalled = self.options, self.options.spread, 0
         for _ in range(options.rounds):
             if not self.cost.any():
@@ -177,7 +177,7 @@ class StompSearch:
         return None if self.cost.any() else self.path
 
     def _round(self, spread: float) -> bool:
-        """One round with noise of this spread; whether the path is better now."""
+        """Do a round with noise of this spread; return whether it improved the path."""
         arm = self.problem.arm
         low, high = arm.position_limits.T
         paths = np.clip(self.path + spread * arm.ranges * self.noise(self.options.rollouts), low, high)
@@ -193,9 +193,9 @@ class StompSearch:
         return better
 
     def smoothed(self, path: Floats) -> Floats:
-        """A clear path ``(N, n)`` after steps down the second term, joint by joint, none of which costs anything."""
+        """A clear path ``(N, n)`` after steps down the second term, joint by joint, as far as these stay clear."""
         values, vectors = np.linalg.eigh(self.metric)
-        # All the way first; then lambda in units of what halves the slowest bend, more after a step that stays clear.
+        # First straight; then lambda in units that halve the lowest mode, raised after a clear step, else reduced.
         damping = np.full(path.shape[1], np.inf)
         for _ in range(self.options.steps):
             for joint in range(path.shape[1]):
@@ -213,7 +213,7 @@ class StompSearch:
 
 
 def noise_weights(costs: Floats, sensitivity: float) -> Floats:
-    """Weights ``(K, N)`` of K noises at each waypoint, from their costs ``(K, N)``; zero where all cost the same."""
+    """Weights ``(K, N)`` of K noise samples at each waypoint, from costs ``(K, N)``; zero where all are the same."""
     least, span = costs.min(axis=0), np.ptp(costs, axis=0)
     weights = np.exp(-sensitivity * (costs - least) / np.where(span > 0.0, span, 1.0))
     return np.where(span > 0.0, weights / weights.sum(axis=0), 0.0)
