@@ -90,7 +90,7 @@ class Motion:
 
 
 def count_steps(duration: float, timestep: float) -> int:
-    """Number of time steps in ``duration`` [s]; raise `InputError` if there are less than 2, or too many."""
+    """Number of time steps in ``duration`` [s]; raise `InputError` if there are fewer than 2, or too many."""
     ratio = as_positive("duration", duration) / as_positive("timestep", timestep)
     if not 1.5 <= ratio <= _MAX_STEPS:
         raise InputError(

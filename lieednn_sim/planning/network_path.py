@@ -1,10 +1,10 @@
 """From a network to a joint trajectory that starts and ends at rest and takes a stated duration.
 
-The network runs in its own time tau: its field starts with a step in velocity and arrives exponentially, never in
-finite time. A robot does neither. So the path q(tau) that the network draws is kept, and run through by a minimum-jerk
-law in its length l: l(t) = L sigma(t / T) with sigma = 10 s^3 - 15 s^4 + 6 s^5, more slowly where it turns sharply.
-The length measures joint velocities in units of their limits, and the pace of the approach: where the joints turn back
-their velocity passes through zero, and length alone would make them do so at once. The path is cut where the network
+The network runs in its own time tau: its velocity starts with a step, and it converges exponentially, never arriving in
+finite time. A robot can do neither. So the network's path q(tau) is kept, and followed by a minimum-jerk law in its
+length l: l(t) = L sigma(t / T) with sigma = 10 s^3 - 15 s^4 + 6 s^5, more slowly where it turns sharply. The length
+combines joint velocities, in units of their limits, with the rate of convergence: where joints reverse, their velocity
+passes through zero, and a length of the joints alone would make them reverse at once. The path ends where the network
 is within `RESIDUAL` of its equilibrium.
 """
 

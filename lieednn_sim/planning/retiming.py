@@ -28,7 +28,7 @@ _PIECES = 1000
 _WINDOWS = np.geomspace(0.002, 1.0, 20)
 # Instants at which laws are sampled.
 _INSTANTS = 2000
-# Bounds given to the solver for missing limits [1/s, 1/s^2 in path lengths], far above all rates.
+# Bounds given to the solver for missing limits [rad/s, m/s; rad/s^2, m/s^2], far above all rates.
 _NONE = 1e6
 # Rates sampled at the model's time step may exceed those of the law slightly. Then the duration is multiplied by this
 # factor, at most this many times.
