@@ -62,7 +62,7 @@ def retime(arm: Arm, motion: Motion) -> Motion:
             duration *= _LONGER
             continue
         return found
-    raise PlanError("no law of time keeps the limits on this path; it turns too sharply for the model's time step")
+    raise PlanError("no time law keeps the limits on this path; it turns too sharply for the model's time step")
 
 
 class _Path:
@@ -104,7 +104,7 @@ class _Path:
         )
         _, rate, _ = solver.compute_parameterization(0.0, 0.0)
         if rate is None or not np.isfinite(rate).all():
-            raise PlanError("toppra finds no law of time for this path; it turns too sharply")
+            raise PlanError("toppra finds no time law for this path; it turns too sharply")
         # Constant acceleration on each piece.
         t = np.append(0.0, np.cumsum(2.0 * np.diff(grid) / (rate[1:] + rate[:-1])))
         law = CubicHermiteSpline(t, grid, rate)

@@ -40,12 +40,12 @@ _POSTURES = 100
 
 @dataclass(frozen=True)
 class StompOptions(PlannerOptions):
-    """Options of the planner ``stomp``; tuned on seeds from 100 on, which no table uses.
+    """Options of the planner ``stomp``; tuned on problems with seeds from 100 on.
 
     Attributes:
         margin: clearance of paths, reduced where start or target is closer to something [m].
         spacing: largest distance that a link frame moves between postures tested, about, from 0.001 to 1 m. If the
-            dense test of the motion finds a contact in between, the search starts again with half of it.
+            motion is refused, as for a contact in between, the search starts again with half of it.
         waypoints: number of waypoints between start and target, from 4 to 500; enough for a way around an obstacle.
         rollouts: number of noisy paths in a round, the paper's K; more find better paths, in proportionally more time.
         sensitivity: the paper's h, ten there, too.

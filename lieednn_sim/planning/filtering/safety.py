@@ -45,11 +45,12 @@ class FilterStep:
 
     Attributes:
         velocity: ``(n,)`` joint velocities at the end of the step [rad/s, m/s].
-        active: whether they differ from the wanted velocities by more than acceleration limits require.
+        active: whether position limits, clearance or a user's limit or barrier changed them noticeably.
         braked: whether the arm braked since clearance could not be kept together with the other limits.
         clearance: smallest distance at the beginning of the step [m] among the pairs that could come too close in it;
             infinite if there are none.
-        blocking: what held the arm back, the strongest first: position limits and pairs of geoms.
+        blocking: what held the arm back, the strongest first: position limits and pairs of geoms. If the arm braked, it
+            is the first barrier that the bounds do not imply, usually the closest pair.
     """
 
     velocity: Floats
