@@ -437,6 +437,22 @@ def test_limits_and_barriers_of_the_user_are_kept_and_named(gantry):
         SafetyFilter(gantry, 0.02, limits=[Plane()])
 
 
+class Walls(Barrier):
+    """The gantry's x stays below 0.3, 0.05 and 0.02 m."""
+
+    def values(self, q, velocity, speeds):
+        return np.array([0.3, 0.05, 0.02]) - q[0], np.tile([-1.0, 0.0, 0.0, 0.0], (3, 1))
+
+
+def test_an_arm_that_brakes_names_the_barriers_that_it_violates_the_worst_first(gantry):
+    """From 1 m/s it gets down to 0.8; the first wall asks for less than 0.95, the others for 0.25 and 0.1."""
+    filter_ = SafetyFilter(gantry, 0.02, barriers=[Walls()])
+    step = filter_.step(np.zeros(4), np.array([1.0, 0.0, 0.0, 0.0]), np.array([1.0, 0.0, 0.0, 0.0]))
+    assert step.velocity[0] == pytest.approx(0.8)
+    assert step.braked
+    assert step.blocking == ("Walls 2", "Walls 1")
+
+
 # Beads on a rail: rail -> ball joint -> rail, with a post beside the first one. At home the gaps are as in the test.
 BEADS = """
 <mujoco><compiler angle="radian" autolimits="true"/><worldbody>

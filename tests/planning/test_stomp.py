@@ -110,6 +110,21 @@ def test_costs_are_zero_where_the_fast_test_of_clearance_says_yes():
     np.testing.assert_array_equal(test.lack(q) == 0.0, clear)
 
 
+def test_the_angle_of_a_ball_joint_beyond_its_limit_costs_once():
+    """At the waypoint and the one before, whose edges end there; a slide beyond its limit costs as much more."""
+    arm = Arm.load("telescopic_compound")
+    home, options = arm.keyframe("home"), StompOptions(waypoints=4)
+    problem = PlanningProblem(arm, home, home, 4.0, 0)
+    made = StompSearch(problem, options, options.spacing, np.random.default_rng(0))
+    made._clear.lack = lambda q: np.zeros(len(q))
+    ball, slide = arm.space.balls[0], next(k for k in range(arm.n_joints) if k not in arm.space.balls)
+    path = np.tile(home, (4, 1))
+    path[1, ball] = (arm.position_limits[ball[0], 1] + 0.03) * np.array([0.6, 0.0, 0.8])
+    np.testing.assert_allclose(made.costs(path)[:2], 0.03, atol=1e-12)
+    path[1, slide] = arm.position_limits[slide, 1] + 0.05
+    np.testing.assert_allclose(made.costs(path)[:2], 0.08, atol=1e-12)
+
+
 def test_what_is_thin_costs_between_waypoints_too():
     """Four waypoints of a turn from 0 to 2.5, at 0.5, 1, 1.5 and 2: the post stands between the second and third."""
     arm = posted(1.25, 0.01)

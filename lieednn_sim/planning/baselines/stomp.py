@@ -127,6 +127,9 @@ class StompSearch:
         self, problem: PlanningProblem, options: StompOptions, spacing: float, rng: np.random.Generator
     ) -> None:
         self.problem, self.options, self.rng, n = problem, options, rng, options.waypoints
+        # The excess of a ball joint is that of its angle, repeated for its three coordinates.
+        self._shares = np.ones(problem.arm.n_joints)
+        self._shares[problem.arm.space.balls] = 1.0 / 3.0
         self._clear, self._density = Workspace(problem, options.margin).clear, sweeps(problem.arm) / spacing
         differences = np.eye(n, k=-1) - 2.0 * np.eye(n) + np.eye(n, k=1)
         self.metric = differences.T @ differences
@@ -157,7 +160,7 @@ class StompSearch:
         for begin in range(0, len(postures), _POSTURES):
             check_time()
             part = slice(begin, begin + _POSTURES)
-            beyond = np.maximum(self.problem.arm.limit_excess(postures[part]), 0.0).sum(axis=1)
+            beyond = np.maximum(self.problem.arm.limit_excess(postures[part]), 0.0) @ self._shares
             lack[part] = self._clear.lack(postures[part]) + beyond
         worst = np.maximum.reduceat(lack, first)
         return np.maximum(worst[:-1], worst[1:])

@@ -49,8 +49,8 @@ class FilterStep:
         braked: whether the arm braked since clearance could not be kept together with the other limits.
         clearance: smallest distance at the beginning of the step [m] among the pairs that could come too close in it;
             infinite if there are none.
-        blocking: what held the arm back, the strongest first: position limits and pairs of geoms. If the arm braked, it
-            is the first barrier that the bounds do not imply, usually the closest pair.
+        blocking: what held the arm back, the strongest first: position limits and pairs of geoms; if the arm
+            braked, the barriers that it violates, the worst first.
     """
 
     velocity: Floats
@@ -145,7 +145,9 @@ class SafetyFilter:
             sense = np.concatenate([np.zeros(n), np.full(len(rows), _SOFT)]).astype(np.int32)
             solution, _, flag, _ = daqp.solve(np.eye(n), np.zeros(n), scaled, upper, lower, sense, rho_soft=_GIVING)
             braking = np.clip(solution * scale if flag > 0 else np.zeros(n), low, high)
-            return FilterStep(braking, True, True, clearance, self._names(kept[:1]))
+            missing = floors - rows @ braking
+            violated = np.argsort(-missing, kind="stable")[: max(1, np.count_nonzero(missing > 0.0))]
+            return FilterStep(braking, True, True, clearance, self._names(kept[violated]))
         chosen = np.clip(solution * scale, low, high)
         multipliers = np.abs(info["lam"])
         below = solution * scale >= goal
