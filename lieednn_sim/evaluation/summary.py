@@ -62,13 +62,13 @@ def method(table: Table) -> str:
         "" if settings.mass_scale == 1.0 else f" with {settings.mass_scale:g} times the masses the controllers know"
     )
     return (
-        f"From home to random reachable targets in {settings.duration:g} s, simulated{masses} until "
-        f"{settings.hold:g} s after. A success is a rollout without contact whose every link ends within "
-        f"{1e3 * SETTLED_TRANSLATION:g} mm and {np.rad2deg(SETTLED_ROTATION):.1g} deg of the target. Tracking "
-        "is measured against the planned joints; the mechanism gap is no part of it. Medians are over the seeds that "
-        "have the value: a planner that fails on hard targets is judged by the easy. A planner that has spent "
-        f"{settings.time_budget:g} s of CPU time on a problem has failed. All numbers but the planning time are the "
-        "same on every run."
+        f"Motions lead from home to random reachable targets in {settings.duration:g} s, simulated{masses} until "
+        f"{settings.hold:g} s afterwards. A rollout succeeds if nothing touches and every link ends within "
+        f"{1e3 * SETTLED_TRANSLATION:g} mm and {np.rad2deg(SETTLED_ROTATION):.1g} deg of the target. Tracking errors "
+        "are relative to the planned joints, without the mechanism gap. Medians are over the seeds with a value, so a "
+        "planner that fails on hard targets is judged by easy ones. A planner that has spent "
+        f"{settings.time_budget:g} s of CPU time on a problem has failed. All numbers except the planning time are "
+        "reproducible."
     )
 
 

@@ -11,16 +11,16 @@ from lieednn_sim.evaluation.problems.study import MEASURED, Solution, Statistic
 from lieednn_sim.evaluation.statistics import pattern_of, wilson
 from lieednn_sim.evaluation.summary import table_head, table_line
 
-# Most problems that are named for one kind of failure.
+# Largest number of problems named for a kind of failure.
 _NAMED = 10
 _STATISTICS = ("mean", "std", "median", "75 %", "98 %")
 METHOD = (
-    "From the published start to the published joint goal, within the limits of position and velocity of the robot's "
-    "URDF, and of accelerations from its efforts, free of contact at every sample of 2 ms; no more distance is kept, "
-    "for starts and goals keep none. A planner that has spent {budget:g} s of CPU time, on one core, has failed. "
-    "Skipped is a problem whose start or goal touches something, or breaks a limit: it counts neither as solved nor as "
-    "failed. The solve time is all from the problem to the timed motion. Statistics are over what was solved. The "
-    "C-space path is a Euclidean length in radians, of slides in metres."
+    "Motions lead from the published start to the published joint goal, within the limits of position and velocity of "
+    "the robot's URDF and of accelerations derived from its efforts, free of contact at every sample of 2 ms. No "
+    "clearance is required, since starts and goals have none. A planner has {budget:g} s of CPU time, on one core, for "
+    "a problem. Problems whose start or goal touches something or breaks a limit are skipped: they count neither as "
+    "solved nor as failed. The solve time covers everything from the problem to the timed motion. Statistics are over "
+    "solved problems. The C-space path is a Euclidean length in radians, for slides in metres."
 )
 
 
