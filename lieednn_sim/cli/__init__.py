@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import io
+import os
 import re
 import sys
 import textwrap
@@ -12,7 +14,7 @@ from typing import Any
 
 from lieednn_sim.cli import options
 from lieednn_sim.cli.interruption import Interruption
-from lieednn_sim.errors import LieEDNNError
+from lieednn_sim.errors import FileError, LieEDNNError
 
 _DESCRIPTION = (
     "Plan the motion of a telescopic manipulator with LieEDNN networks that carry a proof of global stability, "
@@ -37,14 +39,20 @@ def main(argv: Sequence[str] | None = None) -> int:
     141: the output's reader closed it; 143: terminated.
     """
     words = list(sys.argv[1:] if argv is None else argv)
-    arguments = _parser().parse_args(_join_negative_numbers(words))
-    arguments.words = words
+    # Paths and messages may hold characters that the output's encoding lacks.
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")
     # A terminated run cleans up like an interrupted one.
     with Interruption() as interruption:
         try:
+            arguments = _parser().parse_args(_join_negative_numbers(words))
+            arguments.words = words
             module = importlib.import_module(f"lieednn_sim.cli.{_MODULES.get(arguments.command, 'commands')}")
             interruption.importing = False
-            return int(getattr(module, arguments.command)(arguments) or 0)
+            code = int(getattr(module, arguments.command)(arguments) or 0)
+            # An output that takes no more is noticed here, not at exit.
+            print(end="", flush=True)
+            return code
         except KeyboardInterrupt:
             return interruption.report()
         except Exception as error:
@@ -53,12 +61,29 @@ def main(argv: Sequence[str] | None = None) -> int:
                 return interruption.report()
             if isinstance(error, BrokenPipeError):
                 # The output's reader closed it, as in `lieednn-sim demo | head`.
-                sys.stderr.close()
+                _drop_output()
                 return 141
             if not isinstance(error, LieEDNNError):
-                raise
+                if not isinstance(error, OSError) or not _output_failed():
+                    raise
+                error = FileError(f"cannot write to the standard output: {error.strerror}")
             print(f"lieednn-sim: error: {error}", file=sys.stderr)
             return 2
+
+
+def _output_failed() -> bool:
+    """Whether the standard output takes no more, as on a full disk; then it is dropped."""
+    try:
+        print(flush=True)  # flushing alone tells nothing of an output without a buffer
+    except OSError:
+        _drop_output()
+        return True
+    return False
+
+
+def _drop_output() -> None:
+    """Let go of what waits for the standard output, which would fail again at exit."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _join_negative_numbers(argv: Sequence[str]) -> list[str]:

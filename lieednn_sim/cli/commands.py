@@ -84,8 +84,11 @@ def _simulate(run: RunDirectory, arguments: argparse.Namespace) -> None:
         check_motion(arm, motion)
     end = motion.t[-1] + arguments.hold
     for push in changes.pushes:
-        if push.start > end:
-            raise InputError(f"the push on {push.body!r} at {push.start:g} s comes after the run's end at {end:g} s")
+        # No step begins at the end; times are rounded to the nearest step.
+        if push.start >= end - 0.5 * arm.timestep:
+            raise InputError(
+                f"the push on {push.body!r} at {push.start:g} s comes no earlier than the run's end at {end:g} s"
+            )
     with progress("simulate") as report:
         rollout = simulate_motion(
             arm,

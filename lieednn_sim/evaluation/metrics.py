@@ -241,8 +241,10 @@ def _peak(rollout: Rollout, channel: str) -> float:
 
 
 def _recoveries(rollout: Rollout, tracking: tuple[Floats, Floats]) -> tuple[Recovery, ...]:
-    """A push that begins after the end of the rollout leaves no entry."""
-    pushes = [push for push in rollout.disturbances.pushes if push.start <= rollout.t[-1]]
+    """A push that begins at the end of the rollout or later leaves no entry."""
+    # No step begins at the last sample; times are rounded to the nearest step.
+    end = 0.5 * (rollout.t[-2] + rollout.t[-1])
+    pushes = [push for push in rollout.disturbances.pushes if push.start < end]
     # Pushes that begin together share what follows.
     untils = [min((other.start for other in pushes if other.start > push.start), default=np.inf) for push in pushes]
     return tuple(_recovery(push, until, rollout.t, tracking) for push, until in zip(pushes, untils, strict=True))

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
@@ -27,7 +28,8 @@ class Push:
         body: name of a body of the scene or of a link ("link 1", ..., "end effector").
         force: ``(3,)`` [N], world frame, at the body's centre of mass.
         start: time since the start of the rollout [s].
-        duration: the force acts in simulation steps at times t with start <= t < start + duration [s].
+        duration: the force acts in simulation steps at times t with start <= t < start + duration [s], both rounded to
+            the nearest step; a push in whose time no step begins is refused.
     """
 
     body: str
@@ -108,16 +110,31 @@ class Pushes:
         self._pushes = [(push, push.body_id(arm, model)) for push in pushes]
         self._bodies = list(dict.fromkeys(body for _, body in self._pushes))
         self._timestep, self._shape = float(model.opt.timestep), (model.nbody, 6)
+        for push in pushes:
+            self._require_a_step(push)
         self.channel_units: Mapping[str, str] = {"push_force": "N"} if pushes else {}
 
     def forces(self, steps: range) -> Floats:
         """Forces and torques ``(m, B, 6)`` on all B bodies of the plant in some steps."""
         applied, now = np.zeros((len(steps), *self._shape)), self._timestep * np.array(steps)
-        half = 0.5 * self._timestep
         for push, body in self._pushes:
-            # Compared halfway between steps, so that rounding of the times does not matter.
-            applied[(push.start - half < now) & (now < push.end - half), body, :3] += push.force
+            applied[self._acts(push, now), body, :3] += push.force
         return applied
+
+    def _acts(self, push: Push, now: Floats) -> NDArray[np.bool_]:
+        """In which of the steps that begin at some times a push acts."""
+        # Compared halfway between steps, so that rounding of the times does not matter.
+        half = 0.5 * self._timestep
+        return (push.start - half < now) & (now < push.end - half)
+
+    def _require_a_step(self, push: Push) -> None:
+        """Refuse a push that is so short that it would never act."""
+        nearby = np.round(push.start / self._timestep) + np.arange(-1, 2)
+        if not self._acts(push, self._timestep * nearby).any():
+            raise InputError(
+                f"the push on {push.body!r} at {push.start:g} s takes {push.duration:g} s, in which no step of the"
+                f" simulation begins; make it at least one time step of {self._timestep:g} s"
+            )
 
     def apply(self, data: mujoco.MjData, step: int) -> None:
         """Set the forces of a step."""

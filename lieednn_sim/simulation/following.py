@@ -204,6 +204,8 @@ def follow(
     origin = arm.keyframe("home") if start is None else arm.check_position(start, "start")
     settings: dict[str, Any] = {"steps": period, "speed": speed, "feedforward": feedforward}
     follower: Follower | FeedbackFollower
+    if feedback is not None and not isinstance(feedback, Feedback):
+        raise InputError(f"feedback must be a Feedback or None, got {type(feedback).__name__}")
     if feedback is None:
         follower = Follower(arm, network, origin, **settings)
     else:

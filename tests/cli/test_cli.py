@@ -11,6 +11,7 @@ import shutil
 import signal
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ from lieednn_sim.network import LieEDNN
 from lieednn_sim.rendering import opengl
 
 FAST = ["--candidates", "3", "--duration", "2"]
+MAIN = "import sys; from lieednn_sim.cli import main; sys.exit(main())"
 
 
 @pytest.fixture(scope="module")
@@ -274,6 +276,31 @@ def test_output_that_cannot_be_written(tmp_path, capsys):
     assert "cannot create directory" in fails(
         capsys, "synthesize", "--target", "extended", "--output", tmp_path / "file" / "run", *FAST
     )
+
+
+@pytest.mark.parametrize(("argument", "unbuffered"), [("arms", ""), ("arms", "1"), ("--version", "1")])
+def test_a_full_output_gives_one_line(start, argument, unbuffered):
+    with Path("/dev/full").open("w") as full:
+        process = start("-c", MAIN, argument, stdout=full, env={**os.environ, "PYTHONUNBUFFERED": unbuffered})
+        message = process.communicate()[1]
+    assert message == "lieednn-sim: error: cannot write to the standard output: No space left on device\n"
+    assert process.returncode == 2
+
+
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+def test_an_output_that_nobody_reads_ends_the_command_in_silence(start, unbuffered):
+    process = start("-c", MAIN, "doctor", "--json", env={**os.environ, "PYTHONUNBUFFERED": unbuffered})
+    process.stdout.close()
+    assert (process.stderr.read(), process.wait()) == ("", 141)
+
+
+def test_a_path_that_the_output_cannot_spell(run, tmp_path, start):
+    copy = tmp_path / "d\u00e9mo"
+    shutil.copytree(run, copy)
+    process = start("-c", MAIN, "evaluate", str(copy), env={**os.environ, "PYTHONIOENCODING": "ascii"})
+    printed, message = process.communicate()
+    assert (process.returncode, message) == (0, "")
+    assert f"wrote {tmp_path}/d\\xe9mo/metrics.json" in printed
 
 
 def test_bad_video_options_are_refused_before_the_work(tmp_path, capsys):

@@ -227,7 +227,7 @@ def test_bad_options_stop_the_demo_before_the_work(arguments, message, tmp_path,
 
 def test_a_push_after_the_end_is_no_push(tmp_path, capsys):
     arguments = ["--output", tmp_path / "run", "--candidates", "3", "--push", "link 1,1,2,3,9,1"]
-    assert "at 9 s comes after the run's end at 5 s" in error(capsys, "demo", "--no-video", *arguments)
+    assert "at 9 s comes no earlier than the run's end at 5 s" in error(capsys, "demo", "--no-video", *arguments)
 
 
 def test_the_joints_of_a_large_arm_stand_in_two_blocks(tmp_path, monkeypatch):

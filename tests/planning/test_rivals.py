@@ -97,6 +97,14 @@ def test_who_finds_the_straight_way_looks_no_further(monkeypatch, name):
     assert sum(tested) < 40_000
 
 
+@pytest.mark.parametrize("name", ["rrt-connect", *IMPROVING])
+def test_where_the_target_is_the_start_the_arm_stays(name):
+    needs(name)
+    home = ARM.keyframe("home")
+    motion = plan(ARM, home, planner=name, duration=1.0).motion
+    np.testing.assert_allclose(motion.q, np.broadcast_to(home, motion.q.shape), rtol=0.0, atol=1e-12)
+
+
 def corners(seed: int, count: int = 5) -> np.ndarray:
     drawn = np.random.default_rng(seed).uniform(LOW, HIGH, (count, len(LOW)))
     drawn[0] = ARM.keyframe("home")

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError
 from lieednn_sim.evaluation.metrics import evaluate
-from lieednn_sim.simulation import Disturbances, Push, simulate
+from lieednn_sim.simulation import Disturbances, Push, Simulation, simulate
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -100,6 +100,29 @@ def test_mocap_has_no_joint_feedback_to_disturb(arm, travel):
         for changes in (None, Disturbances(position_noise=1e-2))
     )
     np.testing.assert_array_equal(still.q, noisy.q)
+
+
+@pytest.mark.parametrize(("begin", "lasts", "steps"), [(0.1, 0.002, 1), (0.1005, 0.0021, 1), (0.0989, 0.0041, 2)])
+def test_a_push_acts_in_a_whole_number_of_steps(arm, travel, begin, lasts, steps):
+    disturbances = Disturbances(pushes=(Push("end effector", (1.0, 0.0, 0.0), begin, lasts),))
+    rollout = simulate(arm, travel(arm, arm.keyframe("home"), arm.keyframe("home"), 0.2), disturbances=disturbances)
+    assert np.count_nonzero(rollout.channels["push_force"][..., 0]) == steps
+
+
+@pytest.mark.parametrize("lasts", [1e-9, 0.0009])
+def test_a_push_that_would_never_act_is_refused(arm, lasts):
+    push = Push("end effector", (0.0, 100.0, 0.0), 0.1001, lasts)
+    with pytest.raises(InputError, match="no step of the simulation begins; make it at least one time step"):
+        Simulation(arm, disturbances=Disturbances(pushes=(push,)))
+
+
+def test_a_push_at_the_end_leaves_no_entry(arm, travel):
+    """No step begins at the last sample."""
+    home = arm.keyframe("home")
+    pushes = tuple(Push("end effector", (0.0, 100.0, 0.0), begin, 1.0) for begin in (1.197, 1.1995, 1.2))
+    rollout = simulate(arm, travel(arm, home, home, 0.2), disturbances=Disturbances(pushes=pushes))
+    assert rollout.t[-1] == pytest.approx(1.2)
+    assert [push.start_s for push in evaluate(rollout).recoveries] == [1.197]
 
 
 @pytest.mark.parametrize(

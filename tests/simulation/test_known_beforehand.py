@@ -95,3 +95,13 @@ def test_controllers_that_need_the_state_are_refused(travel):
         simulate_many(arm, [motion], controller="computed-torque")
     with pytest.raises(InputError, match="at least one motion"):
         simulate_many(arm, [])
+
+
+@pytest.mark.parametrize("index", [1, -2])
+def test_a_rollout_that_is_not_there_is_refused(travel, index):
+    arm = Arm.load("telescopic_pr")
+    home = arm.keyframe("home")
+    many = simulate_many(arm, [travel(arm, home, home, 0.1)], hold=0.0)
+    np.testing.assert_array_equal(many.rollout(-1).q, many.q[0])
+    with pytest.raises(InputError, match="index must be"):
+        many.rollout(index)

@@ -184,7 +184,9 @@ def ompl_search(name: str) -> Search:
         straight = float(np.linalg.norm((space.ends[1] - space.ends[0]) / space.edges.scale))
         objective.setCostThreshold(base.Cost(_STRAIGHT * straight))
         definition.setOptimizationObjective(objective)
-        planner = getattr(geometric, METHODS[name])(space.information)
+        # Informed RRT* fails where start and target are one: there is no ellipsoid to sample in.
+        method = METHODS[name if straight > 0.0 else "rrt-connect"]
+        planner = getattr(geometric, method)(space.information)
         if hasattr(planner, "setRange"):
             planner.setRange(options.longest_edge * space.information.getMaximumExtent())
         planner.setProblemDefinition(definition)
