@@ -27,7 +27,7 @@ from lieednn_sim.environments.bounds import Bounds
 from lieednn_sim.environments.frames import frames_at
 from lieednn_sim.environments.tasks import make_task
 from lieednn_sim.errors import InputError
-from lieednn_sim.simulation.simulation import quiet_warnings
+from lieednn_sim.simulation.simulation import QuietWarnings
 from lieednn_sim.validation import as_count, as_floats
 from lieednn_sim.values import Floats
 
@@ -166,7 +166,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[dict[str, Floats], Floats, An
         before, start = self._states[going], self._commands[going]
         end = first.commands.moved(start, actions)
         controls = first.commands.controls(start, end)
-        with quiet_warnings():
+        with QuietWarnings():
             after = self._rollouts.rollout(model, self._data, before, controls)[0][:, -1]
         # After a warning of MuJoCo time stands still, or restarts.
         late = np.abs(after[:, 0] - before[:, 0] - first.control_timestep) > 0.5 * first.simulation.timestep

@@ -29,7 +29,7 @@ from lieednn_sim.simulation.feedback import Feedback, FeedbackFollower
 from lieednn_sim.simulation.log import ChannelSource, Log
 from lieednn_sim.simulation.reference import Reference, steps_of_rate
 from lieednn_sim.simulation.rollout import Rollout, as_rollout
-from lieednn_sim.simulation.simulation import Simulation, quiet_warnings
+from lieednn_sim.simulation.simulation import QuietWarnings, Simulation
 from lieednn_sim.simulation.tracking import make_controlled
 from lieednn_sim.validation import as_floats, as_positive
 from lieednn_sim.values import Floats, frozen
@@ -287,7 +287,7 @@ def closed_loop(
     simulation.reset(start)
     sample = _sampler(arm, target, timestep)
     log, targets = Log(simulation, driver, *sources), []
-    with quiet_warnings():
+    with QuietWarnings():
         for k in range(total):
             targets.append(sample(k))
             if k % period == 0:

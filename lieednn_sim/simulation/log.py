@@ -101,7 +101,7 @@ class Log:
         return self._rows
 
     def step(self) -> None:
-        """Do one step, within `quiet_warnings`, and keep the instant before it; nothing of a step that fails."""
+        """Do one step, within `QuietWarnings`, and keep the instant before it; nothing of a step that fails."""
         for write, view in self._before:
             write(view)
         self._simulation.advance_once()

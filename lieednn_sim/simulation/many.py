@@ -22,7 +22,7 @@ from lieednn_sim.simulation.controllers.base import Controller
 from lieednn_sim.simulation.disturbances import Disturbances
 from lieednn_sim.simulation.plant import make_plant
 from lieednn_sim.simulation.rollout import Rollout
-from lieednn_sim.simulation.simulation import Simulation, quiet_warnings
+from lieednn_sim.simulation.simulation import QuietWarnings, Simulation
 from lieednn_sim.simulation.tracking import as_hold, as_motion, as_reference, joined, scaled, simulate
 from lieednn_sim.validation import as_choice, as_count, as_positive
 from lieednn_sim.values import Floats, frozen
@@ -145,7 +145,7 @@ def simulate_many(
         ctrl[index] = inputs.get(mujoco.mjtState.mjSTATE_CTRL, 0.0)
 
     workers = as_count("threads", os.cpu_count() or 1 if threads is None else threads)
-    with quiet_warnings(), ThreadPoolExecutor(workers) as pool:
+    with QuietWarnings(), ThreadPoolExecutor(workers) as pool:
         for _ in pool.map(run, range(len(chosen))):
             pass
     t = arm.timestep * np.arange(total, dtype=float)

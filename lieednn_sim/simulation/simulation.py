@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Iterator
 from math import isfinite
 
 import numpy as np
@@ -112,7 +110,7 @@ class Simulation:
             SimulationError: a warning of MuJoCo or a state that is not finite; names the time.
         """
         log = Log(self)
-        with quiet_warnings():
+        with QuietWarnings():
             log.step()
         return Instant(*(values[0] for values in log.instants()))
 
@@ -123,14 +121,14 @@ class Simulation:
             steps: how many.
             controls: ``(steps, nu)`` of each step, by default the present ones for all.
         """
-        with quiet_warnings():
+        with QuietWarnings():
             for k in range(as_count("steps", steps)):
                 if controls is not None:
                     self._control[:] = controls[k]
                 self.advance_once()
 
     def advance_once(self) -> None:
-        """Do one step without a record, as `advance`, by a caller within `quiet_warnings`: it is done for many."""
+        """Do one step without a record, as `advance`, by a caller within `QuietWarnings`: it is done for many."""
         if self.disturbances.pushes:
             self.pushes.apply(self.data, self.steps)
         mujoco.mj_step(self.model, self.data)
@@ -146,15 +144,19 @@ class Simulation:
             self.noise = self._sensors.draw()
 
 
-@contextlib.contextmanager
-def quiet_warnings() -> Iterator[None]:
-    """Keep MuJoCo from printing its warnings and from leaving a log file behind: `Simulation` raises errors instead."""
-    before = mujoco.get_mju_user_warning()
-    mujoco.set_mju_user_warning(lambda _: None)
-    try:
-        yield
-    finally:
-        mujoco.set_mju_user_warning(before)
+class QuietWarnings:
+    """Keeps MuJoCo from printing warnings and from leaving a log file behind; `Simulation` raises errors instead."""
+
+    def __enter__(self) -> None:
+        self._before = mujoco.get_mju_user_warning()
+        mujoco.set_mju_user_warning(_ignore)
+
+    def __exit__(self, *_: object) -> None:
+        mujoco.set_mju_user_warning(self._before)
+
+
+def _ignore(_: str) -> None:
+    pass
 
 
 def _problem(data: mujoco.MjData) -> str:

@@ -24,7 +24,7 @@ from lieednn_sim.simulation.log import Log
 from lieednn_sim.simulation.plant import make_plant
 from lieednn_sim.simulation.reference import Reference, steps_of_rate
 from lieednn_sim.simulation.rollout import Rollout, as_rollout
-from lieednn_sim.simulation.simulation import Simulation, quiet_warnings
+from lieednn_sim.simulation.simulation import QuietWarnings, Simulation
 from lieednn_sim.validation import as_choice, as_floats, as_positive
 from lieednn_sim.values import Floats
 
@@ -136,7 +136,7 @@ def simulate(
     log = Log(simulation, driver)
     shown = time.monotonic()
     try:
-        with quiet_warnings():
+        with QuietWarnings():
             for k in range(total):
                 drive(k)
                 log.step()

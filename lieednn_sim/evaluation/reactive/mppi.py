@@ -20,7 +20,7 @@ from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.contacts import moving_geoms
 from lieednn_sim.evaluation.reactive.protocol import PACE, Assignment, JointLeader
-from lieednn_sim.simulation.simulation import quiet_warnings
+from lieednn_sim.simulation.simulation import QuietWarnings
 from lieednn_sim.values import Floats
 
 # Half the number of samples, number and length [s] of the horizon's steps, and number of velocity knots.
@@ -67,7 +67,7 @@ class VelocityRollouts:
         data.qpos[:] = first
         mujoco.mj_getState(model, data, self._state[0], self._kind)
         controls = self._arm.qvel(np.broadcast_to(q, velocities.shape), velocities)
-        with quiet_warnings():
+        with QuietWarnings():
             states, sensed = rollout.rollout(model, data, self._state, controls)
         postures = self._arm.coordinates(states[:, :, 1 : 1 + model.nq])
         return postures, np.where(sensed[:, :, 0] > 0.0, sensed[:, :, 1], np.inf)
