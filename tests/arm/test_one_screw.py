@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm, import_arm
+from lieednn_sim.arm.kinematics import CompoundJoint, Factor
 from lieednn_sim.errors import InputError
 from lieednn_sim.lie import exp
 from lieednn_sim.planning import plan
@@ -86,6 +88,47 @@ def test_joints_that_do_not_commute_have_no_screw_and_are_narrowed():
     skew = arm_of(WRIST.format(y=0.6, z=0.8), links=["table", "lift", "wrist", "bit"])
     assert [joint.screw is None for joint in skew.joints.joints] == [False, False, False, True]
     np.testing.assert_allclose(skew.position_limits[3], [-0.99 * np.pi, 0.99 * np.pi])
+
+
+X, Y, Z = np.eye(3)
+
+
+def hinge(axis, anchor=(0.0, 0.0, 0.0)):
+    return Factor("hinge", np.asarray(axis, dtype=float)[:, None], np.array(anchor), np.array([0]))
+
+
+def slide(axis, ratio=1.0):
+    return Factor("slide", np.asarray(axis, dtype=float)[:, None], np.zeros(3), np.array([0]), ratio)
+
+
+@pytest.mark.parametrize(
+    ("joints", "screw"),
+    [
+        # Twice about one axis, which is off the origin: v = -omega x anchor.
+        ([hinge(Z, (1.0, 2.0, 3.0)), hinge(Z, (1.0, 2.0, -1.0))], [0.0, 0.0, 2.0, 4.0, -2.0, 0.0]),
+        ([hinge(Z), slide(Z, 0.5)], [0.0, 0.0, 1.0, 0.0, 0.0, 0.5]),
+        ([slide(X), slide(Y, 0.5)], [0.0, 0.0, 0.0, 1.0, 0.5, 0.0]),
+        ([hinge(Z), hinge(Z, (1.0, 0.0, 0.0))], None),
+        ([hinge(Z, (1.0, 0.0, 0.0)), hinge(Z)], None),
+        ([hinge(Y), hinge(Z)], None),
+        ([hinge(Z), hinge(Y)], None),
+        ([hinge(Z), slide(X)], None),
+        ([slide(X), hinge(Z)], None),
+        # In line up to a thousandth.
+        ([hinge(Z), slide([1e-3, 0.0, 1.0])], None),
+    ],
+)
+def test_joints_share_a_screw_where_their_lie_bracket_vanishes(joints, screw):
+    """omega_1 x omega_2 = 0 and omega_1 x v_2 + v_1 x omega_2 = 0, whichever comes first."""
+    found = CompoundJoint(tuple(joints)).screw
+    assert (found is None) == (screw is None)
+    if screw is not None:
+        np.testing.assert_allclose(found, screw, atol=1e-12)
+
+
+def test_a_screw_in_any_direction_is_one_up_to_rounding():
+    for axis in Rotation.random(50, rng=np.random.default_rng(0)).apply(Z):
+        assert CompoundJoint((hinge(axis, 3.0 * axis[::-1]), slide(axis, 0.7))).screw is not None
 
 
 def test_coordinates_that_no_pose_tells_apart_are_refused():

@@ -12,9 +12,10 @@ from scipy.optimize import least_squares
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
-from lieednn_sim.arm.kinematics import CompoundJoint, Factor
+from lieednn_sim.arm.kinematics import CompoundJoint, CompoundJoints, Factor
 from lieednn_sim.arm.local_retraction import LocalRetraction
 from lieednn_sim.arm.nearest import NearestPose
+from lieednn_sim.arm.projection import Retractor
 from lieednn_sim.errors import InputError
 from lieednn_sim.lie import exp, skew
 
@@ -157,6 +158,39 @@ def test_links_that_are_built_alike_are_retracted_as_each_one_alone(tmp_path, se
     np.testing.assert_allclose(followed.qd[1:-1], np.gradient(followed.q, axis=0)[1:-1], atol=1e-4)
 
 
+@pytest.mark.parametrize(
+    "second",
+    [
+        (("hinge", 2, 2.0, 3), ("hinge", 1, 1.0, 4), ("slide", 0, 1.0, 5)),
+        (("hinge", 2, 1.0, 3), ("slide", 1, 1.0, 4), ("slide", 0, 1.0, 5)),
+        (("hinge", 2, 1.0, 4), ("hinge", 1, 1.0, 3), ("slide", 0, 1.0, 5)),
+    ],
+    ids=["another gear", "another kind", "another order of coordinates"],
+)
+def test_links_that_differ_are_retracted_each_by_its_own_joints(second):
+    """Two links of three joints each (kind, axis, ratio, coordinate)."""
+    first = (("hinge", 2, 1.0, 0), ("hinge", 1, 1.0, 1), ("slide", 0, 1.0, 2))
+    joints = CompoundJoints(
+        tuple(
+            CompoundJoint(
+                tuple(Factor(kind, np.eye(3)[:, [axis]], np.zeros(3), np.array([k]), r) for kind, axis, r, k in link)
+            )
+            for link in (first, second)
+        ),
+        np.zeros(6),
+    )
+    q = np.array([[0.3, -0.4, 0.2, 0.5, 0.25, -0.1], [-0.2, 0.6, 0.1, -0.3, 0.4, 0.3]])
+    np.testing.assert_allclose(Retractor(joints, 1.0)(joints.twists(q)).q, q, atol=1e-9)
+
+
+def test_the_gap_of_half_a_turn_is_half_a_turn(gantry):
+    """The chord is a diameter, up to a rounding that no arc sine may see."""
+    axes = np.random.default_rng(0).normal(size=(20, 3))
+    xi = np.zeros((20, 2, 6))
+    xi[:, 0, :3] = np.pi * axes / np.linalg.norm(axes, axis=1, keepdims=True)
+    np.testing.assert_allclose(gantry.decode(xi).gap_rotation[:, 0], np.pi, atol=1e-7)
+
+
 def distance(arm, q, xi):
     """What the least squares minimise, by another way: angles and distances of the poses apart."""
     given_poses, found = exp(xi), arm.joint_poses(q)
@@ -267,16 +301,19 @@ def test_what_is_nearest_weighs_shifts_by_the_length():
     np.testing.assert_allclose(np.tan(found), 1.0 / (0.5**2 + 1.0))
 
 
-def test_the_local_retraction_follows_slides_of_which_one_is_coupled(tmp_path):
-    """The second link is moved by 0.4 of the first one's slide, the other way, and then by a slide of its own."""
+@pytest.mark.parametrize("coupled", ["first", "last"])
+def test_the_local_retraction_follows_slides_of_which_one_is_coupled(tmp_path, coupled):
+    """The second link is moved by 0.4 of the first one's slide, the other way, and by a slide of its own."""
+    slides = '<joint name="b" type="slide" axis="0 1 0"', '<joint name="c" type="slide" axis="0 0 1"'
+    one, other = slides if coupled == "first" else slides[::-1]
     arm = make(
         tmp_path,
-        """
+        f"""
         <mujoco><default><geom type="sphere" size="0.01" contype="0" conaffinity="0" mass="1"/></default><worldbody>
           <site name="base_frame"/>
           <body><joint name="a" type="slide" axis="1 0 0" range="0 1"/><geom/><site name="link1_frame"/>
-            <body><joint name="b" type="slide" axis="0 1 0" range="-1 1"/><geom/>
-              <body><joint name="c" type="slide" axis="0 0 1" range="0 1"/><geom/><site name="link2_frame"/></body>
+            <body>{one} range="-1 1"/><geom/>
+              <body>{other} range="-1 1"/><geom/><site name="link2_frame"/></body>
             </body></body></worldbody>
           <equality><joint joint1="b" joint2="a" polycoef="0 -0.4 0 0 0"/></equality></mujoco>
         """,
@@ -358,4 +395,22 @@ def test_the_local_retraction_meets_feasible_poses_to_rounding(name, request):
     for q, xi, rate in zip(way, arm.encode(way), rates, strict=True):
         found, qd = retraction(xi, rate)
         np.testing.assert_allclose(found, q, atol=1e-7)
-        np.testing.assert_allclose(qd, 1.0, atol=1e-3)
+        np.testing.assert_allclose(qd, 1.0, atol=2e-5)
+        np.testing.assert_allclose(retraction.gap, 0.0, atol=1e-7)
+
+
+def test_the_local_retraction_finds_back_from_afar(arm):
+    """By more than a radian in all, which takes more than two steps."""
+    q = positions(arm, 1, 3)[0]
+    retraction = LocalRetraction(arm, q + 0.3 * np.cos(np.arange(arm.n_joints)))
+    found, _ = retraction(arm.encode(q), np.zeros((arm.n_links, 6)))
+    np.testing.assert_allclose(found, q, atol=1e-7)
+
+
+def test_gaps_of_the_local_retraction_are_in_metres_and_radians(gantry):
+    """A link that slides and is given a turn of 0.01 rad, one that turns and is given 2 cm, in units of 2 m."""
+    retraction = LocalRetraction(replace(gantry, length_scale=2.0), np.zeros(4))
+    xi = np.zeros((2, 6))
+    xi[0, 2], xi[1, 4] = 0.01, 0.01
+    retraction(xi, np.zeros((2, 6)))
+    np.testing.assert_allclose(retraction.gap, [[0.01, 0.0], [0.0, 0.02]], rtol=1e-4, atol=1e-12)

@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from lieednn_sim.arm import Arm
 from lieednn_sim.evaluation.metrics import Evaluation, FrameErrors, JointUse, evaluate
 from lieednn_sim.evaluation.motion_metrics import (
     least_clearance,
@@ -87,6 +88,28 @@ def test_a_circle_has_the_curvature_of_its_radius(gantry):
     assert short.jerk_effector == 0.0
 
 
+def test_curvature_is_weighted_by_the_way_where_the_path_is_not_slow():
+    """At (0, 0) |(1, 0) x (0, 20)| / 1 with 1 m/s, at (0.1, 0.1) none with the speed of a last point on the diagonal."""
+    bend, diagonal = [[-0.1, 0.1, 0.0], [0.0, 0.0, 0.0], [0.1, 0.1, 0.0]], np.array([1.0, 1.0, 0.0])
+    for speed, expected in ((4.0, np.sqrt(20.0**2 / 5.0)), (19.0, np.sqrt(20.0**2 / 20.0)), (21.0, 0.0)):
+        path = [*bend, speed * 0.2 / np.sqrt(2.0) * diagonal]
+        assert rms_curvature(path, 0.1) == pytest.approx(expected, abs=1e-12)
+    # Whatever the pace, down to a nanometre in a second.
+    assert rms_curvature(bend, 5e7) == pytest.approx(20.0)
+    assert rms_curvature(bend, 2e8) is None
+
+
+def test_jerk_and_curvature_are_the_last_link_s(gantry):
+    """The wrist alone turns, by t^3 with half a metre of a lever: the first link stays where it is."""
+    spec = gantry.spec.copy()
+    spec.site("link2_frame").pos = (0.5, 0.0, 0.0)
+    arm = Arm.from_spec(spec, gantry.source, "lever")
+    t, turn = 1e-3 * np.arange(101), np.array([0.0, 0.0, 0.0, 1.0])
+    found = motion_metrics(arm, motion_of(arm, t, np.outer(t**3, turn), np.outer(3.0 * t**2, turn)))
+    assert found.jerk_effector == pytest.approx(0.5 * 6.0, rel=1e-4)
+    assert found.curvature == pytest.approx(2.0, rel=1e-3)
+
+
 def frame(name, *values, settled=1.0):
     return FrameErrors(name, *values, settling_s=settled)
 
@@ -153,7 +176,9 @@ def test_clearance_is_looked_at_every_fifth_sample_and_at_contacts(gantry):
     assert least_clearance(rollout_of(gantry, q, np.zeros_like(q))) == pytest.approx(0.65)
     touching = np.zeros(12, dtype=int)
     touching[8] = 3
-    assert least_clearance(rollout_of(gantry, q, np.zeros_like(q), touching)) == pytest.approx(-0.1)
+    # The motion is looked at, not what it should have been.
+    rollout = dataclasses.replace(rollout_of(gantry, q, np.zeros_like(q), touching), q_ref=np.zeros_like(q))
+    assert least_clearance(rollout) == pytest.approx(-0.1)
 
 
 def test_violations_by_hand(gantry):
