@@ -11,6 +11,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -47,7 +48,9 @@ def fails(capsys, *arguments):
 
 def test_the_demo_without_video_meets_its_bounds(tmp_path, capsys):
     directory = tmp_path / "demo"
+    begun = time.perf_counter()
     assert main(["demo", "--no-video", "--output", str(directory)]) == 0
+    taken = time.perf_counter() - begun
     metrics = json.loads((directory / "metrics.json").read_text())
     tip = metrics["frames"][-1]
     assert metrics["displacement_m"] > 1.0
@@ -62,6 +65,8 @@ def test_the_demo_without_video_meets_its_bounds(tmp_path, capsys):
     printed = capsys.readouterr().out
     assert "end effector" in printed
     assert all(f"wrote {directory / name}" in printed for name in expected)
+    # To a tenth of a second.
+    assert 0.0 < float(re.search(r"^done in (\d+\.\d) s$", printed, re.MULTILINE)[1]) <= taken + 0.05
 
 
 @pytest.mark.usefixtures("no_plots")

@@ -14,6 +14,7 @@ from lieednn_sim.cli.names import RIVALS as NAMED
 from lieednn_sim.evaluation import paths
 from lieednn_sim.evaluation.demonstrations import RIVALS
 from lieednn_sim.network import LieEDNN
+from lieednn_sim.planning.motion import Motion
 
 
 @pytest.fixture
@@ -39,7 +40,8 @@ def test_learn(hook, tmp_path, capsys, monkeypatch):
     assert main(words) == 0
     printed = capsys.readouterr().out
     assert "not compared: promp is not installed (pip install 'lieednn_sim[dmp]'" in " ".join(printed.split())
-    assert "2 demonstrations, positions in a plane, 0.3 m across" in printed
+    # 60 samples at 100 Hz.
+    assert "2 demonstrations, positions in a plane, 0.3 m across, 0.59 s; " in printed
     for word in ("lieednn-shaped", "dmp", "left out", "20/20", "globally stable for every bias"):
         assert word in printed
     network = LieEDNN.load(output / "network.npz")
@@ -49,6 +51,12 @@ def test_learn(hook, tmp_path, capsys, monkeypatch):
     # Goals at (1, 0) and (1, 0.07) m.
     np.testing.assert_allclose(report["goal_position_m"], [1.0, 0.035, 0.0])
     assert report["goal_quaternion_wxyz"] == [1.0, 0.0, 0.0, 0.0]
+    assert (report["demonstrations"], report["dof"], report["lever_m"]) == (2, 2, 0.2)
+    assert report["extent_m"] == pytest.approx(0.3)
+    # They are 1 cm apart half way, and so half of that from their mean.
+    assert report["spread_m"] == pytest.approx(0.005, rel=0.02)
+    assert 1e-4 < report["network_deviation_m"] <= 0.004
+    assert (report["t_s"][0], report["t_s"][-1]) == pytest.approx((0.0, 0.59))
     shaped, primitive = report["models"]
     assert shaped["mean"]["rms_mm"] < 4.0
     assert abs(shaped["n_parameters"] - primitive["n_parameters"]) <= 1
@@ -70,7 +78,7 @@ def test_learn_joints(gantry, tmp_path, capsys, monkeypatch):
     law = s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
     files = []
     for k in range(2):
-        columns = [4.0 * s, law - 0.5, (0.5 + 0.1 * k) * np.sin(np.pi * law), 0.3 * law, 1.0 - law]
+        columns = [1.5 * s, law - 0.5, (0.5 + 0.1 * k) * np.sin(np.pi * law), 0.3 * law, 1.0 - law]
         files.append(str(tmp_path / f"{k}.csv"))
         np.savetxt(files[-1], np.column_stack(columns), delimiter=",")
     run = tmp_path / "learned"
@@ -78,13 +86,27 @@ def test_learn_joints(gantry, tmp_path, capsys, monkeypatch):
     words.append("--no-leave-one-out")
     assert main(words) == 0
     printed = " ".join(capsys.readouterr().out.split())
-    for word in ("2 demonstrations of 4 joints of gantry", "training", "1 of 1 random starts arrive", "kept, in 4 s"):
+    for word in (
+        "2 demonstrations of 4 joints of gantry",
+        "training",
+        "1 of 1 random starts arrive",
+        "gantry, 1.5 s; ",
+    ):
         assert word in printed
     report = json.loads((run / "report.json").read_text())
     assert report["network_certified"]
     assert report["limits_kept"]
     assert report["mean"]["effector"]["rms_mm"] < 20.0
     assert LieEDNN.load(run / "network.npz").n_visible == 2
+    # x would be at 1.25 times its velocity limit, so that it takes longer.
+    motion = Motion.load(run / "motion.npz")
+    assert report["demonstrated_duration_s"] == 1.5
+    assert report["duration_s"] == motion.t[-1] > 1.8
+    assert f"limits and clearance: kept, in {motion.t[-1]:.3g} s" in printed
+    # y is 10 cm apart half way.
+    assert report["spread_m"] == pytest.approx(0.05, rel=0.05)
+    assert report["mechanism_gap_mm"] == pytest.approx(1e3 * motion.gap_translation.max())
+    assert report["mechanism_gap_deg"] == pytest.approx(np.rad2deg(motion.gap_rotation.max()))
     for name in ("demonstrations.png", "starts.png"):
         with Image.open(run / name) as picture:
             assert min(picture.size) > 200

@@ -74,6 +74,11 @@ def test_every_cell_is_under_its_heading():
     assert "contact force up to 17.5 N; welds up to 21.5 N and 22.5 N m; least clearance 12.5 mm" in lines
 
 
+def test_causes_follow_the_error_of_the_worst_frame():
+    turned = dataclasses.replace(EVALUATION, frames=EVALUATION.frames[::-1], causes=("the wind", "the rain"))
+    assert str(turned).splitlines()[-3:] == ["final error 10 mm and 20 degrees:", "- the wind", "- the rain"]
+
+
 def test_what_did_not_happen_is_not_shown():
     plain = dataclasses.replace(
         EVALUATION,

@@ -89,7 +89,7 @@ def test_a_circle_has_the_curvature_of_its_radius(gantry):
 
 
 def test_curvature_is_weighted_by_the_way_where_the_path_is_not_slow():
-    """At (0, 0) |(1, 0) x (0, 20)| / 1 with 1 m/s, at (0.1, 0.1) none with the speed of a last point on the diagonal."""
+    """At (0, 0) |(1, 0) x (0, 20)| / 1 with 1 m/s; at (0.1, 0.1) none, as fast as the last point is far."""
     bend, diagonal = [[-0.1, 0.1, 0.0], [0.0, 0.0, 0.0], [0.1, 0.1, 0.0]], np.array([1.0, 1.0, 0.0])
     for speed, expected in ((4.0, np.sqrt(20.0**2 / 5.0)), (19.0, np.sqrt(20.0**2 / 20.0)), (21.0, 0.0)):
         path = [*bend, speed * 0.2 / np.sqrt(2.0) * diagonal]

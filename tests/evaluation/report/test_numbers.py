@@ -18,6 +18,7 @@ from lieednn_sim.evaluation.report.page import _SHOWN, _columns
 from lieednn_sim.evaluation.report.style import number
 from lieednn_sim.evaluation.rows import BY_NAME, COLUMNS, Row
 from lieednn_sim.evaluation.statistics import controllers_of, grouped
+from lieednn_sim.evaluation.summary import method
 
 # In this order in the registry, and so in what is shown.
 FIRST, SECOND, THIRD = "minimum-jerk", "se3-geodesic", "rrt-connect"
@@ -64,7 +65,9 @@ def test_findings_name_the_best_and_the_worst():
     (finding,) = (finding for finding in findings(proofs) if finding.label == "proved globally stable")
     assert finding.value == "50.0%"
     assert finding.detail == "2 of 4 motions of networks; largest gap at the end of any plan 3 mm"
-    (group,) = grouped(proofs, ("planner",))
+    # A motion counts once, whatever the number of controllers, and not where there is no network.
+    followed = [*proofs, *(replace(one, controller="mocap") for one in proofs), row(FIRST, 9)]
+    (group,) = grouped(followed, ("planner",))
     assert group.verdict() == "global 2/4, local 1/4, none 1/4"
 
 
@@ -141,6 +144,7 @@ def test_numbers_have_three_digits_and_powers_only_where_zeros_would_be_counted(
 
 
 def test_the_summary_has_each_median_in_its_column(table, tmp_path):
+    table.add([row(FIRST, 7, scene="window", **CONTACT)])
     write_summary(tmp_path / "s.md", table)
     text = (tmp_path / "s.md").read_text(encoding="utf-8")
     assert "within 1 mm and 0.1 deg of the target" in text
@@ -157,7 +161,8 @@ def test_the_summary_has_each_median_in_its_column(table, tmp_path):
         (
             ["an_arm", "free", SECOND, "position-servo", "3 of 3", "44% to 100%"],
             ["arm", "scene", "planner", "controller"],
-            {"tracking RMS [mm]": "tracking_rms_mm", "clearance [mm]": "clearance_mm", "effector path [m]": "path_m"},
+            {"tracking RMS [mm]": "tracking_rms_mm", "clearance [mm]": "clearance_mm", "effector path [m]": "path_m"}
+            | {BY_NAME["velocity_violations"].heading: "velocity_violations"},
         ),
     ):
         heading = next(line for line in lines if line[:4] == headings)
@@ -165,6 +170,13 @@ def test_the_summary_has_each_median_in_its_column(table, tmp_path):
         made = row(SECOND, 0, tracking_rms_mm=3, planning_s=7, clearance_mm=8)
         for title, column in expected.items():
             assert float(values[heading.index(title)]) == pytest.approx(getattr(made, column))
+    assert f"- 2 x contact, as: up to 1 at a time ({FIRST} 2)" in text
+
+
+def test_the_method_says_how_long_and_with_which_masses(tmp_path):
+    made = method(Table(tmp_path, Settings(duration=3.0, hold=2.0, mass_scale=1.5, time_budget=7.0)))
+    assert "targets in 3 s, simulated with 1.5 times the masses the controllers know until 2 s after." in made
+    assert "A planner that has spent 7 s of CPU time on a problem has failed." in made
 
 
 def test_figures_draw_values_medians_and_shares(monkeypatch):

@@ -1,0 +1,162 @@
+"""Numbers that commands print, cell by cell, of results that are made up."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from lieednn_sim.arm import Arm
+from lieednn_sim.cli import arms, doctor, main, planning, training
+
+# Its largest gaps are of either link, on the way, and neither is an end's.
+MOTION = SimpleNamespace(
+    t=np.array([0.0, 1.5, 4.25]),
+    gap_translation=np.array([[0.0, 0.001], [0.0125, 0.002], [0.003, 0.0]]),
+    gap_rotation=np.deg2rad([[0.0, 0.0], [1.0, 3.5], [0.5, 0.25]]),
+    xi_target="the target's poses",
+)
+
+
+class Assessment(NamedTuple):
+    xi: str
+    warning: str | None
+
+    def __str__(self):
+        return self.xi
+
+
+class Network:
+    """What commands ask of a network, at the equilibrium of the target alone."""
+
+    certificate = "globally stable"
+    bias = np.array([[0.1, -0.7], [0.2, 0.3]])
+    translation = np.array([[[3.0, 4.0, 0.0], [0.0, -1.0, 1.0]]])
+
+    def __init__(self, warning=None):
+        self.warning = warning
+
+    def goal(self, xi):
+        return f"goal of {xi}"
+
+    def assess(self, xi):
+        return Assessment(xi, self.warning if xi.startswith("goal of ") else None)
+
+    def robustness(self):
+        return "a push of size 1"
+
+    def norm_conditions(self, xi):
+        return SimpleNamespace(one_norm=3.456, smallest_one_norm=2.345)
+
+
+@pytest.fixture
+def printed(capsys):
+    """The cells of each line that was printed: they are apart by two blanks or more."""
+
+    def lines():
+        return [re.split(r"  +", line.strip()) for line in capsys.readouterr().out.splitlines()]
+
+    return lines
+
+
+def test_synthesize_prints_its_choice(printed):
+    made = SimpleNamespace(network=Network("near the edge"), target="q", candidates=7, within_limits=3, motion=MOTION)
+    planning._print_choice(SimpleNamespace(encode=lambda q: f"poses of {q}"), made, "random")
+    found = dict(line for line in printed() if len(line) == 2)
+    assert found == {
+        "quantity": "value",
+        "certificate": "globally stable",
+        "robustness": "a push of size 1",
+        "bias": "random, largest entry 0.7",
+        "candidates": "7 networks drawn, 3 keep the joint limits",
+        "duration": "4.25 s",
+        "mechanism gap": "12.5 mm and 3.5 degrees on the way, 0 at the target",
+        "1-norm of W": "3.46 (no network with this equilibrium below 2.35)",
+        "warning": "near the edge",
+    }
+
+
+def test_synthesize_prints_what_another_planner_made(printed):
+    teacher = SimpleNamespace(planner="rrt-connect")
+    made = SimpleNamespace(planner="shaped", network=Network(), motion=MOTION, teacher=teacher, deviation=0.0135)
+    planning._print_outcome(made)
+    lines = printed()
+    assert dict(line for line in lines if len(line) == 2) == {
+        "quantity": "value",
+        "planner": "shaped",
+        "duration": "4.25 s",
+        "mechanism gap": "12.5 mm and 3.5 degrees on the way, 0 at the target",
+        "teacher": "rrt-connect",
+        "off its path": "14 mm at the end effector",
+    }
+    assert lines[-2:] == [["stability: goal of the target's poses"], ["a push of size 1"]]
+
+
+@pytest.mark.parametrize(("epochs", "each"), [(600, 2500), (0, 1_500_000)])
+def test_train_prints_its_time_and_the_network(printed, monkeypatch, epochs, each):
+    monkeypatch.setattr(training, "LieEDNN", Network)
+    result = SimpleNamespace(success=True, message="converged", network=Network(), seconds=1.5, epochs=epochs)
+    training._report(result, "poses")
+    lines = printed()
+    assert dict(line for line in lines if len(line) == 2) == {
+        "quantity": "value",
+        "outcome": "converged",
+        "time": f"1.50 s, {each} us an epoch",
+        "1-norm of W": "3.46 (no network with this equilibrium below 2.35)",
+        "largest |t|": "5.00",
+    }
+    assert lines[-2:] == [["stability: poses"], ["a push of size 1"]]
+
+
+def test_arms_prints_limits_in_the_units_of_the_joints_and_the_reach(gantry, printed):
+    """The furthest corner is (2, 2, 3) from the base, the beam of 1 m included, wherever that stands."""
+    spec = gantry.spec.copy()
+    spec.body("base").pos = (5.0, 0.0, 7.0)
+    moved = replace(Arm.from_spec(spec, gantry.source, "moved"), length_scale=2.0)
+    arms._print_summaries([gantry, moved])
+    arms.console.print(arms._coordinates(gantry))
+    lines = printed()
+    for name, unit in (("gantry", "1"), ("moved", "2")):
+        assert [name, "2", "4", "1 hinge, 3 slides", "4.12", unit, "home"] in lines
+    heading = ["coordinate", "unit", "from", "to", "velocity", "acceleration", "jerk", "force"]
+    rows = lines[lines.index(heading) + 2 :][:4]
+    assert rows == [
+        ["x", "m", "-1", "1", "1", "10", "-", "60"],
+        ["y", "m", "-2", "2", "2", "20", "-", "15"],
+        ["z", "m", "-2", "3", "4", "40", "-", "40"],
+        ["turn", "rad", "-3", "3", "8", "80", "-", "-"],
+    ]
+
+
+RENDERS = {"GL_RENDERER": "a renderer", "frame_ms": 2.25}
+
+
+@pytest.mark.parametrize("what", ["nothing", "a package", "rendering", "the arms"])
+def test_doctor_is_content_where_nothing_is_missing(monkeypatch, capsys, what):
+    version = doctor._version
+    monkeypatch.setattr(
+        doctor, "_version", lambda name: None if (what, name) == ("a package", "daqp") else version(name)
+    )
+    renderer = {"error": "no GPU"} if what == "rendering" else RENDERS
+    monkeypatch.setattr(doctor.opengl, "describe_renderer", lambda: renderer)
+    monkeypatch.setattr(doctor.opengl, "missing_packages", lambda: ["libegl1"] if what == "rendering" else [])
+    monkeypatch.setattr(doctor, "arm_names", lambda: [] if what == "the arms" else ["one", "two"])
+    well = what == "nothing"
+    assert main(["doctor"]) == (0 if well else 1)
+    printed = " ".join(capsys.readouterr().out.split())
+    assert ("everything works" in printed) == well
+    assert ("install with pip: daqp" in printed) == (what == "a package")
+    assert ("on Debian or Ubuntu: apt-get install libegl1" in printed) == (what == "rendering")
+    assert ("does not work: no GPU" in printed) == (what == "rendering")
+    assert ("a renderer, a frame of 16x16 in 2.2 ms" in printed) == (what != "rendering")
+    assert main(["doctor", "--json"]) == (0 if well else 1)
+    report = json.loads(capsys.readouterr().out)
+    assert report["healthy"] == well
+    assert report["python_packages_to_install"] == (["daqp"] if what == "a package" else [])
+    assert report["debian_packages_to_install"] == (["libegl1"] if what == "rendering" else [])
+    assert report["extras"]["cvxpy"]["install"] == "pip install 'lieednn_sim[lmi]'"

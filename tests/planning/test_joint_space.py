@@ -1,0 +1,150 @@
+"""What planners in joint space share, by hand: margins at narrow ends, what is lacking, edges and their lengths."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+from unittest.mock import MagicMock
+
+import numpy as np
+import pytest
+
+from lieednn_sim.errors import PlanError
+from lieednn_sim.planning import PlanningProblem, RrtConnectOptions
+from lieednn_sim.planning.baselines import cbirrt, joint_space, sampling
+from lieednn_sim.planning.baselines.cbirrt import CbirrtOptions
+from lieednn_sim.planning.baselines.joint_space import ClearanceTest, Workspace, joint_scale
+from lieednn_sim.planning.baselines.search_space import EdgeTest
+
+# The first geom stands still; the first pair is of the arm and that, the second one of two of its own.
+MOVING, PAIRS = np.array([False, True, True]), np.array([[0, 1], [1, 2]])
+FAR = (9.0, 9.0)
+
+
+@pytest.fixture(autouse=True)
+def three_geoms(monkeypatch):
+    monkeypatch.setattr(joint_space, "moving_geoms", lambda _: MOVING)
+
+
+@pytest.mark.parametrize(
+    ("at_start", "at_target", "own", "margins"),
+    [
+        (FAR, FAR, 0.03, (0.05, 0.03)),
+        # Four fifths of what is nearer than that, at either end; of others and of its own apart.
+        ((0.02, 9.0), FAR, 0.03, (0.016, 0.03)),
+        (FAR, (9.0, 0.01), 0.03, (0.05, 0.008)),
+        ((0.02, 0.03), (0.01, 0.02), 0.03, (0.008, 0.016)),
+        # With one margin for all, of all.
+        ((9.0, 0.02), FAR, None, (0.016, 0.016)),
+        (FAR, (0.01, 9.0), None, (0.008, 0.008)),
+        # What motions are checked for is kept in any case.
+        ((0.001, -0.01), FAR, 0.03, (0.002, 0.002)),
+    ],
+)
+def test_margins_are_what_both_ends_keep_themselves(monkeypatch, at_start, at_target, own, margins):
+    within = []
+
+    def distances(q, most):
+        within.append(most)
+        return SimpleNamespace(pairs=PAIRS, distance=np.array({"start": at_start, "target": at_target}[q]))
+
+    monkeypatch.setattr(joint_space, "Collisions", lambda _: SimpleNamespace(distances=distances))
+    monkeypatch.setattr(joint_space, "ClearanceTest", lambda _, *margins: margins)
+    arm = SimpleNamespace(clearance=0.002, model=None)
+    workspace = Workspace(SimpleNamespace(arm=arm, start="start", target="target"), 0.05, own)
+    assert workspace.clear == pytest.approx(margins)
+    assert within[0] == 0.1
+
+
+def test_what_pairs_lack_is_by_their_own_margin_and_once_each(gantry, monkeypatch):
+    """Margins of 5 and 4 cm; the first pair touches at two points, of which the deeper one lacks 6 cm."""
+    found = np.array([-0.01, 0.02, 0.03, 0.045]), np.array([[0, 1], [0, 1], [1, 2], [2, 1]])
+    order, asked = [0, 1, 2, 3], []
+
+    def finder(_, margin):
+        asked.append(margin)
+        return SimpleNamespace(geoms=lambda _: tuple(part[order] for part in found))
+
+    monkeypatch.setattr(joint_space, "ContactFinder", finder)
+    clear = ClearanceTest(gantry, 0.05, 0.04)
+    np.testing.assert_allclose(clear.lack(np.zeros((2, 4))), 0.06 + 0.01)
+    order[:] = [1, 0, 3, 2]
+    np.testing.assert_allclose(clear.lack(np.zeros((1, 4))), 0.06 + 0.01)
+    assert not clear(np.zeros(4))
+    # Its own parts may be as near as this.
+    order[:] = [3]
+    assert clear(np.zeros(4))
+    ClearanceTest(gantry, 0.03, 0.07)
+    assert asked == [0.05, 0.07]
+    assert clear.tests == 5
+
+
+def test_joints_without_a_velocity_limit_are_measured_by_their_range(gantry):
+    arm = replace(gantry, velocity_limits=np.array([1.0, np.inf, 4.0, np.inf]))
+    np.testing.assert_array_equal(joint_scale(arm), [1.0, 4.0, 4.0, 6.0])
+
+
+def edges_of(gantry, spacing=0.1):
+    """A test of edges whose coordinates are in units of 1, 2, 4 and 8, and the postures that it tests."""
+    seen = []
+    clear = MagicMock(tests=0, first_blocked=lambda q: seen.append(q))
+    return EdgeTest(gantry, SimpleNamespace(clear=clear), spacing), seen
+
+
+def test_edges_are_tested_as_densely_in_space_whichever_way_they_go(gantry):
+    edges, seen = edges_of(gantry)
+    np.testing.assert_allclose(edges.bounds, [[-1.0, 1.0], [-1.0, 1.0], [-0.5, 0.75], [-0.375, 0.375]])
+    # Slides move the link frames by as much; the wrist moves none, its frame is on its axis.
+    np.testing.assert_allclose(edges.swept, [1.0, 2.0, 4.0, 0.0], atol=1e-9)
+    for goal, count in (([0.5, 0, 0, 0], 5), ([-0.5, 0, 0, 0], 5), ([0.1, -0.1, 0, 0], 3), ([0, 0, 0, 0.3], 1)):
+        assert edges.passable(np.zeros(4), 0.999 * np.array(goal))
+        np.testing.assert_allclose(seen[-1][0], 0.999 * np.array(goal) * [1.0, 2.0, 4.0, 8.0])
+        assert len(seen[-1]) == count
+    assert not edges.over(10)
+    edges._clear.tests = 10
+    assert edges.over(10)
+
+
+def test_longest_edges_are_a_share_of_the_diagonal(gantry, monkeypatch):
+    """Ranges of 2, 4, 5 and 6 in units of 1, 2, 4 and 8 for OMPL, mjpl and sscbirrt; of metres for balanced trees."""
+    diagonal = np.linalg.norm([2.0, 2.0, 1.25, 0.75])
+    problem = PlanningProblem(gantry, np.zeros(4), np.array([0.6, 1.6, 0.0, 0.0]), 4.0)
+    found, spacings = [], []
+
+    def of(arm, _, spacing):
+        spacings.append(spacing)
+        return edges_of(arm, spacing)[0]
+
+    monkeypatch.setattr(cbirrt, "optional_module", lambda name: None)
+    monkeypatch.setattr(cbirrt, "Workspace", lambda *_: SimpleNamespace(clear=MagicMock()))
+    monkeypatch.setattr(cbirrt, "EdgeTest", of)
+    with pytest.raises(PlanError, match="mjpl found no path"):
+        cbirrt._plan(
+            problem,
+            CbirrtOptions(longest_edge=0.3, spacings=(0.04, 0.02)),
+            "mjpl",
+            lambda edges, start, target, longest, *_: found.append((start, target, longest)),
+        )
+    assert spacings == [0.04]
+    ((start, target, longest),) = found
+    np.testing.assert_allclose([start, target], [np.zeros(4), [0.6, 0.8, 0.0, 0.0]])
+    assert longest == pytest.approx(0.3 * diagonal)
+
+    edges, _ = edges_of(gantry)
+    information = MagicMock(getMaximumExtent=lambda: diagonal)
+    space = SimpleNamespace(
+        information=information, ends=(problem.start, problem.target), edges=edges, state=lambda q: q
+    )
+    library = MagicMock()
+    monkeypatch.setattr(sampling, "optional_module", lambda _: library)
+    sampling.ompl_search("rrt-connect")(space, RrtConnectOptions(longest_edge=0.3), None)
+    library.RRTConnect.return_value.setRange.assert_called_once_with(pytest.approx(0.3 * diagonal))
+    library.Cost.assert_called_once_with(pytest.approx(1.0))
+
+    # What hardly moves a link counts as a tenth of what moves links most: 0.4 of 8 rad/s.
+    given = {}
+    monkeypatch.setattr(sampling, "connected", lambda *ends, **world: given.update(world, ends=ends))
+    assert sampling.balanced_search(space, RrtConnectOptions(longest_edge=0.3), None) is None
+    np.testing.assert_allclose(given["bounds"], [[-1.0, 1.0], [-2.0, 2.0], [-2.0, 3.0], [-0.15, 0.15]])
+    assert given["longest_edge"] == pytest.approx(0.3 * np.linalg.norm([2.0, 4.0, 5.0, 0.3]))
+    np.testing.assert_allclose(given["ends"], [np.zeros(4), [0.6, 1.6, 0.0, 0.0]])
