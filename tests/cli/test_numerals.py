@@ -79,6 +79,7 @@ def test_options_say_what_they_take(option, capsys):
 def test_numbers_within_texts_are_as_strict():
     arm = Arm.load("telescopic_pr")
     assert numbers("1, -2.5,.5e1", "position", 3).tolist() == [1.0, -2.5, 5.0]
+    assert size("1280x720") == (1280, 720)
     for bad in ("1_0", "\u0661", "nan", "inf"):
         with pytest.raises(InputError, match="must be 3 comma-separated numbers"):
             numbers(f"1,{bad},3", "position", 3)

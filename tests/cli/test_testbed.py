@@ -143,7 +143,7 @@ def test_disturbances_reach_the_simulation_and_are_reported(tmp_path, capsys):
         "--payload",
         "0.5",
     ]
-    road += ["--push", "end effector,0,-30,5.5,3.1,0.1", "--push", "forearm,1e-9,0,0,0.5,0.1", "--mass-scale", "1.1"]
+    road += ["--push", "end effector,0,-30,5.5,3.1,2", "--push", "forearm,1e-9,0,0,0.5,0.1", "--mass-scale", "1.1"]
     road += ["--reference-rate", "100", "--position-noise", "1e-6", "--velocity-noise", "1e-5", "--noise-seed", "4"]
     arm = Arm.load("telescopic_pr")
     body = arm.model.body(arm.model.site_bodyid[arm.site_ids[1]]).name
@@ -151,11 +151,12 @@ def test_disturbances_reach_the_simulation_and_are_reported(tmp_path, capsys):
     rollout = Rollout.load(directory / "rollout.npz", arm)
     told = rollout.disturbances
     assert rollout.reference_rate == 100.0
-    assert told.pushes == (Push(body, (1e-9, 0.0, 0.0), 0.5, 0.1), Push("end effector", (0.0, -30.0, 5.5), 3.1, 0.1))
+    assert told.pushes == (Push(body, (1e-9, 0.0, 0.0), 0.5, 0.1), Push("end effector", (0.0, -30.0, 5.5), 3.1, 2.0))
     assert (told.payload, told.mass_scale, told.seed) == (0.5, 1.1, 4)
     assert (told.position_noise, told.velocity_noise) == (1e-6, 1e-5)
     printed = capsys.readouterr().out
-    assert re.search(r"end effector +3\.1 +3\.2 +\d", printed)
+    # The run is over at 4 s.
+    assert re.search(r"end effector +3\.1 +5\.1 +\d", printed)
     assert "reference held at 100 Hz, masses times 1.1, payload 0.5 kg, position noise 1e-06, velocity" in printed
 
 
