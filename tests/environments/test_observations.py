@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
-import numpy as np
+from dataclasses import replace
 
+import numpy as np
+import pytest
+
+from lieednn_sim.environments.bounds import common_bounds, reach
+from lieednn_sim.environments.commands import Commands
 from lieednn_sim.environments.observations import Observations
+from lieednn_sim.environments.tasks import make_task
 
 
 def test_arrays_stay_within_their_bounds_and_keep_their_names():
@@ -31,3 +37,48 @@ def test_arrays_stay_within_their_bounds_and_keep_their_names():
     np.testing.assert_array_equal(angle, 0.0)
     alone = observations.rows(frames[1], q[1], q[1], q[1], [0.5 * q[1], goals[1], more[1]])[0]
     np.testing.assert_array_equal(alone, rows[1])
+
+
+def test_bounds_by_hand(gantry):
+    """Ranges of 2, 4, 5 and 6 with a tenth beyond either end; slides of 1, 2 and 3 m and a beam of 1 m reach 7 m."""
+    low, high = np.array([-1.0, -2.0, -2.0, -3.0]), np.array([1.0, 2.0, 3.0, 3.0])
+    slack, found = np.array([0.2, 0.4, 0.5, 0.6]), common_bounds(gantry, 2)
+    expected = {
+        "position": (low - slack, high + slack),
+        "velocity": (-5.0 * gantry.velocity_limits, 5.0 * gantry.velocity_limits),
+        "command": (low, high),
+        # From beyond one end to beyond the other.
+        "position_error": (low - high - 2.0 * slack, high - low + 2.0 * slack),
+        "pose_error": (-np.pi * np.repeat([[1.0, 7.0]] * 2, 3, axis=1), np.pi * np.repeat([[1.0, 7.0]] * 2, 3, axis=1)),
+    }
+    assert found.keys() == expected.keys()
+    for name, ends in expected.items():
+        np.testing.assert_allclose(found[name], ends, err_msg=name)
+    limits = gantry.position_limits.copy()
+    limits[2] = [-4.0, -3.0]
+    assert reach(replace(gantry, position_limits=limits)) == pytest.approx(8.0)
+
+
+def test_commands_move_by_the_velocity_limit_at_most_either_way(gantry):
+    """In two steps of 10 ms."""
+    commands, zero = Commands(gantry, 2), np.zeros(4)
+    for action, share in ((-5.0, -1.0), (5.0, 1.0), (-0.5, -0.5)):
+        moved = commands.moved(zero, np.full(4, action))
+        np.testing.assert_allclose(moved, 0.02 * share * gantry.velocity_limits)
+
+
+def test_tracking_knows_the_velocity_of_now_and_is_within_half_a_degree():
+    task = make_task("track", time_limit=0.4)
+    assert (task.position_tolerance, np.rad2deg(task.rotation_tolerance)) == (0.005, pytest.approx(0.5))
+    task.begin(np.random.default_rng(0))
+    for _ in range(5):
+        seen = task.step(np.zeros(task.arm.n_joints)).observation
+    numeric = (task.target(task.time + 1e-5) - task.target(task.time - 1e-5)) / 2e-5
+    np.testing.assert_allclose(seen["target_velocity"], numeric, atol=1e-6)
+
+
+def test_at_rest_is_a_hundredth_of_the_velocity_limit():
+    task = make_task("reach", time_limit=0.4)
+    task.begin(np.random.default_rng(0))
+    rest = 0.01 * task.arm.velocity_limits
+    assert [bool(task.judge(0.0, 0.0, share * rest)[1]) for share in (0.99, 1.01)] == [True, False]

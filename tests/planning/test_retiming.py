@@ -45,6 +45,18 @@ def test_a_straight_way_takes_the_least_time_there_is(gantry):
         np.testing.assert_array_equal(getattr(planned, name), getattr(found, name))
 
 
+def test_what_belongs_to_the_way_stays_with_it(gantry):
+    """Gaps that grow with the way, and rates that are the positions' derivatives."""
+    arm, motion = straight(gantry)
+    share = motion.q[:, [2]] / 1.6 * np.ones(2)
+    found = retime(arm, dataclasses.replace(motion, gap_translation=0.01 * share, gap_rotation=0.3 * share))
+    share = found.q[:, [2]] / 1.6 * np.ones(2)
+    np.testing.assert_allclose(found.gap_translation, 0.01 * share, atol=1e-5)
+    np.testing.assert_allclose(found.gap_rotation, 0.3 * share, atol=3e-4)
+    # The rule of trapezoids is exact where the acceleration is constant.
+    assert np.trapezoid(found.qd[:, 2], found.t) == pytest.approx(1.6, rel=1e-3)
+
+
 @pytest.mark.parametrize(("jerk", "more"), [(2000.0, 1.02), (400.0, 1.02), (80.0, 1.1)])
 def test_a_limit_of_jerk_costs_little_more_than_it_must(gantry, jerk, more):
     arm, motion = straight(gantry, jerk=[jerk] * 4)

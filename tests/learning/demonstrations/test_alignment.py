@@ -21,6 +21,14 @@ def recorded(position, vectors=None, t=None):
     return Demonstration.from_samples(samples, t)
 
 
+@pytest.mark.parametrize(("length", "extent"), [(0.3, 0.4), (0.5, 0.5)])
+def test_the_extent_is_the_larger_of_the_way_and_the_turn_by_its_lever(length, extent):
+    """A turn of 2 rad counts for 0.4 m."""
+    share = np.linspace(1.0, 0.0, 20)[:, None]
+    shown = align([recorded(length * share * [1.0, 0.0, 0.0], 2.0 * share * [0.0, 1.0, 0.0])], lever=0.2)
+    assert shown.extent == pytest.approx(extent)
+
+
 def test_a_turn_beyond_pi_goes_on():
     angle = np.linspace(1.5 * np.pi, 0.0, 40)
     # About an axis of its own, from a goal that is turned itself: turns from it are seen along the world's axes.

@@ -35,6 +35,13 @@ def test_formats_of_several_in_a_plane_agree(tmp_path):
             np.testing.assert_allclose(one.twists[:, 3:5], 1e-3 * (shown - shown[-1]), atol=1e-15)
 
 
+@pytest.mark.parametrize(("unit", "metres"), [("m", 1.0), ("cm", 0.01), ("mm", 0.001)])
+def test_units_and_the_array_by_its_name(tmp_path, unit, metres):
+    np.savez(tmp_path / "one.npz", forces=np.zeros((3, 3)), positions=PLANE[0])
+    (one,) = load_demonstrations([tmp_path / "one.npz"], unit=unit)
+    np.testing.assert_allclose(one.position[:, :2], metres * PLANE[0])
+
+
 def test_quaternions_in_either_order_apart_and_named(tmp_path):
     np.save(tmp_path / "first.npy", POSES)
     np.save(tmp_path / "last.npy", POSES[:, [0, 1, 2, 4, 5, 6, 3]])

@@ -1,0 +1,99 @@
+"""What is drawn over the arm, and which sample a frame of a video shows: by hand, without OpenGL."""
+
+from __future__ import annotations
+
+import contextlib
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from lieednn_sim._mujoco import mujoco
+from lieednn_sim.planning.laws import minimum_jerk_law
+from lieednn_sim.planning.motion import Motion
+from lieednn_sim.rendering import video
+from lieednn_sim.rendering.overlay import PLANNED_COLOUR, TRACED_COLOUR, Overlay
+from lieednn_sim.simulation import simulate
+
+
+def drawn(overlay, k):
+    """Kind, colour, width, first end and vector to the other one of each geom of a sample."""
+    scene = mujoco.MjvScene(mujoco.MjModel.from_xml_string("<mujoco/>"), 100)
+    overlay.draw(scene, k)
+    found = []
+    for geom in scene.geoms[: scene.ngeom]:
+        arrow = geom.type == int(mujoco.mjtGeom.mjGEOM_ARROW)
+        # A capsule is given by its middle and half of its length.
+        vector = geom.mat[:, 2] * geom.size[2] * (1.0 if arrow else 2.0)
+        begin = geom.pos if arrow else geom.pos - 0.5 * vector
+        found.append((arrow, geom.rgba.copy(), geom.size[0], begin.copy(), vector.copy()))
+    return found
+
+
+def test_an_overlay_is_the_planned_way_what_is_travelled_and_the_frames_of_now():
+    """The second frame is turned by a quarter about z, so that its x axis points along y."""
+    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    planned = np.tile(np.eye(4), (3, 2, 1, 1))
+    planned[1, :, :3, :3] = turn
+    planned[:, 1, :3, 3] = [[0.0, 0.0, 1.0], [0.5, 0.0, 1.0], [0.5, 0.5, 1.0]]
+    traced = planned[:, 1, :3, 3] + [0.0, 0.0, 0.1]
+    way, second, travelled, *frames = drawn(Overlay(planned, traced, 0.5), 1)
+    for (arrow, colour, width, *ends), wanted, share, where in (
+        (way, PLANNED_COLOUR, 0.004, ([0.0, 0.0, 1.0], [0.5, 0.0, 0.0])),
+        (second, PLANNED_COLOUR, 0.004, ([0.5, 0.0, 1.0], [0.0, 0.5, 0.0])),
+        # Up to now, and no further.
+        (travelled, TRACED_COLOUR, 0.0055, ([0.0, 0.0, 1.1], [0.5, 0.0, 0.0])),
+    ):
+        assert not arrow
+        np.testing.assert_allclose(colour, wanted, rtol=1e-6)
+        assert width == pytest.approx(share)
+        np.testing.assert_allclose(ends, where, atol=1e-6)
+    assert len(frames) == 6
+    for place, arrows in (([0.0, 0.0, 0.0], frames[:3]), ([0.5, 0.0, 1.0], frames[3:])):
+        for axis, (arrow, colour, _, begin, vector) in enumerate(arrows):
+            assert arrow
+            assert colour[:3].argmax() == axis
+            np.testing.assert_allclose(begin, place, atol=1e-6)
+            np.testing.assert_allclose(vector, 0.11 * turn[:, axis], atol=1e-6)
+    assert len(drawn(Overlay(planned, traced), 2)) == 2 + 2 + 6
+
+
+def test_a_frame_shows_its_sample_and_says_its_time(gantry, monkeypatch, tmp_path):
+    """Half a second of motion and half of rest, at 4 frames a second and 100 samples."""
+    t = 0.01 * np.arange(51)
+    (sigma, slope), way = minimum_jerk_law(t / 0.5), np.array([0.05, 0.1, 0.2, 0.3])
+    none = np.zeros((51, 2))
+    motion = Motion(
+        t, t, np.zeros((51, 2, 6)), np.zeros((2, 6)), sigma[:, None] * way, slope[:, None] * way / 0.5, none, none
+    )
+    rollout = simulate(gantry, motion, hold=0.5)
+    assert np.abs(rollout.q - rollout.q_ref).max() > 1e-6
+    shown, captions, overlays = [], [], []
+
+    class Pictures(contextlib.nullcontext):
+        def picture(self, q, draw):
+            shown.append((q, draw.keywords["k"]))
+            return np.zeros((90, 160, 3), np.uint8)
+
+    monkeypatch.setattr(video, "Camera", lambda *_, **__: Pictures())
+    monkeypatch.setattr(video, "Overlay", lambda *given: overlays.append(given) or SimpleNamespace(draw=None))
+    monkeypatch.setattr(video.functools, "partial", lambda _, k: SimpleNamespace(keywords={"k": k}))
+    monkeypatch.setattr(video, "_writer", lambda path, *_: path.touch() or contextlib.nullcontext(lambda _: None))
+    monkeypatch.setattr(video, "_check_complete", lambda *_: None)
+    monkeypatch.setattr(video, "write_caption", lambda _, lines: captions.append(lines))
+    assert video.render_video(rollout, tmp_path / "v.mp4", fps=4, title="a planner") == 5
+    assert [k for _, k in shown] == [0, 25, 50, 75, 100]
+    np.testing.assert_array_equal([q for q, _ in shown], rollout.q[::25])
+    names = ["a planner", gantry.name, "position-servo"]
+    assert captions == [[*names, f"{0.25 * k:.2f} s of 1.00 s"] for k in range(5)]
+    ((planned, traced, _),) = overlays
+    np.testing.assert_array_equal(planned, gantry.link_poses(rollout.q_ref).as_matrix())
+    np.testing.assert_array_equal(traced, rollout.link_position[:, 1])
+
+
+def test_the_marker_is_put_at_the_target_of_the_end_effector(gantry):
+    data = SimpleNamespace(mocap_pos=np.zeros((1, 3)), mocap_quat=np.zeros((1, 4)))
+    camera = SimpleNamespace(_model=gantry.model, _arm=gantry, _data=data, _marker=0)
+    video.Camera.mark(camera, [0.1, 0.2, 0.3, 0.6])
+    np.testing.assert_allclose(data.mocap_pos, [[1.1, 0.2, 0.3]])
+    np.testing.assert_allclose(data.mocap_quat, [[np.cos(0.3), 0.0, 0.0, np.sin(0.3)]], atol=1e-15)
