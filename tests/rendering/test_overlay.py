@@ -68,22 +68,23 @@ def test_a_frame_shows_its_sample_and_says_its_time(gantry, monkeypatch, tmp_pat
     )
     rollout = simulate(gantry, motion, hold=0.5)
     assert np.abs(rollout.q - rollout.q_ref).max() > 1e-6
-    shown, captions, overlays = [], [], []
+    shown, samples, captions, overlays = [], [], [], []
 
     class Pictures(contextlib.nullcontext):
         def picture(self, q, draw):
-            shown.append((q, draw.keywords["k"]))
+            shown.append(q)
+            draw("a scene")
             return np.zeros((90, 160, 3), np.uint8)
 
     monkeypatch.setattr(video, "Camera", lambda *_, **__: Pictures())
-    monkeypatch.setattr(video, "Overlay", lambda *given: overlays.append(given) or SimpleNamespace(draw=None))
-    monkeypatch.setattr(video.functools, "partial", lambda _, k: SimpleNamespace(keywords={"k": k}))
+    overlay = SimpleNamespace(draw=lambda _, k: samples.append(k))
+    monkeypatch.setattr(video, "Overlay", lambda *given: overlays.append(given) or overlay)
     monkeypatch.setattr(video, "_writer", lambda path, *_: path.touch() or contextlib.nullcontext(lambda _: None))
     monkeypatch.setattr(video, "_check_complete", lambda *_: None)
     monkeypatch.setattr(video, "write_caption", lambda _, lines: captions.append(lines))
     assert video.render_video(rollout, tmp_path / "v.mp4", fps=4, title="a planner") == 5
-    assert [k for _, k in shown] == [0, 25, 50, 75, 100]
-    np.testing.assert_array_equal([q for q, _ in shown], rollout.q[::25])
+    assert samples == [0, 25, 50, 75, 100]
+    np.testing.assert_array_equal(shown, rollout.q[::25])
     names = ["a planner", gantry.name, "position-servo"]
     assert captions == [[*names, f"{0.25 * k:.2f} s of 1.00 s"] for k in range(5)]
     ((planned, traced, _),) = overlays

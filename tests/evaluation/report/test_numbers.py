@@ -175,8 +175,8 @@ def test_the_summary_has_each_median_in_its_column(table, tmp_path):
 
 def test_the_method_says_how_long_and_with_which_masses(tmp_path):
     made = method(Table(tmp_path, Settings(duration=3.0, hold=2.0, mass_scale=1.5, time_budget=7.0)))
-    assert "targets in 3 s, simulated with 1.5 times the masses the controllers know until 2 s after." in made
-    assert "A planner that has spent 7 s of CPU time on a problem has failed." in made
+    assert re.search(r"targets in 3 s, .*1\.5 times the masses the controllers know.* 2 s after", made)
+    assert "has spent 7 s of CPU time" in made
 
 
 def test_figures_draw_values_medians_and_shares(monkeypatch):
