@@ -17,7 +17,7 @@ from lieednn_sim.stability.certificate import known_or_found
 from lieednn_sim.stability.contraction import find_contraction
 from lieednn_sim.stability.guarantees import UP, Guarantee, by_contraction, by_lyapunov, spectral_norm
 from lieednn_sim.stability.norms import as_weight
-from lieednn_sim.validation import as_choice, as_floats, as_positive
+from lieednn_sim.validation import as_choice, as_floats, as_positive, quoted
 from lieednn_sim.values import Floats, frozen
 
 Indices = NDArray[np.intp]
@@ -101,10 +101,11 @@ class Robustness:
 
     def _gains(self, pushed: ArrayLike | None, watched: ArrayLike | None) -> list[tuple[Guarantee, float]]:
         """Largest |T e| of a unit push times the largest |e_watched| of a unit |T e|, for each guarantee."""
-        moved = self.pushed if pushed is None else np.atleast_1d(np.asarray(pushed, np.intp))
-        if not len(moved) or not np.isin(moved, self.pushed).all():
+        n = len(self.reached) + (0 if self.others is None else len(self.others.reached))
+        moved = self.pushed if pushed is None else _coordinates("pushed", pushed, n)
+        if not np.isin(moved, self.pushed).all():
             raise InputError(f"pushed must name some of the coordinates {self.pushed.tolist()}, got {moved.tolist()}")
-        seen = self.pushed if watched is None else np.atleast_1d(np.asarray(watched, np.intp))
+        seen = self.pushed if watched is None else _coordinates("watched", watched, n)
         columns, rows = np.isin(self.reached, moved), np.isin(self.reached, seen)
         # Coordinates that the push does not reach never move.
         return [(g, spectral_norm(g.factor[:, columns]) * spectral_norm(g.inverse[rows]) * UP) for g in self.guarantees]
@@ -135,9 +136,7 @@ def robustness(
     """
     matrix = as_weight("weight", weight)
     n = len(matrix)
-    moved = np.unique(np.arange(n) if pushed is None else np.asarray(pushed, np.intp))
-    if not len(moved) or moved[0] < 0 or moved[-1] >= n:
-        raise InputError(f"pushed must name coordinates from 0 to {n - 1}, got {moved.tolist()}")
+    moved = np.arange(n) if pushed is None else _coordinates("pushed", pushed, n)
     reached = np.isin(np.arange(n), moved)
     while (wider := reached | matrix[:, reached].any(axis=1)).sum() > reached.sum():
         reached = wider
@@ -176,3 +175,15 @@ def robustness(
         # The reached coordinates do not affect them. They need not be whole twists, so the proof is on W itself.
         others = robustness(matrix[np.ix_(~reached, ~reached)], gamma=gamma, mu=mu)
     return Robustness(moved, np.flatnonzero(reached), tuple(guarantees), others)
+
+
+def _coordinates(name: str, value: ArrayLike, n: int) -> Indices:
+    """The flat coordinates, out of n, that a value names: ascending, each once, at least one."""
+    try:
+        given = np.unique(np.asarray(value))
+    except (TypeError, ValueError):
+        given = np.empty(0)
+    # Masks and fractions would be taken for other coordinates.
+    if given.dtype.kind not in "iu" or not len(given) or given[0] < 0 or given[-1] >= n:
+        raise InputError(f"{name} must name coordinates from 0 to {n - 1} by whole numbers, got {quoted(value)}")
+    return given.astype(np.intp)

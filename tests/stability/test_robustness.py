@@ -196,6 +196,11 @@ def test_without_contraction_the_certificate_itself_bounds_pushes():
         (lambda: robustness(np.eye(2), gamma=1.0, mu=2.0, pushed=[2]), InputError, "coordinates from 0 to 1"),
         (lambda: robustness(np.eye(2), gamma=1.0, mu=2.0, pushed=[]), InputError, "coordinates from 0 to 1"),
         (lambda: robustness(np.zeros((2, 2)), gamma=1.0, mu=1.0, pushed=[0]).throw([1]), InputError, "must name some"),
+        (lambda: robustness(np.zeros((2, 2)), gamma=1.0, mu=1.0, pushed=[0.9]), InputError, "by whole numbers"),
+        (lambda: robustness(np.zeros((2, 2)), gamma=1.0, mu=1.0, pushed=[True, False]), InputError, "whole numbers"),
+        (lambda: robustness(np.zeros((2, 2)), gamma=1.0, mu=1.0).throw("x"), InputError, "by whole numbers, got 'x'"),
+        (lambda: robustness(np.zeros((2, 2)), gamma=1.0, mu=1.0).throw(watched=[2]), InputError, "watched must name"),
+        (lambda: robustness(np.zeros((2, 2)), gamma=1.0, mu=1.0).lag(watched=[-1]), InputError, "from 0 to 1 by"),
         (lambda: robustness(np.zeros((2, 2)), gamma=1.0, mu=1.0).duration(0.0), InputError, "share must be positive"),
         (
             lambda: robustness(np.zeros((2, 2)), gamma=1.0, mu=1.0).largest_step("RK45"),
