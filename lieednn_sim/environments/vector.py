@@ -28,7 +28,7 @@ from lieednn_sim.environments.frames import frames_at
 from lieednn_sim.environments.tasks import make_task
 from lieednn_sim.errors import InputError
 from lieednn_sim.simulation.simulation import QuietWarnings
-from lieednn_sim.validation import as_count, as_floats
+from lieednn_sim.validation import as_choice, as_count, as_floats
 from lieednn_sim.values import Floats
 
 Stepped = tuple[dict[str, Floats], Floats, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]
@@ -73,7 +73,10 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[dict[str, Floats], Floats, An
         first = make_task(task, arm, scene=scene, **options)
         self.num_envs = as_count("num_envs", num_envs)
         self.tasks = [copy.copy(first) for _ in range(num_envs)]
-        self.autoreset_mode = AutoresetMode(autoreset_mode)
+        if not isinstance(autoreset_mode, AutoresetMode):
+            modes = [mode.value for mode in AutoresetMode]
+            autoreset_mode = AutoresetMode(as_choice("autoreset_mode", autoreset_mode, modes))
+        self.autoreset_mode = autoreset_mode
         self.metadata = {"autoreset_mode": self.autoreset_mode, "render_fps": round(1.0 / first.control_timestep)}
         self.single_observation_space = observation_space(first.bounds)
         self.single_action_space = spaces.Box(-1.0, 1.0, (first.arm.n_joints,), np.float64)

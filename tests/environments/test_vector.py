@@ -88,6 +88,8 @@ def test_gymnasium_makes_them_and_masks_are_kept():
 
 
 def test_bad_input():
+    with pytest.raises(InputError, match="no autoreset_mode 'never'; allowed: Disabled, NextStep, SameStep"):
+        VectorEnvironment(2, autoreset_mode="never")
     many = VectorEnvironment(2, time_limit=0.02, autoreset_mode="Disabled")
     with pytest.raises(InputError, match="seed must be a number or a list of 2, got one of 3"):
         many.reset(seed=[1, 2, 3])

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.learning.demonstrations.recording import QUATERNIONS, Demonstration
-from lieednn_sim.validation import as_choice, as_path, as_positive
+from lieednn_sim.validation import as_choice, as_path, as_positive, quoted
 
 # Samples, and their times if the file has them.
 Table = tuple[NDArray[Any], NDArray[Any] | None]
@@ -137,7 +137,12 @@ def _npz(path: Path, _: Columns) -> Iterator[Table]:
 
 def _csv(path: Path, columns: Columns) -> Iterator[Table]:
     with path.open(encoding="utf-8-sig") as stream:
-        names = [word.strip().lower() for word in stream.readline().split(",")]
+        first = stream.readline()
+    if ";" in first or "\t" in first:
+        raise FileError(
+            f"{path} must be separated by commas, with points in its numbers; its first line is {quoted(first.strip())}"
+        )
+    names = [word.strip().lower() for word in first.split(",")]
     headed = any(name[:1].isalpha() and name not in ("nan", "inf") for name in names)
     table = np.loadtxt(path, delimiter=",", skiprows=int(headed), ndmin=2, encoding="utf-8-sig")
     if not headed:

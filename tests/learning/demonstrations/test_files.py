@@ -100,6 +100,10 @@ def test_files_that_do_not_fit(tmp_path):
     for name in ("damaged.mat", "damaged.npz", "damaged.npy", "damaged.csv", "pickled.npy", "plane.txt", "absent.npy"):
         with pytest.raises(FileError, match=name):
             load_demonstrations([tmp_path / name])
+    for line in ("x;y\n0,1;0,2\n", "0.1;0.2\n", "0.1\t0.2\n"):
+        (tmp_path / "sheet.csv").write_text(line * 2)
+        with pytest.raises(FileError, match=r"sheet.csv must be separated by commas, .* its first line is"):
+            load_demonstrations([tmp_path / "sheet.csv"])
     with pytest.raises(InputError, match="allowed: cm, m, mm"):
         load_demonstrations([tmp_path / "plane.npy"], unit="inch")
     with pytest.raises(InputError, match="name at least one file"):
