@@ -77,7 +77,7 @@ def parse_object(
             raise ValueError(f"it is larger than {_MAX_TEXT} bytes")
         value = parse(content)
         if not isinstance(value, dict):
-            raise TypeError(f"it holds a {type(value).__name__}")
+            raise TypeError(f"it holds a {type(value).__name__}, not values by name")
         return value
     except (TypeError, ValueError, RecursionError) as error:
         raise FileError(f"{path} is not a valid {what} ({type(error).__name__}: {error})") from None

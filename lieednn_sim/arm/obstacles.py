@@ -24,6 +24,8 @@ from lieednn_sim.values import Floats
 # Suffixes that tell a file from the name of a scene.
 SCENE_SUFFIXES = (".xml", ".yaml", ".yml", ".json")
 _GOAL = GOAL_PREFIX.removeprefix(PREFIX)
+# MuJoCo draws groups 0 to 2 by default.
+_HIDDEN = 5
 _POSE = {"position", "rpy", "quaternion"}
 # The entries of each shape, besides its pose.
 _SHAPES = {
@@ -75,6 +77,9 @@ def load_obstacles(path: str | os.PathLike[str]) -> mujoco.MjSpec:
     )
     for key in spec.keys:
         spec.delete(key)
+    for site in spec.sites:
+        if site.name.startswith(_GOAL):
+            site.group = _HIDDEN  # drawn, it would look like an obstacle
     try:
         model = compile_spec(spec)
     except FileError as error:
@@ -183,7 +188,7 @@ def _add_obstacle(spec: mujoco.MjSpec, entry: dict[str, Any], number: int, folde
 
 def _add_goal(spec: mujoco.MjSpec, entry: dict[str, Any], number: int, folder: Path) -> None:
     _check_entries(entry, {"size"})
-    kind, look = mujoco.mjtGeom.mjGEOM_BOX, {"group": 5, "rgba": (0.1, 0.8, 0.3, 0.15)}
+    kind, look = mujoco.mjtGeom.mjGEOM_BOX, {"group": _HIDDEN, "rgba": (0.1, 0.8, 0.3, 0.15)}
     spec.worldbody.add_site(name=f"{_GOAL}{number}", type=kind, size=_half_sizes(entry, "box"), **_pose(entry), **look)
 
 

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.learning.demonstrations.alignment import PHASES, at_phases
-from lieednn_sim.learning.demonstrations.files import read_tables
+from lieednn_sim.learning.demonstrations.files import TIMES, read_tables
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.planning.laws import Law, law_of_times, step_lengths
 from lieednn_sim.planning.motion import LIMIT_TOLERANCE, Motion
@@ -62,7 +62,7 @@ class JointDemonstrations:
         """Read files as `load_demonstrations` does, but with the arm's joints for columns.
 
         A table has n columns in the order of `Arm.joint_names`, or the time [s] and these; a csv file may name them, in
-        any order.
+        any order, and the time t or time.
 
         Args:
             arm: the arm.
@@ -211,7 +211,7 @@ def _joint_columns(arm: Arm, path: Path, names: list[str]) -> Sequence[str]:
     """The names of the joints' columns; a table may have others."""
     wanted = [name.lower() for name in arm.joint_names]
     if missing := [name for name in wanted if name not in names]:
-        strange = [name for name in names if name not in (*wanted, "t")]
+        strange = [name for name in names if name not in (*wanted, *TIMES)]
         raise InputError(
             f"{path} must name the joints of {arm.name}: {', '.join(arm.joint_names)}; it lacks {', '.join(missing)}"
             + (f", and names {', '.join(strange)}" if strange else "")

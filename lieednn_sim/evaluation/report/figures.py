@@ -13,7 +13,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import FormatStrFormatter, LogFormatterMathtext, LogLocator, NullLocator
+from matplotlib.ticker import FormatStrFormatter, Locator, LogFormatterMathtext, LogLocator, MaxNLocator, NullLocator
 
 from lieednn_sim.evaluation.figure_layout import settle
 from lieednn_sim.evaluation.report.style import in_order, marks
@@ -109,6 +109,15 @@ def _success(rows: Sequence[Row], controller: str) -> Plot:
     return Plot("Success", f"share of rollouts with {controller}, bars: Wilson's 95 % interval", svg)
 
 
+def _few_ticks(low: float, high: float) -> Locator:
+    """Ticks at 1, 2, 5 of each decade, or at even steps where fewer than two would be seen."""
+    decades = 10.0 ** np.arange(np.floor(np.log10(low)), np.ceil(np.log10(high)) + 1)
+    ticks = np.outer(decades, (1.0, 2.0, 5.0)).ravel()
+    if np.count_nonzero((low <= ticks) & (ticks <= high)) < 2:
+        return MaxNLocator(4)  # LogLocator would then choose more labels than there is room for
+    return LogLocator(subs=(1.0, 2.0, 5.0), numticks=8)
+
+
 def _distribution(rows: Sequence[Row], item: _Distribution, controller: str) -> Plot:
     planners, scenes = in_order(row.planner for row in rows), _scenes(rows)
     look, thinned = marks(planners), False
@@ -137,7 +146,7 @@ def _distribution(rows: Sequence[Row], item: _Distribution, controller: str) -> 
             low, high = axes.get_xlim()
             # Labels at 1, 2, 5 below two decades, and at powers of ten above.
             few = high < 100.0 * low
-            axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if few else (1.0,), numticks=8))
+            axes.xaxis.set_major_locator(_few_ticks(low, high) if few else LogLocator(numticks=8))
             axes.xaxis.set_minor_locator(NullLocator())
             axes.xaxis.set_major_formatter(FormatStrFormatter("%g") if few else LogFormatterMathtext())
         elif item.column == "clearance_mm":

@@ -26,6 +26,8 @@ Columns = Callable[[Path, list[str]], Sequence[str]]
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 _COLUMNS = ("x", "y", "z")
+# Names of the column of times.
+TIMES = ("t", "time")
 _QUATERNION_COLUMNS = tuple(f"q{letter}" for letter in "wxyz")
 
 
@@ -42,7 +44,7 @@ def load_demonstrations(
     - ``.npz``: such an array, the only one or named ``poses`` or ``positions``; optionally separate ``quaternions``
       ``(..., K, 4)``, and times ``t`` ``(K,)`` or ``(n, K)`` [s].
     - ``.csv``: one demonstration, separated by commas. A first line may name the columns x, y, z, qw, qx, qy, qz and t
-      in any order; others are ignored.
+      or time [s] in any order; others are ignored.
     - ``.mat``: the structures ``demos`` of the LASA data set, with ``pos`` ``(2, K)`` and ``t``.
 
     Args:
@@ -148,7 +150,7 @@ def _csv(path: Path, columns: Columns) -> Iterator[Table]:
     if not headed:
         return _several(path, table)
     wanted = columns(path, names)
-    t = table[:, names.index("t")] if "t" in names else None
+    t = next((table[:, names.index(name)] for name in TIMES if name in names), None)
     return _several(path, table[:, [names.index(name) for name in wanted]], t)
 
 

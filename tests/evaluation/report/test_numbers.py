@@ -207,6 +207,17 @@ def test_figures_draw_values_medians_and_shares(monkeypatch):
         assert by_title[title].get_xlabel().endswith(unit)
 
 
+def test_planning_times_within_a_decade_have_a_few_labels(monkeypatch):
+    drawn = {}
+    monkeypatch.setattr(figures, "_svg", lambda figure: drawn.update({figure.axes[0].get_xlabel(): figure}) or "<svg/>")
+    for fastest in (1.04, 2.4, 5.5):
+        figures.plots([row(FIRST, k, planning_s=fastest * (1.0 + 0.35 * k)) for k in range(3)], "position-servo")
+        axes = drawn["CPU [s]"].axes[0]
+        low, high = axes.get_xlim()
+        ticks = axes.xaxis.get_majorticklocs()
+        assert 2 <= np.count_nonzero((low <= ticks) & (ticks <= high)) <= 6
+
+
 def test_cases_to_show_take_planners_in_turn_and_successes_first(table):
     table.add([row(planner, seed, scene="window") for planner in (FIRST, SECOND) for seed in (4, 5)])
     table.add([row(FIRST, 3, scene="window", **CONTACT)])

@@ -61,6 +61,14 @@ def test_quaternions_in_either_order_apart_and_named(tmp_path):
         assert one.t.tolist() == ([0.0, 0.5, 1.5] if name == "named.csv" else [0.0, 0.01, 0.02])
 
 
+def test_the_column_of_times_is_t_or_time(tmp_path):
+    for name in ("t", "time"):
+        np.savetxt(
+            tmp_path / "a.csv", [[0, 1, 2], [3, 4, 5], [4, 6, 7]], delimiter=",", header=f"{name},x,y", comments=""
+        )
+        assert load_demonstrations([tmp_path / "a.csv"])[0].t.tolist() == [0.0, 3.0, 4.0]
+
+
 @pytest.mark.parametrize(
     ("content", "message"),
     [
