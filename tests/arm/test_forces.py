@@ -7,6 +7,7 @@ import pytest
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm, import_arm
+from lieednn_sim.arm.forces import dry_friction, servo_gains
 
 CARRIAGE = """
 <mujoco><compiler angle="radian"/><option gravity="0 0 0"/>
@@ -48,6 +49,8 @@ def both_arms(actuators, joint="", follower="", tie=""):
         (SERVO.format('forcerange="-10 200"') + '<motor joint="x" gear="20" ctrlrange="-3 2"/>', "", 70.0, (-70, 240)),
         # Two cables that can only pull: 0..50 and -80..0.
         ('<motor joint="x" ctrlrange="0 50"/><motor joint="x" gear="-2" ctrlrange="0 40"/>', "", 50.0, (-80.0, 50.0)),
+        # A motor of 3 N for each unit of its control, the other way round.
+        ('<general joint="x" gainprm="-3" ctrlrange="-5 4"/>', "", 12.0, (-12.0, 15.0)),
         # One of them without a limit.
         (SERVO.format('forcerange="-10 200"') + '<motor joint="x"/>', "", np.inf, (-np.inf, np.inf)),
         # The joint's own range lies within the actuator's, and clamps a sum.
@@ -73,3 +76,18 @@ def test_a_belt_of_two_stages_pulls_at_one_coordinate_through_both():
     (native, _), report = both_arms(BELT, follower='actuatorfrcrange="-3 3"', tie=TIE)
     np.testing.assert_allclose(native.force_limits, [8.0 + 2.0 * 3.0])
     np.testing.assert_allclose(report.servos[0].force_range, (-16.0, 14.0))
+
+
+def test_gains_of_servos_go_with_the_square_of_the_gear(gantry):
+    """Gears of 2, 0.5, 1 and 1 with kp = 1000 and kv = 100; a coordinate that moves y by 3 sees nine times y's."""
+    kp, kv = servo_gains(gantry.model, np.diag([1.0, 3.0, -1.0, 1.0]))
+    np.testing.assert_allclose(kp, [4000.0, 9.0 * 250.0, 1000.0, 1000.0])
+    np.testing.assert_allclose(kv, 0.1 * kp)
+
+
+def test_dry_friction_of_stages_adds_up_whichever_way_they_go(gantry):
+    """x holds with 3 N, and y, which goes back by twice as much, with 2 N."""
+    spec = gantry.spec.copy()
+    spec.joint("x").frictionloss, spec.joint("y").frictionloss = 3.0, 2.0
+    rates = np.array([[1.0], [-2.0], [0.0], [0.0]])
+    np.testing.assert_allclose(dry_friction(spec.compile(), rates), 3.0 + 2.0 * 2.0)

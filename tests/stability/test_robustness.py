@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from scipy.spatial.transform import Rotation
 from lieednn_sim.errors import InputError, NotCertifiedError
 from lieednn_sim.lie import adjoint
 from lieednn_sim.stability import find_certificate, find_contraction, robustness
+from lieednn_sim.stability.robustness import Robustness
 
 seeds = st.integers(0, 2**32 - 1)
 GAMMA, MU = 1.5, 0.8
@@ -212,3 +214,23 @@ def test_without_contraction_the_certificate_itself_bounds_pushes():
 def test_wrong_input_is_named(call, error, words):
     with pytest.raises(error, match=words):
         call()
+
+
+def test_words_are_of_contraction_where_there_is_one_and_of_the_best_proof():
+    """Of three guarantees in the same norm, the least throw and lag, and the largest steps; ln(30) / 0.5 = 6.8."""
+
+    def proof(contracting, overshoot, rate, delay, euler, rk4):
+        numbers = {"overshoot": overshoot, "rate": rate, "delay": delay, "euler_step": euler, "rk4_step": rk4}
+        return SimpleNamespace(contracting=contracting, factor=np.eye(2), inverse=np.eye(2), **numbers)
+
+    both = np.arange(2)
+    proofs = (
+        proof(True, 3.0, 0.5, 7.0, 0.25, 0.75),
+        proof(True, 2.0, 0.25, 9.0, 0.5, 1.5),
+        proof(False, 1.0, 9.0, 6.0, 0.1, 0.2),
+    )
+    told = str(Robustness(both, both, proofs))
+    assert "at most 2 away, a tenth of it is left after 6.8 (between any two motions)" in told
+    assert "followed within 6\n" in told
+    assert "up to 0.5 (Euler), 1.5 (RK4)" in told
+    assert "at most 1 away, a tenth of it is left after 0.256 (about the" in str(Robustness(both, both, proofs[2:]))
