@@ -43,7 +43,7 @@ class NetworkPath:
 
     Attributes:
         arm: decodes states to joint positions.
-        network: with as many visible neurons as the arm has links.
+        network: a network with as many visible neurons as the arm has links.
         start: ``(n,)`` joint position at the beginning.
         origin: ``(N, 6)`` state of all neurons at the start.
         target: ``(N, 6)`` the network's equilibrium.
@@ -165,7 +165,7 @@ def make_motion(arm: Arm, network: ComponentwiseNetwork, start: ArrayLike, durat
 
     Args:
         arm: decodes states to joint positions.
-        network: with as many visible neurons as the arm has links.
+        network: a network with as many visible neurons as the arm has links.
         start: joint position at rest.
         duration: duration of the motion [s], rounded to a whole number of time steps.
         timestep: sampling period [s], the simulation's step.
@@ -207,7 +207,7 @@ def _invert(length: PchipInterpolator, speed: PchipInterpolator, grid: Floats, w
     tau[0], tau[-1] = grid[0], grid[-1]
     for _ in range(60):
         error = length(tau) - wanted
-        # Solutions stay: rounding could lead them out of their brackets, and bisection then far away.
+        # Solved samples are kept: rounding could lead them out of their brackets, and bisection then far away.
         off = np.abs(error) > _ROUNDING * known[-1]
         if not off.any():
             break

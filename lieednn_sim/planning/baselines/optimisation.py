@@ -44,8 +44,8 @@ class OptimisationOptions(PlannerOptions):
         margin: clearance by which first guesses are judged, as far as start and target keep it [m].
         intervals: number of intervals of the spline, from 2 to 1000.
         instants: number of instants at which distances and rates are weighed, up to 10 000.
-        influence: distance below which its hinge loss grows [m]; the loss is soft, so choose it well above the distance
-            that must be kept.
+        influence: distance below which a pair's hinge loss grows [m]; the loss is soft, so choose it well above the
+            distance that must be kept.
         rate_share: share of the velocity and acceleration limits above which their hinge losses grow.
         weights: weights of the hinge losses against smoothness, one for each descent from a guess.
         evaluations: largest number of evaluations of the cost in a descent.

@@ -32,7 +32,7 @@ class DmpOptions(PlannerOptions):
 
 
 def dmp(problem: PlanningProblem, options: DmpOptions) -> Motion:
-    """A primitive that imitates minimum jerk from home to `reference_posture`, between the problem's start and target.
+    """The motion of a primitive from start to target, which imitates minimum jerk from home to `reference_posture`.
 
     A critically damped spring to the goal and a learned forcing term that fades (Ijspeert et al., Neural Computation
     25(2), 2013), with the smooth start of Pastor et al., ICRA 2009:

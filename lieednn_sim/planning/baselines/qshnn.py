@@ -59,7 +59,7 @@ class QshnnOptions(PlannerOptions):
         networks: number of networks to learn, each from other weights, until one's motion can be made.
         waypoints: number of evenly spaced waypoints of the network's path, the control points of the curve followed.
         bend: curvature above which the curve is followed more slowly, as in `SmoothingOptions`.
-        training: how each network is learned.
+        training: options of the training.
     """
 
     modulus: float = 0.25

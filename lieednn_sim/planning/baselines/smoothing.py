@@ -65,7 +65,7 @@ def motion_along(
     Args:
         problem: start, target and duration.
         corners: corners of the polyline.
-        options: how it is smoothed.
+        options: options of the smoothing.
         blocked: numbers of control points whose curves are blocked at any duration, with the reasons. It is added to;
             pass it on to calls with other durations, in which these curves are skipped.
 
@@ -86,7 +86,7 @@ def motion_along(
             refusals.append(error)
             if not isinstance(error, TooFastError):
                 blocked[count] = error
-    # A motion that only needs more time, and the least of it, is better news than one that is blocked.
+    # A motion that only needs more time takes precedence over blocked ones; of several, the one that needs the least.
     raise min((error for error in refusals if isinstance(error, TooFastError)), key=_duration, default=refusals[-1])
 
 
@@ -104,7 +104,7 @@ def motion_along_first(
         path: function from the number of an attempt to corners ``(M, n)``, or None if it fails. Paths do not depend on
             the duration; it should remember them, since they are asked for again when the motion needs more time.
         attempts: largest number of paths to ask for.
-        options: how paths are smoothed.
+        options: options of the smoothing.
         name: name of the planner.
 
     Raises:
@@ -176,7 +176,7 @@ def _weighted(tangent: Floats, second: Floats, bend: float) -> Floats:
 
 
 def stopping(problem: PlanningProblem, corners: Floats) -> tuple[Floats, Floats, Floats]:
-    """As `smoothed`, along the polyline itself: minimum jerk on each edge, in a share of the time by its length."""
+    """As `smoothed`, along the polyline itself: minimum jerk on each edge, in time proportional to its length."""
     t, scale = problem.times(), joint_scale(problem.arm)
     scaled, lengths = _measured(corners / scale)
     if not len(lengths):

@@ -114,7 +114,7 @@ class _Tree:
         return self._radius[: len(self)]
 
     def add(self, point: Floats, parent: int) -> int:
-        """The number of a new node."""
+        """Add a node; return its number."""
         node = len(self)
         if node == len(self._points):
             self._points = np.concatenate([self._points, np.empty_like(self._points)])

@@ -97,7 +97,7 @@ class PositionLimit(Limit):
         return np.where(left >= 0.0, root, 2.0 * left / h)
 
     def allow(self, positions: Floats) -> None:
-        """Tighten the limits, not beyond these positions, so that joints that reverse within a step keep the arm's."""
+        """Tighten the limits, but not beyond these positions, so that joints reversing within a step keep the arm's."""
         inset = self._acceleration * self._timestep**2 / 4.0
         low, high = self._arm.position_limits.T
         lower = np.maximum(np.minimum(low + inset, positions.min(axis=0)), low)

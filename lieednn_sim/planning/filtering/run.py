@@ -100,7 +100,7 @@ def run_filtered(
 
     Args:
         arm: the arm, with its obstacles.
-        network: with as many visible neurons as the arm has links.
+        network: a network with as many visible neurons as the arm has links.
         start: joint position at rest.
         duration: duration of the motion if the filter changes nothing [s].
         via: intermediate joint positions ``(V, n)``: the network is retargeted to one after another, each time from the

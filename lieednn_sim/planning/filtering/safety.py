@@ -1,4 +1,4 @@
-"""A filter on joint velocities: the nearest to the wanted ones that keep all limits, now and later, and clearance.
+"""A filter that replaces wanted joint velocities by the nearest that keep all limits, now and later, and clearance.
 
 Within a control step of h seconds the acceleration is constant, so the joints move by h (v + v') / 2 to the velocities
 v' that a quadratic program chooses:
@@ -33,7 +33,7 @@ _ACTIVE = 1e-3
 # Constraints with multipliers above this hold the arm back.
 _PRESSING = 1e-4
 _UNBOUNDED = 1e30
-# No arm has larger positions and velocities, and the quadratic program could not tell its bounds apart.
+# No arm has larger positions or velocities; with larger ones the quadratic program could not tell its bounds apart.
 _LARGEST = 1e9
 # DAQP's flag of a soft constraint, and the inverse of the weight of violating it.
 _SOFT, _GIVING = 8, 1e-4
