@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import functools
 import itertools
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -50,6 +50,8 @@ Candidates = Iterable[Callable[[], TrainingResult]]
 
 def train(arguments: argparse.Namespace) -> int:
     """Learn a network for a target in a run directory; returns 1 when none was learned."""
+    if arguments.resume is not None:
+        _require_no_others(arguments.words)
     run = RunDirectory(arguments.output if arguments.resume is None else arguments.resume, arguments.plots)
     if arguments.resume is None:
         with run.made():
@@ -59,6 +61,15 @@ def train(arguments: argparse.Namespace) -> int:
     with run.at_work(), run.pending.at_work():
         task, arm = run.pending.load_task()
         return _train(run, task, arm, _resumed(run.pending, task, arm.encode(task.target)))
+
+
+def _require_no_others(words: Sequence[str]) -> None:
+    """Refuse options beside ``--resume``, which would change nothing."""
+    given = [word.partition("=")[0] for word in words if word.startswith("--")]
+    # Options may be abbreviated.
+    others = [name for name in given if not any(known.startswith(name) for known in ("--resume", "--plots"))]
+    if others:
+        raise InputError(f"--resume continues a training with its own options; leave out {', '.join(others)}")
 
 
 def _begin(run: RunDirectory, arguments: argparse.Namespace) -> tuple[Task, Arm, Candidates]:

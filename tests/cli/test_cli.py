@@ -145,6 +145,8 @@ def test_interrupted_training_goes_on_with_resume(tmp_path, capsys, monkeypatch)
     assert f"train --resume {broken}" in printed
     assert "\na push of size 1 throws the state at most" in printed
     assert [path.name for path in broken.iterdir()] == ["training"]
+    words = fails(capsys, "train", "--resume", broken, "--epochs=7", "--output", tmp_path / "other", "--plots", "svg")
+    assert words.endswith("with its own options; leave out --epochs, --output")
     assert main(["train", "--resume", str(broken)]) == 0
     one, two = (LieEDNN.load(directory / "network.npz") for directory in (straight, broken))
     np.testing.assert_array_equal(one.weight, two.weight)
