@@ -18,7 +18,8 @@ Law = Callable[[Floats], tuple[Floats, Floats]]
 # Acceleration across a path above which a turn is sharp, in units of the path's length over the squared duration. Along
 # the path minimum jerk needs at most 5.8; five of six certified motions of the package's arms stay below.
 _SHARP = 10.0
-# Share of the duration in which a motion slows down before a sharp turn, and in which it speeds up again.
+# Half width of the maximum and of the average by which a motion slows down around a sharp turn, as a share of the
+# duration: it begins to slow down twice as long before.
 _EASING = 0.1
 
 

@@ -31,7 +31,7 @@ from lieednn_sim.values import Floats
 RESIDUAL = 1e-8
 # Samples of the speed per step of the integrator; between them it is interpolated with a lower order than the states.
 _SAMPLES_PER_STEP = 8
-# Tolerance of a place on a path, as a share of its length; where the speed is low, times are no more accurate.
+# Accuracy to which places on a path are found, as a share of its length; rounding allows no better.
 _ROUNDING = 1e-14
 # Distance at which joints have arrived [rad, m]; two postures with the same poses differ by more.
 _ARRIVED = 1e-3
