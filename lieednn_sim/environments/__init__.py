@@ -1,10 +1,10 @@
-"""Environments for learning people: tasks on simulated arms, behind two interfaces, with an expert policy.
+"""Environments for robot learning: tasks on simulated arms, behind two interfaces, with an expert policy.
 
-- `tasks`: what is asked of the arm, whatever the interface: `make_task("reach")`, `make_task("track")`.
-- `suite`: the same in the manner of the dm_control suite: `suite.load("telescopic_pr", "reach")` is a
+- `tasks`: the tasks, independent of the interface: `make_task("reach")`, `make_task("track")`.
+- `suite`: the tasks in the style of the dm_control suite: `suite.load("telescopic_pr", "reach")` is a
   `dm_control.rl.control.Environment`, with `physics` and rendering.
-- `gymnasium`: the same as Gymnasium environments ``LieEDNN/TelescopicReach-v0`` and ``LieEDNN/TelescopicTrack-v0``;
+- `gymnasium`: the tasks as Gymnasium environments ``LieEDNN/TelescopicReach-v0`` and ``LieEDNN/TelescopicTrack-v0``;
   needs the extra ``gymnasium``.
-- `vector`: many of these at once, as a vector environment.
-- `expert`: the policy that follows a LieEDNN plan, for any of them.
+- `vector`: many environments at once, as a vector environment of Gymnasium.
+- `expert`: a policy for any of them that follows a LieEDNN plan.
 """

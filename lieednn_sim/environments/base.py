@@ -267,7 +267,7 @@ class ArmTask(ABC):
         self._over = bool(failure) or self._step >= self.steps
 
     def failure_of(self, controls: Floats) -> str:
-        """The reason why physics steps with controls ``(substeps, nu)`` fail from the present state."""
+        """The reason for which physics steps with controls ``(substeps, nu)`` fail from the present state."""
         self.simulation.steps, self._controls = self._step * self.substeps, controls
         self._warm_start[:] = 0.0
         self.advance(self.substeps)

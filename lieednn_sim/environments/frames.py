@@ -1,4 +1,4 @@
-"""Pose errors of link frames, for many environments at once; each is rounded as for a single one."""
+"""Pose errors of link frames, for many environments at once, rounded exactly as those of a single one."""
 
 from __future__ import annotations
 

@@ -63,7 +63,7 @@ class ControlTask(control.Task):  # type: ignore[misc]  # dm_control has no type
         self.task.after_step(current=True)
 
     def get_observation(self, physics: Any) -> OrderedDict[str, Floats]:
-        """Arrays by name."""
+        """Observed arrays by name."""
         return OrderedDict(self.task.observe())
 
     def get_reward(self, physics: Any) -> float:
@@ -80,7 +80,7 @@ class ControlTask(control.Task):  # type: ignore[misc]  # dm_control has no type
         return specs.BoundedArray((self.task.arm.n_joints,), np.float64, -1.0, 1.0, name=f"joint velocities ({joints})")
 
     def observation_spec(self, physics: Any) -> OrderedDict[str, specs.BoundedArray]:
-        """Arrays by name, with their bounds."""
+        """Observed arrays by name, with their bounds."""
         return OrderedDict(
             (name, specs.BoundedArray(low.shape, np.float64, low, high, name=name))
             for name, (low, high) in self.task.bounds.items()
@@ -123,5 +123,5 @@ class ControlEnvironment(control.Environment):  # type: ignore[misc]  # dm_contr
         return super().reset()
 
     def reward_spec(self) -> specs.BoundedArray:
-        """In [0, 1]."""
+        """Rewards are in [0, 1]."""
         return specs.BoundedArray((), np.float64, 0.0, 1.0, name="reward")

@@ -46,7 +46,7 @@ class Reach(ArmTask):
         self._here = self._target, self._goals(self._target)
 
     def target(self, time: float) -> Floats:
-        """See `ArmTask`; it does not move."""
+        """See `ArmTask`; the target does not move."""
         return self._target.copy()
 
     def here(self) -> tuple[Floats, ...]:

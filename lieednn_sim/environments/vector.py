@@ -49,7 +49,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[dict[str, Floats], Floats, An
         arm: name of an arm of the package, or an arm.
         scene: as for `Environment`.
         autoreset_mode: when the next episode begins, see Gymnasium.
-        threads: number of threads, by default that of processors.
+        threads: number of threads; by default, the number of processors.
         options: further options of the task, see `ArmTask`, `Reach` and `Track`.
 
     Attributes:
@@ -171,7 +171,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[dict[str, Floats], Floats, An
         controls = first.commands.controls(start, end)
         with QuietWarnings():
             after = self._rollouts.rollout(model, self._data, before, controls)[0][:, -1]
-        # After a warning of MuJoCo time stands still, or restarts.
+        # After a warning, MuJoCo's time stands still, or restarts.
         late = np.abs(after[:, 0] - before[:, 0] - first.control_timestep) > 0.5 * first.simulation.timestep
         failed = late | ~np.isfinite(after).all(axis=1)
         self._commands[going] = end

@@ -26,7 +26,7 @@ class Push:
 
     Attributes:
         body: name of a body of the scene or of a link ("link 1", ..., "end effector").
-        force: ``(3,)`` [N], world frame, at the body's centre of mass.
+        force: ``(3,)`` force at the body's centre of mass, world frame [N].
         start: time since the start of the rollout [s].
         duration: the force acts in simulation steps at times t with start <= t < start + duration [s], both rounded to
             the nearest step; a push in whose time no step begins is refused.
@@ -94,7 +94,7 @@ class Disturbances:
         check_fields(self, as_seed, "seed")
 
     def to_json(self) -> dict[str, Any]:
-        """The values as JSON can hold them."""
+        """The values in types that JSON has."""
         return dataclasses.asdict(self)
 
     @classmethod
@@ -153,9 +153,9 @@ class Noise(NamedTuple):
     """Errors of one measurement, in MuJoCo's tangent space.
 
     Attributes:
-        position: ``(nv,)`` [rad, m].
-        velocity: ``(nv,)`` [rad/s, m/s].
-        present: whether there are any; else all are zero.
+        position: ``(nv,)`` errors of positions [rad, m].
+        velocity: ``(nv,)`` errors of velocities [rad/s, m/s].
+        present: whether there are any; otherwise all are zero.
     """
 
     position: Floats
@@ -167,7 +167,7 @@ class Sensors:
     """Draws the measurement errors of the arm's joints, the same ones after every `reset`.
 
     Attributes:
-        noisy: whether there are any errors; else all of them are zero.
+        noisy: whether there are any errors; otherwise all are zero.
     """
 
     def __init__(self, arm: Arm, disturbances: Disturbances) -> None:
@@ -206,9 +206,9 @@ class Sensors:
 def tangent_basis(arm: Arm) -> Floats:
     """Generalised velocities ``(nv, n)`` at unit rates of the coordinates, every ball joint at its reference.
 
-    Its columns span the velocities that the arm's joints can have at any position; for the others, and for stages that
-    follow another one, rows are zero and tied. Its transpose turns generalised forces ``(nv,)`` into forces along the
-    coordinates; of ball joints, along the axes of the moving body.
+    Its columns span the velocities that the arm's joints can have at any position. Rows of joints outside the arm are
+    zero, and those of coupled stages are multiples of their leaders'. Its transpose turns generalised forces ``(nv,)``
+    into forces along the coordinates; for ball joints, along the axes of the moving body.
     """
     rates = np.eye(arm.n_joints)
     return arm.qvel(np.zeros_like(rates), rates).T

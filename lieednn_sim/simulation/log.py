@@ -1,4 +1,4 @@
-"""What is known of a simulation's instants, collected at little cost while it runs and worked out for all at once."""
+"""Logs of simulations: raw data are copied at little cost at every step, and evaluated for all instants at once."""
 
 from __future__ import annotations
 
@@ -18,31 +18,31 @@ if TYPE_CHECKING:
 
 
 class ChannelSource(Protocol):
-    """What adds channels to a log beside those of every simulation: a controller, or a disturbance.
+    """A source of channels besides those of every simulation: a controller, or a disturbance.
 
     Attributes:
-        channel_units: of its channels, by name; empty where it has none.
+        channel_units: units of its channels, by name; empty without channels.
     """
 
     channel_units: Mapping[str, str]
 
     def sample(self, data: mujoco.MjData) -> Floats:
-        """A new array of what the channels are worked out from, after each step, of that step."""
+        """A new array of the data of a step from which the channels are computed; called after each step."""
 
     def channel_values(self, samples: Floats) -> tuple[Floats, ...]:
-        """The channels in the order of their units, with K steps along the first axis, as of the samples."""
+        """The channels in the order of their units; like the samples, with K steps along the first axis."""
 
 
 class Instant(NamedTuple):
-    """What is true at one time, or at K along a first axis; the forces are those of the step that begins there.
+    """Data of one instant, or of K along a first axis; the forces are those of the step that begins there.
 
     Attributes:
-        t: [s].
-        qpos: ``(nq,)``.
-        qvel: ``(nv,)``.
-        ctrl: ``(nu,)``.
-        drive_force: ``(nv,)`` of actuators, gravity compensation included [N m, N].
-        constraint_force: ``(nv,)`` of contacts, joint limits, couplings and welds [N m, N].
+        t: time [s].
+        qpos: ``(nq,)`` MuJoCo's positions.
+        qvel: ``(nv,)`` MuJoCo's velocities.
+        ctrl: ``(nu,)`` actuator controls.
+        drive_force: ``(nv,)`` forces of actuators, including gravity compensation [N m, N].
+        constraint_force: ``(nv,)`` forces of contacts, joint limits, couplings and welds [N m, N].
         link_position: ``(N, 3)`` link frames, world [m].
         link_quaternion: ``(N, 4)`` the same, (w, x, y, z).
         contacts: number of contacts.
@@ -62,21 +62,21 @@ class Instant(NamedTuple):
 
 
 class Log:
-    """Steps a simulation, from where it is, and keeps the instants before each step.
+    """Steps a simulation from its present state, and keeps the instant before each step.
 
     The forces and link frames that MuJoCo computes in a step belong to the instant at which it begins, and stay in its
     data until the next one.
 
     Args:
-        simulation: to be stepped by nothing else meanwhile.
-        sources: of channels, beside the simulation's pushes.
+        simulation: the simulation; nothing else may step it meanwhile.
+        sources: sources of channels besides the simulation's pushes.
     """
 
     def __init__(self, simulation: Simulation, *sources: ChannelSource) -> None:
         self._simulation, self._rows = simulation, 0
         arm, data = simulation.arm, simulation.data
         self._data, self._first = data, simulation.steps
-        # Of all sites in a block: a slice is copied in one piece, as picked rows are not.
+        # A contiguous range of sites, since a slice is copied in one piece, unlike selected rows.
         low, high = int(arm.site_ids.min()), int(arm.site_ids.max()) + 1
         self._sites = arm.site_ids - low
         before = {"qpos": data.qpos, "qvel": data.qvel, "ctrl": data.ctrl}
@@ -87,7 +87,7 @@ class Log:
             "positions": data.site_xpos[low:high],
             "rotations": data.site_xmat[low:high],
         }
-        # Bytes are written to a stream in a fifth of the time of rows to an array.
+        # Writing bytes to a stream takes a fifth of the time of assigning rows of an array.
         self._log = {name: (io.BytesIO(), view) for name, view in {**before, **after}.items()}
         self._before = [(self._log[name][0].write, view) for name, view in before.items()]
         self._after = [(self._log[name][0].write, view) for name, view in after.items()]
@@ -101,7 +101,7 @@ class Log:
         return self._rows
 
     def step(self) -> None:
-        """Do one step, within `QuietWarnings`, and keep the instant before it; nothing of a step that fails."""
+        """Do one step, within `QuietWarnings`, and keep the instant before it, unless the step fails."""
         for write, view in self._before:
             write(view)
         self._simulation.advance_once()
@@ -147,7 +147,7 @@ class Log:
 
     @property
     def _compensated(self) -> NDArray[np.bool_]:
-        """Gravity compensation that is not routed through the actuators still has to come from the drives."""
+        """Dofs ``(nv,)`` whose gravity compensation bypasses MuJoCo's actuators; the drives have to exert it, too."""
         model = self._simulation.model
         return ~model.jnt_actgravcomp[model.dof_jntid].astype(bool)
 

@@ -38,7 +38,7 @@ class Rollouts:
     Attributes:
         arm: the simulated arm.
         motions: the motions that were followed.
-        t: ``(K,)`` [s].
+        t: ``(K,)`` times [s].
         q: ``(B, K, n)`` joint coordinates [rad, m]; NaN where a simulation failed.
         qd: ``(B, K, n)`` their rates [rad/s, m/s].
         ctrl: ``(B, K, nu)`` actuator controls.
@@ -85,13 +85,13 @@ def simulate_many(
 
     Args:
         arm: the arm; its model is not changed.
-        motions: sampled at the model's time step; or plans that hold them.
+        motions: plans, or motions sampled at the model's time step.
         controller: name of a controller whose controls follow from the reference alone.
         hold: time simulated after the end of the longest motion [s]; the others are held longer.
         mass_scale: as for `simulate`.
         reference_rate: as for `simulate`.
         disturbances: disturbances of each rollout.
-        threads: number of threads, by default that of processors.
+        threads: number of threads; by default, the number of processors.
 
     Raises:
         InputError: there are no motions, one does not fit the model, or the controller needs the state.

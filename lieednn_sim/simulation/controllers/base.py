@@ -1,7 +1,7 @@
 """Controllers, which drive the arm along a reference.
 
-A controller may need other drives than the arm's model has, so it may change the simulated plant. It knows the dynamics
-of the arm's model; the plant may have other masses.
+A controller may change the simulated plant, since it may need other drives than the arm's model has. It knows the
+dynamics of the arm's model; the plant may have other masses.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class Controller(ABC):
     adds_bodies = False
     channel_units: Mapping[str, str] = MappingProxyType({})
 
-    def add_bodies(self, spec: Any) -> None:  # noqa: B027 (few controllers need it, and the next)
+    def add_bodies(self, spec: Any) -> None:  # noqa: B027 (few controllers need this hook, or `equip`)
         """Add the bodies that the controller needs to a copy of the arm's spec."""
 
     def equip(self, plant: mujoco.MjModel) -> None:  # noqa: B027
@@ -50,7 +50,7 @@ class Controller(ABC):
 
         Args:
             steps: m steps.
-            noise: errors of the measurements at these steps, ``(m, nv)``.
+            noise: ``(m, nv)`` measurement errors at these steps.
         """
         return None
 
@@ -154,7 +154,7 @@ class InverseDynamicsServo(FeedforwardServo):
         reference = self._reference
         rows = reference.rows(steps)
         qpos, (velocity, acceleration) = reference.qpos[rows], reference.rates_at(rows)
-        # Equal rows, as of a reference that rests or is held, are computed once.
+        # Equal rows, such as those of a resting or held reference, are computed once.
         firsts, run = runs(np.hstack([qpos, velocity, acceleration]))
         inverse, forces = self._inverse, np.empty((len(firsts), velocity.shape[1]))
         position, rate, change = inverse.qpos, inverse.velocity, inverse.acceleration
