@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 from lieednn_sim.arm.kinematics import distinctness
 from lieednn_sim.values import Floats
 
-# v, for a Jacobian with columns of unit length, and r. With smaller values poses are followed more closely, and hinges
-# turn more. With these, 0.3 mm beside a pose where the posture changes by 1 rad/s, they turn by 5 mrad at 2 rad/s^2.
+# v, for a Jacobian with columns of unit length, and r. Smaller values follow poses more closely, but turn hinges more.
+# With these, 0.3 mm beside a pose where the posture changes by 1 rad/s, hinges turn by 5 mrad at 2 rad/s^2.
 VAGUE, _SHARE = 0.15, 0.05
 _STEPS, _SHORT = 30, 1e-9
 
@@ -32,10 +32,10 @@ _Evaluate = Callable[[Floats], tuple[Floats, Floats]]
 
 
 def vagueness(jacobian: Floats) -> Floats:
-    """The ratio s / v ``(B,)`` for Jacobians ``(B, r, c)``; if it is at least 1, only a lower bound that is, too."""
+    """The ratio s / v ``(B,)`` for Jacobians ``(B, r, c)``; values of at least 1 may be only lower bounds of it."""
     columns = jacobian / np.maximum(np.linalg.norm(jacobian, axis=-2, keepdims=True), 1e-300)
-    # The eigenvalues of the Gram matrix, which has a unit diagonal, lie in Gershgorin's discs around 1. For nearly all
-    # postures that bound suffices.
+    # The eigenvalues of the Gram matrix, which has a unit diagonal, lie in Gershgorin's discs around 1. This bound
+    # suffices for nearly all postures.
     others = np.abs(np.swapaxes(columns, -1, -2) @ columns).sum(axis=-1).max(axis=-1) - 1.0
     share = np.sqrt(np.maximum(1.0 - others, 0.0)) / VAGUE
     doubtful = share < 1.0

@@ -146,7 +146,7 @@ def _highest(p: Floats, q: Floats, b: Floats, c: Floats) -> Floats:
             u, v = half / t, other / (t + strength)
             square = u**2 + v**2
             step = square * (np.sqrt(square) - 1.0) / (u**2 / t + v**2 / (t + strength))
-        # Where alpha vanishes, t may be zero: then Y is known, and X only up to its sign.
+        # If alpha vanishes, t may be zero: then Y is determined, but X only up to its sign.
         step = np.where(np.isfinite(step), step, 0.0)
         t = t + step
         if (step <= 1e-12 * t).all():

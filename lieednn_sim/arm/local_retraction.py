@@ -1,7 +1,7 @@
 """Retraction in real time, for states that arrive one after another: Newton's method from the last posture.
 
-`Retractor` finds the nearest posture to any poses, in milliseconds; here it is known to be near the last one. All links
-are computed at once: the given poses and those of all joints are the exponentials of one stack of twists. For
+`Retractor` takes milliseconds to find the posture nearest to any poses; here it is known to be near the last one. All
+links are computed at once: the given poses and those of all joints are the exponentials of one stack of twists. For
 T = M_1 ... M_F over a link's joints with twists Z_f, the derivatives of T are M_1 ... Z_f M_f ... M_F.
 """
 
@@ -19,7 +19,7 @@ from lieednn_sim.arm.kinematics import Factor
 from lieednn_sim.lie import hat, skew
 from lieednn_sim.values import Floats
 
-# Size of the last step [rad, m], whose square is about the remaining error; and the largest number of steps.
+# Step size [rad, m] at which to stop, whose square is about the remaining error; and the largest number of steps.
 _SHORT, _MOST = 1e-3, 8
 # Step of the finite difference for rates [s].
 _AHEAD = 1e-6
@@ -35,11 +35,11 @@ _TRACE = -0.5 * _ONE[:, None]
 
 
 class LocalRetraction:
-    """The posture nearest to per-joint poses near the last one: ||R_i(q) - R_i||^2 / 2 + ||p_i(q) - p_i||^2 / length^2.
+    """Minimises ||R_i(q) - R_i||^2 / 2 + ||p_i(q) - p_i||^2 / length^2, summed over links i, near the last posture.
 
     Args:
         arm: the arm.
-        q: ``(n,)`` the posture to begin from.
+        q: ``(n,)`` the initial posture [rad, m].
 
     Attributes:
         q: ``(n,)`` the last posture [rad, m]; may be set.
@@ -63,7 +63,7 @@ class LocalRetraction:
                 each = np.concatenate(factor.twists(np.zeros(n)), axis=1) / arm.twist_units
                 twists[f, i][:, factor.indices] = each.T
                 if factor.kind == "ball":
-                    # About the body's axes, and combined into those of the coordinates; for the reference posture.
+                    # Matrices about the body's axes at the reference, and weights that combine them into coordinates.
                     about = np.concatenate([np.eye(3), skew(factor.anchor).T], axis=1) / arm.twist_units @ _HAT
                     balls.append((f * links + i, i * len(turns[i]) + 1 + columns, about))
                     turns[i, 1 + columns], weights = about, factor.ratio * factor.axes.T
@@ -76,7 +76,7 @@ class LocalRetraction:
         self._turns, self._chosen = turns.reshape(-1, 16), chosen
         self._stack = np.empty((2 + n_factors, links, 6))
         self._joints = self._stack[2:].reshape(-1)
-        # For each link M_1 ... M_f; below it, for each earlier coordinate, the same with Z_k M_k in place of M_k; last,
+        # For each link, stacked: M_1 ... M_f; the same with Z_k M_k in place of M_k for each earlier coordinate k; and
         # M_1 ... M_f Z_k for the coordinates of the next factor. One product with M_f+1 advances all of them.
         turns = turns.reshape(links, -1, 4, 4)
         before = turns[:, : 1 + ends[1]].reshape(links, -1, 4)

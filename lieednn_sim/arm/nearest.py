@@ -17,7 +17,7 @@ from lieednn_sim.values import Floats
 
 # Levenberg-Marquardt steps to come close, then Newton steps: if a gap remains, Gauss-Newton converges only linearly.
 _DAMPED_STEPS, _NEWTON_STEPS = 40, 6
-# Step size below which Newton's method takes over [rad, m].
+# Size of a damped step below which Newton's method takes over [rad, m].
 _NEAR = 1e-3
 _DAMPING, _DAMPING_FALL, _DAMPING_RISE = 1e-3, 0.2, 5.0
 # Size of a Newton step below which the next one, its square, is rounding [rad, m].
@@ -28,11 +28,11 @@ _FLAT = 1e-9
 _FAR, _POSTURES, _STARTS = 0.1, 256, 2
 # Relative difference below which minima count as equal; the first one is taken.
 _TIE = 1e-9
-# A way is followed in at least 64 strides, and shorter ones if a coordinate moves more than this [rad, m]. Where poses
-# determine the coordinates well, with a distinctness of at least twice `VAGUE`, strides may be 4 times as long.
+# Strides along a way are at most 1/64 of it, and shorter if a coordinate would move more than `_LONG` [rad, m]. Where
+# poses determine the coordinates well, with a distinctness of at least twice `VAGUE`, they may be 4 times as long.
 _STRIDES, _LONG = 64, 0.2
 _CLEAR, _LENGTHENED = 2.0 * VAGUE, 4
-# Damped steps on the way, where the last posture is close.
+# Largest number of damped steps along a way, where the last posture is close.
 _FOLLOWING_STEPS = 8
 # Longest leap, in strides, over a part where poses hardly determine the coordinates.
 _LEAPS = 16
@@ -96,8 +96,8 @@ class NearestPose:
 
         The first is the minimum next to ``near`` ``(..., c)``, each other one that next to its predecessor. So if
         several postures have the same poses, as the two of a wrist, the branch is kept, and hinges may exceed half a
-        turn. Where poses hardly determine the coordinates, these go straight on, see `bridging.bridge`; the second
-        result says where, ``(K, ...)``.
+        turn. Where poses hardly determine the coordinates, these go straight on (`bridging.bridge`), which the second
+        result ``(K, ...)`` marks.
         """
         goal = self._stack(rotation, translation).reshape(len(translation), -1, 12 * len(self._joints))
         q = np.empty((*goal.shape[:2], len(self._indices)))
@@ -227,7 +227,7 @@ class NearestPose:
         return (self._quadratic(flat, goal)[1] @ pull)[..., 0].reshape(shape)
 
     def rates_along(self, q: Floats, rotation: Floats, translation: Floats, omega: Floats, velocity: Floats) -> Floats:
-        """Derivative ``(K, ..., c)`` of coordinates along a way, by its samples, whatever they minimise."""
+        """Derivative ``(K, ..., c)`` of coordinates along a way, from its samples alone, whatever they minimise."""
         rate = self._stack(skew(omega) @ rotation, velocity)
         moved = np.gradient(self._stack(rotation, translation), axis=0)
         size = np.maximum((rate**2).sum(axis=-1), 1e-300)
