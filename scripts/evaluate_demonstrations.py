@@ -3,9 +3,9 @@
     python scripts/evaluate_demonstrations.py FOLDER [--only robottasks,Angle,...] [--output results/demonstrations]
 
 FOLDER holds ``robottasks/*.npy`` (centimetres, quaternions w x y z) and ``lasa/*.mat`` (millimetres); they are not part
-of this project. Each set is a file in the output folder, and is not computed again while that is there, so that an
-interrupted run goes on where it was; ``demonstrations.md`` is the table of all that are there. All columns but the
-times are the same on every run.
+of this project. The results for each set are a file in the output folder, which is not computed again if it exists, so
+an interrupted run can be continued; ``demonstrations.md`` is the table of all results in the folder. All columns except
+the times are reproducible.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from lieednn_sim.learning.demonstrations.shaped import ShapedMotion
 from lieednn_sim.synthesis import ShapingOptions
 
 STARTS = 1000
-# From the second number on only where the first is not enough: no model has few parameters.
+# The larger numbers are used only if the first is not enough: no model has few parameters.
 OPTIONS = ShapingOptions(neurons=(8, 16), placed=(32, 48))
 NOTES = (
     "Each demonstration is seen from its own goal, all at equal shares of their way, a radian counting for 0.2 m. RMS,",
@@ -40,7 +40,7 @@ KINDS = {"robottasks": ("*.npy", "cm"), "lasa": ("*.mat", "mm")}
 
 
 def evaluate(path: Path, kind: str, starts: int) -> dict[str, Any]:
-    """All models of the demonstrations in one file."""
+    """Results of all models for the demonstrations in one file."""
     demonstrations = align(load_demonstrations([path], unit=KINDS[kind][1]))
     shaped = ShapedMotion.fit(demonstrations, options=OPTIONS)
     rows, _ = compare_models(demonstrations, shaped, OPTIONS, starts=starts)
@@ -56,7 +56,7 @@ def evaluate(path: Path, kind: str, starts: int) -> dict[str, Any]:
 
 
 def table(found: Sequence[dict[str, Any]], kind: str) -> list[str]:
-    """Markdown: a line for each set and model, and the means of each model."""
+    """A Markdown table with a row for each set and model, and the means of each model."""
     turns = kind == "robottasks"
     columns = ["RMS mm", *(["deg"] if turns else []), "DTWD mm", "Frechet mm"]
     heads = [f"{column}, {what}" for what in ("mean", "training", "left out") for column in columns]

@@ -67,7 +67,7 @@ def run(
 
 
 def pushed(name: str, rate: float, seed: int, feedback: Feedback | None = None) -> dict[str, object]:
-    """A row of one push, whose force [N] is searched for."""
+    """The row of one push, whose force [N] is found by a search."""
     arm, network, target, nominal, path = prepared(name, rate, seed // EACH)
     rng = np.random.default_rng([seed, 7])
     _, gone = path.nearest(nominal.rollout.q)

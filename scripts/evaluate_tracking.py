@@ -2,10 +2,10 @@
 
     python scripts/evaluate_tracking.py [--seeds 20] [--planners ...] [--controllers ...] [--output results/comparison]
 
-Writes a table with one row for each arm, scene, planner, controller and seed (``comparison.csv``), what all rows share
-(``comparison.json``), a Markdown summary and an HTML page. Rows that the table has are not computed again, so an
-interrupted run goes on where it was, and a larger --seeds adds to it; remove the table after a change of the code. All
-columns but the planning time (``planning_s``) are the same on every run.
+Writes a table with one row for each arm, scene, planner, controller and seed (``comparison.csv``), the settings common
+to all rows (``comparison.json``), a Markdown summary and an HTML page. Existing rows are not computed again, so an
+interrupted run can be continued, and a larger --seeds adds rows; remove the table after a change of the code. All
+columns except the planning time (``planning_s``) are reproducible.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""How the cost of synthesis, shaping, simulation and checks grows: measured exponents and a plot.
+"""Growth of the costs of synthesis, shaping, simulation and checks with size: measured exponents and a plot.
 
     python scripts/growth.py [--quick] [--output results/growth]
 

@@ -27,14 +27,14 @@ from scipy.stats import binomtest
 from lieednn_sim import filesystem, storage
 
 ROOT = Path(__file__).resolve().parents[1]
-# What a room's tests read.
+# Files and folders that the tests read.
 _COPIED = ("lieednn_sim", "assets", "tests", "scripts", "pyproject.toml", "README.md")
 _BY_CODE = {1: "killed", 3: "killed", 0: "survived", 5: "no tests", 33: "no tests"}
 
 
 @dataclass(frozen=True)
 class Room:
-    """Modules, as globs under the package, the tests that should notice changes in them, and those too slow for it."""
+    """Modules, as globs under the package; tests that should notice changes in them; and tests too slow for that."""
 
     modules: tuple[str, ...]
     tests: tuple[str, ...]
@@ -88,7 +88,7 @@ def measure(name: str, sample: int, seed: int, jobs: int, output: Path) -> dict[
     place = output / name
     if not (place / "mutants").exists():
         prepare(ROOMS[name], place)
-        # Makes the mutants, and runs the tests once for what covers what; there is no mutant of this name.
+        # Makes the mutants, and runs the tests once to find which functions they call; no mutant has this name.
         run(place, ["run", "--max-children", "1", "none"], check=False)
     known = sorted(outcomes(place))
     chosen = sorted(random.Random(seed).sample(known, min(sample, len(known)) if sample else len(known)))
@@ -105,7 +105,7 @@ def measure(name: str, sample: int, seed: int, jobs: int, output: Path) -> dict[
     for mutant, outcome in found.items():
         if outcome in ("survived", "no tests"):
             diff = run(place, ["show", mutant])
-            # Mutmut runs the tests that called the function, of which those that share a fixture are only the first.
+            # Mutmut runs only tests seen calling the function: of tests that share a fixture, only the first one.
             if not of_words_only(diff) and noticed(ROOMS[name], place, mutant):
                 found[mutant] = "killed"
             else:

@@ -2,7 +2,7 @@
 
     python scripts/reproduce_paper.py [--quick] [--output results/paper] [--jobs N] [--fresh]
 
-An interrupted run goes on where it was when the same command is given again.
+The same command continues an interrupted run.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import time
 from concurrent.futures import Executor
 from pathlib import Path
 
-# Before NumPy loads: matrices here are far too small for threads, and the workers inherit this.
+# Set before NumPy loads, and inherited by the workers: the matrices are far too small for threads.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from paper import figures, report, runner
@@ -34,7 +34,7 @@ def reproduce(
     console: Console,
     executor: Executor | None = None,
 ) -> Path:
-    """Run what has not been run, on processes or an executor; write figures and report, and return its path."""
+    """Run missing jobs on processes or an executor; write figures and report, and return the report's path."""
     begun = time.perf_counter()
     output = filesystem.make_directory(directory)
     cache = filesystem.make_directory(output / "jobs")

@@ -13,7 +13,8 @@ from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.importer import ImportReport
 
-# What a report leaves out as too small [rad, m], with the rounding of its words.
+# Thresholds of the importer plus the rounding of a report: largest deviation of a joint by friction that is not
+# reported [rad, m], and largest distance of bodies at home between which contacts are ignored [m].
 _SAG = 3.1e-4
 _CLOSE = 0.0026
 _HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
@@ -23,10 +24,10 @@ def wrong_in_report(arm: Arm, original: mujoco.MjModel, qpos: np.ndarray, file: 
     """Wrong or missing statements of a report; none if it is right.
 
     Args:
-        arm: with the report.
+        arm: the imported arm, with its report.
         original: the original model.
-        qpos: ``(nq,)`` its posture that the report names.
-        file: of the model; limits of a URDF are read from there.
+        qpos: ``(nq,)`` posture of the original model that the report names.
+        file: the model's file, from which limits of a URDF are read.
     """
     report = arm.import_report
     assert report is not None
@@ -41,7 +42,7 @@ def wrong_in_report(arm: Arm, original: mujoco.MjModel, qpos: np.ndarray, file: 
 
 
 def _joints(report: ImportReport, model: mujoco.MjModel) -> list[str]:
-    """Every joint is in one place; those of the arm are one chain, cut at the links."""
+    """Check that every joint is either in one group or locked, and that the arm's form one chain, cut at the links."""
     wrong = []
     named = [*(joint for group in report.groups for joint in group), *report.locked]
     every = [model.joint(j).name for j in range(model.njnt)]
@@ -64,7 +65,7 @@ def _joints(report: ImportReport, model: mujoco.MjModel) -> list[str]:
 
 
 def _ranges(arm: Arm, report: ImportReport, model: mujoco.MjModel) -> list[str]:
-    """Ranges are the model's, or a note tells how the joint's was changed."""
+    """Check that ranges are the model's, or that a note reports the change."""
     wrong = []
     for k, name in enumerate(arm.joint_names):
         joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name)
@@ -78,7 +79,7 @@ def _ranges(arm: Arm, report: ImportReport, model: mujoco.MjModel) -> list[str]:
 
 
 def _limits(arm: Arm, report: ImportReport, model: mujoco.MjModel, file: Path) -> list[str]:
-    """Force limits are the actuators' or the URDF's, velocity limits the URDF's, accelerations what forces allow."""
+    """Check limits: forces against actuators or URDF, velocities against the URDF, accelerations against forces."""
     wrong = []
     urdf = {} if file.suffix != ".urdf" else {j.get("name"): j.find("limit") for j in _elements(file)}
     held = np.diag(_inertia(arm))
@@ -108,7 +109,7 @@ def _limits(arm: Arm, report: ImportReport, model: mujoco.MjModel, file: Path) -
             wrong.append(f"{name}: velocity limit {velocity:g}, the arm has {arm.velocity_limits[k]:g}")
         numeric = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, "acceleration_limit") >= 0
         if not numeric and np.isfinite(arm.acceleration_limits[k]):
-            # At home, where the inertia is at most the largest: no less is left than half of the limit would say.
+            # At most half of the force over the inertia at home, since the importer takes the largest inertia of several.
             told = any(f"{servo.name} {arm.acceleration_limits[k]:.3g}" in note for note in report.notes)
             if not told or arm.acceleration_limits[k] > 0.5 * force / held[k] * (1.0 + 1e-6):
                 wrong.append(f"{name}: acceleration limit {arm.acceleration_limits[k]:g} of force {force:g}")
@@ -116,7 +117,7 @@ def _limits(arm: Arm, report: ImportReport, model: mujoco.MjModel, file: Path) -
 
 
 def _contacts(arm: Arm, report: ImportReport, model: mujoco.MjModel) -> list[str]:
-    """Every pair of bodies that could touch and now cannot is named, and overlaps where the note says so."""
+    """Check that the report names every pair of bodies whose contacts are newly ignored, and that these are close."""
     wrong = []
     notes = [note for note in report.notes if note.startswith("contacts ignored between")]
     named = {frozenset(pair) for note in notes for pair in re.findall(r"'([^']+)' and '([^']+)'", note)}
@@ -136,7 +137,7 @@ def _contacts(arm: Arm, report: ImportReport, model: mujoco.MjModel) -> list[str
     for note in notes:
         for one, other in re.findall(r"'([^']+)' and '([^']+)'", note):
             if "telescope" in note:
-                continue  # they overlap at some extension
+                continue  # these overlap at some extension, not necessarily at home
             geoms = [_geoms(arm.model, name) for name in (one, other)]
             nearest = min(mujoco.mj_geomDistance(arm.model, home, g, h, 1.0, None) for g in geoms[0] for h in geoms[1])
             if nearest > _CLOSE:
@@ -145,7 +146,7 @@ def _contacts(arm: Arm, report: ImportReport, model: mujoco.MjModel) -> list[str
 
 
 def _servos(arm: Arm, report: ImportReport, model: mujoco.MjModel) -> list[str]:
-    """Kept gains are the model's; friction and sag above the thresholds are reported, and no others."""
+    """Check that kept gains are the model's, and that exactly the friction above the threshold is reported."""
     wrong = []
     for name, servo in zip(arm.joint_names, report.servos, strict=True):
         joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name)
@@ -167,7 +168,7 @@ def _servos(arm: Arm, report: ImportReport, model: mujoco.MjModel) -> list[str]:
 
 
 def _home(arm: Arm, report: ImportReport, model: mujoco.MjModel, qpos: np.ndarray) -> list[str]:
-    """Home is the posture that the report names, but for the joints that it says were moved."""
+    """Check that home is the posture that the report names, except for joints that it reports as moved."""
     wrong = []
     for name, now in zip(arm.joint_names, arm.keyframe("home"), strict=True):
         joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name)
@@ -185,7 +186,7 @@ def _home(arm: Arm, report: ImportReport, model: mujoco.MjModel, qpos: np.ndarra
 
 
 def _inertia(arm: Arm) -> np.ndarray:
-    """Of the coordinates at home ``(n, n)``."""
+    """Inertia matrix ``(n, n)`` of the coordinates at home."""
     data = mujoco.MjData(arm.model)
     mujoco.mj_resetDataKeyframe(arm.model, data, arm.model.key("home").id)
     mujoco.mj_forward(arm.model, data)

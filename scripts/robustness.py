@@ -2,7 +2,7 @@
 
     python scripts/robustness.py [--cases 1000] [--jobs 1] [--output results/robustness.md]
 
-Writes a Markdown table (ten minutes on one core). Exits with 1 when a bound is broken.
+Writes a Markdown table (ten minutes on one core). Exits with status 1 if a bound is broken.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ def scaled(rng: np.random.Generator) -> LieEDNN:
 
 
 def cascade(rng: np.random.Generator) -> LieEDNN:
-    """Hidden neurons that drive visible ones, half of the time with a clock; no weight leads back."""
+    """Hidden neurons that drive visible ones, in half of the cases driven by a clock; without weights backwards."""
     visible, hidden, clock = int(rng.integers(1, 5)), int(rng.integers(2, 6)), int(rng.integers(0, 2))
     n = visible + hidden + clock
     alpha = np.zeros((n, n))
@@ -140,7 +140,7 @@ def measure(network: LieEDNN, rng: np.random.Generator) -> dict[str, float]:
     reached = np.ix_(bounds.reached, bounds.reached)
     jacobian = network.jacobian(origin.reshape(-1, 6))[reached]
     for method in ("Euler", "RK4"):
-        # The other way round: what is proved over where it ends.
+        # Here the proved step over the unstable one, a lower and an upper bound of the largest stable step.
         h = bounds.largest_step(method)
         ratios[f"{method} step"] = h / unstable_step(jacobian, method)
         if not closer(network, bounds, origin, visible, h, method, rng):
@@ -157,7 +157,7 @@ def closer(
     method: str,
     rng: np.random.Generator,
 ) -> bool:
-    """Whether 100 steps of size h from the farthest push on bring the state closer, in the guarantee's norm."""
+    """Whether 100 steps of size h from random pushes keep the guarantee's bounds on the distance, in its norm."""
     names = {"Euler": "euler_step", "RK4": "rk4_step"}
     guarantee = max(bounds.guarantees, key=lambda g: float(getattr(g, names[method])))
     x = np.repeat(origin[None], 8, axis=0)
@@ -187,7 +187,7 @@ def closer(
 
 
 def case(seed: int) -> tuple[str, dict[str, float], float | None]:
-    """Kind of a seeded network, its ratios, and for every fourth the rate of contraction over the best one."""
+    """Kind and ratios of a seeded network, and for every fourth of a kind its contraction rate over the best one."""
     kind = KINDS[seed % len(KINDS)]
     rng = np.random.default_rng(seed)
     with one_blas_thread():
