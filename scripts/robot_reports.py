@@ -109,7 +109,7 @@ def _limits(arm: Arm, report: ImportReport, model: mujoco.MjModel, file: Path) -
             wrong.append(f"{name}: velocity limit {velocity:g}, the arm has {arm.velocity_limits[k]:g}")
         numeric = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, "acceleration_limit") >= 0
         if not numeric and np.isfinite(arm.acceleration_limits[k]):
-            # At most half of the force over the inertia at home, since the importer takes the largest inertia of several.
+            # At most half of the force over the inertia at home: the importer uses the largest of several postures.
             told = any(f"{servo.name} {arm.acceleration_limits[k]:.3g}" in note for note in report.notes)
             if not told or arm.acceleration_limits[k] > 0.5 * force / held[k] * (1.0 + 1e-6):
                 wrong.append(f"{name}: acceleration limit {arm.acceleration_limits[k]:g} of force {force:g}")

@@ -30,7 +30,7 @@ INSTALLED = sorted(set(PLANNERS) - set(missing_planners()))
 
 @pytest.fixture
 def looks(monkeypatch):
-    """A clock that is a second further at every look; counts the looks."""
+    """A clock that advances by a second at every reading, and counts the readings."""
     count = itertools.count(1)
     seen = []
 

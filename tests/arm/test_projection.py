@@ -278,7 +278,7 @@ def test_a_far_search_starts_at_the_posture_that_fits_best_with_its_best_slides(
 
 
 def two_hinges(second, ratio=1.0):
-    """One about z and one about another axis, as one link."""
+    """A link with two hinges, one about z and one about another axis."""
     axes = np.array([[0.0, 0.0, 1.0], np.asarray(second, float) / np.linalg.norm(second)])
     ratios = (ratio, 1.0)
     factors = [Factor("hinge", axes[i][:, None], np.zeros(3), np.array([i]), ratios[i]) for i in range(2)]

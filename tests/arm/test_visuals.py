@@ -1,4 +1,4 @@
-"""Models without what is only seen: the same motion, and none where it would be another one."""
+"""Models without visual geoms: the same motion, and no such model if the motion would differ."""
 
 from __future__ import annotations
 

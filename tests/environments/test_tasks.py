@@ -22,7 +22,7 @@ SEEDS = st.integers(0, 2**32 - 1)
 
 @pytest.fixture(scope="module", params=arm_names())
 def arm(request):
-    """In steps of 4 ms, which halve the work of plans and episodes."""
+    """An arm with time steps of 4 ms, which halve the cost of plans and episodes."""
     fine = Arm.load(request.param)
     spec = fine.spec.copy()
     spec.option.timestep = 0.004

@@ -1,4 +1,4 @@
-"""When a frame is of, and how long it is shown; no OpenGL needed."""
+"""The instants that a video's frames show, and for how long; no OpenGL needed."""
 
 import contextlib
 from dataclasses import replace
@@ -13,7 +13,7 @@ from lieednn_sim.simulation import Rollout
 
 
 def rollout_of(arm, steps):
-    """Steps of 0.01 s; the first coordinate counts them."""
+    """A rollout with steps of 0.01 s, whose first coordinate is their number."""
     q = np.zeros((steps, 4))
     q[:, 0] = np.arange(steps)
     poses = arm.link_poses(q)

@@ -1,4 +1,4 @@
-"""What actuators are told, against what MuJoCo makes of it."""
+"""Controls, lengths and forces of actuators, compared with MuJoCo's own results."""
 
 import numpy as np
 import pytest

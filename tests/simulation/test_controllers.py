@@ -130,7 +130,7 @@ def test_mocap_bodies_sit_on_the_reference_and_the_drives_are_idle(arm, seeded):
 
 
 def mujoco_gravity(arm: Arm, rollout) -> np.ndarray:
-    """What gravity compensation alone exerts at the positions of a rollout."""
+    """Forces of gravity compensation alone at the positions of a rollout."""
     data, forces = mujoco.MjData(arm.model), np.zeros_like(rollout.force)
     for k, q in enumerate(rollout.q):
         data.qpos[:] = q

@@ -21,7 +21,7 @@ def arm():
 
 
 def jacobian(arm: Arm, q) -> np.ndarray:
-    """Of the end effector's position ``(3, n)``, by differences."""
+    """Jacobian ``(3, n)`` of the end effector's position, by finite differences."""
     step = 1e-6
     rows = [
         arm.link_poses(q + step * e).translation[-1] - arm.link_poses(q - step * e).translation[-1]

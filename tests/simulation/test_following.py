@@ -28,7 +28,7 @@ def network(arm):
 
 
 def ramp(arm: Arm, share: float):
-    """From home towards extended, at a constant velocity."""
+    """A target that moves from home towards extended at a constant velocity."""
     home, extended = arm.keyframe("home"), arm.keyframe("extended")
     return lambda t: home + share * t * (extended - home)
 
