@@ -1,4 +1,4 @@
-"""What a controller is to follow, at the simulation's steps, and as much of it as is known at each."""
+"""References for controllers at the simulation's steps, of which only a part may be known as yet."""
 
 from __future__ import annotations
 
@@ -16,29 +16,29 @@ from lieednn_sim.planning.filtering import FilterOptions, SafetyFilter
 from lieednn_sim.validation import as_floats, as_positive
 from lieednn_sim.values import Floats
 
-# Steps that are worked out at once: many enough that their number does not matter, few enough to stay in the cache.
+# Number of steps computed at once: enough that more would gain little, few enough for the data to stay in the cache.
 AHEAD = 256
-# With a filter: pull of the reference towards what it should be [1/s].
+# With a filter: rate at which the reference is pulled towards the unfiltered one [1/s].
 _GAIN = 8.0
 
 
 class Reference:
-    """Joint positions and velocities, row k for the time k * timestep.
+    """Joint positions and velocities; row k is for the time k * timestep.
 
-    Rows become known by `extend`: all at once for a motion, bit by bit for a target that is followed while it moves.
-    Beyond the last one the motion goes on with its last velocity.
+    Rows become known by `extend`: all at once for a motion, step by step for a target that is followed while it moves.
+    Beyond the last row the motion continues with its last velocity.
 
     A held reference is sampled every ``hold`` rows, and keeps its value in between.
 
     Attributes:
         q: ``(K, n)`` joint coordinates [rad, m].
         qd: ``(K, n)`` their rates [rad/s, m/s].
-        qpos: ``(K, nq)`` the same in MuJoCo's coordinates.
-        qvel: ``(K, nv)``.
-        timestep: [s].
-        hold: rows for which a sample is held, 1 for all rows of its own.
-        known: number of rows that are known.
-        revision: grows when rows become known.
+        qpos: ``(K, nq)`` positions in MuJoCo's coordinates.
+        qvel: ``(K, nv)`` velocities in MuJoCo's coordinates.
+        timestep: time between rows [s].
+        hold: number of rows for which a sample is held; 1 if every row is a sample.
+        known: number of known rows.
+        revision: counter that increases when rows become known.
     """
 
     def __init__(self, arm: Arm, rows: int, *, hold: int = 1) -> None:
@@ -58,7 +58,7 @@ class Reference:
         return reference
 
     def extend(self, q: Floats, qd: Floats) -> None:
-        """Make the next rows ``(m, n)`` known; what does not fit is dropped."""
+        """Make the next rows ``(m, n)`` known; rows that do not fit are dropped."""
         count = min(len(q), len(self.q) - self.known)
         rows = slice(self.known, self.known + count)
         self.q[rows], self.qd[rows] = q[:count], qd[:count]
@@ -67,7 +67,7 @@ class Reference:
         self.revision += 1
 
     def become(self, other: Reference) -> None:
-        """Take the rows of another reference of the same arm, with the same hold, for its own."""
+        """Share the rows of another reference of the same arm, with the same hold."""
         self.q, self.qd, self.qpos, self.qvel = other.q, other.qd, other.qpos, other.qvel
         self.known = other.known
         self.revision += 1
@@ -77,7 +77,7 @@ class Reference:
         return step - step % self.hold
 
     def rows(self, steps: range) -> NDArray[np.int_]:
-        """The same at each of some steps."""
+        """The rows that a controller sees at some steps."""
         at = np.arange(steps.start, steps.stop, steps.step)
         return at - at % self.hold
 
@@ -91,7 +91,7 @@ class Reference:
         return np.stack([velocity[at], (velocity[at + 1] - velocity[at]) / self.timestep])
 
     def ahead(self, steps: range, lead: float) -> Floats:
-        """Positions ``(m, nq)`` a time ``lead`` [s] after what is seen at steps; cubic between rows."""
+        """Positions ``(m, nq)`` a time ``lead`` [s] after the rows seen at some steps; cubic between rows."""
         last, at = self.known - 1, self.rows(steps) + lead / self.timestep
         k = np.floor(at + 1e-6).astype(int)
         qpos = self.qpos[np.minimum(k, last)]
@@ -107,7 +107,7 @@ class Reference:
         return qpos
 
     def _velocities(self, rows: NDArray[np.int_]) -> Floats:
-        """Velocities ``(m, nv)`` that lead from the rows before to some rows; of the first row zero."""
+        """Velocities ``(m, nv)`` that lead from the preceding rows to the given ones; zero for the first row."""
         k = np.minimum(rows, self.known - 1)
         before, now = self.qpos[np.maximum(k - 1, 0)], self.qpos[k]
         if self._model.nq == self._model.nv:
@@ -126,11 +126,11 @@ def runs(rows: Floats) -> tuple[NDArray[np.int_], NDArray[np.int_]]:
 
 
 class Foreseen:
-    """Rows, one a step, that follow from a reference: worked out for many steps ahead when one of them is asked for.
+    """Rows, one per step, that follow from a reference, computed for many steps ahead when one is first needed.
 
     Args:
-        reference: what is worked out is forgotten when more of it becomes known.
-        rows: gives them for a range of steps, in an array or a list.
+        reference: the reference; computed rows are discarded when more of it becomes known.
+        rows: function that returns the rows of a range of steps, as an array or a list.
     """
 
     def __init__(self, reference: Reference, rows: Callable[[range], Any]) -> None:
@@ -142,7 +142,7 @@ class Foreseen:
         """The row of a step."""
         reference = self._reference
         if self._revision != reference.revision or step not in self._steps:
-            # The last row that is known shows where to go in the step before it.
+            # The last known row serves as the goal of the step before it.
             end = max(min(step + AHEAD, reference.known - 1), step + 1)
             self._revision, self._steps = reference.revision, range(step, end)
             self._rows = self._make(self._steps)

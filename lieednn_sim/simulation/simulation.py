@@ -1,4 +1,4 @@
-"""One arm in MuJoCo, step by step: what rollouts and environments run on."""
+"""The stepwise simulation of one arm in MuJoCo, on which rollouts and environments are based."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ from lieednn_sim.values import Floats
 
 
 class Simulation:
-    """An arm that is stepped; everything is a function of the arguments, the resets and the controls given since.
+    """A simulated arm; its state is a function of the arguments, the last reset and the controls since then.
 
     A user sets ``data.ctrl`` (or a `Controller` does) and calls `step` or `advance`.
 
     Args:
         arm: the arm; its model is not changed.
-        plant: what is simulated instead of a copy of the arm's model with the disturbances, of `make_plant`.
-        disturbances: pushes and sensor noise, and what `make_plant` takes of them.
+        plant: the model to simulate; by default that of `make_plant` for the arm and the disturbances.
+        disturbances: pushes and sensor noise, and without ``plant`` the changes of the model by `make_plant`.
 
     Attributes:
         model: the plant.
         data: its state.
-        pushes: of the disturbances.
-        steps: done since the last reset.
-        noise: errors of the measurement at the present time, to be added to qpos (by `mj_integratePos`) and qvel.
+        pushes: applies the pushes of the disturbances.
+        steps: number of steps since the last reset.
+        noise: measurement errors at the present time, to be added to qpos (by `mj_integratePos`) and qvel.
     """
 
     def __init__(
@@ -84,7 +84,7 @@ class Simulation:
         return self._sensors.first(count)
 
     def link_poses(self, links: slice = slice(None)) -> RigidTransform:
-        """Frames of some links at the present time, poses of shape ``(N,)``, by default of all."""
+        """Frames of the chosen links, by default all, at the present time, as poses of shape ``(N,)``."""
         mujoco.mj_kinematics(self.model, self.data)
         sites = self.arm.site_ids[links]
         matrices = self.data.site_xmat[sites].reshape(-1, 3, 3)
@@ -93,7 +93,7 @@ class Simulation:
     def reset(self, q: ArrayLike, qd: ArrayLike | None = None) -> None:
         """Start again at time 0 from joint coordinates ``(n,)`` and their rates, by default zero.
 
-        Nothing is left of what was before: controls, mocap poses, warm starts, warnings, the noise's generator.
+        This also resets controls, mocap poses, warm starts, warnings, and the generator of the noise.
         """
         position = as_floats("q", q, (self.arm.n_joints,))
         velocity = np.zeros_like(position) if qd is None else as_floats("qd", qd, position.shape)
@@ -107,7 +107,7 @@ class Simulation:
         """Do one step; returns the instant before it.
 
         Raises:
-            SimulationError: a warning of MuJoCo or a state that is not finite; names the time.
+            SimulationError: MuJoCo warns, or the state is not finite; the message has the time.
         """
         log = Log(self)
         with QuietWarnings():
@@ -118,8 +118,8 @@ class Simulation:
         """Do steps without a record; raises as `step` does.
 
         Args:
-            steps: how many.
-            controls: ``(steps, nu)`` of each step, by default the present ones for all.
+            steps: number of steps.
+            controls: ``(steps, nu)`` controls of each step; by default the present ones for all.
         """
         with QuietWarnings():
             for k in range(as_count("steps", steps)):
@@ -128,12 +128,12 @@ class Simulation:
                 self.advance_once()
 
     def advance_once(self) -> None:
-        """Do one step without a record, as `advance`, by a caller within `QuietWarnings`: it is done for many."""
+        """Do one step as `advance`, within the caller's `QuietWarnings`, which is entered once for many steps."""
         if self.disturbances.pushes:
             self.pushes.apply(self.data, self.steps)
         mujoco.mj_step(self.model, self.data)
-        # Positions follow from velocities. A sum is finite only if its terms are; since it may overflow, terms are then
-        # checked one by one. For a few numbers a list is faster than an array.
+        # Positions follow from velocities. A finite sum has finite terms; otherwise it may have overflowed, so the
+        # terms are checked one by one. For a few numbers a list is faster than an array.
         finite = isfinite(sum(self._velocity.tolist())) or np.isfinite(self._velocity).all()
         if not finite or any(self._warnings.tolist()):
             raise SimulationError(
@@ -160,7 +160,7 @@ def _ignore(_: str) -> None:
 
 
 def _problem(data: mujoco.MjData) -> str:
-    """MuJoCo's warning about the last step, or what else is wrong."""
+    """MuJoCo's warning about the last step, or that the state is not finite."""
     if data.warning.number.any():
         index = int(np.flatnonzero(data.warning.number)[0])
         return str(mujoco.mju_warningText(index, int(data.warning.lastinfo[index])))
