@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from benchmark_timing import Row, seconds, shares
 from scipy.linalg import lapack
 
-from lieednn_sim._blas import one_blas_thread
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm, arm_names
 from lieednn_sim.arm.collision import Collisions
@@ -38,20 +38,6 @@ _ALGEBRA: tuple[tuple[Any, tuple[str, ...]], ...] = (
 # Largest distance that is measured [m].
 _FAR = 0.05
 _FRAME_SIZE, _FRAMES = (640, 360), 60
-
-
-def processor_time(what: Callable[[], object], repeats: int) -> float:
-    """Median processor time [s], which other load on the machine disturbs less than wall time.
-
-    With one BLAS thread, since threads that wait for work count as busy.
-    """
-    times = []
-    with one_blas_thread():
-        for _ in range(repeats):
-            begun = time.process_time()
-            what()
-            times.append(time.process_time() - begun)
-    return float(np.median(times))
 
 
 @contextlib.contextmanager
@@ -81,45 +67,43 @@ def timed_algebra() -> Iterator[list[float]]:
             setattr(module, name, function)
 
 
-def synthesis_floor(targets: list[np.ndarray]) -> str:
-    """Time of a certified synthesis in that of its solves and eigendecompositions; the median over targets."""
-    shares = []
+def synthesis_row(targets: list[np.ndarray]) -> Row:
+    """Time of a certified synthesis in that of its solves and eigendecompositions, over targets."""
+    ratios = []
     for seed, xi in enumerate(targets):
-        begun = time.perf_counter()
         with timed_algebra() as times:
-            synthesize(xi, seed=seed)
-        shares.append((time.perf_counter() - begun) / sum(times))
-    return f"{np.median(shares):.1f}"
+            whole = seconds(partial(synthesize, xi, seed=seed), time.perf_counter)
+        ratios.append(whole / sum(times))
+    return Row("certified synthesis, N = 4, in its solves and eigendecompositions", ratios, "<= 4")
 
 
-def stacked_ratios(arms: list[Arm], count: int) -> dict[str, str]:
+def stacked_rows(arms: list[Arm], count: int, repeats: int) -> list[Row]:
     """Speed-up of syntheses at once over one by one, for candidates of plans and for targets of four links."""
-    speedups = []
+    candidates: list[float] = []
     for seed, arm in enumerate(arms):
-        candidates = np.repeat(arm.encode(draw_target(arm, seed))[None], 24, axis=0)
-        speedups.append(_speedup(candidates, list(CandidateOptions().magnitudes()), seed))
-    rng = np.random.default_rng(0)
-    targets = rng.uniform(-0.8, 0.8, (count, 4, 6))
-    return {
-        "24 candidates of a plan at once, times as fast as one by one": f"{np.median(speedups):.1f}",
-        f"{count} targets at once, N = 4, times as fast as one by one": f"{_speedup(targets, [0.125] * count, 0):.1f}",
-    }
+        same = np.repeat(arm.encode(draw_target(arm, seed))[None], 24, axis=0)
+        candidates += _speedups(same, list(CandidateOptions().magnitudes()), seed, repeats)
+    targets = np.random.default_rng(0).uniform(-0.8, 0.8, (count, 4, 6))
+    speedups = _speedups(targets, [0.125] * count, 0, repeats)
+    return [
+        Row("24 candidates of a plan at once, times as fast as one by one", candidates, ">= 3"),
+        Row(f"{count} targets at once, N = 4, times as fast as one by one", speedups, ">= 3"),
+    ]
 
 
-def _speedup(targets: np.ndarray, magnitudes: list[float], seed: int) -> float:
-    generators = np.random.default_rng(seed).spawn(len(targets))
-
+def _speedups(targets: np.ndarray, magnitudes: list[float], seed: int, repeats: int) -> list[float]:
     def one_by_one() -> None:
+        generators = np.random.default_rng(seed).spawn(len(targets))
         for xi, magnitude, rng in zip(targets, magnitudes, generators, strict=True):
             synthesize(xi, bias="sign-matched", bias_magnitude=magnitude, seed=rng)
 
     def at_once() -> None:
         synthesize_many(targets, bias="sign-matched", bias_magnitude=magnitudes, seed=seed)
 
-    return processor_time(one_by_one, 1) / processor_time(at_once, 1)
+    return shares(one_by_one, at_once, repeats)
 
 
-def check_ratio(arm: Arm, seed: int, repeats: int) -> str:
+def check_row(arm: Arm, seed: int, repeats: int) -> Row:
     """Time of the checks of a motion, in that of `mj_geomDistance` for all pairs at all samples."""
     motion = plan(arm, draw_target(arm, seed), planner="lieednn-shaped", seed=seed).motion
     model, pairs, positions = arm.model, Collisions(arm).pairs, arm.qpos(motion.q)
@@ -132,46 +116,45 @@ def check_ratio(arm: Arm, seed: int, repeats: int) -> str:
             for first, second in pairs:
                 mujoco.mj_geomDistance(model, data, first, second, _FAR, None)
 
-    floor = processor_time(bare, repeats) * len(positions) / len(positions[::10])
-    return f"{processor_time(lambda: check_motion(arm, motion), repeats) / floor:.2f}"
+    part = len(positions[::10]) / len(positions)
+    ratios = [part * share for share in shares(partial(check_motion, arm, motion), bare, repeats)]
+    return Row("checks of a motion among poles, in mj_geomDistance over all pairs", ratios, "<= 1.5")
 
 
-def planning_ratio(arms: list[Arm], seeds: int) -> str:
-    """Time of a plan of ``lieednn-certified`` in that of RRT-Connect's; medians over targets in free space."""
+def planning_rows(arms: list[Arm], seeds: int) -> list[Row]:
+    """Time of plans of ``lieednn-certified`` in free space, in RRT-Connect's median; no row without OMPL."""
     if "rrt-connect" in missing_planners():
-        return "OMPL is not installed"
+        return []
     times: dict[str, list[float]] = {"lieednn-certified": [], "rrt-connect": []}
     for arm in arms:
         for seed in range(seeds):
+            target = draw_target(arm, seed)
             for planner, taken in times.items():
                 with contextlib.suppress(LieEDNNError):
-                    target = draw_target(arm, seed)
-                    taken.append(processor_time(partial(plan, arm, target, planner=planner, seed=seed), 1))
-    return f"{np.median(times['lieednn-certified']) / np.median(times['rrt-connect']):.2f}"
+                    taken.append(seconds(partial(plan, arm, target, planner=planner, seed=seed)))
+    ratios = np.array(times["lieednn-certified"]) / np.median(times["rrt-connect"])
+    return [Row("plan of lieednn-certified, in RRT-Connect's median, free space", ratios.tolist(), "<= 1")]
 
 
-def video_ratio(rollout: Rollout, repeats: int) -> str:
+def video_rows(rollout: Rollout, repeats: int) -> list[Row]:
     """Frames per second of wall time of a video, in those of rendering all pictures first and then encoding them.
 
-    A first run warms OpenGL up, and the two take turns to begin, since the first one may take a tenth longer.
+    A first run warms OpenGL up, and the two take turns to begin, since the first one may take a tenth longer. No row
+    without OpenGL.
     """
-    fps, shares = round(_FRAMES / float(rollout.t[-1])), []
+    fps, ratios = round(_FRAMES / float(rollout.t[-1])), []
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "video.mp4"
         ours = partial(render_video, rollout, path, size=_FRAME_SIZE, fps=fps, preset="draft")
         try:
             frames = ours()
         except RenderingUnavailableError:
-            return "no OpenGL"
+            return []
         bare = partial(_render_then_encode, rollout, path, fps, frames)
         for k in range(repeats):
-            seconds = {}
-            for run in (ours, bare) if k % 2 else (bare, ours):
-                begun = time.perf_counter()
-                run()
-                seconds[run] = time.perf_counter() - begun
-            shares.append(seconds[bare] / seconds[ours])
-    return f"{np.median(shares):.2f}"
+            taken = {run: seconds(run, time.perf_counter) for run in ((ours, bare) if k % 2 else (bare, ours))}
+            ratios.append(taken[bare] / taken[ours])
+    return [Row("frames/s of a video, in those of rendering and encoding one after the other", ratios, ">= 1")]
 
 
 def _render_then_encode(rollout: Rollout, path: Path, fps: int, frames: int) -> None:
@@ -184,16 +167,16 @@ def _render_then_encode(rollout: Rollout, path: Path, fps: int, frames: int) -> 
             append(picture)
 
 
-def peak_memory(code: str) -> str:
+def peak_memory(code: str) -> int:
     """Peak resident memory of a fresh Python that runs some code [MB]."""
     # Not `ru_maxrss`, which starts from the parent's memory when it forked.
     words = f"{code}\nprint(*(line for line in open('/proc/self/status') if 'VmHWM' in line))"
     done = subprocess.run([sys.executable, "-c", words], check=True, capture_output=True, text=True)
-    return f"{int(done.stdout.split()[-2]) / 1024:.0f} MB"
+    return round(int(done.stdout.split()[-2]) / 1024)
 
 
-def memory(scale: int) -> dict[str, str]:
-    """Peak memory of a loaded arm, a long rollout, the demo without its video, and comparisons."""
+def memory(scale: int) -> dict[str, int]:
+    """Peak memory [MB] of a loaded arm, a long rollout, the demo without its video, and comparisons."""
     seconds = max(600 // scale, 1)
     load = "from lieednn_sim.arm import Arm\narm = Arm.load('telescopic_pr')"
     long = f"""{load}
@@ -206,14 +189,14 @@ with tempfile.TemporaryDirectory() as folder:
     main(['demo', '--no-video', '--output', folder])"""
     return {
         **comparison_memory(100_000 // scale),
-        "memory of a loaded arm": peak_memory(load),
-        f"memory of a rollout of {seconds + 4} s at 500 Hz": peak_memory(long),
-        "memory of the demo without its video": peak_memory(demo),
+        "a loaded arm": peak_memory(load),
+        f"a rollout of {seconds + 4} s at 500 Hz": peak_memory(long),
+        "the demo without its video": peak_memory(demo),
     }
 
 
-def comparison_memory(rows: int) -> dict[str, str]:
-    """Peak memory of a comparison with made-up rows: a hundredth of them, all of them, and their summary."""
+def comparison_memory(rows: int) -> dict[str, int]:
+    """Peak memory [MB] of a comparison with made-up rows: a hundredth of them, all of them, and their summary."""
     scripts, peaks = f"import sys\nsys.path.insert(0, {str(Path(__file__).parent)!r})\nfrom pathlib import Path\n", {}
     with tempfile.TemporaryDirectory() as folder:
         few, many = Path(folder) / "few", Path(folder) / "many"
@@ -222,25 +205,18 @@ def comparison_memory(rows: int) -> dict[str, str]:
             f"a comparison while {rows:,} rows come in": f"collect(Path({str(many)!r}), {rows})",
             f"sorting {rows:,} rows, their summary and page": f"finish(Path({str(many)!r}))",
         }.items():
-            peaks[f"memory of {name}"] = peak_memory(f"{scripts}import benchmark_rows\nbenchmark_rows.{what}")
+            peaks[name] = peak_memory(f"{scripts}import benchmark_rows\nbenchmark_rows.{what}")
     return peaks
 
 
-def floor_ratios(rollout: Rollout, targets: list[np.ndarray], scale: int) -> dict[str, str]:
-    """All rows of this module by name, with a share 1 / ``scale`` of the cases."""
+def floor_rows(rollout: Rollout, targets: list[np.ndarray], scale: int) -> list[Row]:
+    """All ratios of this module, with a share 1 / ``scale`` of the cases."""
     arms = [Arm.load(name) for name in arm_names()]
     repeats = max(5 // scale, 1)
-    return {
-        "certified synthesis, N = 4, in its solves and eigendecompositions": synthesis_floor(
-            targets[: max(200 // scale, 1)]
-        ),
-        **stacked_ratios(arms, max(1000 // scale, 1)),
-        "checks of a motion among poles, in mj_geomDistance over all pairs": check_ratio(
-            Arm.load("telescopic_pr", "poles", 1), 1, repeats
-        ),
-        "plan of lieednn-certified, in those of RRT-Connect, free space": planning_ratio(arms, max(10 // scale, 1)),
-        "frames/s of a video, in those of rendering and encoding one after the other": video_ratio(
-            rollout, max(6 // scale, 1)
-        ),
-        **memory(scale),
-    }
+    return [
+        synthesis_row(targets[: max(200 // scale, 1)]),
+        *stacked_rows(arms, max(1000 // scale, 1), repeats),
+        check_row(Arm.load("telescopic_pr", "poles", 1), 1, repeats),
+        *planning_rows(arms, max(10 // scale, 1)),
+        *video_rows(rollout, max(6 // scale, 1)),
+    ]

@@ -11,6 +11,7 @@ from typing import Any
 
 import gymnasium
 import numpy as np
+from benchmark_timing import Row, seconds, shares
 from gymnasium.vector import AsyncVectorEnv
 from mujoco import rollout
 
@@ -27,21 +28,9 @@ from lieednn_sim.simulation.reference import Reference
 
 _NSTEP, _LOOP = "a bare call of mj_step with nstep", "a bare Python loop of mj_step"
 _NOISE = Disturbances(position_noise=1e-4, velocity_noise=1e-3)
-# Visual geoms are not simulated, so there are two floors.
-_FLOORS = {" on the whole model": False, " without visual geoms": True}
-
-
-def ratio(rival: Callable[[], object], ours: Callable[[], object], repeats: int, clock: Any = time.process_time) -> str:
-    """Median ratio of a rival's time to ours, measured in turns, so that other load affects both."""
-    shares = []
-    for _ in range(repeats):
-        times = []
-        for run in (rival, ours):
-            begun = clock()
-            run()
-            times.append(clock() - begun)
-        shares.append(times[0] / times[1])
-    return f"{np.median(shares):.2f}"
+# The package simulates no visual geoms, which do not change the motion, so there are two floors; aims are of the first.
+_WHOLE, _BARE = " on the whole model", " without visual geoms"
+_FLOORS = {_WHOLE: False, _BARE: True}
 
 
 def floor(arm: Arm, controller: str, followed: Rollout, bare: bool) -> Simulation:
@@ -61,9 +50,9 @@ def _step_by_step(model: mujoco.MjModel, data: mujoco.MjData, steps: int) -> Non
         mujoco.mj_step(model, data)
 
 
-def rollout_ratios(arm: Arm, motion: Motion, repeats: int) -> dict[str, str]:
+def rollout_rows(arm: Arm, motion: Motion, repeats: int) -> list[Row]:
     """Steps/s of rollouts with their log, in those of bare ones of the same arm."""
-    ratios = {}
+    rows = []
     cases = [(name, Disturbances(), _NSTEP) for name in ("position-servo", "inverse-dynamics", "mocap")]
     cases += [("computed-torque", Disturbances(), _LOOP), ("computed-torque", _NOISE, _LOOP)]
     cases += [("position-servo", _NOISE, _LOOP)]
@@ -74,14 +63,16 @@ def rollout_ratios(arm: Arm, motion: Motion, repeats: int) -> dict[str, str]:
             simulation = floor(arm, controller, followed, bare)
             run = partial(mujoco.mj_step if rival == _NSTEP else _step_by_step, simulation.model, simulation.data)
             name = f"{controller}{' with noise' if changes == _NOISE else ''}, in those of {rival}{label}"
-            ratios[f"steps/s of a rollout by {name}"] = ratio(partial(run, len(followed.t)), ours, repeats)
-    return ratios
+            samples = shares(partial(run, len(followed.t)), ours, repeats)
+            aim = "" if bare else ">= 0.8" if rival == _NSTEP else ">= 0.6"
+            rows.append(Row(f"steps/s of a rollout by {name}", samples, aim))
+    return rows
 
 
-def many_ratios(arm: Arm, count: int, repeats: int) -> dict[str, str]:
+def many_rows(arm: Arm, count: int, repeats: int) -> list[Row]:
     """Steps/s of many rollouts at once, in those of `mujoco.rollout` with as many threads."""
     motions = [plan(arm, draw_target(arm, k), planner="minimum-jerk").motion for k in range(count)]
-    threads, kind, ratios = os.cpu_count() or 1, mujoco.mjtState.mjSTATE_FULLPHYSICS, {}
+    threads, kind, rows = os.cpu_count() or 1, mujoco.mjtState.mjSTATE_FULLPHYSICS, []
     ours = partial(simulate_many, arm, motions, hold=0.0, threads=threads)
     found = ours()
     for label, bare in _FLOORS.items():
@@ -92,8 +83,8 @@ def many_ratios(arm: Arm, count: int, repeats: int) -> dict[str, str]:
             mujoco.mj_getState(model, simulation.data, state, kind)
         rival = partial(rollout.rollout, model, data, states, np.ascontiguousarray(found.ctrl))
         name = f"steps/s of {count} rollouts by simulate_many, in those of mujoco.rollout{label}"
-        ratios[name] = ratio(rival, ours, repeats)
-    return ratios
+        rows.append(Row(name, shares(rival, ours, repeats), "" if bare else ">= 0.9"))
+    return rows
 
 
 def empty_environment(arm: Arm, substeps: int) -> Any:
@@ -121,9 +112,9 @@ def empty_environment(arm: Arm, substeps: int) -> Any:
     return control.Environment(physics, Nothing(), n_sub_steps=substeps)
 
 
-def environment_ratios(arm: Arm, repeats: int, actions: int) -> dict[str, str]:
+def environment_rows(arm: Arm, repeats: int, actions: int) -> list[Row]:
     """Time that environments add to bare substeps, in both interfaces."""
-    own, ratios = Environment(arm=arm), {}
+    own, rows = Environment(arm=arm), list[Row]()
     substeps = own.task.substeps
     environments: dict[str, Any] = {"Gymnasium": own}
     resets: dict[str, Callable[[], object]] = {"Gymnasium": partial(own.reset, seed=0)}
@@ -135,28 +126,25 @@ def environment_ratios(arm: Arm, repeats: int, actions: int) -> dict[str, str]:
     given = 0.3 * np.random.default_rng(0).uniform(-1.0, 1.0, (actions, arm.n_joints))
     for name, environment in environments.items():
         # dm_control simulates the model that it renders.
-        bare = {" without visual geoms": arm.without_visuals.model} if environment is own else {}
+        bare = {_BARE: arm.without_visuals.model} if environment is own else {}
         for label, model in {"": arm.model, **bare}.items():
-            data, added, shares = mujoco.MjData(model), [], []
+            data, added, ratios = mujoco.MjData(model), [], []
             for _ in range(repeats):
                 resets.get(name, environment.reset)()
                 mujoco.mj_resetDataKeyframe(model, data, model.key("home").id)
-                begun = time.process_time()
-                for action in given:
-                    environment.step(action)
-                middle = time.process_time()
-                for _ in given:
-                    mujoco.mj_step(model, data, substeps)
-                ours, alone = middle - begun, time.process_time() - middle
+                ours = seconds(lambda steps=environment.step: [steps(action) for action in given])  # type: ignore[misc]
+                alone = seconds(lambda m=model, d=data: [mujoco.mj_step(m, d, substeps) for _ in given])  # type: ignore[misc]
                 added.append(1e6 * (ours - alone) / actions)
-                shares.append(ours / alone)
+                ratios.append(ours / alone)
             of = f"environment step of {name}"
-            ratios[f"{of}, in its {substeps} bare substeps{label}"] = f"{np.median(shares):.2f}"
-            ratios[f"{of}, added to its {substeps} bare substeps{label} [us]"] = f"{np.median(added):.0f}"
-    return ratios
+            rows.append(Row(f"{of}, in its {substeps} bare substeps{label}", ratios))
+            rows.append(
+                Row(f"{of}, added to its {substeps} bare substeps{label} [us]", added, "" if label else "<= 10")
+            )
+    return rows
 
 
-def vector_ratios(arm: Arm, repeats: int, actions: int, count: int) -> dict[str, str]:
+def vector_rows(arm: Arm, repeats: int, actions: int, count: int) -> list[Row]:
     """Steps/s of many environments at once, and of their physics alone, in those of Gymnasium's processes."""
     own, processes = VectorEnvironment(count, arm=arm), AsyncVectorEnv([partial(Environment, arm=arm.name)] * count)
     some, task = 0.3 * np.random.default_rng(0).uniform(-1.0, 1.0, (count, arm.n_joints)), own.tasks[0]
@@ -174,27 +162,28 @@ def vector_ratios(arm: Arm, repeats: int, actions: int, count: int) -> dict[str,
     states[:] = states[0]
     home = np.array([task.command for task in own.tasks])
     controls = task.commands.controls(home, task.commands.moved(home, some))
-    name = f"of {count} environments at once, in those of Gymnasium's AsyncVectorEnv"
+    # Wall time: processes and threads run on all cores.
+    name, clock = f"of {count} environments at once, in those of Gymnasium's AsyncVectorEnv", time.perf_counter
     with rollout.Rollout(nthread=len(data)) as threads:
 
         def physics() -> None:
             for _ in range(actions):
                 threads.rollout(model, data, states, controls)
 
-        ratios = {
-            f"steps/s {name}": ratio(partial(run, processes), partial(run, own), repeats, time.perf_counter),
-            f"steps/s of the physics alone {name}": ratio(partial(run, processes), physics, repeats, time.perf_counter),
-        }
+        rows = [
+            Row(f"steps/s {name}", shares(partial(run, processes), partial(run, own), repeats, clock), ">= 10"),
+            Row(f"steps/s of the physics alone {name}", shares(partial(run, processes), physics, repeats, clock)),
+        ]
     own.close()
     processes.close()
-    return ratios
+    return rows
 
 
-def stepping_ratios(arm: Arm, motion: Motion, repeats: int, scale: int) -> dict[str, str]:
-    """All rows of this module by name, with a share 1 / ``scale`` of rollouts, actions and environments."""
-    return {
-        **rollout_ratios(arm, motion, repeats),
-        **many_ratios(arm, max(256 // scale, 2), min(repeats, 3)),
-        **environment_ratios(arm, repeats, max(50 // scale, 2)),
-        **vector_ratios(arm, min(repeats, 5), max(20 // scale, 2), max(64 // scale, 2)),
-    }
+def stepping_rows(arm: Arm, motion: Motion, repeats: int, scale: int) -> list[Row]:
+    """All rows of this module, with a share 1 / ``scale`` of rollouts, actions and environments."""
+    return [
+        *rollout_rows(arm, motion, repeats),
+        *many_rows(arm, max(256 // scale, 2), min(repeats, 3)),
+        *environment_rows(arm, repeats, max(50 // scale, 2)),
+        *vector_rows(arm, min(repeats, 5), max(20 // scale, 2), max(64 // scale, 2)),
+    ]

@@ -19,7 +19,7 @@ from pathlib import Path
 
 import matplotlib
 import numpy as np
-from benchmark_floors import processor_time
+from benchmark_timing import seconds
 from csv_rows import write_rows
 from matplotlib.figure import Figure
 
@@ -111,7 +111,7 @@ def works(series: str, size: int, repeats: int, folder: Path) -> Iterable[Callab
 
 def measured(series: str, size: int, repeats: int, folder: Path) -> dict[str, object]:
     """A row with the median CPU time of a series at a size; for checks the size is the number of pairs."""
-    times = [processor_time(work, 1) for work in works(series, size, repeats, folder)]
+    times = [seconds(work) for work in works(series, size, repeats, folder)]
     if series == "checks of a motion":
         size = len(Collisions(loaded(folder, 4, size)).pairs)
     return dict(zip(FIELDS, (series, size, 1e3 * float(np.median(times))), strict=True))
