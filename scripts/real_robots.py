@@ -26,7 +26,8 @@ from lieednn_sim.arm.contacts import ContactFinder
 from lieednn_sim.arm.importer.loading import load_spec
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.errors import LieEDNNError
-from lieednn_sim.evaluation.metrics import Evaluation, evaluate
+from lieednn_sim.evaluation.evaluation import Evaluation
+from lieednn_sim.evaluation.metrics import evaluate
 from lieednn_sim.planning import plan
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.simulation import simulate

@@ -6,6 +6,7 @@ import ast
 import re
 import subprocess
 import sys
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import lieednn_sim as ls
@@ -70,6 +71,22 @@ def test_nothing_is_imported_from_a_room_above():
         if order.index(room) > order.index(path.relative_to(PACKAGE).parts[0].removesuffix(".py"))
     }
     assert upwards == set()
+
+
+def test_no_module_needs_itself():
+    """Not even for types, or on the way through the `__init__` of a room."""
+    paths = {path: path.relative_to(PACKAGE.parent).with_suffix("").parts for path in PACKAGE.rglob("*.py")}
+    modules = {".".join(parts).removesuffix(".__init__"): path for path, parts in paths.items()}
+    needs: dict[str, set[str]] = {module: set() for module in modules}
+    for module, path in modules.items():
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ImportFrom) and node.module in modules:
+                names = (f"{node.module}.{alias.name}" for alias in node.names)
+                needs[module] |= {name if name in modules else node.module for name in names}
+            elif isinstance(node, ast.Import):
+                needs[module] |= {alias.name for alias in node.names} & modules.keys()
+    assert needs["lieednn_sim.simulation.log"] >= {"lieednn_sim.simulation.simulation", "lieednn_sim.values"}
+    TopologicalSorter(needs).prepare()  # raises CycleError, with the modules
 
 
 def test_the_front_door_knows_each_name_and_where_it_lives():

@@ -14,7 +14,8 @@ from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.budget import DEFAULT_TIME_BUDGET
 from lieednn_sim.errors import LieEDNNError
 from lieednn_sim.evaluation.entries import SCENE, Entry, load
-from lieednn_sim.evaluation.metrics import Evaluation, evaluate
+from lieednn_sim.evaluation.evaluation import Evaluation
+from lieednn_sim.evaluation.metrics import evaluate
 from lieednn_sim.evaluation.motion_metrics import MotionMetrics, motion_metrics
 from lieednn_sim.evaluation.rows import COLUMNS, TIMING, Case, Row
 from lieednn_sim.planning import Plan, plan, reference_network

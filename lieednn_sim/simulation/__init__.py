@@ -5,7 +5,7 @@ from lieednn_sim.simulation.controllers.base import Controller
 from lieednn_sim.simulation.disturbances import Disturbances, Push
 from lieednn_sim.simulation.feedback import Feedback
 from lieednn_sim.simulation.following import Following, follow
-from lieednn_sim.simulation.log import Instant
+from lieednn_sim.simulation.log import Instant, Log
 from lieednn_sim.simulation.many import Rollouts, simulate_many
 from lieednn_sim.simulation.rollout import Rollout
 from lieednn_sim.simulation.simulation import Simulation
@@ -18,6 +18,7 @@ __all__ = [
     "Feedback",
     "Following",
     "Instant",
+    "Log",
     "Push",
     "Rollout",
     "Rollouts",

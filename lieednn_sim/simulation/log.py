@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import io
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.simulation.quaternions import quaternions
+from lieednn_sim.simulation.simulation import Simulation
 from lieednn_sim.values import Floats
-
-if TYPE_CHECKING:
-    from lieednn_sim.simulation.simulation import Simulation
 
 
 class ChannelSource(Protocol):

@@ -13,7 +13,6 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.errors import SimulationError
 from lieednn_sim.lie import poses, rotations
 from lieednn_sim.simulation.disturbances import Disturbances, Noise, Pushes, Sensors
-from lieednn_sim.simulation.log import Instant, Log
 from lieednn_sim.simulation.plant import make_plant
 from lieednn_sim.validation import as_count, as_floats
 from lieednn_sim.values import Floats
@@ -22,7 +21,7 @@ from lieednn_sim.values import Floats
 class Simulation:
     """A simulated arm; its state is a function of the arguments, the last reset and the controls since then.
 
-    A user sets ``data.ctrl`` (or a `Controller` does) and calls `step` or `advance`.
+    A user sets ``data.ctrl`` (or a `Controller` does) and calls `advance`, or steps it by a `Log`.
 
     Args:
         arm: the arm; its model is not changed.
@@ -103,23 +102,15 @@ class Simulation:
         self._sensors.reset()
         self.noise = self._sensors.draw()
 
-    def step(self) -> Instant:
-        """Do one step; returns the instant before it.
-
-        Raises:
-            SimulationError: MuJoCo warns, or the state is not finite; the message has the time.
-        """
-        log = Log(self)
-        with QuietWarnings():
-            log.step()
-        return Instant(*(values[0] for values in log.instants()))
-
     def advance(self, steps: int = 1, controls: Floats | None = None) -> None:
-        """Do steps without a record; raises as `step` does.
+        """Do steps without a record; a `Log` keeps one.
 
         Args:
             steps: number of steps.
             controls: ``(steps, nu)`` controls of each step; by default the present ones for all.
+
+        Raises:
+            SimulationError: MuJoCo warns, or the state is not finite; the message has the time.
         """
         with QuietWarnings():
             for k in range(as_count("steps", steps)):
@@ -128,7 +119,7 @@ class Simulation:
                 self.advance_once()
 
     def advance_once(self) -> None:
-        """Do one step as `advance`, within the caller's `QuietWarnings`, which is entered once for many steps."""
+        """Do one step as `advance` does, within the caller's `QuietWarnings`, which is entered once for many steps."""
         if self.disturbances.pushes:
             self.pushes.apply(self.data, self.steps)
         mujoco.mj_step(self.model, self.data)

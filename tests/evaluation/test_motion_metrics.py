@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from lieednn_sim.arm import Arm
-from lieednn_sim.evaluation.metrics import Evaluation, FrameErrors, JointUse, evaluate
+from lieednn_sim.evaluation.evaluation import Evaluation, JointUse
+from lieednn_sim.evaluation.frame_errors import FrameErrors
+from lieednn_sim.evaluation.metrics import evaluate
 from lieednn_sim.evaluation.motion_metrics import (
     least_clearance,
     motion_metrics,

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from lieednn_sim.arm import Arm
-from lieednn_sim.evaluation.metrics import Evaluation, evaluate
+from lieednn_sim.evaluation.evaluation import Evaluation
+from lieednn_sim.evaluation.metrics import evaluate
 from lieednn_sim.planning import CertifiedOptions, plan
 from lieednn_sim.planning.laws import minimum_jerk_law
 from lieednn_sim.planning.motion import Motion

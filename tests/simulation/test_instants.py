@@ -23,7 +23,7 @@ def test_a_push_acts_in_the_steps_from_its_start_to_before_its_end(gantry, start
     expected = np.zeros((2, 10, 6))
     expected[0, steps, :3], expected[1, [2, 3], :3] = [1.0, -2.0, 3.0], [0.0, 5.0, 0.0]
     for k in range(10):
-        simulation.step()
+        simulation.advance()
         np.testing.assert_array_equal(simulation.data.xfrc_applied[[wrist, base]], expected[:, k])
 
 

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.errors import InputError, SimulationError
-from lieednn_sim.simulation import Disturbances, Push, Simulation
+from lieednn_sim.simulation import Disturbances, Log, Push, Simulation
 from lieednn_sim.simulation.reference import Reference, steps_in, steps_of_rate
 
 seeds = st.integers(0, 2**32 - 1)
@@ -18,12 +18,12 @@ CHANGES = Disturbances(
 
 def run(simulation: Simulation, q, steps: int = 60) -> np.ndarray:
     simulation.reset(q, 0.1 * np.ones_like(q))
-    rows = []
+    log = Log(simulation)
     for _ in range(steps):
         simulation.data.ctrl[:] = simulation.measured()[0][: simulation.model.nu].sum()
-        instant = simulation.step()
-        rows.append(np.hstack([instant.t, instant.qpos, instant.qvel, instant.drive_force, instant.link_position[-1]]))
-    return np.array(rows)
+        log.step()
+    seen = log.instants()
+    return np.column_stack([seen.t, seen.qpos, seen.qvel, seen.drive_force, seen.link_position[:, -1]])
 
 
 @settings(max_examples=5)
@@ -44,8 +44,9 @@ def test_steps_without_a_record_and_looks_in_between_change_nothing(small_arms):
     recorded, plain = (Simulation(arm, disturbances=CHANGES) for _ in range(2))
     for simulation in (recorded, plain):
         simulation.reset(q, np.ones_like(q))
+    log = Log(recorded)
     for _ in range(40):
-        recorded.step()
+        log.step()
         recorded.link_poses()
     plain.advance(40)
     np.testing.assert_array_equal(recorded.data.qpos, plain.data.qpos)
@@ -112,6 +113,6 @@ def test_failures_name_the_time(small_arms):
     simulation.advance(3)
     simulation.data.qvel[:] = 1e12
     with pytest.raises(SimulationError, match=r"'telescope' failed at t = 0\.0060 s"):
-        simulation.step()
+        simulation.advance()
     with pytest.raises(InputError, match=r"no body 'hand' to push; links are: end effector; bodies are: ball, base"):
         Simulation(small_arms["telescope"], disturbances=Disturbances(pushes=(Push("hand", (1, 0, 0), 0, 1),)))
