@@ -21,7 +21,7 @@ from lieednn_sim.evaluation.rows import TableRow, column, columns_of, outcome
 from lieednn_sim.planning import plan
 from lieednn_sim.planning.filtering import FilterOptions
 from lieednn_sim.simulation import Disturbances, Feedback, Push, Rollout, Simulation
-from lieednn_sim.simulation.following import closed_loop
+from lieednn_sim.simulation.closed_loop import closed_loop
 from lieednn_sim.values import Floats
 
 DISTURBANCES = ("none", "push", "payload", "target")
