@@ -22,7 +22,7 @@ def frozen(cls: type[_Class]) -> type[_Class]:
 
     Arrays may also be within tuples, lists and dictionaries. The given arrays are not changed: the instance has
     read-only views of them. Arrays are equal if their shapes and entries are, with NaN equal to NaN. Equal instances
-    have the same hash; `dataclasses.replace` makes a changed copy.
+    have the same hash; `dataclasses.replace` makes a changed copy. All this also holds of unpickled and deep copies.
     """
     made: Any = dataclass(frozen=True, eq=False, repr=cls.__repr__ is object.__repr__)(cls)
     initialise, names = made.__init__, [item.name for item in fields(made)]
@@ -42,7 +42,11 @@ def frozen(cls: type[_Class]) -> type[_Class]:
     def __hash__(self: Any) -> int:
         return hash((type(self), *(np.shape(vars(self)[name]) for name in compared if _is_array(vars(self)[name]))))
 
-    made.__init__, made.__eq__, made.__hash__ = __init__, __eq__, __hash__
+    def __setstate__(self: Any, state: dict[str, Any]) -> None:
+        # Unpickled and deep-copied arrays are writable.
+        vars(self).update({name: _read_only(item) for name, item in state.items()})
+
+    made.__init__, made.__eq__, made.__hash__, made.__setstate__ = __init__, __eq__, __hash__, __setstate__
     return made
 
 

@@ -1,7 +1,9 @@
 """Values: of every frozen dataclass with arrays these are read-only, and equal is what holds the same."""
 
+import copy
 import dataclasses
 import importlib
+import pickle
 import pkgutil
 import warnings
 
@@ -104,3 +106,15 @@ def test_values_by_hand():
     assert Result(np.zeros(3), error=float("nan")) == Result(np.zeros(3), error=float("nan"))
     with pytest.raises(dataclasses.FrozenInstanceError):
         result.note = "changed"
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda value: pickle.loads(pickle.dumps(value))])
+def test_copies_are_equal_and_read_only(cascade, copied):
+    """Otherwise weights could be changed under a certificate that is cached."""
+    network = cascade(np.full((2, 6), 0.3))
+    assert network.weight.shape == (30, 30)
+    again = copied(network)
+    assert again == network
+    for value in (again.alpha, again.bias, again.weight):
+        with pytest.raises(ValueError, match="read-only"):
+            value[0, 0] = 1.0

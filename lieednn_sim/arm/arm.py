@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import copy
 import os
+import pickle
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import dataclass, fields, replace
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any, Unpack
 
@@ -14,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.contacts import PLANNED_CLEARANCE, ContactFinder
-from lieednn_sim.arm.fingerprint import arm_fingerprint
+from lieednn_sim.arm.fingerprint import arm_fingerprint, model_fingerprint
 from lieednn_sim.arm.importer import ImportOptions, ImportReport
 from lieednn_sim.arm.models import find_model, label_of, open_model
 from lieednn_sim.arm.obstacles import add_own_obstacles, check_home, is_scene_file, load_obstacles, scene_label
@@ -37,12 +38,15 @@ class Arm(SerialArm):
         import_report: what the importer did, for a file without the package's conventions; otherwise None.
         clearance: distance that planned motions keep from contact, start and target included [m]; change it with
             `dataclasses.replace`.
+        recipe: names of the methods that loaded it from files, and their arguments; empty for an arm from a spec, which
+            cannot be pickled.
     """
 
     scene: str = "free"
     scene_seed: int = 0
     import_report: ImportReport | None = None
     clearance: float = PLANNED_CLEARANCE
+    recipe: tuple[tuple[str, tuple[Any, ...], ImportOptions], ...] = ()
 
     @classmethod
     def load(
@@ -91,7 +95,8 @@ class Arm(SerialArm):
         """
         source = as_path("path", path)
         spec, import_report = open_model(source, **options)
-        return cls.from_spec(spec, source, name or label_of(source), import_report)
+        arm = cls.from_spec(spec, source, name or label_of(source), import_report)
+        return replace(arm, recipe=(("from_xml", (source.absolute(), arm.name), options),))
 
     @classmethod
     def from_spec(cls, spec: mujoco.MjSpec, source: Path, name: str, import_report: ImportReport | None = None) -> Arm:
@@ -124,13 +129,15 @@ class Arm(SerialArm):
             return self
         if self.scene != "free":
             raise InputError(f"arm {self.name!r} already has the obstacles of scene {self.scene!r}")
+        again = ("among", (Path(scene).absolute() if own else label, seed), ImportOptions())
+        recipe = self.recipe and (*self.recipe, again)
         if own:
             arm = self.amid(load_obstacles(scene), label)
             check_home(arm, label)
-            return arm
+            return replace(arm, recipe=recipe)
         spec = self.spec.copy()
         add_obstacles(spec, self, label, seed)
-        return replace(self._of(spec), scene=label, scene_seed=seed)
+        return replace(self._of(spec), scene=label, scene_seed=seed, recipe=recipe)
 
     def amid(self, obstacles: mujoco.MjSpec, label: str) -> Arm:
         """This arm with the obstacles of a spec (see `obstacles.shapes`); does not check that home is free of them.
@@ -152,6 +159,28 @@ class Arm(SerialArm):
 
     def __repr__(self) -> str:
         return f"<Arm {self.name}: {self.n_links} links, {self.n_joints} joints, scene {self.scene}>"
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Everything but the spec, which MuJoCo cannot pickle: it is loaded again, once in each process.
+
+        Raises:
+            InputError: the arm was made from a spec.
+        """
+        if not self.recipe:
+            raise InputError(
+                f"arm {self.name!r} was made from a spec, which cannot be pickled: make the arm in each process"
+            )
+        state = {item.name: getattr(self, item.name) for item in fields(self) if item.name != "spec"}
+        return {**state, "compiled": self._compiled}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        loaded = _loaded(pickle.dumps(state["recipe"]))
+        if loaded._compiled != state.pop("compiled"):
+            raise FileError(f"{state['source']}, or a file that it uses, has changed since the arm was loaded from it")
+        vars(self).update(state, spec=loaded.spec)
+
+    def __deepcopy__(self, _: dict[int, Any]) -> Arm:
+        return replace(self, spec=self.spec.copy(), model=copy.deepcopy(self.model))
 
     def check_reachable(self, q: ArrayLike, what: str = "q") -> Floats:
         """As `check_position`, and nothing may be closer than the arm's `clearance` at ``q``."""
@@ -200,7 +229,12 @@ class Arm(SerialArm):
     @cached_property
     def _bare(self) -> Arm:
         spec, model = discard_visuals(self)
-        return replace(self, spec=spec, model=model)
+        return replace(self, spec=spec, model=model, recipe=())
+
+    @cached_property
+    def _compiled(self) -> str:
+        """Fingerprint of the model that the spec gives, whatever has been changed in `model` since."""
+        return model_fingerprint(self.spec.copy().compile())
 
     @cached_property
     def fingerprint(self) -> str:
@@ -214,3 +248,13 @@ class Arm(SerialArm):
     @cached_property
     def _nearly_touching(self) -> ContactFinder:
         return ContactFinder(self.without_visuals.model, self.clearance)
+
+
+@lru_cache(maxsize=8)
+def _loaded(recipe: bytes) -> Arm:
+    """An arm by its pickled recipe."""
+    arm: Any = Arm
+    for method, arguments, options in pickle.loads(recipe):
+        arm = getattr(arm, method)(*arguments, **options)
+    assert isinstance(arm, Arm)
+    return arm

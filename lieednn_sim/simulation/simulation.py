@@ -10,7 +10,7 @@ from scipy.spatial.transform import RigidTransform
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
-from lieednn_sim.errors import SimulationError
+from lieednn_sim.errors import InputError, SimulationError
 from lieednn_sim.lie import poses, rotations
 from lieednn_sim.simulation.disturbances import Disturbances, Noise, Pushes, Sensors
 from lieednn_sim.simulation.plant import make_plant
@@ -50,6 +50,10 @@ class Simulation:
         self.steps = 0
         self.noise: Noise
         self.reset(arm.coordinates(arm.model.qpos0))
+
+    def __getstate__(self) -> object:
+        # A copy's views would be of other data.
+        raise InputError("a Simulation, and what holds one, can neither be copied nor pickled: make another one")
 
     @property
     def timestep(self) -> float:
