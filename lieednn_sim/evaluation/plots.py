@@ -212,7 +212,7 @@ def _mark_events(axis: Any, rollout: Rollout) -> None:
 
 
 def plot_joints(rollout: Rollout, path: str | os.PathLike[str]) -> None:
-    """Reference and simulated position with its limits, error, velocity and drive force of each joint.
+    """Reference and simulated position with its limits, error, velocity and actuator force of each joint.
 
     Velocity and force are in percent of their limits, or absolute without limits. Joints of one unit share the scale of
     each column, so that small values look small. More than `_MOST_ROWS` coordinates are split into blocks.
@@ -275,7 +275,7 @@ def _plot_joints(axes: Any, rollout: Rollout, joints: range) -> None:
         for axis in row:
             _mark_events(axis, rollout)
     titles = ["position", "error: simulated less reference"]
-    for what, limits in (("velocity", arm.velocity_limits), ("drive force", arm.force_limits)):
+    for what, limits in (("velocity", arm.velocity_limits), ("actuator force", arm.force_limits)):
         titles.append(f"{what}, % of its limit" if np.isfinite(limits[joints]).any() else what)
     for axis, title in zip(axes[0], titles, strict=True):
         axis.set_title(title, loc="left", y=1.0)

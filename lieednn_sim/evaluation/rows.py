@@ -197,7 +197,7 @@ class Row(TableRow):
     path_m: float | None = column("effector path [m]", "length of the end effector's simulated path")
     velocity_share: float | None = column("velocity / limit", "largest joint velocity in units of its limit")
     force_share: float | None = column(
-        "force / limit", "largest drive force or torque in units of its limit in the weaker direction"
+        "force / limit", "largest actuator force or torque in units of its limit in the weaker direction"
     )
     clearance_mm: float | None = column(
         "clearance [mm]", "least clearance along the simulated motion; below 0: penetration"

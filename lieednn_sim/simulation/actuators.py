@@ -1,4 +1,4 @@
-"""The actuators of an arm: position servos and direct drives, on joints or fixed tendons, with any gear.
+"""The actuators of an arm: position servos and direct-drive ones, on joints or fixed tendons, with any gear.
 
 With l and v the length and velocity of its transmission an actuator exerts f = g ctrl + b0 + b1 l + b2 v, which moves
 the joints with moment^T f. On hinges, slides, ball joints and fixed tendons the moment is a constant matrix, and
@@ -101,7 +101,7 @@ class Actuators:
         return (self._bias[1] * length + self._bias[2] * velocity) / self._gain
 
     def direct_controls(self, generalised: Floats, out: Floats | None = None) -> Floats:
-        """Controls ``(nu,)`` of direct drives (`make_direct`) for generalised forces ``(nv,)``."""
+        """Controls ``(nu,)`` of direct-drive actuators (`make_direct`) for generalised forces ``(nv,)``."""
         return np.add(self._allocation(generalised), self._idle, out)
 
     def free_controls(self, model: mujoco.MjModel) -> None:
@@ -113,7 +113,7 @@ class Actuators:
         model.actuator_ctrllimited[self.driving] = 0
 
     def make_direct(self, model: mujoco.MjModel) -> None:
-        """Make the driving actuators of a model direct drives, which exert their controls; force limits stay."""
+        """Make the driving actuators of a model direct-drive ones, which exert their controls; force limits stay."""
         model.actuator_gainprm[self.driving, 0] = 1.0
         model.actuator_biasprm[self.driving, :3] = 0.0
         self.free_controls(model)
@@ -122,7 +122,7 @@ class Actuators:
 class _Product:
     """Products of a matrix with vectors along the last axis; each is bit-identical to the product with one vector.
 
-    If each row has a single entry, as for drives that move one joint each, the product only selects entries.
+    If each row has a single entry, as for actuators that move one joint each, the product only selects entries.
     """
 
     def __init__(self, matrix: Floats) -> None:

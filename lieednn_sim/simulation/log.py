@@ -39,7 +39,7 @@ class Instant(NamedTuple):
         qpos: ``(nq,)`` MuJoCo's positions.
         qvel: ``(nv,)`` MuJoCo's velocities.
         ctrl: ``(nu,)`` actuator controls.
-        drive_force: ``(nv,)`` forces of actuators, including gravity compensation [N m, N].
+        actuator_force: ``(nv,)`` forces of actuators, including gravity compensation [N m, N].
         constraint_force: ``(nv,)`` forces of contacts, joint limits, couplings and welds [N m, N].
         link_position: ``(N, 3)`` link frames, world [m].
         link_quaternion: ``(N, 4)`` the same, (w, x, y, z).
@@ -51,7 +51,7 @@ class Instant(NamedTuple):
     qpos: Floats
     qvel: Floats
     ctrl: Floats
-    drive_force: Floats
+    actuator_force: Floats
     constraint_force: Floats
     link_position: Floats
     link_quaternion: Floats
@@ -123,7 +123,7 @@ class Log:
             qpos=log["qpos"].copy(),
             qvel=log["qvel"].copy(),
             ctrl=log["ctrl"].copy(),
-            drive_force=log["actuators"] + self._compensated * log["compensation"],
+            actuator_force=log["actuators"] + self._compensated * log["compensation"],
             constraint_force=log["constraints"].copy(),
             link_position=log["positions"][:, self._sites],
             link_quaternion=quaternions(rotations),
@@ -145,7 +145,7 @@ class Log:
 
     @property
     def _compensated(self) -> NDArray[np.bool_]:
-        """Dofs ``(nv,)`` whose gravity compensation bypasses MuJoCo's actuators; the drives have to exert it, too."""
+        """Dofs ``(nv,)`` whose gravity compensation bypasses MuJoCo's actuators, which have to exert it, too."""
         model = self._simulation.model
         return ~model.jnt_actgravcomp[model.dof_jntid].astype(bool)
 

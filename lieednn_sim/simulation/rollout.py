@@ -213,7 +213,7 @@ def as_rollout(arm: Arm, log: Log, q_ref: Floats, qd_ref: Floats, **meta: Any) -
         qd=arm.rates(q, qvel),
         q_ref=q_ref[:rows].copy(),
         qd_ref=qd_ref[:rows].copy(),
-        force=np.nan_to_num(core.pop("drive_force")) @ basis,
+        force=np.nan_to_num(core.pop("actuator_force")) @ basis,
         constraint_force=np.nan_to_num(core.pop("constraint_force")) @ basis,
         channels=channels,
         channel_units=units,

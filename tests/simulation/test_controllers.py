@@ -124,8 +124,8 @@ def test_controllers_are_deterministic_and_leave_the_arm_s_model_alone(arm, trav
 
 def test_mocap_bodies_sit_on_the_reference_and_the_drives_are_idle(arm, seeded):
     (_, motion), (rollout, _) = seeded.motion(3), seeded.run(3, "mocap")
-    drives = rollout.force - mujoco_gravity(arm, rollout)
-    assert np.abs(drives).max() < 1e-9
+    actuators = rollout.force - mujoco_gravity(arm, rollout)
+    assert np.abs(actuators).max() < 1e-9
     np.testing.assert_allclose(rollout.q[-1], motion.q[-1], atol=1e-6)
 
 

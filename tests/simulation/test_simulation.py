@@ -23,7 +23,7 @@ def run(simulation: Simulation, q, steps: int = 60) -> np.ndarray:
         simulation.data.ctrl[:] = simulation.measured()[0][: simulation.model.nu].sum()
         log.step()
     seen = log.instants()
-    return np.column_stack([seen.t, seen.qpos, seen.qvel, seen.drive_force, seen.link_position[:, -1]])
+    return np.column_stack([seen.t, seen.qpos, seen.qvel, seen.actuator_force, seen.link_position[:, -1]])
 
 
 @settings(max_examples=5)

@@ -62,10 +62,10 @@ class Reaction(TableRow):
         "back after [s]", "time after the disturbance until it stays within a tenth of that; none where it does not"
     )
     back_share: float | None = column("of the way left", "of the way that was left, how much was gone then")
-    effort: float | None = column("effort [s]", "integral of the mean squared drive force in units of the limits")
+    effort: float | None = column("effort [s]", "integral of the mean squared actuator force in units of the limits")
     velocity_share: float | None = column("velocity / limit", "largest joint velocity in units of its limit")
     force_share: float | None = column(
-        "force / limit", "largest drive force in units of its limit in the weaker direction"
+        "force / limit", "largest actuator force in units of its limit in the weaker direction"
     )
     step_us: float | None = column("control step [us]", "median CPU time of a control step")
 

@@ -37,7 +37,7 @@ _INERTIA, _GAIN = 1e4, 1e9
 class VelocityRollouts:
     """An arm whose joints have commanded velocities, in its scene, rolled out by `mujoco.rollout`.
 
-    This is the arm as leaders see it: under inverse dynamics its drives follow a reference up to rounding.
+    This is the arm as leaders see it: under inverse dynamics its actuators follow a reference up to rounding.
 
     Args:
         arm: the arm; its model is not changed.
@@ -87,10 +87,10 @@ def _kinematic(arm: Arm, step: float, near: float) -> mujoco.MjModel:
     for joint in range(arm.model.njnt):
         axes = 3 if arm.model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_BALL else 1
         for gear in np.eye(6)[:axes]:
-            drive = spec.add_actuator(
+            actuator = spec.add_actuator(
                 trntype=mujoco.mjtTrn.mjTRN_JOINT, target=arm.model.joint(joint).name, gear=gear.tolist()
             )
-            drive.set_to_velocity(kv=_GAIN)
+            actuator.set_to_velocity(kv=_GAIN)
     for sensor in list(spec.sensors):
         spec.delete(sensor)
     wanted = 1 << int(mujoco.mjtConDataField.mjCONDATA_FOUND) | 1 << int(mujoco.mjtConDataField.mjCONDATA_DIST)

@@ -1,6 +1,6 @@
 """Controllers, which drive the arm along a reference.
 
-A controller may change the simulated plant, since it may need other drives than the arm's model has. It knows the
+A controller may change the simulated plant, since it may need other actuators than the arm's model has. It knows the
 dynamics of the arm's model; the plant may have other masses.
 """
 
@@ -43,7 +43,7 @@ class Controller(ABC):
         """Add the bodies that the controller needs to a copy of the arm's spec."""
 
     def equip(self, plant: mujoco.MjModel) -> None:  # noqa: B027
-        """Give the compiled plant the drives that the controller needs."""
+        """Give the compiled plant the actuators that the controller needs."""
 
     def inputs(self, steps: range, noise: Noise) -> Inputs | None:
         """What `act` would set at some steps if it follows from the reference alone; otherwise None.
@@ -71,7 +71,7 @@ class Controller(ABC):
 
 
 class DriveController(Controller):
-    """Base class of controllers that use the arm's own drives."""
+    """Base class of controllers that use the arm's own actuators."""
 
     def __init__(self, arm: Arm, reference: Reference) -> None:
         self._actuators = Actuators(arm)
@@ -165,9 +165,9 @@ class InverseDynamicsServo(FeedforwardServo):
 
 
 class ComputedTorque(DriveController):
-    """Torque drives with feedback linearisation: tau = ID(q, qd, a_ref + 2 w (v_ref - qd) + w^2 (q_ref - q)).
+    """Feedback linearisation by torques: tau = ID(q, qd, a_ref + 2 w (v_ref - qd) + w^2 (q_ref - q)).
 
-    The plant's actuators become direct drives with the same force limits; w is 2 pi 10 Hz. The difference of two
+    The plant's actuators become direct-drive ones with the same force limits; w is 2 pi 10 Hz. The difference of two
     positions is the velocity that leads from one to the other in unit time. q and qd are measured values.
 
     Raises:
@@ -218,7 +218,7 @@ class ComputedTorque(DriveController):
 
 
 class _InverseDynamics:
-    """Joint forces required of the drives, in the discrete time of the model's integrator.
+    """Joint forces required of the actuators, in the discrete time of the model's integrator.
 
     Attributes:
         model: a copy of the model.

@@ -16,7 +16,7 @@ from lieednn_sim.simulation.disturbances import Noise
 from lieednn_sim.simulation.reference import Reference
 from lieednn_sim.values import Floats
 
-# Arrays that a controller must not change, since they move the arm without its drives.
+# Arrays that a controller must not change, since they move the arm without its actuators.
 _NOT_ITS_OWN = ("qpos", "qvel", "qfrc_applied", "xfrc_applied")
 
 

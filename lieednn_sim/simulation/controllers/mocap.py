@@ -1,4 +1,4 @@
-"""Arms led by mocap bodies instead of drives: one for each link frame, welded to it."""
+"""Arms led by mocap bodies instead of actuators: one for each link frame, welded to it."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _EQUALITY = int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
 
 
 class MocapWelds(Controller):
-    """Mocap bodies at the reference's link frames, welded to those of the arm; the drives are idle.
+    """Mocap bodies at the reference's link frames, welded to those of the arm; the actuators are idle.
 
     The reference's poses are those of joint positions, so the joints can meet them. A mocap body has no velocity, and a
     weld with time constant T and damping ratio zeta follows it with a delay of 2 T zeta^2, by which the bodies run

@@ -45,7 +45,7 @@ def test_a_path_of_few_samples_is_gone_between_them(gantry):
     np.testing.assert_allclose(share, [0.25, 0.25], atol=1e-3)
 
 
-def test_the_force_of_a_push_is_found_where_drives_give_way_all_at_once():
+def test_the_force_of_a_push_is_found_where_actuators_give_way_all_at_once():
     tried = []
 
     def off(force):
@@ -100,7 +100,7 @@ def test_a_target_moves_no_nearer_to_limits_than_other_targets_are(name, gantry,
 def test_a_row_by_hand(task, monkeypatch):
     measured = {"final_worst_mm": 3.0, "final_effector_mm": 1.0, "velocity_share": 0.25, "force_share": 0.75}
     monkeypatch.setattr(cases, "evaluate", lambda rollout, clearance: SimpleNamespace(shortfall="", **measured))
-    # A drive at half its limit and one at all of it, for three steps of 0.1 s.
+    # An actuator at half its limit and one at all of it, for three steps of 0.1 s.
     arm = SimpleNamespace(force_limits=np.array([2.0, 10.0]))
     rollout = SimpleNamespace(arm=arm, force=np.tile([1.0, -10.0], (3, 1)), timestep=0.1)
     row = cases._row(task, "free", "tracker", "none", rollout, [1e-6, 9e-6, 2e-6])
