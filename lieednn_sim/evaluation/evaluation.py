@@ -1,4 +1,4 @@
-"""What an evaluation of a rollout holds, how it is shown in a terminal, and its files."""
+"""The result of evaluating a rollout: its metrics, their tables for the terminal, and their files."""
 
 from __future__ import annotations
 
@@ -55,29 +55,29 @@ class Recovery:
 class Evaluation:
     """Metrics of one rollout; `print` shows them as tables.
 
-    Conditions are called as the arguments of `simulate`. The attributes that are not listed are columns of a
-    comparison: what they mean stands at `rows.Row`, once.
+    Conditions have the names of `simulate`'s arguments. Attributes that are not listed here are also columns of a
+    comparison, and are explained once, in `rows.Row`.
 
     Attributes:
-        arm: that was simulated.
-        scene: around it.
-        controller: that drove it.
-        reference_rate: at which it saw samples of the motion [Hz], None for every step.
-        disturbances: what it did not know of.
+        arm: name of the simulated arm.
+        scene: name of the scene around it.
+        controller: name of the controller.
+        reference_rate: rate of the samples of the motion that the controller saw [Hz], None for every step.
+        disturbances: disturbances unknown to the controller.
         hold: time of the rollout after the motion [s].
-        duration_s: of the rollout.
+        duration_s: duration of the rollout.
         motion_s: time at which the reference comes to rest.
-        plan: of the motion that was followed, None without one.
-        frames: one entry a link, the last one being the end effector.
-        joints: one entry a joint.
+        plan: metrics of the motion that was followed, None without one.
+        frames: errors of each link frame, the last one being the end effector.
+        joints: peak velocity and forces of each joint.
         displacement_m: distance between the end effector's first and last position.
-        clearance_mm: as the column; None where nothing can collide or nobody looked.
+        clearance_mm: least clearance, as the column; None where nothing can collide or it was not computed.
         contacts: largest number of simultaneous contacts.
         peak_contact_force_n: largest normal force of a contact.
-        peak_weld_force_n: largest force between a link and its mocap body; zero without.
+        peak_weld_force_n: largest force between a link and its mocap body; zero without mocap bodies.
         peak_weld_torque_n_m: largest torque between them.
-        recoveries: one entry a push.
-        causes: of an arm that does not end at its target, what its model says of the reasons, see `causes.causes`.
+        recoveries: what each push did.
+        causes: if the arm does not end at its target, the reasons that its model gives, see `causes.causes`.
     """
 
     arm: str

@@ -22,8 +22,8 @@ def evaluate(rollout: Rollout, *, clearance: bool = True) -> Evaluation:
     """Evaluate a rollout: its arm against its reference, its target, its obstacles and its limits.
 
     Args:
-        rollout: what was simulated.
-        clearance: whether to look for the least clearance, which takes longer than all else.
+        rollout: the simulated run.
+        clearance: whether to compute the least clearance, which takes longer than everything else.
     """
     arm, motion = rollout.arm, rollout.motion
     simulated = rollout.link_poses()
