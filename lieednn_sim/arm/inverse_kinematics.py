@@ -16,7 +16,7 @@ from lieednn_sim.validation import as_floats, as_seed
 from lieednn_sim.values import Floats
 
 if TYPE_CHECKING:
-    from scipy.spatial.transform import Rotation
+    from scipy.spatial.transform import RigidTransform, Rotation
 
 # Error at which the pose counts as reached [m, rad], and the number of starts.
 _TOLERANCE = 1e-6
@@ -77,7 +77,7 @@ def solve_ik(
         turned = rotation.as_matrix().T @ hat(angular.T) @ data.site_xmat[site].reshape(3, 3)
         return np.vstack([linear, turned.reshape(arm.n_joints, 9).T])
 
-    best, refused = np.inf, ""
+    best, closest, refused = np.inf, rest, ""
     for attempt in range(_ATTEMPTS):
         q = rest if attempt == 0 else rng.uniform(low, high)
         # First with the posture term, for a solution near the start; then without it, for an exact one.
@@ -105,9 +105,18 @@ def solve_ik(
                 refused = f"; at the solutions found {arm.describe_excess(q, int(excess.argmax()))}"
             else:
                 refused = f"; at the solutions found {contacts[0][0]!r} touches {contacts[0][1]!r}"
-        best = min(best, distance)
+        if distance < best:
+            best, closest = distance, q
     raise NoSolutionError(
         f"the end effector cannot reach ({', '.join(f'{x:g}' for x in goal)}) m"
         + (" with this orientation" if rotation is not None else "")
-        + (refused or f": the nearest posture found is {best:.3g} off")
+        + (refused or f": the closest posture found is {_miss(arm.link_poses(closest)[-1], goal, rotation)} away")
     )
+
+
+def _miss(pose: RigidTransform, position: Floats, rotation: Rotation | None) -> str:
+    """Distance of the end effector's pose from a position [m], and the angle from a rotation."""
+    distance = f"{np.linalg.norm(pose.translation - position):.3g} m"
+    if rotation is None:
+        return distance
+    return f"{distance} and {np.rad2deg((rotation.inv() * pose.rotation).magnitude()):.3g} degrees"

@@ -20,7 +20,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.environments.base import Observation
 from lieednn_sim.environments.tasks import make_task
 from lieednn_sim.errors import InputError, LieEDNNError
-from lieednn_sim.rendering.video import Camera
+from lieednn_sim.rendering.video import Camera, check_view
 from lieednn_sim.values import Floats
 
 try:
@@ -47,7 +47,7 @@ class Environment(gymnasium.Env[Any, Floats]):
         arm: name of an arm of the package, or an arm.
         scene: obstacles around it, a name of `arm.scenes.SCENES` or a file, see `Arm.among`.
         render_mode: ``"rgb_array"`` or None.
-        size: (width, height) of rendered frames.
+        size: (width, height) of rendered frames, both even, at most 3840x2160.
         preset: rendering quality, a name of `rendering.video.PRESETS`.
         flat: whether observations are one vector, `gymnasium.spaces.flatten` of the dictionary.
         options: further options of the task, see `ArmTask`, `Reach` and `Track`.
@@ -76,6 +76,7 @@ class Environment(gymnasium.Env[Any, Floats]):
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
             raise InputError(f"render_mode must be 'rgb_array' or None, got {render_mode!r}")
         self.task = make_task(task, arm, scene=scene, **options)
+        check_view(self.task.arm, camera=None, size=size, preset=preset)
         self.render_mode = render_mode
         self.metadata = {**self.metadata, "render_fps": round(1.0 / self.task.control_timestep)}
         self._size, self._preset = size, preset

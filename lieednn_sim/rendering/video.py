@@ -22,7 +22,7 @@ from lieednn_sim.errors import FileError, InputError, RenderingUnavailableError
 from lieednn_sim.rendering import ffmpeg, opengl, stage
 from lieednn_sim.rendering.overlay import Overlay, write_caption
 from lieednn_sim.simulation import Rollout
-from lieednn_sim.validation import as_choice, as_count, as_positive
+from lieednn_sim.validation import as_choice, as_count, as_positive, quoted
 
 Image = NDArray[np.uint8]
 
@@ -46,6 +46,8 @@ def check_view(arm: Arm, *, camera: str | None, size: tuple[int, int], preset: s
     if camera is not None:
         as_choice("camera", camera, _cameras(arm))
     as_choice("preset", preset, PRESETS)
+    if np.shape(size) != (2,):
+        raise InputError(f"size must be (width, height), got {quoted(size)}")
     width, height = (as_count("size", value) for value in size)
     if width % 2 or height % 2 or width > _MAX_WIDTH or height > _MAX_HEIGHT:
         raise InputError(f"size must be even and at most {_MAX_WIDTH}x{_MAX_HEIGHT}, got {width}x{height}")

@@ -177,7 +177,11 @@ def _check_complete(arm: Arm, transmission: Floats) -> None:
     bare = [name for name, column in zip(arm.joint_names, transmission.T, strict=True) if not column.any()]
     raise InputError(
         f"arm {arm.name!r} cannot be driven: "
-        + (f"no actuator moves {', '.join(map(repr, bare))}" if bare else "its actuators pull on too few joints apart")
+        + (
+            f"no actuator moves {', '.join(map(repr, bare))}"
+            if bare
+            else "its actuators cannot move all joints independently"
+        )
     )
 
 

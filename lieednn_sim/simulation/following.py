@@ -22,6 +22,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.network.dynamics import runge_kutta_step
+from lieednn_sim.planning.motion import count_steps
 from lieednn_sim.planning.network_path import require_fit
 from lieednn_sim.simulation.closed_loop import closed_loop
 from lieednn_sim.simulation.disturbances import Disturbances
@@ -186,7 +187,8 @@ def follow(
         duration: [s].
         start: joint coordinates at rest, the keyframe ``home`` by default.
         controller: a name of `CONTROLLERS`.
-        control_rate: rate at which the target is sampled [Hz]; it must divide the rate of the simulation.
+        control_rate: rate at which the target is sampled [Hz]; it must divide the rate of the simulation, and a period
+            must not be longer than the duration.
         speed: the network's rate [1/s]: its own time in one second.
         feedforward: whether the follower adds the target's velocity, by which it follows without lag.
         feedback: the network hears the measured joints, and its time waits for them (`feedback`); by default it runs
@@ -199,6 +201,11 @@ def follow(
         SimulationError: as `simulate`.
     """
     period = steps_of_rate("control_rate", control_rate, arm.timestep)
+    if period > (total := count_steps(duration, arm.timestep)):
+        raise InputError(
+            f"control_rate must be at least {1.0 / (total * arm.timestep):g} Hz for a duration of {duration:g} s, "
+            f"got {control_rate:g} Hz"
+        )
     origin = arm.keyframe("home") if start is None else arm.check_position(start, "start")
     settings: dict[str, Any] = {"steps": period, "speed": speed, "feedforward": feedforward}
     follower: Follower | FeedbackFollower

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm, arm_names, scene_path, solve_ik
@@ -131,7 +132,7 @@ def test_reach_puts_the_end_effector_where_it_is_asked(arm, monkeypatch):
     arm.check_position(q)
     # No further start helps where nothing reaches.
     monkeypatch.setattr(sys.modules["lieednn_sim.arm.inverse_kinematics"], "_ATTEMPTS", 2)
-    with pytest.raises(NoSolutionError, match=r"cannot reach \(9, 0, 0\) m.*off"):
+    with pytest.raises(NoSolutionError, match=r"cannot reach \(9, 0, 0\) m.* m away"):
         solve_ik(arm, [9.0, 0.0, 0.0])
 
 
@@ -184,8 +185,10 @@ def test_reach_says_how_close_the_best_of_its_attempts_comes(gantry, monkeypatch
     ends = itertools.cycle([-0.5, -0.5, 0.0, 0.0, 0.75, 0.75])
     found = (SimpleNamespace(x=np.array([x, 0.0, 0.0, 0.0])) for x in ends)
     monkeypatch.setattr("scipy.optimize.least_squares", lambda *_, **__: next(found))
-    with pytest.raises(NoSolutionError, match=r"cannot reach \(5, 0, 0\) m: the nearest posture found is 3\.25 off"):
+    with pytest.raises(NoSolutionError, match=r"cannot reach \(5, 0, 0\) m: the closest posture found is 3\.25 m away"):
         solve_ik(gantry, [5.0, 0.0, 0.0])
+    with pytest.raises(NoSolutionError, match=r"with this orientation: .* 4 m and 30 degrees away"):
+        solve_ik(gantry, [1.75, 4.0, 0.0], Rotation.from_rotvec([0.0, 0.0, np.pi / 6.0]))
 
 
 @pytest.mark.parametrize(("keys", "rest"), [("", 0.25), ('<key name="a" qpos="0 0.5"/>', 0.25), ("{home}", 0.75)])

@@ -48,6 +48,13 @@ def test_frames_show_arm_and_target():
     environment.close()
 
 
+def test_frames_that_cannot_be_rendered_are_refused_at_once():
+    with pytest.raises(InputError, match="size must be even and at most 3840x2160, got 65x48"):
+        gymnasium.make(REACH, render_mode="rgb_array", size=(65, 48))
+    with pytest.raises(InputError, match="no preset 'ugly'; allowed: draft, nice"):
+        gymnasium.make(REACH, preset="ugly")
+
+
 def test_episodes_depend_on_the_seed_alone():
     one, other = (gymnasium.make(REACH, time_limit=0.2) for _ in range(2))
     first = play(one, seed=4)

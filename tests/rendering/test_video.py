@@ -140,6 +140,9 @@ def test_bad_input_is_refused_before_rendering(arm, rollout, tmp_path):
         video.render_video(rollout, tmp_path / "video.mp4", preset="ugly")
     with pytest.raises(InputError, match="even and at most 3840x2160, got 321x180"):
         video.render_video(rollout, tmp_path / "video.mp4", size=(321, 180))
+    for size in (320, (320,), "640x480", None):
+        with pytest.raises(InputError, match=r"size must be \(width, height\), got "):
+            video.render_video(rollout, tmp_path / "video.mp4", size=size)
 
 
 def test_without_opengl_the_error_names_the_packages(arm, rollout, tmp_path, monkeypatch):

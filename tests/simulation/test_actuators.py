@@ -87,3 +87,14 @@ def test_arms_that_cannot_be_driven_are_refused(small_arms):
         Actuators(changed("turn", gaintype=mujoco.mjtGain.mjGAIN_AFFINE))
     with pytest.raises(InputError, match="computed-torque does without"):
         Actuators(changed("turn", biasprm=np.zeros(10))).require_servos()
+
+
+def test_actuators_that_pull_on_the_same_joints_together_are_refused(gantry):
+    spec = gantry.spec.copy()
+    both = spec.add_tendon(name="both")
+    for actuator in spec.actuators:
+        if actuator.target in ("y", "z"):
+            both.wrap_joint(actuator.target, 1.0)
+            actuator.target, actuator.trntype = "both", mujoco.mjtTrn.mjTRN_TENDON
+    with pytest.raises(InputError, match="'tied' cannot be driven: its actuators cannot move all joints independently"):
+        Actuators(Arm.from_spec(spec, gantry.source, "tied"))

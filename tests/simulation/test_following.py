@@ -168,6 +168,8 @@ def test_bad_input(arm, network):
         follow(arm, None, lambda t: home, 1.0)  # of a planner without one
     with pytest.raises(InputError, match="control_rate must divide the simulation's 500 Hz"):
         follow(arm, network, lambda t: home, 1.0, control_rate=300.0)
+    with pytest.raises(InputError, match=r"control_rate must be at least 0\.5 Hz for a duration of 2 s, got 0\.25 Hz"):
+        follow(arm, network, lambda t: home, 2.0, control_rate=0.25)
     with pytest.raises(InputError, match="speed must be at most"):
         follow(arm, network, lambda t: home, 1.0, speed=1e4)
     with pytest.raises(InputError, match="target must have shape"):
