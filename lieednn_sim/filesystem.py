@@ -86,7 +86,7 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     Raises:
         FileError: the directory is missing, read-only or full.
     """
-    with atomic_paths([Path(path)]) as (temporary,):
+    with atomic_paths([as_path("path", path)]) as (temporary,):
         yield temporary
 
 

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from lieednn_sim.errors import FileError
 from lieednn_sim.filesystem import atomic_path, atomic_text
+from lieednn_sim.validation import as_path
 
 # 2: with a fingerprint.
 FORMAT_VERSION = 2
@@ -61,7 +62,7 @@ def _parse_yaml(content: bytes) -> Any:
 
 def _load_object(path: str | os.PathLike[str], what: str, parse: Callable[[bytes], Any]) -> dict[str, Any]:
     try:
-        with Path(path).open("rb") as stream:
+        with as_path("path", path).open("rb") as stream:
             content = stream.read(_MAX_TEXT + 1)
     except OSError as error:
         raise FileError(f"cannot read {path}: {error.strerror or error}") from None
@@ -109,7 +110,7 @@ def save_arrays(
         meta: JSON-serialisable values.
         made_from: fingerprints of the files that the content was made from, by name.
     """
-    target = Path(path)
+    target = as_path("path", path)
     if target.suffix != ".npz":
         raise FileError(f"cannot write {target}: the file name must end in .npz")
     values = {**meta, "kind": kind, "format": FORMAT_VERSION, _MADE_FROM: dict(made_from or {})}
@@ -159,7 +160,7 @@ def short(fingerprint: object) -> str:
 def _read(
     path: str | os.PathLike[str], kind: str | None, *, header_only: bool
 ) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-    source = Path(path)
+    source = as_path("path", path)
     what = f"{kind or 'result'} file"
     try:
         with source.open("rb") as stream:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lieednn_sim import errors
+import lieednn_sim as ls
+from lieednn_sim import errors, evaluation, simulation
 from lieednn_sim.arm import Arm, targets
 from lieednn_sim.environments import tasks, trajectories
 from lieednn_sim.errors import InputError, NoSolutionError
@@ -33,3 +34,38 @@ def test_what_is_drawn_in_vain_was_no_bad_input(search, monkeypatch):
     with pytest.raises(NoSolutionError, match=r"^no (target|random trajectory|plan)") as failed:
         search()
     assert not isinstance(failed.value, InputError)
+
+
+FRONT_DOOR = {
+    "arm must be an Arm, got {}; see Arm.load": [
+        lambda other: ls.plan(other, np.zeros(8)),
+        lambda other: ls.simulate(other, None),
+        lambda other: ls.follow(other, None, np.zeros((1, 8)), 1.0),
+        lambda other: ls.solve_ik(other, [1.0, 0.0, 1.0]),
+        lambda other: simulation.Simulation(other),
+    ],
+    "motion must be a Motion, got {}; see plan": [
+        lambda other: ls.simulate(Arm.load("telescopic_pr"), other),
+        lambda other: simulation.simulate_many(Arm.load("telescopic_pr"), [other]),
+    ],
+    "rollout must be a Rollout, got {}; see simulate": [
+        lambda other: ls.evaluate(other),
+        lambda other: ls.render_video(other, "video.mp4"),
+    ],
+    "following must be a Following, got {}; see follow": [lambda other: evaluation.evaluate_following(other)],
+    "path must be a string or a path, got {}": [
+        lambda other: ls.LieEDNN.load(None if other is None else [other]),
+        lambda other: simulation.Rollout.load(None if other is None else [other], None),
+    ],
+    "each of the pushes must be a Push, got {}": [lambda other: ls.Disturbances(pushes=other)],
+    "selection must be a Selection, got {}": [lambda other: ls.compare(".", other, None)],
+}
+
+
+@pytest.mark.parametrize("other", ["telescopic_pr", None])
+@pytest.mark.parametrize(("message", "call"), [(words, call) for words, calls in FRONT_DOOR.items() for call in calls])
+def test_an_argument_of_another_kind_is_named_with_what_is_needed(message, call, other):
+    kind = "list" if "path" in message and other is not None else type(other).__name__
+    with pytest.raises(InputError) as failed:
+        call(other)
+    assert str(failed.value) == message.format(kind)

@@ -16,7 +16,7 @@ from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.arm import Arm
 from lieednn_sim.arm.contacts import moving_geoms
 from lieednn_sim.errors import InputError
-from lieednn_sim.validation import as_floats
+from lieednn_sim.validation import as_floats, as_instance
 from lieednn_sim.values import Floats
 
 Pairs = NDArray[np.int_]
@@ -58,9 +58,7 @@ class Collisions:
     """
 
     def __init__(self, arm: Arm) -> None:
-        if not isinstance(arm, Arm):
-            raise InputError(f"arm must be an Arm, got {type(arm).__name__}; see Arm.load")
-        self.arm = arm
+        self.arm = as_instance("arm", arm, Arm, "see Arm.load")
         self.pairs = _colliding_pairs(arm.model)
         self._data = mujoco.MjData(arm.model)
         self.own = np.asarray(moving_geoms(arm.model)[self.pairs].all(axis=1))

@@ -25,7 +25,7 @@ from lieednn_sim.evaluation.table import R, Rows, Table
 from lieednn_sim.evaluation.workers import run_each
 from lieednn_sim.planning import missing_planners, planners
 from lieednn_sim.simulation import controllers
-from lieednn_sim.validation import as_choice, as_count
+from lieednn_sim.validation import as_choice, as_count, as_instance
 from lieednn_sim.values import check_fields
 
 DEFAULT_CONTROLLERS = ("position-servo", "inverse-dynamics")
@@ -120,11 +120,13 @@ def compare(
         The table, including rows of earlier runs.
 
     Raises:
-        InputError: ``jobs`` is less than 1.
+        InputError: an argument is of another type, or ``jobs`` is less than 1.
         FileError: see `Table` and `entries.record`.
         LieEDNNError: a worker process died, or the executor gave up.
     """
     workers = as_count("jobs", jobs)
+    as_instance("selection", selection, Selection)
+    as_instance("settings", settings, Settings)
     record(filesystem.make_directory(directory), selection.entries)
     absent = {name: reason for name, reason in missing_planners().items() if name in selection.planners}
     part = {} if shard is None else {"shard": shard.number, "shards": shard.of}

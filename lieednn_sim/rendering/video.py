@@ -22,7 +22,7 @@ from lieednn_sim.errors import FileError, InputError, RenderingUnavailableError
 from lieednn_sim.rendering import ffmpeg, opengl, stage
 from lieednn_sim.rendering.overlay import Overlay, write_caption
 from lieednn_sim.simulation import Rollout
-from lieednn_sim.validation import as_choice, as_count, as_positive, quoted
+from lieednn_sim.validation import as_choice, as_count, as_instance, as_path, as_positive, quoted
 
 Image = NDArray[np.uint8]
 
@@ -166,9 +166,9 @@ def render_video(
     Returns:
         The number of frames.
     """
-    if Path(path).suffix not in (".mp4", ".gif"):
+    arm = as_instance("rollout", rollout, Rollout, "see simulate").arm
+    if as_path("path", path).suffix not in (".mp4", ".gif"):
         raise InputError(f"a video's name must end in .mp4 or .gif, got {Path(path).name!r}")
-    arm = rollout.arm
     rate = check_rate(fps, path)
     # The slack keeps the last frame when duration * fps is a whole number up to rounding.
     total = int(np.floor((rollout.t[-1] - rollout.t[0]) * rate + 1e-6)) + 1
