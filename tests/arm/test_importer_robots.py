@@ -256,6 +256,24 @@ def test_an_urdf_with_mimic_joints_is_an_arm(tmp_path):
     np.testing.assert_allclose(tip, [0.0, 0.3 + 0.2 + 0.5 * 0.2 + 0.01, 0.4], atol=1e-12)
 
 
+def test_an_arm_that_cannot_be_seen_or_touched_says_so(tmp_path):
+    def notes(xml: str) -> list[str]:
+        path = tmp_path / ("derrick.urdf" if "<robot" in xml else "robot.xml")
+        path.write_text(xml)
+        report = Arm.load(path, servos="design").import_report
+        return [note for note in report.notes if "invisible" in note or "passes through" in note]
+
+    shape = '<{0}><geometry><box size=".1 .1 .1"/></geometry></{0}></link>'
+    keeps = '<mujoco><compiler discardvisual="false"/></mujoco></robot>'
+    seen = URDF.replace("</link>", shape.format("visual"), 1)
+    assert [note.split(":")[0] for note in notes(URDF)] == ["no moving body has a geom"]
+    assert notes(seen) == notes(URDF)
+    assert [note.split(":")[0] for note in notes(seen.replace("</robot>", keeps))] == [
+        "no geom of a moving body can collide"
+    ]
+    assert notes(URDF.replace("</link>", shape.format("collision"), 1)) == notes(COLUMN) == []
+
+
 def test_efforts_and_velocities_of_an_urdf_are_limits(tmp_path):
     """Moved by out1 are 1 kg as fast and 1 kg 1.5 times as fast: 3.25 kg, gravity compensated, 100 N, half of it."""
     path = tmp_path / "derrick.urdf"

@@ -9,7 +9,7 @@ import numpy as np
 import scipy
 
 from lieednn_sim._mujoco import mujoco
-from lieednn_sim.arm.contacts import PLANNED_CLEARANCE, ContactFinder
+from lieednn_sim.arm.contacts import PLANNED_CLEARANCE, ContactFinder, moving_geoms
 from lieednn_sim.arm.forces import dry_friction, resting_load
 from lieednn_sim.arm.importer.draft import Draft, stacked
 from lieednn_sim.arm.importer.locking import pose
@@ -65,6 +65,19 @@ def look_for_half_turns(draft: Draft) -> None:
         for i, (group, turn) in enumerate(zip(groups, turns, strict=True), start=1)
         if len(group) > 1 and turn > 0.95 * np.pi
     ]
+
+
+def look_for_shapes(draft: Draft) -> None:
+    """Note an arm that cannot be seen, or cannot touch anything."""
+    model = draft.model
+    moving = moving_geoms(model)
+    if not moving.any():
+        draft.notes.append(
+            "no moving body has a geom: the arm is invisible and touches nothing; of a URDF MuJoCo reads <collision>, "
+            'and <visual> only with <mujoco><compiler discardvisual="false"/></mujoco> in <robot>'
+        )
+    elif not ((model.geom_contype | model.geom_conaffinity) != 0)[moving].any():
+        draft.notes.append("no geom of a moving body can collide: the arm passes through obstacles and through itself")
 
 
 def look_at_home(draft: Draft) -> None:

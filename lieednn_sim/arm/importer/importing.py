@@ -14,6 +14,7 @@ from lieednn_sim.arm.importer.checks import (
     look_at_home,
     look_at_ways,
     look_for_half_turns,
+    look_for_shapes,
     look_for_singular_links,
 )
 from lieednn_sim.arm.importer.conventions import (
@@ -69,6 +70,7 @@ STEPS: tuple[Callable[[Draft], None], ...] = (
     add_keyframes,
     check_kinematics,
     look_for_half_turns,
+    look_for_shapes,
     look_at_home,
     look_at_ways,
     look_for_singular_links,
