@@ -67,7 +67,8 @@ def eased_law(motion: Motion, law: Law, units: Floats) -> Law | None:
         return None
     tangent = velocity / np.maximum(speed, 1e-300)[:, None]
     along = np.einsum("kj,kj->k", acceleration, tangent)
-    across = np.linalg.norm(acceleration - along[:, None] * tangent, axis=1)
+    # At rest there is no direction to be across.
+    across = np.where(speed > 0.0, np.linalg.norm(acceleration - along[:, None] * tangent, axis=1), 0.0)
     sharpness = across * duration**2 / (_SHARP * length)
     if sharpness.max() <= 1.0:
         return None

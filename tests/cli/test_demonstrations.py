@@ -112,6 +112,15 @@ def test_learn_joints(gantry, tmp_path, capsys, monkeypatch):
             assert min(picture.size) > 200
     # A run like any other, with the motion at hand.
     assert main(["simulate", str(run)]) == 0
+    # Ten times as fast, no more than three times its duration keeps the limits.
+    np.savetxt(tmp_path / "fast.csv", np.loadtxt(files[0], delimiter=",") * [0.1, 1.0, 1.0, 1.0, 1.0], delimiter=",")
+    words = ["learn", str(tmp_path / "fast.csv"), *words[3:]]
+    words[words.index(str(run))] = str(tmp_path / "hurried")
+    assert main(words) == 0
+    assert "limits: not kept, joint 'x'" in " ".join(capsys.readouterr().out.split())
+    report = json.loads((tmp_path / "hurried" / "report.json").read_text())
+    assert not report["limits_kept"]
+    assert report["limit_broken"].startswith("joint 'x'")
     assert main(["learn", *files, "--arm", str(gantry.source), "--output", str(run), "--unit", "cm"]) == 2
     assert "--unit is for positions and poses" in capsys.readouterr().err
 

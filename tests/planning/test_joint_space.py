@@ -9,6 +9,7 @@ from unittest.mock import MagicMock
 import numpy as np
 import pytest
 
+from lieednn_sim.arm import Arm
 from lieednn_sim.errors import PlanError
 from lieednn_sim.planning import PlanningProblem, RrtConnectOptions
 from lieednn_sim.planning.baselines import cbirrt, joint_space, sampling
@@ -103,6 +104,23 @@ def test_edges_are_tested_as_densely_in_space_whichever_way_they_go(gantry):
     assert not edges.over(10)
     edges._clear.tests = 10
     assert edges.over(10)
+
+
+def test_the_angle_of_a_ball_joint_bounds_points_and_edges():
+    """The corners of the box around its rotation vectors are beyond the limit, and clear."""
+    arm = Arm.load("telescopic_compound")
+    edges, seen = edges_of(arm)
+    ball = arm.space.balls[0]
+    corner, inside = np.zeros((2, arm.n_joints))
+    corner[ball] = 0.99 * arm.position_limits[ball, 1]
+    inside[ball] = 0.5 * arm.position_limits[ball, 1]
+    assert arm.limit_excess(corner).max() > 0.1
+    assert edges.free(inside / edges.scale)
+    assert not edges.free(corner / edges.scale)
+    assert edges.passable(np.zeros(arm.n_joints), inside / edges.scale)
+    seen.clear()
+    assert not edges.passable(np.zeros(arm.n_joints), corner / edges.scale)
+    assert seen == []
 
 
 def test_longest_edges_are_a_share_of_the_diagonal(gantry, monkeypatch):

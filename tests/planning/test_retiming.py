@@ -94,6 +94,21 @@ def test_it_is_never_slower_than_the_motion_that_it_is_given(gantry):
     assert retime(arm, once).t[-1] <= once.t[-1] + arm.timestep
 
 
+def test_a_motion_that_takes_the_least_time_there_is_keeps_its_law(gantry):
+    """Jerk of 80 m/s^3 for 0.2 s, -80 for 0.4 s, 80 for 0.2 s: 2 j t^3 = 1.28 m at no more than 3.2 m/s, 16 m/s^2."""
+    arm, longer = straight(gantry, jerk=[80.0] * 4)
+    t, k = 0.01 * np.arange(81), np.linspace(0, len(longer.t) - 1, 81).round().astype(int)
+    parts = np.array([np.maximum(t - begin, 0.0) for begin in (0.0, 0.2, 0.6)])
+    signs = 80.0 * np.array([1.0, -2.0, 2.0])
+    q, qd = np.zeros((2, 81, 4))
+    q[:, 2], qd[:, 2] = signs @ parts**3 / 6.0, signs @ parts**2 / 2.0
+    assert q[-1, 2] == pytest.approx(1.28)
+    assert qd[-1, 2] == pytest.approx(0.0, abs=1e-12)
+    gaps = {name: getattr(longer, name)[k] for name in ("gap_translation", "gap_rotation")}
+    best = dataclasses.replace(longer, t=t, tau=t, xi=arm.encode(q), q=q, qd=np.vstack([qd[:-1], np.zeros(4)]), **gaps)
+    assert retime(arm, best).t[-1] <= 0.8 + arm.timestep + 1e-9
+
+
 def test_what_has_no_fastest_motion_is_refused(gantry, monkeypatch):
     arm, motion = straight(gantry, acceleration=[10.0, 20.0, np.inf, 80.0])
     with pytest.raises(InputError, match=r"joint 'z' has no limit of acceleration, .*name one: Arm.load"):
@@ -139,6 +154,29 @@ def test_sharp_turns_are_taken_slowly(gantry):
     assert before > 100.0
     assert after < 25.0
     assert slope.max() < 1.5 * 1.875
+
+
+def test_a_turn_is_sharp_from_ten_lengths_over_the_squared_duration_on(gantry):
+    """R = 0.535 m makes 9.0 L / T^2, and R = 0.45 m makes 11.0, also in units of 2 m along x and 0.5 m along y."""
+    for radius, bound in ((0.535, 9.0), (0.45, 11.0)):
+        motion, length = turning(gantry, radius)
+        assert 1.875**2 * length / radius == pytest.approx(bound, rel=2e-3)
+        for units in (np.ones(4), np.array([2.0, 0.5, 1.0, 1.0])):
+            stretched = dataclasses.replace(motion, q=motion.q * units, qd=motion.qd * units)
+            law = eased_law(stretched, minimum_jerk_law, units)
+            assert (law is None) == (bound < 10.0)
+    with_units, without = (eased_law(one, minimum_jerk_law, u) for one, u in ((stretched, units), (motion, np.ones(4))))
+    np.testing.assert_allclose(with_units(motion.t / 4.0), without(motion.t / 4.0), atol=1e-12)
+
+
+def test_a_straight_way_has_no_turns_however_sharply_it_accelerates(gantry):
+    _, motion = straight(gantry)
+    s = np.clip((motion.t / motion.t[-1] - 0.45) / 0.1, 0.0, 1.0)
+    share, slope = minimum_jerk_law(s)
+    q, qd = 1.6 * share[:, None] * np.array([0.6, 0.0, 0.8, 0.0]), np.zeros_like(motion.qd)
+    qd[:] = 1.6 * slope[:, None] / (0.1 * motion.t[-1]) * np.array([0.6, 0.0, 0.8, 0.0])
+    # Along the way, 580 times its length over the squared duration.
+    assert eased_law(dataclasses.replace(motion, q=q, qd=qd), minimum_jerk_law, np.ones(4)) is None
 
 
 def test_a_plan_that_turned_sharply_near_its_end_does_so_no_more():

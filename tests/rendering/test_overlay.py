@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -90,6 +91,8 @@ def test_a_frame_shows_its_sample_and_says_its_time(gantry, monkeypatch, tmp_pat
     ((planned, traced, _),) = overlays
     np.testing.assert_array_equal(planned, gantry.link_poses(rollout.q_ref).as_matrix())
     np.testing.assert_array_equal(traced, rollout.link_position[:, 1])
+    video.render_video(replace(rollout, arm=replace(gantry, scene="poles")), tmp_path / "v.mp4", fps=4)
+    assert captions[5] == ["gantry, poles", "position-servo", "0.00 s of 1.00 s"]
 
 
 def test_the_marker_is_put_at_the_target_of_the_end_effector(gantry):
