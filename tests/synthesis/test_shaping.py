@@ -1,6 +1,7 @@
 """Shaping: the cascade in closed form, its derivatives, its certificate for every parameter, and what comes out."""
 
 import itertools
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from hypothesis import strategies as st
 from lieednn_sim import budget
 from lieednn_sim.budget import time_limit
 from lieednn_sim.errors import InputError, NotCertifiedError, OutOfTimeError
-from lieednn_sim.synthesis.shaping import ShapingOptions, shape
+from lieednn_sim.synthesis.shaping import ShapingOptions, shape, shaping
 from lieednn_sim.synthesis.shaping import placed as placing
 from lieednn_sim.synthesis.shaping.assembly import assemble
 from lieednn_sim.synthesis.shaping.cascade import Cascade, Parameters, clockwork
@@ -115,6 +116,70 @@ def test_feet_are_nearest_points_in_order():
     assert curve.length == pytest.approx(
         np.linalg.norm((np.diff(bent(count=20_000), axis=0) * UNITS).reshape(19_999, -1), axis=1).sum(), rel=1e-5
     )
+
+
+def test_a_foot_is_nearest_in_metres():
+    """From (1, 0) to the line (s, s) with half a metre per unit of y: s = 1 / (1 + 0.25)."""
+    samples = np.zeros((2, 1, 6))
+    samples[1, 0, 3:5] = 1.0
+    units = np.array([[1.0, 1.0, 1.0, 1.0, 0.5, 1.0]])
+    point = np.eye(6)[None, 3:4]
+    feet = Curve.through(samples, units).feet(np.concatenate([point, point, point]), np.array([0.0, 0.75, 1.0]))
+    np.testing.assert_allclose(feet, [0.0, 0.8, 1.0], atol=1e-9)
+
+
+def line(*places):
+    """Samples along straight lines through places (x, y)."""
+    corners = np.array(places, dtype=float)
+    s = np.linspace(0.0, len(corners) - 1.0, 201)
+    samples = np.zeros((201, 1, 6))
+    samples[:, 0, 3:5] = np.column_stack([np.interp(s, np.arange(len(corners)), column) for column in corners.T])
+    return samples
+
+
+@pytest.mark.parametrize(
+    ("way", "curve", "deviation", "rms"),
+    [
+        # A way that leaves the curve evenly: a root mean square of 1 / sqrt 3 of the largest distance.
+        (line((0, 0), (1, 0.1)), line((0, 0), (1, 0)), 0.2, 0.2 / np.sqrt(3.0)),
+        # A spike, of the way or of the curve, counts in full; nearly all of the straight line is on the other one.
+        (line((0, 0), (0.5, 0), (0.5, 0.1), (0.5, 0), (1, 0)), line((0, 0), (1, 0)), 0.2, None),
+        (line((0, 0), (1, 0)), line((0, 0), (0.5, 0), (0.5, 0.1), (0.5, 0), (1, 0)), 0.2, None),
+    ],
+)
+def test_the_deviation_is_the_largest_distance_of_either_from_the_other(monkeypatch, way, curve, deviation, rms):
+    """In units of 1 m along x and 2 m along y."""
+    units = np.array([[1.0, 1.0, 1.0, 1.0, 2.0, 1.0]])
+    drawn_way = Curve.through(way, units)
+
+    class Trajectory:
+        t = np.array([0.0, 1.0])
+
+        def __call__(self, t):
+            return drawn_way.at(np.cbrt(t))[0]
+
+    network = SimpleNamespace(start=lambda x: x, trajectory=lambda *_, **__: Trajectory(), visible=lambda x: x)
+    monkeypatch.setattr(shaping, "assemble", lambda *_: network)
+    found, mean, _ = shaping._measured(None, 1.0, Curve.through(curve, units))
+    assert found == pytest.approx(deviation, rel=0.03)
+    assert rms is None or mean == pytest.approx(rms, rel=0.01)
+
+
+@pytest.mark.parametrize("rate", [1.0, 0.5])
+def test_the_outcome_is_told_in_millimetres_and_decided_by_the_deviation(rate):
+    options = ShapingOptions(rate=rate, neurons=(2,), placed=(), iterations=4)
+    best = shape(bent(), 1e-9, units=UNITS, options=options)
+    assert 1e-3 < best.deviation < 1.0
+    assert best.message.startswith(
+        f"{1e3 * best.deviation:.3g} mm off the curve, 1e-06 mm were asked for: the best of 1 "
+    )
+    assert best.message.count("with 2 hidden neurons") == 1
+    for share, success in ((0.99, False), (1.01, True)):
+        result = shape(bent(), share * best.deviation, units=UNITS, options=options)
+        assert result.deviation == best.deviation
+        assert (result.success, result.placed, result.tries) == (success, False, 1)
+    assert result.message == f"within {1e3 * best.deviation:.3g} mm of the curve with 2 hidden neurons"
+    assert result.network.n_hidden == (2 if rate == 1.0 else 4)
 
 
 @given(
