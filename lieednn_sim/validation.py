@@ -82,6 +82,8 @@ def as_floats(
         return array
     if not np.maximum.reduce(np.abs(array), axis=None, initial=0.0) <= largest:
         if not np.isfinite(array).all():
+            if array.ndim == 0:
+                raise InputError(f"{name} must be finite, got {None if value is None else float(array)}")
             count = np.count_nonzero(~np.isfinite(array))
             raise InputError(f"{name} must be finite, got {count} NaN or infinite entries")
         raise InputError(f"{name} must not exceed {largest:g} in size, got {np.abs(array).max():g}")
