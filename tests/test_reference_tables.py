@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import json
+import re
+from pathlib import Path
 from types import SimpleNamespace
 
+import benchmark
 import evaluate_demonstrations
 import evaluate_pushes
 import growth
@@ -180,3 +184,25 @@ def test_lengths_of_settings_are_in_units_of_the_joints(gantry, monkeypatch):
     np.testing.assert_array_equal(joint_scale(gantry)[:2], [1.0, 2.0])
     row = tune_rivals.row("dmp", "defaults", None, "an arm", "a scene", 1)
     assert (row["length"], row["cpu_s"]) == ("1", "0.5")
+
+
+def test_the_speeds_in_the_readme_are_those_of_the_benchmark():
+    root = Path(benchmark.__file__).parents[1]
+    ratios = json.loads((root / "results/reference/benchmark.json").read_text(encoding="utf-8"))["ratios"]
+    section = (root / "README.md").read_text(encoding="utf-8").split("## Speed")[1].split("\n## ")[0]
+    said = {cells(line)[0]: cells(line)[1] for line in section.splitlines() if line.startswith("| ")}
+    whole = "in those of a bare call of mj_step with nstep on the whole model"
+    for row, begins, digits in (
+        ("1000 targets at once", "1000 targets at once", 1),
+        ("retargeting", "retargeting, in products", 1),
+        ("plan of `lieednn-certified`, free space", "plan of lieednn-certified", 1),
+        ("steps/s by position servo, mocap, inverse dynamics", f"steps/s of a rollout by position-servo, {whole}", 2),
+        ("steps/s by position servo, mocap, inverse dynamics", f"steps/s of a rollout by mocap, {whole}", 2),
+        ("steps/s by position servo, mocap, inverse dynamics", f"steps/s of a rollout by inverse-dynamics, {whole}", 2),
+        ("steps/s by computed torque", "steps/s of a rollout by computed-torque, in those of a bare Python loop", 2),
+        ("256 simulations by `simulate_many`", "steps/s of 256 rollouts", 1),
+        ("64 environments at once", "steps/s of 64 environments at once", 1),
+        ("video", "frames/s of a video", 2),
+    ):
+        median = next(ratio["median"] for name, ratio in ratios.items() if name.startswith(begins))
+        assert re.search(rf"(^|[ ,]){re.escape(f'{median:.{digits}f}')}\b", said[row]), f"{row}: {median}"
