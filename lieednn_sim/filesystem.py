@@ -6,12 +6,15 @@ import contextlib
 import fcntl
 import os
 import tempfile
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import IO
 
 from lieednn_sim.errors import FileError
 from lieednn_sim.validation import as_path
+
+# Between the name of a file and the random end of its temporary name; nobody else's files are called so.
+_UNFINISHED = ".unfinished-"
 
 
 def make_directory(path: str | os.PathLike[str]) -> Path:
@@ -40,6 +43,8 @@ def check_outputs(paths: Iterable[Path]) -> None:
         try:
             if path.is_dir():
                 raise FileError(f"cannot write {path}: it is a directory; remove it or choose another name")
+            if path.exists() and not path.is_file():
+                raise FileError(f"cannot write {path}: it is not a regular file; choose another name")
             if not path.parent.is_dir():
                 raise FileError(f"cannot write {path}: there is no directory {path.parent}")
         except OSError as error:
@@ -78,6 +83,20 @@ def locked(directory: str | os.PathLike[str], *, shared: bool = False) -> Iterat
 
 
 @contextlib.contextmanager
+def created(directory: str | os.PathLike[str]) -> Iterator[Path]:
+    """Create a directory with its parents, and remove what was created if it is still empty when the block fails."""
+    wanted = as_path("the name of a directory", directory)
+    absent = [path for path in (wanted, *wanted.parents) if not os.path.lexists(path)]
+    try:
+        yield make_directory(wanted)
+    except BaseException:
+        with contextlib.suppress(OSError):
+            for path in absent:
+                path.rmdir()
+        raise
+
+
+@contextlib.contextmanager
 def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Yield a temporary path beside ``path``, which replaces ``path`` only when the block succeeds.
 
@@ -91,35 +110,75 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 
 @contextlib.contextmanager
-def atomic_paths(targets: Sequence[Path], outdated: Iterable[Path] = ()) -> Iterator[list[Path]]:
+def atomic_paths(
+    targets: Sequence[Path],
+    outdated: Iterable[Path] = (),
+    prepare: Callable[[Sequence[Path]], None] = lambda temporaries: None,
+) -> Iterator[list[Path]]:
     """As `atomic_path`, for files that belong together.
 
     When the block succeeds, the outdated files are removed first, then the new ones appear in the given order. So a
-    process that is killed in between leaves fewer files, but never old ones beside new ones.
+    process that is killed in between leaves fewer files, but never old ones beside new ones. The content is on the disk
+    before it gets its name, so that a power failure leaves no file that is empty or cut off.
+
+    Args:
+        targets: the files to write.
+        outdated: files to remove.
+        prepare: called with the complete temporary files before any target is replaced or removed.
     """
     temporaries: list[Path] = []
     target = targets[0]
     try:
         for target in targets:
-            handle, name = tempfile.mkstemp(prefix=f".{target.stem}.", suffix=target.suffix, dir=target.parent)
+            handle, name = tempfile.mkstemp(
+                prefix=f".{target.stem}{_UNFINISHED}", suffix=target.suffix, dir=target.parent
+            )
             os.close(handle)
             temporaries.append(Path(name))
         yield temporaries
-        for target in outdated:
-            target.unlink(missing_ok=True)
         # mkstemp makes files private; results should have the permissions of any new file.
         umask = os.umask(0)
         os.umask(umask)
-        for target, temporary in zip(targets, temporaries, strict=True):
+        for temporary in temporaries:
             temporary.chmod(0o666 & ~umask)
+            _sync(temporary)
+        prepare(temporaries)
+        for target in outdated:
+            target.unlink(missing_ok=True)
+        for target, temporary in zip(targets, temporaries, strict=True):
             temporary.replace(target)
+        for folder in {target.parent for target in targets}:
+            _sync(folder)
     except OSError as error:
-        if isinstance(error, FileError):
-            raise
-        raise FileError(f"cannot write {target}: {error.strerror or error}") from None
+        said = str(error) if isinstance(error, FileError) else f"cannot write {target}: {error.strerror or error}"
+        raise FileError(_named_as_asked(said, targets, temporaries)) from None
     finally:
         for temporary in temporaries:
             temporary.unlink(missing_ok=True)
+
+
+def unfinished(path: Path) -> Iterator[Path]:
+    """Temporary files of `atomic_path` beside ``path``, which a killed process left."""
+    return path.parent.glob(f".{path.stem}{_UNFINISHED}????????{path.suffix}")
+
+
+def _sync(path: Path) -> None:
+    """Write a file, or the names in a directory, to the disk; some file systems cannot sync directories."""
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    except OSError:
+        if not path.is_dir():
+            raise
+    finally:
+        os.close(handle)
+
+
+def _named_as_asked(message: str, targets: Sequence[Path], temporaries: Sequence[Path]) -> str:
+    """A message about the files that were asked for, in place of their temporary names."""
+    for target, temporary in zip(targets, temporaries, strict=False):
+        message = message.replace(temporary.name, target.name)
+    return message
 
 
 @contextlib.contextmanager

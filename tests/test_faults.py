@@ -16,6 +16,7 @@ from lieednn_sim.cli import main
 from lieednn_sim.cli.run_directory import RunDirectory
 from lieednn_sim.errors import FileError, LieEDNNError
 from lieednn_sim.evaluation import Selection, Settings, compare, read_rows, workers
+from lieednn_sim.learning import checkpoint
 
 # A process that ends itself by SIGKILL where it is told to: no moment to wait for, no time to clean up.
 KILL = "import os, signal, sys\nkill = lambda *_: os.kill(os.getpid(), signal.SIGKILL)\n"
@@ -56,7 +57,7 @@ def run(tmp_path_factory):
 def test_a_demo_that_is_killed_leaves_what_it_had_finished(tmp_path, start):
     directory = tmp_path / "run"
     die(start, AT_PROGRESS, "demo", "--no-video", *PLAN, "--output", directory, "simulate")
-    assert names(directory) == {"task.json", "network.npz", "motion.npz"}
+    assert names(directory) == {"made.json", "task.json", "network.npz", "motion.npz"}
     # The lock died with it, and the next step goes on from there.
     assert main(["simulate", str(directory), "--hold", "0"]) == 0
 
@@ -75,7 +76,28 @@ sys.exit(main())
     die(start, code, *words)
     assert names(directory) == {"training"}
     assert main(["train", "--resume", str(directory)]) == 0
-    assert names(directory) == {"task.json", "network.npz", "history.npz", "training.png"}
+    assert names(directory) == {"made.json", "task.json", "network.npz", "history.npz", "training.png"}
+    assert "converged after" in capsys.readouterr().out
+
+
+@pytest.mark.usefixtures("no_plots")
+@pytest.mark.parametrize("error", [OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)), MemoryError(), SystemError()])
+def test_a_training_that_fails_keeps_what_it_learned(tmp_path, capsys, monkeypatch, error):
+    """Whatever ends it, after its first checkpoint."""
+    directory = tmp_path / "run"
+    words = ["train", "--target", "extended", "--algorithm", "repaired", "--period", "8", "--output", str(directory)]
+    save = checkpoint.save
+
+    def failing(*arguments):
+        save(*arguments)
+        raise error
+
+    with monkeypatch.context() as patch:
+        patch.setattr(checkpoint, "save", failing)
+        with pytest.raises(type(error)):
+            main(words)
+    assert f"continue with: lieednn-sim train --resume {directory}" in capsys.readouterr().out
+    assert main(["train", "--resume", str(directory)]) == 0
     assert "converged after" in capsys.readouterr().out
 
 

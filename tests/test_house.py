@@ -19,6 +19,7 @@ GROUND = (
     "versions",
     "filesystem",
     "storage",
+    "manifest",
     "budget",
     "registration",
     "_blas",

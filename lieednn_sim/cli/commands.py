@@ -6,11 +6,12 @@ import argparse
 import time
 from pathlib import Path
 
+from lieednn_sim import filesystem
 from lieednn_sim.arm import Arm
 from lieednn_sim.cli.arguments import disturbances, load_arm, size
 from lieednn_sim.cli.console import console, progress, wrote
 from lieednn_sim.cli.run_directory import RunDirectory
-from lieednn_sim.errors import InputError, RenderingUnavailableError
+from lieednn_sim.errors import InputError, RenderingUnavailableError, SimulationError
 from lieednn_sim.evaluation.metrics import evaluate as evaluate_rollout
 from lieednn_sim.planning.motion import check_motion
 from lieednn_sim.planning.network_path import make_motion
@@ -54,14 +55,14 @@ def synthesize(arguments: argparse.Namespace) -> None:
 def simulate(arguments: argparse.Namespace) -> None:
     """Network, or a planner's motion, to rollout."""
     run = RunDirectory(arguments.run).existing()
-    with run.at_work():
+    with run.at_work(outputs=[run.rollout, *run.results]):
         _simulate(run, arguments)
 
 
 def evaluate(arguments: argparse.Namespace) -> None:
     """Rollout to metrics and plots."""
     run = RunDirectory(arguments.run, arguments.plots).existing()
-    with run.at_work(shared=True):
+    with run.at_work(shared=True, outputs=_evaluated(run)):
         _evaluate(run)
 
 
@@ -69,7 +70,8 @@ def render(arguments: argparse.Namespace) -> None:
     """Rollout to video."""
     run = RunDirectory(arguments.run).existing()
     path = run.video if arguments.output is None else as_path("the name of a video", arguments.output)
-    with run.at_work(shared=True, outputs=[path]):
+    filesystem.check_outputs([path])
+    with run.at_work(shared=True, outputs=[path] if path == run.video else []):
         _render(run, arguments, path)
 
 
@@ -89,18 +91,22 @@ def _simulate(run: RunDirectory, arguments: argparse.Namespace) -> None:
             raise InputError(
                 f"the push on {push.body!r} at {push.start:g} s comes no earlier than the run's end at {end:g} s"
             )
-    with progress("simulate") as report:
-        rollout = simulate_motion(
-            arm,
-            motion,
-            target=task.target,
-            controller=arguments.controller,
-            hold=arguments.hold,
-            reference_rate=arguments.reference_rate,
-            disturbances=changes,
-            dump_directory=run.path,
-            progress=report,
-        )
+    try:
+        with progress("simulate") as report:
+            rollout = simulate_motion(
+                arm,
+                motion,
+                target=task.target,
+                controller=arguments.controller,
+                hold=arguments.hold,
+                reference_rate=arguments.reference_rate,
+                disturbances=changes,
+                dump_directory=run.path,
+                progress=report,
+            )
+    except SimulationError:
+        run.manifest.expect(run.divergence, "rollout")
+        raise
     wrote(*run.save_rollout(task, rollout))
 
 
@@ -111,13 +117,20 @@ def _evaluate(run: RunDirectory) -> None:
     rollout = run.load_rollout(task, arm)
     evaluation = evaluate_rollout(rollout)
     console.print(evaluation)
-    evaluation.save_json(run.metrics_json, made_from=run.check(task, "network", "motion", "rollout"))
-    evaluation.save_csv(run.metrics_csv)
+    made_from = run.check(task, "network", "motion", "rollout")
     network = run.load_network(task) if run.network.exists() else None
-    plots.plot_network(rollout, run.network_plot, network=network)
-    plots.plot_tracking(rollout, run.tracking_plot)
-    plots.plot_joints(rollout, run.joints_plot)
-    wrote(run.metrics_json, run.metrics_csv, run.network_plot, run.tracking_plot, run.joints_plot)
+    outputs = _evaluated(run)
+    with run.manifest.replacing(outputs) as (metrics_json, metrics_csv, network_plot, tracking_plot, joints_plot):
+        evaluation.save_json(metrics_json, made_from=made_from)
+        evaluation.save_csv(metrics_csv)
+        plots.plot_network(rollout, network_plot, network=network)
+        plots.plot_tracking(rollout, tracking_plot)
+        plots.plot_joints(rollout, joints_plot)
+    wrote(*outputs)
+
+
+def _evaluated(run: RunDirectory) -> list[Path]:
+    return [run.metrics_json, run.metrics_csv, run.network_plot, run.tracking_plot, run.joints_plot]
 
 
 def _render(run: RunDirectory, arguments: argparse.Namespace, path: Path) -> None:
@@ -126,10 +139,12 @@ def _render(run: RunDirectory, arguments: argparse.Namespace, path: Path) -> Non
     task, arm = run.load_task()
     backend = opengl.require()
     console.print(f"rendering with {backend.name}: {backend.detail}")
-    with progress("render") as report:
+    # A file that the user named is replaced, whatever it is.
+    writing = run.manifest.writing(path) if path == run.video else filesystem.atomic_path(path)
+    with progress("render") as report, writing as temporary:
         render_video(
             run.load_rollout(task, arm),
-            path,
+            temporary,
             camera=arguments.camera,
             size=size(arguments.size),
             fps=arguments.fps,

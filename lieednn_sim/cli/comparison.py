@@ -7,6 +7,7 @@ import contextlib
 import os
 import shlex
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 from lieednn_sim import filesystem
@@ -21,6 +22,7 @@ from lieednn_sim.evaluation.merging import merge as merge_shards
 from lieednn_sim.evaluation.reactive.study import compare_reactions, write_reactions
 from lieednn_sim.evaluation.report import Clip, choose_cases, film, write_page
 from lieednn_sim.evaluation.shards import Shard
+from lieednn_sim.manifest import Manifest
 from lieednn_sim.planning import missing_planners
 from lieednn_sim.planning.registry import REGISTRY as PLANNER_REGISTRY
 from lieednn_sim.simulation.controllers import REGISTRY as CONTROLLER_REGISTRY
@@ -54,18 +56,23 @@ def compare(arguments: argparse.Namespace) -> None:
     for name, reason in missing.items():
         console.print(f"not compared: {name} is not installed ({reason})")
     cluster = contextlib.nullcontext() if arguments.scheduler is None else dask_executor(arguments.scheduler)
-    with cluster as executor, filesystem.locked(directory := filesystem.make_directory(arguments.output)):
+    with (
+        cluster as executor,
+        filesystem.created(arguments.output) as directory,
+        filesystem.locked(directory),
+    ):
         how: dict[str, Any] = {"jobs": jobs, "executor": executor, "console": to_stderr()}
         if executor is not None:
             console.print(f"{executor.n_workers} workers at {arguments.scheduler}; cases wait for the first one")
         summary, page = directory / "comparison.md", directory / "comparison.html"
-        filesystem.check_outputs([summary, page, page.with_suffix(".csv"), page.with_suffix(".json")])
+        _check_outputs(directory, [summary, page, *([directory / "reactions.md"] if arguments.reactive else [])])
         _print_found(selection)
         table = compare_planners(directory, selection, settings, shard=shard, **how)
         if shard is not None:
             wrote(table.csv)
             return
-        write_summary(summary, table, missing)
+        with table.manifest.writing(summary) as temporary:
+            write_summary(temporary, table, missing)
         clips = _film(table, cases + choose_cases(table, arguments.videos), selection.controllers[0])
         line = shlex.join(["lieednn-sim", *arguments.words])
         reactions, more = None, []
@@ -74,26 +81,35 @@ def compare(arguments: argparse.Namespace) -> None:
                 directory, selection.arms, selection.scenes, arguments.reactive, entries=selection.entries, **how
             )
             more = [reactions.csv, directory / "reactions.md"]
-            write_reactions(more[1], reactions)
-        write_page(page, table, missing=missing, clips=clips, command=line, date=arguments.date, reactions=reactions)
+            with table.manifest.writing(more[1]) as temporary:
+                write_reactions(temporary, reactions)
+        head = {"command": line, "date": arguments.date}
+        with table.manifest.writing(page) as temporary:
+            write_page(temporary, table, missing=missing, clips=clips, reactions=reactions, **head)
     wrote(table.csv, summary, *more, page)
 
 
 def merge(arguments: argparse.Namespace) -> int:
     """Merge the tables of shards, and write summary and page; returns 1 if cases are missing."""
-    directory = filesystem.make_directory(arguments.output)
-    summary, page = directory / "comparison.md", directory / "comparison.html"
-    with filesystem.locked(directory):
-        filesystem.check_outputs([summary, page, page.with_suffix(".csv"), page.with_suffix(".json")])
+    line = shlex.join(["lieednn-sim", *arguments.words])
+    with filesystem.created(arguments.output) as directory, filesystem.locked(directory):
+        outputs = [directory / "comparison.md", directory / "comparison.html"]
+        _check_outputs(directory, outputs)
         merged = merge_shards(directory, arguments.folders)
-        write_summary(summary, merged.table, merged.absent)
-        line = shlex.join(["lieednn-sim", *arguments.words])
-        write_page(page, merged.table, missing=merged.absent, command=line)
-    wrote(merged.table.csv, summary, page)
+        with merged.table.manifest.replacing(outputs) as (summary, page):
+            write_summary(summary, merged.table, merged.absent)
+            write_page(page, merged.table, missing=merged.absent, command=line)
+    wrote(merged.table.csv, *outputs)
     for shard, cases in sorted(merged.missing.items(), key=lambda one: one[0].number):
         where = ", ".join(str(folder) for folder, there in merged.shards.items() if there == shard) or "in no folder"
         console.print(f"shard {shard} ({where}) lacks {len(cases)} cases, such as {cases[0]}")
     return 1 if merged.missing else 0
+
+
+def _check_outputs(directory: Path, outputs: Sequence[Path]) -> None:
+    """Raise `FileError` if the table or one of the other outputs could not be written."""
+    filesystem.check_outputs([directory / "comparison.csv", directory / "comparison.json"])
+    Manifest(directory).check(outputs)
 
 
 def _listed(words: Sequence[str] | None) -> list[str]:

@@ -18,6 +18,7 @@ from lieednn_sim.evaluation.demonstrations import RIVALS, ModelRow, compare_mode
 from lieednn_sim.evaluation.plot_demonstrations import plot_field, plot_paths
 from lieednn_sim.learning.demonstrations import Demonstrations, align, load_demonstrations
 from lieednn_sim.learning.demonstrations.shaped import ShapedMotion
+from lieednn_sim.manifest import Manifest
 from lieednn_sim.synthesis import ShapingOptions
 from lieednn_sim.validation import as_choice, as_count, as_seed
 
@@ -47,11 +48,10 @@ def learn(arguments: argparse.Namespace) -> None:
     demonstrations = align(shown, phase=arguments.phase)
     if demonstrations.extent <= 0.0:
         raise InputError("the mean of the demonstrations does not move")
-    directory = filesystem.make_directory(arguments.output)
-    network, report = directory / "network.npz", directory / "report.json"
-    paths, field = directory / f"paths.{kind}", directory / f"field.{kind}"
-    with filesystem.locked(directory):
-        filesystem.check_outputs([network, report, paths, field])
+    with filesystem.created(arguments.output) as directory, filesystem.locked(directory):
+        manifest = Manifest(directory)
+        outputs = [directory / name for name in ("network.npz", "report.json", f"paths.{kind}", f"field.{kind}")]
+        manifest.check(outputs)
         shaped = ShapedMotion.fit(demonstrations, arguments.deviation, options, seed)
         with progress("learn") as bar:
             rows, models = compare_models(
@@ -64,17 +64,18 @@ def learn(arguments: argparse.Namespace) -> None:
                 seed=seed,
                 progress=bar,
             )
-        shaped.network.save(network)
-        storage.save_json(report, _report(arguments, demonstrations, shaped, rows))
-        plot_paths(models, demonstrations, paths)
-        plot_field(shaped, demonstrations, field, seed)
+        with manifest.replacing(outputs) as (network, report, paths, field):
+            shaped.network.save(network)
+            storage.save_json(report, _report(arguments, demonstrations, shaped, rows))
+            plot_paths(models, demonstrations, paths)
+            plot_field(shaped, demonstrations, field, seed)
     console.print(
         f"{len(shown)} demonstrations, {shown[0].shown}, {demonstrations.extent:.3g} m across, "
         f"{demonstrations.duration:.3g} s; {shaped.shaping.message}"
     )
     console.print(of_models(rows, turns=demonstrations.dof == 6))
     console.print(f"stability: {shaped.network.certificate}")
-    wrote(network, report, paths, field)
+    wrote(*outputs)
 
 
 def _report(

@@ -83,10 +83,12 @@ def learn_joints(arguments: argparse.Namespace) -> None:
             "limit_broken": refusal,
             **asdict(study),
         }
-        storage.save_json(run.report, found)
         reproduced = learned.run(shown.mean[0]).q
-        plot_joint_paths(shown, reproduced, run.demonstrations_plot)
-        plot_joint_paths(shown, reproduced, run.starts_plot, ways)
+        results = [run.report, run.demonstrations_plot, run.starts_plot]
+        with run.manifest.replacing(results) as (report, demonstrations_plot, starts_plot):
+            storage.save_json(report, found)
+            plot_joint_paths(shown, reproduced, demonstrations_plot)
+            plot_joint_paths(shown, reproduced, starts_plot, ways)
     print_import_report(arm)
     console.print(
         f"{len(shown)} demonstrations of {arm.n_joints} joints of {arm.name}, {learned.duration:.3g} s; "
@@ -97,4 +99,4 @@ def learn_joints(arguments: argparse.Namespace) -> None:
         f"limits: not kept, {refusal}" if refusal else f"limits and clearance: kept, in {arguments.duration:.3g} s"
     )
     console.print(f"stability: {learned.network.certificate}")
-    wrote(*written, run.report, run.demonstrations_plot, run.starts_plot)
+    wrote(*written, *results)

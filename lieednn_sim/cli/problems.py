@@ -11,16 +11,18 @@ from lieednn_sim.errors import InputError
 from lieednn_sim.evaluation.problems.motion_bench_maker import ProblemSets
 from lieednn_sim.evaluation.problems.study import solve_problems
 from lieednn_sim.evaluation.problems.summary import write_problems
+from lieednn_sim.manifest import Manifest
+from lieednn_sim.validation import quoted
 
 
 def problems(arguments: argparse.Namespace) -> None:
     """Compute the missing rows of the table, then write its summary."""
     count = None if arguments.problems == "all" else _count(arguments.problems)
     sets = ProblemSets(arguments.folder)
-    directory = filesystem.make_directory(arguments.output)
-    summary = directory / "problems.md"
-    with filesystem.locked(directory):
-        filesystem.check_outputs([summary, summary.with_suffix(".csv"), summary.with_suffix(".json")])
+    with filesystem.created(arguments.output) as directory, filesystem.locked(directory):
+        summary = directory / "problems.md"
+        filesystem.check_outputs([summary.with_suffix(".csv"), summary.with_suffix(".json")])
+        Manifest(directory).check([summary])
         table = solve_problems(
             directory,
             sets,
@@ -30,11 +32,13 @@ def problems(arguments: argparse.Namespace) -> None:
             jobs=os.cpu_count() or 1 if arguments.jobs is None else arguments.jobs,
             console=to_stderr(),
         )
-        write_problems(summary, sets.robot, table.sorted_rows(), arguments.time_budget)
+        with table.manifest.writing(summary) as temporary:
+            write_problems(temporary, sets.robot, table.sorted_rows(), arguments.time_budget)
     wrote(table.csv, summary)
 
 
 def _count(text: str) -> int:
-    if not (text.isascii() and text.isdecimal() and int(text)):
-        raise InputError(f"--problems must be a number of at least 1, or all; got {text!r}")
+    # Python reads no number of thousands of digits.
+    if not (text.isascii() and text.isdecimal() and len(text) <= 9 and int(text)):
+        raise InputError(f"--problems must be a number of at least 1, or all; got {quoted(text)}")
     return int(text)

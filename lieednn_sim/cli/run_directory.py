@@ -16,6 +16,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.cli.task import Task
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.learning.history import History
+from lieednn_sim.manifest import Manifest
 from lieednn_sim.network import BlockNetwork, ComponentwiseNetwork, LieEDNN
 from lieednn_sim.network.hopfield import HopfieldNetwork
 from lieednn_sim.planning.motion import Motion
@@ -42,6 +43,7 @@ class RunDirectory:
     def __init__(self, path: str | os.PathLike[str], plots: str = PLOT_KINDS[0]) -> None:
         self._plots = as_choice("plots", plots, PLOT_KINDS)
         self.path = as_path("the name of a run directory", path)
+        self.manifest = Manifest(self.path)
         self.task = self.path / "task.json"
         self.network = self.path / "network.npz"
         self.motion = self.path / "motion.npz"
@@ -81,16 +83,8 @@ class RunDirectory:
     @contextlib.contextmanager
     def made(self) -> Iterator[None]:
         """Create the directory if needed, and lock it as `at_work` does; if it stays empty it is removed."""
-        made = [path for path in (self.path, *self.path.parents) if not os.path.lexists(path)]
-        filesystem.make_directory(self.path)
-        try:
-            with self.at_work():
-                yield
-        except BaseException:
-            with contextlib.suppress(OSError):
-                for path in made:
-                    path.rmdir()
-            raise
+        with filesystem.created(self.path), self.at_work():
+            yield
 
     @contextlib.contextmanager
     def at_work(self, *, shared: bool = False, outputs: Iterable[Path] | None = None) -> Iterator[None]:
@@ -98,14 +92,14 @@ class RunDirectory:
 
         Raises:
             FileError: another command is at work there, or one of ``outputs`` (by default, all files of the run)
-                cannot be written.
+                cannot be written, or was not made by this package.
         """
         with filesystem.locked(self.path, shared=shared):
-            filesystem.check_outputs(self.files if outputs is None else outputs)
+            self.manifest.check(self.files if outputs is None else outputs)
             if not shared:
                 # Temporary files of a killed command; no other one is at work here.
-                for path in self.files:
-                    for left in self.path.glob(f".{path.stem}.????????{path.suffix}"):
+                for path in (*self.files, self.manifest.path):
+                    for left in filesystem.unfinished(path):
                         left.unlink(missing_ok=True)
             yield
 
@@ -115,8 +109,7 @@ class RunDirectory:
 
     def remove(self) -> None:
         """Remove the files of the run, and the directory if nothing else is in it."""
-        for path in self.files:
-            path.unlink(missing_ok=True)
+        self.manifest.remove(self.files)
         with contextlib.suppress(OSError):
             self.path.rmdir()
 
@@ -202,7 +195,7 @@ class RunDirectory:
                 savers[name] = _saver(made, name, made_from)
         targets: list[Path] = [getattr(self, name) for name in savers]
         outdated = [path for path in self.files if path not in targets]
-        with filesystem.atomic_paths(targets, outdated) as temporaries:
+        with self.manifest.replacing(targets, outdated) as temporaries:
             for save, temporary in zip(savers.values(), temporaries, strict=True):
                 save(temporary)
         return targets
@@ -216,7 +209,7 @@ class RunDirectory:
         made_from = self.check(task, "network", *([] if task.drawn else ["motion"]))
         motion = rollout.motion if task.drawn else None
         targets = [self.rollout] if motion is None else [self.motion, self.rollout]
-        with filesystem.atomic_paths(targets, self.results) as temporaries:
+        with self.manifest.replacing(targets, self.results) as temporaries:
             if motion is not None:
                 _saver(motion, "motion", made_from)(temporaries[0])
             rollout.save(temporaries[-1], made_from)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import functools
 import itertools
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -30,6 +31,7 @@ from lieednn_sim.learning import (
     train_riemannian,
 )
 from lieednn_sim.learning import train as learn
+from lieednn_sim.learning.checkpoint import KIND as CHECKPOINT_KIND
 from lieednn_sim.learning.checkpoint import load as load_checkpoint
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.planning.motion import check_motion
@@ -81,15 +83,16 @@ def _begin(run: RunDirectory, arguments: argparse.Namespace) -> tuple[Task, Arm,
     as_count("candidates", options["candidates"])
     task = make_task(arm, start, target, arguments, planner=TRAINED, reason="asked for", options=options)
     learner = _learner(arguments, arm.encode(target), run.pending)
-    filesystem.check_outputs(run.pending.files if run.pending.path.exists() else [run.pending.path])
-    # Remove an interrupted training that is not resumed.
-    run.pending.remove()
-    try:
-        run.pending.create()
-        task.save(run.pending.task)
-    except BaseException:
-        run.pending.remove()
-        raise
+    pending = run.pending
+    if pending.path.exists():
+        pending.manifest.check(pending.files)
+        # An interrupted training that is not resumed.
+        pending.remove()
+    filesystem.check_outputs([pending.path])
+    with filesystem.created(pending.path):
+        pending.manifest.expect(pending.checkpoint, CHECKPOINT_KIND)
+        with pending.manifest.writing(pending.task) as temporary:
+            task.save(temporary)
     print_import_report(arm)
     return task, arm, (functools.partial(learner, task.seed + k) for k in itertools.count())
 
@@ -100,19 +103,22 @@ def _train(run: RunDirectory, task: Task, arm: Arm, learners: Candidates) -> int
     try:
         candidates = as_count("candidates", task.options["candidates"])
         result, refusal = _choose(itertools.islice(learners, candidates), run, arm, task)
-    except BaseException as error:
-        if isinstance(error, KeyboardInterrupt) and pending.checkpoint.is_file():
-            console.print(f"interrupted; continue with: lieednn-sim train --resume {run.path}")
+    except BaseException:
+        # Whatever ended it, a full disk or the user, what was learned is kept.
+        if pending.checkpoint.is_file():
+            console.print(f"what was learned so far is kept; continue with: lieednn-sim train --resume {run.path}")
         else:
-            pending.remove()
+            with contextlib.suppress(FileError):
+                pending.remove()
         raise
     if result.success:
         pending.remove()
     else:
         # The run's previous files stay as they are.
-        result.history.save(pending.history, {"task": task.fingerprint})
-        _plot_history(result, pending, arm.encode(task.target))
-        pending.checkpoint.unlink(missing_ok=True)
+        outputs = [pending.history, pending.training_plot]
+        with pending.manifest.replacing(outputs, [pending.checkpoint]) as (history, training_plot):
+            result.history.save(history, {"task": task.fingerprint})
+            plot_training.plot_training(result.history, arm.encode(task.target), result.tolerance, training_plot)
     _report(result, arm.encode(task.target))
     if not result.success:
         wrote(pending.history, pending.training_plot)
@@ -141,16 +147,13 @@ def _choose(learners: Candidates, run: RunDirectory, arm: Arm, task: Task) -> tu
             best = result, refusal
             if result.success and isinstance(result.network, LieEDNN):
                 run.save_network(task, result.network, history=result.history)
-                _plot_history(result, run, xi)
+                with run.manifest.writing(run.training_plot) as temporary:
+                    plot_training.plot_training(result.history, xi, result.tolerance, temporary)
         if result.success and refusal is None:
             break
     if best is None:
         raise InputError("there is no candidate to learn")
     return best
-
-
-def _plot_history(result: TrainingResult, run: RunDirectory, xi: Floats) -> None:
-    plot_training.plot_training(result.history, xi, result.tolerance, run.training_plot)
 
 
 def _refusal(result: TrainingResult, arm: Arm, task: Task) -> str | None:

@@ -14,6 +14,7 @@ from lieednn_sim.arm.models import is_arm_file
 from lieednn_sim.arm.obstacles import check_home, describe, is_scene_file, load_obstacles, scene_label
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.errors import FileError, InputError, LieEDNNError
+from lieednn_sim.manifest import Manifest
 
 FILE = "entries.json"
 ARM, SCENE = "arm", "scene"
@@ -98,7 +99,8 @@ def record(directory: str | os.PathLike[str], entries: Iterable[Entry]) -> None:
             )
         known[entry[:2]] = entry
     if known:
-        storage.save_json(folder / FILE, {"entries": [list(known[key]) for key in sorted(known)]})
+        with Manifest(folder).writing(folder / FILE) as temporary:
+            storage.save_json(temporary, {"entries": [list(known[key]) for key in sorted(known)]})
 
 
 def recorded(directory: str | os.PathLike[str]) -> tuple[Entry, ...]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import os
+import zlib
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, fields
 from pathlib import Path
@@ -14,11 +15,14 @@ from lieednn_sim import filesystem, storage
 from lieednn_sim.errors import FileError
 from lieednn_sim.evaluation.cases import Settings
 from lieednn_sim.evaluation.rows import Case, Row, TableRow
+from lieednn_sim.manifest import Manifest
 from lieednn_sim.versions import versions
 
 R = TypeVar("R", bound=TableRow)
 # Parts of a table's JSON file that describe how it was made.
 _DESCRIBED = ("settings", "versions", "part")
+# The last column of every table's file.
+_CHECKSUM = "checksum"
 
 
 class Rows(Generic[R]):
@@ -46,20 +50,27 @@ class Rows(Generic[R]):
         part: Mapping[str, Any] | None = None,
     ) -> None:
         self.directory = filesystem.make_directory(directory)
+        self.manifest = Manifest(self.directory)
         self.csv, self.json = self.directory / f"{name}.csv", self.directory / f"{name}.json"
         self.versions = versions(code=True)
-        self._kind, self._fields = kind, [field.name for field in fields(kind)]
+        self._kind = kind
         self._description: dict[str, Any] = {"kind": name, "format": 1, "settings": shared, "versions": self.versions}
         if part:
             # As it will be read: with lists for tuples.
             self._description["part"] = json.loads(json.dumps(part))
         self._rows: dict[tuple[Any, ...], R] | None = {}
-        if self.csv.exists():
+        if os.path.lexists(self.csv):
             self._check()
             self._rows = None
-        storage.save_json(self.json, self._description)
+        with self.manifest.writing(self.json, self.fingerprint) as temporary:
+            storage.save_json(temporary, self._description)
         # Removes a line that a killed process left unfinished.
         self.save()
+
+    @property
+    def fingerprint(self) -> str:
+        """Fingerprint of how the rows are made: settings, versions and code."""
+        return storage.fingerprint({}, self._description)
 
     @property
     def rows(self) -> dict[tuple[Any, ...], R]:
@@ -70,7 +81,7 @@ class Rows(Generic[R]):
 
     def add(self, rows: Iterable[R]) -> None:
         """Append rows to the file."""
-        texts = [row.as_texts() for row in rows]
+        texts = [_with_checksum(row) for row in rows]
         self._rows = None
         try:
             with self.csv.open("a", encoding="utf-8", newline="") as stream:
@@ -84,10 +95,10 @@ class Rows(Generic[R]):
         with filesystem.atomic_text(self.csv) as stream:
             writer = self._writer(stream)
             writer.writeheader()
-            writer.writerows(row.as_texts() for row in self.sorted_rows())
+            writer.writerows(map(_with_checksum, self.sorted_rows()))
 
     def _writer(self, stream: IO[str]) -> csv.DictWriter[str]:
-        return csv.DictWriter(stream, fieldnames=self._fields, lineterminator="\n")
+        return csv.DictWriter(stream, fieldnames=_columns(self._kind), lineterminator="\n")
 
     def sorted_rows(self) -> list[R]:
         """All rows in the order of their keys."""
@@ -114,10 +125,6 @@ class Table(Rows[Row]):
     ) -> None:
         self.settings = settings
         super().__init__(directory, "comparison", Row, asdict(settings), part)
-        if not self.rows:
-            # Videos of a removed table belong to other settings or other code.
-            for film in (self.directory / "videos").glob("*.mp4"):
-                film.unlink()
 
     def missing(self, case: Case, controllers: Iterable[str]) -> list[str]:
         """The controllers for which a case has no row yet."""
@@ -141,6 +148,21 @@ def differences(made: Mapping[str, Any], other: Mapping[str, Any], here: str = "
     return [f"{name} {old.get(name)}, {here} {new.get(name)}" for name in names]
 
 
+def _columns(kind: type[TableRow]) -> list[str]:
+    return [*(field.name for field in fields(kind)), _CHECKSUM]
+
+
+def _with_checksum(row: TableRow) -> dict[str, str]:
+    texts = row.as_texts()
+    return {**texts, _CHECKSUM: checksum(texts)}
+
+
+def checksum(texts: Mapping[str, str]) -> str:
+    """CRC-32 of a row's cells, by which a changed row is known; rows are added and sorted one by one."""
+    # A damaged line may have more or fewer cells, which are a list or None here.
+    return f"{zlib.crc32(json.dumps(list(texts.items())).encode()):08x}"
+
+
 def read_rows(path: str | os.PathLike[str], kind: type[R] = Row) -> dict[tuple[Any, ...], R]:  # type: ignore[assignment]
     """Rows of a table.
 
@@ -151,8 +173,14 @@ def read_rows(path: str | os.PathLike[str], kind: type[R] = Row) -> dict[tuple[A
         with Path(path).open(encoding="utf-8", newline="\n") as stream:
             # A killed process may have left its last line unfinished.
             reader = csv.DictReader((line for line in stream if line.endswith("\n")), strict=True)
-            if list(reader.fieldnames or ()) != [field.name for field in fields(kind)]:
+            if list(reader.fieldnames or ()) != _columns(kind):
                 raise ValueError("it has other columns")
-            return {row.key: row for row in map(kind.from_texts, reader)}
+            found = {}
+            for texts in reader:
+                if texts.pop(_CHECKSUM) != checksum(texts):
+                    raise ValueError(f"line {reader.line_num} was changed after it was written")
+                row = kind.from_texts(texts)
+                found[row.key] = row
+            return found
     except (OSError, ValueError, csv.Error) as error:
         raise FileError(f"cannot continue {path}: {error}; remove it or choose another --output") from None

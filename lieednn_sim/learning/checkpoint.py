@@ -23,7 +23,8 @@ from lieednn_sim.theory.matrix_group import MatrixLieGroup
 from lieednn_sim.validation import as_count, as_floats, as_positive
 from lieednn_sim.values import Floats
 
-_KIND = "training"
+# What `storage.kind` says of a checkpoint.
+KIND = "training"
 
 
 class TrainingState(NamedTuple):
@@ -91,7 +92,7 @@ def save(
         "reason": state.reason,
         "seconds": seconds,
     }
-    storage.save_arrays(path, _KIND, arrays, meta)
+    storage.save_arrays(path, KIND, arrays, meta)
 
 
 def load(
@@ -102,7 +103,7 @@ def load(
     Raises:
         FileError: the file cannot be read or is no checkpoint.
     """
-    arrays, meta = storage.load_arrays(path, _KIND)
+    arrays, meta = storage.load_arrays(path, KIND)
     rows = {field.name: f"history_{field.name}" for field in fields(History)}
     storage.take(arrays, path, "target", "bias", "weight", "alpha", "point_alpha", "x", "error", *rows.values())
     try:

@@ -61,7 +61,7 @@ def test_the_demo_without_video_meets_its_bounds(tmp_path, capsys):
     assert tip["tracking_rms_deg"] < 0.1
     expected = {"task.json", "network.npz", "motion.npz", "rollout.npz", "metrics.json", "metrics.csv"}
     expected |= {"network.png", "tracking.png", "joints.png"}
-    assert {path.name for path in directory.iterdir()} == expected
+    assert {path.name for path in directory.iterdir()} == {*expected, "made.json"}
     printed = capsys.readouterr().out
     assert "end effector" in printed
     assert all(f"wrote {directory / name}" in printed for name in expected)
@@ -76,7 +76,13 @@ def test_a_learned_network_goes_the_same_road(tmp_path, capsys):
     printed = capsys.readouterr().out
     assert "converged after" in printed
     assert "globally stable by the" in printed
-    assert {path.name for path in directory.iterdir()} == {"task.json", "network.npz", "history.npz", "training.png"}
+    assert {path.name for path in directory.iterdir()} == {
+        "made.json",
+        "task.json",
+        "network.npz",
+        "history.npz",
+        "training.png",
+    }
     assert main(["simulate", str(directory), "--hold", "0.5"]) == 0
     assert main(["evaluate", str(directory)]) == 0
     tip = json.loads((directory / "metrics.json").read_text())["frames"][-1]
@@ -84,7 +90,7 @@ def test_a_learned_network_goes_the_same_road(tmp_path, capsys):
     assert tip["final_deg"] < 0.01
     # The next network must not inherit the history of this one.
     assert main(["synthesize", "--target", "extended", "--output", str(directory), *FAST]) == 0
-    assert {path.name for path in directory.iterdir()} == {"task.json", "network.npz"}
+    assert {path.name for path in directory.iterdir()} == {"made.json", "task.json", "network.npz"}
 
 
 @pytest.mark.usefixtures("no_plots")
@@ -109,7 +115,7 @@ def test_a_training_that_fails_says_so_and_leaves_no_network(tmp_path, capsys):
     printed = capsys.readouterr().out
     assert "epochs spent after 20 epochs" in printed
     assert "no network was written; try" in printed
-    assert {path.name for path in directory.rglob("*.*")} == {"task.json", "history.npz", "training.png"}
+    assert {path.name for path in directory.rglob("*.*")} == {"made.json", "task.json", "history.npz", "training.png"}
     assert "holds no run" in fails(capsys, "simulate", directory)
 
 
@@ -193,8 +199,11 @@ def test_results_of_another_target_are_not_mixed(run, tmp_path, capsys):
     task["target"][0] = 99.0
     (directory / "task.json").write_text(json.dumps(task))
     assert "does not fit arm 'telescopic_pr': target is out of reach" in fails(capsys, "simulate", directory)
-    assert main(["synthesize", "--target", "retracted", "--output", str(directory), "--duration", "4"]) == 0
-    assert {path.name for path in directory.iterdir()} == {"task.json", "network.npz"}
+    again = ["synthesize", "--target", "retracted", "--output", str(directory), "--duration", "4"]
+    assert f"{directory}/task.json was changed after this package made it" in fails(capsys, *again)
+    (directory / "task.json").unlink()
+    assert main(again) == 0
+    assert {path.name for path in directory.iterdir()} == {"made.json", "task.json", "network.npz"}
 
 
 @pytest.mark.rendering

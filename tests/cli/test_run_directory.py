@@ -64,6 +64,16 @@ def save(path, made, **changes):
     return run, task
 
 
+def make(run, path):
+    """A file of a run, whatever it holds."""
+    with run.manifest.writing(path) as temporary:
+        temporary.write_text(path.name)
+
+
+def names(directory):
+    return {path.name for path in directory.iterdir()}
+
+
 def fails(capsys, *words):
     """Run a command that must fail, and return its one line on stderr."""
     capsys.readouterr()
@@ -169,12 +179,12 @@ def test_every_command_asks_whether_the_files_belong_together(tmp_path, made, ca
     shutil.copy(other.motion, run.motion)
     for command in ("simulate", "evaluate", "render"):
         assert f"{run.motion} was made from another task than {run.task}" in fails(capsys, command, run.path)
-    run, _ = save(tmp_path / "run", made)
+    run, _ = save(tmp_path / "second", made)
     value = json.loads(run.task.read_text())
     run.task.write_text(json.dumps(value | {"duration": 0.7}))
     for command in ("simulate", "evaluate", "render"):
         assert f"{run.network} was made from another task than {run.task}" in fails(capsys, command, run.path)
-    run, _ = save(tmp_path / "run", made)
+    run, _ = save(tmp_path / "third", made)
     run.rollout.write_bytes(run.rollout.read_bytes() + b"more")
     for command in ("evaluate", "render"):
         assert f"{run.rollout} is not a readable" in fails(capsys, command, run.path)
@@ -211,10 +221,10 @@ def test_a_new_simulation_leaves_nothing_of_the_first(tmp_path, made, capsys):
     run, _ = save(tmp_path, made)
     assert main(["evaluate", str(tmp_path)]) == 0
     for path in (run.video, run.divergence):
-        path.write_bytes(b"of the first")
+        make(run, path)
     first = json.loads(run.metrics_json.read_text())
     assert main(["simulate", str(tmp_path), "--payload", "2", "--hold", "0.05"]) == 0
-    assert {path.name for path in tmp_path.iterdir()} == {"task.json", "network.npz", "motion.npz", "rollout.npz"}
+    assert names(tmp_path) == {"made.json", "task.json", "network.npz", "motion.npz", "rollout.npz"}
     assert main(["evaluate", str(tmp_path)]) == 0
     second = json.loads(run.metrics_json.read_text())
     assert [value["disturbances"]["payload"] for value in (first, second)] == [0.0, 2.0]
@@ -235,7 +245,7 @@ def test_a_run_that_is_killed_while_it_replaces_another_leaves_no_mixture(tmp_pa
     for deadly in range(100):
         run, old = save(tmp_path / str(deadly), made)
         for path in run.results:
-            path.write_text("old")
+            make(run, path)
         new = dataclasses.replace(task, seed=1)
         steps = iter(range(deadly))
 
@@ -382,12 +392,14 @@ def test_a_command_waits_for_no_other_but_says_that_one_is_at_work(tmp_path, mad
 
 def test_what_a_killed_command_left_half_written_is_removed_by_the_next(tmp_path, made):
     run, _ = save(tmp_path, made)
-    (tmp_path / ".rollout.a1b2c3d4.npz").write_bytes(b"half")
-    (tmp_path / ".mine.npz").write_bytes(b"of somebody else")
+    (tmp_path / ".rollout.unfinished-a1b2c3d4.npz").write_bytes(b"half")
+    mine = {".mine.npz", ".rollout.a1b2c3d4.npz"}
+    for name in mine:
+        (tmp_path / name).write_bytes(b"of somebody else")
     with run.at_work(shared=True):
-        assert (tmp_path / ".rollout.a1b2c3d4.npz").exists()
+        assert (tmp_path / ".rollout.unfinished-a1b2c3d4.npz").exists()
     with run.at_work():
-        assert {path.name for path in tmp_path.iterdir() if path.name.startswith(".")} == {".mine.npz"}
+        assert {name for name in names(tmp_path) if name.startswith(".")} == mine
 
 
 @pytest.mark.parametrize(
@@ -420,3 +432,21 @@ def test_a_task_without_its_values_is_named(tmp_path, made):
         path.write_text(json.dumps({key: value for key, value in dataclasses.asdict(made[0]).items() if key != name}))
         with pytest.raises(FileError, match=f"it has no '{name}'"):
             Task.load(path)
+
+
+@pytest.mark.parametrize(
+    ("command", "names"),
+    [
+        ("simulate", sorted({path.name for path in RunDirectory(".").results})),
+        ("evaluate", ["metrics.json", "metrics.csv", "network.png", "tracking.png", "joints.png"]),
+        ("render", ["video.mp4"]),
+    ],
+)
+def test_files_of_others_in_a_run_survive(tmp_path, made, capsys, command, names):
+    run, _ = save(tmp_path, made)
+    for name in names:
+        (tmp_path / name).write_bytes(b"mine")
+        assert f"{tmp_path / name} was not made by a command" in fails(capsys, command, tmp_path)
+        assert (tmp_path / name).read_bytes() == b"mine"
+        (tmp_path / name).unlink()
+    run.load_rollout(*run.load_task())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import itertools
 import json
 import shutil
@@ -12,6 +13,7 @@ from lieednn_sim.cli import main
 from lieednn_sim.errors import InputError
 from lieednn_sim.evaluation import Case, Row, read_rows
 from lieednn_sim.evaluation.shards import Shard
+from lieednn_sim.evaluation.table import checksum
 
 WORDS = ["--arms", "telescopic_pr", "--scenes", "free", "--planners", "minimum-jerk,se3-geodesic", "--seeds", "5"]
 WORDS += ["--controllers", "mocap,computed-torque", "--output"]
@@ -40,7 +42,7 @@ def shards(tmp_path):
     folders = [tmp_path / f"shard{number}" for number in (1, 2, 3)]
     for number, folder in enumerate(folders, start=1):
         assert main(["compare", *WORDS, str(folder), "--shard", f"{number}/3"]) == 0
-        assert {path.name for path in folder.iterdir()} == {"comparison.csv", "comparison.json"}
+        assert {path.name for path in folder.iterdir()} == {"comparison.csv", "comparison.json", "made.json"}
     return folders
 
 
@@ -49,7 +51,7 @@ def merge(output, *folders):
 
 
 def content(folder, *but):
-    return {path.name: path.read_bytes() for path in folder.iterdir() if path.suffix not in but}
+    return {path.name: path.read_bytes() for path in folder.iterdir() if path.name not in but}
 
 
 def test_which_shard_has_a_case_depends_on_its_name_alone():
@@ -71,11 +73,11 @@ def test_shards_merge_to_the_table_of_one_machine_and_always_to_the_same_bytes(s
     assert merge(out, *shards) == 0
     assert content(out) == first
     # In another order, and with a shard that was also begun elsewhere, where it was slower.
-    begun = tmp_path / "begun"
+    begun, words = tmp_path / "begun", ("comparison.html", "made.json")
     assert main(["compare", *WORDS, str(begun), "--shard", "2/3"]) == 0
     for name, folders in (("first", (begun, *reversed(shards))), ("last", (*shards, begun))):
         assert merge(tmp_path / name, *folders) == 0
-        assert content(tmp_path / name, ".html") == content(out, ".html")
+        assert content(tmp_path / name, *words) == content(out, *words)
     # A merged table is a table as any other.
     assert main(["compare", *WORDS, str(out)]) == 0
     assert (out / "comparison.csv").read_bytes() == first["comparison.csv"]
@@ -111,11 +113,28 @@ def edit(**changes):
 
 
 def replaced(old, new):
+    """Rows of other texts, as if they had been computed."""
+
     def change(folder):
         path = folder / "comparison.csv"
-        path.write_text(path.read_text().replace(old, new))
+        with path.open(newline="") as stream:
+            rows = [{name: text.replace(old, new) for name, text in row.items()} for row in csv.DictReader(stream)]
+        write(path, rows)
 
     return change
+
+
+def write(path, rows):
+    with path.open("w", newline="") as stream:
+        writer = csv.DictWriter(stream, list(rows[0]), lineterminator="\n")
+        writer.writeheader()
+        for row in rows:
+            row.pop("checksum")
+            writer.writerow({**row, "checksum": checksum(row)})
+
+
+def spoil(path):
+    path.write_text(path.read_text().replace(",contact: 3", ",contact: 4", 1))
 
 
 @pytest.mark.parametrize(
@@ -129,6 +148,7 @@ def replaced(old, new):
         (replaced("3 mm", "4 mm"), "begun and {0}/shard2 disagree on"),
         (replaced("yes", "perhaps"), "success is 'perhaps'"),
         (lambda folder: (folder / "comparison.json").unlink(), "cannot read"),
+        (lambda folder: spoil(folder / "comparison.csv"), "line 2 was changed after it was written"),
     ],
 )
 def test_what_does_not_belong_together_is_refused(change, message, shards, tmp_path, capsys):
@@ -136,7 +156,7 @@ def test_what_does_not_belong_together_is_refused(change, message, shards, tmp_p
     change(shards[1])
     assert merge(tmp_path / "out", shards[0], tmp_path / "begun", shards[1]) == 2
     assert message.format(tmp_path) in capsys.readouterr().err
-    assert not any((tmp_path / "out").iterdir())
+    assert not (tmp_path / "out").exists()
 
 
 def test_tables_that_are_no_shards_of_this_code_are_refused(shards, tmp_path, capsys):

@@ -82,9 +82,10 @@ def film(
     *,
     progress: Callable[[int, int], None] | None = None,
 ) -> Clip:
-    """Plan and simulate a case of a table again and render it; an existing video is reused.
+    """Plan and simulate a case of a table again and render it; a video that was made from this table is reused.
 
     Raises:
+        FileError: there is a file of its name that this package did not make.
         InputError: the table has no such case, or it has no motion.
         RenderingUnavailableError: there is no working OpenGL.
     """
@@ -95,16 +96,18 @@ def film(
         raise InputError(f"case {case} has nothing to show: {row.reason}")
     directory = filesystem.make_directory(table.directory / "videos")
     path = directory / f"{case.planner}-{case.arm}-{case.scene}-{case.seed}-{controller}.mp4"
-    if not path.is_file():
-        render_video(
-            replay(case, controller, table.settings, entries=recorded(table.directory)),
-            path,
-            size=SIZE,
-            fps=FPS,
-            preset="draft",
-            title=case.planner,
-            progress=progress,
-        )
+    table.manifest.check([path])
+    if not (path.is_file() and table.manifest.made_from(path) == table.fingerprint):
+        with table.manifest.writing(path, table.fingerprint) as temporary:
+            render_video(
+                replay(case, controller, table.settings, entries=recorded(table.directory)),
+                temporary,
+                size=SIZE,
+                fps=FPS,
+                preset="draft",
+                title=case.planner,
+                progress=progress,
+            )
     return Clip(row, path, _poster(path))
 
 
