@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from lieednn_sim.cli import options
-from lieednn_sim.cli.interruption import Interruption
+from lieednn_sim.cli.interruption import Interruption, say
 from lieednn_sim.errors import FileError, LieEDNNError
 
 _DESCRIPTION = (
@@ -42,8 +42,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     # Paths and messages may hold characters that the output's encoding lacks.
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")
+    # Plots only go to files; a backend that the user chose for windows may not exist here.
+    os.environ["MPLBACKEND"] = "agg"
     # A terminated run cleans up like an interrupted one.
-    with Interruption() as interruption:
+    with Interruption(last=argv is None) as interruption:
         try:
             arguments = _parser().parse_args(_join_negative_numbers(words))
             arguments.words = words
@@ -52,7 +54,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             code = int(getattr(module, arguments.command)(arguments) or 0)
             # An output that takes no more is noticed here, not at exit.
             print(end="", flush=True)
-            return code
+            # Libraries may swallow an interruption.
+            return code if interruption.received is None else interruption.report()
         except KeyboardInterrupt:
             return interruption.report()
         except Exception as error:
@@ -63,11 +66,17 @@ def main(argv: Sequence[str] | None = None) -> int:
                 # The output's reader closed it, as in `lieednn-sim demo | head`.
                 _drop_output()
                 return 141
-            if not isinstance(error, LieEDNNError):
-                if not isinstance(error, OSError) or not _output_failed():
-                    raise
-                error = FileError(f"cannot write to the standard output: {error.strerror}")
-            print(f"lieednn-sim: error: {error}", file=sys.stderr)
+            if isinstance(error, OSError) and not isinstance(error, LieEDNNError):
+                # Of the system: no more open files, processes or space.
+                failed = (
+                    "cannot write to the standard output" if _output_failed() else "the system does not permit this"
+                )
+                error = FileError(f"{failed}: {error.strerror or error}")
+            elif isinstance(error, MemoryError):
+                error = LieEDNNError(f"out of memory ({error})" if str(error) else "out of memory")
+            elif not isinstance(error, LieEDNNError):
+                raise
+            say(f"error: {error}")
             return 2
 
 

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from lieednn_sim.cli.interruption import check
 from lieednn_sim.errors import NotCertifiedError
 from lieednn_sim.network import ComponentwiseNetwork
 
@@ -38,7 +39,14 @@ def progress(what: str) -> Iterator[Callable[[int, int], None]]:
     stderr = to_stderr()
     with Progress(*columns, console=stderr, transient=True, disable=not stderr.is_terminal) as bar:
         shown = bar.add_task(what, total=None)
-        yield lambda done, total: bar.update(shown, completed=done, total=total)
+
+        def update(done: int, total: int) -> None:
+            check()
+            bar.update(shown, completed=done, total=total)
+
+        check()
+        yield update
+        check()
 
 
 def print_stability(network: ComponentwiseNetwork, xi: ArrayLike) -> None:
@@ -56,5 +64,6 @@ def one_norm(network: ComponentwiseNetwork, xi: ArrayLike) -> str:
 
 def wrote(*paths: object) -> None:
     """Print the files written."""
+    check()
     for path in paths:
         console.print(f"wrote {path}")

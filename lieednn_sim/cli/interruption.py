@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import sys
@@ -9,21 +10,33 @@ import threading
 from types import FrameType, TracebackType
 from typing import Any
 
+# Time until an interruption that Python had to swallow is raised again [s].
+_AGAIN = 0.01
+
 
 class Interruption:
     """Context, for the main thread, in which SIGINT and SIGTERM raise `KeyboardInterrupt` once.
 
+    Python swallows exceptions that are raised in callbacks of weak references and in ``__del__``; the interruption is
+    then raised again a moment later, and `check` raises it between the steps of a command.
+
     The process ends at once on a second signal, and while its first modules are still being imported: these might turn
     the exception into another one, and there is nothing to clean up yet.
+
+    Args:
+        last: the process ends after the block; a signal that arrives later ends it at once.
 
     Attributes:
         importing: whether the first modules are still being imported.
         received: the signal received, if any.
     """
 
-    def __init__(self) -> None:
+    _current: Interruption | None = None
+
+    def __init__(self, *, last: bool = False) -> None:
         self.importing = True
         self.received: int | None = None
+        self._last = last
         self._before: dict[int, Any] = {}
 
     @property
@@ -37,22 +50,61 @@ class Interruption:
                 # A shell's background job ignores Ctrl-C.
                 if signal.getsignal(number) is not signal.SIG_IGN:
                     self._before[number] = signal.signal(number, self._handle)
+            self._before[signal.SIGALRM] = signal.signal(signal.SIGALRM, self._raise)
+            self._unraisable, sys.unraisablehook = sys.unraisablehook, self._swallowed
+            Interruption._current = self
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        if Interruption._current is self:
+            Interruption._current = None
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
+            sys.unraisablehook = self._unraisable
         for number, handler in self._before.items():
-            signal.signal(number, handler)
+            signal.signal(number, _end if self._last and number != signal.SIGALRM else handler)
 
     def report(self) -> int:
         """Print that the command was interrupted; returns the exit code."""
-        print("lieednn-sim: interrupted; files already reported are complete", file=sys.stderr)
+        say("interrupted; files already reported are complete")
         return self.exit_code
 
     def _handle(self, number: int, _: FrameType | None) -> None:
         if self.importing or self.received is not None:
-            os.write(2, b"lieednn-sim: interrupted\n")
-            os._exit(128 + number)
+            _end(number)
         self.received = number
         raise KeyboardInterrupt
+
+    def _raise(self, *_: object) -> None:
+        if self.received is not None:
+            raise KeyboardInterrupt
+
+    def _swallowed(self, error: Any) -> None:
+        if self.received is not None and issubclass(error.exc_type, KeyboardInterrupt):
+            signal.setitimer(signal.ITIMER_REAL, _AGAIN)
+        else:
+            self._unraisable(error)
+
+
+def check() -> None:
+    """Raise `KeyboardInterrupt` if the running command was interrupted and goes on all the same."""
+    current = Interruption._current
+    if current is not None and current.received is not None:
+        raise KeyboardInterrupt
+
+
+def say(message: str) -> None:
+    """Print a line about the command to the standard error, if that takes it."""
+    try:
+        print(f"lieednn-sim: {message}", file=sys.stderr, flush=True)
+    except OSError:
+        # What waits there would fail again at exit, with another exit code.
+        with contextlib.suppress(OSError, ValueError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stderr.fileno())
+
+
+def _end(number: int, _: FrameType | None = None) -> None:
+    with contextlib.suppress(OSError):
+        os.write(2, b"lieednn-sim: interrupted\n")
+    os._exit(128 + number)

@@ -12,6 +12,7 @@ import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor
+from multiprocessing.context import SpawnContext, SpawnProcess
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,23 @@ from lieednn_sim.simulation.controllers import REGISTRY as CONTROLLER_REGISTRY
 
 # Tasks submitted at once: enough for a cluster, while memory does not grow with the study.
 _AHEAD = 4096
+# What reaches a whole process group.
+_GROUP = {signal.SIGINT}
+
+
+class _Worker(SpawnProcess):
+    """A process that is started with Ctrl-C blocked, which would end it with a traceback until it is prepared."""
+
+    def start(self) -> None:
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, _GROUP)
+        try:
+            super().start()
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+class _Context(SpawnContext):
+    Process = _Worker
 
 
 @contextlib.contextmanager
@@ -32,7 +50,7 @@ def worker_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
 
     None of them survives the block, however it ends; other children of this process are left alone.
     """
-    context = multiprocessing.get_context("spawn")
+    context: Any = _Context()
     others = set(multiprocessing.active_children())
     pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_prepare_worker, initargs=(_modules(),))
     try:
@@ -140,6 +158,7 @@ def _prepare_worker(modules: Sequence[str]) -> None:
             importlib.import_module(name)
     # Ctrl-C reaches the whole process group; the main process stops the workers.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, _GROUP)
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
 

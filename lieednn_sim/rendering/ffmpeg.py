@@ -22,6 +22,20 @@ from lieednn_sim.errors import FileError
 _CRF = 10  # constant rate factor of H.264, 0 to 51: nearly lossless
 
 
+def _executable() -> str:
+    try:
+        return str(imageio_ffmpeg.get_ffmpeg_exe())
+    except RuntimeError as error:
+        raise FileError(f"cannot encode the video: {error}; or write a .gif") from None
+
+
+def _cannot_run(command: str, error: OSError) -> FileError:
+    return FileError(
+        f"cannot run ffmpeg, {command}: {error.strerror or error}; unset IMAGEIO_FFMPEG_EXE to use the bundled one, or "
+        "write a .gif"
+    )
+
+
 @contextlib.contextmanager
 def mp4_writer(path: Path, size: tuple[int, int], fps: float) -> Iterator[Callable[[NDArray[np.uint8]], None]]:
     """Yields a function that appends an RGB picture ``(height, width, 3)``; the file is complete after the block.
@@ -35,16 +49,19 @@ def mp4_writer(path: Path, size: tuple[int, int], fps: float) -> Iterator[Callab
         FileError: the encoder stopped; the message has its first line of output.
     """
     width, height = size
-    command = [imageio_ffmpeg.get_ffmpeg_exe(), "-y", "-v", "error"]
+    command = [_executable(), "-y", "-v", "error"]
     command += ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}"]
     command += ["-r", str(Fraction(fps).limit_denominator()), "-i", "-", "-an"]
     command += ["-vcodec", "libx264", "-pix_fmt", "yuv420p", "-crf", str(_CRF), "-preset", "veryfast"]
     command += ["-movflags", "+faststart", str(path)]
     with tempfile.TemporaryFile() as words:
         # In its own session, so that Ctrl-C does not reach it.
-        encoder = subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=words, start_new_session=True
-        )
+        try:
+            encoder = subprocess.Popen(
+                command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=words, start_new_session=True
+            )
+        except OSError as error:
+            raise _cannot_run(command[0], error) from None
         assert encoder.stdin is not None
         frames = encoder.stdin
 
@@ -87,9 +104,12 @@ def read_frame(path: Path, index: int) -> bytes:
     Raises:
         FileError: the file cannot be read, or has no such frame.
     """
-    command = [imageio_ffmpeg.get_ffmpeg_exe(), "-v", "error", "-i", str(path), "-vf", rf"select=eq(n\,{index})"]
+    command = [_executable(), "-v", "error", "-i", str(path), "-vf", rf"select=eq(n\,{index})"]
     command += ["-frames:v", "1", "-f", "image2pipe", "-c:v", "png", "-"]
-    done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, check=False)
+    try:
+        done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, check=False)
+    except OSError as error:
+        raise _cannot_run(command[0], error) from None
     if done.returncode != 0 or not done.stdout:
         lines = done.stderr.decode(errors="replace").strip().splitlines() or [f"it has no frame {index}"]
         raise FileError(f"cannot read the video {path}: {lines[0]}; remove it")

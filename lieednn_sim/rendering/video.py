@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import io
 import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -216,13 +217,12 @@ def _writer(path: Path, size: tuple[int, int], fps: float) -> Iterator[Callable[
         with ffmpeg.mp4_writer(path, size, fps) as append:
             yield append
         return
+    # In memory, where it is small: what does not fit on the disk the library would try to write again as it is deleted.
+    content = io.BytesIO()
+    writer: Any = imageio.get_writer(content, format="GIF", mode="I", duration=1000.0 / fps, loop=0)
     try:
-        writer: Any = imageio.get_writer(path, format="GIF", mode="I", duration=1000.0 / fps, loop=0)
-        try:
-            yield writer.append_data
-        finally:
-            # imageio's own `with` leaves the file open when the block fails.
-            writer.close()
-    except OSError as error:
-        reason = str(error).strip().splitlines()[0]
-        raise FileError(f"cannot write the video ({reason}); is the disk full?") from None
+        yield writer.append_data
+    finally:
+        # imageio's own `with` leaves the file open when the block fails.
+        writer.close()
+    path.write_bytes(content.getbuffer())

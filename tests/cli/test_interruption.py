@@ -1,0 +1,143 @@
+"""Signals whenever they arrive, and systems that refuse: one line, the right exit code, and nothing half done."""
+
+from __future__ import annotations
+
+import os
+import resource
+import signal
+
+import pytest
+
+from lieednn_sim.cli import main
+
+# The signal arrives in a callback of a weak reference, where Python swallows exceptions; what follows goes on for long.
+SWALLOWED = """
+import contextlib, signal, sys, weakref
+from lieednn_sim.cli import commands, console, main
+
+class Thing: pass
+
+progress = console.progress
+
+@contextlib.contextmanager
+def interrupted(what):
+    with progress(what) as report:
+        thing = Thing()
+        kept = weakref.ref(thing, lambda _: signal.raise_signal(signal.SIGTERM))
+        if what == "simulate":
+            del thing
+            {then}
+        yield report
+
+commands.progress = interrupted
+sys.exit(main())
+"""
+DEMO = ["demo", "--no-video", "--target", "random:3", "--planner", "linear-attractor", "--duration", "1", "--hold", "0"]
+
+
+@pytest.mark.parametrize("then", ["signal.pause()", "sys.unraisablehook = lambda *_: None"], ids=["again", "between"])
+def test_a_signal_that_is_swallowed_ends_the_command_all_the_same(tmp_path, start, then):
+    """It is raised again a moment later, and where even that is lost, before the next step."""
+    process = start("-c", SWALLOWED.format(then=then), *DEMO, "--output", str(tmp_path / "run"))
+    output, errors = process.communicate()
+    assert process.returncode == 143, errors
+    assert errors == "lieednn-sim: interrupted; files already reported are complete\n"
+    assert "metrics.json" not in output
+
+
+def test_a_signal_after_the_last_line_is_no_traceback(start):
+    code = "import atexit, os, signal, sys\nfrom lieednn_sim.cli import main\n"
+    code += "atexit.register(lambda: os.kill(os.getpid(), signal.SIGINT))\nsys.exit(main())"
+    process = start("-c", code, "doctor", "--json")
+    output, errors = process.communicate()
+    assert (process.returncode, errors) == (130, "lieednn-sim: interrupted\n")
+    assert output.rstrip().endswith("}")
+
+
+def test_a_group_is_interrupted_while_its_workers_start(tmp_path, start):
+    """By the first worker, which imports the main module before it is prepared."""
+    script = tmp_path / "script.py"
+    script.write_text(
+        """
+import os, signal, sys
+from lieednn_sim.cli import main
+if __name__ == "__mp_main__":
+    os.killpg(0, signal.SIGINT)
+if __name__ == "__main__":
+    sys.exit(main())
+"""
+    )
+    words = ["compare", "--planners", "minimum-jerk", "--arms", "telescopic_pr", "--scenes", "free", "--jobs", "2"]
+    process = start(str(script), *words, "--output", str(tmp_path / "out"), start_new_session=True)
+    _, errors = process.communicate()
+    assert process.returncode == 130
+    # A bar, and the line.
+    assert errors.splitlines()[1:] == ["lieednn-sim: interrupted; files already reported are complete"]
+
+
+def test_a_refused_command_leaves_no_folder(tmp_path, capsys):
+    (tmp_path / "empty").mkdir()
+    out = tmp_path / "a" / "out"
+    for words in (["merge", out, tmp_path / "empty"], ["problems", tmp_path / "empty", "--output", out]):
+        assert main([str(word) for word in words]) == 2
+        assert [path.name for path in tmp_path.iterdir()] == ["empty"]
+
+
+def test_numbers_of_thousands_of_digits_are_refused(tmp_path, capsys):
+    assert main(["problems", str(tmp_path), "--problems", "9" * 5000]) == 2
+    assert "--problems must be a number of at least 1, or all; got '999" in capsys.readouterr().err
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    directory = tmp_path_factory.mktemp("system") / "run"
+    assert main([*DEMO, "--output", str(directory)]) == 0
+    return directory
+
+
+def test_a_backend_for_windows_that_does_not_exist_does_not_matter(run, start):
+    process = start("-m", "lieednn_sim.cli", "evaluate", str(run), env={**os.environ, "MPLBACKEND": "junk"})
+    assert (process.communicate()[1], process.returncode) == ("", 0)
+
+
+@pytest.mark.rendering
+def test_an_ffmpeg_that_does_not_exist_is_named(run, capsys, monkeypatch):
+    monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", "/nonexistent")
+    assert main(["render", str(run), "--size", "64x48", "--preset", "draft", "--fps", "2"]) == 2
+    assert "cannot run ffmpeg, /nonexistent: No such file or directory; unset IMAGEIO" in capsys.readouterr().err
+
+
+@pytest.mark.rendering
+def test_a_disk_that_is_full_is_one_line_with_the_name_that_was_asked_for(run, tmp_path, start):
+    film = tmp_path / "film.gif"
+    words = ["render", str(run), "--size", "320x240", "--preset", "draft", "--fps", "5", "--output", str(film)]
+
+    def limited():
+        resource.setrlimit(resource.RLIMIT_FSIZE, (2000, 2000))
+
+    process = start("-m", "lieednn_sim.cli", *words, preexec_fn=limited)
+    assert process.communicate()[1] == f"lieednn-sim: error: cannot write {film}: File too large\n"
+    assert process.returncode == 2
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_too_few_open_files_and_a_full_standard_error_are_errors_as_others(tmp_path, start):
+    def limited():
+        resource.setrlimit(resource.RLIMIT_NOFILE, (12, 12))
+
+    words = ["--planners", "minimum-jerk", "--arms", "telescopic_pr", "--scenes", "free", "--output", str(tmp_path)]
+    process = start("-m", "lieednn_sim.cli", "compare", *words, "--jobs", "1", preexec_fn=limited)
+    *bar, line = process.communicate()[1].splitlines()
+    assert process.returncode == 2
+    assert "Traceback" not in "".join(bar)
+    assert line.endswith("Too many open files")
+    with open("/dev/full", "w") as full:  # noqa: PTH123, a device
+        process = start("-m", "lieednn_sim.cli", "simulate", str(tmp_path / "none"), stderr=full)
+        process.communicate()
+    assert process.returncode == 2
+
+
+def test_signals_have_their_handlers_back(capsys):
+    before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGALRM)]
+    assert main(["arms"]) == 0
+    assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGALRM)] == before
