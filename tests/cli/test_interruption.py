@@ -67,7 +67,7 @@ if __name__ == "__main__":
     sys.exit(main())
 """
     )
-    words = ["compare", "--planners", "minimum-jerk", "--arms", "telescopic_pr", "--scenes", "free", "--jobs", "2"]
+    words = ["compare", "--planners", "minimum-jerk", "--arms", "telescopic_pr", "--scenes", "free", "--jobs", "1"]
     process = start(str(script), *words, "--output", str(tmp_path / "out"), start_new_session=True)
     _, errors = process.communicate()
     assert process.returncode == 130
