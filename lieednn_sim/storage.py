@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from lieednn_sim.errors import FileError
 from lieednn_sim.filesystem import atomic_path, atomic_text
+from lieednn_sim.reading import LARGEST_TEXT, Archive, opened, parse_yaml
 from lieednn_sim.validation import as_path
 
 # 2: with a fingerprint.
@@ -30,8 +31,6 @@ _META_KEY, _FINGERPRINT, _MADE_FROM = "meta_json", "fingerprint", "made_from"
 _DAMAGE = (zipfile.BadZipFile, zlib.error, NotImplementedError)
 # An archive's last record: signature, four counters, size and offset of the directory before it, length of a comment.
 _ARCHIVE_END = struct.Struct("<4s4H2LH")
-# Largest size of JSON and YAML files [bytes]; those of the package are far smaller.
-_MAX_TEXT = 1_000_000
 
 
 def save_json(path: str | os.PathLike[str], value: Any) -> None:
@@ -48,34 +47,25 @@ def load_json(path: str | os.PathLike[str], what: str) -> dict[str, Any]:
 
 def load_description(path: str | os.PathLike[str], what: str) -> dict[str, Any]:
     """Read a hand-written object, JSON by its suffix or else YAML; raises as `load_json`."""
-    return load_json(path, what) if Path(path).suffix.lower() == ".json" else _load_object(path, what, _parse_yaml)
-
-
-def _parse_yaml(content: bytes) -> Any:
-    import yaml
-
-    try:
-        return yaml.safe_load(content)
-    except yaml.YAMLError as error:
-        raise ValueError(" ".join(str(error).split())) from None
+    return load_json(path, what) if Path(path).suffix.lower() == ".json" else _load_object(path, what, parse_yaml)
 
 
 def _load_object(path: str | os.PathLike[str], what: str, parse: Callable[[bytes], Any]) -> dict[str, Any]:
     try:
-        with as_path("path", path).open("rb") as stream:
-            content = stream.read(_MAX_TEXT + 1)
+        with opened(as_path("path", path), LARGEST_TEXT) as stream:
+            content = stream.read()
+    except FileError:
+        raise
     except OSError as error:
         raise FileError(f"cannot read {path}: {error.strerror or error}") from None
     return parse_object(content, path, what, parse)
 
 
 def parse_object(
-    content: bytes, path: str | os.PathLike[str], what: str, parse: Callable[[bytes], Any] = _parse_yaml
+    content: bytes, path: str | os.PathLike[str], what: str, parse: Callable[[bytes], Any] = parse_yaml
 ) -> dict[str, Any]:
     """Parse the content of a file, YAML by default; `FileError` if it is not a mapping."""
     try:
-        if len(content) > _MAX_TEXT:
-            raise ValueError(f"it is larger than {_MAX_TEXT} bytes")
         value = parse(content)
         if not isinstance(value, dict):
             raise TypeError(f"it holds a {type(value).__name__}, not values by name")
@@ -163,19 +153,25 @@ def _read(
     source = as_path("path", path)
     what = f"{kind or 'result'} file"
     try:
-        with source.open("rb") as stream:
+        with opened(source) as stream:
             _check_archive_end(stream)
-            with np.load(stream, allow_pickle=False) as archive:
-                arrays = {name: archive[name] for name in ([_META_KEY] if header_only else archive.files)}
-        meta = json.loads(str(arrays.pop(_META_KEY)))
+            archive = Archive(stream)
+            # NumPy stores four bytes a character.
+            meta = json.loads(str(archive.read(_META_KEY, 4 * LARGEST_TEXT)))
+            _check_meta(meta, source, kind, what)
+            names = [] if header_only else [name for name in archive.names if name != _META_KEY]
+            return {name: archive.read(name) for name in names}, meta
     except FileNotFoundError:
         raise FileError(f"no such file: {source}") from None
-    except IsADirectoryError:
-        raise FileError(f"{source} is a directory, not a {what}") from None
     except PermissionError:
         raise FileError(f"cannot read {source}: permission denied") from None
+    except FileError:
+        raise
     except (OSError, EOFError, KeyError, ValueError, TypeError, AttributeError, RecursionError, *_DAMAGE) as error:
         raise FileError(f"{source} is not a readable {what} ({type(error).__name__}: {error})") from None
+
+
+def _check_meta(meta: Any, source: Path, kind: str | None, what: str) -> None:
     if not isinstance(meta, dict) or meta.get("kind") != (kind or meta.get("kind")):
         found = meta.get("kind") if isinstance(meta, dict) else None
         raise FileError(f"{source} holds {found!r}, expected {kind!r}")
@@ -187,7 +183,6 @@ def _read(
         raise FileError(
             f"{source} was written by an older version, without a fingerprint of its content; make it again"
         )
-    return arrays, meta
 
 
 def _check_archive_end(stream: IO[bytes]) -> None:

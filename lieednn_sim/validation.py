@@ -97,8 +97,9 @@ def _converted(name: str, value: ArrayLike, shape: Shape, batched: bool) -> NDAr
             _require_shape(name, value.shape, shape, batched)
         elif isinstance(value, Sequence) and len(value) > _LARGEST_SIZE:
             raise InputError(f"{name} must have at most {_LARGEST_SIZE} entries, got {len(value)}")
-        if np.iscomplexobj(value):
-            raise TypeError("complex numbers are not allowed")
+        given = value if isinstance(value, np.ndarray) else np.asarray(value)
+        if given.dtype.kind in "cbSUmMV" or not _only_numbers(value):
+            raise TypeError("every entry must be a real number")
         return np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError, OverflowError, MemoryError) as error:
         if isinstance(error, InputError):
@@ -106,6 +107,13 @@ def _converted(name: str, value: ArrayLike, shape: Shape, batched: bool) -> NDAr
         # NumPy's messages may repeat a long string.
         why = f": {error}" if len(str(error)) <= 2 * _QUOTED else ""
         raise InputError(f"{name} must be an array of numbers, got {type(value).__name__}{why}") from None
+
+
+def _only_numbers(value: Any) -> bool:
+    """Whether a sequence holds neither truth values nor texts, which NumPy would turn into numbers."""
+    if isinstance(value, list | tuple):
+        return all(map(_only_numbers, value))
+    return not isinstance(value, bool | np.bool_ | str | bytes)
 
 
 def _require_shape(name: str, given: tuple[int, ...], shape: Shape, batched: bool) -> None:
@@ -212,6 +220,8 @@ def as_ratio(gamma: float, mu: float) -> float:
 def as_count(name: str, value: int, least: int = 1) -> int:
     """Return ``value`` as an integer of at least ``least``, or raise `InputError`."""
     try:
+        if isinstance(value, bool):
+            raise TypeError
         number = operator.index(value)
     except TypeError:
         raise InputError(f"{name} must be a whole number, got {quoted(value)}") from None

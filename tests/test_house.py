@@ -18,6 +18,7 @@ GROUND = (
     "values",
     "versions",
     "filesystem",
+    "reading",
     "storage",
     "manifest",
     "budget",

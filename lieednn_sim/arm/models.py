@@ -10,8 +10,8 @@ from typing import Any, NamedTuple, Unpack
 from lieednn_sim import storage
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.importer import ImportOptions, ImportReport, import_arm
+from lieednn_sim.arm.importer.loading import read_model
 from lieednn_sim.errors import FileError, InputError
-from lieednn_sim.filesystem import is_file
 from lieednn_sim.validation import as_choice, as_path
 
 # Suffixes of model files, and of files that describe an import; both tell a file from the name of an arm.
@@ -114,12 +114,7 @@ def open_model(source: Path, **options: Unpack[ImportOptions]) -> tuple[mujoco.M
         FileError: there is no such file, or MuJoCo cannot compile it.
         InputError: it holds no arm.
     """
-    if not is_file(source):
-        raise FileError(f"no such file: {source}")
-    try:
-        spec = mujoco.MjSpec.from_file(str(source))
-    except ValueError as error:
-        raise FileError(f"MuJoCo cannot compile {source}: {str(error).strip()}") from None
+    spec = read_model(source)
     if chosen(options) or spec.site("base_frame") is None or spec.site("link1_frame") is None:
         return import_arm(source, **chosen(options))
     return spec, None

@@ -18,11 +18,13 @@ from lieednn_sim.arm.scenes import GOAL_PREFIX, PREFIX, SCENES
 from lieednn_sim.arm.serial_arm import SerialArm
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.filesystem import is_file
-from lieednn_sim.validation import as_choice, as_floats, as_path, as_positive
+from lieednn_sim.validation import as_choice, as_floats, as_path, as_positive, quoted
 from lieednn_sim.values import Floats
 
 # Suffixes that tell a file from the name of a scene.
 SCENE_SUFFIXES = (".xml", ".yaml", ".yml", ".json")
+# Obstacles in a list, and goals.
+_MOST = 10_000
 _GOAL = GOAL_PREFIX.removeprefix(PREFIX)
 # MuJoCo draws groups 0 to 2 by default.
 _HIDDEN = 5
@@ -145,16 +147,19 @@ def shapes(value: Mapping[str, Any], source: Path) -> mujoco.MjSpec:
     if unknown := value.keys() - {"obstacles", "goals"}:
         raise InputError(f"{source}: unknown entries {_listed(unknown)}; allowed: goals, obstacles")
     spec = mujoco.MjSpec()
+    names: set[str] = set()
     for kind, add in (("obstacles", _add_obstacle), ("goals", _add_goal)):
         entries = value.get(kind, [])
         if not isinstance(entries, list):
             raise InputError(f"{source}: {kind} must be a list, got {type(entries).__name__}")
+        if len(entries) > _MOST:
+            raise InputError(f"{source}: at most {_MOST} {kind} can be read, got {len(entries)}")
         for number, entry in enumerate(entries):
             where = f"{source}: entry {number + 1} of {kind}"
             if not isinstance(entry, dict):
                 raise InputError(f"{where} must be a mapping, got {type(entry).__name__}")
             try:
-                add(spec, entry, number, source.parent)
+                add(spec, entry, number, source.parent, names)
             except InputError as error:
                 raise InputError(f"{where}: {error}") from None
             except FileError as error:
@@ -162,14 +167,15 @@ def shapes(value: Mapping[str, Any], source: Path) -> mujoco.MjSpec:
     return spec
 
 
-def _add_obstacle(spec: mujoco.MjSpec, entry: dict[str, Any], number: int, folder: Path) -> None:
+def _add_obstacle(spec: mujoco.MjSpec, entry: dict[str, Any], number: int, folder: Path, names: set[str]) -> None:
     if "shape" not in entry:
         raise InputError(f"it needs a shape: {', '.join(_SHAPES)}")
     shape = as_choice("shape", entry["shape"], _SHAPES)
     _check_entries(entry, {"shape", "name", *_SHAPES[shape]})
     name = entry.get("name", f"{shape}{number}")
-    if not isinstance(name, str) or not name or name in {body.name for body in spec.bodies}:
-        raise InputError(f"name must be a text that no other obstacle has, got {name!r}")
+    if not isinstance(name, str) or not name or not name.isprintable() or name in names or name == "world":
+        raise InputError(f"name must be a printable text that no other obstacle has, got {quoted(name)}")
+    names.add(name)
     body = spec.worldbody.add_body(name=name, **_pose(entry))
     look = {"name": name, "rgba": _COLOUR, "group": 2}
     if shape == "mesh":
@@ -186,7 +192,7 @@ def _add_obstacle(spec: mujoco.MjSpec, entry: dict[str, Any], number: int, folde
         body.add_geom(type=kind, size=_half_sizes(entry, shape), **look)
 
 
-def _add_goal(spec: mujoco.MjSpec, entry: dict[str, Any], number: int, folder: Path) -> None:
+def _add_goal(spec: mujoco.MjSpec, entry: dict[str, Any], number: int, folder: Path, _: set[str]) -> None:
     _check_entries(entry, {"size"})
     kind, look = mujoco.mjtGeom.mjGEOM_BOX, {"group": _HIDDEN, "rgba": (0.1, 0.8, 0.3, 0.15)}
     spec.worldbody.add_site(name=f"{_GOAL}{number}", type=kind, size=_half_sizes(entry, "box"), **_pose(entry), **look)

@@ -222,7 +222,7 @@ def test_errors_name_what_is_allowed(arm, tmp_path):
         Arm.from_xml(tmp_path / "missing.xml")
     broken = tmp_path / "scene.xml"
     broken.write_text("<mujoco><worldbody><geom/></worldbody>")
-    with pytest.raises(FileError, match="cannot compile"):
+    with pytest.raises(FileError, match="cannot read"):
         Arm.from_xml(broken)
     broken.write_text("<mujoco><worldbody/></mujoco>")
     with pytest.raises(InputError, match="no hinge, slide or ball joint"):

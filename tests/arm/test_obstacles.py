@@ -158,7 +158,7 @@ def test_targets_are_in_the_goals_of_a_file_or_anywhere_free(gantry, tmp_path):
         ({"obstacles": [{**BOX, "position": [1, 2]}]}, InputError, r"position must have shape \(3\)"),
         ({"obstacles": [{**BOX, "quaternion": [0, 0, 0, 0]}]}, InputError, "quaternion must have length 1, got 0"),
         ({"obstacles": [{**BOX, "quaternion": [1, 0, 0, 0], "rpy": [0, 0, 0]}]}, InputError, "both rpy and quat"),
-        ({"obstacles": [POLE, POLE]}, InputError, "entry 2 .*name must be a text that no other"),
+        ({"obstacles": [POLE, POLE]}, InputError, "entry 2 .*name must be a printable text that no other"),
         (
             {"obstacles": [{"shape": "mesh", "file": "gone.stl", "position": [0, 0, 0]}]},
             FileError,

@@ -244,8 +244,9 @@ def test_a_run_that_is_killed_while_it_replaces_another_leaves_no_mixture(tmp_pa
     outcomes = []
     for deadly in range(100):
         run, old = save(tmp_path / str(deadly), made)
-        for path in run.results:
-            make(run, path)
+        with run.manifest.replacing(run.results) as temporaries:
+            for temporary in temporaries:
+                temporary.write_text("old")
         new = dataclasses.replace(task, seed=1)
         steps = iter(range(deadly))
 

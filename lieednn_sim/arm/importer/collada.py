@@ -10,9 +10,12 @@ import numpy as np
 import scipy
 
 from lieednn_sim.errors import FileError
+from lieednn_sim.reading import opened
 from lieednn_sim.values import Floats
 
 # The supported transforms of a node; others, such as skews, are refused.
+# Bytes of a file.
+_LARGEST = 2 * 10**8
 _PLACING = ("matrix", "translate", "rotate", "scale")
 
 
@@ -25,7 +28,8 @@ def read_points(path: Path) -> Floats:
         FileError: the file is not COLLADA, or has no points.
     """
     try:
-        root = ElementTree.parse(path).getroot()
+        with opened(path, _LARGEST) as stream:
+            root = ElementTree.parse(stream).getroot()
         elements = {element.get("id"): element for element in root.iter() if element.get("id")}
         unit = next((float(unit.get("meter", "1")) for unit in _all(root, "unit")), 1.0)
         scenes = [node for scene in _all(root, "visual_scene") for node in scene if _tag(node) == "node"]

@@ -11,6 +11,7 @@ from xml.etree import ElementTree
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.checks import check_numbers
 from lieednn_sim.arm.importer.collada import read_points
+from lieednn_sim.arm.importer.size import check_size
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.filesystem import is_file
 from lieednn_sim.validation import as_path
@@ -36,12 +37,7 @@ def load_spec(model: str | os.PathLike[str] | mujoco.MjSpec, notes: list[str] | 
         if not isinstance(model, str | os.PathLike):
             raise InputError(f"the model must be a file or a mujoco.MjSpec, got {type(model).__name__}")
         source = as_path("the model", model)
-        if not is_file(source):
-            raise FileError(f"no such file: {source}")
-        try:
-            spec = mujoco.MjSpec.from_file(str(source))
-        except ValueError as error:
-            raise FileError(f"MuJoCo cannot read {source}: {str(error).strip()}") from None
+        spec = read_model(source)
         _resolve_packages(spec, source.resolve())
         if (points := _read_collada(spec)) and notes is not None:
             notes.append(f"meshes in COLLADA taken as the convex hulls of their points: {', '.join(points)}")
@@ -58,11 +54,22 @@ def load_spec(model: str | os.PathLike[str] | mujoco.MjSpec, notes: list[str] | 
     return spec
 
 
+def read_model(source: Path) -> mujoco.MjSpec:
+    """The spec of an MJCF or URDF file as it is; `FileError` if there is none, or MuJoCo cannot read it."""
+    if not is_file(source):
+        raise FileError(f"no such file: {source}")
+    check_size(source)
+    try:
+        return mujoco.MjSpec.from_file(str(source))
+    except (ValueError, RuntimeError) as error:
+        raise FileError(f"MuJoCo cannot read {source}: {str(error).strip()}") from None
+
+
 def compile_spec(spec: mujoco.MjSpec) -> mujoco.MjModel:
     """Compile; `FileError` gives MuJoCo's message, or the files of meshes and textures that are missing."""
     try:
         model = spec.compile()
-    except ValueError as error:
+    except (ValueError, RuntimeError, MemoryError) as error:
         files = dict(_files(spec))
         if missing := [name for name, path in files.items() if path is None]:
             raise FileError(f"files of the model are missing: {_first(missing)}") from None

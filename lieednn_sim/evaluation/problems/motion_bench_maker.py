@@ -26,11 +26,14 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.arm.importer import import_arm
 from lieednn_sim.arm.obstacles import shapes
 from lieednn_sim.errors import FileError
-from lieednn_sim.validation import as_path
+from lieednn_sim.reading import LARGEST_FILE, LARGEST_TEXT, opened
+from lieednn_sim.validation import as_floats, as_path
 from lieednn_sim.values import Floats
 
 # A file of a problem, in the archive or the folder: set, kind and number.
 _MEMBER = re.compile(r"(?:.*/)?([^/]+)/(scene|request)(\d+)\.yaml")
+# Bytes of a model; spherised ones have megabytes.
+_LARGEST_MODEL = 10**8
 # Limits, such as pi, are given to five decimals; starts and goals in full precision [rad, m].
 _LAST_DIGIT = 1e-5
 # Dimensions of primitives other than boxes, in the order of the messages.
@@ -81,7 +84,7 @@ class ProblemSets:
     def fingerprint(self) -> str:
         """Fingerprint of all files that the problems are read from."""
         texts = {f"{key}": text for key, text in self._texts.items()}
-        texts |= {path.suffix: path.read_bytes() for path in (self.model, self.semantics) if path}
+        texts |= {path.suffix: _content(path) for path in (self.model, self.semantics) if path}
         return storage.fingerprint({key: np.frombuffer(text, np.uint8) for key, text in texts.items()}, {})
 
     def chosen(self, count: int | None = None) -> list[tuple[str, int]]:
@@ -203,7 +206,7 @@ def _read(folder: Path) -> dict[tuple[str, int, str], bytes]:
     texts = {}
     inside = folder / "problems"
     for name, content in _inside(inside) if inside.is_dir() else _unpacked(_one(folder, "problems.tar*")):
-        if matched := _MEMBER.fullmatch(name.replace(os.sep, "/")):
+        if matched := _matched(name):
             texts[matched[1].removesuffix(f"_{folder.name}"), int(matched[3]), matched[2]] = content
     if not texts:
         raise FileError(f"{folder} holds no problems: no SET/scene0001.yaml with a SET/request0001.yaml")
@@ -211,15 +214,39 @@ def _read(folder: Path) -> dict[tuple[str, int, str], bytes]:
 
 
 def _inside(folder: Path) -> Iterator[tuple[str, bytes]]:
-    return ((str(path), path.read_bytes()) for path in sorted(folder.rglob("*.yaml")))
+    return ((str(path), _content(path)) for path in sorted(folder.rglob("*.yaml")) if _matched(str(path)))
+
+
+def _matched(name: str) -> re.Match[str] | None:
+    return _MEMBER.fullmatch(name.replace(os.sep, "/"))
+
+
+def _content(path: Path) -> bytes:
+    try:
+        with opened(path, _LARGEST_MODEL) as stream:
+            return stream.read()
+    except FileError:
+        raise
+    except OSError as error:
+        raise FileError(f"cannot read {path}: {error.strerror or error}") from None
 
 
 def _unpacked(archive: Path) -> Iterator[tuple[str, bytes]]:
     try:
         with tarfile.open(archive) as members:
             for member in members:
-                if member.isfile() and (content := members.extractfile(member)):
+                if member.offset_data + member.size > LARGEST_FILE:
+                    raise FileError(f"{archive} unpacks to more than {LARGEST_FILE} bytes, which are not read")
+                if not member.isfile() or not _matched(member.name):
+                    continue
+                if member.size > LARGEST_TEXT:
+                    raise FileError(
+                        f"{archive}: {member.name} has {member.size} bytes; at most {LARGEST_TEXT} are read"
+                    )
+                if content := members.extractfile(member):
                     yield member.name, content.read()
+    except FileError:
+        raise
     except (OSError, EOFError, tarfile.TarError) as error:
         raise FileError(f"cannot read {archive}: {error}") from None
 
@@ -246,12 +273,12 @@ def _malformed(where: object) -> Iterator[None]:
 
 def _start(request: Mapping[str, Any]) -> dict[str, float]:
     state = request["start_state"]["joint_state"]
-    return dict(zip(state["name"], map(float, state["position"]), strict=True))
+    return dict(zip(state["name"], as_floats("start", state["position"], ("n",)).tolist(), strict=True))
 
 
 def _goal(request: Mapping[str, Any]) -> dict[str, float]:
     constraints = request["goal_constraints"][0]["joint_constraints"]
-    return {str(one["joint_name"]): float(one["position"]) for one in constraints}
+    return {str(one["joint_name"]): float(as_floats("goal", one["position"], ())) for one in constraints}
 
 
 def _obstacles(scene: Mapping[str, Any], root: str) -> Iterator[dict[str, Any]]:

@@ -10,9 +10,9 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from lieednn_sim.errors import InputError
-from lieednn_sim.learning.demonstrations.recording import Demonstration
+from lieednn_sim.learning.demonstrations.recording import Demonstration, as_dof
 from lieednn_sim.lie import exp, left_jacobian_so3, poses
-from lieednn_sim.validation import as_choice, as_count, as_positive
+from lieednn_sim.validation import as_choice, as_count, as_floats, as_positive, as_times
 from lieednn_sim.values import Floats, frozen
 
 PHASES = ("length", "time")
@@ -33,6 +33,9 @@ class Demonstrations:
         twists: ``(n, K, 6)`` [rad, m].
         dof: degrees of freedom that were recorded: 2, 3 or 6.
         lever: metres that a radian counts for, in lengths and distances.
+
+    Raises:
+        InputError: an entry is not finite, times do not increase, or shapes do not fit.
     """
 
     goal: RigidTransform
@@ -40,6 +43,11 @@ class Demonstrations:
     twists: Floats
     dof: int
     lever: float = LEVER
+
+    def __post_init__(self) -> None:
+        as_floats("twists", self.twists, ("n", len(as_times("t", self.t)), 6))
+        as_positive("lever", self.lever)
+        as_dof(self.dof)
 
     def __len__(self) -> int:
         """The number of demonstrations."""

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.learning.demonstrations.recording import QUATERNIONS, Demonstration
+from lieednn_sim.reading import Archive, opened, read_array
 from lieednn_sim.validation import as_choice, as_path, as_positive, quoted
 
 # Samples, and their times if the file has them.
@@ -28,6 +29,8 @@ UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 _COLUMNS = ("x", "y", "z")
 # Names of the column of times.
 TIMES = ("t", "time")
+# Bytes of a csv or mat file.
+_LARGEST_TABLE = 10**8
 _QUATERNION_COLUMNS = tuple(f"q{letter}" for letter in "wxyz")
 
 
@@ -121,14 +124,16 @@ def _several(path: Path, samples: NDArray[Any], t: NDArray[Any] | None = None) -
 
 
 def _npy(path: Path, _: Columns) -> Iterator[Table]:
-    return _several(path, np.load(path, allow_pickle=False))
+    with opened(path) as stream:
+        return _several(path, read_array(stream, path.stat().st_size))
 
 
 def _npz(path: Path, _: Columns) -> Iterator[Table]:
-    with np.load(path, allow_pickle=False) as archive:
-        arrays = {name: archive[name] for name in archive.files}
+    with opened(path) as stream:
+        archive = Archive(stream)
+        arrays = {name: archive.read(name) for name in archive.names}
     t, quaternions = arrays.pop("t", None), arrays.pop("quaternions", None)
-    named = [name for name in ("poses", "positions") if name in arrays] or list(arrays)
+    named: list[str] = [name for name in ("poses", "positions") if name in arrays] or [*arrays]
     if len(named) != 1:
         raise InputError(f"{path} must hold one array named 'poses' or 'positions'; it holds: {', '.join(arrays)}")
     samples = arrays[named[0]]
@@ -138,8 +143,8 @@ def _npz(path: Path, _: Columns) -> Iterator[Table]:
 
 
 def _csv(path: Path, columns: Columns) -> Iterator[Table]:
-    with path.open(encoding="utf-8-sig") as stream:
-        first = stream.readline()
+    with opened(path, _LARGEST_TABLE) as stream:
+        first = stream.readline().decode("utf-8-sig")
     if ";" in first or "\t" in first:
         raise FileError(
             f"{path} must be separated by commas, with points in its numbers; its first line is {quoted(first.strip())}"
@@ -166,7 +171,8 @@ def _pose_columns(quaternion: str, path: Path, names: list[str]) -> Sequence[str
 def _mat(path: Path, _: Columns) -> Iterator[Table]:
     from scipy.io import loadmat
 
-    demos = loadmat(path, simplify_cells=True).get("demos")
+    with opened(path, _LARGEST_TABLE) as stream:
+        demos = loadmat(stream, simplify_cells=True, variable_names=["demos"]).get("demos")
     if demos is None:
         raise InputError(f"{path} has no 'demos', as the files of the LASA data set have")
     for demo in [demos] if isinstance(demos, dict) else demos:

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from lieednn_sim.errors import InputError
 from lieednn_sim.lie import left_jacobian_so3
-from lieednn_sim.validation import as_floats, as_times
+from lieednn_sim.validation import as_choice, as_count, as_floats, as_positive, as_times
 from lieednn_sim.values import Floats, frozen
 
 QUATERNIONS = ("wxyz", "xyzw")
@@ -26,6 +26,13 @@ _LARGEST_SAMPLE = 1e9
 _LEAST_LENGTH = 1e-9
 
 
+def as_dof(dof: int) -> int:
+    """Return degrees of freedom that can be recorded: 2, 3 or 6; or raise `InputError`."""
+    if as_count("dof", dof) not in (2, 3, 6):
+        raise InputError(f"dof must be 2, 3 or 6, got {dof}")
+    return dof
+
+
 @frozen
 class Demonstration:
     """A recorded motion of a frame.
@@ -36,6 +43,9 @@ class Demonstration:
         rotation: ``(K, 3, 3)`` from the frame to the world; the identity if not recorded.
         dof: degrees of freedom that were recorded: 2, 3 or 6.
         source: where it comes from, for messages.
+
+    Raises:
+        InputError: an entry is not finite, times do not increase, or shapes do not fit.
     """
 
     t: Floats
@@ -43,6 +53,12 @@ class Demonstration:
     rotation: Floats
     dof: int
     source: str = ""
+
+    def __post_init__(self) -> None:
+        count = len(as_times(f"times of {self.source or 'a demonstration'}", self.t))
+        as_floats("position", self.position, (count, 3))
+        as_floats("rotation", self.rotation, (count, 3, 3))
+        as_dof(self.dof)
 
     @classmethod
     def from_samples(
@@ -67,6 +83,8 @@ class Demonstration:
         Raises:
             InputError: the samples or times are malformed, or nothing moves.
         """
+        length, rate = as_positive("length", length), as_positive("rate", rate)
+        as_choice("order of quaternions", quaternion, QUATERNIONS)
         table = as_floats(source, samples, ("K", "D"), largest=_LARGEST_SAMPLE)
         count, columns = table.shape
         if columns not in _SHOWN:

@@ -1,0 +1,142 @@
+"""Reading of files that may hold anything: what they may take of size, memory and time is bounded here."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+import re
+import stat
+import zipfile
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieednn_sim.errors import FileError
+
+# Bytes of a file, and of the arrays of one once they are unpacked.
+LARGEST_FILE = LARGEST_ARRAYS = 2**30
+# Bytes of a JSON or YAML file, and of the text beside arrays; those of the package are far smaller.
+LARGEST_TEXT = 1_000_000
+# Values in a YAML or JSON file, each counted as often as aliases repeat it, and how deep they are nested.
+_MOST_VALUES, _DEEPEST = 1_000_000, 100
+_MOST_ARRAYS = 1000
+# Versions of the npy format that describe plain arrays of numbers and texts.
+_HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+
+
+@contextlib.contextmanager
+def opened(path: str | os.PathLike[str], largest: int = LARGEST_FILE) -> Iterator[IO[bytes]]:
+    """Open a file for reading.
+
+    Raises:
+        FileError: it is no regular file, as a device or a pipe, or has more than ``largest`` bytes.
+        OSError: the system cannot open it.
+    """
+    found = Path(path).stat()
+    if stat.S_ISDIR(found.st_mode):
+        raise FileError(f"{path} is a directory, not a file")
+    if not stat.S_ISREG(found.st_mode):
+        raise FileError(f"{path} is not a regular file")
+    if found.st_size > largest:
+        raise FileError(f"{path} has {found.st_size} bytes; at most {largest} are read")
+    with Path(path).open("rb") as stream:
+        yield stream
+
+
+def parse_yaml(content: bytes) -> Any:
+    """Parse YAML; `ValueError` says what is wrong, or that it holds too much."""
+    import yaml
+
+    depth, loader = 0, _loader()
+    try:
+        # Before anything is built: the loader recurses, and its compiled form crashes where that is too deep.
+        for event in yaml.parse(content, Loader=loader):
+            depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+            if depth > _DEEPEST:
+                raise ValueError(f"it is nested more than {_DEEPEST} deep")
+        value = yaml.load(content, Loader=loader)
+    except yaml.YAMLError as error:
+        raise ValueError(" ".join(str(error).split())) from None
+    if _count(value, {}) > _MOST_VALUES:
+        raise ValueError(f"it holds more than {_MOST_VALUES} values, repeated ones counted as often as they occur")
+    return value
+
+
+@cache
+def _loader() -> Any:
+    import yaml
+
+    class Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
+        """Reads 1e-3 as the number that it is in YAML 1.2, not as a text."""
+
+    number = re.compile(r"[-+]?(\d+(\.\d*)?|\.\d+)[eE][-+]?\d+")
+    Loader.add_implicit_resolver("tag:yaml.org,2002:float", number, list("-+.0123456789"))
+    return Loader
+
+
+def _count(value: Any, known: dict[int, float]) -> float:
+    """Number of values, infinite where one contains itself; ``known`` holds those of lists and mappings by identity."""
+    if not isinstance(value, list | dict):
+        return 1.0
+    if id(value) not in known:
+        known[id(value)] = math.inf
+        inside = value if isinstance(value, list) else value.values()
+        known[id(value)] = 1.0 + sum(_count(item, known) for item in inside)
+    return known[id(value)]
+
+
+class Archive:
+    """The arrays of an ``.npz`` file, each checked before memory is taken for it.
+
+    Args:
+        stream: the open file.
+
+    Raises:
+        ValueError: the arrays would take too much memory.
+        zipfile.BadZipFile: it is no archive.
+    """
+
+    def __init__(self, stream: IO[bytes]) -> None:
+        self._archive = zipfile.ZipFile(stream)
+        self._members = {one.filename.removesuffix(".npy"): one for one in self._archive.infolist()}
+        if len(self._members) > _MOST_ARRAYS:
+            raise ValueError(f"it holds {len(self._members)} arrays; at most {_MOST_ARRAYS} are read")
+        if (total := sum(one.file_size for one in self._archive.infolist())) > LARGEST_ARRAYS:
+            raise ValueError(f"it unpacks to {total} bytes; at most {LARGEST_ARRAYS} are read")
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the arrays."""
+        return list(self._members)
+
+    def read(self, name: str, largest: int = LARGEST_ARRAYS) -> NDArray[Any]:
+        """One array of at most ``largest`` bytes; `KeyError` if there is none of this name, `ValueError` as for it."""
+        member = self._members[name]
+        if member.file_size > largest:
+            raise ValueError(f"{name} unpacks to {member.file_size} bytes; at most {largest} are read")
+        with self._archive.open(member) as stream:
+            return read_array(stream, member.file_size)
+
+
+def read_array(stream: IO[bytes], size: int) -> NDArray[Any]:
+    """Read an ``.npy`` file of ``size`` bytes.
+
+    Raises:
+        ValueError: it holds Python objects, is of an unknown version, or its shape is not that of its content.
+    """
+    version = np.lib.format.read_magic(stream)
+    if version not in _HEADERS:
+        raise ValueError(f"arrays of version {version} are not read")
+    shape, _, dtype = _HEADERS[version](stream)
+    if dtype.hasobject:
+        raise ValueError("it holds Python objects, which are not read")
+    if min(shape, default=0) < 0 or math.prod(shape) * dtype.itemsize != size - stream.tell():
+        raise ValueError(f"it claims the shape {shape}, which its content does not have")
+    stream.seek(0)
+    array: NDArray[Any] = np.lib.format.read_array(stream, allow_pickle=False)
+    return array

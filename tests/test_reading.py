@@ -1,0 +1,213 @@
+"""Files that are made to take memory, time or the process: refused before they do, with the bound."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import tarfile
+import zipfile
+
+import numpy as np
+import pytest
+
+from lieednn_sim import reading, storage
+from lieednn_sim.arm import Arm, import_arm
+from lieednn_sim.arm.obstacles import load_obstacles
+from lieednn_sim.errors import FileError, InputError
+from lieednn_sim.evaluation.problems.motion_bench_maker import ProblemSets
+from lieednn_sim.learning.demonstrations import Demonstration, align, load_demonstrations
+from lieednn_sim.learning.demonstrations.alignment import Demonstrations
+from lieednn_sim.validation import as_count, as_floats, as_positive
+
+META = {"kind": "thing", "format": storage.FORMAT_VERSION, "fingerprint": "none"}
+
+
+def npy(shape, content=b"", dtype="<f8"):
+    stream = io.BytesIO()
+    np.lib.format.write_array_header_1_0(stream, {"shape": shape, "fortran_order": False, "descr": dtype})
+    return stream.getvalue() + content
+
+
+def archive(path, members, meta=META):
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as made:
+        for name, content in {"meta_json": np_text(json.dumps(meta)), **members}.items():
+            made.writestr(f"{name}.npy", content)
+
+
+def np_text(text):
+    stream = io.BytesIO()
+    np.save(stream, np.array(text))
+    return stream.getvalue()
+
+
+@pytest.mark.parametrize("shape", [(10**12,), (10**6, 10**6), (2**62, 4), (-1,), (3, 5)])
+@pytest.mark.parametrize("suffix", ["npz", "npy"])
+def test_a_shape_that_the_content_has_not(tmp_path, shape, suffix):
+    path = tmp_path / f"x.{suffix}"
+    if suffix == "npy":
+        path.write_bytes(npy(shape, bytes(80)))
+        with pytest.raises(FileError, match="claims the shape"):
+            load_demonstrations([path])
+        return
+    archive(path, {"x": npy(shape, bytes(80))})
+    for read in (lambda: storage.load_arrays(path, "thing"), lambda: load_demonstrations([path])):
+        with pytest.raises(FileError, match="claims the shape"):
+            read()
+
+
+def test_what_unpacks_to_more_than_is_read(tmp_path, monkeypatch):
+    monkeypatch.setattr(reading, "LARGEST_ARRAYS", 10**6)
+    path = tmp_path / "x.npz"
+    archive(path, {"x": npy((2 * 10**5,), bytes(16 * 10**5))})
+    assert path.stat().st_size < 10**4
+    with pytest.raises(FileError, match=r"unpacks to \d+ bytes; at most 1000000 are read"):
+        storage.load_arrays(path, "thing")
+    monkeypatch.undo()
+    archive(path, {}, {**META, "text": "x" * 2 * 10**6})
+    for read in (lambda: storage.load_arrays(path, "thing"), lambda: storage.origin(path)):
+        with pytest.raises(FileError, match=r"meta_json unpacks to \d+ bytes; at most 4000000 are read"):
+            read()
+
+
+def test_an_archive_of_another_kind_is_not_unpacked(tmp_path, monkeypatch):
+    path, read = tmp_path / "x.npz", []
+    storage.save_arrays(path, "thing", {"x": np.zeros(1000)}, {})
+    monkeypatch.setattr(
+        reading, "read_array", lambda *given, real=reading.read_array: (read.append(1), real(*given))[1]
+    )
+    with pytest.raises(FileError, match="holds 'thing', expected 'network'"):
+        storage.load_arrays(path, "network")
+    assert len(read) == 1
+
+
+@pytest.mark.parametrize("name", ["x.npz", "x.json", "x.yaml", "x.csv", "x.xml"])
+def test_devices_and_pipes_are_not_opened(tmp_path, name):
+    read = {
+        "x.npz": lambda path: storage.load_arrays(path, "thing"),
+        "x.json": lambda path: storage.load_json(path, "task"),
+        "x.csv": lambda path: load_demonstrations([path]),
+    }.get(name, load_obstacles)
+    path = tmp_path / name
+    os.mkfifo(path)
+    for target in (path, "/dev/zero"):
+        if target != path:
+            path.unlink()
+            path.symlink_to(target)
+        with pytest.raises(FileError, match=r"not a regular file|no such file"):
+            read(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("a: &a [1, 1, 1, 1, 1, 1, 1, 1, 1]\n" + "".join(
+            f"{new}: &{new} [{', '.join([f'*{old}'] * 9)}]\n" for old, new in zip("abcdefgh", "bcdefghi", strict=True)
+        ) + "obstacles: [{shape: box, name: *i}]", "more than 1000000 values"),
+        ("a: &a [*a]", "more than 1000000 values"),
+        ("[" * 100_000, "nested more than 100 deep"),
+        ("- " * 100_000, "nested more than 100 deep"),
+        ("obstacles: [" + "{}, " * 10_001 + "{}]", "at most 10000 obstacles"),
+        ("obstacles: [{shape: box, name: \"a\\0b\", size: [1, 1, 1], position: [9, 9, 9]}]", "printable"),
+        ("obstacles: [{shape: box, size: [true, 1, 1], position: [9, 9, 9]}]", "size must be an array of numbers"),
+        ("obstacles: [{shape: box, size: ['1', 1, 1], position: [9, 9, 9]}]", "size must be an array of numbers"),
+    ],
+    ids=lambda value: value if len(value) < 50 else "",
+)  # fmt: skip
+def test_scenes_that_hold_too_much_or_no_numbers(tmp_path, text, message):
+    path = tmp_path / "scene.yaml"
+    path.write_text(text)
+    with pytest.raises((FileError, InputError), match=message) as caught:
+        load_obstacles(path)
+    assert len(str(caught.value)) < 500
+
+
+def test_powers_of_ten_are_numbers_in_yaml(tmp_path):
+    """As in YAML 1.2; PyYAML takes them for texts."""
+    path = tmp_path / "scene.yaml"
+    path.write_text("obstacles: [{shape: sphere, radius: 5e-2, position: [1e0, -2E+0, 0]}]")
+    (geom,) = load_obstacles(path).geoms
+    assert geom.size[0] == 0.05
+    np.testing.assert_array_equal(load_obstacles(path).bodies[1].pos, [1.0, -2.0, 0.0])
+
+
+@pytest.mark.parametrize(
+    ("inside", "message"),
+    [
+        ('<asset><hfield name="a" nrow="100000" ncol="100000" size="1 1 1 1"/></asset>', "has 1e.10 entries"),
+        (
+            '<asset><texture name="a" type="2d" builtin="flat" width="100000" height="100000"/></asset>',
+            "has 1e.10 entries",
+        ),
+        ('<worldbody><replicate count="1000000"><geom size="1"/></replicate></worldbody>', "asks for 1e.06 copies"),
+        (
+            '<worldbody><replicate count="1000"><replicate count="1000"><geom size="1"/></replicate></replicate>'
+            "</worldbody>",
+            "asks for 1e.06 copies",
+        ),
+        ('<include file="b.xml"/>', "b.xml: <hfield> has"),
+        ('<asset><hfield name="a" nrow="99" ncol="99" size="1 1 1 -1"/></asset>', "MuJoCo cannot"),
+    ],
+)
+def test_models_that_ask_for_too_much(tmp_path, inside, message):
+    path = tmp_path / "a.xml"
+    path.write_text(f"<mujoco>{inside}</mujoco>")
+    (tmp_path / "b.xml").write_text('<mujoco><asset><hfield name="a" nrow="99999" ncol="99999"/></asset></mujoco>')
+    for read in (load_obstacles, import_arm, Arm.load):
+        with pytest.raises(FileError, match=message):
+            read(path)
+
+
+def test_archives_of_problems_are_unpacked_by_name_and_size(tmp_path):
+    def packed(name, size):
+        with tarfile.open(tmp_path / "problems.tar", "w") as made:
+            member = tarfile.TarInfo(name)
+            member.size = size
+            made.addfile(member, io.BytesIO(bytes(size)))
+
+    (tmp_path / "a.urdf").write_text("<robot name='a'/>")
+    packed("movie.mp4", 3 * 10**6)
+    with pytest.raises(FileError, match="holds no problems"):
+        ProblemSets(tmp_path)
+    packed("box/scene0001.yaml", 3 * 10**6)
+    with pytest.raises(FileError, match=r"box/scene0001.yaml has 3000000 bytes; at most 1000000 are read"):
+        ProblemSets(tmp_path)
+
+
+@pytest.mark.parametrize("value", [True, [True, 1.0], np.array([True]), "4.0", b"4", ["4.0"], np.array(["4"]), 1j])
+def test_truth_values_and_texts_are_no_numbers(value):
+    for check in (lambda: as_floats("x", value, (), batched=True), lambda: as_positive("x", value)):
+        with pytest.raises(InputError, match=r"x must be an array of numbers|x must have shape"):
+            check()
+    with pytest.raises(InputError, match="must be a whole number"):
+        as_count("n", True)
+
+
+WAY = np.column_stack([np.linspace(0.3, 0.0, 5), np.zeros(5)])
+
+
+@pytest.mark.parametrize("wrong", [np.nan, np.inf, -1.0, 0.0])
+def test_demonstrations_in_lengths_and_rates_that_are_none(wrong):
+    for option in ("length", "rate"):
+        with pytest.raises(InputError, match=f"{option} must be"):
+            Demonstration.from_samples(WAY, **{option: wrong})
+    with pytest.raises(InputError, match="no order of quaternions"):
+        Demonstration.from_samples(WAY, quaternion="zyxw")
+
+
+def test_demonstrations_are_checked_however_they_are_made():
+    one = Demonstration.from_samples(WAY)
+    several = align([one], samples=7)
+    broken = one.position.copy()
+    broken[2, 1] = np.nan
+    for make, message in (
+        (lambda: Demonstration(one.t, broken, one.rotation, 2), "position must be finite"),
+        (lambda: Demonstration(one.t[::-1], one.position, one.rotation, 2), "increasing times"),
+        (lambda: Demonstration(one.t, one.position, one.rotation[:3], 2), "rotation must have shape"),
+        (lambda: Demonstration(one.t, one.position, one.rotation, 4), "dof must be 2, 3 or 6"),
+        (lambda: Demonstrations(several.goal, several.t[::-1], several.twists, 2), "increasing times"),
+        (lambda: Demonstrations(several.goal, several.t, several.twists * np.nan, 2), "twists must be finite"),
+        (lambda: Demonstrations(several.goal, several.t, several.twists, 2, -1.0), "lever must be positive"),
+    ):
+        with pytest.raises(InputError, match=message):
+            make()
