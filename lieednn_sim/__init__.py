@@ -52,6 +52,10 @@ _ROOMS = {
     "simulation": ("Disturbances", "Push", "follow", "simulate", "simulate_many"),
     "synthesis": ("synthesize",),
 }
+_SUBPACKAGES = (
+    *("lie", "stability", "network", "theory", "synthesis", "learning", "arm", "planning", "simulation", "rendering"),
+    *("evaluation", "environments", "cli"),
+)
 _ROOM_OF = {name: room for room, names in _ROOMS.items() for name in names}
 
 
@@ -60,8 +64,10 @@ def __getattr__(name: str) -> Any:
         return import_module("importlib.metadata").version("lieednn_sim")
     if name in _ROOM_OF:
         return getattr(import_module(f"lieednn_sim.{_ROOM_OF[name]}"), name)
+    if name in _SUBPACKAGES:
+        return import_module(f"lieednn_sim.{name}")
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}; names: {', '.join(__all__)}")
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__, "__version__"})
+    return sorted({*globals(), *__all__, *_SUBPACKAGES, "__version__"})

@@ -98,8 +98,10 @@ def _converted(name: str, value: ArrayLike, shape: Shape, batched: bool) -> NDAr
         elif isinstance(value, Sequence) and len(value) > _LARGEST_SIZE:
             raise InputError(f"{name} must have at most {_LARGEST_SIZE} entries, got {len(value)}")
         given = value if isinstance(value, np.ndarray) else np.asarray(value)
-        if given.dtype.kind in "cbSUmMV" or not _only_numbers(value):
-            raise TypeError("every entry must be a real number")
+        if given.dtype.kind == "c":
+            raise TypeError("complex numbers are not allowed")
+        if given.dtype.kind in "bSUmMV" or not _only_numbers(value):
+            raise TypeError("every entry must be a number")
         return np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError, OverflowError, MemoryError) as error:
         if isinstance(error, InputError):

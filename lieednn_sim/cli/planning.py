@@ -15,7 +15,7 @@ from lieednn_sim.cli.console import console, one_norm, print_stability, progress
 from lieednn_sim.cli.run_directory import RunDirectory
 from lieednn_sim.cli.task import CERTIFIED
 from lieednn_sim.errors import InputError
-from lieednn_sim.evaluation.display import table
+from lieednn_sim.evaluation.display import rounded, table
 from lieednn_sim.planning import CertifiedOptions, Plan, default_planner, plan, planners, require_planner
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.validation import as_choice
@@ -122,4 +122,4 @@ def _print_outcome(made: Plan) -> None:
 
 def _gap(motion: Motion) -> str:
     angle = np.rad2deg(motion.gap_rotation.max())
-    return f"{1e3 * motion.gap_translation.max():.1f} mm and {angle:.1f} degrees on the way, 0 at the target"
+    return f"{rounded(1e3 * motion.gap_translation.max())} mm and {rounded(angle)} degrees on the way, 0 at the target"

@@ -131,7 +131,7 @@ def _train(run: RunDirectory, task: Task, arm: Arm, learners: Candidates) -> int
 
 
 def _choose(learners: Candidates, run: RunDirectory, arm: Arm, task: Task) -> tuple[TrainingResult, str | None]:
-    """The first network whose motion keeps the limits, else the first one learned, else the first failure.
+    """The first network whose motion keeps the limits, else the first one learned, else the last failure.
 
     A network is saved as soon as it is the best so far. The second value is why its motion would be rejected, or None.
     """
@@ -143,7 +143,7 @@ def _choose(learners: Candidates, run: RunDirectory, arm: Arm, task: Task) -> tu
             # Learning does not need a proof; the network is saved and reported with one where it is found.
             result = replace(result, network=result.network.try_certify())
         refusal = _refusal(result, arm, task)
-        if best is None or (result.success and (refusal is None or not best[0].success)):
+        if best is None or not best[0].success or (result.success and refusal is None):
             best = result, refusal
             if result.success and isinstance(result.network, LieEDNN):
                 run.save_network(task, result.network, history=result.history)

@@ -15,6 +15,11 @@ def table(title: str, *columns: str) -> Table:
     return made
 
 
+def rounded(value: float, least: float = 1e-4) -> str:
+    """A measured number for people: three digits, and 0 below ``least``, where only rounding is left."""
+    return "0" if abs(value) < least else f"{value:.3g}"
+
+
 def as_text(shown: RenderableType) -> str:
     """What the terminal shows, without colours."""
     console = Console(color_system=None, markup=False, emoji=False, highlight=False, soft_wrap=True)

@@ -12,7 +12,7 @@ from rich.console import Group
 from rich.table import Table
 
 from lieednn_sim import filesystem, storage
-from lieednn_sim.evaluation.display import as_text, table
+from lieednn_sim.evaluation.display import as_text, rounded, table
 from lieednn_sim.evaluation.frame_errors import FrameErrors
 from lieednn_sim.evaluation.motion_metrics import MotionMetrics
 from lieednn_sim.simulation import Disturbances
@@ -132,6 +132,13 @@ class Evaluation:
         for name, value in found.items():
             object.__setattr__(self, name, value)
 
+    def __repr__(self) -> str:
+        return (
+            f"<Evaluation of {self.arm}, {self.scene}, by {self.controller}: ends {self.final_worst_mm:.3g} mm and "
+            f"{self.final_worst_deg:.3g} degrees off, tracking {self.tracking_rms_mm:.3g} mm RMS, "
+            f"{self.contacts} contacts>"
+        )
+
     def __rich__(self) -> Group:
         tables = [_frames(self), _joints(self), *([_recoveries(self)] if self.recoveries else [])]
         return Group(*tables, *(line for line in (_conditions(self), _forces(self), *_causes(self)) if line))
@@ -198,12 +205,13 @@ def _frames(evaluation: Evaluation) -> Table:
             frame.tracking_max_deg,
         )
         settled = "never" if frame.settling_s is None else f"{frame.settling_s:.2f}"
-        rows.add_row(frame.name, *(f"{value:.4f}" for value in values), settled)
+        rows.add_row(frame.name, *(rounded(value) for value in values), settled)
     rows.caption = (
         f"the end effector moves {evaluation.displacement_m:.2f} m (path {evaluation.path_m:.2f} m) in "
         f"{evaluation.motion_s:g} s, then holds; contacts: {evaluation.contacts}; "
         + (
-            f"mechanism gap of the plan: {evaluation.plan.gap_mm:.1f} mm, {evaluation.plan.gap_deg:.1f} degrees"
+            f"mechanism gap of the plan: {rounded(evaluation.plan.gap_mm)} mm, "
+            f"{rounded(evaluation.plan.gap_deg)} degrees"
             if evaluation.plan
             else ""
         )
@@ -216,11 +224,11 @@ def _joints(evaluation: Evaluation) -> Table:
     for joint in evaluation.joints:
         rows.add_row(
             joint.name,
-            f"{joint.peak_velocity:.3f}",
+            rounded(joint.peak_velocity),
             _share(joint.peak_velocity, joint.velocity_limit),
-            f"{joint.peak_force:.1f}",
+            rounded(joint.peak_force),
             _share(joint.peak_force, joint.force_limit),
-            f"{joint.peak_constraint_force:.1f}",
+            rounded(joint.peak_constraint_force),
         )
     return rows
 
@@ -233,7 +241,7 @@ def _recoveries(evaluation: Evaluation) -> Table:
     rows = table("pushes", "body", "from s", "to s", "peak mm", "deg", "recovered after s")
     for push in evaluation.recoveries:
         recovered = "never" if push.recovery_s is None else f"{push.recovery_s:.2f}"
-        peaks = (f"{push.peak_deviation_mm:.3f}", f"{push.peak_deviation_deg:.4f}")
+        peaks = (rounded(push.peak_deviation_mm), rounded(push.peak_deviation_deg))
         rows.add_row(push.body, f"{push.start_s:g}", f"{push.end_s:g}", *peaks, recovered)
     rows.caption = "peak: largest error of any link frame against its reference"
     return rows
@@ -258,12 +266,12 @@ def _conditions(evaluation: Evaluation) -> str:
 def _forces(evaluation: Evaluation) -> str:
     said = []
     if evaluation.contacts:
-        said.append(f"contact force up to {evaluation.peak_contact_force_n:.1f} N")
+        said.append(f"contact force up to {rounded(evaluation.peak_contact_force_n)} N")
     force, torque = evaluation.peak_weld_force_n, evaluation.peak_weld_torque_n_m
     if force or torque:
-        said.append(f"welds up to {force:.1f} N and {torque:.1f} N m")
+        said.append(f"welds up to {rounded(force)} N and {rounded(torque)} N m")
     if evaluation.scene != "free" and evaluation.clearance_mm is not None:
-        said.append(f"least clearance {evaluation.clearance_mm:.1f} mm")
+        said.append(f"least clearance {rounded(evaluation.clearance_mm)} mm")
     return "; ".join(said)
 
 

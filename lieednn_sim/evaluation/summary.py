@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import html
 import os
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from lieednn_sim import filesystem
+from lieednn_sim.evaluation.display import rounded
 from lieednn_sim.evaluation.frame_errors import SETTLED_ROTATION, SETTLED_TRANSLATION
 from lieednn_sim.evaluation.rows import COLUMNS, Column
 from lieednn_sim.evaluation.statistics import Group, failures, grouped, motions
 from lieednn_sim.evaluation.table import Table
 
+# Below this a distance or an angle is rounding [mm, deg].
+_ROUNDING = 1e-6
 _NOT_SUMMARISED = ("motion_s", "gap_end_deg", "final_effector_deg")
 
 
@@ -48,7 +52,7 @@ def write_summary(path: str | os.PathLike[str], table: Table, missing: Mapping[s
     lines += ["", "## Failures", ""]
     for failure in failures(rows):
         counts = ", ".join(f"{name} {count}" for name, count in failure.counts)
-        lines.append(f"- {failure.total} x {failure.step}, as: {failure.example} ({counts})")
+        lines.append(f"- {failure.total} x {failure.step}, as: {escaped(failure.example)} ({escaped(counts)})")
     if lines[-1] == "":
         lines.append("- none")
     with filesystem.atomic_text(path) as stream:
@@ -74,7 +78,8 @@ def method(table: Table) -> str:
 
 def _medians(group: Group, columns: Sequence[Column]) -> list[str]:
     found = [group.median(column.name) for column in columns]
-    return ["-" if value is None else f"{value:.3g}" for value in found]
+    least = [_ROUNDING if column.name.endswith(("_mm", "_deg")) else 0.0 for column in columns]
+    return ["-" if value is None else rounded(value, small) for value, small in zip(found, least, strict=True)]
 
 
 def table_head(names: Sequence[str], columns: Sequence[Column] = ()) -> list[str]:
@@ -84,5 +89,10 @@ def table_head(names: Sequence[str], columns: Sequence[Column] = ()) -> list[str
 
 
 def table_line(cells: Sequence[str]) -> str:
-    """A line of a table in Markdown."""
-    return "| " + " | ".join(cells) + " |"
+    """A line of a table in Markdown, whatever its cells hold."""
+    return "| " + " | ".join(map(escaped, cells)) + " |"
+
+
+def escaped(text: str) -> str:
+    """A text that shows in Markdown as it is, such as a name that the user gave: neither HTML nor a table's border."""
+    return html.escape(text, quote=False).replace("|", "\\|")

@@ -16,11 +16,6 @@ from scipy.linalg.lapack import dgetrf, dgetrs
 from lieednn_sim.network import ACTIVATIONS
 from lieednn_sim.values import Floats
 
-# phi' as a function of phi, which saves two transcendental functions per epoch.
-_SLOPE_OF_OUTPUT: dict[str, Callable[[Floats], Floats]] = {
-    "tanh": lambda y: 1.0 - y * y,
-    "arctan": lambda y: np.cos(0.5 * np.pi * y) ** 2,
-}
 _TOLERANCE = 1e-12
 # Residual that rounding may leave; a point with a larger one is not an equilibrium.
 _ACCEPTED = 1e-9
@@ -85,13 +80,12 @@ class EquilibriumSolver:
     def __init__(self, bias: Floats, ratio: float, activation: str) -> None:
         self.ratio = ratio
         self._drive = ratio * bias.ravel()
-        self._phi = ACTIVATIONS[activation][0]
-        self._slope = _SLOPE_OF_OUTPUT[activation]
+        self._phi, self._slope = ACTIVATIONS[activation].phi, ACTIVATIONS[activation].slope_at
 
     def at(self, x: Floats, *, success: bool = True) -> FlatEquilibrium:
         """The state ``x`` as it is."""
         output = self._phi(x)
-        return FlatEquilibrium(x, output, self._slope(output), success)
+        return FlatEquilibrium(x, output, self._slope(x, output), success)
 
     def sensitivity(self, weight: Floats, equilibrium: FlatEquilibrium) -> SensitivityMatrix:
         """S for these weights at their equilibrium."""
@@ -124,13 +118,13 @@ class EquilibriumSolver:
                 break
             factored = nearby if nearby is not None and step < _CHORD_STEPS else None
             if factored is None:
-                factored = SensitivityMatrix(weight, self._slope(output), self.ratio)
+                factored = SensitivityMatrix(weight, self._slope(x, output), self.ratio)
             if factored.singular:
                 break
             move = factored.solve(residual)
             far = math.sqrt(move.dot(move))
             x = x - (move if far <= _LONGEST_STEP else move * (_LONGEST_STEP / max(np.abs(move).max(), _LONGEST_STEP)))
-        return FlatEquilibrium(x, output, self._slope(output), length < max(tolerance, _ACCEPTED))
+        return FlatEquilibrium(x, output, self._slope(x, output), length < max(tolerance, _ACCEPTED))
 
     def first(self, weight: Floats) -> FlatEquilibrium:
         """The equilibrium found from zero by more Newton steps, or by running the network where these fail."""

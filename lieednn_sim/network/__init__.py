@@ -4,11 +4,12 @@
 """
 
 from lieednn_sim.network.base import BlockNetwork
-from lieednn_sim.network.componentwise import ACTIVATIONS, ComponentwiseNetwork
+from lieednn_sim.network.componentwise import ACTIVATIONS, Activation, ComponentwiseNetwork
 from lieednn_sim.network.se3 import LieEDNN
 
 __all__ = [
     "ACTIVATIONS",
+    "Activation",
     "BlockNetwork",
     "ComponentwiseNetwork",
     "LieEDNN",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Self
 
@@ -10,15 +11,59 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lieednn_sim import stability
-from lieednn_sim.errors import NotCertifiedError
+from lieednn_sim.errors import InputError, NotCertifiedError
 from lieednn_sim.network.base import BlockNetwork
 from lieednn_sim.validation import as_choice, as_floats
 from lieednn_sim.values import Floats
 
-# (phi, phi') of odd, bounded activations with slopes in (0, 1], as the certificates of `stability` assume.
-ACTIVATIONS: dict[str, tuple[Callable[[Floats], Floats], Callable[[Floats], Floats]]] = {
-    "tanh": (np.tanh, lambda x: 1.0 / np.cosh(np.clip(x, -350.0, 350.0)) ** 2),
-    "arctan": (lambda x: 2.0 / np.pi * np.arctan(0.5 * np.pi * x), lambda x: 1.0 / (1.0 + (0.5 * np.pi * x) ** 2)),
+# Where an activation is looked at, and how far its slope may be from that of its values there.
+_SAMPLES, _DIFFERENCE, _TOLERANCE = np.linspace(-8.0, 8.0, 161), 1e-5, 1e-6
+
+
+@dataclass(frozen=True)
+class Activation:
+    """An odd, bounded function with slopes in (0, 1], as the certificates of `stability` assume.
+
+    A network takes it by its name in `ACTIVATIONS`, to which others may be added.
+
+    Attributes:
+        phi: the function, entry by entry, of arrays of any shape.
+        slope: its derivative phi', likewise.
+        slope_of_output: phi' as a function of phi, where that is cheaper; learning uses it.
+
+    Raises:
+        InputError: at one of many points the function is not odd, the slope is not that of the function, or not in
+            (0, 1].
+    """
+
+    phi: Callable[[Floats], Floats]
+    slope: Callable[[Floats], Floats]
+    slope_of_output: Callable[[Floats], Floats] | None = None
+
+    def __post_init__(self) -> None:
+        x, h = _SAMPLES, _DIFFERENCE
+        value, slope = np.asarray(self.phi(x)), np.asarray(self.slope(x))
+        measured = (self.phi(x + h) - self.phi(x - h)) / (2.0 * h)
+        fits = [np.abs(value + self.phi(-x)), np.abs(slope - measured)]
+        if self.slope_of_output is not None:
+            fits.append(np.abs(slope - self.slope_of_output(value)))
+        if not all((fit < _TOLERANCE).all() for fit in fits):
+            raise InputError("an activation must be odd, and its slopes must be those of its values")
+        if not ((slope > 0.0) & (slope <= 1.0)).all():
+            raise InputError(f"slopes of an activation must be in (0, 1], got {slope.min():.3g} to {slope.max():.3g}")
+
+    def slope_at(self, x: Floats, output: Floats) -> Floats:
+        """The slope at ``x``, where the function has the value ``output``."""
+        return self.slope(x) if self.slope_of_output is None else self.slope_of_output(output)
+
+
+ACTIVATIONS: dict[str, Activation] = {
+    "tanh": Activation(np.tanh, lambda x: 1.0 / np.cosh(np.clip(x, -350.0, 350.0)) ** 2, lambda y: 1.0 - y * y),
+    "arctan": Activation(
+        lambda x: 2.0 / np.pi * np.arctan(0.5 * np.pi * x),
+        lambda x: 1.0 / (1.0 + (0.5 * np.pi * x) ** 2),
+        lambda y: np.cos(0.5 * np.pi * y) ** 2,
+    ),
 }
 
 
@@ -97,7 +142,7 @@ class ComponentwiseNetwork(BlockNetwork):
 
     def phi(self, x: Floats) -> Floats:
         """Activation, entry by entry, of an array of any shape."""
-        return ACTIVATIONS[self.activation][0](x)
+        return ACTIVATIONS[self.activation].phi(x)
 
     def invariant_box(self, start: ArrayLike) -> tuple[Floats, Floats]:
         """Least invariant box, ``(N, d)`` lower and upper corner, that contains ``start`` ``(..., N, d)``.
@@ -120,5 +165,5 @@ class ComponentwiseNetwork(BlockNetwork):
         return self.mu * self.weight, self.mu * self.bias.ravel()
 
     def _driven(self, state: Floats) -> Floats:
-        slope = ACTIVATIONS[self.activation][1](state).reshape(*state.shape[:-2], 1, -1)
+        slope = ACTIVATIONS[self.activation].slope(state).reshape(*state.shape[:-2], 1, -1)
         return self.weight * slope

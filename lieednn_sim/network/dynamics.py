@@ -60,6 +60,9 @@ class Equilibrium:
     spectral_abscissa: float
     n_newton: int
 
+    def __repr__(self) -> str:
+        return f"<Equilibrium: {self.message}, residual {self.residual:.3g}, abscissa {self.spectral_abscissa:.3g}>"
+
 
 @frozen
 class Trajectory:

@@ -67,6 +67,12 @@ class Following:
     gap_translation: float
     gap_rotation: float
 
+    def __repr__(self) -> str:
+        return (
+            f"<Following: {self.rollout!r}, {len(self.jumps)} jumps of the target, mechanism gap up to "
+            f"{1e3 * self.gap_translation:.3g} mm>"
+        )
+
 
 class Follower:
     """A certified network that follows a target; its state is only set at the start.

@@ -74,6 +74,9 @@ class Certificate:
         """Proven exponential rate gamma - mu max(lambda_max, 0), at most gamma; 0 when not certified."""
         return self.gamma * min(self.margin, 1.0) if self.valid else 0.0
 
+    def __repr__(self) -> str:
+        return f"<Certificate: {self}>"
+
     def __str__(self) -> str:
         verdict = "globally stable for every bias" if self.valid else "not certified"
         return f"{verdict}: lambda_max {self.lambda_max:.6g} against gamma/mu {self.bound:.6g}"

@@ -82,6 +82,9 @@ class Verdict:
     contraction: Contraction
     stiffness: float
 
+    def __repr__(self) -> str:
+        return f"<Verdict: {str(self).splitlines()[0]}>"
+
     @property
     def warning(self) -> str | None:
         """A warning about couplings more than `STIFF` times as strong as the decay, or None."""
@@ -128,15 +131,15 @@ class Verdict:
 
     def __str__(self) -> str:
         if self.globally_stable:
-            summary = f"globally stable by the {self.level}, at a rate of at least {self[self.level].rate:.4g}"
+            summary = f"globally stable by the {self.level}, at a rate of at least {self[self.level].rate:.3g}"
             fastest = self.strongest
             if fastest is not None and fastest.rate > self[self.level].rate:
-                summary += f"; the {fastest.name} proves {fastest.rate:.4g}"
+                summary += f"; the {fastest.name} proves {fastest.rate:.3g}"
         else:
             summary = "locally stable only" if self.level == "local" else "no proof of stability"
         lines = [
             f"  {condition.name:<17} {condition.value:>11.5g} < {condition.bound:<9.5g} "
-            + (f"{condition.scope:<6} rate {condition.rate:.4g}" if condition.holds else "fails")
+            + (f"{condition.scope:<6} rate {condition.rate:.3g}" if condition.holds else "fails")
             for condition in self.conditions
         ]
         if self.warning is not None:

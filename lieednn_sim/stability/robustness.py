@@ -88,6 +88,11 @@ class Robustness:
         largest = max(guarantee.euler_step if euler else guarantee.rk4_step for guarantee in self.guarantees)
         return largest if self.others is None else min(largest, self.others.largest_step(method))
 
+    def __repr__(self) -> str:
+        return f"<Robustness: {len(self.pushed)} coordinates pushed, {len(self.reached)} reached, steps up to " + (
+            f"{self.largest_step('RK4'):.3g} (RK4)>"
+        )
+
     def __str__(self) -> str:
         scope = "between any two motions" if self.contracting else "about the equilibrium"
         best = self.contracting or self

@@ -145,7 +145,7 @@ def attempt_all(
     tasks = []
     # Candidates of a plan have one target and few magnitudes.
     known: dict[tuple[bytes, float], Floats] = {}
-    for k, (target, state) in enumerate(zip(targets, ACTIVATIONS[options.activation][0](targets), strict=True)):
+    for k, (target, state) in enumerate(zip(targets, ACTIVATIONS[options.activation].phi(targets), strict=True)):
         if isinstance(bias, str):
             asked = target.tobytes(), magnitudes[k]
             if asked not in known:

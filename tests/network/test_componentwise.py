@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from lieednn_sim import stability
-from lieednn_sim.errors import NotCertifiedError
-from lieednn_sim.network import LieEDNN
+from lieednn_sim.errors import InputError, NotCertifiedError
+from lieednn_sim.learning import RiemannianOptions, TrainingOptions, train, train_riemannian
+from lieednn_sim.learning.equilibria import EquilibriumSolver
+from lieednn_sim.network import ACTIVATIONS, Activation, LieEDNN
 from lieednn_sim.synthesis import synthesize
 from lieednn_sim.theory import GroupLieEDNN, group, smoothness_bounds
 
@@ -63,3 +65,57 @@ def test_no_trajectory_leaves_the_invariant_box_and_the_smoothness_bounds_hold_o
         assert np.abs(acceleration).max() <= bounds.acceleration
     alone = network.invariant_box(np.zeros((4, 6)))
     assert (alone[0] >= lower - 1e-9).all()
+
+
+@pytest.fixture
+def root(monkeypatch):
+    """An activation of one's own, x / sqrt(1 + x^2)."""
+    own = Activation(lambda x: x / np.sqrt(1.0 + x * x), lambda x: (1.0 + x * x) ** -1.5)
+    monkeypatch.setitem(ACTIVATIONS, "root", own)
+    return "root"
+
+
+@pytest.mark.parametrize("algorithm", ["tracked", "riemannian", "stability-aware"])
+def test_an_activation_of_one_s_own_learns(root, algorithm):
+    target = np.random.default_rng(0).uniform(-0.5, 0.5, (3, 6))
+    if algorithm == "tracked":
+        found = train(target, TrainingOptions.tracked(), activation=root)
+    else:
+        found = train_riemannian(
+            target, RiemannianOptions(certified=algorithm == "stability-aware"), activation=root, bias=0.2
+        )
+    assert found.success, found.message
+    assert found.network.activation == root
+    np.testing.assert_allclose(found.network.equilibrium(target).xi, target, atol=2e-5)
+    certified = synthesize(target, activation=root, bias="sign-matched").unwrap()
+    assert np.abs(certified.vector_field(target)).max() < 1e-9
+
+
+def test_the_gradient_through_an_activation_of_one_s_own_is_that_of_finite_differences(root):
+    rng = np.random.default_rng(0)
+    target, weight = rng.uniform(-0.5, 0.5, (2, 6)), 0.1 * rng.normal(size=(12, 12))
+    solver = EquilibriumSolver(np.full((2, 6), 0.3), 0.8, root)
+
+    def error(weight):
+        return 0.5 * np.sum((solver.newton(weight, np.zeros(12), steps=50).x - target.ravel()) ** 2)
+
+    found = solver.newton(weight, np.zeros(12), steps=50)
+    lifted = solver.sensitivity(weight, found).solve_transposed(found.x - target.ravel())
+    gradient = 0.8 * np.outer(lifted, found.output)
+    for i, j in ((0, 0), (3, 7), (11, 2)):
+        step = np.zeros((12, 12))
+        step[i, j] = 1e-6
+        assert gradient[i, j] == pytest.approx((error(weight + step) - error(weight - step)) / 2e-6, rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("phi", "slope", "message"),
+    [
+        (lambda x: 2.0 * np.tanh(x), lambda x: 2.0 / np.cosh(x) ** 2, r"slopes .* must be in \(0, 1\], got .* to 2"),
+        (np.tanh, lambda x: 1.0 / np.cosh(x), "its slopes must be those of its values"),
+        (lambda x: np.tanh(x) + 0.1, lambda x: 1.0 / np.cosh(x) ** 2, "must be odd"),
+    ],
+)
+def test_what_no_certificate_holds_for_is_no_activation(phi, slope, message):
+    with pytest.raises(InputError, match=message):
+        Activation(phi, slope)

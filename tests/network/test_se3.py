@@ -45,7 +45,7 @@ def test_block_form_is_flat_form_is_the_sum_of_the_paper(seed, activation):
     xi = np.random.default_rng(seed).normal(size=(2, 5, 3, 6)) * 2.0
     block = network.vector_field(xi)
     assert block.shape == xi.shape
-    phi = ACTIVATIONS[activation][0]
+    phi = ACTIVATIONS[activation].phi
     for index in np.ndindex(2, 5):
         expected = -2.0 * xi[index] + 0.7 * network.bias
         for i, j in np.ndindex(3, 3):
@@ -68,7 +68,7 @@ def test_jacobian_against_finite_differences(seed, activation):
 
 @pytest.mark.parametrize("name", sorted(ACTIVATIONS))
 def test_activations_are_what_the_certificate_assumes(name):
-    phi, slope = ACTIVATIONS[name]
+    phi, slope = ACTIVATIONS[name].phi, ACTIVATIONS[name].slope
     x = np.concatenate([[0.0, 1e-300, 1e3, 1e8], np.logspace(-12, 2, 200)])
     assert np.array_equal(phi(-x), -phi(x))
     assert np.abs(phi(x)).max() <= 1.0

@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 
 from lieednn_sim.arm import Arm, arm_names
 from lieednn_sim.arm.targets import draw_target
-from lieednn_sim.errors import InputError, LieEDNNError
+from lieednn_sim.errors import InputError, LieEDNNError, TooFastError
 from lieednn_sim.planning import extras, plan, retime
 from lieednn_sim.planning.baselines.smoothing import SmoothingOptions, motion_along
 from lieednn_sim.planning.laws import eased_law, minimum_jerk_law
@@ -203,3 +203,20 @@ def test_a_sharp_corner_does_not_slow_down_the_whole_motion(gantry):
     np.testing.assert_array_equal(fast.q[[0, -1]], corners[[0, -1]])
     still = dataclasses.replace(problem, target=start)
     assert not motion_along(still, np.array([start] * 2), SmoothingOptions(fastest=True), {}).qd.any()
+
+
+def test_a_duration_that_was_stretched_leaves_so_much_less_to_stretch():
+    """The longest duration that planners may take is that of the problem, however often it is stretched."""
+    arm = Arm.load("telescopic_pr")
+    problem = PlanningProblem(arm, arm.keyframe("extended"), arm.keyframe("home"), duration=2.0, longest=3.0)
+    tried = []
+
+    def make(problem):
+        tried.append((problem.duration, problem.duration * problem.longest))
+        raise TooFastError("too fast", 1.3 * problem.duration)
+
+    with pytest.raises(TooFastError):
+        in_time(make, problem)
+    assert len(tried) > 2
+    np.testing.assert_allclose([latest for _, latest in tried], 6.0)
+    assert max(duration for duration, _ in tried) <= 6.0

@@ -116,3 +116,12 @@ def test_failures_name_the_time(small_arms):
         simulation.advance()
     with pytest.raises(InputError, match=r"no body 'hand' to push; links are: end effector; bodies are: ball, base"):
         Simulation(small_arms["telescope"], disturbances=Disturbances(pushes=(Push("hand", (1, 0, 0), 0, 1),)))
+
+
+def test_a_start_beyond_the_limits_is_not_moved(small_arms):
+    """A real arm may be there, too; what it does then is for the joint limits' forces."""
+    for arm in small_arms.values():
+        q = arm.position_limits[:, 1] + 0.1
+        simulation = Simulation(arm)
+        simulation.reset(q)
+        np.testing.assert_array_equal(simulation.data.qpos, arm.qpos(q))

@@ -32,7 +32,7 @@ def random_network(seed: int, name: str = "SE(3)", n: int = 3, strength: float =
 def test_coordinates_follow_the_matrix_equation_of_the_paper(seed, name, activation):
     network = random_network(seed, name, gamma=2.0, mu=0.7, activation=activation)
     xi = np.random.default_rng(seed).normal(size=(3, network.group.dimension))
-    field, outputs = network.vector_field(xi), ACTIVATIONS[activation][0](xi)
+    field, outputs = network.vector_field(xi), ACTIVATIONS[activation].phi(xi)
     hat = network.group.hat
     for i in range(3):
         expected = -2.0 * hat(xi[i]) + 0.7 * hat(network.bias[i])

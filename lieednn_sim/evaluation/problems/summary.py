@@ -9,7 +9,7 @@ from dataclasses import asdict
 from lieednn_sim import filesystem
 from lieednn_sim.evaluation.problems.study import MEASURED, Solution, Statistic
 from lieednn_sim.evaluation.statistics import pattern_of, wilson
-from lieednn_sim.evaluation.summary import table_head, table_line
+from lieednn_sim.evaluation.summary import escaped, table_head, table_line
 
 # Largest number of problems named for a kind of failure.
 _NAMED = 10
@@ -58,7 +58,7 @@ def write_problems(path: str | os.PathLike[str], robot: str, rows: Sequence[Solu
             alike.setdefault((row.planner, pattern_of(row.reason)), []).append(row)
     for (name, _), members in alike.items():
         which = ", ".join(f"{row.problem} {row.number}" for row in members[:_NAMED]) + ", ..." * (len(members) > _NAMED)
-        lines.append(f"- {len(members)} x {name}, as: {members[0].reason} ({which})")
+        lines.append(f"- {len(members)} x {name}, as: {escaped(members[0].reason)} ({escaped(which)})")
     if not alike:
         lines.append("- none")
     with filesystem.atomic_text(path) as stream:

@@ -17,7 +17,7 @@ from lieednn_sim.evaluation.entries import Entry, record
 from lieednn_sim.evaluation.reactive.cases import DISTURBANCES, MEASURED, Reaction, failed_reactions, run_reactions
 from lieednn_sim.evaluation.reactive.leaders import LEADERS
 from lieednn_sim.evaluation.study import complete
-from lieednn_sim.evaluation.summary import table_head, table_line
+from lieednn_sim.evaluation.summary import escaped, table_head, table_line
 from lieednn_sim.evaluation.table import Rows
 from lieednn_sim.validation import as_count
 
@@ -142,7 +142,7 @@ def write_reactions(path: str | os.PathLike[str], table: ReactionTable) -> None:
         "",
         METHOD,
         "",
-        f"Arms: {', '.join(arms)}; {seeds} seed{'s' if seeds != 1 else ''}; medians.",
+        f"Arms: {escaped(', '.join(arms))}; {seeds} seed{'s' if seeds != 1 else ''}; medians.",
         "",
     ]
     lines += table_head(["scene", "disturbance", "leader", "arrived", "touched", "back"], MEASURED)
@@ -154,7 +154,8 @@ def write_reactions(path: str | os.PathLike[str], table: ReactionTable) -> None:
     failed = [row for row in rows if row.reason.startswith(("problem", "plan", "simulation", "error"))]
     lines += ["", "## Could not be run", ""] if failed else []
     lines += [
-        f"- {row.leader}, {row.arm}, {row.scene}, {row.disturbance}, seed {row.seed}: {row.reason}" for row in failed
+        escaped(f"- {row.leader}, {row.arm}, {row.scene}, {row.disturbance}, seed {row.seed}: {row.reason}")
+        for row in failed
     ]
     with filesystem.atomic_text(path) as stream:
         stream.write("\n".join(lines) + "\n")

@@ -143,6 +143,23 @@ def test_numbers_have_three_digits_and_powers_only_where_zeros_would_be_counted(
     assert number(5e-7, rounding=1e-6) == "< 10⁻⁶"
 
 
+def test_names_are_shown_in_markdown_as_they_are(table, tmp_path):
+    table.add([row(FIRST, 8, scene="<b>a|b</b>", reason="contact: <i>x|y</i>")])
+    write_summary(tmp_path / "s.md", table)
+    text = (tmp_path / "s.md").read_text(encoding="utf-8")
+    assert "| &lt;b&gt;a\\|b&lt;/b&gt; |" in text
+    assert "<b>" not in text
+    assert "<i>" not in text
+
+
+def test_gaps_that_are_rounding_are_zero(table, tmp_path):
+    table.add([row(FIRST, 9, scene="other", gap_mm=3e-14, planning_s=1234.5)])
+    write_summary(tmp_path / "s.md", table)
+    line = next(line for line in (tmp_path / "s.md").read_text(encoding="utf-8").splitlines() if "other" in line)
+    assert "e-14" not in line
+    assert "1.23e+03" in line
+
+
 def test_the_summary_has_each_median_in_its_column(table, tmp_path):
     table.add([row(FIRST, 7, scene="window", **CONTACT)])
     write_summary(tmp_path / "s.md", table)
