@@ -98,8 +98,12 @@ class _Module(NamedTuple):
     imports: tuple[tuple[str, str, str], ...]
 
 
-@cache
 def _read(path: Path) -> _Module:
+    return _read_once(path, path.stat().st_mtime_ns)
+
+
+@cache
+def _read_once(path: Path, _modified: int) -> _Module:
     parts: list[str] = []
     imports: list[tuple[str, str, str]] = []
     _tell(ast.parse(path.read_bytes()), parts, imports)

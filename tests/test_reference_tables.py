@@ -26,12 +26,13 @@ def cells(line: str) -> list[str]:
 
 
 def test_pushes_that_never_come_back_count_but_have_no_share():
-    fields = ("share", "time_s", "velocity", "force")
-    values = [(0.1, 0.2, 0.5, 0.1), (0.3, 0.4, 0.6, 0.2), (0.8, 0.9, 0.9, 0.9), ("", "", 0.7, 0.3)]
+    fields = ("share", "time_s", "velocity", "force", "off", "arrived_mm")
+    values = [(0.1, 0.2, 0.5, 0.1, 0.1, 0.5), (0.3, 0.4, 0.6, 0.2, 0.16, 2.5), (0.8, 0.9, 0.9, 0.9, 0.08, 0.1)]
+    values += [("", "", 0.7, 0.3, 0.12, 0.2)]
     rows = [{"arm": "an arm", "rate": "0.1", **dict(zip(fields, map(str, row), strict=True))} for row in values]
     text = evaluate_pushes.summary(rows, "command")
     assert cells(text.splitlines()[-1]) == [
-        *("an arm", "0.1", "4", "3", "30%", "80%", "2 of 4", "0.40", "0.65", "0.25"),
+        *("an arm", "0.1", "4", "3", "30%", "80%", "2 of 4", "0.40", "0.65", "0.25", "1", "2.5"),
     ]
 
 

@@ -2,13 +2,8 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
-from pathlib import Path
-
 import pytest
 
-import lieednn_sim
 from lieednn_sim.versions import code_version, modules
 
 FILES = {
@@ -82,13 +77,3 @@ def test_rows_of_tables_depend_on_planners_and_simulation_but_not_on_commands_an
     assert not {name.split(".")[0] for name in found} & {"cli", "rendering", "environments", "storage", "validation"}
     assert "evaluation.report.page" not in found
     assert len(code_version()) == 12
-
-
-def test_nothing_that_a_table_loads_is_overlooked():
-    """The imports of a running process, but for those of rooms whose names alone are used."""
-    code = "import sys, lieednn_sim.evaluation.study; print(*sys.modules)"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    loaded = {name for name in done.stdout.split() if name.startswith("lieednn_sim.planning.")}
-    rooms = {name for name in loaded if (Path(lieednn_sim.__file__).parents[1] / name.replace(".", "/")).is_dir()}
-    assert len(loaded) > 20
-    assert loaded - rooms <= set(modules())
