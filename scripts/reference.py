@@ -162,7 +162,7 @@ def make(name: str, study: Study, given: Mapping[str, Sequence[str]], jobs: int,
     # Tables are continued with the very same code alone.
     how = json.dumps([study.commands, code, _code(folder=root), used])
     work = root / "results/making" / f"{name}-{hashlib.sha256(how.encode()).hexdigest()[:8]}"
-    filesystem.make_directory(work)
+    filesystem.make_directory(work / "results")
     with filesystem.locked(work), _timed(work / "spent.json") as spent:
         for command in study.commands:
             words = [part for word in shlex.split(command) for part in given.get(word, [word])]

@@ -60,6 +60,8 @@ def test_comments_docstrings_and_layout_do_not_count_and_a_constant_does(version
 def test_a_script_depends_on_what_it_imports_in_turn(version):
     for name in ("scripts/rows.py", "lieednn_sim/lazy.py", "lieednn_sim/deep.py", "assets/mjcf/a/a.xml"):
         assert version(name, "z = 2") != version(), name
+    # A wheel holds the models.
+    assert version("lieednn_sim/assets/mjcf/a/a.xml", FILES["assets/mjcf/a/a.xml"]) == version()
     # A room's name is that of the module in it; storage and films change no number.
     for name in ("arm/other.py", "storage.py", "rendering/film.py", "rendering/light.py"):
         assert version(f"lieednn_sim/{name}", "z = 2") == version(), name
