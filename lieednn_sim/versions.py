@@ -112,11 +112,10 @@ def _read_once(path: Path, _modified: int) -> _Module:
 
 def _tell(node: ast.AST, parts: list[str], imports: list[tuple[str, str, str]]) -> None:
     """Add the parts of a syntax tree, without what differs between versions of Python, and its imports."""
-    kind = type(node)
-    parts.append(kind.__name__)
-    if kind is ast.ImportFrom:
+    parts.append(type(node).__name__)
+    if isinstance(node, ast.ImportFrom):
         imports += [(node.module or "", one.name, one.asname or one.name) for one in node.names]
-    elif kind is ast.Import:
+    elif isinstance(node, ast.Import):
         imports += [(one.name, "", "") for one in node.names]
     for name in node._fields:
         value = getattr(node, name, None)
@@ -135,7 +134,7 @@ def _tell(node: ast.AST, parts: list[str], imports: list[tuple[str, str, str]]) 
                         parts.append(repr(one))
         else:
             parts += (name, repr(value))
-            if isinstance(value, str) and value.startswith("lieednn_sim.") and kind is ast.Constant:
+            if isinstance(value, str) and value.startswith("lieednn_sim.") and isinstance(node, ast.Constant):
                 # A module that is imported by its name.
                 imports.append((value, "", ""))
     parts.append(")")

@@ -26,8 +26,10 @@ from lieednn_sim.evaluation.workers import exit_code
 ROBOTS = ("panda", "ur5", "fetch")
 PLANNERS = ("rrt-connect", "lieednn-shaped", "minimum-jerk")
 BUDGET = 10.0
-HEADINGS = ("robot", "planner", "problems", "skipped", "solved, of asked")
-HEADINGS += ("solve time [s]", "C-space path [rad]", "motion time [s]")
+HEADINGS = (
+    *("robot", "planner", "problems", "skipped", "solved, of asked"),
+    *("solve time [s]", "C-space path [rad]", "motion time [s]"),
+)
 SHOWN = ("solve_time", "cspace_path_length", "motion_time")
 
 
