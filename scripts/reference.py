@@ -228,7 +228,8 @@ def _run(words: list[str], work: Path, root: Path) -> None:
             status = process.wait()
         except KeyboardInterrupt:
             if process is not None:
-                process.send_signal(signal.SIGINT)
+                # A process in the background may ignore SIGINT, and its children do then.
+                process.terminate()
                 process.wait()
             raise
     if status:
