@@ -2,7 +2,7 @@
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo test lint clean env env-dev gl browser
+.PHONY: help demo test lint clean reference reference-stale release env env-dev gl browser
 
 # REQUIRE_RENDERING=1 makes the rendering tests fail, instead of skip, where there is no OpenGL;
 # REQUIRE_BROWSER=1 does the same for the tests of the HTML page, where there is no browser.
@@ -15,6 +15,9 @@ help:
 	@echo "make test    lint, types and tests                           (REQUIRE_RENDERING=1: no OpenGL is a failure;"
 	@echo "                                                              REQUIRE_BROWSER=1: no Chromium is one)"
 	@echo "make lint    lint and types alone"
+	@echo "make reference        make the results below results/reference again where they are stale (ARGS: results/README.md)"
+	@echo "make reference-stale  say which are stale, and why"
+	@echo "make release          build the packages in dist/, unless results are stale"
 	@echo "make clean   remove caches and built packages; keeps .venv and results"
 	@echo "Each makes .venv when it is missing; PYTHON=... chooses the interpreter (3.11, 3.12 or 3.13)."
 
@@ -28,6 +31,15 @@ lint: env-dev
 	.venv/bin/ruff check
 	.venv/bin/ruff format --check
 	.venv/bin/mypy
+
+reference: env-dev gl
+	.venv/bin/python scripts/reference.py $(ARGS)
+
+reference-stale: env-dev
+	.venv/bin/python scripts/reference.py --stale $(ARGS)
+
+release: reference-stale
+	.venv/bin/python -m build
 
 clean:
 	rm -rf build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -177,8 +177,8 @@ def summary(rows: list[Row]) -> Iterator[str]:
 def write_summary(rows: list[Row], path: Path) -> None:
     """The whole report."""
     head = (
-        "# Shaped networks against their teachers\n\nMade by `python scripts/shaped.py`. Median / worst of the "
-        "planned motions; jerk, path and effort over the teacher's. One seed, from 0 on, for target, obstacles and "
+        "# Shaped networks against their teachers\n\nMedian / worst of the planned "
+        "motions; jerk, path and effort over the teacher's. One seed, from 0 on, for target, obstacles and "
         "planner. Every network was saved, loaded and verified again. Times are CPU seconds of one core.\n\n"
     )
     with filesystem.atomic_text(path) as file:

@@ -12,12 +12,14 @@ import benchmark
 import evaluate_demonstrations
 import evaluate_pushes
 import growth
+import motion_bench_maker
 import numpy as np
 import pytest
 import robustness
 import shaped
 import tune_rivals
 
+from lieednn_sim.evaluation.problems.study import Solution
 from lieednn_sim.planning.baselines.joint_space import joint_scale
 
 
@@ -26,12 +28,13 @@ def cells(line: str) -> list[str]:
 
 
 def test_pushes_that_never_come_back_count_but_have_no_share():
-    fields = ("share", "time_s", "velocity", "force")
-    values = [(0.1, 0.2, 0.5, 0.1), (0.3, 0.4, 0.6, 0.2), (0.8, 0.9, 0.9, 0.9), ("", "", 0.7, 0.3)]
+    fields = ("share", "time_s", "velocity", "force", "off", "arrived_mm")
+    values = [(0.1, 0.2, 0.5, 0.1, 0.1, 0.5), (0.3, 0.4, 0.6, 0.2, 0.16, 2.5), (0.8, 0.9, 0.9, 0.9, 0.08, 0.1)]
+    values += [("", "", 0.7, 0.3, 0.12, 0.2)]
     rows = [{"arm": "an arm", "rate": "0.1", **dict(zip(fields, map(str, row), strict=True))} for row in values]
     text = evaluate_pushes.summary(rows, "command")
     assert cells(text.splitlines()[-1]) == [
-        *("an arm", "0.1", "4", "3", "30%", "80%", "2 of 4", "0.40", "0.65", "0.25"),
+        *("an arm", "0.1", "4", "3", "30%", "80%", "2 of 4", "0.40", "0.65", "0.25", "1", "2.5"),
     ]
 
 
@@ -45,6 +48,22 @@ def test_a_push_is_measured(tmp_path, capsys):
     # What is there is not measured again.
     evaluate_pushes.main(words)
     assert capsys.readouterr().out == (tmp_path / "pushes.md").read_text() + "\n"
+
+
+def test_published_problems_that_are_skipped_are_not_asked_and_lost_ones_are_named():
+    times = {"cspace_path_length": 2.0, "motion_time": 3.0}
+    rows = [Solution("box", k, "rrt-connect", solve_time=float(k), **times) for k in range(5)]
+    rows += [
+        Solution("box", 5, "rrt-connect", reason="plan: no"),
+        Solution("cage", 1, "rrt-connect", reason="skipped: x"),
+    ]
+    rows += [Solution("box", 1, "minimum-jerk", reason="plan: no")]
+    lines = motion_bench_maker.table({"a robot": rows}).splitlines()
+    assert cells(lines[6]) == [
+        *("a robot", "`rrt-connect`", "7", "1", "5 of 6", "2 / 2 / 3 / 3.92", "2 / 2 / 2 / 2", "3 / 3 / 3 / 3"),
+    ]
+    assert cells(lines[7])[2:] == ["1", "0", "0 of 1", "-", "-", "-"]
+    assert lines[-1] == "- a robot, `rrt-connect`: box 5"
 
 
 def test_bounds_and_rates_of_contraction_by_kind_of_network(monkeypatch):

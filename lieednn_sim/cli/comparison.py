@@ -43,6 +43,7 @@ def compare(arguments: argparse.Namespace) -> None:
         scenes=_listed(arguments.scenes),
         controllers=_listed(arguments.controllers),
         seeds=arguments.seeds,
+        slow_seeds=arguments.slow_seeds,
     )
     jobs = as_count("jobs", os.cpu_count() or 1 if arguments.jobs is None else arguments.jobs)
     # Check values before any work.

@@ -27,6 +27,7 @@ PLANNERS = (
     "lieednn-filtered",
     "lieednn-guided",
 )
+SLOW_PLANNERS = ("lieednn-trained", "trajectory-optimisation", "rrt-star", "lieednn-filtered", "lieednn-guided")
 CONTROLLERS = ("position-servo", "inverse-dynamics", "computed-torque", "mocap", "mocap-deadbeat")
 ALGORITHMS = ("literal", "repaired", "tracked", "riemannian", "stability-aware")
 BIAS_RULES = ("uniform", "sign-matched", "solved")

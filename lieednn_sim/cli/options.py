@@ -7,7 +7,7 @@ import math
 import re
 from collections.abc import Sequence
 
-from lieednn_sim.cli.names import ALGORITHMS, ARMS, BIAS_RULES, CONTROLLERS, PLANNERS, RIVALS, SCENES
+from lieednn_sim.cli.names import ALGORITHMS, ARMS, BIAS_RULES, CONTROLLERS, PLANNERS, RIVALS, SCENES, SLOW_PLANNERS
 
 # Numbers on the command line: plain ASCII decimals, a subset of what Python accepts.
 _WHOLE = re.compile(r"[+-]?[0-9]{1,18}")
@@ -141,6 +141,13 @@ def add_comparison(parser: argparse.ArgumentParser) -> None:
             f"--{name}", nargs="+", metavar="A,B,...", help=f"any of {', '.join(known)}{more} (default: {default})"
         )
     parser.add_argument("--seeds", type=whole, default=3, metavar="N", help="number of seeds, starting at 0")
+    parser.add_argument(
+        "--slow-seeds",
+        type=whole,
+        metavar="N",
+        help=f"fewer seeds for planners whose cases take more than a second, {', '.join(SLOW_PLANNERS)} "
+        "(default: as many)",
+    )
     parser.add_argument("--duration", type=decimal, default=4.0, metavar="S", help="duration of the motions [s]")
     _add_time_budget(parser)
     _add_conditions(parser)

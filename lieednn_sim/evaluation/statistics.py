@@ -126,6 +126,14 @@ def numbers(rows: Iterable[Row], column: str) -> list[float]:
     return [float(value) for value in found if value is not None]
 
 
+def seeds_by_planner(rows: Iterable[Row]) -> dict[str, int]:
+    """Number of seeds of each planner."""
+    found: dict[str, set[int]] = {}
+    for row in rows:
+        found.setdefault(row.planner, set()).add(row.seed)
+    return {planner: len(seeds) for planner, seeds in found.items()}
+
+
 def controllers_of(rows: Iterable[Row]) -> list[str]:
     """The controllers of rows, first those of the package in its order."""
     found = sorted({row.controller for row in rows})

@@ -12,7 +12,7 @@ from lieednn_sim import filesystem
 from lieednn_sim.evaluation.display import rounded
 from lieednn_sim.evaluation.frame_errors import SETTLED_ROTATION, SETTLED_TRANSLATION
 from lieednn_sim.evaluation.rows import COLUMNS, Column
-from lieednn_sim.evaluation.statistics import Group, failures, grouped, motions
+from lieednn_sim.evaluation.statistics import Group, failures, grouped, motions, seeds_by_planner
 from lieednn_sim.evaluation.table import Table
 
 # Below this a distance or an angle is rounding [mm, deg].
@@ -72,8 +72,17 @@ def method(table: Table) -> str:
         "are relative to the planned joints, without the mechanism gap. Medians are over the seeds with a value, so a "
         "planner that fails on hard targets is judged by easy ones. A planner that has spent "
         f"{settings.time_budget:g} s of CPU time on a problem has failed. All numbers except the planning time are "
-        "reproducible."
+        f"reproducible.{_seeds(table)}"
     )
+
+
+def _seeds(table: Table) -> str:
+    """A sentence on the planners that have fewer seeds than others, if any."""
+    counts = seeds_by_planner(table.rows.values())
+    fewer = [f"{name} {count}" for name, count in sorted(counts.items()) if count < max(counts.values())]
+    if not fewer:
+        return ""
+    return f" Planners have {max(counts.values())} seeds, but {', '.join(fewer)}: rows with fewer seeds say less."
 
 
 def _medians(group: Group, columns: Sequence[Column]) -> list[str]:

@@ -11,7 +11,6 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-import lieednn_sim
 from lieednn_sim import learning
 from paper.checks import CHECKS
 
@@ -43,7 +42,7 @@ RIEMANNIAN: dict[str, dict[str, Any]] = {
 @cache
 def code(kind: str) -> str:
     """Digest of the code behind the results of a kind of job, so that none outlives a change of it."""
-    package, here = Path(lieednn_sim.__file__).parent, Path(__file__).parent
+    package, here = Path(learning.__file__).parents[1], Path(__file__).parent
     paths = [path for part in _PARTS for path in sorted((package / part).glob("*.py"))]
     # A new check must not make the trainings stale.
     paths += sorted((here / "checks").glob("*.py")) if kind == "check" else [here / "experiments.py"]

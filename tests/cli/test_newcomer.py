@@ -22,6 +22,7 @@ from lieednn_sim.cli.task import Task
 from lieednn_sim.cli.training import RIEMANNIAN
 from lieednn_sim.errors import InputError, NoSolutionError
 from lieednn_sim.evaluation.display import table
+from lieednn_sim.evaluation.study import SLOW_PLANNERS
 from lieednn_sim.evaluation.workers import progress_bar
 from lieednn_sim.learning import ALGORITHMS, TrainingOptions
 from lieednn_sim.learning import train as learn
@@ -45,6 +46,7 @@ def test_the_help_lists_what_there_is():
         names.CONTROLLERS: CONTROLLERS,
         names.ALGORITHMS: [*ALGORITHMS, *RIEMANNIAN],
         names.BIAS_RULES: BIAS_RULES,
+        names.SLOW_PLANNERS: SLOW_PLANNERS,
     }
     for listed, registered in known.items():
         assert sorted(listed) == sorted(registered)

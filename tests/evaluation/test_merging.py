@@ -59,6 +59,22 @@ def test_which_shard_has_a_case_depends_on_its_name_alone():
     assert Shard.holding(Case("telescopic_pr", "free", "minimum-jerk", 0), 5) == Shard(3, 5)
 
 
+def test_slow_planners_have_fewer_seeds_in_shards_too_and_reports_say_so(tmp_path, capsys):
+    words = [*WORDS[:4], "--planners", "minimum-jerk,lieednn-trained", "--seeds", "5", "--slow-seeds", "2", "--output"]
+    shards = [tmp_path / "shard1", tmp_path / "shard2"]
+    for number, folder in enumerate(shards, start=1):
+        assert main(["compare", *words, str(folder), "--shard", f"{number}/2"]) == 0
+    assert merge(tmp_path / "merged", *shards) == 0
+    cases = {(row.planner, row.seed) for row in read_rows(tmp_path / "merged/comparison.csv").values()}
+    assert cases == {("minimum-jerk", seed) for seed in range(5)} | {("lieednn-trained", seed) for seed in range(2)}
+    text = (tmp_path / "merged/comparison.md").read_text(encoding="utf-8")
+    assert "Planners have 5 seeds, but lieednn-trained 2: rows" in text
+    assert "| lieednn-trained | position-servo | 1 of 2 |" in text
+    page = (tmp_path / "merged/comparison.html").read_text(encoding="utf-8")
+    assert "2 to 5 seeds: 14 attempts" in page
+    assert "but lieednn-trained 2: rows" in page
+
+
 def test_shards_merge_to_the_table_of_one_machine_and_always_to_the_same_bytes(shards, tmp_path, capsys):
     one, out = tmp_path / "one", tmp_path / "out"
     assert main(["compare", *WORDS, str(one)]) == 0

@@ -17,7 +17,7 @@ from lieednn_sim.evaluation.report.findings import findings
 from lieednn_sim.evaluation.report.style import in_order, marks, number
 from lieednn_sim.evaluation.report.videos import Clip
 from lieednn_sim.evaluation.rows import BY_NAME, Column, Row
-from lieednn_sim.evaluation.statistics import Group, controllers_of, failures, grouped
+from lieednn_sim.evaluation.statistics import Group, controllers_of, failures, grouped, seeds_by_planner
 from lieednn_sim.evaluation.summary import method
 from lieednn_sim.evaluation.table import Table
 
@@ -97,7 +97,7 @@ def write_page(
     names = in_order(row.planner for row in rows)
     controllers = controllers_of(rows)
     arms = sorted({row.arm for row in rows})
-    columns = _columns()
+    columns, counts = _columns(), seeds_by_planner(rows).values()
     page = (
         _environment()
         .get_template("page.html")
@@ -109,7 +109,7 @@ def write_page(
             scenes=sorted({row.scene for row in rows}),
             planners=names,
             controllers=controllers,
-            seeds=len({row.seed for row in rows}),
+            seeds=" to ".join(map(str, sorted({min(counts), max(counts)}))),
             count=len(rows),
             settings=table.settings,
             versions=table.versions,

@@ -1,0 +1,92 @@
+"""Planners on MotionBenchMaker's problems for the Panda, the UR5 and the Fetch, in one table.
+
+    python scripts/motion_bench_maker.py FOLDER [--problems 100] [--jobs 1] [--output results/motion_bench_maker]
+
+FOLDER is the ``resources`` of VAMP's repository, which is not part of this project; docs/published_problems.md says how
+the problems are posed. Each robot's rows are a table of `lieednn-sim problems` below the output, so an interrupted run
+can be continued; ``motion_bench_maker.md`` has the statistics of all.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from rich.console import Console
+
+from lieednn_sim import filesystem
+from lieednn_sim.evaluation.problems.motion_bench_maker import ProblemSets
+from lieednn_sim.evaluation.problems.study import Solution, Statistic, solve_problems
+from lieednn_sim.evaluation.problems.summary import METHOD
+from lieednn_sim.evaluation.summary import table_line
+from lieednn_sim.evaluation.workers import exit_code
+
+ROBOTS = ("panda", "ur5", "fetch")
+PLANNERS = ("rrt-connect", "lieednn-shaped", "minimum-jerk")
+BUDGET = 10.0
+HEADINGS = (
+    *("robot", "planner", "problems", "skipped", "solved, of asked"),
+    *("solve time [s]", "C-space path [rad]", "motion time [s]"),
+)
+SHOWN = ("solve_time", "cspace_path_length", "motion_time")
+
+
+def table(rows: dict[str, Sequence[Solution]]) -> str:
+    """The statistics of all robots, and what failed."""
+    lines = [
+        "# MotionBenchMaker's problems",
+        "",
+        METHOD.format(budget=BUDGET)
+        + " Four numbers are mean / median / 75 % / 98 %. [How the problems are posed, and "
+        "what others publish](../../docs/published_problems.md).",
+        "",
+        table_line(HEADINGS),
+        "|" + " --- |" * len(HEADINGS),
+    ]
+    failures = []
+    for robot, found in rows.items():
+        for planner in dict.fromkeys(row.planner for row in found):
+            own = [row for row in found if row.planner == planner]
+            asked = [row for row in own if not row.skipped]
+            solved = [row for row in asked if row.success]
+            cells = [robot, f"`{planner}`", len(own), len(own) - len(asked), f"{len(solved)} of {len(asked)}"]
+            for name in SHOWN:
+                one = Statistic.of([getattr(row, name) for row in solved])
+                shown = (one.mean, one.median, one.percent_75, one.percent_98) if one else ()
+                cells.append(" / ".join(f"{value:.3g}" for value in shown) or "-")
+            lines.append(table_line(list(map(str, cells))))
+            lost = [f"{row.problem} {row.number}" for row in asked if not row.success]
+            if lost and planner != "minimum-jerk":
+                failures.append(f"- {robot}, `{planner}`: {', '.join(lost)}")
+    lines += ["", "What searching planners did not solve:", "", *(failures or ["- nothing that could be posed"])]
+    return "\n".join(lines) + "\n"
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Compute missing rows, then write the table."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("folder", type=Path, help="VAMP's resources")
+    parser.add_argument("--problems", type=int, default=100, help="for each robot (default: %(default)s)")
+    parser.add_argument("--jobs", type=int, default=1, help="worker processes (default: %(default)s)")
+    parser.add_argument("--output", type=Path, default=Path("results/motion_bench_maker"))
+    given = parser.parse_args(arguments)
+    console = Console(stderr=True)
+
+    def work() -> Path:
+        rows: dict[str, Sequence[Solution]] = {}
+        for robot in ROBOTS:
+            how = {"names": PLANNERS, "problems": given.problems, "budget": BUDGET, "jobs": given.jobs}
+            sets = ProblemSets(given.folder / robot)
+            rows[robot] = solve_problems(given.output / robot, sets, console=console, **how).sorted_rows()
+        path = given.output / "motion_bench_maker.md"
+        with filesystem.atomic_text(path) as stream:
+            stream.write(table(rows))
+        return path
+
+    return exit_code(work, console, "problems")
+
+
+if __name__ == "__main__":
+    sys.exit(main())
