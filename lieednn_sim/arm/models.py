@@ -104,7 +104,7 @@ def label_of(source: Path) -> str:
 
 def chosen(options: ImportOptions) -> ImportOptions:
     """The options that differ from their defaults."""
-    return {name: value for name, value in options.items() if value not in (None, (), [], {}, "keep")}  # type: ignore[return-value]
+    return {name: value for name, value in options.items() if value not in (None, (), [], {}, "keep", "auto")}  # type: ignore[return-value]
 
 
 def open_model(source: Path, **options: Unpack[ImportOptions]) -> tuple[mujoco.MjSpec, ImportReport | None]:

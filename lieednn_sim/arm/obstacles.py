@@ -13,6 +13,7 @@ from lieednn_sim import storage
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.contacts import PLANNED_CLEARANCE, ContactFinder, moving_geoms
 from lieednn_sim.arm.fingerprint import model_fingerprint
+from lieednn_sim.arm.importer.floor import AUTO, FLOOR, NONE, add_plane, as_floor, collision_bits
 from lieednn_sim.arm.importer.loading import compile_spec, load_spec, unused
 from lieednn_sim.arm.scenes import GOAL_PREFIX, PREFIX, SCENES
 from lieednn_sim.arm.serial_arm import SerialArm
@@ -36,6 +37,7 @@ _SHAPES = {
     "cylinder": {"radius", "length"},
     "capsule": {"radius", "length"},
     "mesh": {"file", "scale"},
+    "plane": set(),
 }
 _OPTIONAL = {"name", "rpy", "quaternion", "scale"}
 _COLOUR = (0.72, 0.54, 0.35, 1.0)
@@ -61,9 +63,10 @@ def load_obstacles(path: str | os.PathLike[str]) -> mujoco.MjSpec:
     they are drawn anywhere. A YAML or JSON file holds a list ``obstacles`` and optionally a list ``goals``. An obstacle
     has a ``shape`` with its dimensions: ``box``: ``size`` (3 edge lengths); ``sphere``: ``radius``; ``cylinder``,
     ``capsule``: ``radius``, ``length`` (along z; of a capsule, without its caps); ``mesh``: ``file`` (STL, OBJ or MSH,
-    relative to the list or absolute), and optionally ``scale`` (one number or three). It has a ``position`` (3) and
-    optionally a ``name`` and either ``rpy`` (roll, pitch, yaw, as in a URDF) or ``quaternion`` (w, x, y, z). A goal is
-    a box: ``size``, ``position``, and optionally its orientation. Meshes collide as their convex hulls.
+    relative to the list or absolute), and optionally ``scale`` (one number or three); ``plane``: everything below it,
+    along its z. It has a ``position`` (3) and optionally a ``name`` and either ``rpy`` (roll, pitch, yaw, as in a URDF)
+    or ``quaternion`` (w, x, y, z). A goal is a box: ``size``, ``position``, and optionally its orientation. Meshes
+    collide as their convex hulls. ``floor``, a height or ``none``, takes the place of the floor of an imported arm.
 
     Raises:
         FileError: the file or one of its meshes is missing, or it cannot be read.
@@ -88,7 +91,7 @@ def load_obstacles(path: str | os.PathLike[str]) -> mujoco.MjSpec:
         raise FileError(f"{source}: {error}") from None
     if moving := [model.joint(j).name for j in range(model.njnt)]:
         raise InputError(f"{source}: obstacles must not move, but it has joints: {', '.join(moving[:5])}")
-    if not (model.geom_contype | model.geom_conaffinity).any():
+    if not (model.geom_contype | model.geom_conaffinity).any() and not spec.texts:
         raise InputError(f"{source} holds no obstacle: no geom of it collides with anything")
     if flat := [model.site(s).name for s in _goals(model) if model.site_type[s] != mujoco.mjtGeom.mjGEOM_BOX]:
         raise InputError(f"{source}: goals must be boxes, which these are not: {', '.join(flat)}")
@@ -109,13 +112,28 @@ def describe(obstacles: mujoco.MjSpec) -> tuple[str, str]:
 
 def add_own_obstacles(spec: mujoco.MjSpec, arm: SerialArm, obstacles: mujoco.MjSpec, label: str) -> None:
     """Attach obstacles to a copy of an arm's spec; they collide with every colliding geom of the arm."""
-    bits = int(np.bitwise_or.reduce(arm.model.geom_contype | arm.model.geom_conaffinity, initial=1))
+    bits = collision_bits(arm.model)
+    for text in list(obstacles.texts):
+        if text.name == FLOOR:
+            _replace_floor(spec, arm, text.data, bits)
+            obstacles.delete(text)
     for geom in obstacles.geoms:
         if geom.contype or geom.conaffinity:
             geom.contype = geom.conaffinity = bits
     holder = unused(PREFIX + label, {PREFIX + body.name for body in obstacles.bodies})
     body = spec.worldbody.add_body(name=holder)
     spec.attach(obstacles, prefix=PREFIX, frame=body.add_frame())
+
+
+def _replace_floor(spec: mujoco.MjSpec, arm: SerialArm, asked: str, bits: int) -> None:
+    """Put another floor, or none, in the place of that of an imported arm."""
+    floor = spec.body(FLOOR)
+    if floor is None and any(geom.type == mujoco.mjtGeom.mjGEOM_PLANE for geom in spec.geoms):
+        raise InputError(f"arm {arm.name!r} has a floor in its own model, which a scene cannot replace")
+    if floor is not None:
+        spec.delete(floor)
+    if asked not in (AUTO, NONE):
+        add_plane(spec, FLOOR, float(asked), bits)
 
 
 def check_home(arm: SerialArm, scene: str) -> None:
@@ -144,9 +162,12 @@ def _goals(model: mujoco.MjModel) -> list[int]:
 
 def shapes(value: Mapping[str, Any], source: Path) -> mujoco.MjSpec:
     """The spec of lists of shapes and goals, as `load_obstacles` reads them from ``source``; errors as there."""
-    if unknown := value.keys() - {"obstacles", "goals"}:
-        raise InputError(f"{source}: unknown entries {_listed(unknown)}; allowed: goals, obstacles")
+    if unknown := value.keys() - {"obstacles", "goals", FLOOR}:
+        raise InputError(f"{source}: unknown entries {_listed(unknown)}; allowed: {FLOOR}, goals, obstacles")
     spec = mujoco.MjSpec()
+    if FLOOR in value:
+        # MuJoCo's own place for what a file says beyond its elements.
+        spec.add_text(name=FLOOR, data=str(as_floor(value[FLOOR])))
     names: set[str] = set()
     for kind, add in (("obstacles", _add_obstacle), ("goals", _add_goal)):
         entries = value.get(kind, [])
@@ -187,6 +208,8 @@ def _add_obstacle(spec: mujoco.MjSpec, entry: dict[str, Any], number: int, folde
             raise InputError("scale must not be 0")
         spec.add_mesh(name=name, file=str(file.resolve()), scale=scale)
         body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, **look)
+    elif shape == "plane":
+        body.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.0, 0.0, 0.05], **look)
     else:
         kind = getattr(mujoco.mjtGeom, f"mjGEOM_{shape.upper()}")
         body.add_geom(type=kind, size=_half_sizes(entry, shape), **look)

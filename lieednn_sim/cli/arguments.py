@@ -42,8 +42,14 @@ def import_options(arguments: argparse.Namespace) -> ImportOptions:
             "keyframe": arguments.keyframe,
             "home": named_numbers(arguments.home, "home"),
             "servos": arguments.servos,
+            "floor": _floor(arguments.floor),
         }
     )
+
+
+def _floor(text: str) -> float | str:
+    """A height, or a word that the importer checks."""
+    return float(numbers(text, "floor", 1)[0]) if text[-1:].isdigit() or text[-1:] == "." else text
 
 
 def make_task(

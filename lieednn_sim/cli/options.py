@@ -74,6 +74,12 @@ def add_frames(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--servos", default="keep", metavar="RULE", help="keep the position servos of an MJCF file, or design new ones"
     )
+    parser.add_argument(
+        "--floor",
+        default="auto",
+        metavar="HEIGHT",
+        help="height of the floor of a model file [m], or none (default: the file's own, else at its base)",
+    )
 
 
 def add_planning(

@@ -16,7 +16,9 @@ def table(title: str, *columns: str) -> Table:
 
 
 def rounded(value: float, least: float = 1e-4) -> str:
-    """A measured number for people: three digits, and 0 below ``least``, where only rounding is left."""
+    """A measured number for people: three digits or more, and 0 below ``least``, where only rounding is left."""
+    if abs(value) >= 1000.0:
+        return f"{value:.0f}"
     return "0" if abs(value) < least else f"{value:.3g}"
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Self
 
@@ -14,13 +13,13 @@ from lieednn_sim import stability
 from lieednn_sim.errors import InputError, NotCertifiedError
 from lieednn_sim.network.base import BlockNetwork
 from lieednn_sim.validation import as_choice, as_floats
-from lieednn_sim.values import Floats
+from lieednn_sim.values import Floats, frozen
 
 # Where an activation is looked at, and how far its slope may be from that of its values there.
 _SAMPLES, _DIFFERENCE, _TOLERANCE = np.linspace(-8.0, 8.0, 161), 1e-5, 1e-6
 
 
-@dataclass(frozen=True)
+@frozen
 class Activation:
     """An odd, bounded function with slopes in (0, 1], as the certificates of `stability` assume.
 

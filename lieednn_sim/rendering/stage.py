@@ -1,4 +1,4 @@
-"""Staging of an arm for rendering: light, sky, floor, target marker and camera, where its model lacks them."""
+"""Staging of an arm for rendering: light, sky, target marker and camera, where its model lacks them."""
 
 from __future__ import annotations
 
@@ -51,14 +51,20 @@ def staged(arm: Arm, points: Floats) -> tuple[mujoco.MjModel, int]:
     body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, "target")
     marked = body >= 0 and model.body_mocapid[body] >= 0
     sky = bool((model.tex_type == mujoco.mjtTexture.mjTEXTURE_SKYBOX).any())
-    floor = bool((model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE).any())
-    if marked and sky and floor and model.nlight:
+    if marked and sky and model.nlight and arm.import_report is None:
         return copy.deepcopy(model), int(model.body_mocapid[body])
     spec = arm.spec.copy()
     spec.compiler.discardvisual = False  # with the default of URDF files, all of this would vanish
     names = {element.name for kind in (spec.textures, spec.materials, spec.bodies) for element in kind}
-    if not model.nlight:
+    own = arm.import_report is None
+    if not own:
+        # Robots bring a spotlight at most, around which all is dark.
+        for light in list(spec.lights):
+            spec.delete(light)
+        spec.visual.map.shadowclip, spec.visual.map.shadowscale = 1.4, 0.6
+    if not (own and model.nlight):
         spec.visual.headlight.ambient = [0.4] * 3
+        spec.visual.headlight.diffuse = [0.4] * 3
         for direction, diffuse, shadow in _LIGHTS:
             light = spec.worldbody.add_light(pos=-4.0 * np.array(direction), dir=direction, castshadow=shadow)
             light.type, light.diffuse = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, [diffuse] * 3
@@ -72,21 +78,15 @@ def staged(arm: Arm, points: Floats) -> tuple[mujoco.MjModel, int]:
             width=256,
             height=1536,
         )
-    if not floor:
-        spec.worldbody.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_PLANE,
-            size=[0.0, 0.0, 0.05],
-            pos=[0.0, 0.0, _lowest(arm)],
-            rgba=[0.62, 0.62, 0.60, 1.0],
-            **_UNSEEN,
-        )
     name = "target" if marked else unused("target", names)
     if not marked:
         size = 0.06 * float(np.linalg.norm(np.ptp(points, axis=0)))
+        # As large as the hand, which would hide it on arrival.
+        radius = float(np.clip(1.1 * _hand(arm), 0.35 * size, 0.9 * size))
         marker = spec.worldbody.add_body(name=name, mocap=True)
-        marker.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.35 * size, 0.0, 0.0], rgba=_GLASS, **_UNSEEN)
+        marker.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radius, 0.0, 0.0], rgba=_GLASS, **_UNSEEN)
         for axis, colour in zip(np.eye(3), _AXES, strict=True):
-            ends = [0.0, 0.0, 0.0, *(size * axis)]
+            ends = [0.0, 0.0, 0.0, *((radius + 0.65 * size) * axis)]
             kind = mujoco.mjtGeom.mjGEOM_CAPSULE
             marker.add_geom(type=kind, fromto=ends, size=[0.04 * size, 0.0, 0.0], rgba=colour, **_UNSEEN)
     made = spec.compile()
@@ -102,14 +102,3 @@ def _hand(arm: Arm) -> float:
     return float(
         (np.linalg.norm(data.geom_xpos - data.site_xpos[site], axis=1) + model.geom_rbound)[mine].max(initial=0.0)
     )
-
-
-def _lowest(arm: Arm) -> float:
-    """Height of the lowest point of the arm at home [m], by its geoms' bounding boxes, and at most that of the base."""
-    model, data = arm.model, mujoco.MjData(arm.model)
-    data.qpos[:] = arm.qpos(arm.keyframe("home"))
-    mujoco.mj_kinematics(model, data)
-    upright = data.geom_xmat.reshape(-1, 3, 3)[:, 2]
-    middle = data.geom_xpos[:, 2] + (upright * model.geom_aabb[:, :3]).sum(axis=1)
-    depth = (np.abs(upright) * model.geom_aabb[:, 3:]).sum(axis=1)
-    return float(min([float(arm.base.translation[2]), *(middle - depth)]))

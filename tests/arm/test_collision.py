@@ -66,7 +66,7 @@ def test_the_least_along_a_path_sees_what_turns_on_the_spot(before, tmp_path):
       <site name="tool" pos="1 0 0"/></body>"""
     path = tmp_path / "bar.xml"
     path.write_text(f"<mujoco><worldbody>{ball + bar if before else bar + ball}</worldbody></mujoco>")
-    collisions = Collisions(Arm.load(path))
+    collisions = Collisions(Arm.load(path, floor="none"))
     turn = np.deg2rad(np.arange(0.0, 136.0, 3.0))[:, None]
     # At right angles they are deepest: the face of the bar is 5 cm and that of the ball 10 cm from the ball's middle.
     assert collisions.least(turn) == pytest.approx(-0.15, abs=1e-3)
@@ -173,4 +173,4 @@ def test_what_has_nothing_to_collide_with_is_infinitely_clear(tmp_path):
         '<geom size="0.1" fromto="0 0 0 1 0 0" type="capsule" contype="0" conaffinity="0"/>'
         '<site name="tool" pos="1 0 0"/></body></worldbody></mujoco>'
     )
-    assert Collisions(Arm.load(path)).clearance([0.0]) == np.inf
+    assert Collisions(Arm.load(path, floor="none")).clearance([0.0]) == np.inf

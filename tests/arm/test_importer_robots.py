@@ -135,7 +135,7 @@ def test_what_overlaps_in_every_posture_is_ignored_geom_by_geom():
         "contacts ignored between 'column' and 'turret' (15 mm deep): neighbours that overlap at home" in report.notes
     )
     assert arm.near_contacts([0.0, 0.0]) == []
-    assert arm.contacts([0.0, 1.1]) == [("arm", "column")]
+    assert ("arm", "column") in arm.contacts([0.0, 1.1])
     # What becomes an explicit pair touches as it did before.
     touching = []
     for model in (arm.model, mujoco.MjSpec.from_string(COLUMN).compile()):

@@ -68,7 +68,7 @@ def test_limits_of_a_description_go_before_those_of_the_model(folder):
         ("[1]", FileError, "mine.json is not a valid description of an arm"),
         ('{"links": ["tool"]}', FileError, "names no model: it needs an entry such as `model: robot.urdf`"),
         ('{"model": "other.json"}', FileError, "got 'other.json'"),
-        (described(link=["tool"]), FileError, "has no link; allowed: model, base, home"),
+        (described(link=["tool"]), FileError, "has no link; allowed: model, base, floor, home"),
         (described(links="tool"), InputError, "links must be a list of names"),
         (described(home={"a": "x"}), InputError, "home position of joint 'a' must be an array of numbers, got str"),
         (described(limits=[2.0]), InputError, "limits must give velocity, acceleration or jerk for each coordinate"),

@@ -145,7 +145,7 @@ def test_targets_are_in_the_goals_of_a_file_or_anywhere_free(gantry, tmp_path):
 @pytest.mark.parametrize(
     ("content", "error", "message"),
     [
-        ({"obstacle": []}, InputError, "unknown entries obstacle; allowed: goals, obstacles"),
+        ({"obstacle": []}, InputError, "unknown entries obstacle; allowed: floor, goals, obstacles"),
         ({"obstacles": BOX}, InputError, "obstacles must be a list, got dict"),
         ({"obstacles": []}, InputError, "holds no obstacle"),
         ({"obstacles": [3]}, InputError, "entry 1 of obstacles must be a mapping, got int"),

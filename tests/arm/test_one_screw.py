@@ -33,7 +33,7 @@ WRIST = """
 
 
 def arm_of(xml: str, **options) -> Arm:
-    spec, report = import_arm(mujoco.MjSpec.from_string(xml), **options)
+    spec, report = import_arm(mujoco.MjSpec.from_string(xml), floor="none", **options)
     return Arm.from_spec(spec, Path("robot.xml"), "robot", report)
 
 

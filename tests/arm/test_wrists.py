@@ -23,7 +23,9 @@ WRIST = """
 
 
 def wrist(bend):
-    spec, report = import_arm(mujoco.MjSpec.from_string(WRIST.format(bend=bend)), links=["shoulder", "hand"])
+    spec, report = import_arm(
+        mujoco.MjSpec.from_string(WRIST.format(bend=bend)), links=["shoulder", "hand"], floor="none"
+    )
     return Arm.from_spec(spec, Path("wrist.xml"), "wrist", report)
 
 
@@ -54,7 +56,7 @@ def test_two_wrists_that_are_built_alike_are_each_followed_on_the_branch_on_whic
     xml = f"""<mujoco><compiler angle="radian"/><worldbody><body name="shoulder"><joint axis="0 1 0" range="-1 1"/>
       <geom size=".02"/>{wrists}{"</body>" * 7}</worldbody>
       <keyframe><key name="home" qpos="0 .3 .8 .2 .3 .8 .2"/></keyframe></mujoco>"""
-    spec, _ = import_arm(mujoco.MjSpec.from_string(xml), links=["shoulder", "hand1", "hand2"])
+    spec, _ = import_arm(mujoco.MjSpec.from_string(xml), links=["shoulder", "hand1", "hand2"], floor="none")
     arm, s = Arm.from_spec(spec, Path("wrists.xml"), "wrists"), np.linspace(0.0, 1.0, 300)[:, None]
     way = (1.0 - s) * [0.1, 0.3, 0.9, 0.2, -2.8, -0.9, -2.9] + s * [0.5, 2.9, 0.2, -2.8, -1.9, -0.3, -1.4]
     for ends in (way, way * [1.0, 1.0, -1.0, 1.0, 1.0, -1.0, 1.0]):

@@ -29,7 +29,7 @@ class Draft:
     Attributes:
         spec: the spec, edited by the steps.
         source: its file, if any.
-        links, base, keyframe, home, limits, servo_rule: the options of `import_arm`.
+        links, base, keyframe, home, limits, servo_rule, floor: the options of `import_arm`.
         notes: remarks for the report.
         original: the model as given.
         keyframes: those of ``original`` that hold postures.
@@ -57,6 +57,7 @@ class Draft:
     home: Mapping[str, float]
     limits: Mapping[str, Mapping[str, float]]
     servo_rule: str
+    floor: float | str
     notes: list[str] = field(default_factory=list)
     original: mujoco.MjModel = field(init=False)
     keyframes: list[int] = field(init=False)

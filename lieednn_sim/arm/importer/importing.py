@@ -26,6 +26,7 @@ from lieednn_sim.arm.importer.conventions import (
     tie_stages,
 )
 from lieednn_sim.arm.importer.draft import Draft
+from lieednn_sim.arm.importer.floor import AUTO, add_floor, as_floor
 from lieednn_sim.arm.importer.limits import (
     check_rates,
     drop_old_limits,
@@ -67,6 +68,7 @@ STEPS: tuple[Callable[[Draft], None], ...] = (
     limit_as_asked,
     stabilise,
     add_servos,
+    add_floor,
     add_keyframes,
     check_kinematics,
     look_for_half_turns,
@@ -86,6 +88,7 @@ class ImportOptions(TypedDict, total=False):
     home: Mapping[str, float] | None
     limits: Mapping[str, Mapping[str, float]] | None
     servos: str
+    floor: float | str
 
 
 def import_arm(
@@ -97,6 +100,7 @@ def import_arm(
     home: Mapping[str, float] | None = None,
     limits: Mapping[str, Mapping[str, float]] | None = None,
     servos: str = "keep",
+    floor: float | str = AUTO,
 ) -> tuple[mujoco.MjSpec, ImportReport]:
     """Make a model into an arm by `STEPS`: sites at the link frames, one servo per coordinate, all other joints locked.
 
@@ -124,6 +128,8 @@ def import_arm(
         limits: ``velocity``, ``acceleration`` and ``jerk`` of coordinates by name [rad or m, s]; they take precedence
             over the model's.
         servos: ``"keep"`` the model's position servos, or ``"design"`` all of them anew.
+        floor: height of the floor [m], or ``"none"``. Default, ``"auto"``: the model's own plane, else one at the
+            height of the base, or below the lowest point of the model at home.
 
     Returns:
         A spec for `Arm.from_spec`, and the report.
@@ -142,11 +148,21 @@ def import_arm(
     if links is not None and (not links or not named):
         raise InputError(f"links must be a list of names of bodies or sites, from the base outwards; got {links!r}")
     check_rates(limits)
+    height = as_floor(floor)
     notes: list[str] = []
     spec = load_spec(model, notes)
     source = None if isinstance(model, mujoco.MjSpec) else Path(model)
     draft = Draft(
-        spec, source, None if links is None else tuple(links), base, keyframe, home or {}, limits or {}, servos, notes
+        spec,
+        source,
+        None if links is None else tuple(links),
+        base,
+        keyframe,
+        home or {},
+        limits or {},
+        servos,
+        height,
+        notes,
     )
     for step in STEPS:
         step(draft)

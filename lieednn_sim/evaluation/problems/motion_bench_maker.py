@@ -139,7 +139,7 @@ class ProblemSets:
         if missing := [joint for joint in goal if joint not in self._children]:
             raise FileError(f"{self.model} has no joint {', '.join(missing)}, for which goals are given")
         home = {joint: q for joint, q in start.items() if joint in goal} | self._locked
-        spec, report = import_arm(self.model, links=[self._children[joint] for joint in goal], home=home)
+        spec, report = import_arm(self.model, links=[self._children[joint] for joint in goal], home=home, floor="none")
         if self.semantics:
             for old in [*spec.excludes, *spec.pairs]:
                 spec.delete(old)

@@ -157,7 +157,7 @@ def test_gaps_that_are_rounding_are_zero(table, tmp_path):
     write_summary(tmp_path / "s.md", table)
     line = next(line for line in (tmp_path / "s.md").read_text(encoding="utf-8").splitlines() if "other" in line)
     assert "e-14" not in line
-    assert "1.23e+03" in line
+    assert "1234" in line or "1235" in line
 
 
 def test_the_summary_has_each_median_in_its_column(table, tmp_path):

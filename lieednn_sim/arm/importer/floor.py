@@ -1,0 +1,86 @@
+"""The floor of an imported arm: part of its model, so that targets and planners know what a film shows."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm.contacts import PLANNED_CLEARANCE, moving_geoms
+from lieednn_sim.arm.importer.draft import Draft
+from lieednn_sim.arm.importer.loading import unused
+from lieednn_sim.errors import InputError
+from lieednn_sim.validation import as_floats
+from lieednn_sim.values import Floats
+
+# Where `floor` is left to the importer, and where none is wanted.
+AUTO, NONE = "auto", "none"
+# The body of a floor that the importer or a scene has added.
+FLOOR = "floor"
+# How far below the moving parts at home a floor lies at least [m].
+_ROOM = PLANNED_CLEARANCE + 0.01
+_COLOUR = (0.62, 0.62, 0.60, 1.0)
+
+
+def as_floor(value: float | str) -> float | str:
+    """Return a height [m], `AUTO` or `NONE`; `InputError` for anything else."""
+    if isinstance(value, str) and value not in (AUTO, NONE):
+        raise InputError(f"floor must be a height in metres, {AUTO} or {NONE}, got {value!r}")
+    return value if isinstance(value, str) else float(as_floats("floor", value, ()))
+
+
+def add_floor(draft: Draft) -> None:
+    """Add a floor at the height that was asked for, or else at that of the base or lower, where home needs it.
+
+    A plane of the model is its floor; it is made to collide where it was only drawn.
+    """
+    bits = collision_bits(draft.bare)
+    planes = [geom for geom in draft.spec.geoms if geom.type == mujoco.mjtGeom.mjGEOM_PLANE]
+    for plane in planes:
+        if not (plane.contype or plane.conaffinity):
+            plane.contype = plane.conaffinity = bits
+            draft.notes.append(
+                f"the plane {plane.name or 'without a name'!r} was only drawn; now it is part of the scene"
+            )
+    if draft.floor == NONE or (planes and draft.floor == AUTO):
+        return
+    at_home = draft.postures([draft.samples[0]])[0]
+    moving, lowest = lowest_points(draft.bare, at_home)
+    height = min(lowest, moving - _ROOM) if draft.floor == AUTO else float(draft.floor)
+    add_plane(draft.spec, unused(FLOOR, {body.name for body in draft.spec.bodies}), height, bits)
+    why = "" if draft.floor == AUTO else ", as asked for"
+    draft.notes.append(f"a floor at a height of {height:.3g} m{why}; the model has none, and floor: none leaves it so")
+
+
+def add_plane(spec: mujoco.MjSpec, name: str, height: float, bits: int) -> None:
+    """Add a horizontal plane, in a body of its own so that messages name it."""
+    body = spec.worldbody.add_body(name=name, pos=[0.0, 0.0, height])
+    body.add_geom(
+        name=name,
+        type=mujoco.mjtGeom.mjGEOM_PLANE,
+        size=[0.0, 0.0, 0.05],
+        rgba=_COLOUR,
+        group=2,
+        contype=bits,
+        conaffinity=bits,
+    )
+
+
+def collision_bits(model: mujoco.MjModel) -> int:
+    """Bits with which a geom collides with every colliding geom of a model."""
+    return int(np.bitwise_or.reduce(model.geom_contype | model.geom_conaffinity, initial=1))
+
+
+def lowest_points(model: mujoco.MjModel, qpos: Floats) -> tuple[float, float]:
+    """Heights of the lowest points of colliding moving geoms, and of all geoms and link frames [m].
+
+    They are those of the geoms' bounding boxes, which may be a little lower.
+    """
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    mujoco.mj_kinematics(model, data)
+    upright = data.geom_xmat.reshape(-1, 3, 3)[:, 2]
+    middle = data.geom_xpos[:, 2] + (upright * model.geom_aabb[:, :3]).sum(axis=1)
+    low = middle - (np.abs(upright) * model.geom_aabb[:, 3:]).sum(axis=1)
+    solid = moving_geoms(model) & ((model.geom_contype | model.geom_conaffinity) != 0)
+    base = float(data.site_xpos[model.site("base_frame").id, 2])
+    return float(low[solid].min(initial=np.inf)), float(low.min(initial=base))
