@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import importlib
 import itertools
 import multiprocessing
@@ -12,6 +13,7 @@ import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor
+from functools import cache, partial
 from multiprocessing.context import SpawnContext, SpawnProcess
 from pathlib import Path
 from typing import Any
@@ -101,7 +103,7 @@ def run_each(
         try:
             for _ in todo:
                 for task in itertools.islice(waiting, _AHEAD - len(running)):
-                    future = pool.submit(run, *task)
+                    future = pool.submit(partial(released, run), *task)
                     running[future] = task
                     future.add_done_callback(ended.put)
                 future = ended.get()
@@ -119,6 +121,24 @@ def run_each(
             # Worker processes are stopped by `worker_pool` instead.
             for future in running if executor is not None else ():
                 future.cancel()
+
+
+def released(run: Callable[..., Any], *task: Any) -> Any:
+    """Run a task, and give the memory that it has freed back to the system.
+
+    Arrays of many sizes leave holes in the heap of glibc, which keeps them: a worker that held 0.12 GB of objects grew
+    to 0.6 GB in a hundred planning problems, and further.
+    """
+    try:
+        return run(*task)
+    finally:
+        _trim()(0)
+
+
+@cache
+def _trim() -> Callable[[int], Any]:
+    """Glibc's `malloc_trim`; elsewhere a function that does nothing."""
+    return getattr(ctypes.CDLL(None), "malloc_trim", lambda _: 0)
 
 
 def progress_bar(console: Console) -> Progress:
