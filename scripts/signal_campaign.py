@@ -22,13 +22,14 @@ from collections import Counter
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from lieednn_sim import storage
-from lieednn_sim.evaluation import read_rows
+from lieednn_sim.evaluation import Row, read_rows
 from lieednn_sim.evaluation.problems.study import Solution
 from lieednn_sim.evaluation.rows import TIMING
 from lieednn_sim.rendering.ffmpeg import count_frames
@@ -59,8 +60,9 @@ def _fingerprints(*names: str) -> Callable[[Path], object]:
 
 
 def _rows(folder: Path) -> object:
-    found = read_rows(folder / "out" / "comparison.csv").values()
-    return sorted(str(replace(row, **dict.fromkeys(TIMING))) for row in found)
+    found: list[Row] = list(read_rows(folder / "out" / "comparison.csv").values())
+    times: dict[str, Any] = dict.fromkeys(TIMING)
+    return sorted(str(replace(row, **times)) for row in found)
 
 
 def _solutions(folder: Path) -> object:
@@ -175,9 +177,10 @@ def readable(path: Path) -> bool:
 
 
 def disturb(
-    name: str, sent: signal.Signals, seed: int, place: Path, reference: tuple[Path, float, object]
+    name: str, place: Path, reference: tuple[Path, float, object], case: tuple[signal.Signals, int]
 ) -> list[str]:
-    """Disturb a command once, then end it."""
+    """Disturb a command once, then end it; ``reference``: its folder before, its duration [s] and its result."""
+    sent, seed = case
     origin, seconds, expected = reference
     folder = place / f"{name}-{sent.name}-{seed}"
     shutil.copytree(origin, folder)
@@ -219,7 +222,7 @@ def main(words: list[str] | None = None) -> int:
             finish(COMMANDS[name].words, copy)
             reference = origin, time.monotonic() - begun, COMMANDS[name].result(copy)
             cases = [(sent, options.seed + k) for sent in SIGNALS for k in range(options.times)]
-            found = pool.map(lambda case: disturb(name, *case, Path(place), reference), cases)  # noqa: B023, ends here
+            found = pool.map(partial(disturb, name, Path(place), reference), cases)
             for (sent, seed), wrong in zip(cases, found, strict=True):
                 broken[name] += bool(wrong)
                 for fault in wrong:
