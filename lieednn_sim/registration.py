@@ -33,7 +33,7 @@ class Registry(Generic[T]):
 
     def add(self, name: str, given: Any, *more: Any) -> None:
         """Add an object; `InputError` if its name is taken, or not of lower-case letters, digits and hyphens."""
-        if not isinstance(name, str) or not _NAME.fullmatch(name):
+        if not _NAME.fullmatch(name):
             raise InputError(f"a {self.kind}'s name must be lower-case letters, digits and hyphens, got {quoted(name)}")
         if name in self.known:
             raise InputError(f"{self.kind} {name!r} is already registered; choose another name")

@@ -8,7 +8,7 @@ import os
 from collections.abc import Iterable, Sequence
 from itertools import islice
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,7 +16,6 @@ from numpy.typing import ArrayLike, NDArray
 from lieednn_sim.errors import InputError
 
 Shape = tuple[int | str, ...]
-_Kind = TypeVar("_Kind")
 
 # Larger than any meaningful length, angle, rate or weight; products of three such numbers do not overflow.
 LARGEST = 1e100
@@ -148,17 +147,6 @@ def as_shape(name: str, value: Iterable[Any], entries: int = 1) -> tuple[int, ..
     if math.prod(shape) * entries > _LARGEST_SIZE:
         raise InputError(f"{name} {_describe(shape)} is too large: more than {_LARGEST_SIZE} numbers")
     return shape
-
-
-def as_instance(name: str, value: object, kind: type[_Kind], hint: str = "") -> _Kind:
-    """Return ``value``, an instance of a class, or raise `InputError` with a hint where to get one."""
-    if not isinstance(value, kind):
-        wanted = kind.__name__
-        article = "" if wanted.endswith("s") else "an " if wanted[0] in "AEIOU" else "a "
-        raise InputError(
-            f"{name} must be {article}{wanted}, got {type(value).__name__}" + (f"; {hint}" if hint else "")
-        )
-    return value
 
 
 def as_path(name: str, value: object) -> Path:

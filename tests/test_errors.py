@@ -44,9 +44,11 @@ FRONT_DOOR = {
         lambda other: ls.solve_ik(other, [1.0, 0.0, 1.0]),
         lambda other: simulation.Simulation(other),
     ],
-    "motion must be a Motion, got {}; see plan": [
-        lambda other: ls.simulate(Arm.load("telescopic_pr"), other),
-        lambda other: simulation.simulate_many(Arm.load("telescopic_pr"), [other]),
+    "motion must be a Plan or a Motion, got {}; see plan": [
+        lambda other: ls.simulate(Arm.load("telescopic_pr"), other)
+    ],
+    "motions[0] must be a Plan or a Motion, got {}; see plan": [
+        lambda other: simulation.simulate_many(Arm.load("telescopic_pr"), [other])
     ],
     "rollout must be a Rollout, got {}; see simulate": [
         lambda other: ls.evaluate(other),
@@ -57,7 +59,7 @@ FRONT_DOOR = {
         lambda other: ls.LieEDNN.load(None if other is None else [other]),
         lambda other: simulation.Rollout.load(None if other is None else [other], None),
     ],
-    "each of the pushes must be a Push, got {}": [lambda other: ls.Disturbances(pushes=other)],
+    "pushes must be a list, each item a Push, got {}": [lambda other: ls.Disturbances(pushes=other)],
     "selection must be a Selection, got {}": [lambda other: ls.compare(".", other, None)],
 }
 
@@ -65,7 +67,7 @@ FRONT_DOOR = {
 @pytest.mark.parametrize("other", ["telescopic_pr", None])
 @pytest.mark.parametrize(("message", "call"), [(words, call) for words, calls in FRONT_DOOR.items() for call in calls])
 def test_an_argument_of_another_kind_is_named_with_what_is_needed(message, call, other):
-    kind = "list" if "path" in message and other is not None else type(other).__name__
+    given = "a list of 1" if "path" in message and other is not None else repr(other)
     with pytest.raises(InputError) as failed:
         call(other)
-    assert str(failed.value) == message.format(kind)
+    assert str(failed.value) == message.format(given)

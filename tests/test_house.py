@@ -15,6 +15,7 @@ PACKAGE = Path(ls.__file__).parent
 GROUND = (
     "errors",
     "validation",
+    "typecheck",
     "values",
     "versions",
     "filesystem",

@@ -6,6 +6,7 @@ from lieednn_sim.arm.importer import ImportReport, import_arm
 from lieednn_sim.arm.inverse_kinematics import solve_ik
 from lieednn_sim.arm.models import arm_names, models_directory, scene_path
 from lieednn_sim.arm.projection import Retraction
+from lieednn_sim.typecheck import typecheck_public
 
 __all__ = [
     "PLANNED_CLEARANCE",
@@ -18,3 +19,5 @@ __all__ = [
     "scene_path",
     "solve_ik",
 ]
+
+typecheck_public(globals())

@@ -16,8 +16,11 @@ from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.arm import Arm
 from lieednn_sim.arm.contacts import moving_geoms
 from lieednn_sim.errors import InputError
-from lieednn_sim.validation import as_floats, as_instance
+from lieednn_sim.typecheck import typecheck_public
+from lieednn_sim.validation import as_floats
 from lieednn_sim.values import Floats
+
+__all__ = ["Collisions"]
 
 Pairs = NDArray[np.int_]
 
@@ -58,7 +61,7 @@ class Collisions:
     """
 
     def __init__(self, arm: Arm) -> None:
-        self.arm = as_instance("arm", arm, Arm, "see Arm.load")
+        self.arm = arm
         self.pairs = _colliding_pairs(arm.model)
         self._data = mujoco.MjData(arm.model)
         self.own = np.asarray(moving_geoms(arm.model)[self.pairs].all(axis=1))
@@ -250,3 +253,6 @@ def _colliding_pairs(model: mujoco.MjModel) -> Pairs:
     pairs = np.unique(np.concatenate([implicit, explicit]), axis=0)
     pairs.setflags(write=False)
     return pairs
+
+
+typecheck_public(globals())

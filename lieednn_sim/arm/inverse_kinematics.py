@@ -12,7 +12,7 @@ from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.arm import Arm
 from lieednn_sim.errors import InputError, NoSolutionError
 from lieednn_sim.lie import hat
-from lieednn_sim.validation import as_floats, as_instance, as_seed
+from lieednn_sim.validation import as_floats, as_seed
 from lieednn_sim.values import Floats
 
 if TYPE_CHECKING:
@@ -43,12 +43,9 @@ def solve_ik(
         InputError: a value is malformed.
         NoSolutionError: no such joint position was found; the message says how close the search came.
     """
-    as_instance("arm", arm, Arm, "see Arm.load")
     goal = as_floats("position", position, (3,))
     if np.abs(goal).max() > _FARTHEST:
         raise InputError(f"position must be within {_FARTHEST:g} m of the origin, got {np.abs(goal).max():g} m")
-    if rotation is not None and not isinstance(rotation, scipy.spatial.transform.Rotation):
-        raise InputError(f"rotation must be a scipy Rotation, got {type(rotation).__name__}")
     rest = arm.keyframe("home") if start is None else arm.check_position(start, "start")
     low, high = arm.position_limits.T
     spread = arm.ranges

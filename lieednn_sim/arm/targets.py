@@ -12,8 +12,11 @@ from lieednn_sim.arm.arm import Arm
 from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.arm.scenes import GOAL_PREFIX
 from lieednn_sim.errors import NoSolutionError
+from lieednn_sim.typecheck import typecheck_public
 from lieednn_sim.validation import as_seed
 from lieednn_sim.values import Floats
+
+__all__ = ["draw_target"]
 
 # Distances that the arm keeps from obstacles, and its parts from each other, at a target [m].
 TARGET_CLEARANCE, OWN_CLEARANCE = 0.02, 0.0025
@@ -121,3 +124,6 @@ def _towards(arm: Arm, data: Any, q: Floats, point: Floats, low: Floats, high: F
         gain = (jacobian * moving) @ jacobian.T + 1e-3 * np.eye(3)
         q = np.clip(q + moving * (jacobian.T @ np.linalg.solve(gain, away)), low, high)
     return None
+
+
+typecheck_public(globals())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from abc import ABC, abstractmethod
 from typing import Any, NamedTuple
 
@@ -98,9 +99,9 @@ class ArmTask(ABC):
 
     def __init__(
         self,
-        arm: str | Arm = "telescopic_pr",
+        arm: str | os.PathLike[str] | Arm = "telescopic_pr",
         *,
-        scene: str = "free",
+        scene: str | os.PathLike[str] = "free",
         scene_seed: int = 0,
         control_timestep: float = 0.02,
         time_limit: float = 6.0,

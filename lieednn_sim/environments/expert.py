@@ -11,8 +11,11 @@ from lieednn_sim.environments.tasks import Track
 from lieednn_sim.environments.trajectories import JointTrajectory, planned
 from lieednn_sim.errors import InputError
 from lieednn_sim.planning import OBSTACLE_PLANNER, planners, require_planner
+from lieednn_sim.typecheck import typecheck_public
 from lieednn_sim.validation import as_choice, as_count, as_seed
 from lieednn_sim.values import Floats
+
+__all__ = ["Expert"]
 
 
 class Expert:
@@ -74,3 +77,6 @@ class Expert:
             )
             self._episode = task.episode
         return self._plan
+
+
+typecheck_public(globals())

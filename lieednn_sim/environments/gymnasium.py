@@ -12,6 +12,7 @@ or, after ``import lieednn_sim.environments.gymnasium``, by the name alone.
 from __future__ import annotations
 
 import contextlib
+import os
 from typing import Any
 
 import numpy as np
@@ -30,6 +31,7 @@ except ImportError:
     raise LieEDNNError("this module needs gymnasium: pip install 'lieednn_sim[gymnasium]'") from None
 
 from lieednn_sim.environments.vector import VectorEnvironment, observation_space
+from lieednn_sim.typecheck import typecheck_public
 
 __all__ = ["ENVIRONMENTS", "Environment", "VectorEnvironment", "register"]
 
@@ -65,8 +67,8 @@ class Environment(gymnasium.Env[Any, Floats]):
         self,
         task: str = "reach",
         *,
-        arm: str | Arm = "telescopic_pr",
-        scene: str = "free",
+        arm: str | os.PathLike[str] | Arm = "telescopic_pr",
+        scene: str | os.PathLike[str] = "free",
         render_mode: str | None = None,
         size: tuple[int, int] = (640, 480),
         preset: str = "draft",
@@ -138,3 +140,6 @@ def register() -> None:
 
 
 register()
+
+
+typecheck_public(globals())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections import OrderedDict
 from typing import Any
 
@@ -14,12 +15,15 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.environments.base import ArmTask
 from lieednn_sim.environments.tasks import make_task
 from lieednn_sim.simulation import Simulation
+from lieednn_sim.typecheck import typecheck_public
 from lieednn_sim.validation import as_generator, as_seed
 from lieednn_sim.values import Floats
 
+__all__ = ["ControlEnvironment", "load"]
+
 
 def load(
-    arm: str | Arm = "telescopic_pr",
+    arm: str | os.PathLike[str] | Arm = "telescopic_pr",
     task: str = "reach",
     *,
     random: int | np.random.Generator | None = None,
@@ -125,3 +129,6 @@ class ControlEnvironment(control.Environment):  # type: ignore[misc]  # dm_contr
     def reward_spec(self) -> specs.BoundedArray:
         """Rewards are in [0, 1]."""
         return specs.BoundedArray((), np.float64, 0.0, 1.0, name="reward")
+
+
+typecheck_public(globals())

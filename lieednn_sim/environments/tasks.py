@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from inspect import signature
 from typing import Any
 
@@ -14,8 +15,11 @@ from lieednn_sim.environments.base import ArmTask
 from lieednn_sim.environments.bounds import Bounds
 from lieednn_sim.environments.trajectories import JointTrajectory, band_limited, planned
 from lieednn_sim.errors import InputError, NoSolutionError, NotCertifiedError, PlanError
+from lieednn_sim.typecheck import typecheck_public
 from lieednn_sim.validation import as_choice, as_count
 from lieednn_sim.values import Floats
+
+__all__ = ["REFERENCES", "TASKS", "Reach", "Track", "make_task"]
 
 # Joints are at rest below this share of their velocity limits.
 REST = 0.01
@@ -133,7 +137,7 @@ class Track(ArmTask):
 TASKS: dict[str, type[ArmTask]] = {"reach": Reach, "track": Track}
 
 
-def make_task(task: str, arm: str | Arm = "telescopic_pr", **options: Any) -> ArmTask:
+def make_task(task: str, arm: str | os.PathLike[str] | Arm = "telescopic_pr", **options: Any) -> ArmTask:
     """A task of `TASKS` by name, with its options; `InputError` lists the names."""
     kind = TASKS[as_choice("task", task, TASKS)]
     # Options of the task itself, and of every task.
@@ -147,3 +151,6 @@ def make_task(task: str, arm: str | Arm = "telescopic_pr", **options: Any) -> Ar
 def _refuse(options: dict[str, Any], *known: str) -> None:
     if options:
         raise InputError(f"unknown reset options: {', '.join(map(repr, options))}; known: {', '.join(known) or 'none'}")
+
+
+typecheck_public(globals())

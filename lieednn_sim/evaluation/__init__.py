@@ -8,6 +8,7 @@ from lieednn_sim.evaluation.rows import Case, Row
 from lieednn_sim.evaluation.study import Selection, compare
 from lieednn_sim.evaluation.summary import write_summary
 from lieednn_sim.evaluation.table import Table, read_rows
+from lieednn_sim.typecheck import typecheck_public
 
 __all__ = [
     "Case",
@@ -24,3 +25,5 @@ __all__ = [
     "run_case",
     "write_summary",
 ]
+
+typecheck_public(globals())

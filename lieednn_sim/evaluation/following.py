@@ -8,7 +8,6 @@ import numpy as np
 
 from lieednn_sim.evaluation.frame_errors import pose_errors, settled
 from lieednn_sim.simulation import Following
-from lieednn_sim.validation import as_instance
 
 
 @dataclass(frozen=True)
@@ -32,7 +31,7 @@ class FollowingErrors:
 
 def evaluate_following(following: Following) -> FollowingErrors:
     """Evaluate how a moving target was followed; raises `InputError` for anything but a `Following`."""
-    rollout = as_instance("following", following, Following, "see follow").rollout
+    rollout = following.rollout
     t, wanted = rollout.t, rollout.arm.link_poses(following.target)
     distance, angle = pose_errors(rollout.link_poses(), wanted)
     tip = np.asarray(wanted.translation)[:, -1]

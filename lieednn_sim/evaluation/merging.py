@@ -11,7 +11,7 @@ from typing import Any
 from lieednn_sim import filesystem
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.evaluation.cases import Settings
-from lieednn_sim.evaluation.entries import record
+from lieednn_sim.evaluation.entries import Entry, record
 from lieednn_sim.evaluation.rows import TIMING, Case, Row
 from lieednn_sim.evaluation.shards import Shard
 from lieednn_sim.evaluation.study import Selection
@@ -63,7 +63,8 @@ def merge(directory: str | os.PathLike[str], folders: Sequence[str | os.PathLike
         part = whole["part"]
         shards = {folder: Shard(found["part"]["shard"], part["shards"]) for folder, found in read.items()}
         settings = Settings(**whole["settings"])
-        selection = Selection(**{entry.name: part[entry.name] for entry in fields(Selection)})
+        entries = [Entry(*entry) for entry in part["entries"]]
+        selection = Selection(**{**{field.name: part[field.name] for field in fields(Selection)}, "entries": entries})
         absent = {str(name): str(reason) for name, reason in part["absent"].items()}
     except (AttributeError, KeyError, TypeError, InputError) as error:
         raise FileError(f"{first} holds no shard of a comparison ({type(error).__name__}: {error})") from None

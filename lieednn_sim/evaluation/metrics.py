@@ -15,7 +15,6 @@ from lieednn_sim.evaluation.frame_errors import (
 )
 from lieednn_sim.evaluation.motion_metrics import least_clearance, motion_metrics, violations
 from lieednn_sim.simulation import Push, Rollout
-from lieednn_sim.validation import as_instance
 from lieednn_sim.values import Floats
 
 
@@ -26,7 +25,6 @@ def evaluate(rollout: Rollout, *, clearance: bool = True) -> Evaluation:
         rollout: the simulated run.
         clearance: whether to compute the least clearance, which takes longer than everything else.
     """
-    as_instance("rollout", rollout, Rollout, "see simulate")
     arm, motion = rollout.arm, rollout.motion
     simulated = rollout.link_poses()
     tracking = pose_errors(simulated, arm.link_poses(rollout.q_ref))

@@ -25,7 +25,7 @@ from lieednn_sim.evaluation.table import R, Rows, Table
 from lieednn_sim.evaluation.workers import run_each
 from lieednn_sim.planning import missing_planners, planners
 from lieednn_sim.simulation import controllers
-from lieednn_sim.validation import as_choice, as_count, as_instance
+from lieednn_sim.validation import as_choice, as_count
 from lieednn_sim.values import check_fields
 
 DEFAULT_CONTROLLERS = ("position-servo", "inverse-dynamics")
@@ -66,7 +66,7 @@ class Selection:
     slow_seeds: int | None = None
 
     def __post_init__(self) -> None:
-        entries = [Entry(*entry) for entry in self.entries]
+        entries = list(self.entries)
         for name, known, default in (
             ("planners", list(planners()), list(planners())),
             ("arms", arm_names(), arm_names()),
@@ -74,8 +74,6 @@ class Selection:
             ("controllers", list(controllers()), list(DEFAULT_CONTROLLERS)),
         ):
             given = getattr(self, name) or default
-            if isinstance(given, str):
-                raise InputError(f"{name} must be a list of names, got {given!r}")
             kind = name.removesuffix("s")
             if kind in (ARM, SCENE):
                 known += [entry.name for entry in entries if entry.kind == kind]
@@ -134,8 +132,6 @@ def compare(
         LieEDNNError: a worker process died, or the executor gave up.
     """
     workers = as_count("jobs", jobs)
-    as_instance("selection", selection, Selection)
-    as_instance("settings", settings, Settings)
     record(filesystem.make_directory(directory), selection.entries)
     absent = {name: reason for name, reason in missing_planners().items() if name in selection.planners}
     part = {} if shard is None else {"shard": shard.number, "shards": shard.of}

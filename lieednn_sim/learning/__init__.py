@@ -6,6 +6,7 @@ from lieednn_sim.learning.projected import resume, train
 from lieednn_sim.learning.result import StopReason, TrainingResult
 from lieednn_sim.learning.riemannian import train_riemannian
 from lieednn_sim.learning.sensitivity import Sensitivity, sensitivity
+from lieednn_sim.typecheck import typecheck_public
 
 __all__ = [
     "ALGORITHMS",
@@ -20,3 +21,5 @@ __all__ = [
     "train",
     "train_riemannian",
 ]
+
+typecheck_public(globals())

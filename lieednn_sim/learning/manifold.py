@@ -7,7 +7,6 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from lieednn_sim.errors import InputError
 from lieednn_sim.lie import adjoint, project_to_adjoint, project_to_adjoint_exact, project_to_scaled_adjoint
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.network.base import flatten_blocks
@@ -176,6 +175,4 @@ def weight_manifold(group: MatrixLieGroup | QuaternionWeights | None) -> WeightM
         return SE3Weights()
     if isinstance(group, QuaternionWeights):
         return group
-    if not isinstance(group, MatrixLieGroup):
-        raise InputError(f"group must be a MatrixLieGroup or None for SE(3), got {group!r}")
     return GroupWeights(group)

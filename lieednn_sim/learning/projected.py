@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike
 
 from lieednn_sim._blas import one_blas_thread
 from lieednn_sim.budget import check_time
-from lieednn_sim.errors import InputError
 from lieednn_sim.learning import checkpoint as checkpoints
 from lieednn_sim.learning.checkpoint import TrainingState
 from lieednn_sim.learning.equilibria import FlatEquilibrium, SensitivityMatrix
@@ -73,8 +72,6 @@ def train(
     """
     problem = TrainingProblem.checked(target, bias, gamma, mu, activation, group, seed)
     chosen = TrainingOptions() if options is None else options
-    if not isinstance(chosen, TrainingOptions):
-        raise InputError(f"options must be TrainingOptions, got {type(chosen).__name__}; see train_riemannian")
     size = problem.target.size
     first = None if initial_weight is None else as_floats("initial_weight", initial_weight, (size, size))
     training = _ProjectedTraining(problem, chosen)

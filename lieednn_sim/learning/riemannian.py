@@ -21,7 +21,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lieednn_sim._blas import one_blas_thread
-from lieednn_sim.errors import InputError
 from lieednn_sim.learning.equilibria import FlatEquilibrium, SensitivityMatrix
 from lieednn_sim.learning.history import Recorder
 from lieednn_sim.learning.manifold import WeightPoint
@@ -85,8 +84,6 @@ def train_riemannian(
     """
     problem = TrainingProblem.checked(target, bias, gamma, mu, activation, None, seed)
     chosen = RiemannianOptions() if options is None else options
-    if not isinstance(chosen, RiemannianOptions):
-        raise InputError(f"options must be RiemannianOptions, got {type(chosen).__name__}; see train for the others")
     with one_blas_thread():
         return _RiemannianTraining(problem, chosen, progress).run()
 

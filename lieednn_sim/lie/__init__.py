@@ -26,6 +26,7 @@ from lieednn_sim.lie.se3 import (
     spatial_twist,
     vee,
 )
+from lieednn_sim.typecheck import typecheck_public
 
 __all__ = [
     "adjoint",
@@ -45,3 +46,5 @@ __all__ = [
     "spatial_twist",
     "vee",
 ]
+
+typecheck_public(globals())

@@ -6,6 +6,7 @@
 from lieednn_sim.network.base import BlockNetwork
 from lieednn_sim.network.componentwise import ACTIVATIONS, Activation, ComponentwiseNetwork
 from lieednn_sim.network.se3 import LieEDNN
+from lieednn_sim.typecheck import typecheck_public
 
 __all__ = [
     "ACTIVATIONS",
@@ -14,3 +15,5 @@ __all__ = [
     "ComponentwiseNetwork",
     "LieEDNN",
 ]
+
+typecheck_public(globals())

@@ -9,6 +9,7 @@ from lieednn_sim.planning.baselines.stomp import StompOptions
 from lieednn_sim.planning.certified import CertifiedOptions
 from lieednn_sim.planning.extras import missing_planners, require_planner
 from lieednn_sim.planning.filtered import FilteredOptions, GuidedOptions
+from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.network_planners import (
     RetargetedOptions,
     TrainedOptions,
@@ -27,6 +28,7 @@ from lieednn_sim.planning.registry import (
 )
 from lieednn_sim.planning.retiming import retime
 from lieednn_sim.planning.shaped import ShapedOptions
+from lieednn_sim.typecheck import typecheck_public
 
 __all__ = [
     "OBSTACLE_PLANNER",
@@ -35,6 +37,7 @@ __all__ = [
     "DmpOptions",
     "FilteredOptions",
     "GuidedOptions",
+    "Motion",
     "OptimisationOptions",
     "Plan",
     "Planner",
@@ -57,3 +60,5 @@ __all__ = [
     "require_planner",
     "retime",
 ]
+
+typecheck_public(globals())

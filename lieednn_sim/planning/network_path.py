@@ -150,8 +150,6 @@ class NetworkPath:
 
 def require_fit(arm: Arm, network: BlockNetwork, *, certified: bool = False) -> None:
     """Raise `InputError` unless the network has a visible neuron for each link, and, if asked for, a certificate."""
-    if not isinstance(network, BlockNetwork):
-        raise InputError(f"network must be a network, such as a plan's .network, got {type(network).__name__}")
     if network.n_visible != arm.n_links:
         raise InputError(
             f"the network has {network.n_visible} visible neurons, arm {arm.name!r} has {arm.n_links} links"

@@ -14,7 +14,7 @@ from lieednn_sim.budget import DEFAULT_TIME_BUDGET, as_time_budget
 from lieednn_sim.errors import InputError, TooFastError
 from lieednn_sim.network import ComponentwiseNetwork
 from lieednn_sim.planning.motion import Motion, count_steps
-from lieednn_sim.validation import as_instance, as_positive, as_seed
+from lieednn_sim.validation import as_positive, as_seed
 from lieednn_sim.values import Floats, check_fields, frozen
 
 _Made = TypeVar("_Made")
@@ -52,7 +52,6 @@ class PlanningProblem:
     progress: Callable[[int, int], None] | None = None
 
     def __post_init__(self) -> None:
-        as_instance("arm", self.arm, Arm, "see Arm.load")
         for name in ("start", "target"):
             position = self.arm.check_reachable(getattr(self, name), name).copy()
             position.setflags(write=False)

@@ -90,8 +90,6 @@ def register_planner(name: str, options: type[PlannerOptions] | None = None) -> 
     Raises:
         InputError: the name is malformed or taken, or the options are no subclass of `PlannerOptions`.
     """
-    if not isinstance(options, type | None) or (options is not None and not issubclass(options, PlannerOptions)):
-        raise InputError(f"options of planner {name!r} must be a subclass of PlannerOptions, got {options!r}")
 
     def register(solve: _Solve) -> _Solve:
         REGISTRY.add(name, solve, options)
@@ -202,7 +200,7 @@ def plan(
         LieEDNNError: a library that the planner needs is not installed (see `missing_planners`).
     """
     if planner is None:
-        planner = default_planner(arm)[0] if isinstance(arm, Arm) else "lieednn-certified"
+        planner = default_planner(arm)[0]
     known = planners()
     solve, kind = known[as_choice("planner", planner, known)]
     if options is not None and (kind is None or not isinstance(options, kind)):
@@ -210,7 +208,7 @@ def plan(
         raise InputError(f"the planner {planner!r} {wanted}, got {type(options).__name__}")
     given = () if kind is None else (kind() if options is None else options,)
     # The problem checks everything, and converts start and target to arrays.
-    origin = arm.keyframe("home") if start is None and isinstance(arm, Arm) else start
+    origin = arm.keyframe("home") if start is None else start
     problem = PlanningProblem(arm, origin, target, duration, seed, time_budget, longest, progress)  # type: ignore[arg-type]
     if fastest:
         optional_module("toppra")  # before the work

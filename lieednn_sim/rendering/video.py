@@ -23,7 +23,10 @@ from lieednn_sim.errors import FileError, InputError, RenderingUnavailableError
 from lieednn_sim.rendering import ffmpeg, opengl, stage
 from lieednn_sim.rendering.overlay import Overlay, write_caption
 from lieednn_sim.simulation import Rollout
-from lieednn_sim.validation import as_choice, as_count, as_instance, as_path, as_positive, quoted
+from lieednn_sim.typecheck import typecheck_public
+from lieednn_sim.validation import as_choice, as_count, as_path, as_positive, quoted
+
+__all__ = ["PRESETS", "Camera", "render_video"]
 
 Image = NDArray[np.uint8]
 
@@ -167,7 +170,7 @@ def render_video(
     Returns:
         The number of frames.
     """
-    arm = as_instance("rollout", rollout, Rollout, "see simulate").arm
+    arm = rollout.arm
     if as_path("path", path).suffix not in (".mp4", ".gif"):
         raise InputError(f"a video's name must end in .mp4 or .gif, got {Path(path).name!r}")
     rate = check_rate(fps, path)
@@ -226,3 +229,6 @@ def _writer(path: Path, size: tuple[int, int], fps: float) -> Iterator[Callable[
         # imageio's own `with` leaves the file open when the block fails.
         writer.close()
     path.write_bytes(content.getbuffer())
+
+
+typecheck_public(globals())

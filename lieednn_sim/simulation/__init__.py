@@ -10,6 +10,7 @@ from lieednn_sim.simulation.many import Rollouts, simulate_many
 from lieednn_sim.simulation.rollout import Rollout
 from lieednn_sim.simulation.simulation import Simulation
 from lieednn_sim.simulation.tracking import simulate
+from lieednn_sim.typecheck import typecheck_public
 
 __all__ = [
     "CONTROLLERS",
@@ -29,3 +30,5 @@ __all__ = [
     "simulate",
     "simulate_many",
 ]
+
+typecheck_public(globals())

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError
-from lieednn_sim.validation import as_floats, as_instance, as_positive, as_seed
+from lieednn_sim.validation import as_floats, as_positive, as_seed
 from lieednn_sim.values import Floats, check_fields
 
 # Number of measurements whose errors are drawn at once.
@@ -38,8 +38,6 @@ class Push:
     duration: float
 
     def __post_init__(self) -> None:
-        if not isinstance(self.body, str):
-            raise InputError(f"body must be the name of a body or link, got {self.body!r}")
         force = as_floats("force", self.force, (3,))
         object.__setattr__(self, "force", tuple(float(value) for value in force))
         check_fields(self, _as_least_zero, "start")
@@ -85,10 +83,7 @@ class Disturbances:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        pushes = self.pushes if isinstance(self.pushes, tuple | list) else (self.pushes,)
-        for push in pushes:
-            as_instance("each of the pushes", push, Push)
-        object.__setattr__(self, "pushes", tuple(sorted(pushes, key=lambda push: push.start)))
+        object.__setattr__(self, "pushes", tuple(sorted(self.pushes, key=lambda push: push.start)))
         check_fields(self, as_positive, "mass_scale")
         check_fields(self, _as_least_zero, "payload", "position_noise", "velocity_noise")
         check_fields(self, as_seed, "seed")

@@ -41,7 +41,7 @@ from lieednn_sim.network.stepping import Stepping
 from lieednn_sim.planning.filtering import FilterOptions
 from lieednn_sim.planning.network_path import require_fit
 from lieednn_sim.simulation.reference import PeriodReference
-from lieednn_sim.validation import as_floats, as_instance, as_positive
+from lieednn_sim.validation import as_floats, as_positive
 from lieednn_sim.values import Floats
 
 # Least s: a clock that stopped would keep the network from arriving.
@@ -81,8 +81,6 @@ class Feedback:
         object.__setattr__(self, "rate", rate)
         for name in ("tolerance", "patience"):
             object.__setattr__(self, name, as_positive(name, getattr(self, name)))
-        if self.safety is not None:
-            as_instance("safety", self.safety, FilterOptions)
 
     def response(self, behind: float) -> tuple[float, float]:
         """The factors s and k d [1/s] for an error e."""

@@ -30,7 +30,7 @@ from lieednn_sim.simulation.feedback import Feedback, FeedbackFollower
 from lieednn_sim.simulation.reference import steps_of_rate
 from lieednn_sim.simulation.rollout import Rollout
 from lieednn_sim.simulation.simulation import Simulation
-from lieednn_sim.validation import as_instance, as_positive
+from lieednn_sim.validation import as_positive
 from lieednn_sim.values import Floats, frozen
 
 # A target faster than the joints' limits has jumped; for joints without limits, one faster than this [rad/s, m/s].
@@ -206,7 +206,6 @@ def follow(
         InputError: a value is malformed, the network has no proof, or the target leaves the position limits.
         SimulationError: as `simulate`.
     """
-    as_instance("arm", arm, Arm, "see Arm.load")
     period = steps_of_rate("control_rate", control_rate, arm.timestep)
     if period > (total := count_steps(duration, arm.timestep)):
         raise InputError(
@@ -219,7 +218,6 @@ def follow(
     if feedback is None:
         follower = Follower(arm, network, origin, **settings)
     else:
-        as_instance("feedback", feedback, Feedback)
         follower = FeedbackFollower(arm, network, origin, feedback=feedback, **settings)
     states, jumps, slowed = [follower.xi[None]], [], 0
 

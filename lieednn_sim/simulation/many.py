@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import field
 from typing import Any
@@ -96,7 +96,7 @@ def simulate_many(
     Raises:
         InputError: there are no motions, one does not fit the model, or the controller needs the state.
     """
-    if not isinstance(motions, Iterable) or not (chosen := [as_motion(arm, motion) for motion in motions]):
+    if not (chosen := [as_motion(arm, motion) for motion in motions]):
         raise InputError("motions must hold at least one motion or plan")
     total = max(len(motion.t) for motion in chosen) + round(as_hold(hold) / arm.timestep)
     rate = None if reference_rate is None else as_positive("reference_rate", reference_rate)

@@ -14,7 +14,7 @@ from lieednn_sim.errors import InputError, SimulationError
 from lieednn_sim.lie import poses, rotations
 from lieednn_sim.simulation.disturbances import Disturbances, Noise, Pushes, Sensors
 from lieednn_sim.simulation.plant import make_plant
-from lieednn_sim.validation import as_count, as_floats, as_instance
+from lieednn_sim.validation import as_count, as_floats
 from lieednn_sim.values import Floats
 
 
@@ -39,7 +39,7 @@ class Simulation:
     def __init__(
         self, arm: Arm, plant: mujoco.MjModel | None = None, *, disturbances: Disturbances | None = None
     ) -> None:
-        self.arm = as_instance("arm", arm, Arm, "see Arm.load")
+        self.arm = arm
         self.disturbances = Disturbances() if disturbances is None else disturbances
         self.model = make_plant(arm, self.disturbances) if plant is None else plant
         self.data = mujoco.MjData(self.model)

@@ -25,7 +25,7 @@ from lieednn_sim.simulation.plant import make_plant
 from lieednn_sim.simulation.reference import Reference, steps_of_rate
 from lieednn_sim.simulation.rollout import Rollout, as_rollout
 from lieednn_sim.simulation.simulation import QuietWarnings, Simulation
-from lieednn_sim.validation import as_choice, as_floats, as_instance, as_positive
+from lieednn_sim.validation import as_choice, as_floats, as_positive
 from lieednn_sim.values import Floats
 
 # Largest time after the motion [s]: a longer one is an error of units, and would take gigabytes.
@@ -54,8 +54,6 @@ def as_hold(value: float) -> float:
 def as_motion(arm: Arm, motion: Plan | Motion) -> Motion:
     """Return a motion, or that of a plan, when the arm can follow it, or raise `InputError`."""
     motion = motion.motion if isinstance(motion, Plan) else motion
-    as_instance("arm", arm, Arm, "see Arm.load")
-    as_instance("motion", motion, Motion, "see plan")
     if motion.q.shape[1] != arm.n_joints:
         raise InputError(f"the motion has {motion.q.shape[1]} coordinates, arm {arm.name!r} has {arm.n_joints}")
     step = arm.timestep
@@ -77,7 +75,6 @@ def as_reference(arm: Arm, motion: Motion, extra: int, rate: float | None) -> Re
 def scaled(disturbances: Disturbances | None, mass_scale: float) -> Disturbances:
     """Disturbances, by default none, with their mass scale multiplied, or `InputError`."""
     changes = Disturbances() if disturbances is None else disturbances
-    as_instance("disturbances", changes, Disturbances)
     return dataclasses.replace(changes, mass_scale=as_positive("mass_scale", mass_scale) * changes.mass_scale)
 
 

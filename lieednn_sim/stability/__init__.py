@@ -26,6 +26,7 @@ from lieednn_sim.stability.norms import (
     weighted_norm,
 )
 from lieednn_sim.stability.robustness import INTEGRATORS_WITH_PROOF, Robustness, robustness
+from lieednn_sim.typecheck import typecheck_public
 
 __all__ = [
     "CONDITIONS",
@@ -56,3 +57,5 @@ __all__ = [
     "verify_contraction",
     "weighted_norm",
 ]
+
+typecheck_public(globals())

@@ -5,6 +5,7 @@ from lieednn_sim.synthesis.bias import BIAS_RULES, bias_for
 from lieednn_sim.synthesis.certified import synthesize, synthesize_many
 from lieednn_sim.synthesis.result import Synthesis
 from lieednn_sim.synthesis.shaping import Shaping, ShapingOptions, shape
+from lieednn_sim.typecheck import typecheck_public
 
 __all__ = [
     "BIAS_RULES",
@@ -17,3 +18,5 @@ __all__ = [
     "synthesize",
     "synthesize_many",
 ]
+
+typecheck_public(globals())

@@ -18,6 +18,7 @@ from lieednn_sim.theory.group_network import GroupLieEDNN
 from lieednn_sim.theory.groups import GROUPS, affine, group
 from lieednn_sim.theory.matrix_group import MatrixLieGroup
 from lieednn_sim.theory.smoothness import SmoothnessBounds, curvature, smoothness_bounds
+from lieednn_sim.typecheck import typecheck_public
 
 __all__ = [
     "GROUPS",
@@ -36,3 +37,5 @@ __all__ = [
     "quaternion_values",
     "smoothness_bounds",
 ]
+
+typecheck_public(globals())

@@ -54,8 +54,6 @@ class GroupLieEDNN(ComponentwiseNetwork):
     _scalars: ClassVar[tuple[str, ...]] = ("gamma", "mu", "activation")
 
     def __post_init__(self) -> None:
-        if not isinstance(self.group, MatrixLieGroup):
-            raise InputError(f"group must be a MatrixLieGroup, got {self.group!r}; see lieednn_sim.theory.groups.group")
         alpha = as_strengths(self.alpha)
         n, d = len(alpha), self.group.dimension
         diagonal = self.lyapunov_diagonal

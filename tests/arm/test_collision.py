@@ -162,7 +162,7 @@ def test_refusals_say_why():
         collisions.distances(ARMS["poles"].keyframe("home"), 0.0)
     with pytest.raises(InputError, match=r"q must have shape \(8\)"):
         collisions.clearance(np.zeros(3))
-    with pytest.raises(InputError, match="arm must be an Arm, got str"):
+    with pytest.raises(InputError, match="arm must be an Arm, got 'telescopic_pr'"):
         Collisions("telescopic_pr")
 
 

@@ -312,8 +312,8 @@ def bad(xml, *replacements):
     ("xml", "options", "message"),
     [
         (BY_EQUALITY, {"links": ["elbow"]}, r"no body or site 'elbow'; bodies: .*'cart'.*; sites: 'tool'"),
-        (BY_EQUALITY, {"links": "wrist"}, "links must be a list of names"),
-        (BY_EQUALITY, {"links": []}, "links must be a list of names"),
+        (BY_EQUALITY, {"links": "wrist"}, "links must be a list, each item a string, got 'wrist'"),
+        (BY_EQUALITY, {"links": []}, "links must name at least one body or site"),
         (BY_EQUALITY, {"links": ["tube2", "head"]}, "'head' does not descend from 'tube2'"),
         (BY_EQUALITY, {"links": ["wrist", "tool"]}, "no joint is between 'wrist' and 'tool'"),
         (BY_EQUALITY, {"links": ["wrist", "wrist"]}, "'wrist' and 'wrist' are the same frame"),
@@ -321,11 +321,11 @@ def bad(xml, *replacements):
         (BY_EQUALITY, {"links": ["wrist"], "base": "world"}, "joint 'drive' between 'world' and 'wrist' is free"),
         (BY_EQUALITY, {"links": ["tube1", "tube2"]}, "'stage2' moves link 2 and follows joint 'stage1'"),
         (BY_EQUALITY, {"keyframe": "fold"}, "no keyframe 'fold'; keyframes of the model: 'home'"),
-        (BY_EQUALITY, {"keyframe": 3}, "keyframe must be the name of a keyframe, got 3"),
-        (BY_EQUALITY, {"home": ["wrist"]}, "home must give positions of joints by name"),
+        (BY_EQUALITY, {"keyframe": 3}, "keyframe must be a string, got 3"),
+        (BY_EQUALITY, {"home": ["wrist"]}, "home must be a dictionary, got a list of 1"),
         (BY_EQUALITY, {"home": {"hip": 0.0}}, "no joint of the home posture 'hip'; allowed: .*, pan, "),
         (BY_EQUALITY, {"home": {"pan": 2.0}}, r"home position 2 of joint 'pan' is outside of \[-1.571, 1.571\]"),
-        (BY_EQUALITY, {"home": {"pan": "left"}}, "home position of joint 'pan'"),
+        (BY_EQUALITY, {"home": {"pan": "left"}}, r"home\['pan'\] must be a number, got 'left'"),
         (BY_EQUALITY, {"home": {"stage2": 0.1}}, "'stage2' of the home posture follows joint 'stage1'"),
         (bad(BY_EQUALITY, ("0.01 0.8 0 0 0", "0 1 2 0 0")), {}, "needs a straight line"),
         (bad(BY_EQUALITY, ('joint2="stage1" ', "")), {}, "'stage2' is locked by an equality"),
@@ -372,7 +372,7 @@ def test_missing_and_broken_files_are_named(tmp_path):
     broken.write_text(f"<mujoco>{mesh}{body}</mujoco>")
     with pytest.raises(FileError, match=r"files of the model are missing: .*meshes/tube\.obj, .*meshes/fork\.obj"):
         import_arm(broken)
-    with pytest.raises(InputError, match="must be a file or a mujoco"):
+    with pytest.raises(InputError, match="model must be a string or a path or a MjSpec of mujoco, got 3"):
         import_arm(3)
 
 

@@ -69,18 +69,18 @@ def test_limits_of_a_description_go_before_those_of_the_model(folder):
         ('{"links": ["tool"]}', FileError, "names no model: it needs an entry such as `model: robot.urdf`"),
         ('{"model": "other.json"}', FileError, "got 'other.json'"),
         (described(link=["tool"]), FileError, "has no link; allowed: model, base, floor, home"),
-        (described(links="tool"), InputError, "links must be a list of names"),
-        (described(home={"a": "x"}), InputError, "home position of joint 'a' must be an array of numbers, got str"),
-        (described(limits=[2.0]), InputError, "limits must give velocity, acceleration or jerk for each coordinate"),
+        (described(links="tool"), InputError, "links must be a list, each item a string, got 'tool'"),
+        (described(home={"a": "x"}), InputError, r"home\['a'\] must be a number, got 'x'"),
+        (described(limits=[2.0]), InputError, "limits must be a dictionary, got a list of 1"),
         (
             described(limits={"a": 2.0}),
             InputError,
-            "limits must give velocity, acceleration or jerk for each coordinate",
+            r"limits\['a'\] must be a dictionary, got 2.0",
         ),
         (described(limits={"a": {"speed": 2.0}}), InputError, "no limit 'speed'; allowed: acceleration, jerk"),
         (described(limits={"a": {"jerk": 0.0}}), InputError, "limit of jerk of a must be positive, got 0"),
         (described(limits={"c": {"jerk": 9.0}}), InputError, "coordinate 'c'.*a, b"),
-        (described(keyframe=3), InputError, "keyframe must be the name of a keyframe, got 3"),
+        (described(keyframe=3), InputError, "keyframe must be a string, got 3"),
     ],
 )
 def test_what_a_description_says_wrongly_is_named(folder, text, error, message):

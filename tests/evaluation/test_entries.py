@@ -134,7 +134,7 @@ def test_shards_of_files_that_lie_elsewhere_merge_unless_they_make_another_arm(f
         (["telescopic_pr.json"], ["free"], InputError, "another arm 'telescopic_pr'; rename telescopic_pr.json"),
         (["a:b.json"], ["free"], InputError, "no arm in a table can be called 'a:b'"),
         (["two.xml", "crane"], ["free"], InputError, "no arm 'crane'; allowed: telescopic_compound, .*, two"),
-        ([3], ["free"], InputError, "no arm 3"),
+        ([3], ["free"], InputError, r"arms\[0\] must be a string, got 3"),
     ],
 )
 def test_files_that_cannot_enter_are_refused_before_the_work(folder, arms, scenes, error, message, two_hinges):

@@ -382,11 +382,11 @@ def test_options_say_what_is_wrong(change, message):
         ({"bias": np.zeros((3, 6))}, r"bias must have shape \(4, 6\)"),
         ({"gamma": 0.0}, "gamma must be positive"),
         ({"activation": "relu"}, "no activation 'relu'"),
-        ({"group": "SE(3)"}, "group must be a MatrixLieGroup or None"),
+        ({"group": "SE(3)"}, "group must be a MatrixLieGroup or"),
         ({"seed": -1}, "seed must be a whole number >= 0"),
         ({"bias": 0.0}, "bias must not be zero"),
         ({"initial_weight": np.zeros((6, 6))}, r"initial_weight must have shape \(24, 24\)"),
-        ({"options": {"period": 3}}, "options must be TrainingOptions, got dict"),
+        ({"options": {"period": 3}}, "options must be TrainingOptions, got a dict"),
     ],
 )
 def test_bad_input_is_named(arguments, message):

@@ -141,7 +141,7 @@ def test_bad_input_is_refused_before_rendering(arm, rollout, tmp_path):
     with pytest.raises(InputError, match="even and at most 3840x2160, got 321x180"):
         video.render_video(rollout, tmp_path / "video.mp4", size=(321, 180))
     for size in (320, (320,), "640x480", None):
-        with pytest.raises(InputError, match=r"size must be \(width, height\), got "):
+        with pytest.raises(InputError, match=r"size must be a tuple of 2, each item a whole number, got "):
             video.render_video(rollout, tmp_path / "video.mp4", size=size)
 
 

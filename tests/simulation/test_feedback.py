@@ -212,7 +212,7 @@ def test_bad_input(gantry, cascade):
         Feedback(tolerance=0.0)
     with pytest.raises(InputError, match="safety must be FilterOptions"):
         Feedback(safety=True)
-    with pytest.raises(InputError, match="feedback must be a Feedback, got bool"):
+    with pytest.raises(InputError, match="feedback must be a Feedback, got True"):
         follow(gantry, cascade(np.zeros((3, 6))), GOAL[None], 1.0, feedback=True)
     with pytest.raises(InputError, match="3 visible neurons"):
         follow(gantry, cascade(np.zeros((3, 6))), GOAL[None], 1.0, feedback=Feedback())

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from lieednn_sim.errors import InputError, NotCertifiedError
 from lieednn_sim.lie import adjoint
 from lieednn_sim.stability import find_certificate, find_contraction, robustness
-from lieednn_sim.stability.guarantees import _lyapunov_step
+from lieednn_sim.stability.guarantees import Guarantee, _lyapunov_step
 from lieednn_sim.stability.robustness import Robustness
 
 seeds = st.integers(0, 2**32 - 1)
@@ -227,7 +226,7 @@ def test_words_are_of_contraction_where_there_is_one_and_of_the_best_proof():
 
     def proof(contracting, overshoot, rate, delay, euler, rk4):
         numbers = {"overshoot": overshoot, "rate": rate, "delay": delay, "euler_step": euler, "rk4_step": rk4}
-        return SimpleNamespace(contracting=contracting, factor=np.eye(2), inverse=np.eye(2), **numbers)
+        return Guarantee(contracting=contracting, factor=np.eye(2), inverse=np.eye(2), **numbers)
 
     both = np.arange(2)
     proofs = (

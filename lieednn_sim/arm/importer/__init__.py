@@ -2,5 +2,8 @@
 
 from lieednn_sim.arm.importer.importing import ImportOptions, import_arm
 from lieednn_sim.arm.importer.report import ImportReport
+from lieednn_sim.typecheck import typecheck_public
 
 __all__ = ["ImportOptions", "ImportReport", "import_arm"]
+
+typecheck_public(globals())

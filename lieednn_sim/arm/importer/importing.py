@@ -139,14 +139,8 @@ def import_arm(
         InputError: the names or the mechanism don't make an arm; the message says why.
     """
     as_choice("choice of servos", servos, SERVOS)
-    for what, kind, value in (("base", "body or site", base), ("keyframe", "keyframe", keyframe)):
-        if value is not None and not isinstance(value, str):
-            raise InputError(f"{what} must be the name of a {kind}, got {value!r}")
-    if home is not None and not isinstance(home, Mapping):
-        raise InputError(f"home must give positions of joints by name, got {home!r}")
-    named = isinstance(links, list | tuple) and all(isinstance(link, str) for link in links)
-    if links is not None and (not links or not named):
-        raise InputError(f"links must be a list of names of bodies or sites, from the base outwards; got {links!r}")
+    if links is not None and not links:
+        raise InputError("links must name at least one body or site, from the base outwards")
     check_rates(limits)
     height = as_floor(floor)
     notes: list[str] = []

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -13,8 +12,7 @@ from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.forces import resting_load
 from lieednn_sim.arm.importer.draft import Draft
 from lieednn_sim.arm.importer.servos import largest_inertia
-from lieednn_sim.errors import InputError
-from lieednn_sim.validation import as_choice, as_positive, quoted
+from lieednn_sim.validation import as_choice, as_positive
 
 # The custom numerics that hold the limits.
 RATE_LIMITS = {"velocity": "velocity_limit", "acceleration": "acceleration_limit", "jerk": "jerk_limit"}
@@ -95,10 +93,6 @@ def check_rates(limits: Any) -> None:
     """Raise `InputError` unless ``limits`` is as in `import_arm`."""
     if limits is None:
         return
-    if not isinstance(limits, Mapping) or not all(isinstance(given, Mapping) for given in limits.values()):
-        raise InputError(
-            f"limits must give velocity, acceleration or jerk for each coordinate by its name, got {quoted(limits)}"
-        )
     for coordinate, given in limits.items():
         for what, value in given.items():
             as_choice("limit", what, list(RATE_LIMITS))

@@ -12,7 +12,7 @@ from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.checks import check_numbers
 from lieednn_sim.arm.importer.collada import read_points
 from lieednn_sim.arm.importer.size import check_size
-from lieednn_sim.errors import FileError, InputError
+from lieednn_sim.errors import FileError
 from lieednn_sim.filesystem import is_file
 from lieednn_sim.validation import as_path
 
@@ -34,8 +34,6 @@ def load_spec(model: str | os.PathLike[str] | mujoco.MjSpec, notes: list[str] | 
         compile_spec(model)  # a copy silently leaves out references to missing names
         spec = model.copy()
     else:
-        if not isinstance(model, str | os.PathLike):
-            raise InputError(f"the model must be a file or a mujoco.MjSpec, got {type(model).__name__}")
         source = as_path("the model", model)
         spec = read_model(source)
         _resolve_packages(spec, source.resolve())

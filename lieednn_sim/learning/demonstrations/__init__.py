@@ -4,5 +4,8 @@ from lieednn_sim.learning.demonstrations.alignment import Demonstrations, align
 from lieednn_sim.learning.demonstrations.files import load_demonstrations
 from lieednn_sim.learning.demonstrations.recording import Demonstration
 from lieednn_sim.learning.demonstrations.shaped import ShapedMotion
+from lieednn_sim.typecheck import typecheck_public
 
 __all__ = ["Demonstration", "Demonstrations", "ShapedMotion", "align", "load_demonstrations"]
+
+typecheck_public(globals())

@@ -4,6 +4,7 @@ from lieednn_sim.planning.filtering.barriers import Barrier, FilterOptions
 from lieednn_sim.planning.filtering.limits import Limit
 from lieednn_sim.planning.filtering.run import FilteredRun, limits_proved, run_filtered
 from lieednn_sim.planning.filtering.safety import FilterStep, SafetyFilter
+from lieednn_sim.typecheck import typecheck_public
 
 __all__ = [
     "Barrier",
@@ -15,3 +16,5 @@ __all__ = [
     "limits_proved",
     "run_filtered",
 ]
+
+typecheck_public(globals())

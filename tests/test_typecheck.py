@@ -1,0 +1,147 @@
+"""Arguments checked against annotations: what passes, what is refused, and the one line that says so."""
+
+from __future__ import annotations
+
+import functools
+import inspect
+import pickle
+from collections.abc import Callable, Mapping, Sequence
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any, TypedDict, Unpack
+
+import numpy as np
+import pytest
+from numpy.typing import ArrayLike
+
+import lieednn_sim as ls
+from lieednn_sim import stability
+from lieednn_sim.arm import Arm
+from lieednn_sim.errors import InputError
+from lieednn_sim.stability import certificate
+from lieednn_sim.typecheck import typechecked
+from lieednn_sim.values import Floats, frozen
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
+
+
+class Options(TypedDict, total=False):
+    flag: bool
+
+
+def every_kind(
+    number: float = 0.0,
+    count: int | None = None,
+    flag: bool = False,
+    names: Sequence[str] = (),
+    sizes: tuple[int, ...] = (),
+    pair: tuple[float, float] = (0.0, 0.0),
+    table: Mapping[str, float] | None = None,
+    call: Callable[[float], ArrayLike] | ArrayLike = 0.0,
+    array: Floats | None = None,
+    rotation: Rotation | None = None,
+    text: str | ArrayLike = "",
+) -> str:
+    return "done"
+
+
+CHECKED = typechecked(every_kind)
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        *({"number": value} for value in (1, 1.0, np.float32(1.0), np.int64(1), np.array(1.0), Fraction(1, 2))),
+        *({"count": value} for value in (None, 3, np.int8(3), np.array(3))),
+        *({"flag": value} for value in (True, np.True_)),
+        *({"names": value} for value in ([], ("a", "b"), np.array(["a"]), {"a": 1}.keys())),
+        *({"sizes": value} for value in ([1, 2], np.arange(3), range(10**12))),
+        *({"pair": value} for value in ([1, 2.0], np.zeros(2))),
+        *({"table": value} for value in ({}, {"a": 1})),
+        *({"call": value} for value in (abs, [1.0, 2.0], 3, np.zeros(2))),
+        *({"array": value} for value in ([[1, 2]], (1,), 2.0, np.zeros(3, dtype=int), None)),
+        *({"text": value} for value in ("uniform", [0.0], np.zeros(2))),
+    ],
+)
+def test_what_works_without_the_check_works_with_it(given):
+    assert CHECKED(**given) == "done"
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"number": True}, "number must be a number, got True"),
+        ({"number": "1"}, "number must be a number, got '1'"),
+        ({"number": np.zeros(1)}, "number must be a number, got an array of shape (1)"),
+        ({"count": 2.0}, "count must be a whole number, got 2.0"),
+        ({"count": True}, "count must be a whole number, got True"),
+        ({"flag": 1}, "flag must be True or False, got 1"),
+        ({"flag": np.zeros(2, dtype=bool)}, "flag must be True or False, got an array of shape (2)"),
+        ({"names": "ab"}, "names must be a list, each item a string, got 'ab'"),
+        ({"names": ["a"] * 9 + [3]}, "names[9] must be a string, got 3"),
+        ({"names": np.array("a")}, "names must be a list, each item a string, got an array of shape ()"),
+        ({"sizes": [1, 2.5]}, "sizes[1] must be a whole number, got 2.5"),
+        ({"pair": (1.0,)}, "pair must be a tuple of 2, each item a number, got a tuple of 1"),
+        ({"pair": (1.0, None)}, "pair[1] must be a number, got None"),
+        ({"table": {"a": "b"}}, "table['a'] must be a number, got 'b'"),
+        ({"table": {3: 1.0}}, "table: its keys must be a string, got 3"),
+        ({"table": [1]}, "table must be a dictionary, got a list of 1"),
+        ({"call": None}, "call must be a function or an array of numbers, got None"),
+        ({"array": {1: 2}}, "array must be an array of numbers, got a dict of 1"),
+        ({"rotation": np.eye(3)}, "rotation must be a Rotation, got an array of shape (3, 3)"),
+        ({"rotation": object()}, "rotation must be a Rotation, got an object"),
+        ({"text": b"1"}, "text must be a string or an array of numbers, got b'1'"),
+    ],
+)
+def test_the_refusal_is_one_line(given, message):
+    with pytest.raises(InputError) as failed:
+        CHECKED(**given)
+    assert str(failed.value) == message
+    with pytest.raises(InputError):
+        CHECKED(*(given.get(name, one.default) for name, one in inspect.signature(every_kind).parameters.items()))
+
+
+def test_arguments_of_any_form_are_checked():
+    @typechecked
+    def function(first: int, *more: int, last: int = 0, **options: Unpack[Options]) -> None:
+        pass
+
+    function(1, 2, 3, last=4, flag=True)
+    for call in (
+        functools.partial(function, "1"),
+        functools.partial(function, 1, 2, "3"),
+        functools.partial(function, 1, last="4"),
+        functools.partial(function, 1, flag="no"),
+    ):
+        with pytest.raises(InputError, match=r"^(first|more|last|flag) must be "):
+            call()
+    with pytest.raises(TypeError, match="missing 1 required"):
+        function()
+
+
+def test_what_is_refused_is_never_quoted_at_length():
+    for huge in ("x" * 10**6, [0] * 10**6, 10**5000, np.broadcast_to(0.0, (2**20, 2**20)), {"x" * 10**6: 1}):
+        with pytest.raises(InputError) as failed:
+            CHECKED(flag=huge)
+        assert len(str(failed.value)) < 200
+
+
+def test_functions_and_classes_stay_what_they_were():
+    """Pickle finds them, signatures are theirs, and the ways within the package go past the check."""
+    for value in (ls.plan, stability.verify, Arm, Arm.keyframe):
+        assert pickle.loads(pickle.dumps(value)) is value
+    assert list(inspect.signature(ls.plan).parameters)[:3] == ["arm", "target", "planner"]
+    assert stability.verify.__wrapped__ is certificate.verify
+    assert not hasattr(ls.LieEDNN.vector_field, "__typechecked__")  # `as_floats` looks at its only argument
+
+    @frozen
+    class Inherited(stability.LogNorms):
+        more: Any = None
+
+    assert Inherited(1.0, 1.0, 1.0, 1.0, 1.0).more is None
+
+
+def test_a_name_is_checked_before_mujoco_reads_it():
+    """This was a segmentation fault."""
+    with pytest.raises(InputError, match="name must be a string, got None"):
+        Arm.load("telescopic_pr").keyframe(None)
