@@ -20,6 +20,7 @@ import pytest
 from lieednn_sim.arm import arm_names
 from lieednn_sim.cli import doctor, main
 from lieednn_sim.learning import projected
+from lieednn_sim.learning.history import History
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.rendering import opengl
 
@@ -117,6 +118,14 @@ def test_a_training_that_fails_says_so_and_leaves_no_network(tmp_path, capsys):
     assert "no network was written; try" in printed
     assert {path.name for path in directory.rglob("*.*")} == {"made.json", "task.json", "history.npz", "training.png"}
     assert "holds no run" in fails(capsys, "simulate", directory)
+    # Of several that fail, the last one is told, as after a resume.
+    words = ["train", "--target", "extended", "--algorithm", "literal", "--epochs", "20"]
+    histories = []
+    for seed, candidates in ((0, 2), (1, 1), (0, 1)):
+        there = tmp_path / f"{seed}-{candidates}"
+        assert main([*words, "--seed", str(seed), "--candidates", str(candidates), "--output", str(there)]) == 1
+        histories.append(History.load(there / "training" / "history.npz").error.tolist())
+    assert histories[0] == histories[1] != histories[2]
 
 
 @pytest.mark.usefixtures("no_plots")

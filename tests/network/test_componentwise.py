@@ -109,13 +109,14 @@ def test_the_gradient_through_an_activation_of_one_s_own_is_that_of_finite_diffe
 
 
 @pytest.mark.parametrize(
-    ("phi", "slope", "message"),
+    ("given", "message"),
     [
-        (lambda x: 2.0 * np.tanh(x), lambda x: 2.0 / np.cosh(x) ** 2, r"slopes .* must be in \(0, 1\], got .* to 2"),
-        (np.tanh, lambda x: 1.0 / np.cosh(x), "its slopes must be those of its values"),
-        (lambda x: np.tanh(x) + 0.1, lambda x: 1.0 / np.cosh(x) ** 2, "must be odd"),
+        ((lambda x: 2.0 * np.tanh(x), lambda x: 2.0 / np.cosh(x) ** 2), r"slopes .* must be in \(0, 1\], got .* to 2"),
+        ((np.tanh, lambda x: 1.0 / np.cosh(x)), "its slopes must be those of its values"),
+        ((np.tanh, lambda x: 1.0 / np.cosh(x) ** 2, lambda y: 1.0 - y), "its slopes must be those of its values"),
+        ((lambda x: np.tanh(x) + 0.1, lambda x: 1.0 / np.cosh(x) ** 2), "must be odd"),
     ],
 )
-def test_what_no_certificate_holds_for_is_no_activation(phi, slope, message):
+def test_what_no_certificate_holds_for_is_no_activation(given, message):
     with pytest.raises(InputError, match=message):
-        Activation(phi, slope)
+        Activation(*given)
