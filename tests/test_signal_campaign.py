@@ -19,7 +19,8 @@ from lieednn_sim import storage
         (0, "", []),
         (143, "lieednn-sim: interrupted", []),
         (1, "", ["exit code 1"]),
-        (0, "Traceback (most recent call last):", ["printed Traceback (most recent call last):"]),
+        (0, "Traceback of lieednn_sim", ["printed Traceback of lieednn_sim"]),
+        (0, "Traceback of site", []),
     ],
 )
 def test_codes_and_words_at_the_end(code, errors, found):

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+# isort: off
+from lieednn_sim.cli import starting  # noqa: F401, before all that takes its time
+# isort: on
+
 import argparse
 import importlib
 import io

@@ -60,13 +60,14 @@ class Interruption:
     ) -> None:
         if Interruption._current is self:
             Interruption._current = None
-            signal.setitimer(signal.ITIMER_REAL, 0.0)
+            _forget_alarm()
             sys.unraisablehook = self._unraisable
         for number, handler in self._before.items():
             signal.signal(number, _end if self._last and number != signal.SIGALRM else handler)
 
     def report(self) -> int:
         """Print that the command was interrupted; returns the exit code."""
+        _forget_alarm()
         say("interrupted; files already reported are complete")
         return self.exit_code
 
@@ -91,7 +92,13 @@ def check() -> None:
     """Raise `KeyboardInterrupt` if the running command was interrupted and goes on all the same."""
     current = Interruption._current
     if current is not None and current.received is not None:
+        _forget_alarm()
         raise KeyboardInterrupt
+
+
+def _forget_alarm() -> None:
+    """Do not raise the interruption again: it is on its way."""
+    signal.setitimer(signal.ITIMER_REAL, 0.0)
 
 
 def say(message: str) -> None:

@@ -1,0 +1,12 @@
+"""Ctrl-C while a command's first modules are imported ends it as in any other program, without a traceback."""
+
+from __future__ import annotations
+
+import signal
+import sys
+
+# Only where this package is the program: `python -m`, while it looks for the module, or the installed command.
+_program = sys.argv[:1] == ["-m"] or "".join(sys.argv[:1]).endswith("lieednn-sim")
+# Not if a shell's background job ignores it.
+if _program and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
