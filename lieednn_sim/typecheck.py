@@ -199,12 +199,13 @@ def _check(hint: Any) -> _Check:
         return _simple(_WORDS[kind], _NUMBERS[kind])
     if kind is Callable:
         return _simple("a function", callable)
-    if kind is type and inner and isinstance(inner[0], type):
-        base = inner[0]
+    if kind is type and inner and isinstance(base := getattr(inner[0], "__bound__", inner[0]), type):
         wanted = f"a subclass of {base.__name__}"
         return _simple(wanted, lambda value: inspect.isclass(value) and issubclass(value, base))
     if kind is tuple and inner and Ellipsis not in inner:
         return _tuple([_check(one) for one in inner])
+    if kind in (Iterable, Collection):
+        return _iterable(_sequence(_check(inner[0] if inner else Any)))
     if kind in (tuple, list, Sequence):
         return _sequence(_check(inner[0] if inner else Any))
     if kind in (dict, Mapping) or typing.is_typeddict(kind):
@@ -286,6 +287,15 @@ def _sequence(item: _Check) -> _Check:
         return _first((f"[{index}]", item, one) for index, one in enumerate(value[:1] if alike else value))
 
     return _Check(wanted, find)
+
+
+def _iterable(items: _Check) -> _Check:
+    def find(value: Any) -> _Fault | None:
+        # What can be read only once is left to the function.
+        once = isinstance(value, Iterable) and not isinstance(value, Collection)
+        return None if once or isinstance(value, Mapping) else items.find(value)
+
+    return _Check(items.wanted, find)
 
 
 def _tuple(items: list[_Check]) -> _Check:

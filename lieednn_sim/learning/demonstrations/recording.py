@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from lieednn_sim.errors import InputError
 from lieednn_sim.lie import left_jacobian_so3
-from lieednn_sim.validation import as_floats, as_times
+from lieednn_sim.validation import as_floats, as_positive, as_times
 from lieednn_sim.values import Floats, frozen
 
 QUATERNIONS = ("wxyz", "xyzw")
@@ -125,5 +125,6 @@ class Demonstration:
 
     def steps(self, lever: float) -> Floats:
         """Lengths ``(K - 1,)`` of the way from each sample to the next [m]; a radian counts as much as ``lever``."""
+        lever = as_positive("lever", lever)
         turns = Rotation.from_matrix(self.rotation[1:] @ self.rotation[:-1].swapaxes(1, 2)).magnitude()
         return np.hypot(np.linalg.norm(np.diff(self.position, axis=0), axis=1), lever * turns)
