@@ -18,7 +18,7 @@ import typing
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import is_dataclass
 from functools import wraps
-from itertools import chain
+from itertools import chain, repeat
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -57,15 +57,6 @@ class _Check(NamedTuple):
 
     wanted: str
     find: _Find
-
-
-class _Signature(NamedTuple):
-    """How to check the arguments of a function: by position, those beyond, and by name."""
-
-    names: tuple[str, ...]
-    positional: tuple[_Find, ...]
-    beyond: _Find
-    named: dict[str, _Find]
 
 
 class _Array:
@@ -111,18 +102,16 @@ def typechecked(function: Callable[..., Any], cls: type | None = None) -> Callab
     hints = {hint for name, hint in function.__annotations__.items() if name != "return"}
     if hasattr(function, "__typechecked__") or hints <= (_CHECKED_WITHIN if function.__name__ != "__init__" else set()):
         return function
-    signature: _Signature | None = None
+    checks: tuple[list[tuple[str, _Find]], tuple[str, _Find], dict[str, _Find]] | None = None
 
     @wraps(function)
     def checking(*arguments: Any, **options: Any) -> Any:
-        nonlocal signature
-        if signature is None:
-            signature = _signature(function, cls)
-        names, positional, beyond, named = signature
-        for index, value in enumerate(arguments):
-            find = positional[index] if index < len(positional) else beyond
+        nonlocal checks
+        checks = checks or _checks(function, cls)
+        positional, beyond, named = checks
+        for value, (name, find) in zip(arguments, chain(positional, repeat(beyond)), strict=False):
             if (fault := find(value)) is not None:
-                raise _error(names[min(index, len(names) - 1)], fault)
+                raise _error(name, fault)
         for name, value in options.items():
             if name in named and (fault := named[name](value)) is not None:
                 raise _error(name, fault)
@@ -141,10 +130,13 @@ def _error(name: str, fault: _Fault) -> InputError:
     return InputError(f"{name}{fault.place} must be {fault.wanted}, got {given}{hint}")
 
 
-def _signature(function: Callable[..., Any], cls: type | None) -> _Signature:
+def _checks(
+    function: Callable[..., Any], cls: type | None
+) -> tuple[list[tuple[str, _Find]], tuple[str, _Find], dict[str, _Find]]:
+    """How to check the arguments of a function: by position, those beyond, and by name."""
     own: dict[str, Any] = inspect.unwrap(function).__globals__
-    names, positional = [], []
-    beyond: _Find = _accept
+    positional: list[tuple[str, _Find]] = []
+    beyond: tuple[str, _Find] = ("", _accept)
     named: dict[str, _Find] = {}
     for name, parameter in inspect.signature(function).parameters.items():
         hint, scope = parameter.annotation, own
@@ -159,14 +151,12 @@ def _signature(function: Callable[..., Any], cls: type | None) -> _Signature:
             continue
         find = _accept if hint is parameter.empty else _check(_evaluate(hint, scope)).find
         if parameter.kind is parameter.VAR_POSITIONAL:
-            names.append(name)
-            beyond = find
+            beyond = name, find
             continue
         if parameter.kind is not parameter.KEYWORD_ONLY:
-            names.append(name)
-            positional.append(find)
+            positional.append((name, find))
         named[name] = find
-    return _Signature(tuple(names), tuple(positional), beyond, named)
+    return positional, beyond, named
 
 
 def _evaluate(hint: Any, scope: Mapping[str, Any]) -> Any:
@@ -199,14 +189,13 @@ def _check(hint: Any) -> _Check:
         return _simple(_WORDS[kind], _NUMBERS[kind])
     if kind is Callable:
         return _simple("a function", callable)
-    if kind is type and inner and isinstance(inner[0], type):
-        base = inner[0]
+    if kind is type and inner and isinstance(base := getattr(inner[0], "__bound__", inner[0]), type):
         wanted = f"a subclass of {base.__name__}"
         return _simple(wanted, lambda value: inspect.isclass(value) and issubclass(value, base))
     if kind is tuple and inner and Ellipsis not in inner:
         return _tuple([_check(one) for one in inner])
-    if kind in (tuple, list, Sequence):
-        return _sequence(_check(inner[0] if inner else Any))
+    if kind in (tuple, list, Sequence, Collection, Iterable):
+        return _sequence(_check(inner[0] if inner else Any), any_iterable=kind in (Collection, Iterable))
     if kind in (dict, Mapping) or typing.is_typeddict(kind):
         return _mapping(*(_check(one) for one in inner or (Any, Any)))
     if not isinstance(kind, type) or kind in (object, Any) or getattr(kind, "_is_protocol", False):
@@ -275,12 +264,15 @@ def _union(checks: list[_Check]) -> _Check:
     return _Check(wanted, find)
 
 
-def _sequence(item: _Check) -> _Check:
+def _sequence(item: _Check, *, any_iterable: bool) -> _Check:
     wanted = "a list" if item.find is _accept else f"a list, each item {item.wanted}"
 
     def find(value: Any) -> _Fault | None:
         if not _is_list(value):
-            return _Fault("", wanted, value)
+            # What can be read only once is left to the function.
+            once = isinstance(value, Iterable) and not isinstance(value, Collection)
+            accepted = any_iterable and (once or isinstance(value, Mapping))
+            return None if accepted else _Fault("", wanted, value)
         # Items of an array of numbers, or of a range, are all alike, and may be many.
         alike = isinstance(value, range) or (isinstance(value, np.ndarray) and value.dtype != object)
         return _first((f"[{index}]", item, one) for index, one in enumerate(value[:1] if alike else value))

@@ -24,6 +24,8 @@ _QUOTED = 80
 _LARGEST_COUNT = 2**53
 # Limits of Linux, in bytes; that of a path counts its final zero.
 _LONGEST_NAME, _LONGEST_PATH = 255, 4096
+# Threads and processes: more than the cores of any machine, and fewer than a system refuses.
+MOST_WORKERS = 1024
 # As many as in NumPy's own seeds.
 _SEED_BITS = 128
 # Axes of an array in the oldest NumPy that is supported.
@@ -207,8 +209,8 @@ def as_ratio(gamma: float, mu: float) -> float:
     return as_positive("gamma/mu", as_positive("gamma", gamma) / as_positive("mu", mu))
 
 
-def as_count(name: str, value: int, least: int = 1) -> int:
-    """Return ``value`` as an integer of at least ``least``, or raise `InputError`."""
+def as_count(name: str, value: int, least: int = 1, most: int = _LARGEST_COUNT) -> int:
+    """Return ``value`` as an integer from ``least`` to ``most``, or raise `InputError`."""
     try:
         if isinstance(value, bool):
             raise TypeError
@@ -217,9 +219,14 @@ def as_count(name: str, value: int, least: int = 1) -> int:
         raise InputError(f"{name} must be a whole number, got {quoted(value)}") from None
     if number < least:
         raise InputError(f"{name} must be at least {least}, got {quoted(number)}")
-    if number > _LARGEST_COUNT:
-        raise InputError(f"{name} must be at most {_LARGEST_COUNT}, got {quoted(number)}")
+    if number > most:
+        raise InputError(f"{name} must be at most {most}, got {quoted(number)}")
     return number
+
+
+def as_workers(name: str, value: int) -> int:
+    """Return a number of threads or processes from 1 to `MOST_WORKERS`, or raise `InputError`."""
+    return as_count(name, value, most=MOST_WORKERS)
 
 
 def as_seed(name: str, seed: int) -> int:

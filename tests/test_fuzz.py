@@ -1,6 +1,7 @@
 """Any input at all: a finite result or an error of the package, never a traceback from the depths, NaN or a hang.
 
-Bounded here; open-ended by ``pytest tests/test_fuzz.py --hypothesis-profile=fuzz`` (see conftest).
+Bounded here; open-ended by ``pytest tests/test_fuzz.py --hypothesis-profile=fuzz`` (see conftest), and of everything
+public by ``python tests/fuzz_public.py 20000``.
 """
 
 from __future__ import annotations
@@ -10,6 +11,8 @@ import functools
 import json
 import warnings
 
+import fuzz_public
+import fuzz_things
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -332,6 +335,19 @@ def test_demonstrations(data, columns):
         if shown is not None:
             check(shown.to_world, shown.mean)
             assert np.isfinite(shown.displaced).all()
+
+
+@pytest.mark.parametrize("part", range(4))
+def test_everything_public(part, tmp_path, monkeypatch):
+    """Each name once, whoever added it; but no rendering, which takes as long as all the others."""
+    monkeypatch.chdir(tmp_path)
+    fuzz_things.furnish()
+    known = fuzz_public.targets()
+    assert {"plan", "stability.verify", "arm.Arm.keyframe", "environments.gymnasium.VectorEnvironment.step"} <= {
+        target.name.removeprefix("planning.") for target in known
+    }
+    calls = (number for number in range(part, len(known), 4) if not known[number].name.startswith("rendering."))
+    assert [wrong for wrong in map(fuzz_public.attempt, calls) if wrong] == []
 
 
 NUMBERS = ("nan", "inf", "1e308", "-1e308", "0", "-1", "1e-320", "5", "1e9", "1,2", "1e308,0,0", "random:-1", "3" * 400)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import inspect
 import pickle
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any, TypedDict, Unpack
 
@@ -14,9 +14,13 @@ import pytest
 from numpy.typing import ArrayLike
 
 import lieednn_sim as ls
-from lieednn_sim import stability
+from lieednn_sim import learning, lie, planning, simulation, stability, synthesis, theory
 from lieednn_sim.arm import Arm
+from lieednn_sim.environments import tasks
+from lieednn_sim.environments.gymnasium import VectorEnvironment
 from lieednn_sim.errors import InputError
+from lieednn_sim.learning.demonstrations import Demonstration, ShapedMotion, align, load_demonstrations
+from lieednn_sim.network import BlockNetwork
 from lieednn_sim.stability import certificate
 from lieednn_sim.typecheck import typechecked
 from lieednn_sim.values import Floats, frozen
@@ -34,6 +38,7 @@ def every_kind(
     count: int | None = None,
     flag: bool = False,
     names: Sequence[str] = (),
+    files: Iterable[str] = (),
     sizes: tuple[int, ...] = (),
     pair: tuple[float, float] = (0.0, 0.0),
     table: Mapping[str, float] | None = None,
@@ -54,6 +59,7 @@ CHECKED = typechecked(every_kind)
         *({"number": value} for value in (1, 1.0, np.float32(1.0), np.int64(1), np.array(1.0), Fraction(1, 2))),
         *({"count": value} for value in (None, 3, np.int8(3), np.array(3))),
         *({"flag": value} for value in (True, np.True_)),
+        *({"files": value} for value in ([], ("a",), {"a": 1}, iter("ab"))),
         *({"names": value} for value in ([], ("a", "b"), np.array(["a"]), {"a": 1}.keys())),
         *({"sizes": value} for value in ([1, 2], np.arange(3), range(10**12))),
         *({"pair": value} for value in ([1, 2.0], np.zeros(2))),
@@ -77,6 +83,8 @@ def test_what_works_without_the_check_works_with_it(given):
         ({"count": True}, "count must be a whole number, got True"),
         ({"flag": 1}, "flag must be True or False, got 1"),
         ({"flag": np.zeros(2, dtype=bool)}, "flag must be True or False, got an array of shape (2)"),
+        ({"files": b"ab"}, "files must be a list, each item a string, got b'ab'"),
+        ({"files": [1]}, "files[0] must be a string, got 1"),
         ({"names": "ab"}, "names must be a list, each item a string, got 'ab'"),
         ({"names": ["a"] * 9 + [3]}, "names[9] must be a string, got 3"),
         ({"names": np.array("a")}, "names must be a list, each item a string, got an array of shape ()"),
@@ -145,3 +153,72 @@ def test_a_name_is_checked_before_mujoco_reads_it():
     """This was a segmentation fault."""
     with pytest.raises(InputError, match="name must be a string, got None"):
         Arm.load("telescopic_pr").keyframe(None)
+
+
+ARM = Arm.load("telescopic_pr")
+HOME = ARM.keyframe("home")
+XI = ARM.encode(0.9 * HOME)
+RAGGED = [[1.0], [1.0, 2.0]]
+FAR = 10**9
+
+
+@functools.cache
+def network():
+    return ls.synthesize(XI).unwrap()
+
+
+@functools.cache
+def short():
+    return ls.plan(ARM, 0.99 * HOME, planner="minimum-jerk", duration=0.5, longest=20.0)
+
+
+@functools.cache
+def shown():
+    s = np.linspace(0.0, 1.0, 5)
+    return align([Demonstration.from_samples(np.stack([s, s], axis=1))], samples=9)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: learning.sensitivity(None, XI), "network must be a LieEDNN"),
+        (lambda: planning.retime(ARM, "motion"), "motion must be a Motion"),
+        (lambda: planning.reference_network("arm"), "arm must be an Arm"),
+        (lambda: align(5), "demonstrations must be a list"),
+        (lambda: align([shown()]), r"demonstrations\[0\] must be a Demonstration"),
+        (lambda: ShapedMotion.fit([1]), "demonstrations must be Demonstrations"),
+        (lambda: load_demonstrations(5), "files must be a list"),
+        (lambda: ls.follow(ARM, network(), HOME[None], 0.1, disturbances=5), "disturbances must be Disturbances"),
+        (lambda: ls.follow(ARM, network(), HOME[None], 0.1, control_rate="100"), "control_rate must be a number"),
+        (lambda: ls.simulate(ARM, short(), progress=5), "progress must be a function"),
+        (lambda: ls.simulate_many(ARM, np.array(1.0)), "motions must be a list"),
+        (lambda: ls.plan(ARM, HOME, fastest=np.zeros(2)), "fastest must be True or False"),
+        (lambda: ls.synthesize(XI, gamma=b"1"), "gamma must be a number"),
+        (lambda: synthesis.synthesize_many([XI], bias_magnitude=RAGGED), "bias_magnitude must be an array of numbers"),
+        (lambda: ls.train(XI, bias=RAGGED), "bias must be an array of numbers"),
+        (lambda: synthesis.shape(np.array(1.0)), "curves must"),
+        (lambda: lie.hat(RAGGED), "vector must be an array of numbers"),
+        (lambda: theory.curvature(RAGGED, RAGGED), "xi_dot must be an array of numbers"),
+        (lambda: network().robustness(range(10**12)), "pushed must name coordinates"),
+        (lambda: network().assess()["x" * 10**6], "no condition 'x+' ... \\(1000000 characters\\)"),
+        (lambda: ARM.unit(8), "joint must be at most 7"),
+        (lambda: shown().only(1), "index must be at most 0"),
+        (lambda: ls.Disturbances.from_json({}), "these are no disturbances: KeyError: 'pushes'"),
+        (lambda: tasks.make_task("reach").target(0.0), "no episode has begun: reset first"),
+        (lambda: BlockNetwork.load("network.npz"), "a BlockNetwork is read by its own class"),
+        (lambda: VectorEnvironment(2, threads=FAR), "threads must be at most 1024"),
+        (lambda: VectorEnvironment(FAR), "num_envs must be at most 65536"),
+        (lambda: align([Demonstration.from_samples(np.eye(3))], samples=FAR), "samples must be at most 100000"),
+        (lambda: ls.synthesize(XI, max_attempts=FAR), "max_attempts must be at most 10000"),
+        (lambda: simulation.Simulation(ARM).advance(FAR), "steps must be at most 10000000"),
+        (lambda: simulation.Simulation(ARM).advance(2, HOME), r"controls must have shape \(2, 8\)"),
+    ],
+)
+def test_what_was_a_foreign_traceback_or_a_hang_is_refused(call, message):
+    with pytest.raises(InputError, match=message):
+        call()
+
+
+def test_a_network_far_faster_than_its_decay_is_given_up():
+    """The search for its equilibrium ran for hours."""
+    assert ls.train(XI[:1], mu=2**64 - 1).reason is learning.StopReason.LOST_EQUILIBRIUM

@@ -17,7 +17,7 @@ from lieednn_sim.arm.arm import Arm
 from lieednn_sim.arm.contacts import moving_geoms
 from lieednn_sim.errors import InputError
 from lieednn_sim.typecheck import typecheck_public
-from lieednn_sim.validation import as_floats
+from lieednn_sim.validation import as_count, as_floats
 from lieednn_sim.values import Floats
 
 __all__ = ["Collisions"]
@@ -95,9 +95,8 @@ class Collisions:
             InputError: q is malformed, or the cutoff is not positive.
         """
         position = self._move(q)
-        limits = np.broadcast_to(
-            as_floats("cutoff", cutoff, () if np.ndim(cutoff) == 0 else self.pairs.shape[:1]), len(self.pairs)
-        )
+        limits = as_floats("cutoff", cutoff, (), batched=True)
+        limits = np.broadcast_to(as_floats("cutoff", limits, self.pairs.shape[: limits.ndim]), len(self.pairs))
         if (limits <= 0.0).any():
             raise InputError(f"cutoff must be positive, got {limits.min():g}")
         near = np.flatnonzero(self._lower_bounds() < limits)
@@ -182,10 +181,12 @@ class Collisions:
 
     def names(self, pair: ArrayLike) -> tuple[str, str]:
         """Names of two geoms by id; an unnamed geom is called after its body."""
-        return tuple(self._name(int(geom)) for geom in np.asarray(pair))  # type: ignore[return-value]
+        first, second = as_floats("pair", pair, (2,))
+        return self._name(int(first)), self._name(int(second))
 
     def _name(self, geom: int) -> str:
         model = self.arm.model
+        as_count("geom", geom, 0, model.ngeom - 1)
         return model.geom(geom).name or f"a geom of {model.body(model.geom_bodyid[geom]).name}"
 
     def _move(self, q: ArrayLike) -> Floats:

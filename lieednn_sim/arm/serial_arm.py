@@ -16,7 +16,7 @@ from lieednn_sim.arm.kinematics import CompoundJoints
 from lieednn_sim.arm.projection import Retraction, Retractor
 from lieednn_sim.errors import InputError
 from lieednn_sim.lie import poses
-from lieednn_sim.validation import as_floats
+from lieednn_sim.validation import as_count, as_floats, quoted
 from lieednn_sim.values import Floats
 
 if TYPE_CHECKING:
@@ -108,7 +108,7 @@ class SerialArm:
         key = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_KEY, name)
         if key < 0:
             known = [self.model.key(k).name for k in range(self.model.nkey)]
-            raise InputError(f"no keyframe {name!r}; keyframes of {self.name}: {', '.join(known)}")
+            raise InputError(f"no keyframe {quoted(name)}; keyframes of {self.name}: {', '.join(known)}")
         return self.coordinates(self.model.key_qpos[key])
 
     def limit_excess(self, q: Floats) -> Floats:
@@ -141,6 +141,8 @@ class SerialArm:
 
     def describe_excess(self, q: Floats, joint: int) -> str:
         """The message that a coordinate of q ``(n,)`` is outside its limits; for a ball joint, that its angle is."""
+        joint = as_count("joint", joint, 0, self.n_joints - 1)
+        q = as_floats("q", q, (self.n_joints,))
         low, high = self.position_limits[joint]
         value, name = q[joint], self.joint_names[joint]
         if joint in self.space.balls:
@@ -149,7 +151,7 @@ class SerialArm:
 
     def unit(self, joint: int) -> str:
         """``"rad"`` or ``"m"``."""
-        return self.space.units[joint]
+        return self.space.units[as_count("joint", joint, 0, self.n_joints - 1)]
 
     def qpos(self, q: ArrayLike) -> Floats:
         """MuJoCo's generalised positions ``(..., nq)`` at joint coordinates ``(..., n)``."""

@@ -167,13 +167,20 @@ class ArmTask(ABC):
     def here(self) -> tuple[Floats, ...]:
         """Present target for `Observations.rows`: position ``(n,)``, frames ``(F, 16)``, additional observations."""
 
+    def _require_episode(self) -> None:
+        if self.episode == 0:
+            raise InputError("no episode has begun: reset first")
+
     def _more_bounds(self) -> Bounds:
         """Bounds of the task's additional observations."""
         return {}
 
     @abstractmethod
     def judge(self, distance: Floats | float, angle: Floats | float, qd: Floats) -> tuple[Floats, NDArray[np.bool_]]:
-        """Rewards ``(...)`` in [0, 1] and successes ``(...)`` at errors ``(...)`` and joint velocities ``(..., n)``."""
+        """Rewards ``(...)`` in [0, 1] and successes ``(...)`` at errors ``(...)`` and joint velocities ``(..., n)``.
+
+        Unchecked.
+        """
 
     def reward(self) -> float:
         """Reward at the present time, in [0, 1]."""
@@ -269,6 +276,7 @@ class ArmTask(ABC):
 
     def failure_of(self, controls: Floats) -> str:
         """The reason for which physics steps with controls ``(substeps, nu)`` fail from the present state."""
+        controls = as_floats("controls", controls, (self.substeps, self.arm.model.nu))
         self.simulation.steps, self._controls = self._step * self.substeps, controls
         self._warm_start[:] = 0.0
         self.advance(self.substeps)

@@ -32,6 +32,7 @@ except ImportError:
 
 from lieednn_sim.environments.vector import VectorEnvironment, observation_space
 from lieednn_sim.typecheck import typecheck_public
+from lieednn_sim.validation import as_seed, quoted
 
 __all__ = ["ENVIRONMENTS", "Environment", "VectorEnvironment", "register"]
 
@@ -76,7 +77,7 @@ class Environment(gymnasium.Env[Any, Floats]):
         **options: Any,
     ) -> None:
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
-            raise InputError(f"render_mode must be 'rgb_array' or None, got {render_mode!r}")
+            raise InputError(f"render_mode must be 'rgb_array' or None, got {quoted(render_mode)}")
         self.task = make_task(task, arm, scene=scene, **options)
         check_view(self.task.arm, camera=None, size=size, preset=preset)
         self.render_mode = render_mode
@@ -91,7 +92,7 @@ class Environment(gymnasium.Env[Any, Floats]):
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Begin an episode; see Gymnasium, and `Reach` for the option ``target``."""
-        super().reset(seed=seed)
+        super().reset(seed=None if seed is None else as_seed("seed", seed))
         observation = self.task.begin(self.np_random, options)
         return self._shown(observation), self.task.info()
 

@@ -16,7 +16,7 @@ from lieednn_sim.environments.bounds import Bounds
 from lieednn_sim.environments.trajectories import JointTrajectory, band_limited, planned
 from lieednn_sim.errors import InputError, NoSolutionError, NotCertifiedError, PlanError
 from lieednn_sim.typecheck import typecheck_public
-from lieednn_sim.validation import as_choice, as_count
+from lieednn_sim.validation import as_choice, as_count, quoted
 from lieednn_sim.values import Floats
 
 __all__ = ["REFERENCES", "TASKS", "Reach", "Track", "make_task"]
@@ -51,14 +51,16 @@ class Reach(ArmTask):
 
     def target(self, time: float) -> Floats:
         """See `ArmTask`; the target does not move."""
+        self._require_episode()
         return self._target.copy()
 
     def here(self) -> tuple[Floats, ...]:
         """See `ArmTask`."""
+        self._require_episode()
         return self._here
 
     def judge(self, distance: Floats | float, angle: Floats | float, qd: Floats) -> tuple[Floats, NDArray[np.bool_]]:
-        """See `ArmTask`."""
+        """See `ArmTask`; unchecked."""
         speed = np.maximum.reduce(np.abs(qd / self.arm.velocity_limits), axis=-1)
         close, resting = self.closeness(distance, angle, speed)
         return close * 0.5 * (1.0 + resting), self.closeness.within(distance, angle) & (speed <= REST)
@@ -112,6 +114,7 @@ class Track(ArmTask):
 
     def here(self) -> tuple[Floats, ...]:
         """See `ArmTask`."""
+        self._require_episode()
         now, k = self._wanted, self._step
         return now[k], self._goal_frames[k], self._rates[k], now[k + 1 : k + 1 + self.preview].ravel()
 
@@ -127,10 +130,11 @@ class Track(ArmTask):
 
     def target(self, time: float) -> Floats:
         """See `ArmTask`."""
+        self._require_episode()
         return self._trajectory.position(time)
 
     def judge(self, distance: Floats | float, angle: Floats | float, qd: Floats) -> tuple[Floats, NDArray[np.bool_]]:
-        """See `ArmTask`."""
+        """See `ArmTask`; unchecked."""
         return self.closeness(distance, angle)[0], self.closeness.within(distance, angle)
 
 
@@ -144,13 +148,17 @@ def make_task(task: str, arm: str | os.PathLike[str] | Arm = "telescopic_pr", **
     known = {*signature(kind).parameters, *signature(ArmTask).parameters} - {"arm", "options"}
     unknown = sorted(set(options) - known)
     if unknown:
-        raise InputError(f"unknown options of task {task!r}: {', '.join(unknown)}; known: {', '.join(sorted(known))}")
+        raise InputError(
+            f"unknown options of task {task!r}: {', '.join(map(quoted, unknown))}; known: {', '.join(sorted(known))}"
+        )
     return kind(arm, **options)
 
 
 def _refuse(options: dict[str, Any], *known: str) -> None:
     if options:
-        raise InputError(f"unknown reset options: {', '.join(map(repr, options))}; known: {', '.join(known) or 'none'}")
+        raise InputError(
+            f"unknown reset options: {', '.join(map(quoted, options))}; known: {', '.join(known) or 'none'}"
+        )
 
 
 typecheck_public(globals())

@@ -14,7 +14,7 @@ from lieednn_sim.errors import NoSolutionError, NotCertifiedError, PlanError
 from lieednn_sim.planning import CertifiedOptions, plan
 from lieednn_sim.planning.laws import minimum_jerk_law
 from lieednn_sim.planning.motion import Motion
-from lieednn_sim.validation import as_count, as_positive
+from lieednn_sim.validation import as_count, as_floats, as_positive
 from lieednn_sim.values import Floats
 
 # Duration with which plans are made before they are sped up [s]; minimum jerk gives the same path in any duration.
@@ -49,12 +49,14 @@ class JointTrajectory:
 
     def position(self, time: ArrayLike) -> Floats:
         """Joint positions at times ``(...)``, shape ``(..., n)``."""
-        return np.asarray(self.spline(np.clip(time, 0.0, self.duration)))
+        times = as_floats("time", time, (), batched=True)
+        return np.asarray(self.spline(np.clip(times, 0.0, self.duration)))
 
     def velocity(self, time: ArrayLike) -> Floats:
         """Joint velocities at times ``(...)``, shape ``(..., n)``."""
-        inside = (np.asarray(time) >= 0.0) & (np.asarray(time) < self.duration)
-        return np.where(inside[..., None], self.spline(np.clip(time, 0.0, self.duration), 1), 0.0)
+        times = as_floats("time", time, (), batched=True)
+        inside = (times >= 0.0) & (times < self.duration)
+        return np.where(inside[..., None], self.spline(np.clip(times, 0.0, self.duration), 1), 0.0)
 
 
 def planned(

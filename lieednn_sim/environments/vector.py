@@ -28,11 +28,12 @@ from lieednn_sim.environments.frames import frames_at
 from lieednn_sim.environments.tasks import make_task
 from lieednn_sim.errors import InputError
 from lieednn_sim.simulation.simulation import QuietWarnings
-from lieednn_sim.validation import as_choice, as_count, as_floats
+from lieednn_sim.validation import as_choice, as_count, as_floats, as_seed, as_workers
 from lieednn_sim.values import Floats
 
 Stepped = tuple[dict[str, Floats], Floats, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]
 _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
+_MOST_ENVIRONMENTS = 2**16
 
 
 def observation_space(bounds: Bounds) -> spaces.Dict:
@@ -71,7 +72,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[dict[str, Floats], Floats, An
         **options: Any,
     ) -> None:
         first = make_task(task, arm, scene=scene, **options)
-        self.num_envs = as_count("num_envs", num_envs)
+        self.num_envs = as_count("num_envs", num_envs, most=_MOST_ENVIRONMENTS)
         self.tasks = [copy.copy(first) for _ in range(num_envs)]
         if not isinstance(autoreset_mode, AutoresetMode):
             modes = [mode.value for mode in AutoresetMode]
@@ -82,7 +83,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[dict[str, Floats], Floats, An
         self.single_action_space = spaces.Box(-1.0, 1.0, (first.arm.n_joints,), np.float64)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        workers = as_count("threads", os.cpu_count() or 1 if threads is None else threads)
+        workers = as_workers("threads", os.cpu_count() or 1 if threads is None else threads)
         self._rollouts, self._model = rollout.Rollout(nthread=workers), first.simulation.model
         self._data = [mujoco.MjData(self._model) for _ in range(workers)]
         self._states = np.zeros((num_envs, mujoco.mj_stateSize(self._model, _STATE)))
@@ -97,17 +98,23 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[dict[str, Floats], Floats, An
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Floats], dict[str, Any]]:
         """Begin episodes, with seed + i in environment i; ``options`` may hold Gymnasium's ``reset_mask``."""
-        seeds = seed if isinstance(seed, list) else [None if seed is None else seed + i for i in range(self.num_envs)]
+        if seed is None or isinstance(seed, int | np.integer):
+            seeds = [None if seed is None else int(seed) + i for i in range(self.num_envs)]
+        else:
+            seeds = list(seed)
         if len(seeds) != self.num_envs:
             raise InputError(f"seed must be a number or a list of {self.num_envs}, got one of {len(seeds)}")
         chosen = dict(options or {})
-        mask = np.asarray(chosen.pop("reset_mask", np.ones(self.num_envs, dtype=bool)))
+        try:
+            mask = np.asarray(chosen.pop("reset_mask", np.ones(self.num_envs, dtype=bool)))
+        except ValueError:
+            mask = np.empty(0)
         if mask.shape != (self.num_envs,) or mask.dtype != bool or not mask.any():
             raise InputError(f"reset_mask must be an array of {self.num_envs} truth values, one of them true")
         infos: dict[str, Any] = {}
         for i in np.flatnonzero(mask):
-            if seeds[i] is not None:
-                self._generators[i] = seeding.np_random(seeds[i])[0]
+            if (own := seeds[i]) is not None:
+                self._generators[i] = seeding.np_random(as_seed("seed", own))[0]
             infos = self._begin(int(i), infos, chosen)
         return self._observed(), infos
 

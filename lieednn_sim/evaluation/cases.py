@@ -77,7 +77,7 @@ def arm_and_target(name: str, scene: str, seed: int, entries: tuple[Entry, ...] 
         InputError: the arm or scene is unknown, or they do not fit together.
         NoSolutionError: no target was found.
     """
-    made = _arm_and_target(name, scene, seed, entries)
+    made = _arm_and_target(name, scene, seed, tuple(entries))
     if isinstance(made, LieEDNNError):
         raise made
     return made

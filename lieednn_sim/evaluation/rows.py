@@ -8,6 +8,7 @@ from functools import partial
 from typing import Any, ClassVar, Self
 
 from lieednn_sim.errors import InputError
+from lieednn_sim.validation import quoted
 
 
 @dataclass(frozen=True)
@@ -78,10 +79,10 @@ class TableRow:
     @classmethod
     def from_texts(cls, texts: dict[str, str]) -> Self:
         """The inverse of `as_texts`; `ValueError` if a cell does not have its column's type."""
-        if None in texts or None in texts.values():
-            raise ValueError("a row has too many or too few columns")
+        if texts.keys() != {entry.name for entry in fields(cls)} or None in texts.values():
+            raise InputError("a row has too many or too few columns")
         if texts["success"] != ("no" if texts["reason"] else "yes"):
-            raise ValueError(f"success is {texts['success']!r} where the reason of a failure is {texts['reason']!r}")
+            raise InputError(f"success is {texts['success']!r} where the reason of a failure is {texts['reason']!r}")
         return cls(**{entry.name: _value(texts[entry.name], str(entry.type)) for entry in fields(cls) if entry.init})
 
     def _as_text(self, value: bool | int | float | str | None) -> str:
@@ -118,7 +119,8 @@ class Case:
         parts = text.split(":")
         if len(parts) != 4 or not all(parts) or not (parts[3].isascii() and parts[3].isdecimal()):
             raise InputError(
-                f"a case must look like planner:arm:scene:seed, e.g. se3-geodesic:telescopic_pr:free:0, got {text!r}"
+                f"a case must look like planner:arm:scene:seed, e.g. se3-geodesic:telescopic_pr:free:0, "
+                f"got {quoted(text)}"
             )
         planner, arm, scene, seed = parts
         return cls(arm, scene, planner, int(seed))

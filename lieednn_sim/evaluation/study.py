@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import os
-from collections.abc import Callable, Container, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import BrokenExecutor, CancelledError, Executor
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -25,7 +25,7 @@ from lieednn_sim.evaluation.table import R, Rows, Table
 from lieednn_sim.evaluation.workers import run_each
 from lieednn_sim.planning import missing_planners, planners
 from lieednn_sim.simulation import controllers
-from lieednn_sim.validation import as_choice, as_count
+from lieednn_sim.validation import as_choice, as_count, as_workers
 from lieednn_sim.values import check_fields
 
 DEFAULT_CONTROLLERS = ("position-servo", "inverse-dynamics")
@@ -89,7 +89,7 @@ class Selection:
         if self.slow_seeds is not None and as_count("slow_seeds", self.slow_seeds) > self.seeds:
             raise InputError(f"slow_seeds must be at most seeds, {self.seeds}, got {self.slow_seeds}")
 
-    def cases(self, absent: Container[str] | None = None) -> list[Case]:
+    def cases(self, absent: Collection[str] | None = None) -> list[Case]:
         """All combinations without absent planners, which are by default those whose package is missing."""
         absent = missing_planners() if absent is None else absent
         usable = [name for name in self.planners if name not in absent]
@@ -131,7 +131,7 @@ def compare(
         FileError: see `Table` and `entries.record`.
         LieEDNNError: a worker process died, or the executor gave up.
     """
-    workers = as_count("jobs", jobs)
+    workers = as_workers("jobs", jobs)
     record(filesystem.make_directory(directory), selection.entries)
     absent = {name: reason for name, reason in missing_planners().items() if name in selection.planners}
     part = {} if shard is None else {"shard": shard.number, "shards": shard.of}

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import IO, Any, Generic, TypeVar
 
 from lieednn_sim import filesystem, storage
-from lieednn_sim.errors import FileError
+from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.evaluation.cases import Settings
 from lieednn_sim.evaluation.rows import Case, Row, TableRow
 from lieednn_sim.manifest import Manifest
@@ -57,7 +57,10 @@ class Rows(Generic[R]):
         self._description: dict[str, Any] = {"kind": name, "format": 1, "settings": shared, "versions": self.versions}
         if part:
             # As it will be read: with lists for tuples.
-            self._description["part"] = json.loads(json.dumps(part))
+            try:
+                self._description["part"] = json.loads(json.dumps(part))
+            except (TypeError, ValueError) as error:
+                raise InputError(f"part must hold what JSON can: {error}") from None
         self._rows: dict[tuple[Any, ...], R] | None = {}
         if os.path.lexists(self.csv):
             self._check()

@@ -63,9 +63,8 @@ class TrainingProblem:
         goal = as_floats("target", target, ("N", dimension))
         if len(goal) == 0:
             raise InputError(f"target must have shape (N, {dimension}) with N >= 1, got (0, {dimension})")
-        if np.ndim(bias) == 0:
-            bias = np.full(goal.shape, as_floats("bias", bias, ()))
-        offset = as_floats("bias", bias, goal.shape)
+        offset = as_floats("bias", bias, (), batched=True)
+        offset = as_floats("bias", offset if offset.ndim else np.full(goal.shape, offset), goal.shape)
         if not offset.any():
             raise InputError("bias must not be zero: zero would be an equilibrium for all weights")
         return cls(

@@ -19,7 +19,8 @@ from lieednn_sim.learning.equilibria import SensitivityMatrix
 from lieednn_sim.learning.manifold import SE3Weights, WeightPoint, block_view
 from lieednn_sim.lie import hat, vee
 from lieednn_sim.network.base import flatten_blocks
-from lieednn_sim.stability import log_scale_gradient, scale, smooth_largest
+from lieednn_sim.stability.certificate import log_scale_gradient, smooth_largest
+from lieednn_sim.stability.norms import scale
 from lieednn_sim.values import Floats
 
 _SE3 = SE3Weights()

@@ -14,35 +14,33 @@ from lieednn_sim.lie.projection import (
 )
 from lieednn_sim.lie.se3 import (
     adjoint,
-    continued,
     exp,
     hat,
     left_jacobian_se3,
     left_jacobian_so3,
     log,
-    poses,
-    rotations,
-    skew,
     spatial_twist,
     vee,
 )
+
+# Unchecked, for the rest of the package.
+from lieednn_sim.lie.se3 import continued as continued
+from lieednn_sim.lie.se3 import poses as poses
+from lieednn_sim.lie.se3 import rotations as rotations
+from lieednn_sim.lie.se3 import skew as skew
 from lieednn_sim.typecheck import typecheck_public
 
 __all__ = [
     "adjoint",
-    "continued",
     "exp",
     "hat",
     "left_jacobian_se3",
     "left_jacobian_so3",
     "log",
-    "poses",
     "project_to_adjoint",
     "project_to_adjoint_exact",
     "project_to_rotation",
     "project_to_scaled_adjoint",
-    "rotations",
-    "skew",
     "spatial_twist",
     "vee",
 ]

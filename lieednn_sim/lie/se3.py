@@ -37,11 +37,10 @@ def hat(vector: ArrayLike) -> Floats:
     Raises:
         InputError: the last axis is neither 3 nor 6, or an entry is not finite.
     """
-    size = np.shape(vector)[-1] if np.ndim(vector) else 0
-    if size not in (3, 6):
-        raise InputError(f"hat needs vectors of shape (..., 3) or (..., 6), got {np.shape(vector)}")
-    array = as_floats("vector", vector, (size,), batched=True, largest=_LARGEST)
-    if size == 3:
+    array = as_floats("vector", vector, (), batched=True, largest=_LARGEST)
+    if array.shape[-1:] not in ((3,), (6,)):
+        raise InputError(f"hat needs vectors of shape (..., 3) or (..., 6), got {array.shape}")
+    if array.shape[-1] == 3:
         return skew(array)
     matrix = np.zeros((*array.shape[:-1], 4, 4))
     matrix[..., :3, :3] = skew(array[..., :3])
@@ -54,14 +53,13 @@ def vee(matrix: ArrayLike) -> Floats:
 
     The antisymmetric part is read, so rounding in a matrix that is skew up to rounding is averaged out.
     """
-    shape = np.shape(matrix)
-    if shape[-2:] not in ((3, 3), (4, 4)):
-        raise InputError(f"vee needs matrices of shape (..., 3, 3) or (..., 4, 4), got {shape}")
-    array = as_floats("matrix", matrix, shape[-2:], batched=True, largest=_LARGEST)
+    array = as_floats("matrix", matrix, (), batched=True, largest=_LARGEST)
+    if array.shape[-2:] not in ((3, 3), (4, 4)):
+        raise InputError(f"vee needs matrices of shape (..., 3, 3) or (..., 4, 4), got {array.shape}")
     omega = np.empty((*array.shape[:-2], 3))
     for k, (i, j) in enumerate(((2, 1), (0, 2), (1, 0))):
         omega[..., k] = 0.5 * (array[..., i, j] - array[..., j, i])
-    if shape[-1] == 3:
+    if array.shape[-1] == 3:
         return omega
     return np.concatenate([omega, array[..., :3, 3]], axis=-1)
 

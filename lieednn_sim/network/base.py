@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import os
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
@@ -143,7 +144,7 @@ class BlockNetwork(ABC):
 
     @abstractmethod
     def phi(self, x: Floats) -> Floats:
-        """Activation of states ``(..., N, d)``."""
+        """Activation of states ``(..., N, d)``, unchecked."""
 
     @abstractmethod
     def _driven(self, state: Floats) -> Floats:
@@ -281,6 +282,8 @@ class BlockNetwork(ABC):
         Raises:
             FileError: the file cannot be read, is no network, or carries a certificate that does not hold.
         """
+        if inspect.isabstract(cls):
+            raise InputError(f"a {cls.__name__} is read by its own class, such as LieEDNN.load")
         arrays, meta = storage.load_arrays(path, cls._kind)
         names = [name for name in cls._arrays if name in arrays or name not in cls._optional]
         values = dict(zip(names, storage.take(arrays, path, *names), strict=True))

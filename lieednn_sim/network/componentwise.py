@@ -140,7 +140,7 @@ class ComponentwiseNetwork(BlockNetwork):
         )
 
     def phi(self, x: Floats) -> Floats:
-        """Activation, entry by entry, of an array of any shape."""
+        """Activation, entry by entry, of an array of any shape; unchecked."""
         return ACTIVATIONS[self.activation].phi(x)
 
     def invariant_box(self, start: ArrayLike) -> tuple[Floats, Floats]:

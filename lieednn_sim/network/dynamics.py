@@ -83,7 +83,7 @@ class Trajectory:
 
     def __call__(self, t: ArrayLike) -> Floats:
         """States ``(..., N, d)`` at times ``(...)`` inside the integrated range."""
-        times = as_floats("t", t, np.shape(t))
+        times = as_floats("t", t, (), batched=True)
         if times.size and (times.min() < self.t[0] or times.max() > self.t[-1]):
             raise InputError(f"t must lie in [{self.t[0]:g}, {self.t[-1]:g}], got {times.min():g} to {times.max():g}")
         flat = self._dense(times.ravel())

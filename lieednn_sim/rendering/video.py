@@ -24,7 +24,7 @@ from lieednn_sim.rendering import ffmpeg, opengl, stage
 from lieednn_sim.rendering.overlay import Overlay, write_caption
 from lieednn_sim.simulation import Rollout
 from lieednn_sim.typecheck import typecheck_public
-from lieednn_sim.validation import as_choice, as_count, as_path, as_positive, quoted
+from lieednn_sim.validation import as_choice, as_count, as_floats, as_path, as_positive, quoted
 
 __all__ = ["PRESETS", "Camera", "render_video"]
 
@@ -100,7 +100,7 @@ class Camera:
         check_view(arm, camera=camera, size=size, preset=preset)
         opengl.require()
         self._arm, self._preset = arm, PRESETS[preset]
-        held = stage.reached(arm) if points is None else np.asarray(points, dtype=float)
+        held = stage.reached(arm) if points is None else as_floats("points", points, (3,), batched=True)
         self._model, self._marker = stage.staged(arm, held)
         named = camera or ("overview" if "overview" in _cameras(arm) else None)
         self._camera: str | mujoco.MjvCamera = named or stage.framing(arm, held)
@@ -121,7 +121,7 @@ class Camera:
 
     def picture(self, q: ArrayLike, draw: Callable[[mujoco.MjvScene], None] | None = None) -> Image:
         """Image ``(height, width, 3)`` of the arm at ``q`` ``(n,)``; ``draw`` may add to the scene."""
-        self._data.qpos[:] = self._arm.qpos(q)
+        self._data.qpos[:] = self._arm.qpos(as_floats("q", q, (self._arm.n_joints,)))
         mujoco.mj_forward(self._model, self._data)
         # Twice, because MuJoCo puts the headlight where the camera was at the previous update.
         for _ in range(2):
@@ -137,7 +137,9 @@ class Camera:
         """Put the marker at a joint target ``(n,)``; without one, an added marker goes into the base."""
         if target is None and self._model.nbody == self._arm.model.nbody:
             return
-        pose = self._arm.base if target is None else self._arm.link_poses(target)[-1]
+        pose = self._arm.base
+        if target is not None:
+            pose = self._arm.link_poses(as_floats("target", target, (self._arm.n_joints,)))[-1]
         self._data.mocap_pos[self._marker] = pose.translation
         self._data.mocap_quat[self._marker] = pose.rotation.as_quat(scalar_first=True)
 

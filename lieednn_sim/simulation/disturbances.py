@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError
-from lieednn_sim.validation import as_floats, as_positive, as_seed
+from lieednn_sim.validation import as_floats, as_positive, as_seed, quoted
 from lieednn_sim.values import Floats, check_fields
 
 # Number of measurements whose errors are drawn at once.
@@ -56,7 +56,8 @@ class Push:
         if found <= 0:
             names = sorted(filter(None, (model.body(i).name for i in range(1, model.nbody))))
             raise InputError(
-                f"no body {self.body!r} to push; links are: {', '.join(arm.link_names)}; bodies are: {', '.join(names)}"
+                f"no body {quoted(self.body)} to push; links are: {', '.join(arm.link_names)}; "
+                f"bodies are: {', '.join(names)}"
             )
         return found
 
@@ -94,8 +95,11 @@ class Disturbances:
 
     @classmethod
     def from_json(cls, value: Mapping[str, Any]) -> Disturbances:
-        """The inverse of `to_json`; raises KeyError, TypeError or InputError for malformed values."""
-        return cls(**{**value, "pushes": tuple(Push(**push) for push in value["pushes"])})
+        """The inverse of `to_json`; raises InputError for malformed values."""
+        try:
+            return cls(**{**value, "pushes": tuple(Push(**push) for push in value["pushes"])})
+        except (KeyError, TypeError) as error:
+            raise InputError(f"these are no disturbances: {type(error).__name__}: {error}") from None
 
 
 class Pushes:

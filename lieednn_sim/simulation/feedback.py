@@ -84,6 +84,7 @@ class Feedback:
 
     def response(self, behind: float) -> tuple[float, float]:
         """The factors s and k d [1/s] for an error e."""
+        behind = float(as_floats("behind", behind, ()))
         waiting = max(1.0 / (1.0 + (behind / self.patience) ** 2), _SLOWEST)
         return waiting, self.rate * max(0.0, 1.0 - self.tolerance / max(behind, 1e-300))
 

@@ -114,7 +114,7 @@ class Log:
     def instants(self) -> Instant:
         """All instants so far, along the first axis of every array."""
         rows, log = self._rows, {name: self._read(*pair) for name, pair in self._log.items()}
-        rotations = log["rotations"][:, self._sites].reshape(rows, -1, 3, 3)
+        rotations = log["rotations"][:, self._sites].reshape(rows, len(self._sites), 3, 3)
         contacts, contact_force = np.zeros(rows, dtype=int), np.zeros(rows)
         for row, touching, force in self._contacts:
             contacts[row], contact_force[row] = touching, force

@@ -24,7 +24,7 @@ from lieednn_sim.simulation.plant import make_plant
 from lieednn_sim.simulation.rollout import Rollout
 from lieednn_sim.simulation.simulation import QuietWarnings, Simulation
 from lieednn_sim.simulation.tracking import as_hold, as_motion, as_reference, joined, scaled, simulate
-from lieednn_sim.validation import as_choice, as_count, as_positive
+from lieednn_sim.validation import as_choice, as_count, as_positive, as_workers
 from lieednn_sim.values import Floats, frozen
 
 _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
@@ -143,7 +143,7 @@ def simulate_many(
         qd[index] = arm.rates(q[index], qvel)
         ctrl[index] = inputs.get(mujoco.mjtState.mjSTATE_CTRL, 0.0)
 
-    workers = as_count("threads", os.cpu_count() or 1 if threads is None else threads)
+    workers = as_workers("threads", os.cpu_count() or 1 if threads is None else threads)
     with QuietWarnings(), ThreadPoolExecutor(workers) as pool:
         for _ in pool.map(run, range(len(chosen))):
             pass

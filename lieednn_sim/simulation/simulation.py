@@ -17,6 +17,9 @@ from lieednn_sim.simulation.plant import make_plant
 from lieednn_sim.validation import as_count, as_floats
 from lieednn_sim.values import Floats
 
+# Steps of one call; more is an error of units.
+_MOST_STEPS = 10**7
+
 
 class Simulation:
     """A simulated arm; its state is a function of the arguments, the last reset and the controls since then.
@@ -116,10 +119,12 @@ class Simulation:
         Raises:
             SimulationError: MuJoCo warns, or the state is not finite; the message has the time.
         """
+        count = as_count("steps", steps, most=_MOST_STEPS)
+        rows = None if controls is None else as_floats("controls", controls, (count, self.model.nu))
         with QuietWarnings():
-            for k in range(as_count("steps", steps)):
-                if controls is not None:
-                    self._control[:] = controls[k]
+            for k in range(count):
+                if rows is not None:
+                    self._control[:] = rows[k]
                 self.advance_once()
 
     def advance_once(self) -> None:

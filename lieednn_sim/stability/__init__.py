@@ -8,8 +8,6 @@ from lieednn_sim.stability.certificate import (
     METHODS,
     Certificate,
     find_certificate,
-    log_scale_gradient,
-    smooth_largest,
     verify,
 )
 from lieednn_sim.stability.conditions import CONDITIONS, Condition, Verdict, assess
@@ -21,7 +19,6 @@ from lieednn_sim.stability.norms import (
     WeightedNorm,
     log_norms,
     norm_conditions,
-    scale,
     smallest_one_norm,
     weighted_norm,
 )
@@ -47,12 +44,9 @@ __all__ = [
     "invariant_box",
     "is_invariant",
     "log_norms",
-    "log_scale_gradient",
     "norm_conditions",
     "robustness",
-    "scale",
     "smallest_one_norm",
-    "smooth_largest",
     "verify",
     "verify_contraction",
     "weighted_norm",

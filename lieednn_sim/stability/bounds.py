@@ -99,7 +99,8 @@ def invariant_box(
     matrix = as_weight("weight", weight)
     n = len(matrix)
     shift = as_floats("bias", bias, (n,))
-    points = as_floats("start", start, (n,) if np.ndim(start) < 2 else ("K", n)).reshape(-1, n)
+    points = as_floats("start", start, (), batched=True)
+    points = as_floats("start", points, (n,) if points.ndim < 2 else ("K", n)).reshape(-1, n)
     if not len(points):
         raise InputError("start must hold at least one point, got shape (0, n)")
     ratio = as_ratio(gamma, mu)

@@ -18,7 +18,7 @@ from lieednn_sim.errors import InputError
 from lieednn_sim.stability.certificate import Certificate, known_or_found, verify
 from lieednn_sim.stability.contraction import Contraction, find_contraction
 from lieednn_sim.stability.norms import as_weight, frobenius, log_norms, weighted_norm
-from lieednn_sim.validation import as_floats, as_positive, as_ratio
+from lieednn_sim.validation import as_floats, as_positive, as_ratio, quoted
 from lieednn_sim.values import Floats
 
 # In hierarchical order; a verdict's level is one of these or "none".
@@ -126,7 +126,7 @@ class Verdict:
             if condition.name == name:
                 return condition
         raise InputError(
-            f"no condition {name!r}; conditions are: {', '.join(condition.name for condition in self.conditions)}"
+            f"no condition {quoted(name)}; conditions are: {', '.join(condition.name for condition in self.conditions)}"
         )
 
     def __str__(self) -> str:

@@ -76,8 +76,8 @@ def smallest_one_norm(output: ArrayLike, required: ArrayLike) -> float:
     Returns:
         The ratio; infinite when the output vanishes beside the requirement, 0 when both vanish.
     """
-    given = np.abs(as_floats("output", output, np.shape(output))).sum()
-    wanted = np.abs(as_floats("required", required, np.shape(output))).sum()
+    outputs = as_floats("output", output, (), batched=True)
+    given, wanted = np.abs(outputs).sum(), np.abs(as_floats("required", required, outputs.shape)).sum()
     if given == 0.0:
         return 0.0 if wanted == 0.0 else np.inf
     with np.errstate(over="ignore"):

@@ -185,7 +185,8 @@ def robustness(
 def _coordinates(name: str, value: ArrayLike, n: int) -> Indices:
     """The flat coordinates, out of n, that a value names: ascending, each once, at least one."""
     try:
-        given = np.unique(np.asarray(value))
+        # Looked at before it is copied.
+        given = np.empty(0) if len(value) > n else np.unique(np.asarray(value))  # type: ignore[arg-type]
     except (TypeError, ValueError):
         given = np.empty(0)
     # Masks and fractions would be taken for other coordinates.

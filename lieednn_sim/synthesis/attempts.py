@@ -29,6 +29,9 @@ _LARGEST_STACK = 2**23
 # Tried in turn: the less the quaternions move, the better the certificate survives, but the larger the translations.
 _POLISH_WEIGHTS = (0.05, 0.01, 0.001)
 
+# Some minutes of searching: where thousands of starts find nothing, more don't either.
+_MOST_ATTEMPTS = 10_000
+
 
 @dataclass(frozen=True)
 class Options:
@@ -48,7 +51,7 @@ class Options:
         as_choice("activation", self.activation, ACTIVATIONS)
         for name in ("gamma", "mu", "max_translation"):
             as_positive(name, getattr(self, name))
-        as_count("max_attempts", self.max_attempts)
+        as_count("max_attempts", self.max_attempts, most=_MOST_ATTEMPTS)
 
     @property
     def ratio(self) -> float:

@@ -13,7 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lieednn_sim.stability import log_scale_gradient, scale, smooth_largest
+from lieednn_sim.stability.certificate import log_scale_gradient, smooth_largest
+from lieednn_sim.stability.norms import scale
 from lieednn_sim.values import Floats
 
 Indices = NDArray[np.intp]

@@ -25,7 +25,7 @@ from lieednn_sim.errors import InputError
 from lieednn_sim.network.checks import as_rates
 from lieednn_sim.theory import groups
 from lieednn_sim.theory.group_network import GroupLieEDNN
-from lieednn_sim.theory.matrix_group import MatrixLieGroup
+from lieednn_sim.theory.matrix_group import MatrixLieGroup, as_numbers
 from lieednn_sim.validation import as_floats
 from lieednn_sim.values import Floats
 
@@ -122,8 +122,5 @@ def _embed(components: Floats) -> Floats:
 
 def _components(name: str, value: ArrayLike) -> Floats:
     """Real and imaginary part along a new last axis."""
-    try:
-        array = np.asarray(value, dtype=np.complex128)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"{name} must be an array of complex numbers: {error}") from None
-    return as_floats(name, np.stack([array.real, array.imag], axis=-1), (2,), batched=True)
+    array = as_numbers(name, value, (), batched=True)
+    return np.stack([array.real, array.imag], axis=-1)

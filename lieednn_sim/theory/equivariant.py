@@ -113,11 +113,11 @@ class EquivariantLieEDNN(RigidNetwork):
         return self._carrying(found, every=3)
 
     def phi(self, x: Floats) -> Floats:
-        """Activation Phi of twists ``(..., 6)``: the whole twist, scaled by tanh(||omega||)/||omega||."""
+        """Activation Phi of twists ``(..., 6)``: the whole twist, scaled by tanh(||omega||)/||omega||; unchecked."""
         return _gain(_length(x[..., :3]))[..., None] * x
 
     def phi_jacobian(self, x: Floats) -> Floats:
-        """Jacobian of `phi` on each twist, ``(..., 6)`` to ``(..., 6, 6)``: g I + X [grad g, 0]."""
+        """Jacobian of `phi` on each twist, ``(..., 6)`` to ``(..., 6, 6)``: g I + X [grad g, 0]; unchecked."""
         omega = x[..., :3]
         r = _length(omega)
         gain, gradient = _gain(r), _slope(r)[..., None] * omega
@@ -175,8 +175,10 @@ class EquivariantLieEDNN(RigidNetwork):
             translation: translation of h, ``(3,)`` or ``(N, 3)``.
         """
         n = self.n_neurons
-        turns = as_floats("rotation", rotation, (n, 3, 3) if np.ndim(rotation) == 3 else (3, 3))
-        moves = as_floats("translation", translation, (n, 3) if np.ndim(translation) == 2 else (3,))
+        turns = as_floats("rotation", rotation, (), batched=True)
+        turns = as_floats("rotation", turns, (n, 3, 3) if turns.ndim == 3 else (3, 3))
+        moves = as_floats("translation", translation, (), batched=True)
+        moves = as_floats("translation", moves, (n, 3) if moves.ndim == 2 else (3,))
         require_rotations(turns)
         q, s = np.broadcast_to(turns, (n, 3, 3)), np.broadcast_to(moves, (n, 3))
         turned = q[:, None] @ self.rotation @ np.swapaxes(q, -1, -2)

@@ -14,7 +14,7 @@ from lieednn_sim.network.base import read_only
 from lieednn_sim.network.checks import as_rates, as_strengths
 from lieednn_sim.network.componentwise import ComponentwiseNetwork, as_activation
 from lieednn_sim.theory import groups
-from lieednn_sim.theory.matrix_group import MatrixLieGroup
+from lieednn_sim.theory.matrix_group import MatrixLieGroup, as_numbers
 from lieednn_sim.validation import as_floats
 from lieednn_sim.values import Floats, frozen
 
@@ -103,7 +103,7 @@ class GroupLieEDNN(ComponentwiseNetwork):
             raise InputError(f"alpha is too small for its blocks, down to {np.abs(strengths[linked]).min():g}; use 0")
         if linked.any():
             theta[linked] = group.project_to_adjoint(quotients)
-        return cls(group, strengths, theta, np.asarray(bias), gamma, mu, activation)
+        return cls(group, strengths, theta, as_floats("bias", bias, (n, d)), gamma, mu, activation)
 
     @cached_property
     def blocks(self) -> Floats:
@@ -119,9 +119,7 @@ class GroupLieEDNN(ComponentwiseNetwork):
 
 
 def _as_elements(group: MatrixLieGroup, theta: ArrayLike, n: int) -> NDArray[Any]:
-    wanted = (n, n, group.size, group.size)
-    if np.shape(theta) != wanted:
-        raise InputError(f"theta must have shape {wanted}, got {np.shape(theta)}")
+    theta = as_numbers("theta", theta, (n, n, group.size, group.size))
     # Without a closed form `contains` misses elements that have no principal logarithm; `adjoint` refuses the worst.
     if group.membership is None:
         group.adjoint(theta)

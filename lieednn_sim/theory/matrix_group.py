@@ -51,7 +51,7 @@ class MatrixLieGroup:
     membership: Callable[[Matrices, float], Booleans] | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
-        basis = _as_numbers("basis", self.basis, ("d", "m", "m"))
+        basis = as_numbers("basis", self.basis, ("d", "m", "m"))
         if 0 in basis.shape:
             raise InputError(f"the basis of {self.name} must not be empty, got shape {basis.shape}")
         basis.flags.writeable = False
@@ -271,7 +271,7 @@ class MatrixLieGroup:
 
     def _matrices(self, name: str, value: ArrayLike) -> Matrices:
         if np.iscomplexobj(self.basis):
-            return _as_numbers(name, value, (self.size, self.size), batched=True).astype(np.complex128)
+            return as_numbers(name, value, (self.size, self.size), batched=True).astype(np.complex128)
         return as_floats(name, value, (self.size, self.size), batched=True)
 
 
@@ -287,10 +287,11 @@ def _logarithms(g: Matrices) -> Matrices:
         return np.stack(flat).reshape(g.shape)
 
 
-def _as_numbers(name: str, value: ArrayLike, shape: tuple[int | str, ...], *, batched: bool = False) -> Matrices:
+def as_numbers(name: str, value: ArrayLike, shape: tuple[int | str, ...], *, batched: bool = False) -> Matrices:
     """A checked copy, complex where ``value`` is."""
     try:
-        array = np.asarray(value)
+        # A long range would be written out.
+        array = np.empty(0) if isinstance(value, range) else np.asarray(value)
         is_complex = np.iscomplexobj(array)
     except (TypeError, ValueError):
         is_complex = False

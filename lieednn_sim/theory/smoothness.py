@@ -87,8 +87,8 @@ def curvature(xi_dot: ArrayLike, xi_ddot: ArrayLike) -> Floats:
         xi_dot: first derivatives, any shape.
         xi_ddot: second derivatives, the same shape.
     """
-    first = as_floats("xi_dot", xi_dot, np.shape(xi_dot), largest=_LARGEST_SLOPE)
-    second = as_floats("xi_ddot", xi_ddot, np.shape(xi_dot))
+    first = as_floats("xi_dot", xi_dot, (), batched=True, largest=_LARGEST_SLOPE)
+    second = as_floats("xi_ddot", xi_ddot, first.shape)
     # hypot keeps large velocities from overflowing where the curvature is merely small.
     steepness = np.hypot(1.0, first)
     return np.abs(second) / steepness / steepness / steepness

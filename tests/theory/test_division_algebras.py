@@ -162,7 +162,7 @@ def test_no_links_at_all():
         (lambda: complex_network(np.ones((2, 3)), np.ones(2)), "weights must have shape"),
         (lambda: complex_network(np.ones((2, 2)), np.ones(3)), r"bias must have shape \(2, 2\)"),
         (lambda: complex_network([[np.nan]], [0.0]), "weights must be finite"),
-        (lambda: complex_network([["a"]], [0.0]), "weights must be an array of complex numbers"),
+        (lambda: complex_network([["a"]], [0.0]), "weights must be an array of numbers"),
         (lambda: complex_network(np.zeros((0, 0)), np.zeros(0)), "N >= 1"),
         (lambda: complex_network([[1.0]], [0.0], gamma=0.0), "gamma must be positive"),
         (lambda: quaternion_network(np.ones((2, 2)), np.ones((2, 4))), r"weights must have shape \(N, N, 4\)"),

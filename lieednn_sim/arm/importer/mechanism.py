@@ -16,7 +16,7 @@ from lieednn_sim.arm.importer.ranges import joint_ranges
 from lieednn_sim.arm.importer.serial_chain import body_frame, is_gripper, joint_groups, longest_chain, named_frames
 from lieednn_sim.arm.importer.stages import find_couplings
 from lieednn_sim.errors import InputError
-from lieednn_sim.validation import as_choice, as_floats
+from lieednn_sim.validation import as_choice, as_floats, quoted
 
 _SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 _SAME = 1e-3  # controls this close to a position hold it [rad, m]
@@ -41,7 +41,7 @@ def choose_posture(draft: Draft) -> None:
     if draft.keyframe is not None and draft.keyframe not in choice:
         why = " with positions" if draft.keyframe in names else ""
         known = ", ".join(map(repr, reversed(choice))) or "none"
-        raise InputError(f"no keyframe {draft.keyframe!r}{why}; keyframes of the model: {known}")
+        raise InputError(f"no keyframe {quoted(draft.keyframe)}{why}; keyframes of the model: {known}")
     if choice:
         name = draft.keyframe or ("home" if "home" in choice else names[draft.keyframes[0]])
         draft.posture, draft.qpos = f"keyframe {name!r}", model.key_qpos[choice[name]].copy()

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.importer.stages import tendon_joints, tied_joints
 from lieednn_sim.errors import InputError
+from lieednn_sim.validation import quoted
 from lieednn_sim.values import Floats
 
 _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
@@ -47,7 +48,8 @@ def find_frame(model: mujoco.MjModel, name: str) -> Frame:
         bodies = [model.body(i).name for i in range(model.nbody)]
         sites = [model.site(i).name for i in range(model.nsite)]
         raise InputError(
-            f"no body or site {name!r}; bodies: {_listed(bodies)}; sites: {_listed(sites) if any(sites) else 'none'}"
+            f"no body or site {quoted(name)}; bodies: {_listed(bodies)}; "
+            f"sites: {_listed(sites) if any(sites) else 'none'}"
         )
     return Frame(name, int(model.site_bodyid[site]), model.site_pos[site].copy(), model.site_quat[site].copy())
 

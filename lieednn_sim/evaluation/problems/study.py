@@ -32,7 +32,7 @@ from lieednn_sim.planning.baselines.sampling import RrtConnectOptions
 from lieednn_sim.planning.motion import Motion, least_duration
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.shaped import ShapedOptions
-from lieednn_sim.validation import as_choice, as_count
+from lieednn_sim.validation import as_choice, as_count, as_workers
 from lieednn_sim.values import Floats
 
 SKIPPED = "skipped"
@@ -214,7 +214,7 @@ def solve_problems(
         InputError: an unknown planner or a number out of range.
         LieEDNNError: a planner is not installed, or a worker process died.
     """
-    workers = as_count("jobs", jobs)
+    workers = as_workers("jobs", jobs)
     chosen = [as_choice("planner", name, planners()) for name in dict.fromkeys(names)]
     for name, reason in missing_planners().items():
         if name in chosen:

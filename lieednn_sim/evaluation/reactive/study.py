@@ -19,7 +19,7 @@ from lieednn_sim.evaluation.reactive.leaders import LEADERS
 from lieednn_sim.evaluation.study import complete
 from lieednn_sim.evaluation.summary import escaped, table_head, table_line
 from lieednn_sim.evaluation.table import Rows
-from lieednn_sim.validation import as_count
+from lieednn_sim.validation import as_count, as_workers
 
 METHOD = (
     "From home to random reachable targets with feedback at 100 Hz and inverse-dynamics servos, for 7 s. After 35 % of"
@@ -74,7 +74,7 @@ def compare_reactions(
         FileError: see `Rows`.
         LieEDNNError: a worker process died, or the executor gave up.
     """
-    workers, count = as_count("jobs", jobs), as_count("seeds", seeds)
+    workers, count = as_workers("jobs", jobs), as_count("seeds", seeds)
     record(filesystem.make_directory(directory), entries)
     table = ReactionTable(directory)
     # Seeds first, so that an early stop leaves all leaders on all arms.

@@ -20,7 +20,7 @@ from lieednn_sim.evaluation.statistics import grouped
 from lieednn_sim.evaluation.table import Table
 from lieednn_sim.rendering.ffmpeg import count_frames, read_frame
 from lieednn_sim.rendering.video import render_video
-from lieednn_sim.validation import as_count
+from lieednn_sim.validation import as_count, quoted
 
 # Size [pixels] and frame rate [1/s] of clips, and the share of a clip at which its poster is taken.
 SIZE = (480, 270)
@@ -91,7 +91,7 @@ def film(
     """
     row = table.rows.get((case.arm, case.scene, case.planner, controller, case.seed))
     if row is None:
-        raise InputError(f"the table has no case {case} with {controller}; compare it first")
+        raise InputError(f"the table has no case {quoted(str(case))} with {quoted(controller)}; compare it first")
     if row.tracking_rms_mm is None:
         raise InputError(f"case {case} has nothing to show: {row.reason}")
     directory = filesystem.make_directory(table.directory / "videos")

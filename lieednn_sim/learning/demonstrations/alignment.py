@@ -18,6 +18,7 @@ from lieednn_sim.values import Floats, frozen
 PHASES = ("length", "time")
 # Metres that a radian counts for: 2 mm and 0.5 degrees weigh about the same.
 LEVER = 0.2
+_MOST_SAMPLES = 100_000
 
 
 @frozen
@@ -88,11 +89,13 @@ class Demonstrations:
         """All but one, with times unchanged."""
         if len(self) < 2:
             raise InputError("one demonstration cannot be left out of one")
-        return replace(self, twists=np.delete(self.twists, index, axis=0))
+        kept = np.arange(len(self)) != as_count("index", index, 0, len(self) - 1)
+        return replace(self, twists=self.twists[kept])
 
     def only(self, index: int) -> Demonstrations:
         """A single one, with times unchanged."""
-        return replace(self, twists=self.twists[index : index + 1])
+        chosen = as_count("index", index, 0, len(self) - 1)
+        return replace(self, twists=self.twists[chosen : chosen + 1])
 
     def to_world(self, twists: Floats) -> RigidTransform:
         """World poses of twists ``(..., 6)``."""
@@ -118,7 +121,7 @@ def align(
     """
     as_choice("phase", phase, PHASES)
     lever = as_positive("lever", lever)
-    shares = np.linspace(0.0, 1.0, as_count("samples", samples, least=2))
+    shares = np.linspace(0.0, 1.0, as_count("samples", samples, 2, _MOST_SAMPLES))
     if not demonstrations or len({one.dof for one in demonstrations}) > 1:
         raise InputError("align needs at least one demonstration, and all must show the same")
     twists, times = [], []

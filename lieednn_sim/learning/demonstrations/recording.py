@@ -143,5 +143,6 @@ class Demonstration:
 
     def steps(self, lever: float) -> Floats:
         """Lengths ``(K - 1,)`` of the way from each sample to the next [m]; a radian counts as much as ``lever``."""
+        lever = as_positive("lever", lever)
         turns = Rotation.from_matrix(self.rotation[1:] @ self.rotation[:-1].swapaxes(1, 2)).magnitude()
         return np.hypot(np.linalg.norm(np.diff(self.position, axis=0), axis=1), lever * turns)

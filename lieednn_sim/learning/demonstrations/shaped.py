@@ -17,7 +17,7 @@ from lieednn_sim.learning.demonstrations.models import run_field
 from lieednn_sim.learning.demonstrations.warping import warp
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.synthesis import Shaping, ShapingOptions, shape
-from lieednn_sim.validation import as_positive
+from lieednn_sim.validation import as_floats, as_positive
 from lieednn_sim.values import Floats, frozen
 
 # Default of the requested deviation, in extents of the demonstrations.
@@ -92,6 +92,8 @@ class ShapedMotion:
 
         After the demonstrations' duration the network runs on at its mean pace.
         """
+        start = as_floats("start", start, (6,), batched=True)
+        t = as_floats("t", t, ("K",))
         pace = self.tau[-1] / self.t[-1]
         tau = np.where(t > self.t[-1], self.tau[-1] + pace * (t - self.t[-1]), np.interp(t, self.t, self.tau))
         return twist_of(self._run(displacement(start).reshape(-1, 6), tau)).reshape(*start.shape[:-1], len(t), 6)

@@ -11,6 +11,7 @@ from lieednn_sim.arm.contacts import ContactFinder, moving_geoms
 from lieednn_sim.lie import continued
 from lieednn_sim.planning.motion import Motion, check_joints
 from lieednn_sim.planning.problem import PlanningProblem
+from lieednn_sim.validation import as_floats
 from lieednn_sim.values import Floats
 
 # Degree of the planners' splines, with continuous derivatives up to the fourth: smooth curvature, and continuous jerk
@@ -151,12 +152,13 @@ def unchecked_motion(problem: PlanningProblem, q: Floats, qd: Floats, progress: 
     """As `joint_motion`, without checks of limits and contact."""
     (q, qd), arm = _at_rest(problem, q, qd), problem.arm
     none, xi = np.zeros((len(q), arm.n_links)), continued(arm.encode(q))
-    return Motion(problem.times(), progress, xi, xi[-1], q, qd, none, none.copy())
+    return Motion(problem.times(), as_floats("progress", progress, (len(q),)), xi, xi[-1], q, qd, none, none.copy())
 
 
 def _at_rest(problem: PlanningProblem, q: Floats, qd: Floats) -> tuple[Floats, Floats]:
     """The same with exact ends: rounding might miss them, and exceed a limit there."""
-    q, qd = q.copy(), qd.copy()
+    shape = (len(problem.times()), problem.arm.n_joints)
+    q, qd = as_floats("q", q, shape).copy(), as_floats("qd", qd, shape).copy()
     q[0], q[-1] = problem.start, problem.target
     qd[[0, -1]] = 0.0
     return q, qd

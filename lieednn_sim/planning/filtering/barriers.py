@@ -18,6 +18,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.arm.collision import Collisions, Distances
 from lieednn_sim.errors import InputError
 from lieednn_sim.planning.options import PlannerOptions
+from lieednn_sim.validation import quoted
 from lieednn_sim.values import Floats
 
 # Share of the accelerations available to brake before an obstacle: several constraints may need them, and normals turn.
@@ -79,7 +80,7 @@ class Barrier(ABC):
 
     def name(self, row: int) -> str:
         """Name of one of the last `values`, for messages about what holds the arm back."""
-        return f"{type(self).__name__} {row}"
+        return f"{type(self).__name__} {quoted(row)}"
 
 
 class ApproachBounds:

@@ -114,7 +114,8 @@ def run_filtered(
         PlanError: the network has no equilibrium that the arm can be at, or does not arrive there by itself.
     """
     factor, n = as_positive("longest", longest), arm.n_joints
-    passed = as_floats("via", np.reshape(via, (-1, n)) if np.size(via) == 0 else via, ("V", n))
+    passed = as_floats("via", via, (), batched=True)
+    passed = as_floats("via", passed if passed.size else passed.reshape(0, n), ("V", n))
     q, v = arm.check_position(start, "start"), np.zeros(n)
     require_fit(arm, network)
     equilibrium = network.equilibrium(network.start(arm.encode(q)))

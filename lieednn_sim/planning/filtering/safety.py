@@ -112,7 +112,9 @@ class SafetyFilter:
         Raises:
             InputError: something touches at a position.
         """
-        reached = np.array(positions)
+        reached = np.array([as_floats("positions", q, (self.arm.n_joints,)) for q in positions])
+        if not len(reached):
+            return
         for barrier in self.barriers:
             barrier.allow(reached)
         for limit in self.limits:

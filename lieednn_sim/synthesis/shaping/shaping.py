@@ -187,7 +187,7 @@ def shape(
 def as_curve(curves: ArrayLike | Sequence[ArrayLike], units: ArrayLike, spread: ArrayLike | None = None) -> Curve:
     """The curve through samples ``(K, N, 6)``, or the mean of several; raises as `shape`."""
     alone = isinstance(curves, np.ndarray) and curves.ndim == 3
-    if not alone and not isinstance(curves, Sequence | np.ndarray):
+    if not isinstance(curves, Sequence | np.ndarray) or (isinstance(curves, np.ndarray) and curves.ndim == 0):
         raise InputError(f"curves must be an array (K, N, 6) or a sequence of such arrays, got {quoted(curves)}")
     several: Sequence[Any] = [curves] if alone else curves  # type: ignore[assignment]
     if len(several) == 0:
@@ -197,7 +197,9 @@ def as_curve(curves: ArrayLike | Sequence[ArrayLike], units: ArrayLike, spread: 
     if n == 0 or any(one.shape[1] != n or len(one) < 2 for one in checked):
         raise InputError("curves must have at least two samples each, and all the same number N >= 1 of neurons")
     try:
-        scale = as_floats("units", np.broadcast_to(np.asarray(units), (n, 6)), (n, 6)).copy()
+        scale = as_floats("units", np.broadcast_to(as_floats("units", units, (), batched=True), (n, 6)), (n, 6)).copy()
+    except InputError:
+        raise
     except ValueError as error:
         raise InputError(f"units must be positive numbers of a shape that broadcasts to ({n}, 6): {error}") from None
     if not (scale > 0.0).all():

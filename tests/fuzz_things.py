@@ -1,0 +1,160 @@
+"""Small good values of the package's classes, by the names of the classes, for `fuzz_public`."""
+
+from __future__ import annotations
+
+import functools
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+import lieednn_sim as ls
+from lieednn_sim import arm, evaluation, learning, planning, simulation, stability, synthesis, theory
+from lieednn_sim.arm.collision import Collisions
+from lieednn_sim.environments import gymnasium, suite, tasks
+from lieednn_sim.environments.expert import Expert
+from lieednn_sim.evaluation.report import Clip
+from lieednn_sim.evaluation.shards import Shard
+from lieednn_sim.learning import demonstrations
+from lieednn_sim.planning import filtering
+from lieednn_sim.rendering import opengl
+from lieednn_sim.rendering.video import Camera
+from lieednn_sim.simulation.tracking import as_reference
+
+_TWO_HINGES = """
+<mujoco><worldbody><body name="one"><joint name="a" range="-90 90"/><geom size="0.1"/>
+  <body name="two" pos="0.3 0 0"><joint name="b" axis="0 1 0" range="-90 90"/><geom size="0.1"/></body>
+</body></worldbody></mujoco>
+"""
+# Calls change these: a new one is made for each.
+CHANGING = {"Environment", "VectorEnvironment", "Reach", "Track", "Expert", "ControlEnvironment", "Camera", "Table"}
+CHANGING |= {"Simulation", "Log", "MjSpec", "Controller"}
+
+
+@functools.cache
+def thing(name: str) -> Any:
+    """A value of a class; None if there is no maker of it."""
+    return MAKERS[name]() if name in MAKERS else None
+
+
+def fresh(name: str) -> Any:
+    """As `thing`, but new if calls change it."""
+    return MAKERS[name]() if name in CHANGING else thing(name)
+
+
+def home() -> Any:
+    return thing("Arm").keyframe("home")
+
+
+def furnish() -> None:
+    """Files in the working directory, which calls name."""
+    Path("folder").mkdir(exist_ok=True)
+    Path("file.txt").write_text("0 0\n1 1\n2 4\n")
+    np.savez("file.npz", a=np.zeros(2))
+    Path("two.xml").write_text(_TWO_HINGES)
+
+
+def _demonstration() -> Any:
+    s = np.linspace(0.0, 1.0, 9)
+    return demonstrations.Demonstration.from_samples(np.stack([s, s * s], axis=1))
+
+
+def _table() -> Any:
+    table = evaluation.Table(tempfile.mkdtemp(dir="."), thing("Settings"))
+    table.add([thing("Row")])
+    return table
+
+
+def _equivariant() -> Any:
+    turns = np.tile(np.eye(3), (2, 2, 1, 1))
+    return theory.EquivariantLieEDNN(0.1 * np.eye(2), turns, np.zeros((2, 2, 3)), np.zeros((2, 6)))
+
+
+def _instant() -> Any:
+    log = fresh("Log")
+    log.step()
+    return log.instants()
+
+
+MAKERS: dict[str, Callable[[], Any]] = {
+    "Arm": lambda: arm.Arm.load("telescopic_pr"),
+    "MjSpec": lambda: thing("Arm").spec.copy(),
+    "MjModel": lambda: thing("Arm").model,
+    "MjData": lambda: mujoco.MjData(thing("Arm").model),
+    "ImportReport": lambda: arm.import_arm("two.xml")[1],
+    "Retraction": lambda: thing("Arm").decode(thing("Arm").encode(home())),
+    "Collisions": lambda: Collisions(thing("Arm")),
+    "RigidTransform": lambda: thing("Arm").link_poses(home()),
+    "Rotation": lambda: thing("RigidTransform").rotation[0],
+    "Synthesis": lambda: synthesis.synthesize(0.5 * thing("Arm").encode(home())),
+    **dict.fromkeys(("LieEDNN", "ComponentwiseNetwork", "BlockNetwork"), lambda: thing("Synthesis").network),
+    "Verdict": lambda: thing("LieEDNN").assess(),
+    "Condition": lambda: thing("Verdict").conditions[0],
+    "Certificate": lambda: thing("LieEDNN").certificate,
+    "Contraction": lambda: thing("Verdict").contraction,
+    "Robustness": lambda: thing("LieEDNN").robustness(),
+    "Guarantee": lambda: thing("Robustness").guarantees[0],
+    "LogNorms": lambda: stability.log_norms(np.eye(2)),
+    "NormConditions": lambda: stability.norm_conditions(np.eye(2), 0.5),
+    "WeightedNorm": lambda: stability.weighted_norm(np.eye(2)),
+    "MatrixLieGroup": lambda: theory.group("SO(3)"),
+    "GroupLieEDNN": lambda: theory.complex_network(0.1 * np.eye(2), np.ones(2)),
+    "EquivariantLieEDNN": _equivariant,
+    "SmoothnessBounds": lambda: theory.smoothness_bounds(0.1 * np.eye(2), np.ones(2), 1.0, gamma=1.0, mu=1.0),
+    "ShapingOptions": lambda: synthesis.ShapingOptions(neurons=(1,), placed=(2,), iterations=2),
+    "Shaping": lambda: thing("ShapedMotion").shaping,
+    "Demonstration": _demonstration,
+    "Demonstrations": lambda: demonstrations.align([thing("Demonstration")] * 2, samples=9),
+    "ShapedMotion": lambda: demonstrations.ShapedMotion.fit(thing("Demonstrations"), 0.1, thing("ShapingOptions")),
+    "TrainingOptions": lambda: learning.TrainingOptions.tracked(max_epochs=3),
+    "RiemannianOptions": lambda: learning.RiemannianOptions(max_start_epochs=3, restarts=0),
+    "TrainingResult": lambda: learning.train(0.1 * np.ones((1, 6)), thing("TrainingOptions")),
+    "History": lambda: thing("TrainingResult").history,
+    "StopReason": lambda: thing("TrainingResult").reason,
+    "Sensitivity": lambda: learning.sensitivity(thing("LieEDNN"), 0.4 * thing("Arm").encode(home())),
+    "Plan": lambda: ls.plan(thing("Arm"), 0.99 * home(), planner="minimum-jerk", duration=0.5, longest=20.0),
+    "Motion": lambda: thing("Plan").motion,
+    "Planner": lambda: planning.PLANNERS["minimum-jerk"],
+    **{name: getattr(planning, name) for name in planning.__all__ if name.endswith("Options")},
+    "PlannerOptions": planning.CertifiedOptions,
+    "PlanningProblem": lambda: planning.PlanningProblem(thing("Arm"), home(), 0.99 * home(), 0.5),
+    "FilterOptions": filtering.FilterOptions,
+    "SafetyFilter": lambda: filtering.SafetyFilter(thing("Arm"), 0.01),
+    "FilterStep": lambda: thing("SafetyFilter").step(home(), 0.0 * home(), 0.0 * home()),
+    "FilteredRun": lambda: filtering.run_filtered(thing("Arm"), thing("LieEDNN"), home(), 1.0, timestep=0.05),
+    "Limit": lambda: thing("SafetyFilter").limits[0],
+    "Barrier": lambda: thing("SafetyFilter").barriers[0],
+    "Rollout": lambda: ls.simulate(thing("Arm"), thing("Plan"), hold=0.0),
+    "Rollouts": lambda: ls.simulate_many(thing("Arm"), [thing("Plan")] * 2, hold=0.0, threads=1),
+    "Disturbances": lambda: ls.Disturbances(payload=0.1),
+    "Push": lambda: ls.Push("link 1", (1.0, 0.0, 0.0), 0.0, 0.1),
+    "Simulation": lambda: simulation.Simulation(thing("Arm")),
+    "Log": lambda: simulation.Log(fresh("Simulation")),
+    "Instant": _instant,
+    "Following": lambda: ls.follow(thing("Arm"), thing("LieEDNN"), home()[None], 0.1),
+    "Feedback": simulation.Feedback,
+    "Reference": lambda: as_reference(thing("Arm"), thing("Motion"), 1, None),
+    "Controller": lambda: simulation.CONTROLLERS["position-servo"](thing("Arm"), thing("Reference")),
+    "Evaluation": lambda: ls.evaluate(thing("Rollout")),
+    "Settings": lambda: evaluation.Settings(duration=0.5, hold=0.0),
+    "Selection": lambda: evaluation.Selection(
+        ("minimum-jerk",), ("telescopic_pr",), ("free",), ("position-servo",), seeds=1
+    ),
+    "Case": lambda: evaluation.Case("telescopic_pr", "free", "minimum-jerk", 0),
+    "Row": lambda: evaluation.run_case(thing("Case"), ["position-servo"], thing("Settings"))[0],
+    "Table": _table,
+    "Shard": lambda: Shard(1, 2),
+    "Clip": lambda: Clip(thing("Row"), Path("file.npz"), b"1"),
+    "Environment": lambda: gymnasium.Environment(time_limit=0.1),
+    "VectorEnvironment": lambda: gymnasium.VectorEnvironment(2, threads=1, time_limit=0.1),
+    "Reach": lambda: tasks.Reach(time_limit=0.1),
+    "Track": lambda: tasks.Track(time_limit=0.1),
+    "ArmTask": lambda: thing("Reach"),
+    "Expert": lambda: Expert(fresh("Track")),
+    "ControlEnvironment": lambda: suite.load(random=0, time_limit=0.1),
+    "Camera": lambda: Camera(thing("Arm"), size=(64, 48)),
+    "Backend": opengl.choose_backend,
+}
