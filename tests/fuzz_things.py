@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 
 import lieednn_sim as ls
-from lieednn_sim import arm, evaluation, learning, planning, simulation, stability, synthesis, theory
+from lieednn_sim import arm, evaluation, learning, network, planning, simulation, stability, synthesis, theory
 from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.environments import gymnasium, suite, tasks
 from lieednn_sim.environments.expert import Expert
@@ -91,6 +91,7 @@ MAKERS: dict[str, Callable[[], Any]] = {
     "Rotation": lambda: thing("RigidTransform").rotation[0],
     "Synthesis": lambda: synthesis.synthesize(0.5 * thing("Arm").encode(home())),
     **dict.fromkeys(("LieEDNN", "ComponentwiseNetwork", "BlockNetwork"), lambda: thing("Synthesis").network),
+    "Activation": lambda: network.ACTIVATIONS["arctan"],
     "Verdict": lambda: thing("LieEDNN").assess(),
     "Condition": lambda: thing("Verdict").conditions[0],
     "Certificate": lambda: thing("LieEDNN").certificate,

@@ -41,19 +41,32 @@ class Activation:
 
     def __post_init__(self) -> None:
         x, h = _SAMPLES, _DIFFERENCE
-        value, slope = np.asarray(self.phi(x)), np.asarray(self.slope(x))
-        measured = (self.phi(x + h) - self.phi(x - h)) / (2.0 * h)
-        fits = [np.abs(value + self.phi(-x)), np.abs(slope - measured)]
+        value, slope = _values("phi", self.phi, x), _values("slope", self.slope, x)
+        measured = (_values("phi", self.phi, x + h) - _values("phi", self.phi, x - h)) / (2.0 * h)
+        fits = [np.abs(value + _values("phi", self.phi, -x)), np.abs(slope - measured)]
         if self.slope_of_output is not None:
-            fits.append(np.abs(slope - self.slope_of_output(value)))
+            fits.append(np.abs(slope - _values("slope_of_output", self.slope_of_output, value)))
         if not all((fit < _TOLERANCE).all() for fit in fits):
             raise InputError("an activation must be odd, and its slopes must be those of its values")
         if not ((slope > 0.0) & (slope <= 1.0)).all():
             raise InputError(f"slopes of an activation must be in (0, 1], got {slope.min():.3g} to {slope.max():.3g}")
 
     def slope_at(self, x: Floats, output: Floats) -> Floats:
-        """The slope at ``x``, where the function has the value ``output``."""
+        """The slope at ``x``, where the function has the value ``output``; unchecked."""
         return self.slope(x) if self.slope_of_output is None else self.slope_of_output(output)
+
+
+def _values(name: str, function: Callable[[Floats], Floats], x: Floats) -> Floats:
+    """What a function of the user makes of an array, if that is an array alike; else `InputError`."""
+    try:
+        with np.errstate(all="ignore"):
+            return as_floats(f"{name} of an array", function(x), x.shape)
+    except InputError:
+        raise
+    except Exception as error:
+        raise InputError(
+            f"{name} must be a function of an array, which raised {type(error).__name__}: {error}"
+        ) from None
 
 
 ACTIVATIONS: dict[str, Activation] = {
