@@ -2,9 +2,23 @@
 
 from __future__ import annotations
 
+import gc
+import weakref
+
 import benchmark_memory
+import pytest
 
 from lieednn_sim.evaluation import workers
+from lieednn_sim.evaluation.cases import Settings, run_case
+from lieednn_sim.evaluation.rows import Case
+
+
+@pytest.fixture
+def collector_off():
+    gc.collect()
+    gc.disable()
+    yield
+    gc.enable()
 
 
 def test_memory_is_read_after_shares_of_the_cases(tmp_path, capsys):
@@ -25,3 +39,33 @@ def test_memory_is_given_back_after_each_task_even_if_it_fails(monkeypatch):
     except ZeroDivisionError:
         given.append("failed")
     assert given == [0, 0, "failed"]
+
+
+def test_cycles_are_collected_after_each_task(collector_off):
+    class Ring:
+        pass
+
+    def task():
+        ring = Ring()
+        ring.itself = ring
+        return weakref.ref(ring)
+
+    assert task()() is not None
+    assert workers.released(task)() is None
+
+
+def test_neither_search_nor_controllers_leave_reference_cycles_that_hold_native_memory(collector_off):
+    settings, case = Settings(duration=2.0, hold=0.0), Case("telescopic_pr", "poles", "rrt-connect", 0)
+    names = ["inverse-dynamics", "computed-torque", "mocap"]
+    run_case(case, names, settings)  # what is made once
+    gc.collect()
+    rows = run_case(case, names, settings)
+    gc.set_debug(gc.DEBUG_SAVEALL)
+    gc.collect()
+    gc.set_debug(0)
+    left = {type(thing).__module__ for thing in gc.garbage}
+    gc.garbage.clear()
+    assert [row.success for row in rows] == [True] * len(names)
+    # Cycles through a caught exception are Python's own, and short-lived.
+    native = ("lieednn_sim.simulation.controllers", "lieednn_sim.planning.baselines.search_space", "nanobind", "mujoco")
+    assert not {name for name in left if name.startswith(native)}

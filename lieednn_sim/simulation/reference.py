@@ -130,22 +130,21 @@ class Foreseen:
 
     Args:
         reference: the reference; computed rows are discarded when more of it becomes known.
-        rows: function that returns the rows of a range of steps, as an array or a list.
     """
 
-    def __init__(self, reference: Reference, rows: Callable[[range], Any]) -> None:
-        self._reference, self._make = reference, rows
+    def __init__(self, reference: Reference) -> None:
+        self._reference = reference
         self._revision, self._steps = -1, range(0)
         self._rows: Any = ()
 
-    def __getitem__(self, step: int) -> Any:
-        """The row of a step."""
+    def row(self, step: int, make: Callable[[range], Any]) -> Any:
+        """The row of a step; ``make`` returns the rows of a range of steps, as an array or a list."""
         reference = self._reference
         if self._revision != reference.revision or step not in self._steps:
             # The last known row serves as the goal of the step before it.
             end = max(min(step + AHEAD, reference.known - 1), step + 1)
             self._revision, self._steps = reference.revision, range(step, end)
-            self._rows = self._make(self._steps)
+            self._rows = make(self._steps)
         return self._rows[step - self._steps.start]
 
 

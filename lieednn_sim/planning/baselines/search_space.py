@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from functools import lru_cache
+from functools import cache, lru_cache
 from typing import Any
 
 import numpy as np
@@ -108,13 +108,9 @@ class SearchSpace:
             bounds.setHigh(joint, float(high))
         self._space.setBounds(bounds)
 
-        class Edges(base.MotionValidator):  # type: ignore[misc,name-defined]
-            def checkMotion(self, first: Any, second: Any) -> bool:
-                return edges.passable(np.array(first[0:n]), np.array(second[0:n]))
-
         self.information = base.SpaceInformation(self._space)
         self.information.setStateValidityChecker(lambda state: edges.free(np.array(state[0:n])))
-        self.information.setMotionValidator(Edges(self.information))
+        self.information.setMotionValidator(_validator_class()(self.information, edges))
         self.information.setup()
 
     def state(self, point: Floats) -> Any:
@@ -143,6 +139,20 @@ class SearchSpace:
             corners = corners[::-1].copy()
         corners[0], corners[-1] = problem.start, problem.target
         return corners
+
+
+@cache
+def _validator_class() -> type[Any]:
+    # Made once, since each class is a reference cycle, which would keep its problem until cycles are collected.
+    class EdgeValidator(optional_module("ompl.base").MotionValidator):  # type: ignore[misc]
+        def __init__(self, information: Any, edges: EdgeTest) -> None:
+            super().__init__(information)
+            self._edges, self._n = edges, len(edges.scale)
+
+        def checkMotion(self, first: Any, second: Any) -> bool:
+            return self._edges.passable(np.array(first[0 : self._n]), np.array(second[0 : self._n]))
+
+    return EdgeValidator
 
 
 @lru_cache(maxsize=4096)

@@ -88,7 +88,7 @@ class FeedforwardServo(DriveController):
     def __init__(self, arm: Arm, reference: Reference) -> None:
         super().__init__(arm, reference)
         self._actuators.require_servos()
-        self._foreseen = Foreseen(reference, self.controls)
+        self._foreseen = Foreseen(reference)
 
     def equip(self, plant: mujoco.MjModel) -> None:
         """See `Controller`."""
@@ -107,7 +107,7 @@ class FeedforwardServo(DriveController):
 
     def act(self, data: mujoco.MjData, step: int, noise: Noise) -> None:
         """See `Controller`."""
-        data.ctrl[:] = self._foreseen[step]
+        data.ctrl[:] = self._foreseen.row(step, self.controls)
         if noise.present:
             data.ctrl += self._actuators.measurement_error(noise)
 
@@ -179,7 +179,7 @@ class ComputedTorque(DriveController):
         self._inverse = _InverseDynamics(arm.model)
         self._model = self._inverse.model
         self._actuators.make_direct(self._model)
-        self._foreseen = Foreseen(reference, self._goals)
+        self._foreseen = Foreseen(reference)
         self._turning = arm.model.nq > arm.model.nv
         # Gains of velocity and position, as arrays: multiplying by numbers takes twice as long.
         self._gains = np.full((2, arm.model.nv), [[2.0 * _OMEGA], [_OMEGA**2]])
@@ -199,7 +199,7 @@ class ComputedTorque(DriveController):
     def act(self, data: mujoco.MjData, step: int, noise: Noise) -> None:
         """See `Controller`."""
         inverse, lag, error = self._inverse, self._lag, self._error
-        goal, velocity, acceleration = self._foreseen[step]
+        goal, velocity, acceleration = self._foreseen.row(step, self._goals)
         np.add(data.qvel, noise.velocity, inverse.velocity)
         if self._turning:
             # Even without noise this normalises quaternions.

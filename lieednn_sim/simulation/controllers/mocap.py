@@ -44,7 +44,7 @@ class MocapWelds(Controller):
         self._arm, self._reference = arm, reference
         self._solref, self._lead = self._weld(reference)
         self._scratch = mujoco.MjData(arm.model)
-        self._foreseen = Foreseen(reference, self.mocap_poses)
+        self._foreseen = Foreseen(reference)
         self._ids: NDArray[np.int_] = np.zeros(0, dtype=int)
         self._equalities = -1
 
@@ -101,7 +101,7 @@ class MocapWelds(Controller):
 
     def act(self, data: mujoco.MjData, step: int, noise: Noise) -> None:
         """Place the mocap bodies at the reference a lead ahead."""
-        poses = self._foreseen[step]
+        poses = self._foreseen.row(step, self.mocap_poses)
         data.mocap_pos[self._ids], data.mocap_quat[self._ids] = poses[:, :3], poses[:, 3:]
 
     def sample(self, data: mujoco.MjData) -> Floats:
