@@ -6,7 +6,7 @@ import csv
 import json
 import os
 import zlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, fields
 from pathlib import Path
 from typing import IO, Any, Generic, TypeVar
@@ -82,7 +82,7 @@ class Rows(Generic[R]):
             self._rows = read_rows(self.csv, self._kind)
         return self._rows
 
-    def add(self, rows: Iterable[R]) -> None:
+    def add(self, rows: Sequence[R]) -> None:
         """Append rows to the file."""
         texts = [_with_checksum(row) for row in rows]
         self._rows = None

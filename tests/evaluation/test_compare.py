@@ -217,7 +217,7 @@ def test_a_table_cut_anywhere_keeps_its_whole_rows_and_grows_to_the_same(finishe
         table = Table(tmp_path, QUICK)
         assert len(table.rows) == whole[:cut].count(b"\n") - 1
         # A row is on disk once it is added, without a save.
-        table.add(row for key, row in rows.items() if key not in table.rows)
+        table.add([row for key, row in rows.items() if key not in table.rows])
         assert read_rows(path) == rows
         table.save()
         assert path.read_bytes() == whole

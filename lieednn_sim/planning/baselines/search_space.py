@@ -110,7 +110,7 @@ class SearchSpace:
 
         self.information = base.SpaceInformation(self._space)
         self.information.setStateValidityChecker(lambda state: edges.free(np.array(state[0:n])))
-        self.information.setMotionValidator(_validator_class()(self.information, edges))
+        self.information.setMotionValidator(_validator_class(base)(self.information, edges))
         self.information.setup()
 
     def state(self, point: Floats) -> Any:
@@ -142,9 +142,9 @@ class SearchSpace:
 
 
 @cache
-def _validator_class() -> type[Any]:
+def _validator_class(base: Any) -> type[Any]:
     # Made once, since each class is a reference cycle, which would keep its problem until cycles are collected.
-    class EdgeValidator(optional_module("ompl.base").MotionValidator):  # type: ignore[misc]
+    class EdgeValidator(base.MotionValidator):  # type: ignore[misc]
         def __init__(self, information: Any, edges: EdgeTest) -> None:
             super().__init__(information)
             self._edges, self._n = edges, len(edges.scale)
