@@ -228,9 +228,8 @@ def test_the_summary_is_in_the_order_of_the_benchmark_and_tells_what_could_not_b
     table = study.ReactionTable(tmp_path)
     reasons = ("contact: up to 1 at a time", "arrival: link 1 ends 2 mm and 0 deg off", "")
     for leader, disturbance in itertools.product(("dmp", "linear-attractor"), ("payload", "push")):
-        table.add(
-            row(leader, disturbance, k, reason=reason, final_mm=(1.0, 2.0, 9.0)[k]) for k, reason in enumerate(reasons)
-        )
+        rows = (row(leader, disturbance, k, final_mm=(1.0, 2.0, 9.0)[k], reason=reasons[k]) for k in range(3))
+        table.add(list(rows))
     table.add([row("tracker", "push", 0, reason="simulation: it fell over")])
     study.write_reactions(tmp_path / "reactions.md", table)
     lines = (tmp_path / "reactions.md").read_text("utf-8").splitlines()
