@@ -319,10 +319,11 @@ def test_an_output_that_nobody_reads_ends_the_command_in_silence(start, unbuffer
     assert (process.stderr.read(), process.wait()) == ("", 141)
 
 
-def test_a_path_that_the_output_cannot_spell(run, tmp_path, start):
+def test_a_path_that_the_output_cannot_spell_and_a_backend_for_windows_that_does_not_exist(run, tmp_path, start):
     copy = tmp_path / "d\u00e9mo"
     shutil.copytree(run, copy)
-    process = start("-c", MAIN, "evaluate", str(copy), env={**os.environ, "PYTHONIOENCODING": "ascii"})
+    environment = {**os.environ, "PYTHONIOENCODING": "ascii", "MPLBACKEND": "junk"}
+    process = start("-c", MAIN, "evaluate", str(copy), env=environment)
     printed, message = process.communicate()
     assert (process.returncode, message) == (0, "")
     assert f"wrote {tmp_path}/d\\xe9mo/metrics.json" in printed

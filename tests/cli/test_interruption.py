@@ -105,11 +105,6 @@ def run(tmp_path_factory):
     return directory
 
 
-def test_a_backend_for_windows_that_does_not_exist_does_not_matter(run, start):
-    process = start("-m", "lieednn_sim.cli", "evaluate", str(run), env={**os.environ, "MPLBACKEND": "junk"})
-    assert (process.communicate()[1], process.returncode) == ("", 0)
-
-
 @pytest.mark.rendering
 def test_an_ffmpeg_that_does_not_exist_is_named(run, capsys, monkeypatch):
     monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", "/nonexistent")

@@ -19,8 +19,8 @@ WORDS = ["--arms", "telescopic_pr", "--scenes", "free", "--planners", "minimum-j
 WORDS += ["--controllers", "mocap,computed-torque", "--output"]
 
 
-@pytest.fixture(autouse=True)
-def invented(monkeypatch, in_this_process, undrawn):
+@pytest.fixture(autouse=True, scope="module")
+def invented(in_this_process):
     """Rows whose numbers follow from the case, but for a planning time that is another each time."""
     clock = itertools.count()
 
@@ -32,18 +32,25 @@ def invented(monkeypatch, in_this_process, undrawn):
             for name in controllers
         ]
 
-    monkeypatch.setattr("lieednn_sim.evaluation.study.run_case", run)
-    with in_this_process():
+    with pytest.MonkeyPatch.context() as patch, in_this_process():
+        patch.setattr("lieednn_sim.evaluation.study.run_case", run)
         yield
 
 
-@pytest.fixture
-def shards(tmp_path):
-    folders = [tmp_path / f"shard{number}" for number in (1, 2, 3)]
-    for number, folder in enumerate(folders, start=1):
+@pytest.fixture(scope="module")
+def made(invented, tmp_path_factory):
+    directory = tmp_path_factory.mktemp("shards")
+    for number in (1, 2, 3):
+        folder = directory / f"shard{number}"
         assert main(["compare", *WORDS, str(folder), "--shard", f"{number}/3"]) == 0
         assert {path.name for path in folder.iterdir()} == {"comparison.csv", "comparison.json", "made.json"}
-    return folders
+    return directory
+
+
+@pytest.fixture
+def shards(made, tmp_path, undrawn):
+    shutil.copytree(made, tmp_path, dirs_exist_ok=True)
+    return [tmp_path / f"shard{number}" for number in (1, 2, 3)]
 
 
 def merge(output, *folders):
@@ -59,7 +66,7 @@ def test_which_shard_has_a_case_depends_on_its_name_alone():
     assert Shard.holding(Case("telescopic_pr", "free", "minimum-jerk", 0), 5) == Shard(3, 5)
 
 
-def test_slow_planners_have_fewer_seeds_in_shards_too_and_reports_say_so(tmp_path, capsys):
+def test_slow_planners_have_fewer_seeds_in_shards_too_and_reports_say_so(tmp_path, capsys, undrawn):
     words = [*WORDS[:4], "--planners", "minimum-jerk,lieednn-trained", "--seeds", "5", "--slow-seeds", "2", "--output"]
     shards = [tmp_path / "shard1", tmp_path / "shard2"]
     for number, folder in enumerate(shards, start=1):
