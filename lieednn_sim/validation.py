@@ -101,6 +101,8 @@ def _converted(name: str, value: ArrayLike, shape: Shape, batched: bool) -> NDAr
         given = value if isinstance(value, np.ndarray) else np.asarray(value)
         if given.dtype.kind == "c":
             raise TypeError("complex numbers are not allowed")
+        if np.ma.is_masked(given):
+            raise TypeError("masked entries are not allowed")
         if given.dtype.kind in "bSUmMV" or not _only_numbers(value):
             raise TypeError("every entry must be a number")
         return np.asarray(value, dtype=np.float64)

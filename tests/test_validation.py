@@ -36,6 +36,7 @@ def test_floats_accept_lists_integers_and_batches():
         ([[1.0], [1.0, 2.0]], ("n", "m"), False, "array of numbers, got list"),
         ([object()], (1,), False, "array of numbers, got list"),
         pytest.param(np.array([1.0 + 2.0j]), (1,), False, "x must", id="complex"),
+        pytest.param(np.ma.masked_equal([1.0, 2.0], 2.0), (2,), False, "masked entries are not allowed", id="masked"),
         pytest.param(10**400, (), False, "x must", id="too large for a float"),
     ],
 )

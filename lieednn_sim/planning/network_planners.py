@@ -19,6 +19,7 @@ from lieednn_sim.planning.network_path import NetworkPath, timed_motion
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.problem import Plan, PlanningProblem, in_time
 from lieednn_sim.synthesis import bias_for, synthesize
+from lieednn_sim.validation import as_positive
 from lieednn_sim.values import Floats
 
 # The motion ends at the learned network's equilibrium, which must be the target [rad, length_scale m].
@@ -81,7 +82,7 @@ def reference_network(arm: Arm, bias_magnitude: float = RetargetedOptions.bias_m
     Raises:
         NotCertifiedError: it could not be certified.
     """
-    return _reference_network(arm, bias_magnitude)
+    return _reference_network(arm, as_positive("bias_magnitude", bias_magnitude))
 
 
 @lru_cache(maxsize=8)

@@ -199,6 +199,8 @@ def test_networks_come_with_their_motions():
     made = planned("lieednn-retargeted", task)
     network, motion = made.network, made.motion
     reference = reference_network(ARM)
+    # An array of one number is that number, also where results are kept by it.
+    assert reference_network(ARM, np.array(0.25)) is reference
     np.testing.assert_array_equal(network.weight, reference.weight)
     assert network.certified
     assert not np.array_equal(network.bias, reference.bias)
