@@ -211,7 +211,7 @@ class Draw:
             **dict.fromkeys((os.PathLike, Path), lambda: Path(choose(PATHS))),
             **dict.fromkeys((typecheck._Array, np.ndarray), self.array),
             type: lambda: choose([int, Junk]),
-            Callable: lambda: choose([lambda *_: None, np.tanh, lambda *_: 0.1 * np.ones(8)]),
+            Callable: lambda: choose([lambda *_: None, lambda x, *_: np.tanh(x), lambda *_: 0.1 * np.ones(8)]),
             np.random.Generator: lambda: np.random.default_rng(0),
             slice: lambda: choose([slice(None), slice(0, 2), slice(9, 3)]),
             range: lambda: choose([range(0), range(3), range(2, 4)]),
@@ -275,7 +275,9 @@ def fault_of(target: Target, arguments: Mapping[str, Any], things: Things) -> st
             result = target.function(*instance, **arguments)
             result = list(result) if inspect.isgenerator(result) else result
     except LieEDNNError as error:
-        return "" if len(str(error)) < 3000 else f"a message of {len(str(error))} characters"
+        # What the caller calls a value appears whole.
+        length = len(str(error)) - len(str(arguments.get("what", "")))
+        return "" if length < 3000 else f"a message of {length} characters"
     except Exception as error:
         allowed = unchecked and isinstance(error, _UNCHECKED)
         return "" if allowed else "".join(traceback.format_exception(error)[-7:])

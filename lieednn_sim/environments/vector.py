@@ -99,11 +99,10 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[dict[str, Floats], Floats, An
     ) -> tuple[dict[str, Floats], dict[str, Any]]:
         """Begin episodes, with seed + i in environment i; ``options`` may hold Gymnasium's ``reset_mask``."""
         if seed is None or isinstance(seed, int | np.integer):
-            seeds = [None if seed is None else int(seed) + i for i in range(self.num_envs)]
-        else:
-            seeds = list(seed)
-        if len(seeds) != self.num_envs:
-            raise InputError(f"seed must be a number or a list of {self.num_envs}, got one of {len(seeds)}")
+            seed = [None if seed is None else int(seed) + i for i in range(self.num_envs)]
+        if len(seed) != self.num_envs:
+            raise InputError(f"seed must be a number or a list of {self.num_envs}, got one of {len(seed)}")
+        seeds = list(seed)
         chosen = dict(options or {})
         try:
             mask = np.asarray(chosen.pop("reset_mask", np.ones(self.num_envs, dtype=bool)))

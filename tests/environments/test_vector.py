@@ -91,6 +91,8 @@ def test_bad_input():
     with pytest.raises(InputError, match="no autoreset_mode 'never'; allowed: Disabled, NextStep, SameStep"):
         VectorEnvironment(2, autoreset_mode="never")
     many = VectorEnvironment(2, time_limit=0.02, autoreset_mode="Disabled")
+    with pytest.raises(InputError, match="seed must be a number or a list of 2, got one of 1000000000000"):
+        many.reset(seed=range(10**12))
     with pytest.raises(InputError, match="seed must be a number or a list of 2, got one of 3"):
         many.reset(seed=[1, 2, 3])
     with pytest.raises(InputError, match="reset_mask must be an array of 2"):
