@@ -219,7 +219,7 @@ def _simple(wanted: str, accepts: Callable[[Any], bool]) -> _Check:
 
 def _is_number(value: object) -> bool:
     if isinstance(value, np.ndarray):
-        return value.ndim == 0 and value.dtype.kind in "iuf"
+        return value.ndim == 0 and value.dtype.kind in "iuf" and value is not np.ma.masked
     return isinstance(value, numbers.Real) and not isinstance(value, bool)
 
 

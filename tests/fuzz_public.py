@@ -45,7 +45,7 @@ from lieednn_sim.errors import LieEDNNError
 LONGEST, LARGEST = 20.0, 2 * 2**30
 _BATCH = 500
 # What NumPy may say to a function that its docstring calls unchecked: those of inner loops.
-_UNCHECKED = (TypeError, ValueError, AttributeError, LookupError, OverflowError, MemoryError, RuntimeWarning)
+_UNCHECKED = (TypeError, ValueError, AttributeError, LookupError, OverflowError, MemoryError, Warning)
 
 
 class Target(NamedTuple):
@@ -211,7 +211,7 @@ class Draw:
             **dict.fromkeys((os.PathLike, Path), lambda: Path(choose(PATHS))),
             **dict.fromkeys((typecheck._Array, np.ndarray), self.array),
             type: lambda: choose([int, Junk]),
-            Callable: lambda: choose([lambda *_: None, lambda x, *_: np.tanh(x), lambda *_: 0.1 * np.ones(8)]),
+            Callable: lambda: choose([lambda *_: None, lambda first=0.0, *_: first, lambda *_: 0.1 * np.ones(8)]),
             np.random.Generator: lambda: np.random.default_rng(0),
             slice: lambda: choose([slice(None), slice(0, 2), slice(9, 3)]),
             range: lambda: choose([range(0), range(3), range(2, 4)]),
@@ -276,7 +276,8 @@ def fault_of(target: Target, arguments: Mapping[str, Any], things: Things) -> st
             result = list(result) if inspect.isgenerator(result) else result
     except LieEDNNError as error:
         # What the caller calls a value appears whole.
-        length = len(str(error)) - len(str(arguments.get("what", "")))
+        what = arguments.get("what", "")
+        length = len(str(error)) - (len(what) if isinstance(what, str) else 0)
         return "" if length < 3000 else f"a message of {length} characters"
     except Exception as error:
         allowed = unchecked and isinstance(error, _UNCHECKED)

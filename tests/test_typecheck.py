@@ -79,6 +79,7 @@ def test_what_works_without_the_check_works_with_it(given):
         ({"number": True}, "number must be a number, got True"),
         ({"number": "1"}, "number must be a number, got '1'"),
         ({"number": np.zeros(1)}, "number must be a number, got an array of shape (1)"),
+        ({"number": np.ma.masked}, "number must be a number, got an array of shape ()"),
         ({"count": 2.0}, "count must be a whole number, got 2.0"),
         ({"count": True}, "count must be a whole number, got True"),
         ({"flag": 1}, "flag must be True or False, got 1"),

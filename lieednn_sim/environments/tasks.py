@@ -28,6 +28,8 @@ REFERENCES = ("band-limited", "plan")
 # Share of the velocity limits, beyond `REST`, at which the reward for resting falls to a tenth.
 _REST_MARGIN = 0.5
 _ATTEMPTS = 10
+# Control steps that a preview may hold: their targets must fit into the memory of a learner.
+_LONGEST_PREVIEW = 10_000
 
 
 class Reach(ArmTask):
@@ -94,7 +96,7 @@ class Track(ArmTask):
         **options: Any,
     ) -> None:
         self.reference = as_choice("reference", reference, REFERENCES)
-        self.preview = as_count("preview", preview)
+        self.preview = as_count("preview", preview, most=_LONGEST_PREVIEW)
         super().__init__(arm, position_tolerance=position_tolerance, rotation_tolerance=rotation_tolerance, **options)
 
     def _more_bounds(self) -> Bounds:

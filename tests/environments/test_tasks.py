@@ -283,6 +283,7 @@ def test_a_failed_simulation_terminates(reach):
         ({"position_tolerance": -1.0}, "position_tolerance must be positive"),
         ({"task": "track", "reference": "drawn"}, "no reference 'drawn'; allowed: band-limited, plan"),
         ({"task": "track", "preview": 0}, "preview must be at least 1"),
+        ({"task": "track", "preview": 10**9}, "preview must be at most 10000"),
     ],
 )
 def test_malformed_arguments(arguments, message):
