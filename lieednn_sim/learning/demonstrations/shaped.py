@@ -12,12 +12,13 @@ from typing import ClassVar
 
 import numpy as np
 
+from lieednn_sim.errors import InputError
 from lieednn_sim.learning.demonstrations.alignment import Demonstrations, displacement, twist_of
 from lieednn_sim.learning.demonstrations.models import run_field
 from lieednn_sim.learning.demonstrations.warping import warp
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.synthesis import Shaping, ShapingOptions, shape
-from lieednn_sim.validation import as_floats, as_positive
+from lieednn_sim.validation import as_floats, as_positive, as_times
 from lieednn_sim.values import Floats, frozen
 
 # Default of the requested deviation, in extents of the demonstrations.
@@ -25,6 +26,8 @@ DEVIATION = 2e-3
 # Network time, times rho, after which less than a millionth of the way is left; longest time step; and step in the
 # share that the clock has left, a tenth of the width of the steepest switch.
 _SPAN, _LONGEST_STEP, _SHARE_STEP = 16.0, 0.2, 1.0 / 600.0
+# Durations of the demonstrations after which a reproduction ends, when the network has long come to rest.
+_LATEST = 100.0
 # Parameters of a switch that are not zero by construction, by dof: without rotations, halves and shifts vanish.
 _PER_SWITCH = {2: 10, 3: 10, 6: 19}
 # The same for a placed switch: its position, its slope, and a vector.
@@ -90,10 +93,15 @@ class ShapedMotion:
     def reproduce(self, start: Floats, t: Floats) -> Floats:
         """As `MotionModel.reproduce`: the network is run from there, with hidden neurons at their start.
 
-        After the demonstrations' duration the network runs on at its mean pace.
+        After the demonstrations' duration the network runs on at its mean pace, for at most 100 durations.
+
+        Raises:
+            InputError: a value is malformed, or times do not increase from 0 or go on too long.
         """
         start = as_floats("start", start, (6,), batched=True)
-        t = as_floats("t", t, ("K",))
+        t, latest = as_times("t", t), _LATEST * self.t[-1]
+        if t[0] < 0.0 or t[-1] > latest:
+            raise InputError(f"t must be from 0 to {latest:g} s, got {t[0]:g} to {t[-1]:g} s")
         pace = self.tau[-1] / self.t[-1]
         tau = np.where(t > self.t[-1], self.tau[-1] + pace * (t - self.t[-1]), np.interp(t, self.t, self.tau))
         return twist_of(self._run(displacement(start).reshape(-1, 6), tau)).reshape(*start.shape[:-1], len(t), 6)

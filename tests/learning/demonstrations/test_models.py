@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from lieednn_sim.errors import InputError
 from lieednn_sim.learning.demonstrations.alignment import displacement, twist_of
 from lieednn_sim.learning.demonstrations.models import LinearAttractor, at_times, even_grid, run_field
 from lieednn_sim.learning.demonstrations.primitive import MovementPrimitive
@@ -121,6 +122,11 @@ def test_a_shaped_network_follows_the_mean_and_forgets_the_start_as_fast_as_it_s
     # What is off decays with the visible neurons' own rate: x' = -x + what does not depend on x.
     tau = np.interp(t, model.t, model.tau)
     np.testing.assert_allclose(path[1, :, 3] - path[0, :, 3], 0.1 * np.exp(-tau), atol=1e-5)
+    for times, message in (([], "increasing"), ([1.0, 0.0], "increasing"), ([-1.0, 1.0], "got -1 to 1 s")):
+        with pytest.raises(InputError, match=message):
+            model.reproduce(planar.mean[0], times)
+    with pytest.raises(InputError, match=f"t must be from 0 to {100 * planar.duration:g} s"):
+        model.reproduce(planar.mean[0], [0.0, 101.0 * planar.duration])
     # The same by the integrator of the package.
     way = model.network.trajectory(model.network.start(planar.mean[:1]), tau[40])
     np.testing.assert_allclose(path[0, 40], model.network.visible(way.xi[-1])[0], atol=2e-5)
