@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import math
 import weakref
 
 import benchmark_memory
@@ -30,10 +31,16 @@ def test_memory_is_read_after_shares_of_the_cases(tmp_path, capsys):
     assert line in (tmp_path / "memory.md").read_text()
 
 
-def test_memory_is_given_back_after_each_task_even_if_it_fails(monkeypatch):
-    given = []
+def test_memory_is_given_back_after_tasks_even_failed_ones_in_a_twentieth_of_the_time(monkeypatch):
+    given, clock = [], iter([10.0, 10.02, 10.03, 10.5, 11.0, 11.0, 11.0])
     monkeypatch.setattr(workers, "_trim", lambda: given.append)
+    monkeypatch.setattr(workers, "_released", (9.0, 0.04))
+    monkeypatch.setattr(workers, "monotonic", lambda: next(clock))
     assert workers.released(lambda a, b: a + b, 1, 2) == 3
+    assert given == [0]
+    # It took 30 ms, so that it is not due before another 600 ms.
+    workers.released(lambda: None)
+    assert given == [0]
     try:
         workers.released(lambda: 1 / 0)
     except ZeroDivisionError:
@@ -41,7 +48,9 @@ def test_memory_is_given_back_after_each_task_even_if_it_fails(monkeypatch):
     assert given == [0, 0, "failed"]
 
 
-def test_cycles_are_collected_after_each_task(collector_off):
+def test_cycles_are_collected_after_a_task(collector_off, monkeypatch):
+    monkeypatch.setattr(workers, "_released", (-math.inf, 0.0))
+
     class Ring:
         pass
 
