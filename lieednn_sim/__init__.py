@@ -13,9 +13,12 @@ The names below are imported on first use; everything else is in the subpackages
 from __future__ import annotations
 
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
 
+# As of `typing`, which takes milliseconds to import, in which Ctrl-C would end a command with a traceback.
+TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from typing import Any
+
     from lieednn_sim.arm import Arm, solve_ik
     from lieednn_sim.evaluation import compare, evaluate
     from lieednn_sim.learning import train

@@ -21,7 +21,8 @@ class Interruption:
     then raised again a moment later, and `check` raises it between the steps of a command.
 
     The process ends at once on a second signal, and while its first modules are still being imported: these might turn
-    the exception into another one, and there is nothing to clean up yet.
+    the exception into another one, and there is nothing to clean up yet. What is cut off half way, such as the release
+    of an OpenGL context, may fail when Python disposes of it; nothing of that is printed after an interruption.
 
     Args:
         last: the process ends after the block; a signal that arrives later ends it at once.
@@ -61,7 +62,8 @@ class Interruption:
         if Interruption._current is self:
             Interruption._current = None
             _forget_alarm()
-            sys.unraisablehook = self._unraisable
+            quiet = self._last and self.received is not None
+            sys.unraisablehook = _ignore if quiet else self._unraisable
         for number, handler in self._before.items():
             signal.signal(number, _end if self._last and number != signal.SIGALRM else handler)
 
@@ -84,7 +86,7 @@ class Interruption:
     def _swallowed(self, error: Any) -> None:
         if self.received is not None and issubclass(error.exc_type, KeyboardInterrupt):
             signal.setitimer(signal.ITIMER_REAL, _AGAIN)
-        else:
+        elif self.received is None:
             self._unraisable(error)
 
 
@@ -109,6 +111,10 @@ def say(message: str) -> None:
         # What waits there would fail again at exit, with another exit code.
         with contextlib.suppress(OSError, ValueError):
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stderr.fileno())
+
+
+def _ignore(_: object) -> None:
+    pass
 
 
 def _end(number: int, _: FrameType | None = None) -> None:

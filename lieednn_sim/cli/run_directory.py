@@ -97,10 +97,7 @@ class RunDirectory:
         with filesystem.locked(self.path, shared=shared):
             self.manifest.check(self.files if outputs is None else outputs)
             if not shared:
-                # Temporary files of a killed command; no other one is at work here.
-                for path in (*self.files, self.manifest.path):
-                    for left in filesystem.unfinished(path):
-                        left.unlink(missing_ok=True)
+                self._remove_unfinished()
             yield
 
     def create(self) -> None:
@@ -108,10 +105,17 @@ class RunDirectory:
         filesystem.make_directory(self.path)
 
     def remove(self) -> None:
-        """Remove the files of the run, and the directory if nothing else is in it."""
+        """Remove the files of the run, and the directory if nothing else is in it; for who is at work there."""
+        self._remove_unfinished()
         self.manifest.remove(self.files)
         with contextlib.suppress(OSError):
             self.path.rmdir()
+
+    def _remove_unfinished(self) -> None:
+        """Remove the temporary files of a command that was killed; no other one is at work here."""
+        for path in (*self.files, self.manifest.path):
+            for left in filesystem.unfinished(path):
+                left.unlink(missing_ok=True)
 
     def existing(self) -> RunDirectory:
         """Return self, or raise `FileError` if there is no such run."""

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import signal
+# The built-in half of `signal`, which would import others first.
+import _signal as signal  # type: ignore[import-not-found]
 import sys
 
 # Only where this package is the program: `python -m`, while it looks for the module, or the installed command.

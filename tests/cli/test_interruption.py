@@ -64,6 +64,54 @@ def test_a_signal_while_the_first_modules_are_imported_is_no_traceback(start, tm
     assert process.returncode == -signal.SIGINT
 
 
+def test_a_signal_while_anything_else_is_imported_first_is_no_traceback(start):
+    code = """
+import importlib, os, signal, sys  # the first is needed for -m
+
+class Interrupting:
+    def find_spec(name, path=None, target=None):
+        if not name.startswith("lieednn_sim") and name != "__future__":
+            os.kill(os.getpid(), 2)
+
+sys.argv = ["-m"]
+for name in [name for name in sys.modules if name.split(".")[0] in ("enum", "signal", "typing")]:
+    del sys.modules[name]
+sys.meta_path.insert(0, Interrupting)
+import lieednn_sim.cli
+"""
+    process = start("-c", code)
+    assert process.communicate() == ("", "")
+    assert process.returncode == -signal.SIGINT
+
+
+def test_what_an_interruption_cut_off_disposes_of_itself_in_silence(start):
+    code = """
+import os, signal, sys
+from lieednn_sim.cli import doctor, main
+
+class CutOff:
+    def __del__(self):
+        raise ValueError("it is half made")
+
+def interrupted(_):
+    global kept
+    kept = CutOff()
+    CutOff()
+    {}
+
+doctor.doctor = interrupted
+sys.exit(main())
+"""
+    end = "lieednn-sim: interrupted; files already reported are complete\n"
+    process = start("-c", code.format("os.kill(os.getpid(), signal.SIGINT)\n    CutOff()"), "doctor")
+    _, errors = process.communicate()
+    # What fails before has nothing to do with it.
+    assert (process.returncode, errors.count("it is half made")) == (130, 1)
+    assert errors.endswith(end)
+    process = start("-c", code.format("pass"), "doctor")
+    assert process.communicate()[1].count("it is half made") == 2
+
+
 def test_a_group_is_interrupted_while_its_workers_start(tmp_path, start):
     """By the first worker, which imports the main module before it is prepared."""
     script = tmp_path / "script.py"

@@ -403,6 +403,18 @@ def test_what_a_killed_command_left_half_written_is_removed_by_the_next(tmp_path
         assert {name for name in names(tmp_path) if name.startswith(".")} == mine
 
 
+def test_a_training_that_was_killed_at_its_very_beginning_begins_again(tmp_path):
+    """It had made its directory, and had not yet begun or just not finished its first file."""
+    words = ["train", "--target", "extended", "--epochs", "1", "--output", str(tmp_path)]
+    for left in ((), (".task.unfinished-a1b2c3d4.json", ".made.unfinished-a1b2c3d4.json")):
+        (tmp_path / "training").mkdir()
+        for name in left:
+            (tmp_path / "training" / name).write_bytes(b"half")
+        assert main(words) == 1, "one epoch does not suffice"
+        assert names(tmp_path / "training") == {"history.npz", "made.json", "task.json", "training.png"}
+        shutil.rmtree(tmp_path / "training")
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [
