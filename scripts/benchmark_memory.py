@@ -63,8 +63,9 @@ def _compared(shown: Demonstrations) -> object:
 
 def problems(folder: str) -> Iterator[Callable[[], object]]:
     """A robot's published problems, again and again."""
-    for (name, number), planner in itertools.product(itertools.cycle(ProblemSets(folder).chosen(None)), _PLANNERS):
-        yield partial(solve, folder, name, number, planner, 10.0)
+    for name, number in itertools.cycle(ProblemSets(folder).chosen(None)):
+        for planner in _PLANNERS:
+            yield partial(solve, folder, name, number, planner, 10.0)
 
 
 STUDIES: dict[str, Callable[..., Iterator[Callable[[], object]]]] = {

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import gc
+import itertools
 import math
 import weakref
+from types import SimpleNamespace
 
 import benchmark_memory
 import pytest
@@ -78,3 +80,11 @@ def test_neither_search_nor_controllers_leave_reference_cycles_that_hold_native_
     # Cycles through a caught exception are Python's own, and short-lived.
     native = ("lieednn_sim.simulation.controllers", "lieednn_sim.planning.baselines.search_space", "nanobind", "mujoco")
     assert not {name for name in left if name.startswith(native)}
+
+
+def test_published_problems_are_asked_for_one_by_one_and_again(monkeypatch):
+    chosen = SimpleNamespace(chosen=lambda _: [("box", 1), ("box", 2)])
+    monkeypatch.setattr(benchmark_memory, "ProblemSets", lambda folder: chosen)
+    asked = [case.args[1:4] for case in itertools.islice(benchmark_memory.problems("folder"), 7)]
+    planners = ("minimum-jerk", "rrt-connect", "lieednn-shaped")
+    assert asked == [("box", k, name) for k in (1, 2) for name in planners] + [("box", 1, "minimum-jerk")]
