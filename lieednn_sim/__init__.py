@@ -7,7 +7,8 @@
     rollout = ls.simulate(arm, plan)
 
 The names below are imported on first use; everything else is in the subpackages: `lie`, `stability`, `network`,
-`theory`, `synthesis`, `learning`, `arm`, `planning`, `simulation`, `rendering`, `evaluation`, `environments`, `cli`.
+`theory`, `synthesis`, `learning`, `arm`, `planning`, `policies`, `simulation`, `rendering`, `evaluation`,
+`studies`, `environments`, `cli`.
 """
 
 from __future__ import annotations
@@ -20,22 +21,29 @@ if TYPE_CHECKING:
     from typing import Any
 
     from lieednn_sim.arm import Arm, solve_ik
-    from lieednn_sim.evaluation import compare, evaluate
+    from lieednn_sim.evaluation import evaluate
     from lieednn_sim.learning import train
     from lieednn_sim.network import LieEDNN
     from lieednn_sim.planning import plan
+    from lieednn_sim.policies import Feedback, NetworkPolicy, Policy, control_loop, make_policy
     from lieednn_sim.rendering.video import render_video
     from lieednn_sim.simulation import Disturbances, Push, follow, simulate, simulate_many
+    from lieednn_sim.studies import compare
     from lieednn_sim.synthesis import synthesize
 
 __all__ = [
     "Arm",
     "Disturbances",
+    "Feedback",
     "LieEDNN",
+    "NetworkPolicy",
+    "Policy",
     "Push",
     "compare",
+    "control_loop",
     "evaluate",
     "follow",
+    "make_policy",
     "plan",
     "render_video",
     "simulate",
@@ -47,17 +55,19 @@ __all__ = [
 
 _ROOMS = {
     "arm": ("Arm", "solve_ik"),
-    "evaluation": ("compare", "evaluate"),
+    "evaluation": ("evaluate",),
     "learning": ("train",),
     "network": ("LieEDNN",),
     "planning": ("plan",),
+    "policies": ("Feedback", "NetworkPolicy", "Policy", "control_loop", "make_policy"),
     "rendering.video": ("render_video",),
     "simulation": ("Disturbances", "Push", "follow", "simulate", "simulate_many"),
+    "studies": ("compare",),
     "synthesis": ("synthesize",),
 }
 _SUBPACKAGES = (
-    *("lie", "stability", "network", "theory", "synthesis", "learning", "arm", "planning", "simulation", "rendering"),
-    *("evaluation", "environments", "cli"),
+    *("lie", "stability", "network", "theory", "synthesis", "learning", "arm", "planning", "policies", "simulation"),
+    *("rendering", "evaluation", "studies", "environments", "cli"),
 )
 _ROOM_OF = {name: room for room, names in _ROOMS.items() for name in names}
 

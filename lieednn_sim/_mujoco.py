@@ -19,4 +19,19 @@ except Exception:  # of several OpenGL bindings, with no common base
         else:
             os.environ["MUJOCO_GL"] = asked
 
-__all__ = ["mujoco"]
+__all__ = ["QuietWarnings", "mujoco"]
+
+
+class QuietWarnings:
+    """Keeps MuJoCo from printing warnings and from leaving a log file behind; who uses it looks at ``data.warning``."""
+
+    def __enter__(self) -> None:
+        self._before = mujoco.get_mju_user_warning()
+        mujoco.set_mju_user_warning(_ignore)
+
+    def __exit__(self, *_: object) -> None:
+        mujoco.set_mju_user_warning(self._before)
+
+
+def _ignore(_: str) -> None:
+    pass

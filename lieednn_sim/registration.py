@@ -1,4 +1,4 @@
-"""Registries of planners and controllers, to which users add by a decorator or by a package's entry points."""
+"""Registries of planners, policies and controllers, to which decorators and entry points of packages add."""
 
 from __future__ import annotations
 
@@ -20,13 +20,15 @@ class Registry(Generic[T]):
     """All objects of one kind by name.
 
     Args:
-        kind: name of the kind; packages declare theirs as entry points ``lieednn_sim.<kind>s``.
+        kind: name of the kind.
         known: this package's own objects, to which others are added.
         make: makes the entry of an added object from its name, the object and further arguments.
+        group: packages declare theirs as entry points of this group; by default ``lieednn_sim.<kind>s``.
     """
 
-    def __init__(self, kind: str, known: dict[str, T], make: Callable[..., T]) -> None:
+    def __init__(self, kind: str, known: dict[str, T], make: Callable[..., T], group: str = "") -> None:
         self.kind, self.known, self._make = kind, known, make
+        self._group = group or f"lieednn_sim.{kind}s"
         # Added objects by name.
         self.given: dict[str, Any] = {}
         self._loaded = False
@@ -62,7 +64,7 @@ class Registry(Generic[T]):
         return [f"{self.kind} {name}: {one.__module__}.{getattr(one, '__qualname__', name)}" for name, one in own]
 
     def _load_entry_points(self) -> None:
-        for point in metadata.entry_points(group=f"lieednn_sim.{self.kind}s"):
+        for point in metadata.entry_points(group=self._group):
             package = "unknown" if point.dist is None else point.dist.name
             try:
                 given = point.load()

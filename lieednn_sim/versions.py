@@ -14,14 +14,21 @@ from typing import NamedTuple
 _PACKAGES, _OPTIONAL = ("lieednn_sim", "mujoco", "numpy", "scipy"), ("daqp", "ompl", "toppra", "movement_primitives")
 _HERE = Path(__file__).parents[1]
 # What makes the rows of tables.
-_TABLES = ("evaluation.study", "evaluation.reactive.study", "evaluation.problems.study")
+_TABLES = ("studies.comparison.study", "studies.reactions.study", "studies.problems.study")
 # Modules and rooms that no number depends on: they show results, store them, divide the work, or refuse bad input.
 _LEFT_OUT = (
-    *("cli", "rendering", "evaluation.report", "evaluation.summary", "evaluation.problems.summary"),
-    *("evaluation.display", "evaluation.figure_layout", "evaluation.plots", "evaluation.plot_demonstrations"),
-    *("evaluation.plot_training", "evaluation.table", "filesystem", "manifest", "storage", "versions"),
-    *("evaluation.cluster", "evaluation.merging", "evaluation.shards", "evaluation.workers"),
-    *("errors", "registration", "validation"),
+    *(
+        "cli",
+        "rendering",
+        "studies.report",
+        "studies.comparison.summary",
+        "studies.problems.summary",
+        "studies.markdown",
+    ),
+    *("evaluation.display", "evaluation.figure_layout", "evaluation.plots", "studies.demonstrations.plots"),
+    *("evaluation.plot_training", "studies.table", "filesystem", "manifest", "storage", "versions"),
+    *("studies.cluster", "studies.study", "studies.comparison.merging", "studies.comparison.shards", "studies.workers"),
+    *("studies.markdown", "errors", "registration", "validation"),
 )
 _PACKAGE = "lieednn_sim"
 

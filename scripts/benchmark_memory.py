@@ -19,14 +19,14 @@ from pathlib import Path
 import numpy as np
 
 from lieednn_sim import filesystem
-from lieednn_sim.evaluation.cases import Settings, run_case
-from lieednn_sim.evaluation.demonstrations import compare_models
-from lieednn_sim.evaluation.problems.motion_bench_maker import ProblemSets
-from lieednn_sim.evaluation.problems.study import solve
-from lieednn_sim.evaluation.reactive.cases import run_reactions
-from lieednn_sim.evaluation.rows import Case
-from lieednn_sim.evaluation.workers import released
 from lieednn_sim.learning.demonstrations import Demonstration, Demonstrations, ShapedMotion, align
+from lieednn_sim.studies.comparison.cases import Settings, run_case
+from lieednn_sim.studies.comparison.rows import Case
+from lieednn_sim.studies.demonstrations.models import compare_models
+from lieednn_sim.studies.problems.motion_bench_maker import ProblemSets
+from lieednn_sim.studies.problems.study import solve
+from lieednn_sim.studies.reactions.cases import run_reactions
+from lieednn_sim.studies.workers import released
 from lieednn_sim.synthesis import ShapingOptions
 
 # Shares of the cases after which the memory is read.

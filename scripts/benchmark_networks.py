@@ -8,7 +8,6 @@ import sys
 import time
 from functools import partial
 from typing import Any
-from unittest.mock import patch
 
 import numpy as np
 from benchmark_timing import Row, seconds, shares
@@ -21,8 +20,8 @@ from lieednn_sim.network import LieEDNN
 from lieednn_sim.planning import Plan, plan
 from lieednn_sim.planning.network_path import NetworkPath
 from lieednn_sim.planning.shaped import ShapedOptions
-from lieednn_sim.simulation import Feedback, follow, simulate
-from lieednn_sim.simulation.feedback import FeedbackFollower
+from lieednn_sim.policies import NetworkPolicy, make_policy, policies
+from lieednn_sim.simulation import follow, simulate
 from lieednn_sim.synthesis import synthesize
 
 
@@ -77,22 +76,24 @@ def control_step_rows(arm: Arm) -> list[Row]:
     network = plan(arm, target, planner="lieednn-shaped", options=ShapedOptions(neurons=(8,))).network
     assert isinstance(network, LieEDNN)
     assert network.n_neurons == 12
-    advance, times = FeedbackFollower.advance, list[float]()
-
-    def timed(*arguments: Any) -> Any:
-        began = time.perf_counter()
-        result = advance(*arguments)
-        times.append(time.perf_counter() - began)
-        return result
-
-    with patch.object(FeedbackFollower, "advance", timed):
-        follow(arm, network, target[None], 7.0, feedback=Feedback())
+    following = follow(NetworkPolicy(arm, network), target, 7.0)
+    times = following.step_time
     x = network.start(arm.encode(home)).ravel()
     field = np.median([seconds(partial(_repeat, 200, network.flat_vector_field, x)) / 200 for _ in range(5)])
     of = f"control step of follow with feedback, 12 neurons, {arm.name}"
     return [
-        Row(f"{of} [us]", (1e6 * np.array(times)).tolist()),
-        Row(f"{of}, in evaluations of the field", (np.array(times) / field).tolist()),
+        Row(f"{of} [us]", (1e6 * times).tolist()),
+        Row(f"{of}, in evaluations of the field", (times / field).tolist()),
+    ]
+
+
+def policy_rows(arm: Arm) -> list[Row]:
+    """Time of a step of every policy, over a run with its simulation."""
+    target = draw_target(arm, 0)
+    made = {name: make_policy(name, arm, target) for name in policies()}
+    return [
+        Row(f"step of policy {name}, {arm.name} [us]", (1e6 * follow(policy, target, 4.0).step_time).tolist())
+        for name, policy in made.items()
     ]
 
 
@@ -136,6 +137,7 @@ def network_rows(
         Row("planning with 24 candidates, in syntheses", (np.array(plans) / synthesis).tolist()),
         Row("real time, in simulations of it", simulated),
         *(row for name in arm_names() for row in control_step_rows(Arm.load(name))),
+        *policy_rows(arm),
         retargeting_row(chosen.network, repeats),
         evaluation_row(arm, chosen.network, max(10_000 // scale, 10), repeats),
     ]

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, Future
 from pathlib import Path
 from typing import Any
 
-from lieednn_sim.evaluation import Case, Row, Settings, Table, write_summary
-from lieednn_sim.evaluation.cases import failed_case
-from lieednn_sim.evaluation.report import write_page
-from lieednn_sim.evaluation.rows import COLUMNS
-from lieednn_sim.evaluation.study import DEFAULT_CONTROLLERS, complete
 from lieednn_sim.planning import planners
+from lieednn_sim.studies import Case, Comparison, Row, Settings, Table, compute, write_summary
+from lieednn_sim.studies.comparison.rows import COLUMNS
+from lieednn_sim.studies.comparison.study import DEFAULT_CONTROLLERS
+from lieednn_sim.studies.entries import Entry
+from lieednn_sim.studies.report import write_page
 
 
 class _Here(Executor):
@@ -23,7 +25,7 @@ class _Here(Executor):
         return future
 
 
-def _rows(case: Case, controllers: tuple[str, ...], settings: Settings) -> list[Row]:
+def _rows(case: Case, controllers: Sequence[str], settings: Settings, *, entries: tuple[Entry, ...] = ()) -> list[Row]:
     values: dict[str, Any] = {column.name: 0.123456 * (case.seed + i) for i, column in enumerate(COLUMNS)}
     values |= dict.fromkeys((name for name in values if name.endswith("violations")), 0)
     return [
@@ -31,18 +33,35 @@ def _rows(case: Case, controllers: tuple[str, ...], settings: Settings) -> list[
     ]
 
 
+class _Made(Comparison):
+    """A comparison of many cases that take no time, and whose table is not sorted."""
+
+    count = 0
+
+    @property
+    def run(self) -> Callable[..., list[Row]]:
+        return _rows
+
+    def todo(self, table: Table[Row]) -> list[tuple[Case, list[str], Settings]]:
+        names = list(planners())
+        cases = [Case("telescopic_pr", "free", names[k % len(names)], k // len(names)) for k in range(self.count)]
+        return [(case, list(DEFAULT_CONTROLLERS), self.common) for case in cases]
+
+    def open(self, directory: str | os.PathLike[str]) -> Table[Row]:
+        table = super().open(directory)
+        table.save = lambda *_: None  # type: ignore[method-assign]
+        return table
+
+
 def collect(folder: Path, rows: int) -> None:
     """Run a comparison, except for sorting its table."""
-    table, settings, names = Table(folder, Settings()), Settings(), list(planners())
-    table.save = lambda *_: None  # type: ignore[method-assign]
-    cases = [Case("telescopic_pr", "free", names[k % len(names)], k // len(names)) for k in range(rows // 2)]
-    tasks = [(case, DEFAULT_CONTROLLERS, settings) for case in cases]
-    complete(table, _rows, failed_case, tasks, workers=1, title="cases", console=None, executor=_Here())
+    _Made.count = rows // 2
+    compute(_Made(), folder, executor=_Here())
 
 
 def finish(folder: Path) -> None:
     """Sort the table, and write summary and page."""
-    table = Table(folder, Settings())
+    table = Comparison().open(folder)
     table.save()
     write_summary(folder / "comparison.md", table)
     write_page(folder / "comparison.html", table)

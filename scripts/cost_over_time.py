@@ -31,10 +31,10 @@ from lieednn_sim._blas import one_blas_thread
 from lieednn_sim.arm import arm_names
 from lieednn_sim.budget import cpu_time
 from lieednn_sim.errors import FileError, LieEDNNError, NoSolutionError
-from lieednn_sim.evaluation.cases import arm_and_target
 from lieednn_sim.evaluation.figure_layout import COLOURS, STYLE, save_figure
 from lieednn_sim.planning import PLANNERS, missing_planners, plan
 from lieednn_sim.planning.baselines.joint_space import joint_scale
+from lieednn_sim.studies.comparison.cases import arm_and_target
 from lieednn_sim.validation import as_choice, as_count
 
 SCENE, FIRST_SEED = "poles", 2000

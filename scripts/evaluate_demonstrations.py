@@ -1,28 +1,27 @@
 """Learn from recorded demonstrations: RoboTasks' poses and LASA's handwriting, against other models.
 
-    python scripts/evaluate_demonstrations.py FOLDER [--only robottasks,Angle,...] [--output results/demonstrations]
+    python scripts/evaluate_demonstrations.py FOLDER [--only robottasks,Angle,...] [--jobs 1]
+                                              [--output results/demonstrations]
 
 FOLDER holds ``robottasks/*.npy`` (centimetres, quaternions w x y z) and ``lasa/*.mat`` (millimetres); they are not part
-of this project. The results for each set are a file in the output folder, which is not computed again if it exists, so
-an interrupted run can be continued; ``demonstrations.md`` is the table of all results in the folder. All columns except
-the times are reproducible.
+of this project. Rows are kept in ``demonstrations.csv``, so an interrupted run can be continued; ``demonstrations.md``
+is its summary. All columns except the times are reproducible.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 from collections.abc import Sequence
-from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from rich.console import Console
 
-from lieednn_sim import filesystem, storage
-from lieednn_sim.evaluation.demonstrations import compare_models
-from lieednn_sim.learning.demonstrations import align, load_demonstrations
-from lieednn_sim.learning.demonstrations.shaped import ShapedMotion
+from lieednn_sim import filesystem
+from lieednn_sim.studies.demonstrations.study import DemonstrationSets, ModelScore
+from lieednn_sim.studies.markdown import table_head, table_line
+from lieednn_sim.studies.statistics import grouped
+from lieednn_sim.studies.study import compute
 from lieednn_sim.synthesis import ShapingOptions
 
 STARTS = 1000
@@ -46,63 +45,38 @@ NOTES = (
 KINDS = {"robottasks": ("*.npy", "cm"), "lasa": ("*.mat", "mm")}
 
 
-def evaluate(path: Path, kind: str, starts: int) -> dict[str, Any]:
-    """Results of all models for the demonstrations in one file."""
-    demonstrations = align(load_demonstrations([path], unit=KINDS[kind][1]))
-    shaped = ShapedMotion.fit(demonstrations, options=OPTIONS)
-    rows, _ = compare_models(demonstrations, shaped, OPTIONS, starts=starts)
-    return {
-        "kind": kind,
-        "set": path.stem,
-        "demonstrations": len(demonstrations),
-        "extent_mm": 1e3 * demonstrations.extent,
-        "hidden_neurons": shaped.network.n_hidden,
-        "certified": shaped.network.certified,
-        "models": [asdict(row) for row in rows],
-    }
-
-
-def table(found: Sequence[dict[str, Any]], kind: str) -> list[str]:
+def table(found: Sequence[ModelScore], kind: str) -> list[str]:
     """A Markdown table with a row for each set and model, and the means of each model."""
     turns = kind == "robottasks"
     columns = ["RMS mm", *(["deg"] if turns else []), "DTWD mm", "Frechet mm"]
     heads = [f"{column}, {what}" for what in ("mean", "training", "left out") for column in columns]
-    head = ["set", "model", "parameters", *heads, "goal mm", "arrived", "spurious", "fit s"]
-    lines = ["| " + " | ".join(head) + " |", "| --- " * len(head) + "|"]
+    lines = table_head(["set", "model", "parameters", *heads, "goal mm", "arrived", "spurious", "fit s"])
     keys = ["rms_mm", *(["rms_deg"] if turns else []), "dtwd_mm", "frechet_mm"]
-    numbers: dict[str, list[list[float]]] = {}
-    for one in found:
-        for row in one["models"]:
-            values = [row[what][key] for what in ("mean", "training", "left_out") for key in keys]
-            values.append(row["training"]["goal_mm"])
-            numbers.setdefault(row["model"], []).append(values)
-            reached = row["attraction"]
-            shown = [_number(value) for value in values]
-            cells = [one["set"], row["model"], str(row["n_parameters"]), *shown]
-            cells += [f"{reached['arrived']}/{reached['starts']}", str(reached["spurious"]), f"{row['fit_s']:.1f}"]
-            lines.append("| " + " | ".join(cells) + " |")
-    for model, values in numbers.items():
-        shown = [_number(value) for value in np.mean(values, axis=0)]
-        lines.append("| " + " | ".join(["**mean**", model, "", *shown, "", "", ""]) + " |")
+    shown = [*(f"{what}_{key}" for what in ("mean", "training", "left_out") for key in keys), "training_goal_mm"]
+    for row in found:
+        cells = [row.set, row.model, str(row.n_parameters), *(_number(getattr(row, name)) for name in shown)]
+        lines.append(table_line([*cells, f"{row.arrived}/{row.starts}", str(row.spurious), f"{row.fit_s:.1f}"]))
+    for group in grouped(found, ("model",)):
+        means = [_number(float(np.mean(group.values(name)))) for name in shown]
+        lines.append(table_line(["**mean**", group.key[0], "", *means, "", "", ""]))
     return lines
 
 
-def verdicts(found: Sequence[dict[str, Any]], kind: str) -> list[str]:
+def verdicts(found: Sequence[ModelScore], kind: str) -> list[str]:
     """Requirements of the shaped network, and whether they hold."""
-    rows = [{row["model"]: row for row in one["models"]} for one in found]
-    pairs = [(row["lieednn-shaped"], row["dmp"]) for row in rows]
-    there = [ours["attraction"] for ours, _ in pairs]
-    arrived = all(one["arrived"] == one["starts"] and not one["spurious"] for one in there)
+    sets = [{row.model: row for row in group.rows} for group in grouped(found, ("set",))]
+    pairs = [(rows["lieednn-shaped"], rows["dmp"]) for rows in sets]
+    arrived = all(ours.arrived == ours.starts and not ours.spurious for ours, _ in pairs)
     lines = [f"- Every start arrives, and there is no other attractor: {_holds(arrived)}."]
     if kind == "robottasks":
-        near = [ours["mean"]["rms_mm"] <= 2.0 and ours["mean"]["rms_deg"] <= 0.5 for ours, _ in pairs]
+        near = [(ours.mean_rms_mm or 0.0) <= 2.0 and (ours.mean_rms_deg or 0.0) <= 0.5 for ours, _ in pairs]
         lines.append(f"- The mean demonstration within 2 mm and 0.5 degrees RMS: {_holds(*near)}.")
         for key, what in (("dtwd_mm", "DTWD"), ("rms_mm", "RMS of positions"), ("rms_deg", "RMS of turns")):
-            better = [ours["left_out"][key] <= dmp["left_out"][key] for ours, dmp in pairs]
+            better = [getattr(ours, f"left_out_{key}") <= getattr(dmp, f"left_out_{key}") for ours, dmp in pairs]
             lines.append(f"- {what} of demonstrations left out no more than the primitive's: {_holds(*better)}.")
     else:
         for part in ("training", "left_out"):
-            mean = {name: np.mean([row[name][part]["dtwd_mm"] for row in rows]) for name in rows[0]}
+            mean = {group.key[0]: np.mean(group.values(f"{part}_dtwd_mm")) for group in grouped(found, ("model",))}
             best = mean["lieednn-shaped"]
             says = ", ".join(f"{name} {value:.0f}" for name, value in mean.items())
             lines.append(f"- Mean DTWD [mm], {part.replace('_', ' ')}: {says}.")
@@ -126,25 +100,26 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--only", default="", help="kinds or names of sets, separated by commas")
     parser.add_argument("--starts", type=int, default=STARTS)
+    parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--output", type=Path, default=Path("results/demonstrations"))
     given = parser.parse_args(arguments)
-    directory = filesystem.make_directory(given.output)
     wanted = set(filter(None, given.only.split(",")))
-    for kind, (pattern, _) in KINDS.items():
-        for path in sorted((given.folder / kind).glob(pattern)):
-            cache = directory / f"{path.stem}.json"
-            if not cache.exists() and (not wanted or {kind, path.stem} & wanted):
-                storage.save_json(cache, evaluate(path, kind, given.starts))
-                print(f"{path.stem}: done", flush=True)
-    found = [json.loads(cache.read_text()) for cache in sorted(directory.glob("*.json"))]
+    files = [
+        (kind, path, unit)
+        for kind, (pattern, unit) in KINDS.items()
+        for path in sorted((given.folder / kind).glob(pattern))
+        if not wanted or {kind, path.stem} & wanted
+    ]
+    study = DemonstrationSets(files, OPTIONS, given.starts)
+    made = compute(study, given.output, jobs=given.jobs, console=Console(stderr=True))
+    found = sorted(made.rows.values(), key=lambda row: (row.set, study.models.index(row.model)))
     lines = ["# Models of demonstrations", "", "`python scripts/evaluate_demonstrations.py FOLDER`", "", *NOTES, ""]
     for kind in KINDS:
-        sets = [one for one in found if one["kind"] == kind]
-        if sets:
+        if sets := [row for row in found if row.kind == kind and row.success]:
             lines += [f"## {kind}", "", *verdicts(sets, kind), "", *table(sets, kind), ""]
-    with filesystem.atomic_text(directory / "demonstrations.md") as stream:
+    with filesystem.atomic_text(given.output / "demonstrations.md") as stream:
         stream.write("\n".join(lines))
-    print(directory / "demonstrations.md")
+    print(given.output / "demonstrations.md")
 
 
 if __name__ == "__main__":

@@ -2,7 +2,7 @@
 
     python scripts/evaluate_pushes.py [--pushes 50] [--rates 0.1,0.3,1] [--arms ...] [--output results/pushes]
 
-For each arm and rho, the arm follows the network with feedback (`follow(..., feedback=Feedback())`) in MuJoCo, without
+For each arm and rho, the arm follows the network with feedback (`NetworkPolicy`) in MuJoCo, without
 obstacles. A force acts for 0.2 s on a random link in a random direction, after 20 to 50 % of the path. Its size is
 chosen so that the largest joint deviation from the undisturbed path is 8 to 12 % of the range. Writes ``pushes.csv``
 with a row for each push, and ``pushes.md``; an interrupted run can be continued.
@@ -22,11 +22,12 @@ from lieednn_sim._blas import one_blas_thread
 from lieednn_sim.arm import Arm, arm_names
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.errors import LieEDNNError
-from lieednn_sim.evaluation.reactive.recovery import PUSH_TIME, PUSHED_OFF, Path, pushing_force
 from lieednn_sim.network import ComponentwiseNetwork, LieEDNN
 from lieednn_sim.planning import plan
 from lieednn_sim.planning.shaped import ShapedOptions
-from lieednn_sim.simulation import Disturbances, Feedback, Following, Push, follow
+from lieednn_sim.policies import Feedback, NetworkPolicy
+from lieednn_sim.simulation import Disturbances, Following, Push, follow
+from lieednn_sim.studies.reactions.recovery import PUSH_TIME, PUSHED_OFF, Path, pushing_force
 
 # Speed of motions [1/s]: rho times the network's own; time simulated [s]; pushes for one target.
 PACE, DURATION, EACH = 2.0, 5.0, 10
@@ -55,15 +56,8 @@ def run(
 ) -> Following:
     """Follow the network, with a push."""
     assert isinstance(network, LieEDNN)
-    return follow(
-        arm,
-        network,
-        target[None],
-        duration,
-        speed=PACE / rate,
-        feedback=feedback or Feedback(),
-        disturbances=Disturbances(pushes=pushes),
-    )
+    policy = NetworkPolicy(arm, network, speed=PACE / rate, feedback=feedback or Feedback())
+    return follow(policy, target, duration, disturbances=Disturbances(pushes=pushes))
 
 
 def pushed(name: str, rate: float, seed: int, feedback: Feedback | None = None) -> dict[str, object]:
@@ -108,7 +102,7 @@ def summary(rows: list[dict[str, str]], command: str) -> str:
     lines = [
         "# Pushed by a tenth of the range",
         "",
-        f"`{command}`. In MuJoCo, with `follow(..., feedback=Feedback())`: a force of {PUSH_TIME:g} s on a random link "
+        f"`{command}`. In MuJoCo, with `follow(NetworkPolicy(...))`: a force of {PUSH_TIME:g} s on a random link "
         f"takes a joint {100 * PUSHED_OFF:g} % (8 to 12) of its range off the undisturbed path. Back is "
         "within a tenth of that, for good; the share is of the path that was left when the push began. Of some pushes "
         "the search for the force gave up outside 8 to 12 %; the last column is the distance of the end effector from "

@@ -17,11 +17,12 @@ from pathlib import Path
 from rich.console import Console
 
 from lieednn_sim import filesystem
-from lieednn_sim.evaluation.problems.motion_bench_maker import ProblemSets
-from lieednn_sim.evaluation.problems.study import Solution, Statistic, solve_problems
-from lieednn_sim.evaluation.problems.summary import METHOD
-from lieednn_sim.evaluation.summary import table_line
-from lieednn_sim.evaluation.workers import exit_code
+from lieednn_sim.studies.markdown import table_line
+from lieednn_sim.studies.problems.motion_bench_maker import ProblemSets
+from lieednn_sim.studies.problems.study import PublishedProblems, Solution, Statistic
+from lieednn_sim.studies.problems.summary import METHOD
+from lieednn_sim.studies.study import compute
+from lieednn_sim.studies.workers import exit_code
 
 ROBOTS = ("panda", "ur5", "fetch")
 PLANNERS = ("rrt-connect", "lieednn-shaped", "minimum-jerk")
@@ -77,9 +78,8 @@ def main(arguments: list[str] | None = None) -> int:
     def work() -> Path:
         rows: dict[str, Sequence[Solution]] = {}
         for robot in ROBOTS:
-            how = {"names": PLANNERS, "problems": given.problems, "budget": BUDGET, "jobs": given.jobs}
-            sets = ProblemSets(given.folder / robot)
-            rows[robot] = solve_problems(given.output / robot, sets, console=console, **how).sorted_rows()
+            study = PublishedProblems(ProblemSets(given.folder / robot), PLANNERS, given.problems, BUDGET)
+            rows[robot] = compute(study, given.output / robot, jobs=given.jobs, console=console).sorted_rows()
         path = given.output / "motion_bench_maker.md"
         with filesystem.atomic_text(path) as stream:
             stream.write(table(rows))

@@ -71,13 +71,18 @@ ROOMS = {
         ("tests/simulation/test_rollout.py::test_final_pose_error_and_tracking_over_seeded_targets",),
     ),
     "metrics": Room(
-        ("evaluation/metrics.py", "evaluation/motion_metrics.py", "evaluation/rows.py", "evaluation/statistics.py"),
+        (
+            "evaluation/metrics.py",
+            "evaluation/motion_metrics.py",
+            "studies/comparison/rows.py",
+            "studies/statistics.py",
+        ),
         (
             "tests/evaluation/test_metrics.py",
             "tests/evaluation/test_motion_metrics.py",
-            "tests/evaluation/test_compare.py",
+            "tests/studies/test_compare.py",
         ),
-        ("tests/evaluation/test_compare.py::test_interrupting_keeps_what_is_done",),
+        ("tests/studies/test_compare.py::test_interrupting_keeps_what_is_done",),
     ),
     "limits": Room(("arm/parsing.py", "arm/coordinates.py"), _ARM_TESTS),
 }

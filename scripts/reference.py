@@ -91,7 +91,7 @@ STUDIES = {
         ("robustness",),
         jobs=True,
     ),
-    "demonstrations": _script("evaluate_demonstrations", "DEMONSTRATIONS", "demonstrations", "md"),
+    "demonstrations": _script("evaluate_demonstrations", "DEMONSTRATIONS", "demonstrations", "md", jobs=True),
     "paper": Study(
         ("python scripts/reproduce_paper.py",), {"paper": "results/paper/*.*"}, ("reproduce_paper",), jobs=True
     ),
@@ -102,7 +102,7 @@ STUDIES = {
             "--controllers position-servo --output results/obstacles",
         ),
         {"obstacles.md": "results/obstacles/comparison.md"},
-        ("lieednn_sim.evaluation.study",),
+        ("lieednn_sim.studies.comparison.study",),
         jobs=True,
     ),
     "pushes": _script("evaluate_pushes", "", "pushes", "md"),
@@ -110,7 +110,7 @@ STUDIES = {
     "comparison": Study(
         ("lieednn-sim compare --seeds 20 --slow-seeds 3 --reactive 3 --videos 3 --date DATE",),
         {name: f"results/comparison/{name}" for name in ("comparison.md", "comparison.html", "reactions.md")},
-        ("lieednn_sim.evaluation.study", "lieednn_sim.evaluation.reactive.study"),
+        ("lieednn_sim.studies.comparison.study", "lieednn_sim.studies.reactions.study"),
         jobs=True,
     ),
     "shaped": Study(

@@ -23,7 +23,7 @@ from paper.results import Results
 from rich.console import Console
 
 from lieednn_sim import filesystem
-from lieednn_sim.evaluation.workers import exit_code
+from lieednn_sim.studies.workers import exit_code
 
 
 def reproduce(

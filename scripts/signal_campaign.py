@@ -29,10 +29,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lieednn_sim import storage
-from lieednn_sim.evaluation import Row, read_rows
-from lieednn_sim.evaluation.problems.study import Solution
-from lieednn_sim.evaluation.rows import TIMING
 from lieednn_sim.rendering.ffmpeg import count_frames
+from lieednn_sim.studies import Row, read_rows
+from lieednn_sim.studies.comparison.rows import TIMING
+from lieednn_sim.studies.problems.study import Solution
 
 SIGNALS = (signal.SIGKILL, signal.SIGINT, signal.SIGTERM)
 # Time for children of a killed command to notice [s].
@@ -60,7 +60,7 @@ def _fingerprints(*names: str) -> Callable[[Path], object]:
 
 
 def _rows(folder: Path) -> object:
-    found: list[Row] = list(read_rows(folder / "out" / "comparison.csv").values())
+    found: list[Row] = list(read_rows(folder / "out" / "comparison.csv", Row).values())
     times: dict[str, Any] = dict.fromkeys(TIMING)
     return sorted(str(replace(row, **times)) for row in found)
 
@@ -147,7 +147,9 @@ def faults(name: str, sent: signal.Signals, process: subprocess.Popen[str], outp
     wrong = []
     # An interruption is a code above 128, which a shell gives too; the first imports end by the signal itself.
     allowed = {0, -sent} if sent == signal.SIGKILL else {0, -sent, 128 + sent}
-    if process.returncode not in allowed:
+    # Interrupted within its first milliseconds, Python itself ends with 1.
+    own = "Fatal Python error: init_import_site" in errors
+    if process.returncode not in allowed and not own:
         wrong.append(f"exit code {process.returncode}")
     # Not of the interpreter's own start, before this package is asked for.
     if ("Traceback" in errors and "lieednn_sim" in errors) or "Exception ignored" in errors:

@@ -216,9 +216,9 @@ def no_plots(monkeypatch: pytest.MonkeyPatch) -> None:
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """Pages of comparisons hold the rows that a figure would show in its place; for tests of everything else in them.
 
-    `evaluation/report/test_page.py` and `cli/test_compare.py` draw them.
+    `studies/report/test_page.py` and `cli/test_compare.py` draw them.
     """
-    from lieednn_sim.evaluation.report import figures, page
+    from lieednn_sim.studies.report import figures, page
 
     monkeypatch.setattr(page, "plots", lambda rows, controller: [figures.Plot(controller, repr(rows), "")])
 
@@ -230,7 +230,7 @@ def in_this_process() -> Callable[[], contextlib.AbstractContextManager[None]]:
     @contextlib.contextmanager
     def without_workers() -> Iterator[None]:
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr("lieednn_sim.evaluation.workers.worker_pool", lambda _: ThreadPoolExecutor(1))
+            patch.setattr("lieednn_sim.studies.workers.worker_pool", lambda _: ThreadPoolExecutor(1))
             yield
 
     return without_workers

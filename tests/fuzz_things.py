@@ -12,17 +12,28 @@ import mujoco
 import numpy as np
 
 import lieednn_sim as ls
-from lieednn_sim import arm, evaluation, learning, network, planning, simulation, stability, synthesis, theory
+from lieednn_sim import (
+    arm,
+    learning,
+    network,
+    planning,
+    policies,
+    simulation,
+    stability,
+    studies,
+    synthesis,
+    theory,
+)
 from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.environments import gymnasium, suite, tasks
 from lieednn_sim.environments.expert import Expert
-from lieednn_sim.evaluation.report import Clip
-from lieednn_sim.evaluation.shards import Shard
 from lieednn_sim.learning import demonstrations
 from lieednn_sim.planning import filtering
 from lieednn_sim.rendering import opengl
 from lieednn_sim.rendering.video import Camera
 from lieednn_sim.simulation.tracking import as_reference
+from lieednn_sim.studies.comparison.shards import Shard
+from lieednn_sim.studies.report import Clip
 
 _TWO_HINGES = """
 <mujoco><worldbody><body name="one"><joint name="a" range="-90 90"/><geom size="0.1"/>
@@ -31,7 +42,7 @@ _TWO_HINGES = """
 """
 # Calls change these: a new one is made for each.
 CHANGING = {"Environment", "VectorEnvironment", "Reach", "Track", "Expert", "ControlEnvironment", "Camera", "Table"}
-CHANGING |= {"Simulation", "Log", "MjSpec", "Controller"}
+CHANGING |= {"Simulation", "Log", "MjSpec", "Controller", "FilteredPolicy", "Policy"}
 
 
 @functools.cache
@@ -62,8 +73,18 @@ def _demonstration() -> Any:
     return demonstrations.Demonstration.from_samples(np.stack([s, s * s], axis=1))
 
 
+# A policy of each class.
+POLICY_CLASSES = {"Fabric": "fabric", "MotionTracker": "tracker", "MovementPrimitive": "dmp", "PathIntegral": "mppi"}
+POLICY_CLASSES |= dict.fromkeys(("Policy", "JointPolicy"), "fabric") | {"NetworkPolicy": "linear-attractor"}
+
+
+def _policy(kind: str, **how: Any) -> Any:
+    arm, motion = thing("Arm"), thing("Motion")
+    return policies.make_policy(kind, arm, motion.q[-1], start=motion.q[0], motion=motion, **how)
+
+
 def _table() -> Any:
-    table = evaluation.Table(tempfile.mkdtemp(dir="."), thing("Settings"))
+    table = studies.Comparison(common=thing("Settings")).open(tempfile.mkdtemp(dir="."))
     table.add([thing("Row")])
     return table
 
@@ -135,17 +156,21 @@ MAKERS: dict[str, Callable[[], Any]] = {
     "Simulation": lambda: simulation.Simulation(thing("Arm")),
     "Log": lambda: simulation.Log(fresh("Simulation")),
     "Instant": _instant,
-    "Following": lambda: ls.follow(thing("Arm"), thing("LieEDNN"), home()[None], 0.1),
-    "Feedback": simulation.Feedback,
+    "Following": lambda: ls.follow(fresh("Policy"), home(), 0.1),
+    "Feedback": policies.Feedback,
+    **{name: functools.partial(_policy, kind) for name, kind in POLICY_CLASSES.items()},
+    "FilteredPolicy": lambda: _policy("linear-attractor", safety=filtering.FilterOptions()),
+    "PolicyTask": lambda: policies.PolicyTask(thing("Arm"), home(), home()),
+    "LoopReport": lambda: policies.control_loop(fresh("Policy"), home, lambda q, qd: None, home(), 0.02),
     "Reference": lambda: as_reference(thing("Arm"), thing("Motion"), 1, None),
     "Controller": lambda: simulation.CONTROLLERS["position-servo"](thing("Arm"), thing("Reference")),
     "Evaluation": lambda: ls.evaluate(thing("Rollout")),
-    "Settings": lambda: evaluation.Settings(duration=0.5, hold=0.0),
-    "Selection": lambda: evaluation.Selection(
+    "Settings": lambda: studies.Settings(duration=0.5, hold=0.0),
+    "Comparison": lambda: studies.Comparison(
         ("minimum-jerk",), ("telescopic_pr",), ("free",), ("position-servo",), seeds=1
     ),
-    "Case": lambda: evaluation.Case("telescopic_pr", "free", "minimum-jerk", 0),
-    "Row": lambda: evaluation.run_case(thing("Case"), ["position-servo"], thing("Settings"))[0],
+    "Case": lambda: studies.Case("telescopic_pr", "free", "minimum-jerk", 0),
+    "Row": lambda: studies.run_case(thing("Case"), ["position-servo"], thing("Settings"))[0],
     "Table": _table,
     "Shard": lambda: Shard(1, 2),
     "Clip": lambda: Clip(thing("Row"), Path("file.npz"), b"1"),

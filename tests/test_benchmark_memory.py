@@ -11,9 +11,9 @@ from types import SimpleNamespace
 import benchmark_memory
 import pytest
 
-from lieednn_sim.evaluation import workers
-from lieednn_sim.evaluation.cases import Settings, run_case
-from lieednn_sim.evaluation.rows import Case
+from lieednn_sim.studies import workers
+from lieednn_sim.studies.comparison.cases import Settings, run_case
+from lieednn_sim.studies.comparison.rows import Case
 
 
 @pytest.fixture

@@ -16,10 +16,10 @@ from lieednn_sim.arm.contacts import ContactFinder
 from lieednn_sim.budget import check_time, out_of_time, time_limit
 from lieednn_sim.cli import _parser, main
 from lieednn_sim.errors import InputError, OutOfTimeError, PlanError
-from lieednn_sim.evaluation import Case, Settings, Table, run_case, write_summary
 from lieednn_sim.planning import PLANNERS, CertifiedOptions, certified, missing_planners, plan
 from lieednn_sim.planning.motion import least_duration
 from lieednn_sim.planning.network_path import NetworkPath
+from lieednn_sim.studies import Case, Comparison, Settings, run_case, write_summary
 
 SPEC = Arm.load("telescopic_pr").spec.copy()
 # Motions of fewer samples are planned in less time.
@@ -109,7 +109,7 @@ def test_a_case_that_runs_out_of_time_is_a_row_with_the_reason(looks, tmp_path):
     assert {row.success for row in rows} == {False}
     assert all(row.reason.startswith("plan: out of time: the budget of 7.5 s of CPU time is spent") for row in rows)
     assert all(row.planning_s >= 0.0 for row in rows)
-    table = Table(tmp_path, settings)
+    table = Comparison(common=settings).open(tmp_path)
     table.add(rows)
     write_summary(tmp_path / "summary.md", table)
     text = (tmp_path / "summary.md").read_text(encoding="utf-8")

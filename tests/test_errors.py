@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import lieednn_sim as ls
-from lieednn_sim import errors, evaluation, simulation
+from lieednn_sim import errors, evaluation, simulation, studies
 from lieednn_sim.arm import Arm, targets
 from lieednn_sim.environments import tasks, trajectories
 from lieednn_sim.errors import InputError, NoSolutionError
@@ -40,7 +40,7 @@ FRONT_DOOR = {
     "arm must be an Arm, got {}; see Arm.load": [
         lambda other: ls.plan(other, np.zeros(8)),
         lambda other: ls.simulate(other, None),
-        lambda other: ls.follow(other, None, np.zeros((1, 8)), 1.0),
+        lambda other: ls.make_policy("tracker", other, np.zeros(8)),
         lambda other: ls.solve_ik(other, [1.0, 0.0, 1.0]),
         lambda other: simulation.Simulation(other),
     ],
@@ -60,7 +60,7 @@ FRONT_DOOR = {
         lambda other: simulation.Rollout.load(None if other is None else [other], None),
     ],
     "pushes must be a list, each item a Push, got {}": [lambda other: ls.Disturbances(pushes=other)],
-    "selection must be a Selection, got {}": [lambda other: ls.compare(".", other, None)],
+    "study must be a Study, got {}": [lambda other: studies.compute(other, ".")],
 }
 
 

@@ -8,6 +8,7 @@ import os
 import resource
 import signal
 import tempfile
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,8 +17,8 @@ from lieednn_sim import storage
 from lieednn_sim.cli import main
 from lieednn_sim.cli.run_directory import RunDirectory
 from lieednn_sim.errors import FileError, LieEDNNError
-from lieednn_sim.evaluation import Selection, Settings, compare, read_rows, workers
 from lieednn_sim.learning import checkpoint
+from lieednn_sim.studies import Comparison, Row, Settings, compute, read_rows, workers
 
 # A process that ends itself by SIGKILL where it is told to: no moment to wait for, no time to clean up.
 KILL = "import os, signal, sys\nkill = lambda *_: os.kill(os.getpid(), signal.SIGKILL)\n"
@@ -105,7 +106,7 @@ def test_a_training_that_fails_keeps_what_it_learned(tmp_path, capsys, monkeypat
 def test_a_comparison_that_is_killed_goes_on_from_its_table(tmp_path, start, undrawn, in_this_process):
     code = """
 from lieednn_sim.cli import main
-from lieednn_sim.evaluation import table
+from lieednn_sim.studies import table
 add = table.Table.add
 table.Table.add = lambda self, rows: (add(self, rows), kill())
 if __name__ == "__main__":
@@ -114,10 +115,10 @@ if __name__ == "__main__":
     words = ["--planners", "minimum-jerk", "--arms", "telescopic_pr", "--scenes", "free", "--seeds", "2", "--jobs", "1"]
     words += ["--controllers", "computed-torque", "--duration", "1", "--hold", "0", "--output", str(tmp_path)]
     die(start, code, "compare", *words)
-    ((_, row),) = read_rows(tmp_path / "comparison.csv").items()
+    ((_, row),) = read_rows(tmp_path / "comparison.csv", Row).items()
     with in_this_process():
         assert main(["compare", *words]) == 0
-    rows = read_rows(tmp_path / "comparison.csv")
+    rows = read_rows(tmp_path / "comparison.csv", Row)
     assert len(rows) == 2
     # Not computed again, for that takes another time.
     assert row in rows.values()
@@ -160,14 +161,14 @@ def test_a_worker_that_is_killed_loses_no_finished_case(tmp_path, monkeypatch, i
             return self.inner.__exit__(*reason)
 
     monkeypatch.setattr(workers, "worker_pool", Context)
-    selection = Selection(("minimum-jerk",), ("telescopic_pr",), ("free",), ("computed-torque",), seeds=2)
+    selection = Comparison(("minimum-jerk",), ("telescopic_pr",), ("free",), ("computed-torque",), seeds=2)
     settings = Settings(duration=1.0, hold=0.0)
     with pytest.raises(LieEDNNError, match=r"a worker process died .* the same command continues; --jobs 1 needs less"):
-        compare(tmp_path, selection, settings)
-    assert list(read_rows(tmp_path / "comparison.csv").values()) == rows[0]
+        compute(replace(selection, common=settings), tmp_path)
+    assert list(read_rows(tmp_path / "comparison.csv", Row).values()) == rows[0]
     monkeypatch.undo()
     with in_this_process():
-        assert len(compare(tmp_path, selection, settings).rows) == 2
+        assert len(compute(replace(selection, common=settings), tmp_path).rows) == 2
 
 
 def test_a_full_disk_leaves_the_run_as_it_was(run, capsys):

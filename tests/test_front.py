@@ -25,7 +25,7 @@ def test_every_result_has_a_short_repr():
     target = arm.keyframe("extended")
     planned = ls.plan(arm, target, planner="lieednn-shaped", duration=2.0)
     network, rollout = planned.network, ls.simulate(arm, planned, hold=0.0)
-    following = ls.follow(arm, network, lambda t: target, 0.2)
+    following = ls.follow(ls.NetworkPolicy(arm, network), lambda t: target, 0.2)
     evaluation, xi = ls.evaluate(rollout), arm.encode(target)
     trained = train(xi, TrainingOptions.tracked())
     results = [arm, planned, planned.motion, rollout, following, evaluation, evaluate_following(following)]

@@ -36,9 +36,11 @@ ROOMS = (
     "learning",
     "arm",
     "planning",
+    "policies",
     "simulation",
     "rendering",
     "evaluation",
+    "studies",
     "environments",
     "cli",
 )

@@ -14,8 +14,8 @@ from lieednn_sim import storage
 from lieednn_sim.cli import main
 from lieednn_sim.cli.run_directory import PLOT_KINDS, RunDirectory
 from lieednn_sim.errors import FileError
-from lieednn_sim.evaluation import Settings, Table
 from lieednn_sim.manifest import Manifest
+from lieednn_sim.studies import Comparison, Settings
 
 RUN = sorted({path.name for kind in PLOT_KINDS for path in RunDirectory(".", kind).files})
 TABLE = ["comparison.csv", "comparison.json", "comparison.md", "comparison.html"]
@@ -49,11 +49,12 @@ def no_work(monkeypatch, tmp_path):
         "lieednn_sim.cli.demonstrations.ShapedMotion.fit",
         "lieednn_sim.cli.comparison.merge_shards",
         "lieednn_sim.cli.problems.ProblemSets",
-        "lieednn_sim.evaluation.study.complete",
+        "lieednn_sim.cli.comparison.compute",
+        "lieednn_sim.cli.problems.compute",
     ):
         monkeypatch.setattr(name, work)
     monkeypatch.setattr("lieednn_sim.cli.problems.ProblemSets", lambda folder: None)
-    monkeypatch.setattr("lieednn_sim.cli.problems.solve_problems", work)
+    monkeypatch.setattr("lieednn_sim.cli.problems.PublishedProblems", lambda *_: None)
     t = np.linspace(0.0, 1.0, 50)
     np.savetxt("way.csv", np.column_stack([t, 0.3 * (1.0 - t), 0.1 * np.sin(np.pi * t)]), delimiter=",")
     joints = np.zeros((50, 8))
@@ -82,14 +83,14 @@ def test_a_table_removes_no_videos_and_replaces_no_files(tmp_path):
     mine = tmp_path / "videos" / "holiday.mp4"
     mine.parent.mkdir()
     mine.write_bytes(b"mine")
-    Table(tmp_path / "other", Settings())
+    Comparison(common=Settings()).open(tmp_path / "other")
     for name in ("comparison.csv", "comparison.json"):
         (tmp_path / name).write_bytes(b"mine")
         with pytest.raises(FileError, match="comparison"):
-            Table(tmp_path, Settings())
+            Comparison(common=Settings()).open(tmp_path)
         assert (tmp_path / name).read_bytes() == b"mine"
         (tmp_path / name).unlink()
-    Table(tmp_path, Settings())
+    Comparison(common=Settings()).open(tmp_path)
     assert mine.read_bytes() == b"mine"
 
 

@@ -15,9 +15,9 @@ from lieednn_sim import reading, storage
 from lieednn_sim.arm import Arm, import_arm
 from lieednn_sim.arm.obstacles import load_obstacles
 from lieednn_sim.errors import FileError, InputError
-from lieednn_sim.evaluation.problems.motion_bench_maker import ProblemSets
 from lieednn_sim.learning.demonstrations import Demonstration, align, load_demonstrations
 from lieednn_sim.learning.demonstrations.alignment import Demonstrations
+from lieednn_sim.studies.problems.motion_bench_maker import ProblemSets
 from lieednn_sim.validation import as_count, as_floats, as_positive
 
 META = {"kind": "thing", "format": storage.FORMAT_VERSION, "fingerprint": "none"}

@@ -1,4 +1,7 @@
-"""What the README says runs: each Python block by itself, as it stands; each command line as far as its parser."""
+"""What the README says runs: each Python block by itself, as it stands; each command line as far as its parser.
+
+So do the Python blocks of the document on policies.
+"""
 
 from __future__ import annotations
 
@@ -15,16 +18,17 @@ ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text()
 
 
-def blocks(language: str) -> list:
-    """The README's code blocks of a language, named by the line that they begin at."""
-    found = re.finditer(rf"^```{language}\n(.*?)^```$", README, re.MULTILINE | re.DOTALL)
-    return [pytest.param(match[1], id=f"line {README[: match.start()].count(chr(10)) + 2}") for match in found]
+def blocks(language: str, text: str = README, name: str = "") -> list:
+    """The code blocks of a language in a document, named by the line that they begin at."""
+    found = re.finditer(rf"^```{language}\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+    return [pytest.param(match[1], id=f"{name}line {text[: match.start()].count(chr(10)) + 2}") for match in found]
 
 
+POLICIES = blocks("python", (ROOT / "docs" / "policies.md").read_text(), "policies.md ")
 COMMANDS = [line for block in blocks("sh") for line in block.values[0].splitlines()]
 
 
-@pytest.mark.parametrize("code", blocks("python"))
+@pytest.mark.parametrize("code", [*blocks("python"), *POLICIES])
 def test_each_python_block_runs_by_itself(code, tmp_path, monkeypatch, capsys):
     modules = set(re.findall(r"^import (gymnasium|dm_control)", code, re.MULTILINE))
     modules |= {"ompl"} if "lieednn-guided" in code else set()

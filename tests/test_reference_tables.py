@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -19,8 +20,12 @@ import robustness
 import shaped
 import tune_rivals
 
-from lieednn_sim.evaluation.problems.study import Solution
+from lieednn_sim.evaluation.paths import PathErrors
 from lieednn_sim.planning.baselines.joint_space import joint_scale
+from lieednn_sim.studies.demonstrations.attraction import Attraction
+from lieednn_sim.studies.demonstrations.models import ModelRow
+from lieednn_sim.studies.demonstrations.study import scored
+from lieednn_sim.studies.problems.study import Solution
 
 
 def cells(line: str) -> list[str]:
@@ -123,31 +128,26 @@ def test_effort_and_clearance_of_a_motion_by_hand(gantry):
     assert shaped.clearance(gantry, motion) == pytest.approx(400.0, abs=1e-6)
 
 
-def measured(model, rms_mm=1.0, rms_deg=0.1, left_out=1.0, training=1.0, arrived=3, spurious=0):
+def measured(name, model, rms_mm=1.0, rms_deg=0.1, left_out=1.0, training=1.0, arrived=3, spurious=0):
     def errors(scale):
-        return {"rms_mm": scale, "rms_deg": scale, "dtwd_mm": 100.0 * scale, "frechet_mm": scale, "goal_mm": 0.5}
+        return PathErrors(scale, scale, 100.0 * scale, scale, 0.5, 0.0)
 
-    return {
-        "model": model,
-        "n_parameters": 7,
-        "mean": errors(1.0) | {"rms_mm": rms_mm, "rms_deg": rms_deg},
-        "training": errors(training),
-        "left_out": errors(left_out),
-        "attraction": {"starts": 3, "arrived": arrived, "spurious": spurious},
-        "fit_s": 0.25,
-    }
+    mean = replace(errors(1.0), rms_mm=rms_mm, rms_deg=rms_deg)
+    there = Attraction(3, arrived, spurious)
+    return scored("recorded", name, ModelRow(model, 7, 0.25, mean, errors(training), errors(left_out), there))
 
 
 def test_claims_on_tasks_hold_where_the_network_is_no_worse():
-    sets = [
-        {"set": name, "models": [measured("lieednn-shaped", **ours), measured("dmp", left_out=2.0)]}
+    rows = [
+        row
         for name, ours in (
             ("first", {}),
             ("far", {"rms_mm": 2.5, "left_out": 3.0}),
             ("turned", {"rms_deg": 0.6, "left_out": 1.0}),
         )
+        for row in (measured(name, "lieednn-shaped", **ours), measured(name, "dmp", left_out=2.0))
     ]
-    assert evaluate_demonstrations.verdicts(sets, "robottasks") == [
+    assert evaluate_demonstrations.verdicts(rows, "robottasks") == [
         "- Every start arrives, and there is no other attractor: holds.",
         "- The mean demonstration within 2 mm and 0.5 degrees RMS: holds in 1 of 3.",
         *(
@@ -155,29 +155,22 @@ def test_claims_on_tasks_hold_where_the_network_is_no_worse():
             for what in ("DTWD", "RMS of positions", "RMS of turns")
         ),
     ]
-    assert cells(evaluate_demonstrations.table(sets, "robottasks")[3])[:6] == [
-        "first",
-        "dmp",
-        "7",
-        "1.00",
-        "0.10",
-        "100",
-    ]
-    assert cells(evaluate_demonstrations.table(sets, "robottasks")[-2])[:6] == [
-        *("**mean**", "lieednn-shaped", "", "1.50", "0.27", "100"),
-    ]
+    lines = evaluate_demonstrations.table(rows, "robottasks")
+    assert cells(lines[3])[:6] == ["first", "dmp", "7", "1.00", "0.10", "100"]
+    assert cells(lines[-2])[:6] == ["**mean**", "lieednn-shaped", "", "1.50", "0.27", "100"]
     for lost in ({"arrived": 2}, {"spurious": 1}):
-        sets[0]["models"][0] = measured("lieednn-shaped", **lost)
-        assert evaluate_demonstrations.verdicts(sets, "robottasks")[0].endswith("**does not hold**.")
+        rows[0] = measured("first", "lieednn-shaped", **lost)
+        assert evaluate_demonstrations.verdicts(rows, "robottasks")[0].endswith("**does not hold**.")
 
 
 def test_claims_on_letters_compare_means_over_them():
-    def models(ours, dmp, mixture):
-        names = ("lieednn-shaped", "dmp", "lpv-ds")
-        return [measured(name, training=x, left_out=x) for name, x in zip(names, (ours, dmp, mixture), strict=True)]
-
-    sets = [{"set": "one", "models": models(1.0, 4.0, 1.0)}, {"set": "other", "models": models(1.0, 0.0, 1.0)}]
-    lines = evaluate_demonstrations.verdicts(sets, "lasa")
+    names = ("lieednn-shaped", "dmp", "lpv-ds")
+    rows = [
+        measured(letter, name, training=x, left_out=x)
+        for letter, scales in (("one", (1.0, 4.0, 1.0)), ("other", (1.0, 0.0, 1.0)))
+        for name, x in zip(names, scales, strict=True)
+    ]
+    lines = evaluate_demonstrations.verdicts(rows, "lasa")
     for part, line, next_line in (("training", *lines[1:3]), ("left out", *lines[3:5])):
         assert line == f"- Mean DTWD [mm], {part}: lieednn-shaped 100, dmp 200, lpv-ds 100."
         assert next_line == "  No more than the primitive's: holds; less than the stable mixture's: **does not hold**."

@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from paper import check_measures, claims, experiments, measures, plan, report, results, runner, style
 from rich.console import Console
 
-from lieednn_sim.evaluation import workers
+from lieednn_sim.studies import workers
 
 SCRIPTS = Path(__file__).resolve().parents[1] / "scripts"
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 from types import SimpleNamespace
 
 import cost_over_time
@@ -20,9 +19,9 @@ from PIL import Image
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
-from lieednn_sim.evaluation.demonstrations import RIVALS, missing_rivals
 from lieednn_sim.planning.baselines.primitives import DmpOptions
 from lieednn_sim.planning.motion import Motion
+from lieednn_sim.studies.demonstrations.models import RIVALS, missing_rivals
 from lieednn_sim.synthesis import ShapingOptions
 
 
@@ -173,7 +172,7 @@ def test_failures_are_held_against_the_report():
     ]
 
 
-def test_the_table_of_demonstrations(tmp_path, monkeypatch, capsys):
+def test_the_table_of_demonstrations(tmp_path, monkeypatch, in_this_process):
     (tmp_path / "robottasks").mkdir()
     s = np.linspace(0.0, 1.0, 30)[:, None]
     turns = np.concatenate([np.cos(0.4 * s), np.sin(0.4 * s), 0.0 * s, 0.0 * s], axis=1)
@@ -182,17 +181,16 @@ def test_the_table_of_demonstrations(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(evaluate_demonstrations, "OPTIONS", ShapingOptions(neurons=(2,), placed=()))
     monkeypatch.setattr("lieednn_sim.evaluation.paths.SAMPLES", 60)
     words = [str(tmp_path), "--starts", "3", "--output", str(tmp_path / "out")]
-    evaluate_demonstrations.main(words)
+    with in_this_process():
+        evaluate_demonstrations.main(words)
     first = (tmp_path / "out" / "demonstrations.md").read_text()
     assert "| bend | lieednn-shaped | 38 |" in first
     assert "- Every start arrives, and there is no other attractor: holds.\n" in first
     assert first.count("| 3/3 | 0 |") == 1 + len(RIVALS) - len(missing_rivals())
-    assert json.loads((tmp_path / "out" / "bend.json").read_text())["certified"]
     # What is there is not computed again.
-    monkeypatch.setattr(evaluate_demonstrations, "evaluate", None)
+    monkeypatch.setattr("lieednn_sim.studies.demonstrations.study.score", None)
     evaluate_demonstrations.main(words)
     assert (tmp_path / "out" / "demonstrations.md").read_text() == first
-    assert capsys.readouterr().out.startswith("bend: done")
 
 
 def tuned(setting, *lengths):

@@ -168,6 +168,10 @@ def network():
     return ls.synthesize(XI).unwrap()
 
 
+def policy():
+    return ls.NetworkPolicy(ARM, network())
+
+
 @functools.cache
 def short():
     return ls.plan(ARM, 0.99 * HOME, planner="minimum-jerk", duration=0.5, longest=20.0)
@@ -189,8 +193,8 @@ def shown():
         (lambda: align([shown()]), r"demonstrations\[0\] must be a Demonstration"),
         (lambda: ShapedMotion.fit([1]), "demonstrations must be Demonstrations"),
         (lambda: load_demonstrations(5), "files must be a list"),
-        (lambda: ls.follow(ARM, network(), HOME[None], 0.1, disturbances=5), "disturbances must be Disturbances"),
-        (lambda: ls.follow(ARM, network(), HOME[None], 0.1, control_rate="100"), "control_rate must be a number"),
+        (lambda: ls.follow(policy(), HOME, 0.1, disturbances=5), "disturbances must be Disturbances"),
+        (lambda: ls.NetworkPolicy(ARM, network(), "100"), "rate must be a number"),
         (lambda: ls.simulate(ARM, short(), progress=5), "progress must be a function"),
         (lambda: ls.simulate_many(ARM, np.array(1.0)), "motions must be a list"),
         (lambda: ls.plan(ARM, HOME, fastest=np.zeros(2)), "fastest must be True or False"),

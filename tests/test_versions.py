@@ -74,8 +74,14 @@ def test_rows_of_tables_depend_on_planners_and_simulation_but_not_on_commands_an
     found = {name.removeprefix("lieednn_sim.") for name in modules()}
     assert found >= {
         *("planning.certified", "planning.baselines.sampling", "learning.projected", "arm.importer.importing"),
-        *("simulation.simulation", "evaluation.cases", "evaluation.statistics", "stability.certificate", "lie.se3"),
+        *(
+            "simulation.simulation",
+            "studies.comparison.cases",
+            "studies.statistics",
+            "stability.certificate",
+            "lie.se3",
+        ),
     }
     assert not {name.split(".")[0] for name in found} & {"cli", "rendering", "environments", "storage", "validation"}
-    assert "evaluation.report.page" not in found
+    assert "studies.report.page" not in found
     assert len(code_version()) == 12

@@ -17,9 +17,8 @@ from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.cli.options import decimal
 from lieednn_sim.cli.task import Task
 from lieednn_sim.errors import InputError
-from lieednn_sim.planning.motion import count_steps
+from lieednn_sim.planning.motion import count_steps, steps_of_rate
 from lieednn_sim.simulation import Disturbances, Push, controllers
-from lieednn_sim.simulation.reference import steps_of_rate
 from lieednn_sim.simulation.tracking import as_hold
 from lieednn_sim.validation import as_choice, as_positive, as_seed
 from lieednn_sim.values import Floats

@@ -14,18 +14,16 @@ from lieednn_sim import filesystem
 from lieednn_sim.cli.arms import print_import_report
 from lieednn_sim.cli.console import console, progress, to_stderr, wrote
 from lieednn_sim.errors import InputError, LieEDNNError
-from lieednn_sim.evaluation import Case, Selection, Settings, Table, write_summary
-from lieednn_sim.evaluation import compare as compare_planners
-from lieednn_sim.evaluation.cluster import dask_executor
-from lieednn_sim.evaluation.entries import ARM, bare_arm, findings
-from lieednn_sim.evaluation.merging import merge as merge_shards
-from lieednn_sim.evaluation.reactive.study import compare_reactions, write_reactions
-from lieednn_sim.evaluation.report import Clip, choose_cases, film, write_page
-from lieednn_sim.evaluation.shards import Shard
 from lieednn_sim.manifest import Manifest
-from lieednn_sim.planning import missing_planners
 from lieednn_sim.planning.registry import REGISTRY as PLANNER_REGISTRY
 from lieednn_sim.simulation.controllers import REGISTRY as CONTROLLER_REGISTRY
+from lieednn_sim.studies import Case, Comparison, Row, Settings, Table, compute, write_summary
+from lieednn_sim.studies.cluster import dask_executor
+from lieednn_sim.studies.comparison.merging import merge as merge_shards
+from lieednn_sim.studies.comparison.shards import Shard
+from lieednn_sim.studies.entries import ARM, bare_arm, findings
+from lieednn_sim.studies.reactions.study import Reactions, write_reactions
+from lieednn_sim.studies.report import Clip, choose_cases, film, write_page
 from lieednn_sim.validation import as_count
 
 
@@ -37,24 +35,25 @@ def compare(arguments: argparse.Namespace) -> None:
         mass_scale=arguments.mass_scale,
         time_budget=arguments.time_budget,
     )
-    selection = Selection(
+    shard = None if arguments.shard is None else Shard.parse(arguments.shard)
+    study = Comparison(
         planners=_listed(arguments.planners),
         arms=_listed(arguments.arms),
         scenes=_listed(arguments.scenes),
         controllers=_listed(arguments.controllers),
         seeds=arguments.seeds,
         slow_seeds=arguments.slow_seeds,
+        common=settings,
+        shard=shard,
     )
     jobs = as_count("jobs", os.cpu_count() or 1 if arguments.jobs is None else arguments.jobs)
     # Check values before any work.
     as_count("videos", arguments.videos, least=0)
     as_count("reactive", arguments.reactive, least=0)
     cases = [Case.parse(text) for text in arguments.video]
-    shard = None if arguments.shard is None else Shard.parse(arguments.shard)
     if shard is not None and (arguments.videos or cases or arguments.reactive):
         raise InputError("--shard makes only a part of the table; it cannot take --videos, --video or --reactive")
-    missing = {name: reason for name, reason in missing_planners().items() if name in selection.planners}
-    for name, reason in missing.items():
+    for name, reason in study.absent.items():
         console.print(f"not compared: {name} is not installed ({reason})")
     cluster = contextlib.nullcontext() if arguments.scheduler is None else dask_executor(arguments.scheduler)
     with (
@@ -67,26 +66,25 @@ def compare(arguments: argparse.Namespace) -> None:
             console.print(f"{executor.n_workers} workers at {arguments.scheduler}; cases wait for the first one")
         summary, page = directory / "comparison.md", directory / "comparison.html"
         _check_outputs(directory, [summary, page, *([directory / "reactions.md"] if arguments.reactive else [])])
-        _print_found(selection)
-        table = compare_planners(directory, selection, settings, shard=shard, **how)
+        _print_found(study)
+        table = compute(study, directory, **how)
         if shard is not None:
             wrote(table.csv)
             return
         with table.manifest.writing(summary) as temporary:
-            write_summary(temporary, table, missing)
-        clips = _film(table, cases + choose_cases(table, arguments.videos), selection.controllers[0])
+            write_summary(temporary, table, study.absent)
+        clips = _film(table, cases + choose_cases(table, arguments.videos), study.controllers[0])
         line = shlex.join(["lieednn-sim", *arguments.words])
         reactions, more = None, []
         if arguments.reactive:
-            reactions = compare_reactions(
-                directory, selection.arms, selection.scenes, arguments.reactive, entries=selection.entries, **how
-            )
+            disturbed = Reactions(study.arms, study.scenes, arguments.reactive, entries=study.entries)
+            reactions = compute(disturbed, directory, **how)
             more = [reactions.csv, directory / "reactions.md"]
             with table.manifest.writing(more[1]) as temporary:
                 write_reactions(temporary, reactions)
         head = {"command": line, "date": arguments.date}
         with table.manifest.writing(page) as temporary:
-            write_page(temporary, table, missing=missing, clips=clips, reactions=reactions, **head)
+            write_page(temporary, table, missing=study.absent, clips=clips, reactions=reactions, **head)
     wrote(table.csv, summary, *more, page)
 
 
@@ -123,21 +121,21 @@ def _listed(words: Sequence[str] | None) -> list[str]:
     return listed
 
 
-def _print_found(selection: Selection) -> None:
+def _print_found(study: Comparison) -> None:
     """Print the user's own arms, scenes, planners and controllers in a comparison."""
-    for entry in selection.entries:
+    for entry in study.entries:
         if entry.kind == ARM:
             arm = bare_arm(entry.source)
             console.print(
                 f"arm {entry.name}: {arm.n_links} links, {arm.n_joints} joints, from {entry.source}", markup=False
             )
             print_import_report(arm)
-    others = PLANNER_REGISTRY.found(selection.planners) + CONTROLLER_REGISTRY.found(selection.controllers)
-    for line in others + findings(selection.arms, selection.scenes, selection.entries):
+    others = PLANNER_REGISTRY.found(study.planners) + CONTROLLER_REGISTRY.found(study.controllers)
+    for line in others + findings(study.arms, study.scenes, study.entries):
         console.print(line, markup=False)
 
 
-def _film(table: Table, cases: Sequence[Case], controller: str) -> list[Clip]:
+def _film(table: Table[Row], cases: Sequence[Case], controller: str) -> list[Clip]:
     """Videos of the cases; prints why a case cannot be shown."""
     clips: list[Clip] = []
     for case in dict.fromkeys(cases):

@@ -14,11 +14,11 @@ from lieednn_sim.cli.console import console, progress, wrote
 from lieednn_sim.cli.joint_demonstrations import learn_joints
 from lieednn_sim.cli.run_directory import PLOT_KINDS
 from lieednn_sim.errors import InputError
-from lieednn_sim.evaluation.demonstrations import RIVALS, ModelRow, compare_models, missing_rivals, of_models
-from lieednn_sim.evaluation.plot_demonstrations import plot_field, plot_paths
 from lieednn_sim.learning.demonstrations import Demonstrations, align, load_demonstrations
 from lieednn_sim.learning.demonstrations.shaped import ShapedMotion
 from lieednn_sim.manifest import Manifest
+from lieednn_sim.studies.demonstrations.models import RIVALS, ModelRow, compare_models, missing_rivals, of_models
+from lieednn_sim.studies.demonstrations.plots import plot_field, plot_paths
 from lieednn_sim.synthesis import ShapingOptions
 from lieednn_sim.validation import as_choice, as_count, as_seed
 

@@ -16,9 +16,9 @@ from lieednn_sim.cli.names import RIVALS
 from lieednn_sim.cli.run_directory import RunDirectory
 from lieednn_sim.cli.task import DEMONSTRATED
 from lieednn_sim.errors import InputError
-from lieednn_sim.evaluation.joint_demonstrations import of_joints, study_joints
-from lieednn_sim.evaluation.plot_demonstrations import plot_joint_paths
 from lieednn_sim.planning.demonstrated import JointDemonstrations, JointMotion
+from lieednn_sim.studies.demonstrations.joints import of_joints, study_joints
+from lieednn_sim.studies.demonstrations.plots import plot_joint_paths
 from lieednn_sim.synthesis import ShapingOptions
 from lieednn_sim.validation import as_count, as_seed
 

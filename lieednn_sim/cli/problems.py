@@ -8,10 +8,11 @@ import os
 from lieednn_sim import filesystem
 from lieednn_sim.cli.console import to_stderr, wrote
 from lieednn_sim.errors import InputError
-from lieednn_sim.evaluation.problems.motion_bench_maker import ProblemSets
-from lieednn_sim.evaluation.problems.study import solve_problems
-from lieednn_sim.evaluation.problems.summary import write_problems
 from lieednn_sim.manifest import Manifest
+from lieednn_sim.studies.problems.motion_bench_maker import ProblemSets
+from lieednn_sim.studies.problems.study import PublishedProblems
+from lieednn_sim.studies.problems.summary import write_problems
+from lieednn_sim.studies.study import compute
 from lieednn_sim.validation import quoted
 
 
@@ -23,15 +24,10 @@ def problems(arguments: argparse.Namespace) -> None:
         summary = directory / "problems.md"
         filesystem.check_outputs([summary.with_suffix(".csv"), summary.with_suffix(".json")])
         Manifest(directory).check([summary])
-        table = solve_problems(
-            directory,
-            sets,
-            names=[name for word in arguments.planners for name in word.split(",") if name],
-            problems=count,
-            budget=arguments.time_budget,
-            jobs=os.cpu_count() or 1 if arguments.jobs is None else arguments.jobs,
-            console=to_stderr(),
-        )
+        names = [name for word in arguments.planners for name in word.split(",") if name]
+        study = PublishedProblems(sets, names, count, arguments.time_budget)
+        jobs = os.cpu_count() or 1 if arguments.jobs is None else arguments.jobs
+        table = compute(study, directory, jobs=jobs, console=to_stderr())
         with table.manifest.writing(summary) as temporary:
             write_problems(temporary, sets.robot, table.sorted_rows(), arguments.time_budget)
     wrote(table.csv, summary)

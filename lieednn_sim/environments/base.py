@@ -18,10 +18,10 @@ from lieednn_sim.environments.observations import Observations
 from lieednn_sim.environments.rewards import Closeness
 from lieednn_sim.errors import InputError, SimulationError
 from lieednn_sim.evaluation.frame_errors import SETTLED_ROTATION, SETTLED_TRANSLATION
+from lieednn_sim.planning.motion import steps_in
 from lieednn_sim.simulation import Simulation
 from lieednn_sim.simulation.plant import make_plant
 from lieednn_sim.simulation.quaternions import quaternions
-from lieednn_sim.simulation.reference import steps_in
 from lieednn_sim.validation import as_choice, as_floats, as_positive, as_seed
 from lieednn_sim.values import Floats
 

@@ -1,4 +1,4 @@
-"""An expert policy for all interfaces: it follows a LieEDNN plan, or the moving target."""
+"""An expert for all interfaces: a policy whose references become actions."""
 
 from __future__ import annotations
 
@@ -8,9 +8,10 @@ import numpy as np
 
 from lieednn_sim.environments.base import ArmTask
 from lieednn_sim.environments.tasks import Track
-from lieednn_sim.environments.trajectories import JointTrajectory, planned
+from lieednn_sim.environments.trajectories import planned
 from lieednn_sim.errors import InputError
 from lieednn_sim.planning import OBSTACLE_PLANNER, planners, require_planner
+from lieednn_sim.policies import MotionTracker, Policy, make_policy, policies
 from lieednn_sim.typecheck import typecheck_public
 from lieednn_sim.validation import as_choice, as_count, as_seed
 from lieednn_sim.values import Floats
@@ -23,20 +24,30 @@ class Expert:
 
     In `Reach` it plans a certified network's motion from ``home`` to each episode's target, around obstacles if there
     are any, and commands its positions, as fast as 90 % of the limits allow. In `Track` it commands the target's next
-    position. Its actions are within [-1, 1].
+    position. With ``policy`` it is that policy, made for each episode, which sees the measured joints and the target.
+    Its actions are within [-1, 1].
 
     Args:
         environment: an `ArmTask`, an environment of `suite.load`, or a Gymnasium one, wrapped or not.
+        policy: a name of `policies.POLICIES`.
         planner: a name of `planning.PLANNERS`; by default a certified LieEDNN, and among obstacles `OBSTACLE_PLANNER`.
         candidates: number of networks drawn for a plan at first, see `trajectories.planned`.
         seed: seed of the draws.
 
     Raises:
-        InputError: the environment is none of these, or there is no such planner.
+        InputError: the environment is none of these, there is no such policy or planner, or both are given.
         LieEDNNError: a library that the planner needs is not installed.
     """
 
-    def __init__(self, environment: Any, *, planner: str | None = None, candidates: int = 2, seed: int = 0) -> None:
+    def __init__(
+        self,
+        environment: Any,
+        *,
+        policy: str | None = None,
+        planner: str | None = None,
+        candidates: int = 2,
+        seed: int = 0,
+    ) -> None:
         inner = getattr(environment, "unwrapped", environment)
         task = inner if isinstance(inner, ArmTask) else getattr(inner, "task", None)
         if not isinstance(task, ArmTask):
@@ -44,16 +55,19 @@ class Expert:
                 "environment must be an ArmTask, or made by suite.load or gymnasium.make from one of this package's, "
                 f"got {type(environment).__name__}"
             )
+        if policy is not None and planner is not None:
+            raise InputError(f"give a policy or a planner, got {policy!r} and {planner!r}")
         self._task = task
+        self._kind = None if policy is None else as_choice("policy", policy, policies())
         if planner is None and task.arm.scene != "free":
             planner = OBSTACLE_PLANNER
         self._planner = None if planner is None else as_choice("planner", planner, planners())
-        if self._planner is not None:
+        if self._planner is not None and self._kind is None:
             require_planner(self._planner)
         self._candidates = as_count("candidates", candidates)
         self._seed = as_seed("seed", seed)
-        self._episode = 0
-        self._plan: JointTrajectory
+        self._episode, self._periods = 0, 0
+        self._policy: Policy
 
     def act(self) -> Floats:
         """Action ``(n,)`` for the present time; it uses more of the task than the observations tell.
@@ -65,18 +79,34 @@ class Expert:
         task = self._task
         if task.episode == 0:
             raise InputError("the environment has not been reset")
-        ahead = task.time + task.control_timestep
-        wanted = task.target(ahead) if isinstance(task, Track) else self._reach(task).position(ahead)
-        action = (wanted - task.command) / (task.control_timestep * task.arm.velocity_limits)
+        if self._episode != task.episode:
+            self._policy = self._make(task)
+            self._policy.reset(task.command)
+            self._episode, self._periods = task.episode, 0
+        measured, target = task.observe()["position"], task.target(task.time + task.control_timestep)
+        # Others may have acted since; asked again at the same time, it answers the same.
+        while self._periods <= round(task.time / task.control_timestep):
+            self._policy.step(measured, target)
+            self._periods += 1
+        action = (self._policy.q - task.command) / (task.control_timestep * task.arm.velocity_limits)
         return np.clip(action, -1.0, 1.0)
 
-    def _reach(self, task: ArmTask) -> JointTrajectory:
-        if self._episode != task.episode:
-            self._plan = planned(
-                task.arm, task.target(0.0), planner=self._planner, candidates=self._candidates, seed=self._seed
-            )
-            self._episode = task.episode
-        return self._plan
+    def _make(self, task: ArmTask) -> Policy:
+        arm, rate, target = task.arm, 1.0 / task.control_timestep, task.target(0.0)
+        if self._kind is not None:
+            return make_policy(self._kind, arm, target, rate=rate, start=task.command, seed=self._seed)
+        if isinstance(task, Track):
+            return _TargetFollower(arm, rate)
+        made = planned(arm, target, planner=self._planner, candidates=self._candidates, seed=self._seed)
+        return MotionTracker(arm, made.spline, rate)
+
+
+class _TargetFollower(Policy):
+    """Its reference is the target."""
+
+    def act(self, measured: Floats | None, target: Floats) -> tuple[Floats, Floats]:
+        """See `Policy`."""
+        return target, np.zeros_like(target)
 
 
 typecheck_public(globals())

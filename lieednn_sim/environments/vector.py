@@ -21,13 +21,12 @@ from gymnasium.vector.utils import batch_space
 from mujoco import rollout
 from numpy.typing import NDArray
 
-from lieednn_sim._mujoco import mujoco
+from lieednn_sim._mujoco import QuietWarnings, mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.environments.bounds import Bounds
 from lieednn_sim.environments.frames import frames_at
 from lieednn_sim.environments.tasks import make_task
 from lieednn_sim.errors import InputError
-from lieednn_sim.simulation.simulation import QuietWarnings
 from lieednn_sim.validation import as_choice, as_count, as_floats, as_seed, as_workers
 from lieednn_sim.values import Floats
 

@@ -99,6 +99,27 @@ def count_steps(duration: float, timestep: float) -> int:
     return round(ratio)
 
 
+def steps_in(what: str, period: float, timestep: float) -> int:
+    """Number of simulation steps in a control period [s], or `InputError` when it is no whole number."""
+    ratio = as_positive(what, period) / timestep
+    if ratio < 0.5 or abs(ratio - round(ratio)) > 1e-6 * ratio:
+        raise InputError(
+            f"{what} must be a whole number of simulation steps of {timestep:g} s, got {period:g} s = {ratio:.6g} steps"
+        )
+    return round(ratio)
+
+
+def steps_of_rate(what: str, rate: float, timestep: float) -> int:
+    """The same for a control rate [Hz], which must divide the rate of the simulation."""
+    ratio = 1.0 / (as_positive(what, rate) * timestep)
+    if ratio < 0.5 or abs(ratio - round(ratio)) > 1e-6 * ratio:
+        raise InputError(
+            f"{what} must divide the simulation's {1.0 / timestep:.6g} Hz, got {rate:g} Hz; "
+            f"for example {1.0 / (timestep * max(1, round(ratio))):.6g} Hz"
+        )
+    return round(ratio)
+
+
 def least_duration(arm: Arm, start: Floats, target: Floats) -> float:
     """Least time [s] from rest at ``start`` to rest at ``target``, both ``(n,)``, under the limits of all rates.
 

@@ -3,7 +3,6 @@
 from lieednn_sim.simulation.controllers import CONTROLLERS, controllers, register_controller
 from lieednn_sim.simulation.controllers.base import Controller
 from lieednn_sim.simulation.disturbances import Disturbances, Push
-from lieednn_sim.simulation.feedback import Feedback
 from lieednn_sim.simulation.following import Following, follow
 from lieednn_sim.simulation.log import Instant, Log
 from lieednn_sim.simulation.many import Rollouts, simulate_many
@@ -16,7 +15,6 @@ __all__ = [
     "CONTROLLERS",
     "Controller",
     "Disturbances",
-    "Feedback",
     "Following",
     "Instant",
     "Log",

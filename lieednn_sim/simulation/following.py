@@ -1,257 +1,156 @@
-"""Following a moving target in real time: the network's bias moves with the target.
-
-The certificate of a network does not depend on its bias, so the bias b(x) = (gamma/mu) x - W phi(x) makes any target x
-the global attractor, at any moment. With the network's rate c [1/s], the state follows
-
-    xi' = c (-gamma (xi - x) + mu W (phi(xi) - phi(x))) + x'_ff,
-
-which is c times the field of the network retargeted to x. A state near a target that moves with velocity v in the
-network's coordinates lags by (-c J)^-1 v, with the Jacobian J of the field at the target; the feedforward x'_ff = v, a
-stronger bias, removes the lag. The decoded joints are the reference of a controller.
-"""
+"""The closed loop: a simulated arm behind a policy, which sees the arm and a target that may move."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import field
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from lieednn_sim._mujoco import QuietWarnings, mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError
-from lieednn_sim.network import LieEDNN
-from lieednn_sim.network.dynamics import runge_kutta_step
-from lieednn_sim.planning.motion import count_steps
-from lieednn_sim.planning.network_path import require_fit
-from lieednn_sim.simulation.closed_loop import closed_loop
+from lieednn_sim.planning.motion import count_steps, steps_of_rate
+from lieednn_sim.policies import Policy
+from lieednn_sim.policies.base import has_jumped
 from lieednn_sim.simulation.disturbances import Disturbances
-from lieednn_sim.simulation.feedback import Feedback, FeedbackFollower
-from lieednn_sim.simulation.reference import steps_of_rate
-from lieednn_sim.simulation.rollout import Rollout
-from lieednn_sim.simulation.simulation import Simulation
-from lieednn_sim.validation import as_positive
+from lieednn_sim.simulation.log import Log
+from lieednn_sim.simulation.reference import Reference, interpolator
+from lieednn_sim.simulation.rollout import Rollout, as_rollout
+from lieednn_sim.simulation.tracking import make_controlled
+from lieednn_sim.validation import as_floats
 from lieednn_sim.values import Floats, frozen
-
-# A target faster than the joints' limits has jumped; for joints without limits, one faster than this [rad/s, m/s].
-_FASTEST = 10.0
-# Largest |c J| h for which RK4 is accurate, far inside its region of stability.
-_LARGEST_STEP = 1.0
 
 
 @frozen
 class Following:
-    """A rollout behind a moving target.
+    """A rollout behind a policy.
 
     Attributes:
-        rollout: its reference is the network's decoded state, and `motion_end` its end.
+        rollout: its reference is the policy's, cubic between control periods, and `motion_end` its end. Its channels
+            are the policy's, besides those of the controller.
         target: ``(K, n)`` the target at the rollout's times.
-        xi: ``(K, N, 6)`` states of all neurons; with feedback ``(L, N, 6)``, at the beginnings of the L control
-            periods.
-        period: simulation steps between two samples of the target.
-        jumps: times at which the follower took the target to have jumped [s].
-        slowed: share of the control periods in which the velocity limits slowed the network down.
-        limit_excess: largest excess of the decoded joints over their position limits, at which the reference stops
-            [rad, m]; not positive if they kept the limits.
-        gap_translation: largest mechanism gap [m].
-        gap_rotation: the same as an angle [rad].
+        states: ``(L, ...)`` the policy's states at the beginnings of the L control periods; ``(L, N, 6)`` of a network.
+        period: simulation steps in a control period.
+        step_time: ``(L,)`` CPU time of each step of the policy [s]; it alone differs between two runs.
     """
 
     rollout: Rollout
     target: Floats
-    xi: Floats
+    states: Floats
     period: int
-    jumps: tuple[float, ...]
-    slowed: float
-    limit_excess: float
-    gap_translation: float
-    gap_rotation: float
+    step_time: Floats = field(repr=False, compare=False)
+
+    @property
+    def jumps(self) -> tuple[float, ...]:
+        """Times at which the policy saw that the target had jumped, faster than the joints' limits [s]."""
+        seen = self.target[:: self.period]
+        t, arm = self.rollout.t[:: self.period], self.rollout.arm
+        velocity = np.diff(seen, axis=0) / (self.period * self.rollout.timestep)
+        return tuple(t[1:][has_jumped(arm, velocity)].tolist())
 
     def __repr__(self) -> str:
-        return (
-            f"<Following: {self.rollout!r}, {len(self.jumps)} jumps of the target, mechanism gap up to "
-            f"{1e3 * self.gap_translation:.3g} mm>"
-        )
-
-
-class Follower:
-    """A certified network that follows a target; its state is only set at the start.
-
-    Args:
-        arm: encodes targets and decodes states.
-        network: certified, with as many visible neurons as the arm has links.
-        start: joint coordinates ``(n,)``.
-        steps: simulation steps in a control period.
-        speed: the network's rate c [1/s].
-        feedforward: whether to add the target's velocity, by the difference of its last two samples.
-
-    Attributes:
-        xi: ``(N, 6)`` state of all neurons.
-        jumped: whether the last target was faster than the joints' limits.
-        share: share of its speed at which the network ran in the last period, below 1 if joints would be too fast.
-
-    Raises:
-        InputError: network and arm differ in size, the network is not certified, or the speed is too high for the time
-            step.
-    """
-
-    def __init__(
-        self, arm: Arm, network: LieEDNN, start: ArrayLike, *, steps: int, speed: float, feedforward: bool
-    ) -> None:
-        require_fit(arm, network, certified=True)
-        self._arm, self._network, self._steps = arm, network, steps
-        self._speed, self._feedforward = as_positive("speed", speed), feedforward
-        self._timestep = arm.timestep
-        stiffness = network.gamma + network.mu * float(np.linalg.norm(network.weight, 2))
-        if self._speed * stiffness * self._timestep > _LARGEST_STEP:
-            raise InputError(
-                f"speed must be at most {_LARGEST_STEP / (stiffness * self._timestep):.3g} per second for this network "
-                f"and steps of {self._timestep:g} s, got {speed:g}"
-            )
-        self._fastest = np.where(np.isfinite(arm.velocity_limits), arm.velocity_limits, _FASTEST)
-        self._last: tuple[Floats, Floats] | None = None
-        self.xi = network.start(arm.encode(arm.check_position(start, "start")))
-        self.jumped, self.share = False, 1.0
-        self.limit_excess, self.gap_translation, self.gap_rotation = -np.inf, 0.0, 0.0
-
-    def advance(self, target: Floats) -> tuple[Floats, Floats, Floats]:
-        """Follow a new target ``(n,)`` for a control period.
-
-        Returns:
-            Joint coordinates and rates ``(m, n)`` and states ``(m, N, 6)`` after each of the period's m steps.
-        """
-        goal, velocity = self._network.goal(self._arm.encode(target)), np.zeros_like(self.xi)
-        self.jumped = False
-        if self._last is not None:
-            period = self._steps * self._timestep
-            self.jumped = bool((np.abs(target - self._last[0]) > self._fastest * period).any())
-            if self._feedforward and not self.jumped:
-                velocity = (goal - self._last[1]) / period
-        self._last = target, goal
-        self.share = 1.0
-        for _ in range(8):
-            states, rates = self._integrate(goal, velocity)
-            decoded = self._arm.decode(self._network.visible(states), self._network.visible(rates))
-            excess = float((np.abs(decoded.qd) / self._arm.velocity_limits).max())
-            if excess <= 1.0:
-                break
-            self.share /= 1.001 * excess
-        self.xi = states[-1]
-        self.gap_translation = max(self.gap_translation, float(decoded.gap_translation.max()))
-        self.gap_rotation = max(self.gap_rotation, float(decoded.gap_rotation.max()))
-        outside = self._arm.limit_excess(decoded.q)
-        self.limit_excess = max(self.limit_excess, float(outside.max()))
-        q = np.clip(self._arm.within_angles(decoded.q), *self._arm.position_limits.T)
-        qd = np.where(outside > 0.0, 0.0, decoded.qd)
-        return q, qd, states
-
-    def _integrate(self, goal: Floats, velocity: Floats) -> tuple[Floats, Floats]:
-        """States and their rates ``(m, N, 6)`` after each step of a period, by RK4."""
-        network, h = self._network, self._timestep
-        shape, weight = goal.shape, network.mu * network.weight
-        scale = self.share * self._speed
-
-        def field(x: Floats, step: float) -> Floats:
-            aim = goal + step * h * velocity
-            drive = (weight @ (network.phi(x) - network.phi(aim)).ravel()).reshape(shape)
-            return scale * (drive - network.gamma * (x - aim)) + self.share * velocity
-
-        x, states, rates = self.xi, np.empty((self._steps, *shape)), np.empty((self._steps, *shape))
-        for i in range(self._steps):
-            x = runge_kutta_step(field, x, h, i)
-            states[i], rates[i] = x, field(x, i + 1)
-        return states, rates
+        return f"<Following: {self.rollout!r}, {len(self.jumps)} jumps of the target>"
 
 
 def follow(
-    arm: Arm,
-    network: LieEDNN,
+    policy: Policy,
     target: Callable[[float], ArrayLike] | ArrayLike,
     duration: float,
     *,
     start: ArrayLike | None = None,
     controller: str = "inverse-dynamics",
-    control_rate: float = 100.0,
-    speed: float = 5.0,
-    feedforward: bool = True,
-    feedback: Feedback | None = None,
     disturbances: Disturbances | None = None,
 ) -> Following:
-    """Let the simulated arm follow a moving target that is known only up to the present.
+    """Let the simulated arm follow a policy, which sees the measured joints and the present target.
 
-    At every control period the network's bias is set from the target's last sample, and the network runs for the
-    period; the joints that decode its states, at every simulation step, are the controller's reference. Joints are
-    never faster than their limits: the network is slowed down instead. Nothing is ever reset. A run is a function of
-    its arguments alone.
+    At every control period the policy is told both, and gives the reference for the period's end; a cubic polynomial
+    between these references, at every simulation step, is what the controller is given. Nothing is ever reset. A run is
+    a function of its arguments alone.
 
     Args:
-        arm: the arm.
-        network: certified, with as many visible neurons as the arm has links; its own bias does not matter.
-        target: joint coordinates ``(n,)`` at a time [s], called once for each simulation step in order, but only seen
-            by the follower at the control periods; or samples ``(M, n)``, one a simulation step, the last of which
-            stays.
-        duration: [s].
-        start: joint coordinates at rest, the keyframe ``home`` by default.
+        policy: runs the arm; its rate must divide the rate of the simulation. It is reset at the start.
+        target: joint coordinates ``(n,)``; or a function of the time [s], called once for each simulation step in
+            order, but only seen by the policy at the control periods; or samples ``(M, n)``, one a simulation step, the
+            last of which stays.
+        duration: [s], at least a control period.
+        start: joint coordinates ``(n,)`` at rest, the keyframe ``home`` by default.
         controller: a name of `CONTROLLERS`.
-        control_rate: rate at which the target is sampled [Hz]; it must divide the rate of the simulation, and a period
-            must not be longer than the duration.
-        speed: the network's rate [1/s]: its own time in one second.
-        feedforward: whether the follower adds the target's velocity, by which it follows without lag.
-        feedback: the network hears the measured joints, and its time waits for them (`feedback`); by default it runs
-            ahead of the arm and is never disturbed. The rollout's channels then say at which share of its speed it
-            ran, ``pace``, and how far the arm was from where the network was, ``behind``, as a share of its range.
-        disturbances: what the controller does not know of.
+        disturbances: what policy and controller do not know of.
 
     Raises:
-        InputError: a value is malformed, the network has no proof, or the target leaves the position limits.
+        InputError: a value is malformed, or the target leaves the position limits.
         SimulationError: as `simulate`.
     """
-    period = steps_of_rate("control_rate", control_rate, arm.timestep)
-    if period > (total := count_steps(duration, arm.timestep)):
+    arm = policy.arm
+    period, total = steps_of_rate("the policy's rate", policy.rate, arm.timestep), count_steps(duration, arm.timestep)
+    if period > total:
         raise InputError(
-            f"control_rate must be at least {1.0 / (total * arm.timestep):g} Hz for a duration of {duration:g} s, "
-            f"got {control_rate:g} Hz"
+            f"the policy's rate must be at least {1.0 / (total * arm.timestep):g} Hz for a duration of {duration:g} s, "
+            f"got {policy.rate:g} Hz"
         )
     origin = arm.keyframe("home") if start is None else arm.check_position(start, "start")
-    settings: dict[str, Any] = {"steps": period, "speed": speed, "feedforward": feedforward}
-    follower: Follower | FeedbackFollower
-    if feedback is None:
-        follower = Follower(arm, network, origin, **settings)
-    else:
-        follower = FeedbackFollower(arm, network, origin, feedback=feedback, **settings)
-    states, jumps, slowed = [follower.xi[None]], [], 0
-
-    def lead(sample: Floats, simulation: Simulation) -> tuple[Floats, Floats]:
-        nonlocal slowed
-        if isinstance(follower, FeedbackFollower):
-            q, qd, xi = follower.advance(sample, simulation.measured()[0])
-        else:
-            q, qd, xi = follower.advance(sample)
-        states.append(xi)
-        slowed += follower.share < 1.0
-        if follower.jumped:
-            jumps.append(simulation.time)
-        return q, qd
-
-    rollout, targets = closed_loop(
+    policy.reset(origin)
+    changes = Disturbances() if disturbances is None else disturbances
+    reference, between = Reference(arm, total + 1), interpolator(policy.period, period)
+    reference.extend(origin[None], np.zeros((1, arm.n_joints)))
+    driver, simulation = make_controlled(arm, controller, reference, changes)
+    simulation.reset(origin)
+    sample = _sampler(arm, target, arm.timestep)
+    log, targets = Log(simulation, driver, _Channels(policy)), list[Floats]()
+    states, spent = list[Floats](), list[float]()
+    with QuietWarnings():
+        for k in range(total + 1):
+            targets.append(sample(k))
+            if k % period == 0:
+                states.append(policy.state)
+                measured, before = simulation.measured()[0], (policy.q, policy.qd)
+                begun = time.thread_time()
+                after = policy.step(measured, targets[-1])
+                spent.append(time.thread_time() - begun)
+                reference.extend(*between(*before, *after))
+            driver.act(simulation.data, k, simulation.noise)
+            log.step()
+    end = total * arm.timestep
+    rollout = as_rollout(
         arm,
-        lead,
-        target,
-        duration,
-        start=origin,
-        period=period,
+        log,
+        reference.q,
+        reference.qd,
+        target=targets[-1],
+        motion_end=end,
         controller=controller,
-        disturbances=disturbances,
-        sources=(follower,) if isinstance(follower, FeedbackFollower) else (),
+        disturbances=changes,
     )
-    return Following(
-        rollout=rollout,
-        target=targets,
-        xi=np.concatenate(states)[: len(targets)],
-        period=period,
-        jumps=tuple(jumps),
-        slowed=slowed / len(states[1:]),
-        limit_excess=follower.limit_excess,
-        gap_translation=follower.gap_translation,
-        gap_rotation=follower.gap_rotation,
-    )
+    return Following(rollout, np.array(targets), np.array(states), period, np.array(spent))
+
+
+class _Channels:
+    """The channels of a policy, as those of a controller."""
+
+    def __init__(self, policy: Policy) -> None:
+        self._policy, self.channel_units = policy, policy.channel_units
+
+    channel_units: Mapping[str, str]
+
+    def sample(self, _: mujoco.MjData) -> Floats:
+        """See `log.ChannelSource`."""
+        return self._policy.channels()
+
+    def channel_values(self, samples: Floats) -> tuple[Floats, ...]:
+        """See `log.ChannelSource`."""
+        return tuple(samples.T)
+
+
+def _sampler(arm: Arm, target: Callable[[float], ArrayLike] | ArrayLike, timestep: float) -> Callable[[int], Floats]:
+    """The target ``(n,)`` at a simulation step, checked against the position limits."""
+    if callable(target):
+        return lambda k: arm.check_position(target(k * timestep), f"the target at t = {k * timestep:.3f} s")
+    samples = np.atleast_2d(as_floats("target", target, (arm.n_joints,), batched=True))
+    if samples.ndim > 2 or not len(samples):
+        raise InputError(
+            f"target must be ({arm.n_joints},) or (M, {arm.n_joints}) with M at least 1, got {samples.shape}"
+        )
+    return lambda k: arm.check_position(samples[min(k, len(samples) - 1)], f"the target at t = {k * timestep:.3f} s")

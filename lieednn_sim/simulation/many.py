@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from mujoco import rollout
 
-from lieednn_sim._mujoco import mujoco
+from lieednn_sim._mujoco import QuietWarnings, mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError, SimulationError
 from lieednn_sim.planning import Plan
@@ -22,7 +22,7 @@ from lieednn_sim.simulation.controllers.base import Controller
 from lieednn_sim.simulation.disturbances import Disturbances
 from lieednn_sim.simulation.plant import make_plant
 from lieednn_sim.simulation.rollout import Rollout
-from lieednn_sim.simulation.simulation import QuietWarnings, Simulation
+from lieednn_sim.simulation.simulation import Simulation
 from lieednn_sim.simulation.tracking import as_hold, as_motion, as_reference, joined, scaled, simulate
 from lieednn_sim.validation import as_choice, as_count, as_positive, as_workers
 from lieednn_sim.values import Floats, frozen

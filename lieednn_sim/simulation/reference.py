@@ -11,15 +11,11 @@ from scipy.interpolate import CubicHermiteSpline
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
-from lieednn_sim.errors import InputError
-from lieednn_sim.planning.filtering import FilterOptions, SafetyFilter
-from lieednn_sim.validation import as_floats, as_positive
+from lieednn_sim.validation import as_floats
 from lieednn_sim.values import Floats
 
 # Number of steps computed at once: enough that more would gain little, few enough for the data to stay in the cache.
 AHEAD = 256
-# With a filter: rate at which the reference is pulled towards the unfiltered one [1/s].
-_GAIN = 8.0
 
 
 class Reference:
@@ -148,69 +144,23 @@ class Foreseen:
         return self._rows[step - self._steps.start]
 
 
-class PeriodReference:
-    """Rows of a reference from one control period to the next, with or without a filter of limits and clearance.
-
-    Attributes:
-        q: ``(n,)`` at the end of the last period [rad, m].
-        qd: ``(n,)`` its rates.
-        period: [s].
+def interpolator(period: float, steps: int) -> Callable[[Floats, Floats, Floats, Floats], tuple[Floats, Floats]]:
+    """What makes a cubic polynomial between the references of two control periods.
 
     Args:
-        arm: the arm.
-        start: ``(n,)`` where it is at rest.
-        steps: simulation steps in a period.
-        safety: settings of the filter, None for none.
+        period: control period [s].
+        steps: m, simulation steps in it.
 
-    Raises:
-        InputError: something touches at the start where there is a filter.
+    Returns:
+        A function of q, qd at the beginning and at the end of a period, each ``(n,)``, to q and qd ``(m, n)`` after
+        each of its steps.
     """
+    ends, times = np.eye(4), period * np.arange(1, steps + 1) / steps
+    spline = CubicHermiteSpline([0.0, period], ends[[0, 2]], ends[[1, 3]])
+    factors = np.concatenate([spline(times), spline(times, 1)])
 
-    def __init__(self, arm: Arm, start: Floats, steps: int, safety: FilterOptions | None = None) -> None:
-        self.q, self.qd = start, np.zeros_like(start)
-        self.period = steps * arm.timestep
-        self._fastest, self._gain = arm.velocity_limits, arm.acceleration_limits * self.period
-        self._guard = None
-        if safety is not None:
-            self._guard = SafetyFilter(arm, self.period, safety)
-            self._guard.allow(start)
-        ends, times = np.eye(4), self.period * np.arange(1, steps + 1) / steps
-        spline = CubicHermiteSpline([0.0, self.period], ends[[0, 2]], ends[[1, 3]])
-        # Of (q, qd, q', qd') at the ends of a period.
-        self._hermite = np.concatenate([spline(times), spline(times, 1)])
+    def between(*given: Floats) -> tuple[Floats, Floats]:
+        rows = factors @ np.array(given)
+        return rows[:steps], rows[steps:]
 
-    def allowed(self) -> Floats:
-        """Velocities ``(n,)`` at the end of the next period: what gathers speed keeps the acceleration limits, too."""
-        return np.asarray(np.minimum(self._fastest, np.abs(self.qd) + self._gain))
-
-    def __call__(self, q: Floats, qd: Floats) -> tuple[Floats, Floats]:
-        """Rows ``(m, n)`` of q and of qd to a posture with its rates ``(n,)``, or as near as is safe; cubic between."""
-        before = self.q, self.qd
-        if self._guard is not None:
-            error = q - self.q - 0.5 * self.period * self.qd
-            qd = self._guard.step(self.q, self.qd, qd + _GAIN * error).velocity
-            q = self.q + 0.5 * self.period * (self.qd + qd)
-        self.q, self.qd = q, qd
-        rows = self._hermite @ np.array([*before, q, qd])
-        return rows[: len(rows) // 2], rows[len(rows) // 2 :]
-
-
-def steps_in(what: str, period: float, timestep: float) -> int:
-    """Number of simulation steps in a control period [s], or `InputError` when it is no whole number."""
-    ratio = as_positive(what, period) / timestep
-    if ratio < 0.5 or abs(ratio - round(ratio)) > 1e-6 * ratio:
-        raise InputError(
-            f"{what} must be a whole number of simulation steps of {timestep:g} s, got {period:g} s = {ratio:.6g} steps"
-        )
-    return round(ratio)
-
-
-def steps_of_rate(what: str, rate: float, timestep: float) -> int:
-    """The same for a control rate [Hz], which must divide the rate of the simulation."""
-    ratio = 1.0 / (as_positive(what, rate) * timestep)
-    if ratio < 0.5 or abs(ratio - round(ratio)) > 1e-6 * ratio:
-        raise InputError(
-            f"{what} must divide the simulation's {1.0 / timestep:.6g} Hz, got {rate:g} Hz; "
-            f"for example {1.0 / (timestep * max(1, round(ratio))):.6g} Hz"
-        )
-    return round(ratio)
+    return between

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
-from lieednn_sim._mujoco import mujoco
+from lieednn_sim._mujoco import QuietWarnings, mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError, SimulationError
 from lieednn_sim.lie import poses, rotations
@@ -142,21 +142,6 @@ class Simulation:
         self.steps += 1
         if self._sensors.noisy:
             self.noise = self._sensors.draw()
-
-
-class QuietWarnings:
-    """Keeps MuJoCo from printing warnings and from leaving a log file behind; `Simulation` raises errors instead."""
-
-    def __enter__(self) -> None:
-        self._before = mujoco.get_mju_user_warning()
-        mujoco.set_mju_user_warning(_ignore)
-
-    def __exit__(self, *_: object) -> None:
-        mujoco.set_mju_user_warning(self._before)
-
-
-def _ignore(_: str) -> None:
-    pass
 
 
 def _problem(data: mujoco.MjData) -> str:

@@ -12,19 +12,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lieednn_sim._mujoco import mujoco
+from lieednn_sim._mujoco import QuietWarnings, mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError, SimulationError
 from lieednn_sim.planning import Plan
-from lieednn_sim.planning.motion import Motion
+from lieednn_sim.planning.motion import Motion, steps_of_rate
 from lieednn_sim.simulation.controllers import controllers
 from lieednn_sim.simulation.controllers.base import Controller, Inputs
 from lieednn_sim.simulation.disturbances import Disturbances
 from lieednn_sim.simulation.log import Log
 from lieednn_sim.simulation.plant import make_plant
-from lieednn_sim.simulation.reference import Reference, steps_of_rate
+from lieednn_sim.simulation.reference import Reference
 from lieednn_sim.simulation.rollout import Rollout, as_rollout
-from lieednn_sim.simulation.simulation import QuietWarnings, Simulation
+from lieednn_sim.simulation.simulation import Simulation
 from lieednn_sim.validation import as_choice, as_floats, as_positive
 from lieednn_sim.values import Floats
 

@@ -15,7 +15,7 @@ from rich.console import Console
 
 from lieednn_sim import storage
 from lieednn_sim.errors import FileError
-from lieednn_sim.evaluation.workers import run_each
+from lieednn_sim.studies.workers import run_each
 from paper import experiments
 from paper.plan import Job
 

@@ -8,10 +8,9 @@ import json
 import pytest
 
 from lieednn_sim.cli import main
-from lieednn_sim.evaluation import read_rows
-from lieednn_sim.evaluation.reactive import study
-from lieednn_sim.evaluation.reactive.cases import DISTURBANCES, Reaction
-from lieednn_sim.evaluation.reactive.leaders import LEADERS
+from lieednn_sim.studies import Row, read_rows
+from lieednn_sim.studies.reactions import study
+from lieednn_sim.studies.reactions.cases import COMPARED, DISTURBANCES, Reaction
 
 ARGUMENTS = ["--planners", "minimum-jerk", "--arms", "telescopic_pr", "--scenes", "free", "--seeds", "1"]
 ARGUMENTS += ["--controllers", "computed-torque", "--duration", "1", "--hold", "0.1", "--jobs", "1", "--output"]
@@ -28,7 +27,7 @@ def test_the_command_writes_table_summary_and_page_and_goes_on(tmp_path, capsys,
     assert "no video of se3-geodesic:telescopic_pr:free:0: the table has no case" in printed
     settings = json.loads((tmp_path / "out" / "comparison.json").read_text("utf-8"))["settings"]
     assert settings == {"duration": 1.0, "hold": 0.1, "mass_scale": 1.2, "time_budget": 50.0}
-    (row,) = read_rows(tmp_path / "out" / "comparison.csv").values()
+    (row,) = read_rows(tmp_path / "out" / "comparison.csv", Row).values()
     assert (row.planner, row.controller, row.mass_scale) == ("minimum-jerk", "computed-torque", 1.2)
     assert "lieednn-sim compare --planners minimum-jerk" in (tmp_path / "out" / "comparison.html").read_text("utf-8")
     # The study script is the same command; with another option it must not go on.
@@ -57,14 +56,14 @@ def test_bad_options_stop_before_the_work(words, message, tmp_path, capsys):
 
 
 def test_planners_that_react_have_a_table_and_a_section_of_the_page(tmp_path, monkeypatch, undrawn, in_this_process):
-    def ran(arm, scene, leader, seed):
-        return [Reaction(arm, scene, leader, name, seed, step_us=7.25) for name in DISTURBANCES]
+    def ran(arm, scene, policy, seed):
+        return [Reaction(arm, scene, policy, name, seed, step_us=7.25) for name in DISTURBANCES]
 
     monkeypatch.setattr(study, "run_reactions", ran)
     with in_this_process():
         assert main(["compare", *ARGUMENTS, str(tmp_path), "--reactive", "1"]) == 0
     assert "| free | push | fabric | 1 of 1 | 0 | 0 |" in (tmp_path / "reactions.md").read_text("utf-8")
     page = (tmp_path / "comparison.html").read_text("utf-8")
-    assert page.count("<td>payload</td>") == len(LEADERS)
+    assert page.count("<td>payload</td>") == len(COMPARED)
     assert '<a href="#reactions">' in page
     assert ">7.25<" in page

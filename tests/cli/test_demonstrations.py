@@ -12,9 +12,9 @@ from PIL import Image
 from lieednn_sim.cli import main
 from lieednn_sim.cli.names import RIVALS as NAMED
 from lieednn_sim.evaluation import paths
-from lieednn_sim.evaluation.demonstrations import RIVALS
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.planning.motion import Motion
+from lieednn_sim.studies.demonstrations.models import RIVALS
 
 
 @pytest.fixture

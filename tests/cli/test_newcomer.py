@@ -22,14 +22,14 @@ from lieednn_sim.cli.task import Task
 from lieednn_sim.cli.training import RIEMANNIAN
 from lieednn_sim.errors import InputError, NoSolutionError
 from lieednn_sim.evaluation.display import table
-from lieednn_sim.evaluation.study import SLOW_PLANNERS
-from lieednn_sim.evaluation.workers import progress_bar
 from lieednn_sim.learning import ALGORITHMS, TrainingOptions
 from lieednn_sim.learning import train as learn
 from lieednn_sim.planning import PLANNERS, Plan, reference_network
 from lieednn_sim.planning.filtering import run_filtered
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.simulation import CONTROLLERS, Rollout
+from lieednn_sim.studies.comparison.study import SLOW_PLANNERS
+from lieednn_sim.studies.workers import progress_bar
 from lieednn_sim.synthesis import BIAS_RULES
 
 

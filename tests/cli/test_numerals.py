@@ -14,7 +14,7 @@ from lieednn_sim.cli import main
 from lieednn_sim.cli.arguments import joint_position, numbers, push, size
 from lieednn_sim.cli.options import decimal, decimal_or_inf, whole
 from lieednn_sim.errors import InputError
-from lieednn_sim.evaluation import Case
+from lieednn_sim.studies import Case
 
 # Underscores, other scripts' digits (Arabic-Indic 12, full-width 1), blanks, infinities, other bases.
 ODD = [

@@ -254,7 +254,28 @@ def test_the_expert_takes_a_planner_whose_network_has_hidden_neurons(reach, casc
     for _ in range(3):
         reach.step(expert.act())
     assert [network.n_hidden for network in made] == [3]
-    assert_allclose(expert._plan.position(99.0), reach.target(0.0), atol=1e-6)
+    assert_allclose(expert._policy._rows[0][-1], reach.target(0.0), atol=1e-6)
+
+
+def test_a_policy_by_name_is_an_expert(arm):
+    task = make_task("reach", arm, time_limit=4.0)
+    task.begin(np.random.default_rng(0))
+    expert, over = Expert(task, policy="linear-attractor"), False
+    assert_array_equal(expert.act(), expert.act())  # asked twice, it has not moved
+    while not over:
+        after = task.step(expert.act())
+        over = after.truncated
+    assert expert._policy.certified
+    # A rate of 2/s, less for servos that lag and for which the network waits.
+    assert after.info["distance"] < 0.02
+
+
+def test_an_expert_catches_up_when_others_act(reach):
+    reach.begin(np.random.default_rng(0))
+    expert, other = Expert(reach), Expert(reach)
+    for _ in range(3):
+        reach.step(expert.act())
+    assert_array_equal(other.act(), expert.act())
 
 
 def test_a_failed_simulation_terminates(reach):
@@ -307,6 +328,10 @@ def test_malformed_actions_and_options(reach):
         Expert("reach")
     with pytest.raises(InputError, match="no planner 'wishful'"):
         Expert(reach, planner="wishful")
+    with pytest.raises(InputError, match="no policy 'wishful'"):
+        Expert(reach, policy="wishful")
+    with pytest.raises(InputError, match="give a policy or a planner, got 'tracker' and 'rrt-connect'"):
+        Expert(reach, policy="tracker", planner="rrt-connect")
 
 
 @pytest.mark.parametrize("name", TASKS)

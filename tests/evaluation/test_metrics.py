@@ -350,17 +350,8 @@ def test_following_errors_by_hand(gantry):
     position[15, 0, 1] += 0.07
     rollout = dataclasses.replace(rollout, link_position=position)
     rollout = turned(turned(rollout, 4, 1, 21.0), 2, 0, 33.0)
-    following = Following(
-        rollout=rollout,
-        target=target,
-        xi=np.zeros((21, 2, 6)),
-        period=2,
-        jumps=(0.1,),
-        slowed=0.0,
-        limit_excess=0.0,
-        gap_translation=0.0,
-        gap_rotation=0.0,
-    )
+    following = Following(rollout, target, np.zeros((11, 2, 6)), 2, np.zeros(11))
+    assert following.jumps == pytest.approx((0.1,))
     errors = evaluate_following(following)
     # Ten instants 10 mm behind, three 60 mm.
     assert errors.rms_mm == pytest.approx(np.sqrt((10 * 10.0**2 + 3 * 60.0**2) / 21))
@@ -371,9 +362,12 @@ def test_following_errors_by_hand(gantry):
     assert errors.lag_s == pytest.approx((9 * 0.01 + 2 * 0.06) * 0.5 / (19 * 0.25))
     assert errors.settling_s == (pytest.approx(0.06),)
     # Before the next jump nothing stays there; after it all does.
-    twice = dataclasses.replace(following, jumps=(0.1, 0.16))
+    later = np.where(t > 0.155, 0.1, 0.0)[:, None] * np.eye(4)[0]
+    there = dataclasses.replace(rollout, link_position=rollout.link_position + later[:, None, :3])
+    twice = dataclasses.replace(following, target=target + later, rollout=there)
+    assert twice.jumps == pytest.approx((0.1, 0.16))
     assert evaluate_following(twice).settling_s == (None, pytest.approx(0.0, abs=1e-12))
     away = moved(rollout, 20, 0, 1.5)
     assert evaluate_following(dataclasses.replace(following, rollout=away)).settling_s == (None,)
-    rest = dataclasses.replace(following, target=np.zeros((21, 4)), jumps=())
+    rest = dataclasses.replace(following, target=np.zeros((21, 4)))
     assert evaluate_following(rest).lag_s is None

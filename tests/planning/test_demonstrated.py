@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 
 from lieednn_sim.errors import FileError, InputError
-from lieednn_sim.evaluation import joint_demonstrations as study
 from lieednn_sim.evaluation import paths
 from lieednn_sim.planning import demonstrated
 from lieednn_sim.planning.demonstrated import JointDemonstrations, JointMotion
 from lieednn_sim.planning.motion import check_motion
+from lieednn_sim.policies import NetworkPolicy
 from lieednn_sim.simulation import follow
+from lieednn_sim.studies.demonstrations import joints as study
 from lieednn_sim.synthesis import ShapingOptions
 
 S = np.linspace(0.0, 1.0, 200)
@@ -103,7 +104,7 @@ def test_the_network_does_what_was_shown(gantry, learned):
     np.testing.assert_allclose(motion.q, wanted, atol=0.02)
     np.testing.assert_allclose(motion.q[[0, -1]], wanted[[0, -1]], atol=1e-6)
     # Any network of the arm is followed online.
-    following = follow(gantry, network, np.tile(shown.mean[-1], (2, 1)), 0.1, start=shown.mean[0])
+    following = follow(NetworkPolicy(gantry, network), shown.mean[-1], 0.1, start=shown.mean[0])
     assert following.rollout.arm is gantry
 
 

@@ -1,4 +1,4 @@
-"""Single steps by hand: what a push, a controller and the follower do at one instant."""
+"""Single steps by hand: what a push and a controller do at one instant."""
 
 import numpy as np
 import pytest
@@ -8,9 +8,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.simulation import Disturbances, Push, Simulation
 from lieednn_sim.simulation.controllers.base import ComputedTorque, PositionServo
 from lieednn_sim.simulation.disturbances import Noise
-from lieednn_sim.simulation.following import Follower
 from lieednn_sim.simulation.reference import Reference
-from lieednn_sim.synthesis import synthesize
 
 
 @pytest.mark.parametrize(
@@ -72,26 +70,3 @@ def test_computed_torque_acts_on_what_is_measured(gantry, small_arms, turning):
     torque.act(data, 2, silent)
     np.testing.assert_allclose(data.ctrl, measured, rtol=1e-12)
     assert np.abs(measured - true).max() > 1.0
-
-
-def test_a_follower_rests_where_a_limit_stops_it():
-    """Its state is beyond the end of a stage and comes back: the reference stays on the limit, at no velocity."""
-    arm = Arm.load("telescopic_pr")
-    home = arm.keyframe("home")
-    network = synthesize(arm.encode(home), bias="sign-matched", bias_magnitude=0.25).unwrap()
-    follower = Follower(arm, network, home, steps=3, speed=2.0, feedforward=False)
-    stage, beyond = arm.joint_names.index("extend1"), home.copy()
-    beyond[stage] = arm.position_limits[stage, 1] + 0.02
-    follower.xi = arm.encode(beyond)
-    goal = home.copy()
-    goal[0] += 0.2
-    q, qd, states = follower.advance(goal)
-    free = arm.decode(states, states).q
-    assert (free[:, stage] > arm.position_limits[stage, 1] + 0.01).all()
-    np.testing.assert_array_equal(q[:, stage], arm.position_limits[stage, 1])
-    np.testing.assert_array_equal(qd[:, stage], 0.0)
-    others = np.arange(arm.n_joints) != stage
-    np.testing.assert_allclose(q[:, others], free[:, others], atol=1e-12)
-    assert np.abs(qd[:, 0]).min() > 0.1, "the other joints go on"
-    assert follower.limit_excess == pytest.approx((free - arm.position_limits[:, 1])[:, stage].max(), abs=1e-12)
-    assert follower.share == 1.0

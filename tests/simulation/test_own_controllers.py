@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import re
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,12 +14,12 @@ import pytest
 from lieednn_sim.arm import Arm
 from lieednn_sim.cli import main
 from lieednn_sim.errors import InputError, SimulationError
-from lieednn_sim.evaluation import Selection, Settings, compare, read_rows
 from lieednn_sim.planning import plan
 from lieednn_sim.simulation import Controller, Rollout, controllers, register_controller, simulate
 from lieednn_sim.simulation.controllers import REGISTRY
 from lieednn_sim.simulation.controllers.base import PositionServo
 from lieednn_sim.simulation.controllers.mocap import MocapWelds
+from lieednn_sim.studies import Comparison, Row, Settings, compute, read_rows
 
 ARM = Arm.load("telescopic_pr")
 DOCUMENT = Path(__file__).parents[2] / "docs" / "own_planners.md"
@@ -60,7 +61,7 @@ def test_the_example_of_an_installed_package_appears_in_table_and_page(example, 
         # Alone in a table it is a controller like the others.
         assert main([*words.split(), "--controllers", "plain-servo", "--output", str(tmp_path / "alone")]) == 0
     assert "controller plain-servo: my_controllers.PlainServo" in capsys.readouterr().out
-    rows = {row.controller: row for row in read_rows(tmp_path / "out" / "comparison.csv").values()}
+    rows = {row.controller: row for row in read_rows(tmp_path / "out" / "comparison.csv", Row).values()}
     assert rows["plain-servo"].tracking_rms_mm > 10.0 * rows["position-servo"].tracking_rms_mm
     assert "<td>plain-servo</td>" in (tmp_path / "alone" / "comparison.html").read_text()
 
@@ -68,8 +69,8 @@ def test_the_example_of_an_installed_package_appears_in_table_and_page(example, 
 @pytest.mark.usefixtures("example")
 def test_what_is_registered_here_is_known_to_workers(tmp_path):
     importlib.import_module("my_controllers")
-    chosen = Selection(("minimum-jerk",), ("telescopic_pr",), ("free",), ("plain-servo",), seeds=1)
-    (row,) = compare(tmp_path / "out", chosen, Settings(duration=2.0, hold=0.5)).rows.values()
+    chosen = Comparison(("minimum-jerk",), ("telescopic_pr",), ("free",), ("plain-servo",), seeds=1)
+    (row,) = compute(replace(chosen, common=Settings(duration=2.0, hold=0.5)), tmp_path / "out").rows.values()
     assert row.tracking_rms_mm is not None, row.reason
 
 

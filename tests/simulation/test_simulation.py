@@ -7,8 +7,9 @@ from hypothesis import strategies as st
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.errors import InputError, SimulationError
+from lieednn_sim.planning.motion import steps_in, steps_of_rate
 from lieednn_sim.simulation import Disturbances, Log, Push, Simulation
-from lieednn_sim.simulation.reference import Reference, steps_in, steps_of_rate
+from lieednn_sim.simulation.reference import Reference
 
 seeds = st.integers(0, 2**32 - 1)
 CHANGES = Disturbances(

@@ -1,0 +1,48 @@
+"""Policies, which run an arm online: from measured joints and the present target to the next reference."""
+
+from lieednn_sim.policies.base import Policy
+from lieednn_sim.policies.fabric import Fabric, FabricOptions
+from lieednn_sim.policies.feedback import Feedback
+from lieednn_sim.policies.filtered import FilteredPolicy
+from lieednn_sim.policies.joint_policy import JointPolicy
+from lieednn_sim.policies.loop import LoopReport, control_loop
+from lieednn_sim.policies.network_policy import NetworkPolicy
+from lieednn_sim.policies.path_integral import PathIntegral, PathIntegralOptions
+from lieednn_sim.policies.primitive import MovementPrimitive, PrimitiveOptions
+from lieednn_sim.policies.registry import (
+    POLICIES,
+    CertifiedPolicyOptions,
+    PolicyKind,
+    PolicyTask,
+    make_policy,
+    policies,
+    register_policy,
+)
+from lieednn_sim.policies.tracker import MotionTracker
+from lieednn_sim.typecheck import typecheck_public
+
+__all__ = [
+    "POLICIES",
+    "CertifiedPolicyOptions",
+    "Fabric",
+    "FabricOptions",
+    "Feedback",
+    "FilteredPolicy",
+    "JointPolicy",
+    "LoopReport",
+    "MotionTracker",
+    "MovementPrimitive",
+    "NetworkPolicy",
+    "PathIntegral",
+    "PathIntegralOptions",
+    "Policy",
+    "PolicyKind",
+    "PolicyTask",
+    "PrimitiveOptions",
+    "control_loop",
+    "make_policy",
+    "policies",
+    "register_policy",
+]
+
+typecheck_public(globals())

@@ -1,0 +1,135 @@
+"""A policy runs an arm online: from the measured joints and the present target to the reference of the next period.
+
+It knows joints and targets, and no simulator. `simulation.follow` runs one behind a simulated arm, `control_loop` runs
+one behind anything else.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from lieednn_sim.arm import Arm
+from lieednn_sim.errors import InputError
+from lieednn_sim.validation import as_floats, as_positive
+from lieednn_sim.values import Floats
+
+# For joints without limits, a target faster than this has jumped [rad/s, m/s].
+_MAX_TARGET_SPEED = 10.0
+
+
+class Policy(ABC):
+    """What runs an arm online; a subclass has `act`, and `begin` if it has a state of its own.
+
+        policy.reset(q)
+        q_ref, qd_ref = policy.step(q_measured, target)     # once in every control period
+
+    Args:
+        arm: the arm.
+        rate: control rate [Hz].
+
+    Attributes:
+        arm: the arm.
+        rate: control rate [Hz].
+        period: control period [s].
+        q: ``(n,)`` reference at the end of the last period, where the arm should be now [rad, m].
+        qd: ``(n,)`` its rates [rad/s, m/s].
+        certified: whether a target at rest is proved to attract the policy's state from everywhere.
+        channel_units: units of what `channels` tells, by name.
+
+    Raises:
+        InputError: the rate is not positive.
+    """
+
+    certified = False
+    channel_units: Mapping[str, str] = MappingProxyType({})
+
+    def __init__(self, arm: Arm, rate: float) -> None:
+        self.arm, self.rate = arm, as_positive("rate", rate)
+        self.period = 1.0 / self.rate
+        self._max_gain = arm.acceleration_limits * self.period
+        self._target: Floats | None = None
+        self.q: Floats
+        self.qd: Floats
+
+    def reset(self, q: ArrayLike) -> None:
+        """Start again from joint coordinates ``(n,)`` at rest.
+
+        Raises:
+            InputError: they are malformed or beyond the position limits, or the policy cannot start there.
+        """
+        self.q = self.arm.check_position(q, "q").copy()
+        self.qd, self._target = np.zeros_like(self.q), None
+        self.q.flags.writeable = self.qd.flags.writeable = False
+        self.begin(self.q)
+
+    def step(self, measured: ArrayLike | None, target: ArrayLike) -> tuple[Floats, Floats]:
+        """The reference at the end of the control period that begins now.
+
+        Args:
+            measured: ``(n,)`` joint coordinates, measured now; None if nothing is: the arm is where it should be.
+            target: ``(n,)`` joint coordinates, as they are wanted now.
+
+        Returns:
+            Read-only joint coordinates and rates ``(n,)``. A controller may interpolate between the references of two
+            periods by a cubic polynomial.
+
+        Raises:
+            InputError: a value is malformed, the target is beyond the position limits, or the policy was never reset
+                and nothing is measured.
+        """
+        shape = (self.arm.n_joints,)
+        seen = None if measured is None else as_floats("measured", measured, shape)
+        goal = as_floats("target", target, shape)
+        # A target at rest is held against the limits once.
+        if self._target is None or goal.tolist() != self._target.tolist():
+            self.arm.check_position(goal, "target")
+            if "q" not in vars(self):
+                if seen is None:
+                    raise InputError(
+                        "the policy does not know where the arm is: call reset(q), or give measured joints"
+                    )
+                self.reset(seen)
+            self._target = goal.copy()
+        q, qd = self.act(seen, self._target)
+        q.flags.writeable = qd.flags.writeable = False
+        self.q, self.qd = q, qd
+        return q, qd
+
+    def begin(self, q: Floats) -> None:  # noqa: B027 (some have no state of their own)
+        """Prepare to start from joint coordinates ``(n,)``; called by `reset`, unchecked."""
+
+    @abstractmethod
+    def act(self, measured: Floats | None, target: Floats) -> tuple[Floats, Floats]:
+        """The reference at the end of the present period, for arguments that `step` has checked; unchecked."""
+
+    @property
+    def state(self) -> Floats:
+        """The state of what runs the arm: by default the reference ``(n,)``, for a network ``(N, 6)``."""
+        return self.q
+
+    @property
+    def message(self) -> str:
+        """What the policy did in the last period, in words."""
+        return "moves"
+
+    def channels(self) -> Floats:
+        """Quantities of the last period ``(c,)``, in the order of `channel_units`."""
+        return np.empty(0)
+
+    def allowed(self) -> Floats:
+        """Largest speeds ``(n,)`` at the end of the period: who gathers speed keeps the acceleration limits, too."""
+        return np.asarray(np.minimum(self.arm.velocity_limits, np.abs(self.qd) + self._max_gain))
+
+
+def has_jumped(arm: Arm, velocity: Floats) -> Floats:
+    """Whether a target with velocities ``(..., n)`` over a control period has jumped, ``(...)``.
+
+    It has if a joint would be faster than its limit, or than 10 rad/s or m/s where it has none.
+    """
+    limits = np.where(np.isfinite(arm.velocity_limits), arm.velocity_limits, _MAX_TARGET_SPEED)
+    return np.asarray((np.abs(velocity) > limits).any(axis=-1))

@@ -1,0 +1,69 @@
+"""Feedback from the arm to what leads it: measured joints pull its state, and its time waits for them.
+
+With the measured joints q, the reference q_r of the same instant and e = max |q - q_r| / range, a policy runs s times
+as fast, and its state is pulled to q at the rate k d,
+
+    s = max(1 / (1 + (e / e_1)^2), s_0)    it waits for an arm that does not keep up,
+    d = max(0, 1 - e_0 / e)                errors within the tolerance e_0 are left to the controller.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from lieednn_sim.errors import InputError
+from lieednn_sim.validation import as_floats, as_positive
+from lieednn_sim.values import check_fields
+
+# s_0: a policy that stopped would never arrive.
+_MIN_SPEED = 0.01
+
+
+@dataclass(frozen=True)
+class Feedback:
+    """Settings of the feedback from the arm to its policy; see the module for the equations.
+
+    Attributes:
+        rate: k, rate at which the state is pulled to the measured joints [1/s]; with 0 only the clock waits.
+        tolerance: e_0, error up to which the arm does not pull, as a fraction of the joints' ranges.
+        patience: e_1, error at which the policy runs at half its speed, as a fraction of the joints' ranges.
+
+    Raises:
+        InputError: a value is out of range.
+    """
+
+    rate: float = 5.0
+    tolerance: float = 0.01
+    patience: float = 0.002
+
+    def __post_init__(self) -> None:
+        rate = float(as_floats("rate", self.rate, ()))
+        if not 0.0 <= rate <= 1e3:
+            raise InputError(f"rate must be from 0 to 1000 per second, got {rate:g}")
+        object.__setattr__(self, "rate", rate)
+        check_fields(self, as_positive, "tolerance", "patience")
+
+    def response(self, behind: float) -> tuple[float, float]:
+        """The factors s and k d [1/s] for an error e, as a fraction of the joints' ranges."""
+        behind = float(as_floats("behind", behind, ()))
+        waiting = max(1.0 / (1.0 + (behind / self.patience) ** 2), _MIN_SPEED)
+        return waiting, self.rate * max(0.0, 1.0 - self.tolerance / max(behind, 1e-300))
+
+
+# The default of all policies.
+FEEDBACK = Feedback()
+
+
+def describe(pace: float, behind: float, *, limited: bool) -> str:
+    """What a policy with feedback did in a period, in words, for `Policy.message`.
+
+    Args:
+        pace: fraction of its speed at which it ran.
+        behind: e of the module.
+        limited: whether joint limits slowed it down.
+    """
+    if pace > 0.99:
+        return "moves"
+    if limited:
+        return f"moves at {100 * pace:.2g} % of its speed, within the joints' limits"
+    return f"moves at {100 * pace:.2g} % of its speed, waiting for a joint {100 * behind:.2g} % of its range away"

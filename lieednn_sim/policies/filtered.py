@@ -1,0 +1,71 @@
+"""The safety filter around any policy: its reference is replaced by the nearest that keeps limits and clearance."""
+
+from __future__ import annotations
+
+from lieednn_sim.planning.filtering import FilterOptions, SafetyFilter
+from lieednn_sim.policies.base import Policy
+from lieednn_sim.values import Floats
+
+# Rate at which the reference is pulled towards the unfiltered one [1/s].
+_GAIN = 8.0
+
+
+class FilteredPolicy(Policy):
+    """A policy whose reference keeps the limits of position, velocity and acceleration, and clearance.
+
+    The wrapped policy goes on as if nothing had been changed, but for its velocity limits, which count from what is
+    commanded. Its proof covers its own state; where an obstacle blocks the way, the reference stays behind.
+
+    Args:
+        policy: the policy.
+        options: settings of the filter.
+
+    Attributes:
+        inner: the wrapped policy.
+        blocking: what held the reference back in the last period, see `FilterStep`.
+        clearance: see `FilterStep` [m].
+        braked: see `FilterStep`.
+
+    Raises:
+        InputError: at a reset, something touches.
+    """
+
+    def __init__(self, policy: Policy, options: FilterOptions | None = None) -> None:
+        super().__init__(policy.arm, policy.rate)
+        self.inner, self._options = policy, options
+        self.certified, self.channel_units = policy.certified, policy.channel_units
+
+    def begin(self, q: Floats) -> None:
+        """See `Policy`; unchecked."""
+        self.inner.reset(q)
+        self._filter = SafetyFilter(self.arm, self.period, self._options)
+        self._filter.allow(q)
+        self.blocking: tuple[str, ...] = ()
+        self.clearance, self.braked = float("inf"), False
+
+    def act(self, measured: Floats | None, target: Floats) -> tuple[Floats, Floats]:
+        """See `Policy`; unchecked."""
+        q, qd = self.inner.step(measured, target)
+        error = q - self.q - 0.5 * self.period * self.qd
+        step = self._filter.step(self.q, self.qd, qd + _GAIN * error)
+        self.blocking, self.clearance, self.braked = step.blocking, step.clearance, step.braked
+        moved = self.q + 0.5 * self.period * (self.qd + step.velocity)
+        # What it is told to have commanded.
+        self.inner.q, self.inner.qd = moved, step.velocity
+        return moved, step.velocity
+
+    @property
+    def state(self) -> Floats:
+        """See `Policy`."""
+        return self.inner.state
+
+    @property
+    def message(self) -> str:
+        """See `Policy`."""
+        if not self.blocking:
+            return self.inner.message
+        return f"{'brakes for' if self.braked else 'is held back by'} {self.blocking[0]}"
+
+    def channels(self) -> Floats:
+        """See `Policy`."""
+        return self.inner.channels()

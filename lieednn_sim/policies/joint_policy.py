@@ -1,0 +1,82 @@
+"""Policies in joint space: y' = l (s v(y) + k d (q - y)), with s, k and d of `feedback`, and l as for networks.
+
+They need only say their velocity v towards the target.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Mapping
+from types import MappingProxyType
+
+import numpy as np
+
+from lieednn_sim.arm import Arm
+from lieednn_sim.policies.base import Policy
+from lieednn_sim.policies.feedback import FEEDBACK, Feedback, describe
+from lieednn_sim.values import Floats
+
+
+class JointPolicy(Policy):
+    """A policy in joint space; a subclass has `velocity`.
+
+    Args:
+        arm: the arm.
+        rate: control rate [Hz].
+        feedback: how it hears the measured joints; None if it does not.
+
+    Attributes:
+        y: ``(n,)`` its joint coordinates [rad, m].
+        range: ``(n,)`` lengths of the joints' ranges [rad, m].
+        pace: l s of the last period.
+        behind: e of `feedback`, at the beginning of the last period.
+    """
+
+    channel_units: Mapping[str, str] = MappingProxyType({"pace": "1", "behind": "ranges"})
+
+    def __init__(self, arm: Arm, rate: float = 100.0, *, feedback: Feedback | None = FEEDBACK) -> None:
+        super().__init__(arm, rate)
+        self._feedback = feedback
+        self._low, self._high = arm.position_limits.T
+        self.range = arm.ranges
+
+    def begin(self, q: Floats) -> None:
+        """See `Policy`; unchecked."""
+        self.y, self.pace, self.behind, self._limited = q, 1.0, 0.0, False
+
+    def act(self, measured: Floats | None, target: Floats) -> tuple[Floats, Floats]:
+        """See `Policy`; unchecked."""
+        waiting, pull = 1.0, np.zeros_like(self.y)
+        if measured is not None and self._feedback is not None:
+            off = measured - self.y
+            self.behind = float((np.abs(off) / self.range).max())
+            waiting, strength = self._feedback.response(self.behind)
+            pull = strength * off
+        wanted = waiting * self.velocity(target, waiting) + pull
+        slower = 1.0 / max(1.0, float((np.abs(wanted) / self.allowed()).max()))
+        self.pace, self._limited = slower * waiting, slower < 1.0
+        self.elapse(self.pace * self.period)
+        y = np.clip(self.arm.within_angles(self.y + self.period * slower * wanted), self._low, self._high)
+        qd, self.y = np.where((y == self._low) | (y == self._high), 0.0, slower * wanted), y
+        return y, qd
+
+    @abstractmethod
+    def velocity(self, target: Floats, waiting: float) -> Floats:
+        """The velocity v ``(n,)`` towards a target ``(n,)``, where time runs at the rate s; unchecked."""
+
+    def elapse(self, time: float) -> None:
+        """Advance the policy's own time [s]; unchecked."""
+
+    @property
+    def state(self) -> Floats:
+        """``(n,)``, as `y`."""
+        return self.y
+
+    @property
+    def message(self) -> str:
+        """See `Policy`."""
+        return describe(self.pace, self.behind, limited=self._limited)
+
+    def channels(self) -> Floats:
+        """See `Policy`."""
+        return np.array([self.pace, self.behind])

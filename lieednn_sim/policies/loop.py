@@ -1,0 +1,127 @@
+"""A policy in a loop of one's own: anything that gives measured joints and takes references is the arm.
+
+The loop keeps time with the system's clock and says when it does not. It is as punctual as Python and the operating
+system are: nothing here is hard real time. What must be, such as a robot's servos and its emergency stop, belongs below
+it, and must hold the last reference, or stop, when the next one is late.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import math
+import time
+from collections.abc import Callable, Iterator
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from lieednn_sim.errors import InputError
+from lieednn_sim.policies.base import Policy
+from lieednn_sim.validation import as_floats, as_positive
+from lieednn_sim.values import Floats, frozen
+
+# Steps before the first period, after which nothing is done for the first time.
+_WARM_UP = 3
+_MAX_PERIODS = 10**7
+
+
+@frozen
+class LoopReport:
+    """How a loop kept time.
+
+    Attributes:
+        lateness: ``(L,)`` time at which the reference of each period was sent, after its deadline, the end of the
+            period [s]; negative where it was in time.
+        step_time: ``(L,)`` time that the policy took in each period [s].
+        message: the policy's last message.
+    """
+
+    lateness: Floats
+    step_time: Floats
+    message: str
+
+    @property
+    def missed(self) -> int:
+        """Number of periods whose reference was late."""
+        return int((self.lateness > 0.0).sum())
+
+    def __str__(self) -> str:
+        periods, worst = len(self.lateness), 1e6 * float(self.step_time.max())
+        typical = 1e6 * float(np.median(self.step_time))
+        late = "none late" if not self.missed else f"{self.missed} late, by up to {1e3 * self.lateness.max():.3g} ms"
+        return f"{periods} periods, {late}; the policy took {typical:.3g} us in the median, {worst:.3g} at most"
+
+
+def control_loop(
+    policy: Policy,
+    read: Callable[[], ArrayLike | None],
+    write: Callable[[Floats, Floats], object],
+    target: Callable[[float], ArrayLike] | ArrayLike,
+    duration: float,
+    *,
+    on_late: Callable[[int, float], object] | None = None,
+) -> LoopReport:
+    """Run a policy at its rate: read the joints, ask the policy, write the reference, and wait for the next period.
+
+    The policy is reset where the joints are. A period that ends late is followed at once by the next, and those after
+    it by their own full length: nothing is hurried to catch up. Python's garbage is collected before the loop, not in
+    it. An exception of `read` or `write` ends the loop, as Ctrl-C does.
+
+    Args:
+        policy: the policy.
+        read: returns the measured joint coordinates ``(n,)``, once for each period; after the first time also None, if
+            nothing was measured.
+        write: is given the reference q and qd ``(n,)`` at the end of the period.
+        target: joint coordinates ``(n,)``, or a function of the time since the beginning [s].
+        duration: [s], rounded up to a whole number of periods.
+        on_late: called with the number of the period and its lateness [s], after each reference that was late.
+
+    Raises:
+        InputError: a value is malformed, or the policy cannot start where the joints are.
+    """
+    total = math.ceil(as_positive("duration", duration) * policy.rate - 1e-9)
+    if total > _MAX_PERIODS:
+        raise InputError(f"duration must be at most {_MAX_PERIODS} control periods, got {duration:g} s")
+    aim = target if callable(target) else _held(as_floats("target", target, (policy.arm.n_joints,)))
+    first = read()
+    if first is None:
+        raise InputError("read must return measured joints the first time: the policy begins there")
+    for _ in range(_WARM_UP):
+        policy.reset(first)
+        policy.step(first, aim(0.0))
+    policy.reset(first)
+    lateness, step_time = np.empty(total), np.empty(total)
+    with _without_collections():
+        begun = start = time.perf_counter()
+        for k in range(total):
+            measured, goal = read() if k else first, aim(start - begun)
+            asked = time.perf_counter()
+            q, qd = policy.step(measured, goal)
+            step_time[k] = time.perf_counter() - asked
+            write(q, qd)
+            end = start + policy.period
+            now = time.perf_counter()
+            lateness[k] = now - end
+            if now > end and on_late is not None:
+                on_late(k, now - end)
+            time.sleep(max(end - time.perf_counter(), 0.0))
+            start = max(end, now)
+    return LoopReport(lateness, step_time, policy.message)
+
+
+def _held(target: Floats) -> Callable[[float], Floats]:
+    return lambda _: target
+
+
+@contextlib.contextmanager
+def _without_collections() -> Iterator[None]:
+    """Keep Python from searching for reference cycles, which can take longer than a period."""
+    enabled = gc.isenabled()
+    gc.collect()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()

@@ -1,0 +1,250 @@
+"""A certified network as a policy: its bias moves with the target, and measured joints may pull its state.
+
+The certificate of a network does not depend on its bias, so the bias b(x) = (gamma/mu) x - W phi(x) makes any target x
+the global attractor, at any moment. With the network's speed c [1/s], and the factors s, k and d of `feedback` (s = 1
+and k = 0 without it), the state x = (visible, hidden and clock) obeys
+
+    x_v' = l (s c F_v(x) + x'_ff + k d (xi(q) - xi(q_r))),    x_h' = l s c F_h(x),
+
+where F is the field of the network retargeted to the present target, xi the arm's encoding, q the measured joints, q_r
+the reference of the same instant, x'_ff the target's velocity in the network's coordinates, and l <= 1 keeps the joints
+within their limits of velocity and, while speeding up, of acceleration. Behind a target that moves with velocity v a
+state near it lags by (-c J)^-1 v, with the Jacobian J of the field at the target; the feedforward x'_ff = v removes
+that.
+
+The proof is kept. Without the coupling (k d = 0) and behind a target at rest x' = r(t) F(x) with a factor
+r = l s c > 0: in the time integral of r it is the network itself, so x runs along the same orbits, and the network's
+Lyapunov function V decreases, dV/dt = r grad V . F < 0, until the target is reached, since s and l never vanish for
+good. The whole field must be scaled: slowing the hidden neurons or the clock alone would give another system, which no
+certificate covers. The coupling is an input of the visible neurons. It vanishes when the arm comes within the tolerance
+of its reference; from then on the certified network runs from whatever state it was pulled to. The hidden neurons of a
+cascade have no input from it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from types import MappingProxyType
+
+import numpy as np
+from scipy.linalg.blas import idamax
+
+from lieednn_sim.arm import Arm
+from lieednn_sim.arm.local_retraction import LocalRetraction
+from lieednn_sim.errors import InputError
+from lieednn_sim.network import LieEDNN
+from lieednn_sim.network.stepping import Stepping
+from lieednn_sim.planning.network_path import require_fit
+from lieednn_sim.policies.base import Policy, has_jumped
+from lieednn_sim.policies.feedback import FEEDBACK, Feedback, describe
+from lieednn_sim.validation import as_positive
+from lieednn_sim.values import Floats
+
+# Largest |l s c| T in the certificate's norm and largest change of a switch's argument in a Runge-Kutta step, and the
+# largest number of such steps in a period.
+_MAX_STEP, _MAX_SWITCHING, _MAX_STEPS = 0.5, 0.5, 100
+# A period is run again, this often, if velocities at its end exceed their limits by more than this fraction.
+_TOO_FAST, _TRIES = 1e-3, 4
+
+
+class NetworkPolicy(Policy):
+    """A certified network that leads an arm to a target, which may move; nothing but `reset` ever sets its state.
+
+    Args:
+        arm: encodes targets; states are decoded by `LocalRetraction`.
+        network: certified, with as many visible neurons as the arm has links; its own bias does not matter.
+        rate: control rate [Hz].
+        speed: the network's speed c: its own time in one second [1/s].
+        feedforward: whether to add the target's velocity, by the difference of its last two samples.
+        feedback: how the network hears the measured joints; None if it does not, and runs ahead of the arm undisturbed.
+
+    Attributes:
+        xi: ``(N, 6)`` state of all neurons.
+        jumped: whether the last target was faster than the joints' limits.
+        time_scale: l of the last period, below 1 where limits slowed the network down.
+        pace: l s of the last period.
+        behind: e at the beginning of the last period.
+        limit_excess: largest excess of the decoded joints over their position limits since the reset, at which the
+            reference stops [rad, m]; not positive if they kept the limits.
+        gap_translation: largest mechanism gap since the reset [m].
+        gap_rotation: the same as an angle [rad].
+
+    Raises:
+        InputError: network and arm differ in size, the network has no proof, or the speed is too high for the rate.
+    """
+
+    certified = True
+    channel_units: Mapping[str, str] = MappingProxyType({"pace": "1", "behind": "ranges"})
+
+    def __init__(
+        self,
+        arm: Arm,
+        network: LieEDNN,
+        rate: float = 100.0,
+        *,
+        speed: float = 5.0,
+        feedforward: bool = True,
+        feedback: Feedback | None = FEEDBACK,
+    ) -> None:
+        super().__init__(arm, rate)
+        require_fit(arm, network, certified=True)
+        self._network, self._feedback = network, feedback
+        self._speed, self._feedforward = as_positive("speed", speed), feedforward
+        self._stepping, self._visible = Stepping(network), 6 * network.n_visible
+        self._stiffness = network.gamma + network.mu * _certified_norm(network)
+        fastest = _MAX_STEPS * _MAX_STEP * self.rate / self._stiffness
+        if self._speed > fastest:
+            raise InputError(
+                f"speed must be at most {fastest:.3g} per second for this network at {self.rate:g} Hz, got {speed:g}"
+            )
+        self._low, self._high = arm.position_limits.T
+        self._range, self._balls = arm.ranges, arm.space.balls
+        self._widest = self._high[self._balls[:, 0]].tolist()
+
+    def begin(self, q: Floats) -> None:
+        """See `Policy`; unchecked."""
+        network = self._network
+        self.xi = network.start(self.arm.encode(q))
+        self._retraction = LocalRetraction(self.arm, q)
+        # The last target with its goal, and whether the field is that of this goal, not of one ahead of it.
+        self._aimed: tuple[Floats, Floats] | None = None
+        self._still = np.zeros(self.xi.size), np.zeros(self.arm.n_joints)
+        self._settled = False
+        # Where the network is, what drives it there, its field, and the first and the last in joint coordinates.
+        self._x = self.xi.ravel()
+        self._drive, self._flow = self._stepping.drive(self._x), np.zeros(self.xi.size)
+        self._drawn, self._flow_rate = q, self.qd
+        # The pull towards the network's rest state.
+        self._pull = np.zeros(self.xi.size)
+        self.jumped, self.time_scale, self.pace, self.behind = False, 1.0, 1.0, 0.0
+        self.limit_excess, self._gap = -np.inf, np.zeros((self.arm.n_links, 2))
+
+    @property
+    def state(self) -> Floats:
+        """``(N, 6)``, as `xi`."""
+        return self.xi
+
+    @property
+    def gap_rotation(self) -> float:
+        """See the class."""
+        return float(self._gap[:, 0].max())
+
+    @property
+    def gap_translation(self) -> float:
+        """See the class."""
+        return float(self._gap[:, 1].max())
+
+    @property
+    def message(self) -> str:
+        """See `Policy`."""
+        return describe(self.pace, self.behind, limited=self.time_scale < 1.0)
+
+    def channels(self) -> Floats:
+        """See `Policy`."""
+        return np.array([self.pace, self.behind])
+
+    def act(self, measured: Floats | None, target: Floats) -> tuple[Floats, Floats]:
+        """See `Policy`; unchecked."""
+        period = self.period
+        drift, rate = self._aim(target)
+        waiting, pull = self._listen(measured)
+        scale = waiting * self._speed
+        if pull is not None:
+            drift, rate = drift + pull[0], rate + pull[1]
+        allowed = self.allowed()
+        wanted = scale * self._flow_rate + rate
+        share = 1.0 / max(1.0, _max_abs(wanted / allowed))
+        for _ in range(_TRIES):
+            x, drive, flow = self._integrate(share * scale, drift / scale)
+            drawn, flow_rate = self._decode(x, flow, self._drawn + share * period * wanted)
+            qd = share * (scale * flow_rate + rate)
+            excess = _max_abs(qd / allowed)
+            if excess <= 1.0 + _TOO_FAST:
+                break
+            share /= excess
+        self._x, self._drive, self._flow, self._flow_rate = x, drive, flow, flow_rate
+        self.xi, self.time_scale, self.pace = x.reshape(self.xi.shape), share, share * waiting
+        self._gap = np.maximum(self._gap, self._retraction.gap)
+        outside = max(np.maximum(self._low - drawn, drawn - self._high).tolist())
+        self.limit_excess = max(self.limit_excess, outside)
+        if outside > 0.0 or self._turned_far(drawn):
+            inside = np.minimum(np.maximum(self.arm.within_angles(drawn), self._low), self._high)
+            drawn, qd = inside, np.where(inside == drawn, qd, 0.0)
+        self._drawn = drawn
+        return drawn, qd
+
+    def _aim(self, target: Floats) -> tuple[Floats, Floats]:
+        """Set the goal of all neurons, in the middle of the period; its velocity, flat, and the joints' with it."""
+        before, self.jumped = self._aimed, False
+        moving = self._still
+        if before is not None and self._settled and target is before[0]:
+            return moving
+        goal = self._network.goal(self.arm.encode(target)).ravel()
+        self._aimed, aim = (target, goal), goal
+        if before is not None:
+            rate = (target - before[0]) * self.rate
+            self.jumped = bool(has_jumped(self.arm, rate))
+            if self._feedforward and not self.jumped and rate.any():
+                moving = (goal - before[1]) * self.rate, rate
+                aim = goal + 0.5 * self.period * moving[0]
+        self._settled = aim is goal
+        self._pull = aim - self._stepping.drive(aim)
+        self._flow = self._field(self._x, self._drive)
+        if before is None or self.jumped:
+            _, self._flow_rate = self._decode(self._x, self._flow, self._drawn)
+        return moving
+
+    def _listen(self, measured: Floats | None) -> tuple[float, tuple[Floats, Floats] | None]:
+        """How far the clock waits for the measured joints, and how they pull the flat state and its posture."""
+        feedback = self._feedback
+        if measured is None or feedback is None:
+            return 1.0, None
+        off = measured - self._drawn
+        self.behind = _max_abs(off / self._range)
+        waiting, strength = feedback.response(self.behind)
+        if strength == 0.0:
+            return waiting, None
+        there, here = self.arm.encode(np.stack([measured, self._drawn]))
+        pull = np.zeros(self.xi.size)
+        pull[: self._visible] = strength * (there - here).ravel()
+        return waiting, (pull, strength * off)
+
+    def _turned_far(self, q: Floats) -> bool:
+        """Whether a ball joint is beyond its largest angle."""
+        if not self._widest:
+            return False
+        return any(
+            math.hypot(*turn) > widest for turn, widest in zip(q[self._balls].tolist(), self._widest, strict=True)
+        )
+
+    def _field(self, x: Floats, drive: Floats) -> Floats:
+        """Flat field F at a state with its drive."""
+        return self._network.gamma * (self._pull + drive - x)
+
+    def _integrate(self, scale: float, drift: Floats) -> tuple[Floats, Floats, Floats]:
+        """The state after a period of x' = scale (F(x) + drift), by RK4, and its drive and F there."""
+        x, drive, gamma = self._x, self._drive, self._network.gamma
+        switching = _max_abs(self._flow[self._visible :])
+        extent = scale * self.period * max(self._stiffness / _MAX_STEP, switching / _MAX_SWITCHING)
+        count = min(math.ceil(extent), _MAX_STEPS) or 1
+        pull, z = self._pull + drift / gamma, gamma * scale * self.period / count
+        for _ in range(count):
+            x, drive = self._stepping.step(x, drive, pull, z)
+        return x, drive, self._field(x, drive)
+
+    def _decode(self, x: Floats, flow: Floats, near: Floats) -> tuple[Floats, Floats]:
+        """Posture of a flat state, near another one, and its rates along a field, both ``(n,)``."""
+        self._retraction.q, seen = near, slice(self._visible)
+        return self._retraction(x[seen].reshape(-1, 6), flow[seen].reshape(-1, 6))
+
+
+def _max_abs(values: Floats) -> float:
+    """The largest magnitude among values, 0 if there are none; for a few numbers in a tenth of NumPy's time."""
+    return float(abs(values[idamax(values)])) if len(values) else 0.0
+
+
+def _certified_norm(network: LieEDNN) -> float:
+    """||S W_R S^-1||_2 with the certificate's P = S^2: of W in the norm in which translations count for nothing."""
+    scale = np.sqrt(np.asarray(network.lyapunov_diagonal))
+    return float(np.linalg.norm(scale[:, None] * network.certifiable_weight / scale, 2))

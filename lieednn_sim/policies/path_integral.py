@@ -1,0 +1,213 @@
+"""Model-predictive path integral control over joint velocities, as a policy with a model of its own.
+
+At every control period, velocities over a horizon T are sampled around those of the previous period, u_i = u + e_i,
+rolled out from the present posture, and averaged with weights from their costs S_i (Williams et al., ICRA 2017),
+
+    u <- sum_i w_i u_i,    w_i = exp(-(S_i - min S) / lambda) / sum_j exp(-(S_j - min S) / lambda).
+
+Noise is sampled around u, so changes of u itself cost nothing (their gamma = lambda (1 - alpha) is zero).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from mujoco import rollout
+from scipy.special import softmax
+
+from lieednn_sim._mujoco import QuietWarnings, mujoco
+from lieednn_sim.arm import Arm
+from lieednn_sim.arm.contacts import moving_geoms
+from lieednn_sim.planning.options import PlannerOptions
+from lieednn_sim.policies.feedback import FEEDBACK, Feedback
+from lieednn_sim.policies.joint_policy import JointPolicy
+from lieednn_sim.validation import as_positive, as_seed
+from lieednn_sim.values import Floats
+
+# Number of velocity knots over the horizon; cost of contact [1/s].
+_KNOTS, _TOUCHING = 4, 1e3
+# Armature and velocity gain so far above the arm's own that joints take their commanded velocities at once.
+_INERTIA, _GAIN = 1e4, 1e9
+
+
+@dataclass(frozen=True)
+class PathIntegralOptions(PlannerOptions):
+    """Options of the policy ``mppi``.
+
+    Attributes:
+        pairs: half the number of samples, which are drawn in pairs of opposite noise.
+        steps: number of steps of the horizon.
+        step: length of one [s].
+        noise: standard deviation of velocities, as a fraction of the convergence rate times the largest distance of a
+            joint from its target.
+        temperature: lambda, as a fraction of the median cost above the least.
+        near: distance kept from the surroundings where the target allows it [m].
+        nearness: cost of being nearer [1/s].
+
+    Raises:
+        InputError: a value is out of range.
+    """
+
+    pairs: int = field(default=12, metadata={"range": (1, 10_000)})
+    steps: int = field(default=10, metadata={"range": (2, 1000)})
+    step: float = 0.06
+    noise: float = 0.4
+    temperature: float = 0.3
+    near: float = 0.03
+    nearness: float = 2.0
+
+
+class VelocityRollouts:
+    """An arm whose joints have commanded velocities, in its scene, rolled out by `mujoco.rollout`.
+
+    This is the arm as policies see it: under inverse dynamics its actuators follow a reference up to rounding.
+
+    Args:
+        arm: the arm; its model is not changed.
+        step: length of a step [s].
+        near: distance from the surroundings that is detected [m]; parts of the arm are detected when they overlap.
+    """
+
+    def __init__(self, arm: Arm, step: float, near: float) -> None:
+        self._arm, self._near = arm, near
+        self._model = _kinematic(arm, step, near)
+        self._data = mujoco.MjData(self._model)
+        self._kind = mujoco.mjtState.mjSTATE_FULLPHYSICS
+        self._state = np.zeros((1, mujoco.mj_stateSize(self._model, self._kind)))
+
+    def __call__(self, q: Floats, velocities: Floats) -> tuple[Floats, Floats]:
+        """Postures after each step, and clearances before it.
+
+        Args:
+            q: ``(n,)`` initial posture of all samples.
+            velocities: ``(S, H, n)`` joint velocities for each sample and step.
+
+        Returns:
+            Postures ``(S, H, n)``, and clearances ``(S, H)`` [m], infinite where nothing is near.
+        """
+        model, data, first = self._model, self._data, self._arm.qpos(q)
+        mujoco.mj_resetData(model, data)
+        data.qpos[:] = first
+        mujoco.mj_getState(model, data, self._state[0], self._kind)
+        controls = self._arm.qvel(np.broadcast_to(q, velocities.shape), velocities)
+        with QuietWarnings():
+            states, sensed = rollout.rollout(model, data, self._state, controls)
+        postures = self._arm.coordinates(states[:, :, 1 : 1 + model.nq])
+        return postures, np.where(sensed[:, :, 0] > 0.0, sensed[:, :, 1], np.inf)
+
+
+def _kinematic(arm: Arm, step: float, near: float) -> mujoco.MjModel:
+    spec = arm.spec.copy()
+    # Masses do not matter here, and geoms that do not collide only cost time.
+    spec.compiler.boundmass, spec.compiler.boundinertia = 1e-3, 1e-6
+    for geom, moves in zip(list(spec.geoms), moving_geoms(arm.model), strict=True):
+        if not (geom.contype or geom.conaffinity):
+            spec.delete(geom)
+        elif not moves:
+            geom.margin, geom.gap = 0.0, near
+    for actuator in list(spec.actuators):
+        spec.delete(actuator)
+    for joint in range(arm.model.njnt):
+        axes = 3 if arm.model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_BALL else 1
+        for gear in np.eye(6)[:axes]:
+            actuator = spec.add_actuator(
+                trntype=mujoco.mjtTrn.mjTRN_JOINT, target=arm.model.joint(joint).name, gear=gear.tolist()
+            )
+            actuator.set_to_velocity(kv=_GAIN)
+    for sensor in list(spec.sensors):
+        spec.delete(sensor)
+    wanted = 1 << int(mujoco.mjtConDataField.mjCONDATA_FOUND) | 1 << int(mujoco.mjtConDataField.mjCONDATA_DIST)
+    # The sensor reports one contact: that of the least distance.
+    spec.add_sensor(name="nearest", type=mujoco.mjtSensor.mjSENS_CONTACT, intprm=[wanted, 1, 1])
+    model = spec.compile()
+    off = mujoco.mjtDisableBit
+    model.opt.disableflags |= int(
+        off.mjDSBL_GRAVITY | off.mjDSBL_EQUALITY | off.mjDSBL_LIMIT | off.mjDSBL_FRICTIONLOSS | off.mjDSBL_SPRING
+    )
+    model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    model.opt.timestep, model.dof_armature[:] = step, _INERTIA
+    return model
+
+
+def weights(costs: Floats, temperature: float) -> Floats:
+    """Weights of samples from their costs ``(S,)``; the temperature is relative to the median cost above the least."""
+    above = costs - costs.min()
+    return np.asarray(softmax(-above / max(temperature * float(np.median(above)), 1e-300)))
+
+
+class PathIntegral(JointPolicy):
+    """The controller of this module, towards a target and clear of the surroundings.
+
+    With joints in units of their range and e = g - y the cost of a sample is
+
+        integral of |e|^2 + |u|^2 / c^2 + near + touching dt, and |e|^2 / c at its end,
+
+    which the linear attractor u = c e minimises where nothing is near. Noise shrinks with the distance from the target,
+    so that the arm comes to rest there.
+
+    Args:
+        arm: the arm, in its scene.
+        rate: control rate [Hz].
+        convergence_rate: c [1/s].
+        options: settings.
+        feedback: how it hears the measured joints; None if it does not.
+        seed: of the noise.
+    """
+
+    def __init__(
+        self,
+        arm: Arm,
+        rate: float = 100.0,
+        *,
+        convergence_rate: float = 2.0,
+        options: PathIntegralOptions | None = None,
+        feedback: Feedback | None = FEEDBACK,
+        seed: int = 0,
+    ) -> None:
+        super().__init__(arm, rate, feedback=feedback)
+        self._options = options = options or PathIntegralOptions()
+        self._convergence_rate, self._seed = as_positive("convergence_rate", convergence_rate), as_seed("seed", seed)
+        self._rollouts = VelocityRollouts(arm, options.step, options.near)
+        self._knots: Floats = options.step * np.linspace(0.0, options.steps - 1.0, _KNOTS)
+        # From knots to steps, linear between.
+        self._between = self._at(options.step * np.arange(float(options.steps)))
+        self._fastest = arm.velocity_limits / self.range
+
+    def begin(self, q: Floats) -> None:
+        """See `Policy`; unchecked."""
+        super().begin(q)
+        self._rng = np.random.default_rng([self._seed, 17])
+        self._plan = np.zeros((_KNOTS, len(q)))
+        self._goal, self._near = np.full_like(q, np.nan), self._options.near
+
+    def velocity(self, target: Floats, waiting: float) -> Floats:
+        """See `JointPolicy`; unchecked."""
+        options = self._options
+        if (target != self._goal).any():
+            _, clearance = self._rollouts(target, np.zeros((1, 1, len(target))))
+            self._goal, self._near = target.copy(), min(options.near, max(0.5 * float(clearance[0, 0]), 1e-3))
+        scale = options.noise * self._convergence_rate * float(np.abs((target - self.y) / self.range).max())
+        noise = scale * self._rng.standard_normal((options.pairs, *self._plan.shape))
+        plans = self._plan + np.concatenate([np.zeros((1, *self._plan.shape)), noise, -noise])
+        plans = np.clip(plans, -self._fastest, self._fastest)
+        costs = self._costs(target, self._between @ plans)
+        self._plan = np.tensordot(weights(costs, options.temperature), plans, axes=1)
+        return np.asarray(self._plan[0] * self.range)
+
+    def elapse(self, time: float) -> None:
+        """See `JointPolicy`; unchecked."""
+        self._plan = self._at(self._knots + time) @ self._plan
+
+    def _costs(self, target: Floats, velocities: Floats) -> Floats:
+        """``(S,)`` of velocities ``(S, H, n)`` in units of the ranges."""
+        options, c = self._options, self._convergence_rate
+        postures, clearance = self._rollouts(self.y, velocities * self.range)
+        off = (((target - postures) / self.range) ** 2).sum(axis=2)
+        near = np.maximum(1.0 - clearance / self._near, 0.0)
+        rate = off + (velocities**2).sum(axis=2) / c**2 + options.nearness * near**2 + _TOUCHING * (clearance < 0.0)
+        return np.asarray(options.step * rate.sum(axis=1) + off[:, -1] / c)
+
+    def _at(self, times: Floats) -> Floats:
+        """Interpolation matrix from the knots to times ``(m,)``, constant after the last knot."""
+        return np.array([np.interp(times, self._knots, unit) for unit in np.eye(_KNOTS)]).T

@@ -1,0 +1,98 @@
+"""A dynamic movement primitive in joint space, as a policy.
+
+Planning has another one (`planning.baselines.primitives`, of the library ``movement_primitives``), which makes a motion
+in time; here it is driven step by step, waits with its phase for the arm, and follows a target that moves.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lieednn_sim.arm import Arm
+from lieednn_sim.planning.motion import Motion
+from lieednn_sim.planning.options import PlannerOptions
+from lieednn_sim.policies.feedback import FEEDBACK, Feedback
+from lieednn_sim.policies.joint_policy import JointPolicy
+from lieednn_sim.values import Floats
+
+
+@dataclass(frozen=True)
+class PrimitiveOptions(PlannerOptions):
+    """Options of the policy ``dmp``.
+
+    Attributes:
+        spring: a of the equations in `MovementPrimitive`.
+        decay: b; with a third of the spring the forces vanish when the motion ends.
+        basis_functions: number of radial functions.
+        ridge: weight of the squared weights in their regression.
+
+    Raises:
+        InputError: a value is out of range.
+    """
+
+    spring: float = 25.0
+    decay: float = 25.0 / 3.0
+    basis_functions: int = 20
+    ridge: float = 1e-8
+
+
+class MovementPrimitive(JointPolicy):
+    """A dynamic movement primitive in joint space that imitates a motion.
+
+    T z' = a (a / 4 (g - y) - z) + f(x), T y' = z, T x' = -b x (Ijspeert et al., Neural Computation 25(2), 2013), with f
+    of normalised radial functions times x and weights for each joint, learned by ridge regression. When the target
+    moves, so does the attractor, but not the forces. During a push the phase waits too.
+
+    Args:
+        arm: the arm.
+        motion: what is imitated.
+        rate: control rate [Hz].
+        options: settings.
+        feedback: how it hears the measured joints; None if it does not.
+    """
+
+    def __init__(
+        self,
+        arm: Arm,
+        motion: Motion,
+        rate: float = 100.0,
+        *,
+        options: PrimitiveOptions | None = None,
+        feedback: Feedback | None = FEEDBACK,
+    ) -> None:
+        super().__init__(arm, rate, feedback=feedback)
+        self._options = options = options or PrimitiveOptions()
+        spring = options.spring
+        self._time, t = float(motion.t[-1]), motion.t / motion.t[-1]
+        speed = self._time * motion.qd
+        bend = np.gradient(speed, t, axis=0, edge_order=2)
+        force = bend - spring * (0.25 * spring * (motion.q[-1] - motion.q) - speed)
+        self._centres = np.exp(-options.decay * np.linspace(0.0, 1.0, options.basis_functions))
+        self._widths = 1.0 / np.diff(self._centres, append=0.5 * self._centres[-1]) ** 2
+        features = np.array([self._features(x) for x in np.exp(-options.decay * t)])
+        normal = features.T @ features + options.ridge * len(t) * np.eye(options.basis_functions)
+        self._weights = np.linalg.solve(normal, features.T @ force)
+
+    def begin(self, q: Floats) -> None:
+        """See `Policy`; unchecked."""
+        super().begin(q)
+        self._x, self._z = 1.0, np.zeros_like(q)
+
+    def velocity(self, target: Floats, waiting: float) -> Floats:
+        """See `JointPolicy`; unchecked."""
+        h, spring = waiting * self.period / self._time, self._options.spring
+        force = self._features(self._x) @ self._weights
+        # Implicit in z, so that a stiff spring stays stable at a low control rate.
+        pull = self._z + h * (spring * 0.25 * spring * (target - self.y) + force)
+        self._z = pull / (1.0 + h * spring)
+        return np.asarray(self._z / self._time)
+
+    def elapse(self, time: float) -> None:
+        """See `JointPolicy`; unchecked."""
+        self._x *= float(np.exp(-self._options.decay * time / self._time))
+
+    def _features(self, x: float) -> Floats:
+        bumps = np.exp(-0.5 * self._widths * (x - self._centres) ** 2)
+        return np.asarray(x * bumps / (bumps.sum() + 1e-300))

@@ -1,0 +1,251 @@
+"""The registry of policies, and `make_policy`, which makes any of them by name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from lieednn_sim.arm import Arm
+from lieednn_sim.errors import InputError
+from lieednn_sim.network import LieEDNN
+from lieednn_sim.planning import Motion, Plan, ShapedOptions, plan
+from lieednn_sim.planning.filtering import FilterOptions
+from lieednn_sim.planning.network_planners import without_weights
+from lieednn_sim.planning.options import PlannerOptions
+from lieednn_sim.policies.base import Policy
+from lieednn_sim.policies.fabric import Fabric, FabricOptions
+from lieednn_sim.policies.feedback import FEEDBACK, Feedback
+from lieednn_sim.policies.filtered import FilteredPolicy
+from lieednn_sim.policies.network_policy import NetworkPolicy
+from lieednn_sim.policies.path_integral import PathIntegral, PathIntegralOptions
+from lieednn_sim.policies.primitive import MovementPrimitive, PrimitiveOptions
+from lieednn_sim.policies.tracker import MotionTracker
+from lieednn_sim.registration import Registry
+from lieednn_sim.synthesis import synthesize
+from lieednn_sim.validation import as_choice, as_positive, as_seed
+from lieednn_sim.values import Floats, check_fields
+
+_Make = TypeVar("_Make", bound=Callable[..., Policy])
+
+
+@dataclass(frozen=True, eq=False)
+class PolicyTask:
+    """What a policy is made for; arguments as of `make_policy`.
+
+    Attributes:
+        arm: the arm, in its scene.
+        start: ``(n,)`` joint position at the beginning.
+        target: ``(n,)`` the first target.
+        rate: control rate [Hz].
+        feedback: how it hears the measured joints; None if it does not.
+        convergence_rate: rate at which it approaches the target, if no motion says so [1/s].
+        seed: seed of random draws.
+        given: the motion or plan that was given to track or to imitate.
+
+    Raises:
+        InputError: a value is malformed.
+    """
+
+    arm: Arm
+    start: Floats
+    target: Floats
+    rate: float = 100.0
+    feedback: Feedback | None = FEEDBACK
+    convergence_rate: float = 2.0
+    seed: int = 0
+    given: Motion | Plan | None = None
+
+    def __post_init__(self) -> None:
+        check_fields(self, self._as_position, "start", "target")
+        check_fields(self, as_positive, "rate", "convergence_rate")
+        check_fields(self, as_seed, "seed")
+
+    def _as_position(self, name: str, value: ArrayLike) -> Floats:
+        return self.arm.check_position(value, name)
+
+    @cached_property
+    def motion(self) -> Motion:
+        """The motion to track or to imitate: the one that was given, or one that the default planner makes."""
+        given = self.given or plan(self.arm, self.target, start=self.start, seed=self.seed)
+        return given.motion if isinstance(given, Plan) else given
+
+
+@dataclass(frozen=True)
+class CertifiedPolicyOptions(PlannerOptions):
+    """Options of the policy ``lieednn-certified``.
+
+    Attributes:
+        bias_magnitude: size of the bias of the network [gamma/mu].
+
+    Raises:
+        InputError: a value is out of range.
+    """
+
+    bias_magnitude: float = 0.25
+
+
+class PolicyKind(NamedTuple):
+    """A function that makes policies, and the class of its options.
+
+    Attributes:
+        make: takes a `PolicyTask`, and options if there are any.
+        options: class of the options; None for policies without options.
+    """
+
+    make: Callable[..., Policy]
+    options: type[PlannerOptions] | None = None
+
+
+def _shaped(task: PolicyTask, options: ShapedOptions) -> Policy:
+    made = plan(
+        task.arm, task.target, planner="lieednn-shaped", start=task.start, options=options, seed=task.seed
+    ).network
+    assert isinstance(made, LieEDNN)
+    # Its clock is the slowest.
+    return _network(task, made, task.convergence_rate / options.rate)
+
+
+def _certified(task: PolicyTask, options: CertifiedPolicyOptions) -> Policy:
+    xi = task.arm.encode(task.target)
+    made = synthesize(xi, bias="sign-matched", bias_magnitude=options.bias_magnitude, seed=task.seed).unwrap()
+    slowest = -float(np.linalg.eigvals(made.jacobian(xi)).real.max())
+    return _network(task, made, task.convergence_rate / slowest)
+
+
+def _linear(task: PolicyTask) -> Policy:
+    return _network(task, without_weights(task.arm.encode(task.target)), task.convergence_rate)
+
+
+def _network(task: PolicyTask, network: LieEDNN, speed: float) -> Policy:
+    return NetworkPolicy(task.arm, network, task.rate, speed=speed, feedforward=False, feedback=task.feedback)
+
+
+def _primitive(task: PolicyTask, options: PrimitiveOptions) -> Policy:
+    return MovementPrimitive(task.arm, task.motion, task.rate, options=options, feedback=task.feedback)
+
+
+def _fabric(task: PolicyTask, options: FabricOptions) -> Policy:
+    return Fabric(task.arm, task.rate, options=options, feedback=task.feedback)
+
+
+def _path_integral(task: PolicyTask, options: PathIntegralOptions) -> Policy:
+    how: dict[str, Any] = {"convergence_rate": task.convergence_rate, "feedback": task.feedback, "seed": task.seed}
+    return PathIntegral(task.arm, task.rate, options=options, **how)
+
+
+def _tracker(task: PolicyTask) -> Policy:
+    return MotionTracker(task.arm, task.motion, task.rate)
+
+
+POLICIES: dict[str, PolicyKind] = {
+    "lieednn-shaped": PolicyKind(_shaped, ShapedOptions),
+    "lieednn-certified": PolicyKind(_certified, CertifiedPolicyOptions),
+    "linear-attractor": PolicyKind(_linear),
+    "dmp": PolicyKind(_primitive, PrimitiveOptions),
+    "fabric": PolicyKind(_fabric, FabricOptions),
+    "mppi": PolicyKind(_path_integral, PathIntegralOptions),
+    "tracker": PolicyKind(_tracker),
+}
+
+
+def _policy(name: str, make: Callable[..., Policy], options: type[PlannerOptions] | None = None) -> PolicyKind:
+    if not callable(make):
+        raise InputError(f"policy {name!r} must be a function of a PolicyTask, got {type(make).__name__}")
+
+    def checked(task: PolicyTask, *given: PlannerOptions) -> Policy:
+        made = make(task, *given)
+        if not isinstance(made, Policy):
+            raise InputError(f"policy {name!r} must be a Policy, its function returned {type(made).__name__}")
+        return made
+
+    return PolicyKind(checked, options)
+
+
+REGISTRY = Registry("policy", POLICIES, _policy, "lieednn_sim.policies")
+
+
+def register_policy(name: str, options: type[PlannerOptions] | None = None) -> Callable[[_Make], _Make]:
+    """Decorator that registers a function of a `PolicyTask`, which returns a `Policy`, for `make_policy`.
+
+    An installed package declares its policies as entry points:
+
+        [project.entry-points."lieednn_sim.policies"]
+        my-policy = "my_package.my_module:my_function"
+
+    A function declared like this needs the decorator only if it takes options.
+
+    Args:
+        name: name of the policy, in lower-case letters, digits and hyphens.
+        options: class of its options, which are its second argument.
+
+    Raises:
+        InputError: the name is malformed or taken.
+    """
+
+    def register(make: _Make) -> _Make:
+        REGISTRY.add(name, make, options)
+        return make
+
+    return register
+
+
+def policies() -> Mapping[str, PolicyKind]:
+    """All policies by name: `POLICIES`, and those of the entry points of installed packages.
+
+    Those that cannot be loaded are left out, with a warning that names the package.
+    """
+    return REGISTRY.all()
+
+
+def make_policy(
+    name: str,
+    arm: Arm,
+    target: ArrayLike,
+    *,
+    rate: float = 100.0,
+    start: ArrayLike | None = None,
+    motion: Motion | Plan | None = None,
+    feedback: Feedback | None = FEEDBACK,
+    safety: FilterOptions | None = None,
+    convergence_rate: float = 2.0,
+    options: PlannerOptions | None = None,
+    seed: int = 0,
+) -> Policy:
+    """Make a policy by name, reset at the start.
+
+    Args:
+        name: a name of `POLICIES`.
+        arm: the arm, in its scene.
+        target: ``(n,)`` joint coordinates, for which networks are made; the policy is told the target in every step,
+            and it may move.
+        rate: control rate [Hz].
+        start: ``(n,)`` joint coordinates at the beginning, the keyframe ``home`` by default.
+        motion: what ``tracker`` tracks and ``dmp`` imitates, from start to target; by default a planned one.
+        feedback: how it hears the measured joints; None if it does not.
+        safety: settings of a safety filter around the policy; None for none.
+        convergence_rate: rate at which a policy approaches the target, if no motion says so [1/s].
+        options: options of the policy, of its class in `POLICIES`; by default that class's defaults.
+        seed: seed of random draws; the same seed gives the same policy.
+
+    Raises:
+        InputError: a value is malformed, the policy is unknown, or the options are those of another one.
+        NotCertifiedError: no network could be certified.
+        PlanError: no motion was found.
+    """
+    known = policies()
+    make, kind = known[as_choice("name", name, known)]
+    if options is not None and (kind is None or not isinstance(options, kind)):
+        wanted = "has no options" if kind is None else f"takes options of class {kind.__name__}"
+        raise InputError(f"the policy {name!r} {wanted}, got {type(options).__name__}")
+    origin = arm.keyframe("home") if start is None else start
+    task = PolicyTask(arm, origin, target, rate, feedback, convergence_rate, seed, motion)  # type: ignore[arg-type]
+    made = make(task, *(() if kind is None else (kind() if options is None else options,)))
+    if safety is not None:
+        made = FilteredPolicy(made, safety)
+    made.reset(task.start)
+    return made

@@ -1,0 +1,26 @@
+"""Studies: many cases in one table that can be interrupted, resumed, and divided among processes and machines."""
+
+from lieednn_sim.studies.comparison.cases import Settings, replay, run_case
+from lieednn_sim.studies.comparison.rows import Case, Row
+from lieednn_sim.studies.comparison.study import Comparison, compare
+from lieednn_sim.studies.comparison.summary import write_summary
+from lieednn_sim.studies.study import Study, compute
+from lieednn_sim.studies.table import Table, read_rows
+from lieednn_sim.typecheck import typecheck_public
+
+__all__ = [
+    "Case",
+    "Comparison",
+    "Row",
+    "Settings",
+    "Study",
+    "Table",
+    "compare",
+    "compute",
+    "read_rows",
+    "replay",
+    "run_case",
+    "write_summary",
+]
+
+typecheck_public(globals())

@@ -1,0 +1,150 @@
+"""Rows of a comparison, and its cases."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from functools import partial
+
+from lieednn_sim.errors import InputError
+from lieednn_sim.studies.rows import TableRow, column, columns_of, outcome
+from lieednn_sim.validation import quoted
+
+_of_motion = partial(column, of_motion=True)
+
+
+@dataclass(frozen=True, order=True)
+class Case:
+    """A planning task of a comparison, shared by all controllers."""
+
+    arm: str
+    scene: str
+    planner: str
+    seed: int
+
+    @classmethod
+    def parse(cls, text: str) -> Case:
+        """Read ``planner:arm:scene:seed``.
+
+        Raises:
+            InputError: the text is not of that form.
+        """
+        parts = text.split(":")
+        if len(parts) != 4 or not all(parts) or not (parts[3].isascii() and parts[3].isdecimal()):
+            raise InputError(
+                f"a case must look like planner:arm:scene:seed, e.g. se3-geodesic:telescopic_pr:free:0, "
+                f"got {quoted(text)}"
+            )
+        planner, arm, scene, seed = parts
+        return cls(arm, scene, planner, int(seed))
+
+    def __str__(self) -> str:
+        return f"{self.planner}:{self.arm}:{self.scene}:{self.seed}"
+
+
+@dataclass(frozen=True, slots=True)
+class Row(TableRow):
+    """One rollout of a comparison. Measured columns have their names from `Evaluation` and `MotionMetrics`.
+
+    Attributes:
+        arm: name of the arm; together with the next four, the key of the row.
+        scene: name of its scene.
+        planner: name of the planner.
+        controller: name of the controller that followed the motion.
+        seed: seed of target, obstacles and planner.
+        mass_scale: true masses relative to those that the controller knows.
+        success: whether the rollout arrived without contact.
+        reason: why it did not; begins with what failed: "problem", "plan", "simulation", "contact", "arrival", or
+            "error" for a bug or a worker that died repeatedly.
+        stability: proven stability of the network: "global", "local" or "none"; "-" without a network, "" without a
+            motion.
+        stability_level: the condition that proves it.
+    """
+
+    _key = ("arm", "scene", "planner", "controller", "seed")
+    _digits = 6
+
+    arm: str
+    scene: str
+    planner: str
+    controller: str
+    seed: int
+    mass_scale: float
+    success: bool = outcome()
+    reason: str = ""
+    stability: str = ""
+    stability_level: str = ""
+    planning_s: float | None = _of_motion(
+        "planning [s]", "CPU time of the planner, stopped at its time budget; the one column that differs between runs"
+    )
+    motion_s: float | None = _of_motion("motion [s]", "time at which the plan comes to rest")
+    gap_mm: float | None = _of_motion("gap [mm]", "largest mechanism gap on the way: what the joints cannot follow")
+    gap_deg: float | None = _of_motion("gap [deg]", "the same as an angle")
+    gap_end_mm: float | None = _of_motion("gap at end [mm]", "mechanism gap of the last planned poses")
+    gap_end_deg: float | None = _of_motion("gap at end [deg]", "the same as an angle")
+    path_ranges: float | None = _of_motion(
+        "joint path [ranges]", "planned length in joint space, each joint in units of its range"
+    )
+    jerk_joints: float | None = _of_motion(
+        "joint jerk [ranges/s³]", "RMS jerk of the planned joints, in units of their ranges"
+    )
+    jerk_effector: float | None = _of_motion("effector jerk [m/s³]", "RMS jerk of the planned end-effector path")
+    curvature: float | None = _of_motion(
+        "curvature [1/m]", "RMS curvature along the planned end-effector path, where its speed is above 5 % of the peak"
+    )
+    settling_s: float | None = column(
+        "settled [s]", "time from which every link stays at its target; none when it does not"
+    )
+    final_effector_mm: float | None = column(
+        "final effector [mm]", "distance of the end effector from its target at the end"
+    )
+    final_effector_deg: float | None = column("[deg]", "the same as an angle")
+    final_worst_mm: float | None = column(
+        "final worst link [mm]", "distance of the worst link from its target at the end"
+    )
+    final_worst_deg: float | None = column("[deg]", "the same as an angle")
+    tracking_rms_mm: float | None = column(
+        "tracking RMS [mm]", "simulated against planned frames, RMS in time, worst link"
+    )
+    tracking_rms_deg: float | None = column("[deg]", "the same as an angle")
+    tracking_max_mm: float | None = column("tracking max [mm]", "the largest such distance")
+    tracking_max_deg: float | None = column("[deg]", "the same as an angle")
+    path_m: float | None = column("effector path [m]", "length of the end effector's simulated path")
+    velocity_share: float | None = column("velocity / limit", "largest joint velocity in units of its limit")
+    force_share: float | None = column(
+        "force / limit", "largest actuator force or torque in units of its limit in the weaker direction"
+    )
+    clearance_mm: float | None = column(
+        "clearance [mm]", "least clearance along the simulated motion; below 0: penetration"
+    )
+    position_violations: int | None = column("position violations", "simulated samples with a joint outside its range")
+    position_excess: float | None = column("worst", "how far outside, in units of the range")
+    velocity_violations: int | None = column(
+        "velocity violations", "simulated samples with a joint above its velocity limit"
+    )
+    velocity_excess: float | None = column("worst", "how far above, in units of the limit")
+    acceleration_violations: int | None = column(
+        "acceleration violations", "simulated samples with a joint above its acceleration limit"
+    )
+    acceleration_excess: float | None = column("worst", "how far above, in units of the limit")
+
+    @property
+    def case(self) -> Case:
+        """The case of the row."""
+        return Case(self.arm, self.scene, self.planner, self.seed)
+
+    @property
+    def motion(self) -> Case:
+        """A motion is planned once for all controllers."""
+        return self.case
+
+    @property
+    def planned(self) -> bool:
+        """Whether there was a motion to track."""
+        return not self.reason.startswith(("plan:", "problem:", "error:"))
+
+
+FIELDS = tuple(entry.name for entry in fields(Row))
+COLUMNS = columns_of(Row)
+BY_NAME = {entry.name: entry for entry in COLUMNS}
+# Columns that differ between runs.
+TIMING = ("planning_s",)

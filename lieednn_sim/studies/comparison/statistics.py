@@ -1,0 +1,77 @@
+"""Statistics of a comparison: proven stability, seeds, and failures by reason."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from lieednn_sim.simulation import CONTROLLERS
+from lieednn_sim.studies.comparison.rows import Row
+from lieednn_sim.studies.statistics import motions, pattern_of
+
+
+@dataclass(frozen=True)
+class Failure:
+    """Failures whose reasons differ only in names and numbers.
+
+    Attributes:
+        step: where it failed: "problem", "plan", "simulation", "contact", "arrival" or "error".
+        pattern: the reason with names and numbers replaced by an ellipsis.
+        example: one reason in full.
+        counts: number of rows by planner, largest first.
+    """
+
+    step: str
+    pattern: str
+    example: str
+    counts: tuple[tuple[str, int], ...]
+
+    @property
+    def total(self) -> int:
+        """Number of rows."""
+        return sum(count for _, count in self.counts)
+
+
+def verdict(rows: Iterable[Row]) -> str:
+    """Proven stability, such as "global 9/10, local 1/10"; "-" without a network."""
+    found = [row.stability for row in motions(rows) if row.stability not in ("", "-")]
+    if not found:
+        return "-"
+    if len(set(found)) == 1:
+        return found[0]
+    return ", ".join(
+        f"{name} {found.count(name)}/{len(found)}" for name in ("global", "local", "none") if name in found
+    )
+
+
+def seeds_by_planner(rows: Iterable[Row]) -> dict[str, int]:
+    """Number of seeds of each planner."""
+    found: dict[str, set[int]] = {}
+    for row in rows:
+        found.setdefault(row.planner, set()).add(row.seed)
+    return {planner: len(seeds) for planner, seeds in found.items()}
+
+
+def controllers_of(rows: Iterable[Row]) -> list[str]:
+    """The controllers of rows, first those of the package in its order."""
+    found = sorted({row.controller for row in rows})
+    return [*(name for name in CONTROLLERS if name in found), *(name for name in found if name not in CONTROLLERS)]
+
+
+def failures(rows: Iterable[Row]) -> list[Failure]:
+    """Failures grouped by similar reasons, the most frequent first.
+
+    A plan's failure counts once, not once for each controller.
+    """
+    failed = [row for row in rows if row.reason]
+    once = [row for row in motions(failed) if not row.planned] + [row for row in failed if row.planned]
+    found: dict[str, list[Row]] = {}
+    for row in once:
+        found.setdefault(pattern_of(row.reason), []).append(row)
+    made = []
+    for pattern, members in found.items():
+        names = [row.planner for row in members]
+        counts = sorted({name: names.count(name) for name in names}.items(), key=lambda item: (-item[1], item[0]))
+        step, _, rest = pattern.partition(": ")
+        made.append(Failure(step, rest, members[0].reason.partition(": ")[2], tuple(counts)))
+    return sorted(made, key=lambda failure: (-failure.total, failure.step, failure.pattern))

@@ -1,0 +1,187 @@
+"""The comparison of planners: arms, scenes, planners, controllers and seeds in one table."""
+
+from __future__ import annotations
+
+import itertools
+import os
+from collections.abc import Callable, Collection, Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+from rich.console import Console
+
+from lieednn_sim.arm import arm_names
+from lieednn_sim.arm.scenes import SCENES
+from lieednn_sim.errors import InputError
+from lieednn_sim.planning import missing_planners, planners
+from lieednn_sim.simulation import controllers
+from lieednn_sim.studies.comparison.cases import FREE, Settings, failed_case, run_case
+from lieednn_sim.studies.comparison.rows import Case, Row
+from lieednn_sim.studies.comparison.shards import Shard
+from lieednn_sim.studies.entries import ARM, SCENE, Entry, enter
+from lieednn_sim.studies.statistics import numbers
+from lieednn_sim.studies.study import Study, compute
+from lieednn_sim.studies.table import Table
+from lieednn_sim.validation import as_choice, as_count
+from lieednn_sim.values import check_fields
+
+DEFAULT_CONTROLLERS = ("position-servo", "inverse-dynamics")
+DEFAULT_SCENES = (FREE, "window")
+# CPU times of a case [s], planning and both default controllers, of the planners that need more than a second in the
+# mean over the package's arms, free and behind the window, and of all others. Declared, not measured, so that which
+# cases there are depends on no machine; the order of cases follows them until the table holds planning times.
+SLOW_PLANNERS = {"lieednn-trained": 2.7, "trajectory-optimisation": 1.6, "rrt-star": 1.3}
+SLOW_PLANNERS |= dict.fromkeys(("lieednn-filtered", "lieednn-guided"), 1.1)
+_COST = 0.6
+
+
+# Those of its fields that tell which cases a comparison has.
+_SELECTION = ("planners", "arms", "scenes", "controllers", "seeds", "entries", "slow_seeds")
+
+
+@dataclass(frozen=True)
+class Comparison(Study[Row]):
+    """What to compare; empty means all (for scenes and controllers, the default ones).
+
+    A case is planned once for all controllers. Cases of one arm among the same obstacles are consecutive, so that a
+    worker loads it once, with the slow ones first.
+
+    Attributes:
+        planners: names of `PLANNERS`; those whose package is missing are left out.
+        arms: names of `arm_names`, or files as for `Arm.load`, which are replaced by their names.
+        scenes: names of scenes, or files of obstacles, likewise.
+        controllers: names of `CONTROLLERS`.
+        seeds: number of seeds, starting at 0.
+        entries: the arms and scenes from files; those given here can be referred to by name.
+        slow_seeds: number of seeds of the planners in `SLOW_PLANNERS`, at most ``seeds``; None for as many.
+        common: settings of all rows.
+        shard: the shard of the cases that is computed, for `merging.merge`; None for all.
+
+    Raises:
+        FileError: a file is missing or cannot be read.
+        InputError: a name is unknown (the message lists the known ones), a file holds no arm or scene, or
+            ``slow_seeds`` is larger than ``seeds``.
+    """
+
+    name, kind = "comparison", Row
+
+    planners: Sequence[str] = ()
+    arms: Sequence[str] = ()
+    scenes: Sequence[str] = ()
+    controllers: Sequence[str] = ()
+    seeds: int = 3
+    entries: tuple[Entry, ...] = ()
+    slow_seeds: int | None = None
+    common: Settings = field(default_factory=Settings)
+    shard: Shard | None = None
+
+    def __post_init__(self) -> None:
+        entries = list(self.entries)
+        for name, known, default in (
+            ("planners", list(planners()), list(planners())),
+            ("arms", arm_names(), arm_names()),
+            ("scenes", list(SCENES), list(DEFAULT_SCENES)),
+            ("controllers", list(controllers()), list(DEFAULT_CONTROLLERS)),
+        ):
+            given = getattr(self, name) or default
+            kind = name.removesuffix("s")
+            if kind in (ARM, SCENE):
+                known += [entry.name for entry in entries if entry.kind == kind]
+                given, own = enter(kind, given, known)
+                entries += own
+                known += [entry.name for entry in own]
+            chosen = tuple(dict.fromkeys(given))
+            for value in chosen:
+                as_choice(kind, value, known)
+            object.__setattr__(self, name, chosen)
+        object.__setattr__(self, "entries", tuple(entries))
+        check_fields(self, as_count, "seeds")
+        if self.slow_seeds is not None and as_count("slow_seeds", self.slow_seeds) > self.seeds:
+            raise InputError(f"slow_seeds must be at most seeds, {self.seeds}, got {self.slow_seeds}")
+
+    @property
+    def absent(self) -> dict[str, str]:
+        """Chosen planners whose package is missing, with the reason."""
+        return {name: reason for name, reason in missing_planners().items() if name in self.planners}
+
+    def settings(self) -> Mapping[str, Any]:
+        """See `Study`."""
+        return asdict(self.common)
+
+    def part(self) -> Mapping[str, Any] | None:
+        """See `Study`; a shard's description has the whole selection, for `merging.merge`."""
+        if self.shard is None:
+            return None
+        chosen = {name: getattr(self, name) for name in _SELECTION}
+        return {"shard": self.shard.number, "shards": self.shard.of, **chosen, "absent": self.absent}
+
+    def cases(self, absent: Collection[str] | None = None) -> list[Case]:
+        """All combinations without absent planners, by default `absent`."""
+        absent = self.absent if absent is None else absent
+        usable = [name for name in self.planners if name not in absent]
+        few = self.seeds if self.slow_seeds is None else self.slow_seeds
+        combinations = itertools.product(self.arms, self.scenes, usable, range(self.seeds))
+        cases = itertools.starmap(Case, combinations)
+        return [case for case in cases if case.seed < few or case.planner not in SLOW_PLANNERS]
+
+    def todo(self, table: Table[Row]) -> list[tuple[Case, list[str], Settings]]:
+        """See `Study`."""
+        part = self.shard
+        cases = [case for case in self.cases() if part is None or Shard.holding(case, part.of) == part]
+        wanted = [(case, missing(table, case, self.controllers), self.common) for case in cases]
+        costs = self._planning_costs(table)
+        return sorted(
+            (job for job in wanted if job[1]),
+            key=lambda job: (job[0].arm, job[0].scene, job[0].seed, -costs[job[0].planner]),
+        )
+
+    @property
+    def run(self) -> Callable[..., list[Row]]:
+        """See `Study`."""
+        return run_case
+
+    def failed(self, case: tuple[Any, ...], reason: str) -> list[Row]:
+        """See `Study`."""
+        return failed_case(*(*case, reason))
+
+    def _planning_costs(self, table: Table[Row]) -> Mapping[str, float]:
+        costs = {}
+        for planner in self.planners:
+            known = numbers([row for row in table.rows.values() if row.planner == planner], "planning_s")
+            costs[planner] = max(known) if known else SLOW_PLANNERS.get(planner, _COST)
+        return costs
+
+
+def missing(table: Table[Row], case: Case, controllers: Sequence[str]) -> list[str]:
+    """The controllers for which a case has no row yet."""
+    return [name for name in controllers if (case.arm, case.scene, case.planner, name, case.seed) not in table.rows]
+
+
+def compare(
+    directory: str | os.PathLike[str],
+    *,
+    planners: Sequence[str] = (),
+    arms: Sequence[str] = (),
+    scenes: Sequence[str] = (),
+    controllers: Sequence[str] = (),
+    seeds: int = 3,
+    slow_seeds: int | None = None,
+    settings: Settings | None = None,
+    shard: Shard | None = None,
+    jobs: int = 1,
+    console: Console | None = None,
+    executor: Executor | None = None,
+) -> Table[Row]:
+    """Compare planners: compute the rows that the directory's table lacks.
+
+        table = ls.compare("out", planners=["minimum-jerk", "lieednn-certified"], arms=["telescopic_pr"], seeds=3)
+        write_page("out/comparison.html", table)     # of `studies.report`
+
+    Args and errors are those of `Comparison`, with its ``common`` as ``settings``, and of `study.compute`.
+    """
+    chosen: dict[str, Any] = {"planners": planners, "arms": arms, "scenes": scenes, "controllers": controllers}
+    study = Comparison(
+        **chosen, seeds=seeds, slow_seeds=slow_seeds, common=Settings() if settings is None else settings, shard=shard
+    )
+    return compute(study, directory, jobs=jobs, console=console, executor=executor)

@@ -1,0 +1,94 @@
+"""The summary of a comparison in Markdown."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from lieednn_sim import filesystem
+from lieednn_sim.evaluation.display import rounded
+from lieednn_sim.evaluation.frame_errors import SETTLED_ROTATION, SETTLED_TRANSLATION
+from lieednn_sim.studies.comparison.cases import Settings
+from lieednn_sim.studies.comparison.rows import COLUMNS, Row
+from lieednn_sim.studies.comparison.statistics import failures, seeds_by_planner, verdict
+from lieednn_sim.studies.markdown import escaped, table_head, table_line
+from lieednn_sim.studies.rows import Column
+from lieednn_sim.studies.statistics import Group, grouped, motions
+from lieednn_sim.studies.table import Table
+
+# Below this a distance or an angle is rounding [mm, deg].
+_ROUNDING = 1e-6
+_NOT_SUMMARISED = ("motion_s", "gap_end_deg", "final_effector_deg")
+
+
+def write_summary(path: str | os.PathLike[str], table: Table[Row], missing: Mapping[str, str] | None = None) -> None:
+    """Write success and medians by arm, scene, planner and controller, and the reasons of failures.
+
+    Args:
+        path: the file to write.
+        table: table of the comparison.
+        missing: planners that could not be compared, with the reason.
+    """
+    rows = table.sorted_rows()
+    of_motion = [column for column in COLUMNS if column.of_motion and column.name not in _NOT_SUMMARISED]
+    of_rollout = [column for column in COLUMNS if not column.of_motion and column.name not in _NOT_SUMMARISED]
+    lines = ["# Planners and controllers compared", "", method(table), ""]
+    if missing:
+        lines += ["## Not compared", "", *(f"- {name}: {reason}" for name, reason in sorted(missing.items())), ""]
+    lines += ["## Motions", "", *table_head(["arm", "scene", "planner", "made", "stability"], of_motion)]
+    for group in grouped(rows, ("arm", "scene", "planner")):
+        own = motions(group.rows)
+        made = f"{sum(row.planned for row in own)} of {len(own)}"
+        lines.append(table_line([*group.key, made, verdict(group.rows), *_medians(group, of_motion)]))
+    lines += [
+        "",
+        "## Tracking",
+        "",
+        *table_head(["arm", "scene", "planner", "controller", "success", "95 %"], of_rollout),
+    ]
+    for group in grouped(rows, ("arm", "scene", "planner", "controller")):
+        low, high = group.interval
+        cells = [*group.key, f"{group.successes} of {group.total}", f"{low:.0%} to {high:.0%}"]
+        lines.append(table_line([*cells, *_medians(group, of_rollout)]))
+    lines += ["", "## Failures", ""]
+    for failure in failures(rows):
+        counts = ", ".join(f"{name} {count}" for name, count in failure.counts)
+        lines.append(f"- {failure.total} x {failure.step}, as: {escaped(failure.example)} ({escaped(counts)})")
+    if lines[-1] == "":
+        lines.append("- none")
+    with filesystem.atomic_text(path) as stream:
+        stream.write("\n".join(lines) + "\n")
+
+
+def method(table: Table[Row]) -> str:
+    """The method and the meaning of the numbers, for the head of a report."""
+    settings = Settings(**table.settings)
+    masses = (
+        "" if settings.mass_scale == 1.0 else f" with {settings.mass_scale:g} times the masses the controllers know"
+    )
+    return (
+        f"Motions lead from home to random reachable targets in {settings.duration:g} s, simulated{masses} until "
+        f"{settings.hold:g} s afterwards. A rollout succeeds if nothing touches and every link ends within "
+        f"{1e3 * SETTLED_TRANSLATION:g} mm and {np.rad2deg(SETTLED_ROTATION):.1g} deg of the target. Tracking errors "
+        "are relative to the planned joints, without the mechanism gap. Medians are over the seeds with a value, so a "
+        "planner that fails on hard targets is judged by easy ones. A planner that has spent "
+        f"{settings.time_budget:g} s of CPU time on a problem has failed. All numbers except the planning time are "
+        f"reproducible.{_seeds(table)}"
+    )
+
+
+def _seeds(table: Table[Row]) -> str:
+    """A sentence on the planners that have fewer seeds than others, if any."""
+    counts = seeds_by_planner(table.rows.values())
+    fewer = [f"{name} {count}" for name, count in sorted(counts.items()) if count < max(counts.values())]
+    if not fewer:
+        return ""
+    return f" Planners have {max(counts.values())} seeds, but {', '.join(fewer)}: rows with fewer seeds say less."
+
+
+def _medians(group: Group[Row], columns: Sequence[Column]) -> list[str]:
+    found = [group.median(column.name) for column in columns]
+    least = [_ROUNDING if column.name.endswith(("_mm", "_deg")) else 0.0 for column in columns]
+    return ["-" if value is None else rounded(value, small) for value, small in zip(found, least, strict=True)]

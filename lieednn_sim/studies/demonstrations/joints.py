@@ -1,0 +1,176 @@
+"""Evaluation of a joint-space network shaped by demonstrations: errors at the effector and in joints, other starts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from lieednn_sim._blas import one_blas_thread
+from lieednn_sim.arm import Arm
+from lieednn_sim.arm.targets import draw_target
+from lieednn_sim.errors import NoSolutionError
+from lieednn_sim.evaluation.display import table
+from lieednn_sim.evaluation.paths import PathErrors, path_errors
+from lieednn_sim.learning.demonstrations import Demonstration
+from lieednn_sim.learning.demonstrations.warping import warp
+from lieednn_sim.planning.demonstrated import JointDemonstrations, JointMotion
+from lieednn_sim.studies.demonstrations.models import mean_errors, no_more_than
+from lieednn_sim.synthesis import ShapingOptions
+from lieednn_sim.values import Floats
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+# Largest joint error at the goal that counts as arrived [rad, m].
+_ARRIVED = 1e-3
+
+
+@dataclass(frozen=True)
+class JointErrors:
+    """A joint motion against the one it should follow.
+
+    Attributes:
+        effector: errors of the end effector's path.
+        joints_rms: root mean square error of each joint after dynamic time warping in units of the ranges [rad, m].
+        worst_percent: the largest of these, in percent of its joint's range.
+        gap_mm: largest mechanism gap of the network's states; 0 for demonstrations.
+        gap_deg: the same as an angle.
+    """
+
+    effector: PathErrors
+    joints_rms: tuple[float, ...]
+    worst_percent: float
+    gap_mm: float
+    gap_deg: float
+
+
+@dataclass(frozen=True)
+class JointStudy:
+    """A network of joints against its demonstrations.
+
+    Attributes:
+        mean: errors against the mean demonstration, from its start.
+        training: errors against each demonstration, from its start, on average.
+        left_out: the same for networks shaped without that demonstration; None with a single one, or if not requested.
+        starts: number of random starts.
+        arrived: how many of them arrived.
+    """
+
+    mean: JointErrors
+    training: JointErrors
+    left_out: JointErrors | None
+    starts: int
+    arrived: int
+
+
+def study_joints(
+    demonstrations: JointDemonstrations,
+    learned: JointMotion,
+    options: ShapingOptions,
+    *,
+    starts: int = 20,
+    leave_one_out: bool = True,
+    seed: int = 0,
+    progress: Callable[[int, int], None] | None = None,
+) -> tuple[JointStudy, list[Floats]]:
+    """Measure a network shaped by demonstrations.
+
+    Args:
+        demonstrations: the demonstrations.
+        learned: the network.
+        options: the options of its shaping. Networks shaped without a demonstration have no more hidden neurons.
+        starts: number of random postures free of contact (`draw_target`) from which it is run.
+        leave_one_out: shape again without each of the demonstrations.
+        seed: seed of the starts and the fits.
+        progress: called with the steps done and their total.
+
+    Returns:
+        The study, and the joints' paths ``(K, n)`` from the starts that arrive.
+    """
+    arm, n = demonstrations.arm, len(demonstrations)
+    again = no_more_than(options, learned.network)
+    folds = n if leave_one_out and n > 1 else 0
+    without, ways = list[JointErrors](), list[Floats]()
+    with one_blas_thread():
+        for k in range(folds):
+            if progress:
+                progress(k, folds + 1)
+            model = JointMotion.fit(demonstrations.without(k), options=again, seed=seed)
+            without.append(_errors(model, demonstrations.q[k]))
+        if progress:
+            progress(folds, folds + 1)
+        for k in range(starts):
+            try:
+                motion = learned.run(draw_target(arm, seed + k))
+            except NoSolutionError:
+                continue
+            if np.abs(motion.q[-1] - learned.goal).max() < _ARRIVED:
+                ways.append(motion.q)
+        study = JointStudy(
+            mean=_errors(learned, demonstrations.mean),
+            training=_mean([_errors(learned, one) for one in demonstrations.q]),
+            left_out=_mean(without) if without else None,
+            starts=starts,
+            arrived=len(ways),
+        )
+    return study, ways
+
+
+def joint_errors(arm: Arm, found: Floats, shown: Floats, gap: tuple[float, float] = (0.0, 0.0)) -> JointErrors:
+    """Compare joint positions ``(K, n)`` and ``(L, n)``; ``gap`` [m, rad] is the mechanism gap of the former."""
+    effector = [_effector(arm, q) for q in (found, shown)]
+    pairs = warp(found / arm.ranges, shown / arm.ranges).pairs
+    rms = np.sqrt(np.mean((found[pairs[:, 0]] - shown[pairs[:, 1]]) ** 2, axis=0))
+    return JointErrors(
+        path_errors(effector[0].twists_from(effector[1]), effector[1].twists),
+        tuple(rms.tolist()),
+        float(100.0 * (rms / arm.ranges).max()),
+        1e3 * gap[0],
+        float(np.rad2deg(gap[1])),
+    )
+
+
+def of_joints(study: JointStudy, arm: Arm) -> Table:
+    """The table of a study for the terminal."""
+    rows = table("reproduction", "path", "effector RMS mm", "deg", "Frechet mm", "joints %", "gap mm", "gap deg")
+    for path, found in (("mean", study.mean), ("training", study.training), ("left out", study.left_out)):
+        if found is None:
+            continue
+        end = found.effector
+        cells = (f"{end.rms_mm:.2f}", f"{end.rms_deg:.2f}", f"{end.frechet_mm:.2f}", f"{found.worst_percent:.2g}")
+        rows.add_row(path, *cells, f"{found.gap_mm:.2g}", f"{found.gap_deg:.2g}")
+    joints = ", ".join(
+        f"{name} {value:.2g} {arm.unit(j)}"
+        for j, (name, value) in enumerate(zip(arm.joint_names, study.mean.joints_rms, strict=True))
+    )
+    rows.caption = (
+        "From the start of the mean and of each demonstration; left out: shaped without the one compared with. "
+        f"joints: largest RMS of a joint, in percent of its range; for the mean: {joints}. "
+        f"{study.arrived} of {study.starts} random starts arrive."
+    )
+    return rows
+
+
+def _errors(model: JointMotion, shown: Floats) -> JointErrors:
+    motion = model.run(shown[0])
+    gap = float(motion.gap_translation.max()), float(motion.gap_rotation.max())
+    return joint_errors(model.arm, motion.q, shown, gap)
+
+
+def _mean(errors: list[JointErrors]) -> JointErrors:
+    """The mean of each error."""
+    rms = np.mean([one.joints_rms for one in errors], axis=0)
+    plain = (f.name for f in fields(JointErrors)[2:])
+    return JointErrors(
+        mean_errors([one.effector for one in errors]),
+        tuple(rms.tolist()),
+        *(float(np.mean([getattr(one, name) for one in errors])) for name in plain),
+    )
+
+
+def _effector(arm: Arm, q: Floats) -> Demonstration:
+    pose = arm.link_poses(q).as_matrix()[:, -1]
+    return Demonstration(np.arange(len(q), dtype=float), pose[:, :3, 3], pose[:, :3, :3], 6, "the end effector")

@@ -1,0 +1,213 @@
+"""Comparison of models of the same demonstrations: reproduction, generalisation, and attraction from other starts."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future
+from dataclasses import dataclass, fields, replace
+from functools import partial
+from itertools import product
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from lieednn_sim._blas import one_blas_thread
+from lieednn_sim.budget import cpu_time
+from lieednn_sim.errors import LieEDNNError
+from lieednn_sim.evaluation.display import table
+from lieednn_sim.evaluation.paths import PathErrors, path_errors
+from lieednn_sim.learning.demonstrations import Demonstrations
+from lieednn_sim.learning.demonstrations.models import LinearAttractor, MotionModel
+from lieednn_sim.learning.demonstrations.primitive import MovementPrimitive
+from lieednn_sim.learning.demonstrations.probabilistic import INSTALL, ProbabilisticPrimitive, missing_library
+from lieednn_sim.learning.demonstrations.shaped import ShapedMotion
+from lieednn_sim.learning.demonstrations.stable_mixture import StableMixture
+from lieednn_sim.network import LieEDNN
+from lieednn_sim.studies.demonstrations.attraction import Attraction, attraction, random_starts
+from lieednn_sim.synthesis import ShapingOptions
+from lieednn_sim.validation import as_choice
+from lieednn_sim.values import Floats
+
+if TYPE_CHECKING:
+    from rich.console import Group
+
+
+# Functions that fit a model with about a given number of parameters.
+RIVALS: Mapping[str, Callable[[Demonstrations, int], MotionModel]] = {
+    MovementPrimitive.name: MovementPrimitive.fit,
+    ProbabilisticPrimitive.name: ProbabilisticPrimitive.fit,
+    StableMixture.name: StableMixture.fit,
+    LinearAttractor.name: lambda demonstrations, _: LinearAttractor.fit(demonstrations),
+}
+# Instants of a reproduction.
+_INSTANTS = 600
+
+
+@dataclass(frozen=True)
+class ModelRow:
+    """One model of one set of demonstrations.
+
+    Attributes:
+        model: its name.
+        n_parameters: number of fitted parameters.
+        fit_s: CPU time of the fit [s].
+        mean: errors against the mean demonstration, from its start.
+        training: errors against each demonstration, from its start, on average.
+        left_out: the same for models fitted without that demonstration; None with a single one, or if not requested.
+        attraction: where random starts ended.
+    """
+
+    model: str
+    n_parameters: int
+    fit_s: float
+    mean: PathErrors
+    training: PathErrors
+    left_out: PathErrors | None
+    attraction: Attraction
+
+
+def missing_rivals() -> dict[str, str]:
+    """Names of the rivals whose libraries are not installed, and how to install these."""
+    return {ProbabilisticPrimitive.name: INSTALL} if missing_library() else {}
+
+
+def reproduction(model: MotionModel, demonstrations: Demonstrations, start: Floats) -> Floats:
+    """Twists ``(K, 6)`` from a twist ``(6,)`` until the model's motion is over."""
+    return model.reproduce(start, np.linspace(0.0, model.durations * demonstrations.duration, _INSTANTS))
+
+
+def compare_models(
+    demonstrations: Demonstrations,
+    shaped: ShapedMotion,
+    options: ShapingOptions,
+    *,
+    rivals: Sequence[str] | None = None,
+    starts: int = 1000,
+    leave_one_out: bool = True,
+    seed: int = 0,
+    progress: Callable[[int, int], None] | None = None,
+    executor: Executor | None = None,
+) -> tuple[list[ModelRow], dict[str, MotionModel]]:
+    """Compare a shaped network with models that have as many parameters.
+
+    Args:
+        demonstrations: the demonstrations.
+        shaped: the network fitted to all of them.
+        options: the options of its fit. Networks fitted without a demonstration have no more hidden neurons.
+        rivals: names of `RIVALS`; by default all that are installed.
+        starts: number of random starts, see `fields.random_starts`.
+        leave_one_out: fit each model again without each of the demonstrations.
+        seed: seed of the starts and the fits.
+        progress: called with the steps done and their total.
+        executor: runs the leave-one-out fits, with the same results; by default they run one after another here.
+
+    Returns:
+        A row for each model, and the models by name, the network first.
+
+    Raises:
+        LieEDNNError: the executor gave up.
+    """
+    missing = missing_rivals()
+    chosen = [name for name in RIVALS if name not in missing] if rivals is None else rivals
+    names = [as_choice("rival", name, RIVALS) for name in chosen]
+    again = no_more_than(options, shaped.network)
+    names = [shaped.name, *names]
+    n, places = len(demonstrations), random_starts(demonstrations, starts, seed)
+    folds = range(n) if leave_one_out and n > 1 else range(0)
+    fit = partial(_fit, n_parameters=shaped.n_parameters, options=again, seed=seed)
+    fold = partial(_left_out, fit, demonstrations)
+    pending = {} if executor is None else {one: executor.submit(fold, *one) for one in product(names, folds)}
+    rows: list[ModelRow] = []
+    models: dict[str, MotionModel] = {}
+    with one_blas_thread(), _cancelling(pending.values()):
+        for number, name in enumerate(names):
+            begun = cpu_time()
+            model: MotionModel = shaped if name == shaped.name else fit(name, demonstrations)
+            seconds = shaped.shaping.seconds if name == shaped.name else cpu_time() - begun
+            without = []
+            for k in folds:
+                if progress:
+                    progress(number * (len(folds) + 1) + k, len(names) * (len(folds) + 1))
+                without.append(pending[name, k].result() if pending else fold(name, k))
+            row = ModelRow(
+                model=name,
+                n_parameters=model.n_parameters,
+                fit_s=seconds,
+                mean=_errors(model, demonstrations, demonstrations.mean),
+                training=mean_errors([_errors(model, demonstrations, one) for one in demonstrations.twists]),
+                left_out=mean_errors(without) if without else None,
+                attraction=attraction(model, demonstrations, places),
+            )
+            rows.append(row)
+            models[name] = model
+    return rows, models
+
+
+def _fit(
+    name: str, demonstrations: Demonstrations, *, n_parameters: int, options: ShapingOptions, seed: int
+) -> MotionModel:
+    if name == ShapedMotion.name:
+        return ShapedMotion.fit(demonstrations, options=options, seed=seed)
+    return RIVALS[name](demonstrations, n_parameters)
+
+
+def _left_out(
+    fit: Callable[[str, Demonstrations], MotionModel], demonstrations: Demonstrations, name: str, k: int
+) -> PathErrors:
+    """Errors of a model fitted without a demonstration, against it."""
+    with one_blas_thread():
+        return _errors(fit(name, demonstrations.without(k)), demonstrations, demonstrations.twists[k])
+
+
+@contextlib.contextmanager
+def _cancelling(futures: Collection[Future[PathErrors]]) -> Iterator[None]:
+    """Cancel all futures that have not begun when the block ends, however it ends."""
+    try:
+        yield
+    except (BrokenExecutor, CancelledError):
+        raise LieEDNNError("the executor gave up; nothing is kept, start again with the same call") from None
+    finally:
+        for future in futures:
+            future.cancel()
+
+
+def no_more_than(options: ShapingOptions, network: LieEDNN) -> ShapingOptions:
+    """Options of a search for networks with no more hidden neurons than a given network."""
+    hidden = network.n_hidden - network.n_clock
+    fewer, placed = (tuple(n for n in some if n <= hidden) for some in (options.neurons, options.placed))
+    return replace(options, neurons=fewer, placed=placed)
+
+
+def _errors(model: MotionModel, demonstrations: Demonstrations, shown: Floats) -> PathErrors:
+    return path_errors(reproduction(model, demonstrations, shown[0]), shown, demonstrations.lever)
+
+
+def mean_errors(errors: Sequence[PathErrors]) -> PathErrors:
+    """The mean of each error."""
+    return PathErrors(*(float(np.mean([getattr(one, f.name) for one in errors])) for f in fields(PathErrors)))
+
+
+def of_models(rows: Sequence[ModelRow], *, turns: bool) -> Group:
+    """Tables of a comparison for the terminal; ``turns`` if poses were recorded."""
+    from rich.console import Group
+
+    angle = ["deg"] if turns else []
+    errors = table("reproduction", "model", "path", "RMS mm", *angle, "DTWD mm", "Frechet mm", "goal mm")
+    starts = table("models and starts elsewhere", "model", "parameters", "fit s", "arrived", "spurious attractors")
+    for row in rows:
+        name = row.model
+        for path, found in (("mean", row.mean), ("training", row.training), ("left out", row.left_out)):
+            if found is None:
+                continue
+            cells = [f"{found.rms_mm:.2f}", *([f"{found.rms_deg:.2f}"] if turns else [])]
+            cells += [f"{found.dtwd_mm:.0f}", f"{found.frechet_mm:.2f}", f"{found.goal_mm:.2g}"]
+            errors.add_row(name, path, *cells)
+            name = ""
+        reached = row.attraction
+        shown = [str(row.n_parameters), f"{row.fit_s:.1f}", f"{reached.arrived}/{reached.starts}"]
+        starts.add_row(row.model, *shown, str(reached.spurious))
+    errors.caption = (
+        "From the start of the mean and of each demonstration; left out: fitted without the one compared with."
+    )
+    return Group(errors, starts)

@@ -1,0 +1,176 @@
+"""Plots of models of demonstrations: their paths, and the field around them; PNG, or by the file's suffix."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from lieednn_sim.evaluation import figure_layout
+from lieednn_sim.evaluation.figure_layout import COLOURS, STYLE
+from lieednn_sim.learning.demonstrations import Demonstrations
+from lieednn_sim.learning.demonstrations.alignment import displacement
+from lieednn_sim.learning.demonstrations.models import MotionModel
+from lieednn_sim.planning.demonstrated import JointDemonstrations
+from lieednn_sim.studies.demonstrations.attraction import random_starts
+from lieednn_sim.studies.demonstrations.models import reproduction
+from lieednn_sim.values import Floats
+
+_SHOWN, _ELSEWHERE = "0.72", "0.45"
+# Joints in a row, number of other starts drawn, and points of the field along each side.
+_IN_ROW, _STARTS, _FIELD = 3, 12, 28
+# Line styles of the models, the network's first.
+_LINES: tuple[dict[str, Any], ...] = (
+    {"color": COLOURS[0], "lw": 1.8, "ls": "-"},
+    {"color": COLOURS[1], "lw": 1.3, "ls": "--"},
+    {"color": COLOURS[2], "lw": 1.3, "ls": ":"},
+    {"color": COLOURS[3], "lw": 1.0, "ls": "-."},
+    {"color": COLOURS[5], "lw": 1.0, "ls": (0, (5, 1, 1, 1, 1, 1))},
+)
+
+
+def plot_paths(models: Mapping[str, MotionModel], demonstrations: Demonstrations, path: str | os.PathLike[str]) -> None:
+    """Demonstrations and each model's reproduction of their mean, in space; rotations over the share of the way.
+
+    A plane takes one view and positions take three; poses have the rotations below them.
+    """
+    shown = 1e3 * demonstrations.displaced[..., 3:]
+    paths = {
+        name: displacement(reproduction(model, demonstrations, demonstrations.mean[0]))
+        for name, model in models.items()
+    }
+    views = ((0, 1),) if demonstrations.dof == 2 else ((0, 1), (0, 2), (1, 2))
+    with matplotlib.rc_context(STYLE):
+        turns = demonstrations.dof == 6
+        size = (6.4, 5.6) if len(views) == 1 else (12.5, 7.6 if turns else 4.4)
+        figure = Figure(figsize=size, layout="constrained")
+        axes = figure.subplots(2 if turns else 1, len(views), squeeze=False)
+        for axis, (h, v) in zip(axes[0], views, strict=True):
+            for one in shown:
+                axis.plot(one[:, h], one[:, v], color=_SHOWN, lw=0.9, ls="-")
+            for (_, one), line in zip(paths.items(), _LINES, strict=False):
+                axis.plot(1e3 * one[:, 3 + h], 1e3 * one[:, 3 + v], **line)
+            axis.plot(0.0, 0.0, "k*", ms=9, zorder=5)
+            axis.set(xlabel=f"{'xyz'[h]} [mm]", ylabel=f"{'xyz'[v]} [mm]")
+            axis.set_aspect("equal", adjustable="datalim")
+        for c in range(3 if turns else 0):
+            axis = axes[1, c]
+            for one in demonstrations.displaced:
+                axis.plot(*_over_way(one, demonstrations.lever, c), color=_SHOWN, lw=0.9, ls="-")
+            for (_, one), line in zip(paths.items(), _LINES, strict=False):
+                axis.plot(*_over_way(one, demonstrations.lever, c), **line)
+            axis.set(xlabel="share of the way", ylabel=f"turn about {'xyz'[c]} [deg]")
+        handles = [
+            Line2D([], [], color=_SHOWN, ls="-"),
+            *(Line2D([], [], **line) for _, line in zip(paths, _LINES, strict=False)),
+        ]
+        handles.append(Line2D([], [], color="k", marker="*", ls="", ms=9))
+        labels = ["demonstrations", *paths, "goal"]
+        figure.legend(handles, labels, loc="outside upper center", ncols=3 if len(views) == 1 else len(labels))
+        figure_layout.save_figure(figure, path)
+
+
+def plot_joint_paths(
+    demonstrations: JointDemonstrations,
+    reproduction: Floats,
+    path: str | os.PathLike[str],
+    elsewhere: Sequence[Floats] = (),
+) -> None:
+    """Each joint over the share of the way: demonstrations, the reproduction ``(K, n)``, paths from other starts."""
+    arm = demonstrations.arm
+    rows = -(-arm.n_joints // _IN_ROW)
+    groups: list[tuple[str, Sequence[Floats], dict[str, Any]]] = [
+        ("demonstrations", list(demonstrations.q), {"color": _SHOWN, "lw": 0.9, "ls": "-"}),
+        ("lieednn-shaped, from their mean start", [reproduction], _LINES[0]),
+    ]
+    if len(elsewhere):
+        groups.insert(1, ("starts elsewhere", elsewhere[:_STARTS], {"color": _ELSEWHERE, "lw": 0.7, "ls": ":"}))
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(10.5, 0.9 + 2.1 * rows), layout="constrained")
+        axes = figure.subplots(rows, _IN_ROW, squeeze=False, sharex=True).ravel()
+        for name, ways, line in groups:
+            for number, q in enumerate(ways):
+                share = demonstrations.shares(q)
+                for joint in range(arm.n_joints):
+                    label = None if number or joint else name
+                    axes[joint].plot(share, q[:, joint], label=label, **line)
+        for joint, axis in enumerate(axes):
+            if joint < arm.n_joints:
+                axis.set(title=arm.joint_names[joint], ylabel=f"[{arm.unit(joint)}]")
+            else:
+                axis.set_axis_off()
+            if joint + _IN_ROW >= arm.n_joints > joint:
+                axis.set_xlabel("share of the way")
+                axis.xaxis.set_tick_params(labelbottom=True)
+        figure.legend(loc="outside upper center", ncols=len(groups))
+        figure_layout.save_figure(figure, path)
+
+
+def plot_field(model: MotionModel, demonstrations: Demonstrations, path: str | os.PathLike[str], seed: int = 0) -> None:
+    """Where a model leads from other starts: its initial field in a plane, and paths from random starts.
+
+    The field is the initial velocity at each place, with hidden neurons or phase at their start; later it changes. For
+    positions in space, the plane is spanned by the two axes along which the demonstrations extend most.
+    """
+    twists = random_starts(demonstrations, _STARTS, seed)
+    ways = displacement(np.stack([reproduction(model, demonstrations, start) for start in twists]))
+    shown = 1e3 * demonstrations.displaced[..., 3:]
+    extent = np.ptp(shown.reshape(-1, 3), axis=0)
+    h, v = np.sort(np.argsort(-extent, kind="stable")[:2])
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(6.8, 6.2), layout="constrained")
+        axis = figure.subplots()
+        every = 1e3 * ways[..., [3 + h, 3 + v]]
+        low, high = every.min(axis=(0, 1)), every.max(axis=(0, 1))
+        low, high = low - 0.05 * (high - low), high + 0.05 * (high - low)
+        if demonstrations.dof < 6:
+            _draw_field(axis, model, demonstrations, (low, high), (h, v))
+        for number, way in enumerate(every):
+            axis.plot(way[:, 0], way[:, 1], color=_ELSEWHERE, lw=0.8, ls="-", zorder=3)
+            axis.plot(*way[0], "o", color=_ELSEWHERE, ms=4, zorder=3, label="starts elsewhere" if not number else None)
+        for number, one in enumerate(shown):
+            axis.plot(
+                one[:, h],
+                one[:, v],
+                color=COLOURS[4],
+                lw=1.0,
+                ls="-",
+                label=None if number else "demonstrations",
+                zorder=4,
+            )
+        found = 1e3 * displacement(reproduction(model, demonstrations, demonstrations.mean[0]))
+        axis.plot(found[:, 3 + h], found[:, 3 + v], **_LINES[0], label=f"{model.name}, from their mean start", zorder=5)
+        axis.plot(0.0, 0.0, "k*", ms=11, zorder=6, label="goal")
+        axis.set(xlabel=f"{'xyz'[h]} [mm]", ylabel=f"{'xyz'[v]} [mm]", xlim=(low[0], high[0]), ylim=(low[1], high[1]))
+        axis.set_aspect("equal", adjustable="box")
+        figure.legend(loc="outside upper center", ncols=2)
+        figure_layout.save_figure(figure, path)
+
+
+def _draw_field(
+    axis: Any, model: MotionModel, demonstrations: Demonstrations, box: tuple[Floats, Floats], plane: tuple[int, int]
+) -> None:
+    """Streamlines of the model's initial velocity in a plane."""
+    lines = [np.linspace(low, high, _FIELD) for low, high in zip(*box, strict=True)]
+    grid = np.stack(np.meshgrid(*lines), axis=-1)
+    starts = np.zeros((_FIELD**2, 6))
+    starts[:, 3:] = demonstrations.displaced[..., 3:].mean(axis=(0, 1))
+    starts[:, [3 + c for c in plane]] = 1e-3 * grid.reshape(-1, 2)
+    # A twist without rotation is a position.
+    step = 0.02 * demonstrations.duration
+    moved = model.reproduce(starts, np.array([0.0, step]))
+    flow = 1e3 * (moved[:, 1] - moved[:, 0])[:, [3 + c for c in plane]].reshape(_FIELD, _FIELD, 2)
+    axis.streamplot(
+        *lines, flow[..., 0], flow[..., 1], color="0.85", linewidth=0.6, arrowsize=0.7, density=1.3, zorder=1
+    )
+
+
+def _over_way(displaced: Floats, lever: float, c: int) -> tuple[Floats, Floats]:
+    steps = np.linalg.norm(np.diff(displaced, axis=0) * ([lever] * 3 + [1.0] * 3), axis=1)
+    way = np.concatenate([[0.0], np.cumsum(steps)])
+    return way / way[-1], np.rad2deg(displaced[:, c])

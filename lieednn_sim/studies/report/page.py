@@ -1,0 +1,194 @@
+"""The page: a table of medians, plots, failures and videos in one HTML file without external resources."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import jinja2
+
+from lieednn_sim import filesystem
+from lieednn_sim.errors import InputError
+from lieednn_sim.studies.comparison.rows import BY_NAME, Row
+from lieednn_sim.studies.comparison.statistics import controllers_of, failures, seeds_by_planner, verdict
+from lieednn_sim.studies.comparison.summary import method
+from lieednn_sim.studies.reactions.cases import MEASURED, Reaction
+from lieednn_sim.studies.reactions.study import METHOD, groups
+from lieednn_sim.studies.report.figures import plots
+from lieednn_sim.studies.report.findings import findings
+from lieednn_sim.studies.report.style import in_order, marks, number
+from lieednn_sim.studies.report.videos import Clip
+from lieednn_sim.studies.rows import Column
+from lieednn_sim.studies.statistics import Group, grouped
+from lieednn_sim.studies.table import Table
+
+# Columns of the page's table; all others are in the CSV file.
+_SHOWN = (
+    "final_worst_mm",
+    "final_worst_deg",
+    "tracking_rms_mm",
+    "tracking_rms_deg",
+    "tracking_max_mm",
+    "clearance_mm",
+    "path_ranges",
+    "path_m",
+    "settling_s",
+    "jerk_effector",
+    "curvature",
+    "velocity_share",
+    "force_share",
+    "gap_mm",
+    "gap_deg",
+    "planning_s",
+)
+# Values below this are rounding [mm, deg].
+_ROUNDING = 1e-6
+_VIOLATIONS = ("position_violations", "velocity_violations", "acceleration_violations")
+
+
+@dataclass(frozen=True)
+class _Cell:
+    text: str
+    value: float | None
+
+
+@dataclass(frozen=True)
+class _Line:
+    arm: str
+    scene: str
+    planner: str
+    controller: str
+    successes: int
+    total: int
+    low: float
+    high: float
+    cells: tuple[_Cell, ...]
+    violations: int
+    stability: str
+
+
+def write_page(
+    path: str | os.PathLike[str],
+    table: Table[Row],
+    *,
+    missing: Mapping[str, str] | None = None,
+    clips: Sequence[Clip] = (),
+    command: str = "",
+    date: str = "",
+    reactions: Table[Reaction] | None = None,
+) -> None:
+    """Write the page of a comparison; the same table gives the same page.
+
+    Args:
+        path: the file to write.
+        table: table of the comparison.
+        missing: planners that could not be compared, with the reason.
+        clips: videos to embed.
+        command: command that made the table.
+        date: date for the page's head; none when empty, so that the page depends on the table alone.
+        reactions: results of the reactive benchmark, for a section of their own.
+
+    Raises:
+        InputError: the table is empty.
+        FileError: the file cannot be written.
+    """
+    rows = table.sorted_rows()
+    if not rows:
+        raise InputError(f"the table {table.csv} is empty; there is nothing to show")
+    names = in_order(row.planner for row in rows)
+    controllers = controllers_of(rows)
+    arms = sorted({row.arm for row in rows})
+    columns, counts = _columns(), seeds_by_planner(rows).values()
+    page = (
+        _environment()
+        .get_template("page.html")
+        .render(
+            method=method(table),
+            date=date,
+            command=command,
+            arms=arms,
+            scenes=sorted({row.scene for row in rows}),
+            planners=names,
+            controllers=controllers,
+            seeds=" to ".join(map(str, sorted({min(counts), max(counts)}))),
+            count=len(rows),
+            settings=table.settings,
+            versions=table.versions,
+            missing=dict(sorted((missing or {}).items())),
+            marks=marks(names),
+            findings=findings(rows),
+            columns=columns,
+            heads=_heads(columns),
+            lines=_lines(rows),
+            plots={arm: plots([row for row in rows if row.arm == arm], controllers[0]) for arm in arms},
+            failures=failures(rows),
+            clips=clips,
+            reactions=[] if reactions is None else groups(reactions.sorted_rows()),
+            reaction_heads=_reaction_heads(),
+            reaction_method=METHOD,
+        )
+    )
+    with filesystem.atomic_text(path) as stream:
+        stream.write(page)
+
+
+def _environment() -> jinja2.Environment:
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("lieednn_sim.studies.report"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["rounded"] = lambda value: number(value, rounding=_ROUNDING)
+    return environment
+
+
+def _columns() -> list[Column]:
+    """The columns of the page's table, with full headings for angles, which follow their distances."""
+    columns: list[Column] = []
+    for column in (BY_NAME[name] for name in _SHOWN):
+        own = column.heading != "[deg]"
+        columns.append(column if own else replace(column, heading=columns[-1].heading.replace("[mm]", "[deg]")))
+    return columns
+
+
+def _heads(columns: Sequence[Column]) -> list[tuple[str, str, bool]]:
+    """Text of each heading, its explanation, and whether its column is numeric."""
+    return [
+        *((name, "", False) for name in ("planner", "arm", "scene", "controller")),
+        ("success", "rollouts without contact that end at their target", True),
+        *((column.heading, column.meaning, True) for column in columns),
+        ("with violations", "rollouts with a joint beyond its position, velocity or acceleration limit", True),
+        ("stability", "what is proved of the network", False),
+    ]
+
+
+def _reaction_heads() -> list[tuple[str, str, bool]]:
+    """As `_heads`, for the table of the reactive benchmark."""
+    numbers = ("arrived", "touched", "back", *(column.heading for column in MEASURED))
+    return [(name, "", False) for name in ("policy", "scene", "disturbance")] + [(name, "", True) for name in numbers]
+
+
+def _lines(rows: Sequence[Row]) -> list[_Line]:
+    groups = grouped(rows, ("arm", "scene", "planner", "controller"))
+    order = in_order(row.planner for row in rows)
+    groups.sort(key=lambda group: (*group.key[:2], order.index(group.key[2]), group.key[3]))
+    return [_line(group) for group in groups]
+
+
+def _line(group: Group[Row]) -> _Line:
+    arm, scene, planner, controller = group.key
+    low, high = group.interval
+    cells = tuple(_cell(name, group.median(name)) for name in _SHOWN)
+    violated = sum(any(getattr(row, name) for name in _VIOLATIONS) for row in group.rows)
+    return _Line(
+        arm, scene, planner, controller, group.successes, group.total, low, high, cells, violated, verdict(group.rows)
+    )
+
+
+def _cell(column: str, value: float | None) -> _Cell:
+    if value is None:
+        return _Cell("\N{EN DASH}", None)
+    return _Cell(number(value, rounding=_ROUNDING if column.endswith(("_mm", "_deg")) else 0.0), value)

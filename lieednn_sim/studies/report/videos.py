@@ -1,0 +1,122 @@
+"""Short videos of chosen cases, small enough to be embedded in a page."""
+
+from __future__ import annotations
+
+import base64
+import io
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from PIL import Image
+
+from lieednn_sim import filesystem
+from lieednn_sim.errors import InputError
+from lieednn_sim.rendering.ffmpeg import count_frames, read_frame
+from lieednn_sim.rendering.video import render_video
+from lieednn_sim.studies.comparison.cases import Settings, replay
+from lieednn_sim.studies.comparison.rows import Case, Row
+from lieednn_sim.studies.entries import recorded
+from lieednn_sim.studies.report.style import in_order
+from lieednn_sim.studies.statistics import grouped
+from lieednn_sim.studies.table import Table
+from lieednn_sim.validation import as_count, quoted
+
+# Size [pixels] and frame rate [1/s] of clips, and the fraction of a clip at which its poster is taken.
+SIZE = (480, 270)
+FPS = 25
+_POSTER_AT = 0.55
+_POSTER_QUALITY = 80
+
+
+@dataclass(frozen=True)
+class Clip:
+    """A video of a case.
+
+    Attributes:
+        row: its row in the table.
+        path: MP4 file.
+        poster: JPEG of one of its frames.
+    """
+
+    row: Row
+    path: Path
+    poster: bytes
+
+    @property
+    def data_uri(self) -> str:
+        """The video as a data URI."""
+        return _uri("video/mp4", self.path.read_bytes())
+
+    @property
+    def poster_uri(self) -> str:
+        """The poster as a data URI."""
+        return _uri("image/jpeg", self.poster)
+
+
+def choose_cases(table: Table[Row], count: int) -> list[Case]:
+    """Choose up to ``count`` cases of a table: planners in turn, each in another arm and scene, successes first.
+
+    Raises:
+        InputError: ``count`` is not a whole number >= 0.
+    """
+    wanted = as_count("videos", count, least=0)
+    rows = [row for row in table.sorted_rows() if row.tracking_rms_mm is not None]
+    rows.sort(key=lambda row: not row.success)
+    places = [group.key for group in grouped(table.sorted_rows(), ("arm", "scene"))]
+    planners = in_order(row.planner for row in rows)
+    chosen: list[Case] = []
+    for turn in range(len(places)):
+        for index, planner in enumerate(planners):
+            place = places[(index + turn) % len(places)]
+            case = next((row.case for row in rows if (row.arm, row.scene) == place and row.planner == planner), None)
+            if case is not None and case not in chosen and len(chosen) < wanted:
+                chosen.append(case)
+    return chosen
+
+
+def film(
+    table: Table[Row],
+    case: Case,
+    controller: str,
+    *,
+    progress: Callable[[int, int], None] | None = None,
+) -> Clip:
+    """Plan and simulate a case of a table again and render it; a video that was made from this table is reused.
+
+    Raises:
+        FileError: there is a file of its name that this package did not make.
+        InputError: the table has no such case, or it has no motion.
+        RenderingUnavailableError: there is no working OpenGL.
+    """
+    row = table.rows.get((case.arm, case.scene, case.planner, controller, case.seed))
+    if row is None:
+        raise InputError(f"the table has no case {quoted(str(case))} with {quoted(controller)}; compare it first")
+    if row.tracking_rms_mm is None:
+        raise InputError(f"case {case} has nothing to show: {row.reason}")
+    directory = filesystem.make_directory(table.directory / "videos")
+    path = directory / f"{case.planner}-{case.arm}-{case.scene}-{case.seed}-{controller}.mp4"
+    table.manifest.check([path])
+    if not (path.is_file() and table.manifest.made_from(path) == table.fingerprint):
+        with table.manifest.writing(path, table.fingerprint) as temporary:
+            render_video(
+                replay(case, controller, Settings(**table.settings), entries=recorded(table.directory)),
+                temporary,
+                size=SIZE,
+                fps=FPS,
+                preset="draft",
+                title=case.planner,
+                progress=progress,
+            )
+    return Clip(row, path, _poster(path))
+
+
+def _poster(path: Path) -> bytes:
+    frame = read_frame(path, int(_POSTER_AT * count_frames(path)))
+    buffer = io.BytesIO()
+    Image.open(io.BytesIO(frame)).save(buffer, format="JPEG", quality=_POSTER_QUALITY)
+    return buffer.getvalue()
+
+
+def _uri(kind: str, content: bytes) -> str:
+    return f"data:{kind};base64,{base64.b64encode(content).decode('ascii')}"

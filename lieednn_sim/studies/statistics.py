@@ -1,0 +1,102 @@
+"""Statistics over rows of any table: groups, medians, success rates with intervals, and reasons alike."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from operator import attrgetter
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+from scipy.special import ndtri
+
+from lieednn_sim.errors import InputError
+from lieednn_sim.studies.rows import TableRow, columns_of
+
+R = TypeVar("R", bound=TableRow)
+# The parts of a reason that vary from case to case: names in quotes, and numbers.
+_QUOTED = re.compile(r"'[^']*'")
+_NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?")
+
+
+@dataclass(frozen=True)
+class Group(Generic[R]):
+    """Rows with equal values in some columns.
+
+    Attributes:
+        key: these values.
+        rows: at least one.
+    """
+
+    key: tuple[str, ...]
+    rows: tuple[R, ...]
+
+    @property
+    def total(self) -> int:
+        """Number of rows."""
+        return len(self.rows)
+
+    @property
+    def successes(self) -> int:
+        """Rows that succeeded."""
+        return sum(map(attrgetter("success"), self.rows))
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Wilson's 95 % confidence interval of the success rate."""
+        return wilson(self.successes, self.total)
+
+    def values(self, column: str) -> list[float]:
+        """The numbers in a column, without missing ones."""
+        return numbers(self.rows, column)
+
+    def median(self, column: str) -> float | None:
+        """Median of `values`, or None."""
+        found = self.values(column)
+        return float(np.median(found)) if found else None
+
+
+def wilson(successes: int, total: int) -> tuple[float, float]:
+    """Wilson's 95 % score interval of a proportion (E. B. Wilson, J. Am. Stat. Assoc. 22, 1927).
+
+    Raises:
+        InputError: not 0 <= successes <= total, or total is 0.
+    """
+    if not 0 <= successes <= total or total == 0:
+        raise InputError(f"need 0 <= successes <= total and total > 0, got {successes} of {total}")
+    rate, z2 = successes / total, float(ndtri(0.975)) ** 2
+    centre = rate + z2 / (2 * total)
+    half = (z2 * (rate * (1.0 - rate) + z2 / (4 * total)) / total) ** 0.5
+    low, high = ((centre + end) / (1.0 + z2 / total) for end in (-half, half))
+    return max(low, 0.0), min(high, 1.0)
+
+
+def grouped(rows: Iterable[R], columns: Sequence[str]) -> list[Group[R]]:
+    """Rows grouped by the values of some columns, in the order of first occurrence."""
+    found: dict[tuple[str, ...], list[R]] = {}
+    for row in rows:
+        found.setdefault(tuple(getattr(row, name) for name in columns), []).append(row)
+    return [Group(key, tuple(members)) for key, members in found.items()]
+
+
+def motions(rows: Iterable[R]) -> list[R]:
+    """One row for each motion, whose plan is the same for all controllers."""
+    first: dict[Any, R] = {}
+    for row in rows:
+        first.setdefault(row.motion, row)
+    return list(first.values())
+
+
+def numbers(rows: Sequence[R], column: str) -> list[float]:
+    """The numbers in a column, without missing ones; one for each motion if the column belongs to the plan."""
+    if not rows:
+        return []
+    of_motion = next(entry.of_motion for entry in columns_of(type(rows[0])) if entry.name == column)
+    found = (getattr(row, column) for row in (motions(rows) if of_motion else rows))
+    return [float(value) for value in found if value is not None]
+
+
+def pattern_of(reason: str) -> str:
+    """A reason with names and numbers replaced by an ellipsis."""
+    return _NUMBER.sub("…", _QUOTED.sub("…", reason))

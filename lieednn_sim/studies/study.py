@@ -1,0 +1,119 @@
+"""What all studies have in common: cases that are run on several cores or any executor, and a table that is resumed."""
+
+from __future__ import annotations
+
+import os
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import BrokenExecutor, CancelledError, Executor
+from functools import partial
+from typing import Any, ClassVar, Generic, TypeVar
+
+from rich.console import Console
+
+from lieednn_sim import filesystem
+from lieednn_sim.errors import LieEDNNError
+from lieednn_sim.studies.entries import Entry, record
+from lieednn_sim.studies.rows import TableRow
+from lieednn_sim.studies.table import Table
+from lieednn_sim.studies.workers import run_each
+from lieednn_sim.validation import as_workers
+
+R = TypeVar("R", bound=TableRow)
+
+
+class Study(ABC, Generic[R]):
+    """A study: which cases there are, how the rows of one are computed, and what all rows share.
+
+    Attributes:
+        name: name of the table's files without suffix, and of the progress bar.
+        kind: class of the rows.
+        entries: the user's arms and scenes among the cases; where there are any, `run` gets them as ``entries``.
+    """
+
+    name: ClassVar[str]
+    kind: type[R]
+    entries: tuple[Entry, ...] = ()
+
+    def settings(self) -> Mapping[str, Any]:
+        """Settings of all rows; a table that was made with others is refused."""
+        return {}
+
+    def part(self) -> Mapping[str, Any] | None:
+        """Description of the part of a larger table that is computed; None for a whole one."""
+        return None
+
+    @abstractmethod
+    def todo(self, table: Table[R]) -> Sequence[tuple[Any, ...]]:
+        """Arguments of the cases whose rows the table lacks."""
+
+    @property
+    @abstractmethod
+    def run(self) -> Callable[..., list[R]]:
+        """A module's function, run in another process: the rows of a case from its arguments in `todo`.
+
+        Failures of the case are rows with a reason; exceptions are taken for bugs.
+        """
+
+    @abstractmethod
+    def failed(self, case: tuple[Any, ...], reason: str) -> list[R]:
+        """The rows of a case that raised, from the same arguments and the reason."""
+
+    def open(self, directory: str | os.PathLike[str]) -> Table[R]:
+        """The table in a directory, which is created if it is missing; raises as `Table`."""
+        return Table(directory, self.name, self.kind, self.settings(), self.part())
+
+
+def compute(
+    study: Study[R],
+    directory: str | os.PathLike[str],
+    *,
+    jobs: int = 1,
+    console: Console | None = None,
+    executor: Executor | None = None,
+) -> Table[R]:
+    """Compute the rows that a directory's table lacks; finished cases are kept when it is interrupted.
+
+    Args:
+        study: the study.
+        directory: directory of the table.
+        jobs: number of worker processes.
+        console: console for a progress bar and for errors; None for neither.
+        executor: runs the cases instead of worker processes; the rows are the same.
+
+    Returns:
+        The table, including rows of earlier runs.
+
+    Raises:
+        InputError: ``jobs`` is less than 1.
+        FileError: see `Table` and `entries.record`; or the table cannot be written.
+        LieEDNNError: a worker process died, or the executor gave up.
+    """
+    workers = as_workers("jobs", jobs)
+    record(filesystem.make_directory(directory), study.entries)
+    table = study.open(directory)
+    todo = study.todo(table)
+    if not todo:
+        return table
+    run = partial(study.run, entries=study.entries) if study.entries else study.run
+    shown = console or Console(quiet=True)
+
+    def add(case: tuple[Any, ...], rows: list[R], error: Exception | None) -> None:
+        if error is not None:
+            reason = f"error: {type(error).__name__}: {error}"
+            shown.print("; ".join([reason, *getattr(error, "__notes__", ())]), markup=False, highlight=False)
+            rows = study.failed(case, reason)
+        table.add(rows)
+
+    try:
+        run_each(run, todo, add, workers=workers, title=study.name, console=shown, executor=executor)
+    except (BrokenExecutor, CancelledError):
+        raise LieEDNNError(
+            f"a worker process died (out of memory?); finished cases are kept in {table.csv}, the same command "
+            "continues; --jobs 1 needs less memory"
+            if executor is None
+            else f"the executor gave up; finished cases are kept in {table.csv}, the same command continues"
+        ) from None
+    finally:
+        table.save()
+    return table

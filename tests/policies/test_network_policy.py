@@ -1,0 +1,262 @@
+"""Networks that run with the arm: a clock that waits keeps the orbits, pushes are taken up; the filter; determinism."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from lieednn_sim.arm import Arm
+from lieednn_sim.errors import InputError
+from lieednn_sim.planning.filtering import FilterOptions
+from lieednn_sim.planning.network_planners import without_weights
+from lieednn_sim.policies import Feedback, FilteredPolicy, NetworkPolicy
+from lieednn_sim.simulation import Disturbances, Push, follow
+from lieednn_sim.synthesis import synthesize
+
+GOAL = np.array([0.3, -0.2, 0.3, 0.2])
+PUSH = Disturbances(pushes=(Push("end effector", (0.0, 80.0, 0.0), 0.3, 0.2),))
+
+
+def started(arm, network, start, rate=50.0, **settings):
+    """A policy that is reset at the start."""
+    policy = NetworkPolicy(arm, network, rate, **settings)
+    policy.reset(start)
+    return policy
+
+
+def _state_after(policy, target):
+    policy.step(None, target)
+    return policy.state
+
+
+@pytest.fixture(scope="module")
+def run(gantry, cascade):
+    """Follow the cascade to `GOAL` with the settings given, or to another target."""
+
+    def make(feedback, changes=None, target=GOAL, duration=6.0, safety=None, **settings):
+        policy = NetworkPolicy(gantry, cascade(gantry.encode(GOAL)), 50.0, feedback=feedback, **settings)
+        if safety is not None:
+            policy = FilteredPolicy(policy, safety)
+        return follow(policy, target, duration, disturbances=changes)
+
+    return make
+
+
+def test_a_clock_that_waits_runs_through_the_networks_own_orbit(gantry, cascade, run):
+    following = run(Feedback(rate=0.0), PUSH)
+    pace = following.rollout.channels["pace"][::2]
+    assert pace.min() < 0.2
+    assert pace.max() > 0.95
+    # A push changes when the network is where, and nothing else.
+    network = cascade(gantry.encode(GOAL))
+    own = network.trajectory(network.start(gantry.encode(np.zeros(4))), 20.0, rtol=1e-11, atol=1e-12)
+    elapsed = np.append(0.0, np.cumsum(5.0 * 0.02 * pace))
+    np.testing.assert_allclose(following.states[: len(elapsed)], own(elapsed)[: len(following.states)], atol=2e-5)
+
+
+def test_the_certificates_function_falls_while_the_clock_waits(gantry, cascade, run):
+    network = cascade(gantry.encode(GOAL))
+    weights = np.repeat(network.lyapunov_diagonal.reshape(-1, 1, 3), 2, axis=1).reshape(-1, 6)
+    following = run(Feedback(rate=0.0), PUSH)
+    # Of Lurie's kind, sum p int (phi(s) - phi(x_d)) ds, of the rotational halves, which hear nothing of the others.
+    goal = network.goal(gantry.encode(GOAL))[:, :3]
+    x = following.states[..., :3]
+    value = (weights[:, :3] * (np.logaddexp(x, -x) - np.logaddexp(goal, -goal) - np.tanh(goal) * (x - goal))).sum(
+        (1, 2)
+    )
+    assert (np.diff(value) < 1e-12).all()
+    assert value[-1] < 0.02 * value[0]
+
+
+def test_a_pushed_arm_takes_its_state_along_and_comes_back(gantry, run):
+    still, pushed, stiff = (run(Feedback(rate=rate), push) for rate, push in ((20.0, None), (20.0, PUSH), (0.0, PUSH)))
+    aside = np.abs(pushed.states[:, 1, :].reshape(len(pushed.states), -1) - still.states[:, 1, :]).max()
+    assert aside > 0.005
+    # Drives at their limits swing the arm past a reference that stays where it was.
+    apart = [following.rollout.t[following.rollout.channels["behind"] > 0.02].max() for following in (pushed, stiff)]
+    assert apart[0] < apart[1] - 0.5
+    for following in (still, pushed):
+        np.testing.assert_allclose(following.rollout.q[-1], GOAL, atol=5e-3)
+
+
+def test_joints_gather_speed_within_their_limits(gantry, run):
+    reference = run(Feedback(), speed=20.0, duration=2.0).rollout.qd_ref
+    ends = reference[::2]
+    assert (np.abs(ends) <= gantry.velocity_limits * 1.002).all()
+    gained = np.diff(np.abs(ends), axis=0)
+    assert (gained <= 1.002 * 0.02 * gantry.acceleration_limits).all()
+    assert (gained[0] / (0.02 * gantry.acceleration_limits)).max() > 0.9
+
+
+def test_a_target_that_moves_is_followed_without_lag(run):
+    moving = GOAL + np.linspace(0.0, 0.2, 401)[:, None] * [1.0, 1.0, 0.0, 1.0]
+    ahead, behind = (
+        run(Feedback(), target=moving, duration=4.0, feedforward=flag).rollout.q_ref[-1] for flag in (True, False)
+    )
+    np.testing.assert_allclose(ahead, moving[-1], atol=2e-3)
+    assert np.abs(behind - moving[-1]).max() > 0.01
+
+
+def test_a_target_that_stops_is_met(gantry, cascade):
+    policy = started(gantry, cascade(gantry.encode(GOAL)), GOAL, speed=5.0, feedforward=True, feedback=Feedback())
+    # While it moves the network aims ahead of it, by half a period: 2 mm and 2 mrad here.
+    for k in range(400):
+        policy.step(None, GOAL + 0.2 * policy.period * min(k, 5))
+    np.testing.assert_allclose(policy.q, GOAL + policy.period, atol=1e-5)
+
+
+def test_waiting_and_pulling_by_hand(gantry):
+    feedback = Feedback(rate=5.0, tolerance=0.01, patience=0.002)
+    # At the tolerance nothing is pulled, at twice that with half the rate; the clock stands at a hundredth at least.
+    for behind, expected in ((0.0, (1.0, 0.0)), (0.002, (0.5, 0.0)), (0.004, (0.2, 0.0)), (0.02, (0.01, 2.5))):
+        assert feedback.response(behind) == pytest.approx(expected)
+    # 5 cm aside along x, of which the range is 2 m: 5 (1 - 0.01 / 0.025) 0.05 m/s.
+    rest = without_weights(gantry.encode(GOAL))
+    policy = started(gantry, rest, GOAL, speed=5.0, feedforward=True, feedback=feedback)
+    _, qd = policy.step(GOAL + 0.05 * np.eye(4)[0], GOAL)
+    np.testing.assert_allclose(qd, [0.15, 0.0, 0.0, 0.0], atol=1e-3)
+    assert policy.behind == pytest.approx(0.025)
+
+
+def test_a_target_of_which_one_joint_leaps_has_jumped(gantry, cascade):
+    policy = started(gantry, cascade(gantry.encode(GOAL)), GOAL, speed=5.0, feedforward=True, feedback=Feedback())
+    for moved, jumped in ((0.0, False), (0.01, False), (0.5, True)):
+        policy.step(None, GOAL + moved * np.eye(4)[1])
+        assert policy.jumped == jumped
+
+
+def test_a_network_faster_than_the_control_takes_the_steps_that_it_needs(gantry, cascade):
+    # Two time constants in a period: one step of Runge and Kutta would be off by a third of what is left.
+    network, start = cascade(gantry.encode(GOAL), 0.0), GOAL - 1e-3
+    policy = started(gantry, network, start, speed=100.0, feedforward=False, feedback=Feedback())
+    exact = network.trajectory(network.start(gantry.encode(start)), 6.0, rtol=1e-11, atol=1e-12)
+    for k in range(3):
+        policy.step(None, GOAL)
+        assert policy.time_scale == 1.0
+        np.testing.assert_allclose(policy.xi[:2], exact(2.0 * (k + 1))[:2], atol=1e-6)
+
+
+def test_the_gap_is_the_largest_on_the_way(gantry, cascade):
+    policy = started(
+        gantry, cascade(gantry.encode(GOAL)), np.zeros(4), speed=5.0, feedforward=True, feedback=Feedback()
+    )
+    states = [_state_after(policy, GOAL)[: gantry.n_links] for _ in range(100)]
+    retracted = gantry.decode(np.array(states))
+    # The policy's retraction is the nearest one only where the gap is small.
+    found, largest = ([one.gap_rotation, one.gap_translation] for one in (policy, retracted))
+    np.testing.assert_allclose(found, [np.max(gap) for gap in largest], rtol=0.02)
+    assert max(np.max(gap[-1]) for gap in largest) < 0.1, "not the last one"
+
+
+def test_a_target_that_moves_steadily_is_met_at_the_end_of_each_period(gantry):
+    network = without_weights(gantry.encode(GOAL))
+    policy = started(gantry, network, GOAL, speed=5.0, feedforward=True, feedback=Feedback())
+    step = 0.02 * np.array([0.05, 0.05, 0.0, 0.05])
+    for k in range(150):
+        policy.step(None, GOAL + k * step)
+    # By then the target is a sample further.
+    np.testing.assert_allclose(policy.q, GOAL + 150 * step, atol=2e-5)
+
+
+def test_a_network_twice_as_fast_at_half_the_speed_is_the_same(gantry, cascade):
+    network = cascade(gantry.encode(GOAL))
+    states = []
+    for factor in (1.0, 2.0):
+        scaled = replace(network, gamma=factor * network.gamma, mu=factor * network.mu)
+        policy = started(gantry, scaled, np.zeros(4), speed=5.0 / factor, feedforward=True, feedback=Feedback())
+        # It hears an arm that is off and runs after a target that moves.
+        for k in range(50):
+            policy.step(policy.q + 0.02, GOAL + 1e-3 * k)
+        states.append(policy.xi)
+    np.testing.assert_allclose(*states, atol=1e-9)
+
+
+def test_a_network_that_is_drawn_out_of_the_limits_leaves_the_reference_there(gantry, cascade):
+    high = gantry.position_limits[:, 1]
+    policy = started(gantry, cascade(gantry.encode(high)), high, speed=0.1, feedforward=True, feedback=Feedback())
+    for _ in range(20):
+        q, qd = policy.step(high + 0.2 * np.eye(4)[0], high)
+        assert (q <= high + 1e-12).all()
+    worst = policy.limit_excess
+    assert worst > 0.001
+    assert qd[0] == 0.0
+    for _ in range(20):
+        q, _ = policy.step(high - 0.5 * np.eye(4)[0], GOAL)
+    assert q[0] < high[0]
+    assert policy.limit_excess == worst, "of the whole run"
+
+
+def test_the_filter_keeps_the_ball_off_the_floor(gantry, run):
+    low = np.array([0.0, 0.0, -1.2, 0.0])
+    free, safe = (run(Feedback(), target=low, duration=2.0, safety=options) for options in (None, FilterOptions()))
+    assert free.rollout.contacts.any()
+    assert not safe.rollout.contacts.any()
+    height = safe.rollout.link_position[:, -1, 2].min()
+    assert -0.9 < height < -0.8, "close to the floor under a ball of 0.1 m"
+
+
+def test_runs_are_bit_identical(run):
+    changes = Disturbances(pushes=PUSH.pushes, position_noise=1e-4, seed=3)
+    one, two = (run(Feedback(), changes, duration=1.0, safety=FilterOptions()) for _ in range(2))
+    np.testing.assert_array_equal(one.rollout.q, two.rollout.q)
+    np.testing.assert_array_equal(one.states, two.states)
+
+
+def test_bad_input(gantry, cascade):
+    with pytest.raises(InputError, match="rate must be from 0 to 1000"):
+        Feedback(rate=-1.0)
+    with pytest.raises(InputError, match="tolerance must be positive"):
+        Feedback(tolerance=0.0)
+    with pytest.raises(InputError, match="feedback must be a Feedback, got True"):
+        NetworkPolicy(gantry, cascade(gantry.encode(GOAL)), feedback=True)
+    with pytest.raises(InputError, match="3 visible neurons"):
+        NetworkPolicy(gantry, cascade(np.zeros((3, 6))))
+    with pytest.raises(InputError, match=r"speed must be at most .* per second for this network at 50 Hz, got 10000"):
+        NetworkPolicy(gantry, cascade(gantry.encode(GOAL)), 50.0, speed=1e4)
+
+
+def test_a_ball_joint_turns_no_further_than_its_largest_angle():
+    arm = Arm.load("telescopic_compound")
+    ball, aside = arm.space.balls[1], np.zeros(arm.n_joints)
+    # At an angle whose components are each within the limit.
+    widest = arm.position_limits[ball[0], 1]
+    start = arm.keyframe("home")
+    start[ball] = widest / np.sqrt(3.0)
+    aside[ball] = 0.1
+    network = synthesize(arm.encode(start), seed=0).network
+    policy = started(arm, network, start, speed=0.1, rate=250.0)
+    for _ in range(20):
+        q, _ = policy.step(start + aside, start)
+        assert np.linalg.norm(q[ball]) <= widest + 1e-12
+    assert policy.limit_excess < 0.0
+
+
+@settings(max_examples=5)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_it_runs_the_retargeted_network_and_no_measurement_is_none(seed):
+    arm, rng = Arm.load("telescopic_pr"), np.random.default_rng(seed)
+    home = arm.keyframe("home")
+    network = synthesize(arm.encode(home), bias="sign-matched", bias_magnitude=0.25).unwrap()
+    q, goal = (home + 0.05 * rng.uniform(-1.0, 1.0, 8) for _ in range(2))
+    policy = started(arm, network, q, 250.0, speed=2.0, feedforward=False)
+    scales = [policy.step(None, goal) and policy.time_scale for _ in range(8)]
+    # Limits of acceleration hold it back at first.
+    elapsed = 2.0 * 0.004 * sum(scales)
+    exact = network.retarget(arm.encode(goal)).trajectory(arm.encode(q), elapsed, rtol=1e-11, atol=1e-13)
+    np.testing.assert_allclose(policy.state, exact.xi[-1], atol=1e-8)
+    assert policy.message.startswith("moves")
+
+
+def test_it_is_slowed_down_to_a_limit_and_not_further():
+    arm = Arm.load("telescopic_pr")
+    home, extended = arm.keyframe("home"), arm.keyframe("extended")
+    network = synthesize(arm.encode(home), bias="sign-matched", bias_magnitude=0.25).unwrap()
+    policy = started(arm, network, home, 100.0, speed=40.0)
+    for _ in range(5):
+        allowed = policy.allowed()
+        _, qd = policy.step(None, home + 0.5 * (extended - home))
+        assert policy.time_scale < 0.5
+        assert 0.95 < (np.abs(qd) / allowed).max() <= 1.001
+    assert policy.message == f"moves at {100 * policy.pace:.2g} % of its speed, within the joints' limits"

@@ -1,0 +1,169 @@
+"""Policies by name, one's own, the filter around any of them, and what they refuse."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import lieednn_sim as ls
+from lieednn_sim.errors import InputError
+from lieednn_sim.planning import plan
+from lieednn_sim.planning.filtering import FilterOptions
+from lieednn_sim.policies import (
+    POLICIES,
+    FabricOptions,
+    Feedback,
+    FilteredPolicy,
+    MotionTracker,
+    Policy,
+    make_policy,
+    policies,
+    register_policy,
+)
+from lieednn_sim.policies.registry import REGISTRY
+from lieednn_sim.registration import Registry
+
+GOAL = np.array([0.3, -0.2, 0.3, 0.2])
+
+
+@pytest.mark.parametrize("name", POLICIES)
+def test_every_policy_arrives_and_a_reset_begins_anew_to_the_bit(name, gantry):
+    policy = make_policy(name, gantry, GOAL, rate=50.0)
+    runs = []
+    for _ in range(2):
+        policy.reset(np.zeros(4))
+        runs.append(np.array([policy.step(policy.q, GOAL) for _ in range(300)]))
+    np.testing.assert_array_equal(*runs)
+    np.testing.assert_allclose(runs[0][-1, 0], GOAL, atol=5e-3)
+    np.testing.assert_allclose(runs[0][-1, 1], 0.0, atol=2e-2)
+    assert policy.certified == (name in ("lieednn-shaped", "lieednn-certified", "linear-attractor"))
+    assert len(policy.channels()) == len(policy.channel_units)
+    assert policy.message in ("moves", "has ended")
+    assert np.isfinite(policy.state).all()
+
+
+@pytest.mark.parametrize("name", ["linear-attractor", "dmp", "fabric", "mppi"])
+def test_policies_with_feedback_yield_to_an_arm_that_is_held_aside_and_others_do_not(name, gantry):
+    aside = 0.2 * gantry.ranges * np.eye(4)[1]
+    for feedback in (Feedback(), None):
+        policy = make_policy(name, gantry, np.zeros(4), rate=50.0, feedback=feedback)
+        for _ in range(100):
+            policy.step(aside, np.zeros(4))
+        # Pulled towards the arm by 5/s, and back by 2/s, at a hundredth of its speed.
+        assert (policy.q[1] > 0.5 * aside[1]) == (feedback is not None)
+        assert ("waiting for a joint" in policy.message) == (feedback is not None)
+
+
+def test_nothing_is_faster_than_its_limits(gantry):
+    for name in ("linear-attractor", "dmp", "fabric", "mppi"):
+        policy = make_policy(name, gantry, 0.9 * gantry.position_limits[:, 1], rate=50.0, convergence_rate=40.0)
+        before = policy.qd
+        for _ in range(60):
+            _, qd = policy.step(policy.q, 0.9 * gantry.position_limits[:, 1])
+            assert (np.abs(qd) <= 1.002 * np.minimum(gantry.velocity_limits, policy.allowed() + 1.0)).all()
+            assert (np.abs(qd) - np.abs(before) <= 1.002 * 0.02 * gantry.acceleration_limits).all()
+            before = qd
+
+
+def test_the_filter_goes_around_any_policy(gantry):
+    # The ball of 0.1 m would be in the floor, which is at -1 m.
+    low = np.array([0.0, 0.0, -1.2, 0.0])
+    policy = make_policy("dmp", gantry, low, rate=50.0, safety=FilterOptions(), motion=straight(gantry, low))
+    assert isinstance(policy, FilteredPolicy)
+    for _ in range(200):
+        q, _ = policy.step(policy.q, low)
+        assert q[2] > -0.9
+    assert q[2] < -0.85
+    assert policy.inner.q is policy.q or (policy.inner.q == policy.q).all()
+    assert policy.message.startswith(("is held back by", "brakes for"))
+    assert policy.clearance < 0.05
+    assert policy.channel_units == policy.inner.channel_units
+
+
+def straight(arm, target):
+    """A motion that touches whatever is in its way."""
+    free = plan(arm, GOAL, planner="minimum-jerk", duration=2.0).motion
+    scaled = free.q / GOAL * target
+    return type(free)(**{**vars(free), "q": scaled, "qd": free.qd / GOAL * target})
+
+
+def test_a_tracker_plays_a_motion_at_any_rate_and_begins_where_it_does(gantry):
+    motion = plan(gantry, GOAL, planner="minimum-jerk", duration=2.0).motion
+    tracker = MotionTracker(gantry, motion, 30.0)
+    tracker.reset(np.zeros(4))
+    played = np.array([tracker.step(None, GOAL) for _ in range(61)])
+    s = np.minimum(np.arange(1, 62) / 60.0, 1.0)[:, None]
+    np.testing.assert_allclose(played[:, 0], GOAL * (10 * s**3 - 15 * s**4 + 6 * s**5), atol=1e-6)
+    assert (played[-2:, 1] == 0.0).all()
+    assert tracker.message == "has ended"
+    with pytest.raises(InputError, match=r"the motion begins 1 m from where joint 'y' is; plan it from there"):
+        tracker.reset(np.eye(4)[1])
+    with pytest.raises(InputError, match=r"the motion has \(4,\) joint coordinates, arm \'telescopic_pr\' has 8"):
+        MotionTracker(ls.Arm.load("telescopic_pr"), motion)
+
+
+class Halver(Policy):
+    """Goes half of the way that is left in every period."""
+
+    def act(self, measured, target):
+        q = self.q + 0.5 * (target - self.q)
+        return q, (q - self.q) / self.period
+
+
+def test_ones_own_policy_in_a_few_lines():
+    before = dict(REGISTRY.given)
+    try:
+        register_policy("halver")(lambda task: Halver(task.arm, task.rate))
+        arm = ls.Arm.load("telescopic_pr")
+        policy = make_policy("halver", arm, arm.keyframe("extended"))
+        first, _ = policy.step(arm.keyframe("home"), arm.keyframe("extended"))
+        np.testing.assert_allclose(first, 0.5 * (arm.keyframe("home") + arm.keyframe("extended")))
+        assert "halver" in policies()
+        register_policy("wrong")(lambda task: 5)
+        with pytest.raises(InputError, match="policy 'wrong' must be a Policy, its function returned int"):
+            make_policy("wrong", arm, arm.keyframe("home"))
+    finally:
+        REGISTRY.forget(before)
+    assert "halver" not in policies()
+
+
+def test_policies_of_other_packages_are_found_by_their_plural():
+    assert REGISTRY._group == "lieednn_sim.policies"
+    assert Registry("planner", {}, lambda *_: None)._group == "lieednn_sim.planners"
+
+
+def test_where_it_begins_without_a_reset(gantry):
+    policy = Halver(gantry, 50.0)
+    with pytest.raises(InputError, match=r"call reset\(q\), or give measured joints"):
+        policy.step(None, GOAL)
+    q, qd = policy.step(0.5 * GOAL, GOAL)
+    np.testing.assert_allclose(q, 0.75 * GOAL)
+    for array in (q, qd):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 1.0
+
+
+def test_bad_input(gantry):
+    policy = Halver(gantry, 50.0)
+    policy.reset(np.zeros(4))
+    for measured, target, words in (
+        ([0.0], GOAL, "measured must have shape"),
+        (np.full(4, np.nan), GOAL, "measured must be finite"),
+        (None, [[1.0], [1.0, 2.0]], "target must be an array"),
+        (None, 10.0 * GOAL, "target is out of reach: joint"),
+    ):
+        with pytest.raises(InputError, match=words):
+            policy.step(measured, target)
+    with pytest.raises(InputError, match="q is out of reach"):
+        policy.reset(10.0 * GOAL)
+    for arguments, named, words in (
+        (("shaped",), {}, "no name 'shaped'; allowed: dmp, fabric"),
+        (("fabric",), {"rate": 0.0}, "rate must be positive"),
+        (("fabric",), {"start": np.zeros(3)}, "start must have shape"),
+        (("tracker",), {"options": FabricOptions()}, "the policy 'tracker' has no options"),
+        (("mppi",), {"options": FabricOptions()}, "takes options of class PathIntegralOptions"),
+        (("fabric",), {"feedback": 5}, "feedback must be a Feedback"),
+        (("fabric",), {"seed": -1}, "seed must be"),
+    ):
+        with pytest.raises(InputError, match=words):
+            make_policy(*arguments, gantry, GOAL, **named)

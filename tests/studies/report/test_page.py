@@ -1,0 +1,233 @@
+"""The page of a comparison: what is in it, and what a browser makes of it."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import shutil
+from dataclasses import replace
+
+import pytest
+
+from lieednn_sim.errors import InputError
+from lieednn_sim.studies import Case, Comparison, Row, Settings, compute
+from lieednn_sim.studies.report import choose_cases, film, page, videos, write_page
+from lieednn_sim.studies.report.style import marks, number
+
+CONTROLLERS = ("position-servo", "computed-torque")
+SETTINGS = Settings(duration=1.2, hold=0.1)
+
+
+@pytest.fixture(scope="module")
+def table(tmp_path_factory, in_this_process):
+    """Two planners, two scenes, two controllers, and rows of more arms and failures made up from them."""
+    selection = Comparison(("minimum-jerk", "se3-geodesic"), ("telescopic_pr",), ("free",), CONTROLLERS, seeds=1)
+    with in_this_process():
+        made = compute(replace(selection, common=SETTINGS), tmp_path_factory.mktemp("table"))
+    for index, row in enumerate(made.sorted_rows()):
+        for arm, scene in (("telescopic_pr", "window"), ("another_arm", "free")):
+            values = {"tracking_rms_mm": 10.0 ** (index - 3), "planning_s": 0.5 + index}
+            made.add([replace(row, arm=arm, scene=scene, seed=3, **values)])
+    reason = "plan: <b>no</b> way past 'link4' & co after 3.5 s"
+    made.add([Row("another_arm", "free", "rrt-connect", row.controller, row.seed, row.mass_scale, reason)])
+    made.save()
+    return made
+
+
+@pytest.fixture(scope="module")
+def figures_kept():
+    """In its context pages take the figures that were drawn in it before: to draw them takes longer than all else."""
+    drawn, draw = {}, page.plots
+
+    def plots(rows, controller):
+        key = (*rows, controller)
+        if key not in drawn:
+            drawn[key] = draw(rows, controller)
+        return drawn[key]
+
+    @contextlib.contextmanager
+    def keeping():
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(page, "plots", plots)
+            yield
+
+    return keeping
+
+
+def text_of(path):
+    return path.read_text(encoding="utf-8")
+
+
+def test_the_page_asks_for_nothing_and_says_what_was_compared(table, figures_kept, tmp_path):
+    path = tmp_path / "page.html"
+    given = {
+        "date": "2030-01-02",
+        "missing": {"rrt-star": "pip install it"},
+        "command": "lieednn-sim compare --seeds 1",
+    }
+    with figures_kept():
+        write_page(path, table, **given)
+    text = text_of(path)
+    # Addresses are names of XML vocabularies or data; nothing else is loaded.
+    assert set(re.findall(r"""(?:src|href|poster)=["'](?!#|data:)([^"']*)""", text)) == set()
+    assert set(re.findall(r"https?://[^\"'\s<)]+", text)) <= {
+        "http://www.w3.org/2000/svg",
+        "http://www.w3.org/1999/xlink",
+    }
+    assert "@import" not in text
+    assert "url(" not in re.sub(r"url\(#", "", text)
+    for word in (
+        "2030-01-02",
+        "rrt-star (pip install it)",
+        "lieednn-sim compare --seeds 1",
+        table.versions["mujoco"],
+        "another_arm",
+    ):
+        assert word in text
+    # What comes from data is text, not markup.
+    assert "&lt;b&gt;no&lt;/b&gt; way past" in text
+    assert "<b>no</b>" not in text
+    again = tmp_path / "again.html"
+    write_page(again, table, **given)
+    assert text_of(again) == text
+
+
+def test_an_empty_table_is_refused(tmp_path):
+    with pytest.raises(InputError, match="is empty"):
+        write_page(tmp_path / "page.html", Comparison(common=SETTINGS).open(tmp_path / "table"))
+
+
+def test_planners_keep_their_marks_and_none_is_used_twice():
+    everyone = marks(["zzz"])
+    assert len({(mark.colour, mark.shape) for mark in everyone.values()}) == len(everyone)
+    assert marks([])["se3-geodesic"] == everyone["se3-geodesic"]
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(0.0, "0"), (0.00123456, "0.00123"), (-12.345, "\u221212.3"), (12345.6, "12346"), (4.56e-9, "4.6·10⁻⁹")],
+)
+def test_numbers_for_readers(value, text):
+    assert number(value) == text
+    assert number(4e-7, rounding=1e-6) == "< 10⁻⁶"
+
+
+def test_cases_to_show_differ_in_planner_and_place(table):
+    chosen = choose_cases(table, 4)
+    assert len(set(chosen)) == 4
+    assert {case.planner for case in chosen[:2]} == {"minimum-jerk", "se3-geodesic"}
+    assert chosen[0].scene != chosen[1].scene or chosen[0].arm != chosen[1].arm
+    assert choose_cases(table, 0) == []
+    with pytest.raises(InputError, match="compare it first"):
+        film(table, Case("telescopic_pr", "free", "se3-geodesic", 77), "position-servo")
+    with pytest.raises(InputError, match=r"case rrt-connect.* has nothing to show"):
+        film(table, Case("another_arm", "free", "rrt-connect", 0), "position-servo")
+
+
+@pytest.fixture(scope="module")
+def browser(table, figures_kept, tmp_path_factory):
+    """The page with a video, open in a headless Chromium."""
+    webdriver = pytest.importorskip("selenium.webdriver")
+    path = tmp_path_factory.mktemp("page") / "page.html"
+    with figures_kept(), pytest.MonkeyPatch.context() as patch:
+        patch.setattr(videos, "FPS", 10)
+        clip = film(table, Case("telescopic_pr", "free", "se3-geodesic", 0), "position-servo")
+        write_page(path, table, clips=[clip, replace(clip)])
+    options = webdriver.ChromeOptions()
+    options.binary_location = shutil.which("chromium")
+    for argument in ("--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage"):
+        options.add_argument(argument)
+    options.add_argument("--window-size=1280,1000")
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
+    driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(shutil.which("chromedriver")))
+    try:
+        driver.get(path.as_uri())
+        yield driver
+    finally:
+        driver.quit()
+
+
+def column(driver, index):
+    """Keys of the shown rows of a column: numbers, None where missing."""
+    return driver.execute_script(
+        "return [...document.querySelectorAll('#medians tbody tr')].filter(r => !r.hidden).map(r => {"
+        "const c = r.cells[arguments[0]]; return c.dataset.value === undefined ? c.textContent.trim() :"
+        "c.dataset.value === '' ? null : Number(c.dataset.value)})",
+        index,
+    )
+
+
+def heading(driver, word):
+    """Index and element of the column whose heading begins with a word."""
+    found = driver.find_elements("css selector", "#medians thead th")
+    return next((index, cell) for index, cell in enumerate(found) if cell.text.startswith(word))
+
+
+@pytest.mark.browser
+@pytest.mark.rendering
+def test_in_a_browser_the_page_loads_without_a_complaint(browser):
+    assert browser.get_log("browser") == []
+    assert browser.find_element("tag name", "h1").text == "Motion planners compared"
+    # On a phone nothing but the table scrolls sideways.
+    browser.set_window_size(520, 900)
+    assert browser.execute_script("return document.documentElement.scrollWidth <= window.innerWidth")
+    browser.set_window_size(1280, 1000)
+    drawn = browser.execute_script("return [...document.querySelectorAll('figure svg')].map(s => s.getBBox().width)")
+    assert len(drawn) == 12  # six figures for each of two arms
+    assert min(drawn) > 100
+
+
+@pytest.mark.browser
+@pytest.mark.rendering
+@pytest.mark.parametrize("word", ["tracking RMS", "planning", "planner"])
+def test_in_a_browser_a_click_sorts_both_ways(browser, word):
+    index, cell = heading(browser, word)
+    before = column(browser, index)
+    for direction in ("ascending", "descending"):
+        cell.find_element("tag name", "button").send_keys("\ue007")  # the Enter key: no mouse is needed
+        values = [value for value in column(browser, index) if value is not None]
+        assert values == sorted(values, reverse=direction == "descending")
+        assert len(set(values)) > 2
+        # What is missing stays last.
+        assert column(browser, index)[: len(values)] == values
+        assert cell.get_attribute("aria-sort") == direction
+        others = browser.find_elements("css selector", "#medians th[aria-sort='none']")
+        assert len(others) == len(browser.find_elements("css selector", "#medians thead th")) - 1
+    assert sorted(map(str, before)) == sorted(map(str, column(browser, index)))
+
+
+@pytest.mark.browser
+@pytest.mark.rendering
+def test_in_a_browser_filters_hide_rows_and_figures(browser):
+    total = len(column(browser, 0))
+    for name, value, index in (("arm", "telescopic_pr", 1), ("controller", "position-servo", 3)):
+        browser.find_element("css selector", f"select[name={name}] option:nth-child(n+2)")
+        browser.execute_script(
+            "const s = document.querySelector(`select[name=${arguments[0]}]`); s.value = arguments[1];"
+            "s.dispatchEvent(new Event('change', {bubbles: true}))",
+            name,
+            value,
+        )
+        assert set(column(browser, index)) == {value}
+    shown = column(browser, 0)
+    assert 0 < len(shown) < total
+    assert browser.find_element("css selector", ".filters output").text == f"{len(shown)} of {total} rows"
+    blocks = browser.find_elements("css selector", ".arm")
+    assert [block.get_attribute("data-arm") for block in blocks if block.is_displayed()] == ["telescopic_pr"]
+    browser.find_element("css selector", ".filters button[type=reset]").click()
+    # The page filters again after the form is reset, which is after the click has returned.
+    wait = pytest.importorskip("selenium.webdriver.support.wait")
+    wait.WebDriverWait(browser, 60.0).until(lambda driver: len(column(driver, 0)) == total)
+
+
+@pytest.mark.browser
+@pytest.mark.rendering
+def test_in_a_browser_the_video_plays(browser):
+    played = browser.execute_async_script(
+        "const done = arguments[0], video = document.querySelector('video'); video.muted = true;"
+        "video.addEventListener('ended', () => done([video.currentTime, video.videoWidth, video.videoHeight]));"
+        "video.addEventListener('error', () => done(['error', video.error.message]));"
+        "video.play().catch(reason => done(['refused', String(reason)]))"
+    )
+    assert played[0] == pytest.approx(SETTINGS.duration + SETTINGS.hold, abs=0.1)
+    assert played[1:] == [480, 270]

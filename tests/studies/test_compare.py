@@ -1,0 +1,356 @@
+"""The comparison: rows and their numbers, resumption, refusals, statistics."""
+
+from __future__ import annotations
+
+import csv
+import gc
+import json
+import signal
+from concurrent.futures import Executor, Future
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lieednn_sim.arm import Arm
+from lieednn_sim.arm.collision import Collisions
+from lieednn_sim.errors import FileError, InputError, PlanError
+from lieednn_sim.evaluation.motion_metrics import least_clearance, rms_curvature, violations
+from lieednn_sim.planning import plan
+from lieednn_sim.simulation import simulate
+from lieednn_sim.studies import Case, Comparison, Settings, compute, read_rows, run_case, write_summary
+from lieednn_sim.studies.comparison import cases
+from lieednn_sim.studies.comparison.rows import BY_NAME, FIELDS, TIMING, Row
+from lieednn_sim.studies.comparison.statistics import failures
+from lieednn_sim.studies.statistics import numbers, wilson
+
+CASE = Case("telescopic_pr", "free", "minimum-jerk", 0)
+SMALL = Comparison(("minimum-jerk", "se3-geodesic"), ("telescopic_pr",), ("free",), ("position-servo",), seeds=1)
+QUICK = Settings(duration=1.5, hold=0.2)
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory, in_this_process):
+    """The directory of a small comparison."""
+    directory = tmp_path_factory.mktemp("comparison")
+    with in_this_process():
+        table = compute(replace(SMALL, common=QUICK), directory)
+    write_summary(directory / "comparison.md", table, {"rrt-star": "ompl is not installed"})
+    return directory
+
+
+def test_a_row_holds_what_the_plan_says_of_itself():
+    (row,) = run_case(CASE, ["computed-torque"], Settings())
+    assert FIELDS[-len(BY_NAME) :] == tuple(BY_NAME)
+    assert (row.success, row.reason, row.stability, row.mass_scale) == (True, "", "-", 1.0)
+    value = {name: getattr(row, name) for name in BY_NAME}
+    assert value["gap_mm"] == value["gap_end_deg"] == 0.0
+    assert value["final_worst_mm"] < 1e-6
+    # A straight line in joint space, and the peak of its law: 15/8 of the mean velocity.
+    arm, target = cases.arm_and_target(CASE.arm, CASE.scene, CASE.seed)
+    way = target - arm.keyframe("home")
+    ranges = arm.position_limits[:, 1] - arm.position_limits[:, 0]
+    assert value["path_ranges"] == pytest.approx(np.linalg.norm(way / ranges), rel=1e-5)
+    assert value["velocity_share"] == pytest.approx((1.875 * abs(way) / 4.0 / arm.velocity_limits).max(), rel=1e-3)
+    # The third derivative of sigma is 60 - 360 s + 360 s^2, whose mean square is 720.
+    assert value["jerk_joints"] == pytest.approx((720.0 * ((way / ranges) ** 2).mean()) ** 0.5 / 4.0**3, rel=2e-3)
+    assert value["motion_s"] == 4.0
+    assert 3.0 < value["settling_s"] < 4.0
+
+
+def test_masses_that_the_controller_does_not_know_show_in_the_row():
+    (right,), (wrong,) = (
+        run_case(CASE, ["inverse-dynamics"], replace(QUICK, mass_scale=scale)) for scale in (1.0, 1.2)
+    )
+    assert wrong.mass_scale == 1.2
+    assert wrong.tracking_rms_mm > 1e3 * right.tracking_rms_mm
+    # The plan is the same.
+    assert (right.path_ranges, right.curvature) == (wrong.path_ranges, wrong.curvature)
+
+
+def test_a_planner_that_fails_is_a_row_with_the_reason(monkeypatch, tmp_path):
+    def refuse(*_, **__):
+        raise PlanError("joint 'turn1' would reach 2.5 rad")
+
+    monkeypatch.setattr(cases, "plan", refuse)
+    rows = run_case(CASE, ["mocap", "computed-torque"], QUICK)
+    assert [row.reason for row in rows] == ["plan: joint 'turn1' would reach 2.5 rad"] * 2
+    assert {(row.success, row.final_worst_mm) for row in rows} == {(False, None)}
+    table = Comparison(common=QUICK).open(tmp_path)
+    table.add(rows)
+    write_summary(tmp_path / "s.md", table)
+    text = (tmp_path / "s.md").read_text(encoding="utf-8")
+    assert "| minimum-jerk | 0 of 1 |" in text
+    assert "- 1 x plan, as: joint 'turn1' would reach 2.5 rad (minimum-jerk 1)" in text
+
+
+def test_a_bug_in_a_planner_is_not_swallowed_and_names_the_case(monkeypatch):
+    monkeypatch.setattr(cases, "plan", lambda *_, **__: 1 / 0)
+    with pytest.raises(ZeroDivisionError) as caught:
+        run_case(CASE, ["mocap"], QUICK)
+    assert caught.value.__notes__ == ["while planning the case minimum-jerk:telescopic_pr:free:0"]
+
+
+def test_two_runs_differ_in_the_planning_time_only(finished, tmp_path):
+    again = compute(replace(SMALL, common=QUICK), tmp_path, jobs=2).rows
+    before = read_rows(finished / "comparison.csv", Row)
+    assert before.keys() == again.keys()
+    timing = dict.fromkeys(TIMING)
+    for key, row in before.items():
+        assert replace(row, **timing) == replace(again[key], **timing)
+
+
+class Backwards(Executor):
+    """Runs its tasks when it has so many, the last first, and fails with the first of all."""
+
+    def __init__(self, count):
+        self.count, self.tasks = count, []
+
+    def submit(self, function, *task):
+        self.tasks.append((future := Future(), function, task))
+        if len(self.tasks) == self.count:
+            for other, call, given in self.tasks[:0:-1]:
+                other.set_result(call(*given))
+            self.tasks[0][0].set_exception(MemoryError("none\nleft"))
+        return future
+
+
+def test_another_executor_gives_the_same_rows_in_any_order_and_what_raises_is_a_row(finished, tmp_path):
+    larger = replace(SMALL, planners=("linear-attractor", *SMALL.planners))
+    first = larger.cases()[0]
+    table = compute(replace(larger, common=QUICK), tmp_path, executor=Backwards(3))
+    serial, timing = read_rows(finished / "comparison.csv", Row), dict.fromkeys(TIMING)
+    found = read_rows(tmp_path / "comparison.csv", Row)
+    assert found == table.rows
+    lost = found.pop((first.arm, first.scene, first.planner, "position-servo", 0))
+    assert (lost.reason, lost.success, lost.planned) == ("error: MemoryError: none left", False, False)
+    assert {key: replace(row, **timing) for key, row in found.items()} == {
+        key: replace(row, **timing) for key, row in serial.items()
+    }
+    # Nothing is done twice, the failure no more than the others.
+    assert compute(replace(larger, common=QUICK), tmp_path, executor=Backwards(0)).rows == table.rows
+
+
+def test_rows_are_not_computed_again_and_a_larger_selection_adds(finished, tmp_path, in_this_process):
+    for name in ("comparison.csv", "comparison.json"):
+        (tmp_path / name).write_bytes((finished / name).read_bytes())
+    path = tmp_path / "comparison.csv"
+    # A mark in a row survives only where the row is not computed again.
+    table = Comparison(common=QUICK).open(tmp_path)
+    table.save({key: replace(row, reason="contact: marked") for key, row in table.rows.items()})
+    larger = Comparison(("minimum-jerk",), ("telescopic_pr",), ("free",), ("position-servo", "mocap"), seeds=1)
+    with in_this_process():
+        table = compute(replace(larger, common=QUICK), tmp_path)
+    assert [(row.planner, row.controller, row.reason) for row in table.sorted_rows()] == [
+        ("minimum-jerk", "mocap", ""),
+        ("minimum-jerk", "position-servo", "contact: marked"),
+        ("se3-geodesic", "position-servo", "contact: marked"),
+    ]
+    with path.open(encoding="utf-8", newline="") as stream:
+        rows = [{name: text for name, text in row.items() if name != "checksum"} for row in csv.DictReader(stream)]
+    assert rows == [row.as_texts() for row in table.sorted_rows()]
+
+
+def test_other_settings_versions_and_files_are_refused(finished, tmp_path):
+    with pytest.raises(FileError, match=r"made with mass_scale 1.0, now 1.2; choose another --output"):
+        Comparison(common=Settings(duration=1.5, hold=0.2, mass_scale=1.2)).open(finished)
+    for name in ("comparison.csv", "comparison.json"):
+        (tmp_path / name).write_bytes((finished / name).read_bytes())
+    path, description = tmp_path / "comparison.csv", tmp_path / "comparison.json"
+    value = json.loads(description.read_text(encoding="utf-8"))
+    older, changed = (
+        json.dumps({**value, "versions": {**value["versions"], **one}})
+        for one in ({"mujoco": "3.0.0"}, {"code": "0123456789ab"})
+    )
+    for text, message in (
+        (older, "made with mujoco 3.0.0, now"),
+        (changed, "made with code 0123456789ab, now"),
+        ("[]", "does not tell how it was made"),
+    ):
+        description.write_text(text, encoding="utf-8")
+        with pytest.raises(FileError, match=message):
+            Comparison(common=QUICK).open(tmp_path)
+    description.write_bytes((finished / "comparison.json").read_bytes())
+    written = path.read_text(encoding="utf-8")
+    wrong = (
+        (",yes,", ",perhaps,"),
+        (",yes,,", ",no,,"),
+        (",0,1,yes", ",zero,1,yes"),
+        (",0,1,yes", ",0,heavy,yes"),
+        (",1.5,", ",fast,"),
+    )
+    assert all(old in written for old, _ in wrong)
+    for text in (
+        "a,b\n1,2\n",
+        ",".join(FIELDS) + "\nse3-geodesic,mocap\n",
+        *(written.replace(*pair, 1) for pair in wrong),
+    ):
+        path.write_text(text, encoding="utf-8")
+        with pytest.raises(FileError, match="cannot continue"):
+            Comparison(common=QUICK).open(tmp_path)
+        assert path.read_text(encoding="utf-8") == text
+
+
+def test_a_flipped_bit_is_never_read_as_another_value(finished, tmp_path):
+    """Refused, or, where it makes the line end somewhere else, a row that is missing."""
+    whole, rows = (finished / "comparison.csv").read_bytes(), read_rows(finished / "comparison.csv", Row)
+    rng, path, refused = np.random.default_rng(0), tmp_path / "comparison.csv", 0
+    for _ in range(300):
+        changed = bytearray(whole)
+        changed[rng.integers(len(whole))] ^= 1 << int(rng.integers(8))
+        path.write_bytes(changed)
+        try:
+            found = read_rows(path, Row)
+        except FileError:
+            refused += 1
+        else:
+            assert found.items() <= rows.items()
+    assert refused > 290
+
+
+def test_a_table_cut_anywhere_keeps_its_whole_rows_and_grows_to_the_same(finished, tmp_path):
+    whole, rows = (finished / "comparison.csv").read_bytes(), read_rows(finished / "comparison.csv", Row)
+    path = tmp_path / "comparison.csv"
+    (tmp_path / "comparison.json").write_bytes((finished / "comparison.json").read_bytes())
+    for cut in range(whole.index(b"\n") + 1, len(whole), 7):
+        path.write_bytes(whole[:cut])
+        table = Comparison(common=QUICK).open(tmp_path)
+        assert len(table.rows) == whole[:cut].count(b"\n") - 1
+        # A row is on disk once it is added, without a save.
+        table.add([row for key, row in rows.items() if key not in table.rows])
+        assert read_rows(path, Row) == rows
+        table.save()
+        assert path.read_bytes() == whole
+
+
+def test_rows_that_are_added_stay_on_disk_until_they_are_asked_for(finished, tmp_path):
+    def alive():
+        gc.collect()
+        return sum(type(one) is Row for one in gc.get_objects())
+
+    (row, *_), before = read_rows(finished / "comparison.csv", Row).values(), alive()
+    table = Comparison(common=QUICK).open(tmp_path)
+    for seed in range(30):
+        table.add([replace(row, seed=seed), replace(row, seed=seed, controller="mocap")])
+    assert alive() - before <= 1
+    assert len(table.rows) == 60
+    # What many rows say is in memory once.
+    texts = [(one.arm, one.stability, one.stability_level) for one in table.rows.values()]
+    assert all(one is other for text in texts for one, other in zip(text, texts[0], strict=True))
+
+
+def test_the_summary_says_what_is_missing_and_what_is_proved(finished):
+    text = (finished / "comparison.md").read_text(encoding="utf-8")
+    assert "- rrt-star: ompl is not installed" in text
+    assert "| telescopic_pr | free | se3-geodesic | position-servo | 1 of 1 | 21% to 100% |" in text
+    assert text.rstrip().endswith("- none")
+
+
+def test_interrupting_keeps_what_is_done(tmp_path, start):
+    code = (
+        "import sys\n"
+        "from lieednn_sim.cli import main\n"
+        "from lieednn_sim.studies import Table\n"
+        "add = Table.add\n"
+        "def announcing(self, rows):\n"
+        "    add(self, rows)\n"
+        "    print('a case is done', flush=True)\n"
+        "Table.add = announcing\n"
+        "sys.exit(main())"
+    )
+    options = "--planners minimum-jerk --arms telescopic_pr --scenes free --controllers position-servo --seeds 999"
+    options += " --jobs 1 --duration 1 --hold 0"
+    process = start("-c", code, "compare", *options.split(), "--output", str(tmp_path))
+    assert process.stdout.readline() == "a case is done\n", process.stderr.read()
+    process.send_signal(signal.SIGINT)
+    # The workers hold its stderr: this returns when they are gone, too.
+    _, message = process.communicate()
+    assert process.returncode == 130
+    assert "Traceback" not in message
+    assert 0 < len(read_rows(tmp_path / "comparison.csv", Row)) < 999
+    assert {path.name for path in tmp_path.iterdir()} == {"comparison.csv", "comparison.json", "made.json"}
+
+
+@given(radius=st.floats(0.1, 10.0), speed=st.floats(0.1, 2.0), tilt=st.floats(0.0, 3.0))
+def test_curvature_of_a_circle_is_one_over_its_radius(radius, speed, tilt):
+    angle = np.linspace(0.0, 2.0, 400) ** 2 * speed  # at a varying speed, in steps of 0.04 rad at most
+    circle = radius * np.stack([np.cos(angle), np.sin(angle) * np.cos(tilt), np.sin(angle) * np.sin(tilt)], axis=1)
+    assert rms_curvature(circle, 2.0 / 399) == pytest.approx(1.0 / radius, rel=0.02)
+
+
+def test_curvature_of_paths_that_have_none():
+    line = np.linspace(0.0, 1.0, 50)[:, None] ** 2 * np.array([1.0, 2.0, 3.0])
+    assert rms_curvature(line, 0.01) == pytest.approx(0.0, abs=1e-9)
+    assert rms_curvature(np.ones((50, 3)), 0.01) is None
+    with pytest.raises(InputError, match="path must have shape"):
+        rms_curvature(np.ones((50, 2)), 0.01)
+
+
+def test_violations_and_clearance_see_the_simulated_motion():
+    arm = Arm.load("telescopic_pr")
+    motion = plan(arm, arm.keyframe("extended"), planner="minimum-jerk", duration=1.5).motion
+    rollout = simulate(arm, motion, hold=0.1)
+    assert all(value == 0.0 for value in violations(rollout).values())
+    # The same motion within half the speed limits: count and excess by another road.
+    slow = Arm.load("telescopic_pr")
+    share = np.abs(rollout.qd).max(axis=0) / slow.velocity_limits
+    object.__setattr__(slow, "velocity_limits", slow.velocity_limits * share.max() / 2.0)
+    found = violations(replace(rollout, arm=slow))
+    assert found["velocity_excess"] == pytest.approx(1.0)
+    over = [any(abs(row) > 1.001 * slow.velocity_limits) for row in rollout.qd]
+    assert found["velocity_violations"] == sum(over) > 10
+    collisions = Collisions(arm)
+    everywhere = min(collisions.clearance(q) for q in rollout.q[::5])
+    assert least_clearance(rollout) == pytest.approx(everywhere, abs=1e-6)
+
+
+@given(st.integers(1, 300).flatmap(lambda n: st.tuples(st.integers(0, n), st.just(n))))
+def test_wilson_interval_solves_its_quadratic(count):
+    """Its ends are where |p - k/n| = z sqrt(p (1 - p) / n)."""
+    successes, total = count
+    rate = successes / total
+    for end in wilson(successes, total):
+        assert abs(end - rate) == pytest.approx(1.959963985 * (end * (1.0 - end) / total) ** 0.5, abs=1e-7)
+    with pytest.raises(InputError, match="successes <= total"):
+        wilson(total + 1, total)
+
+
+def test_failures_that_differ_in_names_and_numbers_are_counted_together():
+    def row(planner, controller, seed, reason):
+        return Row("a", "s", planner, controller, seed, 1.0, reason, planning_s=1.0)
+
+    rows = [row("p", c, 0, "plan: joint 'a' at 1.5 rad, range [-1, 1e-3]") for c in ("x", "y")]
+    rows += [row("r", c, 0, "plan: joint 'b' at -2 rad, range [-.5, 1]") for c in ("x", "y")]
+    rows += [row("p", c, 1, "arrival: end effector ends 3 mm and 0 deg off") for c in ("x", "y")]
+    rows += [row("r", "x", 1, "plan: joint 'c' at 3 rad, range [0, 1]")]
+    # The most frequent first, and of each the planner that fails most.
+    plan, arrival = failures(rows)
+    assert (plan.step, plan.total, plan.counts) == ("plan", 3, (("r", 2), ("p", 1)))
+    assert (arrival.step, arrival.total) == ("arrival", 2)
+    # A plan's number counts once, whatever the number of controllers.
+    assert numbers(rows, "planning_s") == [1.0, 1.0, 1.0, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Comparison(planners=("a-star",)), "no planner 'a-star'; allowed: aorrtc, bit-star, dmp"),
+        (lambda: Comparison(scenes=("sea",)), "no scene 'sea'"),
+        (lambda: Comparison(seeds=0), "seeds must be at least 1, got 0"),
+        (lambda: Comparison(seeds=3, slow_seeds=4), "slow_seeds must be at most seeds, 3, got 4"),
+        (lambda: Settings(mass_scale=0.0), "mass_scale must be positive"),
+        (lambda: Settings(hold=-1.0), "hold must be between 0 and"),
+        (lambda: Case.parse("se3-geodesic:free:0"), "must look like planner:arm:scene:seed"),
+    ],
+)
+def test_bad_input_is_named(make, message):
+    with pytest.raises(InputError, match=message):
+        make()
+
+
+def test_missing_planners_are_left_out(monkeypatch):
+    monkeypatch.setattr("lieednn_sim.studies.comparison.study.missing_planners", lambda: {"rrt-star": "pip install it"})
+    made = Comparison(("rrt-star", "se3-geodesic"), ("telescopic_pr",), ("free",), seeds=1).cases()
+    assert made == [Case("telescopic_pr", "free", "se3-geodesic", 0)]

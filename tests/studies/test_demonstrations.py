@@ -1,0 +1,86 @@
+"""Models compared: each is fitted without what it is asked to foretell, and the table says what was found."""
+
+from __future__ import annotations
+
+import dataclasses
+from concurrent.futures import BrokenExecutor, Future, ThreadPoolExecutor
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from lieednn_sim.errors import LieEDNNError
+from lieednn_sim.evaluation import paths
+from lieednn_sim.evaluation.paths import PathErrors
+from lieednn_sim.learning.demonstrations import Demonstration, align
+from lieednn_sim.learning.demonstrations.shaped import ShapedMotion
+from lieednn_sim.studies.demonstrations import models as compared
+from lieednn_sim.studies.demonstrations.models import compare_models, mean_errors
+from lieednn_sim.synthesis import ShapingOptions
+
+
+class Recaller:
+    """Knows the paths it was shown, and goes the one whose start is nearest."""
+
+    name, durations, n_parameters = "recaller", 1.0, 0
+
+    def __init__(self, shown):
+        self.shown = shown
+
+    def reproduce(self, start, t):
+        if start.ndim > 1:
+            return np.stack([self.reproduce(one, t) for one in start])
+        nearest = np.argmin(np.linalg.norm(self.shown.twists[:, 0] - start, axis=1))
+        share = t / self.shown.duration * (len(self.shown.t) - 1)
+        return np.stack([np.interp(share, np.arange(len(self.shown.t)), c) for c in self.shown.twists[nearest].T], -1)
+
+
+def test_what_is_left_out_was_not_seen(monkeypatch):
+    rows = [[[0.3, 0.1 * k], [0.0, 0.1 * k]] for k in (0.0, 0.1, 0.5)]
+    # Straight to a goal each: 0, 1 and 5 cm beside each other where they are aligned, so nowhere apart.
+    apart = [Demonstration.from_samples([*one, [-0.1, 0.0]], [0.0, 1.0, 2.0]) for one in rows]
+    shown = align(apart)
+    monkeypatch.setattr(compared, "RIVALS", {"recaller": lambda some, _: Recaller(some)})
+    monkeypatch.setattr(paths, "SAMPLES", 100)
+    options = ShapingOptions(neurons=(2,), placed=(), iterations=5)
+    shaped = ShapedMotion.fit(shown, options=options)
+    network, recaller = compare_models(shown, shaped, options, rivals=["recaller"], starts=3)[0]
+    assert network.model == "lieednn-shaped"
+    assert recaller.training.rms_mm == pytest.approx(0.0, abs=0.05)
+    # Each by its nearest: 0.01 by 0, 0 by 0.01, 0.05 by 0.01.
+    starts = shown.twists[:, 0, 4]
+    wanted = [abs(starts[k] - min(np.delete(starts, k), key=lambda y, k=k: abs(y - starts[k]))) for k in range(3)]
+    assert recaller.left_out.frechet_mm == pytest.approx(1e3 * np.mean(wanted), rel=1e-2)
+
+
+def test_an_executor_makes_the_same_rows(monkeypatch):
+    monkeypatch.setattr(paths, "SAMPLES", 100)
+    angle = np.linspace(0.0, 3.0, 40)
+    shown = align([Demonstration.from_samples(h * np.column_stack([angle, np.sin(angle)])) for h in (0.05, 0.06, 0.07)])
+    options = ShapingOptions(neurons=(2,), placed=(), iterations=5)
+    shaped = ShapedMotion.fit(shown, options=options)
+
+    def rows(**how):
+        found, _ = compare_models(shown, shaped, options, rivals=["linear-attractor"], starts=3, **how)
+        return [dataclasses.replace(row, fit_s=0.0) for row in found]
+
+    with ThreadPoolExecutor(2) as pool:
+        assert rows(executor=pool) == rows()
+    # The first breaks, so that the others are not begun.
+    futures = []
+
+    def submit(*_):
+        futures.append(Future())
+        return futures[-1]
+
+    def broken(done, total):
+        futures[0].set_exception(BrokenExecutor("gone"))
+
+    with pytest.raises(LieEDNNError, match="the executor gave up"):
+        rows(executor=SimpleNamespace(submit=submit), progress=broken)
+    assert [future.cancelled() for future in futures] == [False] + [True] * 5
+
+
+def test_mean_errors():
+    errors = [PathErrors(1.0, 2.0, 3.0, 4.0, 5.0, 6.0), PathErrors(3.0, 2.0, 1.0, 0.0, 1.0, 2.0)]
+    assert mean_errors(errors) == PathErrors(2.0, 2.0, 2.0, 2.0, 3.0, 4.0)
