@@ -3,7 +3,7 @@
     import lieednn_sim as ls
 
     arm = ls.Arm.load("telescopic_pr")
-    plan = ls.plan(arm, arm.keyframe("extended"))
+    plan = ls.plan(arm, "extended")
     rollout = ls.simulate(arm, plan)
 
 The names below are imported on first use; everything else is in the subpackages: `lie`, `stability`, `network`,
@@ -21,31 +21,44 @@ if TYPE_CHECKING:
     from typing import Any
 
     from lieednn_sim.arm import Arm, solve_ik
-    from lieednn_sim.evaluation import evaluate
+    from lieednn_sim.arm.targets import draw_target
+    from lieednn_sim.errors import LieEDNNError, PlanError
+    from lieednn_sim.evaluation import evaluate, evaluate_following
+    from lieednn_sim.evaluation.plots import plot
     from lieednn_sim.learning import train
     from lieednn_sim.network import LieEDNN
-    from lieednn_sim.planning import plan
+    from lieednn_sim.planning import Plan, plan, register_planner
     from lieednn_sim.policies import Feedback, NetworkPolicy, Policy, control_loop, make_policy
     from lieednn_sim.rendering.video import render_video
-    from lieednn_sim.simulation import Disturbances, Push, follow, simulate, simulate_many
+    from lieednn_sim.simulation import Channel, Disturbances, Push, Rollout, follow, simulate, simulate_many
     from lieednn_sim.studies import compare
-    from lieednn_sim.synthesis import synthesize
+    from lieednn_sim.synthesis import shape, synthesize
 
 __all__ = [
     "Arm",
+    "Channel",
     "Disturbances",
     "Feedback",
     "LieEDNN",
+    "LieEDNNError",
     "NetworkPolicy",
+    "Plan",
+    "PlanError",
     "Policy",
     "Push",
+    "Rollout",
     "compare",
     "control_loop",
+    "draw_target",
     "evaluate",
+    "evaluate_following",
     "follow",
     "make_policy",
     "plan",
+    "plot",
+    "register_planner",
     "render_video",
+    "shape",
     "simulate",
     "simulate_many",
     "solve_ik",
@@ -55,15 +68,18 @@ __all__ = [
 
 _ROOMS = {
     "arm": ("Arm", "solve_ik"),
-    "evaluation": ("evaluate",),
+    "arm.targets": ("draw_target",),
+    "errors": ("LieEDNNError", "PlanError"),
+    "evaluation": ("evaluate", "evaluate_following"),
+    "evaluation.plots": ("plot",),
     "learning": ("train",),
     "network": ("LieEDNN",),
-    "planning": ("plan",),
+    "planning": ("Plan", "plan", "register_planner"),
     "policies": ("Feedback", "NetworkPolicy", "Policy", "control_loop", "make_policy"),
     "rendering.video": ("render_video",),
-    "simulation": ("Disturbances", "Push", "follow", "simulate", "simulate_many"),
+    "simulation": ("Channel", "Disturbances", "Push", "Rollout", "follow", "simulate", "simulate_many"),
     "studies": ("compare",),
-    "synthesis": ("synthesize",),
+    "synthesis": ("shape", "synthesize"),
 }
 _SUBPACKAGES = (
     *("lie", "stability", "network", "theory", "synthesis", "learning", "arm", "planning", "policies", "simulation"),

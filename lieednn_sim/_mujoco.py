@@ -5,6 +5,7 @@ on the first rendering, in `rendering.opengl`.
 """
 
 import os
+from typing import Any
 
 try:
     import mujoco
@@ -19,7 +20,7 @@ except Exception:  # of several OpenGL bindings, with no common base
         else:
             os.environ["MUJOCO_GL"] = asked
 
-__all__ = ["QuietWarnings", "mujoco"]
+__all__ = ["QuietWarnings", "kinematics_at", "mujoco"]
 
 
 class QuietWarnings:
@@ -31,6 +32,14 @@ class QuietWarnings:
 
     def __exit__(self, *_: object) -> None:
         mujoco.set_mju_user_warning(self._before)
+
+
+def kinematics_at(model: Any, qpos: Any) -> Any:
+    """New `mujoco.MjData` of a model, with its positions at ``qpos`` ``(nq,)`` and the frames of all bodies there."""
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    mujoco.mj_kinematics(model, data)
+    return data
 
 
 def _ignore(_: str) -> None:

@@ -4,8 +4,8 @@
         ...  # every loop inside calls `check_time`, which raises `OutOfTimeError` once ten seconds are spent
 
 The CPU time is that of the calling thread, so that other load on the machine does not count. Only that error depends on
-the clock: work that ends within its budget has the same result as without one. Searched postures are limited too, by
-their number, which does not depend on the machine.
+the clock: work that ends within its budget has the same result as without one. Searched configurations are limited too,
+by their number, which does not depend on the machine.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from lieednn_sim.validation import as_positive
 # CPU time of a planner [s]; far more than any needs for the arms of the package.
 DEFAULT_TIME_BUDGET = 60.0
 
-# Most states whose nearest posture is searched for in one piece of work: several times what any planner needs.
+# Most states whose nearest configuration is searched for in one piece of work: several times what any planner needs.
 MOST_STATES = 250_000
 
 # States that the present work has searched so far.
@@ -75,7 +75,7 @@ def check_time() -> None:
 
 
 def count_states(number: int) -> None:
-    """Count states whose nearest posture is about to be searched for.
+    """Count states whose nearest configuration is about to be searched for.
 
     Raises:
         OutOfTimeError: the present work has a budget, and these are more than `MOST_STATES`.
@@ -85,6 +85,6 @@ def count_states(number: int) -> None:
         counted[0] += number
         if counted[0] > MOST_STATES:
             raise OutOfTimeError(
-                f"out of work: the postures nearest to more than {MOST_STATES} states would have to be searched for; "
-                "name more links, so that fewer joints move each, or use another planner, target or seed"
+                f"out of work: the configurations nearest to more than {MOST_STATES} states would have to be searched "
+                "for; name more links, so that fewer joints move each, or use another planner, target or seed"
             )

@@ -46,7 +46,7 @@ class Manifest:
     def replacing(
         self, targets: Sequence[Path], outdated: Iterable[Path] = (), made_from: str = ""
     ) -> Iterator[list[Path]]:
-        """As `filesystem.atomic_paths`, for files of the directory, which enter the list.
+        """Write files of the directory as `filesystem.atomic_paths` does, and enter them in the list.
 
         Args:
             targets: the files to write.
@@ -82,7 +82,7 @@ class Manifest:
             yield temporary
 
     def expect(self, path: Path, kind: str) -> None:
-        """Enter a file that is written without `replacing`, perhaps many times; any file of a `storage.kind` fits."""
+        """Enter a file that is written without `replacing`, perhaps often; any file of this `storage.kind` fits."""
         self._save({**self._load(), self._name(path): {"kind": kind, "sha256": []}})
 
     def remove(self, paths: Iterable[Path]) -> None:

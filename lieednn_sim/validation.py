@@ -16,6 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 from lieednn_sim.errors import InputError
 
 Shape = tuple[int | str, ...]
+# As of NumPy, but without None: results are functions of their arguments.
+Seed = int | np.random.SeedSequence | np.random.Generator
 
 # Larger than any meaningful length, angle, rate or weight; products of three such numbers do not overflow.
 LARGEST = 1e100
@@ -231,8 +233,10 @@ def as_workers(name: str, value: int) -> int:
     return as_count(name, value, most=MOST_WORKERS)
 
 
-def as_seed(name: str, seed: int) -> int:
-    """Return ``seed`` as a whole number >= 0 of at most 128 bits, or raise `InputError`."""
+def as_seed(name: str, seed: Seed) -> int:
+    """Return ``seed`` as a whole number >= 0 of at most 128 bits, or raise `InputError`; a generator draws it."""
+    if isinstance(seed, np.random.Generator | np.random.SeedSequence):
+        return int(np.random.default_rng(seed).integers(2**63))
     if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
         raise InputError(f"{name} must be a whole number >= 0, got {quoted(seed)}")
     if int(seed).bit_length() > _SEED_BITS:
@@ -240,13 +244,10 @@ def as_seed(name: str, seed: int) -> int:
     return int(seed)
 
 
-def as_generator(name: str, seed: int | np.random.Generator) -> np.random.Generator:
+def as_generator(name: str, seed: Seed) -> np.random.Generator:
     """Return a random generator from a seed as in `as_seed`, or the generator itself."""
-    if isinstance(seed, np.random.Generator):
-        return seed
-    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
-        raise InputError(f"{name} must be a whole number >= 0 or a numpy.random.Generator, got {quoted(seed)}")
-    return np.random.default_rng(as_seed(name, seed))
+    known = isinstance(seed, np.random.Generator | np.random.SeedSequence)
+    return np.random.default_rng(seed if known else as_seed(name, seed))
 
 
 def as_choice(name: str, value: str, allowed: Iterable[str]) -> str:

@@ -1,4 +1,8 @@
-"""Immutable results that compare equal when their contents are equal."""
+"""Immutable results that compare equal when their contents are equal.
+
+A value with arrays is made by `frozen`, another one by ``dataclass(frozen=True)``. In its ``__post_init__`` either sets
+its fields by `check_fields` and `set_fields`.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +36,7 @@ def frozen(cls: type[_Class]) -> type[_Class]:
     def __init__(self: Any, *arguments: Any, **named: Any) -> None:
         initialise(self, *arguments, **named)
         for name in names:
-            object.__setattr__(self, name, _read_only(getattr(self, name)))
+            object.__setattr__(self, name, _as_read_only(getattr(self, name)))
 
     def __eq__(self: Any, other: object) -> Any:
         if type(other) is not type(self):
@@ -44,31 +48,43 @@ def frozen(cls: type[_Class]) -> type[_Class]:
 
     def __setstate__(self: Any, state: dict[str, Any]) -> None:
         # Unpickled and deep-copied arrays are writable.
-        vars(self).update({name: _read_only(item) for name, item in state.items()})
+        vars(self).update({name: _as_read_only(item) for name, item in state.items()})
 
     made.__init__, made.__eq__, made.__hash__, made.__setstate__ = __init__, __eq__, __hash__, __setstate__
     return made
 
 
+def set_fields(value: Any, /, **fields: Any) -> None:
+    """Set fields of a frozen dataclass, for its own `__post_init__`; arrays are copied and made read-only."""
+    for name, item in fields.items():
+        object.__setattr__(value, name, read_only(item.copy()) if _is_array(item) else item)
+
+
 def check_fields(value: Any, check: Callable[..., Any], *names: str, **how: Any) -> None:
-    """Replace the named fields of a frozen dataclass by the results of a check of `validation`."""
+    """Replace the named fields of a frozen dataclass by the results of a check of `validation`; arrays are kept."""
     for name in names:
         object.__setattr__(value, name, check(name, getattr(value, name), **how))
+
+
+def read_only(array: Floats) -> Floats:
+    """Make an array read-only, and return it."""
+    array.setflags(write=False)
+    return array
 
 
 def _is_array(item: object) -> bool:
     return isinstance(item, np.ndarray)
 
 
-def _read_only(item: Any) -> Any:
+def _as_read_only(item: Any) -> Any:
     if isinstance(item, np.ndarray) and item.flags.writeable:
         item = item.view()
         item.flags.writeable = False
     # Exactly these types: named tuples and other mappings have other constructors.
     elif type(item) in (tuple, list):
-        return type(item)(map(_read_only, item))
+        return type(item)(map(_as_read_only, item))
     elif type(item) is dict:
-        return {key: _read_only(entry) for key, entry in item.items()}
+        return {key: _as_read_only(entry) for key, entry in item.items()}
     return item
 
 

@@ -5,13 +5,14 @@ from __future__ import annotations
 import ast
 import contextlib
 import hashlib
+import re
 from functools import cache
 from importlib import metadata
 from pathlib import Path
 from typing import NamedTuple
 
 # All results depend on the former, and those of some planners on the latter.
-_PACKAGES, _OPTIONAL = ("lieednn_sim", "mujoco", "numpy", "scipy"), ("daqp", "ompl", "toppra", "movement_primitives")
+_PACKAGES, _OPTIONAL = ("lieednn_sim", "mujoco", "numpy", "scipy"), ("daqp", "ompl", "toppra")
 _HERE = Path(__file__).parents[1]
 # What makes the rows of tables.
 _TABLES = ("studies.comparison.study", "studies.reactions.study", "studies.problems.study")
@@ -31,6 +32,8 @@ _LEFT_OUT = (
     *("studies.markdown", "errors", "registration", "validation"),
 )
 _PACKAGE = "lieednn_sim"
+# Something in a module of the package, as in `planner_table`.
+_PLACE = re.compile(r"([a-z_]+(?:\.[a-z_]+)+):\w+")
 
 
 @cache
@@ -141,9 +144,12 @@ def _tell(node: ast.AST, parts: list[str], imports: list[tuple[str, str, str]]) 
                         parts.append(repr(one))
         else:
             parts += (name, repr(value))
-            if isinstance(value, str) and value.startswith("lieednn_sim.") and isinstance(node, ast.Constant):
-                # A module that is imported by its name.
-                imports.append((value, "", ""))
+            if isinstance(value, str) and isinstance(node, ast.Constant):
+                # A module that is imported by its name, or something in it.
+                if value.startswith("lieednn_sim."):
+                    imports.append((value, "", ""))
+                elif place := _PLACE.fullmatch(value):
+                    imports.append((f"lieednn_sim.{place[1]}", "", ""))
     parts.append(")")
 
 

@@ -60,7 +60,7 @@ def arm_targets(arm: Arm, kind: str, count: int, seed: int = 0) -> list[np.ndarr
 def summarise(name: str, outcomes: list[Synthesis]) -> dict[str, object]:
     """One row of the table."""
     good = [outcome for outcome in outcomes if outcome.success]
-    milliseconds = 1e3 * np.array([outcome.seconds for outcome in outcomes])
+    milliseconds = 1e3 * np.array([outcome.cpu_time for outcome in outcomes])
     return {
         "targets": name,
         "certified": f"{len(good)} of {len(outcomes)}",

@@ -37,7 +37,7 @@ def epoch_costs(targets: list[np.ndarray], epochs: int) -> dict[str, list[float]
     for seed, xi in enumerate(targets):
         for name, options in algorithms.items():
             result = train(xi, options, seed=seed)
-            costs[name].append(1e6 * result.seconds / result.epochs)
+            costs[name].append(1e6 * result.cpu_time / result.epochs)
     return costs
 
 
@@ -49,9 +49,9 @@ def learning_rows(targets: list[np.ndarray], epochs: dict[str, list[float]]) -> 
     solve = np.median([1e3 * seconds(partial(_repeat, 1000, np.linalg.solve, matrix, right)) for _ in repaired])
     for seed, xi in enumerate(targets):
         synthesis = synthesize(xi, seed=seed)
-        learned.append(train(xi, TrainingOptions.tracked(), seed=seed).seconds / synthesis.seconds)
+        learned.append(train(xi, TrainingOptions.tracked(), seed=seed).cpu_time / synthesis.cpu_time)
         retargeting = seconds(partial(_repeat, 200, synthesis.unwrap().retarget, 0.5 * xi)) / 200
-        retargeted.append(synthesis.seconds / retargeting)
+        retargeted.append(synthesis.cpu_time / retargeting)
     return [
         Row("epoch of the literal Algorithm 1, in epochs of the repaired", (literal / repaired).tolist(), ">= 50"),
         Row(
@@ -128,7 +128,7 @@ def network_rows(
     """All rows on networks; ``scale`` divides the numbers of instants and repetitions."""
     assert isinstance(chosen.network, LieEDNN)
     repeats = max(20 // scale, 1)
-    synthesis = np.median([synthesize(xi, seed=seed).seconds for seed, xi in enumerate(targets)])
+    synthesis = np.median([synthesize(xi, seed=seed).cpu_time for seed, xi in enumerate(targets)])
     goal = arm.keyframe("extended")
     plans = [seconds(partial(plan, arm, goal), time.perf_counter) for _ in range(repeats)]
     simulated = [simulate(arm, chosen.motion).t[-1] / seconds(partial(simulate, arm, chosen.motion)) for _ in plans]

@@ -147,7 +147,7 @@ def environment_rows(arm: Arm, repeats: int, actions: int) -> list[Row]:
 def vector_rows(arm: Arm, repeats: int, actions: int, count: int) -> list[Row]:
     """Steps/s of many environments at once, and of their physics alone, in those of Gymnasium's processes."""
     own, processes = VectorEnvironment(count, arm=arm), AsyncVectorEnv([partial(Environment, arm=arm.name)] * count)
-    some, task = 0.3 * np.random.default_rng(0).uniform(-1.0, 1.0, (count, arm.n_joints)), own.tasks[0]
+    some, task = 0.3 * np.random.default_rng(0).uniform(-1.0, 1.0, (count, arm.n_joints)), own.task
     model, kind = task.simulation.model, mujoco.mjtState.mjSTATE_FULLPHYSICS
     data = [mujoco.MjData(model) for _ in range(os.cpu_count() or 1)]
 
@@ -160,7 +160,7 @@ def vector_rows(arm: Arm, repeats: int, actions: int, count: int) -> list[Row]:
     states = np.zeros((count, mujoco.mj_stateSize(model, kind)))
     mujoco.mj_getState(model, task.simulation.data, states[0], kind)
     states[:] = states[0]
-    home = np.array([task.command for task in own.tasks])
+    home = np.tile(arm.keyframe("home"), (count, 1))
     controls = task.commands.controls(home, task.commands.moved(home, some))
     # Wall time: processes and threads run on all cores.
     name, clock = f"of {count} environments at once, in those of Gymnasium's AsyncVectorEnv", time.perf_counter

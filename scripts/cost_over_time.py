@@ -33,16 +33,17 @@ from lieednn_sim.budget import cpu_time
 from lieednn_sim.errors import FileError, LieEDNNError, NoSolutionError
 from lieednn_sim.evaluation.figure_layout import COLOURS, STYLE, save_figure
 from lieednn_sim.planning import PLANNERS, missing_planners, plan
-from lieednn_sim.planning.baselines.joint_space import joint_scale
+from lieednn_sim.planning.joint_space import joint_scale
 from lieednn_sim.studies.comparison.cases import arm_and_target
 from lieednn_sim.validation import as_choice, as_count
 
 SCENE, FIRST_SEED = "poles", 2000
+_CHECKS = "max_collision_checks"
 # The work allowed in each run, by the option that counts it.
 LADDERS: dict[str, tuple[str, tuple[object, ...]]] = {
-    "rrt-connect": ("tests", ((120_000,),)),
-    **dict.fromkeys(("rrt-star", "informed-rrt-star", "aorrtc"), ("tests", tuple((2_500 * 2**k,) for k in range(6)))),
-    "bit-star": ("tests", tuple((625 * 2**k,) for k in range(8))),
+    "rrt-connect": (_CHECKS, ((120_000,),)),
+    **dict.fromkeys(("rrt-star", "informed-rrt-star", "aorrtc"), (_CHECKS, tuple((2_500 * 2**k,) for k in range(6)))),
+    "bit-star": (_CHECKS, tuple((625 * 2**k,) for k in range(8))),
     "trajectory-optimisation": ("guesses", (1, 2, 4, 8)),
     "stomp": ("steps", tuple(2**k for k in range(9))),
 }

@@ -93,23 +93,6 @@ fresh() {
 
 pip_install() { $venv/bin/python -m pip install --quiet --disable-pip-version-check "$@"; }
 
-# The library of the planner dmp has no wheel; everything else does without a compiler.
-install_dmp() {
-    if $venv/bin/python - <<'PYTHON'
-import os, shutil, sys, sysconfig
-compiler = (os.environ.get("CC") or sysconfig.get_config_var("CC") or "cc").split()[0]
-headers = os.path.join(sysconfig.get_path("include"), "Python.h")
-sys.exit(not (shutil.which(compiler) and os.path.exists(headers)))
-PYTHON
-    then
-        pip_install --only-binary :none: 'lieednn_sim[dmp]' && return
-        say "Going on without movement_primitives, which could not be built (see above): the tests of dmp are skipped."
-    else
-        say "Going on without movement_primitives, which has no wheel: the tests of the planner dmp are skipped."
-        say "To run them: apt-get install gcc python3-dev   (as root), then $venv/bin/pip install 'lieednn_sim[dmp]'"
-    fi
-}
-
 wrong=
 if [ -e $venv ] || [ -L $venv ]; then
     wrong=$(fault)
@@ -131,6 +114,5 @@ if ! fresh; then
         fi
         die "pip could not install lieednn_sim (its reason is above); the first time it needs the network"
     fi
-    if [ "$wanted" = dev ]; then install_dmp; fi
     printf '%s\n' "$now" >$venv/.lieednn-sim-"$wanted"
 fi

@@ -7,7 +7,7 @@ cd "$(dirname "${BASH_SOURCE[0]}")/.."
 say() { printf '%s\n' "$*" >&2; }
 ask() { .venv/bin/python -m lieednn_sim.rendering.opengl 2>/dev/null; }
 
-if ask >/dev/null; then exit 0; fi
+if packages=$(ask); then exit 0; fi
 
 as_root=
 if [ "$(id -u)" != 0 ]; then
@@ -15,11 +15,9 @@ if [ "$(id -u)" != 0 ]; then
     if command -v sudo >/dev/null && sudo -n true 2>/dev/null; then as_root="sudo -n"; fi
 fi
 
-packages=$(ask || true)
 if [ -n "$packages" ] && [ "$as_root" != none ] && command -v apt-get >/dev/null; then
-    $as_root apt-get update -qq >&2 || true
-    packages=$(ask || true) # only now apt knows what this release has
     say "Installing OpenGL for rendering without a display: $packages"
+    $as_root apt-get update -qq >&2 || true
     # shellcheck disable=SC2086  # both are lists of words
     $as_root env DEBIAN_FRONTEND=noninteractive apt-get install -qq -y --no-install-recommends $packages >/dev/null || true
     if ask >/dev/null; then exit 0; fi

@@ -48,9 +48,9 @@ def draw(package: Path) -> Figure:
         low, high = rooms.index(other), rooms.index(room)
         side = 1 if high - low > 1 else -1
         ends = (0.9 * side, high), (0.9 * side, low)
-        how = {"connectionstyle": f"arc3,rad={-0.5 * side}", "arrowstyle": "-|>", "mutation_scale": 9.0}
-        colour = "tab:blue" if high > low else "tab:red"
-        axes.add_patch(FancyArrowPatch(*ends, **how, lw=0.4 + 0.12 * count, color=colour, alpha=0.6))
+        arc = FancyArrowPatch(*ends, connectionstyle=f"arc3,rad={-0.5 * side}", arrowstyle="-|>", mutation_scale=9.0)
+        arc.set(lw=0.4 + 0.12 * count, color="tab:blue" if high > low else "tab:red", alpha=0.6)
+        axes.add_patch(arc)
     for level, room in enumerate(rooms):
         axes.text(0.0, level, f"{room}  {lines[room]:,}", ha="center", va="center", bbox={"fc": "white", "pad": 4.0})
     axes.set(xlim=(-4.0, 6.0), ylim=(-0.7, len(rooms) - 0.3), title=f"{sum(lines.values()):,} lines in rooms")

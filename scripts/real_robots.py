@@ -141,7 +141,7 @@ def _unexplained_plan(name: str, failure: str, report: list[str]) -> list[str]:
         return []
     if pair is None:
         return [f"{name}: {failure}"]
-    ways = [line for line in report if "straight ways from home" in line or "random postures" in line]
+    ways = [line for line in report if "straight paths from home" in line or "random configurations" in line]
     known = any({*pair.groups()} == {*both} for line in ways for both in re.findall(r"'([^']+)' and '([^']+)'", line))
     return [] if known else [f"{name}: {pair.group()}"]
 
@@ -173,7 +173,7 @@ class _Original:
         self._finder = ContactFinder(self._model)
         report = arm.import_report
         assert report is not None
-        name = report.posture.removeprefix("keyframe ").strip("'")
+        name = report.configuration.removeprefix("keyframe ").strip("'")
         keys = [self._model.key(k).name or f"key{k}" for k in range(self._model.nkey)]
         self._qpos = (self._model.key_qpos[keys.index(name)] if name in keys else self._model.qpos0).copy()
         self._addresses = []

@@ -181,7 +181,8 @@ def _home(arm: Arm, report: ImportReport, model: mujoco.MjModel, qpos: np.ndarra
             for note in report.notes
         )
         if (abs(now - given) > 1e-6) != told:
-            wrong.append(f"{name}: at {given:g} in {report.posture}, at {now:g} at home, {'' if told else 'not '}told")
+            said = "told" if told else "not told"
+            wrong.append(f"{name}: at {given:g} in {report.configuration}, at {now:g} at home, {said}")
     return wrong
 
 

@@ -27,10 +27,10 @@ from lieednn_sim.synthesis import synthesize
 
 KINDS = ("synthesized", "scaled", "cascade")
 BOUNDS = (
-    "throw",
-    "throw, one coordinate",
-    "throw, between two motions",
-    "throw, certificate alone",
+    "push gain",
+    "push gain, one coordinate",
+    "push gain, between two motions",
+    "push gain, certificate alone",
     "time to a tenth",
     "lag",
     "Euler step",
@@ -128,15 +128,15 @@ def measure(network: LieEDNN, rng: np.random.Generator) -> dict[str, float]:
     if any(not guarantee.contracting for guarantee in bounds.guarantees):
         alone = replace(bounds, guarantees=tuple(g for g in bounds.guarantees if not g.contracting))
     ratios = {
-        "throw": away.max() / bounds.throw(),
-        "throw, one coordinate": np.abs(x[:, 1, k] - origin[k]).max() / abs(one[k]) / bounds.throw([k], [k]),
-        "time to a tenth": times[np.flatnonzero(away > 0.1)[-1]] / bounds.duration(0.1),
+        "push gain": away.max() / bounds.push_gain(),
+        "push gain, one coordinate": np.abs(x[:, 1, k] - origin[k]).max() / abs(one[k]) / bounds.push_gain([k], [k]),
+        "time to a tenth": times[np.flatnonzero(away > 0.1)[-1]] / bounds.settling_time(0.1),
         "lag": lag.max() / np.linalg.norm(velocity) / bounds.lag(),
     }
     if alone is not None:
-        ratios["throw, certificate alone"] = away.max() / alone.throw()
+        ratios["push gain, certificate alone"] = away.max() / alone.push_gain()
     if bounds.contracting is not None:
-        ratios["throw, between two motions"] = apart.max() / bounds.contracting.throw()
+        ratios["push gain, between two motions"] = apart.max() / bounds.contracting.push_gain()
     reached = np.ix_(bounds.reached, bounds.reached)
     jacobian = network.jacobian(origin.reshape(-1, 6))[reached]
     for method in ("Euler", "RK4"):

@@ -112,11 +112,11 @@ def measured(arm: Arm, scene: str, seed: int) -> Row:
     motion, guide = made.motion, teacher.motion
     mine, given = motion_metrics(room, motion), motion_metrics(room, guide)
     row.teacher, row.hidden, row.certified = teacher.planner, network.n_hidden, verified_after_loading(network)
-    row.deviation_mm, row.gap_mm, row.gap_deg = 1e3 * (made.deviation or 0.0), mine.gap_mm, mine.gap_deg
+    row.deviation_mm, row.gap_mm, row.gap_deg = 1e3 * made.details.deviation, mine.gap_mm, mine.gap_deg
     row.jerk, row.effector_jerk = mine.jerk_joints / given.jerk_joints, mine.jerk_effector / given.jerk_effector
     row.path, row.effort = mine.path_ranges / given.path_ranges, effort(room, motion) / effort(room, guide)
     row.clearance_mm, row.teacher_clearance_mm = clearance(room, motion), clearance(room, guide)
-    row.motion_s, row.fit_s = mine.motion_s, made.fit_time or 0.0
+    row.motion_s, row.fit_s = mine.motion_s, made.details.fit_time
     row.teacher_s, row.planning_s = teacher.cpu_time, made.cpu_time
     return row
 

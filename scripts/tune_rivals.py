@@ -26,7 +26,7 @@ from lieednn_sim.arm import Arm, arm_names
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.errors import LieEDNNError
 from lieednn_sim.planning import PLANNERS, missing_planners, plan
-from lieednn_sim.planning.baselines.joint_space import joint_scale
+from lieednn_sim.planning.joint_space import joint_scale
 from lieednn_sim.planning.options import PlannerOptions
 
 SCENES, FIRST_SEED, TIME_BUDGET = ("window", "shelf", "poles"), 1000, 60.0

@@ -206,7 +206,7 @@ def no_plots(monkeypatch: pytest.MonkeyPatch) -> None:
     from lieednn_sim.evaluation import plot_training, plots
 
     for module, name in (
-        *((plots, f"plot_{what}") for what in ("network", "tracking", "joints")),
+        *((plots, f"plot_{what}") for what in ("network", "tracking", "joints", "channels")),
         (plot_training, "plot_training"),
     ):
         monkeypatch.setattr(module, name, lambda *given, **_: Path(given[-1]).write_bytes(b"a picture"))

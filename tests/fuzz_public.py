@@ -129,7 +129,7 @@ def junk() -> list[Any]:
 # Texts that are good somewhere, and some that are good nowhere.
 _TEXTS = """
     telescopic_pr telescopic_compound free poles home extended tanh uniform sign-matched position-servo reach track keep
-    inverse-dynamics lieednn-certified minimum-jerk se3-geodesic RK45 RK4 Euler lmi gradient gauss-newton squared newton
+    inverse-dynamics lieednn-certified minimum-jerk se3-geodesic RK45 RK4 Euler gradient gauss-newton squared newton
     length time m wxyz base SE(3) SO(2) SU(3) GL(2) R^3 affine(C^x) rgb_array draft disabled plan nan 1_000 ٣ ../../..
     None [bold] - file.npz file.txt two.xml new .
 """
@@ -167,7 +167,7 @@ BY_NAME: dict[str, Callable[[Things], list[Any]]] = {
     "model": _one_of("two.xml", "folder", "gone.xml"),
     "planner": _one_of("minimum-jerk", "se3-geodesic", "lieednn-certified", "nobody"),
     **dict.fromkeys(("duration", "hold", "time_limit"), _one_of(0.1, 0.5, 1.0, 0.0, -1.0, 1e9)),
-    **dict.fromkeys(("longest", "time_budget"), _one_of(1.0, 3.0)),
+    **dict.fromkeys(("max_time_scale", "time_budget"), _one_of(1.0, 3.0)),
     **dict.fromkeys(("threads", "num_envs", "samples", "max_attempts"), _one_of(1, 2, 3, 0, 10**9)),
     **dict.fromkeys(("count", "jobs"), _one_of(1, 0, -1)),
     "size": _one_of((64, 48), (10**9, 2), (3, 3)),

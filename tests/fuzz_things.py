@@ -137,7 +137,7 @@ MAKERS: dict[str, Callable[[], Any]] = {
     "History": lambda: thing("TrainingResult").history,
     "StopReason": lambda: thing("TrainingResult").reason,
     "Sensitivity": lambda: learning.sensitivity(thing("LieEDNN"), 0.4 * thing("Arm").encode(home())),
-    "Plan": lambda: ls.plan(thing("Arm"), 0.99 * home(), planner="minimum-jerk", duration=0.5, longest=20.0),
+    "Plan": lambda: ls.plan(thing("Arm"), 0.99 * home(), planner="minimum-jerk", duration=0.5, max_time_scale=20.0),
     "Motion": lambda: thing("Plan").motion,
     "Planner": lambda: planning.PLANNERS["minimum-jerk"],
     **{name: getattr(planning, name) for name in planning.__all__ if name.endswith("Options")},
@@ -152,6 +152,7 @@ MAKERS: dict[str, Callable[[], Any]] = {
     "Rollout": lambda: ls.simulate(thing("Arm"), thing("Plan"), hold=0.0),
     "Rollouts": lambda: ls.simulate_many(thing("Arm"), [thing("Plan")] * 2, hold=0.0, threads=1),
     "Disturbances": lambda: ls.Disturbances(payload=0.1),
+    "Channel": lambda: ls.Channel("centre of mass", "m", lambda data: data.subtree_com[0]),
     "Push": lambda: ls.Push("link 1", (1.0, 0.0, 0.0), 0.0, 0.1),
     "Simulation": lambda: simulation.Simulation(thing("Arm")),
     "Log": lambda: simulation.Log(fresh("Simulation")),
@@ -169,6 +170,7 @@ MAKERS: dict[str, Callable[[], Any]] = {
     "Comparison": lambda: studies.Comparison(
         ("minimum-jerk",), ("telescopic_pr",), ("free",), ("position-servo",), seeds=1
     ),
+    "Study": lambda: thing("Comparison"),
     "Case": lambda: studies.Case("telescopic_pr", "free", "minimum-jerk", 0),
     "Row": lambda: studies.run_case(thing("Case"), ["position-servo"], thing("Settings"))[0],
     "Table": _table,

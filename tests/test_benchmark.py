@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import time
 from functools import partial
 from importlib.util import find_spec
 
@@ -18,8 +19,10 @@ from benchmark_timing import Row, shares
 from threadpoolctl import threadpool_limits
 
 from lieednn_sim.arm import Arm, arm_names
+from lieednn_sim.learning import projected
 from lieednn_sim.planning import plan
 from lieednn_sim.simulation import simulate
+from lieednn_sim.synthesis import attempts
 
 
 def test_every_row_is_measured_and_written(tmp_path, monkeypatch):
@@ -29,6 +32,8 @@ def test_every_row_is_measured_and_written(tmp_path, monkeypatch):
     for module in (benchmark, benchmark_networks, benchmark_stepping):
         monkeypatch.setattr(module, "simulate", partial(simulate, hold=0.0))
     monkeypatch.setattr(benchmark_floors, "_FRAMES", 2)
+    for module in (attempts, projected):
+        monkeypatch.setattr(module, "cpu_time", time.thread_time)
     codes = []
     monkeypatch.setattr(benchmark_floors, "peak_memory", lambda code: codes.append(code) or 9)
     table = benchmark.write(tmp_path, 1000).read_text(encoding="utf-8")

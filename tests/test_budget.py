@@ -91,7 +91,7 @@ def test_every_planner_looks_at_the_clock_often(name, monkeypatch):
     monkeypatch.setattr(ContactFinder, "geoms", counted)
     monkeypatch.setattr(budget, "cpu_time", look)
     options = PLANNERS[name].options
-    little = options(tests=(3_000, 30_000)) if "star" in name or name == "aorrtc" else None
+    little = options(max_collision_checks=(3_000, 30_000)) if "star" in name or name == "aorrtc" else None
     planned(name, duration=2.0, options=little)
     look()  # what comes after the last one counts, too
     assert max(np.diff(at_look)) < 150
@@ -161,7 +161,7 @@ def test_networks_are_drawn_once_and_only_the_best_is_looked_at_closely(monkeypa
 def test_where_nothing_can_be_fast_enough_one_refusal_is_enough(monkeypatch):
     tried = calls(monkeypatch, NetworkPath, "timed")
     with pytest.raises(PlanError, match=r"best of 3 candidates"):
-        planned(duration=0.1, options=CertifiedOptions(candidates=3))
+        planned(duration=0.1, options=CertifiedOptions(n_networks=3))
     assert len(tried) == 1
 
 
@@ -222,7 +222,7 @@ def test_one_network_is_drawn_first_where_links_are_screws_and_the_others_where_
     arm = Arm.from_spec(spec, Path("three.xml"), "three", report)
     target = np.deg2rad([20.0, -40.0, 60.0])
     alone = plan(arm, target, planner="lieednn-certified")
-    assert alone.candidates == 1
+    assert alone.details.n_networks == 1
     # The target's largest entry is 60 degrees, the strongest bias 1.
     assert np.abs(alone.network.bias).max() == pytest.approx(1.0)
     weak = plan(arm, target, planner="lieednn-certified", options=CertifiedOptions(bias_magnitudes=(0.25, 0.125)))
@@ -235,7 +235,8 @@ def test_one_network_is_drawn_first_where_links_are_screws_and_the_others_where_
         return real(problem, options, networks, drawn)
 
     monkeypatch.setattr(certified, "_plan", refused)
-    assert plan(arm, target, planner="lieednn-certified", options=CertifiedOptions(candidates=5)).candidates == 5
+    others = plan(arm, target, planner="lieednn-certified", options=CertifiedOptions(n_networks=5))
+    assert others.details.n_networks == 5
     monkeypatch.setattr(certified, "_plan", lambda *_: refused(*_[:3], 1))
     with pytest.raises(PlanError, match="not this one"):
-        plan(arm, target, planner="lieednn-certified", options=CertifiedOptions(candidates=2))
+        plan(arm, target, planner="lieednn-certified", options=CertifiedOptions(n_networks=2))

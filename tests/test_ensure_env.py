@@ -90,27 +90,12 @@ def test_an_environment_is_made_once_and_used_as_it_is_without_a_network(checkou
 
 def test_what_the_tests_need_is_added_and_serves_the_demo_too(checkout):
     assert checkout.ensure().returncode == 0
-    done = checkout.ensure("dev", CC="no-such-compiler")
+    done = checkout.ensure("dev")
     assert done.returncode == 0, done.stderr
     assert checkout.installed() == [".[dev]"]
-    assert "without movement_primitives" in done.stderr
-    assert "apt-get install gcc python3-dev" in done.stderr
     (checkout.venv / ".lieednn-sim-demo").unlink()
     assert checkout.ensure().returncode == 0
     assert checkout.installed() == []
-
-
-def test_dmp_is_built_where_there_is_a_compiler(checkout):
-    headers = subprocess.run(
-        [sys.executable, "-c", "import sysconfig; print(sysconfig.get_path('include'))"],
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    if not (Path(headers.stdout.strip()) / "Python.h").exists():
-        pytest.skip("this Python has no headers")
-    assert checkout.ensure("dev", CC="true -pipe").returncode == 0
-    assert checkout.installed() == [".[dev]", "lieednn_sim[dmp]"]
 
 
 def test_without_a_network_it_says_what_is_out_of_date(checkout):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import lieednn_sim as ls
-from lieednn_sim.evaluation import evaluate_following
+from lieednn_sim.errors import InputError
 from lieednn_sim.learning import TrainingOptions, train
 
 
@@ -20,6 +20,54 @@ def test_rooms_are_there_without_being_imported_before():
         ls.plans  # noqa: B018
 
 
+def test_a_keyframe_is_a_configuration_wherever_one_is_given():
+    arm = ls.Arm.load("telescopic_pr")
+    home, target = arm.keyframe("home"), arm.keyframe("extended")
+    named, given = (
+        ls.plan(arm, q, start=q0, planner="minimum-jerk") for q, q0 in (("home", "extended"), (home, target))
+    )
+    np.testing.assert_array_equal(named.motion.q, given.motion.q)
+    np.testing.assert_array_equal(ls.plan(arm, target, planner="minimum-jerk").motion.q[0], home)
+    policies = [
+        ls.make_policy("linear-attractor", arm, q, start=q0) for q, q0 in (("extended", "home"), (target, home))
+    ]
+    runs = [ls.follow(one, q, 0.05, start="retracted") for one, q in zip(policies, ("extended", target), strict=True)]
+    np.testing.assert_array_equal(runs[0].rollout.q, runs[1].rollout.q)
+    np.testing.assert_array_equal(runs[1].target, np.tile(target, (26, 1)))
+    known = f"no keyframe 'extendde'; keyframes of telescopic_pr: {', '.join(arm.keyframes)}"
+    for call in (
+        lambda: ls.plan(arm, "extendde"),
+        lambda: ls.make_policy("tracker", arm, target, start="extendde"),
+        lambda: ls.follow(policies[0], "extendde", 0.1),
+        lambda: ls.solve_ik(arm, [0.5, 0.5, 0.5], start="extendde"),
+    ):
+        with pytest.raises(InputError, match=known):
+            call()
+
+
+def test_a_seed_may_be_a_generator():
+    arm = ls.Arm.load("telescopic_pr")
+    goal, target = arm.keyframe("extended"), 0.3 * np.ones((2, 6))
+    given = {"options": TrainingOptions.tracked(max_epochs=2)}
+    calls = {
+        "draw_target": lambda seed: ls.draw_target(arm, seed),
+        "synthesize": lambda seed: ls.synthesize(target, seed=seed).network.weight,
+        "train": lambda seed: ls.train(target, seed=seed, **given).weight,
+        "plan": lambda seed: ls.plan(arm, "extended", planner="qshnn", seed=seed).motion.q,
+        "scene": lambda seed: ls.Arm.load("telescopic_pr", "poles", seed).model.geom_pos,
+        "policy": lambda seed: ls.make_policy("mppi", arm, "extended", seed=seed).step(None, goal)[1],
+    }
+    for name, call in calls.items():
+        rng = np.random.default_rng(1)
+        first, second = call(rng), call(rng)
+        assert not np.array_equal(first, second), name
+        np.testing.assert_array_equal(call(np.random.default_rng(1)), first)
+        np.testing.assert_array_equal(call(np.random.SeedSequence(1)), first)
+        np.testing.assert_array_equal(call(np.int64(3)), call(3))
+    with pytest.raises(InputError, match="seed must be a whole number, got a Generator"):
+        ls.Disturbances(position_noise=0.1, seed=rng)
+
+
 def test_every_result_has_a_short_repr():
     arm = ls.Arm.load("telescopic_pr")
     target = arm.keyframe("extended")
@@ -28,7 +76,7 @@ def test_every_result_has_a_short_repr():
     following = ls.follow(ls.NetworkPolicy(arm, network), lambda t: target, 0.2)
     evaluation, xi = ls.evaluate(rollout), arm.encode(target)
     trained = train(xi, TrainingOptions.tracked())
-    results = [arm, planned, planned.motion, rollout, following, evaluation, evaluate_following(following)]
+    results = [arm, planned, planned.motion, rollout, following, evaluation, ls.evaluate_following(following)]
     results += [evaluation.end_effector, network, network.certificate, network.assess(), network.robustness()]
     results += [network.equilibrium(), network.trajectory(network.start(planned.motion.xi[0]), 1.0)]
     results += [trained, trained.history, ls.synthesize(xi, bias="sign-matched"), ls.simulate_many(arm, [planned])]

@@ -23,6 +23,7 @@ GROUND = (
     "storage",
     "manifest",
     "budget",
+    "planner_table",
     "registration",
     "_blas",
     "_mujoco",

@@ -22,7 +22,7 @@ TABLE = ["comparison.csv", "comparison.json", "comparison.md", "comparison.html"
 PLAN = ["--target", "random:3", "--planner", "linear-attractor", "--duration", "3"]
 # Each command with the names of what it makes.
 COMMANDS = {
-    "synthesize": (["synthesize", *PLAN], RUN),
+    "plan": (["plan", *PLAN], RUN),
     "demo": (["demo", "--no-video", *PLAN], RUN),
     "train": (["train", "--target", "extended"], [*RUN, *(f"training/{name}" for name in RUN)]),
     "learn --arm": (["learn", "joints.csv", "--arm", "telescopic_pr"], RUN),

@@ -21,7 +21,7 @@ import shaped
 import tune_rivals
 
 from lieednn_sim.evaluation.paths import PathErrors
-from lieednn_sim.planning.baselines.joint_space import joint_scale
+from lieednn_sim.planning.joint_space import joint_scale
 from lieednn_sim.studies.demonstrations.attraction import Attraction
 from lieednn_sim.studies.demonstrations.models import ModelRow
 from lieednn_sim.studies.demonstrations.study import scored

@@ -174,7 +174,7 @@ def policy():
 
 @functools.cache
 def short():
-    return ls.plan(ARM, 0.99 * HOME, planner="minimum-jerk", duration=0.5, longest=20.0)
+    return ls.plan(ARM, 0.99 * HOME, planner="minimum-jerk", duration=0.5, max_time_scale=20.0)
 
 
 @functools.cache

@@ -73,7 +73,7 @@ def test_a_script_depends_on_what_it_imports_in_turn(version):
 def test_rows_of_tables_depend_on_planners_and_simulation_but_not_on_commands_and_pages():
     found = {name.removeprefix("lieednn_sim.") for name in modules()}
     assert found >= {
-        *("planning.certified", "planning.baselines.sampling", "learning.projected", "arm.importer.importing"),
+        *("planning.certified", "planning.baselines.cbirrt", "learning.projected", "arm.importer.importing"),
         *(
             "simulation.simulation",
             "studies.comparison.cases",

@@ -35,5 +35,5 @@ def test_the_installed_wheel_works_from_an_empty_directory(tmp_path):
     where = run(python, "-c", "import lieednn_sim; print(lieednn_sim.__file__)", cwd=tmp_path).strip()
     assert Path(where).is_relative_to(fresh)
     command = fresh / "bin" / "lieednn-sim"
-    run(command, "synthesize", "--target", "extended", "--candidates", "2", "--output", tmp_path / "run", cwd=tmp_path)
+    run(command, "synthesize", "--target", "extended", "--n-networks", "2", "--output", tmp_path / "run", cwd=tmp_path)
     assert json.loads((tmp_path / "run" / "task.json").read_text())["arm"] == "telescopic_pr"

@@ -24,7 +24,7 @@ from lieednn_sim.arm.scenes import SCENES, add_obstacles
 from lieednn_sim.arm.serial_arm import SerialArm
 from lieednn_sim.arm.visuals import discard_visuals, moves_alike
 from lieednn_sim.errors import FileError, InputError, LieEDNNError
-from lieednn_sim.validation import as_choice, as_floats, as_path, as_seed
+from lieednn_sim.validation import Seed, as_choice, as_floats, as_path, as_seed
 from lieednn_sim.values import Floats
 
 
@@ -53,7 +53,7 @@ class Arm(SerialArm):
         cls,
         name: str | os.PathLike[str],
         scene: str | os.PathLike[str] = "free",
-        seed: int = 0,
+        seed: Seed = 0,
         **options: Unpack[ImportOptions],
     ) -> Arm:
         """Load an arm, with the obstacles of a scene.
@@ -109,7 +109,7 @@ class Arm(SerialArm):
             name=name, source=source, spec=spec, model=model, import_report=import_report, **read_arm(model, name)
         )
 
-    def among(self, scene: str | os.PathLike[str], seed: int = 0) -> Arm:
+    def among(self, scene: str | os.PathLike[str], seed: Seed = 0) -> Arm:
         """This arm with the obstacles of a scene; itself for the scene ``"free"``.
 
         Args:
@@ -122,7 +122,7 @@ class Arm(SerialArm):
             InputError: no such scene, a bad seed, the arm has obstacles already, there is no place for them around it,
                 or a file's obstacles touch it at home.
         """
-        as_seed("seed", seed)
+        seed = as_seed("seed", seed)
         own = is_scene_file(scene)
         label = scene_label(scene) if own else as_choice("scene", scene, SCENES)  # type: ignore[arg-type]
         if label == "free":
@@ -182,8 +182,8 @@ class Arm(SerialArm):
     def __deepcopy__(self, _: dict[int, Any]) -> Arm:
         return replace(self, spec=self.spec.copy(), model=copy.deepcopy(self.model))
 
-    def check_reachable(self, q: ArrayLike, what: str = "q") -> Floats:
-        """As `check_position`, and nothing may be closer than the arm's `clearance` at ``q``."""
+    def check_reachable(self, q: ArrayLike | str, what: str = "q") -> Floats:
+        """Return ``q`` as `check_position` does, or raise `InputError` if contact is nearer than `clearance`."""
         position = self.check_position(q, what)
         touching = self.near_contacts(position)
         if touching:
@@ -199,7 +199,7 @@ class Arm(SerialArm):
         return self._nearly_touching.bodies(self.space.to_qpos(as_floats("q", q, (self.n_joints,))))
 
     def near_contacts_along(self, q: Floats) -> Iterator[list[tuple[str, str]]]:
-        """`near_contacts` at each of the postures ``(K, n)``, lazily; the conversion to qpos is done at once."""
+        """`near_contacts` at each of the configurations ``(K, n)``, lazily; the conversion to qpos is done at once."""
         return map(self._nearly_touching.bodies, self.qpos(q))
 
     def physics(self) -> Any:
@@ -222,7 +222,7 @@ class Arm(SerialArm):
     def without_visuals(self) -> Arm:
         """This arm without its visual geoms: it moves exactly as this one does, to the last bit, at half the cost.
 
-        Itself where the motion depends on them, or where the model has been changed since it was compiled.
+        The arm itself is returned where its motion depends on them, or its model was changed after it was compiled.
         """
         return self._bare if moves_alike(self._bare.model, self.model) else self
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from lieednn_sim._mujoco import mujoco
-from lieednn_sim.arm.kinematics import CompoundJoint, distinctness
+from lieednn_sim.arm.kinematics import CompoundJoint, least_singular_value
 from lieednn_sim.errors import InputError
 
 JOINT_KINDS = {
@@ -13,8 +13,9 @@ JOINT_KINDS = {
     int(mujoco.mjtJoint.mjJNT_SLIDE): "slide",
     int(mujoco.mjtJoint.mjJNT_BALL): "ball",
 }
-# Random postures at which the coordinates of a link are tested, and the singular value below which they are dependent.
-_POSTURES, _DEPENDENT = 8, 1e-6
+# Random configurations at which the coordinates of a link are tested, and the singular value below which they are
+# dependent.
+_CONFIGURATIONS, _DEPENDENT = 8, 1e-6
 _NUMBERS = (
     *(f"body_{what}" for what in ("pos", "quat", "ipos", "iquat", "mass", "inertia", "gravcomp")),
     *(f"jnt_{what}" for what in ("pos", "axis", "range", "stiffness")),
@@ -32,6 +33,20 @@ def joint_kind(model: mujoco.MjModel, joint: int) -> str:
 def joint_label(model: mujoco.MjModel, arm: str, joint: int) -> str:
     """What a joint is called in messages."""
     return f"joint {model.joint(joint).name!r} of arm {arm!r}"
+
+
+def ancestry(model: mujoco.MjModel, body: int) -> list[int]:
+    """The bodies from the world outwards to a body, itself included."""
+    path = [body]
+    while path[-1]:
+        path.append(int(model.body_parentid[path[-1]]))
+    return path[::-1]
+
+
+def joints_of(model: mujoco.MjModel, body: int) -> list[int]:
+    """The joints of a body against its parent."""
+    start = int(model.body_jntadr[body])
+    return list(range(start, start + int(model.body_jntnum[body])))
 
 
 def check_integrator(model: mujoco.MjModel, arm: str) -> None:
@@ -79,13 +94,13 @@ def check_turn(model: mujoco.MjModel, arm: str, joint: int) -> None:
 
 
 def check_independent(joint: CompoundJoint, size: int, link: str) -> None:
-    """Raise `InputError` for a compound joint whose pose determines its coordinates at none of a few postures."""
+    """Raise `InputError` for a compound joint whose pose determines its coordinates at none of a few configurations."""
     count, rng = len(joint.indices), np.random.default_rng(0)
     if count > 6:
         raise InputError(f"{link} is moved by {count} coordinates, but a pose determines six; name more links")
-    frames, _ = joint.pose_and_slopes(rng.uniform(-1.0, 1.0, (_POSTURES, size)))
-    columns = np.swapaxes(joint.selection(joint.indices) @ frames[:, 1:].reshape(_POSTURES, -1, 12), -1, -2)
-    if distinctness(columns, _DEPENDENT).max() < _DEPENDENT:
+    frames, _ = joint.pose_and_slopes(rng.uniform(-1.0, 1.0, (_CONFIGURATIONS, size)))
+    columns = np.swapaxes(joint.selection(joint.indices) @ frames[:, 1:].reshape(_CONFIGURATIONS, -1, 12), -1, -2)
+    if least_singular_value(columns, _DEPENDENT).max() < _DEPENDENT:
         raise InputError(
             f"{link} is moved by {count} coordinates that are not independent; name more links to separate them"
         )

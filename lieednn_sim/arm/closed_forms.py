@@ -1,4 +1,4 @@
-"""Joints whose nearest posture has a closed form: one screw, a hinge and a slide, three slides below a ball joint.
+"""Closed forms of the nearest configuration: one screw, a hinge and a slide, three slides below a ball joint.
 
 Except for the first, the distance is that of `nearest.NearestPose`, 4 sin^2(angle / 2) + ||shift||^2 / length^2.
 """
@@ -66,7 +66,7 @@ class HingeSlide:
 
     The maximum is unique and smooth in the pose except on the cut locus, where two angles are equally near: the
     rotation is half a turn away from those of the joint, or a translation against the slide outweighs the rotation.
-    There the posture jumps; `motion.check_motion` rejects motions that cross it.
+    There the configuration jumps; `motion.check_motion` rejects motions that cross it.
     """
 
     def __init__(self, joint: CompoundJoint, link: int, length: float) -> None:

@@ -138,19 +138,19 @@ class Collisions:
         """The smallest signed distance at ``q`` ``(n,)`` [m]; negative in penetration, infinite without pairs."""
         return self.nearest(q)[0]
 
-    def least(self, q: ArrayLike) -> float:
-        """The smallest `clearance` at postures ``(K, n)`` [m]; fastest when consecutive postures are close.
+    def least_clearance(self, q: ArrayLike) -> float:
+        """The smallest `clearance` at configurations ``(K, n)`` [m]; fastest when consecutive configurations are close.
 
         A pair is measured again only where it may have come closer than the least so far: no point of a geom moves
         further than its bounding sphere's centre plus what the rotation moves it about that centre.
         """
-        postures = as_floats("q", q, ("K", self.arm.n_joints))
-        if not len(postures):
+        configurations = as_floats("q", q, ("K", self.arm.n_joints))
+        if not len(configurations):
             return np.inf
-        least, _ = self.nearest(postures[0])
+        least, _ = self.nearest(configurations[0])
         bounds, (center, rotation) = self._lower_bounds(), self._frames()
         model, data = self.arm.model, self._data
-        for qpos in self.arm.qpos(postures[1:]):
+        for qpos in self.arm.qpos(configurations[1:]):
             data.qpos[:] = qpos
             mujoco.mj_kinematics(model, data)
             before, (center, rotation) = (center, rotation), self._frames()
@@ -165,8 +165,8 @@ class Collisions:
                 bounds[index], least = value, min(least, value)
         return least
 
-    def free(self, q: ArrayLike, margin: float = 0.0, *, own: float | None = None) -> bool:
-        """Whether all pairs are further apart than ``margin`` [m] at ``q`` ``(n,)``; the arm's own, than ``own``."""
+    def is_free(self, q: ArrayLike, margin: float = 0.0, *, own: float | None = None) -> bool:
+        """Whether all pairs are further apart than ``margin`` [m] at ``q`` ``(n,)``, and the arm's own than ``own``."""
         self._move(q)
         limit = float(as_floats("margin", margin, ()))
         limits = np.where(self.own, limit if own is None else float(as_floats("own", own, ())), limit)

@@ -1,4 +1,4 @@
-"""Which geoms and bodies are near contact at a posture, by MuJoCo's collision detection."""
+"""Which geoms and bodies are near contact at a configuration, by MuJoCo's collision detection."""
 
 from __future__ import annotations
 
@@ -67,3 +67,9 @@ def moving_geoms(model: mujoco.MjModel) -> NDArray[np.bool_]:
     """Which geoms ``(ngeom,)`` belong to moving bodies, not to the world or to what is welded to it."""
     moving: NDArray[np.bool_] = model.body_weldid[model.geom_bodyid] != 0
     return moving
+
+
+def colliding_geoms(model: mujoco.MjModel) -> NDArray[np.bool_]:
+    """Which geoms ``(ngeom,)`` collide with any others; the rest are only drawn."""
+    colliding: NDArray[np.bool_] = (model.geom_contype | model.geom_conaffinity) != 0
+    return colliding

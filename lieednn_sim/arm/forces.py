@@ -7,7 +7,8 @@ import numpy as np
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.values import Floats
 
-_ON_JOINTS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+# Kinds of transmission by which an actuator drives a joint.
+ON_JOINTS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 
 
 def actuator_moments(model: mujoco.MjModel) -> Floats:
@@ -33,7 +34,7 @@ def on_fixed_tendon(model: mujoco.MjModel, actuator: int) -> bool:
 
 def constant_moments(model: mujoco.MjModel) -> Floats:
     """The `actuator_moments` of actuators on joints and fixed tendons, which are constant; zero for the others."""
-    constant = [model.actuator_trntype[a] in _ON_JOINTS or on_fixed_tendon(model, a) for a in range(model.nu)]
+    constant = [model.actuator_trntype[a] in ON_JOINTS or on_fixed_tendon(model, a) for a in range(model.nu)]
     return np.where(np.array(constant, dtype=bool)[:, None], actuator_moments(model), 0.0)
 
 
@@ -41,8 +42,8 @@ def force_ranges(model: mujoco.MjModel, rates: Floats) -> Floats:
     """Least and largest force ``(n, 2)`` [N m, N] of the actuators on each coordinate.
 
     The ranges of all actuators on a coordinate add up, each times its moment; the ``actfrcrange`` of a joint bounds
-    their sum. A range without any force in one direction says nothing about the limits: they are infinite, as without
-    an actuator.
+    their sum. Where a range leaves no force in one direction, the limits of the coordinate count as unknown: they are
+    infinite, as without an actuator.
 
     Args:
         model: the compiled model; only its actuators on joints or fixed tendons count.
@@ -61,22 +62,22 @@ def force_ranges(model: mujoco.MjModel, rates: Floats) -> Floats:
     return np.where(known[:, None], np.stack([low, high], axis=1), [-np.inf, np.inf])
 
 
-def resting_load(model: mujoco.MjModel, postures: Floats) -> Floats:
+def resting_load(model: mujoco.MjModel, configurations: Floats) -> Floats:
     """Generalised forces that actuators need to hold the model at rest, after gravity compensation and springs.
 
     Args:
         model: the compiled model, which is not changed.
-        postures: MuJoCo's positions ``(S, nq)``.
+        configurations: MuJoCo's positions ``(S, nq)``.
 
     Returns:
         ``(S, nv)``.
     """
-    # One for all postures: making it takes a hundred times as long as using it.
+    # One for all configurations: making it takes a hundred times as long as using it.
     data = mujoco.MjData(model)
     # Where actgravcomp is set, MuJoCo adds the compensation to the actuator's force instead of the passive ones.
     by_actuator = model.jnt_actgravcomp[model.dof_jntid] != 0
-    loads = np.empty((len(postures), model.nv))
-    for load, data.qpos[:] in zip(loads, postures, strict=True):
+    loads = np.empty((len(configurations), model.nv))
+    for load, data.qpos[:] in zip(loads, configurations, strict=True):
         # The part of mj_forward before the constraints are solved.
         mujoco.mj_fwdPosition(model, data)
         mujoco.mj_fwdVelocity(model, data)

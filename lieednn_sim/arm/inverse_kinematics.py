@@ -12,7 +12,7 @@ from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.arm import Arm
 from lieednn_sim.errors import InputError, NoSolutionError
 from lieednn_sim.lie import hat
-from lieednn_sim.validation import as_floats, as_seed
+from lieednn_sim.validation import Seed, as_floats, as_generator
 from lieednn_sim.values import Floats
 
 if TYPE_CHECKING:
@@ -24,11 +24,11 @@ _ATTEMPTS = 8
 # No arm reaches further [m], and squares stay far from overflow.
 _FARTHEST = 1e6
 # Weight of the pull towards the start, which picks one of the many solutions of a redundant arm.
-_POSTURE_WEIGHT = 1e-3
+_CONFIGURATION_WEIGHT = 1e-3
 
 
 def solve_ik(
-    arm: Arm, position: ArrayLike, rotation: Rotation | None = None, *, start: ArrayLike | None = None, seed: int = 0
+    arm: Arm, position: ArrayLike, rotation: Rotation | None = None, *, start: ArrayLike | str = "home", seed: Seed = 0
 ) -> Floats:
     """Joint position within the limits, free of contact, that puts the end effector at a pose.
 
@@ -36,7 +36,7 @@ def solve_ik(
         arm: the arm.
         position: ``(3,)`` of the end effector, world [m].
         rotation: orientation of the end effector; free when omitted.
-        start: ``(n,)`` posture to stay near, the keyframe ``home`` by default.
+        start: joint coordinates ``(n,)`` to stay near, or a keyframe's name.
         seed: seed of the random starts that are tried when the first one fails.
 
     Raises:
@@ -46,10 +46,10 @@ def solve_ik(
     goal = as_floats("position", position, (3,))
     if np.abs(goal).max() > _FARTHEST:
         raise InputError(f"position must be within {_FARTHEST:g} m of the origin, got {np.abs(goal).max():g} m")
-    rest = arm.keyframe("home") if start is None else arm.check_position(start, "start")
+    rest = arm.check_position(start, "start")
     low, high = arm.position_limits.T
     spread = arm.ranges
-    rng = np.random.default_rng(as_seed("seed", seed))
+    rng = as_generator("seed", seed)
 
     data = mujoco.MjData(arm.model)
     site = int(arm.site_ids[-1])
@@ -78,8 +78,8 @@ def solve_ik(
     best, closest, refused = np.inf, rest, ""
     for attempt in range(_ATTEMPTS):
         q = rest if attempt == 0 else rng.uniform(low, high)
-        # First with the posture term, for a solution near the start; then without it, for an exact one.
-        for weight in (_POSTURE_WEIGHT, 0.0):
+        # First with the configuration term, for a solution near the start; then without it, for an exact one.
+        for weight in (_CONFIGURATION_WEIGHT, 0.0):
             pull = np.diag(weight / spread)
             q = scipy.optimize.least_squares(
                 lambda x, pull=pull: np.concatenate([error(x), pull @ (x - rest)]),
@@ -108,7 +108,7 @@ def solve_ik(
     raise NoSolutionError(
         f"the end effector cannot reach ({', '.join(f'{x:g}' for x in goal)}) m"
         + (" with this orientation" if rotation is not None else "")
-        + (refused or f": the closest posture found is {_miss(arm.link_poses(closest)[-1], goal, rotation)} away")
+        + (refused or f": the closest configuration found is {_miss(arm.link_poses(closest)[-1], goal, rotation)} away")
     )
 
 

@@ -32,7 +32,7 @@ class Factor:
         axes: ``(3, c)`` the unit axis of a hinge or slide; for a ball joint, the axes of its rotation vector.
         anchor: ``(3,)`` a point that the joint does not move.
         indices: ``(c,)`` indices of its coordinates in q.
-        ratio: displacement per displacement of its coordinate; other than 1 for coupled joints.
+        ratio: displacement of the joint per unit of its coordinate; it differs from 1 for coupled joints only.
     """
 
     kind: str
@@ -174,7 +174,7 @@ def _compose(rotation: Floats, translation: Floats, turn: Floats, shift: Floats)
 
 def _times(frames: Floats, matrix: Floats) -> Floats:
     """Frames ``(B, k, 3, 4)`` times a matrix ``(4, m)``, in a fifth of the time of a stacked product."""
-    return (frames.reshape(-1, 4) @ matrix).reshape(*frames.shape[:-1], -1)
+    return (frames.reshape(-1, 4) @ matrix).reshape(*frames.shape[:-1], matrix.shape[1])
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,7 +221,7 @@ def _stacked(poses: Iterable[tuple[Floats, Floats]]) -> tuple[Floats, Floats]:
     return np.stack(rotation, axis=-3), np.stack(translation, axis=-2)
 
 
-def distinctness(jacobian: Floats, least: float = 1e-300) -> Floats:
+def least_singular_value(jacobian: Floats, least: float = 1e-300) -> Floats:
     """How well poses determine coordinates: the least singular value ``(B,)`` of Jacobians ``(B, r, c)``.
 
     Their columns are scaled to unit length, except those shorter than ``least``.

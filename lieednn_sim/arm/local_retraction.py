@@ -1,7 +1,7 @@
-"""Retraction in real time, for states that arrive one after another: Newton's method from the last posture.
+"""Retraction in real time, for states that arrive one after another: Newton's method from the last configuration.
 
-`Retractor` takes milliseconds to find the posture nearest to any poses; here it is known to be near the last one. All
-links are computed at once: the given poses and those of all joints are the exponentials of one stack of twists. For
+`Retractor` takes milliseconds to find the configuration nearest to any poses; here it is known to be near the last one.
+All links are computed at once: the given poses and those of all joints are the exponentials of one stack of twists. For
 T = M_1 ... M_F over a link's joints with twists Z_f, the derivatives of T are M_1 ... Z_f M_f ... M_F.
 """
 
@@ -20,7 +20,7 @@ from lieednn_sim.lie import hat, skew
 from lieednn_sim.values import Floats
 
 # Step size [rad, m] at which to stop, whose square is about the remaining error; and the largest number of steps.
-_SHORT, _MOST = 1e-3, 8
+_SETTLED, _MAX_STEPS = 1e-3, 8
 # Step of the finite difference for rates [s].
 _AHEAD = 1e-6
 # Damping that keeps undetermined coordinates in place, relative to one radian and one unit of length.
@@ -35,14 +35,14 @@ _TRACE = -0.5 * _ONE[:, None]
 
 
 class LocalRetraction:
-    """Minimises ||R_i(q) - R_i||^2 / 2 + ||p_i(q) - p_i||^2 / length^2, summed over links i, near the last posture.
+    """Minimises ||R_i(q) - R_i||^2 / 2 + ||p_i(q) - p_i||^2 / length^2, summed over links i, near the last q.
 
     Args:
         arm: the arm.
-        q: ``(n,)`` the initial posture [rad, m].
+        q: ``(n,)`` the initial configuration [rad, m].
 
     Attributes:
-        q: ``(n,)`` the last posture [rad, m]; may be set.
+        q: ``(n,)`` the last configuration [rad, m]; may be set.
     """
 
     def __init__(self, arm: Arm, q: Floats) -> None:
@@ -86,7 +86,7 @@ class LocalRetraction:
             turned = after[:, 4 * (1 + begin) :].reshape(links, -1, 4, 4)
             self._chain.append((before, after[:, : 4 * (1 + begin)], turns[:, 1 + begin : 1 + end], turned))
             before = after
-        self._posture, self._slopes = before[:, :4], before[:, 4:].reshape(links, -1, 16)
+        self._configuration, self._slopes = before[:, :4], before[:, 4:].reshape(links, -1, 16)
         # The Jacobian's columns, and below them the residuals of the given poses.
         self._rows, self._damping = np.zeros((n + 2, 16 * links)), _DAMPING * np.eye(n)
         self._columns = self._rows[:n].reshape(n, links, 16).transpose(1, 0, 2)
@@ -100,17 +100,17 @@ class LocalRetraction:
 
     @property
     def gap(self) -> Floats:
-        """``(N, 2)`` distance of the last posture from the given poses, in rotation [rad] and translation [m]."""
+        """``(N, 2)`` distance of the last configuration from the given poses, in rotation [rad] and translation [m]."""
         return np.sqrt((self._left * self._left).reshape(-1, 16).dot(self._parts))
 
     def __call__(self, xi: Floats, rate: Floats) -> tuple[Floats, Floats]:
         """Joint coordinates and their rates along ``rate``, both ``(n,)``, for a network state ``(N, 6)``; unchecked.
 
-        If the nearest posture is far from the last one, eight steps of Newton's method may not reach it.
+        If the nearest configuration is far from the last one, eight steps of Newton's method may not reach it.
         """
         stack, rows, n = self._stack, self._rows, len(self.q)
         stack[0], stack[1] = xi, xi + _AHEAD * rate
-        for _ in range(_MOST):
+        for _ in range(_MAX_STEPS):
             self._twists.dot(self.q - self._reference, out=self._joints)
             poses, lefts = _exp(stack)
             np.subtract(poses[:2], self._linearised(poses[2:], lefts[2:]), out=self._errors)
@@ -118,7 +118,7 @@ class LocalRetraction:
             _, steps, _ = dposv(products[:n, :n] + self._damping, products[:n, n:])
             step, ahead = steps.T
             self.q = self.q + step
-            if abs(step[idamax(step)]) < _SHORT:
+            if abs(step[idamax(step)]) < _SETTLED:
                 break
         self._left = rows[n] - step.dot(rows[:n])
         return self.q, (ahead - step) / _AHEAD
@@ -133,7 +133,7 @@ class LocalRetraction:
             np.matmul(before, pose, out=after)
             np.matmul(after[:, None, :4], turns, out=turned)
         np.matmul(self._chosen, self._slopes, out=self._columns)
-        return self._posture
+        return self._configuration
 
 
 def _merged(factors: Sequence[Factor]) -> list[Factor]:

@@ -9,8 +9,8 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from lieednn_sim.arm.bridging import VAGUE, bridge, vagueness
-from lieednn_sim.arm.kinematics import CompoundJoint, distinctness
+from lieednn_sim.arm.kinematics import CompoundJoint, least_singular_value
+from lieednn_sim.arm.singularities import NEARLY_SINGULAR, pseudo_inverse, singularity_margin, straighten
 from lieednn_sim.budget import check_time
 from lieednn_sim.lie import skew
 from lieednn_sim.values import Floats
@@ -22,17 +22,16 @@ _NEAR = 1e-3
 _DAMPING, _DAMPING_FALL, _DAMPING_RISE = 1e-3, 0.2, 5.0
 # Size of a Newton step below which the next one, its square, is rounding [rad, m].
 _SETTLED = 1e-9
-# Curvatures below this share of the largest count as zero.
-_FLAT = 1e-9
-# If f exceeds this at a minimum, there may be a lower one, which is searched for from the two best of 256 postures.
-_FAR, _POSTURES, _STARTS = 0.1, 256, 2
+# If f exceeds this at a minimum, there may be a lower one: it is searched for from the 2 best of 256 configurations.
+_FAR, _CONFIGURATIONS, _STARTS = 0.1, 256, 2
 # Relative difference below which minima count as equal; the first one is taken.
 _TIE = 1e-9
-# Strides along a way are at most 1/64 of it, and shorter if a coordinate would move more than `_LONG` [rad, m]. Where
-# poses determine the coordinates well, with a distinctness of at least twice `VAGUE`, they may be 4 times as long.
+# Strides along a path are at most 1/64 of it, and shorter if a coordinate would move more than `_LONG` [rad, m]. Where
+# poses determine the coordinates well, with a least singular value of at least twice `NEARLY_SINGULAR`, they may be 4
+# times as long.
 _STRIDES, _LONG = 64, 0.2
-_CLEAR, _LENGTHENED = 2.0 * VAGUE, 4
-# Largest number of damped steps along a way, where the last posture is close.
+_CLEAR, _LENGTHENED = 2.0 * NEARLY_SINGULAR, 4
+# Largest number of damped steps along a path, where the last configuration is close.
 _FOLLOWING_STEPS = 8
 # Longest leap, in strides, over a part where poses hardly determine the coordinates.
 _LEAPS = 16
@@ -42,10 +41,11 @@ class NearestPose:
     """Minimises f(q) = sum_i ||R_i(q) - R_i||_F^2 / 2 + ||p_i(q) - p_i||^2 / length^2 over a group of compound joints.
 
     The first term is 4 sin^2(angle / 2), the squared chordal distance. The minimum is searched for from the reference
-    posture. If f exceeds 0.1 there, it is also searched for from the best of 256 postures spread over all angles, each
-    with its best slides, and the lowest minimum is returned. This is a search, not a proof: for universal joints, balls
-    and telescopes, a dense search found no nearer posture for poses disturbed by 0.1 rad and m, and a nearer one for 3
-    of 3850 poses disturbed by 0.8 (by at most 0.09 in the root of f; from the reference alone for 9 %, by at most 1.7).
+    configuration. If f exceeds 0.1 there, it is also searched for from the best of 256 configurations spread over all
+    angles, each with its best slides, and the lowest minimum is returned. This is a search, not a proof: for universal
+    joints, balls and telescopes, a dense search found no nearer configuration for poses disturbed by 0.1 rad and m, and
+    a nearer one for 3 of 3850 poses disturbed by 0.8 (by at most 0.09 in the root of f; from the reference alone for
+    9 %, by at most 1.7).
 
     Args:
         joints: the group.
@@ -92,30 +92,42 @@ class NearestPose:
         return q.reshape(*shape, len(self._indices))
 
     def follow(self, rotation: Floats, translation: Floats, near: Floats) -> tuple[Floats, NDArray[np.bool_]]:
-        """Displacements ``(K, ..., c)`` along ways of poses ``(K, ..., m, 3, 3)`` and ``(K, ..., m, 3)``.
+        """Displacements ``(K, ..., c)`` along paths of poses ``(K, ..., m, 3, 3)`` and ``(K, ..., m, 3)``.
 
         The first is the minimum next to ``near`` ``(..., c)``, each other one that next to its predecessor. So if
-        several postures have the same poses, as the two of a wrist, the branch is kept, and hinges may exceed half a
-        turn. Where poses hardly determine the coordinates, these go straight on (`bridging.bridge`), which the second
-        result ``(K, ...)`` marks.
+        several configurations have the same poses, as the two of a wrist, the branch is kept, and hinges may exceed
+        half a turn. Where poses hardly determine the coordinates, these go straight on (`singularities.straighten`),
+        which the second result ``(K, ...)`` marks.
         """
         goal = self._stack(rotation, translation).reshape(len(translation), -1, 12 * len(self._joints))
+        start = np.broadcast_to(near, (*translation.shape[1:-2], len(self._indices))).reshape(goal.shape[1], -1)
+        guess = self._stride(start, goal)
+        flat = guess.reshape(-1, guess.shape[-1])
+        evaluated = self._evaluate(flat)
+        q = self._descend(flat, goal.reshape(-1, goal.shape[-1]), evaluated).reshape(guess.shape)
+        margin = singularity_margin(evaluated[1]).reshape(q.shape[:-1])
+        straightened = np.zeros(q.shape[:-1], dtype=bool)
+        for k in np.flatnonzero((margin[1:-1] < 1.0).any(axis=0)):
+            q[:, k], straightened[:, k] = straighten(self._evaluate, q[:, k], guess[:, k], margin[:, k], goal[:, k])
+        return q.reshape(*translation.shape[:-2], len(self._indices)), straightened.reshape(translation.shape[:-2])
+
+    def _stride(self, start: Floats, goal: Floats) -> Floats:
+        """Guesses ``(K, B, c)`` along paths of stacked poses ``(K, B, 12m)``: found stride by stride, interpolated."""
         q = np.empty((*goal.shape[:2], len(self._indices)))
-        start = np.broadcast_to(near, (*translation.shape[1:-2], q.shape[-1])).reshape(q.shape[1:])
         q[0], evaluated = self._approach(start, goal[0])
         known, longest = [0], max(1, len(goal) // _STRIDES)
-        stride, vague = longest, False
+        stride, singular = longest, False
         while known[-1] < len(goal) - 1:
             check_time()
             last = known[-1]
             stride = min(stride, len(goal) - 1 - last)
             trial, there = self._approach(q[last], goal[last + stride], _FOLLOWING_STEPS, evaluated)
-            clear = float(distinctness(there[1]).min())
+            clear = float(least_singular_value(there[1]).min())
             if stride > longest and clear < _CLEAR:
                 stride = longest
                 continue
-            vague, before = clear < VAGUE, vague
-            if vague and not before and (leap := self._leap(q, goal, known, longest)):
+            singular, before = clear < NEARLY_SINGULAR, singular
+            if singular and not before and (leap := self._leap(q, goal, known, longest)):
                 known.append(leap)
                 evaluated = self._evaluate(q[leap])
                 continue
@@ -125,18 +137,12 @@ class NearestPose:
             q[last + stride], evaluated = trial, there
             known.append(last + stride)
             stride = min(2 * stride, longest * (_LENGTHENED if clear >= _CLEAR else 1))
-        if len(known) < len(goal):
-            q = scipy.interpolate.PchipInterpolator(known, q[known])(np.arange(len(goal)))
-        guess = q.reshape(-1, q.shape[-1])
-        evaluated = self._evaluate(guess)
-        exact = self._descend(guess, goal.reshape(-1, goal.shape[-1]), evaluated).reshape(q.shape)
-        share, bridged = vagueness(evaluated[1]).reshape(q.shape[:-1]), np.zeros(q.shape[:-1], dtype=bool)
-        for k in np.flatnonzero((share[1:-1] < 1.0).any(axis=0)):
-            exact[:, k], bridged[:, k] = bridge(self._evaluate, exact[:, k], q[:, k], share[:, k], goal[:, k])
-        return exact.reshape(*translation.shape[:-2], len(self._indices)), bridged.reshape(translation.shape[:-2])
+        if len(known) == len(goal):
+            return q
+        return np.asarray(scipy.interpolate.PchipInterpolator(known, q[known])(np.arange(len(goal))))
 
     def _leap(self, q: Floats, goal: Floats, known: list[int], longest: int) -> int:
-        """Go straight on from the last two postures to where poses determine coordinates; returns that sample, or 0."""
+        """Go straight on from the last two samples to where poses determine coordinates; returns that sample, or 0."""
         last = known[-1]
         if len(known) < 2:
             return 0
@@ -145,7 +151,7 @@ class NearestPose:
             there = min(last + strides * longest, len(goal) - 1)
             guess = q[last] + (there - last) * pace
             trial, (_, jacobian) = self._approach(guess, goal[there], _FOLLOWING_STEPS)
-            clear = distinctness(jacobian) >= VAGUE
+            clear = least_singular_value(jacobian) >= NEARLY_SINGULAR
             if clear.all() and np.abs(trial - guess).max() < 2.0 * _LONG:
                 q[there] = trial
                 return there
@@ -166,7 +172,7 @@ class NearestPose:
     def _approach(
         self, q: Floats, goal: Floats, steps: int = _DAMPED_STEPS, known: tuple[Floats, Floats] | None = None
     ) -> tuple[Floats, tuple[Floats, Floats]]:
-        """Postures close to these minima, by damped steps down to `_NEAR`, and the result of `_evaluate` there.
+        """Configurations close to these minima, by damped steps down to `_NEAR`, and the result of `_evaluate` there.
 
         ``known`` is its result at ``q``, if available.
         """
@@ -193,29 +199,29 @@ class NearestPose:
         return np.asarray(((self._evaluate(q)[0] - goal) ** 2).sum(axis=-1))
 
     def _starts(self, goal: Floats) -> Floats:
-        """The best postures ``(S, B, c)`` of a spread for stacked poses ``(B, 12m)``."""
-        postures, values, slopes, inverse = self._spread
+        """The best configurations ``(S, B, c)`` of a spread for stacked poses ``(B, 12m)``."""
+        configurations, values, slopes, inverse = self._spread
         # For given angles f is quadratic in the slides; its minimum is the residual of a projection.
         slides = np.tensordot(goal, inverse, axes=(1, 2)) - (inverse @ values[..., None])[..., 0]
         taken = np.einsum("bps,pst,bpt->bp", slides, np.swapaxes(slopes, -1, -2) @ slopes, slides)
         left = (values**2).sum(axis=-1) - 2.0 * goal @ values.T - taken
         best = np.argsort(left, axis=1, kind="stable")[:, :_STARTS]
-        starts = postures[best]
+        starts = configurations[best]
         starts[..., self._sliding] = np.take_along_axis(slides, best[..., None], axis=1)
         return np.moveaxis(starts, 1, 0)
 
     @cached_property
     def _spread(self) -> tuple[Floats, Floats, Floats, Floats]:
-        """Postures ``(P, c)`` without slides, stacked poses, their derivatives in the slides, and pseudo-inverses."""
-        spread = scipy.stats.qmc.Halton(len(self._indices), scramble=False).random(_POSTURES)
-        postures = np.pi * (2.0 * spread - 1.0)
+        """Configurations ``(P, c)`` without slides, stacked poses, their derivatives by slides, and pseudo-inverses."""
+        spread = scipy.stats.qmc.Halton(len(self._indices), scramble=False).random(_CONFIGURATIONS)
+        configurations = np.pi * (2.0 * spread - 1.0)
         for factor in (factor for joint in self._joints for factor in joint.factors if factor.kind == "ball"):
-            turns = scipy.spatial.transform.Rotation.random(_POSTURES, rng=np.random.default_rng(0)).as_rotvec()
-            postures[:, np.searchsorted(self._indices, factor.indices)] = turns @ factor.axes
-        postures[:, self._sliding] = 0.0
-        values, jacobian = self._evaluate(postures)
+            turns = scipy.spatial.transform.Rotation.random(_CONFIGURATIONS, rng=np.random.default_rng(0)).as_rotvec()
+            configurations[:, np.searchsorted(self._indices, factor.indices)] = turns @ factor.axes
+        configurations[:, self._sliding] = 0.0
+        values, jacobian = self._evaluate(configurations)
         slopes = jacobian[:, :, self._sliding]
-        return postures, values, slopes, np.asarray(np.linalg.pinv(slopes), dtype=np.float64)
+        return configurations, values, slopes, np.asarray(np.linalg.pinv(slopes), dtype=np.float64)
 
     def rates(self, q: Floats, rotation: Floats, translation: Floats, omega: Floats, velocity: Floats) -> Floats:
         """Derivative ``(..., c)`` of the minimiser along a motion of the poses, by the implicit function theorem."""
@@ -227,7 +233,7 @@ class NearestPose:
         return (self._quadratic(flat, goal)[1] @ pull)[..., 0].reshape(shape)
 
     def rates_along(self, q: Floats, rotation: Floats, translation: Floats, omega: Floats, velocity: Floats) -> Floats:
-        """Derivative ``(K, ..., c)`` of coordinates along a way, from its samples alone, whatever they minimise."""
+        """Derivative ``(K, ..., c)`` of coordinates along a path, from its samples alone, whatever they minimise."""
         rate = self._stack(skew(omega) @ rotation, velocity)
         moved = np.gradient(self._stack(rotation, translation), axis=0)
         size = np.maximum((rate**2).sum(axis=-1), 1e-300)
@@ -263,7 +269,7 @@ class NearestPose:
             bend = order * (omega @ across)
             bend = bend + np.swapaxes(bend, -1, -2)
             hessian += own @ np.swapaxes(own, -1, -2) + (bend if place is None else place @ bend @ place.T)
-        return gradient, _pseudo_inverse(hessian)
+        return gradient, pseudo_inverse(hessian)
 
     def _evaluate(self, q: Floats) -> tuple[Floats, Floats]:
         """The stacked poses ``(B, 12m)`` and their Jacobian ``(B, 12m, c)``."""
@@ -290,17 +296,3 @@ class NearestPose:
         frames = np.concatenate([rotation, translation[..., None]], axis=-1)
         flat = frames.reshape(*frames.shape[:-2], 12) * self._weights
         return flat.reshape(*flat.shape[:-2], -1)
-
-
-def _pseudo_inverse(matrix: Floats) -> Floats:
-    """Pseudo-inverses of symmetric matrices ``(B, c, c)``; inverses, in a fifth of the time, unless nearly singular."""
-    try:
-        inverse = np.asarray(np.linalg.inv(matrix), dtype=np.float64)
-    except np.linalg.LinAlgError:
-        return np.asarray(np.linalg.pinv(matrix, rcond=_FLAT, hermitian=True), dtype=np.float64)
-    # The condition number in the Frobenius norm is an upper bound of the spectral one; NaN counts as singular.
-    condition = np.linalg.norm(matrix, axis=(1, 2)) * np.linalg.norm(inverse, axis=(1, 2))
-    flat = ~(condition < 1.0 / _FLAT)
-    if flat.any():
-        inverse[flat] = np.linalg.pinv(matrix[flat], rcond=_FLAT, hermitian=True)
-    return inverse

@@ -11,7 +11,7 @@ import numpy as np
 
 from lieednn_sim import storage
 from lieednn_sim._mujoco import mujoco
-from lieednn_sim.arm.contacts import PLANNED_CLEARANCE, ContactFinder, moving_geoms
+from lieednn_sim.arm.contacts import PLANNED_CLEARANCE, ContactFinder, colliding_geoms, moving_geoms
 from lieednn_sim.arm.fingerprint import model_fingerprint
 from lieednn_sim.arm.importer.floor import AUTO, FLOOR, NONE, add_plane, as_floor, collision_bits
 from lieednn_sim.arm.importer.loading import compile_spec, load_spec, unused
@@ -91,7 +91,7 @@ def load_obstacles(path: str | os.PathLike[str]) -> mujoco.MjSpec:
         raise FileError(f"{source}: {error}") from None
     if moving := [model.joint(j).name for j in range(model.njnt)]:
         raise InputError(f"{source}: obstacles must not move, but it has joints: {', '.join(moving[:5])}")
-    if not (model.geom_contype | model.geom_conaffinity).any() and not spec.texts:
+    if not colliding_geoms(model).any() and not spec.texts:
         raise InputError(f"{source} holds no obstacle: no geom of it collides with anything")
     if flat := [model.site(s).name for s in _goals(model) if model.site_type[s] != mujoco.mjtGeom.mjGEOM_BOX]:
         raise InputError(f"{source}: goals must be boxes, which these are not: {', '.join(flat)}")
@@ -102,8 +102,7 @@ def describe(obstacles: mujoco.MjSpec) -> tuple[str, str]:
     """A summary of a file's obstacles, and their fingerprint."""
     model = compile_spec(obstacles)
     kinds = {int(kind): kind.name.removeprefix("mjGEOM_").lower() for kind in mujoco.mjtGeom.__members__.values()}
-    solid = np.flatnonzero(model.geom_contype | model.geom_conaffinity)
-    found = [kinds[int(model.geom_type[g])] for g in solid]
+    found = [kinds[int(kind)] for kind in model.geom_type[colliding_geoms(model)]]
     counts = [f"{found.count(kind)} {kind}" for kind in dict.fromkeys(found)]
     goals = len(_goals(model))
     where = f"targets in {goals} goal{'s' if goals > 1 else ''}" if goals else "targets anywhere"

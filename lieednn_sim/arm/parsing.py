@@ -10,9 +10,10 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from lieednn_sim._mujoco import mujoco
+from lieednn_sim._mujoco import kinematics_at, mujoco
 from lieednn_sim.arm.checks import (
     JOINT_KINDS,
+    ancestry,
     check_independent,
     check_integrator,
     check_limited,
@@ -20,9 +21,9 @@ from lieednn_sim.arm.checks import (
     check_turn,
     joint_kind,
     joint_label,
+    joints_of,
 )
-from lieednn_sim.arm.coordinates import Coordinates
-from lieednn_sim.arm.couplings import Line, line_of, to_independent_leaders
+from lieednn_sim.arm.coordinates import Coordinates, Line, line_of, to_independent_leaders
 from lieednn_sim.arm.forces import force_ranges
 from lieednn_sim.arm.kinematics import CompoundJoint, CompoundJoints, Factor
 from lieednn_sim.errors import InputError
@@ -135,9 +136,7 @@ def read_joints(
 ) -> tuple[CompoundJoints, RigidTransform, RigidTransform, RigidTransform]:
     """Compound joints, and the fixed poses base, mounts and tips around them, at the model's reference position."""
     reference = coordinates.from_qpos(model.qpos0)
-    data = mujoco.MjData(model)
-    data.qpos[:] = coordinates.to_qpos(reference)
-    mujoco.mj_kinematics(model, data)
+    data = kinematics_at(model, coordinates.to_qpos(reference))
     joints, mounts, tips = [], [], []
     for (parent, child), group in zip(itertools.pairwise(chain.sites), chain.groups, strict=True):
         for joint in group:
@@ -240,13 +239,10 @@ def _factor(
 
 def _joints_between(model: mujoco.MjModel, ancestor: int, body: int, arm: str, link: int) -> list[int]:
     """Joints that move ``body`` relative to ``ancestor``, from the base outwards."""
-    group: list[int] = []
-    while body != ancestor:
-        if body == 0:
-            raise InputError(f"link {link} of arm {arm!r} does not descend from link {link - 1}")
-        start, count = model.body_jntadr[body], model.body_jntnum[body]
-        group = [*range(start, start + count), *group]
-        body = model.body_parentid[body]
+    path = ancestry(model, body)
+    if ancestor not in path:
+        raise InputError(f"link {link} of arm {arm!r} does not descend from link {link - 1}")
+    group = [joint for part in path[path.index(ancestor) + 1 :] for joint in joints_of(model, part)]
     if not group:
         raise InputError(f"link {link} of arm {arm!r} is moved by no joint; name frames with joints between them")
     return group

@@ -92,7 +92,7 @@ class Retractor:
         Args:
             xi: ``(..., N, 6)``.
             xi_dot: ``(..., N, 6)``, or None for poses at rest.
-            start: ``(n,)`` posture from which ``xi`` ``(K, ..., N, 6)`` are followed along their first axis, see
+            start: ``(n,)`` configuration from which ``xi`` ``(K, ..., N, 6)`` are followed along their first axis, see
                 `nearest.NearestPose.follow`.
         """
         if self._searching:
@@ -131,20 +131,20 @@ class _Nearest:
     def __call__(self, poses: MovingPoses, near: Floats | None) -> tuple[Floats, Floats | None]:
         rotation, translation = poses.rotation[..., self._links, :, :], poses.translation[..., self._links, :]
         flat = (*translation.shape[:-3], len(self.indices))
-        vague = None
+        straightened = None
         if near is None:
             offset = self._problem.solve(rotation, translation)
         else:
-            offset, vague = self._problem.follow(
+            offset, straightened = self._problem.follow(
                 rotation, translation, near[self.indices].reshape(len(self._links), -1)
             )
         if poses.rates is None:
             return offset.reshape(flat), None
         omega, velocity = (part[..., self._links, :] for part in poses.rates)
         rates = self._problem.rates(offset, rotation, translation, omega, velocity)
-        if vague is not None and vague.any():
+        if straightened is not None and straightened.any():
             along = self._problem.rates_along(offset, rotation, translation, omega, velocity)
-            rates = np.where(vague[..., None], along, rates)
+            rates = np.where(straightened[..., None], along, rates)
         return offset.reshape(flat), rates.reshape(flat)
 
 

@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from lieednn_sim._mujoco import mujoco
+from lieednn_sim._mujoco import kinematics_at, mujoco
+from lieednn_sim.arm.contacts import colliding_geoms
 from lieednn_sim.arm.serial_arm import SerialArm
 from lieednn_sim.errors import InputError
 from lieednn_sim.validation import as_choice, as_seed
@@ -28,6 +29,9 @@ _NOMINAL_REACH = 2.3
 _SAMPLES = 2048
 # Groups of geoms that are rendered, and that are not.
 _SEEN, _UNSEEN = 2, 3
+_BOX, _CYLINDER = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CYLINDER
+# Options of a geom that touches nothing.
+_DRAWN = {"contype": 0, "conaffinity": 0}
 _MATERIALS = {
     # Obstacles that the arm goes behind are transparent.
     "obstacle_panel": (0.83, 0.80, 0.74, 0.35),
@@ -108,13 +112,13 @@ def _window(spec: mujoco.MjSpec, body: mujoco.MjsBody, room: _Surroundings, rng:
         "right": ((x, -width + sides[1] / 2.0, z), (thickness, sides[1] / 2.0, half[1])),
     }
     for name, (pos, size) in panels.items():
-        _box(body, f"wall_{name}", pos, size, "panel", group=_UNSEEN)
+        _geom(body, f"wall_{name}", pos, size, "panel", group=_UNSEEN)
     # Transparent panels would show the faces between them: one wall with a hole is rendered instead.
     outline = np.array([(-width, 0.0), (width, 0.0), (width, top), (-width, top)])
     opening = np.array([y, z]) + half * np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])
     mesh, origin = PREFIX + "wall", (0.0, 0.0, 0.0)
     spec.add_mesh(name=mesh, **_pierced_plate(x, thickness, outline, opening))
-    _geom(body, "wall", mujoco.mjtGeom.mjGEOM_MESH, origin, origin, "panel", collides=False, meshname=mesh)
+    _geom(body, "wall", origin, origin, "panel", mujoco.mjtGeom.mjGEOM_MESH, meshname=mesh, **_DRAWN)
     # The frame encloses the panels' edges without coplanar faces, and only shows where the opening is.
     bar, inset = 0.025 * s, 0.002
     away, across, along = bar + inset, half[0] + inset, half[1] + inset + 2.0 * bar
@@ -124,7 +128,7 @@ def _window(spec: mujoco.MjSpec, body: mujoco.MjsBody, room: _Surroundings, rng:
         ("upper", 0.0, half[1] + away, across, bar),
         ("lower", 0.0, -half[1] - away, across, bar),
     ):
-        _box(body, f"frame_{name}", (x, y + dy, z + dz), (thickness + 0.004, wide, high), "trim", collides=False)
+        _geom(body, f"frame_{name}", (x, y + dy, z + dz), (thickness + 0.004, wide, high), "trim", **_DRAWN)
     far = near + 2.0 * thickness
     ends = far + 0.06 * s, max(room.reach - 0.1 * s, far + 0.16 * s)
     _goal(body, 0, ((ends[0] + ends[1]) / 2.0, y, z), ((ends[1] - ends[0]) / 2.0, 0.5 * half[0], 0.5 * half[1]))
@@ -143,11 +147,11 @@ def _shelf(_: mujoco.MjSpec, body: mujoco.MjsBody, room: _Surroundings, rng: np.
     x, middle = near + depth, bottom + high
     for row in range(3):
         # The uprights cover the ends of the boards.
-        _box(body, f"board{row}", (x, y, bottom + row * high), (depth - 0.002, wide - 0.002, board), "wood")
+        _geom(body, f"board{row}", (x, y, bottom + row * high), (depth - 0.002, wide - 0.002, board), "wood")
     for column in range(3):
         top = middle + high + board
-        _box(body, f"upright{column}", (x, y + (column - 1) * wide, top / 2.0), (depth, board, top / 2.0), "side")
-    _box(body, "back", (x + depth + board, y, middle), (board, wide + board, high + board), "panel")
+        _geom(body, f"upright{column}", (x, y + (column - 1) * wide, top / 2.0), (depth, board, top / 2.0), "side")
+    _geom(body, "back", (x + depth + board, y, middle), (board, wide + board, high + board), "panel")
     # No goals straight above or below: these are easy, and hardly ever blocked.
     cells = [(column, row) for column in range(2) for row in range(2) if column != facing[0] or row == facing[1]]
     for number, (column, row) in enumerate(cells):
@@ -172,9 +176,9 @@ def _poles(_: mujoco.MjSpec, body: mujoco.MjsBody, room: _Surroundings, rng: np.
     if not chosen:
         raise InputError(f"no place for poles around arm {room.arm.name!r} at home; use another scene or seed")
     for number, index in enumerate(chosen):
-        _cylinder(body, f"pole{number}", (*spots[index], half), (radius[index], half, 0.0), "pole")
+        _geom(body, f"pole{number}", (*spots[index], half), (radius[index], half, 0.0), "pole", _CYLINDER)
         flat = 0.006 * s
-        _cylinder(body, f"foot{number}", (*spots[index], flat), (0.07 * s, flat, 0.0), "trim", collides=False)
+        _geom(body, f"foot{number}", (*spots[index], flat), (0.07 * s, flat, 0.0), "trim", _CYLINDER, **_DRAWN)
     for number, side in enumerate((-1.0, 1.0)):
         # Left and right of where the arm points at home, between the poles and beyond them.
         turned = side * 0.75
@@ -192,14 +196,12 @@ def _pole_clearances(room: _Surroundings, spots: Floats, radius: Floats, half: f
     arm, spec = room.arm, room.arm.spec.copy()
     body = spec.worldbody.add_body(name="trial", **room.place)
     for number, (spot, size) in enumerate(zip(spots, radius, strict=True)):
-        kind = mujoco.mjtGeom.mjGEOM_CYLINDER
-        body.add_geom(name=f"trial{number}", type=kind, pos=(*spot, half), size=(size, half, 0.0))
+        body.add_geom(name=f"trial{number}", type=_CYLINDER, pos=(*spot, half), size=(size, half, 0.0))
     model = spec.compile()
-    data = mujoco.MjData(model)
-    data.qpos[:] = arm.qpos(arm.keyframe("home"))
-    mujoco.mj_kinematics(model, data)
+    data = kinematics_at(model, arm.qpos(arm.keyframe("home")))
     trial = model.body("trial").id
-    parts = [g for g in _solid(model) if model.body_rootid[model.geom_bodyid[g]] != trial and model.geom_rbound[g] > 0]
+    others = colliding_geoms(model) & (model.body_rootid[model.geom_bodyid] != trial) & (model.geom_rbound > 0.0)
+    parts = np.flatnonzero(others).tolist()
     limit = 0.5
     return np.array(
         [
@@ -215,19 +217,17 @@ def _surroundings(arm: SerialArm) -> _Surroundings:
     tip = np.asarray(arm.link_poses(home).translation)[-1]
     yaw = float(np.arctan2(tip[1] - base[1], tip[0] - base[0])) if np.hypot(*(tip - base)[:2]) > 1e-6 else 0.0
     model = arm.model
-    data = mujoco.MjData(model)
-    data.qpos[:] = arm.qpos(home)
-    mujoco.mj_kinematics(model, data)
+    data = kinematics_at(model, arm.qpos(home))
     floors = [g for g in range(model.ngeom) if model.geom_type[g] == mujoco.mjtGeom.mjGEOM_PLANE]
     floor = min((float(data.geom_xpos[g, 2]) for g in floors), default=float(base[2]))
     origin = np.array([base[0], base[1], floor])
     ahead = np.array([np.cos(yaw), np.sin(yaw), 0.0])
-    parts = [g for g in _solid(model) if model.geom_rbound[g] > 0.0]
+    parts = np.flatnonzero(colliding_geoms(model) & (model.geom_rbound > 0.0))
     turns = data.geom_xmat[parts].reshape(-1, 3, 3)
     centers = data.geom_xpos[parts] + (turns @ model.geom_aabb[parts, :3, None])[:, :, 0]
     extents = np.abs(ahead @ turns) * model.geom_aabb[parts, 3:]
     front = float(((centers - origin) @ ahead + extents.sum(axis=1)).max())
-    # Weighted towards the ends of the ranges: postures in the middle do not reach far.
+    # Weighted towards the ends of the ranges: configurations in the middle do not reach far.
     draws = np.random.default_rng(0).beta(0.4, 0.4, (_SAMPLES, arm.n_joints))
     tips = np.asarray(arm.link_poses(arm.position_limits[:, 0] + draws * arm.ranges).translation)[:, -1] - origin
     spread = np.linalg.norm(tips[:, :2], axis=1)
@@ -235,10 +235,6 @@ def _surroundings(arm: SerialArm) -> _Surroundings:
     reach = float(np.quantile(spread[level] if level.sum() > 50 else spread, 0.99))
     turned = np.array([np.hypot(*(tip - origin)[:2]), 0.0, tip[2] - floor])
     return _Surroundings(arm, origin, yaw, reach / _NOMINAL_REACH, front, turned, max(reach, front + 0.15 * reach))
-
-
-def _solid(model: mujoco.MjModel) -> list[int]:
-    return [int(g) for g in np.flatnonzero(model.geom_contype | model.geom_conaffinity)]
 
 
 def _pierced_plate(x: float, thickness: float, outline: Floats, opening: Floats) -> dict[str, list[float]]:
@@ -259,39 +255,12 @@ def _pierced_plate(x: float, thickness: float, outline: Floats, opening: Floats)
     return {"uservert": vertices.ravel().tolist(), "userface": np.array(triangles).ravel().tolist()}
 
 
-def _box(body: mujoco.MjsBody, name: str, pos: Any, size: Any, material: str, **options: Any) -> None:
-    _geom(body, name, mujoco.mjtGeom.mjGEOM_BOX, pos, size, material, **options)
-
-
-def _cylinder(body: mujoco.MjsBody, name: str, pos: Any, size: Any, material: str, **options: Any) -> None:
-    _geom(body, name, mujoco.mjtGeom.mjGEOM_CYLINDER, pos, size, material, **options)
-
-
 def _geom(
-    body: mujoco.MjsBody,
-    name: str,
-    kind: Any,
-    pos: Any,
-    size: Any,
-    material: str,
-    *,
-    collides: bool = True,
-    group: int = _SEEN,
-    **options: Any,
+    body: mujoco.MjsBody, name: str, pos: Any, size: Any, material: str, kind: Any = _BOX, **options: Any
 ) -> None:
-    body.add_geom(
-        name=PREFIX + name,
-        type=kind,
-        pos=pos,
-        size=size,
-        material=PREFIX + material,
-        group=group,
-        contype=int(collides),
-        conaffinity=int(collides),
-        **options,
-    )
+    options = {"group": _SEEN, "contype": 1, "conaffinity": 1, **options}
+    body.add_geom(name=PREFIX + name, type=kind, pos=pos, size=size, material=PREFIX + material, **options)
 
 
 def _goal(body: mujoco.MjsBody, number: int, pos: Any, size: Any) -> None:
-    kind = mujoco.mjtGeom.mjGEOM_BOX
-    body.add_site(name=f"{GOAL_PREFIX}{number}", type=kind, pos=pos, size=size, group=5, rgba=(0.1, 0.8, 0.3, 0.15))
+    body.add_site(name=f"{GOAL_PREFIX}{number}", type=_BOX, pos=pos, size=size, group=5, rgba=(0.1, 0.8, 0.3, 0.15))

@@ -69,12 +69,12 @@ class SerialArm:
 
     @property
     def n_links(self) -> int:
-        """N."""
+        """Number N of links."""
         return len(self.site_ids)
 
     @property
     def n_joints(self) -> int:
-        """n, the number of joint coordinates."""
+        """Number n of joint coordinates."""
         return len(self.space)
 
     @property
@@ -107,9 +107,17 @@ class SerialArm:
         """Joint coordinates ``(n,)`` of a keyframe."""
         key = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_KEY, name)
         if key < 0:
-            known = [self.model.key(k).name for k in range(self.model.nkey)]
-            raise InputError(f"no keyframe {quoted(name)}; keyframes of {self.name}: {', '.join(known)}")
+            raise InputError(f"no keyframe {quoted(name)}; keyframes of {self.name}: {', '.join(self.keyframes)}")
         return self.coordinates(self.model.key_qpos[key])
+
+    @property
+    def keyframes(self) -> tuple[str, ...]:
+        """Names of the keyframes."""
+        return tuple(self.model.key(k).name for k in range(self.model.nkey))
+
+    def configuration(self, q: ArrayLike | str, what: str = "q") -> Floats:
+        """Joint coordinates ``(n,)``: those given, or those of the keyframe of that name."""
+        return self.keyframe(q) if isinstance(q, str) else as_floats(what, q, (self.n_joints,))
 
     def limit_excess(self, q: Floats) -> Floats:
         """How far each coordinate ``(..., n)`` is outside its limits, negative inside; for a ball joint, its angle."""
@@ -130,9 +138,9 @@ class SerialArm:
             inside[..., balls] *= np.minimum(1.0, high[balls] / np.maximum(angle, 1e-300))
         return inside
 
-    def check_position(self, q: ArrayLike, what: str = "q") -> Floats:
-        """Return ``q`` ``(n,)`` if it is within the limits; else raise `InputError` with the joint, value and range."""
-        position = as_floats(what, q, (self.n_joints,))
+    def check_position(self, q: ArrayLike | str, what: str = "q") -> Floats:
+        """The `configuration` of ``q``, within the limits; else raise `InputError` with the joint, value and range."""
+        position = self.configuration(q, what)
         outside = self.limit_excess(position)
         worst = int(outside.argmax())
         if outside[worst] > 0.0:
@@ -189,6 +197,38 @@ class SerialArm:
         stacked = np.stack(frames, axis=-3)
         return poses(stacked[..., :3, :3], stacked[..., :3, 3])
 
+    def jacobian(self, q: ArrayLike, link: int = -1) -> Floats:
+        """The geometric Jacobian J of a link frame, ``(..., n)`` to ``(..., 6, n)``: its twist is J(q) qd.
+
+        The twist is (omega, v): the angular velocity [rad/s] and the velocity of the frame's origin [m/s], both along
+        the axes of the world (Lynch and Park's spatial twist has the velocity at the world's origin, v - omega x p). A
+        column's units are those by those of its joint's rate; a ball joint's are by the rates of its rotation vector.
+
+        Args:
+            q: joint coordinates ``(..., n)`` [rad, m].
+            link: index of the link frame, from 0; -1, the last, is the end effector.
+
+        Raises:
+            InputError: a value is malformed, or there is no such link.
+        """
+        last = as_count("link", link, -self.n_links, self.n_links - 1) % self.n_links
+        q = as_floats("q", q, (self.n_joints,), batched=True)
+        flat = q.reshape(-1, self.n_joints)
+        tip = np.asarray(self.link_poses(flat).translation)[:, last, None]
+        moved, mounts, tips = (each.as_matrix() for each in (self.joint_poses(flat), self.mounts, self.tips))
+        jacobian, frame = np.zeros((len(flat), 6, self.n_joints)), self.base.as_matrix()
+        for i, joint in enumerate(self.joints.joints[: last + 1]):
+            before = frame @ mounts[i]
+            slopes, omega = joint.pose_and_slopes(flat - self.joints.reference)
+            # Along the world's axes: rows of vectors times the transposed rotation.
+            to_world = np.swapaxes(before[..., :3, :3], -1, -2)
+            omega, velocity = omega @ to_world, slopes[:, 1:, :, 3] @ to_world
+            after = before @ moved[:, i]
+            columns = np.concatenate([omega, velocity + np.cross(omega, tip - after[:, None, :3, 3])], axis=-1)
+            jacobian += np.swapaxes(columns, -1, -2) @ joint.selection(np.arange(self.n_joints)).T
+            frame = after @ tips[i]
+        return jacobian.reshape(*q.shape[:-1], 6, self.n_joints)
+
     def encode(self, q: ArrayLike) -> Floats:
         """Network coordinates (omega, v / length_scale) of T_i(q), ``(..., n)`` to ``(..., N, 6)``.
 
@@ -201,7 +241,7 @@ class SerialArm:
         """Nearest joint positions to network coordinates ``(..., N, 6)``, their rates along ``xi_dot``, and the gap.
 
         With a joint position ``start`` ``(n,)``, coordinates ``(K, ..., N, 6)`` are followed along their first axis: of
-        several equally near postures, the one that continues the way is taken.
+        several equally near configurations, the one that continues the path is taken.
         """
         shape = (self.n_links, 6)
         twist = as_floats("xi", xi, shape, batched=True) * self.twist_units

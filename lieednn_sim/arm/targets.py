@@ -7,20 +7,20 @@ from typing import Any
 
 import numpy as np
 
-from lieednn_sim._mujoco import mujoco
+from lieednn_sim._mujoco import kinematics_at, mujoco
 from lieednn_sim.arm.arm import Arm
 from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.arm.scenes import GOAL_PREFIX
 from lieednn_sim.errors import NoSolutionError
 from lieednn_sim.typecheck import typecheck_public
-from lieednn_sim.validation import as_seed
+from lieednn_sim.validation import Seed, as_seed
 from lieednn_sim.values import Floats
 
 __all__ = ["draw_target"]
 
 # Distances that the arm keeps from obstacles, and its parts from each other, at a target [m].
 TARGET_CLEARANCE, OWN_CLEARANCE = 0.02, 0.0025
-# Share of a joint's range that targets keep away from its limits.
+# Fraction of a joint's range that targets keep away from its limits.
 LIMIT_MARGIN = 0.05
 # Targets of arms whose joints have six dofs each: U(-0.8, 0.8) in the network's coordinates (paper, section 5).
 NETWORK_SPREAD = 0.8
@@ -30,24 +30,24 @@ _STEPS = 25
 _TOLERANCE = 1e-3
 
 
-def draw_target(arm: Arm, seed: int = 0) -> Floats:
+def draw_target(arm: Arm, seed: Seed = 0) -> Floats:
     """A random joint target ``(n,)`` at which nothing comes closer than the arm's `clearance`.
 
     Without obstacles: uniform within the joint limits, or, where every compound joint has six dofs, uniform in the
     network's coordinates. With obstacles there is a distance of `TARGET_CLEARANCE` from them, and where the scene has
-    goal boxes the end effector is at a uniform point of one of them, in a posture not far from home.
+    goal boxes the end effector is at a uniform point of one of them, in a configuration not far from home.
 
     Raises:
         InputError: the seed is invalid.
         NoSolutionError: no target was found.
     """
-    rng = np.random.default_rng([as_seed("seed", seed), 1])
+    seed = as_seed("seed", seed)
+    rng = np.random.default_rng([seed, 1])
     goals = [site for site in range(arm.model.nsite) if arm.model.site(site).name.startswith(GOAL_PREFIX)]
     if not goals:
         return _anywhere(arm, np.random.default_rng(seed))
     collisions = Collisions(arm)
-    data = mujoco.MjData(arm.model)
-    mujoco.mj_kinematics(arm.model, data)
+    data = kinematics_at(arm.model, arm.model.qpos0)
     places, turns = data.site_xpos.copy(), data.site_xmat.reshape(-1, 3, 3).copy()
     low, high = arm.position_limits.T
     inset = LIMIT_MARGIN * arm.ranges
@@ -61,7 +61,7 @@ def draw_target(arm: Arm, seed: int = 0) -> Floats:
         if (
             q is not None
             and arm.limit_excess(q).max() <= 0.0
-            and collisions.free(q, TARGET_CLEARANCE, own=OWN_CLEARANCE)
+            and collisions.is_free(q, TARGET_CLEARANCE, own=OWN_CLEARANCE)
         ):
             return q
     raise NoSolutionError(
@@ -70,12 +70,12 @@ def draw_target(arm: Arm, seed: int = 0) -> Floats:
     )
 
 
-def reference_posture(arm: Arm) -> Floats:
+def reference_configuration(arm: Arm) -> Floats:
     """The keyframe ``extended`` ``(n,)``; without one, halfway from home to each joint's farther limit.
 
     It need not be free of contact: it is for networks and demonstrations that are independent of the scene.
     """
-    if "extended" in {arm.model.key(k).name for k in range(arm.model.nkey)}:
+    if "extended" in arm.keyframes:
         return arm.keyframe("extended")
     home, (low, high) = arm.keyframe("home"), arm.position_limits.T
     return arm.within_angles(0.5 * (home + np.where(high - home >= home - low, high, low)))
@@ -95,17 +95,18 @@ def _anywhere(arm: Arm, rng: np.random.Generator) -> Floats:
         if arm.limit_excess(q).max() > 0.0:
             continue
         contacts = arm.near_contacts(q)
-        if not contacts and (collisions is None or collisions.free(q, TARGET_CLEARANCE, own=0.0)):
+        if not contacts and (collisions is None or collisions.is_free(q, TARGET_CLEARANCE, own=0.0)):
             return q
         near.update(contacts)
     shown = ", ".join(f"{one!r} and {other!r} in {count}" for (one, other), count in near.most_common(3))
     raise NoSolutionError(
-        f"no target free of contact was found for arm {arm.name!r}; of {_ATTEMPTS} random postures, contacts: {shown}"
+        f"no target free of contact was found for arm {arm.name!r}; of {_ATTEMPTS} random configurations, "
+        f"contacts: {shown}"
     )
 
 
 def _towards(arm: Arm, data: Any, q: Floats, point: Floats, low: Floats, high: Floats) -> Floats | None:
-    """A posture between low and high near ``q`` whose end effector is at a point, by damped steps; or None."""
+    """A configuration between low and high near ``q`` whose end effector is at a point, by damped steps; or None."""
     site = int(arm.site_ids[-1])
     weights = (high - low) ** 2
     slope = np.zeros((3, arm.model.nv))

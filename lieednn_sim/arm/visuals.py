@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm.contacts import colliding_geoms
 from lieednn_sim.arm.serial_arm import SerialArm
 
 # Arrays that affect motion, besides those of geoms; for `dof_length` see `discard_visuals`.
@@ -18,16 +19,7 @@ _OTHERS = ("body_geomadr", "body_geomnum", "dof_length", "tendon_matid", "tendon
 _ARRAYS = [name for name in dir(mujoco.MjModel) if name.startswith(_BEGINNINGS) and name not in _OTHERS]
 _OPTIONS = [name for name in dir(mujoco.MjOption) if not name.startswith("_")]
 # Arrays of geoms that concern appearance alone, or follow from the geoms' sizes.
-_OF_GEOMS = (
-    "geom_rgba",
-    "geom_matid",
-    "geom_group",
-    "geom_user",
-    "geom_dataid",
-    "geom_aabb",
-    "geom_rbound",
-    "geom_plugin",
-)
+_OF_GEOMS = {f"geom_{what}" for what in ("rgba", "matid", "group", "user", "dataid", "aabb", "rbound", "plugin")}
 _GEOMS = [name for name in dir(mujoco.MjModel) if name.startswith("geom_") and name not in _OF_GEOMS]
 
 
@@ -46,7 +38,7 @@ def discard_visuals(arm: SerialArm) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
 
 def moves_alike(bare: mujoco.MjModel, model: mujoco.MjModel) -> bool:
     """Whether a model of `discard_visuals` still moves like the whole one, which may have been changed since."""
-    touching = np.flatnonzero(model.geom_contype | model.geom_conaffinity)
+    touching = np.flatnonzero(colliding_geoms(model))
     sees = (model.sensor_type == int(mujoco.mjtSensor.mjSENS_RANGEFINDER)).any()
     return bool(
         not sees

@@ -111,7 +111,7 @@ def _join_negative_numbers(argv: Sequence[str]) -> list[str]:
 
 
 class _Help(argparse.HelpFormatter):
-    """Does not break lines at hyphens, and adds defaults to help texts that do not mention them."""
+    """Keeps line breaks, adds none at hyphens, and adds defaults to help texts that do not mention them."""
 
     def _get_help_string(self, action: argparse.Action) -> str:
         text = action.help or ""
@@ -119,7 +119,7 @@ class _Help(argparse.HelpFormatter):
         return text if said else f"{text} (default: %(default)s)"
 
     def _split_lines(self, text: str, width: int) -> list[str]:
-        return textwrap.wrap(" ".join(text.split()), width, break_on_hyphens=False)
+        return [part for line in text.splitlines() for part in textwrap.wrap(line, width, break_on_hyphens=False)]
 
 
 class _Version(argparse.Action):
@@ -153,12 +153,19 @@ def _parser() -> argparse.ArgumentParser:
     options.add_plots(demo)
     demo.add_argument("--no-video", action="store_true", help="skip rendering")
 
-    synthesize = command(
-        "synthesize",
-        "make a certified network, or another planner's motion, for a target, in a run directory",
+    plan = command(
+        "plan",
+        "plan a motion to a target by any planner, in a run directory",
         "Continue with 'simulate', 'evaluate' and 'render'.",
     )
-    options.add_planning(synthesize, output="results/run")
+    options.add_planning(plan, output="results/run")
+
+    synthesize = command(
+        "synthesize",
+        "make a certified network for a target, in a run directory",
+        "As 'plan', but only with planners that make a network.",
+    )
+    options.add_planning(synthesize, output="results/run", planners=options.NETWORK_PLANNERS)
 
     train = command(
         "train",

@@ -89,7 +89,7 @@ def start_and_target(arm: Arm, arguments: argparse.Namespace) -> tuple[Floats, F
 
 def usual_target(arm: Arm, seed: int) -> str:
     """The keyframe ``extended``; among obstacles, or where there is none, a random target."""
-    return "extended" if arm.scene == "free" and "extended" in keyframes(arm) else f"{RANDOM}{seed}"
+    return "extended" if arm.scene == "free" and "extended" in arm.keyframes else f"{RANDOM}{seed}"
 
 
 def joint_position(arm: Arm, text: str, what: str) -> Floats:
@@ -99,14 +99,9 @@ def joint_position(arm: Arm, text: str, what: str) -> Floats:
         if not (seed.isascii() and seed.isdecimal()):
             raise InputError(f"a random {what} must look like {RANDOM}7, with a seed >= 0, got {text!r}")
         return draw_target(arm, int(seed))
-    if text in keyframes(arm) or (text and (text[0].isalpha() or text[0] == "_")):
+    if text in arm.keyframes or (text and (text[0].isalpha() or text[0] == "_")):
         return arm.keyframe(text)
     return numbers(text, what, arm.n_joints)
-
-
-def keyframes(arm: Arm) -> list[str]:
-    """Names of the arm's keyframes."""
-    return [arm.model.key(k).name for k in range(arm.model.nkey)]
 
 
 def numbers(text: str, what: str, count: int) -> Floats:

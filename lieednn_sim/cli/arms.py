@@ -9,7 +9,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from lieednn_sim.arm import Arm, arm_names
-from lieednn_sim.cli.arguments import import_options, keyframes
+from lieednn_sim.cli.arguments import import_options
 from lieednn_sim.cli.console import console
 from lieednn_sim.errors import InputError
 from lieednn_sim.evaluation.display import table
@@ -63,7 +63,7 @@ def farthest(arm: Arm) -> float:
         return -float(values[0]), -(values[1:] - values[0]) / _DIFFERENCE
 
     rng = np.random.default_rng(0)
-    starts = [arm.keyframe(name) for name in keyframes(arm)] + list(rng.uniform(low, high, (_STARTS, arm.n_joints)))
+    starts = [arm.keyframe(name) for name in arm.keyframes] + list(rng.uniform(low, high, (_STARTS, arm.n_joints)))
     bounds = list(zip(low, high, strict=True))
     return max(-float(minimize(negative, q, jac=True, bounds=bounds, method="L-BFGS-B").fun) for q in starts)
 
@@ -78,7 +78,7 @@ def _print_summaries(loaded: list[Arm]) -> None:
             _kinds(arm),
             f"{farthest(arm):.2f}",
             f"{arm.length_scale:g}",
-            ", ".join(keyframes(arm)),
+            ", ".join(arm.keyframes),
         )
     rows.caption = (
         "n: joint coordinates; reach: farthest end effector found from the base; "

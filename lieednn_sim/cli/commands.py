@@ -22,7 +22,7 @@ from lieednn_sim.validation import as_path
 
 def demo(arguments: argparse.Namespace) -> None:
     """The whole pipeline in one command."""
-    from lieednn_sim.cli.planning import synthesize
+    from lieednn_sim.cli.planning import make_plan
 
     begun = time.perf_counter()
     # Check options before any work.
@@ -32,7 +32,7 @@ def demo(arguments: argparse.Namespace) -> None:
         _check_video(arm, arguments)
     run = RunDirectory(arguments.output, arguments.plots)
     with run.made():
-        synthesize(run, arguments)
+        make_plan(run, arguments)
         _simulate(run, arguments)
         _evaluate(run)
         if not arguments.no_video:
@@ -43,13 +43,18 @@ def demo(arguments: argparse.Namespace) -> None:
     console.print(f"done in {time.perf_counter() - begun:.1f} s")
 
 
-def synthesize(arguments: argparse.Namespace) -> None:
-    """Target to certified network."""
-    from lieednn_sim.cli.planning import synthesize
+def plan(arguments: argparse.Namespace) -> None:
+    """Target to a planner's motion, or the network that generates it."""
+    from lieednn_sim.cli.planning import make_plan
 
     run = RunDirectory(arguments.output)
     with run.made():
-        synthesize(run, arguments)
+        make_plan(run, arguments)
+
+
+def synthesize(arguments: argparse.Namespace) -> None:
+    """As `plan`, which refuses planners that make no network."""
+    plan(arguments)
 
 
 def simulate(arguments: argparse.Namespace) -> None:
@@ -62,7 +67,7 @@ def simulate(arguments: argparse.Namespace) -> None:
 def evaluate(arguments: argparse.Namespace) -> None:
     """Rollout to metrics and plots."""
     run = RunDirectory(arguments.run, arguments.plots).existing()
-    with run.at_work(shared=True, outputs=_evaluated(run)):
+    with run.at_work(shared=True, outputs=run.evaluated):
         _evaluate(run)
 
 
@@ -119,18 +124,25 @@ def _evaluate(run: RunDirectory) -> None:
     console.print(evaluation)
     made_from = run.check(task, "network", "motion", "rollout")
     network = run.load_network(task) if run.network.exists() else None
-    outputs = _evaluated(run)
-    with run.manifest.replacing(outputs) as (metrics_json, metrics_csv, network_plot, tracking_plot, joints_plot):
+    *outputs, channels_plot = run.evaluated
+    if rollout.channels:
+        outputs.append(channels_plot)
+    with run.manifest.replacing(outputs) as (
+        metrics_json,
+        metrics_csv,
+        network_plot,
+        tracking_plot,
+        joints_plot,
+        *more,
+    ):
         evaluation.save_json(metrics_json, made_from=made_from)
         evaluation.save_csv(metrics_csv)
         plots.plot_network(rollout, network_plot, network=network)
         plots.plot_tracking(rollout, tracking_plot)
         plots.plot_joints(rollout, joints_plot)
+        for path in more:
+            plots.plot_channels(rollout, path)
     wrote(*outputs)
-
-
-def _evaluated(run: RunDirectory) -> list[Path]:
-    return [run.metrics_json, run.metrics_csv, run.network_plot, run.tracking_plot, run.joints_plot]
 
 
 def _render(run: RunDirectory, arguments: argparse.Namespace, path: Path) -> None:

@@ -17,7 +17,7 @@ from lieednn_sim.errors import InputError
 from lieednn_sim.learning.demonstrations import Demonstrations, align, load_demonstrations
 from lieednn_sim.learning.demonstrations.shaped import ShapedMotion
 from lieednn_sim.manifest import Manifest
-from lieednn_sim.studies.demonstrations.models import RIVALS, ModelRow, compare_models, missing_rivals, of_models
+from lieednn_sim.studies.demonstrations.models import RIVALS, ModelRow, compare_models, of_models
 from lieednn_sim.studies.demonstrations.plots import plot_field, plot_paths
 from lieednn_sim.synthesis import ShapingOptions
 from lieednn_sim.validation import as_choice, as_count, as_seed
@@ -35,10 +35,6 @@ def learn(arguments: argparse.Namespace) -> None:
     rivals = [] if arguments.rivals in ("", "none") else arguments.rivals.split(",")
     for name in rivals:
         as_choice("rival", name, RIVALS)
-    for name, reason in missing_rivals().items():
-        if name in rivals:
-            rivals.remove(name)
-            console.print(f"not compared: {name} is not installed ({reason})")
     starts = as_count("starts", 1000 if arguments.starts is None else arguments.starts)
     seed = as_seed("seed", arguments.seed)
     options = ShapingOptions(rate=arguments.clock_rate)

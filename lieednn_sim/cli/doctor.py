@@ -6,6 +6,7 @@ import argparse
 import json
 import platform
 import sys
+from collections.abc import Iterator
 from importlib import metadata
 
 from rich.table import Table
@@ -14,6 +15,7 @@ from rich.text import Text
 from lieednn_sim.arm import arm_names
 from lieednn_sim.cli.console import console
 from lieednn_sim.errors import FileError
+from lieednn_sim.planner_table import PLANNERS
 from lieednn_sim.rendering import opengl
 
 _PACKAGES = (
@@ -33,25 +35,29 @@ _PACKAGES = (
     "pyyaml",
     "threadpoolctl",
 )
-# Optional packages, the extra that installs them, and their purpose.
-_EXTRAS = {
-    "ompl": ("rivals", "planners rrt-connect, rrt-star, informed-rrt-star, bit-star, aorrtc and lieednn-guided"),
-    "mjpl": ("cbirrt", "planner mjpl"),
-    "sscbirrt": ("cbirrt", "planner sscbirrt"),
+# Optional packages that not only planners need, the extra that installs them, and their purpose.
+_OTHERS = {
     "toppra": ("timing", "the planned path in the least time, --fastest"),
-    "movement_primitives": ("dmp", "planner dmp, rival promp; needs a C compiler and Python's headers"),
-    "pytransform3d": ("dmp", "planner dmp, rival promp"),
     "gymnasium": ("gymnasium", "Gymnasium environments"),
     "distributed": ("cluster", "comparisons on a Dask cluster"),
-    "cvxpy": ("lmi", "certificates by matrix inequalities"),
 }
+
+
+def _extras() -> Iterator[tuple[str, str | None, str, str]]:
+    """Optional packages: name, version if installed, the command that installs it, and its purpose."""
+    of_planners = {library: (entry.extra, "") for entry in PLANNERS.values() for library in entry.libraries}
+    for library, (extra, purpose) in (of_planners | _OTHERS).items():
+        names = [name for name, entry in PLANNERS.items() if library in entry.libraries]
+        planners = f"planner{'s' * (len(names) > 1)} {', '.join(names)}" if names else ""
+        why = ", ".join(filter(None, (planners, purpose)))
+        yield library, _version(library), f"pip install 'lieednn_sim[{extra}]'", why
 
 
 def doctor(arguments: argparse.Namespace) -> int:
     """Report on the installation; returns 1 when physics or rendering would not work."""
     versions = {"lieednn-sim": _version("lieednn-sim"), "python": platform.python_version()}
     versions |= {name: _version(name) for name in _PACKAGES}
-    extras = {name: _version(name) for name in _EXTRAS}
+    extras = list(_extras())
     try:
         arms = arm_names()
     except FileError as error:
@@ -59,10 +65,9 @@ def doctor(arguments: argparse.Namespace) -> int:
     else:
         models = ", ".join(arms)
     backend = opengl.configure()
-    renderer = opengl.describe_renderer()
     packages = opengl.missing_packages()
     missing = [name for name, version in versions.items() if version is None]
-    healthy = bool(arms) and not missing and "error" not in renderer
+    healthy = bool(arms) and not missing and backend.renders
     if arguments.json:
         print(
             json.dumps(
@@ -70,11 +75,11 @@ def doctor(arguments: argparse.Namespace) -> int:
                     "healthy": healthy,
                     "versions": versions,
                     "extras": {
-                        name: {"version": version, "install": _install(name), "for": _EXTRAS[name][1]}
-                        for name, version in extras.items()
+                        name: {"version": version, "install": install, "for": purpose}
+                        for name, version, install, purpose in extras
                     },
                     "arms": arms,
-                    "opengl": {"backend": backend.name, "source": backend.source, "detail": backend.detail, **renderer},
+                    "opengl": {"backend": backend.name, "source": backend.source, "detail": backend.detail},
                     "debian_packages_to_install": packages,
                     "python_packages_to_install": missing,
                 },
@@ -85,16 +90,13 @@ def doctor(arguments: argparse.Namespace) -> int:
     table = Table(show_header=False, title="lieednn-sim doctor", title_justify="left")
     for name, version in versions.items():
         table.add_row(name, version or Text("missing", "red"))
-    for name, version in extras.items():
-        absent = f"not installed (optional, for {_EXTRAS[name][1]}): {_install(name)}"
-        table.add_row(name, version or absent)
+    for name, version, install, purpose in extras:
+        table.add_row(name, version or f"not installed (optional, for {purpose}): {install}")
     table.add_row("platform", f"{platform.system()} {platform.machine()}, {sys.executable}")
     table.add_row("arms", models)
     table.add_row("OpenGL backend", f"{backend.name} (by {backend.source})")
-    if "error" in renderer:
-        table.add_row("rendering", Text.assemble(("does not work", "red"), f": {renderer['error']}"))
-    else:
-        table.add_row("rendering", f"{renderer['GL_RENDERER']}, a frame of 16x16 in {renderer['frame_ms']:.1f} ms")
+    verdict = "" if backend.renders else Text.assemble(("does not work", "red"), ": ")
+    table.add_row("rendering", Text.assemble(verdict, backend.detail))
     console.print(table)
     if missing:
         console.print(f"install with pip: {' '.join(missing)}")
@@ -103,10 +105,6 @@ def doctor(arguments: argparse.Namespace) -> int:
     if healthy:
         console.print("everything works")
     return 0 if healthy else 1
-
-
-def _install(name: str) -> str:
-    return f"pip install 'lieednn_sim[{_EXTRAS[name][0]}]'"
 
 
 def _version(name: str) -> str | None:

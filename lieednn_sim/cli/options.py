@@ -5,10 +5,13 @@ from __future__ import annotations
 import argparse
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
-from lieednn_sim.cli.names import ALGORITHMS, ARMS, BIAS_RULES, CONTROLLERS, PLANNERS, RIVALS, SCENES, SLOW_PLANNERS
+from lieednn_sim.cli.names import ALGORITHMS, ARMS, BIAS_RULES, CONTROLLERS, RIVALS, SCENES
+from lieednn_sim.planner_table import PLANNERS, SLOW
 
+# Those that make a network.
+NETWORK_PLANNERS = tuple(name for name in PLANNERS if name.startswith("lieednn-") or name == "linear-attractor")
 # Numbers on the command line: plain ASCII decimals, a subset of what Python accepts.
 _WHOLE = re.compile(r"[+-]?[0-9]{1,18}")
 _DECIMAL = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]{1,3})?")
@@ -83,19 +86,25 @@ def add_frames(parser: argparse.ArgumentParser) -> None:
 
 
 def add_planning(
-    parser: argparse.ArgumentParser, output: str, *, goal: bool = True, bias_magnitude: float | None = None
+    parser: argparse.ArgumentParser,
+    output: str,
+    *,
+    goal: bool = True,
+    bias_magnitude: float | None = None,
+    planners: Iterable[str] = PLANNERS,
 ) -> None:
-    """Options of ``synthesize`` and ``demo``; by default the planner tries several bias magnitudes."""
+    """Options of ``plan``, ``synthesize`` and ``demo``; by default the planner tries several bias magnitudes."""
     add_task(parser, output, goal=goal)
     parser.add_argument(
         "--planner",
         metavar="NAME",
-        help=f"{_one_of(PLANNERS)} (default: lieednn-certified, among obstacles lieednn-shaped)",
+        help="one of these (default: lieednn-certified, among obstacles lieednn-shaped):\n"
+        + "\n".join(f"{name}: {PLANNERS[name].help}" for name in planners),
     )
     parser.add_argument("--bias", metavar="RULE", help=f"{_one_of(BIAS_RULES)} (default: sign-matched)")
     usual = "several are tried" if bias_magnitude is None else f"{bias_magnitude:g}"
     parser.add_argument("--bias-magnitude", type=decimal, metavar="B", help=f"size of the bias (default: {usual})")
-    parser.add_argument("--candidates", type=whole, metavar="N", help="networks to choose from (default: 24)")
+    parser.add_argument("--n-networks", type=whole, metavar="N", help="networks to choose from (default: 24)")
     parser.add_argument(
         "--fastest", action="store_true", help="follow the planned path as fast as the arm's limits allow"
     )
@@ -132,7 +141,7 @@ def add_training(parser: argparse.ArgumentParser) -> None:
 
 def add_run(parser: argparse.ArgumentParser) -> None:
     """The run directory of a command that reads one."""
-    parser.add_argument("run", metavar="DIR", help="run directory, made by 'synthesize', 'train' or 'demo'")
+    parser.add_argument("run", metavar="DIR", help="run directory, made by 'plan', 'synthesize', 'train' or 'demo'")
 
 
 def add_comparison(parser: argparse.ArgumentParser) -> None:
@@ -151,8 +160,8 @@ def add_comparison(parser: argparse.ArgumentParser) -> None:
         "--slow-seeds",
         type=whole,
         metavar="N",
-        help=f"fewer seeds for planners whose cases take more than a second, {', '.join(SLOW_PLANNERS)} "
-        "(default: as many)",
+        help=f"fewer seeds for planners whose cases take more than {SLOW:g} s, "
+        f"{', '.join(name for name, entry in PLANNERS.items() if entry.cost > SLOW)} (default: as many)",
     )
     parser.add_argument("--duration", type=decimal, default=4.0, metavar="S", help="duration of the motions [s]")
     _add_time_budget(parser)

@@ -1,4 +1,4 @@
-"""The command ``synthesize``: target to network, or to the motion of another planner."""
+"""The commands ``plan`` and ``synthesize``: target to the motion of a planner, and its network if it makes one."""
 
 from __future__ import annotations
 
@@ -12,16 +12,19 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.cli.arguments import RANDOM, load_arm, make_task, start_and_target, usual_target
 from lieednn_sim.cli.arms import print_import_report
 from lieednn_sim.cli.console import console, one_norm, print_stability, progress, wrote
+from lieednn_sim.cli.options import NETWORK_PLANNERS
 from lieednn_sim.cli.run_directory import RunDirectory
 from lieednn_sim.cli.task import CERTIFIED
 from lieednn_sim.errors import InputError
 from lieednn_sim.evaluation.display import rounded, table
+from lieednn_sim.planner_table import PLANNERS
 from lieednn_sim.planning import CertifiedOptions, Plan, default_planner, plan, planners, require_planner
 from lieednn_sim.planning.motion import Motion
+from lieednn_sim.planning.shaped import ShapedDetails
 from lieednn_sim.validation import as_choice
 
 
-def synthesize(run: RunDirectory, arguments: argparse.Namespace) -> None:
+def make_plan(run: RunDirectory, arguments: argparse.Namespace) -> None:
     """Fill a run directory with a task, a network where the planner has one, and the planner's motion."""
     arm = load_arm(arguments)
     planner, reason = _planner(arm, arguments)
@@ -44,13 +47,15 @@ def synthesize(run: RunDirectory, arguments: argparse.Namespace) -> None:
             start=start,
             duration=arguments.duration,
             # If the run stores only the network, this generates the motion again in the task's duration.
-            longest=1.0 if task.drawn else 3.0,
+            max_time_scale=1.0 if task.drawn else 3.0,
             seed=arguments.seed,
             time_budget=arguments.time_budget,
             options=chosen,
             fastest=arguments.fastest,
             progress=report,
         )
+    if arguments.command == "synthesize" and made.network is None:
+        raise _no_network(planner)
     written = run.save_network(task, made.network, None if task.drawn else made.motion)
     print_import_report(arm)
     if planner == CERTIFIED:
@@ -67,10 +72,12 @@ def _planner(arm: Arm, arguments: argparse.Namespace) -> tuple[str, str]:
     """
     name, reason = default_planner(arm) if arguments.planner is None else (arguments.planner, "asked for")
     as_choice("planner", name, planners())
+    if arguments.command == "synthesize" and name in PLANNERS and name not in NETWORK_PLANNERS:
+        raise _no_network(name)
     require_planner(name)
     given = [
         option
-        for option in ("bias", "bias_magnitude", "candidates")
+        for option in ("bias", "bias_magnitude", "n_networks")
         if name != CERTIFIED and getattr(arguments, option) is not None
     ]
     if given:
@@ -79,14 +86,18 @@ def _planner(arm: Arm, arguments: argparse.Namespace) -> tuple[str, str]:
     return name, reason
 
 
+def _no_network(planner: str) -> InputError:
+    return InputError(f"the planner {planner} makes no network; use: lieednn-sim plan --planner {planner}")
+
+
 def _options(arguments: argparse.Namespace) -> tuple[CertifiedOptions, dict[str, Any]]:
     """Options of the search for certified networks, and their values for the task."""
     magnitude = arguments.usual_bias_magnitude if arguments.bias_magnitude is None else arguments.bias_magnitude
-    given = {name: getattr(arguments, name) for name in ("bias", "candidates") if getattr(arguments, name) is not None}
+    given = {name: getattr(arguments, name) for name in ("bias", "n_networks") if getattr(arguments, name) is not None}
     if magnitude is not None:
         given["bias_magnitudes"] = (magnitude,)
     options = CertifiedOptions(**given)
-    return options, {"bias": options.bias, "bias_magnitude": magnitude, "candidates": options.candidates}
+    return options, {"bias": options.bias, "bias_magnitude": magnitude, "n_networks": options.n_networks}
 
 
 def _print_choice(arm: Arm, made: Plan, bias: str) -> None:
@@ -97,7 +108,8 @@ def _print_choice(arm: Arm, made: Plan, bias: str) -> None:
     rows.add_row("certificate", str(network.certificate))
     rows.add_row("robustness", str(network.robustness()))
     rows.add_row("bias", f"{bias}, largest entry {np.abs(network.bias).max():.3g}")
-    rows.add_row("candidates", f"{made.candidates} networks drawn, {made.within_limits} keep the joint limits")
+    drawn = made.details
+    rows.add_row("networks", f"{drawn.n_networks} networks drawn, {drawn.within_limits} keep the joint limits")
     rows.add_row("duration", f"{made.motion.t[-1]:.2f} s")
     rows.add_row("mechanism gap", _gap(made.motion))
     rows.add_row("1-norm of W", one_norm(network, goal))
@@ -112,9 +124,9 @@ def _print_outcome(made: Plan) -> None:
     rows.add_row("planner", made.planner)
     rows.add_row("duration", f"{made.motion.t[-1]:.2f} s")
     rows.add_row("mechanism gap", _gap(made.motion))
-    if made.teacher is not None and made.deviation is not None:
+    if isinstance(made.details, ShapedDetails) and made.teacher is not None:
         rows.add_row("teacher", made.teacher.planner)
-        rows.add_row("off its path", f"{1e3 * made.deviation:.2g} mm at the end effector")
+        rows.add_row("off its path", f"{1e3 * made.details.deviation:.2g} mm at the end effector")
     console.print(rows)
     if made.network is not None:
         print_stability(made.network, made.network.goal(made.motion.xi_target))

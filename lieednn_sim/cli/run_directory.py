@@ -27,7 +27,7 @@ from lieednn_sim.versions import versions
 # Formats of the plots; the first is the default.
 PLOT_KINDS = ("png", "pdf", "svg")
 # The first two are plots of demonstrations, the third of a training, the others of a rollout.
-_PLOTS = ("demonstrations", "starts", "training", "network", "tracking", "joints")
+_PLOTS = ("demonstrations", "starts", "training", "network", "tracking", "joints", "channels")
 # Classes of networks by the kind of their files.
 _NETWORKS: dict[str, type[ComponentwiseNetwork]] = {network._kind: network for network in (LieEDNN, HopfieldNetwork)}
 
@@ -58,7 +58,7 @@ class RunDirectory:
         self.demonstrations_plot, self.starts_plot, self.training_plot, *others = (
             self.path / f"{name}.{plots}" for name in _PLOTS
         )
-        self.network_plot, self.tracking_plot, self.joints_plot = others
+        self.network_plot, self.tracking_plot, self.joints_plot, self.channels_plot = others
 
     @property
     def pending(self) -> RunDirectory:
@@ -76,6 +76,12 @@ class RunDirectory:
         """Files made from a rollout, which a new one makes outdated."""
         plots = self._plots_of(*_PLOTS[3:])
         return [self.metrics_json, self.metrics_csv, *plots, self.video, self.divergence]
+
+    @property
+    def evaluated(self) -> list[Path]:
+        """Files of `evaluate`, the last only where the rollout has channels."""
+        plots = [self.network_plot, self.tracking_plot, self.joints_plot, self.channels_plot]
+        return [self.metrics_json, self.metrics_csv, *plots]
 
     def _plots_of(self, *names: str) -> list[Path]:
         return [self.path / f"{name}.{kind}" for name in names for kind in PLOT_KINDS]
@@ -121,7 +127,7 @@ class RunDirectory:
         """Return self, or raise `FileError` if there is no such run."""
         if not filesystem.is_file(self.task):
             raise FileError(
-                f"{self.path} holds no run (no {self.task.name}); make one with 'lieednn-sim synthesize' or 'train'"
+                f"{self.path} holds no run (no {self.task.name}); make one with 'lieednn-sim plan' or 'train'"
             )
         return self
 
@@ -179,7 +185,7 @@ class RunDirectory:
                     raise FileError(
                         f"{path} was made from another {source} than {getattr(self, source)} (fingerprint "
                         f"{storage.short(then)}, not {storage.short(now)}): files of different runs are mixed, or one "
-                        f"was changed; 'lieednn-sim {'simulate' if name == 'rollout' else 'synthesize'}' makes it again"
+                        f"was changed; 'lieednn-sim {'simulate' if name == 'rollout' else 'plan'}' makes it again"
                     )
             found[name] = own
         return found

@@ -5,9 +5,9 @@ from __future__ import annotations
 import argparse
 import contextlib
 import functools
-import itertools
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -25,15 +25,13 @@ from lieednn_sim.evaluation.display import table
 from lieednn_sim.learning import (
     ALGORITHMS,
     RiemannianOptions,
-    TrainingOptions,
     TrainingResult,
-    resume,
     train_riemannian,
 )
-from lieednn_sim.learning import train as learn
+from lieednn_sim.learning import train as projected_train
 from lieednn_sim.learning.checkpoint import KIND as CHECKPOINT_KIND
-from lieednn_sim.learning.checkpoint import load as load_checkpoint
-from lieednn_sim.network import LieEDNN
+from lieednn_sim.learning.checkpoint import seed_of
+from lieednn_sim.network import ACTIVATIONS, DEFAULT_ACTIVATION, LieEDNN
 from lieednn_sim.planning.motion import check_motion
 from lieednn_sim.planning.network_path import make_motion
 from lieednn_sim.synthesis import bias_for
@@ -46,8 +44,8 @@ RIEMANNIAN = {"riemannian": False, "stability-aware": True}
 # Options stored in the task.
 _OPTIONS = ("algorithm", "period", "epochs", "tolerance", "bias", "bias_magnitude", "candidates")
 
-Learner = Callable[[int], TrainingResult]
-Candidates = Iterable[Callable[[], TrainingResult]]
+Learner = Callable[..., TrainingResult]
+Candidates = Sequence[Callable[[], TrainingResult]]
 
 
 def train(arguments: argparse.Namespace) -> int:
@@ -80,9 +78,9 @@ def _begin(run: RunDirectory, arguments: argparse.Namespace) -> tuple[Task, Arm,
     start, target = start_and_target(arm, arguments)
     arm.check_position(target, "target")
     options = {name: getattr(arguments, name) for name in _OPTIONS}
-    as_count("candidates", options["candidates"])
+    candidates = as_count("candidates", options["candidates"])
     task = make_task(arm, start, target, arguments, planner=TRAINED, reason="asked for", options=options)
-    learner = _learner(arguments, arm.encode(target), run.pending)
+    learner = _learner(options, arm.encode(target), run.pending.checkpoint)
     pending = run.pending
     if pending.path.exists():
         pending.manifest.check(pending.files)
@@ -94,15 +92,14 @@ def _begin(run: RunDirectory, arguments: argparse.Namespace) -> tuple[Task, Arm,
         with pending.manifest.writing(pending.task) as temporary:
             task.save(temporary)
     print_import_report(arm)
-    return task, arm, (functools.partial(learner, task.seed + k) for k in itertools.count())
+    return task, arm, [functools.partial(learner, task.seed + k) for k in range(candidates)]
 
 
 def _train(run: RunDirectory, task: Task, arm: Arm, learners: Candidates) -> int:
-    """Learn from consecutive seeds, as many as the task allows."""
+    """Learn from one seed after the other."""
     pending = run.pending
     try:
-        candidates = as_count("candidates", task.options["candidates"])
-        result, refusal = _choose(itertools.islice(learners, candidates), run, arm, task)
+        result, refusal = _choose(learners, run, arm, task)
     except BaseException:
         # Whatever ended it, a full disk or the user, what was learned is kept.
         if pending.checkpoint.is_file():
@@ -167,63 +164,53 @@ def _refusal(result: TrainingResult, arm: Arm, task: Task) -> str | None:
     return None
 
 
-def _learner(arguments: argparse.Namespace, xi: Floats, pending: RunDirectory) -> Learner:
-    """A function that learns a network from a seed."""
-    name = as_choice("algorithm", arguments.algorithm, [*ALGORITHMS, *RIEMANNIAN])
-    bias = _bias(xi, arguments)
-    if name in RIEMANNIAN:
-        if arguments.period is not None or arguments.epochs is not None:
-            raise InputError(f"--period and --epochs are for the algorithms {', '.join(ALGORITHMS)}, not for {name}")
-        riemannian = RiemannianOptions(certified=RIEMANNIAN[name], tolerance=arguments.tolerance)
-        return lambda seed: _shown(train_riemannian, xi, riemannian, bias=bias, seed=seed)
-    options = _training_options(arguments)
-    return lambda seed: _shown(learn, xi, options, bias=bias, seed=seed, checkpoint=pending.checkpoint)
+def _learner(options: Mapping[str, Any], xi: Floats, checkpoint: Path) -> Learner:
+    """A function that learns a network from a seed, with a progress bar."""
+    asked = argparse.Namespace(**options)
+    name = as_choice("algorithm", asked.algorithm, [*ALGORITHMS, *RIEMANNIAN])
+    changes = {"period": asked.period, "max_epochs": asked.epochs, "tolerance": asked.tolerance}
+    learn: Callable[..., TrainingResult]
+    if name not in RIEMANNIAN:
+        algorithm = ALGORITHMS[name](**{key: value for key, value in changes.items() if value is not None})
+        learn = functools.partial(projected_train, xi, algorithm, checkpoint=checkpoint)
+    elif asked.period is not None or asked.epochs is not None:
+        raise InputError(f"--period and --epochs are for the algorithms {', '.join(ALGORITHMS)}, not for {name}")
+    else:
+        riemannian = RiemannianOptions(certified=RIEMANNIAN[name], tolerance=asked.tolerance)
+        learn = functools.partial(train_riemannian, xi, riemannian)
+    bias = _bias(xi, asked)
+
+    def learner(seed: int, **resume: bool) -> TrainingResult:
+        with progress("train") as report:
+            return learn(bias=bias, seed=seed, progress=report, **resume)
+
+    return learner
 
 
-def _training_options(arguments: argparse.Namespace) -> TrainingOptions:
-    changes = {"period": arguments.period, "max_epochs": arguments.epochs, "tolerance": arguments.tolerance}
-    return ALGORITHMS[arguments.algorithm](**{key: value for key, value in changes.items() if value is not None})
-
-
-def _shown(learn: Callable[..., TrainingResult], *arguments: Any, **named: Any) -> TrainingResult:
-    """Run a learner with a progress bar."""
-    with progress("train") as report:
-        return learn(*arguments, **named, progress=report)
-
-
-def _resumed(pending: RunDirectory, task: Task, xi: Floats) -> Iterator[Callable[[], TrainingResult]]:
-    """The interrupted candidate first, then those after it."""
-    problem, options, *_ = load_checkpoint(pending.checkpoint)
-    if problem.group is not None or problem.target.shape != xi.shape or np.abs(problem.target - xi).max() > 1e-9:
-        raise FileError(f"{pending.checkpoint} was learning another target than {pending.task} says; train again")
+def _resumed(pending: RunDirectory, task: Task, xi: Floats) -> Candidates:
+    """The interrupted candidate first, then those after it; those before it were learned, and rejected or worse."""
+    seed = seed_of(pending.checkpoint)
     try:
-        asked = argparse.Namespace(**task.options)
-        same = options == _training_options(asked) and bool(np.allclose(problem.bias, _bias(xi, asked), atol=1e-9))
+        learner = _learner(task.options, xi, pending.checkpoint)
+        later = range(seed + 1, task.seed + task.options["candidates"])
     except (AttributeError, KeyError, TypeError, InputError) as error:
         raise FileError(f"{pending.task} does not say how the training was begun ({error}); train again") from None
-    if not same or not 0 <= problem.seed - task.seed < task.options["candidates"]:
-        raise FileError(f"{pending.checkpoint} was learning with other options than {pending.task} says; train again")
-    again = functools.partial(_shown, learn, problem.target, options, bias=problem.bias, checkpoint=pending.checkpoint)
-    # The candidates before it were learned, and rejected or worse.
-    others = range(problem.seed + 1, task.seed + task.options["candidates"])
-    return itertools.chain(
-        [functools.partial(_shown, resume, pending.checkpoint)],
-        (functools.partial(again, seed=seed) for seed in others),
-    )
+    return [functools.partial(learner, seed, resume=True), *(functools.partial(learner, one) for one in later)]
 
 
 def _bias(xi: Floats, arguments: argparse.Namespace) -> Floats:
     if arguments.bias == "solved":
         raise InputError("the solved bias needs no learning; use 'lieednn-sim synthesize --bias solved'")
     magnitude = as_positive("bias magnitude", arguments.bias_magnitude)
-    return bias_for(arguments.bias, xi, np.tanh(xi), 1.0, magnitude)
+    return bias_for(arguments.bias, xi, ACTIVATIONS[DEFAULT_ACTIVATION].phi(xi), 1.0, magnitude)
 
 
 def _report(result: TrainingResult, xi: Floats) -> None:
     network = result.network if result.success and isinstance(result.network, LieEDNN) else None
     rows = table("training", "quantity", "value")
     rows.add_row("outcome", result.message)
-    rows.add_row("time", f"{result.seconds:.2f} s, {1e6 * result.seconds / max(result.epochs, 1):.0f} us an epoch")
+    each = 1e6 * result.cpu_time / max(result.epochs, 1)
+    rows.add_row("CPU time", f"{result.cpu_time:.2f} s, {each:.0f} us an epoch")
     if network is not None:
         rows.add_row("1-norm of W", one_norm(network, xi))
         rows.add_row("largest |t|", f"{np.linalg.norm(network.translation, axis=-1).max():.2f}")

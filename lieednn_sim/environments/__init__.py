@@ -6,5 +6,5 @@
 - `gymnasium`: the tasks as Gymnasium environments ``LieEDNN/TelescopicReach-v0`` and ``LieEDNN/TelescopicTrack-v0``;
   needs the extra ``gymnasium``.
 - `vector`: many environments at once, as a vector environment of Gymnasium.
-- `expert`: a policy for any of them that follows a LieEDNN plan.
+- `expert`: a policy for a single one of them that follows a LieEDNN plan.
 """

@@ -9,23 +9,17 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
-from lieednn_sim.environments.bounds import Bounds, common_bounds, reach
-from lieednn_sim.environments.commands import Commands
-from lieednn_sim.environments.frames import SiteFrames
-from lieednn_sim.environments.observations import Observations
-from lieednn_sim.environments.rewards import Closeness
+from lieednn_sim.environments.frames import SiteFrames, to_go
+from lieednn_sim.environments.observations import Bounds, Observation, Observations, State, Target, common_bounds
 from lieednn_sim.errors import InputError, SimulationError
 from lieednn_sim.evaluation.frame_errors import SETTLED_ROTATION, SETTLED_TRANSLATION
 from lieednn_sim.planning.motion import steps_in
 from lieednn_sim.simulation import Simulation
+from lieednn_sim.simulation.actuators import Actuators
 from lieednn_sim.simulation.plant import make_plant
-from lieednn_sim.simulation.quaternions import quaternions
 from lieednn_sim.validation import as_choice, as_floats, as_positive, as_seed
 from lieednn_sim.values import Floats
-
-Observation = dict[str, Floats]
 
 # Which frames must reach their targets.
 GOALS = ("end-effector", "links")
@@ -51,10 +45,51 @@ class Transition(NamedTuple):
     info: dict[str, Any]
 
 
+class Commands:
+    """Commands that move at constant velocity for one control step, followed by position servos with feedforward.
+
+    Args:
+        arm: the arm, whose limits scale the actions.
+        substeps: number of physics steps in a control step.
+
+    Raises:
+        InputError: the arm is not driven by position actuators on joints or fixed tendons.
+    """
+
+    def __init__(self, arm: Arm, substeps: int) -> None:
+        self._arm, self._actuators = arm, Actuators(arm)
+        self._actuators.require_servos()
+        self._damping = arm.model.dof_damping.copy()
+        self._low, self._high = arm.position_limits.T
+        self._timestep = substeps * arm.timestep
+        parts = np.arange(substeps + 1)[:, None] / substeps
+        self._before, self._after = 1.0 - parts, parts
+
+    def moved(self, command: Floats, action: Floats) -> Floats:
+        """Commanded positions ``(..., n)`` after actions ``(..., n)``, from those before them."""
+        fraction = np.minimum(np.maximum(action, -1.0), 1.0)
+        end = command + self._timestep * fraction * self._arm.velocity_limits
+        end = np.minimum(np.maximum(end, self._low), self._high)
+        return self._arm.within_angles(end) if len(self._arm.space.balls) else end
+
+    def controls(self, start: Floats, end: Floats) -> Floats:
+        """Controls ``(..., substeps, nu)`` that lead servos between commanded positions ``(..., n)``."""
+        # Not start + part * (end - start), which may exceed a limit by rounding.
+        q = self._before * start[..., None, :] + self._after * end[..., None, :]
+        space = self._arm.space
+        # Generalised velocities depend on the posture only with ball joints.
+        postures = q[..., 1:, :] if len(space.balls) else end[..., None, :]
+        qvel = space.to_qvel(postures, ((end - start) / self._timestep)[..., None, :])
+        return self._actuators.servo_controls(space.to_qpos(q[..., :-1, :]), qvel, self._damping * qvel)
+
+
 class ArmTask(ABC):
     """Tasks in which joint velocities bring an arm to target positions that are among the observations.
 
-    An action in [-1, 1]^n is a joint velocity as a share of the limits. It moves the commanded position, which stays
+    A task is the definition, in functions of states that take any leading axes (`commands`, `draw`, `judge`, `look`),
+    and one episode of it in a simulation, which `begin` and `step` go through. `vector.VectorEnvironment` has many.
+
+    An action in [-1, 1]^n is a joint velocity as a fraction of the limits. It moves the commanded position, which stays
     within the position limits, at constant velocity for one control step; the arm's position servos follow it, with
     velocity feedforward, at every physics step. Actions outside this range are clipped.
 
@@ -79,23 +114,17 @@ class ArmTask(ABC):
         arm: the arm.
         simulation: its simulation.
         substeps: number of physics steps in a control step.
+        control_timestep: time between actions [s].
+        steps: number of control steps in an episode.
         commands: computes commanded positions and controls from actions.
         frames: slice of the goal frames among the link frames.
         bounds: lower and upper bounds of the observations, by name.
         observations: computes rows of observations.
-        closeness: reward of distance and angle.
-        row: present observations; after a failure, those before it.
         episode: number of episodes begun.
-        distance: largest distance of a goal frame from its target at present [m].
-        angle: the same as an angle [rad].
-        failure: reason why the simulation failed in this episode, or empty.
 
     Raises:
         InputError: an argument is malformed, or the arm has infinite position or velocity limits.
     """
-
-    # Tolerances and margins of further errors that are rewarded besides distance and angle.
-    _more_errors: tuple[tuple[float, float], ...] = ()
 
     def __init__(
         self,
@@ -129,84 +158,84 @@ class ArmTask(ABC):
         self.position_tolerance = as_positive("position_tolerance", position_tolerance)
         self.rotation_tolerance = as_positive("rotation_tolerance", rotation_tolerance)
         self.commands = Commands(self.arm, self.substeps)
-        self._command = np.zeros(self.arm.n_joints)
         self.frames = slice(-1, None) if self.goal == "end-effector" else slice(None)
         frames = len(range(self.arm.n_links)[self.frames])
         self.bounds: Bounds = common_bounds(self.arm, frames) | self._more_bounds()
         self.observations = Observations(self.bounds)
+        self.episode = 0
+        self._state: State | None = None
+        self._target: Target
         # Visual geoms would double the time of a step.
         self.run_in(Simulation(self.arm, make_plant(self.arm.without_visuals)))
-        self.episode = 0
-        self.distance, self.angle = float("inf"), float(np.pi)
-        self.failure = ""
-        self._controls: Floats | None = None
-        self._over = True
-        self._step = 0
-        self.row = np.zeros(self.observations.size)
-        self._velocity = np.zeros(self.arm.n_joints)
-        tolerances = self.position_tolerance, self.rotation_tolerance
-        self.closeness = Closeness(*tolerances, reach(self.arm), *self._more_errors)
 
     def run_in(self, simulation: Simulation) -> None:
         """Use another simulation of the arm from the next episode on."""
-        self.simulation = simulation
+        self.simulation, data = simulation, simulation.data
         # Views are kept, since asking MuJoCo for one takes as long as reading it.
-        data = simulation.data
         self._qpos, self._qvel, self._warm_start = data.qpos, data.qvel, data.qacc_warmstart
-        self._site_frames = SiteFrames(self.arm, data, self.frames)
-
-    @abstractmethod
-    def _draw(self, rng: np.random.Generator, options: dict[str, Any]) -> None:
-        """Draw the target of the episode that begins, or take it from the options; raise on unknown options."""
-
-    @abstractmethod
-    def target(self, time: float) -> Floats:
-        """Joint target ``(n,)`` at a time of the episode [s]."""
-
-    @abstractmethod
-    def here(self) -> tuple[Floats, ...]:
-        """Present target for `Observations.rows`: position ``(n,)``, frames ``(F, 16)``, additional observations."""
-
-    def _require_episode(self) -> None:
-        if self.episode == 0:
-            raise InputError("no episode has begun: reset first")
+        self._site_frames = SiteFrames(self.arm, simulation.model, data, self.frames)
 
     def _more_bounds(self) -> Bounds:
         """Bounds of the task's additional observations."""
         return {}
 
     @abstractmethod
-    def judge(self, distance: Floats | float, angle: Floats | float, qd: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+    def draw(self, rng: np.random.Generator, options: dict[str, Any]) -> Target:
+        """Draw the target of an episode, or take it from the options; raises as `begin`."""
+
+    @abstractmethod
+    def judge(self, distance: Floats, angle: Floats, qd: Floats) -> tuple[Floats, NDArray[np.bool_]]:
         """Rewards ``(...)`` in [0, 1] and successes ``(...)`` at errors ``(...)`` and joint velocities ``(..., n)``.
 
         Unchecked.
         """
 
-    def reward(self) -> float:
-        """Reward at the present time, in [0, 1]."""
-        return float(self._judged(self._joints()[1])[0])
+    def look(self, steps: Any, command: Floats, qpos: Floats, qvel: Floats, frames: Floats, *target: Floats) -> State:
+        """States ``(...)`` after numbers of control steps ``(...)``; unchecked.
 
-    def success(self) -> bool:
-        """Whether the arm is at its target at the present time."""
-        return bool(self._judged(self._joints()[1])[1])
+        Args:
+            steps: these numbers.
+            command: commanded positions ``(..., n)``.
+            qpos: MuJoCo's positions ``(..., nq)``.
+            qvel: MuJoCo's velocities ``(..., nv)``.
+            frames: goal frames ``(..., F, 16)`` of the arm, see `SiteFrames`.
+            target: as of `Target.after`, with leading axes.
+        """
+        q = self.arm.space.from_qpos(qpos)
+        qd = self.arm.space.from_qvel(q, qvel)
+        wanted, goals, *more = target
+        twist, distance, angle = to_go(frames, goals)
+        row = self.observations.rows(q, qd, command, wanted - q, twist.reshape(*q.shape[:-1], -1), *more)
+        return State(steps, command, row, *self.judge(distance, angle, qd), distance, angle)
 
-    def _judged(self, qd: Floats) -> tuple[Floats, NDArray[np.bool_]]:
-        return self.judge(self.distance, self.angle, qd)
+    @property
+    def state(self) -> State:
+        """The present state; after a failure, the one before it, without success or reward."""
+        if self._state is None:
+            raise InputError("no episode has begun: reset first")
+        return self._state
 
     @property
     def over(self) -> bool:
         """Whether the episode is over, or none has begun."""
-        return self._over
+        state = self._state
+        return state is None or bool(state.over(self.steps))
 
     @property
     def time(self) -> float:
         """Present time of the episode [s]."""
-        return self._step * self.control_timestep
+        return self.state.steps * self.control_timestep
 
     @property
     def command(self) -> Floats:
         """The commanded joint position ``(n,)``."""
-        return self._command.copy()
+        return self.state.command.copy()
+
+    def target(self, time: float) -> Floats:
+        """Joint target ``(n,)`` at a time of the episode [s]."""
+        if self.episode == 0:
+            raise InputError("no episode has begun: reset first")
+        return self._target.position(time)
 
     def begin(self, rng: np.random.Generator, options: dict[str, Any] | None = None) -> Observation:
         """Begin an episode: the arm rests at ``home``, and the target is drawn from the generator.
@@ -217,14 +246,12 @@ class ArmTask(ABC):
             InputError: unknown or malformed options.
             NoSolutionError: no target or motion was found for this arm in its scene.
         """
-        self._over = True
-        self._draw(rng, dict(options or {}))
+        self._state = None
+        self._target = self.draw(rng, dict(options or {}))
         home = self.arm.keyframe("home")
         self.simulation.reset(home)
-        self._command = home
-        self._step, self._over, self.failure = 0, False, ""
+        self._look(0, home)
         self.episode += 1
-        self._look()
         return self.observe()
 
     def step(self, action: ArrayLike) -> Transition:
@@ -233,85 +260,38 @@ class ArmTask(ABC):
         Raises:
             InputError: the action is malformed or not finite, or no episode is running.
         """
-        self.before_step(action)
-        self.advance(self.substeps)
-        self.after_step()
-        failed = bool(self.failure)
-        reward, success = (0.0, False) if failed else self._judged(self._velocity)
-        return Transition(self.observe(), float(reward), failed, self._over and not failed, self._info(bool(success)))
-
-    def before_step(self, action: ArrayLike) -> None:
-        """Move the command by an action ``(n,)``; raises as `step`."""
-        if self._over:
+        before = self._state
+        if before is None or self.over:
             raise InputError("the episode is over, or none has begun: reset first")
-        start = self._command
-        end = self.commands.moved(start, as_floats("action", action, (self.arm.n_joints,)))
-        self._controls, self._command = self.commands.controls(start, end), end
+        command = self.commands.moved(before.command, as_floats("action", action, (self.arm.n_joints,)))
+        failure = self.simulate(self.commands.controls(before.command, command))
+        if failure:
+            nothing = np.zeros(())
+            state = self._state = before._replace(reward=nothing, success=nothing > 0.0, failure=failure)
+        else:
+            state = self._look(before.steps + 1, command)
+        truncated = not failure and self.over
+        return Transition(self.observe(), float(state.reward), bool(failure), truncated, state.info())
+
+    def simulate(self, controls: Floats) -> str:
+        """Do the physics steps of a control step with controls ``(substeps, nu)``; the reason if one fails."""
         # Without a warm start of the solver, a control step is a function of the state.
         self._warm_start[:] = 0.0
-
-    def advance(self, steps: int) -> None:
-        """Do physics steps, with the controls of the last `before_step`, used once; sets `failure` if one fails."""
-        controls, self._controls = self._controls, None
         try:
-            self.simulation.advance(steps, controls)
+            self.simulation.advance(self.substeps, controls)
         except SimulationError as error:
-            self.failure = str(error)
+            return str(error)
+        return ""
 
-    def after_step(self, *, current: bool = False) -> None:
-        """Update the observations, unless the simulation failed.
-
-        Args:
-            current: whether MuJoCo has computed the poses of the present time.
-        """
-        self.took(self._command, self.failure)
-        if not self.failure:
-            self._look(current)
-
-    def took(self, command: Floats, failure: str = "") -> None:
-        """Count a control step to a commanded position ``(n,)``, with the reason if it failed."""
-        self._command, self.failure = command, failure
-        self._step += not failure
-        self._over = bool(failure) or self._step >= self.steps
-
-    def failure_of(self, controls: Floats) -> str:
-        """The reason for which physics steps with controls ``(substeps, nu)`` fail from the present state."""
-        controls = as_floats("controls", controls, (self.substeps, self.arm.model.nu))
-        self.simulation.steps, self._controls = self._step * self.substeps, controls
-        self._warm_start[:] = 0.0
-        self.advance(self.substeps)
-        return self.failure or "the state is not finite"
+    def _look(self, steps: int, command: Floats) -> State:
+        frames, target = self._site_frames(), self._target.after(steps)
+        self._state = state = self.look(steps, command, self._qpos, self._qvel, frames, *target)
+        return state
 
     def observe(self) -> Observation:
         """Present observations, as new arrays; after a failure, those before it."""
-        return self.observations.split(self.row.copy())
+        return self.observations.split(self.state.row.copy())
 
     def info(self) -> dict[str, Any]:
         """Success and errors at the present time; see `Transition`."""
-        return self._info(self.success() and not self.failure)
-
-    def _info(self, success: bool) -> dict[str, Any]:
-        info = {"success": success, "distance": self.distance, "angle": self.angle}
-        return info | ({"failure": self.failure} if self.failure else {})
-
-    def _look(self, current: bool = False) -> None:
-        """Update observations and errors to the present time."""
-        if not current:
-            mujoco.mj_kinematics(self.simulation.model, self.simulation.data)
-        q, self._velocity = self._joints()
-        frames = self._site_frames()
-        self.row, distance, angle = self.observations.rows(frames, q, self._velocity, self._command, self.here())
-        self.distance, self.angle = float(distance), float(angle)
-
-    def _goals(self, q: Floats) -> Floats:
-        """Goal frames ``(..., F, 16)`` at joint targets ``(..., n)``."""
-        matrices = self.arm.link_poses(q).as_matrix()[..., self.frames, :, :]
-        rotation = matrices[..., :3, :3]
-        parts = matrices[..., :3, 3], rotation.reshape(*rotation.shape[:-2], 9), quaternions(rotation)
-        return np.concatenate(parts, axis=-1)
-
-    def _joints(self) -> tuple[Floats, Floats]:
-        """Joint positions and velocities ``(n,)`` of the simulation, without checks."""
-        space = self.arm.space
-        q = space.from_qpos(self._qpos)
-        return q, space.from_qvel(q, self._qvel)
+        return self.state.info()

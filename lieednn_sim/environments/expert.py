@@ -13,7 +13,7 @@ from lieednn_sim.errors import InputError
 from lieednn_sim.planning import OBSTACLE_PLANNER, planners, require_planner
 from lieednn_sim.policies import MotionTracker, Policy, make_policy, policies
 from lieednn_sim.typecheck import typecheck_public
-from lieednn_sim.validation import as_choice, as_count, as_seed
+from lieednn_sim.validation import Seed, as_choice, as_count, as_seed
 from lieednn_sim.values import Floats
 
 __all__ = ["Expert"]
@@ -46,11 +46,12 @@ class Expert:
         policy: str | None = None,
         planner: str | None = None,
         candidates: int = 2,
-        seed: int = 0,
+        seed: Seed = 0,
     ) -> None:
         inner = getattr(environment, "unwrapped", environment)
         task = inner if isinstance(inner, ArmTask) else getattr(inner, "task", None)
-        if not isinstance(task, ArmTask):
+        # Many environments have a task too, but not an episode of it.
+        if not isinstance(task, ArmTask) or hasattr(inner, "num_envs"):
             raise InputError(
                 "environment must be an ArmTask, or made by suite.load or gymnasium.make from one of this package's, "
                 f"got {type(environment).__name__}"

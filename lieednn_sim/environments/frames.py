@@ -19,36 +19,43 @@ _OWN, _GOAL = 12 + np.array([0, 0, 0, 1, 2, 3, *1 + _LEFT]), 12 + np.array([1, 2
 
 
 class SiteFrames:
-    """Reads link frames from MuJoCo's data as rows ``(F, 16)``: position, rotation matrix by rows, quaternion.
+    """Reads link frames from MuJoCo's data as rows ``(F, 16)``: position, rotation matrix by rows, quaternion."""
 
-    Views of the data are kept, since asking MuJoCo for one takes as long as reading it.
-    """
-
-    def __init__(self, arm: Arm, data: mujoco.MjData, frames: slice) -> None:
-        self._sites, self._positions, self._rotations = arm.site_ids[frames], data.site_xpos, data.site_xmat
+    def __init__(self, arm: Arm, model: mujoco.MjModel, data: mujoco.MjData, frames: slice) -> None:
+        self._model, self._data, self._sites = model, data, arm.site_ids[frames]
+        # Views are kept, since asking MuJoCo for one takes as long as reading it.
+        self._qpos, self._positions, self._rotations = data.qpos, data.site_xpos, data.site_xmat
 
     def __call__(self) -> Floats:
-        """Return the present frames in a new array."""
-        sites = self._sites
-        found = np.empty((len(sites), 16))
-        found[:, :3], found[:, 3:12] = self._positions.take(sites, axis=0), self._rotations.take(sites, axis=0)
+        """Return the frames at the data's positions in a new array."""
+        mujoco.mj_kinematics(self._model, self._data)
+        found = np.empty((len(self._sites), 16))
+        found[:, :3] = self._positions.take(self._sites, axis=0)
+        found[:, 3:12] = self._rotations.take(self._sites, axis=0)
         for frame in found:
             mujoco.mju_mat2Quat(frame[12:], frame[3:12])
         return found
 
+    def at(self, qpos: Floats) -> Floats:
+        """Frames ``(B, F, 16)`` at MuJoCo's positions ``(B, nq)``, to which the data is set one after the other."""
+        # All sites are copied, since a choice of a few takes longer.
+        places, turns = (np.empty((len(qpos), *view.shape)) for view in (self._positions, self._rotations))
+        for row, own_place, own_turn in zip(qpos, places, turns, strict=True):
+            self._qpos[:] = row
+            mujoco.mj_kinematics(self._model, self._data)
+            own_place[:], own_turn[:] = self._positions, self._rotations
+        return _rows(places[:, self._sites], turns[:, self._sites])
 
-def frames_at(arm: Arm, model: mujoco.MjModel, data: mujoco.MjData, qpos: Floats, frames: slice) -> Floats:
-    """Rows of `SiteFrames` at MuJoCo's positions ``(B, nq)``, ``(B, F, 16)``; changes the data."""
-    place, rotation, position = data.site_xpos, data.site_xmat, data.qpos
-    places, rotations = np.empty((len(qpos), *place.shape)), np.empty((len(qpos), *rotation.shape))
-    for row, own_place, own_rotation in zip(qpos, places, rotations, strict=True):
-        position[:] = row
-        mujoco.mj_kinematics(model, data)
-        own_place[:], own_rotation[:] = place, rotation
-    sites = arm.site_ids[frames]
-    rotations = rotations[:, sites]
+
+def goal_frames(arm: Arm, q: Floats, frames: slice) -> Floats:
+    """Rows ``(..., F, 16)`` as of `SiteFrames` at joint positions ``(..., n)``, without MuJoCo's data."""
+    matrices = arm.link_poses(q).as_matrix()[..., frames, :, :]
+    return _rows(matrices[..., :3, 3], matrices[..., :3, :3].reshape(*matrices.shape[:-2], 9))
+
+
+def _rows(positions: Floats, rotations: Floats) -> Floats:
     turns = quaternions(rotations.reshape(*rotations.shape[:-1], 3, 3))
-    return np.concatenate([places[:, sites], rotations, turns], axis=-1)
+    return np.concatenate([positions, rotations, turns], axis=-1)
 
 
 def to_go(frames: Floats, goals: Floats) -> tuple[Floats, Floats, Floats]:

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from lieednn_sim.arm import Arm
-from lieednn_sim.environments.base import Observation
+from lieednn_sim.environments.observations import Observation
 from lieednn_sim.environments.tasks import make_task
 from lieednn_sim.errors import InputError, LieEDNNError
 from lieednn_sim.rendering.video import Camera, check_view

@@ -1,14 +1,97 @@
-"""Observations of many environments at once: a row each, which holds named arrays with bounds."""
+"""What is known of episodes: their targets, their states, and observations, which are named arrays with bounds."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from lieednn_sim.environments.bounds import Bounds
-from lieednn_sim.environments.frames import to_go
+from lieednn_sim.arm import Arm
 from lieednn_sim.values import Floats
+
+Observation = dict[str, Floats]
+# Lower and upper bounds by name.
+Bounds = dict[str, tuple[Floats, Floats]]
+
+# Observed positions exceed their limits by at most this fraction of their range, and velocities are at most this
+# multiple of their limits: servos overshoot slightly, and contacts push.
+_POSITION_SLACK_FRACTION, _VELOCITY_LIMIT_FACTOR = 0.1, 5.0
+
+
+def common_bounds(arm: Arm, frames: int) -> Bounds:
+    """Bounds of the observations that all tasks have, with this number of goal frames."""
+    low, high = arm.position_limits.T
+    slack = _POSITION_SLACK_FRACTION * (high - low)
+    velocity = _VELOCITY_LIMIT_FACTOR * arm.velocity_limits
+    span = high - low + 2.0 * slack
+    # |v| <= (pi / 2) |p| for a pose with translation p, whose length is at most twice the reach.
+    twist = np.tile(np.repeat([np.pi, np.pi * reach(arm)], 3), (frames, 1))
+    return {
+        "position": (low - slack, high + slack),
+        "velocity": (-velocity, velocity),
+        "command": (low.copy(), high.copy()),
+        "position_error": (-span, span),
+        "pose_error": (-twist, twist),
+    }
+
+
+def reach(arm: Arm) -> float:
+    """Upper bound of the distance of link frames from the base [m]: lengths between frames plus travel of slides."""
+    lengths = np.linalg.norm(arm.mounts.translation, axis=-1) + np.linalg.norm(arm.tips.translation, axis=-1)
+    slides = np.array([unit == "m" for unit in arm.space.units])
+    return float(lengths.sum() + np.abs(arm.position_limits[slides]).max(axis=1).sum())
+
+
+class Target(NamedTuple):
+    """The target of an episode.
+
+    Attributes:
+        position: joint target ``(n,)`` at a time of the episode [s].
+        rows: after each number of control steps, from 0 to S: joint targets ``(S + 1, n)``, goal frames
+            ``(S + 1, F, 16)`` as rows of `SiteFrames`, and a task's additional observations ``(S + 1, k)``.
+    """
+
+    position: Callable[[float], Floats]
+    rows: tuple[Floats, ...]
+
+    def after(self, steps: int) -> list[Floats]:
+        """The rows after some control steps."""
+        return [values[steps] for values in self.rows]
+
+
+class State(NamedTuple):
+    """What is known after a control step, of one episode or, with leading axes, of many; MuJoCo holds the physics.
+
+    Attributes:
+        steps: numbers of control steps done ``(...)``.
+        command: commanded positions ``(..., n)``.
+        row: observations ``(..., size)``, see `Observations.rows`.
+        reward: rewards ``(...)`` in [0, 1].
+        success: whether the arm is at its target ``(...)``.
+        distance: largest distance of a goal frame from its target ``(...)`` [m].
+        angle: the same as an angle ``(...)`` [rad].
+        failure: reasons ``(...)`` for which the next step failed in the simulation, or empty.
+    """
+
+    steps: Any
+    command: Floats
+    row: Floats
+    reward: Floats
+    success: NDArray[np.bool_]
+    distance: Floats
+    angle: Floats
+    failure: Any = ""
+
+    def over(self, steps: int) -> Any:
+        """Whether episodes of so many control steps are over ``(...)``."""
+        return (self.failure != "") | (self.steps >= steps)
+
+    def info(self) -> dict[str, Any]:
+        """Success and errors of one episode; see `Transition`."""
+        info = {"success": bool(self.success), "distance": float(self.distance), "angle": float(self.angle)}
+        return info | {"failure": self.failure} if self.failure else info
 
 
 class Observations:
@@ -30,26 +113,12 @@ class Observations:
             self._parts.append((name, slice(begin, begin + low.size), low.shape))
             begin += low.size
 
-    def rows(
-        self, frames: Floats, q: Floats, qd: Floats, command: Floats, target: Sequence[Floats]
-    ) -> tuple[Floats, Floats, Floats]:
-        """Rows ``(..., size)``, and the largest distance [m] and angle [rad] ``(...)`` of a frame from its goal.
-
-        Args:
-            frames: goal frames ``(..., F, 16)`` of the arm, see `SiteFrames`.
-            q: joint positions ``(..., n)``.
-            qd: joint velocities ``(..., n)``.
-            command: commanded positions ``(..., n)``.
-            target: positions ``(..., n)``, frames ``(..., F, 16)``, and a task's additional observations, flat.
-        """
-        wanted, goals, *more = target
-        twist, distance, angle = to_go(frames, goals)
-        values = [q, qd, command, wanted - q, twist.reshape(*q.shape[:-1], -1), *more]
+    def rows(self, *values: Floats) -> Floats:
+        """Rows ``(..., size)`` of arrays ``(..., k)``, one for each name, flat."""
         # Twice as fast as np.clip.
-        clipped = np.minimum(np.maximum(np.concatenate(values, axis=-1), self._low), self._high)
-        return clipped, distance, angle
+        return np.minimum(np.maximum(np.concatenate(values, axis=-1), self._low), self._high)
 
-    def split(self, rows: Floats) -> dict[str, Floats]:
+    def split(self, rows: Floats) -> Observation:
         """The observations by name, views of rows ``(..., size)``."""
         batch = rows.shape[:-1]
         parts = {name: rows[..., part] for name, part, _ in self._parts}

@@ -11,9 +11,11 @@ import numpy as np
 from dm_control.rl import control
 from dm_env import specs
 
+from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.environments.base import ArmTask
 from lieednn_sim.environments.tasks import make_task
+from lieednn_sim.rendering import opengl
 from lieednn_sim.simulation import Simulation
 from lieednn_sim.typecheck import typecheck_public
 from lieednn_sim.validation import as_generator, as_seed
@@ -43,54 +45,6 @@ def load(
     return ControlEnvironment(make_task(task, arm, **options), random=random)
 
 
-class ControlTask(control.Task):  # type: ignore[misc]  # dm_control has no types
-    """A task with the interface of dm_control. Arguments ``physics`` are ignored, since the task has its simulation.
-
-    Args:
-        task: the task.
-        random: generator of its episodes.
-    """
-
-    def __init__(self, task: ArmTask, random: np.random.Generator) -> None:
-        self.task, self.random = task, random
-
-    def initialize_episode(self, physics: Any) -> None:
-        """Begin an episode."""
-        self.task.begin(self.random)
-
-    def before_step(self, action: Floats, physics: Any) -> None:
-        """Move the command by an action ``(n,)``."""
-        self.task.before_step(action)
-
-    def after_step(self, physics: Any) -> None:
-        """Update the observations; after its steps a `TaskPhysics` has up-to-date link frames."""
-        self.task.after_step(current=True)
-
-    def get_observation(self, physics: Any) -> OrderedDict[str, Floats]:
-        """Observed arrays by name."""
-        return OrderedDict(self.task.observe())
-
-    def get_reward(self, physics: Any) -> float:
-        """The task's reward; 0 if the simulation failed."""
-        return 0.0 if self.task.failure else self.task.reward()
-
-    def get_termination(self, physics: Any) -> float | None:
-        """Discount at the end of an episode: 0 if the simulation failed, 1 at the time limit; otherwise None."""
-        return None if not self.task.over else 0.0 if self.task.failure else 1.0
-
-    def action_spec(self, physics: Any) -> specs.BoundedArray:
-        """Joint velocities as shares of their limits."""
-        joints = ", ".join(self.task.arm.joint_names)
-        return specs.BoundedArray((self.task.arm.n_joints,), np.float64, -1.0, 1.0, name=f"joint velocities ({joints})")
-
-    def observation_spec(self, physics: Any) -> OrderedDict[str, specs.BoundedArray]:
-        """Observed arrays by name, with their bounds."""
-        return OrderedDict(
-            (name, specs.BoundedArray(low.shape, np.float64, low, high, name=name))
-            for name, (low, high) in self.task.bounds.items()
-        )
-
-
 class ControlEnvironment(control.Environment):  # type: ignore[misc]  # dm_control has no types
     """A task behind the interface of dm_control: ``physics.render()`` and dm_control's wrappers work on it.
 
@@ -99,21 +53,19 @@ class ControlEnvironment(control.Environment):  # type: ignore[misc]  # dm_contr
 
     Attributes:
         task: the task.
-        physics: its simulation as a `dm_control.mujoco.Physics`, see `TaskPhysics`.
+        physics: a `dm_control.mujoco.Physics` that shares model and data with the task's simulation, so that
+            dm_control reads, sets and renders its state.
     """
 
     def __init__(self, task: ArmTask, *, random: int | np.random.Generator | None = None) -> None:
-        from lieednn_sim.environments.physics import TaskPhysics
+        # dm_control chooses its OpenGL backend at import.
+        opengl.configure()
+        from dm_control.mujoco import Physics, wrapper
 
+        self._random = np.random.default_rng() if random is None else as_generator("random", random)
         # dm_control renders the simulated model, which must have its visual geoms.
         task.run_in(Simulation(task.arm))
-        generator = np.random.default_rng() if random is None else as_generator("random", random)
-        super().__init__(TaskPhysics(task), ControlTask(task, generator), n_sub_steps=task.substeps)
-
-    @property
-    def task(self) -> ArmTask:
-        """The task."""
-        return self._task.task
+        super().__init__(Physics(wrapper.MjData(task.simulation.data)), task, n_sub_steps=task.substeps)
 
     def reset(self, seed: int | None = None) -> dm_env.TimeStep:
         """Begin an episode.
@@ -123,8 +75,35 @@ class ControlEnvironment(control.Environment):  # type: ignore[misc]  # dm_contr
                 interface.
         """
         if seed is not None:
-            self._task.random = np.random.default_rng(as_seed("seed", seed))
-        return super().reset()
+            self._random = np.random.default_rng(as_seed("seed", seed))
+        with self._physics.reset_context():
+            observation = self._task.begin(self._random)
+        return dm_env.restart(OrderedDict(observation))
+
+    def step(self, action: Floats) -> dm_env.TimeStep:
+        """Do one control step with an action ``(n,)``, or begin an episode if the last one is over."""
+        if self._task.over:
+            return self.reset()
+        after = self._task.step(action)
+        observation = OrderedDict(after.observation)
+        if after.terminated:
+            return dm_env.termination(after.reward, observation)
+        # As after dm_control's own steps, values derived from positions and velocities are up to date.
+        mujoco.mj_step1(self._task.simulation.model, self._task.simulation.data)
+        return (dm_env.truncation if after.truncated else dm_env.transition)(after.reward, observation)
+
+    def action_spec(self) -> specs.BoundedArray:
+        """Joint velocities as fractions of their limits."""
+        joints = ", ".join(self._task.arm.joint_names)
+        shape = (self._task.arm.n_joints,)
+        return specs.BoundedArray(shape, np.float64, -1.0, 1.0, name=f"joint velocities ({joints})")
+
+    def observation_spec(self) -> OrderedDict[str, specs.BoundedArray]:
+        """Observed arrays by name, with their bounds."""
+        return OrderedDict(
+            (name, specs.BoundedArray(low.shape, np.float64, low, high, name=name))
+            for name, (low, high) in self._task.bounds.items()
+        )
 
     def reward_spec(self) -> specs.BoundedArray:
         """Rewards are in [0, 1]."""

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import os
+from functools import cached_property
 from inspect import signature
 from typing import Any
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.environments.base import ArmTask
-from lieednn_sim.environments.bounds import Bounds
+from lieednn_sim.environments.frames import goal_frames
+from lieednn_sim.environments.observations import Bounds, Target, reach
 from lieednn_sim.environments.trajectories import JointTrajectory, band_limited, planned
 from lieednn_sim.errors import InputError, NoSolutionError, NotCertifiedError, PlanError
 from lieednn_sim.typecheck import typecheck_public
@@ -21,15 +24,51 @@ from lieednn_sim.values import Floats
 
 __all__ = ["REFERENCES", "TASKS", "Reach", "Track", "make_task"]
 
-# Joints are at rest below this share of their velocity limits.
+# Joints are at rest below this fraction of their velocity limits.
 REST = 0.01
 # Sources of moving targets.
 REFERENCES = ("band-limited", "plan")
-# Share of the velocity limits, beyond `REST`, at which the reward for resting falls to a tenth.
-_REST_MARGIN = 0.5
+# Fraction of the velocity limits, beyond `REST`, at which the reward for resting falls to a tenth.
+_REST_MARGIN_FRACTION = 0.5
+# Errors [m, rad] at which the near part of a reward falls to a tenth; for the far part, half the reach and pi.
+_NEAR = (0.05, 0.1)
 _ATTEMPTS = 10
 # Control steps that a preview may hold: their targets must fit into the memory of a learner.
 _LONGEST_PREVIEW = 10_000
+
+
+class Closeness:
+    """1 within the tolerances, otherwise less: the mean of a part that guides from afar and one that matters nearby.
+
+    Each is the product of a term for the distance and one for the angle. A term falls to a tenth where its error
+    exceeds the tolerance by the margin.
+
+    Args:
+        task: the task, whose tolerances count, and the reach of its arm.
+        more: tolerances and margins of further errors.
+    """
+
+    def __init__(self, task: ArmTask, *more: tuple[float, float]) -> None:
+        self._position, self._rotation = task.position_tolerance, task.rotation_tolerance
+        margins = (0.5 * reach(task.arm), np.pi, *_NEAR)
+        allowed = 2 * (self._position, self._rotation)
+        self._allowed, self._margins = np.array([*zip(allowed, margins, strict=True), *more]).T
+
+    def __call__(self, distance: Floats, angle: Floats, *more: Floats) -> list[Floats]:
+        """Closeness ``(...)`` at distances [m] and angles [rad] ``(...)``, and the terms of further errors."""
+        errors = np.array([distance, angle, distance, angle, *more]).T
+        far, far_turn, near, near_turn, *others = closeness(errors, self._allowed, self._margins).T
+        return [0.5 * (far * far_turn + near * near_turn), *others]
+
+    def within(self, distance: Floats, angle: Floats) -> NDArray[np.bool_]:
+        """Whether both are within their tolerances."""
+        return np.asarray((distance <= self._position) & (angle <= self._rotation))
+
+
+def closeness(error: Floats | float, allowed: Floats | float, margin: Floats | float) -> Floats:
+    """1 up to the allowed error, then 1 / (1 + 9 x^2) at x margins beyond; dm_control's ``tolerance``, long tail."""
+    beyond = np.maximum(error - allowed, 0.0) / margin
+    return np.asarray(1.0 / (1.0 + 9.0 * beyond * beyond))
 
 
 class Reach(ArmTask):
@@ -41,31 +80,26 @@ class Reach(ArmTask):
     To choose the target of an episode, begin it with the option ``target``, a joint position ``(n,)``.
     """
 
-    _more_errors = ((REST, _REST_MARGIN),)
+    @cached_property
+    def _closeness(self) -> Closeness:
+        return Closeness(self, (REST, _REST_MARGIN_FRACTION))
 
-    def _draw(self, rng: np.random.Generator, options: dict[str, Any]) -> None:
+    def draw(self, rng: np.random.Generator, options: dict[str, Any]) -> Target:
+        """See `ArmTask`."""
         chosen = options.pop("target", None)
         _refuse(options, "target")
         # Drawn in any case, so that the generator's state does not depend on the options.
         seed = int(rng.integers(2**32))
-        self._target = draw_target(self.arm, seed) if chosen is None else self.arm.check_position(chosen, "target")
-        self._here = self._target, self._goals(self._target)
+        q = draw_target(self.arm, seed) if chosen is None else self.arm.check_position(chosen, "target")
+        rows = q, goal_frames(self.arm, q, self.frames)
+        # It does not move.
+        return Target(lambda _: q.copy(), tuple(np.broadcast_to(row, (self.steps + 1, *row.shape)) for row in rows))
 
-    def target(self, time: float) -> Floats:
-        """See `ArmTask`; the target does not move."""
-        self._require_episode()
-        return self._target.copy()
-
-    def here(self) -> tuple[Floats, ...]:
-        """See `ArmTask`."""
-        self._require_episode()
-        return self._here
-
-    def judge(self, distance: Floats | float, angle: Floats | float, qd: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+    def judge(self, distance: Floats, angle: Floats, qd: Floats) -> tuple[Floats, NDArray[np.bool_]]:
         """See `ArmTask`; unchecked."""
         speed = np.maximum.reduce(np.abs(qd / self.arm.velocity_limits), axis=-1)
-        close, resting = self.closeness(distance, angle, speed)
-        return close * 0.5 * (1.0 + resting), self.closeness.within(distance, angle) & (speed <= REST)
+        close, resting = self._closeness(distance, angle, speed)
+        return close * 0.5 * (1.0 + resting), self._closeness.within(distance, angle) & (speed <= REST)
 
 
 class Track(ArmTask):
@@ -104,21 +138,24 @@ class Track(ArmTask):
         low, high = (np.tile(limit, (self.preview, 1)) for limit in self.arm.position_limits.T)
         return {"target_velocity": (-velocity, velocity), "preview": (low, high)}
 
-    def _draw(self, rng: np.random.Generator, options: dict[str, Any]) -> None:
-        _refuse(options)
-        if self.reference == "band-limited":
-            self._trajectory = band_limited(self.arm, rng, (self.steps + self.preview) * self.control_timestep)
-        else:
-            self._trajectory = self._draw_plan(rng)
-        times = self.control_timestep * np.arange(self.steps + self.preview + 1)
-        self._wanted, self._rates = self._trajectory.position(times), self._trajectory.velocity(times)
-        self._goal_frames = self._goals(self._wanted[: self.steps + 1])
+    @cached_property
+    def _closeness(self) -> Closeness:
+        return Closeness(self)
 
-    def here(self) -> tuple[Floats, ...]:
+    def draw(self, rng: np.random.Generator, options: dict[str, Any]) -> Target:
         """See `ArmTask`."""
-        self._require_episode()
-        now, k = self._wanted, self._step
-        return now[k], self._goal_frames[k], self._rates[k], now[k + 1 : k + 1 + self.preview].ravel()
+        _refuse(options)
+        ends = self.control_timestep * np.arange(self.steps + self.preview + 1)
+        if self.reference == "band-limited":
+            trajectory = band_limited(self.arm, rng, (self.steps + self.preview) * self.control_timestep)
+        else:
+            trajectory = self._draw_plan(rng)
+        q = trajectory.position(ends)
+        now = slice(self.steps + 1)
+        # A window for each row, which is not copied: previews overlap.
+        previews = sliding_window_view(q[1:].ravel(), self.preview * self.arm.n_joints)[:: self.arm.n_joints]
+        rows = q[now], goal_frames(self.arm, q[now], self.frames), trajectory.velocity(ends[now]), previews
+        return Target(trajectory.position, rows)
 
     def _draw_plan(self, rng: np.random.Generator) -> JointTrajectory:
         refusal = ""
@@ -130,14 +167,9 @@ class Track(ArmTask):
                 refusal = str(error)
         raise NoSolutionError(f"no plan was found for {_ATTEMPTS} random targets; the last one: {refusal}")
 
-    def target(self, time: float) -> Floats:
-        """See `ArmTask`."""
-        self._require_episode()
-        return self._trajectory.position(time)
-
-    def judge(self, distance: Floats | float, angle: Floats | float, qd: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+    def judge(self, distance: Floats, angle: Floats, qd: Floats) -> tuple[Floats, NDArray[np.bool_]]:
         """See `ArmTask`; unchecked."""
-        return self.closeness(distance, angle)[0], self.closeness.within(distance, angle)
+        return self._closeness(distance, angle)[0], self._closeness.within(distance, angle)
 
 
 TASKS: dict[str, type[ArmTask]] = {"reach": Reach, "track": Track}

@@ -12,22 +12,23 @@ from scipy.interpolate import CubicHermiteSpline
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import NoSolutionError, NotCertifiedError, PlanError
 from lieednn_sim.planning import CertifiedOptions, plan
-from lieednn_sim.planning.laws import minimum_jerk_law
 from lieednn_sim.planning.motion import Motion
-from lieednn_sim.validation import as_count, as_floats, as_positive
+from lieednn_sim.planning.time_laws import minimum_jerk_law
+from lieednn_sim.validation import Seed, as_count, as_floats, as_positive, as_seed
 from lieednn_sim.values import Floats
 
 # Duration with which plans are made before they are sped up [s]; minimum jerk gives the same path in any duration.
 _PLANNING_DURATION = 10.0
-# Share of the velocity and acceleration limits that a plan may use; the rest is left to the servos.
-_PLAN_SHARE = 0.9
+# Fraction of the velocity and acceleration limits that a plan may use; the rest is left to the servos.
+_PLAN_LIMIT_FRACTION = 0.9
 # The same for a random trajectory; the number of its sines and their frequencies [Hz]; the duration of its onset, and
 # the spacing of its samples [s].
-_RANDOM_SHARE = 0.5
+_RANDOM_LIMIT_FRACTION = 0.5
 _SINES, _BAND = 3, (0.1, 0.5)
 _ONSET, _SPACING = 1.5, 0.02
-# Share of the joint ranges that a random trajectory covers, its reduction after a contact, and the number of attempts.
-_SPREAD, _SHRINKAGE, _ATTEMPTS = 0.8, 0.85, 40
+# Fraction of the joint ranges that a random trajectory covers, its reduction after a contact, and the number of
+# attempts.
+_RANGE_FRACTION, _SHRINKAGE, _ATTEMPTS = 0.8, 0.85, 40
 # Rate at which random trajectories are tested for contact [Hz].
 _POSTURES_PER_SECOND = 10
 
@@ -60,47 +61,37 @@ class JointTrajectory:
 
 
 def planned(
-    arm: Arm,
-    target: ArrayLike,
-    *,
-    start: ArrayLike | None = None,
-    planner: str | None = None,
-    candidates: int = 2,
-    seed: int = 0,
+    arm: Arm, target: ArrayLike | str, *, planner: str | None = None, candidates: int = 2, seed: Seed = 0
 ) -> JointTrajectory:
-    """A planned motion, as fast as 90 % of the velocity and acceleration limits allow.
+    """A planned motion from the keyframe ``home``, as fast as 90 % of the velocity and acceleration limits allow.
 
     Args:
         arm: the arm.
-        target: joint target ``(n,)``.
-        start: joint position at rest, the keyframe ``home`` by default.
+        target: joint target ``(n,)``, or a keyframe's name.
         planner: a name of `planning.PLANNERS`; by default a certified LieEDNN, to which ``candidates`` applies.
         candidates: number of networks to draw at first; if their motions break limits, four times as many are drawn,
             and then sixteen times as many.
         seed: seed of the draws.
 
     Raises:
-        InputError: an unknown planner, or target or start are out of the arm's reach.
+        InputError: an unknown planner, or the target is out of the arm's reach.
         NotCertifiedError: no network could be certified.
         PlanError: every motion breaks a limit.
     """
-    count = as_count("candidates", candidates)
+    count, seed = as_count("candidates", candidates), as_seed("seed", seed)
     if planner is None:
-        motion = _patient_plan(arm, target, start, count, seed)
+        motion = _patient_plan(arm, target, count, seed)
     else:
-        motion = plan(arm, target, planner=planner, start=start, duration=_PLANNING_DURATION, seed=seed).motion
-    pace = _pace(arm, motion.t, motion.qd, _PLAN_SHARE)
-    if not pace > 0.0:
-        return JointTrajectory(CubicHermiteSpline(motion.t, motion.q, motion.qd))
+        motion = plan(arm, target, planner=planner, duration=_PLANNING_DURATION, seed=seed).motion
+    # Nothing moves if it is already there.
+    pace = _pace(arm, motion.t, motion.qd, _PLAN_LIMIT_FRACTION) or 1.0
     return JointTrajectory(CubicHermiteSpline(motion.t * pace, motion.q, motion.qd / pace))
 
 
-def _patient_plan(arm: Arm, target: ArrayLike, start: ArrayLike | None, candidates: int, seed: int) -> Motion:
+def _patient_plan(arm: Arm, target: ArrayLike | str, candidates: int, seed: int) -> Motion:
     def drawn(total: int) -> Motion:
-        options = CertifiedOptions(candidates=total)
-        return plan(
-            arm, target, start=start, duration=_PLANNING_DURATION, longest=1.0, seed=seed, options=options
-        ).motion
+        options = CertifiedOptions(n_networks=total)
+        return plan(arm, target, duration=_PLANNING_DURATION, max_time_scale=1.0, seed=seed, options=options).motion
 
     # Few candidates suffice for most targets, and each takes time.
     for total in (candidates, 4 * candidates):
@@ -120,7 +111,7 @@ def band_limited(arm: Arm, rng: np.random.Generator, duration: float) -> JointTr
         NoSolutionError: every attempt touches something.
     """
     total = as_positive("duration", duration)
-    home, spread = arm.keyframe("home"), _SPREAD
+    home, spread = arm.keyframe("home"), _RANGE_FRACTION
     for _ in range(_ATTEMPTS):
         trajectory = _draw(arm, rng, home, total, spread)
         postures = trajectory.position(np.linspace(0.0, total, int(np.ceil(_POSTURES_PER_SECOND * total)) + 1))
@@ -150,12 +141,12 @@ def _draw(arm: Arm, rng: np.random.Generator, home: Floats, total: float, spread
     onset = min(_ONSET, total)
     rise, slope = (values[:, None] for values in minimum_jerk_law(np.minimum(t / onset, 1.0)))
     q, qd = home + rise * wave, slope / onset * wave + rise * wave_rate
-    slowdown = max(1.0, _pace(arm, t, qd, _RANDOM_SHARE))
+    slowdown = max(1.0, _pace(arm, t, qd, _RANDOM_LIMIT_FRACTION))
     return JointTrajectory(CubicHermiteSpline(t * slowdown, q, qd / slowdown))
 
 
-def _pace(arm: Arm, t: Floats, qd: Floats, share: float) -> float:
-    """Factor of time with which the fastest joint reaches a share of its limits; 0 if nothing moves."""
+def _pace(arm: Arm, t: Floats, qd: Floats, fraction: float) -> float:
+    """Factor of time with which the fastest joint reaches a fraction of its limits; 0 if nothing moves."""
     velocity = (np.abs(qd) / arm.velocity_limits).max()
     acceleration = (np.abs(np.gradient(qd, t, axis=0)) / arm.acceleration_limits).max()
-    return float(max(velocity / share, np.sqrt(acceleration / share)))
+    return float(max(velocity / fraction, np.sqrt(acceleration / fraction)))

@@ -8,7 +8,6 @@ environments = gymnasium.make_vec(name, num_envs=64, vectorization_mode="vector_
 
 from __future__ import annotations
 
-import copy
 import os
 from typing import Any
 
@@ -23,8 +22,8 @@ from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import QuietWarnings, mujoco
 from lieednn_sim.arm import Arm
-from lieednn_sim.environments.bounds import Bounds
-from lieednn_sim.environments.frames import frames_at
+from lieednn_sim.environments.frames import SiteFrames
+from lieednn_sim.environments.observations import Bounds, State, Target
 from lieednn_sim.environments.tasks import make_task
 from lieednn_sim.errors import InputError
 from lieednn_sim.validation import as_choice, as_count, as_floats, as_seed, as_workers
@@ -53,7 +52,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[dict[str, Floats], Floats, An
         options: further options of the task, see `ArmTask`, `Reach` and `Track`.
 
     Attributes:
-        tasks: tasks of the environments; they share an arm and a simulation.
+        task: the task; the environments' episodes are not its own.
 
     Raises:
         InputError: an argument is malformed.
@@ -70,28 +69,33 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[dict[str, Floats], Floats, An
         threads: int | None = None,
         **options: Any,
     ) -> None:
-        first = make_task(task, arm, scene=scene, **options)
+        self.task = make_task(task, arm, scene=scene, **options)
         self.num_envs = as_count("num_envs", num_envs, most=_MOST_ENVIRONMENTS)
-        self.tasks = [copy.copy(first) for _ in range(num_envs)]
         if not isinstance(autoreset_mode, AutoresetMode):
             modes = [mode.value for mode in AutoresetMode]
             autoreset_mode = AutoresetMode(as_choice("autoreset_mode", autoreset_mode, modes))
         self.autoreset_mode = autoreset_mode
-        self.metadata = {"autoreset_mode": self.autoreset_mode, "render_fps": round(1.0 / first.control_timestep)}
-        self.single_observation_space = observation_space(first.bounds)
-        self.single_action_space = spaces.Box(-1.0, 1.0, (first.arm.n_joints,), np.float64)
+        self.metadata = {"autoreset_mode": self.autoreset_mode, "render_fps": round(1.0 / self.task.control_timestep)}
+        self.single_observation_space = observation_space(self.task.bounds)
+        self.single_action_space = spaces.Box(-1.0, 1.0, (self.task.arm.n_joints,), np.float64)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         workers = as_workers("threads", os.cpu_count() or 1 if threads is None else threads)
-        self._rollouts, self._model = rollout.Rollout(nthread=workers), first.simulation.model
+        self._rollouts, self._model = rollout.Rollout(nthread=workers), self.task.simulation.model
         self._data = [mujoco.MjData(self._model) for _ in range(workers)]
-        self._states = np.zeros((num_envs, mujoco.mj_stateSize(self._model, _STATE)))
-        self._seen = np.zeros((num_envs, first.observations.size))
-        self._judged = {"success": np.zeros(num_envs, dtype=bool), "distance": np.zeros(num_envs)}
-        self._judged["angle"] = np.zeros(num_envs)
-        self._commands = np.zeros((num_envs, first.arm.n_joints))
-        self._over = np.ones(num_envs, dtype=bool)
-        self._generators: list[np.random.Generator | None] = [None] * num_envs
+        self._site_frames = SiteFrames(self.task.arm, self._model, self._data[0], self.task.frames)
+        self._home = self.task.arm.keyframe("home")
+        self.task.simulation.reset(self._home)
+        self._first = np.zeros(mujoco.mj_stateSize(self._model, _STATE))
+        mujoco.mj_getState(self._model, self.task.simulation.data, self._first, _STATE)
+        self._states = np.tile(self._first, (num_envs, 1))
+        command, row = (np.zeros((num_envs, size)) for size in (len(self._home), self.task.observations.size))
+        # Before the first reset, all are over.
+        steps, success, failure = np.full(num_envs, self.task.steps), np.zeros(num_envs, dtype=bool), [""] * num_envs
+        reward, distance, angle = np.zeros((3, num_envs))
+        self._seen = State(steps, command, row, reward, success, distance, angle, np.array(failure, dtype=object))
+        self._targets: dict[int, Target] = {}
+        self._generators = [seeding.np_random()[0] for _ in range(num_envs)]
 
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
@@ -109,12 +113,12 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[dict[str, Floats], Floats, An
             mask = np.empty(0)
         if mask.shape != (self.num_envs,) or mask.dtype != bool or not mask.any():
             raise InputError(f"reset_mask must be an array of {self.num_envs} truth values, one of them true")
-        infos: dict[str, Any] = {}
-        for i in np.flatnonzero(mask):
+        which = np.flatnonzero(mask)
+        for i in which:
             if (own := seeds[i]) is not None:
                 self._generators[i] = seeding.np_random(as_seed("seed", own))[0]
-            infos = self._begin(int(i), infos, chosen)
-        return self._observed(), infos
+        self._begin(which, chosen)
+        return self._observed(), self._infos(mask)
 
     def step(self, actions: Floats) -> Stepped:
         """Do one control step with actions ``(B, n)``; environments that begin an episode ignore theirs.
@@ -122,26 +126,26 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[dict[str, Floats], Floats, An
         Raises:
             InputError: actions are malformed or not finite, or an episode is over and autoreset is disabled.
         """
-        share = as_floats("actions", actions, (self.num_envs, self.tasks[0].arm.n_joints))
-        rewards, terminated = np.zeros(self.num_envs), np.zeros(self.num_envs, dtype=bool)
-        waiting = self._over.copy()
-        infos: dict[str, Any] = {}
+        given = as_floats("actions", actions, (self.num_envs, self.task.arm.n_joints))
+        task, seen = self.task, self._seen
+        waiting = seen.over(task.steps)
         if waiting.any() and self.autoreset_mode == AutoresetMode.DISABLED:
             raise InputError(f"the episodes of environments {np.flatnonzero(waiting)} are over: reset them first")
-        going = np.flatnonzero(~waiting)
-        if len(going):
-            rewards[going], terminated[going], infos = self._advance(going, share[going])
-        truncated = np.array([task.over for task in self.tasks]) & ~terminated & ~waiting
-        for i in np.flatnonzero(waiting):
-            infos = self._begin(int(i), infos, {})
-        self._over = terminated | truncated
+        self._advance(np.flatnonzero(~waiting), given)
+        terminated = ~waiting & (seen.failure != "")
+        truncated = ~waiting & ~terminated & seen.over(task.steps)
+        rewards, infos = np.where(waiting, 0.0, seen.reward), dict[str, Any]()
+        for i in np.flatnonzero(terminated).tolist():
+            infos = self._add_info(infos, {"failure": seen.failure[i]}, i)
         if self.autoreset_mode == AutoresetMode.SAME_STEP:
-            for i in np.flatnonzero(self._over):
-                last = self.tasks[0].observations.split(self._seen[i].copy())
-                infos = self._add_info(infos, {"final_obs": last, "final_info": self._info(int(i))}, int(i))
-                infos = self._begin(int(i), infos, {})
-            self._over = np.zeros(self.num_envs, dtype=bool)
-        return self._observed(), rewards, terminated, truncated, infos
+            over = terminated | truncated
+            for i in np.flatnonzero(over).tolist():
+                last = State._make(values[i] for values in seen)
+                ended = {"final_obs": task.observations.split(last.row.copy()), "final_info": last.info()}
+                infos = self._add_info(infos, ended, i)
+            waiting |= over
+        self._begin(np.flatnonzero(waiting), {})
+        return self._observed(), rewards, terminated, truncated, infos | self._infos(np.ones_like(waiting))
 
     def close_extras(self, **kwargs: Any) -> None:
         """End the threads."""
@@ -149,70 +153,52 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[dict[str, Floats], Floats, An
 
     def _observed(self) -> dict[str, Floats]:
         # Contiguous copies.
-        return {name: values.copy() for name, values in self.tasks[0].observations.split(self._seen).items()}
+        return {name: values.copy() for name, values in self.task.observations.split(self._seen.row).items()}
 
-    def _begin(self, i: int, infos: dict[str, Any], options: dict[str, Any]) -> dict[str, Any]:
-        task, generator = self.tasks[i], self._generators[i]
-        if generator is None:
-            generator = self._generators[i] = seeding.np_random()[0]
-        task.begin(generator, options)
-        self._seen[i] = task.row
-        mujoco.mj_getState(self._model, task.simulation.data, self._states[i], _STATE)
-        self._commands[i] = task.command
-        for name, value in task.info().items():
-            self._judged[name][i] = value
-        self._over[i] = False
-        return self._add_info(infos, self._info(i), i)
+    def _infos(self, mask: NDArray[np.bool_]) -> dict[str, Any]:
+        infos, seen = dict[str, Any](), self._seen
+        for name, values in {"success": seen.success, "distance": seen.distance, "angle": seen.angle}.items():
+            infos[name], infos[f"_{name}"] = values * mask, mask.copy()
+        return infos
 
-    def _info(self, i: int) -> dict[str, Any]:
-        info = {name: values[i].item() for name, values in self._judged.items()}
-        return info | ({"failure": self.tasks[i].failure} if self.tasks[i].failure else {})
+    def _begin(self, which: NDArray[np.int_], options: dict[str, Any]) -> None:
+        """Begin episodes of some environments."""
+        # All are drawn before any episode ends.
+        drawn = {i: self.task.draw(self._generators[i], dict(options)) for i in which.tolist()}
+        self._targets |= drawn
+        self._states[which] = self._first
+        self._look(which, np.zeros_like(which), np.tile(self._home, (len(which), 1)))
 
-    def _advance(self, going: NDArray[np.int_], actions: Floats) -> tuple[Floats, NDArray[np.bool_], dict[str, Any]]:
-        """Step some environments; returns their rewards, whether they failed, and infos."""
-        first, model = self.tasks[0], self._model
-        before, start = self._states[going], self._commands[going]
-        end = first.commands.moved(start, actions)
-        controls = first.commands.controls(start, end)
+    def _advance(self, which: NDArray[np.int_], actions: Floats) -> None:
+        """Step some environments with their actions among ``(B, n)``."""
+        if not len(which):
+            return
+        task, seen, before = self.task, self._seen, self._states[which]
+        start = seen.command[which]
+        command = task.commands.moved(start, actions[which])
+        controls = task.commands.controls(start, command)
         with QuietWarnings():
-            after = self._rollouts.rollout(model, self._data, before, controls)[0][:, -1]
+            after = self._rollouts.rollout(self._model, self._data, before, controls)[0][:, -1]
         # After a warning, MuJoCo's time stands still, or restarts.
-        late = np.abs(after[:, 0] - before[:, 0] - first.control_timestep) > 0.5 * first.simulation.timestep
+        late = np.abs(after[:, 0] - before[:, 0] - task.control_timestep) > 0.5 * task.simulation.timestep
         failed = late | ~np.isfinite(after).all(axis=1)
-        self._commands[going] = end
-        failures = {int(going[k]): self._failure(int(going[k]), before[k], controls[k]) for k in np.flatnonzero(failed)}
-        for i, command in zip(going.tolist(), end, strict=True):
-            self.tasks[i].took(command, failures.get(i, ""))
-        rewards = np.zeros(len(going))
-        good = np.flatnonzero(~failed)
-        if len(good):
-            self._states[going[good]] = after[good]
-            rewards[good] = self._look(going[good])
-        infos: dict[str, Any] = {}
-        self._judged["success"][going[failed]] = False
-        for name, values in self._judged.items():
-            infos[name], infos[f"_{name}"] = np.zeros_like(values), np.zeros(self.num_envs, dtype=bool)
-            infos[name][going], infos[f"_{name}"][going] = values[going], True
-        for i, why in failures.items():
-            infos = self._add_info(infos, {"failure": why}, i)
-        return rewards, failed, infos
+        for i, state, own in zip(which[failed].tolist(), before[failed], controls[failed], strict=True):
+            # The reason is found by repeating the control step, one physics step after the other.
+            mujoco.mj_setState(self._model, task.simulation.data, state, _STATE)
+            task.simulation.steps = int(seen.steps[i]) * task.substeps
+            seen.failure[i] = task.simulate(own) or "the state is not finite"
+            seen.reward[i], seen.success[i] = 0.0, False
+        good = which[~failed]
+        self._states[good] = after[~failed]
+        self._look(good, seen.steps[good] + 1, command[~failed])
 
-    def _look(self, which: NDArray[np.int_]) -> Floats:
-        """Update the observations of some environments, and return their rewards."""
-        first, data, model = self.tasks[0], self._data[0], self._model
-        qpos, qvel = np.split(self._states[which, 1 : 1 + model.nq + model.nv], [model.nq], axis=1)
-        frames = frames_at(first.arm, model, data, qpos, first.frames)
-        q = first.arm.space.from_qpos(qpos)
-        qd = first.arm.space.from_qvel(q, qvel)
-        target = [np.array(values) for values in zip(*(self.tasks[i].here() for i in which), strict=True)]
-        self._seen[which], distance, angle = first.observations.rows(frames, q, qd, self._commands[which], target)
-        rewards, success = first.judge(distance, angle, qd)
-        for values, judged in zip(self._judged.values(), (success, distance, angle), strict=True):
-            values[which] = judged
-        return rewards
-
-    def _failure(self, i: int, state: Floats, controls: Floats) -> str:
-        """The reason why a control step failed, found by repeating it step by step."""
-        task = self.tasks[i]
-        mujoco.mj_setState(self._model, task.simulation.data, state, _STATE)
-        return task.failure_of(controls)
+    def _look(self, which: NDArray[np.int_], steps: NDArray[np.int_], command: Floats) -> None:
+        """Update what is known of some environments."""
+        if not len(which):
+            return
+        qpos, qvel = np.split(self._states[which, 1 : 1 + self._model.nq + self._model.nv], [self._model.nq], axis=1)
+        rows = (self._targets[i].after(k) for i, k in zip(which.tolist(), steps.tolist(), strict=True))
+        target = [np.array(values) for values in zip(*rows, strict=True)]
+        found = self.task.look(steps, command, qpos, qvel, self._site_frames.at(qpos), *target)
+        for known, values in zip(self._seen, found, strict=True):
+            known[which] = values

@@ -16,6 +16,7 @@ from lieednn_sim.evaluation.display import as_text, rounded, table
 from lieednn_sim.evaluation.frame_errors import FrameErrors
 from lieednn_sim.evaluation.motion_metrics import MotionMetrics
 from lieednn_sim.simulation import Disturbances
+from lieednn_sim.values import set_fields
 from lieednn_sim.versions import versions
 
 
@@ -129,8 +130,7 @@ class Evaluation:
             found[f"final_effector_{unit}"] = getattr(self.end_effector, f"final_{unit}")
             for name, of_frame in (("final_worst", "final"), ("tracking_rms",) * 2, ("tracking_max",) * 2):
                 found[f"{name}_{unit}"] = max(getattr(frame, f"{of_frame}_{unit}") for frame in self.frames)
-        for name, value in found.items():
-            object.__setattr__(self, name, value)
+        set_fields(self, **found)
 
     def __repr__(self) -> str:
         return (

@@ -96,7 +96,7 @@ def least_clearance(rollout: Rollout) -> float:
     It is measured at every fifth sample, and at all samples with a contact.
     """
     chosen = np.union1d(np.arange(0, len(rollout.t), CLEARANCE_STRIDE), np.flatnonzero(rollout.contacts))
-    return Collisions(rollout.arm).least(rollout.q[chosen])
+    return Collisions(rollout.arm).least_clearance(rollout.q[chosen])
 
 
 def violations(rollout: Rollout) -> dict[str, Any]:

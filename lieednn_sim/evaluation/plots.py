@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import matplotlib
@@ -11,21 +13,26 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
+from lieednn_sim import filesystem
 from lieednn_sim.errors import InputError
 from lieednn_sim.evaluation import figure_layout
 from lieednn_sim.evaluation.figure_layout import COLOURS, STYLE
 from lieednn_sim.evaluation.frame_errors import SETTLED_ROTATION, SETTLED_TRANSLATION, pose_errors
-from lieednn_sim.network import BlockNetwork
+from lieednn_sim.network import ACTIVATIONS, ComponentwiseNetwork
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.simulation import Rollout
+from lieednn_sim.typecheck import typecheck_public
+from lieednn_sim.validation import as_choice
 from lieednn_sim.values import Floats
+
+__all__ = ["plot"]
 
 _PUSH = "0.85"
 # Hidden neurons per row in each block of a plot, and the line styles of their coordinates.
 _HIDDEN_IN_ROW = 4
 _HIDDEN_STYLES = {"\\omega": "-", "v": ":"}
-# Most names in a row of a legend.
-_MOST_IN_ROW = 7
+# Most names in a row of a legend, and in one of channels.
+_MOST_IN_ROW, _LABELS_IN_ROW = 7, 5
 # Least half range of axes for errors [mm, deg] and shares of a limit [%], so that small values look small.
 _LEAST_ERROR, _LEAST_PERCENT = 0.01, 10.0
 # Most rows of a plot of joints, and the length beyond which names are written smaller.
@@ -34,7 +41,39 @@ _MOST_ROWS, _LONGEST_NAME = 12, 14
 _LABEL = 0.85
 
 
-def plot_network(rollout: Rollout, path: str | os.PathLike[str], *, network: BlockNetwork | None = None) -> None:
+def plot(
+    rollout: Rollout, directory: str | os.PathLike[str], *, network: ComponentwiseNetwork | None = None
+) -> tuple[Path, ...]:
+    """Plot a run: ``tracking.png``, ``joints.png``, and ``network.png`` and ``channels.png`` if it has such.
+
+    Args:
+        rollout: the simulated run.
+        directory: where the files are written or replaced; it is created if needed.
+        network: the plan's network, to show its hidden neurons, as for `plot_network`.
+
+    Returns:
+        The paths of the files.
+
+    Raises:
+        InputError: the network is not the motion's.
+        FileError: the directory cannot be written.
+    """
+    folder = filesystem.make_directory(directory)
+    made = [folder / "tracking.png", folder / "joints.png"]
+    plot_tracking(rollout, made[0])
+    plot_joints(rollout, made[1])
+    if rollout.motion is not None:
+        made.append(folder / "network.png")
+        plot_network(rollout, made[-1], network=network)
+    if rollout.channels:
+        made.append(folder / "channels.png")
+        plot_channels(rollout, made[-1])
+    return tuple(made)
+
+
+def plot_network(
+    rollout: Rollout, path: str | os.PathLike[str], *, network: ComponentwiseNetwork | None = None
+) -> None:
     """States xi(t) of the neuron of each link, rotations and translations apart, with their targets dashed.
 
     If the network is given, the outputs phi(h(t)) of its hidden neurons are shown below; it must have generated the
@@ -86,11 +125,12 @@ def plot_network(rollout: Rollout, path: str | os.PathLike[str], *, network: Blo
         figure_layout.save_figure(figure, path)
 
 
-def _plot_hidden(figure: Figure, height: float, motion: Motion, network: BlockNetwork, columns: int) -> None:
+def _plot_hidden(figure: Figure, height: float, motion: Motion, network: ComponentwiseNetwork, columns: int) -> None:
     """Outputs of the hidden neurons, in a panel of a given height [inch] and number of columns at the bottom."""
     first, duration = network.n_visible, max(float(motion.tau[-1]), 1e-9)
     states = network.trajectory(network.start(motion.xi[0]), duration)(motion.tau)
     sent = network.phi(states[:, first:])
+    highest = 1.08 * ACTIVATIONS[network.activation].bound
     rows = -(-network.n_hidden // columns)
     axes = _subplots(figure, motion.t, rows, columns, sharey=True, above=figure.get_figheight() - height - 0.35)
     for i, axis in enumerate(axes.ravel()):
@@ -99,7 +139,7 @@ def _plot_hidden(figure: Figure, height: float, motion: Motion, network: BlockNe
             continue
         for c, style in enumerate(style for style in _HIDDEN_STYLES.values() for _ in range(3)):
             axis.plot(motion.t, sent[:, i, c], color=COLOURS[c % 3], ls=style, lw=1.0)
-        axis.set_ylim(-1.08, 1.08)
+        axis.set_ylim(-highest, highest)
         kind = "clock" if i >= network.n_hidden - network.n_clock else "hidden"
         _label(axis, "output [1]" if i % columns == 0 else "", f"neuron {first + i + 1} ({kind})", fontsize=9)
         if i + columns >= network.n_hidden:
@@ -152,6 +192,41 @@ def plot_tracking(rollout: Rollout, path: str | os.PathLike[str]) -> None:
             handles.append(Patch(color=_PUSH))
             labels.append("push")
         figure.legend(handles, labels, loc="upper center", ncols=min(len(labels), _MOST_IN_ROW))
+        figure_layout.save_figure(figure, path)
+
+
+def plot_channels(rollout: Rollout, path: str | os.PathLike[str], names: Sequence[str] | None = None) -> None:
+    """Channels of a rollout over time, those of one unit in one subplot; a line for each entry of an array.
+
+    Args:
+        rollout: the rollout.
+        path: of the file.
+        names: the channels to plot, all by default.
+
+    Raises:
+        InputError: there are no channels, or none of a name.
+    """
+    chosen = (
+        list(rollout.channels) if names is None else [as_choice("channel", name, rollout.channels) for name in names]
+    )
+    if not chosen:
+        raise InputError("there are no channels to plot; see the argument log of simulate")
+    lines: dict[str, dict[str, Floats]] = {}
+    for name in chosen:
+        values, of_unit = rollout.channels[name], lines.setdefault(rollout.channel_units[name], {})
+        for index in np.ndindex(values.shape[1:]):
+            of_unit[name + (f"[{', '.join(map(str, index))}]" if index else "")] = values[:, *index]
+    gap = 0.25 + 0.18 * -(-max(map(len, lines.values())) // _LABELS_IN_ROW)
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(10.0, 0.8 + (1.8 + gap) * len(lines)))
+        axes = _subplots(figure, rollout.t, len(lines), 1, gap=gap, above=gap - 0.5)[:, 0]
+        for axis, (unit, of_unit) in zip(axes, lines.items(), strict=True):
+            for label, values in of_unit.items():
+                axis.plot(rollout.t, values, label=label)
+            _label(axis, f"[{unit}]")
+            axis.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=_LABELS_IN_ROW, fontsize=8)
+            _mark_events(axis, rollout)
+        axes[-1].set_xlabel("time [s]")
         figure_layout.save_figure(figure, path)
 
 
@@ -291,3 +366,6 @@ def _from_zero(axis: Any, values: Floats, least: float) -> None:
     low, high = min(-least, float(values.min())), max(least, float(values.max()))
     margin = 0.06 * (high - low) or 1.0
     axis.set_ylim(low - margin, high + margin)
+
+
+typecheck_public(globals())

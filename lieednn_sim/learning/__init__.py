@@ -2,7 +2,7 @@
 
 from lieednn_sim.learning.history import History
 from lieednn_sim.learning.options import ALGORITHMS, RiemannianOptions, TrainingOptions
-from lieednn_sim.learning.projected import resume, train
+from lieednn_sim.learning.projected import train
 from lieednn_sim.learning.result import StopReason, TrainingResult
 from lieednn_sim.learning.riemannian import train_riemannian
 from lieednn_sim.learning.sensitivity import Sensitivity, sensitivity
@@ -16,7 +16,6 @@ __all__ = [
     "StopReason",
     "TrainingOptions",
     "TrainingResult",
-    "resume",
     "sensitivity",
     "train",
     "train_riemannian",

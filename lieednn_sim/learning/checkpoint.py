@@ -1,30 +1,26 @@
-"""Checkpoints of `projected.train`."""
+"""Checkpoints of `projected.train`: the state of a training, for the same call to continue."""
 
 from __future__ import annotations
 
 import os
-from dataclasses import asdict, fields
-from typing import Any, NamedTuple
+from dataclasses import asdict
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lieednn_sim import storage
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.learning.equilibria import FlatEquilibrium
 from lieednn_sim.learning.history import History, Recorder
-from lieednn_sim.learning.manifold import QuaternionWeights, WeightPoint
+from lieednn_sim.learning.manifold import WeightPoint
 from lieednn_sim.learning.options import TrainingOptions
 from lieednn_sim.learning.problem import TrainingProblem
 from lieednn_sim.learning.result import StopReason
-from lieednn_sim.theory.groups import catalogue_name
-from lieednn_sim.theory.groups import group as group_by_name
-from lieednn_sim.theory.matrix_group import MatrixLieGroup
-from lieednn_sim.validation import as_count, as_floats, as_positive
 from lieednn_sim.values import Floats
 
 # What `storage.kind` says of a checkpoint.
 KIND = "training"
+_NUMBERS = ("rate", "error", "epoch", "rows", "start", "start_epoch")
 
 
 class TrainingState(NamedTuple):
@@ -57,98 +53,74 @@ class TrainingState(NamedTuple):
     reason: StopReason | None = None
 
 
-_COUNTERS = ("epoch", "rows", "start", "start_epoch")
-
-
 def save(
     path: str | os.PathLike[str],
     problem: TrainingProblem,
     options: TrainingOptions,
     state: TrainingState,
     recorder: Recorder,
-    seconds: float,
+    cpu_time: float,
 ) -> None:
     """Write everything that `load` needs, atomically."""
     recorder.cut(state.rows)
-    arrays: dict[str, NDArray[Any]] = {
-        "target": problem.target,
-        "bias": problem.bias,
+    numbers = [*(getattr(state, name) for name in _NUMBERS), state.equilibrium.success, cpu_time]
+    arrays = {
         "weight": state.weight,
         "alpha": state.alpha,
         "point_alpha": state.point.alpha,
         "x": state.equilibrium.x,
-        "error": np.array(state.error),
+        "numbers": np.array(numbers, dtype=np.float64),
         **{f"element_{name}": value for name, value in state.point.elements.items()},
         **{f"history_{name}": value for name, value in recorder.history().arrays().items()},
     }
-    meta = {
-        "options": asdict(options),
-        "group": _group_name(problem.group),
-        "seed": problem.seed,
-        "rates": problem.rates,
-        "state": {name: getattr(state, name) for name in _COUNTERS},
-        "rate": state.rate,
-        "found": state.equilibrium.success,
-        "reason": state.reason,
-        "seconds": seconds,
-    }
+    meta = {"problem": _fingerprint(problem, options), "seed": problem.seed, "reason": state.reason}
     storage.save_arrays(path, KIND, arrays, meta)
 
 
 def load(
-    path: str | os.PathLike[str],
-) -> tuple[TrainingProblem, TrainingOptions, TrainingState, Recorder, float]:
-    """Read a file of `save`: problem, options, state, history and seconds so far.
+    path: str | os.PathLike[str], problem: TrainingProblem, options: TrainingOptions
+) -> tuple[TrainingState, Recorder, float]:
+    """Read a file of `save`: state, history and CPU time so far [s].
 
     Raises:
-        FileError: the file cannot be read or is no checkpoint.
+        FileError: the file cannot be read, is no checkpoint, or one of another problem or other options.
     """
     arrays, meta = storage.load_arrays(path, KIND)
-    rows = {field.name: f"history_{field.name}" for field in fields(History)}
-    storage.take(arrays, path, "target", "bias", "weight", "alpha", "point_alpha", "x", "error", *rows.values())
+    if meta.get("problem") != _fingerprint(problem, options):
+        raise FileError(f"{path} is the checkpoint of a training with another target, other options or another seed")
+    elements, rows = (
+        {name.removeprefix(part): value for name, value in arrays.items() if name.startswith(part)}
+        for part in ("element_", "history_")
+    )
     try:
-        group = _group_of(meta["group"])
-        problem = TrainingProblem.checked(
-            arrays["target"], arrays["bias"], **meta["rates"], group=group, seed=meta["seed"]
-        )
-        n, size = len(problem.target), problem.target.size
-        elements = {
-            name.removeprefix("element_"): value for name, value in arrays.items() if name.startswith("element_")
-        }
-        manifold = problem.manifold()
-        point = manifold.point(as_floats("point_alpha", arrays["point_alpha"], (n, n)), elements)
-        # A network checks its elements, be they rotations or of another group.
-        manifold.network(point, problem.bias, problem.rates)
-        history = History(**{name: arrays[key] for name, key in rows.items()})
-        if history.equilibrium.shape[1:] != problem.target.shape:
-            raise InputError(f"the history is of states {history.equilibrium.shape[1:]}, not {problem.target.shape}")
-        options = TrainingOptions(**meta["options"])
-        recorder = Recorder.from_history(history, problem.target, options.tolerance)
-        counters = {name: as_count(name, meta["state"][name], least=0) for name in _COUNTERS}
-        if counters["rows"] > len(recorder):
-            raise InputError(f"{counters['rows']} rows of history are promised, {len(recorder)} are there")
+        rate, error, *counts, success, spent = arrays["numbers"].tolist()
+        epoch, length, start, start_epoch = map(int, counts)
+        recorder = Recorder.from_history(History(**rows), problem.target, options.tolerance)
         state = TrainingState(
-            weight=as_floats("weight", arrays["weight"], (size, size)),
-            alpha=as_floats("alpha", arrays["alpha"], (n, n)),
-            point=point,
-            equilibrium=problem.solver().at(as_floats("x", arrays["x"], (size,)), success=bool(meta["found"])),
-            rate=as_positive("rate", meta["rate"]),
-            error=float(arrays["error"]),
-            reason=None if meta["reason"] is None else StopReason(meta["reason"]),
-            **counters,
+            arrays["weight"],
+            arrays["alpha"],
+            problem.manifold().point(arrays["point_alpha"], elements),
+            problem.solver().at(arrays["x"], success=bool(success)),
+            rate,
+            error,
+            epoch,
+            length,
+            start,
+            start_epoch,
+            None if meta["reason"] is None else StopReason(meta["reason"]),
         )
-        return problem, options, state, recorder, float(meta["seconds"])
-    except (KeyError, TypeError, ValueError, AttributeError, InputError) as error:
-        raise FileError(f"{path} is not a valid training checkpoint ({type(error).__name__}: {error})") from None
+    except (KeyError, TypeError, ValueError, InputError) as wrong:
+        raise FileError(f"{path} is not a valid training checkpoint ({wrong})") from None
+    return state, recorder, spent
 
 
-def _group_name(group: MatrixLieGroup | QuaternionWeights | None) -> str | None:
-    if group is None:
-        return None
-    return QuaternionWeights.name if isinstance(group, QuaternionWeights) else catalogue_name(group)
+def seed_of(path: str | os.PathLike[str]) -> int:
+    """The seed of the training of a checkpoint; raises `FileError` if the file is none."""
+    return int(storage.load_arrays(path, KIND)[1].get("seed", -1))
 
 
-def _group_of(name: str | None) -> MatrixLieGroup | QuaternionWeights | None:
-    if name is None:
-        return None
-    return QuaternionWeights() if name == QuaternionWeights.name else group_by_name(name)
+def _fingerprint(problem: TrainingProblem, options: TrainingOptions) -> str:
+    """Of everything that the result of a training depends on, and that must be the same for it to continue."""
+    group = getattr(problem.group, "name", None)
+    meta = {"options": asdict(options), "rates": problem.rates, "group": group, "seed": problem.seed}
+    return storage.fingerprint({"target": problem.target, "bias": problem.bias}, meta)

@@ -135,7 +135,7 @@ class QuaternionWeights:
     """Blocks that multiply quaternions (w, x, y, z) from the left, |omega_ij| L(omega_ij / |omega_ij|)."""
 
     dimension = 4
-    # Its name in checkpoints; no group has it.
+    # Its name in the fingerprints of trainings; no group has it.
     name = "quaternions"
 
     def project(self, weight: Floats, alpha: Floats, kind: str, near: WeightPoint | None = None) -> WeightPoint:

@@ -13,7 +13,6 @@ from lieednn_sim.values import check_fields
 DIRECTIONS = ("gradient", "gauss-newton")
 EQUILIBRIA = ("newton", "rk45")
 PROJECTIONS = ("block-wise", "exact", "scaled", "none")
-BLOCK_SCALE = "block-scale"
 STEP_CONTROLS = ("adaptive", "tracked")
 METHODS = ("gradient", "gauss-newton")
 # Options of the learning rate, common to both kinds of learning.
@@ -42,8 +41,7 @@ class TrainingOptions:
             together, alpha of either sign), or ``"none"`` (ablation).
         period: epochs from one projection to the next.
         learn_alpha: step in alpha by dE/dalpha; otherwise alpha is fixed. The scaled projection sets alpha itself.
-        initial_alpha: initial alpha of all blocks, None for 1/(3N), or ``"block-scale"``, the least-squares scale of
-            each block of the first weights onto its rotation.
+        initial_alpha: initial alpha of all blocks; None for 1/(3N).
         initial_rate: first learning rate.
         min_rate: with ``"adaptive"``, the least rate; with ``"tracked"``, the rate at which a start is given up.
         max_rate: the largest rate.
@@ -67,7 +65,7 @@ class TrainingOptions:
     projection: str = "block-wise"
     period: int = 10
     learn_alpha: bool = True
-    initial_alpha: float | str | None = None
+    initial_alpha: float | None = None
     initial_rate: float = 0.02
     min_rate: float = 0.002
     max_rate: float = 0.2
@@ -93,9 +91,7 @@ class TrainingOptions:
         check_fields(self, as_count, "restarts", least=0)
         check_fields(self, lambda _, flag: bool(flag), "learn_alpha", "verified_stop")
         check_fields(self, as_positive, *_RATES, "tolerance")
-        if isinstance(self.initial_alpha, str):
-            as_choice("initial alpha", self.initial_alpha, (BLOCK_SCALE,))
-        elif self.initial_alpha is not None:
+        if self.initial_alpha is not None:
             check_fields(self, as_positive, "initial_alpha")
         check_rates(self.initial_rate, (self.min_rate, self.max_rate), grow=self.grow, shrink=self.shrink)
 

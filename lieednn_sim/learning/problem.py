@@ -11,9 +11,9 @@ from numpy.typing import ArrayLike
 from lieednn_sim.errors import InputError
 from lieednn_sim.learning.equilibria import EquilibriumSolver
 from lieednn_sim.learning.manifold import QuaternionWeights, WeightManifold, weight_manifold
-from lieednn_sim.network import ACTIVATIONS
+from lieednn_sim.network.componentwise import as_activation
 from lieednn_sim.theory.matrix_group import MatrixLieGroup
-from lieednn_sim.validation import as_choice, as_floats, as_positive, as_seed
+from lieednn_sim.validation import Seed, as_floats, as_positive, as_seed
 from lieednn_sim.values import Floats, frozen
 
 # Called with the epochs done and the most epochs.
@@ -52,7 +52,7 @@ class TrainingProblem:
         mu: float,
         activation: str,
         group: MatrixLieGroup | QuaternionWeights | None,
-        seed: int,
+        seed: Seed,
     ) -> TrainingProblem:
         """Build from user input; a scalar bias applies to every coordinate.
 
@@ -72,7 +72,7 @@ class TrainingProblem:
             bias=offset,
             gamma=as_positive("gamma", gamma),
             mu=as_positive("mu", mu),
-            activation=as_choice("activation", activation, ACTIVATIONS),
+            activation=as_activation(activation),
             group=group,
             seed=as_seed("seed", seed),
         )

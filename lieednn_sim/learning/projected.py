@@ -10,18 +10,20 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lieednn_sim._blas import one_blas_thread
-from lieednn_sim.budget import check_time
+from lieednn_sim.budget import check_time, cpu_time
+from lieednn_sim.errors import InputError
 from lieednn_sim.learning import checkpoint as checkpoints
 from lieednn_sim.learning.checkpoint import TrainingState
 from lieednn_sim.learning.equilibria import FlatEquilibrium, SensitivityMatrix
 from lieednn_sim.learning.history import Recorder
 from lieednn_sim.learning.manifold import QuaternionWeights
-from lieednn_sim.learning.options import BLOCK_SCALE, TrainingOptions
+from lieednn_sim.learning.options import TrainingOptions
 from lieednn_sim.learning.problem import Progress, TrainingProblem
 from lieednn_sim.learning.result import StopReason, TrainingResult, conclude
 from lieednn_sim.learning.sensitivity import gauss_newton_direction, strength_gradient, weight_gradient
+from lieednn_sim.network import DEFAULT_ACTIVATION
 from lieednn_sim.theory.matrix_group import MatrixLieGroup
-from lieednn_sim.validation import as_floats
+from lieednn_sim.validation import Seed, as_floats
 from lieednn_sim.values import Floats
 
 # Seconds from one checkpoint to the next.
@@ -38,11 +40,12 @@ def train(
     bias: ArrayLike = 0.125,
     gamma: float = 1.0,
     mu: float = 1.0,
-    activation: str = "tanh",
+    activation: str = DEFAULT_ACTIVATION,
     group: MatrixLieGroup | QuaternionWeights | None = None,
     initial_weight: ArrayLike | None = None,
-    seed: int = 0,
+    seed: Seed = 0,
     checkpoint: str | os.PathLike[str] | None = None,
+    resume: bool = False,
     progress: Progress | None = None,
 ) -> TrainingResult:
     """Learn weights whose equilibrium is the target, projecting onto the manifold every few epochs.
@@ -60,7 +63,9 @@ def train(
         initial_weight: ``(Nd, Nd)`` weights of the first start; by default, and for every other start, random ones of
             1-norm 1, as in the paper.
         seed: seed of the initial weights; the same seed gives the same network.
-        checkpoint: ``.npz`` file for the state, written every ten seconds and when interrupted; see `resume`.
+        checkpoint: ``.npz`` file for the state, written every ten seconds and when interrupted.
+        resume: continue from the checkpoint of an interrupted call with the same arguments, to the same result as
+            without the interruption.
         progress: called with the epochs done and the most epochs.
 
     Returns:
@@ -68,7 +73,7 @@ def train(
 
     Raises:
         InputError: a value has the wrong shape or range.
-        FileError: the checkpoint cannot be written.
+        FileError: the checkpoint cannot be written; or, to resume, cannot be read or is of another training.
     """
     problem = TrainingProblem.checked(target, bias, gamma, mu, activation, group, seed)
     chosen = TrainingOptions() if options is None else options
@@ -76,20 +81,12 @@ def train(
     first = None if initial_weight is None else as_floats("initial_weight", initial_weight, (size, size))
     training = _ProjectedTraining(problem, chosen)
     with one_blas_thread():
-        training.begin(0, weight=first)
-        return training.run(checkpoint, progress)
-
-
-def resume(checkpoint: str | os.PathLike[str], *, progress: Progress | None = None) -> TrainingResult:
-    """Continue where `train` was interrupted, to the same result as without the interruption.
-
-    Raises:
-        FileError: the file cannot be read or is no checkpoint.
-    """
-    problem, options, anchor, recorder, seconds = checkpoints.load(checkpoint)
-    training = _ProjectedTraining(problem, options)
-    training.anchor, training.recorder, training.seconds = anchor, recorder, seconds
-    with one_blas_thread():
+        if not resume:
+            training.begin(0, weight=first)
+        elif checkpoint is None:
+            raise InputError("to resume a training needs its checkpoint")
+        else:
+            training.anchor, training.recorder, training.spent = checkpoints.load(checkpoint, problem, chosen)
         return training.run(checkpoint, progress)
 
 
@@ -100,17 +97,14 @@ class _ProjectedTraining:
         self.goal = problem.target.ravel()
         self.recorder = Recorder(problem.target, options.tolerance)
         self.anchor: TrainingState
-        self.seconds = 0.0
+        self.spent = 0.0
 
     def begin(self, start: int, epoch: int = 0, weight: Floats | None = None) -> None:
         """New initial weights: random ones, unless they are given."""
         options, n = self.options, len(self.problem.target)
         if weight is None:
             weight = self.problem.initial_weight(start)
-        if options.initial_alpha == BLOCK_SCALE:
-            alpha = self.manifold.project(weight, np.ones((n, n)), "scaled").alpha
-        else:
-            alpha = np.full((n, n), options.initial_alpha or 1.0 / (3.0 * n))
+        alpha = np.full((n, n), options.initial_alpha or 1.0 / (3.0 * n))
         point = self.manifold.project(
             weight, alpha, "block-wise" if options.projection == "none" else options.projection
         )
@@ -126,11 +120,11 @@ class _ProjectedTraining:
 
     def run(self, checkpoint: str | os.PathLike[str] | None, progress: Progress | None) -> TrainingResult:
         """Train until there is a reason to stop."""
-        begun = saved = time.perf_counter()
+        begun, saved = cpu_time(), time.perf_counter()
 
         def save() -> None:
             if checkpoint is not None:
-                elapsed = self.seconds + time.perf_counter() - begun
+                elapsed = self.spent + cpu_time() - begun
                 checkpoints.save(checkpoint, self.problem, self.options, self.anchor, self.recorder, elapsed)
 
         # At once, so that an unwritable path is reported before the work.
@@ -162,7 +156,7 @@ class _ProjectedTraining:
             history=self.recorder.history(),
             epochs=last.epoch,
             starts=last.start + 1,
-            seconds=self.seconds + time.perf_counter() - begun,
+            cpu_time=self.spent + cpu_time() - begun,
         )
 
     def _find(self, weight: Floats, x: Floats, nearby: SensitivityMatrix | None = None) -> FlatEquilibrium:

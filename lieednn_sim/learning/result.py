@@ -42,7 +42,7 @@ class TrainingResult:
         history: history of the last start, epoch by epoch.
         epochs: epochs over all starts.
         starts: number of initial weights tried.
-        seconds: wall time, including that before interruptions.
+        cpu_time: CPU time, including that before interruptions [s].
     """
 
     success: bool
@@ -55,7 +55,7 @@ class TrainingResult:
     history: History
     epochs: int
     starts: int
-    seconds: float
+    cpu_time: float
 
     def __repr__(self) -> str:
         return f"<TrainingResult: {self.message}>"
@@ -79,7 +79,7 @@ def conclude(
     history: History,
     epochs: int,
     starts: int,
-    seconds: float,
+    cpu_time: float,
 ) -> TrainingResult:
     """Check the last weights anew; ``point`` is None where they left the manifold."""
     manifold = problem.manifold()
@@ -104,5 +104,5 @@ def conclude(
         history=history,
         epochs=epochs,
         starts=starts,
-        seconds=seconds,
+        cpu_time=cpu_time,
     )

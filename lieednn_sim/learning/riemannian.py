@@ -14,13 +14,13 @@ Below 1 the network has only one equilibrium, globally stable, which can neither
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from lieednn_sim._blas import one_blas_thread
+from lieednn_sim.budget import cpu_time
 from lieednn_sim.learning.equilibria import FlatEquilibrium, SensitivityMatrix
 from lieednn_sim.learning.history import Recorder
 from lieednn_sim.learning.manifold import WeightPoint
@@ -35,8 +35,9 @@ from lieednn_sim.learning.tangent import (
     rotational_weight,
     smoothed_eigenvalue,
 )
-from lieednn_sim.network import LieEDNN
+from lieednn_sim.network import DEFAULT_ACTIVATION, LieEDNN
 from lieednn_sim.stability import Certificate, find_certificate, verify
+from lieednn_sim.validation import Seed
 from lieednn_sim.values import Floats
 
 # Armijo's condition: the loss must fall by at least this share of what its slope predicts.
@@ -59,8 +60,8 @@ def train_riemannian(
     bias: ArrayLike = 0.125,
     gamma: float = 1.0,
     mu: float = 1.0,
-    activation: str = "tanh",
-    seed: int = 0,
+    activation: str = DEFAULT_ACTIVATION,
+    seed: Seed = 0,
     progress: Progress | None = None,
 ) -> TrainingResult:
     """Learn weights on the manifold of SE(3) whose equilibrium is the target.
@@ -108,7 +109,7 @@ class _RiemannianTraining:
 
     def run(self) -> TrainingResult:
         """Try one start after the other."""
-        begun, options = time.perf_counter(), self.options
+        begun, options = cpu_time(), self.options
         for start in range(options.restarts + 1):
             last, reason = self._descend(self._initial(start))
             if reason is StopReason.CONVERGED:
@@ -123,13 +124,13 @@ class _RiemannianTraining:
             history=self.recorder.history(),
             epochs=self.epoch,
             starts=start + 1,
-            seconds=0.0,
+            cpu_time=0.0,
         )
         if options.certified and isinstance(result.network, LieEDNN):
             proof = self._certificate(last)
             network = replace(result.network, lyapunov_diagonal=proof.lyapunov_diagonal if proof.valid else None)
             result = replace(result, network=network, success=result.success and network.certified)
-        return replace(result, seconds=time.perf_counter() - begun)
+        return replace(result, cpu_time=cpu_time() - begun)
 
     def _initial(self, start: int) -> _Iterate:
         n = len(self.problem.target)

@@ -94,7 +94,7 @@ def log(pose: RigidTransform) -> Floats:
 
 
 def continued(twists: Floats) -> Floats:
-    """Make the logarithms ``(K, ..., 6)`` along ways of poses continuous where these turn by more than half a turn.
+    """Make the logarithms ``(K, ..., 6)`` along paths of poses continuous where these turn by more than half a turn.
 
     The axis -n and the angle 2 pi - a give the same rotation as n and a, and v = J_l^-1 p there the same translation,
     in any unit. Near a turn of 2 pi there is no continuous logarithm.

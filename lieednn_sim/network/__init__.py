@@ -4,12 +4,13 @@
 """
 
 from lieednn_sim.network.base import BlockNetwork
-from lieednn_sim.network.componentwise import ACTIVATIONS, Activation, ComponentwiseNetwork
+from lieednn_sim.network.componentwise import ACTIVATIONS, DEFAULT_ACTIVATION, Activation, ComponentwiseNetwork
 from lieednn_sim.network.se3 import LieEDNN
 from lieednn_sim.typecheck import typecheck_public
 
 __all__ = [
     "ACTIVATIONS",
+    "DEFAULT_ACTIVATION",
     "Activation",
     "BlockNetwork",
     "ComponentwiseNetwork",

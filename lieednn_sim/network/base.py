@@ -17,7 +17,7 @@ from lieednn_sim import stability, storage
 from lieednn_sim.errors import FileError, InputError, NotCertifiedError
 from lieednn_sim.network.dynamics import Equilibrium, Trajectory, find_equilibrium, integrate
 from lieednn_sim.validation import as_floats, as_positive
-from lieednn_sim.values import Floats
+from lieednn_sim.values import Floats, read_only
 
 
 class BlockNetwork(ABC):
@@ -304,19 +304,8 @@ class BlockNetwork(ABC):
         """Arguments of the constructor from metadata; raises KeyError or InputError if some are missing."""
         return {name: meta[name] for name in cls._scalars if name in meta or name not in cls._optional}
 
-    def _store(self, **checked: Any) -> None:
-        """Set the fields of a frozen dataclass to checked values; arrays are copied and locked."""
-        for name, value in checked.items():
-            object.__setattr__(self, name, read_only(value.copy()) if isinstance(value, np.ndarray) else value)
-
 
 def flatten_blocks(blocks: Floats) -> Floats:
     """Blocks ``(N, N, d, d)`` as one read-only matrix ``(Nd, Nd)``."""
     n, size = blocks.shape[0], blocks.shape[-1]
     return read_only(np.ascontiguousarray(blocks.transpose(0, 2, 1, 3).reshape(n * size, n * size)))
-
-
-def read_only(array: Floats) -> Floats:
-    """Lock an array against writing, and return it."""
-    array.setflags(write=False)
-    return array

@@ -12,11 +12,13 @@ from numpy.typing import ArrayLike
 from lieednn_sim import stability
 from lieednn_sim.errors import InputError, NotCertifiedError
 from lieednn_sim.network.base import BlockNetwork
-from lieednn_sim.validation import as_choice, as_floats
+from lieednn_sim.validation import as_choice, as_floats, as_positive
 from lieednn_sim.values import Floats, frozen
 
 # Where an activation is looked at, and how far its slope may be from that of its values there.
 _SAMPLES, _DIFFERENCE, _TOLERANCE = np.linspace(-8.0, 8.0, 161), 1e-5, 1e-6
+# Where it is near its bound, if it has one.
+_FAR = np.array([1e3, 1e6, 1e9])
 
 
 @frozen
@@ -28,16 +30,20 @@ class Activation:
     Attributes:
         phi: the function, entry by entry, of arrays of any shape.
         slope: its derivative phi', likewise.
-        slope_of_output: phi' as a function of phi, where that is cheaper; learning uses it.
+        slope_of_output: phi' as a function of phi, where that is cheaper; learning and shaping use it.
+        bend_of_output: phi''/phi' as a function of phi; by differences of the slope if it is not given.
+        bound: the least number that |phi| never exceeds.
 
     Raises:
         InputError: at one of many points the function is not odd, the slope is not that of the function, or not in
-            (0, 1].
+            (0, 1], or the function exceeds its bound.
     """
 
     phi: Callable[[Floats], Floats]
     slope: Callable[[Floats], Floats]
     slope_of_output: Callable[[Floats], Floats] | None = None
+    bend_of_output: Callable[[Floats], Floats] | None = None
+    bound: float = 1.0
 
     def __post_init__(self) -> None:
         x, h = _SAMPLES, _DIFFERENCE
@@ -46,14 +52,29 @@ class Activation:
         fits = [np.abs(value + _values("phi", self.phi, -x)), np.abs(slope - measured)]
         if self.slope_of_output is not None:
             fits.append(np.abs(slope - _values("slope_of_output", self.slope_of_output, value)))
+        if self.bend_of_output is not None:
+            bend = slope * _values("bend_of_output", self.bend_of_output, value)
+            fits.append(np.abs(bend - slope * self._measured_bend(x)))
         if not all((fit < _TOLERANCE).all() for fit in fits):
             raise InputError("an activation must be odd, and its slopes must be those of its values")
         if not ((slope > 0.0) & (slope <= 1.0)).all():
             raise InputError(f"slopes of an activation must be in (0, 1], got {slope.min():.3g} to {slope.max():.3g}")
+        largest = float(np.abs(_values("phi", self.phi, np.append(x, _FAR))).max())
+        if not largest <= (1.0 + _TOLERANCE) * as_positive("bound", self.bound):
+            raise InputError(f"an activation must not exceed its bound of {self.bound:g}, got {largest:.3g}")
 
     def slope_at(self, x: Floats, output: Floats) -> Floats:
         """The slope at ``x``, where the function has the value ``output``; unchecked."""
         return self.slope(x) if self.slope_of_output is None else self.slope_of_output(output)
+
+    def bend_at(self, x: Floats, output: Floats) -> Floats:
+        """phi''/phi' at ``x``, where the function has the value ``output``; unchecked."""
+        return self._measured_bend(x) if self.bend_of_output is None else self.bend_of_output(output)
+
+    def _measured_bend(self, x: Floats) -> Floats:
+        slope, change = self.slope(x), self.slope(x + _DIFFERENCE) - self.slope(x - _DIFFERENCE)
+        # Far out the slope may vanish in floating point.
+        return np.divide(change, 2.0 * _DIFFERENCE * slope, out=np.zeros_like(slope), where=slope > 0.0)
 
 
 def _values(name: str, function: Callable[[Floats], Floats], x: Floats) -> Floats:
@@ -70,13 +91,20 @@ def _values(name: str, function: Callable[[Floats], Floats], x: Floats) -> Float
 
 
 ACTIVATIONS: dict[str, Activation] = {
-    "tanh": Activation(np.tanh, lambda x: 1.0 / np.cosh(np.clip(x, -350.0, 350.0)) ** 2, lambda y: 1.0 - y * y),
+    "tanh": Activation(
+        np.tanh,
+        lambda x: 1.0 / np.cosh(np.clip(x, -350.0, 350.0)) ** 2,
+        lambda y: 1.0 - y * y,
+        lambda y: -2.0 * y,
+    ),
     "arctan": Activation(
         lambda x: 2.0 / np.pi * np.arctan(0.5 * np.pi * x),
         lambda x: 1.0 / (1.0 + (0.5 * np.pi * x) ** 2),
         lambda y: np.cos(0.5 * np.pi * y) ** 2,
     ),
 }
+
+DEFAULT_ACTIVATION = "tanh"
 
 
 def as_activation(name: str) -> str:
@@ -155,16 +183,6 @@ class ComponentwiseNetwork(BlockNetwork):
     def phi(self, x: Floats) -> Floats:
         """Activation, entry by entry, of an array of any shape; unchecked."""
         return ACTIVATIONS[self.activation].phi(x)
-
-    def invariant_box(self, start: ArrayLike) -> tuple[Floats, Floats]:
-        """Least invariant box, ``(N, d)`` lower and upper corner, that contains ``start`` ``(..., N, d)``.
-
-        It proves limits on the coordinates for the whole transient (`stability.invariant_box`).
-        """
-        points = as_floats("start", start, self.bias.shape, batched=True).reshape(-1, self.bias.size)
-        flat = stability.invariant_box(self.weight, self.bias.ravel(), points, self.phi, gamma=self.gamma, mu=self.mu)
-        lower, upper = (side.reshape(self.bias.shape) for side in flat)
-        return lower, upper
 
     def flat_vector_field(self, x: Floats) -> Floats:
         """Right-hand side in flat form, ``(dN,)`` to ``(dN,)``; unchecked, for integrators."""

@@ -7,11 +7,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from lieednn_sim.network.base import read_only
 from lieednn_sim.network.checks import as_rates
-from lieednn_sim.network.componentwise import ComponentwiseNetwork, as_activation
+from lieednn_sim.network.componentwise import DEFAULT_ACTIVATION, ComponentwiseNetwork, as_activation
 from lieednn_sim.validation import as_floats
-from lieednn_sim.values import Floats, frozen
+from lieednn_sim.values import Floats, frozen, read_only, set_fields
 
 
 @frozen
@@ -34,7 +33,7 @@ class HopfieldNetwork(ComponentwiseNetwork):
     bias: Floats
     gamma: float = 1.0
     mu: float = 1.0
-    activation: str = "tanh"
+    activation: str = DEFAULT_ACTIVATION
     lyapunov_diagonal: Floats | None = None
 
     _kind: ClassVar[str] = "hopfield-network"
@@ -44,7 +43,8 @@ class HopfieldNetwork(ComponentwiseNetwork):
     def __post_init__(self) -> None:
         bias = as_floats("bias", self.bias, ("N", "d"))
         diagonal = self.lyapunov_diagonal
-        self._store(
+        set_fields(
+            self,
             matrix=as_floats("matrix", self.matrix, (bias.size, bias.size)),
             bias=bias,
             **as_rates(self.gamma, self.mu),

@@ -9,11 +9,11 @@ from typing import ClassVar
 import numpy as np
 
 from lieednn_sim.lie import adjoint
-from lieednn_sim.network.base import BlockNetwork, flatten_blocks, read_only
+from lieednn_sim.network.base import BlockNetwork, flatten_blocks
 from lieednn_sim.network.checks import as_hidden, as_poses, as_rates, as_strengths
-from lieednn_sim.network.componentwise import ComponentwiseNetwork, as_activation
+from lieednn_sim.network.componentwise import DEFAULT_ACTIVATION, ComponentwiseNetwork, as_activation
 from lieednn_sim.validation import as_floats
-from lieednn_sim.values import Floats, frozen
+from lieednn_sim.values import Floats, frozen, read_only, set_fields
 
 
 class RigidNetwork(BlockNetwork):
@@ -71,7 +71,7 @@ class LieEDNN(RigidNetwork, ComponentwiseNetwork):
     bias: Floats
     gamma: float = 1.0
     mu: float = 1.0
-    activation: str = "tanh"
+    activation: str = DEFAULT_ACTIVATION
     lyapunov_diagonal: Floats | None = None
     hidden_start: Floats = field(default_factory=lambda: np.empty((0, 6)))
     n_clock: int = 0
@@ -91,7 +91,8 @@ class LieEDNN(RigidNetwork, ComponentwiseNetwork):
         alpha = as_strengths(self.alpha)
         n = len(alpha)
         diagonal = self.lyapunov_diagonal
-        self._store(
+        set_fields(
+            self,
             alpha=alpha,
             **as_poses(self.rotation, self.translation, alpha),
             bias=as_floats("bias", self.bias, (n, 6)),

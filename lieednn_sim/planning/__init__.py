@@ -1,6 +1,5 @@
 """From a joint target to a checked motion: certified networks, the safety filter, and rival planners."""
 
-from lieednn_sim.planning.baselines.joint_space import joint_motion
 from lieednn_sim.planning.baselines.optimisation import OptimisationOptions
 from lieednn_sim.planning.baselines.primitives import DmpOptions
 from lieednn_sim.planning.baselines.qshnn import QshnnOptions
@@ -9,6 +8,7 @@ from lieednn_sim.planning.baselines.stomp import StompOptions
 from lieednn_sim.planning.certified import CertifiedOptions
 from lieednn_sim.planning.extras import missing_planners, require_planner
 from lieednn_sim.planning.filtered import FilteredOptions, GuidedOptions
+from lieednn_sim.planning.joint_space import joint_motion
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.network_planners import (
     RetargetedOptions,

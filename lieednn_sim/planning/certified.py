@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
 from itertools import cycle, islice, pairwise
+from typing import Any
 
 import numpy as np
 
@@ -14,50 +15,50 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.budget import check_time
 from lieednn_sim.errors import NotCertifiedError, PlanError, TooFastError
 from lieednn_sim.network import LieEDNN
-from lieednn_sim.network.side_by_side import states_side_by_side
-from lieednn_sim.planning.baselines.joint_space import joint_scale
+from lieednn_sim.network.batch_integration import integrate_batch
+from lieednn_sim.planning.joint_space import joint_scale
 from lieednn_sim.planning.motion import LIMIT_TOLERANCE, Motion, least_duration
 from lieednn_sim.planning.network_path import NetworkPath, timed_motion
-from lieednn_sim.planning.options import PlannerOptions
+from lieednn_sim.planning.options import NetworkOptions
 from lieednn_sim.planning.problem import Plan, PlanningProblem, in_time
 from lieednn_sim.synthesis import BIAS_RULES, Synthesis, synthesize, synthesize_many
 from lieednn_sim.validation import as_choice
-from lieednn_sim.values import Floats
+from lieednn_sim.values import Floats, frozen
 
 # The stronger the bias, the less the weights have to do and the straighter the transient; tried in turn.
 BIAS_MAGNITUDES = (0.125, 0.25, 0.5)
 # Used instead by default if every link moves along one screw: the straightest ways first.
-_STRAIGHT = (1.0, 4.0, 0.5, 0.25, 0.125)
+_STRAIGHT_MAGNITUDES = (1.0, 4.0, 0.5, 0.25, 0.125)
 
 # Candidates made at once: more gain little, and would delay progress reports and interrupts.
-_AT_ONCE = 24
+_BATCH_SIZE = 24
 
 # Shares of the long steps between roughly integrated states at which contact is checked, too.
-_BETWEEN = (0.25, 0.5, 0.75)
+_SHARES_BETWEEN = (0.25, 0.5, 0.75)
 
 # Gaps up to this are rounding errors [m], the only gaps of links with six degrees of freedom.
 _NO_GAP = 1e-9
 
 # No motion is possible below this share of the least duration under the limits; below 1, since sampled motions may
 # seem slightly faster than they are.
-_HURRIED = 0.99
+_LEAST_TIME_SCALE = 0.99
 
 
 @dataclass(frozen=True)
-class CandidateOptions(PlannerOptions):
+class CandidateOptions(NetworkOptions):
     """Options of planners that make one network after another.
 
     Attributes:
-        candidates: largest number of networks to make.
+        n_networks: largest number of networks to make.
         bias_magnitudes: magnitudes of their biases, used in turn [gamma/mu].
     """
 
-    candidates: int = 24
+    n_networks: int = 24
     bias_magnitudes: tuple[float, ...] = BIAS_MAGNITUDES
 
     def magnitudes(self) -> Iterator[float]:
         """The bias magnitude of one network after another."""
-        return islice(cycle(self.bias_magnitudes), self.candidates)
+        return islice(cycle(self.bias_magnitudes), self.n_networks)
 
 
 @dataclass(frozen=True)
@@ -91,30 +92,38 @@ class CertifiedOptions(CandidateOptions):
         as_choice("bias rule", self.bias, BIAS_RULES)
 
 
+@frozen
+class CertifiedDetails:
+    """What ``lieednn-certified`` tells of its work.
+
+    Attributes:
+        n_networks: number of networks that were made.
+        within_limits: number of these whose transient keeps the position limits.
+    """
+
+    n_networks: int
+    within_limits: int
+
+
 @dataclass(frozen=True)
 class _Candidate:
-    """A network and, computed when first used, its roughly integrated way from a start (`_screened`)."""
+    """A network and its roughly integrated way from a start (`_screened`), which a single candidate does not need.
+
+    Attributes:
+        arm: the arm.
+        network: the network.
+        start: ``(n,)`` joint position.
+        way: ``(K, n)`` postures.
+        excess: their largest excess over the position limits [rad, m].
+        gap: their largest mechanism gap [m].
+    """
 
     arm: Arm
     network: LieEDNN
     start: Floats
-    index: int
-    screened: Callable[[], list[tuple[Floats, float, float]]]
-
-    @property
-    def way(self) -> Floats:
-        """Postures ``(K, n)``."""
-        return self.screened()[self.index][0]
-
-    @property
-    def excess(self) -> float:
-        """Largest excess over the position limits [rad, m]."""
-        return self.screened()[self.index][1]
-
-    @property
-    def gap(self) -> float:
-        """Largest mechanism gap [m]."""
-        return self.screened()[self.index][2]
+    way: Floats = field(default_factory=lambda: np.empty((0, 0)))
+    excess: float = 0.0
+    gap: float = 0.0
 
     @property
     def length(self) -> float:
@@ -130,7 +139,7 @@ class _Candidate:
     @functools.cached_property
     def touches(self) -> bool:
         """Whether the postures, or some on straight lines between them, come too near to contact."""
-        between = [start + share * (end - start) for start, end in pairwise(self.way) for share in _BETWEEN]
+        between = [start + share * (end - start) for start, end in pairwise(self.way) for share in _SHARES_BETWEEN]
         for touching in self.arm.near_contacts_along(np.array([*self.way, *between])):
             check_time()
             if touching:
@@ -158,20 +167,20 @@ def certified(problem: PlanningProblem, options: CertifiedOptions) -> Plan:
 
 
 def _certified(problem: PlanningProblem, options: CertifiedOptions) -> Plan:
-    rng, total = np.random.default_rng(problem.seed), options.candidates
+    rng, total = np.random.default_rng(problem.seed), options.n_networks
     xi = problem.arm.encode(problem.target)
     networks: list[LieEDNN] = []
     message = ""
     one_screw = all(joint.screw is not None for joint in problem.arm.joints.joints)
     few = min(options.first, total) if one_screw else total
     if one_screw and options.bias_magnitudes == BIAS_MAGNITUDES:
-        options = replace(options, bias_magnitudes=_STRAIGHT)
+        options = replace(options, bias_magnitudes=_STRAIGHT_MAGNITUDES)
     magnitudes = list(options.magnitudes())
     for begin, end in ((0, few), (few, total)):
         if begin == end:
             continue
-        for first in range(begin, end, _AT_ONCE):
-            drawn = _drawn(xi, magnitudes[first : min(first + _AT_ONCE, end)], options, rng)
+        for first in range(begin, end, _BATCH_SIZE):
+            drawn = _drawn(xi, magnitudes[first : min(first + _BATCH_SIZE, end)], options, rng)
             for number, result in enumerate(drawn, first + 1):
                 if result.network is None:
                     message = result.message
@@ -182,7 +191,12 @@ def _certified(problem: PlanningProblem, options: CertifiedOptions) -> Plan:
         if not networks and end == total:
             # Only as a last resort: hard candidates cost seconds, and mostly an easy one suffices.
             last = synthesize(
-                xi, bias=options.bias, bias_magnitude=magnitudes[-1], seed=rng, max_attempts=options.last_attempts
+                xi,
+                bias=options.bias,
+                bias_magnitude=magnitudes[-1],
+                activation=options.activation,
+                seed=rng,
+                max_attempts=options.last_attempts,
             )
             message, networks = last.message, [last.network] if last.network else []
         if networks:
@@ -196,36 +210,28 @@ def _certified(problem: PlanningProblem, options: CertifiedOptions) -> Plan:
 
 def _drawn(xi: Floats, magnitudes: list[float], options: CertifiedOptions, rng: np.random.Generator) -> list[Synthesis]:
     """Networks for the target ``xi``, one per magnitude of the bias."""
+    same: Any = {"bias": options.bias, "activation": options.activation, "max_attempts": options.attempts, "seed": rng}
     if len(magnitudes) == 1:
-        return [
-            synthesize(xi, bias=options.bias, bias_magnitude=magnitudes[0], seed=rng, max_attempts=options.attempts)
-        ]
-    return synthesize_many(
-        np.broadcast_to(xi, (len(magnitudes), *xi.shape)),
-        bias=options.bias,
-        bias_magnitude=magnitudes,
-        seed=rng,
-        max_attempts=options.attempts,
-    )
+        return [synthesize(xi, bias_magnitude=magnitudes[0], **same)]
+    return synthesize_many(np.broadcast_to(xi, (len(magnitudes), *xi.shape)), bias_magnitude=magnitudes, **same)
 
 
 def _plan(problem: PlanningProblem, options: CertifiedOptions, networks: list[LieEDNN], drawn: int) -> Plan:
     """The plan of the best network; raises as `certified`."""
     arm, start = problem.arm, problem.start
-    screen = functools.cache(lambda: _screened(arm, networks, start))
-    found = [_Candidate(arm, network, start, index, screen) for index, network in enumerate(networks)]
+    found = _screened(arm, networks, start) if len(networks) > 1 else [_Candidate(arm, networks[0], start)]
     # Networks and their ways are independent of the duration.
     network, motion = in_time(_best, problem, options, found)
     # The motion has been checked.
     within = sum(candidate.network is network or candidate.excess <= LIMIT_TOLERANCE for candidate in found)
-    return Plan(motion, network, drawn, within)
+    return Plan(motion, network, CertifiedDetails(drawn, within))
 
 
 def _best(problem: PlanningProblem, options: CertifiedOptions, found: list[_Candidate]) -> tuple[LieEDNN, Motion]:
     """The first of the `_promising` networks with a feasible motion; raises as `certified`."""
     arm = problem.arm
     # If no motion can be fast enough, one refusal suffices.
-    hurried = problem.duration <= _HURRIED * least_duration(arm, problem.start, problem.target)
+    hurried = problem.duration <= _LEAST_TIME_SCALE * least_duration(arm, problem.start, problem.target)
     refusals: list[PlanError] = []
     for candidate in _promising(found):
         if refusals and (candidate.touches or candidate.excess > options.hopeless_excess):
@@ -238,7 +244,7 @@ def _best(problem: PlanningProblem, options: CertifiedOptions, found: list[_Cand
                 break
             continue
         return candidate.network, motion
-    message = f"{refusals[0]} (best of {options.candidates} candidates)"
+    message = f"{refusals[0]} (best of {options.n_networks} candidates)"
     if isinstance(refusals[0], TooFastError):
         raise TooFastError(message, refusals[0].duration)
     raise PlanError(f"{message}; try more candidates, another seed, a larger bias magnitude or the solved bias")
@@ -250,7 +256,6 @@ def _promising(found: list[_Candidate]) -> Iterator[_Candidate]:
     Contact is checked only when a candidate's turn comes, since that costs more than everything else.
     """
     if len(found) == 1:
-        # It comes first in any case.
         yield found[0]
         return
     touching = []
@@ -267,11 +272,11 @@ def rough_ways(networks: list[LieEDNN], start: Floats) -> list[Floats]:
 
     The networks have no hidden neurons, and share one decay rate.
     """
-    return states_side_by_side(networks, start, 20.0 / networks[0].gamma, rtol=1e-4, atol=1e-6)
+    return integrate_batch(networks, start, 20.0 / networks[0].gamma, rtol=1e-4, atol=1e-6)
 
 
-def _screened(arm: Arm, networks: list[LieEDNN], start: Floats) -> list[tuple[Floats, float, float]]:
-    """Postures along roughly integrated ways, with the largest excess over the position limits and the largest gap."""
+def _screened(arm: Arm, networks: list[LieEDNN], start: Floats) -> list[_Candidate]:
+    """The networks with their roughly integrated ways."""
     state = arm.encode(start)
     runs = rough_ways(networks, state)
     # Side by side, the shorter ones padded with their ends: a retraction without closed form costs nearly as much for
@@ -281,4 +286,7 @@ def _screened(arm: Arm, networks: list[LieEDNN], start: Floats) -> list[tuple[Fl
     decoded = arm.decode(side_by_side, start=start)
     excess = arm.limit_excess(decoded.q).max(axis=(0, -1))
     gap = (decoded.gap_translation.max(axis=-1) + arm.length_scale * decoded.gap_rotation.max(axis=-1)).max(axis=0)
-    return [(decoded.q[: len(run), k], float(excess[k]), float(gap[k])) for k, run in enumerate(runs)]
+    return [
+        _Candidate(arm, network, start, decoded.q[: len(run), k], float(excess[k]), float(gap[k]))
+        for k, (network, run) in enumerate(zip(networks, runs, strict=True))
+    ]

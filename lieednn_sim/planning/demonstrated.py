@@ -20,13 +20,13 @@ from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.learning.demonstrations.alignment import PHASES, at_phases
 from lieednn_sim.learning.demonstrations.files import TIMES, read_tables
 from lieednn_sim.network import LieEDNN
-from lieednn_sim.planning.laws import Law, law_of_times, step_lengths
 from lieednn_sim.planning.motion import LIMIT_TOLERANCE, Motion
 from lieednn_sim.planning.network_path import NetworkPath, timed_motion
 from lieednn_sim.planning.problem import PlanningProblem, in_time
 from lieednn_sim.planning.shaped import lever_units
+from lieednn_sim.planning.time_laws import Law, law_of_times, step_lengths
 from lieednn_sim.synthesis import Shaping, ShapingOptions, shape
-from lieednn_sim.validation import as_choice, as_floats, as_positive, as_times
+from lieednn_sim.validation import Seed, as_choice, as_floats, as_positive, as_times
 from lieednn_sim.values import Floats, frozen
 
 # Steps of the phase, and the number of them that define the time law: recorded times are noisy.
@@ -155,7 +155,7 @@ class JointMotion:
         demonstrations: JointDemonstrations,
         deviation: float | None = None,
         options: ShapingOptions | None = None,
-        seed: int = 0,
+        seed: Seed = 0,
     ) -> JointMotion:
         """Shape a network by the demonstrations' mean and spread.
 

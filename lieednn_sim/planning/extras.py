@@ -7,34 +7,16 @@ import importlib.util
 from typing import Any
 
 from lieednn_sim.errors import LieEDNNError
-from lieednn_sim.learning.demonstrations import probabilistic
-
-# Libraries that planners need besides the package's dependencies.
-REQUIREMENTS: dict[str, tuple[str, ...]] = {
-    "dmp": probabilistic.LIBRARIES,
-    **dict.fromkeys(
-        ("lieednn-guided", "rrt-connect", "rrt-star", "informed-rrt-star", "bit-star", "aorrtc"), ("ompl",)
-    ),
-    "mjpl": ("mjpl",),
-    "sscbirrt": ("sscbirrt",),
-}
-# Commands that install them.
-INSTALL: dict[str, str] = {
-    **dict.fromkeys(probabilistic.LIBRARIES, probabilistic.INSTALL),
-    "ompl": "pip install 'lieednn_sim[rivals]'",
-    **dict.fromkeys(("mjpl", "sscbirrt"), "pip install 'lieednn_sim[cbirrt]'"),
-    "toppra": "pip install 'lieednn_sim[timing]'",
-}
+from lieednn_sim.planner_table import PLANNERS
 
 
 def missing_planners() -> dict[str, str]:
     """Names of the planners whose libraries are not installed, with the commands that install them."""
-    missing = {}
-    for planner, modules in REQUIREMENTS.items():
-        absent = [module for module in modules if importlib.util.find_spec(module) is None]
-        if absent:
-            missing[planner] = INSTALL[absent[0]]
-    return missing
+    return {
+        name: _install(entry.extra)
+        for name, entry in PLANNERS.items()
+        if any(importlib.util.find_spec(library) is None for library in entry.libraries)
+    }
 
 
 def require_planner(name: str) -> None:
@@ -60,8 +42,12 @@ def optional_module(name: str) -> Any:
         return importlib.import_module(name)
     except ImportError:
         library = name.partition(".")[0]
-        users = [repr(planner) for planner, modules in REQUIREMENTS.items() if library in modules]
-        need = (
-            "the planner {} needs" if len(users) == 1 else "the planners {} need" if users else "the fastest law needs"
-        )
-        raise LieEDNNError(f"{need.format(', '.join(users))} {library}: {INSTALL[library]}") from None
+        extras = {planner: entry.extra for planner, entry in PLANNERS.items() if library in entry.libraries}
+        users = ", ".join(map(repr, extras))
+        need = f"the planner{'s' * (len(extras) > 1)} {users} need{'s' * (len(extras) == 1)}"
+        extra = next(iter(extras.values()), "timing")
+        raise LieEDNNError(f"{need if extras else 'the fastest law needs'} {library}: {_install(extra)}") from None
+
+
+def _install(extra: str) -> str:
+    return f"pip install 'lieednn_sim[{extra}]'"

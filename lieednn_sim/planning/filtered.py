@@ -19,14 +19,14 @@ from lieednn_sim.budget import check_time
 from lieednn_sim.errors import InputError, NotCertifiedError, PlanError
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.planning.baselines import sampling
-from lieednn_sim.planning.baselines.joint_space import Workspace, joint_scale
 from lieednn_sim.planning.baselines.sampling import SearchOptions
 from lieednn_sim.planning.certified import CandidateOptions, rough_ways
 from lieednn_sim.planning.extras import optional_module
 from lieednn_sim.planning.filtering import FilteredRun, FilterOptions, run_filtered
-from lieednn_sim.planning.laws import minimum_jerk_law
+from lieednn_sim.planning.joint_space import Workspace, joint_scale
 from lieednn_sim.planning.motion import Motion, check_motion
 from lieednn_sim.planning.problem import Plan, PlanningProblem
+from lieednn_sim.planning.time_laws import minimum_jerk_law
 from lieednn_sim.synthesis import synthesize
 from lieednn_sim.values import Floats
 
@@ -49,7 +49,7 @@ class FilteredOptions(CandidateOptions):
         filter: options of the filter.
     """
 
-    candidates: int = 12
+    n_networks: int = 12
     attempts: int = 3
     tried: int = 1
     looks: int = field(default=40, metadata={"range": (1, 10_000)})
@@ -78,7 +78,7 @@ class GuidedOptions(FilteredOptions):
 
 
 def filtered(problem: PlanningProblem, options: FilteredOptions) -> Plan:
-    """The first motion of a certified network through the filter that arrives, within ``problem.longest`` durations.
+    """The first motion of a certified network through the filter that arrives in the time allowed.
 
     Raises:
         NotCertifiedError: no network could be certified.
@@ -122,17 +122,17 @@ class _Search:
         drawn: list[tuple[float, LieEDNN]] = []
         for network, unsafe in self._candidates():
             drawn.append((unsafe, network))
-            if unsafe == 0.0 and (motion := self._run(network)) is not None:
-                return Plan(motion, network)
+            if unsafe == 0.0 and (made := self._run(network)) is not None:
+                return made
         if not drawn:
             raise NotCertifiedError(
-                f"none of {self.options.candidates} candidates for the target could be certified and followed"
+                f"none of {self.options.n_networks} candidates for the target could be certified and followed"
             )
         drawn.sort(key=lambda candidate: candidate[0])
         self.networks = [network for _, network in drawn]
         for unsafe, network in drawn[: self.options.tried]:
-            if unsafe > 0.0 and (motion := self._run(network)) is not None:
-                return Plan(motion, network)
+            if unsafe > 0.0 and (made := self._run(network)) is not None:
+                return made
         return None
 
     def guided(self, options: GuidedOptions) -> Plan | None:
@@ -144,9 +144,9 @@ class _Search:
             if corners is None:
                 continue
             for network in self.networks[: options.followers]:
-                motion = self._run(network, self._postures(network, corners, options.halvings))
-                if motion is not None:
-                    return Plan(motion, network)
+                made = self._run(network, self._postures(network, corners, options.halvings))
+                if made is not None:
+                    return made
         return None
 
     def refuse(self) -> Plan:
@@ -160,7 +160,12 @@ class _Search:
         xi, rng = arm.encode(problem.target), np.random.default_rng(problem.seed)
         for magnitude in self.options.magnitudes():
             network = synthesize(
-                xi, bias="sign-matched", bias_magnitude=magnitude, seed=rng, max_attempts=self.options.attempts
+                xi,
+                bias="sign-matched",
+                bias_magnitude=magnitude,
+                activation=self.options.activation,
+                seed=rng,
+                max_attempts=self.options.attempts,
             ).network
             if network is None:
                 continue
@@ -178,8 +183,8 @@ class _Search:
         inside = arm.limit_excess(way).max(axis=1) <= 0.0
         return 1.0 - float(np.mean(inside & [self._clear(position) for position in way]))
 
-    def _run(self, network: LieEDNN, via: Floats | tuple[()] = ()) -> Motion | None:
-        """The motion through the filter, or None with the reason added to the refusals."""
+    def _run(self, network: LieEDNN, via: Floats | tuple[()] = ()) -> Plan | None:
+        """The motion through the filter, with its run, or None with the reason added to the refusals."""
         problem, arm = self.problem, self.problem.arm
         try:
             run = run_filtered(
@@ -189,7 +194,7 @@ class _Search:
                 problem.duration,
                 via=via,
                 timestep=self._ratio * problem.timestep,
-                longest=problem.longest - _CLOSING / problem.duration,
+                max_time_scale=problem.max_time_scale - _CLOSING / problem.duration,
                 options=self.options.filter,
             )
             if not run.success:
@@ -199,7 +204,7 @@ class _Search:
         except (PlanError, InputError) as error:
             self.refusals.append(str(error))
             return None
-        return motion
+        return Plan(motion, network, run)
 
     def _postures(self, network: LieEDNN, corners: Floats, halvings: int) -> Floats:
         """Postures to pass ``(V, n)``: the inner corners, and more between them where the network leaves the edges."""

@@ -20,10 +20,10 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.network import BlockNetwork, ComponentwiseNetwork
 from lieednn_sim.network.dynamics import Trajectory
-from lieednn_sim.planning.baselines.joint_space import joint_scale
-from lieednn_sim.planning.laws import Law, eased_law, minimum_jerk_law
+from lieednn_sim.planning.joint_space import joint_scale
 from lieednn_sim.planning.motion import Motion, check_motion, count_steps
 from lieednn_sim.planning.problem import PlanningProblem
+from lieednn_sim.planning.time_laws import Law, eased_law, minimum_jerk_law
 from lieednn_sim.validation import as_floats
 from lieednn_sim.values import Floats
 

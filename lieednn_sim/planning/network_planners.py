@@ -9,14 +9,14 @@ from functools import lru_cache
 import numpy as np
 
 from lieednn_sim.arm import Arm
-from lieednn_sim.arm.targets import reference_posture
+from lieednn_sim.arm.targets import reference_configuration
 from lieednn_sim.errors import PlanError
 from lieednn_sim.learning import TrainingOptions, TrainingResult, train
-from lieednn_sim.network import ComponentwiseNetwork, LieEDNN
+from lieednn_sim.network import ACTIVATIONS, DEFAULT_ACTIVATION, ComponentwiseNetwork, LieEDNN
 from lieednn_sim.network.hopfield import HopfieldNetwork
 from lieednn_sim.planning.certified import CandidateOptions
 from lieednn_sim.planning.network_path import NetworkPath, timed_motion
-from lieednn_sim.planning.options import PlannerOptions
+from lieednn_sim.planning.options import NetworkOptions
 from lieednn_sim.planning.problem import Plan, PlanningProblem, in_time
 from lieednn_sim.synthesis import bias_for, synthesize
 from lieednn_sim.validation import as_positive
@@ -32,7 +32,7 @@ _ARRIVAL = 1e-6
 
 
 @dataclass(frozen=True)
-class RetargetedOptions(PlannerOptions):
+class RetargetedOptions(NetworkOptions):
     """Options of the planner ``lieednn-retargeted``.
 
     Attributes:
@@ -50,7 +50,7 @@ class TrainedOptions(CandidateOptions):
         training: options of the training.
     """
 
-    candidates: int = 4
+    n_networks: int = 4
     training: TrainingOptions = _TRACKED
 
 
@@ -68,27 +68,31 @@ def retargeted(problem: PlanningProblem, options: RetargetedOptions) -> Plan:
         NotCertifiedError: the arm's reference network could not be certified.
         PlanError: the motion breaks a limit of the arm.
     """
-    network = reference_network(problem.arm, options.bias_magnitude).retarget(problem.arm.encode(problem.target))
+    reference = reference_network(problem.arm, options.bias_magnitude, options.activation)
+    network = reference.retarget(problem.arm.encode(problem.target))
     return Plan(in_time(timed_motion, problem, _path(problem, network)), network)
 
 
-def reference_network(arm: Arm, bias_magnitude: float = RetargetedOptions.bias_magnitude) -> LieEDNN:
-    """The network certified once for the arm's `reference_posture`, the same for every target and seed.
+def reference_network(
+    arm: Arm, bias_magnitude: float = RetargetedOptions.bias_magnitude, activation: str = DEFAULT_ACTIVATION
+) -> LieEDNN:
+    """The network certified once for the arm's `reference_configuration`, the same for every target and seed.
 
     Args:
         arm: the arm.
         bias_magnitude: magnitude of its sign-matched bias [gamma/mu].
+        activation: a name of `network.ACTIVATIONS`.
 
     Raises:
         NotCertifiedError: it could not be certified.
     """
-    return _reference_network(arm, as_positive("bias_magnitude", bias_magnitude))
+    return _reference_network(arm, as_positive("bias_magnitude", bias_magnitude), activation)
 
 
 @lru_cache(maxsize=8)
-def _reference_network(arm: Arm, bias_magnitude: float) -> LieEDNN:
-    target = arm.encode(reference_posture(arm))
-    return synthesize(target, bias="sign-matched", bias_magnitude=bias_magnitude).unwrap()
+def _reference_network(arm: Arm, bias_magnitude: float, activation: str) -> LieEDNN:
+    target = arm.encode(reference_configuration(arm))
+    return synthesize(target, bias="sign-matched", bias_magnitude=bias_magnitude, activation=activation).unwrap()
 
 
 def trained(problem: PlanningProblem, options: TrainedOptions) -> Plan:
@@ -111,7 +115,9 @@ def unprojected(problem: PlanningProblem, options: UnprojectedOptions) -> Plan:
     Raises:
         PlanError: no network was learned, or every motion breaks a limit of the arm.
     """
-    return _learned(problem, options, lambda result, bias: HopfieldNetwork(result.weight, bias))
+    return _learned(
+        problem, options, lambda result, bias: HopfieldNetwork(result.weight, bias, activation=options.activation)
+    )
 
 
 def _learned(
@@ -119,11 +125,11 @@ def _learned(
     options: TrainedOptions,
     network_of: Callable[[TrainingResult, Floats], ComponentwiseNetwork | None],
 ) -> Plan:
-    xi = problem.arm.encode(problem.target)
+    xi, activation = problem.arm.encode(problem.target), options.activation
     refusal = ""
     for candidate, magnitude in enumerate(options.magnitudes()):
-        bias = bias_for("sign-matched", xi, np.tanh(xi), 1.0, magnitude)
-        result = train(xi, options.training, bias=bias, seed=problem.seed + candidate)
+        bias = bias_for("sign-matched", xi, ACTIVATIONS[activation].phi(xi), 1.0, magnitude)
+        result = train(xi, options.training, bias=bias, activation=activation, seed=problem.seed + candidate)
         network = network_of(result, bias) if result.success else None
         if network is None:
             # The reason of a refused motion is more informative than that of a failed training.
@@ -135,7 +141,7 @@ def _learned(
             refusal = str(error)
             continue
         return Plan(motion, network.try_certify())
-    raise PlanError(f"no learned network of {options.candidates} can be used: {refusal}")
+    raise PlanError(f"no learned network of {options.n_networks} can be used: {refusal}")
 
 
 def linear_attractor(problem: PlanningProblem) -> Plan:

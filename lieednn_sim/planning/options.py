@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 from lieednn_sim.errors import InputError
-from lieednn_sim.validation import as_count, as_positive, quoted
+from lieednn_sim.network import ACTIVATIONS, DEFAULT_ACTIVATION
+from lieednn_sim.validation import as_choice, as_count, as_positive, quoted
+from lieednn_sim.values import set_fields
 
 
 @dataclass(frozen=True)
@@ -16,20 +18,33 @@ class PlannerOptions:
 
     A field with an integer default takes integers from 1 on; with another number, positive numbers; with a tuple, one
     or more of the same; with anything else, including True and False, values of the default's class. Numbers may have
-    further bounds, in the field's metadata ``range``.
+    further bounds, in the field's metadata ``range``; its ``choices`` are the names allowed.
 
     Raises:
         InputError: a value is not allowed.
     """
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value = _checked(field.name, getattr(self, field.name), field.default)
-            low, high = field.metadata.get("range", (-math.inf, math.inf))
+        for entry in fields(self):
+            value = _checked(entry.name, getattr(self, entry.name), entry.default)
+            low, high = entry.metadata.get("range", (-math.inf, math.inf))
             for number in value if isinstance(value, tuple) else (value,):
                 if isinstance(number, int | float) and not low <= number <= high:
-                    raise InputError(f"{field.name} must be from {low:g} to {high:g}, got {number:g}")
-            object.__setattr__(self, field.name, value)
+                    raise InputError(f"{entry.name} must be from {low:g} to {high:g}, got {number:g}")
+            if "choices" in entry.metadata:
+                as_choice(entry.name, value, entry.metadata["choices"])
+            set_fields(self, **{entry.name: value})
+
+
+@dataclass(frozen=True)
+class NetworkOptions(PlannerOptions):
+    """Base class of the options of planners that make networks.
+
+    Attributes:
+        activation: a name of `network.ACTIVATIONS`.
+    """
+
+    activation: str = field(default=DEFAULT_ACTIVATION, kw_only=True, metadata={"choices": ACTIVATIONS})
 
 
 def _checked(name: str, value: Any, default: Any) -> Any:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any, TypeVar
+from functools import wraps
+from typing import Any, TypeVar, cast
 
 import numpy as np
 
@@ -15,12 +16,13 @@ from lieednn_sim.errors import InputError, TooFastError
 from lieednn_sim.network import ComponentwiseNetwork
 from lieednn_sim.planning.motion import Motion, count_steps
 from lieednn_sim.validation import as_positive, as_seed
-from lieednn_sim.values import Floats, check_fields, frozen
+from lieednn_sim.values import Floats, check_fields, frozen, set_fields
 
 _Made = TypeVar("_Made")
+_Solve = TypeVar("_Solve", bound=Callable[..., Any])
 
 # Factor on the duration that a too fast motion needs, since that is estimated from samples.
-_SLOWER = 1.02
+_TIME_RESERVE = 1.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +36,7 @@ class PlanningProblem:
         duration: duration of the motion [s].
         seed: seed of randomised planners.
         time_budget: CPU time that a planner may take [s].
-        longest: largest duration that the motion may take, as a multiple of `duration`.
+        max_time_scale: largest duration that the motion may take, as a multiple of `duration`.
         progress: called with (done, total) after every candidate, by planners that draw a fixed number of them.
 
     Raises:
@@ -48,17 +50,14 @@ class PlanningProblem:
     duration: float = 4.0
     seed: int = 0
     time_budget: float = DEFAULT_TIME_BUDGET
-    longest: float = 3.0
+    max_time_scale: float = 3.0
     progress: Callable[[int, int], None] | None = None
 
     def __post_init__(self) -> None:
-        for name in ("start", "target"):
-            position = self.arm.check_reachable(getattr(self, name), name).copy()
-            position.setflags(write=False)
-            object.__setattr__(self, name, position)
-        check_fields(self, as_positive, "duration", "longest")
-        if self.longest < 1.0:
-            raise InputError(f"longest must be at least 1, the duration itself, got {self.longest:g}")
+        set_fields(self, **{name: self.arm.check_reachable(getattr(self, name), name) for name in ("start", "target")})
+        check_fields(self, as_positive, "duration", "max_time_scale")
+        if self.max_time_scale < 1.0:
+            raise InputError(f"max_time_scale must be at least 1, the duration itself, got {self.max_time_scale:g}")
         check_fields(self, as_seed, "seed")
         check_fields(self, as_time_budget, "time_budget")
         count_steps(self.duration, self.timestep)
@@ -81,26 +80,21 @@ class Plan:
     Attributes:
         motion: from rest at the start to rest at the target, within limits and free of contact (`motion.check_motion`).
         network: the network that made the motion, with the target as its equilibrium; None for planners without one.
-        candidates: number of networks synthesised by ``lieednn-certified``; None for other planners.
-        within_limits: number of these whose transient keeps the position limits.
+        details: what else a planner tells of its work: `certified.CertifiedDetails`, `shaped.ShapedDetails`, or the run
+            through the safety filter, `filtering.FilteredRun`; None for other planners.
         target: ``(n,)`` joint target [rad, m].
         planner: name of the planner.
         cpu_time: CPU time that planning took [s].
-        teacher: for a shaped network, the plan that it follows, with its planner's name.
-        deviation: largest distance of the end effector's path from the teacher's [m].
-        fit_time: CPU time of the shaping [s].
+        teacher: the plan that the motion follows, with its planner's name; None if it follows none.
     """
 
     motion: Motion
     network: ComponentwiseNetwork | None = None
-    candidates: int | None = None
-    within_limits: int | None = None
+    details: Any = None
     target: Floats = field(default_factory=lambda: np.empty(0), repr=False)
     planner: str = ""
     cpu_time: float = math.nan
     teacher: Plan | None = None
-    deviation: float | None = None
-    fit_time: float | None = None
 
 
 def in_time(make: Callable[..., _Made], problem: PlanningProblem, *options: Any) -> _Made:
@@ -109,14 +103,24 @@ def in_time(make: Callable[..., _Made], problem: PlanningProblem, *options: Any)
     All planners share this rule, so that a comparison does not depend on the duration asked for.
 
     Raises:
-        TooFastError: even ``problem.longest`` durations are not enough.
+        TooFastError: even ``problem.max_time_scale`` durations are not enough.
     """
-    latest = problem.longest * problem.duration
+    latest = problem.max_time_scale * problem.duration
     while True:
         try:
             return make(problem, *options)
         except TooFastError as error:
-            slower = _SLOWER * max(error.duration, problem.duration)
+            slower = _TIME_RESERVE * max(error.duration, problem.duration)
             if slower > latest:
                 raise
-            problem = replace(problem, duration=slower, longest=latest / slower)
+            problem = replace(problem, duration=slower, max_time_scale=latest / slower)
+
+
+def made_in_time(make: _Solve) -> _Solve:
+    """Decorator of a planner's function that calls it by `in_time`."""
+
+    @wraps(make)
+    def solve(problem: PlanningProblem, *options: Any) -> Any:
+        return in_time(make, problem, *options)
+
+    return cast(_Solve, solve)

@@ -5,28 +5,27 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
+from importlib import import_module
 from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from lieednn_sim import planner_table
 from lieednn_sim.arm import Arm
 from lieednn_sim.budget import DEFAULT_TIME_BUDGET, cpu_time, time_limit
 from lieednn_sim.errors import InputError, LieEDNNError, PlanError
-from lieednn_sim.planning import filtered, network_planners
-from lieednn_sim.planning.baselines import cbirrt, interpolation, optimisation, primitives, qshnn, sampling, stomp
-from lieednn_sim.planning.certified import CertifiedOptions, certified
+from lieednn_sim.planner_table import TYPICAL, Entry
 from lieednn_sim.planning.extras import optional_module
 from lieednn_sim.planning.motion import Motion, check_motion
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.problem import Plan, PlanningProblem, in_time
 from lieednn_sim.planning.retiming import retime
-from lieednn_sim.planning.shaped import ShapedOptions, shaped
 from lieednn_sim.registration import Registry
-from lieednn_sim.validation import as_choice
+from lieednn_sim.validation import Seed, as_choice, as_seed
 
 # Largest distance of a motion's ends from the start and target asked for, in joint coordinates [rad, m].
-_MISSED = 1e-3
+_END_TOLERANCE = 1e-3
 _Solve = TypeVar("_Solve", bound=Callable[..., Plan | Motion])
 
 
@@ -37,37 +36,21 @@ class Planner(NamedTuple):
         solve: takes a problem, and options if there are any; returns a plan, or a motion if there is no network, or
             raises. The motion is sampled at the model's time step and passes `motion.check_motion`.
         options: class of the options; None for a planner without options.
+        cost: CPU time of a case of a comparison [s]; see `planner_table.Entry`.
     """
 
     solve: Callable[..., Plan | Motion]
     options: type[PlannerOptions] | None = None
+    cost: float = TYPICAL
 
 
-PLANNERS: dict[str, Planner] = {
-    "minimum-jerk": Planner(partial(in_time, interpolation.minimum_jerk)),
-    "se3-geodesic": Planner(partial(in_time, interpolation.se3_geodesic)),
-    "dmp": Planner(partial(in_time, primitives.dmp), primitives.DmpOptions),
-    "rrt-connect": Planner(sampling.rrt_connect, sampling.RrtConnectOptions),
-    "rrt-star": Planner(sampling.sampling_planner("rrt-star"), sampling.RrtStarOptions),
-    "informed-rrt-star": Planner(sampling.sampling_planner("informed-rrt-star"), sampling.InformedRrtStarOptions),
-    "bit-star": Planner(sampling.sampling_planner("bit-star"), sampling.BitStarOptions),
-    "aorrtc": Planner(sampling.sampling_planner("aorrtc"), sampling.RrtStarOptions),
-    "mjpl": Planner(cbirrt.mjpl, cbirrt.CbirrtOptions),
-    "sscbirrt": Planner(cbirrt.sscbirrt, cbirrt.CbirrtOptions),
-    "trajectory-optimisation": Planner(
-        partial(in_time, optimisation.trajectory_optimisation), optimisation.OptimisationOptions
-    ),
-    "stomp": Planner(stomp.stomp, stomp.StompOptions),
-    "qshnn": Planner(qshnn.qshnn, qshnn.QshnnOptions),
-    "linear-attractor": Planner(network_planners.linear_attractor),
-    "lieednn-certified": Planner(certified, CertifiedOptions),
-    "lieednn-retargeted": Planner(network_planners.retargeted, network_planners.RetargetedOptions),
-    "lieednn-trained": Planner(network_planners.trained, network_planners.TrainedOptions),
-    "lieednn-unprojected": Planner(network_planners.unprojected, network_planners.UnprojectedOptions),
-    "lieednn-shaped": Planner(shaped, ShapedOptions),
-    "lieednn-filtered": Planner(filtered.filtered, filtered.FilteredOptions),
-    "lieednn-guided": Planner(filtered.guided, filtered.GuidedOptions),
-}
+def _loaded(entry: Entry) -> Planner:
+    place, _, name = entry.solve.partition(":")
+    module = import_module(f"lieednn_sim.{place}")
+    return Planner(getattr(module, name), getattr(module, entry.options) if entry.options else None, entry.cost)
+
+
+PLANNERS: dict[str, Planner] = {name: _loaded(entry) for name, entry in planner_table.PLANNERS.items()}
 
 
 def register_planner(name: str, options: type[PlannerOptions] | None = None) -> Callable[[_Solve], _Solve]:
@@ -134,7 +117,7 @@ def _checked(solve: Callable[..., Plan | Motion], problem: PlanningProblem, *opt
         )
     for which, there, asked in (("begins", motion.q[0], problem.start), ("ends", motion.q[-1], problem.target)):
         missed = float(np.abs(there - asked).max())
-        if missed > _MISSED:
+        if missed > _END_TOLERANCE:
             raise PlanError(f"the planner's motion {which} {missed:.2g} (rad or m) from where it was asked to")
     check_motion(problem.arm, motion)
     return made
@@ -142,7 +125,7 @@ def _checked(solve: Callable[..., Plan | Motion], problem: PlanningProblem, *opt
 
 # The LieEDNN planner with the most successes and the smoothest motions among obstacles, with or without OMPL.
 OBSTACLE_PLANNER = "lieednn-shaped"
-_MANY = 3  # hinges that move one link
+_REDUNDANT = 3  # hinges that move one link
 
 
 def default_planner(arm: Arm) -> tuple[str, str]:
@@ -154,20 +137,20 @@ def default_planner(arm: Arm) -> tuple[str, str]:
     if arm.scene != "free":
         return OBSTACLE_PLANNER, "the default among obstacles"
     hinges = ({i for f in joint.factors if f.kind == "hinge" for i in f.indices} for joint in arm.joints.joints)
-    if any(len(turning) >= _MANY for turning in hinges):
+    if any(len(turning) >= _REDUNDANT for turning in hinges):
         return OBSTACLE_PLANNER, "the default where three or more hinges move a link"
     return "lieednn-certified", "the default without obstacles"
 
 
 def plan(
     arm: Arm,
-    target: ArrayLike,
+    target: ArrayLike | str,
     *,
     planner: str | None = None,
-    start: ArrayLike | None = None,
+    start: ArrayLike | str = "home",
     duration: float = 4.0,
-    longest: float = 3.0,
-    seed: int = 0,
+    max_time_scale: float = 3.0,
+    seed: Seed = 0,
     time_budget: float = DEFAULT_TIME_BUDGET,
     options: PlannerOptions | None = None,
     fastest: bool = False,
@@ -177,13 +160,13 @@ def plan(
 
     Args:
         arm: the arm, in its scene.
-        target: joint target ``(n,)`` [rad, m].
+        target: joint target ``(n,)`` [rad, m], or a keyframe's name.
         planner: a name of `PLANNERS`; by default the `default_planner`.
-        start: joint position at rest ``(n,)`` [rad, m], the keyframe ``home`` by default.
+        start: joint position at rest ``(n,)`` [rad, m], or a keyframe's name.
         duration: duration of the motion [s], rounded to a whole number of the model's time steps.
-        longest: largest duration, as a multiple of `duration`, that the motion may take if the arm's limits require it;
-            with 1, a motion that is too fast is refused with a sufficient duration. Learned networks always keep the
-            duration; motions through the safety filter need slightly more than it even without obstacles.
+        max_time_scale: largest duration, as a multiple of `duration`, that the motion may take if the arm's limits
+            require it; with 1, a motion that is too fast is refused with a sufficient duration. Learned networks always
+            keep the duration; motions through the safety filter need slightly more than it even without obstacles.
         seed: seed of randomised planners; the same seed gives the same plan.
         time_budget: CPU time that planning may take [s]; infinity for no limit. It decides only whether there is a
             motion, never which one.
@@ -202,14 +185,13 @@ def plan(
     if planner is None:
         planner = default_planner(arm)[0]
     known = planners()
-    solve, kind = known[as_choice("planner", planner, known)]
+    solve, kind, _ = known[as_choice("planner", planner, known)]
     if options is not None and (kind is None or not isinstance(options, kind)):
         wanted = "has no options" if kind is None else f"takes options of class {kind.__name__}"
         raise InputError(f"the planner {planner!r} {wanted}, got {type(options).__name__}")
     given = () if kind is None else (kind() if options is None else options,)
-    # The problem checks everything, and converts start and target to arrays.
-    origin = arm.keyframe("home") if start is None else start
-    problem = PlanningProblem(arm, origin, target, duration, seed, time_budget, longest, progress)  # type: ignore[arg-type]
+    ends = arm.configuration(start, "start"), arm.configuration(target, "target")
+    problem = PlanningProblem(arm, *ends, duration, as_seed("seed", seed), time_budget, max_time_scale, progress)
     if fastest:
         optional_module("toppra")  # before the work
     begun = cpu_time()

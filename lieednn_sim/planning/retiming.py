@@ -18,8 +18,8 @@ from scipy.interpolate import CubicHermiteSpline, CubicSpline, make_interp_splin
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError, PlanError, TooFastError
-from lieednn_sim.planning.baselines.joint_space import joint_scale
 from lieednn_sim.planning.extras import optional_module
+from lieednn_sim.planning.joint_space import joint_scale
 from lieednn_sim.planning.motion import Motion, check_motion, count_steps, rates_and_limits
 
 # Pieces of the path, of equal length, with one acceleration of the law on each.

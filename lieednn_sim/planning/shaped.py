@@ -21,12 +21,12 @@ from lieednn_sim.errors import PlanError
 from lieednn_sim.planning.baselines import interpolation, optimisation, sampling
 from lieednn_sim.planning.baselines.optimisation import OptimisationOptions
 from lieednn_sim.planning.baselines.sampling import RrtConnectOptions
-from lieednn_sim.planning.laws import law_of
 from lieednn_sim.planning.motion import Motion, rms_jerk
 from lieednn_sim.planning.network_path import NetworkPath, timed_motion
 from lieednn_sim.planning.network_planners import without_weights
-from lieednn_sim.planning.options import PlannerOptions
+from lieednn_sim.planning.options import NetworkOptions
 from lieednn_sim.planning.problem import Plan, PlanningProblem, in_time
+from lieednn_sim.planning.time_laws import law_of
 from lieednn_sim.synthesis import ShapingOptions, shape
 from lieednn_sim.values import Floats, frozen
 
@@ -43,7 +43,7 @@ _POSTURES = 50
 
 
 @dataclass(frozen=True)
-class ShapedOptions(PlannerOptions):
+class ShapedOptions(NetworkOptions):
     """Options of the planner ``lieednn-shaped``.
 
     Attributes:
@@ -77,6 +77,19 @@ class ShapedOptions(PlannerOptions):
     search: RrtConnectOptions = _RRT
 
 
+@frozen
+class ShapedDetails:
+    """What ``lieednn-shaped`` tells of its work.
+
+    Attributes:
+        deviation: largest distance of the end effector's path from the teacher's [m].
+        fit_time: CPU time of the shaping [s].
+    """
+
+    deviation: float
+    fit_time: float
+
+
 def shaped(problem: PlanningProblem, options: ShapedOptions) -> Plan:
     """A network shaped after the motion of the first successful teacher.
 
@@ -101,11 +114,11 @@ def _following(problem: PlanningProblem, options: ShapedOptions, teacher: Plan) 
     units = lever_units(arm, guide.q)
     lasts = float(guide.t[-1])
     # The teacher's duration, which may be longer than the problem's.
-    asked = replace(problem, duration=lasts, longest=max(1.0, problem.longest * problem.duration / lasts))
+    asked = replace(problem, duration=lasts, max_time_scale=max(1.0, problem.max_time_scale * problem.duration / lasts))
     if np.abs(guide.xi - guide.xi[0]).max() == 0.0:
         network = without_weights(guide.xi_target)
         path = NetworkPath.drawn(arm, network, problem.start)
-        return Plan(in_time(timed_motion, asked, path), network, teacher=teacher, deviation=0.0)
+        return Plan(in_time(timed_motion, asked, path), network, ShapedDetails(0.0, 0.0), teacher=teacher)
     law = law_of(guide, units)
     curve = np.concatenate([guide.xi[:-1:_STRIDE], guide.xi_target[None]])
     line, guide_jerk = _effector(arm, guide), rms_jerk(arm, guide)
@@ -119,12 +132,12 @@ def _following(problem: PlanningProblem, options: ShapedOptions, teacher: Plan) 
         except PlanError as error:
             refusal = str(error)
             return None
-        return Plan(motion, path.network, teacher=teacher, deviation=deviation, fit_time=fit_time)
+        return Plan(motion, path.network, ShapedDetails(deviation, fit_time), teacher=teacher)
 
     for count in options.neurons:
-        shaping = ShapingOptions(options.rate, neurons=(), placed=(count,))
+        shaping = ShapingOptions(options.rate, neurons=(), placed=(count,), activation=options.activation)
         result = shape(curve, options.deviation, units=units, options=shaping)
-        fit_time += result.seconds
+        fit_time += result.cpu_time
         path = NetworkPath.drawn(arm, result.network, problem.start, units)
         motion = path.timed(lasts, lasts / _COMPARED, law)
         deviation, jerk = _deviation(_effector(arm, motion), line), rms_jerk(arm, motion) / guide_jerk
@@ -153,7 +166,7 @@ class _Fitted:
 
 def _teacher(problem: PlanningProblem, options: ShapedOptions) -> Plan:
     """The plan of the first successful teacher, under that planner's name."""
-    optimised = partial(in_time, optimisation.trajectory_optimisation, problem, options.optimisation)
+    optimised = partial(optimisation.trajectory_optimisation, problem, options.optimisation)
     refusals = []
 
     def asked(name: str, solve: Callable[[], Motion]) -> Plan | None:
@@ -164,7 +177,7 @@ def _teacher(problem: PlanningProblem, options: ShapedOptions) -> Plan:
             refusals.append(f"{name}: {error}")
             return None
 
-    found = asked("minimum-jerk", lambda: in_time(interpolation.minimum_jerk, problem))
+    found = asked("minimum-jerk", lambda: interpolation.minimum_jerk(problem))
     if found is None and options.optimised:
         found = asked("trajectory-optimisation", optimised)
     if found is None and (path := asked("rrt-connect", lambda: sampling.rrt_connect(problem, options.search))):

@@ -56,8 +56,8 @@ class Policy(ABC):
         self.q: Floats
         self.qd: Floats
 
-    def reset(self, q: ArrayLike) -> None:
-        """Start again from joint coordinates ``(n,)`` at rest.
+    def reset(self, q: ArrayLike | str) -> None:
+        """Start again at rest from joint coordinates ``(n,)``, or a keyframe's.
 
         Raises:
             InputError: they are malformed or beyond the position limits, or the policy cannot start there.

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 from lieednn_sim.errors import InputError
 from lieednn_sim.validation import as_floats, as_positive
-from lieednn_sim.values import check_fields
+from lieednn_sim.values import check_fields, set_fields
 
 # s_0: a policy that stopped would never arrive.
 _MIN_SPEED = 0.01
@@ -40,7 +40,7 @@ class Feedback:
         rate = float(as_floats("rate", self.rate, ()))
         if not 0.0 <= rate <= 1e3:
             raise InputError(f"rate must be from 0 to 1000 per second, got {rate:g}")
-        object.__setattr__(self, "rate", rate)
+        set_fields(self, rate=rate)
         check_fields(self, as_positive, "tolerance", "patience")
 
     def response(self, behind: float) -> tuple[float, float]:

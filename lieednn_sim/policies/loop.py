@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from lieednn_sim.errors import InputError
 from lieednn_sim.policies.base import Policy
-from lieednn_sim.validation import as_floats, as_positive
+from lieednn_sim.validation import as_positive
 from lieednn_sim.values import Floats, frozen
 
 # Steps before the first period, after which nothing is done for the first time.
@@ -57,7 +57,7 @@ def control_loop(
     policy: Policy,
     read: Callable[[], ArrayLike | None],
     write: Callable[[Floats, Floats], object],
-    target: Callable[[float], ArrayLike] | ArrayLike,
+    target: Callable[[float], ArrayLike] | ArrayLike | str,
     duration: float,
     *,
     on_late: Callable[[int, float], object] | None = None,
@@ -73,7 +73,7 @@ def control_loop(
         read: returns the measured joint coordinates ``(n,)``, once for each period; after the first time also None, if
             nothing was measured.
         write: is given the reference q and qd ``(n,)`` at the end of the period.
-        target: joint coordinates ``(n,)``, or a function of the time since the beginning [s].
+        target: joint coordinates ``(n,)``, a keyframe's name, or a function of the time since the beginning [s].
         duration: [s], rounded up to a whole number of periods.
         on_late: called with the number of the period and its lateness [s], after each reference that was late.
 
@@ -83,7 +83,7 @@ def control_loop(
     total = math.ceil(as_positive("duration", duration) * policy.rate - 1e-9)
     if total > _MAX_PERIODS:
         raise InputError(f"duration must be at most {_MAX_PERIODS} control periods, got {duration:g} s")
-    aim = target if callable(target) else _held(as_floats("target", target, (policy.arm.n_joints,)))
+    aim = target if callable(target) else _held(policy.arm.configuration(target, "target"))
     first = read()
     if first is None:
         raise InputError("read must return measured joints the first time: the policy begins there")

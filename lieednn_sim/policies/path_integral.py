@@ -22,7 +22,7 @@ from lieednn_sim.arm.contacts import moving_geoms
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.policies.feedback import FEEDBACK, Feedback
 from lieednn_sim.policies.joint_policy import JointPolicy
-from lieednn_sim.validation import as_positive, as_seed
+from lieednn_sim.validation import Seed, as_positive, as_seed
 from lieednn_sim.values import Floats
 
 # Number of velocity knots over the horizon; cost of contact [1/s].
@@ -163,7 +163,7 @@ class PathIntegral(JointPolicy):
         convergence_rate: float = 2.0,
         options: PathIntegralOptions | None = None,
         feedback: Feedback | None = FEEDBACK,
-        seed: int = 0,
+        seed: Seed = 0,
     ) -> None:
         super().__init__(arm, rate, feedback=feedback)
         self._options = options = options or PathIntegralOptions()

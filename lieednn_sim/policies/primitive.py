@@ -1,7 +1,7 @@
 """A dynamic movement primitive in joint space, as a policy.
 
-Planning has another one (`planning.baselines.primitives`, of the library ``movement_primitives``), which makes a motion
-in time; here it is driven step by step, waits with its phase for the arm, and follows a target that moves.
+Its basis functions are those of `learning.demonstrations.primitive`, like those of the planner ``dmp``, which makes a
+motion in time; here it is driven step by step, waits with its phase for the arm, and follows a target that moves.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lieednn_sim.arm import Arm
+from lieednn_sim.learning.demonstrations.primitive import forcing
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.policies.feedback import FEEDBACK, Feedback
@@ -69,9 +70,7 @@ class MovementPrimitive(JointPolicy):
         speed = self._time * motion.qd
         bend = np.gradient(speed, t, axis=0, edge_order=2)
         force = bend - spring * (0.25 * spring * (motion.q[-1] - motion.q) - speed)
-        self._centres = np.exp(-options.decay * np.linspace(0.0, 1.0, options.basis_functions))
-        self._widths = 1.0 / np.diff(self._centres, append=0.5 * self._centres[-1]) ** 2
-        features = np.array([self._features(x) for x in np.exp(-options.decay * t)])
+        features = self._features(np.exp(-options.decay * t))
         normal = features.T @ features + options.ridge * len(t) * np.eye(options.basis_functions)
         self._weights = np.linalg.solve(normal, features.T @ force)
 
@@ -83,7 +82,7 @@ class MovementPrimitive(JointPolicy):
     def velocity(self, target: Floats, waiting: float) -> Floats:
         """See `JointPolicy`; unchecked."""
         h, spring = waiting * self.period / self._time, self._options.spring
-        force = self._features(self._x) @ self._weights
+        force = self._features(np.array([self._x]))[0] @ self._weights
         # Implicit in z, so that a stiff spring stays stable at a low control rate.
         pull = self._z + h * (spring * 0.25 * spring * (target - self.y) + force)
         self._z = pull / (1.0 + h * spring)
@@ -93,6 +92,5 @@ class MovementPrimitive(JointPolicy):
         """See `JointPolicy`; unchecked."""
         self._x *= float(np.exp(-self._options.decay * time / self._time))
 
-    def _features(self, x: float) -> Floats:
-        bumps = np.exp(-0.5 * self._widths * (x - self._centres) ** 2)
-        return np.asarray(x * bumps / (bumps.sum() + 1e-300))
+    def _features(self, x: Floats) -> Floats:
+        return forcing(self._options.basis_functions, x, self._options.decay)

@@ -16,7 +16,7 @@ from lieednn_sim.network import LieEDNN
 from lieednn_sim.planning import Motion, Plan, ShapedOptions, plan
 from lieednn_sim.planning.filtering import FilterOptions
 from lieednn_sim.planning.network_planners import without_weights
-from lieednn_sim.planning.options import PlannerOptions
+from lieednn_sim.planning.options import NetworkOptions, PlannerOptions
 from lieednn_sim.policies.base import Policy
 from lieednn_sim.policies.fabric import Fabric, FabricOptions
 from lieednn_sim.policies.feedback import FEEDBACK, Feedback
@@ -27,7 +27,7 @@ from lieednn_sim.policies.primitive import MovementPrimitive, PrimitiveOptions
 from lieednn_sim.policies.tracker import MotionTracker
 from lieednn_sim.registration import Registry
 from lieednn_sim.synthesis import synthesize
-from lieednn_sim.validation import as_choice, as_positive, as_seed
+from lieednn_sim.validation import Seed, as_choice, as_positive, as_seed
 from lieednn_sim.values import Floats, check_fields
 
 _Make = TypeVar("_Make", bound=Callable[..., Policy])
@@ -76,7 +76,7 @@ class PolicyTask:
 
 
 @dataclass(frozen=True)
-class CertifiedPolicyOptions(PlannerOptions):
+class CertifiedPolicyOptions(NetworkOptions):
     """Options of the policy ``lieednn-certified``.
 
     Attributes:
@@ -112,7 +112,13 @@ def _shaped(task: PolicyTask, options: ShapedOptions) -> Policy:
 
 def _certified(task: PolicyTask, options: CertifiedPolicyOptions) -> Policy:
     xi = task.arm.encode(task.target)
-    made = synthesize(xi, bias="sign-matched", bias_magnitude=options.bias_magnitude, seed=task.seed).unwrap()
+    made = synthesize(
+        xi,
+        bias="sign-matched",
+        bias_magnitude=options.bias_magnitude,
+        activation=options.activation,
+        seed=task.seed,
+    ).unwrap()
     slowest = -float(np.linalg.eigvals(made.jacobian(xi)).real.max())
     return _network(task, made, task.convergence_rate / slowest)
 
@@ -205,26 +211,26 @@ def policies() -> Mapping[str, PolicyKind]:
 def make_policy(
     name: str,
     arm: Arm,
-    target: ArrayLike,
+    target: ArrayLike | str,
     *,
     rate: float = 100.0,
-    start: ArrayLike | None = None,
+    start: ArrayLike | str = "home",
     motion: Motion | Plan | None = None,
     feedback: Feedback | None = FEEDBACK,
     safety: FilterOptions | None = None,
     convergence_rate: float = 2.0,
     options: PlannerOptions | None = None,
-    seed: int = 0,
+    seed: Seed = 0,
 ) -> Policy:
     """Make a policy by name, reset at the start.
 
     Args:
         name: a name of `POLICIES`.
         arm: the arm, in its scene.
-        target: ``(n,)`` joint coordinates, for which networks are made; the policy is told the target in every step,
-            and it may move.
+        target: joint coordinates ``(n,)``, or a keyframe's name, for which networks are made; the policy is told the
+            target in every step, and it may move.
         rate: control rate [Hz].
-        start: ``(n,)`` joint coordinates at the beginning, the keyframe ``home`` by default.
+        start: joint coordinates ``(n,)`` at the beginning, or a keyframe's name.
         motion: what ``tracker`` tracks and ``dmp`` imitates, from start to target; by default a planned one.
         feedback: how it hears the measured joints; None if it does not.
         safety: settings of a safety filter around the policy; None for none.
@@ -242,8 +248,8 @@ def make_policy(
     if options is not None and (kind is None or not isinstance(options, kind)):
         wanted = "has no options" if kind is None else f"takes options of class {kind.__name__}"
         raise InputError(f"the policy {name!r} {wanted}, got {type(options).__name__}")
-    origin = arm.keyframe("home") if start is None else start
-    task = PolicyTask(arm, origin, target, rate, feedback, convergence_rate, seed, motion)  # type: ignore[arg-type]
+    ends = arm.configuration(start, "start"), arm.configuration(target, "target")
+    task = PolicyTask(arm, *ends, rate, feedback, convergence_rate, as_seed("seed", seed), motion)
     made = make(task, *(() if kind is None else (kind() if options is None else options,)))
     if safety is not None:
         made = FilteredPolicy(made, safety)

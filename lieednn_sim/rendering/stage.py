@@ -6,7 +6,7 @@ import copy
 
 import numpy as np
 
-from lieednn_sim._mujoco import mujoco
+from lieednn_sim._mujoco import kinematics_at, mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.importer.loading import unused
 from lieednn_sim.values import Floats
@@ -97,8 +97,7 @@ def _hand(arm: Arm) -> float:
     """Upper bound on how far the last body extends beyond the last link's frame [m]."""
     model, site = arm.model, int(arm.site_ids[-1])
     mine = model.body_weldid[model.geom_bodyid] == model.body_weldid[model.site_bodyid[site]]
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
+    data = kinematics_at(model, model.qpos0)
     return float(
         (np.linalg.norm(data.geom_xpos - data.site_xpos[site], axis=1) + model.geom_rbound)[mine].max(initial=0.0)
     )

@@ -4,7 +4,7 @@ from lieednn_sim.simulation.controllers import CONTROLLERS, controllers, registe
 from lieednn_sim.simulation.controllers.base import Controller
 from lieednn_sim.simulation.disturbances import Disturbances, Push
 from lieednn_sim.simulation.following import Following, follow
-from lieednn_sim.simulation.log import Instant, Log
+from lieednn_sim.simulation.log import Channel, Instant, Log
 from lieednn_sim.simulation.many import Rollouts, simulate_many
 from lieednn_sim.simulation.rollout import Rollout
 from lieednn_sim.simulation.simulation import Simulation
@@ -13,6 +13,7 @@ from lieednn_sim.typecheck import typecheck_public
 
 __all__ = [
     "CONTROLLERS",
+    "Channel",
     "Controller",
     "Disturbances",
     "Following",

@@ -14,7 +14,7 @@ from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError
 from lieednn_sim.validation import as_floats, as_positive, as_seed, quoted
-from lieednn_sim.values import Floats, check_fields
+from lieednn_sim.values import Floats, check_fields, set_fields
 
 # Number of measurements whose errors are drawn at once.
 _AHEAD = 256
@@ -39,7 +39,7 @@ class Push:
 
     def __post_init__(self) -> None:
         force = as_floats("force", self.force, (3,))
-        object.__setattr__(self, "force", tuple(float(value) for value in force))
+        set_fields(self, force=tuple(float(value) for value in force))
         check_fields(self, _as_least_zero, "start")
         check_fields(self, as_positive, "duration")
 
@@ -84,7 +84,7 @@ class Disturbances:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "pushes", tuple(sorted(self.pushes, key=lambda push: push.start)))
+        set_fields(self, pushes=tuple(sorted(self.pushes, key=lambda push: push.start)))
         check_fields(self, as_positive, "mass_scale")
         check_fields(self, _as_least_zero, "payload", "position_noise", "velocity_noise")
         check_fields(self, as_seed, "seed")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Sequence
 from dataclasses import field
 
 import numpy as np
@@ -16,7 +16,7 @@ from lieednn_sim.planning.motion import count_steps, steps_of_rate
 from lieednn_sim.policies import Policy
 from lieednn_sim.policies.base import has_jumped
 from lieednn_sim.simulation.disturbances import Disturbances
-from lieednn_sim.simulation.log import Log
+from lieednn_sim.simulation.log import ChannelSource, Log
 from lieednn_sim.simulation.reference import Reference, interpolator
 from lieednn_sim.simulation.rollout import Rollout, as_rollout
 from lieednn_sim.simulation.tracking import make_controlled
@@ -57,12 +57,13 @@ class Following:
 
 def follow(
     policy: Policy,
-    target: Callable[[float], ArrayLike] | ArrayLike,
+    target: Callable[[float], ArrayLike] | ArrayLike | str,
     duration: float,
     *,
-    start: ArrayLike | None = None,
+    start: ArrayLike | str = "home",
     controller: str = "inverse-dynamics",
     disturbances: Disturbances | None = None,
+    log: Sequence[ChannelSource] = (),
 ) -> Following:
     """Let the simulated arm follow a policy, which sees the measured joints and the present target.
 
@@ -72,16 +73,17 @@ def follow(
 
     Args:
         policy: runs the arm; its rate must divide the rate of the simulation. It is reset at the start.
-        target: joint coordinates ``(n,)``; or a function of the time [s], called once for each simulation step in
-            order, but only seen by the policy at the control periods; or samples ``(M, n)``, one a simulation step, the
-            last of which stays.
+        target: joint coordinates ``(n,)``, or a keyframe's name; or a function of the time [s], called once for each
+            simulation step in order, but only seen by the policy at the control periods; or samples ``(M, n)``, one a
+            simulation step, the last of which stays.
         duration: [s], at least a control period.
-        start: joint coordinates ``(n,)`` at rest, the keyframe ``home`` by default.
+        start: joint coordinates ``(n,)`` at rest, or a keyframe's name.
         controller: a name of `CONTROLLERS`.
         disturbances: what policy and controller do not know of.
+        log: as of `simulate`.
 
     Raises:
-        InputError: a value is malformed, or the target leaves the position limits.
+        InputError: a value is malformed, the target leaves the position limits, or two channels have one name.
         SimulationError: as `simulate`.
     """
     arm = policy.arm
@@ -91,7 +93,7 @@ def follow(
             f"the policy's rate must be at least {1.0 / (total * arm.timestep):g} Hz for a duration of {duration:g} s, "
             f"got {policy.rate:g} Hz"
         )
-    origin = arm.keyframe("home") if start is None else arm.check_position(start, "start")
+    origin = arm.check_position(start, "start")
     policy.reset(origin)
     changes = Disturbances() if disturbances is None else disturbances
     reference, between = Reference(arm, total + 1), interpolator(policy.period, period)
@@ -99,7 +101,7 @@ def follow(
     driver, simulation = make_controlled(arm, controller, reference, changes)
     simulation.reset(origin)
     sample = _sampler(arm, target, arm.timestep)
-    log, targets = Log(simulation, driver, _Channels(policy)), list[Floats]()
+    record, targets = Log(simulation, driver, _Channels(policy), *log), list[Floats]()
     states, spent = list[Floats](), list[float]()
     with QuietWarnings():
         for k in range(total + 1):
@@ -112,11 +114,11 @@ def follow(
                 spent.append(time.thread_time() - begun)
                 reference.extend(*between(*before, *after))
             driver.act(simulation.data, k, simulation.noise)
-            log.step()
+            record.step()
     end = total * arm.timestep
     rollout = as_rollout(
         arm,
-        log,
+        record,
         reference.q,
         reference.qd,
         target=targets[-1],
@@ -133,8 +135,6 @@ class _Channels:
     def __init__(self, policy: Policy) -> None:
         self._policy, self.channel_units = policy, policy.channel_units
 
-    channel_units: Mapping[str, str]
-
     def sample(self, _: mujoco.MjData) -> Floats:
         """See `log.ChannelSource`."""
         return self._policy.channels()
@@ -144,11 +144,14 @@ class _Channels:
         return tuple(samples.T)
 
 
-def _sampler(arm: Arm, target: Callable[[float], ArrayLike] | ArrayLike, timestep: float) -> Callable[[int], Floats]:
+def _sampler(
+    arm: Arm, target: Callable[[float], ArrayLike] | ArrayLike | str, timestep: float
+) -> Callable[[int], Floats]:
     """The target ``(n,)`` at a simulation step, checked against the position limits."""
     if callable(target):
         return lambda k: arm.check_position(target(k * timestep), f"the target at t = {k * timestep:.3f} s")
-    samples = np.atleast_2d(as_floats("target", target, (arm.n_joints,), batched=True))
+    given = arm.configuration(target) if isinstance(target, str) else target
+    samples = np.atleast_2d(as_floats("target", given, (arm.n_joints,), batched=True))
     if samples.ndim > 2 or not len(samples):
         raise InputError(
             f"target must be ({arm.n_joints},) or (M, {arm.n_joints}) with M at least 1, got {samples.shape}"

@@ -3,32 +3,77 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Mapping
-from typing import NamedTuple, Protocol
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim._mujoco import mujoco
+from lieednn_sim.errors import InputError
 from lieednn_sim.simulation.quaternions import quaternions
 from lieednn_sim.simulation.simulation import Simulation
+from lieednn_sim.validation import as_floats, quoted
 from lieednn_sim.values import Floats
 
 
+@runtime_checkable
 class ChannelSource(Protocol):
-    """A source of channels besides those of every simulation: a controller, or a disturbance.
+    """A source of channels besides those of every simulation: a controller, a disturbance, or a `Channel`."""
 
-    Attributes:
-        channel_units: units of its channels, by name; empty without channels.
-    """
-
-    channel_units: Mapping[str, str]
+    @property
+    def channel_units(self) -> Mapping[str, str]:
+        """Units of the channels, by name; empty without channels."""
 
     def sample(self, data: mujoco.MjData) -> Floats:
         """A new array of the data of a step from which the channels are computed; called after each step."""
 
     def channel_values(self, samples: Floats) -> tuple[Floats, ...]:
         """The channels in the order of their units; like the samples, with K steps along the first axis."""
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One quantity to log, computed from MuJoCo's data after each step.
+
+    What MuJoCo derives in a step (frames, velocities and centres of mass of bodies, sensors, forces) is of the instant
+    t[k] at which it begins, as row k of the log; qpos and qvel are already of t[k + 1].
+
+    Attributes:
+        name: name of the channel.
+        unit: its unit, "1" for none.
+        value: function of the data of the simulated model to a number or an array, of one shape at all steps.
+
+    Raises:
+        InputError: the name or the unit is empty; in a simulation, the function fails, or returns no finite numbers.
+    """
+
+    name: str
+    unit: str
+    value: Callable[[mujoco.MjData], ArrayLike]
+
+    def __post_init__(self) -> None:
+        if not (self.name and self.unit):
+            raise InputError(f"a channel needs a name and a unit, got {quoted(self.name)} and {quoted(self.unit)}")
+
+    @property
+    def channel_units(self) -> Mapping[str, str]:
+        """See `ChannelSource`."""
+        return {self.name: self.unit}
+
+    def sample(self, data: mujoco.MjData) -> Floats:
+        """See `ChannelSource`."""
+        try:
+            value = self.value(data)
+        except Exception as error:
+            raise InputError(f"channel {self.name!r} failed: {type(error).__name__}: {error}") from error
+        # A copy: the value may be a view of the data.
+        return as_floats(f"channel {self.name!r}", value, (), batched=True).copy()
+
+    def channel_values(self, samples: Floats) -> tuple[Floats, ...]:
+        """See `ChannelSource`."""
+        return (samples,)
 
 
 class Instant(NamedTuple):
@@ -68,6 +113,9 @@ class Log:
     Args:
         simulation: the simulation; nothing else may step it meanwhile.
         sources: sources of channels besides the simulation's pushes.
+
+    Raises:
+        InputError: a source is none, or two channels have one name.
     """
 
     def __init__(self, simulation: Simulation, *sources: ChannelSource) -> None:
@@ -90,9 +138,15 @@ class Log:
         self._before = [(self._log[name][0].write, view) for name, view in before.items()]
         self._after = [(self._log[name][0].write, view) for name, view in after.items()]
         self._contacts: list[tuple[int, int, float]] = []
+        for source in sources:
+            if not isinstance(source, ChannelSource):
+                raise InputError(f"a quantity to log must be a Channel, got {quoted(source)}")
         self._sources: list[tuple[ChannelSource, list[Floats]]] = [
             (source, []) for source in (*sources, simulation.pushes) if source.channel_units
         ]
+        names = [name for source, _ in self._sources for name in source.channel_units]
+        if twice := sorted({name for name in names if names.count(name) > 1}):
+            raise InputError(f"every channel needs a name of its own, there are several of {', '.join(twice)}")
 
     def __len__(self) -> int:
         """Return the number of instants."""
@@ -137,6 +191,10 @@ class Log:
         units: dict[str, str] = {}
         for source, samples in self._sources:
             units |= source.channel_units
+            shapes = list(dict.fromkeys(np.shape(sample) for sample in samples))
+            if len(shapes) > 1:
+                names = ", ".join(source.channel_units)
+                raise InputError(f"samples of {names} must have one shape, got {shapes[0]} and {shapes[1]}")
             values |= zip(source.channel_units, source.channel_values(np.array(samples)), strict=True)
         return values, units
 

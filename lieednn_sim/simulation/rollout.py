@@ -20,7 +20,7 @@ from lieednn_sim.simulation.controllers import controllers
 from lieednn_sim.simulation.disturbances import Disturbances, tangent_basis
 from lieednn_sim.simulation.log import Log
 from lieednn_sim.validation import as_choice, as_floats, as_positive, as_times
-from lieednn_sim.values import Floats, check_fields, frozen
+from lieednn_sim.values import Floats, check_fields, frozen, set_fields
 
 _PER_COORDINATE = ("q", "qd", "q_ref", "qd_ref", "force", "constraint_force")
 _ARRAYS = (
@@ -101,21 +101,21 @@ class Rollout:
         n, links = self.arm.n_joints, self.arm.n_links
         check_fields(self, as_floats, *_PER_COORDINATE, shape=(k, n))
         if np.size(self.contact_force) == 0:
-            object.__setattr__(self, "contact_force", np.zeros(k))
+            set_fields(self, contact_force=np.zeros(k))
         if np.size(self.target) == 0:
-            object.__setattr__(self, "target", self.q_ref[-1])
+            set_fields(self, target=self.q_ref[-1])
         check_fields(self, as_floats, "t", "contacts", "contact_force", shape=(k,))
         check_fields(self, as_floats, "ctrl", shape=(k, "nu"))
         check_fields(self, as_floats, "link_position", shape=(k, links, 3))
         check_fields(self, as_floats, "link_quaternion", shape=(k, links, 4))
         check_fields(self, as_floats, "target", shape=(n,))
-        object.__setattr__(self, "contacts", self.contacts.astype(int))
+        set_fields(self, contacts=self.contacts.astype(int))
         if not (np.linalg.norm(self.link_quaternion, axis=-1) > 0.5).all():
             raise InputError("link_quaternion must hold unit quaternions")
         if self.channels.keys() != self.channel_units.keys():
             raise InputError("channels and channel_units must have the same names")
         channels = {name: as_floats(name, v, (k, *np.shape(v)[1:])) for name, v in self.channels.items()}
-        object.__setattr__(self, "channels", channels)
+        set_fields(self, channels=channels)
         if self.reference_rate is not None:
             check_fields(self, as_positive, "reference_rate")
         if self.motion is not None and not np.array_equal(self.q_ref[: len(self.motion.q)], self.motion.q[:k]):

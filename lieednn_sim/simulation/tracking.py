@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,7 @@ from lieednn_sim.planning.motion import Motion, steps_of_rate
 from lieednn_sim.simulation.controllers import controllers
 from lieednn_sim.simulation.controllers.base import Controller, Inputs
 from lieednn_sim.simulation.disturbances import Disturbances
-from lieednn_sim.simulation.log import Log
+from lieednn_sim.simulation.log import ChannelSource, Log
 from lieednn_sim.simulation.plant import make_plant
 from lieednn_sim.simulation.reference import Reference
 from lieednn_sim.simulation.rollout import Rollout, as_rollout
@@ -88,6 +88,7 @@ def simulate(
     mass_scale: float = 1.0,
     reference_rate: float | None = None,
     disturbances: Disturbances | None = None,
+    log: Sequence[ChannelSource] = (),
     dump_directory: str | os.PathLike[str] | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Rollout:
@@ -106,11 +107,12 @@ def simulate(
         reference_rate: rate of the samples of the motion that the controller sees, held in between [Hz]; a divisor of
             the simulation's rate. By default it sees every step.
         disturbances: disturbances unknown to the controller.
+        log: further quantities to log, each a `Channel`; the rollout has them in ``channels``.
         dump_directory: directory for ``divergence.npz`` if the simulation fails; by default nothing is written.
         progress: called with (done, total) steps, about every tenth of a second.
 
     Raises:
-        InputError: the motion does not fit the model.
+        InputError: the motion does not fit the model, or two channels have one name.
         SimulationError: a warning of MuJoCo or a state that is not finite; names the time and the dump.
     """
     if target is None and isinstance(motion, Plan):
@@ -128,25 +130,25 @@ def simulate(
 
     total = len(reference.q)
     drive = _drive(driver, simulation, total)
-    log = Log(simulation, driver)
+    record = Log(simulation, driver, *log)
     shown = time.monotonic()
     try:
         with QuietWarnings():
             for k in range(total):
                 drive(k)
-                log.step()
+                record.step()
                 if progress is not None and (time.monotonic() - shown > 0.1 or k == total - 1):
                     shown = time.monotonic()
                     progress(k + 1, total)
     except SimulationError as error:
-        if dump_directory is None or len(log) < 2:
+        if dump_directory is None or len(record) < 2:
             raise
         path = Path(dump_directory) / "divergence.npz"
-        end = len(log) * arm.timestep
-        as_rollout(arm, log, reference.q, reference.qd, motion_end=end, **meta).save(path)
+        end = len(record) * arm.timestep
+        as_rollout(arm, record, reference.q, reference.qd, motion_end=end, **meta).save(path)
         raise SimulationError(f"{error}; the run up to there is in {path} (Rollout.load reads it)") from None
     end = float(motion.t[-1])
-    return as_rollout(arm, log, reference.q, reference.qd, motion_end=end, **meta)
+    return as_rollout(arm, record, reference.q, reference.qd, motion_end=end, **meta)
 
 
 def _drive(driver: Controller, simulation: Simulation, total: int) -> Callable[[int], None]:

@@ -1,11 +1,9 @@
-"""Proofs about x' = -gamma x + mu W phi(x) + mu b: stability and its rate, invariant limits, pushes and time steps.
+"""Proofs about x' = -gamma x + mu W phi(x) + mu b: stability and its rate, pushes and time steps.
 
 `assess` evaluates the hierarchy of conditions; a `Certificate` is the strongest of them, in a form that can be stored.
 """
 
-from lieednn_sim.stability.bounds import invariant_box, is_invariant
 from lieednn_sim.stability.certificate import (
-    METHODS,
     Certificate,
     find_certificate,
     verify,
@@ -28,7 +26,6 @@ from lieednn_sim.typecheck import typecheck_public
 __all__ = [
     "CONDITIONS",
     "INTEGRATORS_WITH_PROOF",
-    "METHODS",
     "Certificate",
     "Condition",
     "Contraction",
@@ -41,8 +38,6 @@ __all__ = [
     "assess",
     "find_certificate",
     "find_contraction",
-    "invariant_box",
-    "is_invariant",
     "log_norms",
     "norm_conditions",
     "robustness",

@@ -28,12 +28,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lieednn_sim.errors import InputError
-from lieednn_sim.stability.centres import minimise_by_centres
+from lieednn_sim.stability.method_of_centres import minimise_by_centres
 from lieednn_sim.stability.norms import as_weight, weighted_norm
-from lieednn_sim.validation import LARGEST, as_choice, as_count, as_floats, as_positive, as_ratio
+from lieednn_sim.validation import LARGEST, as_count, as_floats, as_positive, as_ratio
 from lieednn_sim.values import Floats, frozen
-
-METHODS = ("descent", "lmi")
 
 # Entries of P further apart prove nothing useful (V would depend on one coordinate only). With `LARGEST`, which bounds
 # W, gamma, mu and their inverses, S W S^-1 stays far from overflow, and gamma/mu far from underflow.
@@ -129,15 +127,12 @@ def verify(lyapunov_diagonal: ArrayLike, weight: ArrayLike, *, gamma: float = 1.
     )
 
 
-def find_certificate(
-    weight: ArrayLike, *, gamma: float = 1.0, mu: float = 1.0, group_size: int = 1, method: str = "descent"
-) -> Certificate:
+def find_certificate(weight: ArrayLike, *, gamma: float = 1.0, mu: float = 1.0, group_size: int = 1) -> Certificate:
     """Search for the diagonal P that minimises lambda_max(sym(S W S^-1)), and verify it.
 
-    `descent` follows the path of analytic centres (`stability.centres`) down from the P that weighted norms suggest. In
-    P the problem is quasi-convex, so a failure is strong evidence, though no proof, that there is no diagonal P with
-    entries within exp(+-16). `lmi` solves linear matrix inequalities by bisection, see `stability.lmi`; it needs cvxpy,
-    takes longer, and serves as a check of the first. The result of either is checked by `verify`.
+    It follows the path of analytic centres (`stability.method_of_centres`) down from the P that weighted norms suggest.
+    In P the problem is quasi-convex, so a failure is strong evidence, though no proof, that there is no diagonal P with
+    entries within exp(+-16). The result is checked by `verify`.
 
     Args:
         weight: W_R (or any square matrix), ``(n, n)``.
@@ -145,30 +140,21 @@ def find_certificate(
         mu: scale of the interaction, positive.
         group_size: entries of P are equal within consecutive groups of this size. With 3, P has the form diag(p_i I_3)
             that a network needs whose symmetry is a common rotation of all omega_i.
-        method: a name of `METHODS`.
 
     Returns:
         The best certificate found, which need not be `valid`.
 
     Raises:
-        InputError: the matrix is not square, n is not a multiple of `group_size`, or the method is unknown.
-        LieEDNNError: `lmi` needs cvxpy, which is not installed.
+        InputError: the matrix is not square, or n is not a multiple of `group_size`.
     """
     matrix = as_weight("weight", weight)
     n, size = len(matrix), as_count("group_size", group_size)
     if n % size:
         raise InputError(f"group_size must divide the {n} rows of weight, got {size}")
-    candidates = [np.zeros(n // size)]
-    if as_choice("method", method, METHODS) == "lmi":
-        # Only here, since cvxpy is optional and slow to import.
-        from lieednn_sim.stability.lmi import minimise_largest_eigenvalue
-
-        candidates += [0.5 * np.log(minimise_largest_eigenvalue(matrix, size)[::size])]
-    else:
-        # The diagonal that proves whatever a weighted norm proves: the majorant's Perron vectors, left over right.
-        weights = weighted_norm(matrix)
-        perron = 0.5 * np.log(weights.left / weights.right).reshape(-1, size).mean(axis=1)
-        candidates += [perron, minimise_by_centres(matrix, size, perron)]
+    # The diagonal that proves whatever a weighted norm proves: the majorant's Perron vectors, left over right.
+    weights = weighted_norm(matrix)
+    perron = 0.5 * np.log(weights.left / weights.right).reshape(-1, size).mean(axis=1)
+    candidates = [np.zeros(n // size), perron, minimise_by_centres(matrix, size, perron)]
     certificates = (verify(np.exp(2.0 * np.repeat(c, size)), matrix, gamma=gamma, mu=mu) for c in candidates)
     return min(certificates, key=lambda certificate: certificate.lambda_max + certificate.rounding)
 

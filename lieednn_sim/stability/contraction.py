@@ -29,8 +29,8 @@ from scipy.linalg import block_diag, schur, solve_triangular
 from scipy.optimize import minimize_scalar
 
 from lieednn_sim.errors import InputError
-from lieednn_sim.stability.centres import minimise_by_centres
 from lieednn_sim.stability.certificate import find_certificate
+from lieednn_sim.stability.method_of_centres import minimise_by_centres
 from lieednn_sim.stability.norms import as_weight, frobenius, scale
 from lieednn_sim.validation import as_floats, as_positive, as_ratio
 from lieednn_sim.values import Floats, frozen
@@ -38,7 +38,7 @@ from lieednn_sim.values import Floats, frozen
 _EPS = float(np.finfo(float).eps)
 # Angles at which the boundary is evaluated in a quarter turn, before the worst is refined.
 _N_ANGLES = 32
-# Q is moved only where the worst angle costs more than this share of gamma/mu.
+# Q is moved only where the worst angle costs more than this fraction of gamma/mu.
 _WORTH_MOVING = 0.01
 # Distances above the least v, relative to v or gamma/mu, at which P is searched for, in turn.
 _ABOVE = (1e-6, 1e-4, 1e-2, 1.0)
@@ -170,7 +170,11 @@ def find_contraction(
 
 
 def least_level(scaled: Floats) -> tuple[float, float, float]:
-    """The least v over all P for S W S^-1 ``(n, n)``, at least 0; the angle in [0, pi/2) that decides it; v at 0."""
+    """The least level v over all P for the matrix S W S^-1 ``(n, n)``.
+
+    Returns:
+        v, at least 0; the angle a in [0, pi/2) at which it is reached; and the value at a = 0 alone, at least 0.
+    """
 
     def level(angle: Floats) -> Floats:
         turned = np.exp(1j * angle)[..., None, None] * scaled

@@ -38,8 +38,8 @@ class Robustness:
         pushed: flat coordinates that a push may move, ascending.
         reached: those that it eventually moves, ``(m,)``, ascending.
         guarantees: guarantees that all hold; every method uses the sharpest one.
-        others: the same for the coordinates that are not reached, None where all are. Only time steps depend on it:
-            those of a whole run must suit them too.
+        others: the bounds for the coordinates that are not reached, or None where all are. Only the largest time step
+            depends on them, since the steps of a run must suit all coordinates.
     """
 
     pushed: Indices
@@ -53,7 +53,7 @@ class Robustness:
         chosen = tuple(guarantee for guarantee in self.guarantees if guarantee.contracting)
         return replace(self, guarantees=chosen) if chosen else None
 
-    def throw(self, pushed: ArrayLike | None = None, watched: ArrayLike | None = None) -> float:
+    def push_gain(self, pushed: ArrayLike | None = None, watched: ArrayLike | None = None) -> float:
         """Largest effect, at any time, of a push of size 1: sup |e_watched(t)| / |e_pushed(0)|.
 
         Args:
@@ -62,9 +62,11 @@ class Robustness:
         """
         return min(guarantee.overshoot * gain for guarantee, gain in self._gains(pushed, watched))
 
-    def duration(self, share: float, pushed: ArrayLike | None = None, watched: ArrayLike | None = None) -> float:
-        """Time after which |e_watched| stays below ``share`` times the size of the push; arguments as in `throw`."""
-        part = as_positive("share", share)
+    def settling_time(
+        self, fraction: float, pushed: ArrayLike | None = None, watched: ArrayLike | None = None
+    ) -> float:
+        """Time after which |e_watched| stays below ``fraction`` of the push's size; arguments as in `push_gain`."""
+        part = as_positive("fraction", fraction)
         gains = self._gains(pushed, watched)
         return min(max(0.0, float(np.log(g.overshoot * gain / part)) / g.rate) if gain else 0.0 for g, gain in gains)
 
@@ -72,7 +74,7 @@ class Robustness:
         """Largest |e_watched| behind an equilibrium that moves at speed 1 in ``moved``, starting without lag.
 
         The equilibrium moves by the bias b(t) = (gamma/mu) x*(t) - W phi(x*(t)). A larger initial lag decays to this
-        one like a push. Arguments as in `throw`; in the state's units per unit of speed, that is in network time.
+        one like a push. Arguments as in `push_gain`; in the state's units per unit of speed, that is in network time.
         """
         return min(guarantee.delay * gain for guarantee, gain in self._gains(moved, watched))
 
@@ -97,8 +99,8 @@ class Robustness:
         scope = "between any two motions" if self.contracting else "about the equilibrium"
         best = self.contracting or self
         return (
-            f"a push of size 1 throws the state at most {best.throw():.3g} away, a tenth of it is left after "
-            f"{best.duration(0.1):.3g} ({scope})\n"
+            f"a push of size 1 throws the state at most {best.push_gain():.3g} away, a tenth of it is left after "
+            f"{best.settling_time(0.1):.3g} ({scope})\n"
             f"a target that moves at speed 1 is followed within {self.lag():.3g}\n"
             f"time steps up to {self.largest_step('Euler'):.3g} (Euler), {self.largest_step('RK4'):.3g} (RK4) keep the "
             "proof; RK45 has none"

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, fields
 from typing import Any, ClassVar, Self
 
 from lieednn_sim.errors import InputError
+from lieednn_sim.values import set_fields
 
 
 @dataclass(frozen=True)
@@ -55,12 +56,12 @@ class TableRow:
     def __post_init__(self) -> None:
         for entry in fields(self):
             if isinstance(value := getattr(self, entry.name), float):
-                object.__setattr__(self, entry.name, float(f"{value:.{self._digits}g}"))
+                set_fields(self, **{entry.name: float(f"{value:.{self._digits}g}")})
             elif isinstance(value, str):
                 # A row is one line. Interned, since many rows share their texts.
-                object.__setattr__(self, entry.name, sys.intern(" ".join(value.splitlines())))
+                set_fields(self, **{entry.name: sys.intern(" ".join(value.splitlines()))})
                 if entry.name == "reason" and value:
-                    object.__setattr__(self, "success", False)
+                    set_fields(self, success=False)
 
     @property
     def key(self) -> tuple[Any, ...]:

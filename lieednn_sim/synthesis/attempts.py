@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from lieednn_sim._blas import one_blas_thread
+from lieednn_sim.budget import cpu_time
 from lieednn_sim.network import ACTIVATIONS, LieEDNN
+from lieednn_sim.network.componentwise import as_activation
 from lieednn_sim.synthesis.bias import bias_for, equation_columns, impossibility
 from lieednn_sim.synthesis.problem import Problem
 from lieednn_sim.synthesis.result import Synthesis
 from lieednn_sim.synthesis.search import QUATERNION_BOUNDS, feasible_points, polish, smallest_eigenvalue_point
 from lieednn_sim.synthesis.starts import contracted, random_starts
-from lieednn_sim.validation import as_choice, as_count, as_positive
+from lieednn_sim.validation import as_count, as_positive
 from lieednn_sim.values import Floats
 
 # Residual of the vector field, in units of gamma, below which the target is the equilibrium; the polish reaches 1e-13.
@@ -48,7 +49,7 @@ class Options:
     max_attempts: int
 
     def __post_init__(self) -> None:
-        as_choice("activation", self.activation, ACTIVATIONS)
+        as_activation(self.activation)
         for name in ("gamma", "mu", "max_translation"):
             as_positive(name, getattr(self, name))
         as_count("max_attempts", self.max_attempts, most=_MOST_ATTEMPTS)
@@ -69,7 +70,7 @@ class _Task:
         offset: the bias.
         rng: generator of the starts.
         options: the common options.
-        begun: time of the start, by `time.perf_counter`.
+        begun: time of the start, by `cpu_time`.
         required: what W phi(target) must be, in units of gamma/mu: W' = W mu/gamma has bound 1.
         choices: column sets that W_R is to meet, tried in turn: those that suit the target, then the rotational ones
             alone where the translations t may meet the others.
@@ -107,7 +108,7 @@ class _Task:
         if network is not None:
             residual = float(np.abs(network.vector_field(self.target)).max())
             largest = float(np.linalg.norm(network.translation, axis=-1).max())
-        elapsed = time.perf_counter() - self.begun
+        elapsed = cpu_time() - self.begun
         self.outcome = Synthesis(
             impossible, message, network, residual, largest, self.attempts, self.iterations, elapsed
         )
@@ -143,7 +144,7 @@ def attempt_all(
     options: Options,
 ) -> list[Synthesis]:
     """The outcomes of `synthesize` for targets ``(B, N, 6)``; the bias is a rule or an array ``(B, N, 6)``."""
-    begun = time.perf_counter()
+    begun = cpu_time()
     rule = bias if isinstance(bias, str) else None
     tasks = []
     # Candidates of a plan have one target and few magnitudes.

@@ -6,9 +6,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lieednn_sim.errors import InputError
+from lieednn_sim.network import DEFAULT_ACTIVATION
 from lieednn_sim.synthesis.attempts import Options, attempt_all
 from lieednn_sim.synthesis.result import Synthesis
-from lieednn_sim.validation import as_floats, as_generator, as_positive
+from lieednn_sim.validation import Seed, as_floats, as_generator, as_positive
 from lieednn_sim.values import Floats
 
 
@@ -19,8 +20,8 @@ def synthesize(
     bias_magnitude: float = 0.125,
     gamma: float = 1.0,
     mu: float = 1.0,
-    activation: str = "tanh",
-    seed: int | np.random.Generator = 0,
+    activation: str = DEFAULT_ACTIVATION,
+    seed: Seed = 0,
     max_translation: float = 20.0,
     max_attempts: int = 16,
 ) -> Synthesis:
@@ -62,8 +63,8 @@ def synthesize_many(
     bias_magnitude: ArrayLike = 0.125,
     gamma: float = 1.0,
     mu: float = 1.0,
-    activation: str = "tanh",
-    seed: int | np.random.Generator = 0,
+    activation: str = DEFAULT_ACTIVATION,
+    seed: Seed = 0,
     max_translation: float = 20.0,
     max_attempts: int = 16,
 ) -> list[Synthesis]:

@@ -20,7 +20,7 @@ class Synthesis:
         largest_translation: largest |t_ij| of the weights.
         attempts: starts tried.
         iterations: iterations of the searches from all starts.
-        seconds: wall time since the beginning of the call.
+        cpu_time: CPU time since the beginning of the call [s].
     """
 
     impossible: bool
@@ -30,7 +30,7 @@ class Synthesis:
     largest_translation: float
     attempts: int
     iterations: int
-    seconds: float
+    cpu_time: float
 
     @property
     def success(self) -> bool:

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim.errors import InputError
+from lieednn_sim.network import DEFAULT_ACTIVATION
 from lieednn_sim.network.checks import as_rates
 from lieednn_sim.theory import groups
 from lieednn_sim.theory.group_network import GroupLieEDNN
@@ -33,7 +34,7 @@ Complexes = NDArray[np.complex128]
 
 
 def complex_network(
-    weights: ArrayLike, bias: ArrayLike, *, gamma: float = 1.0, mu: float = 1.0, activation: str = "tanh"
+    weights: ArrayLike, bias: ArrayLike, *, gamma: float = 1.0, mu: float = 1.0, activation: str = DEFAULT_ACTIVATION
 ) -> GroupLieEDNN:
     """A complex-valued network as a network on affine(C^x), states ``(..., N, 4)``; see `complex_state`.
 
@@ -51,7 +52,7 @@ def complex_network(
 
 
 def quaternion_network(
-    weights: ArrayLike, bias: ArrayLike, *, gamma: float = 1.0, mu: float = 1.0, activation: str = "tanh"
+    weights: ArrayLike, bias: ArrayLike, *, gamma: float = 1.0, mu: float = 1.0, activation: str = DEFAULT_ACTIVATION
 ) -> GroupLieEDNN:
     """A quaternion-valued network as a network on affine(H^x), states ``(..., N, 8)``; see `quaternion_state`.
 

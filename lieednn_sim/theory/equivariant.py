@@ -45,7 +45,7 @@ from lieednn_sim.network.checks import as_poses, as_rates, as_strengths, require
 from lieednn_sim.network.dynamics import Equilibrium, find_equilibrium
 from lieednn_sim.network.se3 import RigidNetwork
 from lieednn_sim.validation import as_floats, as_positive
-from lieednn_sim.values import Floats, frozen
+from lieednn_sim.values import Floats, frozen, set_fields
 
 # tanh(r)/r in powers of r^2. Below the angle [rad] the series is used: there the closed form of the derivative
 # cancels, and both are good to 3e-14.
@@ -87,7 +87,8 @@ class EquivariantLieEDNN(RigidNetwork):
         alpha = as_strengths(self.alpha)
         n = len(alpha)
         diagonal = self.lyapunov_diagonal
-        self._store(
+        set_fields(
+            self,
             alpha=alpha,
             **as_poses(self.rotation, self.translation, alpha),
             bias=as_floats("bias", self.bias, (n, 6)),

@@ -10,13 +10,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim.errors import InputError
-from lieednn_sim.network.base import read_only
 from lieednn_sim.network.checks import as_rates, as_strengths
-from lieednn_sim.network.componentwise import ComponentwiseNetwork, as_activation
+from lieednn_sim.network.componentwise import DEFAULT_ACTIVATION, ComponentwiseNetwork, as_activation
 from lieednn_sim.theory import groups
 from lieednn_sim.theory.matrix_group import MatrixLieGroup, as_numbers
 from lieednn_sim.validation import as_floats
-from lieednn_sim.values import Floats, frozen
+from lieednn_sim.values import Floats, frozen, read_only, set_fields
 
 
 @frozen
@@ -46,7 +45,7 @@ class GroupLieEDNN(ComponentwiseNetwork):
     bias: Floats
     gamma: float = 1.0
     mu: float = 1.0
-    activation: str = "tanh"
+    activation: str = DEFAULT_ACTIVATION
     lyapunov_diagonal: Floats | None = None
 
     _kind: ClassVar[str] = "group-network"
@@ -57,7 +56,8 @@ class GroupLieEDNN(ComponentwiseNetwork):
         alpha = as_strengths(self.alpha)
         n, d = len(alpha), self.group.dimension
         diagonal = self.lyapunov_diagonal
-        self._store(
+        set_fields(
+            self,
             alpha=alpha,
             theta=_as_elements(self.group, self.theta, n),
             bias=as_floats("bias", self.bias, (n, d)),
@@ -76,7 +76,7 @@ class GroupLieEDNN(ComponentwiseNetwork):
         *,
         gamma: float = 1.0,
         mu: float = 1.0,
-        activation: str = "tanh",
+        activation: str = DEFAULT_ACTIVATION,
     ) -> GroupLieEDNN:
         """Project arbitrary weight blocks: theta_ij is the element whose adjoint matrix is nearest to W_ij / alpha_ij.
 

@@ -1,9 +1,7 @@
 """The catalogue of matrix Lie groups, and the affine group over each real one.
 
-The paper claims complex and quaternion networks as the cases C^x and H^x of its adjoint blocks (section 5). Taken
-literally that fails: C^x is abelian, so its adjoint matrices are all the identity, and those of H^x are diag(1, R), the
-rotations of SO(3) beside one idle coordinate. But in the adjoint of ``affine(C^x)`` and ``affine(H^x)`` the block that
-acts on the translations is complex, and left quaternion, multiplication.
+In the adjoint of ``affine(C^x)`` and ``affine(H^x)`` the block that acts on the translations is complex, and left
+quaternion, multiplication: see `division_algebras`.
 """
 
 from __future__ import annotations

@@ -15,7 +15,7 @@ from scipy.linalg import expm, logm
 from lieednn_sim.errors import InputError
 from lieednn_sim.lie.projection import descend
 from lieednn_sim.validation import as_finite, as_floats, as_generator, as_positive, as_shape
-from lieednn_sim.values import Floats
+from lieednn_sim.values import Floats, set_fields
 
 Booleans = NDArray[np.bool_]
 # Real or complex group elements and algebra matrices.
@@ -54,8 +54,7 @@ class MatrixLieGroup:
         basis = as_numbers("basis", self.basis, ("d", "m", "m"))
         if 0 in basis.shape:
             raise InputError(f"the basis of {self.name} must not be empty, got shape {basis.shape}")
-        basis.flags.writeable = False
-        object.__setattr__(self, "basis", basis)
+        set_fields(self, basis=basis)
         singular = np.linalg.svd(_real_parts(basis), compute_uv=False)
         if self.dimension > _real_parts(basis).shape[1] or singular[-1] <= 1e-9 * singular[0]:
             raise InputError(f"the basis of {self.name} must be linearly independent over the real numbers")

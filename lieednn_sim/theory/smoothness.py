@@ -1,6 +1,7 @@
 """The paper's bounds on velocity, acceleration and curvature of a network's trajectory (App. H).
 
-All hold while |xi|_inf <= R; `stability.bounds.invariant_box` gives such an R for all time.
+All hold while |xi|_inf <= R: for all time for R = max(|xi(0)|_inf, (mu/gamma) (||W||_inf M + |b|_inf)), beyond which
+every coordinate falls.
 """
 
 from __future__ import annotations

@@ -35,6 +35,30 @@ def test_link_poses_equal_mujocos_kinematics(arm):
         np.testing.assert_allclose(pose[:, :3, :3].reshape(-1, 9), data.site_xmat[arm.site_ids], atol=1e-9)
 
 
+def test_jacobian_is_mujocos_own_and_the_derivative_of_the_pose(arm):
+    data, h = mujoco.MjData(arm.model), 1e-6
+    positions = random_positions(arm, 10)
+    positions[0], positions[1] = 0.0, 1e-9
+    jacobians = np.stack([arm.jacobian(positions.reshape(2, 5, -1), link) for link in range(arm.n_links)], axis=-3)
+    assert jacobians.shape == (2, 5, arm.n_links, 6, arm.n_joints)
+    np.testing.assert_array_equal(arm.jacobian(positions[3]), jacobians[0, 3, -1])
+    for q, jacobian in zip(positions, jacobians.reshape(10, arm.n_links, 6, -1), strict=True):
+        data.qpos[:] = arm.qpos(q)
+        mujoco.mj_kinematics(arm.model, data)
+        mujoco.mj_comPos(arm.model, data)
+        to_rates = arm.qvel(q, np.eye(arm.n_joints)).T
+        for site, own in zip(arm.site_ids, jacobian, strict=True):
+            linear, angular = np.zeros((2, 3, arm.model.nv))
+            mujoco.mj_jacSite(arm.model, data, linear, angular, site)
+            np.testing.assert_allclose(own, np.vstack([angular, linear]) @ to_rates, atol=1e-10)
+        after, before = (arm.link_poses(q + sign * h * np.eye(arm.n_joints)) for sign in (1.0, -1.0))
+        turn = (after.rotation * before.rotation.inv()).as_rotvec()
+        numeric = np.concatenate([turn, after.translation - before.translation], axis=-1) / (2.0 * h)
+        np.testing.assert_allclose(jacobian, np.moveaxis(numeric, 0, -1), atol=1e-8)
+    with pytest.raises(InputError, match="link must be at most"):
+        arm.jacobian(positions, arm.n_links)
+
+
 def test_encoding_and_retraction_are_inverse_on_the_joints_set(arm):
     positions = random_positions(arm, 200).reshape(2, 100, -1)
     decoded = arm.decode(arm.encode(positions))
@@ -185,7 +209,7 @@ def test_reach_says_how_close_the_best_of_its_attempts_comes(gantry, monkeypatch
     ends = itertools.cycle([-0.5, -0.5, 0.0, 0.0, 0.75, 0.75])
     found = (SimpleNamespace(x=np.array([x, 0.0, 0.0, 0.0])) for x in ends)
     monkeypatch.setattr("scipy.optimize.least_squares", lambda *_, **__: next(found))
-    with pytest.raises(NoSolutionError, match=r"cannot reach \(5, 0, 0\) m: the closest posture found is 3\.25 m away"):
+    with pytest.raises(NoSolutionError, match=r"\(5, 0, 0\) m: the closest configuration found is 3\.25 m away"):
         solve_ik(gantry, [5.0, 0.0, 0.0])
     with pytest.raises(NoSolutionError, match=r"with this orientation: .* 4 m and 30 degrees away"):
         solve_ik(gantry, [1.75, 4.0, 0.0], Rotation.from_rotvec([0.0, 0.0, np.pi / 6.0]))

@@ -42,7 +42,7 @@ def test_a_posture_has_contacts_exactly_when_its_clearance_is_negative(scene, se
     q = posture(arm, seed)
     touching = bool(arm.contacts(q))
     assert (collisions.clearance(q) < 0.0) == touching
-    assert collisions.free(q) != touching
+    assert collisions.is_free(q) != touching
 
 
 @pytest.mark.parametrize("scene", ARMS)
@@ -52,7 +52,7 @@ def test_the_least_along_a_path_is_that_of_all_its_postures(scene, first, last, 
     arm, collisions = ARMS[scene], COLLISIONS[scene]
     path = np.linspace(posture(arm, first), posture(arm, last), count)
     # How deep geoms are in each other MuJoCo finds to a micrometre, which depends on how far it is asked to look.
-    assert collisions.least(path) == pytest.approx(min(map(collisions.clearance, path)), abs=2e-6)
+    assert collisions.least_clearance(path) == pytest.approx(min(map(collisions.clearance, path)), abs=2e-6)
 
 
 @pytest.mark.parametrize("before", [True, False])
@@ -69,8 +69,8 @@ def test_the_least_along_a_path_sees_what_turns_on_the_spot(before, tmp_path):
     collisions = Collisions(Arm.load(path, floor="none"))
     turn = np.deg2rad(np.arange(0.0, 136.0, 3.0))[:, None]
     # At right angles they are deepest: the face of the bar is 5 cm and that of the ball 10 cm from the ball's middle.
-    assert collisions.least(turn) == pytest.approx(-0.15, abs=1e-3)
-    assert collisions.least(turn[:10]) == pytest.approx(0.25)
+    assert collisions.least_clearance(turn) == pytest.approx(-0.15, abs=1e-3)
+    assert collisions.least_clearance(turn[:10]) == pytest.approx(0.25)
 
 
 @pytest.mark.parametrize("scene", ARMS)
@@ -93,8 +93,8 @@ def test_the_bounds_leave_out_no_pair(scene, seed, cutoff):
     assert nearest == pytest.approx(every.min(), abs=1e-12)
     assert collisions.pairs.tolist()[int(every.argmin())] == list(pair) or np.sum(every < nearest + 1e-9) > 1
     margin = nearest + 1e-6
-    assert not collisions.free(q, margin)
-    assert collisions.free(q, nearest - 1e-6)
+    assert not collisions.is_free(q, margin)
+    assert collisions.is_free(q, nearest - 1e-6)
 
 
 @pytest.mark.parametrize("scene", ARMS)
@@ -135,7 +135,7 @@ def test_parts_of_the_arm_may_be_nearer_to_each_other_than_to_all_else(scene):
     every = np.array([mujoco.mj_geomDistance(arm.model, data, *pair, 5.0, None) for pair in collisions.pairs.tolist()])
     own, other = every[collisions.own].min(), every[~collisions.own].min()
     for beyond_own, beyond_other in ((-1e-6, -1e-6), (1e-6, -1e-6), (-1e-6, 1e-6)):
-        free = collisions.free(q, other + beyond_other, own=own + beyond_own)
+        free = collisions.is_free(q, other + beyond_other, own=own + beyond_own)
         assert free == (beyond_own < 0.0 and beyond_other < 0.0)
 
 

@@ -3,7 +3,7 @@
 import pytest
 
 from lieednn_sim._mujoco import mujoco
-from lieednn_sim.arm.couplings import line_of, to_independent_leaders
+from lieednn_sim.arm.coordinates import line_of, to_independent_leaders
 from lieednn_sim.errors import InputError
 
 _MODEL = """

@@ -121,6 +121,6 @@ def test_a_film_shows_that_floor_or_none(write):
 def test_a_run_keeps_its_floor(write, tmp_path, given, heights):
     from lieednn_sim.cli.run_directory import RunDirectory
 
-    words = ["synthesize", "--arm", str(write()), "--target", "0.3,0.2", "--planner", "minimum-jerk"]
+    words = ["plan", "--arm", str(write()), "--target", "0.3,0.2", "--planner", "minimum-jerk"]
     assert main([*words, "--floor", given, "--output", str(tmp_path / "run")]) == 0
     assert floors(RunDirectory(tmp_path / "run").load_task()[1]) == heights

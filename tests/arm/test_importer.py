@@ -144,7 +144,7 @@ def test_link_frames_are_where_the_original_has_them(number, seed):
 
 def test_the_arm_of_a_mobile_robot_is_found_cut_and_reduced():
     arm, report = arm_of(BY_EQUALITY)
-    assert report.posture == "keyframe 'home'"
+    assert report.configuration == "keyframe 'home'"
     assert report.base == "cart"
     assert report.links == ("tube2", "wrist")
     assert report.groups == (("swing", "raise", "stage1", "stage2"), ("wrist",))
@@ -193,7 +193,7 @@ COMMANDED = KEYFRAMES.replace("KEYS", '<key name="home" ctrl=".5 .3"/>')
 
 def test_home_is_taken_from_a_keyframe_and_given_joints():
     arm, report = arm_of(COMMANDED, links=["one", "two"], keyframe="still", home={"b": -0.25, "c": 0.03})
-    assert report.posture == "keyframe 'still', with b, c as given"
+    assert report.configuration == "keyframe 'still', with b, c as given"
     np.testing.assert_allclose(arm.keyframe("home"), [0.5, -0.25])
     np.testing.assert_allclose(arm.keyframe("stow"), [1.0, -1.0])
     np.testing.assert_allclose(arm.model.body("grip").pos, [0.0, 0.0, 0.03], err_msg="the gripper's joint is locked")
@@ -204,7 +204,7 @@ def test_home_is_taken_from_a_keyframe_and_given_joints():
 def test_a_keyframe_of_controls_alone_is_no_posture_unless_they_hold_the_one_it_has():
     """MuJoCo takes such a keyframe for the reference position, where b is 0; its servo would move b to 0.3."""
     _, report = arm_of(COMMANDED, links=["one", "two"])
-    assert report.posture == "keyframe 'stow'"
+    assert report.configuration == "keyframe 'stow'"
     assert any(note.startswith("keyframes left out: home; they have controls") for note in report.notes)
     assert not any("left out" in note for note in arm_of(KEYFRAMES.replace("KEYS", ""))[1].notes)
     with pytest.raises(InputError, match="no keyframe 'home' with positions; keyframes of the model: 'stow', 'still'"):
@@ -323,10 +323,10 @@ def bad(xml, *replacements):
         (BY_EQUALITY, {"keyframe": "fold"}, "no keyframe 'fold'; keyframes of the model: 'home'"),
         (BY_EQUALITY, {"keyframe": 3}, "keyframe must be a string, got 3"),
         (BY_EQUALITY, {"home": ["wrist"]}, "home must be a dictionary, got a list of 1"),
-        (BY_EQUALITY, {"home": {"hip": 0.0}}, "no joint of the home posture 'hip'; allowed: .*, pan, "),
+        (BY_EQUALITY, {"home": {"hip": 0.0}}, "no joint of the home configuration 'hip'; allowed: .*, pan, "),
         (BY_EQUALITY, {"home": {"pan": 2.0}}, r"home position 2 of joint 'pan' is outside of \[-1.571, 1.571\]"),
         (BY_EQUALITY, {"home": {"pan": "left"}}, r"home\['pan'\] must be a number, got 'left'"),
-        (BY_EQUALITY, {"home": {"stage2": 0.1}}, "'stage2' of the home posture follows joint 'stage1'"),
+        (BY_EQUALITY, {"home": {"stage2": 0.1}}, "'stage2' of the home configuration follows joint 'stage1'"),
         (bad(BY_EQUALITY, ("0.01 0.8 0 0 0", "0 1 2 0 0")), {}, "needs a straight line"),
         (bad(BY_EQUALITY, ('joint2="stage1" ', "")), {}, "'stage2' is locked by an equality"),
         (bad(BY_TENDON, ('type="slide" range="0 0.3"', 'type="slide"'), ('"0 0.2"', '"0 0"')), {}, "no range"),
@@ -385,9 +385,9 @@ def test_what_comes_near_on_straight_ways_is_counted_in_one_order_of_names():
     told = import_arm(spec_of(f"<mujoco><worldbody>{posts}{hand}</worldbody></mujoco>"))[1].notes
     at_end, before = (note for note in told if "within 2 mm of contact" in note)
     assert "between 'a' and 'hand' (51), 'b' and 'hand' (51): these cannot be targets" in at_end
-    assert at_end.startswith("51 of 256 random postures")
+    assert at_end.startswith("51 of 256 random configurations")
     assert "between 'a' and 'hand' (24), 'b' and 'hand' (24): there planners fail" in before
-    assert before.startswith("24 of 205 straight ways")
+    assert before.startswith("24 of 205 straight paths")
 
 
 def test_servos_can_all_be_designed_anew_and_follow_a_step():

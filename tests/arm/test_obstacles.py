@@ -139,7 +139,7 @@ def test_targets_are_in_the_goals_of_a_file_or_anywhere_free(gantry, tmp_path):
     plates = [{**BOX, "size": [0.1, 9.0, 9.0], "position": [1.165 - 0.33 * k, 0.0, 0.0]} for k in range(4)]
     anywhere = gantry.among(write(tmp_path, "anywhere.json", {"obstacles": plates}))
     collisions = Collisions(anywhere)
-    assert all(collisions.free(draw_target(anywhere, seed), TARGET_CLEARANCE) for seed in range(30))
+    assert all(collisions.is_free(draw_target(anywhere, seed), TARGET_CLEARANCE) for seed in range(30))
 
 
 @pytest.mark.parametrize(

@@ -24,14 +24,14 @@ def test_home_is_free_and_targets_are_behind_the_obstacles(name):
     for scene, seed in cases:
         arm = BARE[name].among(scene, seed)
         collisions, home = Collisions(arm), arm.keyframe("home")
-        assert collisions.free(home, HOME_CLEARANCE, own=0.0)
+        assert collisions.is_free(home, HOME_CLEARANCE, own=0.0)
         target = draw_target(arm, seed)
-        assert collisions.free(target, TARGET_CLEARANCE, own=OWN_CLEARANCE)
+        assert collisions.is_free(target, TARGET_CLEARANCE, own=OWN_CLEARANCE)
         assert arm.limit_excess(target).max() <= 0.0
         tip = arm.link_poses(target).translation[-1]
         assert any(inside(arm, site, tip) for site in goals(arm))
         ways = home + np.linspace(0.0, 1.0, 40)[:, None] * (target - home)
-        blocked += not all(collisions.free(q) for q in ways)
+        blocked += not all(collisions.is_free(q) for q in ways)
         np.testing.assert_array_equal(home, BARE[name].keyframe("home"))
     assert 0 < blocked < len(cases), "neither trivial nor hopeless on the straight way"
 

@@ -7,8 +7,8 @@ import pytest
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm, import_arm
-from lieednn_sim.arm.bridging import VAGUE, vagueness
-from lieednn_sim.arm.kinematics import distinctness
+from lieednn_sim.arm.kinematics import least_singular_value
+from lieednn_sim.arm.singularities import NEARLY_SINGULAR, singularity_margin
 from lieednn_sim.errors import PlanError
 from lieednn_sim.planning import default_planner, plan
 
@@ -67,7 +67,7 @@ def test_postures_that_poses_hardly_tell_apart_are_known_by_the_least_singular_v
     rng = np.random.default_rng(1)
     jacobian = rng.normal(size=(500, 12, 3))
     jacobian[:, :, 2] = jacobian[:, :, 0] + rng.uniform(0.0, 0.5, (500, 1)) * jacobian[:, :, 2]
-    least, share = distinctness(jacobian) / VAGUE, vagueness(jacobian)
+    least, share = least_singular_value(jacobian) / NEARLY_SINGULAR, singularity_margin(jacobian)
     vague = least < 1.0
     assert 50 < vague.sum() < 450
     np.testing.assert_allclose(share[vague], least[vague], rtol=1e-12)
@@ -103,7 +103,7 @@ def test_links_whose_pose_does_not_tell_their_joints_apart_are_told_before_plann
         return [note for note in wrist(bend).import_report.notes if note.startswith("link 2: ")]
 
     (note,) = told(0.0)  # roll and turn are about one line
-    assert note.startswith("link 2: 64 of 64 straight ways from home pass near postures at which its pose")
+    assert note.startswith("link 2: 64 of 64 straight paths from home pass near configurations at which its pose")
     assert "does not determine roll, bend, turn" in note
     # From a bent wrist only ways to the other side pass there.
     (note,) = told(0.9)

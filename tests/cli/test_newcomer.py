@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 from rich.progress import TimeRemainingColumn
+from rollouts import make_rollout
 
 import lieednn_sim
 from lieednn_sim.arm import Arm, arm_names, solve_ik
@@ -25,10 +26,10 @@ from lieednn_sim.evaluation.display import table
 from lieednn_sim.learning import ALGORITHMS, TrainingOptions
 from lieednn_sim.learning import train as learn
 from lieednn_sim.planning import PLANNERS, Plan, reference_network
+from lieednn_sim.planning.certified import CertifiedDetails
 from lieednn_sim.planning.filtering import run_filtered
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.simulation import CONTROLLERS, Rollout
-from lieednn_sim.studies.comparison.study import SLOW_PLANNERS
 from lieednn_sim.studies.workers import progress_bar
 from lieednn_sim.synthesis import BIAS_RULES
 
@@ -42,21 +43,19 @@ def test_the_help_lists_what_there_is():
     known = {
         names.ARMS: arm_names(),
         names.SCENES: SCENES,
-        names.PLANNERS: PLANNERS,
         names.CONTROLLERS: CONTROLLERS,
         names.ALGORITHMS: [*ALGORITHMS, *RIEMANNIAN],
         names.BIAS_RULES: BIAS_RULES,
-        names.SLOW_PLANNERS: SLOW_PLANNERS,
     }
     for listed, registered in known.items():
         assert sorted(listed) == sorted(registered)
-    for command in ("demo", "synthesize"):
+    for command in ("demo", "plan"):
         text = commands()[command].format_help()
         # Whole, however narrow the terminal.
-        for name in (*names.ARMS, *names.SCENES, *names.PLANNERS, *names.BIAS_RULES):
+        for name in (*names.ARMS, *names.SCENES, *PLANNERS, *names.BIAS_RULES):
             assert name in text
     assert all(name in commands()["simulate"].format_help() for name in names.CONTROLLERS)
-    assert all(name in commands()["compare"].format_help() for name in names.PLANNERS)
+    assert all(name in commands()["compare"].format_help() for name in PLANNERS)
 
 
 def test_every_command_says_what_it_does():
@@ -138,7 +137,7 @@ def test_a_signal_during_an_import_ends_the_command_cleanly(module, number, code
 def test_a_planner_without_a_network_goes_the_whole_road(tmp_path, capsys):
     directory = tmp_path / "run"
     # An earlier run's network must not stay.
-    assert main(["synthesize", "--target", "extended", "--candidates", "2", "--output", str(directory)]) == 0
+    assert main(["synthesize", "--target", "extended", "--n-networks", "2", "--output", str(directory)]) == 0
     words = ["demo", "--no-video", "--planner", "minimum-jerk", "--duration", "2", "--hold", "0.2"]
     assert main([*words, "--output", str(directory)]) == 0
     expected = {"made.json", "task.json", "motion.npz", "rollout.npz", "metrics.json", "metrics.csv"}
@@ -159,11 +158,7 @@ def test_large_objects_are_shown_in_a_line():
     network = reference_network(arm)
     run = run_filtered(arm, network, arm.keyframe("home"), 0.4)
     motion = run.reference
-    k, n, links = len(motion.t), arm.n_joints, arm.n_links
-    zeros, unit = np.zeros((k, n)), np.tile([1.0, 0.0, 0.0, 0.0], (k, links, 1))
-    log = dict.fromkeys(("q", "qd", "q_ref", "qd_ref", "ctrl", "force", "constraint_force"), zeros)
-    poses = {"link_position": np.zeros((k, links, 3)), "link_quaternion": unit}
-    rollout = Rollout(arm=arm, t=motion.t, **log, **poses, contacts=np.zeros(k, dtype=int), motion_end=0.4)
+    rollout = make_rollout(arm, motion.q)
     learned = learn(0.1 * np.ones((2, 6)), TrainingOptions.tracked(max_epochs=2))
     shown = {
         "Rollout of telescopic_pr by position-servo": rollout,
@@ -180,7 +175,7 @@ def test_large_objects_are_shown_in_a_line():
         assert len(repr(value)) < 200
         assert "array" not in repr(value)
         assert "\n" not in repr(value)
-    assert len(str(Plan(motion, network, 24, 3)).splitlines()) < 4
+    assert len(str(Plan(motion, network, CertifiedDetails(24, 3))).splitlines()) < 4
 
 
 def test_a_position_beyond_everything_is_refused_without_a_warning(monkeypatch):

@@ -69,7 +69,7 @@ def test_what_only_python_reads_is_refused(text):
     assert decimal_or_inf("inf") == math.inf
 
 
-@pytest.mark.parametrize("option", ["--duration", "--seed", "--payload", "--candidates"])
+@pytest.mark.parametrize("option", ["--duration", "--seed", "--payload", "--n-networks"])
 def test_options_say_what_they_take(option, capsys):
     with pytest.raises(SystemExit, match="2"):
         main(["demo", option, "1_000"])

@@ -87,7 +87,7 @@ def test_the_fastest_run_is_kept_and_simulated(tmp_path, planner):
     """A certified network draws its motion by itself in a duration that was asked for, but not in the least one."""
     pytest.importorskip("toppra")
     directory, words = str(tmp_path), ["--target", "extended", "--planner", planner, "--fastest"]
-    assert main(["synthesize", *words, "--output", directory]) == 0
+    assert main(["plan", *words, "--output", directory]) == 0
     task, arm = RunDirectory(directory).load_task()
     motion = RunDirectory(directory).load_motion(task)
     assert motion.t[-1] < 0.8 * task.duration
@@ -117,7 +117,7 @@ def test_a_network_with_hidden_neurons_goes_all_the_way(tmp_path, cascade, capsy
     monkeypatch.setitem(PLANNERS, "hidden", Planner(hidden))
     directory = str(tmp_path / "run")
     words = ("--planner", "hidden", "--target", "home", "--duration", "3")
-    assert main(["synthesize", *words, "--output", directory]) == 0
+    assert main(["plan", *words, "--output", directory]) == 0
     assert "globally stable" in capsys.readouterr().out
     run = RunDirectory(directory)
     task, _ = run.load_task()
@@ -287,7 +287,7 @@ def test_a_run_that_is_killed_while_it_replaces_another_leaves_no_mixture(tmp_pa
 def command_line(task, metrics):
     """The words that make a run again, from its two JSON files alone."""
     numbers = {name: ",".join(map(repr, task[name])) for name in ("start", "target")}
-    words = ["synthesize", "--arm", task["arm"], "--scene", task["scene"], "--scene-seed", str(task["scene_seed"])]
+    words = ["plan", "--arm", task["arm"], "--scene", task["scene"], "--scene-seed", str(task["scene_seed"])]
     words += [f"--start={numbers['start']}", f"--target={numbers['target']}", "--duration", repr(task["duration"])]
     words += ["--planner", task["planner"], "--seed", str(task["seed"])]
     for name, value in task["options"].items():
@@ -308,7 +308,7 @@ def command_line(task, metrics):
 
 def test_a_run_can_be_made_again_from_task_and_metrics(tmp_path, capsys):
     first, second = tmp_path / "first", tmp_path / "second"
-    road = ["--target", "random:3", "--duration", "3", "--candidates", "2", "--bias-magnitude", "0.5", "--seed", "5"]
+    road = ["--target", "random:3", "--duration", "3", "--n-networks", "2", "--bias-magnitude", "0.5", "--seed", "5"]
     assert main(["synthesize", *road, "--output", str(first)]) == 0
     conditions = ["--controller", "computed-torque", "--payload", "0.3", "--mass-scale", "1.05", "--hold", "0.2"]
     conditions += ["--push", "end effector,0,-3,5.5,0.4,0.1", "--reference-rate", "250", "--position-noise", "1e-5"]
@@ -345,10 +345,10 @@ def test_no_planner_takes_the_place_of_one_that_is_not_installed(tmp_path, capsy
         require_planner("lieednn-guided")
 
 
-@pytest.mark.parametrize("command", ["demo", "synthesize", "train", "compare"])
+@pytest.mark.parametrize("command", ["demo", "plan", "train", "compare"])
 def test_an_empty_output_is_no_directory(command, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    goal = ["--target", "extended"] if command in ("synthesize", "train") else []
+    goal = ["--target", "extended"] if command in ("plan", "train") else []
     assert "must be a path, got ''" in fails(capsys, command, *goal, "--output", "")
     assert list(tmp_path.iterdir()) == []
 

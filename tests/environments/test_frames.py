@@ -8,7 +8,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.environments.frames import to_go
-from lieednn_sim.environments.rewards import closeness
+from lieednn_sim.environments.tasks import closeness
 
 
 def rows(poses: RigidTransform) -> np.ndarray:

@@ -7,9 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lieednn_sim.environments.bounds import common_bounds, reach
-from lieednn_sim.environments.commands import Commands
-from lieednn_sim.environments.observations import Observations
+from lieednn_sim.environments.base import Commands
+from lieednn_sim.environments.observations import Observations, common_bounds, reach
 from lieednn_sim.environments.tasks import make_task
 
 
@@ -18,25 +17,33 @@ def test_arrays_stay_within_their_bounds_and_keep_their_names():
     names = ("position", "velocity", "command", "position_error")
     bounds = {name: (-k * one, k * one) for k, name in enumerate(names, 1)}
     bounds |= {"pose_error": (-np.ones((1, 6)), np.ones((1, 6))), "more": (np.zeros((2, 2)), np.full((2, 2), 9.0))}
-    frames = np.zeros((3, 1, 16))
-    frames[..., 3:12], frames[..., 12] = np.eye(3).ravel(), 1.0
-    goals = frames.copy()
-    goals[:, 0, 0] = [0.5, 3.0, -3.0]
     q, more = np.array([[0.5, -7.0], [7.0, 0.0], [0.0, 0.0]]), np.arange(12.0).reshape(3, 4)
-    observations = Observations(bounds)
-    rows, distance, angle = observations.rows(frames, q, q, q, [0.5 * q, goals, more])
+    twist = np.linspace(-2.0, 2.0, 18).reshape(3, 6)
+    observations, values = Observations(bounds), (q, q, q, -0.5 * q, twist, more)
+    rows = observations.rows(*values)
     assert rows.shape == (3, observations.size)
     seen = observations.split(rows)
-    assert {name: values.shape[1:] for name, values in seen.items()} == {k: low.shape for k, (low, _) in bounds.items()}
-    for name, value in zip(names, (q, q, q, -0.5 * q), strict=True):
-        np.testing.assert_array_equal(seen[name], np.clip(value, *bounds[name]))
-    np.testing.assert_array_equal(seen["pose_error"][:, 0, 3:], [[0.5, 0.0, 0.0], [1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]])
-    np.testing.assert_array_equal(seen["more"].reshape(3, 4), np.minimum(more, 9.0))
-    # What is within the bounds is for who observes; who judges is told all.
-    np.testing.assert_array_equal(distance, [0.5, 3.0, 3.0])
-    np.testing.assert_array_equal(angle, 0.0)
-    alone = observations.rows(frames[1], q[1], q[1], q[1], [0.5 * q[1], goals[1], more[1]])[0]
-    np.testing.assert_array_equal(alone, rows[1])
+    assert {name: found.shape[1:] for name, found in seen.items()} == {k: low.shape for k, (low, _) in bounds.items()}
+    for name, value in zip(bounds, values, strict=True):
+        np.testing.assert_array_equal(seen[name], np.clip(value.reshape(seen[name].shape), *bounds[name]))
+    np.testing.assert_array_equal(observations.rows(*(value[1] for value in values)), rows[1])
+
+
+def test_what_is_within_the_bounds_is_for_who_observes_and_who_judges_is_told_all():
+    task = make_task("reach", time_limit=0.1)
+    task.begin(np.random.default_rng(0), {"target": task.arm.keyframe("home")})
+    frames = np.broadcast_to(np.concatenate([np.zeros(3), np.eye(3).ravel(), np.eye(4)[0]]), (3, 1, 16))
+    goals = frames.copy()
+    goals[:, 0, 0] = [0.5, 300.0, -300.0]
+    data, q = task.simulation.data, np.tile(task.command, (3, 1))
+    qpos, qvel = (np.tile(values, (3, 1)) for values in (data.qpos, data.qvel))
+    state = task.look(np.arange(3), q, qpos, qvel, frames, q + 100.0, goals)
+    np.testing.assert_array_equal(state.distance, [0.5, 300.0, 300.0])
+    np.testing.assert_array_equal(state.angle, 0.0)
+    most = task.bounds["pose_error"][1][0, 3]
+    seen = task.observations.split(state.row)
+    np.testing.assert_array_equal(seen["pose_error"][:, 0, 3], [0.5, most, -most])
+    np.testing.assert_array_equal(seen["position_error"][0], task.bounds["position_error"][1])
 
 
 def test_bounds_by_hand(gantry):
@@ -62,9 +69,9 @@ def test_bounds_by_hand(gantry):
 def test_commands_move_by_the_velocity_limit_at_most_either_way(gantry):
     """In two steps of 10 ms."""
     commands, zero = Commands(gantry, 2), np.zeros(4)
-    for action, share in ((-5.0, -1.0), (5.0, 1.0), (-0.5, -0.5)):
+    for action, fraction in ((-5.0, -1.0), (5.0, 1.0), (-0.5, -0.5)):
         moved = commands.moved(zero, np.full(4, action))
-        np.testing.assert_allclose(moved, 0.02 * share * gantry.velocity_limits)
+        np.testing.assert_allclose(moved, 0.02 * fraction * gantry.velocity_limits)
 
 
 def test_tracking_knows_the_velocity_of_now_and_is_within_half_a_degree():
@@ -81,4 +88,4 @@ def test_at_rest_is_a_hundredth_of_the_velocity_limit():
     task = make_task("reach", time_limit=0.4)
     task.begin(np.random.default_rng(0))
     rest = 0.01 * task.arm.velocity_limits
-    assert [bool(task.judge(0.0, 0.0, share * rest)[1]) for share in (0.99, 1.01)] == [True, False]
+    assert [bool(task.judge(0.0, 0.0, factor * rest)[1]) for factor in (0.99, 1.01)] == [True, False]

@@ -7,7 +7,7 @@ from numpy.testing import assert_array_equal
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.environments.expert import Expert
-from lieednn_sim.environments.rewards import closeness
+from lieednn_sim.environments.tasks import closeness
 from lieednn_sim.errors import InputError
 
 control = pytest.importorskip("dm_control.rl.control")

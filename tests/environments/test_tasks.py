@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from lieednn_sim.arm import Arm, arm_names
-from lieednn_sim.environments import bounds, trajectories
+from lieednn_sim.environments import observations, trajectories
 from lieednn_sim.environments.expert import Expert
 from lieednn_sim.environments.tasks import REST, TASKS, make_task
 from lieednn_sim.environments.trajectories import band_limited, planned
@@ -128,7 +128,7 @@ def test_an_episode_depends_on_its_seed_alone(reach, track, name, seed, other):
         assert (run(task, other) != first).any()
 
 
-def test_actions_are_velocities_as_shares_of_their_limits(reach):
+def test_actions_are_velocities_as_fractions_of_their_limits(reach):
     reach.begin(np.random.default_rng(0))
     before = reach.command
     action = np.linspace(-0.2, 0.2, 8)
@@ -163,11 +163,12 @@ def test_commands_stop_at_the_limits_and_actions_at_one():
 def test_success_needs_rest(reach):
     target = reach.arm.keyframe("home")
     reach.begin(np.random.default_rng(0), {"target": target})
-    assert reach.success()
-    assert reach.reward() == 1.0
-    reach.simulation.data.qvel[0] = 2.0 * REST * reach.arm.velocity_limits[0]
-    assert not reach.success()
-    assert 0.5 < reach.reward() < 1.0
+    assert reach.state.success
+    assert reach.state.reward == 1.0
+    # As fast as twice what counts as rest.
+    after = reach.step(np.eye(8)[0] * 2.0 * REST)
+    assert not after.info["success"]
+    assert 0.5 < after.reward < 1.0
 
 
 def test_the_preview_is_where_the_target_will_be(track):
@@ -226,7 +227,7 @@ def test_the_pace_is_of_the_hardest_limit_by_hand(gantry):
 
 def test_the_reach_is_all_lengths_and_slides_by_hand(gantry):
     """The end effector is 1 m beside link 1, which x, y and z move by up to 1, 2 and 3 m."""
-    assert bounds.reach(gantry) == pytest.approx(7.0)
+    assert observations.reach(gantry) == pytest.approx(7.0)
 
 
 @pytest.mark.parametrize("planner", [None, "minimum-jerk"])
@@ -337,17 +338,15 @@ def test_malformed_actions_and_options(reach):
 @pytest.mark.parametrize("name", TASKS)
 def test_success_needs_distance_and_angle(name):
     task = make_task(name, time_limit=0.1, position_tolerance=2e-3, rotation_tolerance=0.01)
-    task.begin(np.random.default_rng(0))
     for distance, angle, expected in (
         (2e-3, 0.01, True),
         (2.1e-3, 0.0, False),
         (0.0, 0.011, False),
         (2.1e-3, 0.011, False),
     ):
-        task.distance, task.angle = distance, angle
-        assert task.success() is expected
-        assert task.info() == {"success": expected, "distance": distance, "angle": angle}
-        assert (task.reward() == 1.0) == expected
+        reward, success = task.judge(distance, angle, np.zeros(8))
+        assert success == expected
+        assert (reward == 1.0) == expected
 
 
 def test_distances_are_in_metres_and_angles_in_radians():
@@ -369,22 +368,21 @@ def test_distances_are_in_metres_and_angles_in_radians():
     lifted = home.copy()
     lifted[arm.joint_names.index("extend2")] += 0.05
     links.begin(np.random.default_rng(0), {"target": lifted})
-    assert links.distance == pytest.approx(0.05, abs=1e-9)
+    assert links.state.distance == pytest.approx(0.05, abs=1e-9)
 
 
 def test_rewards_by_hand():
     """A long tail is a tenth where the error is beyond the tolerance by the margin: 1 / (1 + 9 (error / margin)^2)."""
     task = make_task("reach", time_limit=0.1)
-    task.begin(np.random.default_rng(0), {"target": task.arm.keyframe("home")})
     reach = task.bounds["pose_error"][1][0, 3] / np.pi
-    task.distance, task.angle = 1e-3 + 0.05, np.deg2rad(0.1)
-    assert task.reward() == pytest.approx(0.5 * (1.0 / (1.0 + 9.0 * (0.05 / (0.5 * reach)) ** 2) + 0.1))
-    task.distance, task.angle = 1e-3, np.deg2rad(0.1) + 0.1
-    assert task.reward() == pytest.approx(0.5 * (1.0 / (1.0 + 9.0 * (0.1 / np.pi) ** 2) + 0.1))
-    task.distance, task.angle = 1e-3 + 0.05, np.deg2rad(0.1) + 0.1
-    far = 1.0 / (1.0 + 9.0 * (0.05 / (0.5 * reach)) ** 2) / (1.0 + 9.0 * (0.1 / np.pi) ** 2)
-    assert task.reward() == pytest.approx(0.5 * (far + 0.01))
     # In motion, half a limit beyond rest: half the closeness and a tenth of the other half.
-    task.distance = task.angle = 0.0
-    task.simulation.data.qvel[0] = (REST + 0.5) * task.arm.velocity_limits[0]
-    assert task.reward() == pytest.approx(0.5 * 1.1)
+    moving = (REST + 0.5) * task.arm.velocity_limits * np.eye(8)[0]
+    far, turned = 1.0 / (1.0 + 9.0 * (0.05 / (0.5 * reach)) ** 2), 1.0 / (1.0 + 9.0 * (0.1 / np.pi) ** 2)
+    for distance, angle, velocity, expected in (
+        (0.05, 0.0, 0.0 * moving, 0.5 * (far + 0.1)),
+        (0.0, 0.1, 0.0 * moving, 0.5 * (turned + 0.1)),
+        (0.05, 0.1, 0.0 * moving, 0.5 * (far * turned + 0.01)),
+        (-1e-3, -1e-3, moving, 0.5 * 1.1),
+    ):
+        reward, _ = task.judge(1e-3 + distance, np.deg2rad(0.1) + angle, velocity)
+        assert reward == pytest.approx(expected)

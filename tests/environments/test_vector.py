@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
+from lieednn_sim.environments.expert import Expert
 from lieednn_sim.environments.gymnasium import Environment, VectorEnvironment
 from lieednn_sim.errors import InputError
 
@@ -91,6 +92,8 @@ def test_bad_input():
     with pytest.raises(InputError, match="no autoreset_mode 'never'; allowed: Disabled, NextStep, SameStep"):
         VectorEnvironment(2, autoreset_mode="never")
     many = VectorEnvironment(2, time_limit=0.02, autoreset_mode="Disabled")
+    with pytest.raises(InputError, match=r"environment must be an ArmTask.* got VectorEnvironment"):
+        Expert(many)
     with pytest.raises(InputError, match="seed must be a number or a list of 2, got one of 1000000000000"):
         many.reset(seed=range(10**12))
     with pytest.raises(InputError, match="seed must be a number or a list of 2, got one of 3"):

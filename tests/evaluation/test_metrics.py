@@ -6,12 +6,13 @@ import json
 
 import numpy as np
 import pytest
+from rollouts import make_rollout
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError
 from lieednn_sim.evaluation import evaluate, evaluate_following
 from lieednn_sim.planning.motion import Motion
-from lieednn_sim.simulation import Disturbances, Following, Push, Rollout
+from lieednn_sim.simulation import Disturbances, Following, Push
 
 
 @pytest.fixture
@@ -25,22 +26,7 @@ def perfect(arm):
     t = np.linspace(0.0, 2.0, 201)
     share = np.clip(t, 0.0, 1.0)[:, None]
     q = (1.0 - share) * arm.keyframe("home") + share * arm.keyframe("extended")
-    poses = arm.link_poses(q)
-    return Rollout(
-        arm=arm,
-        t=t,
-        q=q,
-        qd=np.gradient(q, t, axis=0),
-        q_ref=q,
-        qd_ref=np.gradient(q, t, axis=0),
-        ctrl=q,
-        force=np.ones_like(q),
-        constraint_force=np.zeros_like(q),
-        link_position=poses.translation,
-        link_quaternion=poses.rotation.as_quat(scalar_first=True),
-        contacts=np.zeros(len(t), dtype=int),
-        motion_end=1.0,
-    )
+    return make_rollout(arm, q, t=t, qd=np.gradient(q, t, axis=0), force=np.ones_like(q), motion_end=1.0)
 
 
 def test_a_perfect_rollout_has_no_error(arm, perfect):
@@ -203,7 +189,6 @@ def test_every_number_of_an_evaluation_by_hand(gantry, tmp_path):
 
 def by_hand(arm):
     """Five instants of the gantry, whose reference stays at zero: errors of both frames in x, y, z and about z."""
-    t = 0.01 * np.arange(5)
     zeros = np.zeros((5, 4))
     position = np.zeros((5, 2, 3))
     # Of link 1 the root of the mean of 0, 100, 25, 0, 0 is 5 mm; of the end effector that of 16, 0, 4, 0, 0 is 2 mm.
@@ -220,14 +205,11 @@ def by_hand(arm):
     forces[0], forces[3] = [-11.0, 1.0, 13.0, 1.0], [1.0, 12.0, -2.0, -14.0]
     pulls = zeros.copy()
     pulls[4] = [-0.25, 0.0, 1.5, 0.0]
-    return Rollout(
-        arm=arm,
-        t=t,
-        q=zeros,
+    return make_rollout(
+        arm,
+        zeros,
         qd=rates,
-        q_ref=zeros,
         qd_ref=zeros,
-        ctrl=zeros,
         force=forces,
         constraint_force=pulls,
         link_position=position,
@@ -254,23 +236,7 @@ def flat(value, name=""):
 
 def still(arm, steps, timestep=0.01):
     """A rollout of the gantry at rest at zero, to put errors into."""
-    zeros = np.zeros((steps, arm.n_joints))
-    poses = arm.link_poses(zeros)
-    return Rollout(
-        arm=arm,
-        t=timestep * np.arange(steps),
-        q=zeros,
-        qd=zeros,
-        q_ref=zeros,
-        qd_ref=zeros,
-        ctrl=zeros,
-        force=zeros,
-        constraint_force=zeros,
-        link_position=poses.translation.copy(),
-        link_quaternion=poses.rotation.as_quat(scalar_first=True),
-        contacts=np.zeros(steps, dtype=int),
-        motion_end=0.0,
-    )
+    return make_rollout(arm, np.zeros((steps, arm.n_joints)), t=timestep * np.arange(steps))
 
 
 def turned(rollout, row, link, degrees):

@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from rollouts import make_rollout
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.evaluation.evaluation import Evaluation, JointUse
@@ -16,7 +17,7 @@ from lieednn_sim.evaluation.motion_metrics import (
     violations,
 )
 from lieednn_sim.planning.motion import Motion
-from lieednn_sim.simulation import Disturbances, Rollout
+from lieednn_sim.simulation import Disturbances
 
 LIMITS = ("position", "velocity", "acceleration")
 
@@ -27,22 +28,7 @@ def motion_of(arm, t, q, qd):
 
 
 def rollout_of(arm, q, qd, contacts=None):
-    poses = arm.link_poses(q)
-    return Rollout(
-        arm=arm,
-        t=0.01 * np.arange(len(q)),
-        q=q,
-        qd=qd,
-        q_ref=q,
-        qd_ref=qd,
-        ctrl=q,
-        force=np.zeros_like(q),
-        constraint_force=np.zeros_like(q),
-        link_position=poses.translation,
-        link_quaternion=poses.rotation.as_quat(scalar_first=True),
-        contacts=np.zeros(len(q), dtype=int) if contacts is None else contacts,
-        motion_end=0.0,
-    )
+    return make_rollout(arm, q, qd=qd, contacts=np.zeros(len(q), dtype=int) if contacts is None else contacts)
 
 
 def test_a_cubic_has_its_jerk_length_and_gaps(gantry):

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from rollouts import make_rollout
 
+import lieednn_sim as ls
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError
 from lieednn_sim.evaluation import figure_layout, plots
@@ -15,7 +17,7 @@ from lieednn_sim.evaluation.plot_training import plot_training
 from lieednn_sim.learning.history import History
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.network_path import make_motion
-from lieednn_sim.simulation import Disturbances, Push, Rollout
+from lieednn_sim.simulation import Disturbances, Push
 
 
 @pytest.fixture
@@ -32,24 +34,28 @@ def arm():
 
 
 def rollout_of(arm, q, q_ref):
-    zeros = np.zeros_like(q)
-    poses = arm.link_poses(q)
-    return Rollout(
-        arm=arm,
+    return make_rollout(
+        arm,
+        q,
         t=np.linspace(0.0, 1.0, len(q)),
-        q=q,
-        qd=zeros,
         q_ref=q_ref,
-        qd_ref=zeros,
-        ctrl=zeros,
-        force=zeros + 0.05 * arm.force_limits,
-        constraint_force=zeros,
-        link_position=poses.translation,
-        link_quaternion=poses.rotation.as_quat(scalar_first=True),
-        contacts=np.zeros(len(q), dtype=int),
+        force=np.tile(0.05 * arm.force_limits, (len(q), 1)),
         motion_end=0.5,
         disturbances=Disturbances(pushes=(Push("link 1", (1.0, 0.0, 0.0), 0.25, 0.5),)),
     )
+
+
+def test_a_run_is_plotted_by_one_call(tmp_path):
+    arm = Arm.load("telescopic_pr")
+    planned = ls.plan(arm, "extended", planner="linear-attractor", duration=2.0)
+    written = ls.plot(ls.simulate(arm, planned, hold=0.0), tmp_path / "new", network=planned.network)
+    assert {path.name for path in written} == {"tracking.png", "joints.png", "network.png"}
+    assert all(path.read_bytes().startswith(b"\x89PNG") for path in written)
+    policy = ls.make_policy("linear-attractor", arm, "extended")
+    written = ls.plot(ls.follow(policy, "extended", 0.1).rollout, tmp_path / "other")
+    assert {path.name for path in written} == {"tracking.png", "joints.png", "channels.png"}
+    with pytest.raises(InputError, match="rollout must be a Rollout"):
+        ls.plot(planned, tmp_path)
 
 
 def test_the_network_s_plot_names_links_and_shows_radians_and_metres(arm, drawn):
@@ -196,3 +202,21 @@ def test_a_settled_figure_is_as_its_layout_engine_leaves_it_and_is_drawn_once(tm
     other.savefig(tmp_path / "other.png", dpi=130)
     assert draws == [1]
     assert (tmp_path / "one.png").read_bytes() == (tmp_path / "other.png").read_bytes()
+
+
+def test_channels_of_one_unit_share_a_subplot_and_every_entry_has_a_line(gantry, drawn):
+    channels = {"pull": np.arange(6.0).reshape(3, 2), "twist": np.arange(3.0), "push": np.arange(12.0).reshape(3, 2, 2)}
+    rollout = make_rollout(gantry, channels=channels, channel_units={"pull": "N", "twist": "N m", "push": "N"})
+    plots.plot_channels(rollout, "channels.png")
+    plots.plot_channels(rollout, "channels.png", ["twist"])
+    forces, torques = drawn[0].axes
+    assert [axis.get_ylabel() for axis in (forces, torques)] == ["[N]", "[N m]"]
+    assert torques.get_xlabel() == "time [s]"
+    names = ["pull[0]", "pull[1]", "push[0, 0]", "push[0, 1]", "push[1, 0]", "push[1, 1]"]
+    assert [text.get_text() for text in forces.get_legend().texts] == names
+    np.testing.assert_array_equal(forces.lines[4].get_ydata(), channels["push"][:, 1, 0])
+    np.testing.assert_array_equal(drawn[1].axes[0].lines[0].get_ydata(), channels["twist"])
+    with pytest.raises(InputError, match="no channel 'heat'; allowed: pull, push, twist"):
+        plots.plot_channels(rollout, "channels.png", ["heat"])
+    with pytest.raises(InputError, match="there are no channels to plot; see the argument log"):
+        plots.plot_channels(make_rollout(gantry), "channels.png")

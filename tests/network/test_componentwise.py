@@ -1,17 +1,21 @@
-"""What a network says about itself: verdict, invariant box, smoothness; the maths is tested in tests/stability."""
+"""What a network says about itself: verdict, certificate, activation; the maths is tested in tests/stability."""
 
 from __future__ import annotations
+
+import dataclasses
 
 import numpy as np
 import pytest
 
 from lieednn_sim import stability
+from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError, NotCertifiedError
 from lieednn_sim.learning import RiemannianOptions, TrainingOptions, train, train_riemannian
 from lieednn_sim.learning.equilibria import EquilibriumSolver
 from lieednn_sim.network import ACTIVATIONS, Activation, LieEDNN
-from lieednn_sim.synthesis import synthesize
-from lieednn_sim.theory import GroupLieEDNN, group, smoothness_bounds
+from lieednn_sim.planning import CertifiedOptions, RetargetedOptions, ShapedOptions, TrainedOptions, plan
+from lieednn_sim.synthesis import ShapingOptions, shape, synthesize
+from lieednn_sim.theory import GroupLieEDNN, group
 
 
 def certified(seed: int) -> tuple[LieEDNN, np.ndarray]:
@@ -44,33 +48,10 @@ def test_certify_looks_at_the_rotations_of_se3_and_at_everything_of_another_grou
     assert not strong.assess().globally_stable
 
 
-def test_no_trajectory_leaves_the_invariant_box_and_the_smoothness_bounds_hold_on_it():
-    network, target = certified(2)
-    starts = np.random.default_rng(0).uniform(-0.5, 0.5, (6, 4, 6))
-    lower, upper = network.invariant_box(starts)
-    assert lower.shape == upper.shape == (4, 6)
-    assert (lower <= np.minimum(starts.min(axis=0), target)).all()
-    assert (upper >= np.maximum(starts.max(axis=0), target)).all()
-    bounds = smoothness_bounds(
-        network.weight, network.bias.ravel(), max(-lower.min(), upper.max()), gamma=network.gamma, mu=network.mu
-    )
-    for start in starts:
-        trajectory = network.trajectory(start, 20.0)
-        states = trajectory(np.linspace(0.0, 20.0, 400))
-        assert (states >= lower).all()
-        assert (states <= upper).all()
-        velocity = network.vector_field(states)
-        acceleration = np.einsum("kab,kb->ka", network.jacobian(states), velocity.reshape(400, -1))
-        assert np.abs(velocity).max() <= bounds.velocity
-        assert np.abs(acceleration).max() <= bounds.acceleration
-    alone = network.invariant_box(np.zeros((4, 6)))
-    assert (alone[0] >= lower - 1e-9).all()
-
-
 @pytest.fixture
 def root(monkeypatch):
-    """An activation of one's own, x / sqrt(1 + x^2)."""
-    own = Activation(lambda x: x / np.sqrt(1.0 + x * x), lambda x: (1.0 + x * x) ** -1.5)
+    """An activation of one's own, x / sqrt(1 + x^2 / 4), whose bound is 2."""
+    own = Activation(lambda x: x / np.hypot(1.0, 0.5 * x), lambda x: np.hypot(1.0, 0.5 * x) ** -3.0, bound=2.0)
     monkeypatch.setitem(ACTIVATIONS, "root", own)
     return "root"
 
@@ -89,6 +70,39 @@ def test_an_activation_of_one_s_own_learns(root, algorithm):
     np.testing.assert_allclose(found.network.equilibrium(target).xi, target, atol=2e-5)
     certified = synthesize(target, activation=root, bias="sign-matched").unwrap()
     assert np.abs(certified.vector_field(target)).max() < 1e-9
+
+
+@pytest.mark.parametrize("rate", [1.0, 0.4])
+def test_an_activation_of_one_s_own_is_shaped_to_follow_a_curve(root, rate):
+    share = np.linspace(0.0, 1.0, 100)[:, None, None]
+    curve = np.sin(np.linspace(0.5, 2.0, 12).reshape(1, 2, 6) * share)
+    options = ShapingOptions(rate, neurons=(4,), placed=(32,), activation=root)
+    network = shape(curve, 2e-3, units=0.5, options=options).unwrap()
+    assert network.certified
+    assert network.activation == root
+    # From elsewhere, too.
+    for start in (curve[0], curve[0] + 0.3):
+        way = network.trajectory(network.start(start), 40.0 / rate, until=network.goal(curve[-1]), distance=1e-6)
+        np.testing.assert_allclose(network.visible(way(way.t[-1])), curve[-1], atol=2e-6)
+
+
+@pytest.mark.parametrize(
+    ("planner", "options"),
+    [
+        ("lieednn-certified", CertifiedOptions(n_networks=4, activation="arctan")),
+        ("lieednn-retargeted", RetargetedOptions(activation="arctan")),
+        ("lieednn-trained", TrainedOptions(activation="arctan")),
+        ("lieednn-shaped", ShapedOptions(activation="arctan")),
+    ],
+)
+def test_planners_make_networks_of_any_activation(planner, options):
+    arm = Arm.load("telescopic_pr")
+    made = plan(arm, arm.keyframe("extended"), planner=planner, options=options)
+    assert made.network.activation == "arctan"
+    assert made.network.certified
+    np.testing.assert_allclose(made.motion.q[-1], arm.keyframe("extended"), atol=1e-6)
+    with pytest.raises(InputError, match="no activation 'relu'; allowed: arctan, tanh"):
+        dataclasses.replace(options, activation="relu")
 
 
 def test_the_gradient_through_an_activation_of_one_s_own_is_that_of_finite_differences(root):
@@ -114,6 +128,8 @@ def test_the_gradient_through_an_activation_of_one_s_own_is_that_of_finite_diffe
         ((lambda x: 2.0 * np.tanh(x), lambda x: 2.0 / np.cosh(x) ** 2), r"slopes .* must be in \(0, 1\], got .* to 2"),
         ((np.tanh, lambda x: 1.0 / np.cosh(x)), "its slopes must be those of its values"),
         ((np.tanh, lambda x: 1.0 / np.cosh(x) ** 2, lambda y: 1.0 - y), "its slopes must be those of its values"),
+        ((np.tanh, lambda x: 1.0 / np.cosh(x) ** 2, None, lambda y: -y), "its slopes must be those of its values"),
+        ((np.arcsinh, lambda x: (1.0 + x * x) ** -0.5), "must not exceed its bound of 1, got 21.4"),
         ((lambda x: np.tanh(x) + 0.1, lambda x: 1.0 / np.cosh(x) ** 2), "must be odd"),
     ],
 )

@@ -11,11 +11,11 @@ import pytest
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import PlanError
-from lieednn_sim.planning import PlanningProblem, RrtConnectOptions
-from lieednn_sim.planning.baselines import cbirrt, joint_space, sampling
-from lieednn_sim.planning.baselines.cbirrt import CbirrtOptions
-from lieednn_sim.planning.baselines.joint_space import ClearanceTest, Workspace, joint_scale
+from lieednn_sim.planning import PlanningProblem, RrtConnectOptions, joint_space
+from lieednn_sim.planning.baselines import cbirrt, sampling
+from lieednn_sim.planning.baselines.sampling import PathOptions
 from lieednn_sim.planning.baselines.search_space import EdgeTest
+from lieednn_sim.planning.joint_space import ClearanceTest, Workspace, joint_scale
 
 # The first geom stands still; the first pair is of the arm and that, the second one of two of its own.
 MOVING, PAIRS = np.array([False, True, True]), np.array([[0, 1], [1, 2]])
@@ -139,7 +139,7 @@ def test_longest_edges_are_a_share_of_the_diagonal(gantry, monkeypatch):
     with pytest.raises(PlanError, match="mjpl found no path"):
         cbirrt._plan(
             problem,
-            CbirrtOptions(longest_edge=0.3, spacings=(0.04, 0.02)),
+            PathOptions(longest_edge=0.3, spacings=(0.04, 0.02)),
             "mjpl",
             lambda edges, start, target, longest, *_: found.append((start, target, longest)),
         )

@@ -14,9 +14,9 @@ from lieednn_sim.errors import FileError, InputError, PlanError, TooFastError
 from lieednn_sim.lie import exp
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.planning import CertifiedOptions, certified, network_path, plan
-from lieednn_sim.planning.laws import minimum_jerk_law
 from lieednn_sim.planning.motion import Motion, check_motion, count_steps
 from lieednn_sim.planning.network_path import RESIDUAL, _invert, make_motion
+from lieednn_sim.planning.time_laws import minimum_jerk_law
 from lieednn_sim.synthesis import synthesize, synthesize_many
 
 
@@ -219,12 +219,12 @@ def test_save_and_load(motion, tmp_path):
 
 def test_plans_are_reproducible_and_keep_the_limits(arm):
     first, second = (
-        plan(arm, arm.keyframe("extended"), options=CertifiedOptions(candidates=6), seed=3) for _ in range(2)
+        plan(arm, arm.keyframe("extended"), options=CertifiedOptions(n_networks=6), seed=3) for _ in range(2)
     )
     np.testing.assert_array_equal(first.motion.q, second.motion.q)
     assert first.network.certified
     check_motion(arm, first.motion)
-    other = plan(arm, arm.keyframe("extended"), options=CertifiedOptions(candidates=6), seed=4)
+    other = plan(arm, arm.keyframe("extended"), options=CertifiedOptions(n_networks=6), seed=4)
     assert not np.array_equal(first.network.alpha, other.network.alpha)
 
 
@@ -240,17 +240,17 @@ def test_where_no_candidate_is_certified_the_last_one_is_looked_for_with_patienc
 
     monkeypatch.setattr(certified, "synthesize_many", none_found)
     monkeypatch.setattr(certified, "synthesize", patient)
-    made = plan(arm, arm.keyframe("extended"), options=CertifiedOptions(candidates=3, last_attempts=7))
-    assert made.candidates == 3
+    made = plan(arm, arm.keyframe("extended"), options=CertifiedOptions(n_networks=3, last_attempts=7))
+    assert made.details.n_networks == 3
     assert [(options["bias_magnitude"], options["max_attempts"]) for options in asked] == [(0.5, 7)]
 
 
 def test_candidates_are_made_a_few_at_a_time_so_that_progress_is_told(arm, monkeypatch):
     parts, told = [], []
     made = certified.synthesize_many
-    monkeypatch.setattr(certified, "_AT_ONCE", 2)
+    monkeypatch.setattr(certified, "_BATCH_SIZE", 2)
     monkeypatch.setattr(certified, "synthesize_many", lambda xi, **more: parts.append(len(xi)) or made(xi, **more))
-    goal, options = arm.keyframe("extended"), CertifiedOptions(candidates=4)
+    goal, options = arm.keyframe("extended"), CertifiedOptions(n_networks=4)
     split = plan(arm, goal, options=options, progress=lambda done, total: told.append((done, total, len(parts))))
     assert parts == [2, 2]
     assert told == [(1, 4, 1), (2, 4, 1), (3, 4, 2), (4, 4, 2)]
@@ -263,7 +263,7 @@ def test_plan_reports_progress_and_refuses_bad_targets(arm):
     plan(
         arm,
         arm.keyframe("extended"),
-        options=CertifiedOptions(candidates=3),
+        options=CertifiedOptions(n_networks=3),
         progress=lambda done, total: seen.append((done, total)),
     )
     assert seen == [(1, 3), (2, 3), (3, 3)]
@@ -271,12 +271,12 @@ def test_plan_reports_progress_and_refuses_bad_targets(arm):
     beyond[3] = 3.0
     with pytest.raises(InputError, match="target is out of reach: joint 'extend1' would be at 3 m"):
         plan(arm, beyond)
-    with pytest.raises(InputError, match="candidates must be at least 1"):
-        CertifiedOptions(candidates=0)
+    with pytest.raises(InputError, match="n_networks must be at least 1"):
+        CertifiedOptions(n_networks=0)
     with pytest.raises(InputError, match="no bias rule 'none'; allowed: sign-matched, solved, uniform"):
         CertifiedOptions(bias="none")
     with pytest.raises(PlanError, match="a duration of at least"):
-        plan(arm, arm.keyframe("extended"), duration=0.2, longest=1.0, options=CertifiedOptions(candidates=3))
+        plan(arm, arm.keyframe("extended"), duration=0.2, max_time_scale=1.0, options=CertifiedOptions(n_networks=3))
 
 
 def test_position_limits_hold_to_a_micron(arm, motion):
@@ -352,14 +352,12 @@ def test_candidates_are_screened_by_hand(gantry, monkeypatch):
     ways[0][1] = arm.encode([0.0, 2.25, 0.0, 0.0])
     ways[1][2, 0, 0] = 0.1
     monkeypatch.setattr(certified, "rough_ways", lambda networks, start: ways)
-    found = certified._screened(arm, [None, None], np.zeros(4))
-    (outside, excess, no_gap), (turned, within, gap) = found
-    np.testing.assert_allclose(outside, [[0.0] * 4, [0.0, 2.25, 0.0, 0.0], [0.0] * 4], atol=1e-9)
-    np.testing.assert_allclose(turned, np.zeros((5, 4)), atol=1e-9)
-    assert (excess, no_gap) == pytest.approx((0.25, 0.0), abs=1e-9)
-    assert gap == pytest.approx(0.1 * 2.0)
-    assert within <= 0.0
-    one, other = (certified._Candidate(arm, None, np.zeros(4), k, lambda: found) for k in range(2))
+    one, other = certified._screened(arm, [None, None], np.zeros(4))
+    np.testing.assert_allclose(one.way, [[0.0] * 4, [0.0, 2.25, 0.0, 0.0], [0.0] * 4], atol=1e-9)
+    np.testing.assert_allclose(other.way, np.zeros((5, 4)), atol=1e-9)
+    assert (one.excess, one.gap) == pytest.approx((0.25, 0.0), abs=1e-9)
+    assert other.gap == pytest.approx(0.1 * 2.0)
+    assert other.excess <= 0.0
     # There and back along y, of which 2 m are a second's way at most.
     assert (one.length, other.length) == pytest.approx((2.25, 0.0), abs=1e-8)
     # To keep the limits counts more than to have no gap.
@@ -388,7 +386,7 @@ def test_the_plan_is_the_candidate_with_the_smallest_gap_or_the_shortest_without
     spec.option.timestep = 0.02
     arm = Arm.from_spec(spec, arm.source, arm.name)
     home, goal = arm.keyframe("home"), arm.keyframe("extended")
-    chosen = plan(arm, goal, options=CertifiedOptions(candidates=6), seed=2)
+    chosen = plan(arm, goal, options=CertifiedOptions(n_networks=6), seed=2)
     found = {}
     for network in drawn:
         motion = make_motion(arm, network, home, 4.0, 0.02)
@@ -397,8 +395,8 @@ def test_the_plan_is_the_candidate_with_the_smallest_gap_or_the_shortest_without
         except PlanError:
             continue
         found[id(network)] = quality(arm, motion)
-    assert len(drawn) == chosen.candidates == 6
-    assert chosen.within_limits >= len(found) > 2
+    assert len(drawn) == chosen.details.n_networks == 6
+    assert chosen.details.within_limits >= len(found) > 2
     # Candidates are ranked on rough ways, which are good to a few percent.
     best, worst = min(found.values()), max(found.values())
     assert found[id(chosen.network)] <= 1.05 * best < (0.5 if quality is _gap else 0.95) * worst

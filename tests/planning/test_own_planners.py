@@ -15,7 +15,7 @@ import pytest
 from lieednn_sim.arm import Arm
 from lieednn_sim.cli import main
 from lieednn_sim.errors import InputError, PlanError
-from lieednn_sim.planning import joint_motion, plan, planners, register_planner, registry
+from lieednn_sim.planning import ShapedOptions, joint_motion, plan, planners, register_planner, registry
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.problem import PlanningProblem
 
@@ -89,9 +89,9 @@ def test_a_registered_planner_plans_like_the_others():
     np.testing.assert_allclose(made.motion.q[half], 0.5 * (HOME + TARGET), atol=1e-12)
     np.testing.assert_allclose(made.motion.qd[half], 1.5 * (TARGET - HOME) / made.motion.t[-1], atol=1e-12)
     # One rule for what is too fast.
-    assert plan(ARM, TARGET, planner="my-smoothstep", duration=0.1, longest=100.0).motion.t[-1] > 0.2
+    assert plan(ARM, TARGET, planner="my-smoothstep", duration=0.1, max_time_scale=100.0).motion.t[-1] > 0.2
     with pytest.raises(InputError, match="takes options of class Way"):
-        plan(ARM, TARGET, planner="my-smoothstep", options=registry.ShapedOptions())
+        plan(ARM, TARGET, planner="my-smoothstep", options=ShapedOptions())
 
 
 @pytest.mark.parametrize(
@@ -136,5 +136,5 @@ def test_a_package_that_cannot_be_loaded_is_named_and_left_out(tmp_path):
     assert said[0].startswith("planner 'minimum-jerk' of package 'my-planners' (my_other:solve) is left out: ")
     assert said[1].startswith("planner 'my-broken' of package 'my-planners' (my_broken:solve) is left out: No module")
     assert plan(ARM, TARGET, planner="minimum-jerk").planner == "minimum-jerk"
-    with pytest.raises(InputError, match="no planner 'my-broken'; allowed: aorrtc, bit-star, dmp"):
+    with pytest.raises(InputError, match=r"no planner 'my-broken'; allowed: .*minimum-jerk"):
         plan(ARM, TARGET, planner="my-broken")

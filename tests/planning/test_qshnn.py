@@ -13,7 +13,7 @@ from scipy.integrate import solve_ivp
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import PlanError
-from lieednn_sim.learning import TrainingOptions, resume, train
+from lieednn_sim.learning import TrainingOptions, train
 from lieednn_sim.learning.manifold import QuaternionWeights
 from lieednn_sim.planning import PlanningProblem, QshnnOptions
 from lieednn_sim.planning.baselines.qshnn import JointPostures, learned, path_of, qshnn
@@ -126,4 +126,5 @@ def test_an_interrupted_training_of_quaternions_goes_on_to_the_same_weights(tmp_
         train(target, options, group=QuaternionWeights(), checkpoint=file, progress=interrupt)
     whole = train(target, options, group=QuaternionWeights())
     assert whole.success
-    np.testing.assert_array_equal(resume(file).weight, whole.weight)
+    again = train(target, options, group=QuaternionWeights(), checkpoint=file, resume=True)
+    np.testing.assert_array_equal(again.weight, whole.weight)

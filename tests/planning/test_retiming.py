@@ -11,9 +11,9 @@ from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.errors import InputError, LieEDNNError, TooFastError
 from lieednn_sim.planning import extras, plan, retime
 from lieednn_sim.planning.baselines.smoothing import SmoothingOptions, motion_along
-from lieednn_sim.planning.laws import eased_law, minimum_jerk_law
 from lieednn_sim.planning.motion import check_motion, least_duration
 from lieednn_sim.planning.problem import PlanningProblem, in_time
+from lieednn_sim.planning.time_laws import eased_law, minimum_jerk_law
 
 pytest.importorskip("toppra")
 
@@ -190,7 +190,9 @@ def test_a_plan_that_turned_sharply_near_its_end_does_so_no_more():
 def test_a_sharp_corner_does_not_slow_down_the_whole_motion(gantry):
     start = gantry.keyframe("home")
     corner = start + np.array([0.0, 0.0, 0.8, 0.0])
-    problem = PlanningProblem(gantry, start, corner + np.array([0.0, 0.3, 0.0, 0.0]), duration=0.1, longest=100.0)
+    problem = PlanningProblem(
+        gantry, start, corner + np.array([0.0, 0.3, 0.0, 0.0]), duration=0.1, max_time_scale=100.0
+    )
     corners = np.array([start, corner, problem.target])
     slow, fast = (
         in_time(motion_along, problem, corners, SmoothingOptions(control_points=(224,), fastest=fastest), {})
@@ -208,11 +210,11 @@ def test_a_sharp_corner_does_not_slow_down_the_whole_motion(gantry):
 def test_a_duration_that_was_stretched_leaves_so_much_less_to_stretch():
     """The longest duration that planners may take is that of the problem, however often it is stretched."""
     arm = Arm.load("telescopic_pr")
-    problem = PlanningProblem(arm, arm.keyframe("extended"), arm.keyframe("home"), duration=2.0, longest=3.0)
+    problem = PlanningProblem(arm, arm.keyframe("extended"), arm.keyframe("home"), duration=2.0, max_time_scale=3.0)
     tried = []
 
     def make(problem):
-        tried.append((problem.duration, problem.duration * problem.longest))
+        tried.append((problem.duration, problem.duration * problem.max_time_scale))
         raise TooFastError("too fast", 1.3 * problem.duration)
 
     with pytest.raises(TooFastError):

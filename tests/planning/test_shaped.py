@@ -13,10 +13,10 @@ from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.evaluation.motion_metrics import motion_metrics
 from lieednn_sim.planning import CertifiedOptions, OptimisationOptions, ShapedOptions, missing_planners, plan, shaped
-from lieednn_sim.planning.laws import law_of
 from lieednn_sim.planning.motion import check_motion
 from lieednn_sim.planning.network_path import NetworkPath
 from lieednn_sim.planning.shaped import lever_units
+from lieednn_sim.planning.time_laws import law_of
 
 SPEC = Arm.load("telescopic_pr").spec.copy()
 # Motions of fewer samples are planned in less time.
@@ -54,15 +54,15 @@ def test_the_motion_is_the_teachers_and_the_network_is_certified(scene, seed, te
     np.testing.assert_allclose(motion.q, guide.q, atol=5e-3)
     tips = [arm.link_poses(one.q[::20]).translation[:, -1] for one in (motion, guide)]
     nearest = np.linalg.norm(tips[0][:, None] - tips[1][None], axis=2).min(axis=1)
-    assert 0.0 < made.deviation < 1.5 * asked
+    assert 0.0 < made.details.deviation < 1.5 * asked
     spacing = np.linalg.norm(np.diff(tips[1], axis=0), axis=1).max()
-    assert nearest.max() <= made.deviation + 0.5 * spacing
+    assert nearest.max() <= made.details.deviation + 0.5 * spacing
 
 
 def test_a_law_of_time_is_kept_by_another_path_of_the_same_shape():
     arm = Arm.load("telescopic_pr")
     target = draw_target(arm, 3)
-    made = plan(arm, target, planner="lieednn-certified", options=CertifiedOptions(candidates=2))
+    made = plan(arm, target, planner="lieednn-certified", options=CertifiedOptions(n_networks=2))
     units = lever_units(arm, made.motion.q)
     path = NetworkPath.drawn(arm, made.network, arm.keyframe("home"), units)
     again = path.timed(made.motion.t[-1], made.motion.timestep, law_of(made.motion, units))
@@ -88,14 +88,14 @@ def test_with_a_slow_clock_the_network_has_one():
     made = planned(FREE, target, rate=0.3)
     assert made.network.n_clock == 2
     assert made.network.certified
-    assert made.deviation < 2e-3
+    assert made.details.deviation < 2e-3
 
 
 def test_who_stays_where_it_is_has_a_network_without_hidden_neurons():
     home = FREE.keyframe("home")
     made = planned(FREE, home)
     assert made.network.n_hidden == 0
-    assert made.deviation == 0.0
+    assert made.details.deviation == 0.0
     np.testing.assert_allclose(made.motion.q, np.broadcast_to(home, made.motion.q.shape), atol=1e-9)
 
 

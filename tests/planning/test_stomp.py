@@ -9,8 +9,8 @@ import pytest
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import PlanError
 from lieednn_sim.planning import PlanningProblem, StompOptions, plan
-from lieednn_sim.planning.baselines.joint_space import ClearanceTest
 from lieednn_sim.planning.baselines.stomp import StompSearch, motion_along, noise_weights, stomp
+from lieednn_sim.planning.joint_space import ClearanceTest
 
 ARM = Arm.load("telescopic_pr")
 LOW, HIGH = ARM.position_limits.T

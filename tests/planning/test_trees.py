@@ -13,8 +13,8 @@ from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.errors import PlanError
 from lieednn_sim.planning import RrtConnectOptions, missing_planners, plan
 from lieednn_sim.planning.baselines import sampling, trees
-from lieednn_sim.planning.baselines.joint_space import Workspace
 from lieednn_sim.planning.baselines.trees import connected
+from lieednn_sim.planning.joint_space import Workspace
 
 from .test_rivals import POSTED, blocked
 
@@ -137,4 +137,4 @@ def test_rrt_connect_finds_its_way_with_balanced_trees(monkeypatch):
     sampling.connecting_path(task, workspace, options, search, 1)
     assert [used[0]["seed"].entropy, used[-1]["seed"].entropy] == [[task.seed, 0], [task.seed, 1]]
     with pytest.raises(PlanError, match="rrt-connect found no path free of contact"):
-        plan(task.arm, task.target, planner="rrt-connect", options=replace(options, tests=(1,)), **asked)
+        plan(task.arm, task.target, planner="rrt-connect", options=replace(options, max_collision_checks=(1,)), **asked)

@@ -115,7 +115,7 @@ def test_unusable_choice_falls_back_to_physics_alone(
     monkeypatch.setenv("MUJOCO_GL", name)
     backend = opengl.configure()
     assert (backend.name, backend.source) == ("disable", "MUJOCO_GL")
-    assert f"MUJOCO_GL={name} is unusable: no {name} here" in backend.detail
+    assert f"MUJOCO_GL={name} is unusable ({name}: no {name} here)" in backend.detail
     assert os.environ["MUJOCO_GL"] == "disable"
 
 
@@ -127,14 +127,16 @@ def test_unknown_choice_falls_back_and_lists_the_known(working: Pretend, monkeyp
     assert "MUJOCO_GL=elg is not one of: egl, osmesa, glfw, disable" in backend.detail
 
 
-@pytest.mark.parametrize(("display", "expected"), [("", "disable"), (":0", "glfw")])
-def test_glfw_needs_a_display(working: Pretend, monkeypatch: pytest.MonkeyPatch, display: str, expected: str) -> None:
-    asked = working()
-    monkeypatch.setattr(sys, "platform", "linux")
+@pytest.mark.rendering
+def test_glfw_needs_a_display(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MUJOCO_GL", "glfw")
-    monkeypatch.setenv("DISPLAY", display)
-    assert opengl.choose_backend().name == expected
-    assert asked == []
+    assert "MUJOCO_GL=glfw is unusable (glfw: " in opengl.choose_backend().detail
+
+
+def test_elsewhere_it_is_the_window_system(working: Pretend, monkeypatch: pytest.MonkeyPatch) -> None:
+    working("glfw")
+    monkeypatch.setattr(sys, "platform", "darwin")
+    assert opengl.choose_backend().name == "glfw"
 
 
 @pytest.mark.parametrize("value", ["disable", "off", "0"])
@@ -232,9 +234,8 @@ def test_require_names_the_packages(working: Pretend) -> None:
     with pytest.raises(RenderingUnavailableError) as caught:
         opengl.require()
     message = str(caught.value)
-    assert "apt-get install libegl1 libgl1 (EGL)" in message
-    assert "apt-get install libosmesa6 (OSMesa)" in message
     assert "no egl here" in message
+    assert message.endswith("On Debian or Ubuntu: apt-get install libegl1 libgl1")
 
 
 def test_require_returns_what_works(working: Pretend) -> None:
@@ -244,51 +245,26 @@ def test_require_returns_what_works(working: Pretend) -> None:
 
 
 @pytest.mark.parametrize(
-    ("requested", "gpu", "in_release", "expected"),
+    ("requested", "expected"),
     [
-        ("", False, True, ["libosmesa6"]),
-        ("", True, True, ["libegl1", "libgl1"]),
-        ("", False, False, ["libegl1", "libgl1"]),
-        ("egl", False, True, ["libegl1", "libgl1"]),
-        ("osmesa", True, True, ["libosmesa6"]),
-        ("glfw", False, True, []),
-        ("elg", False, True, []),
+        ("", ["libegl1", "libgl1"]),
+        ("egl", ["libegl1", "libgl1"]),
+        ("osmesa", ["libosmesa6"]),
+        ("glfw", []),
+        ("elg", []),
     ],
 )
 def test_missing_packages(
-    working: Pretend, monkeypatch: pytest.MonkeyPatch, requested: str, gpu: bool, in_release: bool, expected: list[str]
+    working: Pretend, monkeypatch: pytest.MonkeyPatch, requested: str, expected: list[str]
 ) -> None:
     working()
     monkeypatch.setattr(sys, "platform", "linux")
-    monkeypatch.setattr(opengl, "_has_gpu", lambda: gpu)
-    monkeypatch.setattr(opengl, "_has_osmesa_package", lambda: in_release)
     monkeypatch.setenv("MUJOCO_GL", requested)
     assert opengl.missing_packages() == expected
 
 
-KNOWN = "  Installed: (none)\n  Candidate: 22.3.6\n  Version table:\n     22.3.6 500\n"
-UNKNOWN = "  Installed: (none)\n  Candidate: (none)\n  Version table:\n"
-
-
 @pytest.mark.parametrize(
-    ("policy", "expected"),
-    [
-        ("", True),  # no package lists yet: believe in OSMesa
-        (f"libegl1:\n{KNOWN}libgl1:\n{KNOWN}libosmesa6:\n{KNOWN}", True),
-        (f"libegl1:\n{KNOWN}libgl1:\n{KNOWN}", False),
-        (f"libegl1:\n{KNOWN}libgl1:\n{KNOWN}libosmesa6:\n{UNKNOWN}", False),
-    ],
-)
-def test_osmesa_in_this_release(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, policy: str, expected: bool) -> None:
-    apt_cache = tmp_path / "apt-cache"
-    apt_cache.write_text(f"#!/bin/sh\ncat <<'END'\n{policy}\nEND\n")
-    apt_cache.chmod(0o755)
-    monkeypatch.setenv("PATH", str(tmp_path), prepend=os.pathsep)
-    assert opengl._has_osmesa_package() is expected
-
-
-@pytest.mark.parametrize(
-    ("libraries", "status", "line"), [(("egl",), 0, "egl"), ((), 1, "libosmesa6")], ids=["works", "nothing"]
+    ("libraries", "status", "line"), [(("egl",), 0, "egl"), ((), 1, "libegl1 libgl1")], ids=["works", "nothing"]
 )
 def test_command_answers_in_one_line(
     working: Pretend,
@@ -300,8 +276,6 @@ def test_command_answers_in_one_line(
 ) -> None:
     working(*libraries)
     monkeypatch.setattr(sys, "platform", "linux")
-    monkeypatch.setattr(opengl, "_has_gpu", lambda: False)
-    monkeypatch.setattr(opengl, "_has_osmesa_package", lambda: True)
     assert opengl.main() == status
     assert capsys.readouterr().out == line + "\n"
 
@@ -327,23 +301,6 @@ def test_broken_driver_becomes_a_text(monkeypatch: pytest.MonkeyPatch, tmp_path:
     assert error in opengl._probe("egl")["error"]
 
 
-def test_broken_driver_does_not_break_describe(
-    working: Pretend, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    working("egl")
-    broken = tmp_path / "broken.py"
-    broken.write_text("import os; os.abort()")
-    monkeypatch.setattr(opengl, "_PROBE", broken)
-    assert opengl.describe_renderer() == {"backend": "egl", "error": "crashed (signal 6)"}
-
-
-def test_describe_without_backend(working: Pretend) -> None:
-    working()
-    described = opengl.describe_renderer()
-    assert described["backend"] == "disable"
-    assert "no egl here" in described["error"]
-
-
 def test_gl_imports_the_standard_library_alone() -> None:
     done = run_python(
         "import sys; import lieednn_sim.rendering.opengl; print('numpy' in sys.modules, 'mujoco' in sys.modules)"
@@ -367,15 +324,6 @@ print(os.environ["MUJOCO_GL"])
 """
     done = run_python(code, MUJOCO_GL=value)
     assert done.stdout == f"{value}\n", done.stderr
-
-
-@pytest.mark.rendering
-def test_proof_by_a_frame() -> None:
-    described = opengl.describe_renderer()
-    assert set(described) == {"backend", "GL_VENDOR", "GL_RENDERER", "GL_VERSION", "frame_ms"}, described
-    assert described["frame_ms"] > 0
-    # The probe and MuJoCo meet the same driver.
-    assert opengl.choose_backend().detail == described["GL_RENDERER"]
 
 
 @pytest.mark.rendering

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from lieednn_sim._mujoco import mujoco
-from lieednn_sim.planning.laws import minimum_jerk_law
 from lieednn_sim.planning.motion import Motion
+from lieednn_sim.planning.time_laws import minimum_jerk_law
 from lieednn_sim.rendering import video
 from lieednn_sim.rendering.overlay import PLANNED_COLOUR, TRACED_COLOUR, Overlay
 from lieednn_sim.simulation import simulate

@@ -7,31 +7,16 @@ import imageio_ffmpeg
 import numpy as np
 import pytest
 from PIL import Image
+from rollouts import make_rollout
 
 from lieednn_sim.rendering import video
-from lieednn_sim.simulation import Rollout
 
 
 def rollout_of(arm, steps):
     """A rollout with steps of 0.01 s, whose first coordinate is their number."""
     q = np.zeros((steps, 4))
     q[:, 0] = np.arange(steps)
-    poses = arm.link_poses(q)
-    return Rollout(
-        arm=arm,
-        t=0.01 * np.arange(steps),
-        q=q,
-        qd=q,
-        q_ref=q,
-        qd_ref=q,
-        ctrl=q,
-        force=q,
-        constraint_force=q,
-        link_position=poses.translation,
-        link_quaternion=poses.rotation.as_quat(scalar_first=True),
-        contacts=np.zeros(steps, dtype=int),
-        motion_end=0.0,
-    )
+    return make_rollout(arm, q)
 
 
 @pytest.mark.parametrize(

@@ -26,7 +26,7 @@ def arm():
 @pytest.fixture(scope="module")
 def rollout(arm):
     return simulate(
-        arm, plan(arm, arm.keyframe("extended"), options=CertifiedOptions(candidates=3), duration=2.0).motion, hold=0.5
+        arm, plan(arm, arm.keyframe("extended"), options=CertifiedOptions(n_networks=3), duration=2.0).motion, hold=0.5
     )
 
 

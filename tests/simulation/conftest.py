@@ -9,8 +9,8 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.evaluation.evaluation import Evaluation
 from lieednn_sim.evaluation.metrics import evaluate
 from lieednn_sim.planning import CertifiedOptions, plan
-from lieednn_sim.planning.laws import minimum_jerk_law
 from lieednn_sim.planning.motion import Motion
+from lieednn_sim.planning.time_laws import minimum_jerk_law
 from lieednn_sim.simulation import Rollout, simulate
 
 # One joint with six dof on a body that is not compensated, and a second link behind it with a servo of gear 2.
@@ -147,7 +147,7 @@ class SeededRuns:
             target = rng.uniform(low + 0.05 * (high - low), high - 0.05 * (high - low))
             if not self.arm.contacts(target):
                 return target, plan(
-                    self.arm, target, seed=seed, longest=1.0, options=CertifiedOptions(candidates=6)
+                    self.arm, target, seed=seed, max_time_scale=1.0, options=CertifiedOptions(n_networks=6)
                 ).motion
 
     def _run(self, seed: int, controller: str) -> tuple[Rollout, Evaluation]:

@@ -11,7 +11,8 @@ from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import FileError, InputError, SimulationError
 from lieednn_sim.planning import CertifiedOptions, plan
-from lieednn_sim.simulation import Disturbances, Push, Rollout, simulate, tracking
+from lieednn_sim.policies import make_policy
+from lieednn_sim.simulation import Channel, Disturbances, Push, Rollout, follow, simulate, tracking
 
 
 @pytest.fixture(scope="module")
@@ -21,7 +22,7 @@ def arm():
 
 @pytest.fixture(scope="module")
 def planned(arm):
-    return plan(arm, arm.keyframe("extended"), options=CertifiedOptions(candidates=6))
+    return plan(arm, arm.keyframe("extended"), options=CertifiedOptions(n_networks=6))
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +32,7 @@ def rollout(arm, planned):
 
 def test_two_runs_are_bit_identical(arm, planned, rollout):
     again = simulate(
-        Arm.load(arm.name), plan(arm, arm.keyframe("extended"), options=CertifiedOptions(candidates=6)).motion
+        Arm.load(arm.name), plan(arm, arm.keyframe("extended"), options=CertifiedOptions(n_networks=6)).motion
     )
     assert_equal(again, rollout)
 
@@ -153,3 +154,56 @@ def test_channels_are_saved_and_files_without_them_are_refused(small_arms, trave
         dataclasses.replace(rollout, channel_units={})
     with pytest.raises(InputError, match=r"push_force must have shape \(11, 2, 3\), got \(10, 2, 3\)"):
         dataclasses.replace(rollout, channels={**rollout.channels, "push_force": pushed[1:]})
+
+
+def test_channels_of_one_s_own_are_logged_for_each_instant_and_saved(small_arms, travel, tmp_path):
+    arm, seen = small_arms["hanging"], []
+    motion = travel(arm, np.zeros(6), np.full(6, 0.1), 0.02)
+
+    def site(data):
+        seen.append(data.time)
+        return data.site_xpos[arm.site_ids]  # a view, which the next step overwrites
+
+    log = [Channel("site", "m", site), Channel("weight", "N", lambda data: data.qfrc_bias[0])]
+    rollout = simulate(arm, motion, controller="mocap", hold=0.0, log=log)
+    assert list(rollout.channel_units.items()) == [
+        *(("weld_force", "N"), ("weld_torque", "N m"), ("site", "m"), ("weight", "N"))
+    ]
+    np.testing.assert_array_equal(rollout.channels["site"], rollout.link_position)
+    assert rollout.channels["weight"].shape == (11,) == (len(seen),)
+    assert_equal(dataclasses.replace(rollout, channels={}, channel_units={}), plain(rollout))
+    rollout.save(tmp_path / "rollout.npz")
+    assert_equal(Rollout.load(tmp_path / "rollout.npz", arm, motion), rollout)
+
+
+def plain(rollout):
+    """The same run without channels of one's own."""
+    again = simulate(rollout.arm, rollout.motion, controller=rollout.controller, hold=0.0)
+    return dataclasses.replace(again, channels={}, channel_units={})
+
+
+def test_following_logs_channels_beside_those_of_the_policy(gantry):
+    policy = make_policy("fabric", gantry, gantry.keyframe("home"), rate=50.0)
+    com = Channel("centre of mass", "m", lambda data: data.subtree_com[0])
+    rollout = follow(policy, gantry.keyframe("home"), 0.1, log=[com]).rollout
+    assert set(rollout.channel_units) == {*policy.channel_units, "centre of mass"}
+    assert rollout.channels["centre of mass"].shape == (len(rollout.t), 3)
+
+
+@pytest.mark.parametrize(
+    ("log", "message"),
+    [
+        ([Channel("x", "m", abs), Channel("x", "1", abs)], "a name of its own, there are several of x"),
+        ([Channel("weld_force", "N", lambda data: 0.0)], "several of weld_force"),
+        ([abs], "a quantity to log must be a Channel, got <built-in function abs>"),
+        ([Channel("x", "m", lambda data: data.nothing)], "channel 'x' failed: AttributeError"),
+        ([Channel("x", "m", lambda data: np.nan)], "channel 'x' must be finite"),
+        ([Channel("x", "m", lambda data: np.zeros(int(500 * data.time)))], r"of x must have one shape, got \(1,\) and"),
+    ],
+)
+def test_channels_that_cannot_be_logged_are_refused(small_arms, travel, log, message):
+    arm = small_arms["hanging"]
+    with pytest.raises(InputError, match=message):
+        simulate(arm, travel(arm, np.zeros(6), np.full(6, 0.1), 0.02), controller="mocap", hold=0.0, log=log)
+    with pytest.raises(InputError, match="a channel needs a name and a unit, got 'x' and ''"):
+        Channel("x", "", abs)

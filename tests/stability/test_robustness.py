@@ -70,9 +70,9 @@ def test_no_push_and_no_moving_target_breaks_its_bound(seed, contracting):
     size = np.linalg.norm(push)
     still = run(lambda _, x: field(weight, x, equilibrium), equilibrium + push) - equilibrium
     moved = np.linalg.norm(still[:, watched], axis=1) / size
-    assert moved.max() <= part.throw(pushed, watched)
+    assert moved.max() <= part.push_gain(pushed, watched)
     share = moved[25]
-    assert (moved[times >= part.duration(share, pushed, watched)] <= share * (1.0 + 1e-6)).all()
+    assert (moved[times >= part.settling_time(share, pushed, watched)] <= share * (1.0 + 1e-6)).all()
     # In each guarantee's norm, at every time.
     for guarantee in chosen:
         bound = guarantee.overshoot * np.exp(-guarantee.rate * times) * np.linalg.norm(guarantee.factor @ push)
@@ -81,7 +81,7 @@ def test_no_push_and_no_moving_target_breaks_its_bound(seed, contracting):
     start = equilibrium + rng.normal(size=12)
     pair = run(lambda _, x: field(weight, x.reshape(2, 12), equilibrium).ravel(), np.concatenate([start, start + push]))
     apart = np.diff(pair.reshape(-1, 2, 12), axis=1)[:, 0, watched]
-    assert np.linalg.norm(apart, axis=1).max() <= size * both.throw(pushed, watched)
+    assert np.linalg.norm(apart, axis=1).max() <= size * both.push_gain(pushed, watched)
 
     velocity = np.zeros(12)
     velocity[pushed] = rng.normal(size=len(pushed))
@@ -95,7 +95,7 @@ def test_a_step_suits_what_no_push_reaches_too():
     bounds = robustness([[0.0, 0.1], [0.0, -3.0]], gamma=1.0, mu=1.0, pushed=[0])
     assert bounds.reached.tolist() == [0]
     assert bounds.largest_step("Euler") == pytest.approx(0.5, rel=1e-2)
-    assert bounds.throw() == pytest.approx(1.0)
+    assert bounds.push_gain() == pytest.approx(1.0)
 
 
 @settings(max_examples=12)
@@ -155,10 +155,10 @@ def test_the_largest_step_of_a_quadratic_form_by_hand():
 def test_by_hand():
     """x' = -2 x: what is pushed only falls, a target at speed 1 is 1/2 ahead, Euler is stable up to 2 / gamma = 1."""
     alone = robustness(np.zeros((2, 2)), gamma=2.0, mu=1.0)
-    assert alone.throw() == pytest.approx(1.0, rel=1e-3)
-    assert alone.throw([0], [1]) == pytest.approx(1.0, rel=1e-3)
-    assert alone.duration(0.1) == pytest.approx(np.log(10.0) / 2.0, rel=1e-2)
-    assert alone.duration(2.0) == 0.0
+    assert alone.push_gain() == pytest.approx(1.0, rel=1e-3)
+    assert alone.push_gain([0], [1]) == pytest.approx(1.0, rel=1e-3)
+    assert alone.settling_time(0.1) == pytest.approx(np.log(10.0) / 2.0, rel=1e-2)
+    assert alone.settling_time(2.0) == 0.0
     assert alone.lag() == pytest.approx(0.5, rel=1e-2)
     assert alone.largest_step("Euler") == pytest.approx(1.0, rel=1e-2)
     # x' = -x + W tanh x with W = w I: the field's slopes are -1 to -(1 - w), so Euler halts growing below h = 2.
@@ -172,11 +172,11 @@ def test_a_push_on_the_last_layer_of_a_cascade_meets_that_layer_alone():
     weight[:2, 2:], weight[2:, 2:] = 80.0, [[0.9, 0.0], [-70.0, 0.9]]
     last = robustness(weight, gamma=1.0, mu=1.0, pushed=[0, 1])
     assert last.reached.tolist() == [0, 1]
-    assert last.throw() == pytest.approx(1.0, rel=1e-3)
-    assert last.lag(watched=[2, 3]) == last.throw(watched=[3]) == last.duration(0.1, watched=[3]) == 0.0
+    assert last.push_gain() == pytest.approx(1.0, rel=1e-3)
+    assert last.lag(watched=[2, 3]) == last.push_gain(watched=[3]) == last.settling_time(0.1, watched=[3]) == 0.0
     first = robustness(weight, gamma=1.0, mu=1.0, pushed=[2])
     assert first.reached.tolist() == [0, 1, 2, 3]
-    assert first.throw([2], [0]) > 10.0
+    assert first.push_gain([2], [0]) > 10.0
 
 
 def test_without_contraction_the_certificate_itself_bounds_pushes():
@@ -184,7 +184,7 @@ def test_without_contraction_the_certificate_itself_bounds_pushes():
     bounds = robustness(weight, gamma=1.0, mu=1.0)
     assert bounds.contracting is None
     assert "(about the equilibrium)" in str(bounds)
-    assert bounds.throw() > 1.0
+    assert bounds.push_gain() > 1.0
     assert 0.0 < bounds.largest_step("RK4") < bounds.largest_step("Euler") < 0.1
     # eps = 4 k (gamma - c/2) / (mu s)^2 with c = k = 0.25 and s = |M|: the middle of the three rates.
     certificate = find_certificate(weight)
@@ -202,13 +202,17 @@ def test_without_contraction_the_certificate_itself_bounds_pushes():
         (lambda: robustness(3.0 * np.eye(2), gamma=1.0, mu=1.0), NotCertifiedError, "without a certificate"),
         (lambda: robustness(np.eye(2), gamma=1.0, mu=2.0, pushed=[2]), InputError, "coordinates from 0 to 1"),
         (lambda: robustness(np.eye(2), gamma=1.0, mu=2.0, pushed=[]), InputError, "coordinates from 0 to 1"),
-        (lambda: robustness(np.zeros((2, 2)), gamma=1.0, mu=1.0, pushed=[0]).throw([1]), InputError, "must name some"),
+        (lambda: robustness(np.zeros((2, 2)), gamma=1.0, mu=1.0, pushed=[0]).push_gain([1]), InputError, "name some"),
         (lambda: robustness(np.zeros((2, 2)), gamma=1.0, mu=1.0, pushed=[0.9]), InputError, "by whole numbers"),
         (lambda: robustness(np.zeros((2, 2)), gamma=1.0, mu=1.0, pushed=[True, False]), InputError, "whole numbers"),
-        (lambda: robustness(np.zeros((2, 2)), gamma=1.0, mu=1.0).throw("x"), InputError, "by whole numbers, got 'x'"),
-        (lambda: robustness(np.zeros((2, 2)), gamma=1.0, mu=1.0).throw(watched=[2]), InputError, "watched must name"),
+        (lambda: robustness(np.zeros((2, 2)), gamma=1.0, mu=1.0).push_gain("x"), InputError, "numbers, got 'x'"),
+        (lambda: robustness(np.zeros((2, 2)), gamma=1.0, mu=1.0).push_gain(watched=[2]), InputError, "watched must"),
         (lambda: robustness(np.zeros((2, 2)), gamma=1.0, mu=1.0).lag(watched=[-1]), InputError, "from 0 to 1 by"),
-        (lambda: robustness(np.zeros((2, 2)), gamma=1.0, mu=1.0).duration(0.0), InputError, "share must be positive"),
+        (
+            lambda: robustness(np.zeros((2, 2)), gamma=1.0, mu=1.0).settling_time(0.0),
+            InputError,
+            "fraction must be positive",
+        ),
         (
             lambda: robustness(np.zeros((2, 2)), gamma=1.0, mu=1.0).largest_step("RK45"),
             InputError,
@@ -222,7 +226,7 @@ def test_wrong_input_is_named(call, error, words):
 
 
 def test_words_are_of_contraction_where_there_is_one_and_of_the_best_proof():
-    """Of three guarantees in the same norm, the least throw and lag, and the largest steps; ln(30) / 0.5 = 6.8."""
+    """Of three guarantees in the same norm, the least push gain and lag, and the largest steps; ln(30) / 0.5 = 6.8."""
 
     def proof(contracting, overshoot, rate, delay, euler, rk4):
         numbers = {"overshoot": overshoot, "rate": rate, "delay": delay, "euler_step": euler, "rk4_step": rk4}

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from lieednn_sim import budget
 from lieednn_sim.budget import time_limit
 from lieednn_sim.errors import InputError, NotCertifiedError, OutOfTimeError
+from lieednn_sim.network import ACTIVATIONS
 from lieednn_sim.synthesis.shaping import ShapingOptions, shape, shaping
 from lieednn_sim.synthesis.shaping import placed as placing
 from lieednn_sim.synthesis.shaping.assembly import assemble
@@ -52,13 +53,14 @@ def test_a_spread_says_where_a_curve_counts():
             shape(curves, 1e-3, spread=spread)
 
 
+@pytest.mark.parametrize("activation", sorted(ACTIVATIONS))
 @pytest.mark.parametrize("rate", RATES)
-def test_the_closed_form_is_the_networks_own_trajectory(rate):
+def test_the_closed_form_is_the_networks_own_trajectory(rate, activation):
     rng = np.random.default_rng(1)
     start, target = rng.normal(size=(2, 2, 6))
     parameters = drawn(rng, scale=1.5)
-    clock = clockwork(rate)
-    network = assemble(parameters, rate, target)
+    clock = clockwork(rate, activation=ACTIVATIONS[activation])
+    network = assemble(parameters, rate, target, activation)
     way = network.trajectory(network.start(start), clock.t[-1], rtol=1e-10, atol=1e-12)
     closed = Cascade(clock, start, target).states(parameters)[:-1]
     np.testing.assert_allclose(network.visible(way(clock.t)), closed, atol=2e-5 * np.abs(closed).max())
@@ -73,10 +75,11 @@ def test_the_clock_falls_from_one_at_its_rate(rate):
     np.testing.assert_allclose(last, rate, rtol=1e-4)
 
 
-def test_the_arrow_is_what_a_dense_jacobian_by_finite_differences_gives():
+@pytest.mark.parametrize("activation", sorted(ACTIVATIONS))
+def test_the_arrow_is_what_a_dense_jacobian_by_finite_differences_gives(activation):
     rng = np.random.default_rng(2)
     curve = Curve.through(bent(), np.tile(UNITS, (2, 1)), np.linspace(0.3, 1.0, 200))
-    cascade = Cascade(clockwork(1.0), curve.points[0], curve.points[-1])
+    cascade = Cascade(clockwork(1.0, activation=ACTIVATIONS[activation]), curve.points[0], curve.points[-1])
     descent = Descent(cascade, curve)
     place = descent._place(drawn(rng).flat, np.append(1.0 - cascade.clock.g, 1.0))
     equations = NormalEquations(descent, place)
@@ -160,7 +163,7 @@ def test_the_deviation_is_the_largest_distance_of_either_from_the_other(monkeypa
 
     network = SimpleNamespace(start=lambda x: x, trajectory=lambda *_, **__: Trajectory(), visible=lambda x: x)
     monkeypatch.setattr(shaping, "assemble", lambda *_: network)
-    found, mean, _ = shaping._measured(None, 1.0, Curve.through(curve, units))
+    found, mean, _ = shaping._measured(None, ShapingOptions(), Curve.through(curve, units))
     assert found == pytest.approx(deviation, rel=0.03)
     assert rms is None or mean == pytest.approx(rms, rel=0.01)
 

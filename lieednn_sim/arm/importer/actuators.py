@@ -19,11 +19,12 @@ from lieednn_sim.arm.importer.servos import (
     largest_inertia,
     reduced_inertia,
 )
-from lieednn_sim.arm.importer.softening import soften
 from lieednn_sim.values import Floats
 
 _NATURAL_FREQUENCY = 20.0  # of a designed servo [Hz]
 _HALVINGS = 6  # of the timestep, at most
+# Least decay rate of the motions of tied stages [1/s], and the factors by which their servos are slowed down for it.
+_DECAY, _SLOWDOWNS = 10.0, 0.8 ** np.arange(13)
 
 
 def read_actuators(draft: Draft) -> None:
@@ -48,12 +49,12 @@ def read_actuators(draft: Draft) -> None:
 def design_servos(draft: Draft) -> None:
     """Design one servo for each coordinate: with its present gains, if any, else kp = I w^2, kv = 2 I w, w = 2 pi f.
 
-    I = M_ii, the largest over a few postures, is the inertia with the other coordinates held; M is in the independent
-    coordinates and includes coupled stages and armature; f = 20 Hz. With the other coordinates free the inertia may
-    nearly vanish, as for two axes in line, and a servo designed for that would be weak when both turn.
+    I = M_ii, the largest over a few configurations, is the inertia with the other coordinates held; M is in the
+    independent coordinates and includes coupled stages and armature; f = 20 Hz. With the other coordinates free the
+    inertia may nearly vanish, as for two axes in line, and a servo designed for that would be weak when both turn.
     """
     omega, servos = 2.0 * np.pi * _NATURAL_FREQUENCY, []
-    inertia = largest_inertia(draft.bare, draft.postures(draft.samples[:16]), draft.dofs)
+    inertia = largest_inertia(draft.bare, draft.configurations(draft.samples[:16]), draft.dofs)
     for dof, actuation, held in zip(draft.dofs, draft.actuations, inertia, strict=True):
         kp, kv = map(float, actuation.gains or (held * omega**2, 2.0 * held * omega))
         frequency = float(np.sqrt(kp / held) / (2.0 * np.pi))
@@ -62,9 +63,9 @@ def design_servos(draft: Draft) -> None:
 
 
 def stabilise(draft: Draft) -> None:
-    """If the servos are unstable at one of a few postures, change the integrator, then shorten the timestep."""
+    """If the servos are unstable at one of a few configurations, change the integrator, then shorten the timestep."""
     model, option = draft.bare, draft.spec.option
-    inertias = reduced_inertia(model, draft.postures(draft.samples[:8]), draft.dofs)
+    inertias = reduced_inertia(model, draft.configurations(draft.samples[:8]), draft.dofs)
 
     def unstable() -> bool:
         timestep = float(model.opt.timestep)
@@ -84,7 +85,7 @@ def stabilise(draft: Draft) -> None:
 def add_servos(draft: Draft) -> None:
     """Add the servos to the spec, slowed down where the soft ties between coupled stages could not follow them."""
     names = [_add_servo(draft.spec, dof, servo) for dof, servo in zip(draft.dofs, draft.servos, strict=True)]
-    draft.servos = soften(draft.spec, draft.postures(draft.samples[:1])[0], draft.dofs, draft.servos, names)
+    draft.servos = _soften(draft.spec, draft.configurations(draft.samples[:1])[0], draft.dofs, draft.servos, names)
 
 
 def _add_servo(spec: mujoco.MjSpec, dof: Dof, servo: Servo) -> str:
@@ -135,3 +136,62 @@ def _actuation(model: mujoco.MjModel, moments: Floats, limits: tuple[float, floa
     if not (plain and gain > 0.0 and np.isclose(gain, -b1) and b0 == 0.0 and b2 <= 0.0):
         return Actuation(limits, None, "the actuator is not a position servo with ctrl = position")
     return Actuation(limits, (float(gain * moments[a, k] ** 2), float(abs(b2) * moments[a, k] ** 2)), "")
+
+
+def _soften(
+    spec: mujoco.MjSpec, qpos: Floats, dofs: list[Dof], servos: tuple[Servo, ...], names: list[str]
+) -> tuple[Servo, ...]:
+    """Slow down the designed servos of coupled stages, which act on one stage, until their soft ties can keep up.
+
+    The fastest servos are taken with which the model's slowest mode decays at 10 / s, or nearly as fast as with any
+    slower ones, since other parts of the model may be slow by themselves. Dry friction is left out.
+
+    Args:
+        spec: the spec with the servos, which is changed.
+        qpos: ``(nq,)`` configuration of the whole model at which a step is linearised.
+        dofs: the arm's coordinates, with rates in the spec's model.
+        servos: the coordinates' servos.
+        names: names of the servos' actuators.
+    """
+    tied = [
+        k
+        for k, (dof, servo) in enumerate(zip(dofs, servos, strict=True))
+        if not servo.kept and int(np.count_nonzero(dof.rates)) > 1
+    ]
+    if not tied:
+        return servos
+    model = spec.compile()
+    # Dry friction holds the stages at rest, and would hide how they swing once they move.
+    model.dof_frictionloss[:] = model.tendon_frictionloss[:] = 0.0
+    choices = [tuple(_slower(s, factor) if k in tied else s for k, s in enumerate(servos)) for factor in _SLOWDOWNS]
+    decays: list[float] = []
+    for choice in choices:
+        for k in tied:
+            actuator = model.actuator(names[k]).id
+            gain, bias = gain_parameters(choice[k])
+            model.actuator_gainprm[actuator], model.actuator_biasprm[actuator] = gain, bias
+        decays.append(-np.log(_step_growth(model, qpos)) / model.opt.timestep)
+        if decays[-1] >= _DECAY:
+            break
+    best = max(decays)
+    found = choices[next(i for i, decay in enumerate(decays) if decay >= min(_DECAY, best - 0.1 * abs(best)))]
+    for k in tied:
+        actuator = spec.actuator(names[k])
+        actuator.gainprm, actuator.biasprm = gain_parameters(found[k])
+    return found
+
+
+def _slower(servo: Servo, factor: float) -> Servo:
+    return replace(servo, kp=servo.kp * factor**2, kv=servo.kv * factor, frequency=servo.frequency * factor)
+
+
+def _step_growth(model: mujoco.MjModel, qpos: Floats) -> float:
+    """Spectral radius of one step of the whole model, at rest with the servos commanded to the configuration."""
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    mujoco.mj_forward(model, data)
+    data.ctrl[:] = data.actuator_length
+    size = 2 * model.nv + model.na
+    transition = np.zeros((size, size))
+    mujoco.mjd_transitionFD(model, data, 1e-6, True, transition, None, None, None)
+    return float(np.abs(np.linalg.eigvals(transition)).max())

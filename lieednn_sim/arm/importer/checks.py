@@ -9,36 +9,37 @@ import numpy as np
 import scipy
 
 from lieednn_sim._mujoco import mujoco
-from lieednn_sim.arm.contacts import PLANNED_CLEARANCE, ContactFinder, moving_geoms
+from lieednn_sim.arm.contacts import PLANNED_CLEARANCE, ContactFinder, colliding_geoms, moving_geoms
 from lieednn_sim.arm.forces import dry_friction, resting_load
+from lieednn_sim.arm.importer.configurations import random_coordinates
+from lieednn_sim.arm.importer.conventions import length_unit
 from lieednn_sim.arm.importer.draft import Draft, stacked
 from lieednn_sim.arm.importer.locking import pose
-from lieednn_sim.arm.importer.postures import random_coordinates
-from lieednn_sim.arm.importer.units import length_unit
-from lieednn_sim.arm.kinematics import distinctness
+from lieednn_sim.arm.kinematics import least_singular_value
 from lieednn_sim.errors import InputError
 from lieednn_sim.values import Floats
 
 _SAG = 3e-4  # worth a remark [rad, m]: over a few joints, a millimetre at an arm's length
-_LOADED = 16  # postures at which loads are computed
-_WAYS, _LOOKS = 256, 20  # straight ways, and postures on each
+_LOADED = 16  # configurations at which loads are computed
+_PATHS, _LOOKS = 256, 20  # straight paths, and configurations on each
 _SHOWN = 24  # pairs of bodies in a remark
 # Least singular value of a link's screws, of unit size, at which its pose still determines its joints. By the same
-# measure ways begin to be straightened at the larger `bridging.VAGUE`; the gap that this leaves is worth a remark here.
+# measure paths begin to be straightened at the larger `singularities.NEARLY_SINGULAR`; the gap that this leaves is
+# worth a remark here.
 _SINGULAR = 0.1
 _SLOW = 5.0  # worth a remark [Hz]
 _DESIGN = "servos='design' designs a new one"
 
 
 def check_kinematics(draft: Draft) -> None:
-    """Compare the link frames of both models at a few postures; `InputError` when they differ by more than 1e-9."""
+    """Compare the link frames of both models at a few configurations; `InputError` if they differ by more than 1e-9."""
     original, model, frames = draft.original, draft.model, draft.frames
     bodies, sites = [frame.body for frame in frames], _frame_sites(model, len(frames))
     fixed = pose(np.array([frame.pos for frame in frames]), np.array([frame.quat for frame in frames]))
     before, after = mujoco.MjData(original), mujoco.MjData(model)
     samples = stacked(draft.samples[:8])
-    postures = draft.place(original, samples, draft.qpos), draft.place(model, samples, model.qpos0)
-    for before.qpos[:], after.qpos[:] in zip(*postures, strict=True):
+    configurations = draft.place(original, samples, draft.qpos), draft.place(model, samples, model.qpos0)
+    for before.qpos[:], after.qpos[:] in zip(*configurations, strict=True):
         mujoco.mj_kinematics(original, before)
         mujoco.mj_kinematics(model, after)
         wanted = pose(before.xpos[bodies], before.xquat[bodies]) * fixed
@@ -53,10 +54,10 @@ def check_kinematics(draft: Draft) -> None:
 
 
 def look_for_half_turns(draft: Draft) -> None:
-    """Note the compound joints of several hinges that come near half a turn at one of the draft's postures."""
+    """Note the compound joints of several hinges that come near half a turn at one of the draft's configurations."""
     model, groups = draft.model, draft.groups
-    postures = [model.qpos0, *draft.place(model, stacked(draft.samples), model.qpos0)]
-    frames = _frame_matrices(model, postures, len(groups))
+    configurations = [model.qpos0, *draft.place(model, stacked(draft.samples), model.qpos0)]
+    frames = _frame_matrices(model, configurations, len(groups))
     inner, outer = (scipy.spatial.transform.Rotation.from_matrix(part) for part in (frames[:, :-1], frames[:, 1:]))
     relative = inner.inv() * outer
     turns = (relative[0].inv() * relative).magnitude().max(axis=0)
@@ -76,7 +77,7 @@ def look_for_shapes(draft: Draft) -> None:
             "no moving body has a geom: the arm is invisible and touches nothing; of a URDF MuJoCo reads <collision>, "
             'and <visual> only with <mujoco><compiler discardvisual="false"/></mujoco> in <robot>'
         )
-    elif not ((model.geom_contype | model.geom_conaffinity) != 0)[moving].any():
+    elif not colliding_geoms(model)[moving].any():
         draft.notes.append("no geom of a moving body can collide: the arm passes through obstacles and through itself")
 
 
@@ -113,24 +114,24 @@ def look_at_home(draft: Draft) -> None:
             notes.append(f"bodies {one!r} and {other!r} touch at home")
 
 
-def look_at_ways(draft: Draft) -> None:
-    """Note the bodies between which straight ways from home to random postures come near contact."""
+def look_at_straight_paths(draft: Draft) -> None:
+    """Note the bodies between which straight paths from home to random configurations come near contact."""
     finder, home = ContactFinder(draft.model, PLANNED_CLEARANCE), draft.samples[0]
     ends, between = Counter[str](), Counter[str]()
     blocked, touching, rng = 0, 0, np.random.default_rng(1)
-    shares = np.linspace(1.0, 0.0, _LOOKS, endpoint=False)
-    for way in _ways(draft, home, [random_coordinates(draft, rng) for _ in range(_WAYS)], shares):
-        for share, qpos in zip(shares, way, strict=True):
+    fractions = np.linspace(1.0, 0.0, _LOOKS, endpoint=False)
+    for path in _straight_paths(draft, home, [random_coordinates(draft, rng) for _ in range(_PATHS)], fractions):
+        for fraction, qpos in zip(fractions, path, strict=True):
             found = finder.bodies(qpos)
             if found:
-                touching, blocked = touching + int(share == 1.0), blocked + int(share < 1.0)
-                (ends if share == 1.0 else between).update({"{!r} and {!r}".format(*sorted(pair)) for pair in found})
+                touching, blocked = touching + int(fraction == 1.0), blocked + int(fraction < 1.0)
+                (ends if fraction == 1.0 else between).update({"{!r} and {!r}".format(*sorted(pair)) for pair in found})
                 break
     for count, what, pairs, then in (
-        (touching, f"{_WAYS} random postures are", ends, "these cannot be targets"),
+        (touching, f"{_PATHS} random configurations are", ends, "these cannot be targets"),
         (
             blocked,
-            f"{_WAYS - touching} straight ways from home to the others come",
+            f"{_PATHS - touching} straight paths from home to the others come",
             between,
             "there planners fail that do not search for a way around, as lieednn-shaped and rrt-connect do",
         ),
@@ -145,9 +146,9 @@ def look_at_ways(draft: Draft) -> None:
 
 
 def look_for_singular_links(draft: Draft) -> None:
-    """Note the links of several joints whose pose does not determine the joints somewhere on a straight way."""
+    """Note the links of several joints whose pose does not determine the joints somewhere on a straight path."""
     model, data, home = draft.model, mujoco.MjData(draft.model), draft.samples[0]
-    ways = _ways(draft, home, draft.samples[1:], np.linspace(0.0, 1.0, _LOOKS + 1))
+    paths = _straight_paths(draft, home, draft.samples[1:], np.linspace(0.0, 1.0, _LOOKS + 1))
     sites, unit = _frame_sites(model, len(draft.frames)), length_unit(draft)
     independent = {draft.original.joint(joint).name for joint in draft.independent}
     groups = [[draft.original.joint(joint).name for joint in group] for group in draft.groups]
@@ -156,27 +157,29 @@ def look_for_singular_links(draft: Draft) -> None:
         if len(columns) < 2:
             continue
         singular = 0
-        for way in ways:
+        for path in paths:
             screws = []
-            for data.qpos[:] in way:
+            for data.qpos[:] in path:
                 mujoco.mj_kinematics(model, data)
                 mujoco.mj_comPos(model, data)
                 linear, angular = np.zeros((2, 3, model.nv))
                 mujoco.mj_jacSite(model, data, linear, angular, sites[i])
                 screws.append(np.concatenate([angular, linear / unit]) @ np.array(columns).T)
-            singular += int(distinctness(np.array(screws)).min() < _SINGULAR)
+            singular += int(least_singular_value(np.array(screws)).min() < _SINGULAR)
         if singular:
             draft.notes.append(
-                f"link {i}: {singular} of {len(ways)} straight ways from home pass near postures at which its pose "
-                f"does not determine {', '.join(group)}; networks, which lead an arm by poses, leave a gap there, or "
-                "fail: name more links to avoid that"
+                f"link {i}: {singular} of {len(paths)} straight paths from home pass near configurations at which "
+                f"its pose does not determine {', '.join(group)}; networks, which lead an arm by poses, leave a "
+                "gap there, or fail: name more links to avoid that"
             )
 
 
-def _ways(draft: Draft, start: dict[int, Floats], ends: Sequence[dict[int, Floats]], shares: Floats) -> Floats:
-    """Postures ``(E, S, nq)`` of the model at shares ``(S,)`` of the straight ways to each of the ends."""
+def _straight_paths(
+    draft: Draft, start: dict[int, Floats], ends: Sequence[dict[int, Floats]], fractions: Floats
+) -> Floats:
+    """Configurations ``(E, S, nq)`` of the model at fractions ``(S,)`` of the straight paths to each of the ends."""
     last = stacked(ends)
-    q = {joint: value + shares[:, None] * (last[joint][:, None] - value) for joint, value in start.items()}
+    q = {joint: value + fractions[:, None] * (last[joint][:, None] - value) for joint, value in start.items()}
     return draft.place(draft.model, q, draft.model.qpos0)
 
 
@@ -184,12 +187,12 @@ def _frame_sites(model: mujoco.MjModel, count: int) -> list[int]:
     return [model.site(f"link{i}_frame" if i else "base_frame").id for i in range(count)]
 
 
-def _frame_matrices(model: mujoco.MjModel, postures: Sequence[Floats], links: int) -> Floats:
-    """Rotation matrices of the base's and the links' frames at each posture, ``(postures, links + 1, 3, 3)``."""
+def _frame_matrices(model: mujoco.MjModel, configurations: Sequence[Floats], links: int) -> Floats:
+    """Rotation matrices of the base's and the links' frames at each of K configurations, ``(K, links + 1, 3, 3)``."""
     data = mujoco.MjData(model)
     sites = _frame_sites(model, links + 1)
-    found = np.empty((len(postures), links + 1, 9))
-    for matrices, data.qpos[:] in zip(found, postures, strict=True):
+    found = np.empty((len(configurations), links + 1, 9))
+    for matrices, data.qpos[:] in zip(found, configurations, strict=True):
         mujoco.mj_kinematics(model, data)
         matrices[:] = data.site_xmat[sites]
     return found.reshape(-1, links + 1, 3, 3)

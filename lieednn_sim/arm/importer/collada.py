@@ -13,9 +13,9 @@ from lieednn_sim.errors import FileError
 from lieednn_sim.reading import opened
 from lieednn_sim.values import Floats
 
-# The supported transforms of a node; others, such as skews, are refused.
 # Bytes of a file.
 _LARGEST = 2 * 10**8
+# The supported transforms of a node; others, such as skews, are refused.
 _PLACING = ("matrix", "translate", "rotate", "scale")
 
 

@@ -27,7 +27,7 @@ def cut(
     hardly any target that can be certified.
 
     Args:
-        model, data: the model, with its kinematics at a representative posture.
+        model, data: the model, with its kinematics at a representative configuration.
         joints: joint ids from the base outwards.
         ranges: for each joint, its range ``(2,)``.
         couplings: joints that follow others.

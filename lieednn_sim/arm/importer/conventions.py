@@ -1,4 +1,4 @@
-"""Edits that give a spec this package's conventions: frame sites, stiff ties, ranges, gravity compensation."""
+"""Edits that give a spec this package's conventions: frame sites, ties, ranges, gravity compensation, length unit."""
 
 from __future__ import annotations
 
@@ -8,9 +8,12 @@ from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.importer.draft import Draft
 from lieednn_sim.arm.importer.loading import unused
 from lieednn_sim.arm.importer.serial_chain import Frame
+from lieednn_sim.arm.parsing import read_chain, read_coordinates, read_joints
+from lieednn_sim.lie import log
 
 _SITE = mujoco.mjtObj.mjOBJ_SITE
 _LEAST_INERTIA = 1e-6  # of the largest moment of a body, or [kg m^2]
+_UNIT_FIELD = "length_scale"
 
 
 def mend_inertias(draft: Draft) -> None:
@@ -144,3 +147,28 @@ def _rename_site(spec: mujoco.MjSpec, site: mujoco.MjsSite, name: str) -> None:
             equality.name1 = name if equality.name1 == site.name else equality.name1
             equality.name2 = name if equality.name2 == site.name else equality.name2
     site.name = name
+
+
+def set_length_unit(draft: Draft) -> None:
+    """Give a large arm a unit of length in which its joints move by about one at most.
+
+    The activation of the network saturates at one, whatever the unit: a crane's stroke in metres is beyond its range,
+    and hardly any target could be certified. A custom numeric ``length_scale`` of the model stays.
+    """
+    if draft.spec.numeric(_UNIT_FIELD) is not None:
+        return
+    model, configurations = draft.bare, draft.configurations([*draft.samples, *draft.extremes])
+    chain = read_chain(model, "imported")
+    space = read_coordinates(model, "imported", chain, model.qpos0)
+    joints, *_ = read_joints(model, "imported", chain, space)
+    largest = float(np.abs(log(joints.poses(space.from_qpos(configurations)))[..., 3:]).max())
+    if largest > 1.0:
+        unit = float(f"{largest:.2g}")
+        draft.spec.add_numeric(name=_UNIT_FIELD, data=[unit], size=1)
+        draft.notes.append(f"unit of length in the network's coordinates: {unit:g} m, the furthest that a link moves")
+
+
+def length_unit(draft: Draft) -> float:
+    """The unit of length [m] of the arm's network coordinates."""
+    field = draft.spec.numeric(_UNIT_FIELD)
+    return 1.0 if field is None else float(field.data[0])

@@ -10,11 +10,46 @@ import numpy as np
 import scipy
 
 from lieednn_sim._mujoco import mujoco
-from lieednn_sim.arm.importer.report import ImportReport
 from lieednn_sim.arm.importer.serial_chain import Frame
 from lieednn_sim.arm.importer.servos import Actuation, Dof, Servo
-from lieednn_sim.arm.importer.stages import Couplings
+from lieednn_sim.arm.importer.stages import Coupling, Couplings
 from lieednn_sim.values import Floats
+
+
+@dataclass(frozen=True)
+class ImportReport:
+    """What `import_arm` made of a model.
+
+    Attributes:
+        configuration: the keyframe that the locked joints and the new keyframe ``home`` were taken from.
+        base: name of the body or site of the base frame.
+        links: names of the bodies or sites of the link frames.
+        groups: for each link, the joints of its compound joint, from the base outwards.
+        couplings: joints that follow others.
+        locked: joints that were removed, their bodies left where the configuration has them.
+        servos: the position servo of each independent coordinate.
+        notes: everything else that was decided, and what to look at.
+    """
+
+    configuration: str
+    base: str
+    links: tuple[str, ...]
+    groups: tuple[tuple[str, ...], ...]
+    couplings: tuple[Coupling, ...]
+    locked: tuple[str, ...]
+    servos: tuple[Servo, ...]
+    notes: tuple[str, ...]
+
+    def __str__(self) -> str:
+        """Return the report as lines of text."""
+        lines = [f"configuration: {self.configuration}", f"base: {self.base}"]
+        for i, (link, group) in enumerate(zip(self.links, self.groups, strict=True), start=1):
+            lines.append(f"link {i}: {link}, moved by {', '.join(group)}")
+        for title, entries in (("coupled", self.couplings), ("servo", self.servos), ("note", self.notes)):
+            lines += [f"{title}: {entry}" for entry in entries]
+        lines.append(f"locked: {', '.join(self.locked) or 'none'}")
+        return "\n".join(lines)
+
 
 _BALL = int(mujoco.mjtJoint.mjJNT_BALL)
 
@@ -32,9 +67,9 @@ class Draft:
         links, base, keyframe, home, limits, servo_rule, floor: the options of `import_arm`.
         notes: remarks for the report.
         original: the model as given.
-        keyframes: those of ``original`` that hold postures.
-        posture: name of the posture of the locked joints.
-        qpos: ``(nq,)`` that posture in ``original``.
+        keyframes: those of ``original`` that hold configurations.
+        configuration: name of the configuration of the locked joints.
+        qpos: ``(nq,)`` that configuration in ``original``.
         frames: frames of the base and the links.
         groups: for each link, the joints that move it.
         couplings: joints that follow others.
@@ -61,7 +96,7 @@ class Draft:
     notes: list[str] = field(default_factory=list)
     original: mujoco.MjModel = field(init=False)
     keyframes: list[int] = field(init=False)
-    posture: str = field(init=False)
+    configuration: str = field(init=False)
     qpos: Floats = field(init=False)
     frames: tuple[Frame, ...] = field(init=False)
     groups: tuple[tuple[int, ...], ...] = field(init=False)
@@ -119,14 +154,14 @@ class Draft:
                 filled[..., address] = value[..., 0]
         return filled
 
-    def postures(self, positions: Sequence[dict[int, Floats]]) -> Floats:
+    def configurations(self, positions: Sequence[dict[int, Floats]]) -> Floats:
         """``qpos`` ``(S, nq)`` of ``bare`` at positions of the independent joints."""
         return self.place(self.bare, stacked(positions), self.bare.qpos0)
 
     def report(self) -> ImportReport:
         """The report for the user, without repeated remarks."""
         return ImportReport(
-            posture=self.posture,
+            configuration=self.configuration,
             base=self.frames[0].name,
             links=tuple(frame.name for frame in self.frames[1:]),
             groups=tuple(tuple(self.original.joint(joint).name for joint in group) for group in self.groups),
@@ -138,5 +173,5 @@ class Draft:
 
 
 def stacked(positions: Sequence[dict[int, Floats]]) -> dict[int, Floats]:
-    """Positions of the independent joints, one row per posture, for `Draft.place`."""
+    """Positions of the independent joints, one row per configuration, for `Draft.place`."""
     return {joint: np.array([q[joint] for q in positions]) for joint in positions[0]}

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from lieednn_sim._mujoco import mujoco
-from lieednn_sim.arm.contacts import PLANNED_CLEARANCE, moving_geoms
+from lieednn_sim._mujoco import kinematics_at, mujoco
+from lieednn_sim.arm.contacts import PLANNED_CLEARANCE, colliding_geoms, moving_geoms
 from lieednn_sim.arm.importer.draft import Draft
 from lieednn_sim.arm.importer.loading import unused
 from lieednn_sim.errors import InputError
@@ -43,7 +43,7 @@ def add_floor(draft: Draft) -> None:
             )
     if draft.floor == NONE or (planes and draft.floor == AUTO):
         return
-    at_home = draft.postures([draft.samples[0]])[0]
+    at_home = draft.configurations([draft.samples[0]])[0]
     moving, lowest = lowest_points(draft.bare, at_home)
     height = min(lowest, moving - _ROOM) if draft.floor == AUTO else float(draft.floor)
     add_plane(draft.spec, unused(FLOOR, {body.name for body in draft.spec.bodies}), height, bits)
@@ -75,12 +75,10 @@ def lowest_points(model: mujoco.MjModel, qpos: Floats) -> tuple[float, float]:
 
     They are those of the geoms' bounding boxes, which may be a little lower.
     """
-    data = mujoco.MjData(model)
-    data.qpos[:] = qpos
-    mujoco.mj_kinematics(model, data)
+    data = kinematics_at(model, qpos)
     upright = data.geom_xmat.reshape(-1, 3, 3)[:, 2]
     middle = data.geom_xpos[:, 2] + (upright * model.geom_aabb[:, :3]).sum(axis=1)
     low = middle - (np.abs(upright) * model.geom_aabb[:, 3:]).sum(axis=1)
-    solid = moving_geoms(model) & ((model.geom_contype | model.geom_conaffinity) != 0)
+    solid = moving_geoms(model) & colliding_geoms(model)
     base = float(data.site_xpos[model.site("base_frame").id, 2])
     return float(low[solid].min(initial=np.inf)), float(low.min(initial=base))

@@ -12,20 +12,22 @@ from lieednn_sim.arm.importer.actuators import add_servos, design_servos, read_a
 from lieednn_sim.arm.importer.checks import (
     check_kinematics,
     look_at_home,
-    look_at_ways,
+    look_at_straight_paths,
     look_for_half_turns,
     look_for_shapes,
     look_for_singular_links,
 )
+from lieednn_sim.arm.importer.configurations import add_keyframes, draw_configurations
 from lieednn_sim.arm.importer.conventions import (
     add_frames,
     compensate_gravity,
     mend_inertias,
     replace_integrator,
+    set_length_unit,
     set_ranges,
     tie_stages,
 )
-from lieednn_sim.arm.importer.draft import Draft
+from lieednn_sim.arm.importer.draft import Draft, ImportReport
 from lieednn_sim.arm.importer.floor import AUTO, add_floor, as_floor
 from lieednn_sim.arm.importer.limits import (
     check_rates,
@@ -36,11 +38,8 @@ from lieednn_sim.arm.importer.limits import (
 )
 from lieednn_sim.arm.importer.loading import load_spec
 from lieednn_sim.arm.importer.locking import lock_other_joints
-from lieednn_sim.arm.importer.mechanism import choose_posture, find_mechanism
-from lieednn_sim.arm.importer.nesting import ignore_nested
-from lieednn_sim.arm.importer.postures import add_keyframes, draw_postures
-from lieednn_sim.arm.importer.report import ImportReport
-from lieednn_sim.arm.importer.units import set_length_unit
+from lieednn_sim.arm.importer.mechanism import choose_configuration, find_mechanism
+from lieednn_sim.arm.importer.overlaps import ignore_overlaps
 from lieednn_sim.errors import InputError
 from lieednn_sim.validation import as_choice
 
@@ -50,7 +49,7 @@ SERVOS = ("keep", "design")
 STEPS: tuple[Callable[[Draft], None], ...] = (
     mend_inertias,
     replace_integrator,
-    choose_posture,
+    choose_configuration,
     find_mechanism,
     lock_other_joints,
     add_frames,
@@ -58,9 +57,9 @@ STEPS: tuple[Callable[[Draft], None], ...] = (
     set_ranges,
     compensate_gravity,
     drop_old_limits,
-    draw_postures,
+    draw_configurations,
     read_actuators,
-    ignore_nested,
+    ignore_overlaps,
     set_length_unit,
     design_servos,
     limit_velocities,
@@ -74,7 +73,7 @@ STEPS: tuple[Callable[[Draft], None], ...] = (
     look_for_half_turns,
     look_for_shapes,
     look_at_home,
-    look_at_ways,
+    look_at_straight_paths,
     look_for_singular_links,
 )
 
@@ -110,20 +109,20 @@ def import_arm(
 
     Coupled stages count as one coordinate; a fixed tendon that drives several stages becomes equalities between them,
     and soft equalities become as stiff as belts. Plain position servos keep their gains; other actuators are replaced
-    by critically damped servos of 20 Hz on the largest inertia M_ii of a few postures, slower where coupled stages
-    could not follow. Force limits of actuators limit accelerations (`limits.limit_accelerations`); a URDF's efforts
-    and velocities are limits too. Gravity compensation is switched on where no body of the arm has any, because
+    by critically damped servos of 20 Hz on the largest inertia M_ii of a few configurations, slower where coupled
+    stages could not follow. Force limits of actuators limit accelerations (`limits.limit_accelerations`); a URDF's
+    efforts and velocities are limits too. Gravity compensation is switched on where no body of the arm has any, because
     position servos would sag. Tubes of a telescope, and other parts that overlap by design, don't collide with each
-    other, and home is moved away from other self-collisions (`nesting.ignore_nested`). Hinges that share a link with
+    other, and home is moved away from other self-collisions (`overlaps.ignore_overlaps`). Hinges that share a link with
     other joints are kept within 0.99 pi of their reference, where the logarithm is unique.
 
     Args:
         model: an MJCF or URDF file, or a `mujoco.MjSpec`, which is not changed.
         links: names of bodies or sites, from the base outwards; the frame of a body is at its origin.
         base: body or site of the base frame. Default: the parent of the first moving body of link 1.
-        keyframe: posture of the locked joints, and of the new keyframe ``home``, which stays 5 % of each range away
-            from the limits. Default: ``home``, else the first keyframe, else the reference position. Keyframes without
-            positions, and with controls for another posture, don't count.
+        keyframe: configuration of the locked joints, and of the new keyframe ``home``, which stays 5 % of each range
+            away from the limits. Default: ``home``, else the first keyframe, else the reference position. Keyframes
+            without positions, and with controls for another configuration, don't count.
         home: positions of joints by name [rad, m] that replace those of the keyframe; for a URDF, which has none.
         limits: ``velocity``, ``acceleration`` and ``jerk`` of coordinates by name [rad or m, s]; they take precedence
             over the model's.

@@ -17,8 +17,8 @@ from lieednn_sim.validation import as_choice, as_positive
 # The custom numerics that hold the limits.
 RATE_LIMITS = {"velocity": "velocity_limit", "acceleration": "acceleration_limit", "jerk": "jerk_limit"}
 _VELOCITY, _ACCELERATION, _ = RATE_LIMITS.values()
-# Share of an actuator's spare force used for acceleration: the rest is for friction and coupling to other joints.
-_SHARE = 0.5
+# Fraction of an actuator's spare force used for acceleration: the rest is for friction and coupling to other joints.
+_ACCELERATING_FRACTION = 0.5
 
 
 def drop_old_limits(draft: Draft) -> None:
@@ -70,18 +70,18 @@ def limit_accelerations(draft: Draft) -> None:
     """Limit accelerations where actuators have force limits, so that planned motions can be followed.
 
     Each limit is (F - |load|) / (2 I), with the actuator's force limit F, the load of gravity and springs at rest, and
-    the inertia I with the other coordinates held, both the largest over a few postures. A custom numeric
+    the inertia I with the other coordinates held, both the largest over a few configurations. A custom numeric
     ``acceleration_limit`` of the model stays.
     """
     if draft.spec.numeric(_ACCELERATION) is not None:
         return
-    model, servos, postures = draft.bare, draft.servos, draft.postures(draft.samples[:16])
+    model, servos, configurations = draft.bare, draft.servos, draft.configurations(draft.samples[:16])
     rates = np.array([dof.rates for dof in draft.dofs])
-    inertia = largest_inertia(model, postures, draft.dofs)
-    load = np.abs(resting_load(model, postures) @ rates.T).max(axis=0)
+    inertia = largest_inertia(model, configurations, draft.dofs)
+    load = np.abs(resting_load(model, configurations) @ rates.T).max(axis=0)
     force = np.array([min(-servo.force_range[0], servo.force_range[1]) for servo in servos])
     # An actuator that cannot hold its load is reported by `look_at_home`; a limit of zero would allow no motion.
-    limits = np.where(force > load, _SHARE * (force - load) / inertia, np.inf)
+    limits = np.where(force > load, _ACCELERATING_FRACTION * (force - load) / inertia, np.inf)
     finite = np.flatnonzero(np.isfinite(limits))
     if finite.size:
         draft.spec.add_numeric(name=_ACCELERATION, data=limits, size=len(limits))

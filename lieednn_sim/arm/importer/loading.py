@@ -1,8 +1,9 @@
-"""Reading and compiling of models, with messages that say what is missing."""
+"""Reading and compiling of models, with bounds on their size and messages that say what is missing."""
 
 from __future__ import annotations
 
 import functools
+import math
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,14 +12,19 @@ from xml.etree import ElementTree
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.checks import check_numbers
 from lieednn_sim.arm.importer.collada import read_points
-from lieednn_sim.arm.importer.size import check_size
 from lieednn_sim.errors import FileError
 from lieednn_sim.filesystem import is_file
+from lieednn_sim.reading import opened
 from lieednn_sim.validation import as_path
 
 _PACKAGE = "package://"
 # The first bytes of a Git LFS pointer file.
 _POINTER = b"version https://git-lfs.github.com/"
+# Bytes of a file with its includes, copies of repeated elements, and entries of height fields and textures.
+_LARGEST, _MOST_COPIES, _MOST_ENTRIES = 10**8, 10_000, 2 * 10**7
+_MOST_INCLUDES = 100
+_COPIED = ("replicate", "composite", "flexcomp")
+_SIZED = {"hfield": ("nrow", "ncol"), "texture": ("width", "height")}
 
 
 def load_spec(model: str | os.PathLike[str] | mujoco.MjSpec, notes: list[str] | None = None) -> mujoco.MjSpec:
@@ -166,3 +172,48 @@ def _files(spec: mujoco.MjSpec) -> Iterator[tuple[str, Path | None]]:
                 yield str(path), path
             elif not known.intersection((element.file, path.name, str(Path(below) / element.file))):
                 yield str(path), None
+
+
+def check_size(source: Path) -> None:
+    """Raise `FileError` for an MJCF or URDF file that asks for more copies, entries or text than the bounds.
+
+    MuJoCo would build all of it, so this is looked at before MuJoCo reads the file.
+    """
+    waiting, seen = [source], set[Path]()
+    while waiting and len(seen) < _MOST_INCLUDES:
+        path = waiting.pop()
+        seen.add(path)
+        try:
+            with opened(path, _LARGEST) as stream:
+                root = ElementTree.parse(stream).getroot()
+        except FileError:
+            raise
+        except (OSError, ElementTree.ParseError, ValueError, RecursionError):
+            # MuJoCo tells what is missing or wrong.
+            continue
+        _check_elements(root, path)
+        included = (source.parent / one.get("file", "") for one in root.iter("include") if one.get("file"))
+        waiting += [one for one in included if one not in seen and one.is_file()]
+
+
+def _check_elements(root: ElementTree.Element, path: Path) -> None:
+    """Walk the elements with the number of copies that those around them ask for."""
+    waiting = [(root, 1.0)]
+    while waiting:
+        element, copies = waiting.pop()
+        if element.tag in _COPIED:
+            copies *= math.prod(map(_number, element.get("count", "1").split()))
+            if copies > _MOST_COPIES:
+                raise FileError(f"{path}: <{element.tag}> asks for {copies:g} copies; at most {_MOST_COPIES} are made")
+        if element.tag in _SIZED:
+            entries = math.prod(_number(element.get(side, "1")) for side in _SIZED[element.tag])
+            if entries > _MOST_ENTRIES:
+                raise FileError(f"{path}: <{element.tag}> has {entries:g} entries; at most {_MOST_ENTRIES} are read")
+        waiting += [(child, copies) for child in element]
+
+
+def _number(text: str) -> float:
+    try:
+        return max(float(text), 1.0)
+    except ValueError:
+        return 1.0  # MuJoCo says what is wrong

@@ -10,7 +10,8 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from lieednn_sim._mujoco import mujoco
+from lieednn_sim._mujoco import kinematics_at, mujoco
+from lieednn_sim.arm.contacts import colliding_geoms
 from lieednn_sim.arm.importer.draft import Draft
 from lieednn_sim.arm.importer.stages import tendon_joints
 from lieednn_sim.errors import InputError
@@ -29,7 +30,7 @@ def pose(pos: Floats, quat: Floats) -> RigidTransform:
 
 
 def lock_other_joints(draft: Draft) -> None:
-    """Remove all joints but the arm's from the spec, leaving their bodies at the posture of the draft.
+    """Remove all joints but the arm's from the spec, leaving their bodies at the configuration of the draft.
 
     The equalities, tendons, sensors and tuples that refer to them go too, and all actuators and keyframes. Pairs of
     bodies that MuJoCo did not let collide, as parent and child, are excluded where locking would change that: its
@@ -39,9 +40,7 @@ def lock_other_joints(draft: Draft) -> None:
         InputError: an equality closes a loop over the arm.
     """
     spec, model, chain = draft.spec, draft.original, set(draft.joints)
-    data = mujoco.MjData(model)
-    data.qpos[:] = draft.qpos
-    mujoco.mj_kinematics(model, data)
+    data = kinematics_at(model, draft.qpos)
     locked = [joint for joint in spec.joints if joint.id not in chain]
     draft.locked = tuple(joint.name for joint in locked)
     for body_id in {joint.parent.id for joint in locked}:
@@ -146,14 +145,7 @@ def _superfluous_equalities(
 
 def _keep_contact_filter(spec: mujoco.MjSpec, model: mujoco.MjModel, rigid: NDArray[np.int_]) -> None:
     """Exclude the pairs of bodies that MuJoCo filtered as parent and child before, but would no longer filter."""
-    solid = [
-        body
-        for body in range(model.nbody)
-        if any(
-            model.geom_contype[g] or model.geom_conaffinity[g]
-            for g in range(model.body_geomadr[body], model.body_geomadr[body] + model.body_geomnum[body])
-        )
-    ]
+    solid = np.unique(model.geom_bodyid[colliding_geoms(model)]).tolist()
     known = {frozenset((exclude.bodyname1, exclude.bodyname2)) for exclude in spec.excludes}
     weld = model.body_weldid
     for one, other in itertools.combinations(solid, 2):

@@ -1,29 +1,32 @@
-"""The mechanism of a foreign model: its posture at import, and which of its joints are the arm."""
+"""The mechanism of a foreign model: its configuration at import, which of its joints are the arm, and their ranges."""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lieednn_sim._mujoco import mujoco
+from lieednn_sim._mujoco import kinematics_at, mujoco
 from lieednn_sim.arm.importer.compound_joints import cut
 from lieednn_sim.arm.importer.draft import Draft
 from lieednn_sim.arm.importer.loading import compile_spec
-from lieednn_sim.arm.importer.ranges import joint_ranges
 from lieednn_sim.arm.importer.serial_chain import body_frame, is_gripper, joint_groups, longest_chain, named_frames
-from lieednn_sim.arm.importer.stages import find_couplings
+from lieednn_sim.arm.importer.stages import Couplings, find_couplings
 from lieednn_sim.errors import InputError
 from lieednn_sim.validation import as_choice, as_floats, quoted
+from lieednn_sim.values import Floats
 
 _SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 _SAME = 1e-3  # controls this close to a position hold it [rad, m]
+_BALL, _SLIDE = int(mujoco.mjtJoint.mjJNT_BALL), int(mujoco.mjtJoint.mjJNT_SLIDE)
+_WIDEST = 0.99 * np.pi  # the logarithm of a rotation is unique below pi
+_DEFAULT = 0.95 * np.pi  # of a hinge or ball joint without a range
 
 
-def choose_posture(draft: Draft) -> None:
-    """Compile the model as given, and take the posture of a keyframe or the reference, with the given joint positions.
+def choose_configuration(draft: Draft) -> None:
+    """Compile the model; take the configuration of a keyframe or the reference, with the given joint positions.
 
     Raises:
         InputError: there is no such keyframe or joint (the message lists those there are), or a position is invalid.
@@ -35,7 +38,7 @@ def choose_posture(draft: Draft) -> None:
     if commanded:
         draft.notes.append(
             f"keyframes left out: {', '.join(names[k] for k in sorted(commanded))}; they have controls for another "
-            "posture, and no positions; name another keyframe, or give the positions of joints at home"
+            "configuration, and no positions; name another keyframe, or give the positions of joints at home"
         )
     choice = {names[k]: k for k in reversed(draft.keyframes)}
     if draft.keyframe is not None and draft.keyframe not in choice:
@@ -44,13 +47,13 @@ def choose_posture(draft: Draft) -> None:
         raise InputError(f"no keyframe {quoted(draft.keyframe)}{why}; keyframes of the model: {known}")
     if choice:
         name = draft.keyframe or ("home" if "home" in choice else names[draft.keyframes[0]])
-        draft.posture, draft.qpos = f"keyframe {name!r}", model.key_qpos[choice[name]].copy()
+        draft.configuration, draft.qpos = f"keyframe {name!r}", model.key_qpos[choice[name]].copy()
         if not np.isfinite(draft.qpos).all():
-            raise InputError(f"{draft.posture} holds NaN or infinite positions; correct it, or choose another")
+            raise InputError(f"{draft.configuration} holds NaN or infinite positions; correct it, or choose another")
     else:
-        draft.posture, draft.qpos = "the reference position", model.qpos0.copy()
+        draft.configuration, draft.qpos = "the reference position", model.qpos0.copy()
     if draft.home:
-        draft.posture += f", with {', '.join(map(str, draft.home))} as given"
+        draft.configuration += f", with {', '.join(map(str, draft.home))} as given"
         _set_joints(model, draft.qpos, draft.home)
 
 
@@ -75,9 +78,7 @@ def find_mechanism(draft: Draft) -> None:
     draft.groups = joint_groups(model, draft.frames)
     draft.couplings = find_couplings(model, draft.joints)
     if links is None:
-        data = mujoco.MjData(model)
-        data.qpos[:] = draft.qpos
-        mujoco.mj_kinematics(model, data)
+        data = kinematics_at(model, draft.qpos)
         whole = joint_ranges(model, [[joint] for joint in draft.joints], draft.couplings, [])
         draft.groups = cut(model, data, draft.joints, whole, draft.couplings)
         draft.frames = (inner, *(body_frame(model, int(model.jnt_bodyid[group[-1]])) for group in draft.groups))
@@ -92,8 +93,8 @@ def find_mechanism(draft: Draft) -> None:
             )
         if model.joint(follower).name in draft.home and follower not in draft.couplings.added:
             raise InputError(
-                f"joint {model.joint(follower).name!r} of the home posture follows joint {model.joint(leader).name!r}; "
-                "give the position of that one"
+                f"joint {model.joint(follower).name!r} of the home configuration follows joint "
+                f"{model.joint(leader).name!r}; give the position of that one"
             )
     if len(draft.groups) == 1:
         draft.notes.append("the arm is one link; networks of a single neuron are hard to certify: name more links")
@@ -107,7 +108,7 @@ def _frames_of_the_model(model: mujoco.MjModel) -> tuple[tuple[str, ...] | None,
 
 
 def _holds_another(model: mujoco.MjModel, keyframe: int) -> bool:
-    """Whether position servos would hold another posture at a keyframe's controls than the keyframe's own."""
+    """Whether position servos would hold another configuration at a keyframe's controls than the keyframe's own."""
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, keyframe)
     mujoco.mj_forward(model, data)
@@ -120,9 +121,80 @@ def _set_joints(model: mujoco.MjModel, qpos: NDArray[np.float64], home: Mapping[
     """Set hinges and slides in ``qpos`` ``(nq,)`` by name."""
     joints = {model.joint(j).name: j for j in range(model.njnt) if model.jnt_type[j] in _SCALAR}
     for name, value in home.items():
-        joint = joints[as_choice("joint of the home posture", name, joints)]
+        joint = joints[as_choice("joint of the home configuration", name, joints)]
         position = float(as_floats(f"home position of joint {name!r}", value, ()))
         low, high = model.jnt_range[joint]
         if model.jnt_limited[joint] and not low <= position <= high:
             raise InputError(f"home position {position:g} of joint {name!r} is outside of [{low:.4g}, {high:.4g}]")
         qpos[model.jnt_qposadr[joint]] = position
+
+
+def joint_ranges(
+    model: mujoco.MjModel, groups: Sequence[Sequence[int]], couplings: Couplings, notes: list[str]
+) -> dict[int, Floats]:
+    """The range ``(2,)`` [rad, m] of each joint; new and narrowed ranges are added to ``notes``.
+
+    A coordinate may move as far as all the joints that it moves. A hinge or ball joint without a range gets 0.95 pi
+    either side of its reference. A hinge alone in its link keeps its range, whatever it is; other hinges, and ball
+    joints, are narrowed to 0.99 pi, where the logarithm is still unique.
+
+    Args:
+        model: the model as given.
+        groups: for each link, the joints that move it.
+        couplings: joints that follow others.
+        notes: remarks for the report.
+
+    Raises:
+        InputError: a slide has no range, or nothing is left of a range.
+    """
+    joints = [joint for group in groups for joint in group]
+    spans = {joint: _span(model, joint, notes, alone=len(group) == 1) for group in groups for joint in group}
+    for lead in dict.fromkeys(couplings.leader(joint) for joint in joints):
+        members = [joint for joint in joints if couplings.leader(joint) == lead]
+        if members == [lead] and np.isfinite(spans[lead]).all():
+            continue
+        low, high = -np.inf, np.inf
+        for joint in members:
+            _, ratio, shift = couplings.lines.get(joint, (lead, 1.0, 0.0))
+            bounds = np.sort((spans[joint] - shift) / ratio)
+            low, high = max(low, bounds[0]), min(high, bounds[1])
+        name = model.joint(lead).name
+        if not np.isfinite([low, high]).all():
+            raise InputError(f'slide {name!r} has no range; give it one, such as range="0 0.5" [m]')
+        if low >= high:
+            raise InputError(f"nothing is left of the range of {name!r} and the joints that follow it; correct them")
+        own = spans[lead]
+        if np.isfinite(own).all() and (low > own[0] + 1e-9 or high < own[1] - 1e-9):
+            notes.append(f"{name}: range narrowed to [{low:.4g}, {high:.4g}] by the joints that follow it")
+        spans[lead] = np.array([low, high])
+        for joint in members:
+            if not np.isfinite(spans[joint]).all():
+                _, ratio, shift = couplings.lines[joint]
+                spans[joint] = np.sort(ratio * spans[lead] + shift)
+    return spans
+
+
+def _span(model: mujoco.MjModel, joint: int, notes: list[str], *, alone: bool) -> Floats:
+    name, kind = model.joint(joint).name, int(model.jnt_type[joint])
+    given = model.jnt_range[joint].copy() if model.jnt_limited[joint] else np.array([-np.inf, np.inf])
+    if kind == _SLIDE:
+        return given
+    if kind == _BALL:
+        widest = given[1] if model.jnt_limited[joint] else _DEFAULT
+        span = np.array([0.0, min(widest, _WIDEST)])
+    elif alone and model.jnt_limited[joint]:
+        return given
+    else:
+        reference = float(model.qpos0[model.jnt_qposadr[joint]])
+        most = _WIDEST if model.jnt_limited[joint] else _DEFAULT
+        span = np.clip(given, reference - most, reference + most)
+        if span[0] >= span[1]:
+            raise InputError(
+                f"hinge {name!r} with range [{given[0]:.4g}, {given[1]:.4g}] rad never comes within pi of its "
+                f"reference {reference:.4g}; give it a ref inside its range"
+            )
+    if not model.jnt_limited[joint]:
+        notes.append(f"{name}: had no range and got [{span[0]:.4g}, {span[1]:.4g}] rad")
+    elif not np.array_equal(span, given):
+        notes.append(f"{name}: range [{given[0]:.4g}, {given[1]:.4g}] narrowed to [{span[0]:.4g}, {span[1]:.4g}] rad")
+    return span

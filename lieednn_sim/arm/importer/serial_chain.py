@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import mujoco
-from lieednn_sim.arm.importer.stages import tendon_joints, tied_joints
+from lieednn_sim.arm.checks import ancestry, joints_of
+from lieednn_sim.arm.importer.stages import driven_directly, driven_tendons, tendon_joints, tied_joints
 from lieednn_sim.errors import InputError
 from lieednn_sim.validation import quoted
 from lieednn_sim.values import Floats
@@ -68,7 +69,7 @@ def named_frames(model: mujoco.MjModel, links: Sequence[str], base: str | None) 
     found = [find_frame(model, name) for name in links]
     inboard = found[0] if base is None else find_frame(model, base)
     if base is None:
-        moved = [body for body in _ancestry(model, found[0].body) if _chain_joints(model, body)]
+        moved = [body for body in ancestry(model, found[0].body) if _chain_joints(model, body)]
         if not moved:
             raise InputError(f"no hinge, slide or ball joint moves {links[0]!r}; name a link that moves")
         inboard = body_frame(model, int(model.body_parentid[moved[0]]))
@@ -88,13 +89,13 @@ def joint_groups(model: mujoco.MjModel, frames: Sequence[Frame]) -> tuple[tuple[
     """
     groups = []
     for inner, outer in itertools.pairwise(frames):
-        path = _ancestry(model, outer.body)
+        path = ancestry(model, outer.body)
         if inner.body not in path:
             raise InputError(
                 f"{outer.name!r} does not descend from {inner.name!r}; "
                 f"name links along one chain, from the base outwards"
             )
-        group = [joint for body in path[path.index(inner.body) + 1 :] for joint in _joints_of(model, body)]
+        group = [joint for body in path[path.index(inner.body) + 1 :] for joint in joints_of(model, body)]
         if not group:
             raise InputError(f"no joint is between {inner.name!r} and {outer.name!r}; leave one of them out")
         for joint in group:
@@ -127,7 +128,7 @@ def longest_chain(model: mujoco.MjModel, base: str | None) -> tuple[Frame, int]:
         heaviest[parent] = max(heaviest[parent], weight[parent] + heaviest[body])
     tips: dict[int, int] = {}
     for outermost in np.flatnonzero(weight):
-        path = _ancestry(model, int(outermost))
+        path = ancestry(model, int(outermost))
         if start is not None:
             if start.body not in path[:-1]:
                 continue
@@ -144,7 +145,7 @@ def longest_chain(model: mujoco.MjModel, base: str | None) -> tuple[Frame, int]:
             f"{len(best)} chains have {max(tips.values())} joints each, they end in "
             f"{_listed([model.body(tip).name for tip in best])}; name the links of one of them, or its base"
         )
-    path = _ancestry(model, best[0])
+    path = ancestry(model, best[0])
     first = next(body for body in (path if start is None else path[path.index(start.body) + 1 :]) if weight[body])
     return start or body_frame(model, int(model.body_parentid[first])), best[0]
 
@@ -162,14 +163,7 @@ def is_gripper(model: mujoco.MjModel, joint: int) -> bool:
 
 def _driven_joints(model: mujoco.MjModel) -> set[int]:
     usable = {joint for joint in range(model.njnt) if model.jnt_type[joint] != _FREE}
-    driven: set[int] = set()
-    for actuator in range(model.nu):
-        kind, target = model.actuator_trntype[actuator], int(model.actuator_trnid[actuator, 0])
-        if kind in (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)):
-            driven.add(target)
-        elif kind == int(mujoco.mjtTrn.mjTRN_TENDON):
-            driven.update(tendon_joints(model, target))
-    driven &= usable
+    driven = usable & driven_directly(model).union(*(tendon_joints(model, t) for t in driven_tendons(model)))
     if not driven:
         return usable
     ties = tied_joints(model)
@@ -190,8 +184,8 @@ def _without_hand(
             break
     ties, opened = tied_joints(model), False
     while path:
-        last = _joints_of(model, path[-1])
-        on_path = {joint for body in path for joint in _joints_of(model, body)}
+        last = joints_of(model, path[-1])
+        on_path = {joint for body in path for joint in joints_of(model, body)}
         leads_others = any(leader in last and follower not in on_path for follower, leader in ties)
         # At most one: the body that carries it may be named after a finger that does not move.
         gripper = not opened and weight[path[:-1]].any() and any(is_gripper(model, joint) for joint in last)
@@ -202,20 +196,8 @@ def _without_hand(
     return path
 
 
-def _ancestry(model: mujoco.MjModel, body: int) -> list[int]:
-    path = [body]
-    while path[-1]:
-        path.append(int(model.body_parentid[path[-1]]))
-    return path[::-1]
-
-
-def _joints_of(model: mujoco.MjModel, body: int) -> list[int]:
-    start = int(model.body_jntadr[body])
-    return list(range(start, start + int(model.body_jntnum[body])))
-
-
 def _chain_joints(model: mujoco.MjModel, body: int) -> list[int]:
-    return [joint for joint in _joints_of(model, body) if model.jnt_type[joint] != _FREE]
+    return [joint for joint in joints_of(model, body) if model.jnt_type[joint] != _FREE]
 
 
 def _listed(names: Iterable[str]) -> str:

@@ -39,7 +39,7 @@ class Servo:
         kp: [N m/rad, N/m].
         kv: [N m s/rad, N s/m].
         force_range: [N m, N]; infinite where nothing limits the actuators.
-        frequency: natural frequency on the largest inertia of a few postures, the other coordinates held [Hz].
+        frequency: natural frequency on the largest inertia of a few configurations, the other coordinates held [Hz].
         kept: whether kp and kv are those of the given model.
     """
 
@@ -80,20 +80,20 @@ def gain_parameters(servo: Servo) -> tuple[Floats, Floats]:
     return np.array([servo.kp, *np.zeros(9)]), np.array([0.0, -servo.kp, -servo.kv, *np.zeros(7)])
 
 
-def reduced_inertia(model: mujoco.MjModel, postures: Floats, dofs: Sequence[Dof]) -> Floats:
-    """Inertia ``(S, n, n)`` in the independent coordinates at postures ``(S, nq)``, armature included."""
+def reduced_inertia(model: mujoco.MjModel, configurations: Floats, dofs: Sequence[Dof]) -> Floats:
+    """Inertia ``(S, n, n)`` in the independent coordinates at configurations ``(S, nq)``, armature included."""
     data = mujoco.MjData(model)
-    columns = np.zeros((len(postures), len(dofs), model.nv))
-    for at, data.qpos[:] in zip(columns, postures, strict=True):
+    columns = np.zeros((len(configurations), len(dofs), model.nv))
+    for at, data.qpos[:] in zip(columns, configurations, strict=True):
         mujoco.mj_fwdPosition(model, data)
         for column, dof in zip(at, dofs, strict=True):
             mujoco.mj_mulM(model, data, column, dof.rates)
     return columns @ np.array([dof.rates for dof in dofs]).T
 
 
-def largest_inertia(model: mujoco.MjModel, postures: Floats, dofs: Sequence[Dof]) -> Floats:
-    """Largest inertia ``(n,)`` of each coordinate over the postures ``(S, nq)``, the other coordinates held."""
-    return np.asarray(np.diagonal(reduced_inertia(model, postures, dofs), axis1=1, axis2=2).max(axis=0))
+def largest_inertia(model: mujoco.MjModel, configurations: Floats, dofs: Sequence[Dof]) -> Floats:
+    """Largest inertia ``(n,)`` of each coordinate over the configurations ``(S, nq)``, the other coordinates held."""
+    return np.asarray(np.diagonal(reduced_inertia(model, configurations, dofs), axis1=1, axis2=2).max(axis=0))
 
 
 def growth(

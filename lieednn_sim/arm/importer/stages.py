@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from lieednn_sim._mujoco import mujoco
-from lieednn_sim.arm.couplings import Line, line_of, to_independent_leaders
+from lieednn_sim.arm.coordinates import Line, line_of, to_independent_leaders
+from lieednn_sim.arm.forces import ON_JOINTS
 from lieednn_sim.errors import InputError
 
 
@@ -109,7 +110,7 @@ def find_couplings(model: mujoco.MjModel, joints: Sequence[int]) -> Couplings:
             raise InputError(f"joint {name!r} follows two joints; keep one of its equalities")
         direct[follower] = line
     couplings = Couplings(to_independent_leaders(direct, lambda joint: f"joint {model.joint(joint).name!r}"))
-    for tendon in dict.fromkeys(_driven_tendons(model)):
+    for tendon in dict.fromkeys(driven_tendons(model)):
         couplings = _along_tendon(model, joints, couplings, tendon)
     return couplings
 
@@ -121,14 +122,15 @@ def tendon_joints(model: mujoco.MjModel, tendon: int) -> dict[int, float]:
     return {int(model.wrap_objid[w]): float(model.wrap_prm[w]) for w in wraps}
 
 
-def _driven_tendons(model: mujoco.MjModel) -> list[int]:
+def driven_tendons(model: mujoco.MjModel) -> list[int]:
+    """Tendons that actuators pull at."""
     tendon = model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_TENDON)
     return [int(model.actuator_trnid[a, 0]) for a in np.flatnonzero(tendon)]
 
 
-def _driven_directly(model: mujoco.MjModel) -> set[int]:
-    kinds = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
-    return {int(model.actuator_trnid[a, 0]) for a in range(model.nu) if model.actuator_trntype[a] in kinds}
+def driven_directly(model: mujoco.MjModel) -> set[int]:
+    """Joints that actuators drive without a tendon."""
+    return {int(model.actuator_trnid[a, 0]) for a in range(model.nu) if model.actuator_trntype[a] in ON_JOINTS}
 
 
 def _along_tendon(model: mujoco.MjModel, joints: Sequence[int], couplings: Couplings, tendon: int) -> Couplings:
@@ -138,7 +140,7 @@ def _along_tendon(model: mujoco.MjModel, joints: Sequence[int], couplings: Coupl
             leader = couplings.leader(joint)
             coefficients[leader] = coefficients.get(leader, 0.0) + coefficient * couplings.ratio(joint)
     heads = [joint for joint in joints if coefficients.get(joint)]
-    if len(heads) < 2 or _driven_directly(model).intersection(heads):
+    if len(heads) < 2 or driven_directly(model).intersection(heads):
         return couplings
     if len({int(model.jnt_type[joint]) for joint in heads}) > 1:
         raise InputError(

@@ -14,6 +14,7 @@ from __future__ import annotations
 from typing import ClassVar
 
 import numpy as np
+from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 from lieednn_sim.budget import check_time
@@ -23,8 +24,8 @@ from lieednn_sim.lie import exp
 from lieednn_sim.values import Floats, frozen
 
 # Ijspeert's values: critically damped.
-_ALPHA = 25.0
-_BETA = _ALPHA / 4.0
+ALPHA = 25.0
+BETA = ALPHA / 4.0
 # Step of the integrator, in durations; the weights are fitted to exactly these steps.
 STEP = 1.0 / 200.0
 # Corrections of the weights: positions need one, since rotations are not quite linear in the weights.
@@ -62,7 +63,7 @@ class MovementPrimitive:
         n_basis = max(2, round(n_parameters / dof))
         grid = np.arange(0.0, 1.0 + 0.5 * STEP, STEP)
         wanted = displacement(at_times(demonstrations.twists, demonstrations.t / duration, grid))
-        inverse = np.linalg.pinv(_responses(_forcing(n_basis, grid)), rcond=_LEAST_RESPONSE)
+        inverse = np.linalg.pinv(responses(forcing(n_basis, np.exp(-DECAY * grid)), STEP), rcond=_LEAST_RESPONSE)
         weights = np.zeros((n_basis, 6))
         for _ in range(_CORRECTIONS if dof == 6 else 1):
             model = cls(weights, duration, dof)
@@ -83,13 +84,13 @@ class MovementPrimitive:
         """As `MotionModel.reproduce`."""
         states = start.reshape(-1, 6)
         grid = even_grid(t[-1] / self.duration, STEP)
-        drive = _forcing(len(self.weights), grid) @ self.weights
+        drive = forcing(len(self.weights), np.exp(-DECAY * grid)) @ self.weights
         pose = exp(states)
         turn, position, rate = pose.rotation, pose.translation, np.zeros((len(states), 6))
         path = [displacement(states)]
         for force in drive[:-1]:
             check_time()
-            rate = rate + STEP * (_ALPHA * (-_BETA * path[-1] - rate) + force)
+            rate = rate + STEP * (ALPHA * (-BETA * path[-1] - rate) + force)
             position = position + STEP * rate[:, 3:]
             turned = path[-1][:, :3]
             if self.dof == 6:
@@ -100,21 +101,27 @@ class MovementPrimitive:
         return shown.reshape(*start.shape[:-1], len(t), 6)
 
 
-def _forcing(n_basis: int, grid: Floats) -> Floats:
-    """Forcing ``(G, B)`` per unit weight; the basis functions are equally spaced in time."""
-    phase = np.exp(-DECAY * grid)[:, None]
-    centres = np.exp(-DECAY * np.linspace(0.0, 1.0, n_basis))
+def forcing(n_basis: int, phase: Floats, decay: float = DECAY) -> Floats:
+    """Forcing ``(G, B)`` per unit weight at phases ``(G,)``; the basis functions are equally spaced in time.
+
+    Args:
+        n_basis: B, at least 2.
+        phase: s, from 1 at the start.
+        decay: k of the phase, whose value at the end is e^-k.
+    """
+    centres = np.exp(-decay * np.linspace(0.0, 1.0, n_basis))
     widths = np.abs(np.diff(centres, append=centres[-1] ** 2 / centres[-2]))
     # By logarithms, since far from all centres every function underflows.
-    exponent = -(((phase - centres) / widths) ** 2)
+    exponent = -(((phase[:, None] - centres) / widths) ** 2)
     psi = np.exp(exponent - exponent.max(axis=1, keepdims=True))
-    return phase * psi / psi.sum(axis=1, keepdims=True)
+    return phase[:, None] * psi / psi.sum(axis=1, keepdims=True)
 
 
-def _responses(forcing: Floats) -> Floats:
-    """Paths ``(G, B)`` from rest at zero under forcings ``(G, B)``, by the steps of `reproduce`."""
-    path, rate = np.zeros_like(forcing), np.zeros(forcing.shape[1])
-    for k in range(1, len(forcing)):
-        rate = rate + STEP * (_ALPHA * (-_BETA * path[k - 1] - rate) + forcing[k - 1])
-        path[k] = path[k - 1] + STEP * rate
-    return path
+def responses(forces: Floats, step: float) -> Floats:
+    """Positions ``(G, B)`` from rest at zero under forces ``(G, B)``, ``step`` durations apart.
+
+    The semi-implicit Euler method, p' += step (alpha (-beta p - p') + f) and then p += step p', is a recursion in p.
+    """
+    stiffness, damping = step**2 * ALPHA * BETA, step * ALPHA
+    recursion = [1.0, stiffness + damping - 2.0, 1.0 - damping]
+    return np.asarray(lfilter([0.0, step**2], recursion, forces, axis=0))

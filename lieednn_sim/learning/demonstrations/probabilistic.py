@@ -1,4 +1,4 @@
-"""Probabilistic movement primitives (Paraschos et al., NeurIPS 2013) by `movement_primitives`, an optional library.
+"""Probabilistic movement primitives (Paraschos et al., NeurIPS 2013).
 
 The path is a weighted sum of normalised Gaussian basis functions of the share of the duration. The weights are normally
 distributed: they are fitted to each demonstration by least squares, and have a mean and a covariance over the
@@ -8,21 +8,20 @@ the end.
 
 from __future__ import annotations
 
-import importlib.util
 from typing import ClassVar
 
 import numpy as np
 
-from lieednn_sim.errors import LieEDNNError
 from lieednn_sim.learning.demonstrations.alignment import Demonstrations, displacement, shown_part, twist_of
 from lieednn_sim.learning.demonstrations.models import at_times
 from lieednn_sim.values import Floats, frozen
 
-# The required libraries, and how to install them; the first imports the second without declaring it.
-LIBRARIES = ("movement_primitives", "pytransform3d")
-INSTALL = "pip install 'lieednn_sim[dmp]' (needs a C compiler and Python's headers)"
 # Number of instants at which paths are fitted and evaluated.
 _INSTANTS = 201
+# Value of a basis function at 1/(2B) from its centre, about half way to the next, before they are normalised.
+_OVERLAP = 0.7
+# Added to the squared singular values of the least squares.
+_RIDGE = 1e-12
 # Standard deviation added to every weight, in extents of the demonstrations: without it, a model of few demonstrations
 # could not be conditioned on another start.
 _DOUBT = 1e-2
@@ -49,45 +48,25 @@ class ProbabilisticPrimitive:
 
     @classmethod
     def fit(cls, demonstrations: Demonstrations, n_parameters: int) -> ProbabilisticPrimitive:
-        """Fit as many basis functions as there are parameters to spend, at least two.
-
-        Raises:
-            LieEDNNError: movement_primitives is not installed.
-        """
-        if missing_library():
-            raise LieEDNNError(f"the rival {cls.name!r} needs movement_primitives: {INSTALL}")
-        from movement_primitives.promp import ProMP
-
+        """Fit as many basis functions as there are parameters to spend, at least two."""
         dof, duration = demonstrations.dof, demonstrations.duration
-        shown = shown_part(dof)
+        shown, scale = shown_part(dof), demonstrations.scale[shown_part(dof)]
         n_basis = max(2, round(n_parameters / dof))
         shares = np.linspace(0.0, 1.0, _INSTANTS)
-        paths = displacement(at_times(demonstrations.twists, demonstrations.t / duration, shares))
-        scale = demonstrations.scale[shown]
-        # The least squares do not couple coordinates.
-        single = ProMP(1, n_basis)
-        weights = np.array(
-            [
-                [single.weights(shares.copy(), column[:, None]) for column in path.T]
-                for path in paths[..., shown] * scale
-            ]
-        ).reshape(len(paths), -1)
-        doubt = (_DOUBT * demonstrations.extent) ** 2 * np.eye(weights.shape[1])
+        basis = _basis(n_basis, shares)
+        paths = displacement(at_times(demonstrations.twists, demonstrations.t / duration, shares))[..., shown] * scale
+        inverse = np.linalg.pinv(basis.T @ basis + _RIDGE * np.eye(n_basis)) @ basis.T
+        weights = (inverse @ paths).swapaxes(1, 2).reshape(len(paths), -1)
         centred = weights - weights.mean(axis=0)
-        told = ProMP(dof, n_basis).from_weight_distribution(
-            weights.mean(axis=0), centred.T @ centred / len(weights) + doubt
-        )
-        told = told.condition_position(np.zeros(dof), t=1.0)
-        # The conditional mean is affine in the start: evaluated at the goal, and one unit away in each coordinate.
-        drawn = np.array(
-            [
-                told.condition_position(start, t=0.0).mean_trajectory(shares.copy()) / scale
-                for start in (np.zeros(dof), *np.diag(scale))
-            ]
-        )
+        covariance = centred.T @ centred / len(weights) + (_DOUBT * demonstrations.extent) ** 2 * np.eye(len(centred.T))
+        # Conditioned on both ends at once, the mean is affine in the start.
+        ends = np.concatenate([np.kron(np.eye(dof), row) for row in basis[[0, -1]]])
+        gain = covariance @ ends.T @ np.linalg.inv(ends @ covariance @ ends.T)
+        mean = weights.mean(axis=0) - gain @ ends @ weights.mean(axis=0)
         path, response = np.zeros((_INSTANTS, 6)), np.zeros((_INSTANTS, 6, 6))
-        path[:, shown] = drawn[0]
-        response[:, shown, shown] = (drawn[1:] - drawn[0]).transpose(1, 2, 0)
+        path[:, shown] = basis @ mean.reshape(dof, n_basis).T / scale
+        moved = np.einsum("kb,ibj->kij", basis, gain[:, :dof].reshape(dof, n_basis, dof))
+        response[:, shown, shown] = moved / scale[:, None] * scale
         return cls(path, response, duration, n_basis * dof)
 
     def reproduce(self, start: Floats, t: Floats) -> Floats:
@@ -98,6 +77,8 @@ class ProbabilisticPrimitive:
         return path.reshape(*start.shape[:-1], len(t), 6)
 
 
-def missing_library() -> str | None:
-    """The first library that is not installed; None where all are."""
-    return next((name for name in LIBRARIES if importlib.util.find_spec(name) is None), None)
+def _basis(n_basis: int, shares: Floats) -> Floats:
+    """Normalised Gaussians ``(K, B)`` of shares ``(K,)`` of the duration."""
+    squared = (shares[:, None] - np.linspace(0.0, 1.0, n_basis)) ** 2
+    psi = np.exp(4.0 * n_basis**2 * np.log(_OVERLAP) * squared)
+    return psi / psi.sum(axis=1, keepdims=True)

@@ -18,7 +18,7 @@ from lieednn_sim.learning.demonstrations.models import run_field
 from lieednn_sim.learning.demonstrations.warping import warp
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.synthesis import Shaping, ShapingOptions, shape
-from lieednn_sim.validation import as_floats, as_positive, as_times
+from lieednn_sim.validation import Seed, as_floats, as_positive, as_times
 from lieednn_sim.values import Floats, frozen
 
 # Default of the requested deviation, in extents of the demonstrations.
@@ -63,7 +63,7 @@ class ShapedMotion:
         demonstrations: Demonstrations,
         deviation: float | None = None,
         options: ShapingOptions | None = None,
-        seed: int = 0,
+        seed: Seed = 0,
     ) -> ShapedMotion:
         """Shape a network to follow the mean of the demonstrations.
 

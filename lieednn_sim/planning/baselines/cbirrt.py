@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import cache
 from types import SimpleNamespace
 from typing import Any
@@ -18,11 +17,11 @@ import numpy as np
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.budget import check_time
-from lieednn_sim.planning.baselines.joint_space import Workspace
 from lieednn_sim.planning.baselines.sampling import PathOptions
 from lieednn_sim.planning.baselines.search_space import EdgeTest
 from lieednn_sim.planning.baselines.smoothing import motion_along_first
 from lieednn_sim.planning.extras import optional_module
+from lieednn_sim.planning.joint_space import Workspace
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.problem import PlanningProblem
 from lieednn_sim.values import Floats
@@ -31,12 +30,7 @@ from lieednn_sim.values import Floats
 _Search = Callable[[EdgeTest, Floats, Floats, float, PathOptions, int], "list[Floats] | None"]
 
 
-@dataclass(frozen=True)
-class CbirrtOptions(PathOptions):
-    """Options of the planners ``mjpl`` and ``sscbirrt``; as `PathOptions`."""
-
-
-def mjpl(problem: PlanningProblem, options: CbirrtOptions) -> Motion:
+def mjpl(problem: PlanningProblem, options: PathOptions) -> Motion:
     """The motion along a path of mjpl's bidirectional RRT.
 
     Raises:
@@ -46,12 +40,12 @@ def mjpl(problem: PlanningProblem, options: CbirrtOptions) -> Motion:
     return _plan(problem, options, "mjpl", _mjpl_path)
 
 
-def sscbirrt(problem: PlanningProblem, options: CbirrtOptions) -> Motion:
+def sscbirrt(problem: PlanningProblem, options: PathOptions) -> Motion:
     """As `mjpl`, with sscbirrt's planner: its Python backend, since the compiled one accepts no custom edge test."""
     return _plan(problem, options, "sscbirrt", _sscbirrt_path)
 
 
-def _plan(problem: PlanningProblem, options: CbirrtOptions, name: str, search: _Search) -> Motion:
+def _plan(problem: PlanningProblem, options: PathOptions, name: str, search: _Search) -> Motion:
     optional_module(name)
     workspace = Workspace(problem, options.margin)
 
@@ -89,7 +83,7 @@ def _mjpl_path(
 
     def step_of_search(q_old: Floats, q: Floats) -> Floats | None:
         check_time()
-        if edges.over(max(options.tests)):
+        if edges.over(max(options.max_collision_checks)):
             raise _SpentError
         return step(q_old, q)
 
@@ -132,7 +126,7 @@ def _sscbirrt_path(
     config = library.CBiRRTConfig(
         timeout=1e9,
         max_iterations=2**31 - 1,
-        abort_fn=lambda: edges.over(max(options.tests)),
+        abort_fn=lambda: edges.over(max(options.max_collision_checks)),
         step_size=longest_edge,
         edge_resolution=None,
         smoothing_iterations=options.shortcuts,

@@ -18,7 +18,7 @@ from scipy.optimize import least_squares
 
 from lieednn_sim.budget import check_time
 from lieednn_sim.errors import PlanError
-from lieednn_sim.planning.baselines.joint_space import (
+from lieednn_sim.planning.joint_space import (
     SPLINE_DEGREE,
     ClearanceTest,
     Workspace,
@@ -26,10 +26,10 @@ from lieednn_sim.planning.baselines.joint_space import (
     joint_motion,
     joint_scale,
 )
-from lieednn_sim.planning.laws import minimum_jerk_law
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.options import PlannerOptions
-from lieednn_sim.planning.problem import PlanningProblem
+from lieednn_sim.planning.problem import PlanningProblem, made_in_time
+from lieednn_sim.planning.time_laws import minimum_jerk_law
 from lieednn_sim.values import Floats
 
 # Control points fixed at each end by its position and zero velocity and acceleration.
@@ -69,6 +69,7 @@ class OptimisationOptions(PlannerOptions):
     inset: float = field(default=1e-9, metadata={"range": (0.0, 0.1)})
 
 
+@made_in_time
 def trajectory_optimisation(
     problem: PlanningProblem, options: OptimisationOptions, guide: Motion | None = None
 ) -> Motion:

@@ -18,11 +18,11 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from lieednn_sim.budget import check_time
-from lieednn_sim.planning.baselines.joint_space import Workspace
 from lieednn_sim.planning.baselines.search_space import SearchSpace
 from lieednn_sim.planning.baselines.smoothing import SmoothingOptions, motion_along_first
 from lieednn_sim.planning.baselines.trees import connected
 from lieednn_sim.planning.extras import optional_module
+from lieednn_sim.planning.joint_space import Workspace
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.problem import PlanningProblem
@@ -50,9 +50,9 @@ class SearchOptions(PlannerOptions):
     Attributes:
         margin: clearance of paths, reduced where start or target is closer to something [m]; smoothed motions are
             checked for less.
-        tests: largest number of postures tested (not seconds, so that results do not depend on the machine). While no
-            path is found, the search goes on to the next number; planners that improve their paths stop at the first
-            at which they have one.
+        max_collision_checks: largest number of postures tested (not seconds, so that results do not depend on the
+            machine). While no path is found, the search goes on to the next number; planners that improve their paths
+            stop at the first at which they have one.
         shortcuts: number of shortcuts tried on the path.
         longest_edge: longest edge that a tree grows at once, as a share of the joint space's diagonal.
         spacings: largest distances that a link frame moves between postures tested on an edge, about, from 0.001 to
@@ -60,7 +60,7 @@ class SearchOptions(PlannerOptions):
     """
 
     margin: float = 0.01
-    tests: tuple[int, ...] = (120_000,)
+    max_collision_checks: tuple[int, ...] = (120_000,)
     shortcuts: int = 60
     longest_edge: float = field(default=0.1, metadata={"range": (1e-3, 1.0)})
     spacings: tuple[float, ...] = field(default=(0.04, 0.02), metadata={"range": (1e-3, 1.0)})
@@ -87,7 +87,7 @@ class RrtConnectOptions(PathOptions):
 class RrtStarOptions(PathOptions):
     """Options of the planners ``rrt-star`` and ``aorrtc``; as `PathOptions`."""
 
-    tests: tuple[int, ...] = (80_000, 160_000)
+    max_collision_checks: tuple[int, ...] = (80_000, 160_000)
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,7 @@ class BitStarOptions(PathOptions):
     A test takes several times as long as with RRT*, and longer as the number of samples grows.
     """
 
-    tests: tuple[int, ...] = (5_000, 10_000, 20_000, 40_000)
+    max_collision_checks: tuple[int, ...] = (5_000, 10_000, 20_000, 40_000)
 
 
 # Arguments: space, options, seed. Returns a path of OMPL's, or None.
@@ -132,6 +132,10 @@ def sampling_planner(name: str) -> Callable[[PlanningProblem, PathOptions], Moti
 
 
 rrt_connect = sampling_planner("rrt-connect")
+rrt_star = sampling_planner("rrt-star")
+informed_rrt_star = sampling_planner("informed-rrt-star")
+bit_star = sampling_planner("bit-star")
+aorrtc = sampling_planner("aorrtc")
 
 
 def _plan(problem: PlanningProblem, options: PathOptions, search: Search, name: str) -> Motion:
@@ -191,7 +195,7 @@ def ompl_search(name: str) -> Search:
             planner.setRange(options.longest_edge * space.information.getMaximumExtent())
         planner.setProblemDefinition(definition)
         planner.setup()
-        for tests in options.tests:
+        for tests in options.max_collision_checks:
             if not definition.hasExactSolution():
                 planner.solve(base.PlannerTerminationCondition(partial(space.edges.over, tests)))
                 check_time()
@@ -210,7 +214,7 @@ def balanced_search(space: SearchSpace, options: SearchOptions, seed: np.random.
         bounds=box,
         longest_edge=options.longest_edge * float(np.linalg.norm(np.ptp(box, axis=1))),
         clear=lambda first, second: edges.passable(first / weight, second / weight),
-        over=partial(edges.over, max(options.tests)),
+        over=partial(edges.over, max(options.max_collision_checks)),
         seed=seed,
     )
     check_time()

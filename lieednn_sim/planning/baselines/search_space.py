@@ -14,13 +14,13 @@ import numpy as np
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.budget import check_time, out_of_time
-from lieednn_sim.planning.baselines.joint_space import Workspace, joint_scale, sweeps
 from lieednn_sim.planning.extras import optional_module
+from lieednn_sim.planning.joint_space import Workspace, joint_scale, sweeps
 from lieednn_sim.planning.problem import PlanningProblem
 from lieednn_sim.values import Floats
 
 # How often a search may ask whether it is over, per test that it may make; usually it makes a test or more each time.
-_LOOKS = 2
+_CALLS_PER_TEST = 2
 
 
 class EdgeTest:
@@ -77,7 +77,7 @@ class EdgeTest:
     def over(self, tests: int) -> bool:
         """Whether a search that may test this many postures must end; to be asked in its loop."""
         # Calls count, too: a planner that knows the shortest path tests nothing any more.
-        return next(self._looks) >= _LOOKS * tests or self._clear.tests >= tests or out_of_time()
+        return next(self._looks) >= _CALLS_PER_TEST * tests or self._clear.tests >= tests or out_of_time()
 
 
 class SearchSpace:

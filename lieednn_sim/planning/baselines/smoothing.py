@@ -17,18 +17,18 @@ from scipy.integrate import cumulative_simpson
 from scipy.interpolate import BSpline, CubicHermiteSpline
 
 from lieednn_sim.errors import PlanError, TooFastError
-from lieednn_sim.planning.baselines.joint_space import (
+from lieednn_sim.planning.joint_space import (
     SPLINE_DEGREE,
     clamped_knots,
     joint_motion,
     joint_scale,
     unchecked_motion,
 )
-from lieednn_sim.planning.laws import minimum_jerk_law
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.problem import PlanningProblem, in_time
 from lieednn_sim.planning.retiming import retime
+from lieednn_sim.planning.time_laws import minimum_jerk_law
 from lieednn_sim.values import Floats
 
 # Nodes of the arc length; with these its inverse is accurate to about 1e-12.
@@ -122,7 +122,7 @@ def motion_along_first(
                 return motion_along(asked, corners, options, curves)
             except PlanError as error:
                 refusal = error
-                if isinstance(error, TooFastError) and error.duration <= asked.longest * asked.duration:
+                if isinstance(error, TooFastError) and error.duration <= asked.max_time_scale * asked.duration:
                     break
         raise refusal or PlanError(f"{name} found no path free of contact; try another seed or target")
 

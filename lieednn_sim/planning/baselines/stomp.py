@@ -27,11 +27,11 @@ from scipy.linalg import solve_triangular
 
 from lieednn_sim.budget import check_time
 from lieednn_sim.errors import PlanError
-from lieednn_sim.planning.baselines.joint_space import SPLINE_DEGREE, Workspace, clamped_knots, joint_motion, sweeps
-from lieednn_sim.planning.laws import minimum_jerk_law
+from lieednn_sim.planning.joint_space import SPLINE_DEGREE, Workspace, clamped_knots, joint_motion, sweeps
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.problem import PlanningProblem, in_time
+from lieednn_sim.planning.time_laws import minimum_jerk_law
 from lieednn_sim.values import Floats
 
 # Postures tested between two checks of the time budget.

@@ -2,7 +2,7 @@
 
 from lieednn_sim.planning.filtering.barriers import Barrier, FilterOptions
 from lieednn_sim.planning.filtering.limits import Limit
-from lieednn_sim.planning.filtering.run import FilteredRun, limits_proved, run_filtered
+from lieednn_sim.planning.filtering.run import FilteredRun, run_filtered
 from lieednn_sim.planning.filtering.safety import FilterStep, SafetyFilter
 from lieednn_sim.typecheck import typecheck_public
 
@@ -13,7 +13,6 @@ __all__ = [
     "FilteredRun",
     "Limit",
     "SafetyFilter",
-    "limits_proved",
     "run_filtered",
 ]
 

@@ -19,7 +19,7 @@ from scipy.interpolate import CubicHermiteSpline
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.budget import check_time
-from lieednn_sim.errors import LieEDNNError, PlanError
+from lieednn_sim.errors import PlanError
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.planning.filtering.barriers import FilterOptions
 from lieednn_sim.planning.filtering.safety import SafetyFilter
@@ -63,7 +63,6 @@ class FilteredRun:
             there are none; at the end the smallest of all.
         filtered_share: share of the steps in which position limits or clearance changed the velocities.
         brakings: number of steps in which the limits allowed nothing but braking.
-        limits_proved: whether an invariant box proves the position limits, even without the filter.
         reference: the network's own motion, unfiltered; with intermediate postures, its motions between them.
     """
 
@@ -77,7 +76,6 @@ class FilteredRun:
     clearance: Floats
     filtered_share: float
     brakings: int
-    limits_proved: bool
     reference: Motion
 
     def __repr__(self) -> str:
@@ -93,7 +91,7 @@ def run_filtered(
     *,
     via: ArrayLike = (),
     timestep: float = 0.01,
-    longest: float = 3.0,
+    max_time_scale: float = 3.0,
     options: FilterOptions | None = None,
 ) -> FilteredRun:
     """Run a network from rest at ``start`` ``(n,)`` to its equilibrium, with all limits and clearance enforced.
@@ -106,14 +104,14 @@ def run_filtered(
         via: intermediate joint positions ``(V, n)``: the network is retargeted to one after another, each time from the
             arm's posture when it has come close to the previous one, and finally to its own equilibrium.
         timestep: control step [s].
-        longest: number of durations after which the run ends, arrived or not.
+        max_time_scale: number of durations after which the run ends, arrived or not.
         options: settings of the filter.
 
     Raises:
         InputError: a value is malformed, the start is out of the arm's reach, or something touches at start or end.
         PlanError: the network has no equilibrium that the arm can be at, or does not arrive there by itself.
     """
-    factor, n = as_positive("longest", longest), arm.n_joints
+    factor, n = as_positive("max_time_scale", max_time_scale), arm.n_joints
     passed = as_floats("via", via, (), batched=True)
     passed = as_floats("via", passed if passed.size else passed.reshape(0, n), ("V", n))
     q, v = arm.check_position(start, "start"), np.zeros(n)
@@ -196,7 +194,6 @@ def run_filtered(
         clearance=np.array([*clearances[1:], min(filter_.clearance.collisions.clearance(q), np.inf)]),
         filtered_share=filtered / steps,
         brakings=brakings,
-        limits_proved=all(segment.proved for segment in segments),
         reference=_joined([segment.reference for segment in segments]),
     )
 
@@ -210,7 +207,6 @@ class _Segment:
         self.path = CubicHermiteSpline(self.reference.t, self.reference.q, self.reference.qd)
         self.end = float(self.reference.t[-1])
         self.begun, self._h = begun, h
-        self.proved = limits_proved(arm, network, self.reference.xi[0])
 
     def next(self, network: LieEDNN, q: Floats, duration: float, clock: float) -> _Segment:
         """The next segment, from this clock time of the present one; hidden neurons continue from their state."""
@@ -252,39 +248,3 @@ def _towards(error: Floats, brakes: Floats) -> Floats:
 def _bounded(velocity: Floats, speeds: Floats) -> Floats:
     """The velocity, scaled down as a whole if a joint is too fast."""
     return velocity / max(1.0, float(np.abs(velocity / speeds).max()))
-
-
-def limits_proved(arm: Arm, network: LieEDNN, start: ArrayLike) -> bool:
-    """Whether it is proved that the joints keep their position limits on the network's way from ``start`` ``(n, 6)``.
-
-    The box that no trajectory leaves (`ComponentwiseNetwork.invariant_box`) bounds the joints if each compound joint
-    has six degrees of freedom, three slides below a ball: the angle of the ball is |omega|, and the displacement of the
-    slides is V(omega) v with |V(omega) v - v| <= |omega| |v| / 2. Other joints take the nearest position to a pose that
-    they cannot meet, which no box bounds tightly; for them nothing is proved, and the filter is needed.
-
-    Raises:
-        InputError: start is malformed.
-    """
-    origin = as_floats("start", start, (arm.n_links, 6))
-    if not arm.exact:
-        return False
-    try:
-        lower, upper = map(network.visible, network.invariant_box(network.start(origin)))
-    except LieEDNNError:
-        return False
-    largest = np.maximum(np.abs(lower), np.abs(upper))
-    angles = np.linalg.norm(largest[:, :3], axis=1)
-    lengths = arm.length_scale * np.linalg.norm(largest[:, 3:], axis=1)
-    low, high = arm.position_limits.T - arm.joints.reference
-    for link, joint in enumerate(arm.joints.joints):
-        *slides, ball = joint.factors
-        if angles[link] > high[ball.indices].min() or angles[link] >= np.pi:
-            return False
-        columns = np.linalg.inv(np.column_stack([slide.ratio * slide.axes[:, 0] for slide in slides]))
-        ends = arm.length_scale * np.stack([lower[link, 3:], upper[link, 3:]])
-        middle, half = columns @ ends.mean(axis=0), np.abs(columns) @ (0.5 * np.diff(ends, axis=0)[0])
-        half += 0.5 * np.linalg.norm(columns, axis=1) * angles[link] * lengths[link]
-        indices = np.concatenate([slide.indices for slide in slides])
-        if (middle - half < low[indices]).any() or (middle + half > high[indices]).any():
-            return False
-    return True

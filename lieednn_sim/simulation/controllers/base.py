@@ -25,7 +25,7 @@ from lieednn_sim.values import Floats
 Inputs = dict[mujoco.mjtState, Floats]
 
 # Natural frequency w of the computed-torque loop, 10 Hz [rad/s]; it is critically damped.
-_OMEGA = 2.0 * np.pi * 10.0
+_NATURAL_FREQUENCY = 2.0 * np.pi * 10.0
 
 
 class Controller(ABC):
@@ -182,7 +182,7 @@ class ComputedTorque(DriveController):
         self._foreseen = Foreseen(reference)
         self._turning = arm.model.nq > arm.model.nv
         # Gains of velocity and position, as arrays: multiplying by numbers takes twice as long.
-        self._gains = np.full((2, arm.model.nv), [[2.0 * _OMEGA], [_OMEGA**2]])
+        self._gains = np.full((2, arm.model.nv), [[2.0 * _NATURAL_FREQUENCY], [_NATURAL_FREQUENCY**2]])
         self._errors = np.empty_like(self._gains)
         self._lag, self._error = self._errors
 

@@ -22,7 +22,7 @@ from lieednn_sim.simulation.tracking import as_hold
 from lieednn_sim.studies.comparison.rows import COLUMNS, TIMING, Case, Row
 from lieednn_sim.studies.entries import SCENE, Entry, load
 from lieednn_sim.validation import as_positive
-from lieednn_sim.values import Floats, check_fields
+from lieednn_sim.values import Floats, check_fields, set_fields
 
 FREE = "free"
 
@@ -48,7 +48,7 @@ class Settings:
 
     def __post_init__(self) -> None:
         check_fields(self, as_positive, "duration", "mass_scale", "time_budget")
-        object.__setattr__(self, "hold", as_hold(self.hold))
+        set_fields(self, hold=as_hold(self.hold))
 
 
 @lru_cache(maxsize=4)

@@ -14,6 +14,7 @@ from rich.console import Console
 from lieednn_sim.arm import arm_names
 from lieednn_sim.arm.scenes import SCENES
 from lieednn_sim.errors import InputError
+from lieednn_sim.planner_table import SLOW
 from lieednn_sim.planning import missing_planners, planners
 from lieednn_sim.simulation import controllers
 from lieednn_sim.studies.comparison.cases import FREE, Settings, failed_case, run_case
@@ -24,18 +25,10 @@ from lieednn_sim.studies.statistics import numbers
 from lieednn_sim.studies.study import Study, compute
 from lieednn_sim.studies.table import Table
 from lieednn_sim.validation import as_choice, as_count
-from lieednn_sim.values import check_fields
+from lieednn_sim.values import check_fields, set_fields
 
 DEFAULT_CONTROLLERS = ("position-servo", "inverse-dynamics")
 DEFAULT_SCENES = (FREE, "window")
-# CPU times of a case [s], planning and both default controllers, of the planners that need more than a second in the
-# mean over the package's arms, free and behind the window, and of all others. Declared, not measured, so that which
-# cases there are depends on no machine; the order of cases follows them until the table holds planning times.
-SLOW_PLANNERS = {"lieednn-trained": 2.7, "trajectory-optimisation": 1.6, "rrt-star": 1.3}
-SLOW_PLANNERS |= dict.fromkeys(("lieednn-filtered", "lieednn-guided"), 1.1)
-_COST = 0.6
-
-
 # Those of its fields that tell which cases a comparison has.
 _SELECTION = ("planners", "arms", "scenes", "controllers", "seeds", "entries", "slow_seeds")
 
@@ -54,7 +47,7 @@ class Comparison(Study[Row]):
         controllers: names of `CONTROLLERS`.
         seeds: number of seeds, starting at 0.
         entries: the arms and scenes from files; those given here can be referred to by name.
-        slow_seeds: number of seeds of the planners in `SLOW_PLANNERS`, at most ``seeds``; None for as many.
+        slow_seeds: number of seeds of the planners whose `cost` is above `SLOW`, at most ``seeds``; None for as many.
         common: settings of all rows.
         shard: the shard of the cases that is computed, for `merging.merge`; None for all.
 
@@ -94,8 +87,8 @@ class Comparison(Study[Row]):
             chosen = tuple(dict.fromkeys(given))
             for value in chosen:
                 as_choice(kind, value, known)
-            object.__setattr__(self, name, chosen)
-        object.__setattr__(self, "entries", tuple(entries))
+            set_fields(self, **{name: chosen})
+        set_fields(self, entries=tuple(entries))
         check_fields(self, as_count, "seeds")
         if self.slow_seeds is not None and as_count("slow_seeds", self.slow_seeds) > self.seeds:
             raise InputError(f"slow_seeds must be at most seeds, {self.seeds}, got {self.slow_seeds}")
@@ -123,7 +116,7 @@ class Comparison(Study[Row]):
         few = self.seeds if self.slow_seeds is None else self.slow_seeds
         combinations = itertools.product(self.arms, self.scenes, usable, range(self.seeds))
         cases = itertools.starmap(Case, combinations)
-        return [case for case in cases if case.seed < few or case.planner not in SLOW_PLANNERS]
+        return [case for case in cases if case.seed < few or planners()[case.planner].cost <= SLOW]
 
     def todo(self, table: Table[Row]) -> list[tuple[Case, list[str], Settings]]:
         """See `Study`."""
@@ -149,7 +142,7 @@ class Comparison(Study[Row]):
         costs = {}
         for planner in self.planners:
             known = numbers([row for row in table.rows.values() if row.planner == planner], "planning_s")
-            costs[planner] = max(known) if known else SLOW_PLANNERS.get(planner, _COST)
+            costs[planner] = max(known) if known else planners()[planner].cost
         return costs
 
 

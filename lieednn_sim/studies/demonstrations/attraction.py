@@ -9,7 +9,7 @@ import numpy as np
 from lieednn_sim.learning.demonstrations import Demonstrations
 from lieednn_sim.learning.demonstrations.alignment import displacement, twist_of
 from lieednn_sim.learning.demonstrations.models import MotionModel
-from lieednn_sim.validation import as_count, as_generator
+from lieednn_sim.validation import Seed, as_count, as_generator
 from lieednn_sim.values import Floats
 
 # Durations after which it is decided whether a start has arrived.
@@ -38,7 +38,7 @@ class Attraction:
     spurious: int
 
 
-def random_starts(demonstrations: Demonstrations, count: int, seed: int | np.random.Generator = 0) -> Floats:
+def random_starts(demonstrations: Demonstrations, count: int, seed: Seed = 0) -> Floats:
     """Random twists ``(count, 6)`` around the demonstrations.
 
     Positions are uniform in their bounding box, extended on all sides by its longest side; rotations, where poses were

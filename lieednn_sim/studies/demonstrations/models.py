@@ -20,7 +20,7 @@ from lieednn_sim.evaluation.paths import PathErrors, path_errors
 from lieednn_sim.learning.demonstrations import Demonstrations
 from lieednn_sim.learning.demonstrations.models import LinearAttractor, MotionModel
 from lieednn_sim.learning.demonstrations.primitive import MovementPrimitive
-from lieednn_sim.learning.demonstrations.probabilistic import INSTALL, ProbabilisticPrimitive, missing_library
+from lieednn_sim.learning.demonstrations.probabilistic import ProbabilisticPrimitive
 from lieednn_sim.learning.demonstrations.shaped import ShapedMotion
 from lieednn_sim.learning.demonstrations.stable_mixture import StableMixture
 from lieednn_sim.network import LieEDNN
@@ -67,11 +67,6 @@ class ModelRow:
     attraction: Attraction
 
 
-def missing_rivals() -> dict[str, str]:
-    """Names of the rivals whose libraries are not installed, and how to install these."""
-    return {ProbabilisticPrimitive.name: INSTALL} if missing_library() else {}
-
-
 def reproduction(model: MotionModel, demonstrations: Demonstrations, start: Floats) -> Floats:
     """Twists ``(K, 6)`` from a twist ``(6,)`` until the model's motion is over."""
     return model.reproduce(start, np.linspace(0.0, model.durations * demonstrations.duration, _INSTANTS))
@@ -95,7 +90,7 @@ def compare_models(
         demonstrations: the demonstrations.
         shaped: the network fitted to all of them.
         options: the options of its fit. Networks fitted without a demonstration have no more hidden neurons.
-        rivals: names of `RIVALS`; by default all that are installed.
+        rivals: names of `RIVALS`; by default all.
         starts: number of random starts, see `fields.random_starts`.
         leave_one_out: fit each model again without each of the demonstrations.
         seed: seed of the starts and the fits.
@@ -108,11 +103,8 @@ def compare_models(
     Raises:
         LieEDNNError: the executor gave up.
     """
-    missing = missing_rivals()
-    chosen = [name for name in RIVALS if name not in missing] if rivals is None else rivals
-    names = [as_choice("rival", name, RIVALS) for name in chosen]
     again = no_more_than(options, shaped.network)
-    names = [shaped.name, *names]
+    names = [shaped.name, *(as_choice("rival", name, RIVALS) for name in (RIVALS if rivals is None else rivals))]
     n, places = len(demonstrations), random_starts(demonstrations, starts, seed)
     folds = range(n) if leave_one_out and n > 1 else range(0)
     fit = partial(_fit, n_parameters=shaped.n_parameters, options=again, seed=seed)
@@ -124,7 +116,7 @@ def compare_models(
         for number, name in enumerate(names):
             begun = cpu_time()
             model: MotionModel = shaped if name == shaped.name else fit(name, demonstrations)
-            seconds = shaped.shaping.seconds if name == shaped.name else cpu_time() - begun
+            seconds = shaped.shaping.cpu_time if name == shaped.name else cpu_time() - begun
             without = []
             for k in folds:
                 if progress:

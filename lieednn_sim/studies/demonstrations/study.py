@@ -10,7 +10,7 @@ from typing import Any
 
 from lieednn_sim.learning.demonstrations import align, load_demonstrations
 from lieednn_sim.learning.demonstrations.shaped import ShapedMotion
-from lieednn_sim.studies.demonstrations.models import RIVALS, ModelRow, compare_models, missing_rivals
+from lieednn_sim.studies.demonstrations.models import RIVALS, ModelRow, compare_models
 from lieednn_sim.studies.rows import TableRow, column, outcome
 from lieednn_sim.studies.study import Study
 from lieednn_sim.studies.table import Table
@@ -105,9 +105,8 @@ class DemonstrationSets(Study[ModelScore]):
 
     @property
     def models(self) -> list[str]:
-        """Names of the models: the network, and the rivals that are installed."""
-        missing = missing_rivals()
-        return [ShapedMotion.name, *(name for name in RIVALS if name not in missing)]
+        """Names of the models, the network first."""
+        return [ShapedMotion.name, *RIVALS]
 
     def todo(self, table: Table[ModelScore]) -> list[tuple[str, str, str, ShapingOptions, int]]:
         """See `Study`."""

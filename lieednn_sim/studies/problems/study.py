@@ -31,7 +31,7 @@ from lieednn_sim.studies.rows import TableRow, column, columns_of, outcome
 from lieednn_sim.studies.study import Study
 from lieednn_sim.studies.table import Table
 from lieednn_sim.validation import as_choice, as_count
-from lieednn_sim.values import Floats, check_fields
+from lieednn_sim.values import Floats, check_fields, set_fields
 
 SKIPPED = "skipped"
 DEFAULT_PLANNERS = ("minimum-jerk", "rrt-connect", "lieednn-shaped")
@@ -40,7 +40,12 @@ _TIMED = importlib.util.find_spec("toppra") is not None
 # Starts and goals are close to obstacles, and the time budget is the only limit of the search. Chosen on problems that
 # are not in the list of 100.
 _SEARCH = RrtConnectOptions(
-    margin=0.002, tests=(100_000_000,), longest_edge=0.025, spacings=(0.05, 0.02, 0.008), balanced=True, fastest=_TIMED
+    margin=0.002,
+    max_collision_checks=(100_000_000,),
+    longest_edge=0.025,
+    spacings=(0.05, 0.02, 0.008),
+    balanced=True,
+    fastest=_TIMED,
 )
 OPTIONS: Mapping[str, PlannerOptions] = {
     "rrt-connect": _SEARCH,
@@ -148,7 +153,12 @@ def solve(folder: str, name: str, number: int, planner: str, budget: float) -> l
 def _planned(arm: Arm, start: Floats, goal: Floats, planner: str, budget: float) -> Plan:
     """A plan, retimed to the arm's limits where toppra is installed."""
     shortest, options = max(_SHORTEST, least_duration(arm, start, goal)), OPTIONS.get(planner)
-    asked: dict[str, Any] = {"duration": shortest, "longest": _LONGEST, "time_budget": budget, "options": options}
+    asked: dict[str, Any] = {
+        "duration": shortest,
+        "max_time_scale": _LONGEST,
+        "time_budget": budget,
+        "options": options,
+    }
     made = plan(arm, goal, planner=planner, start=start, **asked)
     if _TIMED:
         # Not plan(fastest=True), which would reject the plan where a path that only just passes touches something at
@@ -213,8 +223,7 @@ class PublishedProblems(Study[Solution]):
         for name, reason in missing_planners().items():
             if name in chosen:
                 raise LieEDNNError(f"planner {name} is not installed ({reason})")
-        object.__setattr__(self, "names", chosen)
-        object.__setattr__(self, "budget", as_time_budget("time budget", self.budget))
+        set_fields(self, names=chosen, budget=as_time_budget("time budget", self.budget))
         if self.problems is not None:
             check_fields(self, as_count, "problems")
 

@@ -4,26 +4,27 @@ from __future__ import annotations
 
 import numpy as np
 
-from lieednn_sim.network import LieEDNN
+from lieednn_sim.network import DEFAULT_ACTIVATION, LieEDNN
 from lieednn_sim.synthesis.shaping.cascade import CLOCK_START, Parameters
 from lieednn_sim.values import Floats
 
 # Most that a layer's input from the next one may add to lambda_max, in S-scaled weights.
-_SHARE = 0.02
+_MOST_ADDED = 0.02
 _UNIT = np.eye(3)[0]
 
 
-def assemble(parameters: Parameters, rate: float, target: Floats) -> LieEDNN:
+def assemble(parameters: Parameters, rate: float, target: Floats, activation: str = DEFAULT_ACTIVATION) -> LieEDNN:
     """The network of a cascade to ``target`` ``(N, 6)``, with its Lyapunov diagonal in closed form.
 
     Ordered (visible, hidden, clock), W_R is block triangular with a diagonal of 0, 0 and 1 - rho. With P = S^2 and
     S = diag(1, s_h, s_c), a layer's input is divided by the ratio of two scales, so that lambda_max of
-    sym(S W_R S^-1) comes arbitrarily close to 1 - rho: each scale is the least with which it comes within `_SHARE`.
+    sym(S W_R S^-1) comes arbitrarily close to 1 - rho: each scale is the least that comes within `_MOST_ADDED` of it.
 
     Args:
         parameters: parameters of N visible neurons and M switches.
         rate: rho of the clock; 1 for no clock.
         target: visible equilibrium.
+        activation: a name of `ACTIVATIONS`.
     """
     n, m = parameters.q.shape[:2]
     clock = 2 if rate < 1.0 else 0
@@ -54,12 +55,13 @@ def assemble(parameters: Parameters, rate: float, target: Floats) -> LieEDNN:
     for receiver, sender_slice in ((slice(0, n), hidden), (hidden, slice(n + m, size)))[: 1 + bool(clock)]:
         weight = (alpha[receiver, sender_slice, None, None] * rotation[receiver, sender_slice]).transpose(0, 2, 1, 3)
         heard = float(np.linalg.norm(weight.reshape(3 * weight.shape[0], -1), 2))
-        scales.append(scales[-1] * max(1.0, heard / (2.0 * min(_SHARE, 0.25 * rate))))
+        scales.append(scales[-1] * max(1.0, heard / (2.0 * min(_MOST_ADDED, 0.25 * rate))))
     network = LieEDNN(
         alpha=alpha,
         rotation=rotation,
         translation=translation,
         bias=bias,
+        activation=activation,
         lyapunov_diagonal=np.repeat(np.repeat(scales, [n, m, clock][: len(scales)]), 3) ** 2,
         hidden_start=hidden_start,
         n_clock=clock,

@@ -2,12 +2,12 @@
 
 With gamma = mu = 1 the hidden neurons are h_n(t) = a_n + c_n g(t), where g falls from 1 to 0, and the visible ones
 
-    x_i(t) = x_d,i + (x_0,i - x_d,i) e^-t + sum_n alpha_in Ad(theta_in) Q[tanh(a_n + c_n g) - tanh a_n](t)
+    x_i(t) = x_d,i + (x_0,i - x_d,i) e^-t + sum_n alpha_in Ad(theta_in) Q[phi(a_n + c_n g) - phi(a_n)](t)
 
-with Q = 1 / (1 + d/dt) from rest. For rho = 1, g = e^-t is the hidden neurons' own decay. For rho < 1, a clock
-p' = -p + (1 - rho) tanh p drives them with (1 - rho) tanh p, so that they follow it exactly: g is p over its start, and
-finally falls at the rate rho. In neither case does g depend on the parameters, so Q is one matrix, and no differential
-equation is solved when they change.
+with any activation phi and Q = 1 / (1 + d/dt) from rest. For rho = 1, g = e^-t is the hidden neurons' own decay. For
+rho < 1, a clock p' = -p + (1 - rho) phi(p) drives them with (1 - rho) phi(p), so that they follow it exactly: g is p
+over its start, and finally falls at the rate 1 - (1 - rho) phi'(0), which is rho for phi'(0) = 1. In neither case does
+g depend on the parameters, so Q is one matrix, and no differential equation is solved when they change.
 """
 
 from __future__ import annotations
@@ -17,10 +17,11 @@ from functools import lru_cache
 import numpy as np
 from scipy.integrate import solve_ivp
 
+from lieednn_sim.network import ACTIVATIONS, DEFAULT_ACTIVATION, Activation
 from lieednn_sim.synthesis.problem import QUATERNION_FORM
 from lieednn_sim.values import Floats, frozen
 
-# State of the clock at time 0: below this tanh is nearly linear, above it the clock starts slowly.
+# State of the clock at time 0: below this the activation is nearly linear, above it the clock starts slowly.
 CLOCK_START = 0.5
 # g is sampled down to this value, a ten thousandth of its start.
 _END = 1e-4
@@ -39,6 +40,7 @@ class Clockwork:
 
     Attributes:
         rate: rho.
+        activation: phi.
         t: ``(K,)`` instants.
         g: ``(K,)`` g at these instants.
         fine: ``(F,)`` g at the nodes of the filter's quadrature.
@@ -46,6 +48,7 @@ class Clockwork:
     """
 
     rate: float
+    activation: Activation
     t: Floats
     g: Floats
     fine: Floats
@@ -53,12 +56,12 @@ class Clockwork:
 
 
 @lru_cache(maxsize=8)
-def clockwork(rate: float, refinement: int = 1) -> Clockwork:
+def clockwork(rate: float, refinement: int = 1, activation: Activation = ACTIVATIONS[DEFAULT_ACTIVATION]) -> Clockwork:
     """The clock with a rate rho in (0, 1], on its grid refined ``refinement`` times."""
     span = 30.0 / rate
 
     def flow(_: float, p: Floats) -> Floats:
-        return -p + (1.0 - rate) * np.tanh(p)
+        return -p + (1.0 - rate) * activation.phi(p)
 
     run = solve_ivp(flow, (0.0, span), [CLOCK_START], method="DOP853", rtol=1e-11, atol=1e-14, dense_output=True)
 
@@ -78,7 +81,7 @@ def clockwork(rate: float, refinement: int = 1) -> Clockwork:
     masses = 0.5 * width[:, None] * weight
     lag = edges[:, None, None] - fine[None]
     matrix = np.where(lag > 0.0, np.exp(-np.maximum(lag, 0.0)) * masses, 0.0).reshape(len(edges), -1)
-    return Clockwork(rate, edges, falling(edges), falling(fine.ravel()), matrix)
+    return Clockwork(rate, activation, edges, falling(edges), falling(fine.ravel()), matrix)
 
 
 @frozen
@@ -136,16 +139,19 @@ class Cascade:
         self.free = target + fading[:, None, None] * (start - target)
 
     def switched(self, a: Floats, c: Floats) -> tuple[Floats, Floats, Floats]:
-        """Q[tanh(a + c g) - tanh a] and its derivatives in a and c, each ``(K + 1, M, 6)``; last row: `TAIL` B."""
-        shape, g = a.shape, self.clock.fine[:, None]
+        """Q[phi(a + c g) - phi(a)] and its derivatives in a and c, each ``(K + 1, M, 6)``; last row: `TAIL` B."""
+        shape, g, activation = a.shape, self.clock.fine[:, None], self.clock.activation
         a, c = a.ravel(), c.ravel()
-        value, rest = np.tanh(a + c * g), np.tanh(a)
-        slope, rest_slope = 1.0 - value**2, 1.0 - rest**2
+        inputs = a + c * g
+        value, rest = activation.phi(inputs), activation.phi(a)
+        slope, rest_slope = activation.slope_at(inputs, value), activation.slope_at(a, rest)
         stacked = np.concatenate([value - rest, slope - rest_slope, slope * g], axis=1)
         filtered = np.empty((len(self.clock.t) + 1, 3 * len(a)))
         np.matmul(self.clock.filter, stacked, out=filtered[:-1])
         weight = TAIL if self.clock.rate == 1.0 else 0.0
-        filtered[-1] = weight * np.concatenate([c * rest_slope, -2.0 * c * rest * rest_slope, rest_slope])
+        filtered[-1] = weight * np.concatenate(
+            [c * rest_slope, c * activation.bend_at(a, rest) * rest_slope, rest_slope]
+        )
         filtered = filtered.reshape(-1, 3, *shape)
         return filtered[:, 0], filtered[:, 1], filtered[:, 2]
 

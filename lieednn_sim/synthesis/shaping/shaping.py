@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -17,14 +18,15 @@ from numpy.typing import ArrayLike
 from lieednn_sim._blas import one_blas_thread
 from lieednn_sim.budget import check_time, cpu_time
 from lieednn_sim.errors import InputError, NotCertifiedError
-from lieednn_sim.network import LieEDNN
+from lieednn_sim.network import ACTIVATIONS, DEFAULT_ACTIVATION, LieEDNN
+from lieednn_sim.network.componentwise import as_activation
 from lieednn_sim.synthesis.shaping.assembly import assemble
 from lieednn_sim.synthesis.shaping.cascade import Cascade, Parameters, clockwork
 from lieednn_sim.synthesis.shaping.curve import Curve
 from lieednn_sim.synthesis.shaping.fit import Descent
 from lieednn_sim.synthesis.shaping.placed import placed
 from lieednn_sim.synthesis.shaping.start import starting_point
-from lieednn_sim.validation import as_count, as_floats, as_generator, as_positive, quoted
+from lieednn_sim.validation import Seed, as_count, as_floats, as_generator, as_positive, quoted
 from lieednn_sim.values import Floats, frozen
 
 # Share of the requested deviation at which the fit aims, since it sees only about seventy instants.
@@ -53,6 +55,7 @@ class ShapingOptions:
         placed: larger numbers, tried where those do not suffice: switches are placed along the curve beforehand, which
             leaves a linear problem.
         iterations: most iterations of the descent from each start.
+        activation: a name of `network.ACTIVATIONS`.
 
     Raises:
         InputError: a value is out of range.
@@ -62,6 +65,7 @@ class ShapingOptions:
     neurons: tuple[int, ...] = (2, 4, 8, 16)
     placed: tuple[int, ...] = (32, 48, 64)
     iterations: int = 80
+    activation: str = DEFAULT_ACTIVATION
 
     def __post_init__(self) -> None:
         if not 0.01 <= as_positive("rate", self.rate) <= 1.0:
@@ -73,6 +77,7 @@ class ShapingOptions:
                 if as_count(name, count, least=least) > most:
                     raise InputError(f"{name} must be at most {most}, got {count}")
         as_count("iterations", self.iterations)
+        as_activation(self.activation)
 
 
 @frozen
@@ -88,7 +93,7 @@ class Shaping:
         placed: whether the network's switches are placed ones.
         tries: how many numbers of neurons were tried.
         iterations: iterations of all descents together.
-        seconds: CPU time.
+        cpu_time: CPU time of the search [s].
     """
 
     success: bool
@@ -99,7 +104,7 @@ class Shaping:
     placed: bool
     tries: int
     iterations: int
-    seconds: float
+    cpu_time: float
 
     def unwrap(self) -> LieEDNN:
         """The network, or `NotCertifiedError` with the reason when it deviates by more than requested."""
@@ -115,7 +120,7 @@ def shape(
     units: ArrayLike = 1.0,
     spread: ArrayLike | None = None,
     options: ShapingOptions | None = None,
-    seed: int | np.random.Generator = 0,
+    seed: Seed = 0,
 ) -> Shaping:
     """Make a certified network whose visible neurons follow a curve from its first point to its last.
 
@@ -144,7 +149,8 @@ def shape(
     goal, rng = as_positive("deviation", deviation), as_generator("seed", seed)
     with one_blas_thread():
         curve = as_curve(curves, units, spread)
-        cascade = Cascade(clockwork(float(chosen.rate)), curve.points[0], curve.points[-1])
+        clocks = partial(clockwork, float(chosen.rate), activation=ACTIVATIONS[chosen.activation])
+        cascade = Cascade(clocks(1), curve.points[0], curve.points[-1])
         best: tuple[float, float, LieEDNN] | None = None
         tries = best_try = iterations = 0
 
@@ -155,14 +161,14 @@ def shape(
                 fit = Descent(cascade, curve).run(first, chosen.iterations, _AIM * goal)
                 iterations += fit.iterations
                 yield fit.parameters
-            fine = Cascade(clockwork(float(chosen.rate), _REFINEMENT), curve.points[0], curve.points[-1])
+            fine = Cascade(clocks(_REFINEMENT), curve.points[0], curve.points[-1])
             for count in chosen.placed:
                 check_time()
                 yield placed(fine, curve, count)
 
         for parameters in candidates():
             tries += 1
-            made = _measured(parameters, chosen.rate, curve)
+            made = _measured(parameters, chosen, curve)
             if best is None or made[0] < best[0]:
                 best, best_try = made, tries
             if best[0] <= goal:
@@ -228,10 +234,10 @@ def _trust(spread: Floats) -> Floats:
     return np.maximum(spread.min() / spread, _LEAST_WEIGHT)
 
 
-def _measured(parameters: Parameters, rate: float, curve: Curve) -> tuple[float, float, LieEDNN]:
+def _measured(parameters: Parameters, options: ShapingOptions, curve: Curve) -> tuple[float, float, LieEDNN]:
     """Deviation, its root mean square, and the network, by integrating the network."""
-    network = assemble(parameters, rate, curve.points[-1])
-    way = network.trajectory(network.start(curve.points[0]), _SPAN / rate, rtol=1e-7, atol=1e-9)
+    network = assemble(parameters, options.rate, curve.points[-1], options.activation)
+    way = network.trajectory(network.start(curve.points[0]), _SPAN / options.rate, rtol=1e-7, atol=1e-9)
     # Closer together at first, where it is fast.
     drawn = Curve.through(network.visible(way(way.t[-1] * np.linspace(0.0, 1.0, _WAY_SAMPLES) ** 3)), curve.units)
     shares = np.linspace(0.0, 1.0, _SAMPLES)

@@ -11,7 +11,7 @@ from lieednn_sim.errors import InputError
 from lieednn_sim.learning.demonstrations.alignment import displacement, twist_of
 from lieednn_sim.learning.demonstrations.models import LinearAttractor, at_times, even_grid, run_field
 from lieednn_sim.learning.demonstrations.primitive import MovementPrimitive
-from lieednn_sim.learning.demonstrations.probabilistic import ProbabilisticPrimitive, missing_library
+from lieednn_sim.learning.demonstrations.probabilistic import ProbabilisticPrimitive
 from lieednn_sim.learning.demonstrations.shaped import ShapedMotion
 from lieednn_sim.learning.demonstrations.stable_mixture import StableMixture
 from lieednn_sim.synthesis import ShapingOptions
@@ -58,7 +58,6 @@ def test_a_primitive_follows_the_mean_in_time(name, request):
         np.testing.assert_array_equal(late[..., [0, 1, 2, 5]], 0.0)
 
 
-@pytest.mark.skipif(missing_library() is not None, reason="needs movement_primitives")
 @pytest.mark.parametrize("name", ["planar", "posed"])
 def test_a_probabilistic_primitive_goes_from_any_start_as_the_demonstrations_would(name, request):
     shown = request.getfixturevalue(name)

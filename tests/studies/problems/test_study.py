@@ -83,7 +83,9 @@ def test_what_cannot_be_is_skipped_and_what_is_not_found_has_failed(tiny: Path) 
 def test_a_shaped_network_goes_around_as_its_teacher_does(tiny: Path) -> None:
     pytest.importorskip("ompl")
     arm, start, goal = ProblemSets(tiny).pose("post", 1)
-    made = plan(arm, goal, start=start, planner="lieednn-shaped", longest=100.0, options=OPTIONS["lieednn-shaped"])
+    made = plan(
+        arm, goal, start=start, planner="lieednn-shaped", max_time_scale=100.0, options=OPTIONS["lieednn-shaped"]
+    )
     assert made.teacher is not None
     assert made.teacher.planner == "rrt-connect"
     assert measured(arm, made)["teacher"] == "rrt-connect"

@@ -18,7 +18,7 @@ from lieednn_sim.values import Floats
 # where the spline is one in time.
 SPLINE_DEGREE = 5
 # Share of the distance of start and target that is kept where these are closer than the margin.
-_SHARE = 0.8
+_KEPT_SHARE = 0.8
 # Random postures: enough for their largest sweep to come within a few percent of the largest of all.
 _POSTURES = 64
 
@@ -104,7 +104,7 @@ class Workspace:
             of_arm = moving_geoms(problem.arm.model)[near.pairs].all(axis=1)
             nearest = [near.distance[which].min(initial=np.inf) for which in (~of_arm, of_arm)]
             # A single margin is reduced by all distances. The clearance that motions are checked for is kept.
-            most = _SHARE * (np.full(2, min(nearest)) if own is None else np.array(nearest))
+            most = _KEPT_SHARE * (np.full(2, min(nearest)) if own is None else np.array(nearest))
             margins = np.minimum(margins, np.maximum(most, problem.arm.clearance))
         self.clear = ClearanceTest(problem.arm, *margins)
 

@@ -28,12 +28,12 @@ _MAX_LEVELS, _MAX_NEWTON = 100, 30
 # Newton decrement at which a centre is accepted: the barrier can then fall by no more than about half its square.
 _DECREMENT = 0.3
 # Steps of the level along the tangent, in gaps: the longest tried, the shortest, the factor between trials, and the
-# share taken of the longest feasible one. Last, the share of the gap by which the level falls if the tangent fails.
-_LONGEST, _SHORTEST, _SHRINK, _SHARE, _PLAIN = 64.0, 0.5, 0.6, 0.8, 0.9
+# fraction taken of the longest feasible one. Last, the fraction of the gap by which the level falls if that fails.
+_LONGEST, _SHORTEST, _SHRINK, _TAKEN, _PLAIN = 64.0, 0.5, 0.6, 0.8, 0.9
 
 
 def minimise_by_centres(weight: Floats, group_size: int, start: Floats) -> Floats:
-    """Log S ``(n / group_size,)`` with the least largest eigenvalue of sym(S W S^-1), |log S| <= 8.
+    """Log S ``(n / group_size,)`` that makes the largest eigenvalue of sym(S W S^-1) smallest, with |log S| <= 8.
 
     Args:
         weight: W, ``(n, n)``.
@@ -104,9 +104,9 @@ class _CentreSearch:
         step = _LONGEST * gap
         while step > _SHORTEST * gap and not self._has(entries * (1.0 + step * tangent), level - step):
             step *= _SHRINK
-        moved = entries * (1.0 + _SHARE * step * tangent)
-        if step > _SHORTEST * gap and self._has(moved, level - _SHARE * step):
-            return moved, level - _SHARE * step
+        moved = entries * (1.0 + _TAKEN * step * tangent)
+        if step > _SHORTEST * gap and self._has(moved, level - _TAKEN * step):
+            return moved, level - _TAKEN * step
         return entries, level - _PLAIN * gap
 
     def _has(self, entries: Floats, level: float) -> bool:

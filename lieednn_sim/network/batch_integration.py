@@ -23,7 +23,7 @@ _SAFETY, _LEAST, _MOST, _ORDER = 0.9, 0.2, 10.0, 5
 _Field = Callable[[Floats], Floats]
 
 
-def states_side_by_side(
+def integrate_batch(
     networks: Sequence[ComponentwiseNetwork], start: Floats, duration: float, *, rtol: float, atol: float
 ) -> list[Floats]:
     """States ``(K, N, d)`` of each network at the steps that `trajectory` takes with ``RK45``, up to rounding.

@@ -5,7 +5,7 @@ import pytest
 
 from lieednn_sim.errors import InputError, LieEDNNError
 from lieednn_sim.network import LieEDNN
-from lieednn_sim.network.side_by_side import states_side_by_side
+from lieednn_sim.network.batch_integration import integrate_batch
 
 
 def drawn(rng: np.random.Generator, size: float, **rates) -> LieEDNN:
@@ -27,7 +27,7 @@ def test_steps_are_those_of_each_network_alone(activation):
         for size, gamma, mu in ((0.0, 1.0, 1.0), (0.1, 1.0, 2.0), (0.5, 1.3, 1.0), (1.0, 0.7, 1.0), (0.1, 30.0, 9.0))
     ]
     start = rng.normal(size=(3, 6))
-    found = states_side_by_side(networks, start, 12.0, rtol=1e-4, atol=1e-6)
+    found = integrate_batch(networks, start, 12.0, rtol=1e-4, atol=1e-6)
     alone = [network.trajectory(start, 12.0, rtol=1e-4, atol=1e-6).xi for network in networks]
     assert len({len(states) for states in found}) > 3
     for states, expected in zip(found, alone, strict=True):
@@ -38,24 +38,24 @@ def test_steps_are_those_of_each_network_alone(activation):
 def test_at_rest_steps_grow_as_they_do_alone():
     network = drawn(np.random.default_rng(4), 0.05)
     rest = network.equilibrium().xi
-    (found,) = states_side_by_side([network], rest, 50.0, rtol=1e-4, atol=1e-6)
+    (found,) = integrate_batch([network], rest, 50.0, rtol=1e-4, atol=1e-6)
     assert len(found) == len(network.trajectory(rest, 50.0, rtol=1e-4, atol=1e-6).xi)
 
 
 def test_those_that_need_many_steps_are_integrated_alone(monkeypatch):
     rng = np.random.default_rng(5)
     quick, stiff, start = drawn(rng, 0.1), drawn(rng, 0.1, gamma=1e3), rng.normal(size=(3, 6))
-    found = states_side_by_side([quick, stiff], start, 3.0, rtol=1e-4, atol=1e-6)
+    found = integrate_batch([quick, stiff], start, 3.0, rtol=1e-4, atol=1e-6)
     np.testing.assert_array_equal(found[1], stiff.trajectory(start, 3.0, rtol=1e-4, atol=1e-6).xi)
     assert len(found[0]) < 50
     monkeypatch.setattr("lieednn_sim.network.dynamics._MAX_EVALUATIONS", 3000)
     with pytest.raises(LieEDNNError, match="too stiff"):
-        states_side_by_side([quick, stiff], start, 3.0, rtol=1e-4, atol=1e-6)
+        integrate_batch([quick, stiff], start, 3.0, rtol=1e-4, atol=1e-6)
 
 
 def test_networks_must_be_of_one_kind():
     rng = np.random.default_rng(6)
     with pytest.raises(InputError, match="one activation"):
-        states_side_by_side(
+        integrate_batch(
             [drawn(rng, 0.1), drawn(rng, 0.1, activation="arctan")], np.zeros((3, 6)), 1.0, rtol=1e-4, atol=1e-6
         )

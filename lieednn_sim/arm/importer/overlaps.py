@@ -12,11 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from lieednn_sim._mujoco import mujoco
+from lieednn_sim._mujoco import kinematics_at, mujoco
+from lieednn_sim.arm.checks import ancestry, joints_of
 from lieednn_sim.arm.contacts import ContactFinder
+from lieednn_sim.arm.importer.configurations import MARGIN, place_home
 from lieednn_sim.arm.importer.draft import Draft
 from lieednn_sim.arm.importer.loading import unused
-from lieednn_sim.arm.importer.postures import MARGIN, place_home
 from lieednn_sim.values import Floats
 
 # Two ids, the smaller one first: of geoms or of bodies.
@@ -26,21 +27,21 @@ _SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
 # Planned motions keep 2 mm between geoms that may collide: parts that are closer by design could not move at all [m].
 _CLOSE = 0.0025
 _PARALLEL = 1e-6
-_SHARES = np.linspace(0.02, 1.0, 50)  # of a range by which home is moved
+_FRACTIONS = np.linspace(0.02, 1.0, 50)  # of a range by which home is moved
 
 
-def ignore_nested(draft: Draft) -> None:
+def ignore_overlaps(draft: Draft) -> None:
     """Ignore contacts between parts of one robot that overlap by design, and move home away from other overlaps.
 
     Three kinds of bodies overlap by design: stages of one telescope (with only parallel slides between them) that
-    overlap at any of the draft's postures; neighbours (with one coordinate between them) that overlap at home; and
-    bodies that overlap at every posture, of which only the geoms that always overlap are ignored, if there are any.
-    Where other bodies overlap at home, the nearest free posture becomes home, since no motion could start; if none is
-    found, contacts of the geoms that overlap there are ignored.
+    overlap at any of the draft's configurations; neighbours (with one coordinate between them) that overlap at home;
+    and bodies that overlap at every configuration, of which only the geoms that always overlap are ignored, if there
+    are any. Where other bodies overlap at home, the nearest free configuration becomes home, since no motion could
+    start; if none is found, contacts of the geoms that overlap there are ignored.
     """
     overlaps = _Overlaps(draft)
     bodies = overlaps.bodies
-    seen = [overlaps.at(qpos) for qpos in draft.postures([*draft.samples, *draft.extremes])]
+    seen = [overlaps.at(qpos) for qpos in draft.configurations([*draft.samples, *draft.extremes])]
     nearest: dict[_Pair, float] = {}
     for found in seen:
         for geoms, distance in found.items():
@@ -61,20 +62,20 @@ def ignore_nested(draft: Draft) -> None:
         elif near[0] and overlaps.neighbours(pair):
             ignore(pair, overlaps.geoms(pair), "neighbours that overlap at home")
         elif all(near):
-            ignore(pair, always or overlaps.geoms(pair), "they overlap in every posture")
+            ignore(pair, always or overlaps.geoms(pair), "they overlap in every configuration")
 
     def collisions(qpos: Floats) -> _Distances:
         return {geoms: d for geoms, d in overlaps.at(qpos).items() if geoms not in ignored.get(bodies(geoms), ())}
 
-    at_home = collisions(draft.postures(draft.samples[:1])[0])
+    at_home = collisions(draft.configurations(draft.samples[:1])[0])
     if at_home:
         touching = {pair: min(d for g, d in at_home.items() if bodies(g) == pair) for pair in map(bodies, at_home)}
         shown = ", ".join(f"{overlaps.names(pair)} ({_depth(depth)})" for pair, depth in touching.items())
-        home = next((q for q in _nearby(draft) if not collisions(draft.postures([q])[0])), None)
+        home = next((q for q in _nearby(draft) if not collisions(draft.configurations([q])[0])), None)
         if home is None:
             for pair in touching:
                 chosen = {geoms for geoms in at_home if bodies(geoms) == pair}
-                ignore(pair, chosen, "they overlap at home, and no posture near it is free")
+                ignore(pair, chosen, "they overlap at home, and no configuration near it is free")
         else:
             before = draft.samples[0]
             moved = [
@@ -94,9 +95,7 @@ class _Overlaps:
     def __init__(self, draft: Draft) -> None:
         self._draft, self._model = draft, draft.bare
         self._finder = ContactFinder(draft.bare, _CLOSE)
-        self._data = mujoco.MjData(draft.bare)
-        self._data.qpos[:] = draft.postures(draft.samples[:1])[0]
-        mujoco.mj_kinematics(draft.bare, self._data)
+        self._data = kinematics_at(draft.bare, draft.configurations(draft.samples[:1])[0])
         original = draft.original
         names = [draft.bare.body(body).name for body in range(draft.bare.nbody)]
         # The original model, with all joints, tells which bodies are one robot.
@@ -145,31 +144,25 @@ class _Overlaps:
         return len({self._draft.couplings.leader(joint) for joint in joints}) == 1
 
     def _between(self, pair: _Pair) -> list[int]:
-        one, other = (self._carriers(body) for body in pair)
+        """The joints that move just one of the bodies against the world."""
+        model = self._model
+        one, other = ({joint for b in ancestry(model, body) for joint in joints_of(model, b)} for body in pair)
         return sorted(one ^ other)
-
-    def _carriers(self, body: int) -> set[int]:
-        """The joints that move a body against the world."""
-        model, joints = self._model, set[int]()
-        while body:
-            joints.update(range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body]))
-            body = int(model.body_parentid[body])
-        return joints
 
 
 def _nearby(draft: Draft) -> Iterator[dict[int, Floats]]:
-    """Postures away from the limits, nearest to home first: with one joint moved, then on ways to random postures."""
+    """Configurations away from the limits, nearest to home first: one joint moved, then on lines to random ones."""
     home = draft.samples[0]
     scalar = [joint for joint in draft.independent if not draft.is_ball(joint)]
-    for share, joint, side in product(_SHARES, scalar, (-1.0, 1.0)):
+    for fraction, joint, side in product(_FRACTIONS, scalar, (-1.0, 1.0)):
         low, high = draft.ranges[joint]
-        value = home[joint] + side * share * (high - low)
+        value = home[joint] + side * fraction * (high - low)
         if abs(value[0] - 0.5 * (low + high)) <= (0.5 - MARGIN) * (high - low):
             yield {**home, joint: value}
-    for share, sample in product(_SHARES, draft.samples[1:]):
+    for fraction, sample in product(_FRACTIONS, draft.samples[1:]):
         middle = {joint: 0.0 if draft.is_ball(joint) else np.mean(draft.ranges[joint]) for joint in home}
         inside = {joint: m + (1.0 - 2.0 * MARGIN) * (sample[joint] - m) for joint, m in middle.items()}
-        yield {joint: q + share * (inside[joint] - q) for joint, q in home.items()}
+        yield {joint: q + fraction * (inside[joint] - q) for joint, q in home.items()}
 
 
 def _exclude(draft: Draft, overlaps: _Overlaps, ignored: Mapping[_Pair, Collection[_Pair]]) -> None:
@@ -203,15 +196,15 @@ def _contact(model: mujoco.MjModel, geoms: list[int]) -> dict[str, Any]:
     """
     ranks = model.geom_priority[geoms]
     deciding = np.array(geoms)[ranks == ranks.max()]
-    share = model.geom_solmix[deciding] + mujoco.mjMINVAL
-    share = share / share.sum()
+    weights = model.geom_solmix[deciding] + mujoco.mjMINVAL
+    weights = weights / weights.sum()
     reference = model.geom_solref[deciding]
     direct = bool((reference[:, 0] <= 0.0).any())
     return {
         "condim": int(model.geom_condim[deciding].max()),
         "friction": model.geom_friction[deciding].max(axis=0)[[0, 0, 1, 2, 2]],
-        "solref": reference.min(axis=0) if direct else share @ reference,
-        "solimp": share @ model.geom_solimp[deciding],
+        "solref": reference.min(axis=0) if direct else weights @ reference,
+        "solimp": weights @ model.geom_solimp[deciding],
         "margin": np.nan,
         "gap": np.nan,
     }

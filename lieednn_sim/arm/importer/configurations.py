@@ -1,4 +1,4 @@
-"""Postures of the arm: home, those at which limits and servos are designed and checked, and its keyframes."""
+"""Configurations of the arm: home, those at which limits and servos are designed and checked, and its keyframes."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from lieednn_sim.arm.importer.loading import compile_spec
 from lieednn_sim.values import Floats
 
 _SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
-MARGIN = 0.05  # share of its range that a keyframe keeps away from each limit
-_SAMPLES = 64  # random postures for which servos are designed and checked
+MARGIN = 0.05  # fraction of its range that a keyframe keeps away from each limit
+_SAMPLES = 64  # random configurations for which servos are designed and checked
 
 
-def draw_postures(draft: Draft) -> None:
-    """Compile the arm without actuators; choose home, random postures with a fixed seed, and extremes."""
+def draw_configurations(draft: Draft) -> None:
+    """Compile the arm without actuators; choose home, random configurations with a fixed seed, and extremes."""
     draft.bare = compile_spec(draft.spec)
     draft.dofs = draft.dofs_of(draft.bare)
     home, moved = _coordinates_inside(draft, draft.qpos)
@@ -43,7 +43,7 @@ def add_keyframes(draft: Draft) -> None:
             inside, _ = _coordinates_inside(draft, original.key_qpos[k])
             keyframes.setdefault(original.key(k).name or f"key{k}", inside)
     for name, q in keyframes.items():
-        (qpos,) = draft.postures([q])
+        (qpos,) = draft.configurations([q])
         draft.spec.add_key(name=name, qpos=qpos, ctrl=np.concatenate([q[joint] for joint in draft.independent]))
     draft.model = compile_spec(draft.spec)
 
