@@ -76,9 +76,9 @@ PLANNERS = {
     ),
     "lieednn-shaped": Entry("planning.shaped:shaped", "ShapedOptions", "a network along another's motion"),
     "lieednn-filtered": Entry(
-        "planning.filtered:filtered", "FilteredOptions", "a network through the safety filter", cost=1.1
+        "planning.filtered_planners:filtered", "FilteredOptions", "a network through the safety filter", cost=1.1
     ),
     "lieednn-guided": Entry(
-        "planning.filtered:guided", "GuidedOptions", "the same along RRT-Connect's path", *_OMPL, cost=1.1
+        "planning.filtered_planners:guided", "GuidedOptions", "the same along RRT-Connect's path", *_OMPL, cost=1.1
     ),
 }

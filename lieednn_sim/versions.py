@@ -18,17 +18,10 @@ _HERE = Path(__file__).parents[1]
 _TABLES = ("studies.comparison.study", "studies.reactions.study", "studies.problems.study")
 # Modules and rooms that no number depends on: they show results, store them, divide the work, or refuse bad input.
 _LEFT_OUT = (
-    *(
-        "cli",
-        "rendering",
-        "studies.report",
-        "studies.comparison.summary",
-        "studies.problems.summary",
-        "studies.markdown",
-    ),
+    *("cli", "rendering", "studies.report", "studies.comparison.summary", "studies.problems.summary"),
     *("evaluation.display", "evaluation.figure_layout", "evaluation.plots", "studies.demonstrations.plots"),
     *("evaluation.plot_training", "studies.table", "filesystem", "manifest", "storage", "versions"),
-    *("studies.cluster", "studies.study", "studies.comparison.merging", "studies.comparison.shards", "studies.workers"),
+    *("studies.cluster", "studies.study", "studies.comparison.merging", "studies.workers"),
     *("studies.markdown", "errors", "registration", "validation"),
 )
 _PACKAGE = "lieednn_sim"

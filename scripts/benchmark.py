@@ -97,7 +97,7 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def write(directory: Path, scale: int, suffix: str = "") -> Path:
-    """Measure a share 1 / ``scale`` of all targets and write both files; returns the path of the table."""
+    """Measure a fraction 1 / ``scale`` of all targets and write both files; returns the path of the table."""
     synthesize(random_targets(4, 1)[0])  # warm up
 
     rows = []

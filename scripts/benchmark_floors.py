@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from benchmark_timing import Row, seconds, shares
+from benchmark_timing import Row, seconds, time_ratios
 from scipy.linalg import lapack
 
 from lieednn_sim._mujoco import mujoco
@@ -100,7 +100,7 @@ def _speedups(targets: np.ndarray, magnitudes: list[float], seed: int, repeats: 
     def at_once() -> None:
         synthesize_many(targets, bias="sign-matched", bias_magnitude=magnitudes, seed=seed)
 
-    return shares(one_by_one, at_once, repeats)
+    return time_ratios(one_by_one, at_once, repeats)
 
 
 def check_row(arm: Arm, seed: int, repeats: int) -> Row:
@@ -117,7 +117,7 @@ def check_row(arm: Arm, seed: int, repeats: int) -> Row:
                 mujoco.mj_geomDistance(model, data, first, second, _FAR, None)
 
     part = len(positions[::10]) / len(positions)
-    ratios = [part * share for share in shares(partial(check_motion, arm, motion), bare, repeats)]
+    ratios = [part * ratio for ratio in time_ratios(partial(check_motion, arm, motion), bare, repeats)]
     return Row("checks of a motion among poles, in mj_geomDistance over all pairs", ratios, "<= 1.5")
 
 
@@ -210,7 +210,7 @@ def comparison_memory(rows: int) -> dict[str, int]:
 
 
 def floor_rows(rollout: Rollout, targets: list[np.ndarray], scale: int) -> list[Row]:
-    """All ratios of this module, with a share 1 / ``scale`` of the cases."""
+    """All ratios of this module, with a fraction 1 / ``scale`` of the cases."""
     arms = [Arm.load(name) for name in arm_names()]
     repeats = max(5 // scale, 1)
     return [

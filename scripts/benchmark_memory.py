@@ -29,7 +29,7 @@ from lieednn_sim.studies.reactions.cases import run_reactions
 from lieednn_sim.studies.workers import released
 from lieednn_sim.synthesis import ShapingOptions
 
-# Shares of the cases after which the memory is read.
+# Fractions of the cases after which the memory is read.
 _READ = (0.05, 0.25, 0.5, 1.0)
 _PLANNERS = ("minimum-jerk", "rrt-connect", "lieednn-shaped")
 
@@ -53,8 +53,8 @@ def demonstrations() -> Iterator[Callable[[], object]]:
     s = np.linspace(0.0, 1.0, 60)
     for seed in itertools.count():
         heights = np.random.default_rng(seed).uniform(0.05, 0.15, 2)
-        ways = [np.column_stack([0.3 * (1.0 - s), height * np.sin(np.pi * s)]) for height in heights]
-        yield partial(_compared, align([Demonstration.from_samples(way) for way in ways], samples=60))
+        paths = [np.column_stack([0.3 * (1.0 - s), height * np.sin(np.pi * s)]) for height in heights]
+        yield partial(_compared, align([Demonstration.from_samples(path) for path in paths], samples=60))
 
 
 def _compared(shown: Demonstrations) -> object:
@@ -63,7 +63,7 @@ def _compared(shown: Demonstrations) -> object:
 
 def problems(folder: str) -> Iterator[Callable[[], object]]:
     """A robot's published problems, again and again."""
-    for name, number in itertools.cycle(ProblemSets(folder).chosen(None)):
+    for name, number in itertools.cycle(ProblemSets(folder).selection()):
         for planner in _PLANNERS:
             yield partial(solve, folder, name, number, planner, 10.0)
 
@@ -80,8 +80,8 @@ def resident() -> float:
 
 
 def run(study: str, cases: int, *given: str) -> None:
-    """Run the cases of a study here, and print the memory after each share of them."""
-    wanted = [max(int(share * cases), 1) for share in _READ]
+    """Run the cases of a study here, and print the memory after each fraction of them."""
+    wanted = [max(int(fraction * cases), 1) for fraction in _READ]
     for done, case in enumerate(itertools.islice(STUDIES[study](*given), cases), start=1):
         released(case)
         if done in wanted:
@@ -97,7 +97,7 @@ def main(words: list[str] | None = None) -> None:
     options = parser.parse_args(words)
     directory = filesystem.make_directory(options.output)
     lines = [f"# Memory of a worker\n\n`python scripts/benchmark_memory.py --cases {options.cases}`: resident [MB].\n"]
-    lines.append(f"| study | {' | '.join(f'{share:.0%} of {options.cases} cases' for share in _READ)} |")
+    lines.append(f"| study | {' | '.join(f'{fraction:.0%} of {options.cases} cases' for fraction in _READ)} |")
     lines.append("| --- |" + " ---: |" * len(_READ))
     for study in options.studies.split(","):
         given = [options.problems] if study == "problems" else []

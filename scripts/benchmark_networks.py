@@ -10,7 +10,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from benchmark_timing import Row, seconds, shares
+from benchmark_timing import Row, seconds, time_ratios
 from scipy.spatial.transform import RigidTransform
 
 from lieednn_sim.arm import Arm, arm_names
@@ -99,11 +99,11 @@ def policy_rows(arm: Arm) -> list[Row]:
 
 def evaluation_row(arm: Arm, network: LieEDNN, instants: int, repeats: int) -> Row:
     """Time to evaluate xi(t) and joints at many instants, in that of SciPy's exponentials alone."""
-    path = NetworkPath.drawn(arm, network, arm.keyframe("home"))
-    assert path.way is not None
-    tau = np.linspace(0.0, path.way[0].t[-1], instants)
+    path = NetworkPath.integrate(arm, network, arm.keyframe("home"))
+    assert path.trajectory is not None
+    tau = np.linspace(0.0, path.trajectory[0].t[-1], instants)
     twists = network.visible(path.state(tau)).reshape(-1, 6)
-    ratios = shares(
+    ratios = time_ratios(
         lambda: arm.decode(network.visible(path.state(tau))),
         lambda: RigidTransform.from_exp_coords(twists),
         repeats,
@@ -114,7 +114,7 @@ def evaluation_row(arm: Arm, network: LieEDNN, instants: int, repeats: int) -> R
 def retargeting_row(network: LieEDNN, repeats: int) -> Row:
     """Time to retarget, in that of a product W phi(x)."""
     xi, weight = 0.5 * network.visible(network.equilibrium().xi), network.weight
-    ratios = shares(
+    ratios = time_ratios(
         partial(_repeat, 500, network.retarget, xi),
         partial(_repeat, 500, lambda: weight @ network.phi(xi).ravel()),
         repeats,
@@ -157,6 +157,6 @@ def start_rows(repeats: int) -> list[Row]:
         "import of lieednn_sim.arm, in imports of mujoco": (("-c", "import lieednn_sim.arm"), "import mujoco"),
     }
     return [
-        Row(what, shares(python(*ours), python("-c", floor), repeats, children), "<= 1.5")
+        Row(what, time_ratios(python(*ours), python("-c", floor), repeats, children), "<= 1.5")
         for what, (ours, floor) in pairs.items()
     ]

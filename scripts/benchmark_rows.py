@@ -12,8 +12,8 @@ from lieednn_sim.planning import planners
 from lieednn_sim.studies import Case, Comparison, Row, Settings, Table, compute, write_summary
 from lieednn_sim.studies.comparison.rows import COLUMNS
 from lieednn_sim.studies.comparison.study import DEFAULT_CONTROLLERS
-from lieednn_sim.studies.entries import Entry
 from lieednn_sim.studies.report import write_page
+from lieednn_sim.studies.user_files import UserFile
 
 
 class _Here(Executor):
@@ -25,7 +25,9 @@ class _Here(Executor):
         return future
 
 
-def _rows(case: Case, controllers: Sequence[str], settings: Settings, *, entries: tuple[Entry, ...] = ()) -> list[Row]:
+def _rows(
+    case: Case, controllers: Sequence[str], settings: Settings, *, user_files: tuple[UserFile, ...] = ()
+) -> list[Row]:
     values: dict[str, Any] = {column.name: 0.123456 * (case.seed + i) for i, column in enumerate(COLUMNS)}
     values |= dict.fromkeys((name for name in values if name.endswith("violations")), 0)
     return [

@@ -11,7 +11,7 @@ from typing import Any
 
 import gymnasium
 import numpy as np
-from benchmark_timing import Row, seconds, shares
+from benchmark_timing import Row, seconds, time_ratios
 from gymnasium.vector import AsyncVectorEnv
 from mujoco import rollout
 
@@ -63,7 +63,7 @@ def rollout_rows(arm: Arm, motion: Motion, repeats: int) -> list[Row]:
             simulation = floor(arm, controller, followed, bare)
             run = partial(mujoco.mj_step if rival == _NSTEP else _step_by_step, simulation.model, simulation.data)
             name = f"{controller}{' with noise' if changes == _NOISE else ''}, in those of {rival}{label}"
-            samples = shares(partial(run, len(followed.t)), ours, repeats)
+            samples = time_ratios(partial(run, len(followed.t)), ours, repeats)
             aim = "" if bare else ">= 0.8" if rival == _NSTEP else ">= 0.6"
             rows.append(Row(f"steps/s of a rollout by {name}", samples, aim))
     return rows
@@ -83,7 +83,7 @@ def many_rows(arm: Arm, count: int, repeats: int) -> list[Row]:
             mujoco.mj_getState(model, simulation.data, state, kind)
         rival = partial(rollout.rollout, model, data, states, np.ascontiguousarray(found.ctrl))
         name = f"steps/s of {count} rollouts by simulate_many, in those of mujoco.rollout{label}"
-        rows.append(Row(name, shares(rival, ours, repeats), "" if bare else ">= 0.9"))
+        rows.append(Row(name, time_ratios(rival, ours, repeats), "" if bare else ">= 0.9"))
     return rows
 
 
@@ -171,8 +171,8 @@ def vector_rows(arm: Arm, repeats: int, actions: int, count: int) -> list[Row]:
                 threads.rollout(model, data, states, controls)
 
         rows = [
-            Row(f"steps/s {name}", shares(partial(run, processes), partial(run, own), repeats, clock), ">= 10"),
-            Row(f"steps/s of the physics alone {name}", shares(partial(run, processes), physics, repeats, clock)),
+            Row(f"steps/s {name}", time_ratios(partial(run, processes), partial(run, own), repeats, clock), ">= 10"),
+            Row(f"steps/s of the physics alone {name}", time_ratios(partial(run, processes), physics, repeats, clock)),
         ]
     own.close()
     processes.close()
@@ -180,7 +180,7 @@ def vector_rows(arm: Arm, repeats: int, actions: int, count: int) -> list[Row]:
 
 
 def stepping_rows(arm: Arm, motion: Motion, repeats: int, scale: int) -> list[Row]:
-    """All rows of this module, with a share 1 / ``scale`` of rollouts, actions and environments."""
+    """All rows of this module, with a fraction 1 / ``scale`` of rollouts, actions and environments."""
     return [
         *rollout_rows(arm, motion, repeats),
         *many_rows(arm, max(256 // scale, 2), min(repeats, 3)),

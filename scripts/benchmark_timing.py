@@ -41,7 +41,7 @@ def seconds(what: Callable[[], object], clock: Callable[[], float] = time.proces
     return clock() - begun
 
 
-def shares(
+def time_ratios(
     one: Callable[[], object],
     other: Callable[[], object],
     repeats: int,

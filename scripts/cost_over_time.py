@@ -6,7 +6,7 @@ The work allowed, which the planners' options count, doubles from run to run. Ea
 time and the length of its joint path in units of the joints' velocity limits, which is what these planners minimise.
 So planners need not watch a clock, and all columns except the CPU time are reproducible; compared with watching a
 single run, curves are late by the times of the shorter runs, and never early. Smoothing and checks of the motion are
-part of a run, as of every plan. The problems are all arms among poles, which rarely leave the straight way free, with
+part of a run, as of every plan. The problems are all arms among poles, which rarely leave the straight path free, with
 seeds from 2000 on. Lengths are divided by the shortest that any planner has for the problem; medians are over all
 problems, with unsolved ones as the longest. Writes ``cost_over_time.csv`` with a row for each run,
 ``cost_over_time.md`` and ``cost_over_time.png``; an interrupted run can be continued.

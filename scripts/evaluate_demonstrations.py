@@ -26,21 +26,21 @@ from lieednn_sim.synthesis import ShapingOptions
 
 STARTS = 1000
 # The larger numbers are used only if the first is not enough: no model has few parameters.
-OPTIONS = ShapingOptions(neurons=(8, 16), placed=(32, 48))
+OPTIONS = ShapingOptions(neurons=(8, 16), placed_neurons=(32, 48))
 NOTES = (
-    "Each demonstration is seen from its own goal, all at equal shares of their way, a radian counting for 0.2 m. RMS,",
-    "DTWD and Frechet distance are of dynamic time warps of 1000 samples of each path; DTWD is the sum over all pairs.",
-    "`mean`: reproduction of the mean demonstration; `training`: of each from its own start; `left out`: the same by",
-    "models that have not seen it. `arrived`, `spurious`: of random starts all around. `parameters`: numbers that",
-    "were fitted and are not zero by construction. The network has 8 or 16 hidden neurons, or 32 or 48 with",
+    "Each demonstration is seen from its own goal, all at equal fractions of their paths, a radian counting for 0.2 m.",
+    "RMS, DTWD and Frechet distance are of dynamic time warps of 1000 samples of each path; DTWD is the sum over all",
+    "pairs. `mean`: reproduction of the mean demonstration; `training`: of each from its own start; `left out`: the",
+    "same by models that have not seen it. `arrived`, `spurious`: of random starts all around. `parameters`: numbers",
+    "that were fitted and are not zero by construction. The network has 8 or 16 hidden neurons, or 32 or 48 with",
     "placed switches where fewer do not come as near as was asked for; the others have about as many parameters.",
     "",
     "`promp` keeps a distribution over paths and is conditioned on start and goal: it has no field, and arrives",
     "because of that. Its covariance is not counted among its parameters; the standard deviation added to it, 1 % of",
     "the extent, was chosen out of 0.1, 1 and 10 % on four of the sets. Means of `lpv-ds` are spoilt by shapes that no",
     "quadratic Lyapunov function allows; its starts that have not arrived, and are at no other attractor, are still on",
-    "their way. Errors are of warped pairs, since at equal shares of the length a small hook at the beginning that is",
-    "left out would shift all that follows.",
+    "their paths. Errors are of warped pairs, since at equal fractions of the length a small hook at the beginning",
+    "that is left out would shift all that follows.",
 )
 KINDS = {"robottasks": ("*.npy", "cm"), "lasa": ("*.mat", "mm")}
 

@@ -27,22 +27,36 @@ from lieednn_sim.planning import plan
 from lieednn_sim.planning.shaped import ShapedOptions
 from lieednn_sim.policies import Feedback, NetworkPolicy
 from lieednn_sim.simulation import Disturbances, Following, Push, follow
-from lieednn_sim.studies.reactions.recovery import PUSH_TIME, PUSHED_OFF, Path, pushing_force
+from lieednn_sim.studies.reactions.recovery import PUSH_DEVIATION, PUSH_TIME, UndisturbedPath, pushing_force
 
 # Speed of motions [1/s]: rho times the network's own; time simulated [s]; pushes for one target.
 PACE, DURATION, EACH = 2.0, 5.0, 10
-FIELDS = ("arm", "rate", "seed", "link", "force_n", "off", "time_s", "share", "velocity", "force", "arrived_mm")
+FIELDS = (
+    "arm",
+    "rate",
+    "seed",
+    "link",
+    "force_n",
+    "deviation",
+    "time_s",
+    "fraction",
+    "velocity",
+    "force",
+    "arrived_mm",
+)
 
 
 @lru_cache(maxsize=2)
-def prepared(name: str, rate: float, problem: int) -> tuple[Arm, ComponentwiseNetwork, np.ndarray, Following, Path]:
+def prepared(
+    name: str, rate: float, problem: int
+) -> tuple[Arm, ComponentwiseNetwork, np.ndarray, Following, UndisturbedPath]:
     """Arm, network, target, the undisturbed run, and its path."""
     arm = Arm.load(name)
     target = draw_target(arm, problem)
     network = plan(arm, target, planner="lieednn-shaped", options=ShapedOptions(rate=rate), seed=problem).network
     assert network is not None
     nominal = run(arm, network, target, rate, DURATION)
-    return arm, network, target, nominal, Path(arm, nominal.rollout.q)
+    return arm, network, target, nominal, UndisturbedPath(arm, nominal.rollout.q)
 
 
 def run(
@@ -73,11 +87,11 @@ def pushed(name: str, rate: float, seed: int, feedback: Feedback | None = None) 
     def push(force: float) -> Push:
         return Push(arm.link_names[link], (*(force * direction),), start, PUSH_TIME)
 
-    def off(force: float) -> float:
+    def deviation_under(force: float) -> float:
         rollout = run(arm, network, target, rate, start + 2.0 * PUSH_TIME, push(force), feedback=feedback).rollout
-        return path.recovery(rollout.t, rollout.q, start, start + PUSH_TIME).off
+        return path.recovery(rollout.t, rollout.q, start, start + PUSH_TIME).deviation
 
-    force = pushing_force(off)
+    force = pushing_force(deviation_under)
     rollout = run(arm, network, target, rate, DURATION, push(force), feedback=feedback).rollout
     recovery = path.recovery(rollout.t, rollout.q, start, start + PUSH_TIME)
     tip = rollout.link_position[-1, -1] - np.asarray(arm.link_poses(target).translation)[-1]
@@ -87,9 +101,9 @@ def pushed(name: str, rate: float, seed: int, feedback: Feedback | None = None) 
         seed,
         arm.link_names[link],
         round(force, 1),
-        round(recovery.off, 4),
+        round(recovery.deviation, 4),
         recovery.time_s if recovery.time_s is None else round(recovery.time_s, 3),
-        recovery.share if recovery.share is None else round(recovery.share, 4),
+        recovery.fraction if recovery.fraction is None else round(recovery.fraction, 4),
         round(float(np.abs(rollout.qd / arm.velocity_limits).max()), 3),
         round(float(np.abs(rollout.force / arm.force_limits).max()), 3),
         round(1e3 * float(np.linalg.norm(tip)), 3),
@@ -103,26 +117,27 @@ def summary(rows: list[dict[str, str]], command: str) -> str:
         "# Pushed by a tenth of the range",
         "",
         f"`{command}`. In MuJoCo, with `follow(NetworkPolicy(...))`: a force of {PUSH_TIME:g} s on a random link "
-        f"takes a joint {100 * PUSHED_OFF:g} % (8 to 12) of its range off the undisturbed path. Back is "
-        "within a tenth of that, for good; the share is of the path that was left when the push began. Of some pushes "
-        "the search for the force gave up outside 8 to 12 %; the last column is the distance of the end effector from "
-        f"its target after {DURATION:g} s, since after a push the clock waits and some of the way may be left. The "
-        "peak velocity is mostly the push's own. The default coupling takes most of a push along to the network's "
-        "state, so that what is measured is the network's own return, as e^-t, while the clock goes on rho as fast.",
+        f"takes a joint {100 * PUSH_DEVIATION:g} % (8 to 12) of its range off the undisturbed path. Back is "
+        "within a tenth of that, for good; the fraction is of the path that was left when the push began. For some "
+        "pushes the search for the force gave up outside 8 to 12 %; the last column is the distance of the end "
+        f"effector from its target after {DURATION:g} s, since after a push the clock waits and some of the path may "
+        "be left. The peak velocity is mostly the push's own. The default coupling takes most of a push along to the "
+        "network's state, so that what is measured is the network's own return, as e^-t, while the clock goes on rho "
+        "as fast.",
         "",
-        "| arm | rho | pushes | back | share of what is left, median | worst | before 40 % | time after the push [s], "
-        "median | peak velocity / limit | peak force / limit | not 8 to 12 % | end [mm], worst |",
+        "| arm | rho | pushes | back | fraction of what is left, median | worst | before 40 % | time after the push "
+        "[s], median | peak velocity / limit | peak force / limit | not 8 to 12 % | end [mm], worst |",
         "|" + " --- |" * 12,
     ]
     for (name, rate), group in itertools.groupby(rows, key=lambda row: (row["arm"], row["rate"])):
         own = list(group)
-        shares = [float(row["share"]) for row in own if row["share"]]
+        fractions = [float(row["fraction"]) for row in own if row["fraction"]]
         times = [float(row["time_s"]) for row in own if row["time_s"]]
         peaks = [np.median([float(row[what]) for row in own]) for what in ("velocity", "force")]
-        missed = sum(not 0.08 <= float(row["off"]) <= 0.12 for row in own)
+        missed = sum(not 0.08 <= float(row["deviation"]) <= 0.12 for row in own)
         lines.append(
-            f"| {name} | {rate} | {len(own)} | {len(shares)} | {np.median(shares):.0%} | {max(shares):.0%} | "
-            f"{sum(share < 0.4 for share in shares)} of {len(own)} | {np.median(times):.2f} | {peaks[0]:.2f} | "
+            f"| {name} | {rate} | {len(own)} | {len(fractions)} | {np.median(fractions):.0%} | {max(fractions):.0%} | "
+            f"{sum(one < 0.4 for one in fractions)} of {len(own)} | {np.median(times):.2f} | {peaks[0]:.2f} | "
             f"{peaks[1]:.2f} | {missed} | {max(float(row['arrived_mm']) for row in own):.2g} |"
         )
     return "\n".join(lines) + "\n"

@@ -51,7 +51,7 @@ ROOMS = {
     "motion": Room(("planning/motion.py", "planning/network_path.py"), ("tests/planning/test_motion.py",)),
     "planning": Room(("planning/certified.py",), ("tests/planning/test_motion.py",)),
     "filtering": Room(
-        ("planning/filtering/*", "planning/filtered.py"),
+        ("planning/safety_filter/*", "planning/filtered_planners.py"),
         ("tests/planning/test_filtering.py",),
         tuple(
             f"tests/planning/test_filtering.py::{name}"
@@ -202,8 +202,8 @@ def table(results: list[dict[str, Any]]) -> str:
 def _line(name: str, counts: list[int]) -> str:
     noticed, acting = counts[2] + counts[3], counts[1] - counts[4]
     interval = binomtest(noticed, acting).proportion_ci(0.95, method="wilson")
-    share = f"{noticed / acting:.0%} ({interval.low:.0%} to {interval.high:.0%})"
-    return f"| {name} | {' | '.join(map(str, counts))} | {share} |"
+    fraction = f"{noticed / acting:.0%} ({interval.low:.0%} to {interval.high:.0%})"
+    return f"| {name} | {' | '.join(map(str, counts))} | {fraction} |"
 
 
 def main() -> None:

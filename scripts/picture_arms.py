@@ -1,4 +1,4 @@
-"""One picture of the package's arms, alone and among obstacles on the way of a guided network.
+"""One picture of the package's arms, alone and among obstacles on the path of a guided network.
 
 python scripts/picture_arms.py [FILE]     # default: results/arms.jpg; needs headless OpenGL and the extra rivals
 """

@@ -76,7 +76,7 @@ ROBOTS: dict[str, dict[str, Any]] = {
 PLANNERS = ("lieednn-certified", "minimum-jerk")
 CONTROLLERS = ("position-servo", "inverse-dynamics")
 _EVERY = 20  # every 20th sample of a motion is checked in the original model
-_POSTURES = 100  # number of postures at which the forward maps are compared
+_CONFIGURATIONS = 100  # number of configurations at which the forward maps are compared
 
 
 def try_robot(file: Path, options: dict[str, Any], targets: int) -> dict[str, Any]:
@@ -141,8 +141,8 @@ def _unexplained_plan(name: str, failure: str, report: list[str]) -> list[str]:
         return []
     if pair is None:
         return [f"{name}: {failure}"]
-    ways = [line for line in report if "straight paths from home" in line or "random configurations" in line]
-    known = any({*pair.groups()} == {*both} for line in ways for both in re.findall(r"'([^']+)' and '([^']+)'", line))
+    lines = [line for line in report if "straight paths from home" in line or "random configurations" in line]
+    known = any({*pair.groups()} == {*both} for line in lines for both in re.findall(r"'([^']+)' and '([^']+)'", line))
     return [] if known else [f"{name}: {pair.group()}"]
 
 
@@ -186,14 +186,14 @@ class _Original:
         names = [self._model.body(body).name for body in range(self._model.nbody)]
         self._body = {name: arm.model.body(name).id for name in names}
         self._names, self._ignored = names, ignored
-        # Bodies locked together, such as the fingers of a closed gripper, touch at every posture or at none.
+        # Bodies locked together, such as the fingers of a closed gripper, touch in every configuration or at none.
         self._part = arm.model.body_weldid
 
     def forward_error(self) -> float:
         """Largest distance of the links' origins between the arm's forward map and the original model [m]."""
         data, worst = mujoco.MjData(self._model), 0.0
         low, high = self._arm.position_limits.T
-        for q in np.random.default_rng(0).uniform(low, high, (_POSTURES, len(low))):
+        for q in np.random.default_rng(0).uniform(low, high, (_CONFIGURATIONS, len(low))):
             data.qpos[:] = self._placed(self._arm.qpos(q))
             mujoco.mj_kinematics(self._model, data)
             away = self._arm.link_poses(q).translation - data.xpos[self._frames]
@@ -205,7 +205,7 @@ class _Original:
         return wrong_in_report(self._arm, self._model, self._qpos, file)
 
     def penetration(self, motion: Motion) -> float:
-        """Deepest penetration on the way in the original model, without contacts that the report ignores [m]."""
+        """Deepest penetration during a motion in the original model, without contacts that the report ignores [m]."""
         deepest = 0.0
         for qpos in self._arm.qpos(motion.q[::_EVERY]):
             for distance, geoms in zip(*self._finder.geoms(self._placed(qpos)), strict=True):

@@ -26,7 +26,7 @@ def wrong_in_report(arm: Arm, original: mujoco.MjModel, qpos: np.ndarray, file: 
     Args:
         arm: the imported arm, with its report.
         original: the original model.
-        qpos: ``(nq,)`` posture of the original model that the report names.
+        qpos: ``(nq,)`` configuration of the original model that the report names.
         file: the model's file, from which limits of a URDF are read.
     """
     report = arm.import_report
@@ -53,13 +53,13 @@ def _joints(report: ImportReport, model: mujoco.MjModel) -> list[str]:
         tip = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, link)
         if min(tip, body) < 0:
             break  # frames at sites are checked by the forward map
-        way: list[str] = []
+        path: list[str] = []
         at = tip
         while at not in (body, 0):
-            way[:0] = [model.joint(model.body_jntadr[at] + k).name for k in range(model.body_jntnum[at])]
+            path[:0] = [model.joint(model.body_jntadr[at] + k).name for k in range(model.body_jntnum[at])]
             at = int(model.body_parentid[at])
-        if tuple(way) != group or at != body:
-            wrong.append(f"{link} is moved by {way}, not {group}")
+        if tuple(path) != group or at != body:
+            wrong.append(f"{link} is moved by {path}, not {group}")
         body = tip
     return wrong
 
@@ -109,7 +109,7 @@ def _limits(arm: Arm, report: ImportReport, model: mujoco.MjModel, file: Path) -
             wrong.append(f"{name}: velocity limit {velocity:g}, the arm has {arm.velocity_limits[k]:g}")
         numeric = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, "acceleration_limit") >= 0
         if not numeric and np.isfinite(arm.acceleration_limits[k]):
-            # At most half of the force over the inertia at home: the importer uses the largest of several postures.
+            # At most half of the force over the inertia at home: the importer takes the largest inertia of several.
             told = any(f"{servo.name} {arm.acceleration_limits[k]:.3g}" in note for note in report.notes)
             if not told or arm.acceleration_limits[k] > 0.5 * force / held[k] * (1.0 + 1e-6):
                 wrong.append(f"{name}: acceleration limit {arm.acceleration_limits[k]:g} of force {force:g}")
@@ -168,7 +168,7 @@ def _servos(arm: Arm, report: ImportReport, model: mujoco.MjModel) -> list[str]:
 
 
 def _home(arm: Arm, report: ImportReport, model: mujoco.MjModel, qpos: np.ndarray) -> list[str]:
-    """Check that home is the posture that the report names, except for joints that it reports as moved."""
+    """Check that home is the configuration that the report names, except for joints that it reports as moved."""
     wrong = []
     for name, now in zip(arm.joint_names, arm.keyframe("home"), strict=True):
         joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name)

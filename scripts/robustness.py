@@ -241,9 +241,9 @@ def report(cases: int, jobs: int) -> tuple[str, int]:
     ]
     lines += ["| --- | --- | --- |"]
     for kind, measured in rates.items():
-        shares = np.array(measured)
-        median = f"{np.median(shares[shares > 0.0]):.3g}" if (shares > 0.0).any() else "-"
-        lines.append(f"| {kind} | {(shares > 0.0).sum()} of {len(shares)} | {median} |")
+        fractions = np.array(measured)
+        median = f"{np.median(fractions[fractions > 0.0]):.3g}" if (fractions > 0.0).any() else "-"
+        lines.append(f"| {kind} | {(fractions > 0.0).sum()} of {len(fractions)} | {median} |")
     return "\n".join(lines) + "\n", broken
 
 

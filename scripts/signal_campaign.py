@@ -80,7 +80,7 @@ COMMANDS = {
         _fingerprints("network.npz"),
     ),
     "learn": Command(
-        ["learn", "{0}/way.csv", "--rivals", "none", "--starts", "5", "--output", "{0}/out"],
+        ["learn", "{0}/path.csv", "--rivals", "none", "--starts", "5", "--output", "{0}/out"],
         _fingerprints("network.npz"),
     ),
     "compare": Command(["compare", *TABLE, "--output", "{0}/out"], _rows),
@@ -117,7 +117,7 @@ def prepare(name: str, folder: Path) -> None:
     """What a command needs to be there before."""
     folder.mkdir()
     s = np.linspace(0.0, 1.0, 50)
-    np.savetxt(folder / "way.csv", np.column_stack([s, 0.3 * (1.0 - s), 0.1 * np.sin(np.pi * s)]), delimiter=",")
+    np.savetxt(folder / "path.csv", np.column_stack([s, 0.3 * (1.0 - s), 0.1 * np.sin(np.pi * s)]), delimiter=",")
     if name == "render":
         finish([*COMMANDS["demo"].words], folder)
     elif name == "merge":

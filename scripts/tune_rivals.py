@@ -32,7 +32,7 @@ from lieednn_sim.planning.options import PlannerOptions
 SCENES, FIRST_SEED, TIME_BUDGET = ("window", "shelf", "poles"), 1000, 60.0
 RIVALS = tuple(name for name, planner in PLANNERS.items() if planner.options and not name.startswith("lieednn"))
 DEFAULTS = "defaults"
-# Share by which a path must be shorter to count as such.
+# Fraction by which a path must be shorter to count as such.
 SHORTER = 0.98
 FIELDS = ("planner", "setting", "arm", "scene", "seed", "length", "cpu_s", "reason")
 

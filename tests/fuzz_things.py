@@ -28,11 +28,11 @@ from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.environments import gymnasium, suite, tasks
 from lieednn_sim.environments.expert import Expert
 from lieednn_sim.learning import demonstrations
-from lieednn_sim.planning import filtering
+from lieednn_sim.planning import safety_filter
 from lieednn_sim.rendering import opengl
 from lieednn_sim.rendering.video import Camera
 from lieednn_sim.simulation.tracking import as_reference
-from lieednn_sim.studies.comparison.shards import Shard
+from lieednn_sim.studies.comparison.study import Shard
 from lieednn_sim.studies.report import Clip
 
 _TWO_HINGES = """
@@ -126,7 +126,7 @@ MAKERS: dict[str, Callable[[], Any]] = {
     "GroupLieEDNN": lambda: theory.complex_network(0.1 * np.eye(2), np.ones(2)),
     "EquivariantLieEDNN": _equivariant,
     "SmoothnessBounds": lambda: theory.smoothness_bounds(0.1 * np.eye(2), np.ones(2), 1.0, gamma=1.0, mu=1.0),
-    "ShapingOptions": lambda: synthesis.ShapingOptions(neurons=(1,), placed=(2,), iterations=2),
+    "ShapingOptions": lambda: synthesis.ShapingOptions(neurons=(1,), placed_neurons=(2,), iterations=2),
     "Shaping": lambda: thing("ShapedMotion").shaping,
     "Demonstration": _demonstration,
     "Demonstrations": lambda: demonstrations.align([thing("Demonstration")] * 2, samples=9),
@@ -143,10 +143,10 @@ MAKERS: dict[str, Callable[[], Any]] = {
     **{name: getattr(planning, name) for name in planning.__all__ if name.endswith("Options")},
     "PlannerOptions": planning.CertifiedOptions,
     "PlanningProblem": lambda: planning.PlanningProblem(thing("Arm"), home(), 0.99 * home(), 0.5),
-    "FilterOptions": filtering.FilterOptions,
-    "SafetyFilter": lambda: filtering.SafetyFilter(thing("Arm"), 0.01),
+    "FilterOptions": safety_filter.FilterOptions,
+    "SafetyFilter": lambda: safety_filter.SafetyFilter(thing("Arm"), 0.01),
     "FilterStep": lambda: thing("SafetyFilter").step(home(), 0.0 * home(), 0.0 * home()),
-    "FilteredRun": lambda: filtering.run_filtered(thing("Arm"), thing("LieEDNN"), home(), 1.0, timestep=0.05),
+    "FilteredRun": lambda: safety_filter.run_filtered(thing("Arm"), thing("LieEDNN"), home(), 1.0, timestep=0.05),
     "Limit": lambda: thing("SafetyFilter").limits[0],
     "Barrier": lambda: thing("SafetyFilter").barriers[0],
     "Rollout": lambda: ls.simulate(thing("Arm"), thing("Plan"), hold=0.0),
@@ -160,7 +160,7 @@ MAKERS: dict[str, Callable[[], Any]] = {
     "Following": lambda: ls.follow(fresh("Policy"), home(), 0.1),
     "Feedback": policies.Feedback,
     **{name: functools.partial(_policy, kind) for name, kind in POLICY_CLASSES.items()},
-    "FilteredPolicy": lambda: _policy("linear-attractor", safety=filtering.FilterOptions()),
+    "FilteredPolicy": lambda: _policy("linear-attractor", safety=safety_filter.FilterOptions()),
     "PolicyTask": lambda: policies.PolicyTask(thing("Arm"), home(), home()),
     "LoopReport": lambda: policies.control_loop(fresh("Policy"), home, lambda q, qd: None, home(), 0.02),
     "Reference": lambda: as_reference(thing("Arm"), thing("Motion"), 1, None),

@@ -15,7 +15,7 @@ import benchmark_rows
 import benchmark_stepping
 import numpy as np
 import pytest
-from benchmark_timing import Row, shares
+from benchmark_timing import Row, time_ratios
 from threadpoolctl import threadpool_limits
 
 from lieednn_sim.arm import Arm, arm_names
@@ -77,7 +77,7 @@ def test_a_row_is_the_minimum_median_and_maximum_of_ratios_taken_in_turns():
     """A clock that says when the first call took 2, 6, 3 seconds and the second 4, 2, 3."""
     ticks = iter([0, 2, 2, 6, 6, 12, 12, 14, 14, 17, 17, 20])
     called = []
-    samples = shares(lambda: called.append("one"), lambda: called.append("other"), 3, lambda: next(ticks))
+    samples = time_ratios(lambda: called.append("one"), lambda: called.append("other"), 3, lambda: next(ticks))
     assert samples == [0.5, 3.0, 1.0]
     assert called == ["one", "other"] * 3
     assert Row("name", samples, "<= 2").cells() == ["name", "0.50", "1.00", "3.00", "<= 2"]

@@ -83,7 +83,7 @@ def test_neither_search_nor_controllers_leave_reference_cycles_that_hold_native_
 
 
 def test_published_problems_are_asked_for_one_by_one_and_again(monkeypatch):
-    chosen = SimpleNamespace(chosen=lambda _: [("box", 1), ("box", 2)])
+    chosen = SimpleNamespace(selection=lambda: [("box", 1), ("box", 2)])
     monkeypatch.setattr(benchmark_memory, "ProblemSets", lambda folder: chosen)
     asked = [case.args[1:4] for case in itertools.islice(benchmark_memory.problems("folder"), 7)]
     planners = ("minimum-jerk", "rrt-connect", "lieednn-shaped")

@@ -147,14 +147,14 @@ def calls(monkeypatch, owner, name):
 
 def test_networks_are_drawn_once_and_only_the_best_is_looked_at_closely(monkeypatch):
     drawn = calls(monkeypatch, certified, "synthesize_many")
-    paths, tried = (calls(monkeypatch, NetworkPath, name) for name in ("drawn", "timed"))
+    paths, tried = (calls(monkeypatch, NetworkPath, name) for name in ("integrate", "timed"))
     passes = calls(monkeypatch, ContactFinder, "geoms")
     motion = planned(duration=0.6)
     assert len(drawn) == 1
     # Refused once for its haste, and timed again as it asks for, along the same path.
     assert (len(paths), len(tried)) == (1, 2)
     assert 0.6 < motion.t[-1] < 1.8
-    # The samples of the motion, and postures on the way of one candidate, not of 24.
+    # The samples of the motion, and configurations on the path of one candidate, not of 24.
     assert len(passes) < len(motion.t) + 400
 
 

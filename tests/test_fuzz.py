@@ -25,8 +25,8 @@ from lieednn_sim.cli.task import Task
 from lieednn_sim.errors import FileError, LieEDNNError
 from lieednn_sim.learning.demonstrations import Demonstration, align
 from lieednn_sim.network import LieEDNN
-from lieednn_sim.planning.filtering.safety import SafetyFilter
 from lieednn_sim.planning.motion import Motion
+from lieednn_sim.planning.safety_filter.filter import SafetyFilter
 from lieednn_sim.synthesis.bias import BIAS_RULES, bias_for
 from lieednn_sim.theory import EquivariantLieEDNN, GroupLieEDNN, groups
 from lieednn_sim.validation import as_choice, as_count, as_floats, as_seed, as_shape

@@ -32,8 +32,8 @@ def cells(line: str) -> list[str]:
     return [cell.strip() for cell in line.strip("|").split("|")]
 
 
-def test_pushes_that_never_come_back_count_but_have_no_share():
-    fields = ("share", "time_s", "velocity", "force", "off", "arrived_mm")
+def test_pushes_that_never_come_back_count_but_have_no_fraction():
+    fields = ("fraction", "time_s", "velocity", "force", "deviation", "arrived_mm")
     values = [(0.1, 0.2, 0.5, 0.1, 0.1, 0.5), (0.3, 0.4, 0.6, 0.2, 0.16, 2.5), (0.8, 0.9, 0.9, 0.9, 0.08, 0.1)]
     values += [("", "", 0.7, 0.3, 0.12, 0.2)]
     rows = [{"arm": "an arm", "rate": "0.1", **dict(zip(fields, map(str, row), strict=True))} for row in values]
@@ -47,8 +47,8 @@ def test_a_push_is_measured(tmp_path, capsys):
     words = ["--pushes", "1", "--rates", "1", "--arms", "telescopic_pr", "--output", str(tmp_path)]
     evaluate_pushes.main(words)
     (row,) = evaluate_pushes.read_rows(tmp_path / "pushes.csv")
-    assert 0.08 <= float(row["off"]) <= 0.12
-    assert 0.0 < float(row["share"]) < 1.0
+    assert 0.08 <= float(row["deviation"]) <= 0.12
+    assert 0.0 < float(row["fraction"]) < 1.0
     assert (tmp_path / "pushes.md").read_text() in capsys.readouterr().out
     # What is there is not measured again.
     evaluate_pushes.main(words)

@@ -51,7 +51,7 @@ def test_a_tiny_run_writes_a_report_with_a_verdict_for_every_claim(tmp_path, few
     # Other tests start worker processes and lay figures out; to embed a subset of a font takes as long as all else, and
     # what is drawn well as a PNG is drawn well as a PDF: one is.
     monkeypatch.setattr(workers, "worker_pool", lambda _: ThreadPoolExecutor(1))
-    monkeypatch.setattr(style, "settle", lambda figure, _: figure.set_layout_engine(None))
+    monkeypatch.setattr(style, "fix_layout", lambda figure, _: figure.set_layout_engine(None))
     monkeypatch.setitem(style.STYLE, "pdf.fonttype", 3)
     draw, drawn = Figure.savefig, set()
 

@@ -178,7 +178,7 @@ def test_the_table_of_demonstrations(tmp_path, monkeypatch, in_this_process):
     turns = np.concatenate([np.cos(0.4 * s), np.sin(0.4 * s), 0.0 * s, 0.0 * s], axis=1)
     rows = [np.concatenate([20.0 * (1.0 - s), k * s * (1.0 - s), 0.0 * s, turns], axis=1) for k in (8.0, 9.0)]
     np.save(tmp_path / "robottasks" / "bend.npy", rows)
-    monkeypatch.setattr(evaluate_demonstrations, "OPTIONS", ShapingOptions(neurons=(2,), placed=()))
+    monkeypatch.setattr(evaluate_demonstrations, "OPTIONS", ShapingOptions(neurons=(2,), placed_neurons=()))
     monkeypatch.setattr("lieednn_sim.evaluation.paths.SAMPLES", 60)
     words = [str(tmp_path), "--starts", "3", "--output", str(tmp_path / "out")]
     with in_this_process():
@@ -229,12 +229,12 @@ def test_a_setting_is_better_when_it_arrives_more_often_or_on_shorter_paths():
 
 def test_every_number_of_the_options_is_tried_twice(tmp_path, capsys, monkeypatch):
     tried = tune_rivals.settings(DmpOptions())
-    assert {name: (one.basis_functions, one.least_share) for name, one in tried.items()} == {
+    assert {name: (one.basis_functions, one.least_fraction) for name, one in tried.items()} == {
         "defaults": (20, 0.01),
         "basis_functions x 0.5": (10, 0.01),
         "basis_functions x 2": (40, 0.01),
-        "least_share x 0.5": (20, 0.005),
-        "least_share x 2": (20, 0.02),
+        "least_fraction x 0.5": (20, 0.005),
+        "least_fraction x 2": (20, 0.02),
     }
     monkeypatch.setattr(tune_rivals, "SCENES", ("window",))
     words = ["--planners", "trajectory-optimisation", "--seeds", "1", "--arms", "telescopic_pr", "--output"]

@@ -51,7 +51,7 @@ class LocalRetraction:
         # The largest number of coordinates of each factor in any link, and where they begin and end.
         widths = [max(len(factors[f].indices) for factors in joints if f < len(factors)) for f in range(n_factors)]
         ends = np.cumsum([0, *widths])
-        self._reference = arm.joints.reference
+        self._arm, self._reference = arm, arm.joints.reference
         # For all joints, the maps from displacements to twists, and the matrices Z of their coordinates.
         twists, turns = np.zeros((n_factors, links, 6, n)), np.zeros((links, 1 + ends[-1], 16))
         turns[:, 0] = _ONE
@@ -97,6 +97,10 @@ class LocalRetraction:
         self._parts = np.stack([rotation, translation], axis=-1).reshape(16, 2)
         self._left = np.zeros(16 * links)
         self.q = q
+
+    def __reduce__(self) -> tuple[type[LocalRetraction], tuple[Arm, Floats]]:
+        # In a copy entry by entry the views would be arrays of their own.
+        return LocalRetraction, (self._arm, self.q)
 
     @property
     def gap(self) -> Floats:

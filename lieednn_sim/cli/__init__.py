@@ -39,8 +39,8 @@ _MODULES = {
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command and return its exit code.
 
-    0: success; 1: doctor found a problem, train no network, or merge no complete table; 2: error; 130: interrupted;
-    141: the output's reader closed it; 143: terminated.
+    0: success; 1: ``doctor`` found a problem, ``train`` learned no network, or ``merge`` lacks cases; 2: error;
+    130: interrupted; 141: the reader of the output closed it; 143: terminated.
     """
     words = list(sys.argv[1:] if argv is None else argv)
     # Paths and messages may hold characters that the output's encoding lacks.
@@ -85,7 +85,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _output_failed() -> bool:
-    """Whether the standard output takes no more, as on a full disk; then it is dropped."""
+    """Whether the standard output can no longer be written, as on a full disk; then it is discarded."""
     try:
         print(flush=True)  # flushing alone tells nothing of an output without a buffer
     except OSError:
@@ -95,7 +95,7 @@ def _output_failed() -> bool:
 
 
 def _drop_output() -> None:
-    """Let go of what waits for the standard output, which would fail again at exit."""
+    """Discard what is buffered for the standard output, since writing it would fail again at exit."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
@@ -143,7 +143,7 @@ def _parser() -> argparse.ArgumentParser:
 
     demo = command(
         "demo",
-        "the whole pipeline: target, network, motion, simulation, video, report",
+        "run the whole pipeline: target, network, motion, simulation, video, report",
         "Without a target the arm goes to its keyframe 'extended', or among obstacles to a random target.",
     )
     # The paper's bias; the planner's own choice is often stronger, and leaves less to the weights.
@@ -200,14 +200,16 @@ def _parser() -> argparse.ArgumentParser:
     render.add_argument("--output", metavar="FILE", help=".mp4 or .gif (default: video.mp4 in the run directory)")
 
     evaluate = command(
-        "evaluate", "metrics and plots of a run's simulation", "They are printed and written into the run directory."
+        "evaluate",
+        "compute metrics and plots of a run's simulation",
+        "They are printed and written into the run directory.",
     )
     options.add_run(evaluate)
     options.add_plots(evaluate)
 
     compare = command(
         "compare",
-        "planners x arms x scenes x controllers x seeds: table and page",
+        "compare planners on arms, scenes, controllers and seeds: table and page",
         "It can be interrupted: the same command continues. The default takes a quarter of an hour of CPU time.",
     )
     options.add_comparison(compare)
@@ -215,14 +217,14 @@ def _parser() -> argparse.ArgumentParser:
     merge = command(
         "merge",
         "merge the tables of 'compare --shard': table and page",
-        "Exit code 1 if cases are missing, which are named; the others are written.",
+        "If cases are missing they are listed, and the exit code is 1; the others are merged all the same.",
     )
     merge.add_argument("output", metavar="DIR", help="directory of the whole table")
     merge.add_argument("folders", nargs="+", metavar="FOLDER", help="directories of the shards")
 
     problems = command(
         "problems",
-        "planners on MotionBenchMaker's problems, as in published benchmarks",
+        "run planners on MotionBenchMaker's published problems",
         "It can be interrupted: the same command continues.",
     )
     options.add_problems(problems)
@@ -237,7 +239,7 @@ def _parser() -> argparse.ArgumentParser:
 
     doctor = command(
         "doctor",
-        "versions, headless OpenGL, and what is missing",
+        "check the installation: versions, headless OpenGL, what is missing",
         "Exit code 1 if physics or rendering does not work.",
     )
     doctor.add_argument("--json", action="store_true", help="print JSON instead of a table")

@@ -24,7 +24,7 @@ def arms(arguments: argparse.Namespace) -> None:
     if arguments.arm is None:
         if given := import_options(arguments):
             options = ", ".join(f"--{name}" for name in given)
-            raise InputError(f"{options}: for MJCF or URDF files only, as in lieednn-sim arms FILE.xml --links A,B,...")
+            raise InputError(f"{options}: for model files only, as in lieednn-sim arms FILE.xml --links A,B,...")
         _print_summaries([Arm.load(name) for name in arm_names()])
         return
     arm = Arm.load(arguments.arm, **import_options(arguments))

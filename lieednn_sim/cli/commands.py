@@ -1,4 +1,4 @@
-"""The main commands: each step of the pipeline reads its run directory and writes into it."""
+"""The commands of the pipeline, each of which reads a run directory and writes into it."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from lieednn_sim.validation import as_path
 
 
 def demo(arguments: argparse.Namespace) -> None:
-    """The whole pipeline in one command."""
+    """Run the whole pipeline: plan, simulate, evaluate and render."""
     from lieednn_sim.cli.planning import make_plan
 
     begun = time.perf_counter()
@@ -44,7 +44,7 @@ def demo(arguments: argparse.Namespace) -> None:
 
 
 def plan(arguments: argparse.Namespace) -> None:
-    """Target to a planner's motion, or the network that generates it."""
+    """Plan a motion to the target, and write it, or the network that generates it."""
     from lieednn_sim.cli.planning import make_plan
 
     run = RunDirectory(arguments.output)
@@ -53,26 +53,26 @@ def plan(arguments: argparse.Namespace) -> None:
 
 
 def synthesize(arguments: argparse.Namespace) -> None:
-    """As `plan`, which refuses planners that make no network."""
+    """As `plan`, but only with planners that make a network."""
     plan(arguments)
 
 
 def simulate(arguments: argparse.Namespace) -> None:
-    """Network, or a planner's motion, to rollout."""
+    """Simulate the run's motion, and write the rollout."""
     run = RunDirectory(arguments.run).existing()
     with run.at_work(outputs=[run.rollout, *run.results]):
         _simulate(run, arguments)
 
 
 def evaluate(arguments: argparse.Namespace) -> None:
-    """Rollout to metrics and plots."""
+    """Evaluate the rollout, and write metrics and plots."""
     run = RunDirectory(arguments.run, arguments.plots).existing()
     with run.at_work(shared=True, outputs=run.evaluated):
         _evaluate(run)
 
 
 def render(arguments: argparse.Namespace) -> None:
-    """Rollout to video."""
+    """Render the rollout, and write the video."""
     run = RunDirectory(arguments.run).existing()
     path = run.video if arguments.output is None else as_path("the name of a video", arguments.output)
     filesystem.check_outputs([path])
@@ -94,7 +94,7 @@ def _simulate(run: RunDirectory, arguments: argparse.Namespace) -> None:
         # No step begins at the end; times are rounded to the nearest step.
         if push.start >= end - 0.5 * arm.timestep:
             raise InputError(
-                f"the push on {push.body!r} at {push.start:g} s comes no earlier than the run's end at {end:g} s"
+                f"the push on {push.body!r} at {push.start:g} s would begin when the run is over, at {end:g} s"
             )
     try:
         with progress("simulate") as report:

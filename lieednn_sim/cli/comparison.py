@@ -1,4 +1,4 @@
-"""The commands ``compare`` and ``merge``: planners x arms x scenes x controllers x seeds into a table and a page."""
+"""The commands ``compare`` and ``merge``, which write a table and a page."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from lieednn_sim.simulation.controllers import REGISTRY as CONTROLLER_REGISTRY
 from lieednn_sim.studies import Case, Comparison, Row, Settings, Table, compute, write_summary
 from lieednn_sim.studies.cluster import dask_executor
 from lieednn_sim.studies.comparison.merging import merge as merge_shards
-from lieednn_sim.studies.comparison.shards import Shard
-from lieednn_sim.studies.entries import ARM, bare_arm, findings
+from lieednn_sim.studies.comparison.study import Shard
 from lieednn_sim.studies.reactions.study import Reactions, write_reactions
 from lieednn_sim.studies.report import Clip, choose_cases, film, write_page
+from lieednn_sim.studies.user_files import ARM, bare_arm, describe_files
 from lieednn_sim.validation import as_count
 
 
@@ -77,7 +77,7 @@ def compare(arguments: argparse.Namespace) -> None:
         line = shlex.join(["lieednn-sim", *arguments.words])
         reactions, more = None, []
         if arguments.reactive:
-            disturbed = Reactions(study.arms, study.scenes, arguments.reactive, entries=study.entries)
+            disturbed = Reactions(study.arms, study.scenes, arguments.reactive, user_files=study.user_files)
             reactions = compute(disturbed, directory, **how)
             more = [reactions.csv, directory / "reactions.md"]
             with table.manifest.writing(more[1]) as temporary:
@@ -123,15 +123,15 @@ def _listed(words: Sequence[str] | None) -> list[str]:
 
 def _print_found(study: Comparison) -> None:
     """Print the user's own arms, scenes, planners and controllers in a comparison."""
-    for entry in study.entries:
-        if entry.kind == ARM:
-            arm = bare_arm(entry.source)
+    for file in study.user_files:
+        if file.kind == ARM:
+            arm = bare_arm(file.source)
             console.print(
-                f"arm {entry.name}: {arm.n_links} links, {arm.n_joints} joints, from {entry.source}", markup=False
+                f"arm {file.name}: {arm.n_links} links, {arm.n_joints} joints, from {file.source}", markup=False
             )
             print_import_report(arm)
     others = PLANNER_REGISTRY.found(study.planners) + CONTROLLER_REGISTRY.found(study.controllers)
-    for line in others + findings(study.arms, study.scenes, study.entries):
+    for line in others + describe_files(study.arms, study.scenes, study.user_files):
         console.print(line, markup=False)
 
 

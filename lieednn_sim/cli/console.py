@@ -30,7 +30,7 @@ def to_stderr() -> Console:
 
 @contextlib.contextmanager
 def progress(what: str) -> Iterator[Callable[[int, int], None]]:
-    """A progress bar on a terminal's stderr; yields a function of the steps done and their total.
+    """Show a progress bar on stderr, if that is a terminal; yields a function of the steps done and their total.
 
     Until it is called, only the time is shown.
     """

@@ -1,4 +1,4 @@
-"""The command ``learn``: demonstrations to a certified network, with a report and plots."""
+"""The command ``learn``, which makes a certified network from demonstrations, with a report and plots."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from lieednn_sim.errors import InputError
 from lieednn_sim.learning.demonstrations import Demonstrations, align, load_demonstrations
 from lieednn_sim.learning.demonstrations.shaped import ShapedMotion
 from lieednn_sim.manifest import Manifest
-from lieednn_sim.studies.demonstrations.models import RIVALS, ModelRow, compare_models, of_models
+from lieednn_sim.studies.demonstrations.models import RIVALS, ModelRow, compare_models, models_table
 from lieednn_sim.studies.demonstrations.plots import plot_field, plot_paths
 from lieednn_sim.synthesis import ShapingOptions
 from lieednn_sim.validation import as_choice, as_count, as_seed
@@ -69,7 +69,7 @@ def learn(arguments: argparse.Namespace) -> None:
         f"{len(shown)} demonstrations, {shown[0].shown}, {demonstrations.extent:.3g} m across, "
         f"{demonstrations.duration:.3g} s; {shaped.shaping.message}"
     )
-    console.print(of_models(rows, turns=demonstrations.dof == 6))
+    console.print(models_table(rows, turns=demonstrations.dof == 6))
     console.print(f"stability: {shaped.network.certificate}")
     wrote(*outputs)
 

@@ -17,12 +17,12 @@ _AGAIN = 0.01
 class Interruption:
     """Context, for the main thread, in which SIGINT and SIGTERM raise `KeyboardInterrupt` once.
 
-    Python swallows exceptions that are raised in callbacks of weak references and in ``__del__``; the interruption is
-    then raised again a moment later, and `check` raises it between the steps of a command.
+    Python swallows exceptions that are raised in callbacks of weak references and in ``__del__``; therefore the
+    interruption is raised again a moment later, and `check` raises it between the steps of a command.
 
-    The process ends at once on a second signal, and while its first modules are still being imported: these might turn
-    the exception into another one, and there is nothing to clean up yet. What is cut off half way, such as the release
-    of an OpenGL context, may fail when Python disposes of it; nothing of that is printed after an interruption.
+    A second signal ends the process at once. So does the first one while modules are still being imported: they might
+    turn the exception into another one, and there is nothing to clean up yet. Objects that an interruption leaves half
+    released, such as an OpenGL context, may raise when Python disposes of them; these errors are not printed.
 
     Args:
         last: the process ends after the block; a signal that arrives later ends it at once.
@@ -91,7 +91,7 @@ class Interruption:
 
 
 def check() -> None:
-    """Raise `KeyboardInterrupt` if the running command was interrupted and goes on all the same."""
+    """Raise `KeyboardInterrupt` if the running command was interrupted but the exception was lost."""
     current = Interruption._current
     if current is not None and current.received is not None:
         _forget_alarm()
@@ -99,12 +99,12 @@ def check() -> None:
 
 
 def _forget_alarm() -> None:
-    """Do not raise the interruption again: it is on its way."""
+    """Do not raise the interruption again, since its exception is under way."""
     signal.setitimer(signal.ITIMER_REAL, 0.0)
 
 
 def say(message: str) -> None:
-    """Print a line about the command to the standard error, if that takes it."""
+    """Print a line about the command to the standard error, if that can be written."""
     try:
         print(f"lieednn-sim: {message}", file=sys.stderr, flush=True)
     except OSError:

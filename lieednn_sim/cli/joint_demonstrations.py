@@ -1,4 +1,4 @@
-"""The command ``learn --arm``: demonstrations of an arm's joints to a run, with a report and plots."""
+"""The command ``learn --arm``, which makes a run from demonstrations of an arm's joints, with a report and plots."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from lieednn_sim.cli.run_directory import RunDirectory
 from lieednn_sim.cli.task import DEMONSTRATED
 from lieednn_sim.errors import InputError
 from lieednn_sim.planning.demonstrated import JointDemonstrations, JointMotion
-from lieednn_sim.studies.demonstrations.joints import of_joints, study_joints
+from lieednn_sim.studies.demonstrations.joints import joints_table, study_joints
 from lieednn_sim.studies.demonstrations.plots import plot_joint_paths
 from lieednn_sim.synthesis import ShapingOptions
 from lieednn_sim.validation import as_count, as_seed
@@ -31,7 +31,7 @@ def learn_joints(arguments: argparse.Namespace) -> None:
     for name, usual in _OF_POSES.items():
         if getattr(arguments, name) != usual:
             raise InputError(
-                f"--{name} is for positions and poses; with --arm columns are joints [rad, m], and there are no rivals"
+                f"--{name} is for positions and poses; with --arm the columns are joints [rad, m], without rivals"
             )
     run = RunDirectory(arguments.output, arguments.plots)
     starts = as_count("starts", 20 if arguments.starts is None else arguments.starts)
@@ -43,7 +43,7 @@ def learn_joints(arguments: argparse.Namespace) -> None:
         learned = JointMotion.fit(shown, arguments.deviation, options, seed)
         motion, refusal = learned.planned(shown.mean[0])
         with progress("learn") as bar:
-            study, ways = study_joints(
+            study, paths = study_joints(
                 shown,
                 learned,
                 options,
@@ -88,13 +88,13 @@ def learn_joints(arguments: argparse.Namespace) -> None:
         with run.manifest.replacing(results) as (report, demonstrations_plot, starts_plot):
             storage.save_json(report, found)
             plot_joint_paths(shown, reproduced, demonstrations_plot)
-            plot_joint_paths(shown, reproduced, starts_plot, ways)
+            plot_joint_paths(shown, reproduced, starts_plot, paths)
     print_import_report(arm)
     console.print(
         f"{len(shown)} demonstrations of {arm.n_joints} joints of {arm.name}, {learned.duration:.3g} s; "
         f"{learned.shaping.message}"
     )
-    console.print(of_joints(study, arm))
+    console.print(joints_table(study, arm))
     console.print(
         f"limits: not kept, {refusal}" if refusal else f"limits and clearance: kept, in {arguments.duration:.3g} s"
     )

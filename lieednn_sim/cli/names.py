@@ -1,4 +1,4 @@
-"""Names of rooms that are slow to import, for help texts; a test compares them with the registries."""
+"""Names for help texts, from modules that are slow to import; a test compares them with the registries."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The options of each command; imports nothing slow."""
+"""The options of each command; this module imports nothing slow."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def decimal_or_inf(text: str) -> float:
 
 
 def add_task(parser: argparse.ArgumentParser, output: str, *, goal: bool = True) -> argparse._MutuallyExclusiveGroup:
-    """Arm, scene, start and target; without a required ``goal`` the command chooses a target itself."""
+    """Add arm, scene, start and target; where ``goal`` is false the target is optional."""
     parser.add_argument(
         "--arm", default="telescopic_pr", metavar="NAME", help=f"{_one_of(ARMS)}, or an MJCF, URDF or YAML file"
     )
@@ -54,8 +54,8 @@ def add_task(parser: argparse.ArgumentParser, output: str, *, goal: bool = True)
         help="joint target: a keyframe's name, random:SEED, or comma-separated joint coordinates [rad, m]"
         + ("" if goal else " (default: extended; among obstacles, or without such a keyframe, random:SEED)"),
     )
-    group.add_argument("--position", metavar="X,Y,Z", help="end effector target in the world [m] instead")
-    parser.add_argument("--start", default="home", metavar="Q", help="start, as for --target")
+    group.add_argument("--position", metavar="X,Y,Z", help="target position of the end effector in the world [m]")
+    parser.add_argument("--start", default="home", metavar="Q", help="start, given as for --target")
     parser.add_argument("--duration", type=decimal, default=4.0, metavar="S", help="duration of the motion [s]")
     parser.add_argument("--seed", type=whole, default=0, help="seed of random draws")
     parser.add_argument("--output", default=output, metavar="DIR", help="run directory")
@@ -67,9 +67,9 @@ def add_frames(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--links",
         metavar="A,B,...",
-        help="bodies or sites of a model file for the link frames, from the base outwards (default: found)",
+        help="bodies or sites of a model file for the link frames, from the base outwards (default: found by itself)",
     )
-    parser.add_argument("--base", metavar="NAME", help="body or site of the base frame (default: found)")
+    parser.add_argument("--base", metavar="NAME", help="body or site of the base frame (default: found by itself)")
     parser.add_argument(
         "--keyframe", metavar="NAME", help="keyframe of an MJCF file for home and for the locked joints"
     )
@@ -104,7 +104,7 @@ def add_planning(
     parser.add_argument("--bias", metavar="RULE", help=f"{_one_of(BIAS_RULES)} (default: sign-matched)")
     usual = "several are tried" if bias_magnitude is None else f"{bias_magnitude:g}"
     parser.add_argument("--bias-magnitude", type=decimal, metavar="B", help=f"size of the bias (default: {usual})")
-    parser.add_argument("--n-networks", type=whole, metavar="N", help="networks to choose from (default: 24)")
+    parser.add_argument("--n-networks", type=whole, metavar="N", help="number of networks to choose from (default: 24)")
     parser.add_argument(
         "--fastest", action="store_true", help="follow the planned path as fast as the arm's limits allow"
     )
@@ -122,18 +122,18 @@ def add_training(parser: argparse.ArgumentParser) -> None:
         type=whole,
         default=4,
         metavar="N",
-        help="most seeds to try until a network's motion keeps the limits",
+        help="number of seeds to try at most, until a network's motion keeps the limits",
     )
     parser.add_argument(
         "--period", type=whole, metavar="P", help="epochs between projections (default: the algorithm's)"
     )
-    parser.add_argument("--epochs", type=whole, metavar="K", help="most epochs (default: 25000)")
+    parser.add_argument("--epochs", type=whole, metavar="K", help="largest number of epochs (default: 25000)")
     parser.add_argument(
         "--tolerance",
         type=decimal,
         default=1e-5,
         metavar="TAU",
-        help="error of the equilibrium [rad, length units]",
+        help="largest error of the equilibrium [rad, length units]",
     )
     parser.add_argument("--bias", default="sign-matched", metavar="RULE", help="uniform or sign-matched")
     parser.add_argument("--bias-magnitude", type=decimal, default=0.125, metavar="B", help="size of the bias")
@@ -171,21 +171,21 @@ def add_comparison(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--scheduler", metavar="ADDRESS", help="address of a Dask cluster that runs the cases instead of --jobs"
     )
-    parser.add_argument("--shard", metavar="K/N", help="only the K-th of N shares of the cases, for 'merge'")
+    parser.add_argument("--shard", metavar="K/N", help="only the K-th of N parts of the cases, for 'merge'")
     parser.add_argument(
         "--reactive",
         type=whole,
         default=0,
         metavar="N",
-        help="number of seeds of the reactive benchmark: planners that are pushed, loaded and retargeted",
+        help="number of seeds of the reactive benchmark, in which policies are pushed, loaded and given another target",
     )
-    parser.add_argument("--videos", type=whole, default=0, metavar="N", help="number of cases to show")
+    parser.add_argument("--videos", type=whole, default=0, metavar="N", help="number of cases to film")
     parser.add_argument(
         "--video",
         action="append",
         default=[],
         metavar="CASE",
-        help="a case to show, planner:arm:scene:seed; may be repeated",
+        help="a case to film, planner:arm:scene:seed; may be repeated",
     )
     parser.add_argument("--date", default="", metavar="TEXT", help="date for the page's head (default: none)")
 
@@ -201,10 +201,10 @@ def add_problems(parser: argparse.ArgumentParser) -> None:
         help=f"any of {', '.join(PLANNERS)} (default: minimum-jerk,rrt-connect,lieednn-shaped)",
     )
     parser.add_argument(
-        "--problems", default="100", metavar="N", help="number of problems, a fixed choice evenly from all sets, or all"
+        "--problems", default="100", metavar="N", help="number of problems, chosen evenly from all sets, or 'all'"
     )
     parser.add_argument(
-        "--time-budget", type=decimal, default=10.0, metavar="S", help="most CPU time for a problem [s]"
+        "--time-budget", type=decimal, default=10.0, metavar="S", help="CPU time allowed for a problem [s]"
     )
     parser.add_argument("--output", default="results/problems", metavar="DIR", help="directory of the table")
     parser.add_argument("--jobs", type=whole, metavar="N", help="worker processes (default: all cores)")
@@ -243,28 +243,30 @@ def add_demonstrations(parser: argparse.ArgumentParser) -> None:
     """Options of ``learn``: files of demonstrations, how they are read, and what is learned from them."""
     parser.add_argument("files", nargs="+", metavar="FILE", help="demonstrations of one motion; each ends at its goal")
     parser.add_argument(
-        "--arm", metavar="NAME", help=f"learn its joints, the files' columns [rad, m]: {_one_of(ARMS)}, or an MJCF file"
+        "--arm",
+        metavar="NAME",
+        help=f"learn a motion of the joints of {_one_of(ARMS)}, or an MJCF file; they are the files' columns [rad, m]",
     )
     add_frames(parser)
     parser.add_argument("--unit", default="m", help="unit of positions: m, cm or mm")
-    parser.add_argument("--quaternion", default="wxyz", metavar="ORDER", help="order of entries: wxyz or xyzw")
+    parser.add_argument("--quaternion", default="wxyz", metavar="ORDER", help="order of components: wxyz or xyzw")
     parser.add_argument("--sample-rate", type=decimal, default=100.0, metavar="HZ", help="for files without times")
     parser.add_argument(
-        "--phase", default="length", help="how demonstrations are aligned: by length, the share of the way, or by time"
+        "--phase", default="length", help="align demonstrations by 'length', the fraction of their path, or by 'time'"
     )
     parser.add_argument(
         "--deviation",
         type=decimal,
         metavar="M",
         help="requested deviation from the mean demonstration [m] (default: 0.002 of the demonstrations' extent, or "
-        "with --arm 0.001 of their way)",
+        "with --arm 0.001 of the length of their path)",
     )
     parser.add_argument(
         "--clock-rate",
         type=decimal,
         default=1.0,
         metavar="RHO",
-        help="rho: 1 moves with the start, less returns to the path 1/rho times as fast",
+        help="rho: at 1 the path moves along with the start, below 1 the motion returns to it 1/rho times as fast",
     )
     parser.add_argument("--rivals", default=",".join(RIVALS), metavar="A,B,...", help="models to compare with, or none")
     parser.add_argument(
@@ -285,7 +287,7 @@ def _add_time_budget(parser: argparse.ArgumentParser, more: str = "") -> None:
         type=decimal_or_inf,
         default=60.0,
         metavar="S",
-        help=f"most CPU time for planning a motion [s]{more}",
+        help=f"CPU time allowed for planning a motion [s]{more}",
     )
 
 

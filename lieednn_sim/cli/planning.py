@@ -1,4 +1,4 @@
-"""The commands ``plan`` and ``synthesize``: target to the motion of a planner, and its network if it makes one."""
+"""The planning of ``plan``, ``synthesize`` and ``demo``: a motion to the target, and the network if there is one."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from lieednn_sim.validation import as_choice
 
 
 def make_plan(run: RunDirectory, arguments: argparse.Namespace) -> None:
-    """Fill a run directory with a task, a network where the planner has one, and the planner's motion."""
+    """Plan, and write the task, the motion, and the network if the planner makes one."""
     arm = load_arm(arguments)
     planner, reason = _planner(arm, arguments)
     console.print(f"planner: {planner} ({reason}), at most {arguments.time_budget:g} s of CPU time")
@@ -82,7 +82,7 @@ def _planner(arm: Arm, arguments: argparse.Namespace) -> tuple[str, str]:
     ]
     if given:
         option = f"--{given[0].replace('_', '-')}"
-        raise InputError(f"{option} is for --planner {CERTIFIED}; {name} chooses by itself")
+        raise InputError(f"{option} applies to --planner {CERTIFIED} alone, not to {name}")
     return name, reason
 
 
@@ -134,4 +134,4 @@ def _print_outcome(made: Plan) -> None:
 
 def _gap(motion: Motion) -> str:
     angle = np.rad2deg(motion.gap_rotation.max())
-    return f"{rounded(1e3 * motion.gap_translation.max())} mm and {rounded(angle)} degrees on the way, 0 at the target"
+    return f"{rounded(1e3 * motion.gap_translation.max())} mm and {rounded(angle)} degrees at most, 0 at the target"

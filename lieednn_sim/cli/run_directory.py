@@ -73,13 +73,13 @@ class RunDirectory:
 
     @property
     def results(self) -> list[Path]:
-        """Files made from a rollout, which a new one makes outdated."""
+        """Files made from a rollout, which are outdated when there is a new one."""
         plots = self._plots_of(*_PLOTS[3:])
         return [self.metrics_json, self.metrics_csv, *plots, self.video, self.divergence]
 
     @property
     def evaluated(self) -> list[Path]:
-        """Files of `evaluate`, the last only where the rollout has channels."""
+        """Files that the command ``evaluate`` writes; the last one only if the rollout has channels."""
         plots = [self.network_plot, self.tracking_plot, self.joints_plot, self.channels_plot]
         return [self.metrics_json, self.metrics_csv, *plots]
 
@@ -94,11 +94,15 @@ class RunDirectory:
 
     @contextlib.contextmanager
     def at_work(self, *, shared: bool = False, outputs: Iterable[Path] | None = None) -> Iterator[None]:
-        """Lock the run against other commands, or with ``shared`` against those that write more than results.
+        """Lock the run against other commands while the block runs.
+
+        Args:
+            shared: let other commands in that only write results, as this one does.
+            outputs: the files that the command writes; by default all files of the run.
 
         Raises:
-            FileError: another command is at work there, or one of ``outputs`` (by default, all files of the run)
-                cannot be written, or was not made by this package.
+            FileError: another command is at work there, or one of ``outputs`` cannot be written or was not made by
+                this package.
         """
         with filesystem.locked(self.path, shared=shared):
             self.manifest.check(self.files if outputs is None else outputs)
@@ -106,12 +110,8 @@ class RunDirectory:
                 self._remove_unfinished()
             yield
 
-    def create(self) -> None:
-        """Create the directory if needed."""
-        filesystem.make_directory(self.path)
-
     def remove(self) -> None:
-        """Remove the files of the run, and the directory if nothing else is in it; for who is at work there."""
+        """Remove the files of the run, and the directory if nothing else is in it; only within `at_work`."""
         self._remove_unfinished()
         self.manifest.remove(self.files)
         with contextlib.suppress(OSError):
@@ -151,7 +151,7 @@ class RunDirectory:
         return task, arm
 
     def load_network(self, task: Task) -> ComponentwiseNetwork:
-        """The network, of whatever class, after checking that it was made for the task."""
+        """The network, after checking that it was made for the task."""
         self.check(task, "network")
         return _NETWORKS.get(storage.kind(self.network), LieEDNN).load(self.network)
 

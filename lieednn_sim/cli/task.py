@@ -1,4 +1,4 @@
-"""A task: arm, start, target, duration, and planner."""
+"""The task of a run: arm, start, target, duration, and planner."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Task:
         seed: seed of its random draws.
         options: its other options by name, as JSON values.
         model: `Arm.fingerprint` of the arm.
-        versions: versions of the packages that made it.
+        versions: versions of the packages with which the task was made.
     """
 
     arm: str

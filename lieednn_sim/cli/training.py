@@ -1,4 +1,4 @@
-"""The command ``train``: target to learned network, resumable."""
+"""The command ``train``, which learns a network for a target and can be resumed."""
 
 from __future__ import annotations
 

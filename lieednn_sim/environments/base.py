@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim.arm import Arm
-from lieednn_sim.environments.frames import SiteFrames, to_go
+from lieednn_sim.environments.frames import SiteFrames, pose_error_twists
 from lieednn_sim.environments.observations import Bounds, Observation, Observations, State, Target, common_bounds
 from lieednn_sim.errors import InputError, SimulationError
 from lieednn_sim.evaluation.frame_errors import SETTLED_ROTATION, SETTLED_TRANSLATION
@@ -46,7 +46,9 @@ class Transition(NamedTuple):
 
 
 class Commands:
-    """Commands that move at constant velocity for one control step, followed by position servos with feedforward.
+    """Turns actions into commanded positions, and these into the controls of position servos.
+
+    The commanded position moves at constant velocity for one control step, and the servos have velocity feedforward.
 
     Args:
         arm: the arm, whose limits scale the actions.
@@ -77,23 +79,24 @@ class Commands:
         # Not start + part * (end - start), which may exceed a limit by rounding.
         q = self._before * start[..., None, :] + self._after * end[..., None, :]
         space = self._arm.space
-        # Generalised velocities depend on the posture only with ball joints.
-        postures = q[..., 1:, :] if len(space.balls) else end[..., None, :]
-        qvel = space.to_qvel(postures, ((end - start) / self._timestep)[..., None, :])
+        # Generalised velocities depend on the configuration only with ball joints.
+        configurations = q[..., 1:, :] if len(space.balls) else end[..., None, :]
+        qvel = space.to_qvel(configurations, ((end - start) / self._timestep)[..., None, :])
         return self._actuators.servo_controls(space.to_qpos(q[..., :-1, :]), qvel, self._damping * qvel)
 
 
 class ArmTask(ABC):
     """Tasks in which joint velocities bring an arm to target positions that are among the observations.
 
-    A task is the definition, in functions of states that take any leading axes (`commands`, `draw`, `judge`, `look`),
-    and one episode of it in a simulation, which `begin` and `step` go through. `vector.VectorEnvironment` has many.
+    The object is two things. The definition of the task is in `commands`, `draw`, `judge` and `look`, which work on
+    arrays with any leading axes, so that `vector.VectorEnvironment` can use them for many episodes. And it runs one
+    episode in its simulation by `begin` and `step`.
 
     An action in [-1, 1]^n is a joint velocity as a fraction of the limits. It moves the commanded position, which stays
     within the position limits, at constant velocity for one control step; the arm's position servos follow it, with
     velocity feedforward, at every physics step. Actions outside this range are clipped.
 
-    Observations, each with finite bounds, to which it is clipped:
+    Observations, which are clipped to finite bounds:
 
     - ``position`` ``(n,)`` [rad, m], ``velocity`` ``(n,)`` [rad/s, m/s] of the joints,
     - ``command`` ``(n,)``: the commanded position,
@@ -185,26 +188,29 @@ class ArmTask(ABC):
 
     @abstractmethod
     def judge(self, distance: Floats, angle: Floats, qd: Floats) -> tuple[Floats, NDArray[np.bool_]]:
-        """Rewards ``(...)`` in [0, 1] and successes ``(...)`` at errors ``(...)`` and joint velocities ``(..., n)``.
+        """Rewards ``(...)`` in [0, 1] and successes ``(...)``; arguments are unchecked.
 
-        Unchecked.
+        Args:
+            distance: largest distances ``(...)`` of goal frames from their targets [m].
+            angle: the same as angles ``(...)`` [rad].
+            qd: joint velocities ``(..., n)``.
         """
 
     def look(self, steps: Any, command: Floats, qpos: Floats, qvel: Floats, frames: Floats, *target: Floats) -> State:
-        """States ``(...)`` after numbers of control steps ``(...)``; unchecked.
+        """The states ``(...)`` after some control steps; arguments are unchecked.
 
         Args:
-            steps: these numbers.
+            steps: numbers of control steps done ``(...)``.
             command: commanded positions ``(..., n)``.
             qpos: MuJoCo's positions ``(..., nq)``.
             qvel: MuJoCo's velocities ``(..., nv)``.
             frames: goal frames ``(..., F, 16)`` of the arm, see `SiteFrames`.
-            target: as of `Target.after`, with leading axes.
+            target: the arrays of `Target.after`, with leading axes.
         """
         q = self.arm.space.from_qpos(qpos)
         qd = self.arm.space.from_qvel(q, qvel)
         wanted, goals, *more = target
-        twist, distance, angle = to_go(frames, goals)
+        twist, distance, angle = pose_error_twists(frames, goals)
         row = self.observations.rows(q, qd, command, wanted - q, twist.reshape(*q.shape[:-1], -1), *more)
         return State(steps, command, row, *self.judge(distance, angle, qd), distance, angle)
 

@@ -1,4 +1,4 @@
-"""An expert for all interfaces: a policy whose references become actions."""
+"""An expert for all interfaces, which turns the references of a policy into actions."""
 
 from __future__ import annotations
 
@@ -24,14 +24,15 @@ class Expert:
 
     In `Reach` it plans a certified network's motion from ``home`` to each episode's target, around obstacles if there
     are any, and commands its positions, as fast as 90 % of the limits allow. In `Track` it commands the target's next
-    position. With ``policy`` it is that policy, made for each episode, which sees the measured joints and the target.
+    position. With ``policy`` it follows that policy, made anew for each episode, which sees the measured joints and the
+    target.
     Its actions are within [-1, 1].
 
     Args:
         environment: an `ArmTask`, an environment of `suite.load`, or a Gymnasium one, wrapped or not.
         policy: a name of `policies.POLICIES`.
         planner: a name of `planning.PLANNERS`; by default a certified LieEDNN, and among obstacles `OBSTACLE_PLANNER`.
-        candidates: number of networks drawn for a plan at first, see `trajectories.planned`.
+        n_networks: number of networks drawn for a plan at first, see `trajectories.planned`.
         seed: seed of the draws.
 
     Raises:
@@ -45,7 +46,7 @@ class Expert:
         *,
         policy: str | None = None,
         planner: str | None = None,
-        candidates: int = 2,
+        n_networks: int = 2,
         seed: Seed = 0,
     ) -> None:
         inner = getattr(environment, "unwrapped", environment)
@@ -65,13 +66,13 @@ class Expert:
         self._planner = None if planner is None else as_choice("planner", planner, planners())
         if self._planner is not None and self._kind is None:
             require_planner(self._planner)
-        self._candidates = as_count("candidates", candidates)
+        self._n_networks = as_count("n_networks", n_networks)
         self._seed = as_seed("seed", seed)
         self._episode, self._periods = 0, 0
         self._policy: Policy
 
     def act(self) -> Floats:
-        """Action ``(n,)`` for the present time; it uses more of the task than the observations tell.
+        """Action ``(n,)`` for the present time, from the arm and the task, which tell more than the observations.
 
         Raises:
             PlanError: no plan was found for the episode's target.
@@ -82,11 +83,13 @@ class Expert:
             raise InputError("the environment has not been reset")
         if self._episode != task.episode:
             self._policy = self._make(task)
-            self._policy.reset(task.command)
-            self._episode, self._periods = task.episode, 0
+            self._episode = task.episode
+            # A plan is from the beginning of the episode on, while a policy by name begins where the arm is.
+            self._periods = 0 if self._kind is None else task.state.steps
+            self._policy.reset(task.arm.keyframe("home") if self._kind is None else task.command)
         measured, target = task.observe()["position"], task.target(task.time + task.control_timestep)
         # Others may have acted since; asked again at the same time, it answers the same.
-        while self._periods <= round(task.time / task.control_timestep):
+        while self._periods <= task.state.steps:
             self._policy.step(measured, target)
             self._periods += 1
         action = (self._policy.q - task.command) / (task.control_timestep * task.arm.velocity_limits)
@@ -98,12 +101,12 @@ class Expert:
             return make_policy(self._kind, arm, target, rate=rate, start=task.command, seed=self._seed)
         if isinstance(task, Track):
             return _TargetFollower(arm, rate)
-        made = planned(arm, target, planner=self._planner, candidates=self._candidates, seed=self._seed)
+        made = planned(arm, target, planner=self._planner, n_networks=self._n_networks, seed=self._seed)
         return MotionTracker(arm, made.spline, rate)
 
 
 class _TargetFollower(Policy):
-    """Its reference is the target."""
+    """A policy whose reference is the target."""
 
     def act(self, measured: Floats | None, target: Floats) -> tuple[Floats, Floats]:
         """See `Policy`."""

@@ -1,4 +1,4 @@
-"""Pose errors of link frames, for many environments at once, rounded exactly as those of a single one."""
+"""Pose errors of link frames, for many environments at once, with the same rounding as for a single one."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class SiteFrames:
 
 
 def goal_frames(arm: Arm, q: Floats, frames: slice) -> Floats:
-    """Rows ``(..., F, 16)`` as of `SiteFrames` at joint positions ``(..., n)``, without MuJoCo's data."""
+    """Frames ``(..., F, 16)`` in the format of `SiteFrames` at joint positions ``(..., n)``, without MuJoCo's data."""
     matrices = arm.link_poses(q).as_matrix()[..., frames, :, :]
     return _rows(matrices[..., :3, 3], matrices[..., :3, :3].reshape(*matrices.shape[:-2], 9))
 
@@ -58,8 +58,8 @@ def _rows(positions: Floats, rotations: Floats) -> Floats:
     return np.concatenate([positions, rotations, turns], axis=-1)
 
 
-def to_go(frames: Floats, goals: Floats) -> tuple[Floats, Floats, Floats]:
-    """Log(T^-1 T_goal) for frames and goals given as rows of `SiteFrames`.
+def pose_error_twists(frames: Floats, goals: Floats) -> tuple[Floats, Floats, Floats]:
+    """Pose errors Log(T^-1 T_goal) as twists, for frames and goals in the format of `SiteFrames`.
 
     If the relative rotation has the unit quaternion (c, s n), c >= 0, its angle is a = 2 atan2(s, c). With w = a n and
     the relative translation p, v = J_l^-1 p = p - w x p / 2 + (1 - (a / 2) cot(a / 2)) / a^2 w x (w x p).

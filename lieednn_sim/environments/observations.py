@@ -1,4 +1,4 @@
-"""What is known of episodes: their targets, their states, and observations, which are named arrays with bounds."""
+"""Targets, states and observations of episodes; observations are named arrays with bounds."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class Target(NamedTuple):
 
 
 class State(NamedTuple):
-    """What is known after a control step, of one episode or, with leading axes, of many; MuJoCo holds the physics.
+    """The state of one episode after a control step or, with leading axes, of many, but for the physics in MuJoCo.
 
     Attributes:
         steps: numbers of control steps done ``(...)``.
@@ -85,7 +85,7 @@ class State(NamedTuple):
     failure: Any = ""
 
     def over(self, steps: int) -> Any:
-        """Whether episodes of so many control steps are over ``(...)``."""
+        """Whether episodes that last ``steps`` control steps are over ``(...)``."""
         return (self.failure != "") | (self.steps >= steps)
 
     def info(self) -> dict[str, Any]:
@@ -95,9 +95,9 @@ class State(NamedTuple):
 
 
 class Observations:
-    """Computes rows that hold the observations of a task, clipped to their bounds.
+    """Computes rows that hold all observations of a task, clipped to their bounds.
 
-    A row is clipped and copied in the time that each of its arrays would take.
+    Clipping and copying one row takes as long as it would for one of its arrays alone.
 
     Args:
         bounds: bounds by name: those of `common_bounds`, then those of a task's additional observations.
@@ -114,7 +114,7 @@ class Observations:
             begin += low.size
 
     def rows(self, *values: Floats) -> Floats:
-        """Rows ``(..., size)`` of arrays ``(..., k)``, one for each name, flat."""
+        """Rows ``(..., size)`` from arrays ``(..., k)``, one for each name in the order of the bounds."""
         # Twice as fast as np.clip.
         return np.minimum(np.maximum(np.concatenate(values, axis=-1), self._low), self._high)
 

@@ -38,10 +38,11 @@ _LONGEST_PREVIEW = 10_000
 
 
 class Closeness:
-    """1 within the tolerances, otherwise less: the mean of a part that guides from afar and one that matters nearby.
+    """Closeness to a target: 1 within the tolerances, otherwise less.
 
-    Each is the product of a term for the distance and one for the angle. A term falls to a tenth where its error
-    exceeds the tolerance by the margin.
+    It is the mean of two parts, one with wide margins, which guides from afar, and one with narrow margins. Each is the
+    product of a term for the distance and one for the angle. A term falls to a tenth where its error exceeds the
+    tolerance by the margin.
 
     Args:
         task: the task, whose tolerances count, and the reach of its arm.
@@ -66,7 +67,7 @@ class Closeness:
 
 
 def closeness(error: Floats | float, allowed: Floats | float, margin: Floats | float) -> Floats:
-    """1 up to the allowed error, then 1 / (1 + 9 x^2) at x margins beyond; dm_control's ``tolerance``, long tail."""
+    """1 up to the allowed error, 1 / (1 + 9 x^2) at x margins beyond it, as dm_control's ``tolerance``."""
     beyond = np.maximum(error - allowed, 0.0) / margin
     return np.asarray(1.0 / (1.0 + 9.0 * beyond * beyond))
 
@@ -113,7 +114,7 @@ class Track(ArmTask):
         arm: as in `ArmTask`.
         reference: ``"band-limited"``, a random endless joint trajectory; or ``"plan"``, a LieEDNN plan to a random
             target, which takes a second for each episode.
-        preview: P.
+        preview: number P of previewed target positions.
         position_tolerance: tolerance of success [m]; half a centimetre by default, since no servo tracks exactly.
         rotation_tolerance: the same [rad].
         options: further options of `ArmTask`.

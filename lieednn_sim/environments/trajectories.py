@@ -30,12 +30,12 @@ _ONSET, _SPACING = 1.5, 0.02
 # attempts.
 _RANGE_FRACTION, _SHRINKAGE, _ATTEMPTS = 0.8, 0.85, 40
 # Rate at which random trajectories are tested for contact [Hz].
-_POSTURES_PER_SECOND = 10
+_CHECKS_PER_SECOND = 10
 
 
 @dataclass(frozen=True, eq=False)
 class JointTrajectory:
-    """A joint trajectory from t = 0; before its beginning and after its end it rests.
+    """A joint trajectory that begins at t = 0; before and after it, the joints rest.
 
     Attributes:
         spline: positions ``(n,)`` [rad, m] over time [s].
@@ -61,15 +61,15 @@ class JointTrajectory:
 
 
 def planned(
-    arm: Arm, target: ArrayLike | str, *, planner: str | None = None, candidates: int = 2, seed: Seed = 0
+    arm: Arm, target: ArrayLike | str, *, planner: str | None = None, n_networks: int = 2, seed: Seed = 0
 ) -> JointTrajectory:
     """A planned motion from the keyframe ``home``, as fast as 90 % of the velocity and acceleration limits allow.
 
     Args:
         arm: the arm.
         target: joint target ``(n,)``, or a keyframe's name.
-        planner: a name of `planning.PLANNERS`; by default a certified LieEDNN, to which ``candidates`` applies.
-        candidates: number of networks to draw at first; if their motions break limits, four times as many are drawn,
+        planner: a name of `planning.PLANNERS`; by default a certified LieEDNN, to which ``n_networks`` applies.
+        n_networks: number of networks to draw at first; if their motions break limits, four times as many are drawn,
             and then sixteen times as many.
         seed: seed of the draws.
 
@@ -78,7 +78,7 @@ def planned(
         NotCertifiedError: no network could be certified.
         PlanError: every motion breaks a limit.
     """
-    count, seed = as_count("candidates", candidates), as_seed("seed", seed)
+    count, seed = as_count("n_networks", n_networks), as_seed("seed", seed)
     if planner is None:
         motion = _patient_plan(arm, target, count, seed)
     else:
@@ -88,16 +88,16 @@ def planned(
     return JointTrajectory(CubicHermiteSpline(motion.t * pace, motion.q, motion.qd / pace))
 
 
-def _patient_plan(arm: Arm, target: ArrayLike | str, candidates: int, seed: int) -> Motion:
+def _patient_plan(arm: Arm, target: ArrayLike | str, n_networks: int, seed: int) -> Motion:
     def drawn(total: int) -> Motion:
         options = CertifiedOptions(n_networks=total)
         return plan(arm, target, duration=_PLANNING_DURATION, max_time_scale=1.0, seed=seed, options=options).motion
 
-    # Few candidates suffice for most targets, and each takes time.
-    for total in (candidates, 4 * candidates):
+    # Few networks suffice for most targets, and each takes time.
+    for total in (n_networks, 4 * n_networks):
         with contextlib.suppress(PlanError, NotCertifiedError):
             return drawn(total)
-    return drawn(16 * candidates)
+    return drawn(16 * n_networks)
 
 
 def band_limited(arm: Arm, rng: np.random.Generator, duration: float) -> JointTrajectory:
@@ -114,8 +114,8 @@ def band_limited(arm: Arm, rng: np.random.Generator, duration: float) -> JointTr
     home, spread = arm.keyframe("home"), _RANGE_FRACTION
     for _ in range(_ATTEMPTS):
         trajectory = _draw(arm, rng, home, total, spread)
-        postures = trajectory.position(np.linspace(0.0, total, int(np.ceil(_POSTURES_PER_SECOND * total)) + 1))
-        if not any(arm.contacts(q) for q in postures):
+        checked = trajectory.position(np.linspace(0.0, total, int(np.ceil(_CHECKS_PER_SECOND * total)) + 1))
+        if not any(arm.contacts(q) for q in checked):
             return trajectory
         spread *= _SHRINKAGE
     raise NoSolutionError(f"no random trajectory of arm {arm.name!r} is free of contact; use another scene or seed")

@@ -40,10 +40,10 @@ def observation_space(bounds: Bounds) -> spaces.Dict:
 
 
 class VectorEnvironment(gymnasium.vector.VectorEnv[dict[str, Floats], Floats, Any]):
-    """B environments, each equal to an `Environment` with its seed; with NumPy 2.4 to the last bit.
+    """Many environments, each equal to an `Environment` with its seed; with NumPy 2.4 to the last bit.
 
     Args:
-        num_envs: B.
+        num_envs: number of environments, B.
         task: a name of `tasks.TASKS`.
         arm: name of an arm of the package, or an arm.
         scene: as for `Environment`.
@@ -52,7 +52,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[dict[str, Floats], Floats, An
         options: further options of the task, see `ArmTask`, `Reach` and `Track`.
 
     Attributes:
-        task: the task; the environments' episodes are not its own.
+        task: the definition of the task; its own episode is not used.
 
     Raises:
         InputError: an argument is malformed.
@@ -121,7 +121,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[dict[str, Floats], Floats, An
         return self._observed(), self._infos(mask)
 
     def step(self, actions: Floats) -> Stepped:
-        """Do one control step with actions ``(B, n)``; environments that begin an episode ignore theirs.
+        """Do one control step with actions ``(B, n)``; an environment that begins an episode ignores its action.
 
         Raises:
             InputError: actions are malformed or not finite, or an episode is over and autoreset is disabled.
@@ -148,7 +148,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[dict[str, Floats], Floats, An
         return self._observed(), rewards, terminated, truncated, infos | self._infos(np.ones_like(waiting))
 
     def close_extras(self, **kwargs: Any) -> None:
-        """End the threads."""
+        """Stop the threads."""
         self._rollouts.close()
 
     def _observed(self) -> dict[str, Floats]:

@@ -37,11 +37,11 @@ class JointUse:
 
 @dataclass(frozen=True)
 class Recovery:
-    """What a push did, up to the next push or the end of the rollout.
+    """The effect of a push, up to the next push or the end of the rollout.
 
     ``peak_deviation_*`` is the largest error of any link frame against its reference since the push began.
-    ``recovery_s`` counts from the push's end to when all frames stay within 1 mm and 0.1 deg of their reference, None
-    when they do not.
+    ``recovery_s`` is the time from the push's end until all frames stay within 1 mm and 0.1 deg of their reference;
+    None when they do not.
     """
 
     body: str
@@ -56,8 +56,8 @@ class Recovery:
 class Evaluation:
     """Metrics of one rollout; `print` shows them as tables.
 
-    Conditions have the names of `simulate`'s arguments. Attributes that are not listed here are also columns of a
-    comparison, and are explained once, in `rows.Row`.
+    The conditions of the run have the names of `simulate`'s arguments. Attributes that are not listed here are also
+    columns of a comparison, and are explained in `studies.Row`.
 
     Attributes:
         arm: name of the simulated arm.
@@ -72,13 +72,13 @@ class Evaluation:
         frames: errors of each link frame, the last one being the end effector.
         joints: peak velocity and forces of each joint.
         displacement_m: distance between the end effector's first and last position.
-        clearance_mm: least clearance, as the column; None where nothing can collide or it was not computed.
+        clearance_mm: least clearance along the motion; None where nothing can collide or it was not computed.
         contacts: largest number of simultaneous contacts.
         peak_contact_force_n: largest normal force of a contact.
         peak_weld_force_n: largest force between a link and its mocap body; zero without mocap bodies.
         peak_weld_torque_n_m: largest torque between them.
-        recoveries: what each push did.
-        causes: if the arm does not end at its target, the reasons that its model gives, see `causes.causes`.
+        recoveries: the effect of each push.
+        causes: if the arm does not end at its target, the reasons that its model gives, see `diagnosis.error_causes`.
     """
 
     arm: str
@@ -116,15 +116,15 @@ class Evaluation:
     tracking_rms_deg: float = field(init=False)
     tracking_max_mm: float = field(init=False)
     tracking_max_deg: float = field(init=False)
-    velocity_share: float = field(init=False)
-    force_share: float = field(init=False)
+    velocity_fraction: float = field(init=False)
+    force_fraction: float = field(init=False)
 
     def __post_init__(self) -> None:
         times = [frame.settling_s for frame in self.frames if frame.settling_s is not None]
         found = {
             "settling_s": max(times) if len(times) == len(self.frames) else None,
-            "velocity_share": max(joint.peak_velocity / joint.velocity_limit for joint in self.joints),
-            "force_share": max(joint.peak_force / joint.force_limit for joint in self.joints),
+            "velocity_fraction": max(joint.peak_velocity / joint.velocity_limit for joint in self.joints),
+            "force_fraction": max(joint.peak_force / joint.force_limit for joint in self.joints),
         }
         for unit in ("mm", "deg"):
             found[f"final_effector_{unit}"] = getattr(self.end_effector, f"final_{unit}")
@@ -175,7 +175,7 @@ class Evaluation:
         storage.save_json(path, value)
 
     def save_csv(self, path: str | os.PathLike[str]) -> None:
-        """Write the frames' errors as one CSV row a frame."""
+        """Write the errors of the frames as CSV, a row for each frame."""
         with filesystem.atomic_text(path) as stream:
             rows = [asdict(frame) for frame in self.frames]
             writer = csv.DictWriter(stream, fieldnames=list(rows[0]), lineterminator="\n")
@@ -225,15 +225,15 @@ def _joints(evaluation: Evaluation) -> Table:
         rows.add_row(
             joint.name,
             rounded(joint.peak_velocity),
-            _share(joint.peak_velocity, joint.velocity_limit),
+            _percent(joint.peak_velocity, joint.velocity_limit),
             rounded(joint.peak_force),
-            _share(joint.peak_force, joint.force_limit),
+            _percent(joint.peak_force, joint.force_limit),
             rounded(joint.peak_constraint_force),
         )
     return rows
 
 
-def _share(value: float, limit: float) -> str:
+def _percent(value: float, limit: float) -> str:
     return "-" if limit == float("inf") else f"{value / limit:.0%}"
 
 

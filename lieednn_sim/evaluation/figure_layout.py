@@ -26,7 +26,7 @@ STYLE: Any = {
 }
 
 
-def settle(figure: Figure, dpi: float) -> None:
+def fix_layout(figure: Figure, dpi: float) -> None:
     """Lay out a figure for a resolution ``dpi`` [1/inch] by its layout engine, then remove the engine.
 
     While a figure has one, `Figure.savefig` draws everything twice, the first time for the layout alone.
@@ -42,6 +42,6 @@ def settle(figure: Figure, dpi: float) -> None:
 
 def save_figure(figure: Figure, path: str | os.PathLike[str]) -> None:
     """Lay out a figure and write it atomically."""
-    settle(figure, _DPI)
+    fix_layout(figure, _DPI)
     with filesystem.atomic_path(path) as temporary:
         figure.savefig(temporary, dpi=_DPI)

@@ -14,9 +14,9 @@ from lieednn_sim.planning.motion import LIMIT_TOLERANCE, Motion, rms_jerk
 from lieednn_sim.simulation import Rollout
 from lieednn_sim.validation import as_floats, as_positive
 
-# Share of the peak speed below which curvature is left out: near rest the direction of the path is noise.
-CURVATURE_SPEED_SHARE = 0.05
-# Share by which a simulated rate may exceed its limit, for the ripple of the control loop.
+# Fraction of the peak speed below which curvature is left out: near rest the direction of the path is noise.
+CURVATURE_SPEED_FRACTION = 0.05
+# Fraction by which a simulated rate may exceed its limit, for the ripple of the control loop.
 RATE_TOLERANCE = 1e-3
 # Clearance is measured at every fifth sample (10 ms at the arms' step), and at all samples with a contact.
 CLEARANCE_STRIDE = 5
@@ -25,7 +25,7 @@ _STANDSTILL = 1e-9  # [m/s]
 
 @dataclass(frozen=True)
 class MotionMetrics:
-    """Metrics of a plan by itself; `rows.Row` documents those that are not listed here.
+    """Metrics of a plan by itself; those that are not listed here are explained in `studies.Row`.
 
     Attributes:
         curvature: see `rms_curvature`; None where the end effector does not move.
@@ -84,7 +84,7 @@ def rms_curvature(path: ArrayLike, timestep: float) -> float | None:
     speed = np.linalg.norm(velocity, axis=1)
     if speed.max() < _STANDSTILL:
         return None
-    moving = speed > CURVATURE_SPEED_SHARE * speed.max()
+    moving = speed > CURVATURE_SPEED_FRACTION * speed.max()
     speed = speed[moving]
     kappa = np.linalg.norm(np.cross(velocity[moving], acceleration[moving]), axis=1) / speed**3
     return float(np.sqrt((kappa**2 * speed).sum() / speed.sum()))

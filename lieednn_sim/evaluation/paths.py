@@ -69,6 +69,6 @@ def _spaced(displaced: Floats, lever: float) -> Floats:
     steps = np.hypot(
         np.linalg.norm(np.diff(displaced[:, 3:], axis=0), axis=1), lever * (turn[1:] * turn[:-1].inv()).magnitude()
     )
-    way = np.concatenate([[0.0], np.cumsum(steps)])
-    at = np.linspace(0.0, way[-1], SAMPLES)
-    return np.stack([np.interp(at, way, entry) for entry in displaced.T], axis=-1)
+    length = np.concatenate([[0.0], np.cumsum(steps)])
+    at = np.linspace(0.0, length[-1], SAMPLES)
+    return np.stack([np.interp(at, length, entry) for entry in displaced.T], axis=-1)

@@ -33,7 +33,7 @@ _HIDDEN_IN_ROW = 4
 _HIDDEN_STYLES = {"\\omega": "-", "v": ":"}
 # Most names in a row of a legend, and in one of channels.
 _MOST_IN_ROW, _LABELS_IN_ROW = 7, 5
-# Least half range of axes for errors [mm, deg] and shares of a limit [%], so that small values look small.
+# Least half range of axes for errors [mm, deg] and percentages of a limit [%], so that small values look small.
 _LEAST_ERROR, _LEAST_PERCENT = 0.01, 10.0
 # Most rows of a plot of joints, and the length beyond which names are written smaller.
 _MOST_ROWS, _LONGEST_NAME = 12, 14
@@ -44,7 +44,7 @@ _LABEL = 0.85
 def plot(
     rollout: Rollout, directory: str | os.PathLike[str], *, network: ComponentwiseNetwork | None = None
 ) -> tuple[Path, ...]:
-    """Plot a run: ``tracking.png``, ``joints.png``, and ``network.png`` and ``channels.png`` if it has such.
+    """Plot a run: ``tracking.png``, ``joints.png``, and ``network.png`` and ``channels.png`` if it has either.
 
     Args:
         rollout: the simulated run.
@@ -74,10 +74,10 @@ def plot(
 def plot_network(
     rollout: Rollout, path: str | os.PathLike[str], *, network: ComponentwiseNetwork | None = None
 ) -> None:
-    """States xi(t) of the neuron of each link, rotations and translations apart, with their targets dashed.
+    """Plot the states xi(t) of the neuron of each link, rotations and translations apart, with their targets dashed.
 
-    If the network is given, the outputs phi(h(t)) of its hidden neurons are shown below; it must have generated the
-    motion without being retargeted on the way.
+    If the network is given, the outputs phi(h(t)) of its hidden neurons are shown below. It must have generated the
+    motion, without being retargeted meanwhile.
 
     Raises:
         InputError: the rollout followed no plan, or one whose size is not the network's.
@@ -148,10 +148,10 @@ def _plot_hidden(figure: Figure, height: float, motion: Motion, network: Compone
 
 
 def plot_tracking(rollout: Rollout, path: str | os.PathLike[str]) -> None:
-    """Tracking error of every link frame, and the end effector's distance to its target on a logarithmic scale.
+    """Plot the tracking error of every link frame, and the end effector's distance to its target.
 
-    A line marks the end of the motion, grey bands are pushes. Distances below a hundredth of the settled error, which
-    are rounding, are not shown.
+    The distance has a logarithmic scale, without distances below a hundredth of the settled error, which are rounding.
+    A line marks the end of the motion, grey bands are pushes.
     """
     arm, simulated = rollout.arm, rollout.link_poses()
     tracking = pose_errors(simulated, arm.link_poses(rollout.q_ref))
@@ -196,7 +196,7 @@ def plot_tracking(rollout: Rollout, path: str | os.PathLike[str]) -> None:
 
 
 def plot_channels(rollout: Rollout, path: str | os.PathLike[str], names: Sequence[str] | None = None) -> None:
-    """Channels of a rollout over time, those of one unit in one subplot; a line for each entry of an array.
+    """Plot channels of a rollout over time: a subplot for each unit, and a line for each component of a channel.
 
     Args:
         rollout: the rollout.
@@ -204,7 +204,7 @@ def plot_channels(rollout: Rollout, path: str | os.PathLike[str], names: Sequenc
         names: the channels to plot, all by default.
 
     Raises:
-        InputError: there are no channels, or none of a name.
+        InputError: the rollout has no channels, or none of such a name.
     """
     chosen = (
         list(rollout.channels) if names is None else [as_choice("channel", name, rollout.channels) for name in names]
@@ -287,7 +287,7 @@ def _mark_events(axis: Any, rollout: Rollout) -> None:
 
 
 def plot_joints(rollout: Rollout, path: str | os.PathLike[str]) -> None:
-    """Reference and simulated position with its limits, error, velocity and actuator force of each joint.
+    """Plot reference and simulated position with its limits, error, velocity and actuator force of each joint.
 
     Velocity and force are in percent of their limits, or absolute without limits. Joints of one unit share the scale of
     each column, so that small values look small. More than `_MOST_ROWS` coordinates are split into blocks.

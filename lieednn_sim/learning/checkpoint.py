@@ -1,4 +1,4 @@
-"""Checkpoints of `projected.train`: the state of a training, for the same call to continue."""
+"""Checkpoints of `projected.train`: the state of a training, from which the same call can continue."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _NUMBERS = ("rate", "error", "epoch", "rows", "start", "start_epoch")
 
 
 class TrainingState(NamedTuple):
-    """State right after a projection: what a rejected trial returns to, and what a checkpoint stores.
+    """State of a training after a projection, to which a rejected trial returns and which a checkpoint stores.
 
     Attributes:
         weight: ``(Nd, Nd)``.

@@ -5,6 +5,7 @@ This is for the inner loop of learning; `dynamics.find_equilibrium` is the more 
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable
 from typing import NamedTuple
@@ -85,7 +86,7 @@ class EquilibriumSolver:
         self._phi, self._slope = ACTIVATIONS[activation].phi, ACTIVATIONS[activation].slope_at
 
     def at(self, x: Floats, *, success: bool = True) -> FlatEquilibrium:
-        """The state ``x`` as it is."""
+        """A `FlatEquilibrium` at the state ``x`` ``(n,)``, without a search."""
         output = self._phi(x)
         return FlatEquilibrium(x, output, self._slope(x, output), success)
 
@@ -107,9 +108,9 @@ class EquilibriumSolver:
         Args:
             weight: ``(n, n)``.
             x: ``(n,)`` first guess.
-            nearby: S of nearby weights and state, which is used for the first steps.
+            nearby: S at nearby weights and state, used for the first steps.
             tolerance: tolerance on the length of x - (mu/gamma) (W phi(x) + b).
-            steps: most steps.
+            steps: largest number of steps.
         """
         for step in range(steps + 1):
             output = self._phi(x)
@@ -136,9 +137,8 @@ class EquilibriumSolver:
     def settled(self, weight: Floats, x: Floats, *, tolerance: float = _TOLERANCE) -> FlatEquilibrium:
         """The equilibrium to which the network itself runs from ``x``: slow, for where Newton steps fail.
 
-        It may lie far from ``x``, beyond a bifurcation; unlike a point found by Newton's method, it is attracting. A
-        network that is far faster than its decay, or does not come to rest, is given up after `_SETTLING_STEPS` steps
-        of the integrator.
+        The equilibrium may lie far from ``x``, beyond a bifurcation; unlike one found by Newton's method, it is stable.
+        The search fails after `_SETTLING_STEPS` steps of the integrator, as for a network that does not come to rest.
         """
         field = self._field(weight)
         run = RK45(field, 0.0, x, _HORIZONS * _HORIZON, rtol=1e-7, atol=1e-9)
@@ -176,10 +176,6 @@ class EquilibriumSolver:
         return lambda _, state: coupling @ self._phi(state) - state + self._drive
 
 
-_IDENTITIES: dict[int, Floats] = {}
-
-
+@functools.cache
 def _identity(n: int) -> Floats:
-    if n not in _IDENTITIES:
-        _IDENTITIES[n] = np.eye(n)
-    return _IDENTITIES[n]
+    return np.eye(n)

@@ -29,7 +29,7 @@ class WeightPoint:
     Attributes:
         alpha: ``(N, N)`` connection strengths.
         adjoints: ``(N, N, d, d)`` L[Ad(theta_ij)].
-        elements: theta as the network's constructor takes it.
+        elements: theta, as arguments of the network's constructor.
     """
 
     alpha: Floats

@@ -39,7 +39,7 @@ class TrainingOptions:
         equilibrium: ``"newton"``, damped Newton steps from the last one, or ``"rk45"``, running the network.
         projection: ``"block-wise"`` (paper, App. F), ``"exact"`` (Frobenius-nearest), ``"scaled"`` (alpha and block
             together, alpha of either sign), or ``"none"`` (ablation).
-        period: epochs from one projection to the next.
+        period: epochs between projections.
         learn_alpha: step in alpha by dE/dalpha; otherwise alpha is fixed. The scaled projection sets alpha itself.
         initial_alpha: initial alpha of all blocks; None for 1/(3N).
         initial_rate: first learning rate.
@@ -52,11 +52,12 @@ class TrainingOptions:
             more than ``max_jump``.
         max_jump: largest change of a coordinate of the equilibrium in one trial [rad, m].
         tolerance: tau on the largest coordinate of xi* - xi_d [rad, m].
-        max_epochs: most epochs over all starts.
-        restarts: new initial weights to draw when a start is given up.
-        max_start_epochs: most epochs of a start while there are restarts left.
-        verified_stop: test the weights after step and projection; the printed algorithm tests those before.
-        stability_interval: epochs from one check of the equilibrium's stability, which costs several, to the next.
+        max_epochs: largest number of epochs over all starts.
+        restarts: how many new initial weights to draw after starts that are given up.
+        max_start_epochs: largest number of epochs of a start while restarts are left.
+        verified_stop: test the tolerance with the weights after step and projection; the printed algorithm tests
+            before.
+        stability_interval: epochs between checks of the equilibrium's stability; a check takes as long as some epochs.
     """
 
     direction: str = "gradient"
@@ -143,7 +144,7 @@ class RiemannianOptions:
         method: ``"gradient"``, each step lowers E, or ``"gauss-newton"``, each step aims straight at the target.
         certified: learn a certificate of global stability along with the weights, and give up a start that ends
             without one; Gauss-Newton only.
-        barrier: share of gamma/mu, below 1, at which the certificate starts to push back.
+        barrier: fraction of gamma/mu, below 1, at which the certificate starts to push back.
         damping: Levenberg damping of the Gauss-Newton equations.
         initial_rate: first learning rate of each start.
         min_rate: rate below which a start is given up.
@@ -153,9 +154,9 @@ class RiemannianOptions:
             E did not fall.
         max_jump: largest change of a coordinate of the equilibrium in one step [rad, m].
         tolerance: tau on the largest coordinate of xi* - xi_d [rad, m].
-        restarts: new initial weights to draw when a start is given up.
-        max_start_epochs: most epochs of a start.
-        stability_interval: epochs from one check of the equilibrium's stability to the next; the last one is checked.
+        restarts: how many new initial weights to draw after starts that are given up.
+        max_start_epochs: largest number of epochs of a start.
+        stability_interval: epochs between checks of the equilibrium's stability; the final one is always checked.
     """
 
     method: str = "gauss-newton"

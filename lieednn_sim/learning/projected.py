@@ -50,7 +50,7 @@ def train(
 ) -> TrainingResult:
     """Learn weights whose equilibrium is the target, projecting onto the manifold every few epochs.
 
-    A single neuron reaches few targets: one block rotates omega and v together, which keeps the angle between them.
+    A single neuron reaches few targets, since one block rotates omega and v together and keeps the angle between them.
 
     Args:
         target: ``(N, 6)`` xi_d, or ``(N, d)`` with a group of dimension d.
@@ -64,9 +64,9 @@ def train(
             1-norm 1, as in the paper.
         seed: seed of the initial weights; the same seed gives the same network.
         checkpoint: ``.npz`` file for the state, written every ten seconds and when interrupted.
-        resume: continue from the checkpoint of an interrupted call with the same arguments, to the same result as
+        resume: continue from the checkpoint of an interrupted call with the same arguments; the result is the same as
             without the interruption.
-        progress: called with the epochs done and the most epochs.
+        progress: called with the epochs done and the largest number of epochs.
 
     Returns:
         The outcome; where `success` is false, `reason` says why.
@@ -160,7 +160,7 @@ class _ProjectedTraining:
         )
 
     def _find(self, weight: Floats, x: Floats, nearby: SensitivityMatrix | None = None) -> FlatEquilibrium:
-        """The equilibrium near ``x``, to a small share of its distance from the target.
+        """The equilibrium near ``x``, to a small fraction of its distance from the target.
 
         Where Newton's method fails and the training would end, the network is run, as Algorithm 1 does in every epoch:
         it often still settles.

@@ -37,8 +37,8 @@ class TrainingResult:
         weight: ``(Nd, Nd)`` the last weights: the network's, or those that left the manifold.
         error: largest coordinate of xi* - xi_d for these weights; infinite without an equilibrium.
         tolerance: the tolerance of `success`.
-        structure_error: ||W - projected W|| / ||W|| in the Frobenius norm: how much of the group's structure is lost.
-            The ablation, which has no alpha, is projected with the best alpha of each block.
+        structure_error: ||W - projected W|| / ||W|| in the Frobenius norm, the lost part of the group's structure. The
+            ablation, which has no alpha, is projected with the best alpha of each block.
         history: history of the last start, epoch by epoch.
         epochs: epochs over all starts.
         starts: number of initial weights tried.

@@ -40,13 +40,13 @@ from lieednn_sim.stability import Certificate, find_certificate, verify
 from lieednn_sim.validation import Seed
 from lieednn_sim.values import Floats
 
-# Armijo's condition: the loss must fall by at least this share of what its slope predicts.
+# Armijo's condition: the loss must fall by at least this fraction of what its slope predicts.
 _SUFFICIENT_DECREASE = 1e-4
-# Share of the largest jump at which a Gauss-Newton step aims, to leave room for second-order terms.
+# Fraction of the largest jump at which a Gauss-Newton step aims, to leave room for second-order terms.
 _AIM = 0.4
 # The smoothed eigenvalue lies above the largest by at most log(3N) / sharpness.
 _SHARPNESS = 16.0
-# In one epoch the barrier asks for this share of the excess, and at most this much. Where the squared slope is below
+# In one epoch the barrier asks for this fraction of the excess, and at most this much. Where the squared slope is below
 # the last number it asks for less, so that the weights come to rest at a minimum.
 _BARRIER_GAIN = 0.3
 _LARGEST_DROP = 0.1
@@ -74,7 +74,7 @@ def train_riemannian(
         mu: scale of its interaction.
         activation: a name of `network.ACTIVATIONS`.
         seed: seed of the initial weights; the same seed gives the same network.
-        progress: called with the epochs done and the most epochs.
+        progress: called with the epochs done and the largest number of epochs.
 
     Returns:
         The outcome; where `success` is false, `reason` says why. Certified training succeeds only with a network that

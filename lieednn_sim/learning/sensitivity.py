@@ -48,7 +48,7 @@ def sensitivity(network: LieEDNN, target: ArrayLike, *, loss: str = "squared") -
         loss: a name of `LOSSES`.
 
     Raises:
-        InputError: the network has no equilibrium that can be found, S is singular there, or, for the norm, E is 0.
+        InputError: no equilibrium is found, S is singular there, or the loss is the norm and E is 0.
     """
     goal = as_floats("target", target, (network.n_visible, 6))
     as_choice("loss", loss, LOSSES)

@@ -61,21 +61,21 @@ class BlockNetwork(ABC):
 
     @property
     def n_neurons(self) -> int:
-        """N."""
+        """Number of neurons N."""
         return len(self.bias)
 
     @property
     def n_hidden(self) -> int:
-        """M, the clock included."""
+        """Number of hidden neurons M, including the clock."""
         return len(self.hidden_start)
 
     @property
     def n_visible(self) -> int:
-        """N - M."""
+        """Number of visible neurons N - M."""
         return self.n_neurons - self.n_hidden
 
     def visible(self, xi: ArrayLike) -> Floats:
-        """The visible neurons' states ``(..., N - M, d)`` of the states ``(..., N, d)`` of all neurons."""
+        """The states ``(..., N - M, d)`` of the visible neurons among the states ``(..., N, d)`` of all."""
         return as_floats("xi", xi, self.bias.shape, batched=True)[..., : self.n_visible, :]
 
     def start(self, xi: ArrayLike) -> Floats:
@@ -125,7 +125,7 @@ class BlockNetwork(ABC):
     @property
     @abstractmethod
     def blocks(self) -> Floats:
-        """Weight blocks W_ij, ``(N, N, d, d)``; i receives, j sends."""
+        """Weight blocks W_ij ``(N, N, d, d)`` from neuron j to neuron i."""
 
     @cached_property
     def weight(self) -> Floats:
@@ -243,7 +243,7 @@ class BlockNetwork(ABC):
         The certificate does not depend on the bias: a certified network stays certified.
 
         Raises:
-            InputError: as `goal`.
+            InputError: the hidden neurons have no equilibrium while the visible ones are at ``xi``.
         """
         target = self.goal(xi)
         bias = self.gamma / self.mu * target - self.weight.dot(self.phi(target).ravel()).reshape(target.shape)

@@ -12,12 +12,12 @@ from lieednn_sim.errors import InputError
 from lieednn_sim.network.componentwise import ComponentwiseNetwork
 from lieednn_sim.values import Floats
 
-# Steps tried at most; a usual way takes some twenty. What needs more is left to `dynamics.integrate`, which also says
-# why where it fails.
+# Steps tried at most; a usual trajectory takes some twenty. What needs more is left to `dynamics.integrate`, which also
+# says why where it fails.
 _MOST_STEPS = 500
 # SciPy's control of the step: its next length is the last one times a factor from least to most, a little below the
 # one at which the error would be just as large as allowed. The error of a step is of fifth order in it.
-_SAFETY, _LEAST, _MOST, _ORDER = 0.9, 0.2, 10.0, 5
+_STEP_SAFETY, _LEAST_STEP_FACTOR, _LARGEST_STEP_FACTOR, _ORDER = 0.9, 0.2, 10.0, 5
 
 # Flat rates of change of states ``(B, dN)``, those of each network in a row.
 _Field = Callable[[Floats], Floats]
@@ -28,19 +28,19 @@ def integrate_batch(
 ) -> list[Floats]:
     """States ``(K, N, d)`` of each network at the steps that `trajectory` takes with ``RK45``, up to rounding.
 
-    Each network has its own steps. In an eighth of the time for two dozen networks of four neurons.
+    Each network has its own step sizes. Two dozen networks of four neurons take an eighth of the time of single ones.
 
     Args:
-        networks: of one size and activation.
-        start: ``(N, d)`` state of all at time 0.
-        duration: to integrate, in the networks' own time.
+        networks: networks of the same size and activation.
+        start: ``(N, d)`` state of every network at time 0.
+        duration: time to integrate, in the networks' own time.
         rtol: relative tolerance of the integrator.
         atol: absolute tolerance of the integrator.
 
     Raises:
         InputError: the networks differ in size or activation.
-        LieEDNNError: as of `dynamics.integrate`.
-        OutOfTimeError: the time budget of the present work is spent.
+        LieEDNNError: as `dynamics.integrate`.
+        OutOfTimeError: the time budget is spent.
     """
     kinds = {(network.bias.shape, network.activation) for network in networks}
     if kinds != {(np.shape(start), networks[0].activation)}:
@@ -68,7 +68,7 @@ def integrate_batch(
             allowed = atol + rtol * np.maximum(np.abs(x), np.abs(there))
             error = _norm((RK45.E @ stages) * step[:, None] / allowed)
             good = error < 1.0
-            factor = np.clip(_SAFETY * error ** (-1.0 / _ORDER), _LEAST, _MOST)
+            factor = np.clip(_STEP_SAFETY * error ** (-1.0 / _ORDER), _LEAST_STEP_FACTOR, _LARGEST_STEP_FACTOR)
             step = step * np.where(good & retried, np.minimum(factor, 1.0), factor)
             retried = ~good
             now = np.where(good, after, now)

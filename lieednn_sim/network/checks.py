@@ -1,4 +1,4 @@
-"""Checks of what networks are made of."""
+"""Checks of the parameters of networks."""
 
 from __future__ import annotations
 

@@ -32,7 +32,7 @@ class Activation:
         slope: its derivative phi', likewise.
         slope_of_output: phi' as a function of phi, where that is cheaper; learning and shaping use it.
         bend_of_output: phi''/phi' as a function of phi; by differences of the slope if it is not given.
-        bound: the least number that |phi| never exceeds.
+        bound: least upper bound of |phi|.
 
     Raises:
         InputError: at one of many points the function is not odd, the slope is not that of the function, or not in
@@ -144,7 +144,7 @@ class ComponentwiseNetwork(BlockNetwork):
         return self._carrying(stability.find_certificate(self.certifiable_weight, gamma=self.gamma, mu=self.mu))
 
     def try_certify(self) -> Self:
-        """This network with a certificate if one is found; else unchanged."""
+        """This network with a certificate if one is found; else the network itself."""
         try:
             return self.certify()
         except NotCertifiedError:
@@ -163,7 +163,7 @@ class ComponentwiseNetwork(BlockNetwork):
         )
 
     def robustness(self, pushed: ArrayLike | None = None) -> stability.Robustness:
-        """How far pushes throw the network, how long they last, its lag behind a target, and safe time steps.
+        """Bounds on the effect of pushes and its duration, on the lag behind a moving target, and on time steps.
 
         Args:
             pushed: flat coordinates that pushes and targets move, those of all visible neurons by default.

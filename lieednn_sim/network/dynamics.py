@@ -205,11 +205,11 @@ def integrate(
 ) -> Trajectory:
     """Integrate from ``start`` ``(N, d)`` for ``duration``, or until within ``distance`` of ``until`` ``(N, d)``.
 
-    The distance is the largest entry of seen(x) - seen(until), flat arrays.
+    The distance is the largest entry of |seen(x) - seen(until)|, where ``seen`` maps flat states to flat arrays.
 
     Raises:
         InputError: duration not positive, or unknown method.
-        LieEDNNError: the integrator gave up, or the network is too stiff for it: it needed too many evaluations.
+        LieEDNNError: the integrator failed or needed too many evaluations, as for a stiff network.
         OutOfTimeError: the time budget is spent.
     """
     as_choice("method", method, INTEGRATORS)

@@ -1,4 +1,4 @@
-"""The plain network beside which LieEDNN is judged: no structure in its weights at all."""
+"""The Hopfield network, whose weights have no structure, for comparison with LieEDNN."""
 
 from __future__ import annotations
 

@@ -51,7 +51,7 @@ class LieEDNN(RigidNetwork, ComponentwiseNetwork):
 
     Attributes:
         alpha: ``(N, N)`` connection strengths.
-        rotation: ``(N, N, 3, 3)`` rotations of theta_ij; i receives, j sends.
+        rotation: ``(N, N, 3, 3)`` rotations of theta_ij, from neuron j to neuron i.
         translation: ``(N, N, 3)`` translations of theta_ij.
         bias: ``(N, 6)``.
         gamma: decay rate, positive.

@@ -7,7 +7,7 @@ from lieednn_sim.planning.baselines.sampling import RrtConnectOptions, RrtStarOp
 from lieednn_sim.planning.baselines.stomp import StompOptions
 from lieednn_sim.planning.certified import CertifiedOptions
 from lieednn_sim.planning.extras import missing_planners, require_planner
-from lieednn_sim.planning.filtered import FilteredOptions, GuidedOptions
+from lieednn_sim.planning.filtered_planners import FilteredOptions, GuidedOptions
 from lieednn_sim.planning.joint_space import joint_motion
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.network_planners import (

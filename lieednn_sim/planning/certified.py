@@ -27,26 +27,26 @@ from lieednn_sim.values import Floats, frozen
 
 # The stronger the bias, the less the weights have to do and the straighter the transient; tried in turn.
 BIAS_MAGNITUDES = (0.125, 0.25, 0.5)
-# Used instead by default if every link moves along one screw: the straightest ways first.
+# Used instead by default if every link moves along one screw: the straightest paths first.
 _STRAIGHT_MAGNITUDES = (1.0, 4.0, 0.5, 0.25, 0.125)
 
 # Candidates made at once: more gain little, and would delay progress reports and interrupts.
 _BATCH_SIZE = 24
 
-# Shares of the long steps between roughly integrated states at which contact is checked, too.
-_SHARES_BETWEEN = (0.25, 0.5, 0.75)
+# Fractions of the long steps between roughly integrated states at which contact is checked, too.
+_FRACTIONS_BETWEEN = (0.25, 0.5, 0.75)
 
 # Gaps up to this are rounding errors [m], the only gaps of links with six degrees of freedom.
 _NO_GAP = 1e-9
 
-# No motion is possible below this share of the least duration under the limits; below 1, since sampled motions may
+# No motion is possible below this fraction of the least duration under the limits; below 1, since sampled motions may
 # seem slightly faster than they are.
 _LEAST_TIME_SCALE = 0.99
 
 
 @dataclass(frozen=True)
 class CandidateOptions(NetworkOptions):
-    """Options of planners that make one network after another.
+    """Options of planners that make several networks until one can be used.
 
     Attributes:
         n_networks: largest number of networks to make.
@@ -67,21 +67,21 @@ class CertifiedOptions(CandidateOptions):
 
     Attributes:
         bias: a rule of `synthesis.BIAS_RULES`.
-        first: number of candidates to begin with if every link moves along one screw: there gaps matter little, and
-            synthesis takes most of the time. The others are made only if none of these can be used. By default, the
-            magnitudes 1 and 4 then come before the usual ones, of which the strongest is first.
-        attempts: starts of `synthesize` for a candidate.
-        last_attempts: starts for one last candidate if no other could be certified.
-        tried: largest number of networks tried in full while the first ones are refused.
-        hopeless_excess: after a refusal, networks whose rough integration exceeds the limits by more than this [rad, m]
-            are not tried in full.
+        n_first: number of networks to begin with if every link moves along one screw, where gaps matter little and
+            synthesis takes most of the time; the others are made only if none of these can be used. With the default
+            magnitudes, 1 and 4 then come before the usual ones.
+        attempts: number of starts of `synthesize` for a network.
+        last_attempts: number of starts for a last network if no other could be certified.
+        tried: largest number of networks whose exact motion is made and checked before the planner gives up.
+        hopeless_excess: after a refusal, networks whose roughly integrated path exceeds the limits by more than this
+            [rad, m] are not tried.
 
     Raises:
         InputError: a value is out of range.
     """
 
     bias: str = "sign-matched"
-    first: int = 1
+    n_first: int = 1
     attempts: int = 3
     last_attempts: int = 16
     tried: int = 8
@@ -94,11 +94,11 @@ class CertifiedOptions(CandidateOptions):
 
 @frozen
 class CertifiedDetails:
-    """What ``lieednn-certified`` tells of its work.
+    """Further results of the planner ``lieednn-certified``.
 
     Attributes:
         n_networks: number of networks that were made.
-        within_limits: number of these whose transient keeps the position limits.
+        within_limits: number of these networks whose transient keeps the position limits.
     """
 
     n_networks: int
@@ -107,13 +107,13 @@ class CertifiedDetails:
 
 @dataclass(frozen=True)
 class _Candidate:
-    """A network and its roughly integrated way from a start (`_screened`), which a single candidate does not need.
+    """A network and its roughly integrated path from a start (`_screened`), which a single candidate does not need.
 
     Attributes:
         arm: the arm.
         network: the network.
         start: ``(n,)`` joint position.
-        way: ``(K, n)`` postures.
+        q: ``(K, n)`` joint positions along the path.
         excess: their largest excess over the position limits [rad, m].
         gap: their largest mechanism gap [m].
     """
@@ -121,26 +121,26 @@ class _Candidate:
     arm: Arm
     network: LieEDNN
     start: Floats
-    way: Floats = field(default_factory=lambda: np.empty((0, 0)))
+    q: Floats = field(default_factory=lambda: np.empty((0, 0)))
     excess: float = 0.0
     gap: float = 0.0
 
     @property
     def length(self) -> float:
-        """Length of the way, joints in units of `joint_scale`."""
-        steps = np.diff(self.way, axis=0) / joint_scale(self.arm)
+        """Length of the path, joints in units of `joint_scale`."""
+        steps = np.diff(self.q, axis=0) / joint_scale(self.arm)
         return float(np.linalg.norm(steps, axis=1).sum())
 
     @property
     def rank(self) -> tuple[float, float, float]:
-        """The smaller the better: excess over the limits, then the gap, then the length of the way."""
+        """The smaller the better: excess over the limits, then the gap, then the length of the path."""
         return max(self.excess, LIMIT_TOLERANCE), max(self.gap, _NO_GAP), self.length
 
     @functools.cached_property
     def touches(self) -> bool:
-        """Whether the postures, or some on straight lines between them, come too near to contact."""
-        between = [start + share * (end - start) for start, end in pairwise(self.way) for share in _SHARES_BETWEEN]
-        for touching in self.arm.near_contacts_along(np.array([*self.way, *between])):
+        """Whether the configurations, or some on straight lines between them, come too near to contact."""
+        between = [start + s * (end - start) for start, end in pairwise(self.q) for s in _FRACTIONS_BETWEEN]
+        for touching in self.arm.near_contacts_along(np.array([*self.q, *between])):
             check_time()
             if touching:
                 return True
@@ -149,13 +149,13 @@ class _Candidate:
     @functools.cached_property
     def path(self) -> NetworkPath:
         """The network's exact path, from which motions of any duration are made."""
-        return NetworkPath.drawn(self.arm, self.network, self.start)
+        return NetworkPath.integrate(self.arm, self.network, self.start)
 
 
 def certified(problem: PlanningProblem, options: CertifiedOptions) -> Plan:
     """Draw certified networks for the target and keep the one with the smallest mechanism gap within the limits.
 
-    If no network has a gap, as on arms whose links have six degrees of freedom, keep the one with the shortest way.
+    If no network has a gap, as on arms whose links have six degrees of freedom, keep the one with the shortest path.
 
     Raises:
         NotCertifiedError: no candidate could be certified.
@@ -172,7 +172,7 @@ def _certified(problem: PlanningProblem, options: CertifiedOptions) -> Plan:
     networks: list[LieEDNN] = []
     message = ""
     one_screw = all(joint.screw is not None for joint in problem.arm.joints.joints)
-    few = min(options.first, total) if one_screw else total
+    few = min(options.n_first, total) if one_screw else total
     if one_screw and options.bias_magnitudes == BIAS_MAGNITUDES:
         options = replace(options, bias_magnitudes=_STRAIGHT_MAGNITUDES)
     magnitudes = list(options.magnitudes())
@@ -220,7 +220,7 @@ def _plan(problem: PlanningProblem, options: CertifiedOptions, networks: list[Li
     """The plan of the best network; raises as `certified`."""
     arm, start = problem.arm, problem.start
     found = _screened(arm, networks, start) if len(networks) > 1 else [_Candidate(arm, networks[0], start)]
-    # Networks and their ways are independent of the duration.
+    # Networks and their paths are independent of the duration.
     network, motion = in_time(_best, problem, options, found)
     # The motion has been checked.
     within = sum(candidate.network is network or candidate.excess <= LIMIT_TOLERANCE for candidate in found)
@@ -251,7 +251,7 @@ def _best(problem: PlanningProblem, options: CertifiedOptions, found: list[_Cand
 
 
 def _promising(found: list[_Candidate]) -> Iterator[_Candidate]:
-    """Candidates by `_Candidate.rank`, those whose way is free of contact first.
+    """Candidates by `_Candidate.rank`, those whose path is free of contact first.
 
     Contact is checked only when a candidate's turn comes, since that costs more than everything else.
     """
@@ -267,18 +267,18 @@ def _promising(found: list[_Candidate]) -> Iterator[_Candidate]:
     yield from touching
 
 
-def rough_ways(networks: list[LieEDNN], start: Floats) -> list[Floats]:
-    """Roughly integrated states ``(K, n, 6)`` of each network from ``start`` ``(n, 6)``, for a first check.
+def rough_trajectories(networks: list[LieEDNN], start: Floats) -> list[Floats]:
+    """States ``(K, N, 6)`` of each network from ``start`` ``(N, 6)``, integrated with low accuracy for a first check.
 
-    The networks have no hidden neurons, and share one decay rate.
+    The networks have no hidden neurons and the same decay rate.
     """
     return integrate_batch(networks, start, 20.0 / networks[0].gamma, rtol=1e-4, atol=1e-6)
 
 
 def _screened(arm: Arm, networks: list[LieEDNN], start: Floats) -> list[_Candidate]:
-    """The networks with their roughly integrated ways."""
+    """The networks with their roughly integrated paths."""
     state = arm.encode(start)
-    runs = rough_ways(networks, state)
+    runs = rough_trajectories(networks, state)
     # Side by side, the shorter ones padded with their ends: a retraction without closed form costs nearly as much for
     # one state as for a hundred.
     length = max(map(len, runs))

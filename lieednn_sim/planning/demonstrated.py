@@ -1,7 +1,8 @@
 """A certified network for an arm's joints from demonstrations of them, for example by kinesthetic teaching.
 
-Joints are averaged at equal shares of the way, the mean is encoded by the arm, and `synthesis.shape` makes a network
-that follows it, more closely where the demonstrations agree. Its motion has the demonstrations' time law.
+The joint positions are averaged at equal fractions of the path length and encoded by the arm. `synthesis.shape` makes a
+network that follows this mean, more closely where the demonstrations agree; the motion has the demonstrations' time
+law.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ from lieednn_sim.values import Floats, frozen
 # Steps of the phase, and the number of them that define the time law: recorded times are noisy.
 _STEPS, _LAW_STEPS = 200, 40
 # Largest distance of a demonstration's end from the mean end, in the joints' ranges.
-_ONE_GOAL = 0.02
+_MAX_END_DISTANCE = 0.02
 # Length below which nothing moves [m].
 _LEAST_LENGTH = 1e-6
 # Default deviation, relative to the length of the mean.
@@ -59,7 +60,7 @@ class JointDemonstrations:
     def load(
         cls, arm: Arm, files: Iterable[str | os.PathLike[str]], *, rate: float = 100.0, phase: str = "length"
     ) -> JointDemonstrations:
-        """Read files as `load_demonstrations` does, but with the arm's joints for columns.
+        """Read files as `load_demonstrations` does, but with the arm's joints as columns.
 
         A table has n columns in the order of `Arm.joint_names`, or the time [s] and these; a csv file may name them, in
         any order, and the time t or time.
@@ -80,26 +81,26 @@ class JointDemonstrations:
         tables = read_tables(files, partial(_joint_columns, arm))
         shown = [_motion(arm, source, samples, t, rate) for source, samples, t in tables]
         units = lever_units(arm, np.concatenate([q for q, _ in shown]))
-        shares = np.linspace(0.0, 1.0, _STEPS + 1)
-        ways, times = [], []
+        fractions = np.linspace(0.0, 1.0, _STEPS + 1)
+        paths, times = [], []
         for (q, t), (source, *_) in zip(shown, tables, strict=True):
             steps = step_lengths(arm.encode(q), units)
             if steps.sum() < _LEAST_LENGTH:
                 raise InputError(f"{source} does not move")
-            way, at = at_phases(shares, q, t, steps, phase)
-            ways.append(way)
+            path, at = at_phases(fractions, q, t, steps, phase)
+            paths.append(path)
             times.append(at)
-        ends = np.array([way[-1] for way in ways])
+        ends = np.array([path[-1] for path in paths])
         goal = ends.mean(axis=0)
         k, joint = map(int, np.unravel_index(np.argmax(np.abs(ends - goal) / arm.ranges), ends.shape))
-        if np.abs(ends[k, joint] - goal[joint]) > _ONE_GOAL * arm.ranges[joint]:
+        if np.abs(ends[k, joint] - goal[joint]) > _MAX_END_DISTANCE * arm.ranges[joint]:
             raise InputError(
                 f"demonstrations must end at one goal: {tables[k][0]} ends with joint {arm.joint_names[joint]!r} at "
                 f"{ends[k, joint]:.4g} {arm.unit(joint)}, their mean is {goal[joint]:.4g}; learn other goals apart"
             )
-        made = cls(arm, np.mean(times, axis=0), np.array(ways), units)
-        for posture, what in ((made.mean[0], "the mean start"), (made.mean[-1], "the mean end")):
-            arm.check_reachable(posture, what)
+        made = cls(arm, np.mean(times, axis=0), np.array(paths), units)
+        for configuration, what in ((made.mean[0], "the mean start"), (made.mean[-1], "the mean end")):
+            arm.check_reachable(configuration, what)
         return made
 
     def __len__(self) -> int:
@@ -117,13 +118,13 @@ class JointDemonstrations:
         away = (self.arm.encode(self.q) - self.arm.encode(self.mean)) * self.units
         return np.asarray(np.sqrt(np.mean(np.sum(away**2, axis=(-2, -1)), axis=0)))
 
-    def shares(self, q: Floats) -> Floats:
-        """Share of the length, in `units`, up to each of the joint positions ``(K, n)``, ``(K,)``."""
-        way = np.append(0.0, np.cumsum(step_lengths(self.arm.encode(q), self.units)))
-        return way / max(way[-1], 1e-300)
+    def length_fractions(self, q: Floats) -> Floats:
+        """Fractions ``(K,)`` of a path's length, measured in `units`, at its joint positions ``(K, n)``."""
+        length = np.append(0.0, np.cumsum(step_lengths(self.arm.encode(q), self.units)))
+        return length / max(length[-1], 1e-300)
 
     def without(self, index: int) -> JointDemonstrations:
-        """All but one, with times unchanged."""
+        """The demonstrations without the one at ``index``; the times stay the same."""
         return replace(self, q=np.delete(self.q, index, axis=0))
 
 
@@ -170,7 +171,7 @@ class JointMotion:
             InputError: the mean does not move.
         """
         arm, mean = demonstrations.arm, demonstrations.mean
-        curve, shares = arm.encode(mean), demonstrations.shares(mean)
+        curve, fractions = arm.encode(mean), demonstrations.length_fractions(mean)
         length = step_lengths(curve, demonstrations.units).sum()
         if length < _LEAST_LENGTH:
             raise InputError("the mean of the demonstrations does not move")
@@ -179,7 +180,7 @@ class JointMotion:
             curve, asked, units=demonstrations.units, spread=demonstrations.spread, options=options, seed=seed
         )
         knots = np.linspace(0, len(mean) - 1, _LAW_STEPS + 1).round().astype(int)
-        law = law_of_times(demonstrations.t[knots], shares[knots])
+        law = law_of_times(demonstrations.t[knots], fractions[knots])
         duration = float(demonstrations.t[-1])
         return cls(shaping.network, arm, demonstrations.units, mean[-1], duration, law, shaping)
 
@@ -192,7 +193,7 @@ class JointMotion:
         return self._path(start).timed(self.duration, self.duration / samples, self.law)
 
     def planned(self, start: Floats) -> tuple[Motion, str]:
-        """The motion at the model's time step, slowed down if limits require it, and the reason if it still breaks one.
+        """The motion at the model's time step, slowed down if limits require it, and why if it still breaks one.
 
         Raises:
             InputError: the start cannot be used, or the duration is too long or too short for the time step.
@@ -204,7 +205,7 @@ class JointMotion:
             return path.timed(self.duration, problem.timestep, self.law), str(error)
 
     def _path(self, start: Floats) -> NetworkPath:
-        return NetworkPath.drawn(self.arm, self.network, start, self.units)
+        return NetworkPath.integrate(self.arm, self.network, start, self.units)
 
 
 def _joint_columns(arm: Arm, path: Path, names: list[str]) -> Sequence[str]:

@@ -1,4 +1,4 @@
-"""Optional libraries of planners and of the fastest time law: which are missing, and what to install."""
+"""Optional libraries of the planners and of `retime`: which are missing, and how to install them."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def missing_planners() -> dict[str, str]:
 def require_planner(name: str) -> None:
     """Raise `LieEDNNError` if a library that a planner needs is not installed; the message says what to do.
 
-    No other planner takes its place: results must not depend on what is installed.
+    No other planner is taken instead, since results must not depend on what is installed.
     """
     missing = missing_planners()
     if name in missing:

@@ -1,4 +1,4 @@
-"""Common parts of planners in joint space: a fast clearance test, units of path length, checked motions of paths."""
+"""Common parts of planners in joint space: a fast clearance test, units of path length, motions along paths."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ from lieednn_sim.values import Floats
 # Degree of the planners' splines, with continuous derivatives up to the fourth: smooth curvature, and continuous jerk
 # where the spline is one in time.
 SPLINE_DEGREE = 5
-# Share of the distance of start and target that is kept where these are closer than the margin.
-_KEPT_SHARE = 0.8
-# Random postures: enough for their largest sweep to come within a few percent of the largest of all.
-_POSTURES = 64
+# Fraction of the distance of start and target that is kept where these are closer than the margin.
+_KEPT_FRACTION = 0.8
+# Random configurations: enough for their largest sweep to come within a few percent of the largest of all.
+_N_CONFIGURATIONS = 64
 
 
 class ClearanceTest:
-    """Whether all pairs of geoms are further apart than a margin, by MuJoCo's collision pass.
+    """A test whether all pairs of geoms are further apart than a margin, by MuJoCo's collision pass.
 
-    It only says yes or no, and is an order of magnitude faster than measuring distances (`Collisions`).
+    The test is an order of magnitude faster than measuring the distances (`Collisions`).
 
     Args:
         arm: the arm, in its scene.
         margin: smallest allowed distance [m].
-        own: the same between parts of the arm [m]; by default ``margin``.
+        own: smallest allowed distance between parts of the arm [m]; by default ``margin``.
 
     Attributes:
-        tests: number of postures tested so far, a measure of work that does not depend on the machine.
+        tests: number of configurations tested so far, a measure of work that does not depend on the machine.
     """
 
     def __init__(self, arm: Arm, margin: float, own: float | None = None) -> None:
@@ -51,7 +51,7 @@ class ClearanceTest:
 
     def first_blocked(self, q: Floats) -> int | None:
         """Index of the first of the positions ``(K, n)`` at which something is closer than the margin, or None."""
-        # Converted at once and unchecked: checking each posture would cost as much as its collision pass.
+        # Converted at once and unchecked: checking each configuration would cost as much as its collision pass.
         for index, position in enumerate(self._arm.space.to_qpos(q)):
             self.tests += 1
             if self._blocked(position):
@@ -63,9 +63,10 @@ class ClearanceTest:
         return self._finder.any(qpos) if self._own == self._margin else len(self._lacking(qpos)[0]) > 0
 
     def lack(self, q: Floats) -> Floats:
-        """Sum over pairs of geoms of how much closer than the margin they are, ``(K,)`` [m] at ``q`` ``(K, n)``.
+        """Missing clearance ``(K,)`` [m] at ``q`` ``(K, n)``: the sum over pairs of geoms of margin minus distance.
 
-        It grows with the depth of a penetration, up to half the thickness of a geom, and is zero where a call is true.
+        Only pairs closer than the margin count, so the sum is zero where a call returns True. It grows with the depth
+        of a penetration up to half the thickness of a geom.
         """
         total = np.zeros(len(q))
         for index, position in enumerate(self._arm.qpos(q)):
@@ -84,16 +85,16 @@ class ClearanceTest:
 
 
 class Workspace:
-    """A problem's clearance: the margin, reduced to what start and target keep, and tests with it.
+    """Clearance tests of a problem, whose margin is reduced where start and target are closer to something.
 
     Args:
         problem: if its start or target is closer to something than the margin, the margin is reduced.
         margin: clearance to plan with [m].
-        own: the same between parts of the arm [m]; by default ``margin``.
+        own: clearance between parts of the arm [m]; by default ``margin``.
 
     Attributes:
-        clear: the test with the margin.
-        collisions: signed distances.
+        clear: the clearance test with the reduced margin.
+        collisions: signed distances of the geoms.
     """
 
     def __init__(self, problem: PlanningProblem, margin: float, own: float | None = None) -> None:
@@ -104,7 +105,7 @@ class Workspace:
             of_arm = moving_geoms(problem.arm.model)[near.pairs].all(axis=1)
             nearest = [near.distance[which].min(initial=np.inf) for which in (~of_arm, of_arm)]
             # A single margin is reduced by all distances. The clearance that motions are checked for is kept.
-            most = _KEPT_SHARE * (np.full(2, min(nearest)) if own is None else np.array(nearest))
+            most = _KEPT_FRACTION * (np.full(2, min(nearest)) if own is None else np.array(nearest))
             margins = np.minimum(margins, np.maximum(most, problem.arm.clearance))
         self.clear = ClearanceTest(problem.arm, *margins)
 
@@ -116,15 +117,15 @@ def clamped_knots(count: int) -> Floats:
 
 
 def joint_scale(arm: Arm) -> Floats:
-    """Unit ``(n,)`` of each joint in path lengths: its way in a second at its velocity limit, or its range."""
+    """Units ``(n,)`` of the joints in path lengths: the velocity limit times 1 s, or the range where there is none."""
     return np.where(np.isfinite(arm.velocity_limits), arm.velocity_limits, arm.ranges)
 
 
 def sweeps(arm: Arm) -> Floats:
-    """How far a unit of each joint ``(n,)`` moves a link frame [m/rad, m/m]: the largest at random postures."""
+    """Largest distance ``(n,)`` that a unit of each joint moves a link frame at random configurations [m/rad, m/m]."""
     low, high = arm.position_limits.T
     step = 1e-3 * arm.ranges
-    q = np.random.default_rng(0).uniform(low + step, high - step, (_POSTURES, 1, arm.n_joints))
+    q = np.random.default_rng(0).uniform(low + step, high - step, (_N_CONFIGURATIONS, 1, arm.n_joints))
     ahead, behind = (np.asarray(arm.link_poses(q + side * np.diag(step)).translation) for side in (1.0, -1.0))
     moved = np.linalg.norm(ahead - behind, axis=-1).max(axis=(0, 2))
     return np.asarray(moved / (2.0 * step))

@@ -36,7 +36,7 @@ class Motion:
         q: ``(K, n)`` joint positions [rad, m].
         qd: ``(K, n)`` joint velocities [rad/s, m/s].
         gap_translation: ``(K, N)`` mechanism gap, the distance of the poses from those that the joints can take [m].
-        gap_rotation: ``(K, N)`` the same as an angle [rad].
+        gap_rotation: ``(K, N)`` mechanism gap as an angle [rad].
     """
 
     t: Floats
@@ -110,7 +110,7 @@ def steps_in(what: str, period: float, timestep: float) -> int:
 
 
 def steps_of_rate(what: str, rate: float, timestep: float) -> int:
-    """The same for a control rate [Hz], which must divide the rate of the simulation."""
+    """Number of simulation steps in a period of a control rate [Hz]; `InputError` if that is no whole number."""
     ratio = 1.0 / (as_positive(what, rate) * timestep)
     if ratio < 0.5 or abs(ratio - round(ratio)) > 1e-6 * ratio:
         raise InputError(
@@ -125,17 +125,18 @@ def least_duration(arm: Arm, start: Floats, target: Floats) -> float:
 
     With limits a of acceleration and j of jerk, a joint needs v / a + a / j to reach a speed v >= a^2 / j, and
     2 sqrt(v / j) for a lower one. Each joint reaches the highest speed from which it can brake in time, at most its
-    limit, cruises, and brakes: a way d takes d / v plus the time to reach v. No motion within the limits is faster.
+    limit, cruises, and brakes: a distance d takes d / v plus the time to reach v. No motion within the limits is
+    faster.
     """
-    way, v, a = np.abs(target - start), arm.velocity_limits, arm.acceleration_limits
+    distance, v, a = np.abs(target - start), arm.velocity_limits, arm.acceleration_limits
     # Missing limits are infinite; large finite ones have the same effect.
     a, j = np.minimum(a, 1e60), np.minimum(arm.jerk_limits, 1e300)
     ramped = a * (a / j)
-    # The speed for which the way consists of the two ramps alone.
-    long, short = 0.5 * (np.sqrt(ramped**2 + 4.0 * a * way) - ramped), np.cbrt(0.25 * way**2 * j)
-    peak = np.minimum(v, np.where(way * j >= 2.0 * a * ramped, long, short))
+    # The speed for which the motion consists of the two ramps alone.
+    long, short = 0.5 * (np.sqrt(ramped**2 + 4.0 * a * distance) - ramped), np.cbrt(0.25 * distance**2 * j)
+    peak = np.minimum(v, np.where(distance * j >= 2.0 * a * ramped, long, short))
     ramp = np.where(peak >= ramped, peak / a + a / j, 2.0 * np.sqrt(peak / j))
-    return float((way / np.maximum(peak, 1e-300) + ramp).max())
+    return float((distance / np.maximum(peak, 1e-300) + ramp).max())
 
 
 def rms_jerk(arm: Arm, motion: Motion) -> float:
@@ -145,14 +146,15 @@ def rms_jerk(arm: Arm, motion: Motion) -> float:
 
 
 def check_motion(arm: Arm, motion: Motion) -> None:
-    """As `check_joints`, for a motion."""
+    """Check a motion as `check_joints` does."""
     check_joints(arm, motion.t, motion.q, motion.qd)
 
 
 def rates_and_limits(arm: Arm, qd: Floats, timestep: float) -> tuple[tuple[Floats, Floats, float], ...]:
     """Velocities, accelerations and jerks from rates ``(K, n)``, each with its limits ``(n,)`` and a power.
 
-    They scale as 1 / T, 1 / T^2 and 1 / T^3 with the duration T, so T times their excess to this power keeps the limit.
+    They scale as 1 / T, 1 / T^2 and 1 / T^3 with the duration T. So if one exceeds its limit by a factor r, the
+    duration T times r to this power keeps the limit.
     """
     acceleration = np.diff(qd, axis=0) / timestep
     jerk = np.diff(acceleration, axis=0) / timestep
@@ -166,8 +168,8 @@ def rates_and_limits(arm: Arm, qd: Floats, timestep: float) -> tuple[tuple[Float
 def check_joints(arm: Arm, t: Floats, q: Floats, qd: Floats) -> None:
     """Check limits of position, velocity, acceleration and jerk and the arm's `clearance` at every sample of a motion.
 
-    A motion that jumps from one sample to the next is refused: where two postures are equally near to the network's
-    state, the nearest one changes abruptly, and joints cannot follow.
+    A motion that jumps from one sample to the next is refused: where two configurations are equally near to the
+    network's state, the nearest one changes abruptly, and joints cannot follow.
 
     Args:
         arm: the arm, in its scene.
@@ -218,5 +220,5 @@ def _check_continuity(arm: Arm, t: Floats, q: Floats, qd: Floats) -> None:
     if unexplained[k, joint] > _JUMP:
         raise PlanError(
             f"joint {arm.joint_names[joint]!r} would jump by {step[k, joint]:.3g} {arm.unit(joint)} at "
-            f"t = {t[k + 1]:.2f} s, where the nearest posture changes abruptly"
+            f"t = {t[k + 1]:.2f} s, where the nearest configuration changes abruptly"
         )

@@ -1,11 +1,11 @@
 """From a network to a joint trajectory that starts and ends at rest and takes a stated duration.
 
-The network runs in its own time tau: its velocity starts with a step, and it converges exponentially, never arriving in
-finite time. A robot can do neither. So the network's path q(tau) is kept, and followed by a minimum-jerk law in its
-length l: l(t) = L sigma(t / T) with sigma = 10 s^3 - 15 s^4 + 6 s^5, more slowly where it turns sharply. The length
-combines joint velocities, in units of their limits, with the rate of convergence: where joints reverse, their velocity
-passes through zero, and a length of the joints alone would make them reverse at once. The path ends where the network
-is within `RESIDUAL` of its equilibrium.
+In the network's own time tau, its velocity starts with a step, and it converges exponentially without arriving in
+finite time. A robot can do neither. So only the path q(tau) of the network is kept. The motion follows it by a
+minimum-jerk law of its length l, l(t) = L sigma(t / T) with sigma = 10 s^3 - 15 s^4 + 6 s^5, and more slowly where it
+turns sharply. The length combines joint velocities, in units of their limits, with the rate of convergence: where
+joints reverse, their velocity passes through zero, and with a length of the joints alone they would reverse at once.
+The path ends where the network is within `RESIDUAL` of its equilibrium.
 """
 
 from __future__ import annotations
@@ -31,15 +31,15 @@ from lieednn_sim.values import Floats
 RESIDUAL = 1e-8
 # Samples of the speed per step of the integrator; between them it is interpolated with a lower order than the states.
 _SAMPLES_PER_STEP = 8
-# Accuracy to which places on a path are found, as a share of its length; rounding allows no better.
+# Accuracy to which positions on a path are found, as a fraction of its length; rounding allows no better.
 _ROUNDING = 1e-14
-# Distance at which joints have arrived [rad, m]; two postures with the same poses differ by more.
-_ARRIVED = 1e-3
+# Distance at which joints have arrived [rad, m]; two configurations with the same poses differ by more.
+_ARRIVAL_DISTANCE = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
 class NetworkPath:
-    """The path on which a network leads an arm, in the network's own time; `timed` makes motions of it.
+    """The path of an arm that follows a network, in the network's own time tau; `timed` makes motions along it.
 
     Attributes:
         arm: decodes states to joint positions.
@@ -47,9 +47,9 @@ class NetworkPath:
         start: ``(n,)`` joint position at the beginning.
         origin: ``(N, 6)`` state of all neurons at the start.
         target: ``(N, 6)`` the network's equilibrium.
-        way: the states from origin to target and the speed along them, over tau; None if origin and target coincide.
-            The speed is that of the joints in units of their limits, combined with the rate of convergence, or that of
-            the network's states.
+        trajectory: the states from origin to target and the speed along them, both as functions of tau; None if origin
+            and target coincide. The speed is that of the joints in units of their limits, combined with the rate of
+            convergence, or that of the network's states.
     """
 
     arm: Arm
@@ -57,15 +57,16 @@ class NetworkPath:
     start: Floats
     origin: Floats
     target: Floats
-    way: tuple[Trajectory, PchipInterpolator] | None
+    trajectory: tuple[Trajectory, PchipInterpolator] | None
 
     @classmethod
-    def drawn(
+    def integrate(
         cls, arm: Arm, network: ComponentwiseNetwork, start: ArrayLike, units: Floats | None = None
     ) -> NetworkPath:
-        """The path from joint position ``start`` ``(n,)``; raises as `make_motion`.
+        """Integrate the network from joint position ``start`` ``(n,)``; raises as `make_motion`.
 
-        With ``units`` ``(N, 6)`` of the visible neurons' coordinates, lengths are measured in these, as in `law_of`.
+        If ``units`` ``(N, 6)`` of the visible neurons' coordinates are given, the path's length is that of the states
+        in these units, as in `law_of`.
         """
         require_fit(arm, network)
         begin = arm.check_position(start, "start")
@@ -81,7 +82,7 @@ class NetworkPath:
         longest = 100.0 / network.gamma + 40.0 / pace
         arrived = False
         # The integrator's error, relative to the states, may keep it from a target with large entries; then a smaller
-        # tolerance is used. Where a slow clock ends the way, the speed is low, and the error must be small beside it.
+        # tolerance is used. Where a slow clock ends the path, the speed is low, and the error must be small beside it.
         usual = 1e-8 if units is None else max(1e-8 * min(1.0, pace / network.gamma) ** 2, 1e-12)
         # An equilibrium that does not attract is not tried.
         for rtol, atol in ((usual, 1e-10), (1e-10, 1e-10)) if equilibrium.spectral_abscissa < 0.0 else ():
@@ -111,15 +112,15 @@ class NetworkPath:
 
     def state(self, tau: ArrayLike) -> Floats:
         """States ``(..., N, 6)`` of all neurons at the network's own times ``(...)``."""
-        if self.way is None:
+        if self.trajectory is None:
             return np.broadcast_to(self.origin, (*np.shape(tau), *self.origin.shape))
-        return self.way[0](tau)
+        return self.trajectory[0](tau)
 
     def timed(self, duration: float, timestep: float, law: Law | None = None) -> Motion:
         """The motion along the path in ``duration``, sampled every ``timestep`` [s]; see `make_motion`.
 
-        The law maps shares of the duration to shares of the path's length: by default minimum jerk, slowed down where
-        the path turns sharply.
+        The law maps fractions of the duration to fractions of the path's length. By default it is minimum jerk, slowed
+        down where the path turns sharply.
         """
         if law is not None:
             return self._timed(duration, timestep, law)
@@ -130,10 +131,10 @@ class NetworkPath:
     def _timed(self, duration: float, timestep: float, law: Law) -> Motion:
         steps = count_steps(duration, timestep)
         t = as_floats("t", timestep * np.arange(steps + 1), (steps + 1,))
-        if self.way is None:
+        if self.trajectory is None:
             tau, tau_rate = np.zeros_like(t), np.zeros_like(t)
         else:
-            _, speed = self.way
+            _, speed = self.trajectory
             length = speed.antiderivative()
             total = float(length(speed.x[-1]))
             progress, progress_rate = law(t / t[-1])
@@ -169,28 +170,28 @@ def make_motion(arm: Arm, network: ComponentwiseNetwork, start: ArrayLike, durat
         timestep: sampling period [s], the simulation's step.
 
     Raises:
-        InputError: start out of limits, or network and arm differ in size.
+        InputError: the start is out of limits, or network and arm differ in size.
         PlanError: the network has no equilibrium or does not arrive there.
     """
     count_steps(duration, timestep)
-    return NetworkPath.drawn(arm, network, start).timed(duration, timestep)
+    return NetworkPath.integrate(arm, network, start).timed(duration, timestep)
 
 
 def timed_motion(problem: PlanningProblem, path: NetworkPath, *law: Law) -> Motion:
     """The checked motion along a path in the problem's duration, by a given time law or that of `NetworkPath.timed`.
 
     Raises:
-        PlanError: the motion breaks a limit of the arm, or ends at another posture with the target's poses.
+        PlanError: the motion breaks a limit of the arm, or ends at another configuration with the target's poses.
     """
     motion, arm = path.timed(problem.duration, problem.timestep, *law), problem.arm
     check_motion(arm, motion)
     away = np.abs(motion.q[-1] - problem.target)
     joint = int(away.argmax())
-    if away[joint] > _ARRIVED:
+    if away[joint] > _ARRIVAL_DISTANCE:
         raise PlanError(
-            f"the way ends at another posture with the target's poses: joint {arm.joint_names[joint]!r} at "
+            f"the path ends at another configuration with the target's poses: joint {arm.joint_names[joint]!r} at "
             f"{motion.q[-1, joint]:.3g} {arm.unit(joint)} in place of {problem.target[joint]:.3g}; name more links, or "
-            "take a target on this side of the postures at which a link's pose does not tell its joints apart"
+            "take a target on this side of the configurations at which a link's pose does not tell its joints apart"
         )
     return motion
 

@@ -28,7 +28,7 @@ _TRACKED = TrainingOptions.tracked(tolerance=_LEARNED_TOLERANCE)
 _PLAIN = TrainingOptions.repaired(projection="none", tolerance=_LEARNED_TOLERANCE, max_epochs=20_000, restarts=1)
 # Largest distance of a network's equilibrium from the target [rad, length_scale m]: a hundred times the tolerance of
 # learning, and the tolerance of position limits.
-_ARRIVAL = 1e-6
+_ARRIVAL_TOLERANCE = 1e-6
 
 
 @dataclass(frozen=True)
@@ -170,10 +170,10 @@ def without_weights(target: Floats) -> LieEDNN:
 
 def _path(problem: PlanningProblem, network: ComponentwiseNetwork) -> NetworkPath:
     """The path of a network, checked to end at the problem's target."""
-    path = NetworkPath.drawn(problem.arm, network, problem.start)
+    path = NetworkPath.integrate(problem.arm, network, problem.start)
     # An uncertified network may have several equilibria.
     distance = float(np.abs(network.visible(path.target) - problem.arm.encode(problem.target)).max())
-    if distance > _ARRIVAL:
+    if distance > _ARRIVAL_TOLERANCE:
         raise PlanError(
             f"the network ends at another equilibrium, {distance:.2g} from the target; use a certified network"
         )

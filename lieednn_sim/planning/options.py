@@ -16,9 +16,9 @@ from lieednn_sim.values import set_fields
 class PlannerOptions:
     """Base class of the options of planners and of their parts, such as the filter and searches.
 
-    A field with an integer default takes integers from 1 on; with another number, positive numbers; with a tuple, one
-    or more of the same; with anything else, including True and False, values of the default's class. Numbers may have
-    further bounds, in the field's metadata ``range``; its ``choices`` are the names allowed.
+    The default of a field decides which values it takes. An integer: integers from 1 on. Another number: positive
+    numbers. A tuple: one or more values like its own. Anything else, including True and False: values of the default's
+    class. The field's metadata may bound numbers further by ``range`` and list the names allowed by ``choices``.
 
     Raises:
         InputError: a value is not allowed.

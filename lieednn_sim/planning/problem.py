@@ -27,7 +27,7 @@ _TIME_RESERVE = 1.02
 
 @dataclass(frozen=True, eq=False)
 class PlanningProblem:
-    """A motion to plan from rest to rest; values as for `plan`, stored as they were checked.
+    """A motion to plan from rest to rest. The arguments are those of `plan`, checked when the problem is made.
 
     Attributes:
         arm: the arm.
@@ -80,8 +80,8 @@ class Plan:
     Attributes:
         motion: from rest at the start to rest at the target, within limits and free of contact (`motion.check_motion`).
         network: the network that made the motion, with the target as its equilibrium; None for planners without one.
-        details: what else a planner tells of its work: `certified.CertifiedDetails`, `shaped.ShapedDetails`, or the run
-            through the safety filter, `filtering.FilteredRun`; None for other planners.
+        details: further results of the planner: `certified.CertifiedDetails`, `shaped.ShapedDetails`, or the run
+            through the safety filter, `safety_filter.FilteredRun`; None for other planners.
         target: ``(n,)`` joint target [rad, m].
         planner: name of the planner.
         cpu_time: CPU time that planning took [s].
@@ -98,9 +98,9 @@ class Plan:
 
 
 def in_time(make: Callable[..., _Made], problem: PlanningProblem, *options: Any) -> _Made:
-    """The result of ``make(problem, *options)``; if the motion is too fast, of another call with the duration it needs.
+    """Call ``make(problem, *options)``, and again with the duration that the motion needs if it was too fast.
 
-    All planners share this rule, so that a comparison does not depend on the duration asked for.
+    All planners follow this rule, so that a comparison does not depend on the duration asked for.
 
     Raises:
         TooFastError: even ``problem.max_time_scale`` durations are not enough.

@@ -82,7 +82,7 @@ def register_planner(name: str, options: type[PlannerOptions] | None = None) -> 
 
 
 def planners() -> Mapping[str, Planner]:
-    """All planners by name: `PLANNERS`, and the entry points of installed packages.
+    """All planners by name: `PLANNERS` and the entry points of installed packages.
 
     An entry point that cannot be loaded is left out, with a warning that names its package.
     """
@@ -131,8 +131,8 @@ _REDUNDANT = 3  # hinges that move one link
 def default_planner(arm: Arm) -> tuple[str, str]:
     """The default planner for an arm in its scene, and the reason for it.
 
-    Where three or more hinges move one link, a network's own way soon becomes infeasible, and the posture nearest to it
-    turns abruptly; so there, as among obstacles, the default follows a teacher's motion.
+    Where three or more hinges move one link, the arm often cannot follow a network's own path, since the configuration
+    nearest to it changes abruptly. There, and among obstacles, the default planner follows a teacher's motion.
     """
     if arm.scene != "free":
         return OBSTACLE_PLANNER, "the default among obstacles"

@@ -24,15 +24,15 @@ from lieednn_sim.planning.motion import Motion, check_motion, count_steps, rates
 
 # Pieces of the path, of equal length, with one acceleration of the law on each.
 _PIECES = 1000
-# Windows of the average, as shares of the fastest law's duration.
+# Windows of the average, as fractions of the fastest law's duration.
 _WINDOWS = np.geomspace(0.002, 1.0, 20)
 # Instants at which laws are sampled.
 _INSTANTS = 2000
 # Bounds given to the solver for missing limits [rad/s, m/s; rad/s^2, m/s^2], far above all rates.
-_NONE = 1e6
+_NO_LIMIT = 1e6
 # Rates sampled at the model's time step may exceed those of the law slightly. Then the duration is multiplied by this
 # factor, at most this many times.
-_LONGER, _TRIES = 1.002, 20
+_STRETCH, _MAX_STRETCHES = 1.002, 20
 
 
 def retime(arm: Arm, motion: Motion) -> Motion:
@@ -46,7 +46,7 @@ def retime(arm: Arm, motion: Motion) -> Motion:
         The motion; its duration is the least one found, rounded up to a time step, or a few thousandths more.
 
     Raises:
-        InputError: the motion goes nowhere, or a joint that moves has no limit of acceleration.
+        InputError: no joint moves, or a joint that moves has no limit of acceleration.
         PlanError: the path breaks a limit of position, or touches something.
         LieEDNNError: toppra is not installed; the message names the extra.
     """
@@ -54,12 +54,12 @@ def retime(arm: Arm, motion: Motion) -> Motion:
     law = path.fastest()
     duration = max(float(law.x[-1]), 2.0 * arm.timestep)
     count_steps(duration, arm.timestep)
-    for _ in range(_TRIES):
+    for _ in range(_MAX_STRETCHES):
         found = path.motion(law, math.ceil(duration / arm.timestep))
         try:
             check_motion(arm, found)
         except TooFastError:
-            duration *= _LONGER
+            duration *= _STRETCH
             continue
         return found
     raise PlanError("no time law keeps the limits on this path; it turns too sharply for the model's time step")
@@ -71,11 +71,11 @@ class _Path:
     def __init__(self, arm: Arm, motion: Motion) -> None:
         if motion.q.shape[1] != arm.n_joints:
             raise InputError(f"the motion has {motion.q.shape[1]} joints, arm {arm.name!r} has {arm.n_joints}")
-        way = np.linalg.norm(np.diff(motion.q / joint_scale(arm), axis=0), axis=1)
-        length = np.append(0.0, np.cumsum(way))
+        steps = np.linalg.norm(np.diff(motion.q / joint_scale(arm), axis=0), axis=1)
+        length = np.append(0.0, np.cumsum(steps))
         if length[-1] <= 0.0:
             raise InputError("the motion goes nowhere, so that there is nothing to make faster")
-        share = length / length[-1]
+        fraction = length / length[-1]
         moving = np.ptp(motion.q, axis=0) > 0.0
         if (free := np.flatnonzero(moving & np.isinf(arm.acceleration_limits))).size:
             raise InputError(
@@ -83,22 +83,22 @@ class _Path:
                 "end; name one: Arm.load(..., limits={...}), or the custom numeric acceleration_limit"
             )
         # Samples are dense where the motion is slow; too dense ones would make noise of the second derivative.
-        kept = np.unique(np.searchsorted(share, np.linspace(0.0, 1.0, _PIECES + 1)))
-        self._arm, self._motion, self._kept, self._share = arm, motion, kept, share[kept]
-        self._q = CubicSpline(self._share, motion.q[kept])
+        kept = np.unique(np.searchsorted(fraction, np.linspace(0.0, 1.0, _PIECES + 1)))
+        self._arm, self._motion, self._kept, self._fraction = arm, motion, kept, fraction[kept]
+        self._q = CubicSpline(self._fraction, motion.q[kept])
         speed = np.linalg.norm(motion.qd[kept] / joint_scale(arm), axis=1)
-        self._own = CubicHermiteSpline(motion.t[kept], self._share, speed / length[-1])
+        self._own = CubicHermiteSpline(motion.t[kept], self._fraction, speed / length[-1])
 
     def fastest(self) -> CubicHermiteSpline:
-        """The law with the shortest duration, from time to the share of the path."""
+        """The law with the shortest duration, from time to the fraction of the path's length."""
         topp = optional_module("toppra")
         constraint, algorithm = optional_module("toppra.constraint"), optional_module("toppra.algorithm")
         bounds = (self._arm.velocity_limits, self._arm.acceleration_limits)
-        limits = [np.minimum(bound, _NONE)[:, None] * [-1.0, 1.0] for bound in bounds]
+        limits = [np.minimum(bound, _NO_LIMIT)[:, None] * [-1.0, 1.0] for bound in bounds]
         grid = np.linspace(0.0, 1.0, _PIECES + 1)
         solver = algorithm.TOPPRA(
             [constraint.JointVelocityConstraint(limits[0]), constraint.JointAccelerationConstraint(limits[1])],
-            topp.SplineInterpolator(self._share, self._motion.q[self._kept]),
+            topp.SplineInterpolator(self._fraction, self._motion.q[self._kept]),
             gridpoints=grid,
             solver_wrapper="seidel",
         )
@@ -124,13 +124,13 @@ class _Path:
         old, kept, arm = self._motion, self._kept, self._arm
         t = arm.timestep * np.arange(steps + 1, dtype=np.float64)
         pace = law.x[-1] / t[-1]
-        share = np.clip(law(t * pace), 0.0, 1.0)
-        q, qd = self._q(share), self._q(share, 1) * (law(t * pace, 1) * pace)[:, None]
+        fraction = np.clip(law(t * pace), 0.0, 1.0)
+        q, qd = self._q(fraction), self._q(fraction, 1) * (law(t * pace, 1) * pace)[:, None]
         q[[0, -1]], qd[[0, -1]] = old.q[[0, -1]], 0.0
-        xi = CubicSpline(self._share, old.xi[kept])(share)
+        xi = CubicSpline(self._fraction, old.xi[kept])(fraction)
         xi[[0, -1]] = old.xi[[0, -1]]
         tau, translation, rotation = (
-            make_interp_spline(self._share, values[kept], k=1)(share)
+            make_interp_spline(self._fraction, values[kept], k=1)(fraction)
             for values in (old.tau, old.gap_translation, old.gap_rotation)
         )
         return Motion(t, tau, xi, old.xi_target, q, qd, translation, rotation)
@@ -141,5 +141,5 @@ def _averaged(law: CubicHermiteSpline, window: float) -> CubicHermiteSpline:
     duration = float(law.x[-1])
     t = np.linspace(0.0, duration + window, _INSTANTS + 1)
     rate = (law(np.minimum(t, duration)) - law(np.maximum(t - window, 0.0))) / window
-    share = cumulative_trapezoid(rate, dx=t[1], initial=0.0)
-    return CubicHermiteSpline(t, share / share[-1], rate / share[-1])
+    fraction = cumulative_trapezoid(rate, dx=t[1], initial=0.0)
+    return CubicHermiteSpline(t, fraction / fraction[-1], rate / fraction[-1])

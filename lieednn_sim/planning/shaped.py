@@ -2,8 +2,8 @@
 
 The teacher is minimum jerk if that is free of contact, else trajectory optimisation from there, else trajectory
 optimisation from a path of RRT-Connect, else that path itself. It is fitted by `synthesis.shape`, and the network's
-motion follows it by the teacher's time law. Proved is only where the network ends, for every start; its distance from
-the path is measured, as are limits and clearance.
+motion follows it by the teacher's time law. It is proved that the network ends at the target from every start; its
+distance from the teacher's path, limits and clearance are only checked.
 """
 
 from __future__ import annotations
@@ -37,9 +37,9 @@ _RRT = RrtConnectOptions()
 # Every second sample of the teacher's motion is a sample of the curve.
 _STRIDE = 2
 # Samples of a network's motion at which it is compared with the teacher's.
-_COMPARED = 400
-# Postures at which lever arms are measured.
-_POSTURES = 50
+_N_COMPARED = 400
+# Configurations at which lever arms are measured.
+_N_CONFIGURATIONS = 50
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ class ShapedOptions(NetworkOptions):
 
 @frozen
 class ShapedDetails:
-    """What ``lieednn-shaped`` tells of its work.
+    """Further results of the planner ``lieednn-shaped``.
 
     Attributes:
         deviation: largest distance of the end effector's path from the teacher's [m].
@@ -117,7 +117,7 @@ def _following(problem: PlanningProblem, options: ShapedOptions, teacher: Plan) 
     asked = replace(problem, duration=lasts, max_time_scale=max(1.0, problem.max_time_scale * problem.duration / lasts))
     if np.abs(guide.xi - guide.xi[0]).max() == 0.0:
         network = without_weights(guide.xi_target)
-        path = NetworkPath.drawn(arm, network, problem.start)
+        path = NetworkPath.integrate(arm, network, problem.start)
         return Plan(in_time(timed_motion, asked, path), network, ShapedDetails(0.0, 0.0), teacher=teacher)
     law = law_of(guide, units)
     curve = np.concatenate([guide.xi[:-1:_STRIDE], guide.xi_target[None]])
@@ -135,11 +135,11 @@ def _following(problem: PlanningProblem, options: ShapedOptions, teacher: Plan) 
         return Plan(motion, path.network, ShapedDetails(deviation, fit_time), teacher=teacher)
 
     for count in options.neurons:
-        shaping = ShapingOptions(options.rate, neurons=(), placed=(count,), activation=options.activation)
+        shaping = ShapingOptions(options.rate, neurons=(), placed_neurons=(count,), activation=options.activation)
         result = shape(curve, options.deviation, units=units, options=shaping)
         fit_time += result.cpu_time
-        path = NetworkPath.drawn(arm, result.network, problem.start, units)
-        motion = path.timed(lasts, lasts / _COMPARED, law)
+        path = NetworkPath.integrate(arm, result.network, problem.start, units)
+        motion = path.timed(lasts, lasts / _N_COMPARED, law)
         deviation, jerk = _deviation(_effector(arm, motion), line), rms_jerk(arm, motion) / guide_jerk
         candidate = _Fitted(max(deviation / options.deviation, (jerk - 1.0) / (options.jerk - 1.0)), path, deviation)
         if candidate.badness <= 1.0:
@@ -188,13 +188,13 @@ def _teacher(problem: PlanningProblem, options: ShapedOptions) -> Plan:
 
 
 def lever_units(arm: Arm, q: Floats) -> Floats:
-    """Metres ``(N, 6)`` for one unit of each network coordinate along postures ``(K, n)``.
+    """Metres ``(N, 6)`` for one unit of each network coordinate along joint positions ``(K, n)``.
 
     For rotations, the longest lever arm from the frame of rotation to the end effector; for translations, the length
     scale.
     """
-    postures = q[:: max(1, len(q) // _POSTURES)]
-    frames = arm.link_poses(postures).as_matrix()[..., :3, 3]
+    some = q[:: max(1, len(q) // _N_CONFIGURATIONS)]
+    frames = arm.link_poses(some).as_matrix()[..., :3, 3]
     before = np.concatenate([np.broadcast_to(arm.base.as_matrix()[:3, 3], frames[:, :1].shape), frames[:, :-1]], axis=1)
     lever = np.linalg.norm(frames[:, -1:] - before, axis=-1).max(axis=0)
     units = np.empty((arm.n_links, 6))
@@ -213,6 +213,6 @@ def _deviation(path: Floats, line: Floats) -> float:
     off = np.full(len(path), np.inf)
     for first in (np.maximum(nearest - 1, 0), np.minimum(nearest, len(line) - 2)):
         step, away = line[first + 1] - line[first], path - line[first]
-        share = np.einsum("ki,ki->k", away, step) / np.maximum(np.einsum("ki,ki->k", step, step), 1e-300)
-        off = np.minimum(off, np.linalg.norm(away - np.clip(share, 0.0, 1.0)[:, None] * step, axis=1))
+        fraction = np.einsum("ki,ki->k", away, step) / np.maximum(np.einsum("ki,ki->k", step, step), 1e-300)
+        off = np.minimum(off, np.linalg.norm(away - np.clip(fraction, 0.0, 1.0)[:, None] * step, axis=1))
     return float(off.max())

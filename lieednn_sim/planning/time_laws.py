@@ -12,15 +12,15 @@ from scipy.ndimage import convolve1d, maximum_filter1d
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.values import Floats
 
-# Share of a path's length and its slope, both ``(K,)``, at shares ``(K,)`` of the duration.
+# Fraction of a path's length and its slope, both ``(K,)``, at fractions ``(K,)`` of the duration.
 Law = Callable[[Floats], tuple[Floats, Floats]]
 
 # Acceleration across a path above which a turn is sharp, in units of the path's length over the squared duration. Along
 # the path minimum jerk needs at most 5.8; five of six certified motions of the package's arms stay below.
-_SHARP = 10.0
-# Half width of the maximum and of the average by which a motion slows down around a sharp turn, as a share of the
+_SHARP_TURN = 10.0
+# Half width of the maximum and of the average by which a motion slows down around a sharp turn, as a fraction of the
 # duration: it begins to slow down twice as long before.
-_EASING = 0.1
+_EASING_WIDTH = 0.1
 
 
 def minimum_jerk_law(s: Floats) -> tuple[Floats, Floats]:
@@ -36,15 +36,15 @@ def step_lengths(xi: Floats, units: Floats) -> Floats:
 def law_of(motion: Motion, units: Floats) -> Law:
     """The law by which a motion follows its path, whose length is that of its states in ``units`` ``(N, 6)``."""
     length = np.append(0.0, np.cumsum(step_lengths(motion.xi, units)))
-    s, share = motion.t / motion.t[-1], length / length[-1]
-    slope = np.gradient(share, s, edge_order=2)
-    return _through(s, share, np.maximum(slope, 0.0))
+    s, fraction = motion.t / motion.t[-1], length / length[-1]
+    slope = np.gradient(fraction, s, edge_order=2)
+    return _through(s, fraction, np.maximum(slope, 0.0))
 
 
-def law_of_times(t: Floats, share: Floats) -> Law:
-    """The monotonic law from rest to rest with the given shares ``(K,)`` of the length at times ``(K,)``."""
+def law_of_times(t: Floats, fraction: Floats) -> Law:
+    """The monotonic law from rest to rest with the given fractions ``(K,)`` of the length at times ``(K,)``."""
     s = t / t[-1]
-    return _through(s, share, PchipInterpolator(s, share).derivative()(s))
+    return _through(s, fraction, PchipInterpolator(s, fraction).derivative()(s))
 
 
 def eased_law(motion: Motion, law: Law, units: Floats) -> Law | None:
@@ -69,18 +69,18 @@ def eased_law(motion: Motion, law: Law, units: Floats) -> Law | None:
     along = np.einsum("kj,kj->k", acceleration, tangent)
     # At rest there is no direction to be across.
     across = np.where(speed > 0.0, np.linalg.norm(acceleration - along[:, None] * tangent, axis=1), 0.0)
-    sharpness = across * duration**2 / (_SHARP * length)
+    sharpness = across * duration**2 / (_SHARP_TURN * length)
     if sharpness.max() <= 1.0:
         return None
     # A Hann window; scipy.signal has it, but takes as long to import as everything else in a planning process.
-    window = 1.0 + np.cos(np.linspace(-np.pi, np.pi, 2 * max(1, round(_EASING * count)) + 1))
+    window = 1.0 + np.cos(np.linspace(-np.pi, np.pi, 2 * max(1, round(_EASING_WIDTH * count)) + 1))
     slower = maximum_filter1d(np.sqrt(np.maximum(sharpness, 1.0)), len(window), mode="nearest")
     slower = convolve1d(slower, window / window.sum(), mode="nearest")
     s = motion.t / duration
     return law_of_times(cumulative_trapezoid(slower, s, initial=0.0), law(s)[0])
 
 
-def _through(s: Floats, share: Floats, slope: Floats) -> Law:
-    way = CubicHermiteSpline(s, share, np.where((s > 0.0) & (s < 1.0), slope, 0.0))
-    rate = way.derivative()
-    return lambda x: (np.clip(way(x), 0.0, 1.0), np.maximum(rate(x), 0.0))
+def _through(s: Floats, fraction: Floats, slope: Floats) -> Law:
+    law = CubicHermiteSpline(s, fraction, np.where((s > 0.0) & (s < 1.0), slope, 0.0))
+    rate = law.derivative()
+    return lambda x: (np.clip(law(x), 0.0, 1.0), np.maximum(rate(x), 0.0))

@@ -1,7 +1,7 @@
-"""A policy runs an arm online: from the measured joints and the present target to the reference of the next period.
+"""The base class of policies, which map the measured joints and the present target to the next reference.
 
-It knows joints and targets, and no simulator. `simulation.follow` runs one behind a simulated arm, `control_loop` runs
-one behind anything else.
+A policy knows joints and targets but no simulator. `simulation.follow` runs one behind a simulated arm, `control_loop`
+runs one behind anything else.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _MAX_TARGET_SPEED = 10.0
 
 
 class Policy(ABC):
-    """What runs an arm online; a subclass has `act`, and `begin` if it has a state of its own.
+    """Base class of policies; a subclass defines `act`, and `begin` if it has a state of its own.
 
         policy.reset(q)
         q_ref, qd_ref = policy.step(q_measured, target)     # once in every control period
@@ -37,9 +37,9 @@ class Policy(ABC):
         rate: control rate [Hz].
         period: control period [s].
         q: ``(n,)`` reference at the end of the last period, where the arm should be now [rad, m].
-        qd: ``(n,)`` its rates [rad/s, m/s].
-        certified: whether a target at rest is proved to attract the policy's state from everywhere.
-        channel_units: units of what `channels` tells, by name.
+        qd: ``(n,)`` rates of this reference [rad/s, m/s].
+        certified: whether it is proved that the policy's state converges to a target at rest from every state.
+        channel_units: units of the quantities in `channels`, by name.
 
     Raises:
         InputError: the rate is not positive.
@@ -60,7 +60,7 @@ class Policy(ABC):
         """Start again at rest from joint coordinates ``(n,)``, or a keyframe's.
 
         Raises:
-            InputError: they are malformed or beyond the position limits, or the policy cannot start there.
+            InputError: the coordinates are malformed or beyond the position limits, or the policy cannot start there.
         """
         self.q = self.arm.check_position(q, "q").copy()
         self.qd, self._target = np.zeros_like(self.q), None
@@ -71,8 +71,8 @@ class Policy(ABC):
         """The reference at the end of the control period that begins now.
 
         Args:
-            measured: ``(n,)`` joint coordinates, measured now; None if nothing is: the arm is where it should be.
-            target: ``(n,)`` joint coordinates, as they are wanted now.
+            measured: ``(n,)`` joint coordinates measured now; None if the arm is taken to be at its reference.
+            target: ``(n,)`` joint coordinates wanted now.
 
         Returns:
             Read-only joint coordinates and rates ``(n,)``. A controller may interpolate between the references of two
@@ -105,11 +105,11 @@ class Policy(ABC):
 
     @abstractmethod
     def act(self, measured: Floats | None, target: Floats) -> tuple[Floats, Floats]:
-        """The reference at the end of the present period, for arguments that `step` has checked; unchecked."""
+        """The reference at the end of the present period; `step` has checked the arguments."""
 
     @property
     def state(self) -> Floats:
-        """The state of what runs the arm: by default the reference ``(n,)``, for a network ``(N, 6)``."""
+        """State of the policy: by default the reference ``(n,)``; of a network, its state ``(N, 6)``."""
         return self.q
 
     @property
@@ -122,14 +122,14 @@ class Policy(ABC):
         return np.empty(0)
 
     def allowed(self) -> Floats:
-        """Largest speeds ``(n,)`` at the end of the period: who gathers speed keeps the acceleration limits, too."""
+        """Largest speeds ``(n,)`` at the end of the period that keep the limits of velocity and acceleration."""
         return np.asarray(np.minimum(self.arm.velocity_limits, np.abs(self.qd) + self._max_gain))
 
 
 def has_jumped(arm: Arm, velocity: Floats) -> Floats:
-    """Whether a target with velocities ``(..., n)`` over a control period has jumped, ``(...)``.
+    """Whether a target that moved at velocities ``(..., n)`` over a control period has jumped, ``(...)``.
 
-    It has if a joint would be faster than its limit, or than 10 rad/s or m/s where it has none.
+    It has jumped if a joint is faster than its limit, or than 10 rad/s or m/s where there is no limit.
     """
     limits = np.where(np.isfinite(arm.velocity_limits), arm.velocity_limits, _MAX_TARGET_SPEED)
     return np.asarray((np.abs(velocity) > limits).any(axis=-1))

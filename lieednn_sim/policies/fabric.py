@@ -22,8 +22,8 @@ class FabricOptions(PlannerOptions):
         stiffness: k of the equations in `Fabric` [1/s^2].
         damping: c [1/s].
         near: d_0, distance within which geoms repel [m].
-        margin: distance that is kept where start and target allow it [m].
-        strength: r, of the repulsion.
+        margin: distance to keep where start and target allow it [m].
+        strength: r, strength of the repulsion.
 
     Raises:
         InputError: a value is out of range.
@@ -48,7 +48,7 @@ class Fabric(JointPolicy):
         arm: the arm, in its scene.
         rate: control rate [Hz].
         options: settings.
-        feedback: how it hears the measured joints; None if it does not.
+        feedback: settings of the feedback from the measured joints; None for no feedback.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""Feedback from the arm to what leads it: measured joints pull its state, and its time waits for them.
+"""Feedback from the arm to its policy: measured joints pull the policy's state, and its clock waits for them.
 
 With the measured joints q, the reference q_r of the same instant and e = max |q - q_r| / range, a policy runs s times
 as fast, and its state is pulled to q at the rate k d,
@@ -21,7 +21,7 @@ _MIN_SPEED = 0.01
 
 @dataclass(frozen=True)
 class Feedback:
-    """Settings of the feedback from the arm to its policy; see the module for the equations.
+    """Settings of the feedback from the arm to its policy; the module has the equations.
 
     Attributes:
         rate: k, rate at which the state is pulled to the measured joints [1/s]; with 0 only the clock waits.
@@ -44,7 +44,7 @@ class Feedback:
         check_fields(self, as_positive, "tolerance", "patience")
 
     def response(self, behind: float) -> tuple[float, float]:
-        """The factors s and k d [1/s] for an error e, as a fraction of the joints' ranges."""
+        """The factors s and k d [1/s] for an error e, a fraction of the joints' ranges."""
         behind = float(as_floats("behind", behind, ()))
         waiting = max(1.0 / (1.0 + (behind / self.patience) ** 2), _MIN_SPEED)
         return waiting, self.rate * max(0.0, 1.0 - self.tolerance / max(behind, 1e-300))
@@ -59,7 +59,7 @@ def describe(pace: float, behind: float, *, limited: bool) -> str:
 
     Args:
         pace: fraction of its speed at which it ran.
-        behind: e of the module.
+        behind: error e as a fraction of the joints' ranges.
         limited: whether joint limits slowed it down.
     """
     if pace > 0.99:

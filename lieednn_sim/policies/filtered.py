@@ -1,20 +1,20 @@
-"""The safety filter around any policy: its reference is replaced by the nearest that keeps limits and clearance."""
+"""A policy behind the safety filter, which replaces its reference by the nearest that keeps limits and clearance."""
 
 from __future__ import annotations
 
-from lieednn_sim.planning.filtering import FilterOptions, SafetyFilter
+from lieednn_sim.planning.safety_filter import FilterOptions, SafetyFilter
 from lieednn_sim.policies.base import Policy
 from lieednn_sim.values import Floats
 
 # Rate at which the reference is pulled towards the unfiltered one [1/s].
-_GAIN = 8.0
+_TRACKING_GAIN = 8.0
 
 
 class FilteredPolicy(Policy):
     """A policy whose reference keeps the limits of position, velocity and acceleration, and clearance.
 
-    The wrapped policy goes on as if nothing had been changed, but for its velocity limits, which count from what is
-    commanded. Its proof covers its own state; where an obstacle blocks the way, the reference stays behind.
+    The state of the wrapped policy does not depend on the filter, except that its speed limits count from the filtered
+    reference. Its proof covers only this state; where an obstacle blocks the arm, the filtered reference stays behind.
 
     Args:
         policy: the policy.
@@ -27,13 +27,15 @@ class FilteredPolicy(Policy):
         braked: see `FilterStep`.
 
     Raises:
-        InputError: at a reset, something touches.
+        InputError: `reset` raises it if something touches at the start.
     """
 
     def __init__(self, policy: Policy, options: FilterOptions | None = None) -> None:
         super().__init__(policy.arm, policy.rate)
         self.inner, self._options = policy, options
-        self.certified, self.channel_units = policy.certified, policy.channel_units
+        self.certified = policy.certified
+        # A dictionary, which can be pickled.
+        self.channel_units = dict(policy.channel_units)
 
     def begin(self, q: Floats) -> None:
         """See `Policy`; unchecked."""
@@ -47,10 +49,10 @@ class FilteredPolicy(Policy):
         """See `Policy`; unchecked."""
         q, qd = self.inner.step(measured, target)
         error = q - self.q - 0.5 * self.period * self.qd
-        step = self._filter.step(self.q, self.qd, qd + _GAIN * error)
+        step = self._filter.step(self.q, self.qd, qd + _TRACKING_GAIN * error)
         self.blocking, self.clearance, self.braked = step.blocking, step.clearance, step.braked
         moved = self.q + 0.5 * self.period * (self.qd + step.velocity)
-        # What it is told to have commanded.
+        # The inner policy takes the filtered reference for its own.
         self.inner.q, self.inner.qd = moved, step.velocity
         return moved, step.velocity
 

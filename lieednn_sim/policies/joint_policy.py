@@ -1,6 +1,6 @@
 """Policies in joint space: y' = l (s v(y) + k d (q - y)), with s, k and d of `feedback`, and l as for networks.
 
-They need only say their velocity v towards the target.
+A subclass only defines the velocity v towards the target.
 """
 
 from __future__ import annotations
@@ -18,18 +18,18 @@ from lieednn_sim.values import Floats
 
 
 class JointPolicy(Policy):
-    """A policy in joint space; a subclass has `velocity`.
+    """Base class of policies in joint space; a subclass defines `velocity`.
 
     Args:
         arm: the arm.
         rate: control rate [Hz].
-        feedback: how it hears the measured joints; None if it does not.
+        feedback: settings of the feedback from the measured joints; None for no feedback.
 
     Attributes:
-        y: ``(n,)`` its joint coordinates [rad, m].
+        y: ``(n,)`` state y, joint coordinates [rad, m].
         range: ``(n,)`` lengths of the joints' ranges [rad, m].
-        pace: l s of the last period.
-        behind: e of `feedback`, at the beginning of the last period.
+        pace: factor l s of the last period.
+        behind: error e of `feedback` at the beginning of the last period.
     """
 
     channel_units: Mapping[str, str] = MappingProxyType({"pace": "1", "behind": "ranges"})

@@ -1,8 +1,8 @@
-"""A policy in a loop of one's own: anything that gives measured joints and takes references is the arm.
+"""A control loop that runs a policy on any arm that gives measured joints and takes references.
 
-The loop keeps time with the system's clock and says when it does not. It is as punctual as Python and the operating
-system are: nothing here is hard real time. What must be, such as a robot's servos and its emergency stop, belongs below
-it, and must hold the last reference, or stop, when the next one is late.
+The loop keeps time with the system's clock and reports late references. It is as punctual as Python and the operating
+system, so nothing here is hard real time. The robot's servos and its emergency stop must be real-time functions below
+the loop, which hold the last reference, or stop, when the next one is late.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ _MAX_PERIODS = 10**7
 
 @frozen
 class LoopReport:
-    """How a loop kept time.
+    """Timing of a control loop.
 
     Attributes:
-        lateness: ``(L,)`` time at which the reference of each period was sent, after its deadline, the end of the
-            period [s]; negative where it was in time.
-        step_time: ``(L,)`` time that the policy took in each period [s].
+        lateness: ``(L,)`` time from the deadline of each reference, the end of its period, until it was sent [s];
+            negative if it was in time.
+        step_time: ``(L,)`` wall time that the policy took in each period [s].
         message: the policy's last message.
     """
 
@@ -64,15 +64,15 @@ def control_loop(
 ) -> LoopReport:
     """Run a policy at its rate: read the joints, ask the policy, write the reference, and wait for the next period.
 
-    The policy is reset where the joints are. A period that ends late is followed at once by the next, and those after
-    it by their own full length: nothing is hurried to catch up. Python's garbage is collected before the loop, not in
-    it. An exception of `read` or `write` ends the loop, as Ctrl-C does.
+    The policy is reset where the joints are. After a period that ends late, the next one begins at
+    once, and all keep their full length: the loop does not catch up. Python's garbage is collected before the loop, not
+    in it. An exception of `read` or `write` ends the loop, as Ctrl-C does.
 
     Args:
         policy: the policy.
-        read: returns the measured joint coordinates ``(n,)``, once for each period; after the first time also None, if
-            nothing was measured.
-        write: is given the reference q and qd ``(n,)`` at the end of the period.
+        read: called once in each period; returns the measured joint coordinates ``(n,)``, or, after the first call,
+            None if nothing was measured.
+        write: called with the reference q and qd ``(n,)`` for the end of the period.
         target: joint coordinates ``(n,)``, a keyframe's name, or a function of the time since the beginning [s].
         duration: [s], rounded up to a whole number of periods.
         on_late: called with the number of the period and its lateness [s], after each reference that was late.

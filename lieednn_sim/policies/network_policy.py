@@ -34,7 +34,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.arm.local_retraction import LocalRetraction
 from lieednn_sim.errors import InputError
 from lieednn_sim.network import LieEDNN
-from lieednn_sim.network.stepping import Stepping
+from lieednn_sim.network.runge_kutta import RungeKuttaStepper
 from lieednn_sim.planning.network_path import require_fit
 from lieednn_sim.policies.base import Policy, has_jumped
 from lieednn_sim.policies.feedback import FEEDBACK, Feedback, describe
@@ -49,29 +49,29 @@ _TOO_FAST, _TRIES = 1e-3, 4
 
 
 class NetworkPolicy(Policy):
-    """A certified network that leads an arm to a target, which may move; nothing but `reset` ever sets its state.
+    """A certified network that leads an arm to a target, which may move; only `reset` sets its state.
 
     Args:
-        arm: encodes targets; states are decoded by `LocalRetraction`.
+        arm: the arm, which encodes targets; `LocalRetraction` decodes states.
         network: certified, with as many visible neurons as the arm has links; its own bias does not matter.
         rate: control rate [Hz].
-        speed: the network's speed c: its own time in one second [1/s].
-        feedforward: whether to add the target's velocity, by the difference of its last two samples.
-        feedback: how the network hears the measured joints; None if it does not, and runs ahead of the arm undisturbed.
+        speed: the network's speed c, its own time per second [1/s].
+        feedforward: whether to add the target's velocity, the difference of its last two samples over the period.
+        feedback: settings of the feedback from the measured joints; None for no feedback.
 
     Attributes:
         xi: ``(N, 6)`` state of all neurons.
         jumped: whether the last target was faster than the joints' limits.
-        time_scale: l of the last period, below 1 where limits slowed the network down.
-        pace: l s of the last period.
-        behind: e at the beginning of the last period.
-        limit_excess: largest excess of the decoded joints over their position limits since the reset, at which the
-            reference stops [rad, m]; not positive if they kept the limits.
+        time_scale: factor l of the last period, below 1 where limits slowed the network down.
+        pace: factor l s of the last period.
+        behind: error e of `feedback` at the beginning of the last period.
+        limit_excess: largest excess of the decoded joints over their position limits since the reset [rad, m], not
+            positive if they kept the limits; the reference stops at the limits.
         gap_translation: largest mechanism gap since the reset [m].
-        gap_rotation: the same as an angle [rad].
+        gap_rotation: largest mechanism gap since the reset, as an angle [rad].
 
     Raises:
-        InputError: network and arm differ in size, the network has no proof, or the speed is too high for the rate.
+        InputError: network and arm differ in size, the network is not certified, or the speed is too high for the rate.
     """
 
     certified = True
@@ -91,7 +91,7 @@ class NetworkPolicy(Policy):
         require_fit(arm, network, certified=True)
         self._network, self._feedback = network, feedback
         self._speed, self._feedforward = as_positive("speed", speed), feedforward
-        self._stepping, self._visible = Stepping(network), 6 * network.n_visible
+        self._stepping, self._visible = RungeKuttaStepper(network), 6 * network.n_visible
         self._stiffness = network.gamma + network.mu * _certified_norm(network)
         fastest = _MAX_STEPS * _MAX_STEP * self.rate / self._stiffness
         if self._speed > fastest:
@@ -154,17 +154,17 @@ class NetworkPolicy(Policy):
             drift, rate = drift + pull[0], rate + pull[1]
         allowed = self.allowed()
         wanted = scale * self._flow_rate + rate
-        share = 1.0 / max(1.0, _max_abs(wanted / allowed))
+        fraction = 1.0 / max(1.0, _max_abs(wanted / allowed))
         for _ in range(_TRIES):
-            x, drive, flow = self._integrate(share * scale, drift / scale)
-            drawn, flow_rate = self._decode(x, flow, self._drawn + share * period * wanted)
-            qd = share * (scale * flow_rate + rate)
+            x, drive, flow = self._integrate(fraction * scale, drift / scale)
+            drawn, flow_rate = self._decode(x, flow, self._drawn + fraction * period * wanted)
+            qd = fraction * (scale * flow_rate + rate)
             excess = _max_abs(qd / allowed)
             if excess <= 1.0 + _TOO_FAST:
                 break
-            share /= excess
+            fraction /= excess
         self._x, self._drive, self._flow, self._flow_rate = x, drive, flow, flow_rate
-        self.xi, self.time_scale, self.pace = x.reshape(self.xi.shape), share, share * waiting
+        self.xi, self.time_scale, self.pace = x.reshape(self.xi.shape), fraction, fraction * waiting
         self._gap = np.maximum(self._gap, self._retraction.gap)
         outside = max(np.maximum(self._low - drawn, drawn - self._high).tolist())
         self.limit_excess = max(self.limit_excess, outside)
@@ -196,7 +196,7 @@ class NetworkPolicy(Policy):
         return moving
 
     def _listen(self, measured: Floats | None) -> tuple[float, tuple[Floats, Floats] | None]:
-        """How far the clock waits for the measured joints, and how they pull the flat state and its posture."""
+        """How far the clock waits for the measured joints, and how they pull the flat state and its configuration."""
         feedback = self._feedback
         if measured is None or feedback is None:
             return 1.0, None
@@ -234,7 +234,7 @@ class NetworkPolicy(Policy):
         return x, drive, self._field(x, drive)
 
     def _decode(self, x: Floats, flow: Floats, near: Floats) -> tuple[Floats, Floats]:
-        """Posture of a flat state, near another one, and its rates along a field, both ``(n,)``."""
+        """Configuration of a flat state, near another one, and its rates along a field, both ``(n,)``."""
         self._retraction.q, seen = near, slice(self._visible)
         return self._retraction(x[seen].reshape(-1, 6), flow[seen].reshape(-1, 6))
 

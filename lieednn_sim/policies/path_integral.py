@@ -1,7 +1,7 @@
 """Model-predictive path integral control over joint velocities, as a policy with a model of its own.
 
 At every control period, velocities over a horizon T are sampled around those of the previous period, u_i = u + e_i,
-rolled out from the present posture, and averaged with weights from their costs S_i (Williams et al., ICRA 2017),
+rolled out from the present configuration, and averaged with weights from their costs S_i (Williams et al., ICRA 2017),
 
     u <- sum_i w_i u_i,    w_i = exp(-(S_i - min S) / lambda) / sum_j exp(-(S_j - min S) / lambda).
 
@@ -38,12 +38,12 @@ class PathIntegralOptions(PlannerOptions):
     Attributes:
         pairs: half the number of samples, which are drawn in pairs of opposite noise.
         steps: number of steps of the horizon.
-        step: length of one [s].
+        step: length of a step [s].
         noise: standard deviation of velocities, as a fraction of the convergence rate times the largest distance of a
             joint from its target.
-        temperature: lambda, as a fraction of the median cost above the least.
+        temperature: lambda, as a fraction of the median cost minus the least cost.
         near: distance kept from the surroundings where the target allows it [m].
-        nearness: cost of being nearer [1/s].
+        nearness: cost rate where the arm is nearer than `near` [1/s].
 
     Raises:
         InputError: a value is out of range.
@@ -77,14 +77,14 @@ class VelocityRollouts:
         self._state = np.zeros((1, mujoco.mj_stateSize(self._model, self._kind)))
 
     def __call__(self, q: Floats, velocities: Floats) -> tuple[Floats, Floats]:
-        """Postures after each step, and clearances before it.
+        """Configurations after each step, and clearances before it.
 
         Args:
-            q: ``(n,)`` initial posture of all samples.
+            q: ``(n,)`` initial configuration of all samples.
             velocities: ``(S, H, n)`` joint velocities for each sample and step.
 
         Returns:
-            Postures ``(S, H, n)``, and clearances ``(S, H)`` [m], infinite where nothing is near.
+            Configurations ``(S, H, n)``, and clearances ``(S, H)`` [m], infinite where nothing is near.
         """
         model, data, first = self._model, self._data, self._arm.qpos(q)
         mujoco.mj_resetData(model, data)
@@ -93,8 +93,8 @@ class VelocityRollouts:
         controls = self._arm.qvel(np.broadcast_to(q, velocities.shape), velocities)
         with QuietWarnings():
             states, sensed = rollout.rollout(model, data, self._state, controls)
-        postures = self._arm.coordinates(states[:, :, 1 : 1 + model.nq])
-        return postures, np.where(sensed[:, :, 0] > 0.0, sensed[:, :, 1], np.inf)
+        configurations = self._arm.coordinates(states[:, :, 1 : 1 + model.nq])
+        return configurations, np.where(sensed[:, :, 0] > 0.0, sensed[:, :, 1], np.inf)
 
 
 def _kinematic(arm: Arm, step: float, near: float) -> mujoco.MjModel:
@@ -131,7 +131,7 @@ def _kinematic(arm: Arm, step: float, near: float) -> mujoco.MjModel:
 
 
 def weights(costs: Floats, temperature: float) -> Floats:
-    """Weights of samples from their costs ``(S,)``; the temperature is relative to the median cost above the least."""
+    """Weights of samples from their costs ``(S,)``; the temperature is relative to the median minus the least cost."""
     above = costs - costs.min()
     return np.asarray(softmax(-above / max(temperature * float(np.median(above)), 1e-300)))
 
@@ -150,9 +150,9 @@ class PathIntegral(JointPolicy):
         arm: the arm, in its scene.
         rate: control rate [Hz].
         convergence_rate: c [1/s].
-        options: settings.
-        feedback: how it hears the measured joints; None if it does not.
-        seed: of the noise.
+        options: options of the policy.
+        feedback: settings of the feedback from the measured joints; None for no feedback.
+        seed: seed of the noise.
     """
 
     def __init__(
@@ -202,8 +202,8 @@ class PathIntegral(JointPolicy):
     def _costs(self, target: Floats, velocities: Floats) -> Floats:
         """``(S,)`` of velocities ``(S, H, n)`` in units of the ranges."""
         options, c = self._options, self._convergence_rate
-        postures, clearance = self._rollouts(self.y, velocities * self.range)
-        off = (((target - postures) / self.range) ** 2).sum(axis=2)
+        configurations, clearance = self._rollouts(self.y, velocities * self.range)
+        off = (((target - configurations) / self.range) ** 2).sum(axis=2)
         near = np.maximum(1.0 - clearance / self._near, 0.0)
         rate = off + (velocities**2).sum(axis=2) / c**2 + options.nearness * near**2 + _TOUCHING * (clearance < 0.0)
         return np.asarray(options.step * rate.sum(axis=1) + off[:, -1] / c)

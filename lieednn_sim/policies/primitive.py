@@ -1,7 +1,7 @@
 """A dynamic movement primitive in joint space, as a policy.
 
-Its basis functions are those of `learning.demonstrations.primitive`, like those of the planner ``dmp``, which makes a
-motion in time; here it is driven step by step, waits with its phase for the arm, and follows a target that moves.
+Its basis functions are those of `learning.demonstrations.primitive` and of the planner ``dmp``. The planner makes a
+whole motion; the policy advances step by step, its phase waits for the arm, and its target may move.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ class PrimitiveOptions(PlannerOptions):
 
     Attributes:
         spring: a of the equations in `MovementPrimitive`.
-        decay: b; with a third of the spring the forces vanish when the motion ends.
+        decay: b; at a third of the spring, the forces vanish when the motion ends.
         basis_functions: number of radial functions.
         ridge: weight of the squared weights in their regression.
 
@@ -48,10 +48,10 @@ class MovementPrimitive(JointPolicy):
 
     Args:
         arm: the arm.
-        motion: what is imitated.
+        motion: motion to imitate.
         rate: control rate [Hz].
-        options: settings.
-        feedback: how it hears the measured joints; None if it does not.
+        options: options of the policy.
+        feedback: settings of the feedback from the measured joints; None for no feedback.
     """
 
     def __init__(

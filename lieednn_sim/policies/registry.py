@@ -14,9 +14,9 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.planning import Motion, Plan, ShapedOptions, plan
-from lieednn_sim.planning.filtering import FilterOptions
 from lieednn_sim.planning.network_planners import without_weights
 from lieednn_sim.planning.options import NetworkOptions, PlannerOptions
+from lieednn_sim.planning.safety_filter import FilterOptions
 from lieednn_sim.policies.base import Policy
 from lieednn_sim.policies.fabric import Fabric, FabricOptions
 from lieednn_sim.policies.feedback import FEEDBACK, Feedback
@@ -35,17 +35,17 @@ _Make = TypeVar("_Make", bound=Callable[..., Policy])
 
 @dataclass(frozen=True, eq=False)
 class PolicyTask:
-    """What a policy is made for; arguments as of `make_policy`.
+    """The task for which a policy is made; the arguments are those of `make_policy`.
 
     Attributes:
         arm: the arm, in its scene.
         start: ``(n,)`` joint position at the beginning.
         target: ``(n,)`` the first target.
         rate: control rate [Hz].
-        feedback: how it hears the measured joints; None if it does not.
-        convergence_rate: rate at which it approaches the target, if no motion says so [1/s].
+        feedback: settings of the feedback from the measured joints; None for no feedback.
+        convergence_rate: rate at which a policy without a motion approaches the target [1/s].
         seed: seed of random draws.
-        given: the motion or plan that was given to track or to imitate.
+        given: the motion or plan given to track or to imitate, or None.
 
     Raises:
         InputError: a value is malformed.
@@ -61,12 +61,9 @@ class PolicyTask:
     given: Motion | Plan | None = None
 
     def __post_init__(self) -> None:
-        check_fields(self, self._as_position, "start", "target")
+        check_fields(self, lambda name, value: self.arm.check_position(value, name), "start", "target")
         check_fields(self, as_positive, "rate", "convergence_rate")
         check_fields(self, as_seed, "seed")
-
-    def _as_position(self, name: str, value: ArrayLike) -> Floats:
-        return self.arm.check_position(value, name)
 
     @cached_property
     def motion(self) -> Motion:
@@ -80,7 +77,7 @@ class CertifiedPolicyOptions(NetworkOptions):
     """Options of the policy ``lieednn-certified``.
 
     Attributes:
-        bias_magnitude: size of the bias of the network [gamma/mu].
+        bias_magnitude: magnitude of the network's bias [gamma/mu].
 
     Raises:
         InputError: a value is out of range.
@@ -203,7 +200,7 @@ def register_policy(name: str, options: type[PlannerOptions] | None = None) -> C
 def policies() -> Mapping[str, PolicyKind]:
     """All policies by name: `POLICIES`, and those of the entry points of installed packages.
 
-    Those that cannot be loaded are left out, with a warning that names the package.
+    An entry point that cannot be loaded is left out, with a warning that names its package.
     """
     return REGISTRY.all()
 
@@ -227,14 +224,14 @@ def make_policy(
     Args:
         name: a name of `POLICIES`.
         arm: the arm, in its scene.
-        target: joint coordinates ``(n,)``, or a keyframe's name, for which networks are made; the policy is told the
-            target in every step, and it may move.
+        target: joint coordinates ``(n,)``, or a keyframe's name, for which networks are made. The target given in each
+            step may differ.
         rate: control rate [Hz].
         start: joint coordinates ``(n,)`` at the beginning, or a keyframe's name.
         motion: what ``tracker`` tracks and ``dmp`` imitates, from start to target; by default a planned one.
-        feedback: how it hears the measured joints; None if it does not.
+        feedback: settings of the feedback from the measured joints; None for no feedback.
         safety: settings of a safety filter around the policy; None for none.
-        convergence_rate: rate at which a policy approaches the target, if no motion says so [1/s].
+        convergence_rate: rate at which a policy without a motion approaches the target [1/s].
         options: options of the policy, of its class in `POLICIES`; by default that class's defaults.
         seed: seed of random draws; the same seed gives the same policy.
 

@@ -1,4 +1,4 @@
-"""A planned motion played as a policy, whatever the arm and the target do."""
+"""A policy that plays a planned motion, independent of the measured joints and the target."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from lieednn_sim.policies.base import Policy
 from lieednn_sim.values import Floats
 
 # Largest distance of a motion's beginning from where the arm is, as a fraction of a joint's range.
-_MAX_AWAY = 0.02
+_MAX_START_DISTANCE = 0.02
 
 
 class MotionTracker(Policy):
-    """Plays a motion from its beginning, and then holds its end.
+    """A policy that plays a motion from its beginning, and then holds its end.
 
     Args:
         arm: the arm.
-        motion: begins where the policy is reset; or a spline of joint coordinates ``(n,)`` over time [s], from 0.
+        motion: motion that begins where the policy is reset, or a spline of joint coordinates ``(n,)`` over time [s].
         rate: control rate [Hz].
 
     Raises:
-        InputError: the motion is of another arm; at a reset, it begins elsewhere.
+        InputError: the motion is of another arm; `reset` raises it if the motion begins elsewhere.
     """
 
     def __init__(self, arm: Arm, motion: Motion | CubicHermiteSpline, rate: float = 100.0) -> None:
@@ -41,7 +41,7 @@ class MotionTracker(Policy):
         """See `Policy`; unchecked."""
         away = np.abs(self._rows[0][0] - q)
         joint = int((away / self.arm.ranges).argmax())
-        if away[joint] > _MAX_AWAY * self.arm.ranges[joint]:
+        if away[joint] > _MAX_START_DISTANCE * self.arm.ranges[joint]:
             raise InputError(
                 f"the motion begins {away[joint]:.3g} {self.arm.unit(joint)} from where joint "
                 f"{self.arm.joint_names[joint]!r} is; plan it from there"

@@ -38,7 +38,7 @@ def _cannot_run(command: str, error: OSError) -> FileError:
 
 @contextlib.contextmanager
 def mp4_writer(path: Path, size: tuple[int, int], fps: float) -> Iterator[Callable[[NDArray[np.uint8]], None]]:
-    """Yields a function that appends an RGB picture ``(height, width, 3)``; the file is complete after the block.
+    """Yield a function that appends an RGB picture ``(height, width, 3)``; the file is complete after the block.
 
     Args:
         path: the file; an existing one is overwritten, and a failing block leaves it unfinished.

@@ -74,8 +74,8 @@ def _connect(
 
 # White on a dark, semi-transparent panel, which is readable on any background.
 _INK, _PANEL = (255, 255, 255, 255), (20, 26, 33, 150)
-# Font size as a share of the frame's height, and the smallest readable one [pixels].
-_SHARE, _SMALLEST = 1.0 / 34.0, 9
+# Font size as a fraction of the frame's height, and the smallest readable one [pixels].
+_FONT_FRACTION, _SMALLEST_FONT = 1.0 / 34.0, 9
 # Frames below this height [pixels] have no room for a caption.
 _LEAST_HEIGHT = 160
 # The legend of `Overlay`'s colours.
@@ -90,7 +90,7 @@ def write_caption(image: NDArray[np.uint8], lines: Sequence[str]) -> NDArray[np.
     height = image.shape[0]
     if height < _LEAST_HEIGHT:
         return image
-    size = max(_SMALLEST, round(_SHARE * height))
+    size = max(_SMALLEST_FONT, round(_FONT_FRACTION * height))
     font, step, margin = _font(size), round(1.35 * size), round(0.7 * size)
     widths = [font.getlength(line) for line in lines]
     widths.append(sum(font.getlength(text) + 3.0 * size for _, text in KEY))
@@ -103,15 +103,11 @@ def write_caption(image: NDArray[np.uint8], lines: Sequence[str]) -> NDArray[np.
         draw.text((x, y), line, font=font, fill=_INK)
         y += step
     for colour, text in KEY:
-        middle = y + 0.6 * size
-        draw.line([x, middle, x + 1.2 * size, middle], fill=_bright(colour), width=max(2, size // 4))
+        middle, bright = y + 0.6 * size, (*(round(255 * part) for part in colour[:3]), 255)
+        draw.line([x, middle, x + 1.2 * size, middle], fill=bright, width=max(2, size // 4))
         draw.text((x + 1.6 * size, y), text, font=font, fill=_INK)
         x += font.getlength(text) + 3.0 * size
     return np.asarray(picture)
-
-
-def _bright(colour: tuple[float, ...]) -> tuple[int, ...]:
-    return (*(round(255 * share) for share in colour[:3]), 255)
 
 
 @functools.cache

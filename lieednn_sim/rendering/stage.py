@@ -16,15 +16,15 @@ _LIGHTS = (((-0.33, 0.43, -0.84), 0.45, True), ((-0.45, -0.72, -0.54), 0.2, Fals
 _AXES = ((0.87, 0.20, 0.20, 1.0), (0.20, 0.68, 0.28, 1.0), (0.18, 0.40, 0.88, 1.0))
 _GLASS = (0.08, 0.75, 0.70, 0.35)
 _AZIMUTH, _ELEVATION = 125.0, -20.0  # of the default camera [degrees]
-_POSTURES = 64  # number of random postures from which the arm's workspace is estimated
+_CONFIGURATIONS = 64  # number of random configurations from which the arm's workspace is estimated
 _UNSEEN = {"contype": 0, "conaffinity": 0, "group": 2, "mass": 0.0}  # no effect on contacts and dynamics
 
 
 def reached(arm: Arm) -> Floats:
-    """Points ``(P, 3)`` that the link frames reach, at home and at random postures with a fixed seed."""
+    """Points ``(P, 3)`` that the link frames reach, at home and at random configurations with a fixed seed."""
     low, high = arm.position_limits.T
-    postures = np.random.default_rng(0).uniform(low, high, (_POSTURES, arm.n_joints))
-    places = arm.link_poses(np.vstack([arm.keyframe("home"), arm.within_angles(postures)])).translation
+    configurations = np.random.default_rng(0).uniform(low, high, (_CONFIGURATIONS, arm.n_joints))
+    places = arm.link_poses(np.vstack([arm.keyframe("home"), arm.within_angles(configurations)])).translation
     return np.vstack([arm.base.translation, np.asarray(places).reshape(-1, 3)])
 
 

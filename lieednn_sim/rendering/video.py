@@ -134,7 +134,7 @@ class Camera:
         return np.asarray(self._renderer.render())
 
     def mark(self, target: ArrayLike | None) -> None:
-        """Put the marker at a joint target ``(n,)``; without one, an added marker goes into the base."""
+        """Put the marker at a joint target ``(n,)``; without a target, hide an added marker in the base."""
         if target is None and self._model.nbody == self._arm.model.nbody:
             return
         pose = self._arm.base

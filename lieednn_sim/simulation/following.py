@@ -26,15 +26,15 @@ from lieednn_sim.values import Floats, frozen
 
 @frozen
 class Following:
-    """A rollout behind a policy.
+    """A rollout of an arm that follows a policy.
 
     Attributes:
-        rollout: its reference is the policy's, cubic between control periods, and `motion_end` its end. Its channels
-            are the policy's, besides those of the controller.
+        rollout: the rollout. Its reference is the policy's, cubic between control periods; `motion_end` is its end, and
+            its channels include the policy's.
         target: ``(K, n)`` the target at the rollout's times.
         states: ``(L, ...)`` the policy's states at the beginnings of the L control periods; ``(L, N, 6)`` of a network.
         period: simulation steps in a control period.
-        step_time: ``(L,)`` CPU time of each step of the policy [s]; it alone differs between two runs.
+        step_time: ``(L,)`` CPU time of each step of the policy [s]; only this differs between two equal runs.
     """
 
     rollout: Rollout
@@ -67,9 +67,9 @@ def follow(
 ) -> Following:
     """Let the simulated arm follow a policy, which sees the measured joints and the present target.
 
-    At every control period the policy is told both, and gives the reference for the period's end; a cubic polynomial
-    between these references, at every simulation step, is what the controller is given. Nothing is ever reset. A run is
-    a function of its arguments alone.
+    In every control period the policy gets both and returns the reference for the end of the period. The controller
+    gets a cubic polynomial between these references at every simulation step. The run is a function of its arguments
+    alone.
 
     Args:
         policy: runs the arm; its rate must divide the rate of the simulation. It is reset at the start.
@@ -79,8 +79,8 @@ def follow(
         duration: [s], at least a control period.
         start: joint coordinates ``(n,)`` at rest, or a keyframe's name.
         controller: a name of `CONTROLLERS`.
-        disturbances: what policy and controller do not know of.
-        log: as of `simulate`.
+        disturbances: disturbances unknown to policy and controller.
+        log: further quantities to log, as for `simulate`.
 
     Raises:
         InputError: a value is malformed, the target leaves the position limits, or two channels have one name.

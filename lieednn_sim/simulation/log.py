@@ -115,7 +115,7 @@ class Log:
         sources: sources of channels besides the simulation's pushes.
 
     Raises:
-        InputError: a source is none, or two channels have one name.
+        InputError: a source is no `ChannelSource`, or two channels have the same name.
     """
 
     def __init__(self, simulation: Simulation, *sources: ChannelSource) -> None:
@@ -153,7 +153,7 @@ class Log:
         return self._rows
 
     def step(self) -> None:
-        """Do one step, within `QuietWarnings`, and keep the instant before it, unless the step fails."""
+        """Do one step within `QuietWarnings`; if it does not fail, keep the instant before it."""
         for write, view in self._before:
             write(view)
         self._simulation.advance_once()
@@ -186,7 +186,7 @@ class Log:
         )
 
     def channels(self) -> tuple[dict[str, Floats], dict[str, str]]:
-        """The sources' channels, with the instants along the first axis, and their units; both by name."""
+        """The channels by name, with the instants along the first axis, and their units by name."""
         values: dict[str, Floats] = {}
         units: dict[str, str] = {}
         for source, samples in self._sources:

@@ -11,7 +11,7 @@ _SIGNS = np.array([[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0,
 # Which of (0, wx, wy, wz, xy, xz, yz) are the products with each component.
 _PRODUCTS = np.array([[0, 1, 2, 3], [1, 0, 4, 5], [2, 4, 0, 6], [3, 5, 6, 0]])
 # Lengths that differ from 1 by less are left alone (mjMINVAL).
-_LEAST = 1e-15
+_LEAST_DEVIATION = 1e-15
 
 
 def quaternions(matrices: Floats) -> Floats:
@@ -31,5 +31,5 @@ def quaternions(matrices: Floats) -> Floats:
     q = 0.25 * products[_PRODUCTS[largest], rows[:, None]] / size[:, None]
     q[rows, largest] = size
     norm = np.sqrt(q[:, 0] * q[:, 0] + q[:, 1] * q[:, 1] + q[:, 2] * q[:, 2] + q[:, 3] * q[:, 3])[:, None]
-    q = np.where(np.abs(norm - 1.0) > _LEAST, q * (1.0 / norm), q)
+    q = np.where(np.abs(norm - 1.0) > _LEAST_DEVIATION, q * (1.0 / norm), q)
     return q.reshape(*matrices.shape[:-2], 4)

@@ -54,7 +54,7 @@ class Reference:
         return reference
 
     def extend(self, q: Floats, qd: Floats) -> None:
-        """Make the next rows ``(m, n)`` known; rows that do not fit are dropped."""
+        """Make the next rows ``(m, n)`` known; rows beyond the last one are dropped."""
         count = min(len(q), len(self.q) - self.known)
         rows = slice(self.known, self.known + count)
         self.q[rows], self.qd[rows] = q[:count], qd[:count]
@@ -63,7 +63,7 @@ class Reference:
         self.revision += 1
 
     def become(self, other: Reference) -> None:
-        """Share the rows of another reference of the same arm, with the same hold."""
+        """Take the rows of another reference of the same arm and with the same hold, without a copy."""
         self.q, self.qd, self.qpos, self.qvel = other.q, other.qd, other.qpos, other.qvel
         self.known = other.known
         self.revision += 1
@@ -134,7 +134,7 @@ class Foreseen:
         self._rows: Any = ()
 
     def row(self, step: int, make: Callable[[range], Any]) -> Any:
-        """The row of a step; ``make`` returns the rows of a range of steps, as an array or a list."""
+        """The row of a step; ``make`` computes the rows of a range of steps, an array or a list."""
         reference = self._reference
         if self._revision != reference.revision or step not in self._steps:
             # The last known row serves as the goal of the step before it.
@@ -145,11 +145,11 @@ class Foreseen:
 
 
 def interpolator(period: float, steps: int) -> Callable[[Floats, Floats, Floats, Floats], tuple[Floats, Floats]]:
-    """What makes a cubic polynomial between the references of two control periods.
+    """A function that interpolates the references of two control periods by a cubic polynomial.
 
     Args:
         period: control period [s].
-        steps: m, simulation steps in it.
+        steps: number m of simulation steps in a control period.
 
     Returns:
         A function of q, qd at the beginning and at the end of a period, each ``(n,)``, to q and qd ``(m, n)`` after

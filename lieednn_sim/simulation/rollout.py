@@ -165,8 +165,8 @@ class Rollout:
         """Read a file of `save`.
 
         Args:
-            path: of the file.
-            arm: that was simulated, in the same scene.
+            path: path of the file.
+            arm: the simulated arm, in the same scene.
             motion: the plan that was followed, which the file does not hold.
 
         Raises:

@@ -24,7 +24,7 @@ _MOST_STEPS = 10**7
 class Simulation:
     """A simulated arm; its state is a function of the arguments, the last reset and the controls since then.
 
-    A user sets ``data.ctrl`` (or a `Controller` does) and calls `advance`, or steps it by a `Log`.
+    The user or a `Controller` sets ``data.ctrl``; `advance` or a `Log` does the steps.
 
     Args:
         arm: the arm; its model is not changed.
@@ -110,10 +110,10 @@ class Simulation:
         self.noise = self._sensors.draw()
 
     def advance(self, steps: int = 1, controls: Floats | None = None) -> None:
-        """Do steps without a record; a `Log` keeps one.
+        """Do steps without logging them.
 
         Args:
-            steps: number of steps.
+            steps: number of steps to do.
             controls: ``(steps, nu)`` controls of each step; by default the present ones for all.
 
         Raises:

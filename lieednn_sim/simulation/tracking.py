@@ -103,7 +103,7 @@ def simulate(
         target: ``(n,)`` joint position to reach; by default the plan's, or the motion's end.
         controller: a name of `CONTROLLERS`.
         hold: time after the end of the motion [s].
-        mass_scale: short for `Disturbances.mass_scale`; the two are multiplied.
+        mass_scale: factor by which `Disturbances.mass_scale` is multiplied.
         reference_rate: rate of the samples of the motion that the controller sees, held in between [Hz]; a divisor of
             the simulation's rate. By default it sees every step.
         disturbances: disturbances unknown to the controller.
@@ -152,7 +152,7 @@ def simulate(
 
 
 def _drive(driver: Controller, simulation: Simulation, total: int) -> Callable[[int], None]:
-    """What sets the controls of each of some steps from a reset on: known beforehand, if they can be."""
+    """A function that sets the controls of a step after a reset; they are computed beforehand if possible."""
     model, data, inputs = simulation.model, simulation.data, driver.inputs(range(total), simulation.first_noise(total))
     if inputs is None:
         return lambda k: driver.act(data, k, simulation.noise)
@@ -161,6 +161,6 @@ def _drive(driver: Controller, simulation: Simulation, total: int) -> Callable[[
 
 
 def joined(inputs: Inputs) -> tuple[int, Floats]:
-    """What `mj_setState` takes for inputs of steps: the parts of the state, and a row ``(m, size)`` of each step."""
+    """Arguments of `mj_setState` for inputs of m steps: the parts of the state, and a row ``(m, size)`` per step."""
     kinds = sorted(inputs, key=int)
     return sum(map(int, kinds)), np.concatenate([inputs[kind].reshape(len(inputs[kind]), -1) for kind in kinds], axis=1)

@@ -70,7 +70,7 @@ class TableRow:
 
     @property
     def motion(self) -> Any:
-        """What rows of the same planned motion have in common, by default the key."""
+        """A key that rows of the same planned motion have in common; by default, the key of the row."""
         return self.key
 
     def as_texts(self) -> dict[str, str]:

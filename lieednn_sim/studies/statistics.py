@@ -98,5 +98,5 @@ def numbers(rows: Sequence[R], column: str) -> list[float]:
 
 
 def pattern_of(reason: str) -> str:
-    """A reason with names and numbers replaced by an ellipsis."""
+    """The reason of a failure with names and numbers replaced by an ellipsis, to group similar ones."""
     return _NUMBER.sub("…", _QUOTED.sub("…", reason))

@@ -1,4 +1,4 @@
-"""What all studies have in common: cases that are run on several cores or any executor, and a table that is resumed."""
+"""The base class of studies: cases that run on several cores or any executor, into a table that can be continued."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from rich.console import Console
 
 from lieednn_sim import filesystem
 from lieednn_sim.errors import LieEDNNError
-from lieednn_sim.studies.entries import Entry, record
 from lieednn_sim.studies.rows import TableRow
 from lieednn_sim.studies.table import Table
+from lieednn_sim.studies.user_files import UserFile, record_files
 from lieednn_sim.studies.workers import run_each
 from lieednn_sim.validation import as_workers
 
@@ -28,12 +28,12 @@ class Study(ABC, Generic[R]):
     Attributes:
         name: name of the table's files without suffix, and of the progress bar.
         kind: class of the rows.
-        entries: the user's arms and scenes among the cases; where there are any, `run` gets them as ``entries``.
+        user_files: the user's arms and scenes; where there are any, `run` gets them as ``user_files``.
     """
 
     name: ClassVar[str]
     kind: type[R]
-    entries: tuple[Entry, ...] = ()
+    user_files: tuple[UserFile, ...] = ()
 
     def settings(self) -> Mapping[str, Any]:
         """Settings of all rows; a table that was made with others is refused."""
@@ -50,9 +50,10 @@ class Study(ABC, Generic[R]):
     @property
     @abstractmethod
     def run(self) -> Callable[..., list[R]]:
-        """A module's function, run in another process: the rows of a case from its arguments in `todo`.
+        """The function that computes the rows of a case from its arguments in `todo`.
 
-        Failures of the case are rows with a reason; exceptions are taken for bugs.
+        It runs in another process, so it must be defined at the top of a module. Where a case fails, its rows carry the
+        reason; an exception counts as a bug.
         """
 
     @abstractmethod
@@ -86,16 +87,16 @@ def compute(
 
     Raises:
         InputError: ``jobs`` is less than 1.
-        FileError: see `Table` and `entries.record`; or the table cannot be written.
+        FileError: see `Table` and `user_files.record_files`; or the table cannot be written.
         LieEDNNError: a worker process died, or the executor gave up.
     """
     workers = as_workers("jobs", jobs)
-    record(filesystem.make_directory(directory), study.entries)
+    record_files(filesystem.make_directory(directory), study.user_files)
     table = study.open(directory)
     todo = study.todo(table)
     if not todo:
         return table
-    run = partial(study.run, entries=study.entries) if study.entries else study.run
+    run = partial(study.run, user_files=study.user_files) if study.user_files else study.run
     shown = console or Console(quiet=True)
 
     def add(case: tuple[Any, ...], rows: list[R], error: Exception | None) -> None:

@@ -26,6 +26,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from lieednn_sim.errors import LieEDNNError
 from lieednn_sim.planning.registry import REGISTRY as PLANNER_REGISTRY
+from lieednn_sim.policies.registry import REGISTRY as POLICY_REGISTRY
 from lieednn_sim.simulation.controllers import REGISTRY as CONTROLLER_REGISTRY
 
 # Tasks submitted at once: enough for a cluster, while memory does not grow with the study.
@@ -38,7 +39,7 @@ _GROUP = {signal.SIGINT}
 
 
 class _Worker(SpawnProcess):
-    """A process that is started with Ctrl-C blocked, which would end it with a traceback until it is prepared."""
+    """A process that starts with Ctrl-C blocked, so that none ends it with a traceback before it is prepared."""
 
     def start(self) -> None:
         before = signal.pthread_sigmask(signal.SIG_BLOCK, _GROUP)
@@ -130,12 +131,12 @@ def run_each(
 
 
 def released(run: Callable[..., Any], *task: Any) -> Any:
-    """Run a task, and give the memory that it has used back to the system.
+    """Run a task, then return the memory that it used to the system.
 
     A reference cycle of a few Python objects may hold megabytes of MuJoCo's or OMPL's, which Python does not count when
     it decides whether to collect cycles; and arrays of many sizes leave holes in the heap of glibc, which keeps them.
-    Without this, workers grew from 0.2 to 0.8 GB in a thousand cases. In a process with much else to search, an
-    executor's, it is done less often than after each task: it takes a twentieth of the time at most.
+    Without this, workers grew from 0.2 to 0.8 GB in a thousand cases. In an executor's process, where a collection has
+    much to search, it is done less often than after each task, so that it takes at most a twentieth of the time.
     """
     global _released
     try:
@@ -179,8 +180,8 @@ def exit_code(work: Callable[[], Path], console: Console, kept: str) -> int:
 
 
 def _modules() -> list[str]:
-    """Modules of the user's planners and controllers, which workers must import to register these."""
-    others = (*PLANNER_REGISTRY.given.values(), *CONTROLLER_REGISTRY.given.values())
+    """Modules of the user's planners, policies and controllers, which workers must import to register these."""
+    others = [one for kind in (PLANNER_REGISTRY, POLICY_REGISTRY, CONTROLLER_REGISTRY) for one in kind.given.values()]
     return sorted({str(one.__module__) for one in others} - {"__main__"})
 
 

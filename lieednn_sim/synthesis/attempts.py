@@ -1,4 +1,4 @@
-"""Attempts at certified networks: a fast search for many targets at once, then a patient one for each that is left."""
+"""Attempts at certified networks: a fast search for many targets at once, then a patient one for each failed one."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _MOST_ATTEMPTS = 10_000
 
 @dataclass(frozen=True)
 class Options:
-    """The arguments of `synthesize` that all networks of a stack share.
+    """The arguments of `synthesize` that are the same for all networks of a stack.
 
     Raises:
         InputError: a value is out of range.

@@ -13,7 +13,7 @@ BIAS_RULES = ("uniform", "sign-matched", "solved")
 # Rotations drive translations through t poorly when all their coordinates are below this [rad] ...
 _SMALL_ROTATION = 0.6
 # ... and not at all when a single neuron turns by more than this [rad].
-_TURNING = 0.05
+_LEAST_TURN = 0.05
 # Where the strength must be raised: W u = c must leave room below the bound, u^T P c <= _AIM u^T P u, for a P that
 # weights helpful coordinates at most 1 / _HELP times as much as harmful ones.
 _AIM, _HELP = 0.85, 0.2
@@ -60,12 +60,13 @@ def _least_strength(xi: Floats, outputs: Floats, magnitude: float) -> float:
 
 
 def equation_columns(xi: Floats) -> list[slice]:
-    """Which coordinates (omega, v) the weights W_R should meet by themselves.
+    """The parts (omega, v) of the target whose equations the weights W_R should meet without translations t.
 
-    The rotational ones always; the translational ones too where t could not meet them: when the rotations are small, or
-    when only one neuron turns, so that a row that must not turn, alpha_i0 R_i0 phi(omega_0) = 0, has no lever arm.
+    W_R always meets the rotational ones. It also meets the translational ones where t could not: when the rotations are
+    small, or when only one neuron turns, so that a row that must not turn, alpha_i0 R_i0 phi(omega_0) = 0, has no lever
+    arm.
     """
-    turning = np.linalg.norm(xi[:, :3], axis=1) > _TURNING
+    turning = np.linalg.norm(xi[:, :3], axis=1) > _LEAST_TURN
     if np.abs(xi[:, :3]).max() < _SMALL_ROTATION or np.count_nonzero(turning) < 2:
         return [slice(0, 3), slice(3, 6)]
     return [slice(0, 3)]

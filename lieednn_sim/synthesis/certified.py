@@ -39,11 +39,11 @@ def synthesize(
         activation: a name of `network.ACTIVATIONS`.
         seed: seed of the random starts; the same seed gives the same network.
         max_translation: largest |t_ij| allowed.
-        max_attempts: starts to try before giving up.
+        max_attempts: number of starts to try.
 
     Returns:
-        The outcome. Where `network` is None it failed, and `message` says whether no such network exists, or none was
-        found from ``max_attempts`` starts.
+        The outcome. If it failed, `network` is None and `message` says whether no such network exists or none was
+        found.
 
     Raises:
         InputError: a value has the wrong shape or range.
@@ -83,7 +83,7 @@ def synthesize_many(
         activation: a name of `network.ACTIVATIONS`.
         seed: seed from which a generator for each target's starts is spawned.
         max_translation: largest |t_ij| allowed.
-        max_attempts: starts to try for each target before giving up on it.
+        max_attempts: number of starts to try for each target.
 
     Returns:
         B outcomes, in the order of the targets; a failure does not affect the others.

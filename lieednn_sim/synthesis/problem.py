@@ -73,7 +73,7 @@ class Point(NamedTuple):
         return self if len(which) == len(self.unknowns) else Point(*(array[which] for array in self))
 
     def moved(self, which: Indices, other: Point) -> Point:
-        """The stack with the points of another one in the places ``which``."""
+        """The stack with the points of another stack at the indices ``which``."""
         if len(which) == len(self.unknowns):
             return other
         for mine, theirs in zip(self, other, strict=True):
@@ -97,7 +97,7 @@ class Problem:
 
     Args:
         inputs: ``(N, 3, K)`` columns that W_R acts on.
-        outputs: ``(N, 3, K)`` what it must map them to.
+        outputs: ``(N, 3, K)`` columns to which W_R must map them.
         signs: ``(N, N)`` signs of the blocks' alpha, fixed.
     """
 
@@ -114,7 +114,7 @@ class Problem:
         return Problem(self.inputs[which], self.outputs[which], self.signs[which])
 
     def one(self, which: int) -> Problem:
-        """One of a stack, by itself."""
+        """The problem of a stack with this index, without leading axes."""
         return Problem(self.inputs[which], self.outputs[which], self.signs[which])
 
     def blocks(self, unknowns: Floats) -> tuple[Floats, Floats]:

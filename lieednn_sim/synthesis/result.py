@@ -18,8 +18,8 @@ class Synthesis:
         network: the certified network, or None. An uncertified network is never returned.
         residual: largest entry of the vector field at the target.
         largest_translation: largest |t_ij| of the weights.
-        attempts: starts tried.
-        iterations: iterations of the searches from all starts.
+        attempts: number of starts tried.
+        iterations: number of iterations of all searches.
         cpu_time: CPU time since the beginning of the call [s].
     """
 

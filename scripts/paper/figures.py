@@ -81,8 +81,8 @@ def training(results: Results) -> tuple[Figure, str] | None:
     return drawn, (
         "Training with the repaired Algorithm 1: (a) loss and (b) accuracy for the projection periods that the paper "
         "recommends, (c) and (d) outside of them. Lines in (a) and (c) are medians over targets, bands their quartiles "
-        f"({counts}); accuracy is the share of the 24 coordinates within tau = {TOLERANCE:g}, and all of them are only "
-        "below the dotted line. A run that stopped keeps its last value."
+        f"({counts}); accuracy is the fraction of the 24 coordinates within tau = {TOLERANCE:g}, and all of them are "
+        "only below the dotted line. A run that stopped keeps its last value."
     )
 
 
@@ -155,7 +155,7 @@ def periods(results: Results) -> tuple[Figure, str] | None:
         axis.set_xlabel("projection period $P$ [epochs]")
         axis.set_xlim(-0.6, len(PERIODS) - 0.4)
         axis.grid(axis="x", visible=False)
-    left.set(ylim=(-0.03, 1.2), yticks=np.linspace(0.0, 1.0, 6), ylabel="share of targets learned")
+    left.set(ylim=(-0.03, 1.2), yticks=np.linspace(0.0, 1.0, 6), ylabel="fraction of targets learned")
     right.set(ylabel="epochs to converge")
     if right.dataLim.ymin > 0.0 and np.isfinite(right.dataLim.ymin):
         right.set_yscale("log")
@@ -165,14 +165,14 @@ def periods(results: Results) -> tuple[Figure, str] | None:
     style.letter(left, "a")
     style.letter(right, "b")
     return drawn, (
-        "Projection period of the repaired Algorithm 1: (a) share of targets learned within "
+        "Projection period of the repaired Algorithm 1: (a) fraction of targets learned within "
         f"{results.plan.max_epochs} epochs, with 95 % Wilson intervals; (b) epochs of the runs that converged, with "
         "medians."
     )
 
 
 def epochs(results: Results) -> tuple[Figure, str] | None:
-    """Share of targets learned within a number of epochs, by algorithm."""
+    """Fraction of targets learned within a number of epochs, by algorithm."""
     shown = [name for name in ALGORITHMS if results[name]]
     if not shown:
         return None
@@ -190,13 +190,13 @@ def epochs(results: Results) -> tuple[Figure, str] | None:
             ls=style.DASHES[k // 2 % len(style.DASHES)],
             label=f"{ALGORITHMS[name]} ({len(spent)}/{len(results[name])})",
         )
-    axis.set(xscale="log", xlabel="epochs, of all starts together", ylabel="share of targets learned")
+    axis.set(xscale="log", xlabel="epochs, of all starts together", ylabel="fraction of targets learned")
     axis.set_xlim(10, results.plan.max_epochs * 1.05)
     axis.set_ylim(-0.02, 1.03)
     _legend_beside(drawn, axis)
     return drawn, (
-        "Share of the random targets learned within a number of epochs (steps for the Riemannian methods); in brackets "
-        "how many in the end. Each has its own limit of epochs, listed in the tables."
+        "Fraction of the random targets learned within a number of epochs (steps for the Riemannian methods); in "
+        "brackets how many in the end. Each has its own limit of epochs, listed in the tables."
     )
 
 

@@ -9,11 +9,11 @@ import numpy as np
 
 from lieednn_sim.learning import StopReason
 from paper.plan import INSIDE, OUTSIDE, TOLERANCE
-from paper.results import Results, column, quantiles, seeds, share, wilson
+from paper.results import Results, column, fraction, quantiles, seeds, wilson
 from paper.runner import Record
 
 HOLDS, PART, FAILS, UNKNOWN = "holds", "holds in part", "does not hold", "not measured"
-# Shares of targets or networks: from MOST on a claim holds, below FEW it does not.
+# Fractions of targets or networks: from MOST on a claim holds, below FEW it does not.
 MOST, FEW = 0.9, 0.1
 
 # Ends by which the network was lost, unlike a lack of epochs.
@@ -25,7 +25,7 @@ class Missing(Exception):
 
 
 def graded(rate: float) -> str:
-    """Verdict on a share."""
+    """Verdict on a fraction."""
     if math.isnan(rate):
         return UNKNOWN
     return HOLDS if rate >= MOST else PART if rate >= FEW else FAILS
@@ -61,7 +61,7 @@ def oscillating(results: Results) -> tuple[str, str]:
     counts = "; ".join(f"{name}: {of(results[name])}" for name in _periods(INSIDE))
     rises = quantiles(column(records, "rises"), 0.5)[0]
     measured = f"{counts}; E rises in {rises:.0%} of the epochs (median)"
-    return measured, graded(share(records)) if rises > 0.01 else FAILS
+    return measured, graded(fraction(records)) if rises > 0.01 else FAILS
 
 
 def small_periods(results: Results) -> tuple[str, str]:
@@ -98,7 +98,7 @@ def large_periods(results: Results) -> tuple[str, str]:
         f"{'; '.join(f'{name}: {of(results[name])}' for name in names)}; P = 8 to 16: {of(groups[1])}; lost or "
         f"unstable {lost[0] / len(groups[0]):.0%} against {lost[1] / len(groups[1]):.0%}"
     )
-    return measured, HOLDS if share(groups[0]) < FEW else PART if apart else FAILS
+    return measured, HOLDS if fraction(groups[0]) < FEW else PART if apart else FAILS
 
 
 def larger_is_faster(results: Results) -> tuple[str, str]:
@@ -152,7 +152,7 @@ def structure(results: Results) -> tuple[str, str]:
 def ablation(results: Results) -> tuple[str, str]:
     records = records_of(results, "no projection")
     middle = quantiles(column(results.successes("no projection"), "epochs"), 0.5)[0]
-    return f"{of(records)} targets, median {middle:.0f} epochs", graded(share(records))
+    return f"{of(records)} targets, median {middle:.0f} epochs", graded(fraction(records))
 
 
 def converging(results: Results) -> tuple[str, str]:
@@ -184,7 +184,7 @@ def norms(results: Results) -> tuple[str, str]:
 
 def stable(results: Results) -> tuple[str, str]:
     records = _good(results, *_periods(INSIDE))
-    certified = share(records, "certified")
+    certified = fraction(records, "certified")
     local = float(np.mean(column(records, "abscissa") < 0.0))
     arriving = float(np.mean(column(records, "reached") == 1.0))
     measured = (
@@ -197,7 +197,7 @@ def stable(results: Results) -> tuple[str, str]:
 def curvature(results: Results) -> tuple[str, str]:
     records = _good(results, *_periods(INSIDE), "tracked", "certified synthesis", "retargeting")
     general = column(records, "acceleration") <= column(records, "acceleration_bound")
-    applies = share(records, "closing_applies")
+    applies = fraction(records, "closing_applies")
     below = float(np.mean(column(records, "acceleration") < column(records, "closing")))
     measured = (
         f"first inequality: {general.mean():.0%} of {len(records)} trajectories; the closing one needs ||W||_inf < "
@@ -209,14 +209,15 @@ def curvature(results: Results) -> tuple[str, str]:
 def alpha(results: Results) -> tuple[str, str]:
     fixed, learned = records_of(results, "alpha fixed"), records_of(results, "P=10")
     measured = f"alpha fixed: {of(fixed)}; learned: {of(learned)}"
-    return measured, HOLDS if share(fixed) < FEW <= share(learned) else PART if share(fixed) < share(learned) else FAILS
+    before, after = fraction(fixed), fraction(learned)
+    return measured, HOLDS if before < FEW <= after else PART if before < after else FAILS
 
 
 def norm_loss(results: Results) -> tuple[str, str]:
     records = records_of(results, "loss E")
     errors = quantiles(column(records, "error"), 0.0, 0.5)
     measured = f"{of(records)} targets with alpha learned; smallest error {errors[0]:.2g}, median {errors[1]:.2g}"
-    return measured, graded(share(records))
+    return measured, graded(fraction(records))
 
 
 def literal(results: Results) -> tuple[str, str]:
@@ -224,7 +225,7 @@ def literal(results: Results) -> tuple[str, str]:
     errors = quantiles(column(records, "error"), 0.0)[0]
     reasons = sorted({record["reason"] for record in records})
     measured = f"{of(records)} targets reach tau; smallest error {errors:.2g}; ends: {', '.join(reasons)}"
-    return measured, graded(share(records))
+    return measured, graded(fraction(records))
 
 
 def minutes(results: Results) -> tuple[str, str]:

@@ -15,7 +15,7 @@ from paper.checks import CHECKS
 from paper.claims import judge
 from paper.measures import FAILS, FEW, HOLDS, MOST, PART, UNKNOWN
 from paper.plan import BIAS, PERIODS, TOLERANCE
-from paper.results import Results, column, quantiles, seeds, share, wilson
+from paper.results import Results, column, fraction, quantiles, seeds, wilson
 from paper.runner import Record
 
 COMPARED = {
@@ -69,7 +69,7 @@ def write(results: Results, figures: dict[str, str], run: Run, directory: Path) 
         "# What of the paper reproduces\n",
         _made(results, run),
         "## Claims\n",
-        f"Verdicts follow from the numbers: a share of {MOST:.0%} or more holds, one below {FEW:.0%} does not, what "
+        f"Verdicts follow from the numbers: a fraction of {MOST:.0%} or more holds, one below {FEW:.0%} does not, what "
         "lies between, or needs a condition that the paper does not state, holds in part.\n",
         _counted([claim.verdict for claim in claims]),
         table(
@@ -77,7 +77,7 @@ def write(results: Results, figures: dict[str, str], run: Run, directory: Path) 
             [(claim.text, claim.source, claim.measured, f"**{claim.verdict}**") for claim in claims],
         ),
         "## Comparison of algorithms\n",
-        "Same random targets for all (the first ones where fewer). Certificate: the share of the learned networks with "
+        "Same random targets for all (the first ones where fewer). Certificate: fraction of the learned networks with "
         "a diagonal Lyapunov proof of global stability. Structure: largest relative distance to weights alpha Ad. "
         "Times are medians over all runs, other medians are over the successful runs.\n",
         compared(results),
@@ -128,7 +128,7 @@ def _compared(label: str, records: list[Record], good: list[Record]) -> tuple[st
         rate(len(good), len(records)),
         number(quantiles(column(good, "epochs"), 0.5)[0], "{:.0f}"),
         _duration(quantiles(column(records, "seconds"), 0.5)[0]),
-        f"{share(good, 'certified'):.0%}" if good else "-",
+        f"{fraction(good, 'certified'):.0%}" if good else "-",
         number(quantiles(column(records, "structure_error"), 1.0)[0], "{:.1g}"),
         f"{number(typical, '{:.2g}')} / {number(longest, '{:.2g}')}",
         number(quantiles(column(good, "one_norm"), 0.5)[0], "{:.3g}"),

@@ -1,4 +1,4 @@
-"""Results of all jobs, grouped, and the few statistics that figures, tables and claims share."""
+"""Results of all jobs, grouped, and the few statistics that figures, tables and claims need."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def column(records: Iterable[Record], name: str) -> np.ndarray:
     return values[~np.isnan(values)]
 
 
-def share(records: list[Record], name: str = "success") -> float:
+def fraction(records: list[Record], name: str = "success") -> float:
     """Fraction of records for which a flag is set; NaN without records."""
     return float(np.mean([bool(record.values.get(name, False)) for record in records])) if records else float("nan")
 

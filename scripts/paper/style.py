@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.rcsetup import cycler
 
 from lieednn_sim import filesystem
-from lieednn_sim.evaluation.figure_layout import settle
+from lieednn_sim.evaluation.figure_layout import fix_layout
 from paper.plan import TOLERANCE
 
 # Okabe and Ito's palette, distinguishable by colour-blind readers; the line styles tell the same for print in grey.
@@ -67,7 +67,7 @@ def band(
 
 def save(drawn: Figure, directory: Path, name: str) -> str:
     """Write a PDF for print and a PNG for the report; returns the PNG's name."""
-    settle(drawn, drawn.dpi)  # the layout is the same for both
+    fix_layout(drawn, drawn.dpi)  # the layout is the same for both
     # No dates in the files: the same results give the same bytes.
     with filesystem.atomic_path(directory / f"{name}.pdf") as path:
         drawn.savefig(path, metadata={"CreationDate": None})

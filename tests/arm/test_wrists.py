@@ -117,7 +117,7 @@ def test_the_other_posture_with_the_same_poses_is_not_the_target():
     assert np.abs(arm.encode(beyond) - arm.encode(other)).max() < 1e-12
     with pytest.raises(
         PlanError,
-        match=r"another posture with the target's poses: joint '(roll' at -1.64|turn' at 2.64)",
+        match=r"another configuration with the target's poses: joint '(roll' at -1.64|turn' at 2.64)",
     ):
         plan(arm, beyond, planner="linear-attractor")
     assert plan(arm, [0.1, 0.5, 0.6, 0.4], planner="linear-attractor").motion.q[-1] == pytest.approx(

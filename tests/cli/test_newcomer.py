@@ -27,8 +27,8 @@ from lieednn_sim.learning import ALGORITHMS, TrainingOptions
 from lieednn_sim.learning import train as learn
 from lieednn_sim.planning import PLANNERS, Plan, reference_network
 from lieednn_sim.planning.certified import CertifiedDetails
-from lieednn_sim.planning.filtering import run_filtered
 from lieednn_sim.planning.motion import Motion
+from lieednn_sim.planning.safety_filter import run_filtered
 from lieednn_sim.simulation import CONTROLLERS, Rollout
 from lieednn_sim.studies.workers import progress_bar
 from lieednn_sim.synthesis import BIAS_RULES

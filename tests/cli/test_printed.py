@@ -78,7 +78,7 @@ def test_synthesize_prints_its_choice(printed):
         "bias": "random, largest entry 0.7",
         "networks": "7 networks drawn, 3 keep the joint limits",
         "duration": "4.25 s",
-        "mechanism gap": "12.5 mm and 3.5 degrees on the way, 0 at the target",
+        "mechanism gap": "12.5 mm and 3.5 degrees at most, 0 at the target",
         "1-norm of W": "3.46 (no network with this equilibrium below 2.35)",
         "warning": "near the edge",
     }
@@ -94,7 +94,7 @@ def test_synthesize_prints_what_another_planner_made(printed):
         "quantity": "value",
         "planner": "shaped",
         "duration": "4.25 s",
-        "mechanism gap": "12.5 mm and 3.5 degrees on the way, 0 at the target",
+        "mechanism gap": "12.5 mm and 3.5 degrees at most, 0 at the target",
         "teacher": "rrt-connect",
         "off its path": "14 mm at the end effector",
     }

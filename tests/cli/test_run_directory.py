@@ -58,7 +58,7 @@ def save(path, made, **changes):
     task, network, motion, rollout = made
     task = dataclasses.replace(task, **changes)
     run = RunDirectory(path)
-    run.create()
+    path.mkdir(parents=True, exist_ok=True)
     run.save_network(task, network, motion)
     run.save_rollout(task, dataclasses.replace(rollout, motion=motion))
     return run, task

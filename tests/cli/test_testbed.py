@@ -99,7 +99,7 @@ def test_arms_are_listed_and_described(own, capsys):
     printed = capsys.readouterr().out
     assert re.search(r"link 1 +two, moved by \[b\]", printed)
     assert re.search(r"c +rad +-1.571 +1.571 +- +- +-", printed)
-    assert "--links, --home: for MJCF" in error(capsys, "arms", "--links", "a", "--home", "c=1")
+    assert "--links, --home: for model files only" in error(capsys, "arms", "--links", "a", "--home", "c=1")
     assert "home must look like JOINT=0.3" in error(capsys, "arms", str(own), "--home", "c")
     assert "no keyframe 'stow'; keyframes of the model: 'bent'" in error(capsys, "arms", str(own), "--keyframe", "stow")
     # The arm is straight at its reference, where nothing is further out.
@@ -225,7 +225,7 @@ def test_where_the_filter_blocks_nothing_is_left_and_the_line_says_by_what(tmp_p
         (["--planner", "magic"], "no planner 'magic'; allowed: "),
         (
             ["--planner", "linear-attractor", "--bias-magnitude", "1"],
-            "--bias-magnitude is for --planner lieednn-certified",
+            "--bias-magnitude applies to --planner lieednn-certified alone",
         ),
         (["--scene", "cave"], "no scene 'cave'; allowed: free, poles"),
         (["--scene-seed", "-1", "--scene", "poles"], "seed"),
@@ -241,7 +241,7 @@ def test_bad_options_stop_the_demo_before_the_work(arguments, message, tmp_path,
 
 def test_a_push_after_the_end_is_no_push(tmp_path, capsys):
     arguments = ["--output", tmp_path / "run", "--n-networks", "3", "--push", "link 1,1,2,3,9,1"]
-    assert "at 9 s comes no earlier than the run's end at 5 s" in error(capsys, "demo", "--no-video", *arguments)
+    assert "at 9 s would begin when the run is over, at 5 s" in error(capsys, "demo", "--no-video", *arguments)
 
 
 def test_the_joints_of_a_large_arm_stand_in_two_blocks(tmp_path, monkeypatch):

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from lieednn_sim._mujoco import mujoco
-from lieednn_sim.environments.frames import to_go
+from lieednn_sim.environments.frames import pose_error_twists
 from lieednn_sim.environments.tasks import closeness
 
 
@@ -28,11 +28,11 @@ def test_twists_lead_from_frames_to_goals(angle):
     begin = RigidTransform.from_components(rng.normal(size=(50, 3)), Rotation.random(50, rng=rng))
     way = RigidTransform.from_exp_coords(twist)
     frames, goals = rows(begin)[:, None], rows(begin * way)[:, None]
-    found, distance, turned = to_go(frames, goals)
+    found, distance, turned = pose_error_twists(frames, goals)
     np.testing.assert_allclose(found[:, 0], twist, atol=1e-13)
     np.testing.assert_allclose(distance, np.linalg.norm(way.translation, axis=1), atol=1e-13)
     np.testing.assert_allclose(turned, angle, atol=1e-13)
-    alone = [to_go(frame, goal)[0] for frame, goal in zip(frames, goals, strict=True)]
+    alone = [pose_error_twists(frame, goal)[0] for frame, goal in zip(frames, goals, strict=True)]
     np.testing.assert_array_equal(found, alone)
 
 
@@ -42,14 +42,14 @@ def test_frames_at_their_goals_and_far_from_them_are_each_as_alone():
     scale = np.resize([0.0, 1e-7, 1e-4, 1e-2, 1.0], (40, 1))
     twist = scale * rng.normal(size=(40, 6))
     frames, goals = rows(begin)[:, None], rows(begin * RigidTransform.from_exp_coords(twist))[:, None]
-    np.testing.assert_allclose(to_go(frames, goals)[0][:, 0], twist, atol=1e-13)
-    alone = [to_go(frame, goal) for frame, goal in zip(frames, goals, strict=True)]
-    for together, each in zip(to_go(frames, goals), zip(*alone, strict=True), strict=True):
+    np.testing.assert_allclose(pose_error_twists(frames, goals)[0][:, 0], twist, atol=1e-13)
+    alone = [pose_error_twists(frame, goal) for frame, goal in zip(frames, goals, strict=True)]
+    for together, each in zip(pose_error_twists(frames, goals), zip(*alone, strict=True), strict=True):
         np.testing.assert_array_equal(together, each)
 
 
 def test_of_several_frames_the_worst_counts_and_tails_fall_to_a_tenth():
     frames = rows(RigidTransform.from_translation(np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])))
     goals = rows(RigidTransform.from_translation(np.array([[0.0, 0.1, 0.0], [1.0, 0.0, 0.3]])))
-    assert to_go(frames, goals)[1] == pytest.approx(0.3)
+    assert pose_error_twists(frames, goals)[1] == pytest.approx(0.3)
     np.testing.assert_allclose(closeness(np.array([0.0, 0.2, 0.7]), 0.2, 0.5), [1.0, 1.0, 0.1])

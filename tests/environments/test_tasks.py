@@ -53,7 +53,7 @@ def test_expert_reaches_targets_with_every_arm_and_random_actions_do_not(arm, mo
     monkeypatch.setattr(trajectories, "_PLANNING_DURATION", 6.0)
     task = make_task("reach", arm, time_limit=3.5)
     rng = np.random.default_rng(1)
-    expert = Expert(task, candidates=2)
+    expert = Expert(task, n_networks=2)
     rewards = {"expert": 0.0, "random": 0.0}
     for policy in rewards:
         task.begin(np.random.default_rng(0))
@@ -277,6 +277,31 @@ def test_an_expert_catches_up_when_others_act(reach):
     for _ in range(3):
         reach.step(expert.act())
     assert_array_equal(other.act(), expert.act())
+
+
+def test_an_expert_may_begin_in_the_middle_of_an_episode(reach):
+    reach.begin(np.random.default_rng(0))
+    for _ in range(20):
+        reach.step(np.ones(8))
+    plan = planned(reach.arm, reach.target(0.0))
+    most = reach.control_timestep * reach.arm.velocity_limits
+    wanted = np.clip((plan.position(21 * reach.control_timestep) - reach.command) / most, -1.0, 1.0)
+    assert_allclose(Expert(reach).act(), wanted, atol=1e-12)
+    # A policy by name begins where the arm is now, so that its first step is small.
+    assert np.abs(Expert(reach, policy="tracker").act()).max() < 0.1
+
+
+def test_a_step_in_contact_depends_on_nothing_but_the_state(gantry):
+    task, rows = make_task("reach", gantry, time_limit=4.0), []
+    for guess in (0.0, 1e3):
+        task.begin(np.random.default_rng(0), {"target": np.full(4, 0.1)})
+        # Down to the floor, on which the ball is pressed in the end.
+        for _ in range(60):
+            task.simulation.data.qacc_warmstart[:] = guess
+            task.step([0.0, 0.0, -1.0, 0.0])
+        rows.append(task.state.row)
+    assert task.simulation.data.ncon > 0
+    assert_array_equal(*rows)
 
 
 def test_a_failed_simulation_terminates(reach):

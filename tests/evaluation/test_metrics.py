@@ -170,8 +170,8 @@ def test_every_number_of_an_evaluation_by_hand(gantry, tmp_path):
         "tracking_rms_deg": 30.0,
         "tracking_max_mm": 10.0,
         "tracking_max_deg": 60.0,
-        "velocity_share": 0.5,
-        "force_share": 0.8,
+        "velocity_fraction": 0.5,
+        "force_fraction": 0.8,
         "controller": "mocap",
     }
     assert flat({name: found[name] for name in expected}) == {

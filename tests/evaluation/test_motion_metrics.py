@@ -139,8 +139,8 @@ def test_an_evaluation_takes_the_worst_link_the_effector_and_the_hardest_joint()
     )
     joints = (JointUse("x", 1.0, 2.0, 9.0, 10.0, 0.0), JointUse("turn", 3.0, 4.0, 1.0, np.inf, 0.0))
     expected = {
-        "velocity_share": 0.75,
-        "force_share": 0.9,
+        "velocity_fraction": 0.75,
+        "force_fraction": 0.9,
         "settling_s": 1.75,
         "final_effector_mm": 2.0,
         "final_effector_deg": 3.0,

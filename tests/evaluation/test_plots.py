@@ -12,7 +12,7 @@ import lieednn_sim as ls
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError
 from lieednn_sim.evaluation import figure_layout, plots
-from lieednn_sim.evaluation.figure_layout import settle
+from lieednn_sim.evaluation.figure_layout import fix_layout
 from lieednn_sim.evaluation.plot_training import plot_training
 from lieednn_sim.learning.history import History
 from lieednn_sim.planning.motion import Motion
@@ -196,7 +196,7 @@ def test_a_settled_figure_is_as_its_layout_engine_leaves_it_and_is_drawn_once(tm
 
     one, other = made(), made()
     one.savefig(tmp_path / "one.png", dpi=130)
-    settle(other, 130)
+    fix_layout(other, 130)
     draws = []
     monkeypatch.setattr(other, "draw", lambda renderer: (draws.append(1), Figure.draw(other, renderer)))
     other.savefig(tmp_path / "other.png", dpi=130)

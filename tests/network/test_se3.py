@@ -253,7 +253,7 @@ def test_save_and_load_are_bit_exact(tmp_path, certified):
         ({"alpha": None}, "has no array 'alpha'; it holds: .*bias"),
         ({"gamma": None}, "not a valid network: .*gamma"),
         ({"gamma": lambda gamma: -gamma}, "gamma must be positive"),
-        ({"activation": lambda _: "relu"}, "no activation 'relu'; allowed: arctan, tanh"),
+        ({"activation": lambda _: "relu"}, "no activation 'relu'; allowed: .*tanh"),
     ],
 )
 def test_tampered_files_are_refused(tmp_path, change, words):
@@ -292,7 +292,7 @@ def test_other_files_are_refused(tmp_path):
         ({"bias": np.zeros((3, 3))}, r"bias must have shape \(3, 6\)"),
         ({"gamma": 0.0}, "gamma must be positive, got 0"),
         ({"mu": np.inf}, "mu must be finite"),
-        ({"activation": "relu"}, "allowed: arctan, tanh"),
+        ({"activation": "relu"}, "allowed: .*tanh"),
         ({"lyapunov_diagonal": np.ones(18)}, r"lyapunov_diagonal must have shape \(9\), got \(18\)"),
     ],
 )

@@ -19,7 +19,7 @@ from lieednn_sim.synthesis import ShapingOptions
 
 S = np.linspace(0.0, 1.0, 200)
 LAW = S**3 * (10.0 - 15.0 * S + 6.0 * S**2)
-OPTIONS = ShapingOptions(neurons=(4,), placed=(16,), iterations=20)
+OPTIONS = ShapingOptions(neurons=(4,), placed_neurons=(16,), iterations=20)
 
 
 def bend(offset=0.0, end=0.0):

@@ -12,20 +12,20 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.errors import InputError, PlanError
-from lieednn_sim.planning import FilteredOptions, GuidedOptions, filtered, missing_planners, plan
+from lieednn_sim.planning import FilteredOptions, GuidedOptions, filtered_planners, missing_planners, plan
 from lieednn_sim.planning.baselines import sampling
-from lieednn_sim.planning.filtering import (
+from lieednn_sim.planning.motion import Motion, check_motion
+from lieednn_sim.planning.safety_filter import (
     Barrier,
     FilteredRun,
     FilterOptions,
     Limit,
     SafetyFilter,
-    run,
+    filtered_run,
     run_filtered,
-    safety,
 )
-from lieednn_sim.planning.filtering.barriers import ApproachBounds
-from lieednn_sim.planning.motion import Motion, check_motion
+from lieednn_sim.planning.safety_filter import filter as filter_module
+from lieednn_sim.planning.safety_filter.barriers import ApproachBounds
 from lieednn_sim.synthesis import synthesize
 
 FREE = Arm.load("telescopic_pr")
@@ -61,7 +61,7 @@ def test_a_free_way_is_left_alone():
     network = synthesize(FREE.encode(target), bias="sign-matched", bias_magnitude=0.5).unwrap()
     run = run_filtered(FREE, network, FREE.keyframe("home"), 6.0, timestep=STEP)
     assert run.success, run.message
-    assert run.filtered_share == 0.0
+    assert run.filtered_fraction == 0.0
     assert run.brakings == 0
     assert run.blocked_by == ()
     np.testing.assert_allclose(run.q[-1], target, atol=1e-3)
@@ -77,7 +77,7 @@ def test_a_blocked_run_names_what_blocks_it_and_penetrates_nothing():
     assert any("obstacle_pole" in name for name in run.blocked_by)
     assert run.blocked_by[0] in run.message
     assert run.clearance.min() > 0.009
-    assert 0.0 < run.filtered_share <= 1.0
+    assert 0.0 < run.filtered_fraction <= 1.0
 
 
 def test_ends_that_touch_or_leave_the_limits_are_refused():
@@ -170,7 +170,7 @@ def test_the_planners_find_a_way_around(name, options, scene, seed):
     np.testing.assert_array_equal(motion.qd[[0, -1]], 0.0)
     assert motion.t[-1] <= 3.0 * 4.0 + 2.0 * motion.timestep
     assert made.details.success
-    assert 0.0 < made.details.filtered_share < 1.0
+    assert 0.0 < made.details.filtered_fraction < 1.0
     # Positions are the integral of the velocities, which never jump.
     middle = 0.5 * motion.timestep * (motion.qd[1:] + motion.qd[:-1])
     np.testing.assert_allclose(np.diff(motion.q, axis=0), middle, atol=1e-6)
@@ -183,7 +183,7 @@ def test_staying_is_a_motion():
 
 
 def test_a_hopeless_problem_says_what_blocks(monkeypatch):
-    monkeypatch.setattr(filtered, "optional_module", lambda _: None)
+    monkeypatch.setattr(filtered_planners, "optional_module", lambda _: None)
     monkeypatch.setattr(sampling, "connecting_path", lambda *_: None)
     target = draw_target(POLES, 0)
     for name, options in (
@@ -222,7 +222,7 @@ def test_approach_bounds_by_hand(tmp_path):
 def test_the_end_of_a_run_is_closed_by_a_quintic():
     """Half way: 1/2 of the way and 5/32 of what the velocity brings; slopes 15/8 and -7/16. No jump at either end."""
     q, qd, goal = np.array([1.0, -2.0]), np.array([0.03, 0.2]), np.array([1.004, -1.99])
-    positions, rates = filtered._closing(q, qd, goal, 0.001)
+    positions, rates = filtered_planners._closing(q, qd, goal, 0.001)
     assert positions.shape == rates.shape == (101, 2)
     np.testing.assert_allclose(positions[[0, 50, 100]], [q, q + 0.5 * (goal - q) + 0.1 * 5.0 / 32.0 * qd, goal])
     np.testing.assert_allclose(rates[[0, 50, 100]], [qd, 1.875 * (goal - q) / 0.1 - 7.0 / 16.0 * qd, [0.0, 0.0]])
@@ -230,7 +230,7 @@ def test_the_end_of_a_run_is_closed_by_a_quintic():
     np.testing.assert_allclose(rates[1:-1], numeric[1:-1], atol=1e-3 * np.abs(rates).max())
     acceleration = np.gradient(rates, 0.001, axis=0)
     assert np.abs(acceleration[[0, -1]]).max() < 0.1 * np.abs(acceleration).max()
-    assert len(filtered._closing(q, qd, goal, 0.2)[0]) == 3, "two steps at least"
+    assert len(filtered_planners._closing(q, qd, goal, 0.2)[0]) == 3, "two steps at least"
 
 
 def test_a_run_becomes_a_motion_by_hand():
@@ -258,12 +258,12 @@ def test_a_run_becomes_a_motion_by_hand():
         qd=rates,
         clock=np.array([0.0, 0.01, 0.02, 0.04]),
         clearance=np.full(4, np.inf),
-        filtered_share=0.0,
+        filtered_fraction=0.0,
         brakings=0,
         reference=reference,
     )
     goal = np.array([0.008, -0.012])
-    motion = filtered.motion_of(run, goal, np.full((1, 6), 3.0), 2)
+    motion = filtered_planners.motion_of(run, goal, np.full((1, 6), 3.0), 2)
     np.testing.assert_allclose(motion.t, 0.01 * np.arange(17), atol=1e-15)
     np.testing.assert_allclose(motion.qd[:7, 0], [0.0, 0.1, 0.2, 0.15, 0.1, 0.05, 0.0], atol=1e-15)
     np.testing.assert_allclose(motion.q[:7, 0], [0.0, 0.0005, 0.002, 0.00375, 0.005, 0.00575, 0.006], atol=1e-15)
@@ -286,7 +286,7 @@ def counting(steps, begin=0.0):
 
 
 def test_legs_are_joined_a_step_apart():
-    joined = run._joined([counting(3), counting(2, 10.0), counting(4, 20.0)])
+    joined = filtered_run._joined([counting(3), counting(2, 10.0), counting(4, 20.0)])
     samples = [0.0, 1.0, 2.0, 10.0, 11.0, 20.0, 21.0, 22.0, 23.0]
     np.testing.assert_allclose(joined.t, 0.1 * np.arange(9), atol=1e-15)
     # The network's own time goes on.
@@ -298,15 +298,15 @@ def test_legs_are_joined_a_step_apart():
     np.testing.assert_array_equal(joined.gap_rotation[:, 0], np.multiply(3.0, samples))
     np.testing.assert_array_equal(joined.xi_target, np.full((1, 6), 20.0))
     only = counting(3)
-    assert run._joined([only]) is only
+    assert filtered_run._joined([only]) is only
 
 
 @pytest.mark.parametrize(("clock", "samples"), [(0.0, 2), (0.25, 3), (0.35, 4), (9.0, 5)])
 def test_a_segment_is_cut_where_the_next_begins_and_hidden_neurons_go_on(monkeypatch, cascade, clock, samples):
-    segment, network = object.__new__(run._Segment), cascade(np.zeros((1, 6)))
+    segment, network = object.__new__(filtered_run._Segment), cascade(np.zeros((1, 6)))
     segment.reference, segment._h, segment.begun = counting(5), 0.1, 2.0
     segment._drawn = SimpleNamespace(arm="arm", state=lambda tau: tau + np.arange(24.0).reshape(4, 6))
-    monkeypatch.setattr(run, "_Segment", lambda *arguments: arguments)
+    monkeypatch.setattr(filtered_run, "_Segment", lambda *arguments: arguments)
     following = segment.next(network, "q", 1.5, clock)
     moved = dataclasses.replace(network, hidden_start=samples - 1 + np.arange(6.0, 24.0).reshape(3, 6))
     assert following == ("arm", moved, "q", 1.5, 0.1, pytest.approx(2.0 + 0.1 * samples))
@@ -329,13 +329,15 @@ def test_a_network_with_hidden_neurons_runs_through_the_filter(gantry, cascade):
 
 def test_times_of_legs_and_velocities_towards_the_network_by_hand():
     # At least 0.4 of a third: 3/4, 1/4 and 2/15, of 17/15 together.
-    np.testing.assert_allclose(run._shares(np.array([3.0, 1.0, 0.0])), np.array([45.0, 15.0, 8.0]) / 68.0)
-    np.testing.assert_allclose(run._shares(np.zeros(2)), [0.5, 0.5])
+    np.testing.assert_allclose(
+        filtered_run._duration_fractions(np.array([3.0, 1.0, 0.0])), np.array([45.0, 15.0, 8.0]) / 68.0
+    )
+    np.testing.assert_allclose(filtered_run._duration_fractions(np.zeros(2)), [0.5, 0.5])
     # sqrt(2 b / |e|) is 4 and 5, then more than the gain of 8.
-    np.testing.assert_allclose(run._towards(np.array([0.5, -0.16]), np.array([4.0, 2.0])), [2.0, -0.64])
-    np.testing.assert_allclose(run._towards(np.array([0.01, 0.0]), np.array([4.0, 2.0])), [0.08, 0.0])
-    np.testing.assert_allclose(run._bounded(np.array([2.0, -6.0]), np.array([1.0, 2.0])), [2.0 / 3.0, -2.0])
-    np.testing.assert_allclose(run._bounded(np.array([0.5, -0.5]), np.array([1.0, 2.0])), [0.5, -0.5])
+    np.testing.assert_allclose(filtered_run._towards(np.array([0.5, -0.16]), np.array([4.0, 2.0])), [2.0, -0.64])
+    np.testing.assert_allclose(filtered_run._towards(np.array([0.01, 0.0]), np.array([4.0, 2.0])), [0.08, 0.0])
+    np.testing.assert_allclose(filtered_run._bounded(np.array([2.0, -6.0]), np.array([1.0, 2.0])), [2.0 / 3.0, -2.0])
+    np.testing.assert_allclose(filtered_run._bounded(np.array([0.5, -0.5]), np.array([1.0, 2.0])), [0.5, -0.5])
 
 
 def test_velocities_from_which_joints_can_brake_by_hand(gantry):
@@ -488,7 +490,7 @@ def test_pairs_are_looked_at_as_far_as_they_can_matter_by_hand(gantry):
 @pytest.mark.parametrize("flag", [0, -4])
 def test_where_nothing_is_solved_the_arm_brakes_as_hard_as_it_may(gantry, monkeypatch, flag):
     filter_ = SafetyFilter(gantry, 0.02)
-    monkeypatch.setattr(safety.daqp, "solve", lambda *_, **__: (np.full(4, 0.7), 0.0, flag, {}))
+    monkeypatch.setattr(filter_module.daqp, "solve", lambda *_, **__: (np.full(4, 0.7), 0.0, flag, {}))
     step = filter_.step(np.zeros(4), np.array([0.5, -1.0, 0.1, -8.0]), np.array([1.0, -2.0, 4.0, -8.0]))
     np.testing.assert_allclose(step.velocity, [0.3, -0.6, 0.0, -6.4], atol=1e-12)
     assert step.braked
@@ -514,7 +516,7 @@ def test_what_holds_the_arm_back_most_is_named_first(gantry):
 def test_the_most_promising_networks_run_first(monkeypatch):
     """Free ones as soon as they are drawn; of the others the one with the least of its way blocked."""
     ran = []
-    search = object.__new__(filtered._Search)
+    search = object.__new__(filtered_planners._Search)
     search.networks, search.options = [], FilteredOptions(tried=3)
     monkeypatch.setattr(search, "_run", lambda network, via=(): ran.append(network))
     drawn = [("half", 0.5), ("most", 0.8), ("free", 0.0), ("little", 0.2), ("some", 0.4)]

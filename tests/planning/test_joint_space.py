@@ -86,7 +86,7 @@ def test_joints_without_a_velocity_limit_are_measured_by_their_range(gantry):
 
 
 def edges_of(gantry, spacing=0.1):
-    """A test of edges whose coordinates are in units of 1, 2, 4 and 8, and the postures that it tests."""
+    """A test of edges whose coordinates are in units of 1, 2, 4 and 8, and the configurations that it tests."""
     seen = []
     clear = MagicMock(tests=0, first_blocked=lambda q: seen.append(q))
     return EdgeTest(gantry, SimpleNamespace(clear=clear), spacing), seen

@@ -304,7 +304,7 @@ def test_a_posture_that_jumps_between_two_samples_is_refused(arm, motion):
         if not refused:
             check_motion(arm, changed)
             continue
-        words = rf"joint '{arm.joint_names[4]}' would jump by {jump:.3g} rad at t = 2\.00 s, where the nearest posture"
+        words = rf"joint '{arm.joint_names[4]}' would jump by {jump:.3g} rad at t = 2\.00 s, where the nearest"
         with pytest.raises(PlanError, match=words):
             check_motion(arm, changed)
 
@@ -351,10 +351,10 @@ def test_candidates_are_screened_by_hand(gantry, monkeypatch):
     ways = [arm.encode(np.zeros((count, 4))) for count in (3, 5)]
     ways[0][1] = arm.encode([0.0, 2.25, 0.0, 0.0])
     ways[1][2, 0, 0] = 0.1
-    monkeypatch.setattr(certified, "rough_ways", lambda networks, start: ways)
+    monkeypatch.setattr(certified, "rough_trajectories", lambda networks, start: ways)
     one, other = certified._screened(arm, [None, None], np.zeros(4))
-    np.testing.assert_allclose(one.way, [[0.0] * 4, [0.0, 2.25, 0.0, 0.0], [0.0] * 4], atol=1e-9)
-    np.testing.assert_allclose(other.way, np.zeros((5, 4)), atol=1e-9)
+    np.testing.assert_allclose(one.q, [[0.0] * 4, [0.0, 2.25, 0.0, 0.0], [0.0] * 4], atol=1e-9)
+    np.testing.assert_allclose(other.q, np.zeros((5, 4)), atol=1e-9)
     assert (one.excess, one.gap) == pytest.approx((0.25, 0.0), abs=1e-9)
     assert other.gap == pytest.approx(0.1 * 2.0)
     assert other.excess <= 0.0

@@ -1,4 +1,4 @@
-"""The quaternion network: postures as quaternions, weights that are quaternions, and that it arrives."""
+"""The quaternion network: joints as quaternions, weights that are quaternions, and that it arrives."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from lieednn_sim.errors import PlanError
 from lieednn_sim.learning import TrainingOptions, train
 from lieednn_sim.learning.manifold import QuaternionWeights
 from lieednn_sim.planning import PlanningProblem, QshnnOptions
-from lieednn_sim.planning.baselines.qshnn import JointPostures, learned, path_of, qshnn
+from lieednn_sim.planning.baselines.qshnn import JointQuaternions, learned, path_of, qshnn
 
 ARMS = [Arm.load(name) for name in ("telescopic_compound", "telescopic_pr", "telescopic_rrp")]
 ARM = ARMS[1]
 PROBLEM = PlanningProblem(ARM, ARM.keyframe("home"), ARM.keyframe("extended"), 4.0)
 OPTIONS = QshnnOptions()
-POSTURES = JointPostures(ARM, OPTIONS.modulus)
-TARGET = POSTURES.quaternions(PROBLEM.target)
+JOINTS = JointQuaternions(ARM, OPTIONS.modulus)
+TARGET = JOINTS.quaternions(PROBLEM.target)
 # p -> p i, p -> p j and p -> p k of p = (w, x, y, z): (w + x i + y j + z k) i = -x + w i + z j - y k, and so on.
 RIGHT = np.array(
     [
@@ -41,23 +41,23 @@ def result():
 
 
 def test_a_hinge_is_its_turn_and_a_slide_a_share_of_half_a_turn():
-    postures, (low, high) = JointPostures(ARM, 1.0), ARM.position_limits.T
+    joints, (low, high) = JointQuaternions(ARM, 1.0), ARM.position_limits.T
     q = 0.5 * (low + high)
-    np.testing.assert_allclose(postures.quaternions(q), np.tile([1.0, 0.0, 0.0, 0.0], (8, 1)), atol=1e-15)
+    np.testing.assert_allclose(joints.quaternions(q), np.tile([1.0, 0.0, 0.0, 0.0], (8, 1)), atol=1e-15)
     turn, lift = (ARM.joint_names.index(name) for name in ("turn", "lift"))
     q[turn], q[lift] = q[turn] + math.pi / 3, high[lift]
     # Both about the vertical; half of the range is a quarter of a turn.
-    np.testing.assert_allclose(postures.quaternions(q)[turn], [math.sqrt(0.75), 0.0, 0.0, 0.5], atol=1e-15)
-    np.testing.assert_allclose(postures.quaternions(q)[lift], np.array([1.0, 0.0, 0.0, 1.0]) / math.sqrt(2), atol=1e-15)
+    np.testing.assert_allclose(joints.quaternions(q)[turn], [math.sqrt(0.75), 0.0, 0.0, 0.5], atol=1e-15)
+    np.testing.assert_allclose(joints.quaternions(q)[lift], np.array([1.0, 0.0, 0.0, 1.0]) / math.sqrt(2), atol=1e-15)
 
 
 @given(seed=st.integers(0, 2**32 - 1), arm=st.sampled_from(ARMS))
 def test_postures_come_back_whatever_the_modulus_and_the_turns_about_other_axes(seed, arm):
-    rng, postures = np.random.default_rng(seed), JointPostures(arm, 0.5)
+    rng, joints = np.random.default_rng(seed), JointQuaternions(arm, 0.5)
     q = rng.uniform(*arm.position_limits.T, (3, arm.n_joints))
-    x = postures.quaternions(q)
+    x = joints.quaternions(q)
     np.testing.assert_allclose(np.linalg.norm(x, axis=-1), 0.5, atol=1e-12)
-    np.testing.assert_allclose(postures.positions(rng.uniform(0.1, 2.0, (3, x.shape[1], 1)) * x), q, atol=1e-9)
+    np.testing.assert_allclose(joints.positions(rng.uniform(0.1, 2.0, (3, x.shape[1], 1)) * x), q, atol=1e-9)
 
 
 def test_the_nearest_quaternion_is_the_mean_of_its_four_places():
@@ -87,15 +87,15 @@ def test_learned_weights_are_quaternions_with_the_target_as_a_stable_equilibrium
 
 def test_the_network_runs_from_the_start_to_the_target_along_the_path(result):
     matrix, bias = result.network.weight, result.network.bias.ravel()
-    x = POSTURES.quaternions(PROBLEM.start).ravel()
+    x = JOINTS.quaternions(PROBLEM.start).ravel()
     run = solve_ivp(
         lambda _, x: -x + matrix @ np.tanh(x) + bias, (0.0, 200.0), x, rtol=1e-9, atol=1e-11, dense_output=True
     )
     np.testing.assert_allclose(run.y[:, -1], TARGET.ravel(), atol=2e-6)
-    path = path_of(PROBLEM, POSTURES, result.network, 60)
+    path = path_of(PROBLEM, JOINTS, result.network, 60)
     np.testing.assert_array_equal(path[[0, -1]], [PROBLEM.start, PROBLEM.target])
     states = run.sol(200.0 * np.linspace(0.0, 1.0, 4_000) ** 3).T.reshape(-1, *TARGET.shape)
-    along = POSTURES.positions(states)
+    along = JOINTS.positions(states)
     far = np.linalg.norm(path[:, None] - along[None], axis=2).min(axis=1).max()
     assert far < 0.005
     straight = PROBLEM.start + np.linspace(0.0, 1.0, 60)[:, None] * (PROBLEM.target - PROBLEM.start)
@@ -103,7 +103,7 @@ def test_the_network_runs_from_the_start_to_the_target_along_the_path(result):
 
 
 def test_the_motion_comes_close_to_the_path(result):
-    path, motion = path_of(PROBLEM, POSTURES, result.network, 60), qshnn(PROBLEM, OPTIONS)
+    path, motion = path_of(PROBLEM, JOINTS, result.network, 60), qshnn(PROBLEM, OPTIONS)
     far = np.linalg.norm(path[:, None] - motion.q[None, ::10], axis=2).min(axis=1).max()
     assert far < 0.01
 

@@ -76,7 +76,7 @@ def test_a_network_keeps_its_path_and_every_limit():
         assert fast.t[-1] < 0.9 * slow.t[-1], name
         # As fast as it goes: something is at its limit.
         assert max(rates(arm, fast)) > 0.8
-        # The same postures in the same order, with the states that made them.
+        # The same configurations in the same order, with the states that made them.
         assert np.all(np.diff(fast.tau) >= 0.0)
         steps = np.linalg.norm(np.diff(slow.q, axis=0), axis=1).max()
         assert cKDTree(slow.q).query(fast.q)[0].max() <= steps

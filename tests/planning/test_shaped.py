@@ -64,7 +64,7 @@ def test_a_law_of_time_is_kept_by_another_path_of_the_same_shape():
     target = draw_target(arm, 3)
     made = plan(arm, target, planner="lieednn-certified", options=CertifiedOptions(n_networks=2))
     units = lever_units(arm, made.motion.q)
-    path = NetworkPath.drawn(arm, made.network, arm.keyframe("home"), units)
+    path = NetworkPath.integrate(arm, made.network, arm.keyframe("home"), units)
     again = path.timed(made.motion.t[-1], made.motion.timestep, law_of(made.motion, units))
     np.testing.assert_allclose(again.q, made.motion.q, atol=2e-6)
     np.testing.assert_allclose(again.qd, made.motion.qd, atol=1e-4)

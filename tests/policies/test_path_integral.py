@@ -17,8 +17,8 @@ def test_rollouts_go_where_velocities_lead_and_see_what_is_near(gantry):
     rng = np.random.default_rng(0)
     start, velocities = np.array([0.2, -0.3, -0.6, 0.5]), rng.normal(size=(3, 5, 4))
     velocities[:, :, 2] = -0.9
-    postures, clearance = VelocityRollouts(gantry, 0.1, 0.25)(start, velocities)
-    np.testing.assert_allclose(postures, start + 0.1 * np.cumsum(velocities, axis=1), atol=2e-3)
+    configurations, clearance = VelocityRollouts(gantry, 0.1, 0.25)(start, velocities)
+    np.testing.assert_allclose(configurations, start + 0.1 * np.cumsum(velocities, axis=1), atol=2e-3)
     # The ball, 0.1 m in radius, is 0.3 m above the floor, which is seen from 0.25 m on, and goes through it.
     expected = 0.3 - 0.09 * np.arange(5.0)
     assert (clearance[:, 0] == np.inf).all()

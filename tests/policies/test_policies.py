@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
+
 import numpy as np
 import pytest
 
 import lieednn_sim as ls
 from lieednn_sim.errors import InputError
-from lieednn_sim.planning import plan
-from lieednn_sim.planning.filtering import FilterOptions
+from lieednn_sim.planning import ShapedOptions, plan
+from lieednn_sim.planning.safety_filter import FilterOptions
 from lieednn_sim.policies import (
     POLICIES,
     FabricOptions,
@@ -42,6 +45,18 @@ def test_every_policy_arrives_and_a_reset_begins_anew_to_the_bit(name, gantry):
     assert np.isfinite(policy.state).all()
 
 
+@pytest.mark.parametrize("safety", [None, FilterOptions()])
+@pytest.mark.parametrize("name", POLICIES)
+def test_a_copy_goes_on_as_the_policy_does(name, safety, gantry):
+    policy = make_policy(name, gantry, GOAL, rate=50.0, safety=safety)
+    for _ in range(10):
+        policy.step(policy.q, GOAL)
+    copies = [copy.deepcopy(policy), pickle.loads(pickle.dumps(policy))]
+    steps = np.array([[one.step(one.q, GOAL) for _ in range(20)] for one in (policy, *copies)])
+    np.testing.assert_array_equal(steps[1:], steps[:1].repeat(2, axis=0))
+    assert copies[1].channel_units == policy.channel_units
+
+
 @pytest.mark.parametrize("name", ["linear-attractor", "dmp", "fabric", "mppi"])
 def test_policies_with_feedback_yield_to_an_arm_that_is_held_aside_and_others_do_not(name, gantry):
     aside = 0.2 * gantry.ranges * np.eye(4)[1]
@@ -63,6 +78,70 @@ def test_nothing_is_faster_than_its_limits(gantry):
             assert (np.abs(qd) <= 1.002 * np.minimum(gantry.velocity_limits, policy.allowed() + 1.0)).all()
             assert (np.abs(qd) - np.abs(before) <= 1.002 * 0.02 * gantry.acceleration_limits).all()
             before = qd
+
+
+class Fixed(Policy):
+    """Its reference does not move, whatever its rates say."""
+
+    def act(self, measured, target):
+        return np.array([0.001, 0.0, 0.0, 0.0]), np.array([0.05, 0.0, 0.0, 0.0])
+
+
+def test_a_filtered_reference_follows_by_hand(gantry):
+    inner = Fixed(gantry, 50.0)
+    policy = FilteredPolicy(inner, FilterOptions(smoothing=1.0))
+    policy.reset(np.zeros(4))
+    # Wanted are 0.05 + 8 (0.001 - q - v T / 2), of which the change from v is halved.
+    speed, place = 0.0, 0.0
+    for _ in range(2):
+        wanted = 0.05 + 8.0 * (0.001 - place - 0.01 * speed)
+        place, speed = place + 0.01 * (speed + 0.5 * (wanted + speed)), 0.5 * (wanted + speed)
+        q, qd = policy.step(None, np.zeros(4))
+        np.testing.assert_allclose((q[0], qd[0]), (place, speed), atol=1e-9)
+        # The inner policy is told, so that its limits count from there.
+        assert (inner.q is q, inner.qd is qd) == (True, True)
+
+
+def test_a_filter_allows_a_start_nearer_than_its_margin_and_refuses_contact(gantry):
+    # The ball touches the floor at -0.9 m.
+    near = np.array([0.0, 0.0, -0.895, 0.0])
+    policy = FilteredPolicy(Fixed(gantry, 50.0), FilterOptions())
+    policy.reset(near)
+    policy.step(None, near)
+    assert (policy.blocking, policy.braked) == ((), False)
+    with pytest.raises(InputError, match="touch"):
+        policy.reset([0.0, 0.0, -0.95, 0.0])
+
+
+def test_a_network_by_name_follows_a_target_without_its_velocity(gantry):
+    policy = make_policy("linear-attractor", gantry, GOAL, rate=50.0, convergence_rate=2.0)
+    for k in range(450):
+        policy.step(None, [0.002 * k, 0.0, 0.0, 0.0])
+    # Each period the distance from the target, which has moved by 0.002, shrinks by e^-0.04.
+    assert 0.002 * 449 - policy.q[0] == pytest.approx(0.002 / (np.exp(0.04) - 1.0), rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        ("linear-attractor", None),
+        ("lieednn-certified", None),
+        ("lieednn-shaped", ShapedOptions(rate=1.0)),
+        ("lieednn-shaped", ShapedOptions(rate=0.3)),
+    ],
+)
+def test_networks_by_name_converge_at_the_rate_asked_for(name, options, gantry):
+    policy = make_policy(name, gantry, GOAL, rate=50.0, convergence_rate=3.0, options=options)
+    for _ in range(100):
+        policy.step(None, GOAL)
+    before = policy.state
+    for _ in range(50):
+        policy.step(None, GOAL)
+    middle = policy.state
+    for _ in range(50):
+        policy.step(None, GOAL)
+    # The slowest mode shrinks by e^-3 in a second, whatever its end.
+    assert np.abs(policy.state - middle).max() == pytest.approx(np.exp(-3.0) * np.abs(middle - before).max(), rel=0.03)
 
 
 def test_the_filter_goes_around_any_policy(gantry):

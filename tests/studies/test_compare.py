@@ -53,7 +53,7 @@ def test_a_row_holds_what_the_plan_says_of_itself():
     way = target - arm.keyframe("home")
     ranges = arm.position_limits[:, 1] - arm.position_limits[:, 0]
     assert value["path_ranges"] == pytest.approx(np.linalg.norm(way / ranges), rel=1e-5)
-    assert value["velocity_share"] == pytest.approx((1.875 * abs(way) / 4.0 / arm.velocity_limits).max(), rel=1e-3)
+    assert value["velocity_fraction"] == pytest.approx((1.875 * abs(way) / 4.0 / arm.velocity_limits).max(), rel=1e-3)
     # The third derivative of sigma is 60 - 360 s + 360 s^2, whose mean square is 720.
     assert value["jerk_joints"] == pytest.approx((720.0 * ((way / ranges) ** 2).mean()) ** 0.5 / 4.0**3, rel=2e-3)
     assert value["motion_s"] == 4.0
@@ -354,3 +354,16 @@ def test_missing_planners_are_left_out(monkeypatch):
     monkeypatch.setattr("lieednn_sim.studies.comparison.study.missing_planners", lambda: {"rrt-star": "pip install it"})
     made = Comparison(("rrt-star", "se3-geodesic"), ("telescopic_pr",), ("free",), seeds=1).cases()
     assert made == [Case("telescopic_pr", "free", "se3-geodesic", 0)]
+
+
+def test_slow_planners_come_first_by_what_they_took_or_are_declared_to_take(tmp_path):
+    names = ("minimum-jerk", "lieednn-trained", "linear-attractor")
+    study = Comparison(names, ("telescopic_pr",), ("free",), ("position-servo",), seeds=2)
+    table = study.open(tmp_path)
+    declared = ("lieednn-trained", "minimum-jerk", "linear-attractor")
+    order = [(case.seed, case.planner) for case, *_ in study.todo(table)]
+    assert order == [(seed, name) for seed in range(2) for name in declared]
+    one = Row("telescopic_pr", "free", "linear-attractor", "position-servo", 7, 1.0, planning_s=0.1)
+    table.add([one, replace(one, seed=8, planning_s=3.0), replace(one, planner="lieednn-trained", planning_s=0.2)])
+    first = [case.planner for case, *_ in study.todo(table)][:3]
+    assert first == ["linear-attractor", "minimum-jerk", "lieednn-trained"]

@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import dataclasses
 from concurrent.futures import BrokenExecutor, Future, ThreadPoolExecutor
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from lieednn_sim.errors import LieEDNNError
+from lieednn_sim.errors import FileError, LieEDNNError
 from lieednn_sim.evaluation import paths
 from lieednn_sim.evaluation.paths import PathErrors
 from lieednn_sim.learning.demonstrations import Demonstration, align
 from lieednn_sim.learning.demonstrations.shaped import ShapedMotion
 from lieednn_sim.studies.demonstrations import models as compared
 from lieednn_sim.studies.demonstrations.models import compare_models, mean_errors
+from lieednn_sim.studies.demonstrations.study import DemonstrationSets
+from lieednn_sim.studies.study import compute
 from lieednn_sim.synthesis import ShapingOptions
 
 
@@ -42,7 +45,7 @@ def test_what_is_left_out_was_not_seen(monkeypatch):
     shown = align(apart)
     monkeypatch.setattr(compared, "RIVALS", {"recaller": lambda some, _: Recaller(some)})
     monkeypatch.setattr(paths, "SAMPLES", 100)
-    options = ShapingOptions(neurons=(2,), placed=(), iterations=5)
+    options = ShapingOptions(neurons=(2,), placed_neurons=(), iterations=5)
     shaped = ShapedMotion.fit(shown, options=options)
     network, recaller = compare_models(shown, shaped, options, rivals=["recaller"], starts=3)[0]
     assert network.model == "lieednn-shaped"
@@ -57,7 +60,7 @@ def test_an_executor_makes_the_same_rows(monkeypatch):
     monkeypatch.setattr(paths, "SAMPLES", 100)
     angle = np.linspace(0.0, 3.0, 40)
     shown = align([Demonstration.from_samples(h * np.column_stack([angle, np.sin(angle)])) for h in (0.05, 0.06, 0.07)])
-    options = ShapingOptions(neurons=(2,), placed=(), iterations=5)
+    options = ShapingOptions(neurons=(2,), placed_neurons=(), iterations=5)
     shaped = ShapedMotion.fit(shown, options=options)
 
     def rows(**how):
@@ -84,3 +87,17 @@ def test_an_executor_makes_the_same_rows(monkeypatch):
 def test_mean_errors():
     errors = [PathErrors(1.0, 2.0, 3.0, 4.0, 5.0, 6.0), PathErrors(3.0, 2.0, 1.0, 0.0, 1.0, 2.0)]
     assert mean_errors(errors) == PathErrors(2.0, 2.0, 2.0, 2.0, 3.0, 4.0)
+
+
+def test_a_set_that_fails_is_not_tried_again_and_other_options_are_refused(tmp_path):
+    files = [("drawn", Path("a.csv"), "m"), ("drawn", Path("b.csv"), "m")]
+    study = DemonstrationSets(files, ShapingOptions(), starts=3)
+    with ThreadPoolExecutor(1) as executor:
+        table = compute(dataclasses.replace(study, files=files[:1]), tmp_path, executor=executor)
+    assert {row.model for row in table.rows.values()} == set(study.models)
+    assert all(row.reason.startswith("error: FileError: ") for row in table.rows.values())
+    assert [case[1] for case in study.todo(table)] == ["b.csv"]
+    for other in (ShapingOptions(rate=0.5), ShapingOptions(iterations=7), ShapingOptions(activation="arctan")):
+        with pytest.raises(FileError, match="was made with"):
+            dataclasses.replace(study, options=other).open(tmp_path)
+    assert len(study.open(tmp_path).rows) == len(study.models)

@@ -12,7 +12,7 @@ import pytest
 from lieednn_sim.cli import main
 from lieednn_sim.errors import InputError
 from lieednn_sim.studies import Case, Row, read_rows
-from lieednn_sim.studies.comparison.shards import Shard
+from lieednn_sim.studies.comparison.study import Shard
 from lieednn_sim.studies.table import checksum
 
 WORDS = ["--arms", "telescopic_pr", "--scenes", "free", "--planners", "minimum-jerk,se3-geodesic", "--seeds", "5"]

@@ -16,6 +16,13 @@ from lieednn_sim.studies import workers
 from lieednn_sim.studies.workers import run_each, worker_pool
 
 
+def test_workers_import_the_modules_of_ones_own_planners_policies_and_controllers(monkeypatch):
+    for kind, module in enumerate(("PLANNER", "POLICY", "CONTROLLER")):
+        made = type("Mine", (), {"__module__": f"mine_{kind}"})
+        monkeypatch.setitem(getattr(workers, f"{module}_REGISTRY").given, "mine", made)
+    assert {"mine_0", "mine_1", "mine_2"} <= set(workers._modules())
+
+
 @pytest.mark.parametrize("reason", [KeyboardInterrupt, ValueError])
 def test_a_block_that_fails_leaves_no_worker_and_no_other_child_is_stopped(reason, monkeypatch):
     """A worker that waits for ever is ended with the block; the child beside it is not."""

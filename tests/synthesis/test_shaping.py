@@ -12,12 +12,12 @@ from lieednn_sim import budget
 from lieednn_sim.budget import time_limit
 from lieednn_sim.errors import InputError, NotCertifiedError, OutOfTimeError
 from lieednn_sim.network import ACTIVATIONS
-from lieednn_sim.synthesis.shaping import ShapingOptions, shape, shaping
-from lieednn_sim.synthesis.shaping import placed as placing
+from lieednn_sim.synthesis.shaping import ShapingOptions, placed_switches, shape, shaping
 from lieednn_sim.synthesis.shaping.assembly import assemble
 from lieednn_sim.synthesis.shaping.cascade import Cascade, Parameters, clockwork
 from lieednn_sim.synthesis.shaping.curve import Curve
 from lieednn_sim.synthesis.shaping.fit import LARGEST_SLOPE, Descent, NormalEquations
+from lieednn_sim.synthesis.shaping.placed_switches import fit_placed_switches
 from lieednn_sim.synthesis.shaping.shaping import as_curve
 from lieednn_sim.synthesis.shaping.start import starting_point
 
@@ -170,7 +170,7 @@ def test_the_deviation_is_the_largest_distance_of_either_from_the_other(monkeypa
 
 @pytest.mark.parametrize("rate", [1.0, 0.5])
 def test_the_outcome_is_told_in_millimetres_and_decided_by_the_deviation(rate):
-    options = ShapingOptions(rate=rate, neurons=(2,), placed=(), iterations=4)
+    options = ShapingOptions(rate=rate, neurons=(2,), placed_neurons=(), iterations=4)
     best = shape(bent(), 1e-9, units=UNITS, options=options)
     assert 1e-3 < best.deviation < 1.0
     assert best.message.startswith(
@@ -275,15 +275,15 @@ def test_ripples_that_the_deviation_hides_are_damped(monkeypatch):
     curve = Curve.through(s * before + np.hypot(s - 0.6, 0.02) * after, np.tile(UNITS, (2, 1)))
     cascade = Cascade(clockwork(1.0, 2), curve.points[0], curve.points[-1])
     w = 1.0 - cascade.clock.g
-    looks, matrix = placing._third_derivative(w)
+    looks, matrix = placed_switches._third_derivative(w)
     # Exact for cubics, also between uneven instants.
     np.testing.assert_allclose(matrix @ (w[looks, None] ** [3, 2]), np.tile([6.0, 0.0], (len(matrix), 1)), atol=1e-7)
     middle = (w[looks][1:-2] > 0.1) & (w[looks][1:-2] < 0.85)
     ripples = []
-    for weight in (placing._RIPPLE, 1e-6):
-        monkeypatch.setattr(placing, "_RIPPLE", weight)
-        states = cascade.states(placing.placed(cascade, curve, 64))[:-1]
-        error = states - curve.at(placing._pace(curve)(w))[0]
+    for weight in (placed_switches._RIPPLE, 1e-6):
+        monkeypatch.setattr(placed_switches, "_RIPPLE", weight)
+        states = cascade.states(fit_placed_switches(cascade, curve, 64))[:-1]
+        error = states - curve.at(placed_switches._pace(curve)(w))[0]
         assert np.abs(error).max() < 1e-5
         ripples.append(np.sqrt(np.mean(np.tensordot(matrix, error[looks], 1)[middle] ** 2)))
     assert ripples[0] < 0.2 * ripples[1]
@@ -296,7 +296,7 @@ def test_placed_switches_keep_axes_and_halves_that_rest():
     samples[:, :, :3] = np.stack([np.sin(2.0 * s), s**2], axis=1)[:, :, None] * axes
     curve = Curve.through(samples, np.ones((2, 6)))
     cascade = Cascade(clockwork(1.0), curve.points[0], curve.points[-1])
-    parameters = placing.placed(cascade, curve, 12)
+    parameters = fit_placed_switches(cascade, curve, 12)
     # All neurons turn, since nothing is shifted.
     assert (parameters.c[:, 0] > 0.0).all()
     assert not parameters.c[:, 1:].any()
@@ -307,7 +307,7 @@ def test_placed_switches_keep_axes_and_halves_that_rest():
 
 
 def test_what_is_not_met_is_said_and_still_certified():
-    result = shape(bent(), 1e-9, options=ShapingOptions(neurons=(1,), placed=(), iterations=3))
+    result = shape(bent(), 1e-9, options=ShapingOptions(neurons=(1,), placed_neurons=(), iterations=3))
     assert not result.success
     assert result.network.certified
     assert "1e-06 mm were asked for" in result.message
@@ -347,10 +347,10 @@ def test_bad_curves_are_refused(curves, named, message):
     [
         {"rate": 0.0},
         {"rate": 1.5},
-        {"neurons": (), "placed": ()},
+        {"neurons": (), "placed_neurons": ()},
         {"neurons": (0,)},
-        {"placed": (1,)},
-        {"placed": (257,)},
+        {"placed_neurons": (1,)},
+        {"placed_neurons": (257,)},
     ],
 )
 def test_bad_options_are_refused(options):

@@ -86,14 +86,14 @@ class Demonstrations:
         return displacement(self.twists)
 
     def without(self, index: int) -> Demonstrations:
-        """All but one, with times unchanged."""
+        """The demonstrations without the one at ``index``; the times stay the same."""
         if len(self) < 2:
             raise InputError("one demonstration cannot be left out of one")
         kept = np.arange(len(self)) != as_count("index", index, 0, len(self) - 1)
         return replace(self, twists=self.twists[kept])
 
     def only(self, index: int) -> Demonstrations:
-        """A single one, with times unchanged."""
+        """Only the demonstration at ``index``; the times stay the same."""
         chosen = as_count("index", index, 0, len(self) - 1)
         return replace(self, twists=self.twists[chosen : chosen + 1])
 
@@ -111,22 +111,22 @@ def align(
 
     Args:
         demonstrations: at least one, all with the same dof.
-        phase: ``"length"``, the share of the length, which does not depend on speed and pauses, or ``"time"``, the
-            share of the duration.
+        phase: ``"length"``, the fraction of the length, which does not depend on speed and pauses, or ``"time"``, the
+            fraction of the duration.
         samples: K.
         lever: metres that a radian counts for in lengths.
 
     Raises:
-        InputError: there is none, or they show different things.
+        InputError: there are no demonstrations, or they record different quantities.
     """
     as_choice("phase", phase, PHASES)
     lever = as_positive("lever", lever)
-    shares = np.linspace(0.0, 1.0, as_count("samples", samples, 2, _MOST_SAMPLES))
+    fractions = np.linspace(0.0, 1.0, as_count("samples", samples, 2, _MOST_SAMPLES))
     if not demonstrations or len({one.dof for one in demonstrations}) > 1:
         raise InputError("align needs at least one demonstration, and all must show the same")
     twists, times = [], []
     for one in demonstrations:
-        reached, at = at_phases(shares, one.twists, one.t, one.steps(lever), phase)
+        reached, at = at_phases(fractions, one.twists, one.t, one.steps(lever), phase)
         twists.append(reached)
         times.append(at)
     ends = Rotation.from_matrix(np.stack([one.rotation[-1] for one in demonstrations]))
@@ -135,22 +135,22 @@ def align(
     return Demonstrations(goal, np.mean(times, axis=0), np.stack(twists), demonstrations[0].dof, lever)
 
 
-def at_phases(shares: Floats, samples: Floats, t: Floats, steps: Floats, phase: str) -> tuple[Floats, Floats]:
-    """Samples ``(K, D)`` and times ``(K,)`` at shares of the length that steps ``(L - 1,)`` add up to, or of the time.
+def at_phases(fractions: Floats, samples: Floats, t: Floats, steps: Floats, phase: str) -> tuple[Floats, Floats]:
+    """Samples ``(K, D)`` and times ``(K,)`` of a demonstration at given fractions of its length or of its duration.
 
     Args:
-        shares: ``(K,)`` from 0 to 1.
+        fractions: ``(K,)`` from 0 to 1.
         samples: ``(L, D)``.
         t: ``(L,)`` their times.
-        steps: lengths of the way from each sample to the next.
+        steps: ``(L - 1,)`` lengths from each sample to the next.
         phase: a name of `PHASES`.
     """
-    way = t if phase == "time" else np.concatenate([[0.0], np.cumsum(steps)])
+    passed = t if phase == "time" else np.concatenate([[0.0], np.cumsum(steps)])
     # The phase does not advance during a pause: only its first sample is kept.
-    kept = np.flatnonzero(np.concatenate([[True], np.diff(way) > 1e-12 * way[-1]]))
-    share = way[kept] / way[kept[-1]]
-    reached = np.stack([np.interp(shares, share, entry) for entry in samples[kept].T], axis=-1)
-    return reached, np.interp(shares, share, t[kept])
+    kept = np.flatnonzero(np.concatenate([[True], np.diff(passed) > 1e-12 * passed[-1]]))
+    fraction = passed[kept] / passed[kept[-1]]
+    reached = np.stack([np.interp(fractions, fraction, entry) for entry in samples[kept].T], axis=-1)
+    return reached, np.interp(fractions, fraction, t[kept])
 
 
 def shown_part(dof: int) -> slice:

@@ -1,7 +1,7 @@
 """Files of demonstrations: NumPy's npy and npz, csv, and the mat files of the LASA handwriting data set.
 
 A demonstration is a table with a row for each sample and the columns x, y or x, y, z, or x, y, z and a unit quaternion;
-an array of three axes holds several of one length.
+an array with three axes holds several demonstrations of the same length.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def load_demonstrations(
 
     Raises:
         FileError: a file cannot be read, or is of another kind.
-        InputError: its numbers are not a demonstration, or demonstrations record different quantities.
+        InputError: a file's numbers are no demonstration, or demonstrations record different quantities.
     """
     length = UNITS[as_choice("unit", unit, UNITS)]
     as_choice("order of quaternions", quaternion, QUATERNIONS)

@@ -30,7 +30,7 @@ class MotionModel(Protocol):
 
     @property
     def durations(self) -> float:
-        """Time after which the motion is over or nearly so, in durations of the demonstrations."""
+        """Time after which the motion is almost at its end, in durations of the demonstrations."""
 
     def reproduce(self, start: Floats, t: Floats) -> Floats:
         """Twists ``(..., K, 6)`` at increasing times ``(K,)`` from 0 [s], starting at rest at twists ``(..., 6)``."""
@@ -47,7 +47,7 @@ class LinearAttractor:
 
     @classmethod
     def fit(cls, demonstrations: Demonstrations) -> LinearAttractor:
-        """Take the duration of the demonstrations."""
+        """Fit k to the duration of the demonstrations."""
         return cls(demonstrations.duration)
 
     def reproduce(self, start: Floats, t: Floats) -> Floats:
@@ -75,5 +75,5 @@ def even_grid(end: float, step: float) -> Floats:
 def at_times(states: Floats, grid: Floats, t: Floats) -> Floats:
     """Linear interpolation of states ``(n, G, d)`` on increasing times ``(G,)`` to times ``(K,)``."""
     index = np.clip(np.searchsorted(grid, t, side="right") - 1, 0, len(grid) - 2)
-    share = np.clip((t - grid[index]) / (grid[index + 1] - grid[index]), 0.0, 1.0)[:, None]
-    return (1.0 - share) * states[:, index] + share * states[:, index + 1]
+    fraction = np.clip((t - grid[index]) / (grid[index + 1] - grid[index]), 0.0, 1.0)[:, None]
+    return (1.0 - fraction) * states[:, index] + fraction * states[:, index + 1]

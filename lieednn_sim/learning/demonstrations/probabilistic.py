@@ -1,9 +1,9 @@
 """Probabilistic movement primitives (Paraschos et al., NeurIPS 2013).
 
-The path is a weighted sum of normalised Gaussian basis functions of the share of the duration. The weights are normally
-distributed: they are fitted to each demonstration by least squares, and have a mean and a covariance over the
-demonstrations. The motion from a start is the mean of the distribution conditioned on that start, and on the goal at
-the end.
+The path is a weighted sum of normalised Gaussian basis functions of the phase, the fraction of the duration. The
+weights are normally distributed: they are fitted to each demonstration by least squares, and have a mean and a
+covariance over the demonstrations. The motion from a start is the mean of the distribution conditioned on that start,
+and on the goal at the end.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ _OVERLAP = 0.7
 _RIDGE = 1e-12
 # Standard deviation added to every weight, in extents of the demonstrations: without it, a model of few demonstrations
 # could not be conditioned on another start.
-_DOUBT = 1e-2
+_ADDED_DEVIATION = 1e-2
 
 
 @frozen
 class ProbabilisticPrimitive:
-    """The mean of a fitted primitive, given a start and the goal: affine in the start.
+    """A fitted primitive: the mean motion given the start and the goal, which is affine in the start.
 
     Attributes:
         path: ``(K, 6)`` rotations and positions from a start at the goal [rad, m], at equal steps of the duration.
@@ -52,13 +52,14 @@ class ProbabilisticPrimitive:
         dof, duration = demonstrations.dof, demonstrations.duration
         shown, scale = shown_part(dof), demonstrations.scale[shown_part(dof)]
         n_basis = max(2, round(n_parameters / dof))
-        shares = np.linspace(0.0, 1.0, _INSTANTS)
-        basis = _basis(n_basis, shares)
-        paths = displacement(at_times(demonstrations.twists, demonstrations.t / duration, shares))[..., shown] * scale
+        phases = np.linspace(0.0, 1.0, _INSTANTS)
+        basis = _basis(n_basis, phases)
+        paths = displacement(at_times(demonstrations.twists, demonstrations.t / duration, phases))[..., shown] * scale
         inverse = np.linalg.pinv(basis.T @ basis + _RIDGE * np.eye(n_basis)) @ basis.T
         weights = (inverse @ paths).swapaxes(1, 2).reshape(len(paths), -1)
         centred = weights - weights.mean(axis=0)
-        covariance = centred.T @ centred / len(weights) + (_DOUBT * demonstrations.extent) ** 2 * np.eye(len(centred.T))
+        added = (_ADDED_DEVIATION * demonstrations.extent) ** 2 * np.eye(len(centred.T))
+        covariance = centred.T @ centred / len(weights) + added
         # Conditioned on both ends at once, the mean is affine in the start.
         ends = np.concatenate([np.kron(np.eye(dof), row) for row in basis[[0, -1]]])
         gain = covariance @ ends.T @ np.linalg.inv(ends @ covariance @ ends.T)
@@ -70,15 +71,15 @@ class ProbabilisticPrimitive:
         return cls(path, response, duration, n_basis * dof)
 
     def reproduce(self, start: Floats, t: Floats) -> Floats:
-        """As `MotionModel.reproduce`; after the duration it rests."""
+        """As `MotionModel.reproduce`; after the duration the motion rests."""
         begin = displacement(start.reshape(-1, 6))
-        ways = self.path + np.einsum("kij,nj->nki", self.response, begin)
-        path = twist_of(at_times(ways, np.linspace(0.0, self.duration, _INSTANTS), t))
+        paths = self.path + np.einsum("kij,nj->nki", self.response, begin)
+        path = twist_of(at_times(paths, np.linspace(0.0, self.duration, _INSTANTS), t))
         return path.reshape(*start.shape[:-1], len(t), 6)
 
 
-def _basis(n_basis: int, shares: Floats) -> Floats:
-    """Normalised Gaussians ``(K, B)`` of shares ``(K,)`` of the duration."""
-    squared = (shares[:, None] - np.linspace(0.0, 1.0, n_basis)) ** 2
+def _basis(n_basis: int, phases: Floats) -> Floats:
+    """Normalised Gaussians ``(K, B)`` at phases ``(K,)``."""
+    squared = (phases[:, None] - np.linspace(0.0, 1.0, n_basis)) ** 2
     psi = np.exp(4.0 * n_basis**2 * np.log(_OVERLAP) * squared)
     return psi / psi.sum(axis=1, keepdims=True)

@@ -42,7 +42,7 @@ class Demonstration:
         position: ``(K, 3)`` in the world [m]; the third entry is zero for a motion in a plane.
         rotation: ``(K, 3, 3)`` from the frame to the world; the identity if not recorded.
         dof: degrees of freedom that were recorded: 2, 3 or 6.
-        source: where it comes from, for messages.
+        source: where the demonstration comes from, for messages.
 
     Raises:
         InputError: an entry is not finite, times do not increase, or shapes do not fit.
@@ -75,9 +75,9 @@ class Demonstration:
         Args:
             samples: ``(K, 2)``, ``(K, 3)`` or ``(K, 7)``, at least two rows; quaternions are normalised if within 10 %.
             t: ``(K,)`` increasing times [s], or None.
-            length: metres per unit of the positions.
-            quaternion: order of its entries, a name of `QUATERNIONS`.
-            rate: sampling rate without times [1/s].
+            length: length unit of the positions [m].
+            quaternion: order of the quaternions' entries, a name of `QUATERNIONS`.
+            rate: sampling rate [1/s], needed if there are no times.
             source: name in messages.
 
         Raises:
@@ -124,7 +124,7 @@ class Demonstration:
         a rotation, which differ by full turns about its axis, the one nearest to the following sample is taken.
 
         Raises:
-            InputError: it turns by nearly a full turn or more, where the logarithm is singular.
+            InputError: the frame turns by nearly a full turn or more, where the logarithm is singular.
         """
         return self.twists_from(self)
 
@@ -142,7 +142,7 @@ class Demonstration:
         return np.concatenate([turn, shift], axis=1)
 
     def steps(self, lever: float) -> Floats:
-        """Lengths ``(K - 1,)`` of the way from each sample to the next [m]; a radian counts as much as ``lever``."""
+        """Lengths ``(K - 1,)`` from each sample to the next [m], in which a radian counts for ``lever`` metres."""
         lever = as_positive("lever", lever)
         turns = Rotation.from_matrix(self.rotation[1:] @ self.rotation[:-1].swapaxes(1, 2)).magnitude()
         return np.hypot(np.linalg.norm(np.diff(self.position, axis=0), axis=1), lever * turns)

@@ -1,9 +1,9 @@
 """A certified network shaped by demonstrations: one visible neuron, whose state is the frame's displacement.
 
-The state is (omega, p), rotation vector and position relative to the goal: the pose is Exp(0, p) Exp(omega, 0). The
-effect of a start other than the mean's decays as e^-t in every coordinate of the state, so positions return to the mean
-whatever the rotations do. In a twist (omega, v), with p = J(omega) v, a rotation error would pull the position along,
-by about half of it times the distance covered.
+The state is (omega, p), rotation vector and position relative to the goal: the pose is Exp(0, p) Exp(omega, 0). A
+deviation of the start from the mean's start decays as e^-t in every coordinate of the state, so positions return to the
+mean whatever the rotations do. With twists (omega, v) as states, where p = J(omega) v, a rotation error would also
+shift the position, by about half the error times the distance to the goal.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from lieednn_sim.values import Floats, frozen
 
 # Default of the requested deviation, in extents of the demonstrations.
 DEVIATION = 2e-3
-# Network time, times rho, after which less than a millionth of the way is left; longest time step; and step in the
-# share that the clock has left, a tenth of the width of the steepest switch.
-_SPAN, _LONGEST_STEP, _SHARE_STEP = 16.0, 0.2, 1.0 / 600.0
+# Network time, times rho, after which less than a millionth of the path is left; longest time step; and step in the
+# fraction that the clock has left, a tenth of the width of the steepest switch.
+_NETWORK_TIME, _LONGEST_STEP, _FRACTION_STEP = 16.0, 0.2, 1.0 / 600.0
 # Durations of the demonstrations after which a reproduction ends, when the network has long come to rest.
-_LATEST = 100.0
+_MAX_DURATIONS = 100.0
 # Parameters of a switch that are not zero by construction, by dof: without rotations, halves and shifts vanish.
 _PER_SWITCH = {2: 10, 3: 10, 6: 19}
 # The same for a placed switch: its position, its slope, and a vector.
@@ -79,7 +79,7 @@ class ShapedMotion:
         curve = displacement(demonstrations.mean)[:, None]
         shaping = shape(curve, asked, units=demonstrations.scale, options=chosen, seed=seed)
         times = np.array([0.0, demonstrations.duration])
-        ends = np.array([0.0, _SPAN / chosen.rate])
+        ends = np.array([0.0, _NETWORK_TIME / chosen.rate])
         made = cls(shaping.network, chosen.rate, times, ends, demonstrations.dof, shaping)
         tau = made._beside(demonstrations)
         return cls(shaping.network, chosen.rate, demonstrations.t, tau, demonstrations.dof, shaping)
@@ -91,15 +91,15 @@ class ShapedMotion:
         return each[self.dof] * (self.network.n_hidden - self.network.n_clock)
 
     def reproduce(self, start: Floats, t: Floats) -> Floats:
-        """As `MotionModel.reproduce`: the network is run from there, with hidden neurons at their start.
+        """As `MotionModel.reproduce`: the network runs from ``start``, with the hidden neurons at their own start.
 
-        After the demonstrations' duration the network runs on at its mean pace, for at most 100 durations.
+        After the demonstrations' duration the network continues at its mean pace, for at most 100 durations.
 
         Raises:
             InputError: a value is malformed, or times do not increase from 0 or go on too long.
         """
         start = as_floats("start", start, (6,), batched=True)
-        t, latest = as_times("t", t), _LATEST * self.t[-1]
+        t, latest = as_times("t", t), _MAX_DURATIONS * self.t[-1]
         if t[0] < 0.0 or t[-1] > latest:
             raise InputError(f"t must be from 0 to {latest:g} s, got {t[0]:g} to {t[-1]:g} s")
         pace = self.tau[-1] / self.t[-1]
@@ -120,7 +120,7 @@ class ShapedMotion:
 
     def _beside(self, demonstrations: Demonstrations) -> Floats:
         """Network times ``(K,)`` that match the phases of the mean demonstration."""
-        tau = _grid(_SPAN / self.rate, self.rate)
+        tau = _grid(_NETWORK_TIME / self.rate, self.rate)
         shown = displacement(demonstrations.mean)
         phase, index = warp(*(path * demonstrations.scale for path in (shown, self._run(shown[:1], tau)[0]))).pairs.T
         # The mean of all times matched with a phase; the last is at rest.
@@ -131,9 +131,9 @@ class ShapedMotion:
 
 def _grid(end: float, rate: float) -> Floats:
     """Network times ``(G,)`` from 0 to ``end``, denser while its switches are steep."""
-    # dt = d ln(1 / share) / rho in equal steps of the share, until the longest step.
-    shares = np.arange(1.0, _SHARE_STEP / (_LONGEST_STEP * rate), -_SHARE_STEP)
-    first = -np.log(shares) / rate
+    # dt = d ln(1 / fraction) / rho in equal steps of the fraction, until the longest step.
+    fractions = np.arange(1.0, _FRACTION_STEP / (_LONGEST_STEP * rate), -_FRACTION_STEP)
+    first = -np.log(fractions) / rate
     first = first[first < end]
     rest = np.linspace(first[-1], end, int(np.ceil((end - first[-1]) / _LONGEST_STEP)) + 1)
     return np.concatenate([first, rest[1:]])

@@ -1,8 +1,8 @@
 """CBiRRT (Berenson, Srinivasa, Ferguson and Kuffner, ICRA 2009), as implemented by the libraries mjpl and sscbirrt.
 
 It was made for constrained motions; here only limits and contact constrain it, so it is a bidirectional RRT. Like
-OMPL's planners, both search in the coordinates of `search_space.EdgeTest` and ask it whether an edge is clear. They
-shorten their paths by methods of their own. They need the extra `cbirrt`.
+OMPL's planners, both search in the coordinates of `search_space.EdgeTest` and ask it whether an edge is clear. Each
+library shortens its paths by a method of its own. They need the extra `cbirrt`.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def mjpl(problem: PlanningProblem, options: PathOptions) -> Motion:
 
     Raises:
         LieEDNNError: mjpl is not installed.
-        PlanError: no path was found within the work allowed, or it cannot be followed in time.
+        PlanError: no path was found within the tests allowed, or it cannot be followed in time.
     """
     return _plan(problem, options, "mjpl", _mjpl_path)
 

@@ -14,7 +14,7 @@ from lieednn_sim.values import Floats
 
 @made_in_time
 def minimum_jerk(problem: PlanningProblem) -> Motion:
-    """Straight in joint space: q(t) = q_0 + sigma(t/T) (q_1 - q_0), sigma = 10 s^3 - 15 s^4 + 6 s^5.
+    """A straight line in joint space, q(t) = q_0 + sigma(t/T) (q_1 - q_0), sigma = 10 s^3 - 15 s^4 + 6 s^5.
 
     The time law is Flash and Hogan's, J. Neuroscience 5(7), 1985. The poses are those of the joints, so there is no
     mechanism gap.
@@ -23,8 +23,8 @@ def minimum_jerk(problem: PlanningProblem) -> Motion:
         PlanError: the motion breaks a limit of the arm.
     """
     _, sigma, rate = _schedule(problem)
-    way = problem.target - problem.start
-    return joint_motion(problem, problem.start + sigma[:, None] * way, rate[:, None] * way, sigma)
+    change = problem.target - problem.start
+    return joint_motion(problem, problem.start + sigma[:, None] * change, rate[:, None] * change, sigma)
 
 
 @made_in_time
@@ -52,7 +52,10 @@ def se3_geodesic(problem: PlanningProblem) -> Motion:
             ends = [arm.joints.twists(q)[i] for q in (problem.start, problem.target)]
             twists[:, i] = ends[0] + sigma[:, None] * (ends[1] - ends[0])
             twist_rates[:, i] = rate[:, None] * (ends[1] - ends[0])
-    motion = _decoded(problem, t, sigma, twists / units, twist_rates / units)
+    xi = twists / units
+    decoded = arm.decode(xi, twist_rates / units, problem.start)
+    gaps = decoded.gap_translation, decoded.gap_rotation
+    motion = Motion(t, sigma, xi, arm.encode(problem.target), decoded.q, decoded.qd, *gaps)
     check_motion(arm, motion)
     return motion
 
@@ -62,9 +65,3 @@ def _schedule(problem: PlanningProblem) -> tuple[Floats, Floats, Floats]:
     t = problem.times()
     sigma, slope = minimum_jerk_law(t / t[-1])
     return t, sigma, slope / t[-1]
-
-
-def _decoded(problem: PlanningProblem, t: Floats, sigma: Floats, xi: Floats, xi_dot: Floats) -> Motion:
-    decoded = problem.arm.decode(xi, xi_dot, problem.start)
-    target = problem.arm.encode(problem.target)
-    return Motion(t, sigma, xi, target, decoded.q, decoded.qd, decoded.gap_translation, decoded.gap_rotation)

@@ -46,12 +46,12 @@ class OptimisationOptions(PlannerOptions):
         instants: number of instants at which distances and rates are weighed, up to 10 000.
         influence: distance below which a pair's hinge loss grows [m]; the loss is soft, so choose it well above the
             distance that must be kept.
-        rate_share: share of the velocity and acceleration limits above which their hinge losses grow.
+        rate_fraction: fraction of the velocity and acceleration limits above which their hinge losses grow.
         weights: weights of the hinge losses against smoothness, one for each descent from a guess.
         evaluations: largest number of evaluations of the cost in a descent.
         guesses: number of first guesses to descend from.
         drawn: number of bent guesses drawn; the clearest are used.
-        inset: share of a joint's range that control points keep from its limits, where start and target do.
+        inset: fraction of a joint's range that control points keep from its limits if start and target keep it.
 
     Raises:
         InputError: a value is out of range.
@@ -61,7 +61,7 @@ class OptimisationOptions(PlannerOptions):
     intervals: int = field(default=12, metadata={"range": (2, 1000)})
     instants: int = field(default=100, metadata={"range": (1, 10_000)})
     influence: float = 0.04
-    rate_share: float = 0.95
+    rate_fraction: float = 0.95
     weights: tuple[float, ...] = (300.0, 3000.0)
     evaluations: int = 20
     guesses: int = 6
@@ -75,7 +75,7 @@ def trajectory_optimisation(
 ) -> Motion:
     """The first of a few locally optimal trajectories that the arm can follow.
 
-    The first guess is minimum jerk, straight in joint space; the others are bent towards random postures. With a
+    The first guess is minimum jerk, straight in joint space; the others are bent towards random configurations. With a
     ``guide``, a motion from start to target of any duration, the only guess is the spline nearest to it.
 
     Raises:
@@ -108,8 +108,8 @@ class _Descent:
         basis = BSpline(clamped_knots(control), np.eye(control), SPLINE_DEGREE)
         t = problem.times()
         # Denser where the motion is fast, or it would skip thin obstacles.
-        share = 0.5 * (t / t[-1] + minimum_jerk_law(t / t[-1])[0])
-        instants = np.interp((np.arange(count) + 0.5) / count, share, t / t[-1])
+        fraction = 0.5 * (t / t[-1] + minimum_jerk_law(t / t[-1])[0])
+        instants = np.interp((np.arange(count) + 0.5) / count, fraction, t / t[-1])
         # Basis functions and their time derivatives, at the samples and at the instants.
         self.sampled = [basis(t / t[-1], nu=nu) / t[-1] ** nu for nu in (0, 1)]
         self.weighed = [basis(instants, nu=nu) / t[-1] ** nu for nu in (0, 1, 2)]
@@ -125,7 +125,7 @@ class _Descent:
         free = squared[self.inner, self.inner]
         # The smoothest trajectory with these ends is the quintic polynomial, which is among the splines.
         self.smoothest = -np.linalg.solve(free, squared[self.inner] @ self.ends)
-        # A unit way has a squared jerk of 720. The unit is the way's length, at least a tenth of the joint space's.
+        # A unit displacement has a squared jerk of 720. The unit is its length, at least a tenth of the joint space's.
         spread = self.arm.ranges / self.scale
         unit = max(float(np.linalg.norm(target - start)), 0.1 * float(np.linalg.norm(spread)))
         self.root = np.linalg.cholesky(free).T / (math.sqrt(720.0) * unit)
@@ -142,18 +142,18 @@ class _Descent:
         u = (np.arange(len(self.smoothest)) + 1.0) / (len(self.smoothest) + 1)
         drawn, blocked = [], []
         for _ in range(self.options.drawn):
-            # Bent towards a random posture, at a random instant.
+            # Bent towards a random configuration, at a random instant.
             shape = u ** (2.0 * rng.uniform(0.4, 1.6)) * (1.0 - u) ** (2.0 * rng.uniform(0.4, 1.6))
             peak = int(shape.argmax())
-            way = rng.uniform(low, high) - self.smoothest[peak]
-            control = np.clip(self.smoothest + (shape / shape[peak])[:, None] * rng.uniform() * way, low, high)
+            shift = rng.uniform(low, high) - self.smoothest[peak]
+            control = np.clip(self.smoothest + (shape / shape[peak])[:, None] * rng.uniform() * shift, low, high)
             drawn.append(control.ravel())
             blocked.append(sum(self._blocked(q) for q in self.positions(control.ravel())))
         for index in np.argsort(blocked, kind="stable")[: self.options.guesses - 1]:
             yield drawn[index]
 
     def near_to(self, guide: Motion) -> Floats:
-        """The spline, flat, nearest to a motion at equal shares of their durations."""
+        """The spline, flat, nearest to a motion at equal fractions of their durations."""
         basis, rows = self.sampled[0], np.linspace(0.0, len(guide.q) - 1.0, len(self.sampled[0])).round().astype(int)
         left = guide.q[rows] / self.scale - basis @ self.ends
         return np.asarray(np.linalg.lstsq(basis[:, self.inner], left)[0].ravel())
@@ -200,7 +200,7 @@ class _Descent:
         rows.append(factor * _chained(basis[0], slope * self.scale))
         limits = (self.arm.velocity_limits, self.arm.acceleration_limits)
         for table, rates, limit in zip(basis[1:], self.weighed[1:], limits, strict=True):
-            hinge, slope = _excess(self.scale * (rates @ control), self.options.rate_share * limit)
+            hinge, slope = _excess(self.scale * (rates @ control), self.options.rate_fraction * limit)
             values.append(factor * hinge)
             rows.append(factor * _chained(table, slope * self.scale))
         return np.concatenate(values), np.concatenate(rows)

@@ -26,11 +26,11 @@ class DmpOptions(PlannerOptions):
 
     Attributes:
         basis_functions: number of radial basis functions of the forcing term, from 2 to 1000.
-        least_share: share of its range that a joint must move in the demonstration to show a shape.
+        least_fraction: fraction of its range that a joint must move in the demonstration to be imitated in shape.
     """
 
     basis_functions: int = field(default=20, metadata={"range": (2, 1000)})
-    least_share: float = 0.01
+    least_fraction: float = 0.01
 
 
 @made_in_time
@@ -43,13 +43,13 @@ def dmp(problem: PlanningProblem, options: DmpOptions) -> Motion:
         q'' = alpha (beta (g - q) - q' - beta (g - q_0) z) + f(z),  z decaying from 1 to 0.01.
 
     The forcing f is scaled by the joint's displacement over that in the demonstration, which keeps the demonstrated
-    shape at every amplitude; unscaled, the forcing of a long demonstration throws a joint with a short way over its
-    limits. A joint that moves less than ``least_share`` of its range in the demonstration has no shape to keep: it gets
-    no forcing, and the spring alone takes it from start to target. All joints show the same law of time, so that one
+    shape at every amplitude; an unscaled forcing of a long demonstration would throw a joint with a short displacement
+    over its limits. A joint that moves less than ``least_fraction`` of its range in the demonstration gets no forcing:
+    the spring alone takes it from start to target. All joints follow the same time law in the demonstration, so one
     row of weights, times a joint's displacement, serves them all.
 
-    At the end of the duration 1 % of the phase is left, and about as much of the way. A quintic polynomial, zero at the
-    start, removes the remaining errors of position, velocity and acceleration.
+    At the end of the duration 1 % of the phase is left, and about as much of the path. A quintic polynomial, zero at
+    the start, removes the remaining errors of position, velocity and acceleration.
 
     Raises:
         PlanError: the motion breaks a limit of the arm; a primitive knows neither limits nor obstacles.
@@ -57,13 +57,13 @@ def dmp(problem: PlanningProblem, options: DmpOptions) -> Motion:
     t = problem.times()
     sigma, _ = minimum_jerk_law(t / t[-1])
     phase = np.exp(-DECAY * t / t[-1])
-    # Shares of the way, by the spring with its smooth start and by each weight.
+    # Fractions of the path, by the spring with its smooth start and by each weight.
     spring = ALPHA * BETA * (1.0 - phase)[:, None]
-    shares = responses(np.hstack([spring, forcing(options.basis_functions, phase)]), problem.timestep / t[-1])
-    weights = np.linalg.pinv(shares[:, 1:], rcond=_LEAST_RESPONSE) @ (sigma - shares[:, 0])
+    fractions = responses(np.hstack([spring, forcing(options.basis_functions, phase)]), problem.timestep / t[-1])
+    weights = np.linalg.pinv(fractions[:, 1:], rcond=_LEAST_RESPONSE) @ (sigma - fractions[:, 0])
     shown = reference_configuration(problem.arm) - problem.arm.keyframe("home")
-    imitates = np.abs(shown) > options.least_share * problem.arm.ranges
-    law = np.where(imitates, (shares @ np.append(1.0, weights))[:, None], shares[:, :1])
+    imitates = np.abs(shown) > options.least_fraction * problem.arm.ranges
+    law = np.where(imitates, (fractions @ np.append(1.0, weights))[:, None], fractions[:, :1])
     q = problem.start + law * (problem.target - problem.start)
     qd = np.gradient(q, problem.timestep, axis=0, edge_order=2)
     rest = np.zeros((3, len(shown)))

@@ -6,14 +6,14 @@ E = |q* - d|^2 / 2 move the equilibrium q* towards the target d, and every ten s
 nearest such block (their Algorithm 1, here `learning.train` with `QuaternionWeights`; the equilibrium, which they reach
 by running the network, is found by Newton's method).
 
-As in their arm, whose joints are balls, a neuron represents the posture of a joint: a multiple of the unit quaternion
-of its rotation from the middle of its range. They have no sliding joints; here a slide's displacement counts as a
-rotation about its axis, with half a turn for its range. On the way, states have other moduli and rotate about other
-axes, too; the motion takes the nearest posture of each joint, 2 atan2(v . a, w) for a hinge about a.
+As in their arm, whose joints are ball joints, a neuron represents the position of a joint by a multiple of the unit
+quaternion of its rotation from the middle of its range. They have no slide joints; here a slide's displacement counts
+as a rotation about its axis, with half a turn for its range. Along the trajectory, states also have other moduli and
+rotate about other axes; the motion takes the nearest position of each joint, 2 atan2(v . a, w) for a hinge about a.
 
-The stability proof for their networks needs weights with an infinity norm below 1, which learned weights exceed. Hence
-it is checked that the equilibrium attracts, and seen in a run that the network arrives; nothing more is guaranteed. The
-method takes no account of limits and obstacles.
+The stability proof for their networks needs weights with an infinity norm below 1, which learned weights exceed. So the
+planner checks that the equilibrium is locally stable and that the network arrives when it is run; nothing more is
+guaranteed. The method takes no account of limits and obstacles.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from lieednn_sim.values import Floats
 
 # Distance to the target at which the path ends, a few times the error of learning; and the longest duration in the
 # network's own time, since its slowest mode may be far slower than its decay.
-_ARRIVED, _LONGEST = 1e-5, 1000.0
+_ARRIVAL_DISTANCE, _LONGEST_RUN = 1e-5, 1000.0
 # Samples of the path, between which waypoints are interpolated.
 _SAMPLES = 2000
 # Their Algorithm 1: rates, period, tolerance. A thousand epochs usually suffice; they allow 30 000.
@@ -52,11 +52,11 @@ class QshnnOptions(PlannerOptions):
     """Options of the planner ``qshnn``.
 
     Attributes:
-        modulus: modulus of the states at start and target; only their directions are postures. With 1, most networks
-            become unstable: a component w near 1 needs a weight above 1, which also acts on components near 0, where
-            tanh is steepest.
+        modulus: modulus of the states at start and target; only their directions encode joint positions. With
+            1, most networks become unstable: a component w near 1 needs a weight above 1, which also acts on components
+            near 0, where tanh is steepest.
         bias: bias of every component, 0.125 to 0.2 in the paper.
-        networks: number of networks to learn, each from other weights, until one's motion can be made.
+        networks: largest number of networks to learn, each from other initial weights, until the arm can follow one.
         waypoints: number of evenly spaced waypoints of the network's path, the control points of the curve followed.
         bend: curvature above which the curve is followed more slowly, as in `SmoothingOptions`.
         training: options of the training.
@@ -76,8 +76,8 @@ def qshnn(problem: PlanningProblem, options: QshnnOptions) -> Motion:
     Raises:
         PlanError: no network could be learned, none arrives, or every motion breaks a limit of the arm.
     """
-    postures = JointPostures(problem.arm, options.modulus)
-    target = postures.quaternions(problem.target)
+    joints = JointQuaternions(problem.arm, options.modulus)
+    target = joints.quaternions(problem.target)
     refusal = ""
     for attempt in range(options.networks):
         result = learned(target, options, [problem.seed, attempt])
@@ -86,15 +86,15 @@ def qshnn(problem: PlanningProblem, options: QshnnOptions) -> Motion:
             refusal = refusal or result.message
             continue
         try:
-            path = path_of(problem, postures, result.network, options.waypoints)
+            path = path_of(problem, joints, result.network, options.waypoints)
             return in_time(_motion, problem, path, options.bend)
         except PlanError as error:
             refusal = str(error)
     raise PlanError(f"no quaternion network of {options.networks} can be used: {refusal}")
 
 
-class JointPostures:
-    """Postures of joints as quaternions (w, x, y, z), one for each hinge, slide or ball joint.
+class JointQuaternions:
+    """Joint positions as quaternions (w, x, y, z), one for each hinge, slide or ball joint.
 
     Coupled joints, which share a coordinate, share a quaternion.
 
@@ -143,22 +143,22 @@ def learned(target: Floats, options: QshnnOptions, seed: Sequence[int]) -> Train
     return train(target, options.training, bias=options.bias, group=QuaternionWeights(), initial_weight=weight)
 
 
-def path_of(problem: PlanningProblem, postures: JointPostures, network: HopfieldNetwork, count: int) -> Floats:
+def path_of(problem: PlanningProblem, joints: JointQuaternions, network: HopfieldNetwork, count: int) -> Floats:
     """Evenly spaced joint positions ``(count, n)`` on the network's path from the problem's start to its target.
 
     Raises:
         PlanError: the network does not arrive.
     """
-    start, target = postures.quaternions(problem.start), postures.quaternions(problem.target)
-    way = network.trajectory(start, _LONGEST, until=target, distance=_ARRIVED)
-    left = float(np.abs(way.xi[-1] - target).max())
-    if left > 2.0 * _ARRIVED:
+    start, target = joints.quaternions(problem.start), joints.quaternions(problem.target)
+    trajectory = network.trajectory(start, _LONGEST_RUN, until=target, distance=_ARRIVAL_DISTANCE)
+    left = float(np.abs(trajectory.xi[-1] - target).max())
+    if left > 2.0 * _ARRIVAL_DISTANCE:
         raise PlanError(
-            f"the learned network does not arrive: {left:.2g} from the target after {_LONGEST:g} of its time"
+            f"the learned network does not arrive: {left:.2g} from the target after {_LONGEST_RUN:g} of its time"
         )
-    share = np.linspace(0.0, 1.0, _SAMPLES)
-    times = np.interp(share, np.linspace(0.0, 1.0, len(way.t)), way.t)
-    q = postures.positions(way(times))
+    fraction = np.linspace(0.0, 1.0, _SAMPLES)
+    times = np.interp(fraction, np.linspace(0.0, 1.0, len(trajectory.t)), trajectory.t)
+    q = joints.positions(trajectory(times))
     q[0], q[-1] = problem.start, problem.target
     scale = joint_scale(problem.arm)
     length = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(q / scale, axis=0), axis=1)))

@@ -37,7 +37,7 @@ METHODS = {
     "bit-star": "BITstar",
     "aorrtc": "AORRTC",
 }
-# Least weight of a joint in the distances of balanced trees, as a share of that of the joint that moves links most.
+# Least weight of a joint in the distances of balanced trees, as a fraction of that of the joint that moves links most.
 _LEAST_SWEEP = 0.1
 # A path of at most this many straight lengths is straight, up to rounding.
 _STRAIGHT = 1.0 + 1e-9
@@ -50,13 +50,14 @@ class SearchOptions(PlannerOptions):
     Attributes:
         margin: clearance of paths, reduced where start or target is closer to something [m]; smoothed motions are
             checked for less.
-        max_collision_checks: largest number of postures tested (not seconds, so that results do not depend on the
+        max_collision_checks: largest number of configurations tested (not seconds, so that results do not depend on the
             machine). While no path is found, the search goes on to the next number; planners that improve their paths
             stop at the first at which they have one.
         shortcuts: number of shortcuts tried on the path.
-        longest_edge: longest edge that a tree grows at once, as a share of the joint space's diagonal.
-        spacings: largest distances that a link frame moves between postures tested on an edge, about, from 0.001 to
-            1 m. If the dense test of the motion finds a contact in between, the next attempt is made with the next one.
+        longest_edge: longest edge that a tree grows at once, as a fraction of the joint space's diagonal.
+        spacings: largest distances that a link frame moves between configurations tested on an edge, about, from 0.001
+            to 1 m. If the dense test of the motion finds a contact in between, the next attempt is made with the next
+            one.
     """
 
     margin: float = 0.01
@@ -126,7 +127,9 @@ def sampling_planner(name: str) -> Callable[[PlanningProblem, PathOptions], Moti
 
     def planner(problem: PlanningProblem, options: PathOptions) -> Motion:
         balanced = isinstance(options, RrtConnectOptions) and options.balanced
-        return _plan(problem, options, balanced_search if balanced else ompl_search(name), name)
+        search = balanced_search if balanced else ompl_search(name)
+        path = cache(partial(connecting_path, problem, Workspace(problem, options.margin), options, search))
+        return motion_along_first(problem, path, len(options.spacings), options, name)
 
     return planner
 
@@ -136,11 +139,6 @@ rrt_star = sampling_planner("rrt-star")
 informed_rrt_star = sampling_planner("informed-rrt-star")
 bit_star = sampling_planner("bit-star")
 aorrtc = sampling_planner("aorrtc")
-
-
-def _plan(problem: PlanningProblem, options: PathOptions, search: Search, name: str) -> Motion:
-    path = cache(partial(connecting_path, problem, Workspace(problem, options.margin), options, search))
-    return motion_along_first(problem, path, len(options.spacings), options, name)
 
 
 def connecting_path(

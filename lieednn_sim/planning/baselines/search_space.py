@@ -1,4 +1,4 @@
-"""Joint space for sampling-based planners: tests of postures and edges, and the end of the search.
+"""Joint space for sampling-based planners: tests of configurations and edges, and the end of the search.
 
 Points are joint coordinates over velocity limits, so the length of a path is a time.
 """
@@ -24,12 +24,12 @@ _CALLS_PER_TEST = 2
 
 
 class EdgeTest:
-    """Tests of points and edges in a workspace, within an amount of work; independent of OMPL.
+    """Tests of points and edges in a workspace, with a bounded number of tests; independent of OMPL.
 
     Args:
         arm: the arm.
-        workspace: has the clearance test, which counts the postures tested.
-        spacing: largest distance that a link frame moves between postures tested on an edge, about [m].
+        workspace: has the clearance test, which counts the configurations tested.
+        spacing: largest distance that a link frame moves between configurations tested on an edge, about [m].
 
     Attributes:
         scale: ``(n,)`` units of the coordinates of points [rad, m].
@@ -61,21 +61,21 @@ class EdgeTest:
         return True
 
     def passable(self, first: Floats, second: Floats) -> bool:
-        """Whether the edge from a clear point ``(n,)`` to another one is clear, at evenly spaced postures."""
+        """Whether the edge from a clear point ``(n,)`` to another one is clear, at evenly spaced configurations."""
         if not self._inside(self.scale * second):
             return False
         count = max(1, math.ceil(float(np.abs(second - first) @ self._density)))
         # An end found clear before is not tested again, but counts as work.
         end = second.tobytes()
-        shares = _shares(count)[end in self._known :]
+        fractions = _fractions(count)[end in self._known :]
         self._clear.tests += end in self._known
-        if self._clear.first_blocked(self.scale * (first + shares[:, None] * (second - first))) is not None:
+        if self._clear.first_blocked(self.scale * (first + fractions[:, None] * (second - first))) is not None:
             return False
         self._known.add(end)
         return True
 
     def over(self, tests: int) -> bool:
-        """Whether a search that may test this many postures must end; to be asked in its loop."""
+        """Whether a search must end that may test ``tests`` configurations; the search asks in its loop."""
         # Calls count, too: a planner that knows the shortest path tests nothing any more.
         return next(self._looks) >= _CALLS_PER_TEST * tests or self._clear.tests >= tests or out_of_time()
 
@@ -156,7 +156,7 @@ def _validator_class(base: Any) -> type[Any]:
 
 
 @lru_cache(maxsize=4096)
-def _shares(count: int) -> Floats:
+def _fractions(count: int) -> Floats:
     """1/count to count/count, the last one first, the others by bisection, so that contacts are found early."""
     order, gaps = [count], [(0, count)]
     for low, high in gaps:

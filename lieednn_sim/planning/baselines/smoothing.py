@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from operator import attrgetter
 
 import numpy as np
 from scipy.integrate import cumulative_simpson
@@ -35,7 +36,7 @@ from lieednn_sim.values import Floats
 _NODES = 4097
 # A curve to be followed at the limits is first sampled as a motion of this many durations, and every 32nd sample tested
 # for contact, before its time law is computed.
-_SLOWER, _STRIDE = 4.0, 32
+_SLOW_DURATIONS, _STRIDE = 4.0, 32
 
 
 @dataclass(frozen=True)
@@ -87,7 +88,8 @@ def motion_along(
             if not isinstance(error, TooFastError):
                 blocked[count] = error
     # A motion that only needs more time takes precedence over blocked ones; of several, the one that needs the least.
-    raise min((error for error in refusals if isinstance(error, TooFastError)), key=_duration, default=refusals[-1])
+    late = (error for error in refusals if isinstance(error, TooFastError))
+    raise min(late, key=attrgetter("duration"), default=refusals[-1])
 
 
 def motion_along_first(
@@ -131,15 +133,11 @@ def motion_along_first(
 
 def _fastest(problem: PlanningProblem, corners: Floats, count: int, bend: float) -> Motion:
     """The motion along a smooth curve at the arm's limits, whatever the problem's duration."""
-    slow = replace(problem, duration=_SLOWER * problem.duration)
+    slow = replace(problem, duration=_SLOW_DURATIONS * problem.duration)
     curve = smoothed(slow, corners, count, bend)
     if any(problem.arm.near_contacts_along(curve[0][::_STRIDE])):
-        raise PlanError("something is in the way")
+        raise PlanError("the curve touches something")
     return retime(problem.arm, unchecked_motion(slow, *curve))
-
-
-def _duration(error: TooFastError) -> float:
-    return error.duration
 
 
 def smoothed(problem: PlanningProblem, corners: Floats, count: int, bend: float) -> tuple[Floats, Floats, Floats]:
@@ -155,9 +153,9 @@ def smoothed(problem: PlanningProblem, corners: Floats, count: int, bend: float)
     length = cumulative_simpson(speed, x=u, initial=0.0)
     inverse = CubicHermiteSpline(length, u, 1.0 / speed)
     progress, rate = minimum_jerk_law(t / t[-1])
-    way = length[-1] * progress
-    u_t = np.clip(inverse(way), 0.0, 1.0)
-    u_rate = inverse(way, nu=1) * length[-1] * rate / t[-1]
+    along = length[-1] * progress
+    u_t = np.clip(inverse(along), 0.0, 1.0)
+    u_rate = inverse(along, nu=1) * length[-1] * rate / t[-1]
     return scale * curve(u_t), scale * curve(u_t, nu=1) * u_rate[:, None], progress
 
 
@@ -184,11 +182,11 @@ def stopping(problem: PlanningProblem, corners: Floats) -> tuple[Floats, Floats,
     ends = np.concatenate([[0.0], np.cumsum(lengths)]) / lengths.sum()
     # Rounding errors must not put the last sample on an edge beyond the last.
     edge = np.clip(np.searchsorted(ends, t / t[-1], side="right") - 1, 0, len(lengths) - 1)
-    share = ends[edge + 1] - ends[edge]
-    sigma, rate = minimum_jerk_law(np.clip((t / t[-1] - ends[edge]) / share, 0.0, 1.0))
-    way = (scaled[edge + 1] - scaled[edge]) * scale
-    q = scale * scaled[edge] + sigma[:, None] * way
-    return q, (rate / (share * t[-1]))[:, None] * way, ends[edge] + share * sigma
+    fraction = ends[edge + 1] - ends[edge]
+    sigma, rate = minimum_jerk_law(np.clip((t / t[-1] - ends[edge]) / fraction, 0.0, 1.0))
+    change = (scaled[edge + 1] - scaled[edge]) * scale
+    q = scale * scaled[edge] + sigma[:, None] * change
+    return q, (rate / (fraction * t[-1]))[:, None] * change, ends[edge] + fraction * sigma
 
 
 def _measured(points: Floats) -> tuple[Floats, Floats]:

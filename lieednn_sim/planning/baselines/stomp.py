@@ -34,8 +34,8 @@ from lieednn_sim.planning.problem import PlanningProblem, in_time
 from lieednn_sim.planning.time_laws import minimum_jerk_law
 from lieednn_sim.values import Floats
 
-# Postures tested between two checks of the time budget.
-_POSTURES = 100
+# Configurations tested between two checks of the time budget.
+_TESTS_PER_CHECK = 100
 
 
 @dataclass(frozen=True)
@@ -44,19 +44,19 @@ class StompOptions(PlannerOptions):
 
     Attributes:
         margin: clearance of paths, reduced where start or target is closer to something [m].
-        spacing: largest distance that a link frame moves between postures tested, about, from 0.001 to 1 m. If the
-            motion is refused, as for a contact in between, the search starts again with half of it.
-        waypoints: number of waypoints between start and target, from 4 to 500; enough for a way around an obstacle.
+        spacing: largest distance that a link frame moves between configurations tested, about, from 0.001 to 1 m. If
+            the motion is refused, as for a contact in between, the search starts again with half of it.
+        waypoints: number of waypoints between start and target, from 4 to 500; enough for a path around an obstacle.
         rollouts: number of noisy paths in a round, the paper's K; more find better paths, in proportionally more time.
-        sensitivity: the paper's h, ten there, too.
-        spread: standard deviation of the initial noise in the middle of the path, in units of each joint's range;
-            small, for the least detour, and increased if that fails.
+        sensitivity: h in the weights exp(-h S); 10 as in the paper.
+        spread: standard deviation of the initial noise in the middle of the path, as a fraction of each joint's range;
+            small, for short detours, since it grows while no path is better.
         grow: factor of the spread after a round without a better path.
         shrink: factor of the spread after a round with a better path.
-        widest: largest spread.
+        widest: upper bound of the spread.
         stalled: number of successive rounds without a better path after which the search restarts.
-        rounds: largest number of rounds.
-        steps: number of steps down the second term for each joint.
+        rounds: largest number of rounds before the planner gives up.
+        steps: number of implicit smoothing steps for each joint, which reduce theta' R theta.
     """
 
     margin: float = 0.01
@@ -74,7 +74,7 @@ class StompOptions(PlannerOptions):
 
 
 def stomp(problem: PlanningProblem, options: StompOptions) -> Motion:
-    """The motion along the first clear path, smoothed.
+    """The motion along the first clear path that STOMP finds, after smoothing.
 
     Raises:
         PlanError: no path is clear, or the motion breaks a limit of the arm.
@@ -95,12 +95,12 @@ def stomp(problem: PlanningProblem, options: StompOptions) -> Motion:
 
 def motion_along(problem: PlanningProblem, path: Floats) -> Motion:
     """The checked motion along a B-spline in the convex hull of ends and waypoints ``(N, n)``, by minimum jerk."""
-    way = np.concatenate([problem.start[None], path, problem.target[None]])
-    share = np.linspace(0.0, 1.0, len(way))
-    knots = clamped_knots(len(way))
+    points = np.concatenate([problem.start[None], path, problem.target[None]])
+    fraction = np.linspace(0.0, 1.0, len(points))
+    knots = clamped_knots(len(points))
     # With control points at the means of their knots, an evenly spaced straight path gives a curve of constant speed.
     means = np.lib.stride_tricks.sliding_window_view(knots[1:-1], SPLINE_DEGREE).mean(axis=1)
-    curve = BSpline(knots, np.stack([np.interp(means, share, joint) for joint in way.T], axis=1), SPLINE_DEGREE)
+    curve = BSpline(knots, np.stack([np.interp(means, fraction, joint) for joint in points.T], axis=1), SPLINE_DEGREE)
     t = problem.times()
     u, rate = minimum_jerk_law(t / t[-1])
     return joint_motion(problem, curve(u), curve(u, nu=1) * (rate / t[-1])[:, None], u)
@@ -112,7 +112,7 @@ class StompSearch:
     Args:
         problem: start, target and arm.
         options: options of the planner.
-        spacing: spacing of the postures tested, as in the options [m].
+        spacing: spacing of the configurations tested, as in the options [m].
         rng: generator of the noise.
 
     Attributes:
@@ -128,16 +128,16 @@ class StompSearch:
     ) -> None:
         self.problem, self.options, self.rng, n = problem, options, rng, options.waypoints
         # The excess of a ball joint is that of its angle, repeated for its three coordinates.
-        self._shares = np.ones(problem.arm.n_joints)
-        self._shares[problem.arm.space.balls] = 1.0 / 3.0
+        self._weights = np.ones(problem.arm.n_joints)
+        self._weights[problem.arm.space.balls] = 1.0 / 3.0
         self._clear, self._density = Workspace(problem, options.margin).clear, sweeps(problem.arm) / spacing
         differences = np.eye(n, k=-1) - 2.0 * np.eye(n) + np.eye(n, k=1)
         self.metric = differences.T @ differences
         inverse = np.linalg.inv(self.metric)
         self._root, self._deviation = np.linalg.cholesky(self.metric).T, np.sqrt(inverse.diagonal().max())
         self.smoother = inverse / (n * inverse.max(axis=0))
-        share = np.arange(1, n + 1)[:, None] / (n + 1)
-        self.straight = problem.start + share * (problem.target - problem.start)
+        fraction = np.arange(1, n + 1)[:, None] / (n + 1)
+        self.straight = problem.start + fraction * (problem.target - problem.start)
         self.path = self.straight
         self.cost = self.costs(self.path)
 
@@ -149,19 +149,19 @@ class StompSearch:
         return np.asarray(drawn.reshape(n, count, joints).transpose(1, 0, 2))
 
     def costs(self, path: Floats) -> Floats:
-        """Worst sum of lacking clearance [m] and excess over limits [rad, m] on the edges of each waypoint ``(N,)``."""
-        way = np.concatenate([self.problem.start[None], path, self.problem.target[None]])
-        edges = np.diff(way, axis=0)
+        """Costs ``(N,)``: the worst sum of lacking clearance [m] and limit excess [rad, m] on a waypoint's edges."""
+        points = np.concatenate([self.problem.start[None], path, self.problem.target[None]])
+        edges = np.diff(points, axis=0)
         counts = np.maximum(np.ceil(np.abs(edges) @ self._density), 1).astype(int)
         first = np.cumsum(counts) - counts
-        share = (np.arange(counts.sum()) - np.repeat(first, counts) + 1) / np.repeat(counts, counts)
-        postures = np.repeat(way[:-1], counts, axis=0) + share[:, None] * np.repeat(edges, counts, axis=0)
-        lack = np.empty(len(postures))
-        for begin in range(0, len(postures), _POSTURES):
+        fraction = (np.arange(counts.sum()) - np.repeat(first, counts) + 1) / np.repeat(counts, counts)
+        configurations = np.repeat(points[:-1], counts, axis=0) + fraction[:, None] * np.repeat(edges, counts, axis=0)
+        lack = np.empty(len(configurations))
+        for begin in range(0, len(configurations), _TESTS_PER_CHECK):
             check_time()
-            part = slice(begin, begin + _POSTURES)
-            beyond = np.maximum(self.problem.arm.limit_excess(postures[part]), 0.0) @ self._shares
-            lack[part] = self._clear.lack(postures[part]) + beyond
+            part = slice(begin, begin + _TESTS_PER_CHECK)
+            beyond = np.maximum(self.problem.arm.limit_excess(configurations[part]), 0.0) @ self._weights
+            lack[part] = self._clear.lack(configurations[part]) + beyond
         worst = np.maximum.reduceat(lack, first)
         return np.maximum(worst[:-1], worst[1:])
 
@@ -196,7 +196,7 @@ class StompSearch:
         return better
 
     def smoothed(self, path: Floats) -> Floats:
-        """A clear path ``(N, n)`` after steps down the second term, joint by joint, as far as these stay clear."""
+        """A clear path ``(N, n)`` after steps that reduce theta' R theta joint by joint, as far as it stays clear."""
         values, vectors = np.linalg.eigh(self.metric)
         # First straight; then lambda in units that halve the lowest mode, raised after a clear step, else reduced.
         damping = np.full(path.shape[1], np.inf)

@@ -3,7 +3,7 @@
 RRT-Connect is Kuffner and LaValle's (ICRA 2000). Here the smaller of the two trees grows (theirs, 2005), and after a
 failed extension a node grows only towards samples nearby (Yershova, Jaillet, Simeon and LaValle, ICRA 2005). If one end
 is in a narrow place, both measures keep the work there; otherwise the tree in the open would grow to thousands of
-nodes, each of which tries in vain to reach the other tree.
+nodes that all fail to reach the other tree.
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ def connected(
         target: ``(n,)``, clear.
         bounds: ``(n, 2)`` bounds of the samples.
         longest_edge: longest edge to grow, in the Euclidean norm.
-        clear: whether the edge from a clear point to another point is clear, including its end.
-        over: whether the search must end; asked before each extension.
+        clear: returns whether the edge from a clear point to another point is clear, including its end.
+        over: returns whether the search must end; called before each extension.
         seed: seed of the samples.
     """
     if clear(start, target):

@@ -36,9 +36,9 @@ REGISTRY = Registry("controller", CONTROLLERS, _controller)
 def register_controller(name: str) -> Callable[[_Make], _Make]:
     """Decorator that registers a `Controller` by name for `simulate`, `compare` and the command line.
 
-    It is made from an arm and a reference; a function that returns one is also accepted. Its actions are checked at
-    every step: it may set finite controls and mocap bodies, but neither the state nor forces. Worker processes and the
-    command line find controllers that an installed package names in its entry points:
+    A controller is made from an arm and a reference; a function that returns one is also accepted. The actions are
+    checked at every step: a controller may set finite controls and mocap bodies, but neither the state nor forces.
+    Worker processes and the command line find controllers that an installed package names in its entry points:
 
         [project.entry-points."lieednn_sim.controllers"]
         my-controller = "my_package.my_module:MyController"
@@ -60,6 +60,6 @@ def register_controller(name: str) -> Callable[[_Make], _Make]:
 def controllers() -> Mapping[str, Callable[[Arm, Reference], Controller]]:
     """All controllers by name: `CONTROLLERS`, and those of the entry points of installed packages.
 
-    Those that cannot be loaded are left out, with a warning that names the package.
+    An entry point that cannot be loaded is left out, with a warning that names its package.
     """
     return REGISTRY.all()

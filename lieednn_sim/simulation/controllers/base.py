@@ -32,7 +32,7 @@ class Controller(ABC):
     """Drives a rollout along the known part of a reference, and may log channels of its own.
 
     Attributes:
-        adds_bodies: whether `add_bodies` does anything; otherwise the plant need not be compiled again.
+        adds_bodies: whether `add_bodies` adds any; if not, the plant need not be compiled again.
         channel_units: see `ChannelSource`.
     """
 
@@ -46,10 +46,10 @@ class Controller(ABC):
         """Give the compiled plant the actuators that the controller needs."""
 
     def inputs(self, steps: range, noise: Noise) -> Inputs | None:
-        """What `act` would set at some steps if it follows from the reference alone; otherwise None.
+        """The values that `act` would set at given steps if they follow from the reference alone; otherwise None.
 
         Args:
-            steps: m steps.
+            steps: numbers of m steps.
             noise: ``(m, nv)`` measurement errors at these steps.
         """
         return None
@@ -58,7 +58,8 @@ class Controller(ABC):
     def act(self, data: mujoco.MjData, step: int, noise: Noise) -> None:
         """Set the controls of a step.
 
-        Called before the step: time, qpos and qvel in ``data`` are those of this step, derived values are not yet.
+        It is called before the step: time, qpos and qvel in ``data`` are those of this step, derived values of the
+        last.
         """
 
     def sample(self, data: mujoco.MjData) -> Floats:
@@ -96,7 +97,7 @@ class FeedforwardServo(DriveController):
 
     @abstractmethod
     def controls(self, steps: range) -> Floats:
-        """Controls ``(m, nu)`` of some steps, if states are measured without error."""
+        """Controls ``(m, nu)`` at given steps for states measured without error."""
 
     def inputs(self, steps: range, noise: Noise) -> Inputs:
         """See `Controller`."""

@@ -20,7 +20,7 @@ from lieednn_sim.planning import Plan, plan, reference_network
 from lieednn_sim.simulation import Rollout, simulate
 from lieednn_sim.simulation.tracking import as_hold
 from lieednn_sim.studies.comparison.rows import COLUMNS, TIMING, Case, Row
-from lieednn_sim.studies.entries import SCENE, Entry, load
+from lieednn_sim.studies.user_files import SCENE, UserFile, load
 from lieednn_sim.validation import as_positive
 from lieednn_sim.values import Floats, check_fields, set_fields
 
@@ -52,9 +52,9 @@ class Settings:
 
 
 @lru_cache(maxsize=4)
-def load_arm(name: str, scene: str, seed: int, entries: tuple[Entry, ...] = ()) -> Arm:
+def load_arm(name: str, scene: str, seed: int, user_files: tuple[UserFile, ...] = ()) -> Arm:
     """The arm in its scene; warms up what is computed once per process, so that no planning time includes it."""
-    arm = load(name, scene, seed, entries)
+    arm = load(name, scene, seed, user_files)
     try:
         reference_network(arm)
         plan(arm, arm.keyframe("home"), planner="minimum-jerk", duration=100 * arm.timestep)
@@ -63,33 +63,35 @@ def load_arm(name: str, scene: str, seed: int, entries: tuple[Entry, ...] = ()) 
     return arm
 
 
-def arm_and_target(name: str, scene: str, seed: int, entries: tuple[Entry, ...] = ()) -> tuple[Arm, Floats]:
+def arm_and_target(name: str, scene: str, seed: int, user_files: tuple[UserFile, ...] = ()) -> tuple[Arm, Floats]:
     """The arm, and a random target ``(n,)`` for its scene; the same for every planner.
 
     Args:
         name: name of the arm.
         scene: name of the scene.
         seed: seed of obstacles and target.
-        entries: arms and scenes from files, by their names.
+        user_files: arms and scenes from files, by their names.
 
     Raises:
         FileError: a file no longer exists.
         InputError: the arm or scene is unknown, or they do not fit together.
         NoSolutionError: no target was found.
     """
-    made = _arm_and_target(name, scene, seed, tuple(entries))
+    made = _arm_and_target(name, scene, seed, tuple(user_files))
     if isinstance(made, LieEDNNError):
         raise made
     return made
 
 
 @lru_cache(maxsize=4)
-def _arm_and_target(name: str, scene: str, seed: int, entries: tuple[Entry, ...]) -> tuple[Arm, Floats] | LieEDNNError:
+def _arm_and_target(
+    name: str, scene: str, seed: int, user_files: tuple[UserFile, ...]
+) -> tuple[Arm, Floats] | LieEDNNError:
     """`arm_and_target`, or its error, so that a failed search is not repeated for each planner."""
     # Without random obstacles the arm does not depend on the seed, and is shared.
-    drawn = scene != FREE and (SCENE, scene) not in {entry[:2] for entry in entries}
+    drawn = scene != FREE and (SCENE, scene) not in {file[:2] for file in user_files}
     try:
-        arm = load_arm(name, scene, seed if drawn else 0, entries)
+        arm = load_arm(name, scene, seed if drawn else 0, user_files)
         return arm, draw_target(arm, seed)
     except LieEDNNError as error:
         return error
@@ -107,16 +109,16 @@ def _plan(case: Case, arm: Arm, target: Floats, settings: Settings) -> Plan:
 
 
 def run_case(
-    case: Case, controllers: Sequence[str], settings: Settings, *, entries: tuple[Entry, ...] = ()
+    case: Case, controllers: Sequence[str], settings: Settings, *, user_files: tuple[UserFile, ...] = ()
 ) -> list[Row]:
     """Plan once and track with every controller: one row each, with the reason for a failure; bugs are raised.
 
-    Arms and scenes from files are found by their names among the entries. The planning time is CPU time of this
+    Arms and scenes from files are found by their names in ``user_files``. The planning time is CPU time of this
     process, with one BLAS thread.
     """
     with one_blas_thread():
         try:
-            arm, target = arm_and_target(case.arm, case.scene, case.seed, entries)
+            arm, target = arm_and_target(case.arm, case.scene, case.seed, user_files)
         except LieEDNNError as error:
             return failed_case(case, controllers, settings, f"problem: {error}")
         begun = time.process_time()
@@ -152,14 +154,14 @@ def _row(case: Case, controller: str, settings: Settings, reason: str, **values:
     return Row(**keys, reason=reason, **values)
 
 
-def replay(case: Case, controller: str, settings: Settings, *, entries: tuple[Entry, ...] = ()) -> Rollout:
+def replay(case: Case, controller: str, settings: Settings, *, user_files: tuple[UserFile, ...] = ()) -> Rollout:
     """Plan and simulate a case again, to render or plot it.
 
     Raises:
         LieEDNNError: it cannot be planned or simulated.
     """
     with one_blas_thread():
-        arm, target = arm_and_target(case.arm, case.scene, case.seed, entries)
+        arm, target = arm_and_target(case.arm, case.scene, case.seed, user_files)
         return _simulate(arm, _plan(case, arm, target, settings), controller, settings)
 
 

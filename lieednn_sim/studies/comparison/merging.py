@@ -12,10 +12,9 @@ from lieednn_sim import filesystem
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.studies.comparison.cases import Settings
 from lieednn_sim.studies.comparison.rows import TIMING, Case, Row
-from lieednn_sim.studies.comparison.shards import Shard
-from lieednn_sim.studies.comparison.study import Comparison, missing
-from lieednn_sim.studies.entries import Entry, record
+from lieednn_sim.studies.comparison.study import Comparison, Shard, missing
 from lieednn_sim.studies.table import Table, differences, how_made, read_rows
+from lieednn_sim.studies.user_files import UserFile, record_files
 from lieednn_sim.versions import versions
 
 
@@ -63,9 +62,9 @@ def merge(directory: str | os.PathLike[str], folders: Sequence[str | os.PathLike
         part = whole["part"]
         shards = {folder: Shard(found["part"]["shard"], part["shards"]) for folder, found in read.items()}
         settings = Settings(**whole["settings"])
-        entries = [Entry(*entry) for entry in part["entries"]]
+        user_files = [UserFile(*file) for file in part["user_files"]]
         chosen = {name: part[name] for name in ("planners", "arms", "scenes", "controllers", "seeds", "slow_seeds")}
-        study = Comparison(**chosen, entries=tuple(entries), common=settings)
+        study = Comparison(**chosen, user_files=tuple(user_files), common=settings)
         absent = {str(name): str(reason) for name, reason in part["absent"].items()}
     except (AttributeError, KeyError, TypeError, InputError) as error:
         raise FileError(f"{first} holds no shard of a comparison ({type(error).__name__}: {error})") from None
@@ -78,7 +77,7 @@ def merge(directory: str | os.PathLike[str], folders: Sequence[str | os.PathLike
             if Shard.holding(row.case, shard.of) != shard:
                 raise FileError(f"{folder} is shard {shard}, but holds the case {row.case} of another")
             rows[row.key] = _agreed(row, folder, *rows.get(row.key, (row, folder)))
-    record(filesystem.make_directory(target), study.entries)
+    record_files(filesystem.make_directory(target), study.user_files)
     table = study.open(target)
     table.save({key: row for key, (row, _) in rows.items()})
     lacking: dict[Shard, list[Case]] = {}
@@ -92,8 +91,8 @@ def _without_number(description: Mapping[str, Any]) -> dict[str, Any]:
     """The part of a description that all shards of a comparison share."""
     part = description.get("part", {})
     # Files may be elsewhere on other machines; their fingerprints identify them.
-    entries = [[*entry[:2], *entry[3:]] for entry in part.get("entries", [])]
-    return {**description, "part": {**part, "shard": None, "entries": entries}}
+    user_files = [[*file[:2], *file[3:]] for file in part.get("user_files", [])]
+    return {**description, "part": {**part, "shard": None, "user_files": user_files}}
 
 
 def _agreed(row: Row, folder: Path, other: Row, elsewhere: Path) -> tuple[Row, Path]:

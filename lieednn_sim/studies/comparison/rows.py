@@ -14,7 +14,7 @@ _of_motion = partial(column, of_motion=True)
 
 @dataclass(frozen=True, order=True)
 class Case:
-    """A planning task of a comparison, shared by all controllers."""
+    """A planning problem of a comparison; all controllers track its one motion."""
 
     arm: str
     scene: str
@@ -77,7 +77,9 @@ class Row(TableRow):
         "planning [s]", "CPU time of the planner, stopped at its time budget; the one column that differs between runs"
     )
     motion_s: float | None = _of_motion("motion [s]", "time at which the plan comes to rest")
-    gap_mm: float | None = _of_motion("gap [mm]", "largest mechanism gap on the way: what the joints cannot follow")
+    gap_mm: float | None = _of_motion(
+        "gap [mm]", "largest distance of a planned pose from the nearest that its joint can take"
+    )
     gap_deg: float | None = _of_motion("gap [deg]", "the same as an angle")
     gap_end_mm: float | None = _of_motion("gap at end [mm]", "mechanism gap of the last planned poses")
     gap_end_deg: float | None = _of_motion("gap at end [deg]", "the same as an angle")
@@ -109,8 +111,8 @@ class Row(TableRow):
     tracking_max_mm: float | None = column("tracking max [mm]", "the largest such distance")
     tracking_max_deg: float | None = column("[deg]", "the same as an angle")
     path_m: float | None = column("effector path [m]", "length of the end effector's simulated path")
-    velocity_share: float | None = column("velocity / limit", "largest joint velocity in units of its limit")
-    force_share: float | None = column(
+    velocity_fraction: float | None = column("velocity / limit", "largest joint velocity in units of its limit")
+    force_fraction: float | None = column(
         "force / limit", "largest actuator force or torque in units of its limit in the weaker direction"
     )
     clearance_mm: float | None = column(

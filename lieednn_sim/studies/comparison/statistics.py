@@ -33,7 +33,7 @@ class Failure:
 
 
 def verdict(rows: Iterable[Row]) -> str:
-    """Proven stability, such as "global 9/10, local 1/10"; "-" without a network."""
+    """The proven stability of the rows' networks, such as "global 9/10, local 1/10"; "-" without a network."""
     found = [row.stability for row in motions(rows) if row.stability not in ("", "-")]
     if not found:
         return "-"

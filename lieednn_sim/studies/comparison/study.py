@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import itertools
 import os
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -19,26 +20,66 @@ from lieednn_sim.planning import missing_planners, planners
 from lieednn_sim.simulation import controllers
 from lieednn_sim.studies.comparison.cases import FREE, Settings, failed_case, run_case
 from lieednn_sim.studies.comparison.rows import Case, Row
-from lieednn_sim.studies.comparison.shards import Shard
-from lieednn_sim.studies.entries import ARM, SCENE, Entry, enter
 from lieednn_sim.studies.statistics import numbers
 from lieednn_sim.studies.study import Study, compute
 from lieednn_sim.studies.table import Table
+from lieednn_sim.studies.user_files import ARM, SCENE, UserFile, resolve
 from lieednn_sim.validation import as_choice, as_count
 from lieednn_sim.values import check_fields, set_fields
 
 DEFAULT_CONTROLLERS = ("position-servo", "inverse-dynamics")
 DEFAULT_SCENES = (FREE, "window")
 # Those of its fields that tell which cases a comparison has.
-_SELECTION = ("planners", "arms", "scenes", "controllers", "seeds", "entries", "slow_seeds")
+_SELECTION = ("planners", "arms", "scenes", "controllers", "seeds", "user_files", "slow_seeds")
+
+
+@dataclass(frozen=True)
+class Shard:
+    """A part of a comparison's cases, for a machine that shares only a disk with the others.
+
+    The shard of a case depends on the name of the case alone.
+
+    Attributes:
+        number: its number, starting at 1.
+        of: the number of shards.
+
+    Raises:
+        InputError: there is no such shard.
+    """
+
+    number: int
+    of: int
+
+    def __post_init__(self) -> None:
+        if as_count("the number of a shard", self.number) > as_count("the number of shards", self.of):
+            raise InputError(f"there is no shard {self}: shards are numbered from 1 to {self.of}")
+
+    @classmethod
+    def parse(cls, text: str) -> Shard:
+        """Read ``K/N``; `InputError` if the text is not of that form."""
+        number, _, of = text.partition("/")
+        if not (text.isascii() and number.isdecimal() and of.isdecimal() and len(text) < 20):
+            raise InputError(f"a shard must look like 3/10, the third of ten, got {text!r}")
+        return cls(int(number), int(of))
+
+    @classmethod
+    def holding(cls, case: Case, of: int) -> Shard:
+        """The shard, out of ``of``, that holds a case."""
+        digest = hashlib.sha256(str(case).encode()).digest()
+        return cls(int.from_bytes(digest[:8], "big") % of + 1, of)
+
+    def __str__(self) -> str:
+        return f"{self.number}/{self.of}"
 
 
 @dataclass(frozen=True)
 class Comparison(Study[Row]):
-    """What to compare; empty means all (for scenes and controllers, the default ones).
+    """What to compare: all combinations of planners, arms, scenes, controllers and seeds.
 
-    A case is planned once for all controllers. Cases of one arm among the same obstacles are consecutive, so that a
-    worker loads it once, with the slow ones first.
+    An empty list means all; for scenes and controllers, `DEFAULT_SCENES` and `DEFAULT_CONTROLLERS`.
+
+    A case is planned once for all controllers. Cases of one arm among the same obstacles follow each other, slow
+    planners first, so that a worker loads the arm once.
 
     Attributes:
         planners: names of `PLANNERS`; those whose package is missing are left out.
@@ -46,7 +87,7 @@ class Comparison(Study[Row]):
         scenes: names of scenes, or files of obstacles, likewise.
         controllers: names of `CONTROLLERS`.
         seeds: number of seeds, starting at 0.
-        entries: the arms and scenes from files; those given here can be referred to by name.
+        user_files: the arms and scenes that come from files; those given here can be referred to by name.
         slow_seeds: number of seeds of the planners whose `cost` is above `SLOW`, at most ``seeds``; None for as many.
         common: settings of all rows.
         shard: the shard of the cases that is computed, for `merging.merge`; None for all.
@@ -64,13 +105,13 @@ class Comparison(Study[Row]):
     scenes: Sequence[str] = ()
     controllers: Sequence[str] = ()
     seeds: int = 3
-    entries: tuple[Entry, ...] = ()
+    user_files: tuple[UserFile, ...] = ()
     slow_seeds: int | None = None
     common: Settings = field(default_factory=Settings)
     shard: Shard | None = None
 
     def __post_init__(self) -> None:
-        entries = list(self.entries)
+        user_files = list(self.user_files)
         for name, known, default in (
             ("planners", list(planners()), list(planners())),
             ("arms", arm_names(), arm_names()),
@@ -80,15 +121,15 @@ class Comparison(Study[Row]):
             given = getattr(self, name) or default
             kind = name.removesuffix("s")
             if kind in (ARM, SCENE):
-                known += [entry.name for entry in entries if entry.kind == kind]
-                given, own = enter(kind, given, known)
-                entries += own
-                known += [entry.name for entry in own]
+                known += [file.name for file in user_files if file.kind == kind]
+                given, own = resolve(kind, given, known)
+                user_files += own
+                known += [file.name for file in own]
             chosen = tuple(dict.fromkeys(given))
             for value in chosen:
                 as_choice(kind, value, known)
             set_fields(self, **{name: chosen})
-        set_fields(self, entries=tuple(entries))
+        set_fields(self, user_files=tuple(user_files))
         check_fields(self, as_count, "seeds")
         if self.slow_seeds is not None and as_count("slow_seeds", self.slow_seeds) > self.seeds:
             raise InputError(f"slow_seeds must be at most seeds, {self.seeds}, got {self.slow_seeds}")
@@ -110,7 +151,7 @@ class Comparison(Study[Row]):
         return {"shard": self.shard.number, "shards": self.shard.of, **chosen, "absent": self.absent}
 
     def cases(self, absent: Collection[str] | None = None) -> list[Case]:
-        """All combinations without absent planners, by default `absent`."""
+        """All cases but those of absent planners, by default of `absent`."""
         absent = self.absent if absent is None else absent
         usable = [name for name in self.planners if name not in absent]
         few = self.seeds if self.slow_seeds is None else self.slow_seeds
@@ -171,7 +212,7 @@ def compare(
         table = ls.compare("out", planners=["minimum-jerk", "lieednn-certified"], arms=["telescopic_pr"], seeds=3)
         write_page("out/comparison.html", table)     # of `studies.report`
 
-    Args and errors are those of `Comparison`, with its ``common`` as ``settings``, and of `study.compute`.
+    The arguments and errors are those of `Comparison` (whose ``common`` is ``settings`` here) and `study.compute`.
     """
     chosen: dict[str, Any] = {"planners": planners, "arms": arms, "scenes": scenes, "controllers": controllers}
     study = Comparison(

@@ -1,4 +1,4 @@
-"""Attraction of a model of demonstrations: where it leads from random starts."""
+"""Where a model of demonstrations leads from random starts."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ class Attraction:
 
     Attributes:
         starts: number of starts.
-        arrived: how many ended within a hundredth of the demonstrations' extent from the goal.
-        spurious: number of places elsewhere at which others came to rest.
+        arrived: number of them that ended within a hundredth of the demonstrations' extent from the goal.
+        spurious: number of spurious attractors, places other than the goal at which starts came to rest.
     """
 
     starts: int
@@ -60,7 +60,7 @@ def random_starts(demonstrations: Demonstrations, count: int, seed: Seed = 0) ->
 
 
 def attraction(model: MotionModel, demonstrations: Demonstrations, starts: Floats) -> Attraction:
-    """Run a model from twists ``(n, 6)``; in distances a radian counts for the lever of the demonstrations."""
+    """Run a model from start twists ``(n, 6)``; in distances a radian counts as the demonstrations' ``lever`` [m]."""
     t = demonstrations.duration * np.array([0.0, HORIZON - 1.0, HORIZON])
     batches = [starts[k : k + _BATCH] for k in range(0, len(starts), _BATCH)]
     before, ends = (

@@ -34,7 +34,7 @@ class JointErrors:
 
     Attributes:
         effector: errors of the end effector's path.
-        joints_rms: root mean square error of each joint after dynamic time warping in units of the ranges [rad, m].
+        joints_rms: root mean square error of each joint [rad, m], of samples paired by dynamic time warping.
         worst_percent: the largest of these, in percent of its joint's range.
         gap_mm: largest mechanism gap of the network's states; 0 for demonstrations.
         gap_deg: the same as an angle.
@@ -82,7 +82,7 @@ def study_joints(
         demonstrations: the demonstrations.
         learned: the network.
         options: the options of its shaping. Networks shaped without a demonstration have no more hidden neurons.
-        starts: number of random postures free of contact (`draw_target`) from which it is run.
+        starts: number of random configurations free of contact (`draw_target`) from which it is run.
         leave_one_out: shape again without each of the demonstrations.
         seed: seed of the starts and the fits.
         progress: called with the steps done and their total.
@@ -93,7 +93,7 @@ def study_joints(
     arm, n = demonstrations.arm, len(demonstrations)
     again = no_more_than(options, learned.network)
     folds = n if leave_one_out and n > 1 else 0
-    without, ways = list[JointErrors](), list[Floats]()
+    without, paths = list[JointErrors](), list[Floats]()
     with one_blas_thread():
         for k in range(folds):
             if progress:
@@ -108,15 +108,15 @@ def study_joints(
             except NoSolutionError:
                 continue
             if np.abs(motion.q[-1] - learned.goal).max() < _ARRIVED:
-                ways.append(motion.q)
+                paths.append(motion.q)
         study = JointStudy(
             mean=_errors(learned, demonstrations.mean),
             training=_mean([_errors(learned, one) for one in demonstrations.q]),
             left_out=_mean(without) if without else None,
             starts=starts,
-            arrived=len(ways),
+            arrived=len(paths),
         )
-    return study, ways
+    return study, paths
 
 
 def joint_errors(arm: Arm, found: Floats, shown: Floats, gap: tuple[float, float] = (0.0, 0.0)) -> JointErrors:
@@ -133,7 +133,7 @@ def joint_errors(arm: Arm, found: Floats, shown: Floats, gap: tuple[float, float
     )
 
 
-def of_joints(study: JointStudy, arm: Arm) -> Table:
+def joints_table(study: JointStudy, arm: Arm) -> Table:
     """The table of a study for the terminal."""
     rows = table("reproduction", "path", "effector RMS mm", "deg", "Frechet mm", "joints %", "gap mm", "gap deg")
     for path, found in (("mean", study.mean), ("training", study.training), ("left out", study.left_out)):

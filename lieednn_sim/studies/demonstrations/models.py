@@ -91,7 +91,7 @@ def compare_models(
         shaped: the network fitted to all of them.
         options: the options of its fit. Networks fitted without a demonstration have no more hidden neurons.
         rivals: names of `RIVALS`; by default all.
-        starts: number of random starts, see `fields.random_starts`.
+        starts: number of random starts, see `attraction.random_starts`.
         leave_one_out: fit each model again without each of the demonstrations.
         seed: seed of the starts and the fits.
         progress: called with the steps done and their total.
@@ -167,8 +167,8 @@ def _cancelling(futures: Collection[Future[PathErrors]]) -> Iterator[None]:
 def no_more_than(options: ShapingOptions, network: LieEDNN) -> ShapingOptions:
     """Options of a search for networks with no more hidden neurons than a given network."""
     hidden = network.n_hidden - network.n_clock
-    fewer, placed = (tuple(n for n in some if n <= hidden) for some in (options.neurons, options.placed))
-    return replace(options, neurons=fewer, placed=placed)
+    fewer, placed = (tuple(n for n in some if n <= hidden) for some in (options.neurons, options.placed_neurons))
+    return replace(options, neurons=fewer, placed_neurons=placed)
 
 
 def _errors(model: MotionModel, demonstrations: Demonstrations, shown: Floats) -> PathErrors:
@@ -180,7 +180,7 @@ def mean_errors(errors: Sequence[PathErrors]) -> PathErrors:
     return PathErrors(*(float(np.mean([getattr(one, f.name) for one in errors])) for f in fields(PathErrors)))
 
 
-def of_models(rows: Sequence[ModelRow], *, turns: bool) -> Group:
+def models_table(rows: Sequence[ModelRow], *, turns: bool) -> Group:
     """Tables of a comparison for the terminal; ``turns`` if poses were recorded."""
     from rich.console import Group
 

@@ -35,9 +35,10 @@ _LINES: tuple[dict[str, Any], ...] = (
 
 
 def plot_paths(models: Mapping[str, MotionModel], demonstrations: Demonstrations, path: str | os.PathLike[str]) -> None:
-    """Demonstrations and each model's reproduction of their mean, in space; rotations over the share of the way.
+    """Plot demonstrations and each model's reproduction of their mean.
 
-    A plane takes one view and positions take three; poses have the rotations below them.
+    Positions in a plane are shown in one view, positions in space in three. Below them, rotations, where they were
+    recorded, are shown over the fraction of the path.
     """
     shown = 1e3 * demonstrations.displaced[..., 3:]
     paths = {
@@ -61,10 +62,10 @@ def plot_paths(models: Mapping[str, MotionModel], demonstrations: Demonstrations
         for c in range(3 if turns else 0):
             axis = axes[1, c]
             for one in demonstrations.displaced:
-                axis.plot(*_over_way(one, demonstrations.lever, c), color=_SHOWN, lw=0.9, ls="-")
+                axis.plot(*_over_path(one, demonstrations.lever, c), color=_SHOWN, lw=0.9, ls="-")
             for (_, one), line in zip(paths.items(), _LINES, strict=False):
-                axis.plot(*_over_way(one, demonstrations.lever, c), **line)
-            axis.set(xlabel="share of the way", ylabel=f"turn about {'xyz'[c]} [deg]")
+                axis.plot(*_over_path(one, demonstrations.lever, c), **line)
+            axis.set(xlabel="fraction of the path", ylabel=f"turn about {'xyz'[c]} [deg]")
         handles = [
             Line2D([], [], color=_SHOWN, ls="-"),
             *(Line2D([], [], **line) for _, line in zip(paths, _LINES, strict=False)),
@@ -81,7 +82,14 @@ def plot_joint_paths(
     path: str | os.PathLike[str],
     elsewhere: Sequence[Floats] = (),
 ) -> None:
-    """Each joint over the share of the way: demonstrations, the reproduction ``(K, n)``, paths from other starts."""
+    """Plot each joint over the fraction of the path.
+
+    Args:
+        demonstrations: the demonstrations.
+        reproduction: ``(K, n)`` joint positions from the start of their mean.
+        path: of the file.
+        elsewhere: ``(K, n)`` joint positions from other starts, of which the first few are shown.
+    """
     arm = demonstrations.arm
     rows = -(-arm.n_joints // _IN_ROW)
     groups: list[tuple[str, Sequence[Floats], dict[str, Any]]] = [
@@ -93,46 +101,46 @@ def plot_joint_paths(
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(10.5, 0.9 + 2.1 * rows), layout="constrained")
         axes = figure.subplots(rows, _IN_ROW, squeeze=False, sharex=True).ravel()
-        for name, ways, line in groups:
-            for number, q in enumerate(ways):
-                share = demonstrations.shares(q)
+        for name, paths, line in groups:
+            for number, q in enumerate(paths):
+                fraction = demonstrations.length_fractions(q)
                 for joint in range(arm.n_joints):
                     label = None if number or joint else name
-                    axes[joint].plot(share, q[:, joint], label=label, **line)
+                    axes[joint].plot(fraction, q[:, joint], label=label, **line)
         for joint, axis in enumerate(axes):
             if joint < arm.n_joints:
                 axis.set(title=arm.joint_names[joint], ylabel=f"[{arm.unit(joint)}]")
             else:
                 axis.set_axis_off()
             if joint + _IN_ROW >= arm.n_joints > joint:
-                axis.set_xlabel("share of the way")
+                axis.set_xlabel("fraction of the path")
                 axis.xaxis.set_tick_params(labelbottom=True)
         figure.legend(loc="outside upper center", ncols=len(groups))
         figure_layout.save_figure(figure, path)
 
 
 def plot_field(model: MotionModel, demonstrations: Demonstrations, path: str | os.PathLike[str], seed: int = 0) -> None:
-    """Where a model leads from other starts: its initial field in a plane, and paths from random starts.
+    """Plot where a model leads from other starts: its velocity field in a plane, and paths from random starts.
 
-    The field is the initial velocity at each place, with hidden neurons or phase at their start; later it changes. For
-    positions in space, the plane is spanned by the two axes along which the demonstrations extend most.
+    The field is that at the beginning, with hidden neurons or phase at their start; later it changes. For positions in
+    space, the plane is spanned by the two axes along which the demonstrations extend most.
     """
     twists = random_starts(demonstrations, _STARTS, seed)
-    ways = displacement(np.stack([reproduction(model, demonstrations, start) for start in twists]))
+    paths = displacement(np.stack([reproduction(model, demonstrations, start) for start in twists]))
     shown = 1e3 * demonstrations.displaced[..., 3:]
     extent = np.ptp(shown.reshape(-1, 3), axis=0)
     h, v = np.sort(np.argsort(-extent, kind="stable")[:2])
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(6.8, 6.2), layout="constrained")
         axis = figure.subplots()
-        every = 1e3 * ways[..., [3 + h, 3 + v]]
+        every = 1e3 * paths[..., [3 + h, 3 + v]]
         low, high = every.min(axis=(0, 1)), every.max(axis=(0, 1))
         low, high = low - 0.05 * (high - low), high + 0.05 * (high - low)
         if demonstrations.dof < 6:
             _draw_field(axis, model, demonstrations, (low, high), (h, v))
-        for number, way in enumerate(every):
-            axis.plot(way[:, 0], way[:, 1], color=_ELSEWHERE, lw=0.8, ls="-", zorder=3)
-            axis.plot(*way[0], "o", color=_ELSEWHERE, ms=4, zorder=3, label="starts elsewhere" if not number else None)
+        for number, one in enumerate(every):
+            axis.plot(one[:, 0], one[:, 1], color=_ELSEWHERE, lw=0.8, ls="-", zorder=3)
+            axis.plot(*one[0], "o", color=_ELSEWHERE, ms=4, zorder=3, label="starts elsewhere" if not number else None)
         for number, one in enumerate(shown):
             axis.plot(
                 one[:, h],
@@ -170,7 +178,7 @@ def _draw_field(
     )
 
 
-def _over_way(displaced: Floats, lever: float, c: int) -> tuple[Floats, Floats]:
+def _over_path(displaced: Floats, lever: float, c: int) -> tuple[Floats, Floats]:
     steps = np.linalg.norm(np.diff(displaced, axis=0) * ([lever] * 3 + [1.0] * 3), axis=1)
-    way = np.concatenate([[0.0], np.cumsum(steps)])
-    return way / way[-1], np.rad2deg(displaced[:, c])
+    length = np.concatenate([[0.0], np.cumsum(steps)])
+    return length / length[-1], np.rad2deg(displaced[:, c])

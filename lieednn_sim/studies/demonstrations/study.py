@@ -28,7 +28,7 @@ class ModelScore(TableRow):
         set: name of the set.
         model: name of the model.
         success: whether the models could be fitted.
-        reason: why not.
+        reason: why they could not; empty on success.
     """
 
     _key = ("kind", "set", "model")
@@ -101,7 +101,8 @@ class DemonstrationSets(Study[ModelScore]):
 
     def settings(self) -> Mapping[str, Any]:
         """See `Study`."""
-        return {"starts": self.starts, "neurons": list(self.options.neurons), "placed": list(self.options.placed)}
+        options = {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(self.options).items()}
+        return {"starts": self.starts, **options}
 
     @property
     def models(self) -> list[str]:
@@ -123,4 +124,4 @@ class DemonstrationSets(Study[ModelScore]):
 
     def failed(self, case: tuple[Any, ...], reason: str) -> list[ModelScore]:
         """See `Study`."""
-        return [ModelScore(case[0], Path(case[1]).stem, ShapedMotion.name, reason=reason)]
+        return [ModelScore(case[0], Path(case[1]).stem, model, reason=reason) for model in self.models]

@@ -40,8 +40,8 @@ _LAST_DIGIT = 1e-5
 _SIZES = {"sphere": ("radius",), "cylinder": ("length", "radius")}
 
 
-class Posed(NamedTuple):
-    """A planning problem.
+class PublishedProblem(NamedTuple):
+    """A published planning problem.
 
     Attributes:
         arm: the arm among the obstacles.
@@ -87,10 +87,11 @@ class ProblemSets:
         texts |= {path.suffix: _content(path) for path in (self.model, self.semantics) if path}
         return storage.fingerprint({key: np.frombuffer(text, np.uint8) for key, text in texts.items()}, {})
 
-    def chosen(self, count: int | None = None) -> list[tuple[str, int]]:
-        """Set and number of ``count`` problems, by default of all: from each set in turn, spread evenly over it.
+    def selection(self, count: int | None = None) -> list[tuple[str, int]]:
+        """Choose ``count`` problems, by default all, from each set in turn and spread evenly over it.
 
-        The list depends on nothing else, so it is the same for everyone; any beginning of it covers all sets.
+        Returns:
+            Set and number of each. The choice is the same for everyone, and any beginning of the list covers all sets.
         """
         sets: dict[str, list[int]] = {}
         for name, number, kind in sorted(self._texts):
@@ -101,7 +102,7 @@ class ProblemSets:
         turns = ((name, own[turn * len(own) // rounds]) for turn in range(rounds) for name, own in sets.items())
         return list(dict.fromkeys(turns))[:count]
 
-    def pose(self, name: str, number: int) -> Posed:
+    def problem(self, name: str, number: int) -> PublishedProblem:
         """A problem of a set.
 
         Raises:
@@ -120,7 +121,7 @@ class ProblemSets:
         if missing := goal.keys() - start.keys():
             raise FileError(f"{where} has no start position of {', '.join(sorted(missing))}")
         ends = (self._rounded(np.array([one[joint] for joint in self.arm.joint_names])) for one in (start, goal))
-        return Posed(self.arm.amid(shapes({"obstacles": entries}, Path(where)), name), *ends)
+        return PublishedProblem(self.arm.amid(shapes({"obstacles": entries}, Path(where)), name), *ends)
 
     def _rounded(self, q: Floats) -> Floats:
         """Coordinates ``(n,)``, put on a limit where they exceed it by less than the URDF's precision."""

@@ -49,7 +49,7 @@ _SEARCH = RrtConnectOptions(
 )
 OPTIONS: Mapping[str, PlannerOptions] = {
     "rrt-connect": _SEARCH,
-    # Its teacher is minimum jerk, or else the same search, for a fair comparison with it. Long ways take many neurons;
+    # Its teacher is minimum jerk, or else the same search, for a fair comparison with it. Long paths take many neurons;
     # contacts of a network that deviates a little are found by the check of its motion. Unlike those of the search,
     # these numbers were chosen on six problems of the list on which fewer neurons had failed.
     "lieednn-shaped": ShapedOptions(
@@ -62,14 +62,14 @@ OPTIONS: Mapping[str, PlannerOptions] = {
         largest_deviation=1e-2,
     ),
 }
-# Largest duration of a motion relative to the least one of the straight way, and the shortest duration [s].
+# Largest duration of a motion relative to the least one of the straight path, and the shortest duration [s].
 _LONGEST = 100.0
 _SHORTEST = 0.1
 
 
 @dataclass(frozen=True, slots=True)
 class Solution(TableRow):
-    """The result of a planner on a problem.
+    """The result of a planner on a published problem.
 
     Attributes:
         problem: name of its set; together with the next two, the key of the row.
@@ -132,7 +132,7 @@ def solve(folder: str, name: str, number: int, planner: str, budget: float) -> l
     """The row of a planner and a problem, with the reason for a failure; bugs are raised."""
     with one_blas_thread():
         try:
-            arm, start, goal = _sets(folder).pose(name, number)
+            arm, start, goal = _sets(folder).problem(name, number)
         except LieEDNNError as error:
             return failed(folder, name, number, planner, budget, f"problem: {error}")
         try:
@@ -202,9 +202,9 @@ class PublishedProblems(Study[Solution]):
 
     Attributes:
         sets: the problems.
-        names: names of planners.
-        problems: how many of the list, see `ProblemSets.chosen`; None for all.
-        budget: CPU time for each problem [s].
+        planners: names of `PLANNERS`.
+        problems: number of problems, chosen by `ProblemSets.selection`; None for all.
+        time_budget: CPU time for each problem [s].
 
     Raises:
         InputError: an unknown planner or a number out of range.
@@ -214,27 +214,27 @@ class PublishedProblems(Study[Solution]):
     name, kind = "problems", Solution
 
     sets: ProblemSets
-    names: Sequence[str] = DEFAULT_PLANNERS
+    planners: Sequence[str] = DEFAULT_PLANNERS
     problems: int | None = 100
-    budget: float = 10.0
+    time_budget: float = 10.0
 
     def __post_init__(self) -> None:
-        chosen = [as_choice("planner", name, planners()) for name in dict.fromkeys(self.names)]
+        chosen = [as_choice("planner", name, planners()) for name in dict.fromkeys(self.planners)]
         for name, reason in missing_planners().items():
             if name in chosen:
                 raise LieEDNNError(f"planner {name} is not installed ({reason})")
-        set_fields(self, names=chosen, budget=as_time_budget("time budget", self.budget))
+        set_fields(self, planners=chosen, time_budget=as_time_budget("time_budget", self.time_budget))
         if self.problems is not None:
             check_fields(self, as_count, "problems")
 
     def settings(self) -> Mapping[str, Any]:
         """See `Study`."""
-        return {"robot": self.sets.robot, "data": self.sets.fingerprint, "time_budget": self.budget}
+        return {"robot": self.sets.robot, "data": self.sets.fingerprint, "time_budget": self.time_budget}
 
     def todo(self, table: Table[Solution]) -> list[tuple[str, str, int, str, float]]:
         """See `Study`."""
-        wanted = [(*key, name) for key in self.sets.chosen(self.problems) for name in self.names]
-        return [(str(self.sets.folder), *key, self.budget) for key in wanted if key not in table.rows]
+        wanted = [(*key, name) for key in self.sets.selection(self.problems) for name in self.planners]
+        return [(str(self.sets.folder), *key, self.time_budget) for key in wanted if key not in table.rows]
 
     @property
     def run(self) -> Callable[..., list[Solution]]:

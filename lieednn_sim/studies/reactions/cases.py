@@ -1,4 +1,4 @@
-"""One case of the reactive benchmark: an arm in a scene, a policy, a disturbance and a seed, in the closed loop.
+"""One case of the reactive benchmark: an arm in a scene, a policy, a disturbance and a seed.
 
 Among obstacles, networks, primitives and the linear attractor use the safety filter; the fabric and the path integral
 avoid obstacles themselves, and the tracker plays a motion that does.
@@ -18,15 +18,15 @@ from lieednn_sim.arm.targets import LIMIT_MARGIN
 from lieednn_sim.errors import LieEDNNError
 from lieednn_sim.evaluation.metrics import evaluate
 from lieednn_sim.planning import ShapedOptions, plan
-from lieednn_sim.planning.filtering import FilterOptions
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.options import PlannerOptions
+from lieednn_sim.planning.safety_filter import FilterOptions
 from lieednn_sim.policies import Policy, make_policy
 from lieednn_sim.simulation import Disturbances, Following, Push, follow
 from lieednn_sim.studies.comparison.cases import FREE, arm_and_target
-from lieednn_sim.studies.entries import Entry
-from lieednn_sim.studies.reactions.recovery import PUSH_TIME, Path, pushing_force
+from lieednn_sim.studies.reactions.recovery import PUSH_TIME, UndisturbedPath, pushing_force
 from lieednn_sim.studies.rows import TableRow, column, columns_of, outcome
+from lieednn_sim.studies.user_files import UserFile
 from lieednn_sim.values import Floats, frozen
 
 
@@ -61,13 +61,13 @@ DISTURBANCES = ("none", "push", "payload", "target")
 _DURATION, _RATE, _AT = 7.0, 100.0, 0.35
 # Rate at which policies without a time law approach their target [1/s].
 CONVERGENCE_RATE = 2.0
-# Weight of the payload [N], largest step of the target as a share of the ranges, and tries to draw one.
+# Weight of the payload [N], largest step of the target as a fraction of the ranges, and tries to draw one.
 _WEIGHT, _STEP, _DRAWS = 10.0, 0.1, 100
 
 
 @dataclass(frozen=True, slots=True)
 class Reaction(TableRow):
-    """A row of the benchmark.
+    """One rollout of the reactive benchmark.
 
     Attributes:
         arm: name of the arm; together with the next four, the key of the row.
@@ -89,16 +89,16 @@ class Reaction(TableRow):
     seed: int
     success: bool = outcome()
     reason: str = ""
-    push_n: float | None = column("push [N]", "force that takes a joint a tenth of its range off that way")
+    push_n: float | None = column("push [N]", "force that takes a joint a tenth of its range off that path")
     final_mm: float | None = column("final [mm]", "distance of the worst link from its target at the end")
-    off: float | None = column("off [ranges]", "largest deviation of a joint from the policy's undisturbed way")
+    deviation: float | None = column("deviation [ranges]", "largest distance of a joint from the undisturbed path")
     back_s: float | None = column(
         "back after [s]", "time after the disturbance until it stays within a tenth of that; none where it does not"
     )
-    back_share: float | None = column("of the way left", "of the way that was left, how much was gone then")
+    back_fraction: float | None = column("of path left", "covered by then, as a fraction of the path that was left")
     effort: float | None = column("effort [s]", "integral of the mean squared actuator force in units of the limits")
-    velocity_share: float | None = column("velocity / limit", "largest joint velocity in units of its limit")
-    force_share: float | None = column(
+    velocity_fraction: float | None = column("velocity / limit", "largest joint velocity in units of its limit")
+    force_fraction: float | None = column(
         "force / limit", "largest actuator force in units of its limit in the weaker direction"
     )
     step_us: float | None = column("control step [us]", "median CPU time of a control step")
@@ -109,13 +109,13 @@ MEASURED = columns_of(Reaction)
 
 @frozen
 class Task:
-    """An arm among its obstacles, a target, and the teacher's motion there, which all policies that need one are shown.
+    """An arm among its obstacles, a target, and the motion to it that imitating policies learn from.
 
     Attributes:
         arm: the arm.
         scene: name of its scene.
         target: ``(n,)`` joint position.
-        motion: from home to the target.
+        motion: the teacher's motion from home to the target.
         seed: of target, obstacles, disturbances and policies.
     """
 
@@ -126,7 +126,7 @@ class Task:
     seed: int
 
     def policy(self, name: str) -> Policy:
-        """One of `COMPARED`."""
+        """A policy of `COMPARED` for this task."""
         kind, options, filtered = COMPARED[name]
         safety = FilterOptions() if filtered and self.scene != FREE else None
         return make_policy(
@@ -142,14 +142,16 @@ class Task:
         )
 
 
-def run_reactions(arm: str, scene: str, policy: str, seed: int, *, entries: tuple[Entry, ...] = ()) -> list[Reaction]:
-    """One row for each disturbance of a policy, with the reason for a failure.
+def run_reactions(
+    arm: str, scene: str, policy: str, seed: int, *, user_files: tuple[UserFile, ...] = ()
+) -> list[Reaction]:
+    """Run a policy under each disturbance: one row each, with the reason for a failure.
 
-    Arms and scenes from files are found by their names among the entries.
+    Arms and scenes from files are found by their names in ``user_files``.
     """
     with one_blas_thread():
         try:
-            task = _task(arm, scene, seed, entries)
+            task = _task(arm, scene, seed, user_files)
         except LieEDNNError as error:
             return failed_reactions(arm, scene, policy, seed, f"problem: {error}")
         try:
@@ -157,7 +159,7 @@ def run_reactions(arm: str, scene: str, policy: str, seed: int, *, entries: tupl
             nominal = _run(made, task.target)
         except LieEDNNError as error:
             return failed_reactions(arm, scene, policy, seed, f"plan: {error}")
-        path = Path(task.arm, nominal.rollout.q)
+        path = UndisturbedPath(task.arm, nominal.rollout.q)
         _, gone = path.nearest(nominal.rollout.q)
         begin = float(nominal.rollout.t[np.argmax(gone >= _AT)])
         rows = [_row(task, policy, "none", nominal)]
@@ -171,7 +173,9 @@ def run_reactions(arm: str, scene: str, policy: str, seed: int, *, entries: tupl
             row = _row(task, policy, disturbance, following)
             if changes is not None:
                 recovery = path.recovery(following.rollout.t, following.rollout.q, begin, end)
-                row = replace(row, off=recovery.off, back_s=recovery.time_s, back_share=recovery.share)
+                row = replace(
+                    row, deviation=recovery.deviation, back_s=recovery.time_s, back_fraction=recovery.fraction
+                )
             if disturbance == "push" and changes is not None:
                 row = replace(row, push_n=float(np.linalg.norm(changes.pushes[0].force)))
             rows.append(row)
@@ -184,8 +188,8 @@ def failed_reactions(arm: str, scene: str, policy: str, seed: int, reason: str) 
 
 
 @lru_cache(maxsize=2)
-def _task(name: str, scene: str, seed: int, entries: tuple[Entry, ...]) -> Task:
-    arm, target = arm_and_target(name, scene, seed, entries)
+def _task(name: str, scene: str, seed: int, user_files: tuple[UserFile, ...]) -> Task:
+    arm, target = arm_and_target(name, scene, seed, user_files)
     shown = plan(arm, target, planner="lieednn-shaped", seed=seed)
     return Task(arm, scene, target, (shown.teacher or shown).motion, seed)
 
@@ -209,14 +213,14 @@ def _row(task: Task, policy: str, disturbance: str, following: Following) -> Rea
         reason=evaluation.shortfall,
         final_mm=evaluation.final_worst_mm,
         effort=float(use.sum() * rollout.timestep),
-        velocity_share=evaluation.velocity_share,
-        force_share=evaluation.force_share,
+        velocity_fraction=evaluation.velocity_fraction,
+        force_fraction=evaluation.force_fraction,
         step_us=1e6 * float(np.median(following.step_time)),
     )
 
 
 def _disturbed(
-    task: Task, policy: Policy, disturbance: str, begin: float, path: Path
+    task: Task, policy: Policy, disturbance: str, begin: float, path: UndisturbedPath
 ) -> tuple[Floats, Disturbances | None, float]:
     """Targets, disturbances, and the time at which they are over [s]."""
     arm, rng = task.arm, np.random.default_rng([task.seed, DISTURBANCES.index(disturbance)])
@@ -228,11 +232,11 @@ def _disturbed(
         def pushed(force: float) -> Disturbances:
             return Disturbances(pushes=(Push(arm.link_names[link], (*(force * direction),), begin, PUSH_TIME),))
 
-        def off(force: float) -> float:
+        def deviation_under(force: float) -> float:
             rollout = _run(policy, task.target, pushed(force), end + PUSH_TIME).rollout
-            return path.recovery(rollout.t, rollout.q, begin, end).off
+            return path.recovery(rollout.t, rollout.q, begin, end).deviation
 
-        return task.target, pushed(pushing_force(off)), end
+        return task.target, pushed(pushing_force(deviation_under)), end
     if disturbance == "payload":
         push = Push("end effector", (0.0, 0.0, -_WEIGHT), begin, _DURATION)
         return task.target, Disturbances(pushes=(push,)), begin

@@ -1,4 +1,4 @@
-"""The benchmark of policies that are disturbed, and its summary."""
+"""The reactive benchmark, in which policies are disturbed, and its summary."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from typing import Any
 
 from lieednn_sim import filesystem
-from lieednn_sim.studies.entries import Entry
 from lieednn_sim.studies.markdown import escaped, table_head, table_line
 from lieednn_sim.studies.reactions.cases import (
     COMPARED,
@@ -19,9 +18,10 @@ from lieednn_sim.studies.reactions.cases import (
     failed_reactions,
     run_reactions,
 )
-from lieednn_sim.studies.statistics import grouped
+from lieednn_sim.studies.statistics import Group, grouped
 from lieednn_sim.studies.study import Study
 from lieednn_sim.studies.table import Table
+from lieednn_sim.studies.user_files import UserFile
 from lieednn_sim.validation import as_count
 from lieednn_sim.values import check_fields
 
@@ -43,14 +43,14 @@ METHOD = (
 
 @dataclass(frozen=True)
 class Reactions(Study[Reaction]):
-    """Policies that are disturbed, each on all arms in all scenes.
+    """The reactive benchmark: each policy on all arms in all scenes, under each of `DISTURBANCES`.
 
     Attributes:
         arms: names of arms.
         scenes: names of scenes.
         seeds: number of seeds, starting at 0.
         policies: names of `COMPARED`.
-        entries: arms and scenes from files, by their names; see `Comparison.entries`.
+        user_files: arms and scenes from files, by their names; see `Comparison.user_files`.
 
     Raises:
         InputError: ``seeds`` is less than 1.
@@ -62,7 +62,7 @@ class Reactions(Study[Reaction]):
     scenes: Sequence[str]
     seeds: int
     policies: Sequence[str] = tuple(COMPARED)
-    entries: tuple[Entry, ...] = ()
+    user_files: tuple[UserFile, ...] = ()
 
     def __post_init__(self) -> None:
         check_fields(self, as_count, "seeds")
@@ -85,42 +85,31 @@ class Reactions(Study[Reaction]):
         return failed_reactions(*(*case, reason))
 
 
-@dataclass(frozen=True)
-class ReactionGroup:
-    """Rows of a policy under a disturbance.
+class ReactionGroup(Group[Reaction]):
+    """The rows of a policy under a disturbance in a scene."""
 
-    Attributes:
-        key: scene, disturbance, policy.
-        arrived: number of rows that arrived.
-        touched: number of rows with contact.
-        back: number of rows that were back on their path.
-        total: number of rows.
-        medians: medians of the measured columns, None for empty ones.
-    """
+    @property
+    def touched(self) -> int:
+        """Number of rows with contact."""
+        return sum(row.reason.startswith("contact") for row in self.rows)
 
-    key: tuple[str, str, str]
-    arrived: int
-    touched: int
-    back: int
-    total: int
-    medians: tuple[float | None, ...]
+    @property
+    def back(self) -> int:
+        """Number of rows that were back on their path."""
+        return sum(row.back_s is not None for row in self.rows)
+
+    @property
+    def medians(self) -> list[float | None]:
+        """Medians of the measured columns, None for empty ones."""
+        return [self.median(column.name) for column in MEASURED]
 
 
 def groups(rows: Iterable[Reaction]) -> list[ReactionGroup]:
-    """Groups over arms and seeds, sorted by scene, disturbance and policy."""
+    """Groups over arms and seeds, sorted by their keys: scene, disturbance and policy."""
     order = {name: index for index, name in enumerate((*DISTURBANCES, *COMPARED))}
     found = grouped(rows, ("scene", "disturbance", "policy"))
-    return [
-        ReactionGroup(
-            (group.key[0], group.key[1], group.key[2]),
-            group.successes,
-            sum(row.reason.startswith("contact") for row in group.rows),
-            sum(row.back_s is not None for row in group.rows),
-            group.total,
-            tuple(group.median(column.name) for column in MEASURED),
-        )
-        for group in sorted(found, key=lambda one: (one.key[0], order[one.key[1]], order[one.key[2]]))
-    ]
+    found.sort(key=lambda one: (one.key[0], order[one.key[1]], order[one.key[2]]))
+    return [ReactionGroup(one.key, one.rows) for one in found]
 
 
 def write_reactions(path: str | os.PathLike[str], table: Table[Reaction]) -> None:
@@ -137,7 +126,7 @@ def write_reactions(path: str | os.PathLike[str], table: Table[Reaction]) -> Non
     ]
     lines += table_head(["scene", "disturbance", "policy", "arrived", "touched", "back"], MEASURED)
     for group in groups(rows):
-        counts = [f"{group.arrived} of {group.total}", str(group.touched)]
+        counts = [f"{group.successes} of {group.total}", str(group.touched)]
         counts.append(str(group.back) if group.key[1] in ("push", "payload") else "-")
         cells = ["-" if value is None else f"{value:.3g}" for value in group.medians]
         lines.append(table_line([*group.key, *counts, *cells]))

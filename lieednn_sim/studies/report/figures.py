@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FormatStrFormatter, Locator, LogFormatterMathtext, LogLocator, MaxNLocator, NullLocator
 
-from lieednn_sim.evaluation.figure_layout import settle
+from lieednn_sim.evaluation.figure_layout import fix_layout
 from lieednn_sim.studies.comparison.rows import BY_NAME, Row
 from lieednn_sim.studies.report.style import in_order, marks
 from lieednn_sim.studies.statistics import grouped, numbers
@@ -76,7 +76,7 @@ _DISTRIBUTIONS = (
 
 
 def plots(rows: Sequence[Row], controller: str) -> list[Plot]:
-    """Success by planner and scene, and distributions, of the rows of one arm.
+    """Plot success by planner and scene, and distributions of measured columns, for one arm.
 
     Args:
         rows: rows of one arm.
@@ -106,7 +106,7 @@ def _success(rows: Sequence[Row], controller: str) -> Plot:
         axes.set_xlabel("success [%]")
         _legend(figure, scenes)
         svg = _svg(figure)
-    return Plot("Success", f"share of rollouts with {controller}, bars: Wilson's 95 % interval", svg)
+    return Plot("Success", f"fraction of rollouts with {controller}, bars: Wilson's 95 % interval", svg)
 
 
 def _few_ticks(low: float, high: float) -> Locator:
@@ -191,7 +191,7 @@ def _offset(scenes: Sequence[str], scene: str) -> float:
 def _svg(figure: Figure) -> str:
     """The figure as an SVG element for a page, without prologue, styles or clashing ids."""
     buffer = io.StringIO()
-    settle(figure, 72)  # an SVG's resolution
+    fix_layout(figure, 72)  # an SVG's resolution
     figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None})
     text = buffer.getvalue()
     text = text[text.index("<svg") :]

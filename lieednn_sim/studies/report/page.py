@@ -16,11 +16,10 @@ from lieednn_sim.studies.comparison.summary import method
 from lieednn_sim.studies.reactions.cases import MEASURED, Reaction
 from lieednn_sim.studies.reactions.study import METHOD, groups
 from lieednn_sim.studies.report.figures import plots
-from lieednn_sim.studies.report.findings import findings
 from lieednn_sim.studies.report.style import in_order, marks, number
 from lieednn_sim.studies.report.videos import Clip
 from lieednn_sim.studies.rows import Column
-from lieednn_sim.studies.statistics import Group, grouped
+from lieednn_sim.studies.statistics import Group, grouped, motions, numbers, wilson
 from lieednn_sim.studies.table import Table
 
 # Columns of the page's table; all others are in the CSV file.
@@ -36,8 +35,8 @@ _SHOWN = (
     "settling_s",
     "jerk_effector",
     "curvature",
-    "velocity_share",
-    "force_share",
+    "velocity_fraction",
+    "force_fraction",
     "gap_mm",
     "gap_deg",
     "planning_s",
@@ -192,3 +191,81 @@ def _cell(column: str, value: float | None) -> _Cell:
     if value is None:
         return _Cell("\N{EN DASH}", None)
     return _Cell(number(value, rounding=_ROUNDING if column.endswith(("_mm", "_deg")) else 0.0), value)
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A number, its label, and details."""
+
+    value: str
+    label: str
+    detail: str
+
+
+def findings(rows: Sequence[Row]) -> list[Finding]:
+    """The headline numbers; those for which the table lacks data are left out."""
+    if not rows:
+        return []
+    # Other controllers may track up to rounding, which leaves nothing to compare.
+    controller = controllers_of(rows)[0]
+    tracked = [row for row in rows if row.controller == controller]
+    made = [
+        _success(rows),
+        _best_planners(rows),
+        _least(tracked, "tracking_rms_mm", "mm", f"least median tracking RMS with {controller}"),
+        _least(rows, "planning_s", "s", "least median planning time"),
+        _clearance(rows),
+        _stability(rows),
+    ]
+    return [finding for finding in made if finding is not None]
+
+
+def _success(rows: Sequence[Row]) -> Finding:
+    successes = sum(row.success for row in rows)
+    low, high = wilson(successes, len(rows))
+    return Finding(
+        f"{successes / len(rows):.1%}",
+        "of all rollouts succeed",
+        f"{successes} of {len(rows)}, 95 % interval {low:.1%} to {high:.1%}",
+    )
+
+
+def _best_planners(rows: Sequence[Row]) -> Finding:
+    groups = grouped(rows, ("planner",))
+    best = max(group.successes / group.total for group in groups)
+    names = in_order(group.key[0] for group in groups if group.successes / group.total == best)
+    return Finding(f"{best:.1%}", "highest success of a planner", ", ".join(names))
+
+
+def _least(rows: Sequence[Row], column: str, unit: str, label: str) -> Finding | None:
+    medians = {group.key[0]: group.median(column) for group in grouped(rows, ("planner",))}
+    found = {name: value for name, value in medians.items() if value is not None}
+    if not found:
+        return None
+    best = min(in_order(found), key=lambda name: found[name])
+    return Finding(f"{number(found[best], rounding=1e-6)} {unit}", label, best)
+
+
+def _clearance(rows: Sequence[Row]) -> Finding | None:
+    known = [(row.clearance_mm, row) for row in rows if row.clearance_mm is not None]
+    if not known:
+        return None
+    value, worst = min(known, key=lambda pair: pair[0])
+    label = "deepest penetration of any rollout" if value < 0.0 else "least clearance of any rollout"
+    return Finding(
+        f"{number(abs(value))} mm",
+        label,
+        f"{worst.planner} on {worst.arm}, {worst.scene}, seed {worst.seed}",
+    )
+
+
+def _stability(rows: Sequence[Row]) -> Finding | None:
+    verdicts = [row.stability for row in motions(rows) if row.stability not in ("", "-")]
+    if not verdicts:
+        return None
+    count = verdicts.count("global")
+    excess = numbers(rows, "gap_end_mm")
+    detail = f"{count} of {len(verdicts)} motions of networks"
+    if excess:
+        detail += f"; largest gap at the end of any plan {number(max(excess), rounding=1e-6)} mm"
+    return Finding(f"{count / len(verdicts):.1%}", "proved globally stable", detail)

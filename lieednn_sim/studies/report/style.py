@@ -24,7 +24,7 @@ class Mark:
 
 
 def marks(names: Iterable[str]) -> dict[str, Mark]:
-    """A mark for each planner, by its place among all known ones, so that it does not depend on the selection."""
+    """A mark for each planner, which does not depend on the other names."""
     known = list(planners())
     order = known + sorted(set(names) - set(known))
     made = {}

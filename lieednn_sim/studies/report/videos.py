@@ -16,10 +16,10 @@ from lieednn_sim.rendering.ffmpeg import count_frames, read_frame
 from lieednn_sim.rendering.video import render_video
 from lieednn_sim.studies.comparison.cases import Settings, replay
 from lieednn_sim.studies.comparison.rows import Case, Row
-from lieednn_sim.studies.entries import recorded
 from lieednn_sim.studies.report.style import in_order
 from lieednn_sim.studies.statistics import grouped
 from lieednn_sim.studies.table import Table
+from lieednn_sim.studies.user_files import recorded_files
 from lieednn_sim.validation import as_count, quoted
 
 # Size [pixels] and frame rate [1/s] of clips, and the fraction of a clip at which its poster is taken.
@@ -100,7 +100,7 @@ def film(
     if not (path.is_file() and table.manifest.made_from(path) == table.fingerprint):
         with table.manifest.writing(path, table.fingerprint) as temporary:
             render_video(
-                replay(case, controller, Settings(**table.settings), entries=recorded(table.directory)),
+                replay(case, controller, Settings(**table.settings), user_files=recorded_files(table.directory)),
                 temporary,
                 size=SIZE,
                 fps=FPS,

@@ -22,7 +22,7 @@ def assemble(parameters: Parameters, rate: float, target: Floats, activation: st
 
     Args:
         parameters: parameters of N visible neurons and M switches.
-        rate: rho of the clock; 1 for no clock.
+        rate: rho of the clock; with 1 there is no clock.
         target: visible equilibrium.
         activation: a name of `ACTIVATIONS`.
     """

@@ -1,4 +1,4 @@
-"""The cascade in closed form: clock, soft switches, filter; and the normal equations of its parameters.
+"""The cascade in closed form: clock, soft switches and filter, and the derivatives in its parameters.
 
 With gamma = mu = 1 the hidden neurons are h_n(t) = a_n + c_n g(t), where g falls from 1 to 0, and the visible ones
 
@@ -24,11 +24,11 @@ from lieednn_sim.values import Floats, frozen
 # State of the clock at time 0: below this the activation is nearly linear, above it the clock starts slowly.
 CLOCK_START = 0.5
 # g is sampled down to this value, a ten thousandth of its start.
-_END = 1e-4
+_LEAST_CLOCK = 1e-4
 # Most that g falls, and that time passes, within one piece of time.
-_FALL, _PACE = 1.0 / 60.0, 0.5
+_MAX_CLOCK_STEP, _MAX_TIME_STEP = 1.0 / 60.0, 0.5
 # For rho = 1, hidden and visible neurons decay at one rate, and x - x_d ends as e^-t (A + B t), which overshoots beyond
-# t = -A/B. B is penalised with this weight, as if the target were missed by that share of it.
+# t = -A/B. B is penalised with this weight: the last row of states has an error of `TAIL` B.
 TAIL = 0.05
 # Nodes of the Gauss rule on each piece: switches have slopes up to 60, so that one spans a piece.
 _NODES = 3
@@ -57,7 +57,7 @@ class Clockwork:
 
 @lru_cache(maxsize=8)
 def clockwork(rate: float, refinement: int = 1, activation: Activation = ACTIVATIONS[DEFAULT_ACTIVATION]) -> Clockwork:
-    """The clock with a rate rho in (0, 1], on its grid refined ``refinement`` times."""
+    """The time functions of a clock with rate rho in (0, 1], on a grid refined ``refinement`` times."""
     span = 30.0 / rate
 
     def flow(_: float, p: Floats) -> Floats:
@@ -70,9 +70,9 @@ def clockwork(rate: float, refinement: int = 1, activation: Activation = ACTIVAT
 
     looks = np.linspace(0.0, span, 20_001)
     levels = falling(looks)
-    end = looks[np.argmax(levels < _END)]
+    end = looks[np.argmax(levels < _LEAST_CLOCK)]
     # Pieces that are even in the measure that bounds them.
-    measure = np.append(0.0, np.cumsum(np.hypot(np.diff(levels) / _FALL, np.diff(looks) / _PACE)))
+    measure = np.append(0.0, np.cumsum(np.hypot(np.diff(levels) / _MAX_CLOCK_STEP, np.diff(looks) / _MAX_TIME_STEP)))
     total = np.interp(end, looks, measure)
     edges = np.interp(np.linspace(0.0, total, refinement * int(np.ceil(total)) + 1), measure, looks)
     node, weight = np.polynomial.legendre.leggauss(_NODES)
@@ -128,7 +128,7 @@ class Cascade:
     """A cascade from a start to a target.
 
     Args:
-        clock: its clockwork.
+        clock: clockwork of the cascade.
         start: ``(N, 6)`` visible state at time 0.
         target: ``(N, 6)`` visible equilibrium.
     """
@@ -139,7 +139,7 @@ class Cascade:
         self.free = target + fading[:, None, None] * (start - target)
 
     def switched(self, a: Floats, c: Floats) -> tuple[Floats, Floats, Floats]:
-        """Q[phi(a + c g) - phi(a)] and its derivatives in a and c, each ``(K + 1, M, 6)``; last row: `TAIL` B."""
+        """Q[phi(a + c g) - phi(a)] and its derivatives in a and c, each ``(K + 1, M, 6)``; last row: see `TAIL`."""
         shape, g, activation = a.shape, self.clock.fine[:, None], self.clock.activation
         a, c = a.ravel(), c.ravel()
         inputs = a + c * g

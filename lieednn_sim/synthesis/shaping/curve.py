@@ -22,8 +22,8 @@ class Curve:
 
     Attributes:
         points: ``(R, N, 6)`` in network coordinates, from start to target.
-        tangents: ``(R, N, 6)`` derivatives in the share s of the length, from 0 to 1.
-        units: ``(N, 6)`` metric: metres that one unit of each coordinate counts for.
+        tangents: ``(R, N, 6)`` derivatives in the fraction s of the length, from 0 to 1.
+        units: ``(N, 6)`` metres that one unit of each coordinate counts for, the metric.
         length: length in this metric [m].
         weights: ``(R,)`` weights of deviations, at most 1.
     """
@@ -61,15 +61,15 @@ class Curve:
         return cls(points, tangents, units, float(arc[-1]), known)
 
     def at(self, s: Floats) -> tuple[Floats, Floats]:
-        """Points and tangents ``(K, N, 6)`` at shares ``(K,)`` of the length."""
+        """Points and tangents ``(K, N, 6)`` at fractions ``(K,)`` of the length."""
         row = np.clip(s, 0.0, 1.0) * (len(self.points) - 1)
         low = np.minimum(row.astype(int), len(self.points) - 2)
-        share = (row - low)[:, None, None]
-        point, tangent = (table[low] + share * (table[low + 1] - table[low]) for table in (self.points, self.tangents))
+        part = (row - low)[:, None, None]
+        point, tangent = (table[low] + part * (table[low + 1] - table[low]) for table in (self.points, self.tangents))
         return point, tangent
 
     def feet(self, x: Floats, s: Floats) -> Floats:
-        """Shares ``(K,)`` of the points nearest to ``x`` ``(K, N, 6)``, near ``s``; nondecreasing from 0 to 1."""
+        """Fractions ``(K,)`` of the length at the foot points of ``x`` ``(K, N, 6)`` near ``s``; nondecreasing."""
         for _ in range(_NEWTON_STEPS):
             point, tangent = self.at(s)
             along = (tangent * self.units**2).reshape(len(x), -1)
@@ -82,5 +82,5 @@ class Curve:
         return s
 
     def weight(self, s: Floats) -> Floats:
-        """Weights of deviations at shares ``(K,)`` of the length."""
+        """Weights of deviations at fractions ``(K,)`` of the length."""
         return np.asarray(np.interp(s, np.linspace(0.0, 1.0, len(self.weights)), self.weights))

@@ -1,4 +1,4 @@
-"""Levenberg-Marquardt descent on the distance of a cascade's way from a curve.
+"""Levenberg-Marquardt descent on the distance of a cascade's path from a curve.
 
 Foot points on the curve are found anew at every step, so that only deviations across the curve count in full. A visible
 neuron's readouts move that neuron alone, so the normal matrix has an arrow shape: the switches' shared part, and a
@@ -18,28 +18,28 @@ from lieednn_sim.synthesis.shaping.curve import Curve
 from lieednn_sim.values import Floats, frozen
 
 # Weight of deviations along the curve, which the time law decides later.
-_TANGENT = 0.05
-# Bound on a and c: the steepest switch spans a sixtieth of the way, the resolution of `cascade`.
+_TANGENTIAL_WEIGHT = 0.05
+# Bound on a and c: the steepest switch spans a sixtieth of the path, the resolution of `cascade`.
 LARGEST_SLOPE = 60.0
-# Ridge on the parameters, in squared lengths of the curve; it shrinks where it exceeds this share of the cost.
-_DECAY, _DECAY_SHARE = 1e-9, 0.3
-_LEAST_DECAY = 1e-14
+# Ridge on the parameters, in squared lengths of the curve; it shrinks where it exceeds this fraction of the cost.
+_RIDGE, _RIDGE_FRACTION = 1e-9, 0.3
+_LEAST_RIDGE = 1e-14
 # Initial damping, and the damping at which the descent gives up.
 _DAMPING, _LARGEST_DAMPING = 1e-3, 1e8
-# Share of a step with which its curvature is probed, and the largest relative correction, by Transtrum and Sethna.
-_PROBE, _CORRECTION = 0.1, 0.375
+# Fraction of a step with which its curvature is probed, and the largest relative correction, by Transtrum and Sethna.
+_PROBE_FRACTION, _LARGEST_CORRECTION = 0.1, 0.375
 # Steps from one check to the next whether the goal can still be reached at the pace of the last such steps.
-_PACE = 10
+_STEPS_PER_CHECK = 10
 
 
 @frozen
 class Fit:
-    """Where a descent ended.
+    """Result of a descent.
 
     Attributes:
         parameters: parameters of the cascade.
         worst: largest deviation across the curve at the clock's instants [m].
-        iterations: steps taken.
+        iterations: number of steps.
     """
 
     parameters: Parameters
@@ -71,10 +71,10 @@ class Descent:
     def __init__(self, cascade: Cascade, curve: Curve) -> None:
         self.cascade, self.curve = cascade, curve
         self._n = len(cascade.target)
-        self._decay = _DECAY * curve.length**2
+        self._decay = _RIDGE * curve.length**2
 
     def run(self, start: Parameters, iterations: int, goal: float) -> Fit:
-        """Descend until the deviation is below ``goal`` [m], is not expected to get there, or the steps are spent."""
+        """Descend until the deviation is below ``goal`` [m], seems unable to get there, or iterations are used up."""
         bounded = 12 * len(start.a)
         place = self._place(start.flat, np.append(1.0 - self.cascade.clock.g, 1.0))
         damping, growth, count = _DAMPING, 2.0, 0
@@ -94,7 +94,7 @@ class Descent:
             gain = min((place.cost - trial.cost) / max(expected, 1e-300), 1.0)
             damping, growth = max(damping * max(0.2, 1.0 - (2.0 * gain - 1.0) ** 3), 1e-12), 2.0
             place = trial
-            while self._decay * (place.flat @ place.flat) > _DECAY_SHARE * place.cost and self._decay > _LEAST_DECAY:
+            while self._decay * (place.flat @ place.flat) > _RIDGE_FRACTION * place.cost and self._decay > _LEAST_RIDGE:
                 self._decay *= 0.3
                 place = self._place(place.flat, place.feet)
             count += 1
@@ -104,10 +104,10 @@ class Descent:
     @staticmethod
     def _hopeless(history: list[float], iterations: int, goal: float) -> bool:
         made = len(history) - 1
-        if made < 2 * _PACE or made % _PACE:
+        if made < 2 * _STEPS_PER_CHECK or made % _STEPS_PER_CHECK:
             return False
-        pace = history[-1] / history[-1 - _PACE]
-        return pace >= 1.0 or history[-1] * pace ** ((iterations - made) / _PACE) > goal
+        pace = history[-1] / history[-1 - _STEPS_PER_CHECK]
+        return pace >= 1.0 or history[-1] * pace ** ((iterations - made) / _STEPS_PER_CHECK) > goal
 
     def _place(self, flat: Floats, feet: Floats) -> _Place:
         x = self.cascade.states(Parameters.of(flat, self._n))
@@ -122,7 +122,7 @@ class Descent:
         along[-1] = 0.0
         shared = np.einsum("kp,kp->k", along, error)
         across = np.maximum(np.einsum("kp,kp->k", error, error) - shared**2, 0.0)
-        cost = float(np.mean(across + (_TANGENT * shared) ** 2) + self._decay * (flat @ flat))
+        cost = float(np.mean(across + (_TANGENTIAL_WEIGHT * shared) ** 2) + self._decay * (flat @ flat))
         worst = np.sqrt((across[:-1] / self.curve.weight(feet[:-1]) ** 2).max())
         return _Place(flat, x, feet, error, along, cost, float(worst))
 
@@ -166,7 +166,7 @@ class NormalEquations:
             projected = (directions[:, i, None] @ rows[i])[:, 0]
             along[:, :first] += projected[:, :first]
             along[:, mine] = projected[:, first:]
-        matrix -= (1.0 - _TANGENT**2) * (along.T @ along)
+        matrix -= (1.0 - _TANGENTIAL_WEIGHT**2) * (along.T @ along)
         matrix[np.diag_indices(size)] += descent._decay
         # Only the lower triangle is looked at.
         self.matrix, self._diagonal = matrix, matrix.diagonal().copy()
@@ -185,13 +185,13 @@ class NormalEquations:
                 damping *= 10.0
         step = -cho_solve(factor, self.gradient, check_finite=False)
         place, cascade = self._place, self._descent.cascade
-        probed = cascade.states(Parameters.of(place.flat + _PROBE * step, self._descent._n)) - place.x
-        moved = probed.transpose(1, 0, 2) * self._units / _PROBE
-        bend = (2.0 / _PROBE) * (moved - self._pushed(step))
+        probed = cascade.states(Parameters.of(place.flat + _PROBE_FRACTION * step, self._descent._n)) - place.x
+        moved = probed.transpose(1, 0, 2) * self._units / _PROBE_FRACTION
+        bend = (2.0 / _PROBE_FRACTION) * (moved - self._pushed(step))
         second = -0.5 * cho_solve(factor, self._gathered(bend), check_finite=False)
-        share = float(np.sqrt((scale @ second**2) / max(float(scale @ step**2), 1e-300)))
+        fraction = float(np.sqrt((scale @ second**2) / max(float(scale @ step**2), 1e-300)))
         expected = -float(step @ self.gradient) + damping * float(scale @ step**2)
-        return step + min(1.0, _CORRECTION / max(share, 1e-300)) * second, expected
+        return step + min(1.0, _LARGEST_CORRECTION / max(fraction, 1e-300)) * second, expected
 
     def _pushed(self, step: Floats) -> Floats:
         """The linear response ``(N, K, 6)`` of the rows to a step."""
@@ -207,7 +207,7 @@ class NormalEquations:
         n, k, _ = error.shape
         flat = error.transpose(1, 0, 2).reshape(k, -1)
         along = self._place.along
-        flat = flat - (1.0 - _TANGENT**2) * np.einsum("kp,kp->k", along, flat)[:, None] * along
+        flat = flat - (1.0 - _TANGENTIAL_WEIGHT**2) * np.einsum("kp,kp->k", along, flat)[:, None] * along
         pulled = self._rows.transpose(0, 2, 1) @ flat.reshape(k, n, 6).transpose(1, 0, 2).reshape(n, -1, 1)
         pulled = pulled[..., 0]
         return np.concatenate([pulled[:, : self._first].sum(axis=0), pulled[:, self._first :].ravel()])

@@ -24,21 +24,21 @@ from lieednn_sim.synthesis.shaping.assembly import assemble
 from lieednn_sim.synthesis.shaping.cascade import Cascade, Parameters, clockwork
 from lieednn_sim.synthesis.shaping.curve import Curve
 from lieednn_sim.synthesis.shaping.fit import Descent
-from lieednn_sim.synthesis.shaping.placed import placed
+from lieednn_sim.synthesis.shaping.placed_switches import fit_placed_switches
 from lieednn_sim.synthesis.shaping.start import starting_point
 from lieednn_sim.validation import Seed, as_count, as_floats, as_generator, as_positive, quoted
 from lieednn_sim.values import Floats, frozen
 
-# Share of the requested deviation at which the fit aims, since it sees only about seventy instants.
-_AIM = 0.7
+# Fraction of the requested deviation at which the fit aims, since it sees only about seventy instants.
+_GOAL_FRACTION = 0.7
 # Refinement of the clock for placed switches, whose ripples are short.
 _REFINEMENT = 2
-# Samples at which deviations between the network's way and the curve are measured.
+# Samples at which deviations between the network's path and the curve are measured.
 _SAMPLES = 1000
-# States of the network's way from which its curve is tabulated.
-_WAY_SAMPLES = 4000
-# Network time, times rho, after which less than a micrometre of a way of a metre is left.
-_SPAN = 16.0
+# States of the network's trajectory from which its path is tabulated.
+_PATH_SAMPLES = 4000
+# Network time, times rho, after which less than a micrometre of a path of a metre is left.
+_NETWORK_TIME = 16.0
 # Least weight of a deviation relative to the largest, however far demonstrations are apart.
 _LEAST_WEIGHT = 0.1
 
@@ -48,13 +48,13 @@ class ShapingOptions:
     """Options of `shape`.
 
     Attributes:
-        rate: rho in (0, 1], the rate at which the hidden neurons' clock runs down. With 1 it keeps pace with the
-            visible neurons, which return to the target after a push; with less they return to the path 1/rho times as
-            fast as they move on.
+        rate: rho in (0, 1], the rate at which the hidden neurons' clock runs down. With 1 it is as fast as the
+            visible neurons, which return to the target after a push. With less they return to the path after a push,
+            1/rho times as fast as they move along it.
         neurons: numbers of hidden neurons besides the clock, tried in turn by a descent on all parameters.
-        placed: larger numbers, tried where those do not suffice: switches are placed along the curve beforehand, which
-            leaves a linear problem.
-        iterations: most iterations of the descent from each start.
+        placed_neurons: larger numbers, tried where those do not suffice: switches are placed along the curve
+            beforehand, which leaves a linear problem.
+        iterations: largest number of iterations of a descent.
         activation: a name of `network.ACTIVATIONS`.
 
     Raises:
@@ -63,16 +63,16 @@ class ShapingOptions:
 
     rate: float = 1.0
     neurons: tuple[int, ...] = (2, 4, 8, 16)
-    placed: tuple[int, ...] = (32, 48, 64)
+    placed_neurons: tuple[int, ...] = (32, 48, 64)
     iterations: int = 80
     activation: str = DEFAULT_ACTIVATION
 
     def __post_init__(self) -> None:
         if not 0.01 <= as_positive("rate", self.rate) <= 1.0:
             raise InputError(f"rate must be from 0.01 to 1, got {self.rate:g}")
-        if not self.neurons and not self.placed:
-            raise InputError("neurons or placed must hold at least one number of hidden neurons")
-        for name, least, most in (("neurons", 1, 64), ("placed", 2, 256)):
+        if not self.neurons and not self.placed_neurons:
+            raise InputError("neurons or placed_neurons must hold at least one number of hidden neurons")
+        for name, least, most in (("neurons", 1, 64), ("placed_neurons", 2, 256)):
             for count in getattr(self, name):
                 if as_count(name, count, least=least) > most:
                     raise InputError(f"{name} must be at most {most}, got {count}")
@@ -88,10 +88,10 @@ class Shaping:
         success: whether the requested deviation was met.
         message: the outcome in words.
         network: the best network found; always certified.
-        deviation: largest distance between the network's way and the curve, from either to the other [m].
-        rms: root mean square distance of the network's way from the curve, over its length [m].
-        placed: whether the network's switches are placed ones.
-        tries: how many numbers of neurons were tried.
+        deviation: largest distance of a point of the network's path from the curve, or of the curve from the path [m].
+        rms: root mean square distance of the network's path from the curve, over its length [m].
+        placed: whether the network's switches were placed along the curve beforehand.
+        tries: number of network sizes tried.
         iterations: iterations of all descents together.
         cpu_time: CPU time of the search [s].
     """
@@ -124,21 +124,21 @@ def shape(
 ) -> Shaping:
     """Make a certified network whose visible neurons follow a curve from its first point to its last.
 
-    Only the curve matters, not the times of its samples: the speed along it is decided by a time law (`planning`).
+    Only the curve matters, not the times of its samples: a time law of `planning` decides the speed along it.
 
     Args:
         curves: samples ``(K, N, 6)`` of a curve, or a sequence of such arrays with demonstrations of one motion: the
-            network follows their mean at equal shares of their lengths, more closely where they agree.
+            network follows their mean at equal fractions of their lengths, more closely where they agree.
         deviation: largest deviation requested [m]; neurons are added until it is met.
         units: metres that one unit of each coordinate counts for, of a shape that broadcasts to ``(N, 6)``: the lever
             arm of a rotation, the length scale of a translation.
-        spread: ``(K,)`` for a single curve that is itself a mean: how far demonstrations are from it at each sample
-            [m]; where that is little, it is followed more closely.
+        spread: ``(K,)`` distance of demonstrations from each sample of a single curve that is their mean [m]; where it
+            is small, the network follows the curve more closely.
         options: options of the search.
         seed: seed of the starts; the same seed gives the same network.
 
     Returns:
-        The outcome. Its network is certified even where it deviates by more.
+        The outcome. Its network is certified even if it deviates by more than requested.
 
     Raises:
         InputError: a value is malformed, a curve does not move, or the curves have different numbers of neurons.
@@ -158,13 +158,13 @@ def shape(
             nonlocal iterations
             for count in chosen.neurons:
                 first = starting_point(cascade, curve, count, rng)
-                fit = Descent(cascade, curve).run(first, chosen.iterations, _AIM * goal)
+                fit = Descent(cascade, curve).run(first, chosen.iterations, _GOAL_FRACTION * goal)
                 iterations += fit.iterations
                 yield fit.parameters
             fine = Cascade(clocks(_REFINEMENT), curve.points[0], curve.points[-1])
-            for count in chosen.placed:
+            for count in chosen.placed_neurons:
                 check_time()
-                yield placed(fine, curve, count)
+                yield fit_placed_switches(fine, curve, count)
 
         for parameters in candidates():
             tries += 1
@@ -181,7 +181,7 @@ def shape(
         f"within {1e3 * found:.3g} mm of the curve with {hidden} hidden neurons"
         if success
         else f"{1e3 * found:.3g} mm off the curve, {1e3 * goal:.3g} mm were asked for: the best of {tries} tries, "
-        f"with {hidden} hidden neurons; allow more by `placed` or `neurons`"
+        f"with {hidden} hidden neurons; allow more by `placed_neurons` or `neurons`"
     )
     if not network.certified:
         raise NotCertifiedError(f"the closed-form certificate does not hold ({network.certificate}); curve too large")
@@ -237,15 +237,16 @@ def _trust(spread: Floats) -> Floats:
 def _measured(parameters: Parameters, options: ShapingOptions, curve: Curve) -> tuple[float, float, LieEDNN]:
     """Deviation, its root mean square, and the network, by integrating the network."""
     network = assemble(parameters, options.rate, curve.points[-1], options.activation)
-    way = network.trajectory(network.start(curve.points[0]), _SPAN / options.rate, rtol=1e-7, atol=1e-9)
+    trajectory = network.trajectory(network.start(curve.points[0]), _NETWORK_TIME / options.rate, rtol=1e-7, atol=1e-9)
     # Closer together at first, where it is fast.
-    drawn = Curve.through(network.visible(way(way.t[-1] * np.linspace(0.0, 1.0, _WAY_SAMPLES) ** 3)), curve.units)
-    shares = np.linspace(0.0, 1.0, _SAMPLES)
-    off, back = (_distances(one.at(shares)[0], other, shares) for one, other in ((drawn, curve), (curve, drawn)))
+    t = trajectory.t[-1] * np.linspace(0.0, 1.0, _PATH_SAMPLES) ** 3
+    path = Curve.through(network.visible(trajectory(t)), curve.units)
+    fractions = np.linspace(0.0, 1.0, _SAMPLES)
+    off, back = (_distances(one.at(fractions)[0], other, fractions) for one, other in ((path, curve), (curve, path)))
     return float(max(off.max(), back.max())), float(np.sqrt(np.mean(off**2))), network
 
 
-def _distances(points: Floats, curve: Curve, shares: Floats) -> Floats:
-    """Distances ``(K,)`` [m] of points ``(K, N, 6)`` from a curve near the given shares of its length."""
-    nearest, _ = curve.at(curve.feet(points, shares))
+def _distances(points: Floats, curve: Curve, fractions: Floats) -> Floats:
+    """Distances ``(K,)`` [m] of points ``(K, N, 6)`` from a curve near the given fractions of its length."""
+    nearest, _ = curve.at(curve.feet(points, fractions))
     return np.asarray(np.linalg.norm(((points - nearest) * curve.units).reshape(len(points), -1), axis=1))

@@ -10,9 +10,9 @@ from lieednn_sim.values import Floats
 
 # Pieces over which the bend of the curve is computed.
 _PIECES = 128
-# Initial slopes of switches, per share of the way. From steeper ones the fit ends in worse minima, and with many times
-# the jerk; for a sharp corner it makes them steeper by itself.
-_GENTLEST, _STEEPEST = 1.5, 12.0
+# Initial slopes of switches, per fraction of the path. From steeper ones the fit ends in worse minima, and with many
+# times the jerk; for a sharp corner it makes them steeper by itself.
+_LEAST_SLOPE, _LARGEST_SLOPE = 1.5, 12.0
 # Spread of the random slopes: relative for the leading switches, absolute for the others.
 _LEADING_SPREAD, _OTHER_SPREAD = 0.2, 1.0
 # Least strength of a block: at zero its derivative in the quaternion would vanish.
@@ -24,7 +24,7 @@ _LINE = 1e-9
 
 
 def starting_point(cascade: Cascade, curve: Curve, n_switches: int, rng: np.random.Generator) -> Parameters:
-    """Parameters of a cascade whose way is roughly the curve's.
+    """Parameters of a cascade whose path is roughly the curve.
 
     The first rotational and the first translational coordinate of each hidden neuron lead: they switch where the curve
     bends most, sharply at a corner. The others start at random. Where all rotations stay on lines through zero, as
@@ -60,15 +60,15 @@ def starting_point(cascade: Cascade, curve: Curve, n_switches: int, rng: np.rand
 
 
 def _switches(curve: Curve, part: slice, count: int) -> tuple[Floats, Floats]:
-    """Positions, as shares ``(count,)`` of the length, and slopes: density and slope follow the root of the bend."""
-    way = (curve.tangents * curve.units)[:: len(curve.points) // _PIECES, :, part] / curve.length
-    way = way.reshape(len(way), -1)
-    density = np.sqrt(len(way) * np.linalg.norm(np.gradient(way, axis=0), axis=1))
+    """Positions, as fractions ``(count,)`` of the length, and slopes: density and slope follow the root of the bend."""
+    tangents = (curve.tangents * curve.units)[:: len(curve.points) // _PIECES, :, part] / curve.length
+    tangents = tangents.reshape(len(tangents), -1)
+    density = np.sqrt(len(tangents) * np.linalg.norm(np.gradient(tangents, axis=0), axis=1))
     # A little everywhere, for long stretches that bend gently.
     density += 0.1 * density.mean() + 0.1
     mass = np.append(0.0, np.cumsum(0.5 * (density[1:] + density[:-1])))
-    edges = np.interp(np.linspace(0.0, mass[-1], 2 * count + 1), mass, np.linspace(0.0, 1.0, len(way)))
-    return edges[1::2], np.clip(2.0 / np.maximum(edges[2::2] - edges[:-2:2], 1e-9), _GENTLEST, _STEEPEST)
+    edges = np.interp(np.linspace(0.0, mass[-1], 2 * count + 1), mass, np.linspace(0.0, 1.0, len(tangents)))
+    return edges[1::2], np.clip(2.0 / np.maximum(edges[2::2] - edges[:-2:2], 1e-9), _LEAST_SLOPE, _LARGEST_SLOPE)
 
 
 def _ridge(columns: Floats, wanted: Floats, weight: float) -> Floats:

@@ -19,7 +19,7 @@ from lieednn_sim.studies.problems.motion_bench_maker import ProblemSets
 
 def test_a_problem_is_an_arm_among_obstacles_with_a_start_and_a_goal(tiny: Path) -> None:
     sets = ProblemSets(tiny)
-    arm, start, goal = sets.pose("post", 1)
+    arm, start, goal = sets.problem("post", 1)
     assert (sets.robot, arm.joint_names, arm.clearance) == ("tiny", ("torso", "shoulder", "elbow"), 0.0)
     np.testing.assert_array_equal([start, goal], [[0.1, -0.6, 0.0], [0.1, 0.6, 0.0]])
     # Half of the post's length; the box is half a metre along its object's x, which points along the world's y.
@@ -58,7 +58,7 @@ def colliding(folder: Path) -> set[tuple[str, ...]]:
 
 
 def test_a_goal_beyond_a_limit_by_rounding_is_on_it(tiny: Path) -> None:
-    arm, _, goal = ProblemSets(tiny).pose("easy", 2)
+    arm, _, goal = ProblemSets(tiny).problem("easy", 2)
     assert goal[1] == arm.position_limits[1, 1] == 3.14159
 
 
@@ -71,19 +71,19 @@ def test_an_archive_reads_like_a_folder(tiny: Path, tmp_path: Path) -> None:
         archive.add(tiny / "problems", "problems")
     one, other = ProblemSets(tiny), ProblemSets(folder)
     assert one.fingerprint == other.fingerprint
-    assert one.pose("post", 1).arm.fingerprint == other.pose("post", 1).arm.fingerprint
+    assert one.problem("post", 1).arm.fingerprint == other.problem("post", 1).arm.fingerprint
 
 
 def test_the_list_takes_the_sets_in_turn_and_evenly(tiny: Path) -> None:
     sets = ProblemSets(tiny)
-    assert sets.chosen() == [("easy", 1), ("post", 1), ("easy", 2), ("post", 2)]
-    assert sets.chosen(2) == [("easy", 1), ("post", 1)]
+    assert sets.selection() == [("easy", 1), ("post", 1), ("easy", 2), ("post", 2)]
+    assert sets.selection(2) == [("easy", 1), ("post", 1)]
     sets._texts = {(name, number, "request"): b"" for name in ("a", "b", "c") for number in range(1, 101)}
     # Five of a and b, four of c would be 14; from 1 on in steps of 20.
-    assert sets.chosen(14) == [
+    assert sets.selection(14) == [
         (name, number) for number in (1, 21, 41, 61, 81) for name in ("a", "b", "c") if (name, number) != ("c", 81)
     ]
-    assert len(set(sets.chosen())) == len(sets.chosen()) == 300
+    assert len(set(sets.selection())) == len(sets.selection()) == 300
 
 
 @pytest.mark.parametrize(
@@ -107,7 +107,7 @@ def test_what_is_wrong_with_a_folder_is_said(tiny: Path, tmp_path: Path, change:
     shutil.copytree(tiny, folder)
     change(folder)  # type: ignore[operator]
     with pytest.raises(FileError, match=re.escape(message)):
-        ProblemSets(folder).pose("post", 1)
+        ProblemSets(folder).problem("post", 1)
 
 
 def _edit(folder: Path, kind: str, change: object) -> None:

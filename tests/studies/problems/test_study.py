@@ -47,7 +47,7 @@ def test_a_straight_way_is_measured_by_hand(tiny: Path, monkeypatch: pytest.Monk
 def test_paths_are_run_through_at_the_limits(tiny: Path) -> None:
     pytest.importorskip("toppra")
     (row,) = solve(str(tiny), "easy", 1, "minimum-jerk", 10.0)
-    arm, start, goal = ProblemSets(tiny).pose("easy", 1)
+    arm, start, goal = ProblemSets(tiny).problem("easy", 1)
     least = least_duration(arm, start, goal)
     assert least <= row.motion_time <= 1.01 * least
     assert row.cspace_path_length == pytest.approx(1.2, rel=1e-6)
@@ -82,7 +82,7 @@ def test_what_cannot_be_is_skipped_and_what_is_not_found_has_failed(tiny: Path) 
 
 def test_a_shaped_network_goes_around_as_its_teacher_does(tiny: Path) -> None:
     pytest.importorskip("ompl")
-    arm, start, goal = ProblemSets(tiny).pose("post", 1)
+    arm, start, goal = ProblemSets(tiny).problem("post", 1)
     made = plan(
         arm, goal, start=start, planner="lieednn-shaped", max_time_scale=100.0, options=OPTIONS["lieednn-shaped"]
     )

@@ -15,34 +15,34 @@ from lieednn_sim.simulation import Disturbances, Push
 from lieednn_sim.studies import compute
 from lieednn_sim.studies.reactions import cases, study
 from lieednn_sim.studies.reactions.cases import CONVERGENCE_RATE, DISTURBANCES, Reaction, Task
-from lieednn_sim.studies.reactions.recovery import Path, pushing_force
+from lieednn_sim.studies.reactions.recovery import UndisturbedPath, pushing_force
 
 
 def test_a_recovery_by_hand(gantry):
     # Along x, of which the range is 2 m, pushed aside along y, whose range is 4 m.
     t = np.linspace(0.0, 1.0, 101)
-    way = np.zeros((101, 4))
-    way[:, 0] = t
-    pushed = way.copy()
+    path = np.zeros((101, 4))
+    path[:, 0] = t
+    pushed = path.copy()
     pushed[20:60, 1] = 0.4 * (1.0 - (t[20:60] - 0.2) / 0.4)
-    recovery = Path(gantry, way).recovery(t, pushed, 0.2, 0.3)
-    assert recovery.off == pytest.approx(0.1)
+    recovery = UndisturbedPath(gantry, path).recovery(t, pushed, 0.2, 0.3)
+    assert recovery.deviation == pytest.approx(0.1)
     # Within a tenth of it from t = 0.56 on, 0.26 s after the push, with 0.36 of the 0.8 m gone.
     assert recovery.time_s == pytest.approx(0.26, abs=0.011)
-    assert recovery.share == pytest.approx(0.36 / 0.8, abs=0.02)
+    assert recovery.fraction == pytest.approx(0.36 / 0.8, abs=0.02)
     pushed[60:, 1] = 0.3
-    assert Path(gantry, way).recovery(t, pushed, 0.2, 0.3).time_s is None
+    assert UndisturbedPath(gantry, path).recovery(t, pushed, 0.2, 0.3).time_s is None
     # Back before the disturbance is over: what is gone counts from when it is.
-    early = Path(gantry, way).recovery(t, np.where(np.arange(101)[:, None] < 60, pushed, way), 0.2, 0.7)
-    assert (early.time_s, early.share) == pytest.approx((0.0, 0.5 / 0.8), abs=0.02)
+    early = UndisturbedPath(gantry, path).recovery(t, np.where(np.arange(101)[:, None] < 60, pushed, path), 0.2, 0.7)
+    assert (early.time_s, early.fraction) == pytest.approx((0.0, 0.5 / 0.8), abs=0.02)
 
 
 def test_a_path_of_few_samples_is_gone_between_them(gantry):
-    distance, share = Path(gantry, np.array([[0.0, 0.0, 0.0, 0.0], [0.8, 0.0, 0.0, 0.0]])).nearest(
+    distance, fraction = UndisturbedPath(gantry, np.array([[0.0, 0.0, 0.0, 0.0], [0.8, 0.0, 0.0, 0.0]])).nearest(
         np.array([[0.2, 0.0, 0.0, 0.0], [0.2, 0.4, 0.0, 0.0]])
     )
     np.testing.assert_allclose(distance, [0.0, 0.1], atol=1e-3)
-    np.testing.assert_allclose(share, [0.25, 0.25], atol=1e-3)
+    np.testing.assert_allclose(fraction, [0.25, 0.25], atol=1e-3)
 
 
 def test_the_force_of_a_push_is_found_where_actuators_give_way_all_at_once():
@@ -77,10 +77,10 @@ def test_a_policy_arrives_also_pushed(name, task):
 
 def test_a_push_throws_a_joint_a_tenth_of_its_range_off_in_the_run_itself(task):
     policy = task.policy("linear-attractor")
-    path = Path(task.arm, cases._run(policy, task.target, None, 2.0).rollout.q)
+    path = UndisturbedPath(task.arm, cases._run(policy, task.target, None, 2.0).rollout.q)
     targets, changes, end = cases._disturbed(task, policy, "push", 0.4, path)
     rollout = cases._run(policy, targets, changes, 2.0).rollout
-    assert path.recovery(rollout.t, rollout.q, 0.4, end).off == pytest.approx(0.1, rel=0.2)
+    assert path.recovery(rollout.t, rollout.q, 0.4, end).deviation == pytest.approx(0.1, rel=0.2)
 
 
 @pytest.mark.parametrize("name", ["gantry", "telescopic_compound"])
@@ -99,14 +99,14 @@ def test_a_target_moves_no_nearer_to_limits_than_other_targets_are(name, gantry,
 
 
 def test_a_row_by_hand(task, monkeypatch):
-    measured = {"final_worst_mm": 3.0, "final_effector_mm": 1.0, "velocity_share": 0.25, "force_share": 0.75}
+    measured = {"final_worst_mm": 3.0, "final_effector_mm": 1.0, "velocity_fraction": 0.25, "force_fraction": 0.75}
     monkeypatch.setattr(cases, "evaluate", lambda rollout, clearance: SimpleNamespace(shortfall="", **measured))
     # An actuator at half its limit and one at all of it, for three steps of 0.1 s.
     arm = SimpleNamespace(force_limits=np.array([2.0, 10.0]))
     rollout = SimpleNamespace(arm=arm, force=np.tile([1.0, -10.0], (3, 1)), timestep=0.1)
     following = SimpleNamespace(rollout=rollout, step_time=[1e-6, 9e-6, 2e-6])
     row = cases._row(task, "tracker", "none", following)
-    assert (row.final_mm, row.velocity_share, row.force_share) == (3.0, 0.25, 0.75)
+    assert (row.final_mm, row.velocity_fraction, row.force_fraction) == (3.0, 0.25, 0.75)
     assert (row.effort, row.step_us) == pytest.approx((0.3 * 0.5 * (0.25 + 1.0), 2.0))
 
 
@@ -125,12 +125,12 @@ def test_the_disturbances_of_a_tracker_by_hand(task, monkeypatch):
     monkeypatch.setattr(cases, "_task", lambda *case: task)
     rows = {row.disturbance: row for row in cases.run_reactions("gantry", "free", "tracker", 3)}
     assert list(rows) == list(DISTURBANCES)
-    assert [row.off is None for row in rows.values()] == [True, False, False, True]
-    # Of 2 s of minimum jerk 35 % of the way are gone where 10 s^3 - 15 s^4 + 6 s^5 = 0.35, at s = 0.4186.
+    assert [row.deviation is None for row in rows.values()] == [True, False, False, True]
+    # Of 2 s of minimum jerk 35 % of the path are gone where 10 s^3 - 15 s^4 + 6 s^5 = 0.35, at s = 0.4186.
     (push,) = ran["push"][1].pushes
     assert push.start == pytest.approx(0.84)
     assert rows["push"].push_n == pytest.approx(np.linalg.norm(push.force), rel=1e-3)
-    assert rows["push"].off > 0.08
+    assert rows["push"].deviation > 0.08
     assert 0.0 < rows["push"].back_s < 2.0
     # 10 N hang at a servo of 1000 N/m, and stay there.
     assert (ran["payload"][2].q[-1] - task.target)[2] == pytest.approx(-0.01, abs=1e-6)
@@ -200,7 +200,7 @@ def test_a_fabric_above_the_floor_by_hand(task):
 
 
 def test_a_fabric_is_not_repelled_at_its_target(task):
-    # 5 cm above the floor, a third of the way at which it repels.
+    # 5 cm above the floor, a third of the distance at which it repels.
     target = np.array([0.3, -0.4, -0.85, 0.6])
     rollout = cases._run(task.policy("fabric"), target, None, 5.0).rollout
     np.testing.assert_allclose(rollout.q[-1], target, atol=5e-3)
@@ -208,7 +208,7 @@ def test_a_fabric_is_not_repelled_at_its_target(task):
 
 def test_a_primitive_goes_the_way_it_was_shown(task):
     rollout = cases._run(task.policy("dmp"), task.target, None, 2.0).rollout
-    distance, _ = Path(task.arm, task.motion.q).nearest(rollout.q_ref)
+    distance, _ = UndisturbedPath(task.arm, task.motion.q).nearest(rollout.q_ref)
     assert distance.max() < 0.01
     # And when it was there.
     np.testing.assert_allclose(rollout.q_ref, task.motion.q, atol=5e-3)

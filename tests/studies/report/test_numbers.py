@@ -16,8 +16,7 @@ from lieednn_sim.studies.comparison.summary import method
 from lieednn_sim.studies.reactions.cases import MEASURED, Reaction
 from lieednn_sim.studies.reactions.study import Reactions
 from lieednn_sim.studies.report import choose_cases, figures, page, write_page
-from lieednn_sim.studies.report.findings import findings
-from lieednn_sim.studies.report.page import _SHOWN, _columns
+from lieednn_sim.studies.report.page import _SHOWN, _columns, findings
 from lieednn_sim.studies.report.style import number
 from lieednn_sim.studies.statistics import grouped
 

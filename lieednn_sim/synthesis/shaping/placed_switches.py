@@ -2,7 +2,7 @@
 
 Each hidden neuron is a turn or a shift: one coordinate of its rotational or of its translational half switches, and the
 other half rests. Then a visible neuron's input is a sum of vectors alpha R e_x, one for each switch, and theta need not
-translate. There is no start, no iteration and no local minimum, but it takes several times as many neurons as a descent
+translate. The problem is linear, without start and local minima, but takes several times as many neurons as a descent
 on all parameters (`fit`).
 
 Overlapping soft switches leave ripples far below the requested deviation, which a motion feels as jerk. So the third
@@ -22,33 +22,33 @@ from lieednn_sim.synthesis.shaping.fit import LARGEST_SLOPE
 from lieednn_sim.synthesis.shaping.start import towards
 from lieednn_sim.values import Floats
 
-# Pieces over which curvature is computed, and the share of the length over which it is smoothed.
+# Pieces over which curvature is computed, and the fraction of the length over which it is smoothed.
 _PIECES, _SMOOTHING = 512, 0.01
-# A turn of the tangent by one radian takes as much of the clock as this share of the length: it makes room for switches
-# in a sharp corner, where a motion is slow anyway.
-_TURNING = 0.03
-# Slope of a switch over the density of switches, and the least slope: without overlap the way would ripple.
+# A turn of the tangent by one radian takes as much of the clock as this fraction of the length: it makes room for
+# switches in a sharp corner, where a motion is slow anyway.
+_CLOCK_PER_TURN = 0.03
+# Slope of a switch over the density of switches, and the least slope: without overlap the path would ripple.
 _OVERLAP = 1.0
-_GENTLEST = 1.0
+_LEAST_SLOPE = 1.0
 # The density of switches is the root of the curve's second derivative plus this much everywhere.
-_EVEN = 0.1
-# Ripples shorter than 2 pi times this share of the clock count more than deviations.
+_LEAST_DENSITY = 0.1
+# Ripples shorter than 2 pi times this fraction of the clock count more than deviations.
 _RIPPLE = 0.03
 # Number of instants at which ripples are penalised, nearly even down to where g is this small.
-_INSTANTS, _VANISHED = 120, 0.01
+_INSTANTS, _LEAST_CLOCK = 120, 0.01
 # Weight of the squared readouts.
 _RIDGE = 1e-9
 
 
-def placed(cascade: Cascade, curve: Curve, n_switches: int) -> Parameters:
-    """Parameters of the cascade nearest to the curve with ``n_switches`` placed switches."""
+def fit_placed_switches(cascade: Cascade, curve: Curve, n_switches: int) -> Parameters:
+    """Parameters of the cascade with ``n_switches`` switches placed along the curve whose path is nearest to it."""
     n, m, clock = len(cascade.target), n_switches, cascade.clock
     pace = _pace(curve)
-    shares = pace(1.0 - clock.g)
-    goal, _ = curve.at(shares)
+    fractions = pace(1.0 - clock.g)
+    goal, _ = curve.at(fractions)
     # The last row is the tail, which should vanish.
     missing = np.concatenate([goal - cascade.free[:-1], np.zeros((1, n, 6))])
-    weight = np.append(curve.weight(shares), 1.0)[:, None]
+    weight = np.append(curve.weight(fractions), 1.0)[:, None]
     looks, ripples = _third_derivative(1.0 - clock.g)
     a, c, q = np.zeros((m, 6)), np.zeros((m, 6)), np.zeros((n, m, 4))
     for half, chosen in _halves(curve, m):
@@ -75,31 +75,31 @@ def _halves(curve: Curve, count: int) -> list[tuple[slice, Floats]]:
 
 
 def _pace(curve: Curve) -> CubicSpline:
-    """Share of the curve's length as a function of the share of the clock: slower where the curve turns."""
+    """Fraction of the curve's length as a function of the fraction of the clock: slower where the curve turns."""
     s = np.linspace(0.0, 1.0, _PIECES + 1)
     pieces = np.diff((curve.at(s)[0] * curve.units).reshape(len(s), -1), axis=0)
     directions = pieces / np.maximum(np.linalg.norm(pieces, axis=1, keepdims=True), 1e-300)
     turns = np.linalg.norm(np.diff(directions, axis=0), axis=1)
     turning = gaussian_filter1d(np.interp(s[:-1], s[1:-1], turns), _SMOOTHING * _PIECES, mode="nearest")
-    passed = np.append(0.0, np.cumsum(1.0 / _PIECES + _TURNING * turning))
+    passed = np.append(0.0, np.cumsum(1.0 / _PIECES + _CLOCK_PER_TURN * turning))
     return CubicSpline(passed / passed[-1], s)
 
 
 def _switches(curve: Curve, pace: CubicSpline, half: slice, count: int) -> tuple[Floats, Floats]:
-    """Positions of the switches, as shares ``(count,)`` of the clock, and their slopes."""
+    """Positions of the switches, as fractions ``(count,)`` of the clock, and their slopes."""
     w = np.linspace(0.0, 1.0, _PIECES // 4 + 1)
     points = (curve.at(pace(w))[0] * curve.units)[:, :, half].reshape(len(w), -1) / curve.length
     second = np.linalg.norm(np.diff(points, n=2, axis=0), axis=1) / w[1] ** 2
     density = np.sqrt(gaussian_filter1d(np.pad(second, 1, mode="edge"), 3.0, mode="nearest"))
-    density += _EVEN * density.mean() + _EVEN
+    density += _LEAST_DENSITY * density.mean() + _LEAST_DENSITY
     mass = np.append(0.0, np.cumsum(0.5 * (density[1:] + density[:-1])))
     edges = np.interp(np.linspace(0.0, mass[-1], 2 * count + 1), mass, w)
-    return edges[1::2], np.clip(_OVERLAP / (edges[2::2] - edges[:-2:2]), _GENTLEST, LARGEST_SLOPE)
+    return edges[1::2], np.clip(_OVERLAP / (edges[2::2] - edges[:-2:2]), _LEAST_SLOPE, LARGEST_SLOPE)
 
 
 def _third_derivative(w: Floats) -> tuple[NDArray[np.int_], Floats]:
     """Indices of instants, nearly even in ``w``, and the matrix of third divided differences there."""
-    wanted = np.linspace(0.0, 1.0 - _VANISHED, _INSTANTS)
+    wanted = np.linspace(0.0, 1.0 - _LEAST_CLOCK, _INSTANTS)
     looks = np.unique(np.abs(w[:, None] - wanted).argmin(axis=0))
     at, matrix = w[looks], np.eye(len(looks))
     for order in (1, 2, 3):

@@ -2,7 +2,7 @@
 
 For a barrier of value d, the filter requires d' + c (d + h (d' + d'_old) / 2) >= 0, a control barrier condition (Ames
 et al., European Control Conference 2019) that is linear in the velocities v', since d' = grad d . v'. Its rate c is at
-most sqrt(2 a_n / d), from which the joints can brake, where a_n is a share of |grad d| . a.
+most sqrt(2 a_n / d), from which the joints can brake, where a_n is a fraction of |grad d| . a.
 """
 
 from __future__ import annotations
@@ -21,17 +21,18 @@ from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.validation import quoted
 from lieednn_sim.values import Floats
 
-# Share of the accelerations available to brake before an obstacle: several constraints may need them, and normals turn.
-_BRAKING_SHARE = 0.15
+# Fraction of the accelerations available to brake before an obstacle: several constraints may need them, and normals
+# turn.
+_BRAKING_FRACTION = 0.15
 # Parts of the arm this close at home are taken for neighbours, which approach slowly: a shorter cutoff suffices [m].
 _NEIGHBOURS, _NEIGHBOUR_CUTOFF = 0.15, 0.04
 # Least distance up to which pairs are measured [m].
 _LEAST_CUTOFF = 0.001
-# Share of the distance of start and target that is kept where these are closer than the margin.
-_MARGIN_SHARE = 0.8
+# Fraction of the distance of start and target that is kept where these are closer than the margin.
+_MARGIN_FRACTION = 0.8
 # Motion along the angle limit of a ball joint exceeds it to second order in a step [rad], and staying inside takes most
 # of the acceleration.
-_ANGLE_INSET, _ANGLE_BRAKING_SHARE = 5e-3, 0.05
+_ANGLE_INSET, _ANGLE_BRAKING_FRACTION = 5e-3, 0.05
 
 
 @dataclass(frozen=True)
@@ -41,9 +42,9 @@ class FilterOptions(PlannerOptions):
     Attributes:
         margin: distance kept from the surroundings [m].
         own_margin: distance that parts of the arm keep from each other [m].
-        approach: largest c: the share of their distance by which geoms may approach each other in a second [1/s].
+        approach: upper bound on the rate c [1/s]: geoms at a distance d may approach each other at c d.
         cutoff: distance beyond which pairs are ignored [m].
-        smoothing: s, the weight of the change of velocity.
+        smoothing: s, the weight of the change of velocity in the quadratic program of `filter`.
 
     Raises:
         InputError: a value is not positive.
@@ -60,10 +61,10 @@ class Barrier(ABC):
     """Functions of the joint positions that must stay positive.
 
     Attributes:
-        braking_share: share of the joints' accelerations available to brake.
+        braking_fraction: fraction of the joints' acceleration limits that is available for braking.
     """
 
-    braking_share = _BRAKING_SHARE
+    braking_fraction = _BRAKING_FRACTION
 
     @abstractmethod
     def values(self, q: Floats, velocity: Floats, speeds: Floats) -> tuple[Floats, Floats]:
@@ -79,16 +80,16 @@ class Barrier(ABC):
         """Adapt the barrier to positions ``(P, n)`` that must be allowed; raise `InputError` if that is impossible."""
 
     def name(self, row: int) -> str:
-        """Name of one of the last `values`, for messages about what holds the arm back."""
+        """Name of a row of the last `values`, for messages about what holds the arm back."""
         return f"{type(self).__name__} {quoted(row)}"
 
 
 class ApproachBounds:
-    """Bounds of the rates at which the distances of pairs change, by which pairs too far apart to matter are left out.
+    """Upper bounds of the rates at which distances of pairs change; pairs too far apart to matter are then left out.
 
-    A degree of freedom that moves both geoms of a pair does not change their distance. A unit of any other moves the
-    points of a geom by at most 1 if it is a slide's, and otherwise by the distance of its anchor from the geom's centre
-    plus the geom's radius.
+    A degree of freedom that moves both geoms of a pair does not change their distance. A unit velocity of a slide joint
+    moves the points of a geom at a speed of 1; that of a rotation, at most at the distance of its anchor from the
+    geom's centre plus the geom's radius.
 
     Args:
         arm: the arm.
@@ -130,7 +131,7 @@ def _moved_by(model: mujoco.MjModel, body: int) -> NDArray[np.bool_]:
 
 
 class ClearanceBarrier(Barrier):
-    """Distances of pairs of geoms less their margins.
+    """Distances of pairs of geoms, minus their margins.
 
     Attributes:
         collisions: the pairs.
@@ -167,31 +168,32 @@ class ClearanceBarrier(Barrier):
     def needed(self, q: Floats, velocity: Floats, speeds: Floats) -> Floats:
         """Distances ``(P,)`` beyond which no velocities within the bounds break a pair's barrier; at most the cutoff.
 
-        With s the largest rate of the distance, a barrier holds where c room > (1 + c h) s. Here c is the option's, or
-        the root of 2 b / room, with the deceleration b >= braking share times s / T and T the longest time to stop.
+        Let s be the largest rate of the distance, and room the distance minus the margin. The barrier holds if
+        c room > (1 + c h) s. Here c is the option's `approach`, or sqrt(2 b / room), with the deceleration b >= braking
+        fraction times s / T, and T the longest time to stop.
         """
         h, rate = self._timestep, self._options.approach
         speeds = np.maximum(speeds, np.abs(velocity))
         stop = float((speeds / self._acceleration).max())
-        times = max(1.0 / rate + h, (1.0 + h * rate) ** 2 * stop / (2.0 * self.braking_share))
+        times = max(1.0 / rate + h, (1.0 + h * rate) ** 2 * stop / (2.0 * self.braking_fraction))
         margins = self._margins[tuple(self.collisions.pairs.T)]
         return np.minimum(margins + times * self._approach(q, speeds) + _LEAST_CUTOFF, self.cutoffs)
 
     def allow(self, positions: Floats) -> None:
-        """Reduce the margins of pairs that are closer at these positions to a share of their distance there.
+        """Reduce the margins of pairs that are closer at these positions to a fraction of their distance there.
 
         Raises:
             InputError: something touches at a position.
         """
         for position in positions:
             near = self.collisions.distances(
-                position, max(self._options.margin, self._options.own_margin) / _MARGIN_SHARE
+                position, max(self._options.margin, self._options.own_margin) / _MARGIN_FRACTION
             )
             if len(near.distance) and near.distance[0] <= 0.0:
                 first, second = self.collisions.names(near.pairs[0])
                 raise InputError(f"{first!r} touches {second!r} at a position to reach")
             where = tuple(near.pairs.T)
-            self._margins[where] = np.minimum(self._margins[where], _MARGIN_SHARE * near.distance)
+            self._margins[where] = np.minimum(self._margins[where], _MARGIN_FRACTION * near.distance)
 
     def name(self, row: int) -> str:
         """See `Barrier`."""
@@ -200,13 +202,13 @@ class ClearanceBarrier(Barrier):
 
 
 class AngleBarrier(Barrier):
-    """Angles left to ball joints, whose three coordinates have a common limit, on their norm.
+    """Angles by which ball joints are below their limits, which bound the norm of their three coordinates.
 
     Attributes:
         limits: ``(B,)`` angle limits in use [rad].
     """
 
-    braking_share = _ANGLE_BRAKING_SHARE
+    braking_fraction = _ANGLE_BRAKING_FRACTION
 
     def __init__(self, arm: Arm) -> None:
         self._arm, self._balls = arm, arm.space.balls.reshape(-1, 3)
@@ -221,7 +223,7 @@ class AngleBarrier(Barrier):
         return self.limits - angles, inward
 
     def allow(self, positions: Floats) -> None:
-        """Tighten the limits, but not below these positions."""
+        """Tighten the limits, but not below the angles at ``positions``."""
         angles = np.linalg.norm(positions[:, self._balls], axis=-1).max(axis=0, initial=0.0)
         self.limits = np.minimum(np.maximum(self._largest - _ANGLE_INSET, angles), self._largest)
 

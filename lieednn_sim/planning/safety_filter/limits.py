@@ -1,4 +1,4 @@
-"""Limits of the joints: bounds of their velocities at the end of a control step with constant acceleration."""
+"""Limits of the joints, as bounds of their velocities at the end of a control step of constant acceleration."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Limit(ABC):
     """Bounds of the joint velocities at the end of a step.
 
     Attributes:
-        yields: whether preceding limits take precedence over it.
+        yields: whether the limits before this one take precedence over it where both cannot hold.
     """
 
     yields = True
@@ -37,7 +37,7 @@ class Limit(ABC):
 
 
 class VelocityLimit(Limit):
-    """|v'| <= limits ``(n,)``."""
+    """Velocity limits: |v'| <= limits ``(n,)``."""
 
     yields = False
 
@@ -50,7 +50,7 @@ class VelocityLimit(Limit):
 
 
 class AccelerationLimit(Limit):
-    """|v' - v| <= a h with limits a ``(n,)`` and a step of h seconds."""
+    """Acceleration limits: |v' - v| <= a h with limits a ``(n,)`` and a step of h seconds."""
 
     yields = False
 
@@ -85,7 +85,7 @@ class PositionLimit(Limit):
         self.limits = arm.position_limits.copy()
 
     def bounds(self, q: Floats, velocity: Floats) -> tuple[Floats, Floats]:
-        """See `Limit`; from outside the limits, as only after a bad start, back as fast as the other limits allow."""
+        """See `Limit`. A joint outside its limits, as after a bad start, returns as fast as the other limits allow."""
         low, high = self.limits.T
         return -self.stopping(q - low, -velocity), self.stopping(high - q, velocity)
 
@@ -97,7 +97,7 @@ class PositionLimit(Limit):
         return np.where(left >= 0.0, root, 2.0 * left / h)
 
     def allow(self, positions: Floats) -> None:
-        """Tighten the limits, but not beyond these positions, so that joints reversing within a step keep the arm's."""
+        """Tighten the limits, but not beyond ``positions``, so that joints that reverse keep the arm's limits."""
         inset = self._acceleration * self._timestep**2 / 4.0
         low, high = self._arm.position_limits.T
         lower = np.maximum(np.minimum(low + inset, positions.min(axis=0)), low)
@@ -110,7 +110,7 @@ class PositionLimit(Limit):
 
 
 def finite_rates(arm: Arm) -> tuple[Floats, Floats]:
-    """Limits of velocity and acceleration ``(n,)``; finite, even where the arm has none."""
+    """Velocity and acceleration limits, both ``(n,)``, with finite values in place of those that the arm lacks."""
     velocity = np.where(np.isfinite(arm.velocity_limits), arm.velocity_limits, arm.ranges / _RANGE_TIME)
     named = np.isfinite(arm.acceleration_limits)
     return velocity, np.where(named, arm.acceleration_limits, velocity / _ACCELERATION_TIME)

@@ -1,12 +1,12 @@
-"""A network run through the safety filter: the network leads the way, and the filter keeps the arm safe on it.
+"""A run of a network through the safety filter: the network gives the path, and the filter keeps the arm safe on it.
 
 The network is autonomous and proved to arrive, so its path and pace are known beforehand (`NetworkPath`). The filter
-changes the clock of the reference: the further the joints are behind, the slower it runs, so the network never runs
-away; but it never stands still, so the network arrives, and its equilibrium stays the attractor. Joints that filter and
-obstacles have held back are drawn to the network's present state with bounded velocity.
+changes the clock of the reference: the further the joints are behind, the slower the clock runs, so the reference stays
+near the joints. The clock never stops, so the network arrives, and its equilibrium stays the attractor. Joints held
+back by the filter move to the network's present state with bounded velocity.
 
-On the way the network may be given other targets, by its bias alone. Then its visible neurons take their state from the
-arm's present posture, and the hidden ones continue.
+During the run the network may be retargeted by its bias. Then its visible neurons take their state from the arm's
+present configuration, and the hidden ones continue.
 """
 
 from __future__ import annotations
@@ -21,30 +21,30 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.budget import check_time
 from lieednn_sim.errors import PlanError
 from lieednn_sim.network import LieEDNN
-from lieednn_sim.planning.filtering.barriers import FilterOptions
-from lieednn_sim.planning.filtering.safety import SafetyFilter
 from lieednn_sim.planning.motion import LIMIT_TOLERANCE, Motion
 from lieednn_sim.planning.network_path import NetworkPath, require_fit
+from lieednn_sim.planning.safety_filter.barriers import FilterOptions
+from lieednn_sim.planning.safety_filter.filter import SafetyFilter
 from lieednn_sim.validation import as_floats, as_positive
 from lieednn_sim.values import Floats, frozen
 
-# Pull of the joints towards the network's state [1/s], and the share of the acceleration limits left for braking.
-_GAIN = 8.0
-_BRAKING_SHARE = 0.5
-# Lag of the joints at which the clock would stop [s, at full speed], and the least share of its pace.
-_BEHIND = 0.15
-_SLOWEST = 0.3
+# Pull of the joints towards the network's state [1/s], and the fraction of the acceleration limits left for braking.
+_TRACKING_GAIN = 8.0
+_BRAKING_FRACTION = 0.5
+# Lag of the joints at which the clock would stop [s, at full speed], and the least fraction of its pace.
+_STOPPING_LAG = 0.15
+_LEAST_PACE = 0.3
 # The run has arrived when every joint is this close [rad, m] and this slow [rad/s, m/s].
-_ARRIVED = 1e-4
-_STILL = 5e-3
-# Distance at which an intermediate posture counts as passed [s, at full speed]: a share of the way to the next one,
-# within these bounds.
-_PASSING, _LEAST_PASSING, _PASSING_SHARE = 0.02, 0.001, 0.2
-# Least time between two postures, as a share of the mean.
-_LEAST_SHARE = 0.4
-# After the network's arrival, the arm is blocked if its distance does not shrink by this share in this time [s].
-_PROGRESS = 0.02
-_PATIENCE = 0.4
+_ARRIVAL_DISTANCE = 1e-4
+_ARRIVAL_SPEED = 5e-3
+# Distance at which an intermediate configuration counts as passed [s, at full speed]: a fraction of the distance to the
+# next one, within these bounds.
+_PASSING_DISTANCE, _LEAST_PASSING_DISTANCE, _PASSING_FRACTION = 0.02, 0.001, 0.2
+# Least time between two configurations, as a fraction of the mean.
+_LEAST_DURATION_FRACTION = 0.4
+# After the network's arrival, the arm is blocked if its distance does not shrink by this fraction in this time [s].
+_LEAST_PROGRESS = 0.02
+_PROGRESS_TIME = 0.4
 
 
 @frozen
@@ -53,17 +53,17 @@ class FilteredRun:
 
     Attributes:
         success: whether the joints came to rest at the target.
-        message: how the run ended; if blocked, by what.
+        message: how the run ended, and what blocked it if it was blocked.
         blocked_by: position limits and pairs of geoms that hold the arm back, the strongest first; empty on success.
         t: ``(K,)`` times of the control steps [s].
         q: ``(K, n)`` joint positions [rad, m].
-        qd: ``(K, n)`` joint velocities [rad/s, m/s]; linear in between, so that q is quadratic.
+        qd: ``(K, n)`` joint velocities [rad/s, m/s], linear within a control step, where q is quadratic.
         clock: ``(K,)`` time of the reference that the network had reached [s].
-        clearance: ``(K,)`` smallest distance [m] among the pairs that could come too close within a step, infinite if
-            there are none; at the end the smallest of all.
-        filtered_share: share of the steps in which position limits or clearance changed the velocities.
-        brakings: number of steps in which the limits allowed nothing but braking.
-        reference: the network's own motion, unfiltered; with intermediate postures, its motions between them.
+        clearance: ``(K,)`` smallest distance [m] among the pairs that could come too close within the step, infinite if
+            there are none; the last entry is the smallest distance of all pairs.
+        filtered_fraction: fraction of the steps in which position limits or clearance changed the velocities.
+        brakings: number of steps in which the filter could only brake.
+        reference: the network's own motion, unfiltered; with intermediate configurations, its motions between them.
     """
 
     success: bool
@@ -74,12 +74,12 @@ class FilteredRun:
     qd: Floats
     clock: Floats
     clearance: Floats
-    filtered_share: float
+    filtered_fraction: float
     brakings: int
     reference: Motion
 
     def __repr__(self) -> str:
-        steps = f"{len(self.t) - 1} control steps, {self.filtered_share:.0%} of them filtered"
+        steps = f"{len(self.t) - 1} control steps, {self.filtered_fraction:.0%} of them filtered"
         return f"<FilteredRun: {self.message}; {steps}, clearance at least {1e3 * self.clearance.min():.3g} mm>"
 
 
@@ -102,7 +102,7 @@ def run_filtered(
         start: joint position at rest.
         duration: duration of the motion if the filter changes nothing [s].
         via: intermediate joint positions ``(V, n)``: the network is retargeted to one after another, each time from the
-            arm's posture when it has come close to the previous one, and finally to its own equilibrium.
+            arm's configuration when it has come close to the previous one, and finally to its own equilibrium.
         timestep: control step [s].
         max_time_scale: number of durations after which the run ends, arrived or not.
         options: settings of the filter.
@@ -126,12 +126,12 @@ def run_filtered(
         raise PlanError(f"the network ends out of the arm's limits: {reason}")
     filter_ = SafetyFilter(arm, timestep, options)
     filter_.allow(q, target)
-    networks = [*(network.retarget(arm.encode(posture)) for posture in passed), network]
-    speeds, brakes = filter_.velocity_limits, _BRAKING_SHARE * filter_.acceleration_limits
+    networks = [*(network.retarget(arm.encode(configuration)) for configuration in passed), network]
+    speeds, brakes = filter_.velocity_limits, _BRAKING_FRACTION * filter_.acceleration_limits
     lengths = np.abs(np.diff([q, *passed, target], axis=0) / speeds).max(axis=1)
-    durations = as_positive("duration", duration) * _shares(lengths)
-    # If the next way is short, the arm must not start far beside it.
-    closeness = np.clip(_PASSING_SHARE * lengths[1:], _LEAST_PASSING, _PASSING)
+    durations = as_positive("duration", duration) * _duration_fractions(lengths)
+    # If the next segment is short, the arm must not start far beside it.
+    closeness = np.clip(_PASSING_FRACTION * lengths[1:], _LEAST_PASSING_DISTANCE, _PASSING_DISTANCE)
     h = filter_.timestep
     segments = [_Segment(arm, networks[0], q, float(durations[0]), h)]
     segment, clock = segments[0], 0.0
@@ -144,7 +144,9 @@ def run_filtered(
         check_time()
         error = segment.path(clock) - q
         rate = (
-            float(np.clip(1.0 - np.abs(error / speeds).max() / _BEHIND, _SLOWEST, 1.0)) if clock < segment.end else 0.0
+            float(np.clip(1.0 - np.abs(error / speeds).max() / _STOPPING_LAG, _LEAST_PACE, 1.0))
+            if clock < segment.end
+            else 0.0
         )
         clock = min(clock + rate * h, segment.end)
         # Velocities at the end of the step are wanted, so the reference is read there.
@@ -166,15 +168,15 @@ def run_filtered(
         if clock < segment.end:
             continue
         distance = away.max()
-        if distance < _ARRIVED and np.abs(v).max() < _STILL:
+        if distance < _ARRIVAL_DISTANCE and np.abs(v).max() < _ARRIVAL_SPEED:
             success, message = True, f"arrived after {k * h:.2f} s"
             break
-        if distance < (1.0 - _PROGRESS) * best:
+        if distance < (1.0 - _LEAST_PROGRESS) * best:
             best, since = distance, k * h
-        elif k * h - since > _PATIENCE:
+        elif k * h - since > _PROGRESS_TIME:
             blocked_by = step.blocking
             by = " and ".join(blocked_by[:2]) or "the acceleration limits"
-            where = "the target" if len(segments) == len(networks) else f"posture {len(segments)} on the way"
+            where = "the target" if len(segments) == len(networks) else f"intermediate configuration {len(segments)}"
             message = f"blocked by {by} after {k * h:.2f} s, {distance:.2g} (largest joint difference) from {where}"
             break
     else:
@@ -192,17 +194,17 @@ def run_filtered(
         clock=np.array(clocks),
         # Steps measure the clearance at their beginning.
         clearance=np.array([*clearances[1:], min(filter_.clearance.collisions.clearance(q), np.inf)]),
-        filtered_share=filtered / steps,
+        filtered_fraction=filtered / steps,
         brakings=brakings,
         reference=_joined([segment.reference for segment in segments]),
     )
 
 
 class _Segment:
-    """A network's own motion from a posture; `reference` is cut when the arm has passed its end."""
+    """A network's own motion from a configuration; `reference` is cut when the arm has passed its end."""
 
     def __init__(self, arm: Arm, network: LieEDNN, q: Floats, duration: float, h: float, begun: float = 0.0) -> None:
-        self._drawn = NetworkPath.drawn(arm, network, q)
+        self._drawn = NetworkPath.integrate(arm, network, q)
         self.reference = self._drawn.timed(max(duration, 2.0 * h), h)
         self.path = CubicHermiteSpline(self.reference.t, self.reference.q, self.reference.qd)
         self.end = float(self.reference.t[-1])
@@ -232,17 +234,17 @@ def _joined(segments: list[Motion]) -> Motion:
     return Motion(t=step * np.arange(len(whole["q"]), dtype=np.float64), xi_target=segments[-1].xi_target, **whole)
 
 
-def _shares(lengths: Floats) -> Floats:
-    """Shares of the duration for the ways between postures, by their lengths, none of them very short."""
-    shares = np.maximum(lengths / max(lengths.sum(), 1e-12), _LEAST_SHARE / len(lengths))
-    return np.asarray(shares / shares.sum())
+def _duration_fractions(lengths: Floats) -> Floats:
+    """Fractions of the duration for the segments, in proportion to their lengths, but none of them very small."""
+    fractions = np.maximum(lengths / max(lengths.sum(), 1e-12), _LEAST_DURATION_FRACTION / len(lengths))
+    return np.asarray(fractions / fractions.sum())
 
 
 def _towards(error: Floats, brakes: Floats) -> Floats:
-    """Velocities along the error ``(n,)``, proportional to it, from which the joints can brake on the way."""
+    """Velocities along the error ``(n,)``, proportional to it, from which the joints can brake before they arrive."""
     size = np.abs(error)
-    share = np.sqrt(2.0 * brakes / np.maximum(size, 1e-12)).min()
-    return min(_GAIN, float(share)) * error
+    fraction = np.sqrt(2.0 * brakes / np.maximum(size, 1e-12)).min()
+    return min(_TRACKING_GAIN, float(fraction)) * error
 
 
 def _bounded(velocity: Floats, speeds: Floats) -> Floats:

@@ -11,32 +11,32 @@ from lieednn_sim.simulation import Rollout
 from lieednn_sim.simulation.disturbances import tangent_basis
 from lieednn_sim.values import Floats
 
-# Least share of a joint's error that a cause must explain to be reported.
-_SHARE = 0.25
-# Share of a force limit that counts as reaching it.
-_FULL = 0.999
-# Share of an error that a slow servo leaves at the end of the hold.
-_LEFT = 0.05
+# Least fraction of a joint's error that a cause must explain to be reported.
+_LEAST_EXPLAINED = 0.25
+# Fraction of a force limit that counts as reaching it.
+_AT_LIMIT = 0.999
+# Fraction of an error that a slow servo leaves at the end of the hold.
+_STILL_MOVING = 0.05
 # Controllers that use the feedback of the arm's servos.
-_SERVOS = ("position-servo", "inverse-dynamics")
+_SERVO_CONTROLLERS = ("position-servo", "inverse-dynamics")
 _DESIGN = "designed servos (servos='design', --servos design)"
 
 
-def causes(rollout: Rollout, translation: float, rotation: float) -> tuple[str, ...]:
-    """Why the relevant joints do not end at their targets, the most relevant first; then remedies.
+def error_causes(rollout: Rollout, translation: float, rotation: float) -> tuple[str, ...]:
+    """Reasons why joints do not end at their targets, the joint that matters most first, and then remedies.
 
     A servo at rest exerts kp (q_ref - q): dry friction F holds it anywhere within F / kp, and a load without
-    feedforward pulls it off by load / kp. One that still moves at the speed v, and decays as exp(-r t), has v / r to
-    go. Mocap bodies, which lead the arm without servos, have no such causes.
+    feedforward pulls it off by load / kp. A servo that still moves at the speed v, with an error
+    that decays as exp(-r t), has v / r to go. Mocap bodies, which lead the arm without servos, have no such causes.
 
     Args:
         rollout: a rollout that does not end at its target.
-        translation: displacement of a link by one joint's error alone that makes it relevant [m]; if no joint is, the
+        translation: a joint is reported if its error alone displaces a link by more than this [m]; if none does, the
             worst one is reported.
         rotation: the same as an angle [rad].
     """
     arm, target, error = rollout.arm, rollout.target, rollout.q[-1] - rollout.target
-    if rollout.controller not in (*_SERVOS, "computed-torque"):
+    if rollout.controller not in (*_SERVO_CONTROLLERS, "computed-torque"):
         return ()
     alone = arm.link_poses(target).inv() * arm.link_poses(target + np.diag(error))
     distance = np.linalg.norm(alone.translation, axis=-1).max(axis=1)
@@ -60,9 +60,9 @@ def _reasons(rollout: Rollout, error: Floats) -> tuple[list[list[str]], list[lis
     (kp, _), friction = servo_gains(model, basis), dry_friction(model, basis)
     load = np.abs(resting_load(model, arm.qpos(rollout.q[-1:]))[0] @ basis)
     pace, limits, changes = _pace(rollout), arm.force_limits, rollout.disturbances
-    slow = np.abs(rollout.qd[-1]) > _SHARE * pace * np.abs(error)
-    slow &= (np.exp(-pace * rollout.hold) > _LEFT) & (rollout.controller in _SERVOS)
-    full = np.mean(np.abs(rollout.force) >= _FULL * limits, axis=0)
+    slow = np.abs(rollout.qd[-1]) > _LEAST_EXPLAINED * pace * np.abs(error)
+    slow &= (np.exp(-pace * rollout.hold) > _STILL_MOVING) & (rollout.controller in _SERVO_CONTROLLERS)
+    full = np.mean(np.abs(rollout.force) >= _AT_LIMIT * limits, axis=0)
     reasons: list[list[str]] = [[] for _ in error]
     helpful: list[list[str]] = [[] for _ in error]
     for j, off in enumerate(np.abs(error)):
@@ -81,7 +81,7 @@ def _reasons(rollout: Rollout, error: Floats) -> tuple[list[list[str]], list[lis
                 (friction[j], "dry friction of", "holds it anywhere within"),
                 (load[j], "its load of", "pulls it off by"),
             ):
-                if force > _SHARE * kp[j] * off:
+                if force > _LEAST_EXPLAINED * kp[j] * off:
                     held = _amount(arm, j, force / kp[j])
                     reasons[j].append(f"{says} {force:.3g} {unit} / kp {kp[j]:.4g} {does} {held}")
                     helpful[j] += ["the controller inverse-dynamics", *stiffer]

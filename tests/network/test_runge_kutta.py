@@ -5,7 +5,7 @@ import pytest
 
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.network.dynamics import runge_kutta_step
-from lieednn_sim.network.stepping import Stepping
+from lieednn_sim.network.runge_kutta import RungeKuttaStepper
 
 
 @pytest.mark.parametrize("activation", ["tanh", "arctan"])
@@ -20,7 +20,7 @@ def test_a_step_is_that_of_runge_and_kutta(activation):
         mu=0.6,
         activation=activation,
     )
-    stepping, x = Stepping(network), rng.normal(size=18)
+    stepping, x = RungeKuttaStepper(network), rng.normal(size=18)
     pull, other, drive = network.mu / network.gamma * network.bias.ravel(), x, stepping.drive(x)
     np.testing.assert_allclose(network.gamma * (pull + drive - x), network.flat_vector_field(x), atol=1e-14)
     for h in (0.3, 0.3, 0.7):

@@ -1,9 +1,9 @@
-"""Networks whose limits and clearance a safety filter enforces while they run: alone, and guided along a path.
+"""Planners that run a network through the safety filter: alone, and guided along a path.
 
-Alone, certified networks are drawn for the target, and those whose own motion is most free of obstacles run through the
+Alone, certified networks are made for the target, and those whose own motion is most free of obstacles run through the
 filter. The filter looks one step ahead; if it blocks them all, RRT-Connect searches for a path (`sampling`), and the
-network is retargeted on the way: its bias draws it to one corner of the path after another and then to the target, with
-the same weights and the same certificate.
+network is retargeted along it: its bias attracts it to one corner of the path after another and then to the target,
+with the same weights and the same certificate.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ from lieednn_sim.errors import InputError, NotCertifiedError, PlanError
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.planning.baselines import sampling
 from lieednn_sim.planning.baselines.sampling import SearchOptions
-from lieednn_sim.planning.certified import CandidateOptions, rough_ways
+from lieednn_sim.planning.certified import CandidateOptions, rough_trajectories
 from lieednn_sim.planning.extras import optional_module
-from lieednn_sim.planning.filtering import FilteredRun, FilterOptions, run_filtered
 from lieednn_sim.planning.joint_space import Workspace, joint_scale
 from lieednn_sim.planning.motion import Motion, check_motion
 from lieednn_sim.planning.problem import Plan, PlanningProblem
+from lieednn_sim.planning.safety_filter import FilteredRun, FilterOptions, run_filtered
 from lieednn_sim.planning.time_laws import minimum_jerk_law
 from lieednn_sim.synthesis import synthesize
 from lieednn_sim.values import Floats
 
 _FILTER = FilterOptions()
 # Time in which the remaining distance to the target is closed [s].
-_CLOSING = 0.1
+_CLOSING_TIME = 0.1
 # More clearance than the filter keeps, so that it does not impede a network that follows the path.
 _SEARCH = SearchOptions(margin=0.02)
 
@@ -43,8 +43,8 @@ class FilteredOptions(CandidateOptions):
 
     Attributes:
         attempts: starts of `synthesize` for each network.
-        tried: number of networks run although their own way is not free; if one is blocked, the others usually are.
-        looks: postures on a network's own way that are checked before the filter runs, up to 10 000.
+        tried: number of networks run although their own path is not free; if one is blocked, the others usually are.
+        n_checked: number of configurations on a network's own path checked before the filter runs, up to 10 000.
         control_step: control period of the filter, up to 0.1 s, rounded to a whole number of the model's time steps.
         filter: options of the filter.
     """
@@ -52,7 +52,7 @@ class FilteredOptions(CandidateOptions):
     n_networks: int = 12
     attempts: int = 3
     tried: int = 1
-    looks: int = field(default=40, metadata={"range": (1, 10_000)})
+    n_checked: int = field(default=40, metadata={"range": (1, 10_000)})
     control_step: float = field(default=0.01, metadata={"range": (0.0, 0.1)})
     filter: FilterOptions = _FILTER
 
@@ -64,8 +64,8 @@ class GuidedOptions(FilteredOptions):
     Attributes:
         paths: number of paths to search for.
         followers: number of networks that follow each path.
-        halvings: how often an edge is halved, up to 16, while the network's own way along it is not free; the network
-            passes the ends of the halves.
+        halvings: how often an edge is halved, up to 16, while the network's own path along it is not free; the network
+            is retargeted to the ends of the halves.
         search: options of the path search; by default paths keep 0.02 m of clearance.
         own_margin: clearance that paths keep between parts of the arm [m].
     """
@@ -118,7 +118,7 @@ class _Search:
         self._ratio = max(round(options.control_step / problem.timestep), 1)
 
     def alone(self) -> Plan | None:
-        """Run certified networks whose own way is free as they are drawn, then the most promising others."""
+        """Run certified networks whose own path is free as they are made, then the most promising others."""
         drawn: list[tuple[float, LieEDNN]] = []
         for network, unsafe in self._candidates():
             drawn.append((unsafe, network))
@@ -144,7 +144,7 @@ class _Search:
             if corners is None:
                 continue
             for network in self.networks[: options.followers]:
-                made = self._run(network, self._postures(network, corners, options.halvings))
+                made = self._run(network, self._via(network, corners, options.halvings))
                 if made is not None:
                     return made
         return None
@@ -155,7 +155,7 @@ class _Search:
         raise PlanError(f"no run through the filter arrived; the most promising: {first}")
 
     def _candidates(self) -> Iterator[tuple[LieEDNN, float]]:
-        """Certified networks for the target, each with the share of its own motion that is not free."""
+        """Certified networks for the target, each with the fraction of its own motion that is not free."""
         problem, arm = self.problem, self.problem.arm
         xi, rng = arm.encode(problem.target), np.random.default_rng(problem.seed)
         for magnitude in self.options.magnitudes():
@@ -172,16 +172,16 @@ class _Search:
             yield network, self._unsafe(network, problem.start)
 
     def _unsafe(self, network: LieEDNN, start: Floats) -> float:
-        """The share of a network's own way from a start that is not free."""
+        """The fraction of a network's own path from a start that is not free."""
         check_time()
         arm = self.problem.arm
-        # The way is nearly straight between decoded states, so that few of them suffice.
-        q = arm.decode(rough_ways([network], arm.encode(start))[0], start=start).q
+        # The path is nearly straight between decoded states, so that few of them suffice.
+        q = arm.decode(rough_trajectories([network], arm.encode(start))[0], start=start).q
         # A little more than the length, so that it increases even where nothing moves.
         length = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(q / self._scale, axis=0), axis=1) + 1e-9))
-        way = interp1d(length, q, axis=0)(np.linspace(0.0, length[-1], self.options.looks + 2)[1:-1])
-        inside = arm.limit_excess(way).max(axis=1) <= 0.0
-        return 1.0 - float(np.mean(inside & [self._clear(position) for position in way]))
+        path = interp1d(length, q, axis=0)(np.linspace(0.0, length[-1], self.options.n_checked + 2)[1:-1])
+        inside = arm.limit_excess(path).max(axis=1) <= 0.0
+        return 1.0 - float(np.mean(inside & [self._clear(position) for position in path]))
 
     def _run(self, network: LieEDNN, via: Floats | tuple[()] = ()) -> Plan | None:
         """The motion through the filter, with its run, or None with the reason added to the refusals."""
@@ -194,7 +194,7 @@ class _Search:
                 problem.duration,
                 via=via,
                 timestep=self._ratio * problem.timestep,
-                max_time_scale=problem.max_time_scale - _CLOSING / problem.duration,
+                max_time_scale=problem.max_time_scale - _CLOSING_TIME / problem.duration,
                 options=self.options.filter,
             )
             if not run.success:
@@ -206,13 +206,13 @@ class _Search:
             return None
         return Plan(motion, network, run)
 
-    def _postures(self, network: LieEDNN, corners: Floats, halvings: int) -> Floats:
-        """Postures to pass ``(V, n)``: the inner corners, and more between them where the network leaves the edges."""
+    def _via(self, network: LieEDNN, corners: Floats, halvings: int) -> Floats:
+        """Joint positions ``(V, n)`` to pass: the inner corners, and points where the network leaves an edge."""
         parts = [self._between(network, *edge, halvings) for edge in itertools.pairwise(corners)]
-        return np.array([posture for part in parts for posture in part][:-1])
+        return np.array([q for part in parts for q in part][:-1])
 
     def _between(self, network: LieEDNN, first: Floats, second: Floats, halvings: int) -> list[Floats]:
-        """Postures from ``first``, without it, to ``second``, between which the network's own motion is free."""
+        """Joint positions from ``first``, without it, to ``second``, between which the network's own motion is free."""
         if halvings == 0 or self._unsafe(network.retarget(self.problem.arm.encode(second)), first) == 0.0:
             return [second]
         middle = 0.5 * (first + second)
@@ -244,10 +244,10 @@ def motion_of(run: FilteredRun, target: Floats, xi_target: Floats, ratio: int) -
     reference = run.reference
     clock = np.interp(t, run.t, run.clock)
     position = np.clip(np.searchsorted(reference.t, clock, side="right") - 1, 0, len(reference.t) - 2)
-    share = (clock - reference.t[position]) / np.diff(reference.t)[position]
+    weights = (clock - reference.t[position]) / np.diff(reference.t)[position]
 
     def along(values: Floats) -> Floats:
-        weight = share.reshape(-1, *(1,) * (values.ndim - 1))
+        weight = weights.reshape(-1, *(1,) * (values.ndim - 1))
         return np.asarray((1.0 - weight) * values[position] + weight * values[position + 1])
 
     names = ("tau", "xi", "gap_translation", "gap_rotation")
@@ -257,14 +257,14 @@ def motion_of(run: FilteredRun, target: Floats, xi_target: Floats, ratio: int) -
 
 def _closing(q: Floats, qd: Floats, goal: Floats, step: float) -> tuple[Floats, Floats]:
     """From nearly at rest near the goal to rest at the goal, by the quintic without acceleration at both ends."""
-    count = max(round(_CLOSING / step), 2)
+    count = max(round(_CLOSING_TIME / step), 2)
     s = (np.arange(count + 1) / count)[:, None]
     length = count * step
     ease, slope = minimum_jerk_law(s)
     # The quintic with unit slope at s = 0 whose other boundary values are zero, and its slope.
     start, start_slope = s * (1.0 - s) ** 3 * (1.0 + 3.0 * s), (1.0 - s) ** 2 * (1.0 + 2.0 * s - 15.0 * s**2)
-    way = goal - q
-    positions = q + ease * way + length * start * qd
-    rates = slope * way / length + start_slope * qd
+    change = goal - q
+    positions = q + ease * change + length * start * qd
+    rates = slope * change / length + start_slope * qd
     positions[-1], rates[-1] = goal, 0.0
     return positions, rates

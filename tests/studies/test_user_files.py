@@ -14,9 +14,9 @@ from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.storage import load_description
 from lieednn_sim.studies import Case, Comparison, Row, Settings, compute, read_rows, replay
 from lieednn_sim.studies.comparison.merging import merge
-from lieednn_sim.studies.comparison.shards import Shard
-from lieednn_sim.studies.entries import SCENE, enter, findings, load, recorded
+from lieednn_sim.studies.comparison.study import Shard
 from lieednn_sim.studies.statistics import grouped
+from lieednn_sim.studies.user_files import SCENE, describe_files, load, recorded_files, resolve
 
 POST = {"shape": "box", "name": "post", "size": [0.1, 0.1, 2.0], "position": [0.0, 0.0, 1.2]}
 QUICK = Settings(duration=1.5, hold=0.2)
@@ -51,7 +51,9 @@ def test_files_go_the_whole_way_through_workers_into_table_and_page(folder, caps
     assert (folder / "out" / "comparison.html").read_text().count(f'data-arm="{LINKED}" data-scene="post"') == 1
     assert f"| {LINKED} | post | minimum-jerk | 1 of 1 |" in (folder / "out" / "comparison.md").read_text()
     # A case is made again from what the directory says.
-    rollout = replay(Case.parse(f"minimum-jerk:{LINKED}:post:0"), "position-servo", QUICK, entries=recorded("out"))
+    rollout = replay(
+        Case.parse(f"minimum-jerk:{LINKED}:post:0"), "position-servo", QUICK, user_files=recorded_files("out")
+    )
     assert (rollout.arm.name, rollout.arm.scene) == (LINKED, "post")
     assert rollout.arm.fingerprint == Arm.load("two.xml:one,tool", scene="post.json").fingerprint
 
@@ -59,7 +61,7 @@ def test_files_go_the_whole_way_through_workers_into_table_and_page(folder, caps
 def test_an_arm_that_finds_no_target_in_a_scene_is_told_and_is_a_row(folder, in_this_process, monkeypatch):
     monkeypatch.setattr(targets, "_ATTEMPTS", 10)  # in vain with 400 as well
     selection = chosen("two.xml", scenes=("free", "shelf"))
-    (line,) = findings(selection.arms, selection.scenes, selection.entries)
+    (line,) = describe_files(selection.arms, selection.scenes, selection.user_files)
     assert line.startswith(f"no case of arm {PLAIN} in scene shelf with seed 0: no target was found for arm 'two'")
     with in_this_process():
         rows = compute(replace(selection, common=QUICK), "out").rows.values()
@@ -68,14 +70,14 @@ def test_an_arm_that_finds_no_target_in_a_scene_is_told_and_is_a_row(folder, in_
 
 def test_the_file_of_a_scene_is_read_once_for_its_arm(folder, monkeypatch):
     (folder / "post.json").write_text(json.dumps({"obstacles": [{**POST, "position": [2.0, 2.0, 1.2]}]}))
-    _, (entry,) = enter(SCENE, ["post.json"], ())
+    _, (file,) = resolve(SCENE, ["post.json"], ())
     expected, read = Arm.load("telescopic_pr", "post.json"), []
     monkeypatch.setattr(storage, "load_description", lambda *given: read.append(given) or load_description(*given))
-    arm = load("telescopic_pr", "post", 0, (entry,))
+    arm = load("telescopic_pr", "post", 0, (file,))
     assert (arm.fingerprint, arm.scene, len(read)) == (expected.fingerprint, "post", 1)
     (folder / "post.json").write_text(json.dumps({"obstacles": [POST]}))
     with pytest.raises(InputError, match=r"obstacle 'post' of scene 'post' touches .* at home"):
-        load("telescopic_pr", "post", 0, enter(SCENE, ["post.json"], ())[1])
+        load("telescopic_pr", "post", 0, resolve(SCENE, ["post.json"], ())[1])
 
 
 def test_a_table_goes_on_with_the_same_files_and_refuses_others(folder, in_this_process, two_hinges):
@@ -96,14 +98,14 @@ def test_a_table_goes_on_with_the_same_files_and_refuses_others(folder, in_this_
             compute(replace(chosen("two.xml"), common=QUICK), "out")
         # One that changes between the choice and the work is no other arm by the same name.
         late = chosen("two.xml")
-        object.__setattr__(late, "entries", tuple(entry._replace(fingerprint="0" * 64) for entry in late.entries))
+        object.__setattr__(late, "user_files", tuple(file._replace(fingerprint="0" * 64) for file in late.user_files))
         (row,) = compute(replace(late, common=QUICK), "late").rows.values()
         assert "two.xml has changed since the comparison began" in row.reason
         late = chosen("two.xml", scenes=("post.json",))
         (folder / "post.json").write_text(json.dumps({"obstacles": [POST]}))
         (row,) = compute(replace(late, common=QUICK), "later").rows.values()
         assert "post.json has changed since the comparison began" in row.reason
-    assert [entry[:2] for entry in recorded("out")] == [("arm", "two"), ("arm", "two(tool)"), ("scene", "post")]
+    assert [file[:2] for file in recorded_files("out")] == [("arm", "two"), ("arm", "two(tool)"), ("scene", "post")]
 
 
 def test_shards_of_files_that_lie_elsewhere_merge_unless_they_make_another_arm(folder, in_this_process, two_hinges):
@@ -122,8 +124,8 @@ def test_shards_of_files_that_lie_elsewhere_merge_unless_they_make_another_arm(f
             )
     merged = merge("merged", ["here/out", "there/out"])
     assert (len(merged.table.rows), merged.missing) == (2, {})
-    assert [entry.name for entry in recorded("merged")] == ["two"]
-    with pytest.raises(FileError, match="other/out belongs to another comparison: entries"):
+    assert [file.name for file in recorded_files("merged")] == ["two"]
+    with pytest.raises(FileError, match="other/out belongs to another comparison: user_files"):
         merge("mixed", ["here/out", "other/out"])
 
 
@@ -149,17 +151,17 @@ def test_files_that_cannot_enter_are_refused_before_the_work(folder, arms, scene
         chosen(*arms, scenes=scenes)
 
 
-def test_entries_that_cannot_be_read_are_refused(folder):
+def test_lists_of_files_that_cannot_be_read_are_refused(folder):
     (folder / "comparison.csv").write_text("")
     for content in (
         "{}",
-        '{"entries": [["arm", "two"]]}',
-        '{"entries": [["arm", "two", "two.xml", 3]]}',
-        '{"entries": 3}',
+        '{"user_files": [["arm", "two"]]}',
+        '{"user_files": [["arm", "two", "two.xml", 3]]}',
+        '{"user_files": 3}',
     ):
-        (folder / "entries.json").write_text(content)
-        with pytest.raises(FileError, match="is not a valid list of entries"):
-            recorded(folder)
+        (folder / "user_files.json").write_text(content)
+        with pytest.raises(FileError, match="is not a valid list of user files"):
+            recorded_files(folder)
     # Without rows there is nothing to mix.
     (folder / "comparison.csv").unlink()
-    assert recorded(folder) == ()
+    assert recorded_files(folder) == ()

@@ -1,4 +1,4 @@
-"""Entries of a comparison from the user's files: arms and scenes, with their fingerprints."""
+"""Arms and scenes of a comparison that come from the user's own files, with their fingerprints."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.errors import FileError, InputError, LieEDNNError
 from lieednn_sim.manifest import Manifest
 
-FILE = "entries.json"
+FILE = "user_files.json"
 ARM, SCENE = "arm", "scene"
 
 
-class Entry(NamedTuple):
+class UserFile(NamedTuple):
     """An arm or a scene from a file.
 
     Attributes:
         kind: `ARM` or `SCENE`.
         name: its name in tables.
         source: its file, as `Arm.load` takes it, with an absolute path.
-        fingerprint: fingerprint of the arm or obstacles; rows with another one belong to another entry.
+        fingerprint: fingerprint of the arm or obstacles, which must be that of rows made earlier.
     """
 
     kind: str
@@ -36,15 +36,17 @@ class Entry(NamedTuple):
     fingerprint: str
 
 
-# Cleared by `enter`, which reads the files of arms anew.
+# Cleared by `resolve`, which reads the files of arms anew.
 @lru_cache(maxsize=8)
 def bare_arm(source: str) -> Arm:
     """An arm without obstacles; cached, since its import may take seconds."""
     return Arm.load(source)
 
 
-def enter(kind: str, values: Sequence[str | os.PathLike[str]], known: Sequence[str]) -> tuple[list[str], list[Entry]]:
-    """Names of arms or scenes, and the entries among them.
+def resolve(
+    kind: str, values: Sequence[str | os.PathLike[str]], known: Sequence[str]
+) -> tuple[list[str], list[UserFile]]:
+    """The names under which arms or scenes appear in tables, and those of them that come from files.
 
     Args:
         kind: `ARM` or `SCENE`.
@@ -56,7 +58,7 @@ def enter(kind: str, values: Sequence[str | os.PathLike[str]], known: Sequence[s
         InputError: it holds no arm or scene, or its name is taken or not allowed.
     """
     names: list[str] = []
-    entries: list[Entry] = []
+    user_files: list[UserFile] = []
     if kind == ARM:
         bare_arm.cache_clear()
     for value in values:
@@ -67,59 +69,59 @@ def enter(kind: str, values: Sequence[str | os.PathLike[str]], known: Sequence[s
                 name, fingerprint = bare_arm(source).name, bare_arm(source).fingerprint
             else:
                 name, fingerprint = scene_label(source), describe(load_obstacles(source))[1]
-            entry = Entry(kind, name, source, fingerprint)
+            file = UserFile(kind, name, source, fingerprint)
             if any(one in name for one in ":/\n"):
                 raise InputError(f"no {kind} in a table can be called {name!r}; rename {value}{_or_describe(kind)}")
-            if name in known or any(other.name == name and other != entry for other in entries):
+            if name in known or any(other.name == name and other != file for other in user_files):
                 raise InputError(f"there is another {kind} {name!r}; rename {value}{_or_describe(kind)}")
-            entries.append(entry)
+            user_files.append(file)
         names.append(name if own else value)  # type: ignore[arg-type]
-    return list(dict.fromkeys(names)), list(dict.fromkeys(entries))
+    return list(dict.fromkeys(names)), list(dict.fromkeys(user_files))
 
 
 def _or_describe(kind: str) -> str:
     return ", or describe the arm in a YAML file" if kind == ARM else ""
 
 
-def record(directory: str | os.PathLike[str], entries: Iterable[Entry]) -> None:
-    """Record the entries beside the tables of a directory, with those of earlier runs.
+def record_files(directory: str | os.PathLike[str], user_files: Iterable[UserFile]) -> None:
+    """Record the user's files beside the tables of a directory, with those of earlier runs.
 
     Raises:
         FileError: the directory's rows belong to another arm or scene of the same name.
     """
     folder = Path(directory)
-    known = {entry[:2]: entry for entry in recorded(folder)}
-    for entry in entries:
-        old = known.get(entry[:2], entry)
-        if old.fingerprint != entry.fingerprint:
+    known = {file[:2]: file for file in recorded_files(folder)}
+    for file in user_files:
+        old = known.get(file[:2], file)
+        if old.fingerprint != file.fingerprint:
             raise FileError(
-                f"rows in {folder} belong to another {entry.kind} {entry.name!r} (fingerprint "
-                f"{storage.short(old.fingerprint)}, that of {entry.source} is {storage.short(entry.fingerprint)}); "
+                f"rows in {folder} belong to another {file.kind} {file.name!r} (fingerprint "
+                f"{storage.short(old.fingerprint)}, that of {file.source} is {storage.short(file.fingerprint)}); "
                 "choose another --output, or another name for the file"
             )
-        known[entry[:2]] = entry
+        known[file[:2]] = file
     if known:
         with Manifest(folder).writing(folder / FILE) as temporary:
-            storage.save_json(temporary, {"entries": [list(known[key]) for key in sorted(known)]})
+            storage.save_json(temporary, {"user_files": [list(known[key]) for key in sorted(known)]})
 
 
-def recorded(directory: str | os.PathLike[str]) -> tuple[Entry, ...]:
-    """The entries of a directory whose tables have rows; `FileError` when they cannot be read."""
+def recorded_files(directory: str | os.PathLike[str]) -> tuple[UserFile, ...]:
+    """The user's files recorded in a directory whose tables have rows; `FileError` when the record is malformed."""
     path = Path(directory) / FILE
     if not path.exists() or not any(Path(directory).glob("*.csv")):
         return ()
     try:
-        found = tuple(Entry(*entry) for entry in storage.load_json(path, "list of entries")["entries"])
-        if not all(isinstance(value, str) for entry in found for value in entry):
-            raise TypeError("it must hold texts")
+        found = tuple(UserFile(*file) for file in storage.load_json(path, "list of user files")["user_files"])
+        if not all(isinstance(value, str) for file in found for value in file):
+            raise TypeError("all values must be strings")
     except (KeyError, TypeError) as error:
-        raise FileError(f"{path} is not a valid list of entries ({error}); choose another --output") from None
+        raise FileError(f"{path} is not a valid list of user files ({error}); choose another --output") from None
     return found
 
 
-def load(name: str, scene: str, seed: int, entries: Iterable[Entry]) -> Arm:
+def load(name: str, scene: str, seed: int, user_files: Iterable[UserFile]) -> Arm:
     """The arm in its scene, from the package or from files; raises as `Arm.load`, and `FileError` if a file changed."""
-    found = {entry[:2]: entry for entry in entries}
+    found = {file[:2]: file for file in user_files}
     of_arm, of_scene = found.get((ARM, name)), found.get((SCENE, scene))
     arm = bare_arm(of_arm.source if of_arm else name)
     if of_arm:
@@ -133,17 +135,17 @@ def load(name: str, scene: str, seed: int, entries: Iterable[Entry]) -> Arm:
     return arm
 
 
-def _check_unchanged(entry: Entry, fingerprint: str) -> None:
-    if entry.fingerprint != fingerprint:
-        raise FileError(f"{entry.source} has changed since the comparison began; start again with another --output")
+def _check_unchanged(file: UserFile, fingerprint: str) -> None:
+    if file.fingerprint != fingerprint:
+        raise FileError(f"{file.source} has changed since the comparison began; start again with another --output")
 
 
-def findings(arms: Iterable[str], scenes: Iterable[str], entries: Sequence[Entry]) -> list[str]:
-    """Summaries of the scenes, and the pairs of an arm and a scene without any target; a line for each."""
-    own = {entry.name for entry in entries}
+def describe_files(arms: Iterable[str], scenes: Iterable[str], user_files: Sequence[UserFile]) -> list[str]:
+    """A line for each scene from a file, and one for each pair of an arm and a scene for which no target is found."""
+    own = {file.name for file in user_files}
     lines = [
         f"scene {one.name}: {describe(load_obstacles(one.source))[0]}, from {one.source}"
-        for one in entries
+        for one in user_files
         if one.kind == SCENE
     ]
     for arm in arms:
@@ -151,7 +153,7 @@ def findings(arms: Iterable[str], scenes: Iterable[str], entries: Sequence[Entry
             if own.isdisjoint((arm, scene)):
                 continue
             try:
-                draw_target(load(arm, scene, 0, entries))
+                draw_target(load(arm, scene, 0, user_files))
             except LieEDNNError as error:
                 lines.append(f"no case of arm {arm} in scene {scene} with seed 0: {error}")
     return lines

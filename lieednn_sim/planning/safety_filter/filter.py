@@ -1,4 +1,4 @@
-"""A filter that replaces wanted joint velocities by the nearest that keep all limits, now and later, and clearance.
+"""A filter that replaces wanted joint velocities by the nearest ones that keep all limits and the clearance.
 
 Within a control step of h seconds the acceleration is constant, so the joints move by h (v + v') / 2 to the velocities
 v' that a quadratic program chooses:
@@ -23,30 +23,36 @@ from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError
-from lieednn_sim.planning.filtering.barriers import AngleBarrier, Barrier, ClearanceBarrier, FilterOptions
-from lieednn_sim.planning.filtering.limits import AccelerationLimit, Limit, PositionLimit, VelocityLimit, finite_rates
+from lieednn_sim.planning.safety_filter.barriers import AngleBarrier, Barrier, ClearanceBarrier, FilterOptions
+from lieednn_sim.planning.safety_filter.limits import (
+    AccelerationLimit,
+    Limit,
+    PositionLimit,
+    VelocityLimit,
+    finite_rates,
+)
 from lieednn_sim.validation import as_floats, as_positive
 from lieednn_sim.values import Floats, frozen
 
-# Changes of the wanted velocity above this share of the limits count as filtering.
-_ACTIVE = 1e-3
+# Changes of the wanted velocity above this fraction of the limits count as filtering.
+_ACTIVE_FRACTION = 1e-3
 # Constraints with multipliers above this hold the arm back.
-_PRESSING = 1e-4
+_BLOCKING_MULTIPLIER = 1e-4
 _UNBOUNDED = 1e30
 # No arm has larger positions or velocities; with larger ones the quadratic program could not tell its bounds apart.
-_LARGEST = 1e9
+_LARGEST_VALUE = 1e9
 # DAQP's flag of a soft constraint, and the inverse of the weight of violating it.
-_SOFT, _GIVING = 8, 1e-4
+_SOFT_FLAG, _SOFTNESS = 8, 1e-4
 
 
 @frozen
 class FilterStep:
-    """What the filter made of one control step.
+    """Result of the filter for one control step.
 
     Attributes:
         velocity: ``(n,)`` joint velocities at the end of the step [rad/s, m/s].
-        active: whether position limits, clearance or a user's limit or barrier changed them noticeably.
-        braked: whether the arm braked since clearance could not be kept together with the other limits.
+        active: whether position limits, clearance or a user's limit or barrier changed the velocities noticeably.
+        braked: whether the arm braked because the barriers and the limits could not all be kept.
         clearance: smallest distance at the beginning of the step [m] among the pairs that could come too close in it;
             infinite if there are none.
         blocking: what held the arm back, the strongest first: position limits and pairs of geoms; if the arm
@@ -61,12 +67,12 @@ class FilterStep:
 
 
 class SafetyFilter:
-    """The filter of one arm at one control step.
+    """The safety filter of an arm, for control steps of constant length.
 
     Attributes:
         velocity_limits: ``(n,)`` limits in use [rad/s, m/s].
-        acceleration_limits: ``(n,)`` limits in use [rad/s^2, m/s^2]; finite, even where the arm has none.
-        limits: all limits, the user's last. Preceding ones take precedence over one that yields.
+        acceleration_limits: ``(n,)`` limits in use [rad/s^2, m/s^2]; finite even where the arm has none.
+        limits: all limits, the user's last; a limit that yields gives way to those before it.
         barriers: all barriers, the user's last.
         position: the limit of the joint positions, one of ``limits``.
         clearance: the barrier of the distances, one of ``barriers``.
@@ -128,7 +134,7 @@ class SafetyFilter:
         """
         n, h, options = self.arm.n_joints, self.timestep, self.options
         position, old, goal = (
-            as_floats(name, value, (n,), largest=_LARGEST)
+            as_floats(name, value, (n,), largest=_LARGEST_VALUE)
             for name, value in (("q", q), ("velocity", velocity), ("wanted", wanted))
         )
         low, high, low_makers, high_makers = self._bounds(position, old)
@@ -144,8 +150,8 @@ class SafetyFilter:
         solution, _, flag, info = daqp.solve(np.eye(n), -pull, scaled, upper, lower, hard)
         if flag < 1:
             # Come to rest, violating barriers as little as the bounds allow.
-            sense = np.concatenate([np.zeros(n), np.full(len(rows), _SOFT)]).astype(np.int32)
-            solution, _, flag, _ = daqp.solve(np.eye(n), np.zeros(n), scaled, upper, lower, sense, rho_soft=_GIVING)
+            sense = np.concatenate([np.zeros(n), np.full(len(rows), _SOFT_FLAG)]).astype(np.int32)
+            solution, _, flag, _ = daqp.solve(np.eye(n), np.zeros(n), scaled, upper, lower, sense, rho_soft=_SOFTNESS)
             braking = np.clip(solution * scale if flag > 0 else np.zeros(n), low, high)
             missing = floors - rows @ braking
             violated = np.argsort(-missing, kind="stable")[: max(1, np.count_nonzero(missing > 0.0))]
@@ -157,14 +163,14 @@ class SafetyFilter:
         makers = np.where(below, low_makers, high_makers)
         pressing = [
             (multipliers[j], self.limits[makers[j]].name(int(j)))
-            for j in np.flatnonzero(at_end & (multipliers[:n] > _PRESSING))
+            for j in np.flatnonzero(at_end & (multipliers[:n] > _BLOCKING_MULTIPLIER))
         ]
-        held = np.flatnonzero(multipliers[n:] > _PRESSING)
+        held = np.flatnonzero(multipliers[n:] > _BLOCKING_MULTIPLIER)
         pressing += list(zip(multipliers[n + held], self._names(kept[held]), strict=True))
         blocking = tuple(name for _, name in sorted(pressing, key=lambda entry: -entry[0]) if name)
         reachable = np.clip(goal, old - self.acceleration_limits * h, old + self.acceleration_limits * h)
         free = (reachable + options.smoothing * old) / (1.0 + options.smoothing)
-        active = bool((np.abs(chosen - free) > _ACTIVE * scale).any()) and bool(blocking)
+        active = bool((np.abs(chosen - free) > _ACTIVE_FRACTION * scale).any()) and bool(blocking)
         return FilterStep(chosen, active, False, clearance, blocking)
 
     def _bounds(self, q: Floats, old: Floats) -> tuple[Floats, Floats, NDArray[np.int_], NDArray[np.int_]]:
@@ -186,9 +192,9 @@ class SafetyFilter:
         found = [barrier.values(q, old, speeds) for barrier in self.barriers]
         self._counts = [len(values) for values, _ in found]
         rooms, slopes = (np.concatenate(parts) for parts in zip(*found, strict=True))
-        # Decelerations along each gradient: the share of the joints' accelerations available to brake.
-        shares = np.repeat([barrier.braking_share for barrier in self.barriers], self._counts)
-        brakes = shares * (np.abs(slopes) @ self.acceleration_limits)
+        # Decelerations along each gradient: the fraction of the joints' accelerations available to brake.
+        fractions = np.repeat([barrier.braking_fraction for barrier in self.barriers], self._counts)
+        brakes = fractions * (np.abs(slopes) @ self.acceleration_limits)
         rates = np.minimum(rate, np.sqrt(2.0 * brakes / np.maximum(rooms, 1e-6)))
         rows = (1.0 + 0.5 * h * rates[:, None]) * slopes
         floors = -rates * (rooms + 0.5 * h * slopes @ old)

@@ -1,8 +1,9 @@
-"""Runge and Kutta's steps of a network in real time, by as few products of small arrays as can be.
+"""Runge-Kutta steps of a network in real time, with few products of small arrays.
 
-With u(x) = (mu / gamma) W phi(x) and the pull v = (mu / gamma) b a network is x' = gamma (v + u(x) - x), linear but for
-u. So every stage of a step h is a sum of x, v and the u of the stages before it, with polynomials of z = gamma h for
-factors: one product for the state, one for its u. It is the step of `dynamics.runge_kutta_step`, up to rounding.
+With u(x) = (mu / gamma) W phi(x) and the pull v = (mu / gamma) b, a network is x' = gamma (v + u(x) - x). So every
+stage of a step h is a sum of x, v and the u of the stages before it, whose factors are polynomials of z = gamma h. A
+stage takes one product for the state and one for its u. The result is that of `dynamics.runge_kutta_step` up to
+rounding.
 """
 
 from __future__ import annotations
@@ -36,20 +37,25 @@ def _factors() -> Floats:
 _FACTORS = _factors()
 
 
-class Stepping:
-    """Steps of a network's flat state towards any pull.
+class RungeKuttaStepper:
+    """Runge-Kutta steps of a network's flat state with any pull v.
 
     Args:
-        network: whose weights, activation and decay they are; its bias is not.
+        network: gives weights, activation and decay rate; its bias is not used.
     """
 
     def __init__(self, network: ComponentwiseNetwork) -> None:
+        self._network = network
         self._weight, self._phi = network.mu / network.gamma * network.weight, network.phi
         self._parts = np.zeros((2 + _STAGES, len(self._weight)))
         self._later = [self._parts[k] for k in range(3, 2 + _STAGES)]
 
+    def __reduce__(self) -> tuple[type[RungeKuttaStepper], tuple[ComponentwiseNetwork]]:
+        # In a copy entry by entry the views would be arrays of their own.
+        return RungeKuttaStepper, (self._network,)
+
     def drive(self, x: Floats) -> Floats:
-        """u(x), ``(dN,)``."""
+        """The input u(x) ``(dN,)`` of a flat state ``(dN,)``."""
         drive: Floats = self._weight.dot(self._phi(x))
         return drive
 
