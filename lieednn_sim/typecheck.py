@@ -95,12 +95,18 @@ def _check_methods(cls: type) -> None:
 def typechecked(function: Callable[..., Any], cls: type | None = None) -> Callable[..., Any]:
     """A function that checks the types of its arguments; the function itself if it does so already, or needs not.
 
+    A function whose docstring calls it unchecked, for inner loops, needs not.
+
     Args:
         function: the function. Its annotations are read at the first call, when all modules are loaded.
         cls: the class whose method it is.
     """
     hints = {hint for name, hint in function.__annotations__.items() if name != "return"}
-    if hasattr(function, "__typechecked__") or hints <= (_CHECKED_WITHIN if function.__name__ != "__init__" else set()):
+    if (
+        "unchecked" in (function.__doc__ or "")
+        or hasattr(function, "__typechecked__")
+        or hints <= (_CHECKED_WITHIN if function.__name__ != "__init__" else set())
+    ):
         return function
     checks: tuple[list[tuple[str, _Find]], tuple[str, _Find], dict[str, _Find]] | None = None
 

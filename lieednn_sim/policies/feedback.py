@@ -44,8 +44,7 @@ class Feedback:
         check_fields(self, as_positive, "tolerance", "patience")
 
     def response(self, behind: float) -> tuple[float, float]:
-        """The factors s and k d [1/s] for an error e, a fraction of the joints' ranges."""
-        behind = float(as_floats("behind", behind, ()))
+        """The factors s and k d [1/s] for an error e, a fraction of the joints' ranges; unchecked."""
         waiting = max(1.0 / (1.0 + (behind / self.patience) ** 2), _MIN_SPEED)
         return waiting, self.rate * max(0.0, 1.0 - self.tolerance / max(behind, 1e-300))
 

@@ -11,6 +11,7 @@ may be arbitrarily small; the effect of another start decays with alpha.
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import ClassVar
 
 import numpy as np
@@ -21,7 +22,7 @@ from lieednn_sim.budget import check_time
 from lieednn_sim.learning.demonstrations.alignment import Demonstrations, displacement, shown_part, twist_of
 from lieednn_sim.learning.demonstrations.models import DECAY, at_times, even_grid
 from lieednn_sim.lie import exp
-from lieednn_sim.values import Floats, frozen
+from lieednn_sim.values import Floats, frozen, read_only
 
 # Ijspeert's values: critically damped.
 ALPHA = 25.0
@@ -109,12 +110,19 @@ def forcing(n_basis: int, phase: Floats, decay: float = DECAY) -> Floats:
         phase: s, from 1 at the start.
         decay: k of the phase, whose value at the end is e^-k.
     """
-    centres = np.exp(-decay * np.linspace(0.0, 1.0, n_basis))
-    widths = np.abs(np.diff(centres, append=centres[-1] ** 2 / centres[-2]))
+    centres, widths = _basis(n_basis, decay)
     # By logarithms, since far from all centres every function underflows.
     exponent = -(((phase[:, None] - centres) / widths) ** 2)
     psi = np.exp(exponent - exponent.max(axis=1, keepdims=True))
     return phase[:, None] * psi / psi.sum(axis=1, keepdims=True)
+
+
+# Cached, since a policy asks at every step.
+@lru_cache(maxsize=8)
+def _basis(n_basis: int, decay: float) -> tuple[Floats, Floats]:
+    """Centres and widths ``(B,)`` of the basis functions, in the phase."""
+    centres = np.exp(-decay * np.linspace(0.0, 1.0, n_basis))
+    return read_only(centres), read_only(np.abs(np.diff(centres, append=centres[-1] ** 2 / centres[-2])))
 
 
 def responses(forces: Floats, step: float) -> Floats:
