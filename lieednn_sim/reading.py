@@ -52,16 +52,17 @@ def parse_yaml(content: bytes) -> Any:
     """Parse YAML; `ValueError` says what is wrong, or that it holds too much."""
     import yaml
 
-    depth, loader = 0, _loader()
+    depth, loader, too_deep = 0, _loader(), f"it is nested more than {_DEEPEST} deep"
     try:
         # Before anything is built: the loader recurses, and its compiled form crashes where that is too deep.
         for event in yaml.parse(content, Loader=loader):
             depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
             if depth > _DEEPEST:
-                raise ValueError(f"it is nested more than {_DEEPEST} deep")
+                raise ValueError(too_deep)
         value = yaml.load(content, Loader=loader)
     except yaml.YAMLError as error:
-        raise ValueError(" ".join(str(error).split())) from None
+        # Newer scanners read ahead, and have a limit of their own.
+        raise ValueError(too_deep if "nesting depth" in str(error) else " ".join(str(error).split())) from None
     if _count(value, {}) > _MOST_VALUES:
         raise ValueError(f"it holds more than {_MOST_VALUES} values, repeated ones counted as often as they occur")
     return value

@@ -10,6 +10,7 @@ import zipfile
 
 import numpy as np
 import pytest
+import yaml
 
 from lieednn_sim import reading, storage
 from lieednn_sim.arm import Arm, import_arm
@@ -211,3 +212,12 @@ def test_demonstrations_are_checked_however_they_are_made():
     ):
         with pytest.raises(InputError, match=message):
             make()
+
+
+def test_a_scanner_that_refuses_deep_nesting_by_itself_says_the_same(monkeypatch):
+    def parse(*_, **__):
+        raise yaml.scanner.ScannerError(problem="exceeded maximum nesting depth")
+
+    monkeypatch.setattr("yaml.parse", parse)
+    with pytest.raises(ValueError, match="nested more than 100 deep"):
+        reading.parse_yaml(b"[]")
