@@ -34,6 +34,8 @@ NOTES = (
     "same by models that have not seen it. `arrived`, `spurious`: of random starts all around. `parameters`: numbers",
     "that were fitted and are not zero by construction. The network has 8 or 16 hidden neurons, or 32 or 48 with",
     "placed switches where fewer do not come as near as was asked for; the others have about as many parameters.",
+    "Besides, its hidden neurons' start depends on the visible one (24 pairs of opposite switches). That response to",
+    "the start, like `promp`'s covariance, is not counted among the parameters.",
     "",
     "`promp` keeps a distribution over paths and is conditioned on start and goal: it has no field, and arrives",
     "because of that. Its covariance is not counted among its parameters; the standard deviation added to it, 1 % of",

@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from lieednn_sim.cli import _parser
+from lieednn_sim.policies.registry import REGISTRY
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text()
@@ -35,7 +36,11 @@ def test_each_python_block_runs_by_itself(code, tmp_path, monkeypatch, capsys):
     for module in modules:
         pytest.importorskip(module)
     monkeypatch.chdir(tmp_path)
-    exec(compile(code, "README.md", "exec"), {"__name__": "__main__"})
+    before = dict(REGISTRY.given)
+    try:
+        exec(compile(code, "README.md", "exec"), {"__name__": "__main__"})
+    finally:
+        REGISTRY.forget(before)
     assert "False" not in capsys.readouterr().out
 
 

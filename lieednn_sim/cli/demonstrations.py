@@ -15,6 +15,7 @@ from lieednn_sim.cli.joint_demonstrations import learn_joints
 from lieednn_sim.cli.run_directory import PLOT_KINDS
 from lieednn_sim.errors import InputError
 from lieednn_sim.learning.demonstrations import Demonstrations, align, load_demonstrations
+from lieednn_sim.learning.demonstrations.family import describe, ridges_of
 from lieednn_sim.learning.demonstrations.shaped import ShapedMotion
 from lieednn_sim.manifest import Manifest
 from lieednn_sim.studies.demonstrations.models import RIVALS, ModelRow, compare_models, models_table
@@ -48,7 +49,7 @@ def learn(arguments: argparse.Namespace) -> None:
         manifest = Manifest(directory)
         outputs = [directory / name for name in ("network.npz", "report.json", f"paths.{kind}", f"field.{kind}")]
         manifest.check(outputs)
-        shaped = ShapedMotion.fit(demonstrations, arguments.deviation, options, seed)
+        shaped = ShapedMotion.fit(demonstrations, arguments.deviation, options, seed, family=not arguments.no_family)
         with progress("learn") as bar:
             rows, models = compare_models(
                 demonstrations,
@@ -67,7 +68,7 @@ def learn(arguments: argparse.Namespace) -> None:
             plot_field(shaped, demonstrations, field, seed)
     console.print(
         f"{len(shown)} demonstrations, {shown[0].shown}, {demonstrations.extent:.3g} m across, "
-        f"{demonstrations.duration:.3g} s; {shaped.shaping.message}"
+        f"{demonstrations.duration:.3g} s; {shaped.shaping.message}; {describe(shaped.response)}"
     )
     console.print(models_table(rows, turns=demonstrations.dof == 6))
     console.print(f"stability: {shaped.network.certificate}")
@@ -87,6 +88,7 @@ def _report(
         "phase": arguments.phase,
         "clock_rate": arguments.clock_rate,
         "seed": arguments.seed,
+        "family": not arguments.no_family,
         "demonstrations": len(demonstrations),
         "dof": demonstrations.dof,
         "extent_m": demonstrations.extent,
@@ -99,6 +101,7 @@ def _report(
         "network_deviation_m": shaped.shaping.deviation,
         "network_within_deviation": shaped.shaping.success,
         "network_certified": shaped.network.certified,
+        "ridges": ridges_of(shaped.response),
         # The time law: at t [s] the network is at its own time tau.
         "t_s": shaped.t.tolist(),
         "tau": shaped.tau.tolist(),

@@ -16,6 +16,7 @@ from lieednn_sim.cli.names import RIVALS
 from lieednn_sim.cli.run_directory import RunDirectory
 from lieednn_sim.cli.task import DEMONSTRATED
 from lieednn_sim.errors import InputError
+from lieednn_sim.learning.demonstrations.family import describe, ridges_of
 from lieednn_sim.planning.demonstrated import JointDemonstrations, JointMotion
 from lieednn_sim.studies.demonstrations.joints import joints_table, study_joints
 from lieednn_sim.studies.demonstrations.plots import plot_joint_paths
@@ -40,7 +41,7 @@ def learn_joints(arguments: argparse.Namespace) -> None:
     arm = Arm.load(arguments.arm, **import_options(arguments))
     shown = JointDemonstrations.load(arm, arguments.files, rate=arguments.sample_rate, phase=arguments.phase)
     with run.made():
-        learned = JointMotion.fit(shown, arguments.deviation, options, seed)
+        learned = JointMotion.fit(shown, arguments.deviation, options, seed, family=not arguments.no_family)
         motion, refusal = learned.planned(shown.mean[0])
         with progress("learn") as bar:
             study, paths = study_joints(
@@ -59,6 +60,7 @@ def learn_joints(arguments: argparse.Namespace) -> None:
             "phase": arguments.phase,
             "clock_rate": arguments.clock_rate,
             "deviation_m": arguments.deviation,
+            "family": not arguments.no_family,
         }
         task = make_task(
             arm, shown.mean[0], shown.mean[-1], arguments, planner=DEMONSTRATED, reason="demonstrated", options=asked
@@ -77,6 +79,7 @@ def learn_joints(arguments: argparse.Namespace) -> None:
             "network_deviation_m": learned.shaping.deviation,
             "network_within_deviation": learned.shaping.success,
             "network_certified": learned.network.certified,
+            "ridges": ridges_of(learned.response),
             "mechanism_gap_mm": 1e3 * float(motion.gap_translation.max()),
             "mechanism_gap_deg": float(np.rad2deg(motion.gap_rotation.max())),
             "limits_kept": not refusal,
@@ -84,15 +87,16 @@ def learn_joints(arguments: argparse.Namespace) -> None:
             **asdict(study),
         }
         reproduced = learned.run(shown.mean[0]).q
+        fan = [learned.run(one[0]).q for one in shown.q] if learned.response else []
         results = [run.report, run.demonstrations_plot, run.starts_plot]
         with run.manifest.replacing(results) as (report, demonstrations_plot, starts_plot):
             storage.save_json(report, found)
-            plot_joint_paths(shown, reproduced, demonstrations_plot)
+            plot_joint_paths(shown, reproduced, demonstrations_plot, fan=fan)
             plot_joint_paths(shown, reproduced, starts_plot, paths)
     print_import_report(arm)
     console.print(
         f"{len(shown)} demonstrations of {arm.n_joints} joints of {arm.name}, {learned.duration:.3g} s; "
-        f"{learned.shaping.message}"
+        f"{learned.shaping.message}; {describe(learned.response)}"
     )
     console.print(joints_table(study, arm))
     console.print(

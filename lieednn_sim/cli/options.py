@@ -272,6 +272,9 @@ def add_demonstrations(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--starts", type=whole, metavar="N", help="random starts for each model (default: 1000; with --arm 20)"
     )
+    parser.add_argument(
+        "--no-family", action="store_true", help="one motion, the mean's, whose start fades; not one for each start"
+    )
     parser.add_argument("--no-leave-one-out", action="store_true", help="skip the leave-one-out fits")
     parser.add_argument("--seed", type=whole, default=0, help="seed of random draws")
     parser.add_argument("--output", default="results/learned-motion", metavar="DIR", help="directory of the results")

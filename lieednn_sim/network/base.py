@@ -43,21 +43,38 @@ class BlockNetwork(ABC):
     _arrays: ClassVar[tuple[str, ...]]
     _scalars: ClassVar[tuple[str, ...]]
     # Those that may be missing in a file.
-    _optional: ClassVar[tuple[str, ...]] = ("lyapunov_diagonal", "hidden_start", "n_clock")
+    _optional: ClassVar[tuple[str, ...]] = (
+        "lyapunov_diagonal",
+        "hidden_start",
+        "start_gain",
+        "start_reference",
+        "n_clock",
+    )
     # Cached values independent of the visible neurons' bias, which `retarget` hands over.
     _bias_free: ClassVar[tuple[str, ...]] = ("blocks", "weight", "certificate", "_undriven_rest")
 
     def __repr__(self) -> str:
         n, d = self.bias.shape
         parts = f" ({self.n_visible} visible, {self.n_hidden - self.n_clock} hidden, {self.n_clock} of the clock)"
-        neurons = f"{n} neurons{parts if self.n_hidden else ''} of {d} coordinates"
+        start = "" if self.start_gain is None else ", started by the visible ones"
+        neurons = f"{n} neurons{parts if self.n_hidden else ''} of {d} coordinates{start}"
         proof = "certified" if self.certified else "not certified"
         return f"<{type(self).__name__}: {neurons}, gamma {self.gamma:g}, mu {self.mu:g}, {proof}>"
 
     @cached_property
     def hidden_start(self) -> Floats:
-        """State of the hidden neurons at time 0, ``(M, d)``."""
+        """State of the hidden neurons at time 0, ``(M, d)``; with a gain, that for visible ones at the reference."""
         return read_only(np.empty((0, self.bias.shape[1])))
+
+    @cached_property
+    def start_gain(self) -> Floats | None:
+        """Gain K ``(dM, d (N - M))`` from visible to hidden starts, see `start`; None for zero."""
+        return None
+
+    @cached_property
+    def start_reference(self) -> Floats | None:
+        """Visible start ``(N - M, d)`` at which the hidden one is `hidden_start`; None without a gain."""
+        return None
 
     @property
     def n_neurons(self) -> int:
@@ -79,9 +96,19 @@ class BlockNetwork(ABC):
         return as_floats("xi", xi, self.bias.shape, batched=True)[..., : self.n_visible, :]
 
     def start(self, xi: ArrayLike) -> Floats:
-        """The state ``(N, d)`` at time 0 with the visible neurons at ``xi`` ``(N - M, d)``."""
+        """The state ``(N, d)`` at time 0 with the visible neurons at ``xi`` ``(N - M, d)``.
+
+        The hidden neurons start at h(0) = `hidden_start` + K (xi - `start_reference`), affine in the visible start; K
+        is the `start_gain`. A certificate is a statement on the weights that holds for every state of all neurons at
+        time 0: hidden starts decide the path to the equilibrium, but can neither move it nor touch the proof.
+        """
         visible = as_floats("xi", xi, (self.n_visible, self.bias.shape[1]))
-        return np.concatenate([visible, self.hidden_start]) if self.n_hidden else visible.copy()
+        if not self.n_hidden:
+            return visible.copy()
+        hidden = self.hidden_start
+        if self.start_gain is not None and self.start_reference is not None:
+            hidden = hidden + (self.start_gain @ (visible - self.start_reference).ravel()).reshape(hidden.shape)
+        return np.concatenate([visible, hidden])
 
     def goal(self, xi: ArrayLike) -> Floats:
         """The state ``(N, d)`` with the visible neurons at ``xi`` ``(N - M, d)`` and the hidden ones at rest there.
@@ -240,10 +267,13 @@ class BlockNetwork(ABC):
         """The same weights with the bias that makes ``xi`` ``(N - M, d)`` the equilibrium of the visible neurons.
 
         The visible neurons' bias becomes b = (gamma/mu) x - W phi(x) with x the `goal`; the hidden ones keep theirs.
-        The certificate does not depend on the bias: a certified network stays certified.
+        The certificate does not depend on the bias: a certified network stays certified. The `start_reference` moves
+        with the equilibrium, so that hidden starts depend on the visible one as seen from the target: a cascade
+        retargeted by d and started from xi + d repeats its motion from xi, shifted by d.
 
         Raises:
-            InputError: the hidden neurons have no equilibrium while the visible ones are at ``xi``.
+            InputError: the hidden neurons have no equilibrium while the visible ones are at ``xi``, or there is a gain,
+                and no equilibrium from which its reference could move.
         """
         target = self.goal(xi)
         bias = self.gamma / self.mu * target - self.weight.dot(self.phi(target).ravel()).reshape(target.shape)
@@ -253,7 +283,19 @@ class BlockNetwork(ABC):
         network, known = object.__new__(type(self)), vars(self)
         vars(network).update({name: known[name] for name in self._kept() if name in known})
         vars(network)["bias"] = read_only(as_floats("bias", bias, bias.shape))
+        if self.start_reference is not None:
+            reached = target[: self.n_visible]
+            vars(network)["start_reference"] = read_only(self.start_reference + (reached - self._visible_target))
+            vars(network)["_visible_target"] = read_only(reached)
         return network
+
+    @cached_property
+    def _visible_target(self) -> Floats:
+        """The visible neurons' equilibrium ``(N - M, d)``."""
+        found = self.equilibrium()
+        if not found.success:
+            raise InputError(f"hidden starts move with the equilibrium, which was not found ({found.message})")
+        return found.xi[: self.n_visible]
 
     @classmethod
     @cache

@@ -56,6 +56,21 @@ def as_hidden(hidden_start: ArrayLike, n_clock: int, n: int) -> dict[str, Floats
     return {"hidden_start": start, "n_clock": clock}
 
 
+def as_start_law(
+    gain: ArrayLike | None, reference: ArrayLike | None, n_hidden: int, n: int
+) -> dict[str, Floats | None]:
+    """Return the gain and the reference of hidden starts checked, by name, in a network of n neurons."""
+    if gain is None and reference is None:
+        return {"start_gain": None, "start_reference": None}
+    if gain is None or reference is None:
+        raise InputError("start_gain and start_reference must be given together, or neither")
+    visible = n - n_hidden
+    return {
+        "start_gain": as_floats("start_gain", gain, (6 * n_hidden, 6 * visible)),
+        "start_reference": as_floats("start_reference", reference, (visible, 6)),
+    }
+
+
 def require_rotations(rotation: Floats) -> None:
     """Raise `InputError` unless every matrix of ``(..., 3, 3)`` is a rotation."""
     gram = rotation @ np.swapaxes(rotation, -1, -2) - np.eye(3)

@@ -10,7 +10,7 @@ import numpy as np
 
 from lieednn_sim.lie import adjoint
 from lieednn_sim.network.base import BlockNetwork, flatten_blocks
-from lieednn_sim.network.checks import as_hidden, as_poses, as_rates, as_strengths
+from lieednn_sim.network.checks import as_hidden, as_poses, as_rates, as_start_law, as_strengths
 from lieednn_sim.network.componentwise import DEFAULT_ACTIVATION, ComponentwiseNetwork, as_activation
 from lieednn_sim.validation import as_floats
 from lieednn_sim.values import Floats, frozen, read_only, set_fields
@@ -60,6 +60,8 @@ class LieEDNN(RigidNetwork, ComponentwiseNetwork):
         lyapunov_diagonal: ``(3N,)`` diagonal P that certifies W_R, or None. Checked by `certificate`.
         hidden_start: ``(M, 6)`` state of the hidden neurons at time 0, M < N; by default none is hidden.
         n_clock: number of hidden neurons, the last ones, that are the clock.
+        start_gain: ``(6M, 6 (N - M))`` K, how hidden starts depend on visible ones (see `start`); None if they do not.
+        start_reference: ``(N - M, 6)`` visible start at which the hidden one is ``hidden_start``; None without a gain.
 
     Raises:
         InputError: wrong shapes, entries that are not finite, or matrices that are no rotations.
@@ -75,6 +77,8 @@ class LieEDNN(RigidNetwork, ComponentwiseNetwork):
     lyapunov_diagonal: Floats | None = None
     hidden_start: Floats = field(default_factory=lambda: np.empty((0, 6)))
     n_clock: int = 0
+    start_gain: Floats | None = None
+    start_reference: Floats | None = None
 
     _kind: ClassVar[str] = "network"
     _arrays: ClassVar[tuple[str, ...]] = (
@@ -84,6 +88,8 @@ class LieEDNN(RigidNetwork, ComponentwiseNetwork):
         "bias",
         "lyapunov_diagonal",
         "hidden_start",
+        "start_gain",
+        "start_reference",
     )
     _scalars: ClassVar[tuple[str, ...]] = ("gamma", "mu", "activation", "n_clock")
 
@@ -100,7 +106,30 @@ class LieEDNN(RigidNetwork, ComponentwiseNetwork):
             activation=as_activation(self.activation),
             lyapunov_diagonal=None if diagonal is None else as_floats("lyapunov_diagonal", diagonal, (3 * n,)),
             **as_hidden(self.hidden_start, self.n_clock, n),
+            **as_start_law(self.start_gain, self.start_reference, len(self.hidden_start), n),
         )
+
+    def with_start(
+        self, hidden_start: Floats, start_gain: Floats | None = None, start_reference: Floats | None = None
+    ) -> LieEDNN:
+        """The same network with other starts of its hidden neurons, which are the code of its motion.
+
+        Weights, bias, equilibrium and certificate stay as they are, and are not checked again; see `start`.
+
+        Args:
+            hidden_start: ``(M, 6)``.
+            start_gain: ``(6M, 6 (N - M))``, or None if the start is the same whatever the visible one is.
+            start_reference: ``(N - M, 6)``, with a gain.
+
+        Raises:
+            InputError: a shape does not fit.
+        """
+        start = as_floats("hidden_start", hidden_start, self.hidden_start.shape)
+        law = as_start_law(start_gain, start_reference, self.n_hidden, self.n_neurons)
+        network = object.__new__(type(self))
+        vars(network).update(vars(self))
+        set_fields(network, hidden_start=start, **law)
+        return network
 
     @property
     def certifiable_weight(self) -> Floats:

@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.learning.demonstrations.alignment import PHASES, at_phases
+from lieednn_sim.learning.demonstrations.family import Response, with_response
 from lieednn_sim.learning.demonstrations.files import TIMES, read_tables
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.planning.motion import LIMIT_TOLERANCE, Motion
@@ -139,7 +140,8 @@ class JointMotion:
         goal: ``(n,)`` joint position at which the motion ends [rad, m].
         duration: duration of the demonstrations [s].
         law: their time law.
-        shaping: the search that found the network.
+        shaping: the search that found the network of their mean.
+        response: as of `ShapedMotion`, in `units`.
     """
 
     network: LieEDNN
@@ -149,6 +151,7 @@ class JointMotion:
     duration: float
     law: Law
     shaping: Shaping
+    response: Response | None = None
 
     @classmethod
     def fit(
@@ -157,8 +160,9 @@ class JointMotion:
         deviation: float | None = None,
         options: ShapingOptions | None = None,
         seed: Seed = 0,
+        family: bool = True,
     ) -> JointMotion:
-        """Shape a network by the demonstrations' mean and spread.
+        """Shape a network by the demonstrations' mean and spread, and by their response to the start.
 
         Args:
             demonstrations: demonstrations to follow.
@@ -166,6 +170,7 @@ class JointMotion:
                 Neurons are added until it is met; see `Shaping.success`.
             options: options of the search.
             seed: seed of its starts.
+            family: as of `ShapedMotion.fit`.
 
         Raises:
             InputError: the mean does not move.
@@ -182,7 +187,10 @@ class JointMotion:
         knots = np.linspace(0, len(mean) - 1, _LAW_STEPS + 1).round().astype(int)
         law = law_of_times(demonstrations.t[knots], fractions[knots])
         duration = float(demonstrations.t[-1])
-        return cls(shaping.network, arm, demonstrations.units, mean[-1], duration, law, shaping)
+        network, response = shaping.network, None
+        if family and (options is None or options.rate == 1.0):
+            network, response = with_response(shaping, curve, arm.encode(demonstrations.q), demonstrations.units)
+        return cls(network, arm, demonstrations.units, mean[-1], duration, law, shaping, response)
 
     def run(self, start: Floats, samples: int = 400) -> Motion:
         """The motion from joint position ``(n,)`` in the demonstrations' time, without checks of limits.

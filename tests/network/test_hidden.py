@@ -57,6 +57,54 @@ def test_retargeting_is_exact_for_the_visible_and_leaves_the_bias_of_the_hidden(
         assert np.array_equal(goal[visible:], network.goal(-target)[visible:])
 
 
+@settings(max_examples=20)
+@given(seeds, sizes)
+def test_a_start_may_depend_on_the_visible_one(tmp_path_factory, seed, sizes):
+    network, rng = random_network(seed, *sizes, layered=True).try_certify(), np.random.default_rng(seed)
+    visible, hidden = sizes[0], network.n_hidden
+    gain, reference = rng.normal(size=(6 * hidden, 6 * visible)), rng.normal(size=(visible, 6))
+    family = network.with_start(2.0 * network.hidden_start, gain, reference)
+    # The same as made from its parts; the network itself is as it was.
+    parts = {"hidden_start": 2.0 * network.hidden_start, "start_gain": gain, "start_reference": reference}
+    assert family == dataclasses.replace(network, **parts)
+    assert network.start_gain is None
+    assert family.certificate == network.certificate
+    xi = rng.normal(size=(visible, 6))
+    wanted = 2.0 * network.hidden_start.ravel() + gain @ (xi - reference).ravel()
+    np.testing.assert_allclose(family.start(xi)[visible:].ravel(), wanted, atol=1e-12)
+    np.testing.assert_array_equal(family.start(reference)[visible:], family.hidden_start)
+    np.testing.assert_allclose(family.goal(xi), network.goal(xi), atol=1e-9)
+    # A code is a start that does not depend on the visible one.
+    code = family.start(xi)[visible:]
+    np.testing.assert_array_equal(family.with_start(code).start(reference)[visible:], code)
+    path = tmp_path_factory.mktemp("file") / "n.npz"
+    family.save(path)
+    assert LieEDNN.load(path) == family
+    with pytest.raises(InputError, match="start_gain and start_reference must be given together, or neither"):
+        network.with_start(network.hidden_start, gain)
+    with pytest.raises(InputError, match=r"start_gain must have shape \(\d+, \d+\), got \(1, 1\)"):
+        network.with_start(network.hidden_start, np.zeros((1, 1)), reference)
+
+
+def test_a_motion_moves_with_its_target(cascade):
+    rng = np.random.default_rng(2)
+    network = cascade(np.full((2, 6), 0.3))
+    gain, reference = 0.3 * rng.normal(size=(6 * network.n_hidden, 12)), np.zeros((2, 6))
+    family = network.with_start(network.hidden_start, gain, reference)
+    begin, shift = rng.normal(size=(2, 2, 6))
+    # In two steps, the second of which does not search for where it comes from.
+    moved = family.retarget(network.visible(network.goal(np.full((2, 6), 0.3))) + 0.4 * shift).retarget(0.3 + shift)
+    np.testing.assert_allclose(moved.start_reference, shift, atol=1e-12)
+    paths = [
+        one.visible(one.trajectory(one.start(x), 9.0, rtol=1e-10, atol=1e-12)(np.linspace(0.0, 9.0, 20)))
+        for one, x in ((family, begin), (moved, begin + shift), (family, begin + 0.1))
+    ]
+    np.testing.assert_allclose(paths[1], paths[0] + shift, atol=1e-8)
+    # Another start is another motion, not one that fades into the first as e^-t.
+    fading = 0.1 * np.exp(-np.linspace(0.0, 9.0, 20))[:, None, None]
+    assert np.abs(paths[2] - paths[0] - fading).max() > 1e-3
+
+
 @settings(max_examples=25)
 @given(seeds, sizes)
 def test_a_file_gives_back_every_bit(tmp_path_factory, seed, sizes):

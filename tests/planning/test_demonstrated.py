@@ -108,6 +108,19 @@ def test_the_network_does_what_was_shown(gantry, learned):
     assert following.rollout.arm is gantry
 
 
+def test_a_start_of_its_own_has_the_bend_that_was_shown(gantry, tmp_path):
+    # x starts further back where y bends more, so that one tells the other.
+    np.save(tmp_path / "all.npy", [bend(k) - np.outer(1.0 - LAW, [k, 0.0, 0.0, 0.0]) for k in (-0.2, -0.1, 0.1, 0.2)])
+    shown = JointDemonstrations.load(gantry, [tmp_path / "all.npy"], rate=50.0)
+    family, fading = (JointMotion.fit(shown, 5e-3, OPTIONS, family=some) for some in (True, False))
+    assert fading.network == fading.shaping.network
+    assert family.network.certified
+    for q in shown.q:
+        found = [np.abs(model.run(q[0]).q[:, 1]).max() for model in (family, fading)]
+        assert found[0] == pytest.approx(q[:, 1].max(), abs=0.02)
+        assert found[1] == pytest.approx(0.5, abs=0.02)
+
+
 def test_the_spread_is_used(learned, monkeypatch):
     shown, model = learned
     handed = []

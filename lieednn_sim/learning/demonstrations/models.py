@@ -55,15 +55,21 @@ class LinearAttractor:
         return start[..., None, :] * np.exp(-DECAY / self.duration * t)[:, None]
 
 
-def run_field(field: Callable[[Floats], Floats], start: Floats, grid: Floats, t: Floats) -> Floats:
+def run_field(
+    field: Callable[[Floats], Floats], start: Floats, grid: Floats, t: Floats, kept: int | None = None
+) -> Floats:
     """States ``(n, K, d)`` of x' = field(x) at times ``(K,)``, from states ``(n, d)`` at the first time of a grid.
 
-    The classical Runge-Kutta method on the grid ``(G,)``, with linear interpolation.
+    The classical Runge-Kutta method on the grid ``(G,)``, with linear interpolation. Of each state only the first
+    ``kept`` coordinates are returned, by default all.
     """
-    states = [start]
+    state = start
+    states = [state[:, :kept]]
     for step in np.diff(grid):
         check_time()
-        states.append(runge_kutta_step(lambda x, _: field(x), states[-1], step))
+        state = runge_kutta_step(lambda x, _: field(x), state, step)
+        # Not a view, which would keep the whole state.
+        states.append(state[:, :kept].copy())
     return at_times(np.stack(states, axis=1), grid, t)
 
 

@@ -8,12 +8,15 @@ shift the position, by about half the error times the distance to the goal.
 
 from __future__ import annotations
 
+from dataclasses import field, replace
 from typing import ClassVar
 
 import numpy as np
 
+from lieednn_sim.budget import cpu_time
 from lieednn_sim.errors import InputError
 from lieednn_sim.learning.demonstrations.alignment import Demonstrations, displacement, twist_of
+from lieednn_sim.learning.demonstrations.family import Response, with_response
 from lieednn_sim.learning.demonstrations.models import run_field
 from lieednn_sim.learning.demonstrations.warping import warp
 from lieednn_sim.network import LieEDNN
@@ -44,7 +47,9 @@ class ShapedMotion:
         t: ``(K,)`` times of the demonstrations' phases [s].
         tau: ``(K,)`` network times at these phases.
         dof: 2, 3 or 6.
-        shaping: the search that found the network.
+        shaping: the search that found the network of their mean.
+        response: how the motion depends on its start, realised by the hidden neurons' start; None if it does not.
+        cpu_time: of the fit [s].
     """
 
     network: LieEDNN
@@ -53,6 +58,8 @@ class ShapedMotion:
     tau: Floats
     dof: int
     shaping: Shaping
+    response: Response | None = None
+    cpu_time: float = field(default=0.0, compare=False)
 
     name: ClassVar[str] = "lieednn-shaped"
     durations: ClassVar[float] = 1.0
@@ -64,8 +71,9 @@ class ShapedMotion:
         deviation: float | None = None,
         options: ShapingOptions | None = None,
         seed: Seed = 0,
+        family: bool = True,
     ) -> ShapedMotion:
-        """Shape a network to follow the mean of the demonstrations.
+        """Shape a network to follow the mean of the demonstrations, and each of them from its own start.
 
         Args:
             demonstrations: the demonstrations.
@@ -73,7 +81,10 @@ class ShapedMotion:
                 `DEVIATION` times their extent. Neurons are added until it is met; see `Shaping.success`.
             options: options of the search.
             seed: seed of its starts.
+            family: whether the motion depends on its start as the demonstrations do (`family`), which takes a clock
+                rate of 1; else deviations of the start fade as e^-t.
         """
+        begun = cpu_time()
         chosen = ShapingOptions() if options is None else options
         asked = DEVIATION * demonstrations.extent if deviation is None else as_positive("deviation", deviation)
         curve = displacement(demonstrations.mean)[:, None]
@@ -81,17 +92,22 @@ class ShapedMotion:
         times = np.array([0.0, demonstrations.duration])
         ends = np.array([0.0, _NETWORK_TIME / chosen.rate])
         made = cls(shaping.network, chosen.rate, times, ends, demonstrations.dof, shaping)
-        tau = made._beside(demonstrations)
-        return cls(shaping.network, chosen.rate, demonstrations.t, tau, demonstrations.dof, shaping)
+        made = replace(made, t=demonstrations.t, tau=made._beside(demonstrations), cpu_time=cpu_time() - begun)
+        if not family or chosen.rate < 1.0:
+            return made
+        network, response = with_response(
+            shaping, curve, demonstrations.displaced[:, :, None], demonstrations.scale[None]
+        )
+        return replace(made, network=network, response=response, cpu_time=cpu_time() - begun)
 
     @property
     def n_parameters(self) -> int:
-        """The number of switch parameters that are not zero by construction."""
-        each = _PER_PLACED if self.shaping.placed else _PER_SWITCH
-        return each[self.dof] * (self.network.n_hidden - self.network.n_clock)
+        """The number of parameters of the mean motion's switches that are not zero by construction."""
+        each, network = _PER_PLACED if self.shaping.placed else _PER_SWITCH, self.shaping.network
+        return each[self.dof] * (network.n_hidden - network.n_clock)
 
     def reproduce(self, start: Floats, t: Floats) -> Floats:
-        """As `MotionModel.reproduce`: the network runs from ``start``, with the hidden neurons at their own start.
+        """As `MotionModel.reproduce`: the network runs from ``start``, see `LieEDNN.start`.
 
         After the demonstrations' duration the network continues at its mean pace, for at most 100 durations.
 
@@ -109,14 +125,18 @@ class ShapedMotion:
     def _run(self, start: Floats, tau: Floats) -> Floats:
         """Displacements ``(n, K, 6)`` at network times ``tau``, from displacements ``(n, 6)``."""
         network = self.network
-        weight, bias = network.weight.T, network.bias.ravel()
+        bias = network.bias.ravel()
+        # Hidden neurons without inputs are many.
+        heard = network.weight.any(axis=1)
+        weight = network.weight[heard].T
 
         def field(x: Floats) -> Floats:
-            output = network.phi(x.reshape(-1, *network.bias.shape)).reshape(x.shape)
-            return -network.gamma * x + network.mu * (output @ weight + bias)
+            driven = np.tile(bias, (len(x), 1))
+            driven[:, heard] += network.phi(x) @ weight
+            return -network.gamma * x + network.mu * driven
 
-        states = np.concatenate([start, np.tile(network.hidden_start.ravel(), (len(start), 1))], axis=1)
-        return run_field(field, states, _grid(max(tau[-1], 1.0), self.rate), tau)[..., :6]
+        states = np.stack([network.start(one[None]).ravel() for one in start])
+        return run_field(field, states, _grid(max(tau[-1], 1.0), self.rate), tau, kept=6)
 
     def _beside(self, demonstrations: Demonstrations) -> Floats:
         """Network times ``(K,)`` that match the phases of the mean demonstration."""

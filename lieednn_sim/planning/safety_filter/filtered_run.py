@@ -11,8 +11,6 @@ present configuration, and the hidden ones continue.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.interpolate import CubicHermiteSpline
@@ -216,7 +214,7 @@ class _Segment:
         arrays = {name: value[:count] for name, value in vars(self.reference).items() if name != "xi_target"}
         self.reference = Motion(**arrays, xi_target=self.reference.xi_target)
         hidden = self._drawn.state(self.reference.tau[-1])[network.n_visible :]
-        network = replace(network, hidden_start=hidden)
+        network = network.with_start(hidden)
         return _Segment(self._drawn.arm, network, q, duration, self._h, self.begun + count * self._h)
 
 

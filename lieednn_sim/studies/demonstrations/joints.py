@@ -91,14 +91,15 @@ def study_joints(
         The study, and the joints' paths ``(K, n)`` from the starts that arrive.
     """
     arm, n = demonstrations.arm, len(demonstrations)
-    again = no_more_than(options, learned.network)
+    again = no_more_than(options, learned.shaping.network)
     folds = n if leave_one_out and n > 1 else 0
     without, paths = list[JointErrors](), list[Floats]()
     with one_blas_thread():
         for k in range(folds):
             if progress:
                 progress(k, folds + 1)
-            model = JointMotion.fit(demonstrations.without(k), options=again, seed=seed)
+            family = learned.response is not None
+            model = JointMotion.fit(demonstrations.without(k), options=again, seed=seed, family=family)
             without.append(_errors(model, demonstrations.q[k]))
         if progress:
             progress(folds, folds + 1)

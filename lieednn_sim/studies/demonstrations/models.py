@@ -103,11 +103,11 @@ def compare_models(
     Raises:
         LieEDNNError: the executor gave up.
     """
-    again = no_more_than(options, shaped.network)
+    again = no_more_than(options, shaped.shaping.network)
     names = [shaped.name, *(as_choice("rival", name, RIVALS) for name in (RIVALS if rivals is None else rivals))]
     n, places = len(demonstrations), random_starts(demonstrations, starts, seed)
     folds = range(n) if leave_one_out and n > 1 else range(0)
-    fit = partial(_fit, n_parameters=shaped.n_parameters, options=again, seed=seed)
+    fit = partial(_fit, n_parameters=shaped.n_parameters, options=again, seed=seed, family=shaped.response is not None)
     fold = partial(_left_out, fit, demonstrations)
     pending = {} if executor is None else {one: executor.submit(fold, *one) for one in product(names, folds)}
     rows: list[ModelRow] = []
@@ -116,7 +116,7 @@ def compare_models(
         for number, name in enumerate(names):
             begun = cpu_time()
             model: MotionModel = shaped if name == shaped.name else fit(name, demonstrations)
-            seconds = shaped.shaping.cpu_time if name == shaped.name else cpu_time() - begun
+            seconds = shaped.cpu_time if name == shaped.name else cpu_time() - begun
             without = []
             for k in folds:
                 if progress:
@@ -137,10 +137,10 @@ def compare_models(
 
 
 def _fit(
-    name: str, demonstrations: Demonstrations, *, n_parameters: int, options: ShapingOptions, seed: int
+    name: str, demonstrations: Demonstrations, *, n_parameters: int, options: ShapingOptions, seed: int, family: bool
 ) -> MotionModel:
     if name == ShapedMotion.name:
-        return ShapedMotion.fit(demonstrations, options=options, seed=seed)
+        return ShapedMotion.fit(demonstrations, options=options, seed=seed, family=family)
     return RIVALS[name](demonstrations, n_parameters)
 
 
@@ -165,10 +165,13 @@ def _cancelling(futures: Collection[Future[PathErrors]]) -> Iterator[None]:
 
 
 def no_more_than(options: ShapingOptions, network: LieEDNN) -> ShapingOptions:
-    """Options of a search for networks with no more hidden neurons than a given network."""
+    """Options of a search for networks with no more hidden neurons than a given network.
+
+    Where these leave descents alone, each is tried a second time from another start: it may end in a local minimum.
+    """
     hidden = network.n_hidden - network.n_clock
     fewer, placed = (tuple(n for n in some if n <= hidden) for some in (options.neurons, options.placed_neurons))
-    return replace(options, neurons=fewer, placed_neurons=placed)
+    return replace(options, neurons=fewer if placed else 2 * fewer, placed_neurons=placed)
 
 
 def _errors(model: MotionModel, demonstrations: Demonstrations, shown: Floats) -> PathErrors:

@@ -34,17 +34,23 @@ _LINES: tuple[dict[str, Any], ...] = (
 )
 
 
+_FAN: dict[str, Any] = {"color": COLOURS[0], "lw": 0.6, "ls": "-", "alpha": 0.6}
+
+
 def plot_paths(models: Mapping[str, MotionModel], demonstrations: Demonstrations, path: str | os.PathLike[str]) -> None:
     """Plot demonstrations and each model's reproduction of their mean.
 
     Positions in a plane are shown in one view, positions in space in three. Below them, rotations, where they were
     recorded, are shown over the fraction of the path.
+    Thin lines are the first model's reproductions from the demonstrations' own starts.
     """
     shown = 1e3 * demonstrations.displaced[..., 3:]
     paths = {
         name: displacement(reproduction(model, demonstrations, demonstrations.mean[0]))
         for name, model in models.items()
     }
+    first = next(iter(models.values()))
+    fan = [displacement(reproduction(first, demonstrations, one[0])) for one in demonstrations.twists]
     views = ((0, 1),) if demonstrations.dof == 2 else ((0, 1), (0, 2), (1, 2))
     with matplotlib.rc_context(STYLE):
         turns = demonstrations.dof == 6
@@ -54,6 +60,8 @@ def plot_paths(models: Mapping[str, MotionModel], demonstrations: Demonstrations
         for axis, (h, v) in zip(axes[0], views, strict=True):
             for one in shown:
                 axis.plot(one[:, h], one[:, v], color=_SHOWN, lw=0.9, ls="-")
+            for one in fan:
+                axis.plot(1e3 * one[:, 3 + h], 1e3 * one[:, 3 + v], **_FAN)
             for (_, one), line in zip(paths.items(), _LINES, strict=False):
                 axis.plot(1e3 * one[:, 3 + h], 1e3 * one[:, 3 + v], **line)
             axis.plot(0.0, 0.0, "k*", ms=9, zorder=5)
@@ -63,15 +71,18 @@ def plot_paths(models: Mapping[str, MotionModel], demonstrations: Demonstrations
             axis = axes[1, c]
             for one in demonstrations.displaced:
                 axis.plot(*_over_path(one, demonstrations.lever, c), color=_SHOWN, lw=0.9, ls="-")
+            for one in fan:
+                axis.plot(*_over_path(one, demonstrations.lever, c), **_FAN)
             for (_, one), line in zip(paths.items(), _LINES, strict=False):
                 axis.plot(*_over_path(one, demonstrations.lever, c), **line)
             axis.set(xlabel="fraction of the path", ylabel=f"turn about {'xyz'[c]} [deg]")
         handles = [
             Line2D([], [], color=_SHOWN, ls="-"),
+            Line2D([], [], **_FAN),
             *(Line2D([], [], **line) for _, line in zip(paths, _LINES, strict=False)),
         ]
         handles.append(Line2D([], [], color="k", marker="*", ls="", ms=9))
-        labels = ["demonstrations", *paths, "goal"]
+        labels = ["demonstrations", f"{first.name}, from their starts", *paths, "goal"]
         figure.legend(handles, labels, loc="outside upper center", ncols=3 if len(views) == 1 else len(labels))
         figure_layout.save_figure(figure, path)
 
@@ -81,6 +92,7 @@ def plot_joint_paths(
     reproduction: Floats,
     path: str | os.PathLike[str],
     elsewhere: Sequence[Floats] = (),
+    fan: Sequence[Floats] = (),
 ) -> None:
     """Plot each joint over the fraction of the path.
 
@@ -89,6 +101,7 @@ def plot_joint_paths(
         reproduction: ``(K, n)`` joint positions from the start of their mean.
         path: of the file.
         elsewhere: ``(K, n)`` joint positions from other starts, of which the first few are shown.
+        fan: ``(K, n)`` joint positions from the demonstrations' own starts.
     """
     arm = demonstrations.arm
     rows = -(-arm.n_joints // _IN_ROW)
@@ -96,6 +109,8 @@ def plot_joint_paths(
         ("demonstrations", list(demonstrations.q), {"color": _SHOWN, "lw": 0.9, "ls": "-"}),
         ("lieednn-shaped, from their mean start", [reproduction], _LINES[0]),
     ]
+    if len(fan):
+        groups.insert(1, ("lieednn-shaped, from their starts", fan, _FAN))
     if len(elsewhere):
         groups.insert(1, ("starts elsewhere", elsewhere[:_STARTS], {"color": _ELSEWHERE, "lw": 0.7, "ls": ":"}))
     with matplotlib.rc_context(STYLE):

@@ -8,7 +8,7 @@ it may miss the curve, and the result says by how much.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
@@ -88,6 +88,7 @@ class Shaping:
         success: whether the requested deviation was met.
         message: the outcome in words.
         network: the best network found; always certified.
+        parameters: parameters of its cascade.
         deviation: largest distance of a point of the network's path from the curve, or of the curve from the path [m].
         rms: root mean square distance of the network's path from the curve, over its length [m].
         placed: whether the network's switches were placed along the curve beforehand.
@@ -99,6 +100,7 @@ class Shaping:
     success: bool
     message: str
     network: LieEDNN
+    parameters: Parameters = field(repr=False)
     deviation: float
     rms: float
     placed: bool
@@ -151,7 +153,7 @@ def shape(
         curve = as_curve(curves, units, spread)
         clocks = partial(clockwork, float(chosen.rate), activation=ACTIVATIONS[chosen.activation])
         cascade = Cascade(clocks(1), curve.points[0], curve.points[-1])
-        best: tuple[float, float, LieEDNN] | None = None
+        best: tuple[float, float, LieEDNN, Parameters] | None = None
         tries = best_try = iterations = 0
 
         def candidates() -> Iterator[Parameters]:
@@ -168,13 +170,13 @@ def shape(
 
         for parameters in candidates():
             tries += 1
-            made = _measured(parameters, chosen, curve)
+            made = *_measured(parameters, chosen, curve), parameters
             if best is None or made[0] < best[0]:
                 best, best_try = made, tries
             if best[0] <= goal:
                 break
     assert best is not None
-    found, rms, network = best
+    found, rms, network, parameters = best
     hidden = network.n_hidden - network.n_clock
     success = found <= goal
     message = (
@@ -186,7 +188,16 @@ def shape(
     if not network.certified:
         raise NotCertifiedError(f"the closed-form certificate does not hold ({network.certificate}); curve too large")
     return Shaping(
-        success, message, network, found, rms, best_try > len(chosen.neurons), tries, iterations, cpu_time() - begun
+        success,
+        message,
+        network,
+        parameters,
+        found,
+        rms,
+        best_try > len(chosen.neurons),
+        tries,
+        iterations,
+        cpu_time() - begun,
     )
 
 

@@ -111,7 +111,7 @@ def test_the_mixture_is_fitted_along_its_gradient(planar):
 
 @pytest.mark.parametrize("rate", [1.0, 0.5])
 def test_a_shaped_network_follows_the_mean_and_forgets_the_start_as_fast_as_it_should(planar, rate):
-    model = ShapedMotion.fit(planar, 2e-3, ShapingOptions(rate=rate))
+    model = ShapedMotion.fit(planar, 2e-3, ShapingOptions(rate=rate), family=False)
     assert model.shaping.success
     assert model.network.certified
     t = np.linspace(0.0, planar.duration, 80)
@@ -133,7 +133,7 @@ def test_a_shaped_network_follows_the_mean_and_forgets_the_start_as_fast_as_it_s
 
 
 def test_a_turn_that_is_off_does_not_drag_the_position_along(posed):
-    model = ShapedMotion.fit(posed, options=ShapingOptions(neurons=(2,), placed_neurons=()))
+    model = ShapedMotion.fit(posed, options=ShapingOptions(neurons=(2,), placed_neurons=()), family=False)
     off = np.array([0.4, -0.2, 0.3, 0.0, 0.05, -0.1])
     start = displacement(posed.mean[0])
     path = displacement(model.reproduce(twist_of(np.stack([start, start + off])), posed.t))
@@ -141,7 +141,7 @@ def test_a_turn_that_is_off_does_not_drag_the_position_along(posed):
 
 
 def test_numbers_of_a_placed_switch_are_its_place_its_slope_and_a_vector(planar):
-    model = ShapedMotion.fit(planar, options=ShapingOptions(neurons=(), placed_neurons=(8,)))
+    model = ShapedMotion.fit(planar, options=ShapingOptions(neurons=(), placed_neurons=(8,)), family=False)
     network = model.network
     hidden = slice(1, None)
     counted = np.count_nonzero(network.bias[hidden]) + np.count_nonzero(network.hidden_start)

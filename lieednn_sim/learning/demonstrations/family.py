@@ -1,0 +1,132 @@
+"""Families of motions: how demonstrations depend on their start, and a network whose motion depends on it likewise.
+
+At equal phases s, demonstration k is x_k(s) = mean(s) + (1 - s) dx_k + B(s) dx_k + noise, with dx_k the deviation
+of its start from the mean. B is found by ridge regression, and the ridge by leaving each demonstration out once; with
+an infinite one, deviations fade as 1 - s.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lieednn_sim.network import ACTIVATIONS, LieEDNN
+from lieednn_sim.synthesis import Shaping
+from lieednn_sim.synthesis.shaping.cascade import Cascade, clockwork
+from lieednn_sim.synthesis.shaping.curve import Curve
+from lieednn_sim.synthesis.shaping.pairs import with_pairs
+from lieednn_sim.values import Floats, frozen
+
+# Ridges that are tried, relative to the mean square deviation of the starts.
+RIDGES = np.append(10.0 ** np.arange(-3.0, 1.1, 0.5), np.inf)
+# Refinement of the clock, as for placed switches.
+_REFINEMENT = 2
+
+
+@frozen
+class Response:
+    """How paths depend on their start.
+
+    Attributes:
+        gain: ``(K, D, D)`` derivatives of the path at equal steps of the phase in the coordinates of its start.
+        ridges: the smallest and the largest of `RIDGES` that were averaged.
+        errors: ``(R, n)`` mean distance of each path from its prediction by the others, for each of `RIDGES`; empty for
+            fewer than three paths, and if their starts are the same.
+    """
+
+    gain: Floats
+    ridges: tuple[float, float]
+    errors: Floats
+
+
+def response_to_start(paths: Floats) -> Response:
+    """Regress paths ``(n, K, D)``, with coordinates in one unit, on their starts.
+
+    Ridges are averaged from that with the least left-out error to the largest one allowed by `one_standard_error`: with
+    few demonstrations either of the two alone changes much from one set of them to the next.
+    """
+    n, count, size = paths.shape
+    fading = (1.0 - np.linspace(0.0, 1.0, count))[:, None, None] * np.eye(size)
+    away = paths - paths.mean(axis=0)
+    start = away[:, 0]
+    # Of n starts about their mean, n - 1 directions at most; rounding leaves others.
+    left, spread, right = np.linalg.svd(start, full_matrices=False)
+    kept = spread > 1e-9 * max(float(np.abs(paths).max()), 1e-300)
+    # Without one of two, what is left says nothing about starts.
+    if n < 3 or not kept.any():
+        return Response(fading, (np.inf, np.inf), np.empty((len(RIDGES), 0)))
+    left, spread, right = left[:, kept], spread[kept], right[kept]
+    rest = (away - np.einsum("kij,nj->nki", fading, start)).reshape(n, -1)
+    shrinking = spread**2 / (spread**2 + RIDGES[:, None] * np.sum(spread**2))
+    errors = np.empty((len(RIDGES), n))
+    for row, factor in enumerate(shrinking):
+        hat = left * factor @ left.T
+        # A linear smoother's error at a sample that it has not seen, in closed form; 1/n is the mean's part.
+        unseen = (rest - hat @ rest) / (1.0 - 1.0 / n - np.diag(hat))[:, None]
+        errors[row] = np.linalg.norm(unseen.reshape(n, count, size), axis=2).mean(axis=1)
+    first, last = one_standard_error(errors)
+    shrunk = shrinking[first : last + 1].mean(axis=0) / spread
+    fitted = (left.T @ rest).reshape(-1, count, size) * shrunk[:, None, None]
+    ridges = float(RIDGES[first]), float(RIDGES[last])
+    return Response(fading + np.einsum("rki,rj->kij", fitted, right), ridges, errors)
+
+
+def one_standard_error(errors: Floats) -> tuple[int, int]:
+    """The row with the least mean error of ``(R, n)``, and the last that exceeds it by at most a standard error.
+
+    That of the mean of differences, demonstration by demonstration (Breiman et al., Classification and Regression
+    Trees, 1984, 3.4.3).
+    """
+    best = int(errors.mean(axis=1).argmin())
+    excess = errors - errors[best]
+    doubt = excess.std(axis=1, ddof=1) / np.sqrt(errors.shape[1])
+    return best, int(np.flatnonzero(excess.mean(axis=1) <= doubt)[-1])
+
+
+def with_response(shaping: Shaping, curve: Floats, paths: Floats, units: Floats) -> tuple[LieEDNN, Response]:
+    """The network shaped by the mean of demonstrations, made to depend on its start as they do.
+
+    Args:
+        shaping: the network shaped by their mean, with rho = 1.
+        curve: ``(K, N, 6)`` the mean.
+        paths: ``(n, K, N, 6)`` the demonstrations at the same phases.
+        units: ``(N, 6)`` metres for a unit of each coordinate.
+
+    Returns:
+        The network, and the response that it realises, in metres.
+    """
+    units = np.broadcast_to(units, curve.shape[1:])
+    response = response_to_start((paths * units).reshape(*paths.shape[:2], -1))
+    clock = clockwork(1.0, _REFINEMENT, ACTIVATIONS[shaping.network.activation])
+    states = Cascade(clock, curve[0], curve[-1]).states(shaping.parameters)[:-1]
+    phase = _phases(states, curve, units)
+    row = np.linspace(0.0, 1.0, len(curve))
+    flat = response.gain.reshape(len(curve), -1)
+    gain = np.stack([np.interp(phase, row, entry) for entry in flat.T], axis=-1).reshape(-1, *response.gain.shape[1:])
+    scale = units.ravel()
+    gain = gain / scale[:, None] * scale
+    network = with_pairs(shaping.parameters, clock, shaping.network, curve[0], gain, paths[:, 0])
+    return network, response
+
+
+def _phases(states: Floats, curve: Floats, units: Floats) -> Floats:
+    """Phases ``(T,)`` of the mean ``(K, N, 6)`` at which the network's states ``(T, N, 6)`` are beside it."""
+    # Equal phases of the demonstrations are not equal fractions of their mean's length.
+    passed, covered = (
+        np.append(0.0, np.cumsum(np.linalg.norm(np.diff(some, axis=0) * units, axis=(1, 2))))
+        for some in (curve, states)
+    )
+    fraction = Curve.through(curve, units).feet(states, covered / covered[-1])
+    return np.interp(fraction, passed / passed[-1], np.linspace(0.0, 1.0, len(curve)))
+
+
+def ridges_of(response: Response | None) -> list[float | None] | None:
+    """The ridges for a report in JSON, with None for an infinite one; None without a response."""
+    return None if response is None else [ridge if np.isfinite(ridge) else None for ridge in response.ridges]
+
+
+def describe(response: Response | None) -> str:
+    """What a network makes of its start, in words."""
+    if response is None:
+        return "deviations of the start fade as e^-t"
+    low, high = (f"{ridge:.3g}" if np.isfinite(ridge) else "infinity" for ridge in response.ridges)
+    return f"response to the start by ridge regression, ridge {low}" + (f" to {high}" if high != low else "")

@@ -1,0 +1,81 @@
+"""Pairs of opposite switches: hidden neurons whose starts bend a network's motion, and that are silent otherwise.
+
+A switch phi(a + c g) and its opposite phi(-a - c g), both read out by D I, cancel at every instant and at rest. With
+both starts shifted by delta, coordinate by coordinate, they add
+
+    D [phi(a + (c + delta) g) - phi(a + (c - delta) g)]  =  2 D delta g phi'(a + c g) + O(delta^3)
+
+to a visible neuron's input: a bump where g = -a/c, in any direction of the twist, linear in delta, and of at most 2 D
+times the bound of phi however large delta is. Pairs at equal steps of the clock are basis functions; their codes delta
+are hidden starts, so that one network with one certificate has as many motions as there are codes. For rho = 1, where
+g = e^-t is a shift's own decay.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lieednn_sim.network import LieEDNN
+from lieednn_sim.synthesis.shaping.assembly import assemble
+from lieednn_sim.synthesis.shaping.cascade import TAIL, Clockwork, Parameters
+from lieednn_sim.values import Floats
+
+# Number of pairs for each visible neuron, and slope of a switch over that number: steep bumps ripple, and wide ones,
+# hardly independent, need large codes and so a large D.
+PAIRS, _SLOPE = 24, 1.0
+# Largest entry of a code, at which the cubic term is a thousandth of the bump.
+LARGEST_CODE = 0.05
+# Weight of the squared codes, relative to the largest singular value of the bumps.
+_RIDGE = 1e-3
+
+
+def switches(count: int) -> tuple[Floats, Floats]:
+    """Equilibria a and slopes c ``(M,)`` of the first switches of ``count`` pairs, at equal steps of the clock."""
+    slope = np.full(count, _SLOPE * count)
+    return -slope * (1.0 - (np.arange(count) + 0.5) / count), slope
+
+
+def bumps(clock: Clockwork, count: int) -> Floats:
+    """Displacements ``(K + 1, M)`` of a visible neuron by pairs of unit D delta; the last row is `TAIL` B."""
+    a, c = switches(count)
+    slope = clock.activation.slope
+    g = clock.fine[:, None]
+    return np.concatenate([clock.filter @ (2.0 * g * slope(a + c * g)), 2.0 * TAIL * slope(a)[None]])
+
+
+def with_pairs(
+    parameters: Parameters, clock: Clockwork, network: LieEDNN, start: Floats, response: Floats, starts: Floats
+) -> LieEDNN:
+    """A network whose motion depends on its visible start, with the pairs and the gain that this takes.
+
+    Args:
+        parameters: parameters of the cascade.
+        clock: its clockwork, with rho = 1.
+        network: the network of the cascade.
+        start: ``(N, 6)`` visible start of its motion, which stays as it is.
+        response: ``(K, 6N, 6N)`` derivatives of the visible states at the clock's instants in the visible start.
+        starts: ``(n, N, 6)`` visible starts for which codes must be small, so that bumps are linear in them.
+    """
+    n, m, count = *parameters.q.shape[:2], PAIRS
+    wanted = response - np.exp(-clock.t)[:, None, None] * np.eye(6 * n)
+    basis = bumps(clock, count)
+    left, size, right = np.linalg.svd(basis, full_matrices=False)
+    solved = right.T * (size / (size**2 + (_RIDGE * size[0]) ** 2)) @ left.T[:, :-1]
+    # For each visible neuron and pair, D delta for a unit of each coordinate of the start.
+    codes = (solved @ wanted.reshape(len(wanted), -1)).reshape(count, n, 6, 6 * n).swapaxes(0, 1)
+    strength = float(np.abs(codes @ (starts - start).reshape(len(starts), -1).T).max()) / LARGEST_CODE
+    if strength <= 0.0:
+        return network
+    a, c = (np.tile(np.outer([1.0, -1.0], part).ravel(), n)[:, None] * np.ones(6) for part in switches(count))
+    q = np.zeros((n, n, 2 * count, 4))
+    q[np.arange(n), np.arange(n), :, 0] = np.sqrt(strength)
+    joined = Parameters(
+        np.concatenate([parameters.a, a]),
+        np.concatenate([parameters.c, c]),
+        np.concatenate([parameters.q, q.reshape(n, -1, 4)], axis=1),
+        np.concatenate([parameters.tau, np.zeros((n, len(a), 3))], axis=1),
+    )
+    made = assemble(joined, clock.rate, network.equilibrium().xi[:n], network.activation)
+    gain = np.zeros((m + len(a), 6, 6 * n))
+    gain[m:].reshape(n, 2, count, 6, 6 * n)[:] = codes[:, None] / strength
+    return made.with_start(made.hidden_start, gain.reshape(-1, 6 * n), start)

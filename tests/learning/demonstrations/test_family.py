@@ -1,0 +1,138 @@
+"""Families of motions: the regression by hand, the network that realises it, and what its starts cannot touch."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lieednn_sim.evaluation import paths
+from lieednn_sim.learning.demonstrations import Demonstration, align
+from lieednn_sim.learning.demonstrations.alignment import displacement
+from lieednn_sim.learning.demonstrations.family import RIDGES, one_standard_error, response_to_start
+from lieednn_sim.learning.demonstrations.shaped import ShapedMotion
+from lieednn_sim.network import LieEDNN
+from lieednn_sim.studies.demonstrations.attraction import attraction, random_starts
+from lieednn_sim.studies.demonstrations.models import compare_models
+from lieednn_sim.synthesis import ShapingOptions, shape
+
+OPTIONS = ShapingOptions(neurons=(8,), placed_neurons=(32,))
+
+
+@pytest.fixture(scope="module")
+def learned(posed):
+    return ShapedMotion.fit(posed, options=OPTIONS)
+
+
+def motions_in_one(kinds, seed=0):
+    """Motions with bends of their own from starts of their own, three demonstrations each, to one goal."""
+    rng, s = np.random.default_rng(seed), np.linspace(0.0, 1.0, 150)[:, None]
+    law = s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
+    starts = np.array([[0.3, 0.1], [0.3, -0.1], [0.4, 0.05]])[:kinds]
+    bends = np.array([[0.02, 0.12], [0.05, -0.1], [-0.06, 0.1]])[:kinds]
+    made = []
+    for start, bend in zip(starts, bends, strict=True):
+        for _ in range(3):
+            begin, by = start + rng.normal(scale=3e-3, size=2), bend + rng.normal(scale=3e-3, size=2)
+            wave = np.sin(2.0 * np.pi * law) * np.roll(by, 1) * 0.5
+            made.append(
+                Demonstration.from_samples((1.0 - law) * begin + np.sin(np.pi * law) * by + wave, 2.0 * s[:, 0])
+            )
+    return align(made)
+
+
+def test_left_out_errors_and_the_ridge_are_those_of_regressions_without_a_demonstration():
+    rng = np.random.default_rng(3)
+    shown = np.cumsum(rng.normal(size=(5, 8, 3)), axis=1)
+    found = response_to_start(shown)
+    fading = (1.0 - np.linspace(0.0, 1.0, 8))[:, None]
+
+    def fitted(some, penalty):
+        mean = some.mean(axis=0)
+        start = some[:, 0] - mean[0]
+        rest = (some - mean - fading * start[:, None]).reshape(len(some), -1)
+        gain = np.linalg.solve(start.T @ start + penalty * np.eye(3), start.T @ rest)
+        return mean, gain.reshape(3, 8, 3)
+
+    away = shown[:, 0] - shown[:, 0].mean(axis=0)
+    # The same penalty for all of them; an infinite one is a very large one.
+    penalties = np.minimum(RIDGES, 1e12) * np.sum(away**2)
+    wanted = np.empty((len(RIDGES), 5))
+    for k in range(5):
+        for row, penalty in enumerate(penalties):
+            mean, gain = fitted(np.delete(shown, k, axis=0), penalty)
+            start = shown[k, 0] - mean[0]
+            guess = mean + fading * start + np.einsum("i,ikj->kj", start, gain)
+            wanted[row, k] = np.linalg.norm(guess - shown[k], axis=1).mean()
+    np.testing.assert_allclose(found.errors, wanted, rtol=1e-9)
+    first, last = one_standard_error(wanted)
+    assert found.ridges == (RIDGES[first], RIDGES[last])
+    gains = [fitted(shown, penalty)[1] for penalty in penalties[first : last + 1]]
+    whole = np.mean(gains, axis=0).transpose(1, 2, 0) + fading[:, :, None] * np.eye(3)
+    np.testing.assert_allclose(found.gain, whole, atol=1e-9)
+
+
+def test_one_standard_error_by_hand():
+    # Differences from the least: 0.4 and 0 with a standard error of 0.2, which is their mean; then 1 and 1 with none.
+    assert one_standard_error(np.array([[1.5, 1.5], [1.0, 1.0], [1.4, 1.0], [2.0, 2.0]])) == (1, 2)
+
+
+def test_starts_that_say_nothing_have_no_response(planar):
+    for one in (planar.only(0), planar.without(0)):
+        assert response_to_start(one.displaced).ridges == (np.inf, np.inf)
+    alone = ShapedMotion.fit(planar.only(0), options=OPTIONS)
+    assert alone.network is alone.shaping.network
+
+
+def test_the_network_realises_the_response(posed, learned):
+    mean, away = displacement(posed.mean), displacement(posed.twists[:, 0]) - displacement(posed.mean)[0]
+    regressed = mean + np.einsum("kij,nj->nki", learned.response.gain, away * posed.scale) / posed.scale
+    found = learned._run(displacement(posed.twists[:, 0]), np.linspace(0.0, 16.0, 3000)) * posed.scale
+    for path, wanted in zip(found, regressed * posed.scale, strict=True):
+        off = np.linalg.norm(path[None] - wanted[:, None], axis=2).min(axis=1)
+        # As near as the mean itself, which the network was shaped to follow.
+        assert np.sqrt(np.mean(off**2)) < learned.shaping.rms + 1e-3
+    # Far more than that from one path with a start that fades.
+    fading = ShapedMotion.fit(posed, options=OPTIONS, family=False)
+    t = np.linspace(0.0, posed.duration, 200)
+    ways = [model.reproduce(posed.twists[:, 0], t)[..., 3:] for model in (learned, fading)]
+    assert np.abs(ways[0] - ways[1]).max() > 0.01
+
+
+def test_the_mean_motion_is_that_of_the_network_without_pairs(posed, learned):
+    fading = ShapedMotion.fit(posed, options=OPTIONS, family=False)
+    t = np.linspace(0.0, posed.duration, 50)
+    ways = [model.reproduce(posed.mean[0], t) for model in (learned, fading)]
+    np.testing.assert_allclose(*ways, atol=1e-12)
+    np.testing.assert_array_equal(learned.tau, fading.tau)
+    # Without a family it is what shaping alone makes, to the last bit.
+    curve = displacement(posed.mean)[:, None]
+    asked = 2e-3 * posed.extent
+    assert fading.network == shape(curve, asked, units=posed.scale, options=OPTIONS).network
+    assert fading.network.start_gain is None
+
+
+def test_starts_touch_neither_the_certificate_nor_the_goal(posed, learned, tmp_path):
+    learned.network.save(tmp_path / "network.npz")
+    network = LieEDNN.load(tmp_path / "network.npz")
+    assert network == learned.network
+    assert "started by the visible ones" in repr(network)
+    plain = network.with_start(network.hidden_start)
+    assert network.certificate == plain.certificate
+    assert network.certified
+    np.testing.assert_array_equal(network.equilibrium().xi, plain.equilibrium().xi)
+    found = attraction(learned, posed, random_starts(posed, 40, seed=1))
+    assert (found.arrived, found.spurious) == (40, 0)
+
+
+@pytest.mark.parametrize("kinds", [2, 3])
+def test_several_motions_in_one_set(kinds, monkeypatch):
+    monkeypatch.setattr(paths, "SAMPLES", 200)
+    shown = motions_in_one(kinds)
+    family = ShapedMotion.fit(shown, options=OPTIONS)
+    fading = ShapedMotion.fit(shown, options=OPTIONS, family=False)
+    (ours, mixture), _ = compare_models(shown, family, OPTIONS, rivals=["lpv-ds"], starts=1)
+    (today,), _ = compare_models(shown, fading, OPTIONS, rivals=[], starts=1)
+    for part in ("training", "left_out"):
+        error, mixed, before = (getattr(row, part).dtwd_mm for row in (ours, mixture, today))
+        assert error < 0.2 * before
+        assert error <= mixed
