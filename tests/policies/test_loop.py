@@ -19,7 +19,9 @@ from lieednn_sim.policies import loop as module
 GOAL = np.array([0.3, -0.2, 0.3, 0.2])
 
 
-def test_a_robot_behind_a_socket_is_led_at_200_hertz_and_yielded_to(gantry):
+def test_a_robot_behind_a_socket_is_led_at_200_hertz_and_yielded_to(gantry, monkeypatch):
+    # Six seconds of periods, as fast as the robot answers.
+    monkeypatch.setattr(module.time, "sleep", lambda _: None)
     policy = make_policy("lieednn-shaped", gantry, GOAL, rate=200.0)
     robot = subprocess.Popen(
         [sys.executable, str(Path(__file__).with_name("robot.py")), "4"], stdout=subprocess.PIPE, text=True
