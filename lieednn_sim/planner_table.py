@@ -23,6 +23,7 @@ class Entry(NamedTuple):
         cost: CPU time of a case of a comparison [s], planning and both default controllers, in the mean over the
             package's arms, free and behind the window. Declared, not measured, so that which cases there are depends
             on no machine.
+        network: whether its plans have a certifiable network, which `lieednn-sim synthesize` stores.
     """
 
     solve: str
@@ -31,6 +32,7 @@ class Entry(NamedTuple):
     extra: str = ""
     libraries: tuple[str, ...] = ()
     cost: float = TYPICAL
+    network: bool = False
 
 
 _OMPL = ("rivals", ("ompl",))
@@ -63,22 +65,37 @@ PLANNERS = {
     ),
     "stomp": Entry("planning.baselines.stomp:stomp", "StompOptions", "stochastic trajectory optimisation"),
     "qshnn": Entry("planning.baselines.qshnn:qshnn", "QshnnOptions", "a quaternion Hopfield network"),
-    "linear-attractor": Entry("planning.network_planners:linear_attractor", "", "a network without weights"),
+    "linear-attractor": Entry(
+        "planning.network_planners:linear_attractor", "", "a network without weights", network=True
+    ),
     "lieednn-certified": Entry(
-        "planning.certified:certified", "CertifiedOptions", "a certified network for the target"
+        "planning.certified:certified", "CertifiedOptions", "a certified network for the target", network=True
     ),
     "lieednn-retargeted": Entry(
-        "planning.network_planners:retargeted", "RetargetedOptions", "one network, certified once"
+        "planning.network_planners:retargeted", "RetargetedOptions", "one network, certified once", network=True
     ),
-    "lieednn-trained": Entry("planning.network_planners:trained", "TrainedOptions", "a learned network", cost=2.7),
+    "lieednn-trained": Entry(
+        "planning.network_planners:trained", "TrainedOptions", "a learned network", cost=2.7, network=True
+    ),
     "lieednn-unprojected": Entry(
-        "planning.network_planners:unprojected", "UnprojectedOptions", "the same without projections"
+        "planning.network_planners:unprojected", "UnprojectedOptions", "the same without projections", network=True
     ),
-    "lieednn-shaped": Entry("planning.shaped:shaped", "ShapedOptions", "a network along another's motion"),
+    "lieednn-shaped": Entry(
+        "planning.shaped:shaped", "ShapedOptions", "a network along another's motion", network=True
+    ),
     "lieednn-filtered": Entry(
-        "planning.filtered_planners:filtered", "FilteredOptions", "a network through the safety filter", cost=1.1
+        "planning.filtered_planners:filtered",
+        "FilteredOptions",
+        "a network through the safety filter",
+        cost=1.1,
+        network=True,
     ),
     "lieednn-guided": Entry(
-        "planning.filtered_planners:guided", "GuidedOptions", "the same along RRT-Connect's path", *_OMPL, cost=1.1
+        "planning.filtered_planners:guided",
+        "GuidedOptions",
+        "the same along RRT-Connect's path",
+        *_OMPL,
+        cost=1.1,
+        network=True,
     ),
 }

@@ -13,6 +13,7 @@ from lieednn_sim.errors import InputError
 from lieednn_sim.validation import quoted
 
 T = TypeVar("T")
+D = TypeVar("D")
 _NAME = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
 
 
@@ -41,6 +42,15 @@ class Registry(Generic[T]):
             raise InputError(f"{self.kind} {name!r} is already registered; choose another name")
         self.known[name] = self._make(name, given, *more)
         self.given[name] = given
+
+    def register(self, name: str, *more: Any) -> Callable[[D], D]:
+        """Decorator that adds the decorated object; arguments and errors as of `add`."""
+
+        def decorate(given: D) -> D:
+            self.add(name, given, *more)
+            return given
+
+        return decorate
 
     def all(self) -> Mapping[str, T]:
         """All objects by name, including those of installed packages.

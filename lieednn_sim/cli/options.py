@@ -11,7 +11,7 @@ from lieednn_sim.cli.names import ALGORITHMS, ARMS, BIAS_RULES, CONTROLLERS, RIV
 from lieednn_sim.planner_table import PLANNERS, SLOW
 
 # Those that make a network.
-NETWORK_PLANNERS = tuple(name for name in PLANNERS if name.startswith("lieednn-") or name == "linear-attractor")
+NETWORK_PLANNERS = tuple(name for name, entry in PLANNERS.items() if entry.network)
 # Numbers on the command line: plain ASCII decimals, a subset of what Python accepts.
 _WHOLE = re.compile(r"[+-]?[0-9]{1,18}")
 _DECIMAL = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]{1,3})?")

@@ -25,8 +25,7 @@ class Expert:
     In `Reach` it plans a certified network's motion from ``home`` to each episode's target, around obstacles if there
     are any, and commands its positions, as fast as 90 % of the limits allow. In `Track` it commands the target's next
     position. With ``policy`` it follows that policy, made anew for each episode, which sees the measured joints and the
-    target.
-    Its actions are within [-1, 1].
+    target. Its actions are within [-1, 1].
 
     Args:
         environment: an `ArmTask`, an environment of `suite.load`, or a Gymnasium one, wrapped or not.

@@ -36,6 +36,20 @@ class PlannerOptions:
             set_fields(self, **{entry.name: value})
 
 
+def given_options(
+    what: str, kind: type[PlannerOptions] | None, options: PlannerOptions | None
+) -> tuple[PlannerOptions, ...]:
+    """The options with which ``what`` is called: those given, or the defaults of its kind; none if it has no kind.
+
+    Raises:
+        InputError: options are given, of another class or to something without options.
+    """
+    if options is not None and (kind is None or not isinstance(options, kind)):
+        wanted = "has no options" if kind is None else f"takes options of class {kind.__name__}"
+        raise InputError(f"{what} {wanted}, got {type(options).__name__}")
+    return () if kind is None else (kind() if options is None else options,)
+
+
 @dataclass(frozen=True)
 class NetworkOptions(PlannerOptions):
     """Base class of the options of planners that make networks.

@@ -18,7 +18,7 @@ from lieednn_sim.errors import InputError, LieEDNNError, PlanError
 from lieednn_sim.planner_table import TYPICAL, Entry
 from lieednn_sim.planning.extras import optional_module
 from lieednn_sim.planning.motion import Motion, check_motion
-from lieednn_sim.planning.options import PlannerOptions
+from lieednn_sim.planning.options import PlannerOptions, given_options
 from lieednn_sim.planning.problem import Plan, PlanningProblem, in_time
 from lieednn_sim.planning.retiming import retime
 from lieednn_sim.registration import Registry
@@ -73,12 +73,7 @@ def register_planner(name: str, options: type[PlannerOptions] | None = None) -> 
     Raises:
         InputError: the name is malformed or taken, or the options are no subclass of `PlannerOptions`.
     """
-
-    def register(solve: _Solve) -> _Solve:
-        REGISTRY.add(name, solve, options)
-        return solve
-
-    return register
+    return REGISTRY.register(name, options)
 
 
 def planners() -> Mapping[str, Planner]:
@@ -186,10 +181,7 @@ def plan(
         planner = default_planner(arm)[0]
     known = planners()
     solve, kind, _ = known[as_choice("planner", planner, known)]
-    if options is not None and (kind is None or not isinstance(options, kind)):
-        wanted = "has no options" if kind is None else f"takes options of class {kind.__name__}"
-        raise InputError(f"the planner {planner!r} {wanted}, got {type(options).__name__}")
-    given = () if kind is None else (kind() if options is None else options,)
+    given = given_options(f"the planner {planner!r}", kind, options)
     ends = arm.configuration(start, "start"), arm.configuration(target, "target")
     problem = PlanningProblem(arm, *ends, duration, as_seed("seed", seed), time_budget, max_time_scale, progress)
     if fastest:

@@ -9,11 +9,17 @@ as fast, and its state is pulled to q at the rate k d,
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 
+import numpy as np
+
+from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError
+from lieednn_sim.policies.base import Policy
 from lieednn_sim.validation import as_floats, as_positive
-from lieednn_sim.values import check_fields, set_fields
+from lieednn_sim.values import Floats, check_fields, set_fields
 
 # s_0: a policy that stopped would never arrive.
 _MIN_SPEED = 0.01
@@ -51,6 +57,35 @@ class Feedback:
 
 # The default of all policies.
 FEEDBACK = Feedback()
+
+
+class FeedbackPolicy(Policy):
+    """Base class of policies that wait for the arm, and tell by how much.
+
+    Attributes:
+        pace: factor l s of the last period.
+        behind: error e at the beginning of the last period.
+    """
+
+    channel_units: Mapping[str, str] = MappingProxyType({"pace": "1", "behind": "ranges"})
+
+    def __init__(self, arm: Arm, rate: float, feedback: Feedback | None) -> None:
+        super().__init__(arm, rate)
+        self._feedback = feedback
+
+    def begin(self, q: Floats) -> None:
+        """See `Policy`; unchecked."""
+        # Whether joint limits slowed the policy down in the last period.
+        self.pace, self.behind, self._limited = 1.0, 0.0, False
+
+    @property
+    def message(self) -> str:
+        """See `Policy`."""
+        return describe(self.pace, self.behind, limited=self._limited)
+
+    def channels(self) -> Floats:
+        """See `Policy`."""
+        return np.array([self.pace, self.behind])
 
 
 def describe(pace: float, behind: float, *, limited: bool) -> str:

@@ -6,18 +6,15 @@ A subclass only defines the velocity v towards the target.
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Mapping
-from types import MappingProxyType
 
 import numpy as np
 
 from lieednn_sim.arm import Arm
-from lieednn_sim.policies.base import Policy
-from lieednn_sim.policies.feedback import FEEDBACK, Feedback, describe
+from lieednn_sim.policies.feedback import FEEDBACK, Feedback, FeedbackPolicy
 from lieednn_sim.values import Floats
 
 
-class JointPolicy(Policy):
+class JointPolicy(FeedbackPolicy):
     """Base class of policies in joint space; a subclass defines `velocity`.
 
     Args:
@@ -32,17 +29,15 @@ class JointPolicy(Policy):
         behind: error e of `feedback` at the beginning of the last period.
     """
 
-    channel_units: Mapping[str, str] = MappingProxyType({"pace": "1", "behind": "ranges"})
-
     def __init__(self, arm: Arm, rate: float = 100.0, *, feedback: Feedback | None = FEEDBACK) -> None:
-        super().__init__(arm, rate)
-        self._feedback = feedback
+        super().__init__(arm, rate, feedback)
         self._low, self._high = arm.position_limits.T
         self.range = arm.ranges
 
     def begin(self, q: Floats) -> None:
         """See `Policy`; unchecked."""
-        self.y, self.pace, self.behind, self._limited = q, 1.0, 0.0, False
+        super().begin(q)
+        self.y = q
 
     def act(self, measured: Floats | None, target: Floats) -> tuple[Floats, Floats]:
         """See `Policy`; unchecked."""
@@ -71,12 +66,3 @@ class JointPolicy(Policy):
     def state(self) -> Floats:
         """``(n,)``, as `y`."""
         return self.y
-
-    @property
-    def message(self) -> str:
-        """See `Policy`."""
-        return describe(self.pace, self.behind, limited=self._limited)
-
-    def channels(self) -> Floats:
-        """See `Policy`."""
-        return np.array([self.pace, self.behind])

@@ -64,9 +64,9 @@ def control_loop(
 ) -> LoopReport:
     """Run a policy at its rate: read the joints, ask the policy, write the reference, and wait for the next period.
 
-    The policy is reset where the joints are. After a period that ends late, the next one begins at
-    once, and all keep their full length: the loop does not catch up. Python's garbage is collected before the loop, not
-    in it. An exception of `read` or `write` ends the loop, as Ctrl-C does.
+    The policy is reset where the joints are. After a period that ends late, the next one begins at once, and all keep
+    their full length: the loop does not catch up. Python's garbage is collected before the loop, not in it. An
+    exception of `read` or `write` ends the loop, as Ctrl-C does.
 
     Args:
         policy: the policy.

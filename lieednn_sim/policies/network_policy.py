@@ -24,8 +24,6 @@ cascade have no input from it.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from types import MappingProxyType
 
 import numpy as np
 from scipy.linalg.blas import idamax
@@ -36,8 +34,8 @@ from lieednn_sim.errors import InputError
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.network.runge_kutta import RungeKuttaStepper
 from lieednn_sim.planning.network_path import require_fit
-from lieednn_sim.policies.base import Policy, has_jumped
-from lieednn_sim.policies.feedback import FEEDBACK, Feedback, describe
+from lieednn_sim.policies.base import has_jumped
+from lieednn_sim.policies.feedback import FEEDBACK, Feedback, FeedbackPolicy
 from lieednn_sim.validation import as_positive
 from lieednn_sim.values import Floats
 
@@ -48,7 +46,7 @@ _MAX_STEP, _MAX_SWITCHING, _MAX_STEPS = 0.5, 0.5, 100
 _TOO_FAST, _TRIES = 1e-3, 4
 
 
-class NetworkPolicy(Policy):
+class NetworkPolicy(FeedbackPolicy):
     """A certified network that leads an arm to a target, which may move; only `reset` sets its state.
 
     Args:
@@ -75,7 +73,6 @@ class NetworkPolicy(Policy):
     """
 
     certified = True
-    channel_units: Mapping[str, str] = MappingProxyType({"pace": "1", "behind": "ranges"})
 
     def __init__(
         self,
@@ -87,9 +84,9 @@ class NetworkPolicy(Policy):
         feedforward: bool = True,
         feedback: Feedback | None = FEEDBACK,
     ) -> None:
-        super().__init__(arm, rate)
+        super().__init__(arm, rate, feedback)
         require_fit(arm, network, certified=True)
-        self._network, self._feedback = network, feedback
+        self._network = network
         self._speed, self._feedforward = as_positive("speed", speed), feedforward
         self._stepping, self._visible = RungeKuttaStepper(network), 6 * network.n_visible
         self._stiffness = network.gamma + network.mu * _certified_norm(network)
@@ -104,8 +101,8 @@ class NetworkPolicy(Policy):
 
     def begin(self, q: Floats) -> None:
         """See `Policy`; unchecked."""
-        network = self._network
-        self.xi = network.start(self.arm.encode(q))
+        super().begin(q)
+        self.xi = self._network.start(self.arm.encode(q))
         self._retraction = LocalRetraction(self.arm, q)
         # The last target with its goal, and whether the field is that of this goal, not of one ahead of it.
         self._aimed: tuple[Floats, Floats] | None = None
@@ -117,7 +114,7 @@ class NetworkPolicy(Policy):
         self._drawn, self._flow_rate = q, self.qd
         # The pull towards the network's rest state.
         self._pull = np.zeros(self.xi.size)
-        self.jumped, self.time_scale, self.pace, self.behind = False, 1.0, 1.0, 0.0
+        self.jumped, self.time_scale = False, 1.0
         self.limit_excess, self._gap = -np.inf, np.zeros((self.arm.n_links, 2))
 
     @property
@@ -134,15 +131,6 @@ class NetworkPolicy(Policy):
     def gap_translation(self) -> float:
         """See the class."""
         return float(self._gap[:, 1].max())
-
-    @property
-    def message(self) -> str:
-        """See `Policy`."""
-        return describe(self.pace, self.behind, limited=self.time_scale < 1.0)
-
-    def channels(self) -> Floats:
-        """See `Policy`."""
-        return np.array([self.pace, self.behind])
 
     def act(self, measured: Floats | None, target: Floats) -> tuple[Floats, Floats]:
         """See `Policy`; unchecked."""
@@ -165,6 +153,7 @@ class NetworkPolicy(Policy):
             fraction /= excess
         self._x, self._drive, self._flow, self._flow_rate = x, drive, flow, flow_rate
         self.xi, self.time_scale, self.pace = x.reshape(self.xi.shape), fraction, fraction * waiting
+        self._limited = fraction < 1.0
         self._gap = np.maximum(self._gap, self._retraction.gap)
         outside = max(np.maximum(self._low - drawn, drawn - self._high).tolist())
         self.limit_excess = max(self.limit_excess, outside)

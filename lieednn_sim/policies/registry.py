@@ -15,7 +15,7 @@ from lieednn_sim.errors import InputError
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.planning import Motion, Plan, ShapedOptions, plan
 from lieednn_sim.planning.network_planners import without_weights
-from lieednn_sim.planning.options import NetworkOptions, PlannerOptions
+from lieednn_sim.planning.options import NetworkOptions, PlannerOptions, given_options
 from lieednn_sim.planning.safety_filter import FilterOptions
 from lieednn_sim.policies.base import Policy
 from lieednn_sim.policies.fabric import Fabric, FabricOptions
@@ -189,12 +189,7 @@ def register_policy(name: str, options: type[PlannerOptions] | None = None) -> C
     Raises:
         InputError: the name is malformed or taken.
     """
-
-    def register(make: _Make) -> _Make:
-        REGISTRY.add(name, make, options)
-        return make
-
-    return register
+    return REGISTRY.register(name, options)
 
 
 def policies() -> Mapping[str, PolicyKind]:
@@ -242,12 +237,10 @@ def make_policy(
     """
     known = policies()
     make, kind = known[as_choice("name", name, known)]
-    if options is not None and (kind is None or not isinstance(options, kind)):
-        wanted = "has no options" if kind is None else f"takes options of class {kind.__name__}"
-        raise InputError(f"the policy {name!r} {wanted}, got {type(options).__name__}")
+    given = given_options(f"the policy {name!r}", kind, options)
     ends = arm.configuration(start, "start"), arm.configuration(target, "target")
     task = PolicyTask(arm, *ends, rate, feedback, convergence_rate, as_seed("seed", seed), motion)
-    made = make(task, *(() if kind is None else (kind() if options is None else options,)))
+    made = make(task, *given)
     if safety is not None:
         made = FilteredPolicy(made, safety)
     made.reset(task.start)

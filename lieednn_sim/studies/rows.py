@@ -54,14 +54,16 @@ class TableRow:
     _digits: ClassVar[int]
 
     def __post_init__(self) -> None:
+        kept: dict[str, Any] = {}
         for entry in fields(self):
             if isinstance(value := getattr(self, entry.name), float):
-                set_fields(self, **{entry.name: float(f"{value:.{self._digits}g}")})
+                kept[entry.name] = float(f"{value:.{self._digits}g}")
             elif isinstance(value, str):
                 # A row is one line. Interned, since many rows share their texts.
-                set_fields(self, **{entry.name: sys.intern(" ".join(value.splitlines()))})
+                kept[entry.name] = sys.intern(" ".join(value.splitlines()))
                 if entry.name == "reason" and value:
-                    set_fields(self, success=False)
+                    kept["success"] = False
+        set_fields(self, **kept)
 
     @property
     def key(self) -> tuple[Any, ...]:

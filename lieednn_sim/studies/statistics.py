@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from operator import attrgetter
 from typing import Any, Generic, TypeVar
 
@@ -12,7 +12,7 @@ import numpy as np
 from scipy.special import ndtri
 
 from lieednn_sim.errors import InputError
-from lieednn_sim.studies.rows import TableRow, columns_of
+from lieednn_sim.studies.rows import TableRow
 
 R = TypeVar("R", bound=TableRow)
 # The parts of a reason that vary from case to case: names in quotes, and numbers.
@@ -92,7 +92,7 @@ def numbers(rows: Sequence[R], column: str) -> list[float]:
     """The numbers in a column, without missing ones; one for each motion if the column belongs to the plan."""
     if not rows:
         return []
-    of_motion = next(entry.of_motion for entry in columns_of(type(rows[0])) if entry.name == column)
+    of_motion = next(entry.metadata["of_motion"] for entry in fields(rows[0]) if entry.name == column)
     found = (getattr(row, column) for row in (motions(rows) if of_motion else rows))
     return [float(value) for value in found if value is not None]
 

@@ -49,12 +49,7 @@ def register_controller(name: str) -> Callable[[_Make], _Make]:
     Raises:
         InputError: the name is malformed or taken, or the decorated object is not callable.
     """
-
-    def register(make: _Make) -> _Make:
-        REGISTRY.add(name, make)
-        return make
-
-    return register
+    return REGISTRY.register(name)
 
 
 def controllers() -> Mapping[str, Callable[[Arm, Reference], Controller]]:

@@ -12,7 +12,7 @@ from lieednn_sim import filesystem
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.studies.comparison.cases import Settings
 from lieednn_sim.studies.comparison.rows import TIMING, Case, Row
-from lieednn_sim.studies.comparison.study import Comparison, Shard, missing
+from lieednn_sim.studies.comparison.study import SELECTION, Comparison, Shard, missing
 from lieednn_sim.studies.table import Table, differences, how_made, read_rows
 from lieednn_sim.studies.user_files import UserFile, record_files
 from lieednn_sim.versions import versions
@@ -63,8 +63,8 @@ def merge(directory: str | os.PathLike[str], folders: Sequence[str | os.PathLike
         shards = {folder: Shard(found["part"]["shard"], part["shards"]) for folder, found in read.items()}
         settings = Settings(**whole["settings"])
         user_files = [UserFile(*file) for file in part["user_files"]]
-        chosen = {name: part[name] for name in ("planners", "arms", "scenes", "controllers", "seeds", "slow_seeds")}
-        study = Comparison(**chosen, user_files=tuple(user_files), common=settings)
+        chosen = {name: part[name] for name in SELECTION} | {"user_files": tuple(user_files)}
+        study = Comparison(**chosen, common=settings)
         absent = {str(name): str(reason) for name, reason in part["absent"].items()}
     except (AttributeError, KeyError, TypeError, InputError) as error:
         raise FileError(f"{first} holds no shard of a comparison ({type(error).__name__}: {error})") from None

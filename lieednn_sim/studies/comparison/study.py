@@ -30,7 +30,7 @@ from lieednn_sim.values import check_fields, set_fields
 DEFAULT_CONTROLLERS = ("position-servo", "inverse-dynamics")
 DEFAULT_SCENES = (FREE, "window")
 # Those of its fields that tell which cases a comparison has.
-_SELECTION = ("planners", "arms", "scenes", "controllers", "seeds", "user_files", "slow_seeds")
+SELECTION = ("planners", "arms", "scenes", "controllers", "seeds", "user_files", "slow_seeds")
 
 
 @dataclass(frozen=True)
@@ -147,7 +147,7 @@ class Comparison(Study[Row]):
         """See `Study`; a shard's description has the whole selection, for `merging.merge`."""
         if self.shard is None:
             return None
-        chosen = {name: getattr(self, name) for name in _SELECTION}
+        chosen = {name: getattr(self, name) for name in SELECTION}
         return {"shard": self.shard.number, "shards": self.shard.of, **chosen, "absent": self.absent}
 
     def cases(self, absent: Collection[str] | None = None) -> list[Case]:
