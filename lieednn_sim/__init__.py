@@ -27,20 +27,22 @@ if TYPE_CHECKING:
     from lieednn_sim.evaluation.plots import plot
     from lieednn_sim.learning import train
     from lieednn_sim.network import LieEDNN
-    from lieednn_sim.planning import Plan, plan, register_planner
+    from lieednn_sim.planning import MotionLibrary, Plan, plan, register_planner
     from lieednn_sim.policies import Feedback, NetworkPolicy, Policy, control_loop, make_policy
     from lieednn_sim.rendering.video import render_video
     from lieednn_sim.simulation import Channel, Disturbances, Push, Rollout, follow, simulate, simulate_many
     from lieednn_sim.studies import compare
-    from lieednn_sim.synthesis import shape, synthesize
+    from lieednn_sim.synthesis import CurveEncoder, shape, synthesize
 
 __all__ = [
     "Arm",
     "Channel",
+    "CurveEncoder",
     "Disturbances",
     "Feedback",
     "LieEDNN",
     "LieEDNNError",
+    "MotionLibrary",
     "NetworkPolicy",
     "Plan",
     "PlanError",
@@ -74,12 +76,12 @@ _ROOMS = {
     "evaluation.plots": ("plot",),
     "learning": ("train",),
     "network": ("LieEDNN",),
-    "planning": ("Plan", "plan", "register_planner"),
+    "planning": ("MotionLibrary", "Plan", "plan", "register_planner"),
     "policies": ("Feedback", "NetworkPolicy", "Policy", "control_loop", "make_policy"),
     "rendering.video": ("render_video",),
     "simulation": ("Channel", "Disturbances", "Push", "Rollout", "follow", "simulate", "simulate_many"),
     "studies": ("compare",),
-    "synthesis": ("shape", "synthesize"),
+    "synthesis": ("CurveEncoder", "shape", "synthesize"),
 }
 _SUBPACKAGES = (
     *("lie", "stability", "network", "theory", "synthesis", "learning", "arm", "planning", "policies", "simulation"),

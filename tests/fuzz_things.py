@@ -94,6 +94,12 @@ def _equivariant() -> Any:
     return theory.EquivariantLieEDNN(0.1 * np.eye(2), turns, np.zeros((2, 2, 3)), np.zeros((2, 6)))
 
 
+def _library() -> Any:
+    library = ls.MotionLibrary(thing("Arm").n_links)
+    library.add("a", thing("Motion"))
+    return library
+
+
 def _instant() -> Any:
     log = fresh("Log")
     log.step()
@@ -128,6 +134,8 @@ MAKERS: dict[str, Callable[[], Any]] = {
     "SmoothnessBounds": lambda: theory.smoothness_bounds(0.1 * np.eye(2), np.ones(2), 1.0, gamma=1.0, mu=1.0),
     "ShapingOptions": lambda: synthesis.ShapingOptions(neurons=(1,), placed_neurons=(2,), iterations=2),
     "Shaping": lambda: thing("ShapedMotion").shaping,
+    "CurveEncoder": lambda: synthesis.CurveEncoder(2),
+    "MotionLibrary": _library,
     "Demonstration": _demonstration,
     "Demonstrations": lambda: demonstrations.align([thing("Demonstration")] * 2, samples=9),
     "ShapedMotion": lambda: demonstrations.ShapedMotion.fit(thing("Demonstrations"), 0.1, thing("ShapingOptions")),

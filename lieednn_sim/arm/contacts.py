@@ -34,8 +34,11 @@ class ContactFinder:
 
     def geoms(self, qpos: Floats) -> tuple[Floats, NDArray[np.int_]]:
         """Distances ``(C,)`` and ids ``(C, 2)`` of geoms closer than the margin at MuJoCo's positions ``(nq,)``."""
-        if not self._found(qpos):
-            return np.zeros(0), np.zeros((0, 2), dtype=int)
+        self._found(qpos)
+        return self._near()
+
+    def _near(self) -> tuple[Floats, NDArray[np.int_]]:
+        """As `geoms`, where contacts have been found."""
         contact = self._data.contact
         # MuJoCo may also report pairs that are not nearer than the margin.
         near = contact.dist < self._margin
@@ -56,9 +59,10 @@ class ContactFinder:
     def bodies(self, qpos: Floats) -> list[tuple[str, str]]:
         """Names of the bodies closer than the margin at MuJoCo's positions ``(nq,)``."""
         model = self._model
-        near = self.geoms(qpos)[1]
-        if not len(near):
+        # Nearly always, so without making arrays.
+        if not self._found(qpos):
             return []
+        near = self._near()[1]
         pairs = model.geom_bodyid[near]
         return list(dict.fromkeys((model.body(a).name, model.body(b).name) for a, b in pairs))
 

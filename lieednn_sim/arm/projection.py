@@ -109,6 +109,10 @@ class Retractor:
                 qd[..., solver.indices] = rate
         return Retraction(q, qd, xi, partial(self._gap, given, q))
 
+    def gap(self, xi: Floats, q: Floats) -> tuple[Floats, Floats]:
+        """Distances [m] and angles [rad] ``(..., N)`` of the poses of ``xi`` ``(..., N, 6)`` from those at ``q``."""
+        return self._gap(MovingPoses(xi, None), q)
+
     def _gap(self, given: MovingPoses, q: Floats) -> tuple[Floats, Floats]:
         """Distances [m] and angles [rad] ``(..., N)`` of given poses from those at q ``(..., n)``."""
         rotation, translation = self._joints.matrices(q)

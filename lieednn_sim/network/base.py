@@ -11,7 +11,7 @@ from functools import cache, cached_property
 from typing import Any, ClassVar, Self
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim import stability, storage
 from lieednn_sim.errors import FileError, InputError, NotCertifiedError
@@ -51,7 +51,9 @@ class BlockNetwork(ABC):
         "n_clock",
     )
     # Cached values independent of the visible neurons' bias, which `retarget` hands over.
-    _bias_free: ClassVar[tuple[str, ...]] = ("blocks", "weight", "certificate", "_undriven_rest")
+    _bias_free: ClassVar[tuple[str, ...]] = (
+        *("blocks", "weight", "certificate", "n_driven", "driven_weight", "_undriven_rest"),
+    )
 
     def __repr__(self) -> str:
         n, d = self.bias.shape
@@ -121,13 +123,15 @@ class BlockNetwork(ABC):
         state = self.start(xi)
         if self.n_hidden:
             first = self.n_visible
-            driven = self.blocks[first:, :first].any()
+            driven = self.n_driven > first and self.blocks[first:, :first].any()
             state[first:] = self._rest(state) if driven else self._undriven_rest
         return state
 
     @cached_property
     def _undriven_rest(self) -> Floats:
         """Equilibrium ``(M, d)`` of hidden neurons without inputs from visible ones."""
+        if self.n_driven <= self.n_visible:
+            return read_only(self.mu / self.gamma * self.bias[self.n_visible :])
         return read_only(self._rest(self.start(np.zeros((self.n_visible, self.bias.shape[1])))))
 
     def _rest(self, state: Floats) -> Floats:
@@ -159,6 +163,25 @@ class BlockNetwork(ABC):
         """Flat weight matrix W, ``(dN, dN)``."""
         return read_only(as_floats("weight", flatten_blocks(self.blocks), ("n", "n")))
 
+    @cached_property
+    def n_driven(self) -> int:
+        """Number of leading neurons after which none has an input, at least 1: the visible ones of many cascades."""
+        return leading(np.asarray(self.blocks.any(axis=(1, 2, 3))))
+
+    @cached_property
+    def driven_weight(self) -> Floats:
+        """The rows of W of the `n_driven` leading neurons, ``(d n_driven, dN)``; the other rows are zero."""
+        return self.weight[: self.bias.shape[1] * self.n_driven]
+
+    def interaction(self, output: Floats) -> Floats:
+        """W times flat outputs ``(..., dN)``, without its rows of zeros; unchecked."""
+        driven = output @ self.driven_weight.T
+        if driven.shape == output.shape:
+            return driven
+        whole = np.zeros_like(output)
+        whole[..., : driven.shape[-1]] = driven
+        return whole
+
     @property
     @abstractmethod
     def certificate(self) -> stability.Certificate | None:
@@ -175,23 +198,26 @@ class BlockNetwork(ABC):
 
     @abstractmethod
     def _driven(self, state: Floats) -> Floats:
-        """Jacobian of W phi, ``(..., N, d)`` to ``(..., dN, dN)``."""
+        """Jacobian of `driven_weight` phi, ``(..., N, d)`` to ``(..., d n_driven, dN)``."""
 
     def vector_field(self, xi: ArrayLike) -> Floats:
         """Right-hand side in block form, ``(..., N, d)`` to the same shape."""
         state = as_floats("xi", xi, self.bias.shape, batched=True)
         output = self.phi(state).reshape(*state.shape[:-2], -1)
-        return -self.gamma * state + self.mu * ((output @ self.weight.T).reshape(state.shape) + self.bias)
+        return -self.gamma * state + self.mu * (self.interaction(output).reshape(state.shape) + self.bias)
 
     def flat_vector_field(self, x: Floats) -> Floats:
         """Right-hand side in flat form, ``(dN,)`` to ``(dN,)``; unchecked, for integrators."""
         output = self.phi(x.reshape(self.bias.shape)).ravel()
-        return -self.gamma * x + self.mu * (self.weight @ output + self.bias.ravel())
+        return -self.gamma * x + self.mu * (self.interaction(output) + self.bias.ravel())
 
     def jacobian(self, xi: ArrayLike) -> Floats:
         """Jacobian of the flat vector field, ``(..., N, d)`` to ``(..., dN, dN)``."""
         state = as_floats("xi", xi, self.bias.shape, batched=True)
-        return -self.gamma * np.eye(len(self.weight)) + self.mu * self._driven(state)
+        driven = self._driven(state)
+        whole = np.zeros((*driven.shape[:-2], state.shape[-2] * state.shape[-1], driven.shape[-1]))
+        whole[..., : driven.shape[-2], :] = self.mu * driven
+        return whole - self.gamma * np.eye(driven.shape[-1])
 
     def equilibrium(self, start: ArrayLike | None = None, *, tolerance: float = 1e-12) -> Equilibrium:
         """Find an equilibrium by damped Newton steps, with the flow as fallback; see `dynamics.find_equilibrium`.
@@ -204,14 +230,25 @@ class BlockNetwork(ABC):
         Returns:
             The point found and whether it converged; a certified network has exactly one equilibrium.
         """
-        shape = self.bias.shape
-        return find_equilibrium(
-            self.flat_vector_field,
-            lambda x: self.jacobian(x.reshape(shape)),
-            np.zeros(shape) if start is None else as_floats("start", start, shape),
+        shape, driven = self.bias.shape, self.n_driven
+        first = np.zeros(shape) if start is None else as_floats("start", start, shape)
+        # Neurons without inputs rest where their bias says, whatever the others do.
+        rest, size = self.mu / self.gamma * self.bias[driven:].ravel(), driven * shape[1]
+
+        def whole(x: Floats) -> Floats:
+            return np.concatenate([x, rest])
+
+        found = find_equilibrium(
+            lambda x: self.flat_vector_field(whole(x))[:size],
+            lambda x: self.mu * self._driven(whole(x).reshape(shape))[:, :size] - self.gamma * np.eye(size),
+            first[:driven],
             rate=self.gamma,
             tolerance=as_positive("tolerance", tolerance),
         )
+        if driven == len(first):
+            return found
+        abscissa = max(found.spectral_abscissa, -self.gamma)
+        return replace(found, xi=whole(found.xi.ravel()).reshape(shape), spectral_abscissa=abscissa)
 
     def trajectory(
         self,
@@ -276,7 +313,7 @@ class BlockNetwork(ABC):
                 and no equilibrium from which its reference could move.
         """
         target = self.goal(xi)
-        bias = self.gamma / self.mu * target - self.weight.dot(self.phi(target).ravel()).reshape(target.shape)
+        bias = self.gamma / self.mu * target - self.interaction(self.phi(target).ravel()).reshape(target.shape)
         if self.n_hidden:
             bias[self.n_visible :] = self.bias[self.n_visible :]
         # Weights and proof are the same: hand over what was checked and computed for them, and nothing else.
@@ -314,8 +351,11 @@ class BlockNetwork(ABC):
 
     def save(self, path: str | os.PathLike[str], made_from: Mapping[str, str] | None = None) -> None:
         """Write the network to an ``.npz`` file, atomically; ``made_from`` as for `storage.save_arrays`."""
-        arrays = {name: getattr(self, name) for name in self._arrays if getattr(self, name) is not None}
-        storage.save_arrays(path, self._kind, arrays, self._meta(), made_from)
+        storage.save_arrays(path, self._kind, *self.stored(), made_from)
+
+    def stored(self) -> tuple[dict[str, Floats], dict[str, Any]]:
+        """The arrays and the metadata that a file holds, by name."""
+        return {name: getattr(self, name) for name in self._arrays if getattr(self, name) is not None}, self._meta()
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Self:
@@ -326,7 +366,11 @@ class BlockNetwork(ABC):
         """
         if inspect.isabstract(cls):
             raise InputError(f"a {cls.__name__} is read by its own class, such as LieEDNN.load")
-        arrays, meta = storage.load_arrays(path, cls._kind)
+        return cls.restored(*storage.load_arrays(path, cls._kind), path)
+
+    @classmethod
+    def restored(cls, arrays: Mapping[str, Floats], meta: Mapping[str, Any], path: str | os.PathLike[str]) -> Self:
+        """The network of what `stored` gave, read from a file; its certificate is verified again. Raises as `load`."""
         names = [name for name in cls._arrays if name in arrays or name not in cls._optional]
         values = dict(zip(names, storage.take(arrays, path, *names), strict=True))
         try:
@@ -348,6 +392,11 @@ class BlockNetwork(ABC):
 
 
 def flatten_blocks(blocks: Floats) -> Floats:
-    """Blocks ``(N, N, d, d)`` as one read-only matrix ``(Nd, Nd)``."""
-    n, size = blocks.shape[0], blocks.shape[-1]
-    return read_only(np.ascontiguousarray(blocks.transpose(0, 2, 1, 3).reshape(n * size, n * size)))
+    """Blocks ``(M, N, d, d)`` as one read-only matrix ``(Md, Nd)``."""
+    m, n, size = blocks.shape[:3]
+    return read_only(np.ascontiguousarray(blocks.transpose(0, 2, 1, 3).reshape(m * size, n * size)))
+
+
+def leading(driven: NDArray[np.bool_]) -> int:
+    """Number of leading entries of ``(N,)`` after which none is true, at least 1."""
+    return int(driven.nonzero()[0].max(initial=0)) + 1

@@ -187,13 +187,15 @@ class ComponentwiseNetwork(BlockNetwork):
     def flat_vector_field(self, x: Floats) -> Floats:
         """Right-hand side in flat form, ``(dN,)`` to ``(dN,)``; unchecked, for integrators."""
         weight, bias = self._scaled
-        return weight.dot(self.phi(x)) + bias - self.gamma * x
+        rate = bias - self.gamma * x
+        rate[: len(weight)] += weight.dot(self.phi(x))
+        return rate
 
     @cached_property
     def _scaled(self) -> tuple[Floats, Floats]:
-        """Mu W and mu b, flat."""
-        return self.mu * self.weight, self.mu * self.bias.ravel()
+        """Mu times `driven_weight`, and mu b, flat."""
+        return self.mu * self.driven_weight, self.mu * self.bias.ravel()
 
     def _driven(self, state: Floats) -> Floats:
         slope = ACTIVATIONS[self.activation].slope(state).reshape(*state.shape[:-2], 1, -1)
-        return self.weight * slope
+        return self.driven_weight * slope

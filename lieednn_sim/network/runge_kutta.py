@@ -46,9 +46,10 @@ class RungeKuttaStepper:
 
     def __init__(self, network: ComponentwiseNetwork) -> None:
         self._network = network
-        self._weight, self._phi = network.mu / network.gamma * network.weight, network.phi
-        self._parts = np.zeros((2 + _STAGES, len(self._weight)))
-        self._later = [self._parts[k] for k in range(3, 2 + _STAGES)]
+        self._weight, self._phi = network.mu / network.gamma * network.driven_weight, network.phi
+        # The u of neurons without inputs stays zero.
+        self._parts = np.zeros((2 + _STAGES, network.bias.size))
+        self._later = [self._parts[k, : len(self._weight)] for k in range(3, 2 + _STAGES)]
 
     def __reduce__(self) -> tuple[type[RungeKuttaStepper], tuple[ComponentwiseNetwork]]:
         # In a copy entry by entry the views would be arrays of their own.
@@ -56,7 +57,8 @@ class RungeKuttaStepper:
 
     def drive(self, x: Floats) -> Floats:
         """The input u(x) ``(dN,)`` of a flat state ``(dN,)``."""
-        drive: Floats = self._weight.dot(self._phi(x))
+        drive = np.zeros(len(x))
+        np.dot(self._weight, self._phi(x), out=drive[: len(self._weight)])
         return drive
 
     def step(self, x: Floats, drive: Floats, pull: Floats, z: float) -> tuple[Floats, Floats]:

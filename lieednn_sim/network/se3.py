@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from lieednn_sim.lie import adjoint
-from lieednn_sim.network.base import BlockNetwork, flatten_blocks
+from lieednn_sim.network.base import BlockNetwork, flatten_blocks, leading
 from lieednn_sim.network.checks import as_hidden, as_poses, as_rates, as_start_law, as_strengths
 from lieednn_sim.network.componentwise import DEFAULT_ACTIVATION, ComponentwiseNetwork, as_activation
 from lieednn_sim.validation import as_floats
@@ -37,9 +37,22 @@ class RigidNetwork(BlockNetwork):
         return read_only(self.alpha[:, :, None, None] * adjoint(self.rotation, self.translation))
 
     @cached_property
+    def n_driven(self) -> int:
+        """Number of leading neurons after which none has an input, at least 1; see `BlockNetwork`."""
+        return leading(np.asarray(self.alpha.any(axis=1)))
+
+    @cached_property
+    def driven_weight(self) -> Floats:
+        """The rows of W of the `n_driven` leading neurons, ``(6 n_driven, 6N)``; see `BlockNetwork`."""
+        k = self.n_driven
+        if k == len(self.alpha):
+            return self.weight
+        return flatten_blocks(self.alpha[:k, :, None, None] * adjoint(self.rotation[:k], self.translation[:k]))
+
+    @cached_property
     def rotational_weight(self) -> Floats:
         """W_R = [alpha_ij R_ij], ``(3N, 3N)``: the part that decides stability."""
-        return flatten_blocks(self.blocks[..., :3, :3])
+        return flatten_blocks(self.alpha[:, :, None, None] * self.rotation)
 
 
 @frozen

@@ -9,6 +9,7 @@ from lieednn_sim.planning.certified import CertifiedOptions
 from lieednn_sim.planning.extras import missing_planners, require_planner
 from lieednn_sim.planning.filtered_planners import FilteredOptions, GuidedOptions
 from lieednn_sim.planning.joint_space import joint_motion
+from lieednn_sim.planning.library import MotionLibrary
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.network_planners import (
     RetargetedOptions,
@@ -38,6 +39,7 @@ __all__ = [
     "FilteredOptions",
     "GuidedOptions",
     "Motion",
+    "MotionLibrary",
     "OptimisationOptions",
     "Plan",
     "Planner",

@@ -129,24 +129,27 @@ class NetworkPath:
         return motion if eased is None else self._timed(duration, timestep, eased)
 
     def _timed(self, duration: float, timestep: float, law: Law) -> Motion:
+        t, position, rate = self._positions(duration, timestep, law)
+        states = self.state(position)
+        xi, rates = self.network.visible(states), self.network.visible(self.network.vector_field(states))
+        decoded = self.arm.decode(xi, rates, self.start)
+        qd = decoded.qd * rate[:, None]
+        qd[[0, -1]] = 0.0
+        target = self.network.visible(self.target)
+        return Motion(t, position, xi, target, decoded.q, qd, decoded.gap_translation, decoded.gap_rotation)
+
+    def _positions(self, duration: float, timestep: float, law: Law) -> tuple[Floats, Floats, Floats]:
+        """Times ``(K,)`` [s], positions on the path and their rates there, by a law; here, the network's own times."""
         steps = count_steps(duration, timestep)
         t = as_floats("t", timestep * np.arange(steps + 1), (steps + 1,))
         if self.trajectory is None:
-            tau, tau_rate = np.zeros_like(t), np.zeros_like(t)
-        else:
-            _, speed = self.trajectory
-            length = speed.antiderivative()
-            total = float(length(speed.x[-1]))
-            progress, progress_rate = law(t / t[-1])
-            tau = _invert(length, speed, speed.x, total * progress)
-            tau_rate = total * progress_rate / (t[-1] * np.maximum(speed(tau), 1e-300))
-        states = self.state(tau)
-        xi, rates = self.network.visible(states), self.network.visible(self.network.vector_field(states))
-        decoded = self.arm.decode(xi, rates, self.start)
-        qd = decoded.qd * tau_rate[:, None]
-        qd[[0, -1]] = 0.0
-        target = self.network.visible(self.target)
-        return Motion(t, tau, xi, target, decoded.q, qd, decoded.gap_translation, decoded.gap_rotation)
+            return t, np.zeros_like(t), np.zeros_like(t)
+        _, speed = self.trajectory
+        length = speed.antiderivative()
+        total = float(length(speed.x[-1]))
+        progress, progress_rate = law(t / t[-1])
+        position = _invert(length, speed, speed.x, total * progress)
+        return t, position, total * progress_rate / (t[-1] * np.maximum(speed(position), 1e-300))
 
 
 def require_fit(arm: Arm, network: BlockNetwork, *, certified: bool = False) -> None:
@@ -181,9 +184,18 @@ def timed_motion(problem: PlanningProblem, path: NetworkPath, *law: Law) -> Moti
     """The checked motion along a path in the problem's duration, by a given time law or that of `NetworkPath.timed`.
 
     Raises:
+        PlanError: as `checked_motion`.
+    """
+    return checked_motion(problem, path.timed(problem.duration, problem.timestep, *law))
+
+
+def checked_motion(problem: PlanningProblem, motion: Motion) -> Motion:
+    """A motion along a network's path, checked.
+
+    Raises:
         PlanError: the motion breaks a limit of the arm, or ends at another configuration with the target's poses.
     """
-    motion, arm = path.timed(problem.duration, problem.timestep, *law), problem.arm
+    arm = problem.arm
     check_motion(arm, motion)
     away = np.abs(motion.q[-1] - problem.target)
     joint = int(away.argmax())

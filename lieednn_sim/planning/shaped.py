@@ -1,14 +1,15 @@
 """A certified network shaped after the motion of a teacher.
 
 The teacher is minimum jerk if that is free of contact, else trajectory optimisation from there, else trajectory
-optimisation from a path of RRT-Connect, else that path itself. It is fitted by `synthesis.shape`, and the network's
-motion follows it by the teacher's time law. It is proved that the network ends at the target from every start; its
-distance from the teacher's path, limits and clearance are only checked.
+optimisation from a path of RRT-Connect, else that path itself. It is encoded as a start of the arm's universal network
+(`synthesis.CurveEncoder`); where that does not follow it closely enough, a network is shaped by `synthesis.shape`. The
+motion follows the network's path by the teacher's time law. It is proved that the network ends at the target from every
+start; its distance from the teacher's path, limits and clearance are only checked.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -17,17 +18,18 @@ from scipy.spatial import KDTree
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.budget import cpu_time
-from lieednn_sim.errors import PlanError
+from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.planning.baselines import interpolation, optimisation, sampling
 from lieednn_sim.planning.baselines.optimisation import OptimisationOptions
 from lieednn_sim.planning.baselines.sampling import RrtConnectOptions
+from lieednn_sim.planning.encoded_path import EncodedPath
 from lieednn_sim.planning.motion import Motion, rms_jerk
-from lieednn_sim.planning.network_path import NetworkPath, timed_motion
+from lieednn_sim.planning.network_path import NetworkPath, checked_motion, timed_motion
 from lieednn_sim.planning.network_planners import without_weights
 from lieednn_sim.planning.options import NetworkOptions
 from lieednn_sim.planning.problem import Plan, PlanningProblem, in_time
 from lieednn_sim.planning.time_laws import law_of
-from lieednn_sim.synthesis import ShapingOptions, shape
+from lieednn_sim.synthesis import CurveEncoder, ShapingOptions, shape
 from lieednn_sim.values import Floats, frozen
 
 # From one guess: if that fails, a path of RRT-Connect is a better one than a random guess. The inset keeps it off the
@@ -55,8 +57,10 @@ class ShapedOptions(NetworkOptions):
             it returns to its path after a push.
         teachers: largest number of teachers' motions to try until a network follows one; further ones are other paths
             of RRT-Connect, each from the next seed.
-        neurons: numbers of hidden neurons, tried in turn until the motion is near, smooth, and keeps limits and
-            clearance.
+        encoded: whether to encode the motion in the universal network of the arm first (`synthesis.CurveEncoder`),
+            whose rate is 1; with another rate a network is shaped at once.
+        neurons: numbers of hidden neurons of networks to shape where the universal network does not suffice, tried in
+            turn until the motion is near, smooth, and keeps limits and clearance.
         optimised: whether to optimise trajectories, which is slow among many obstacles; otherwise RRT-Connect's motion
             is followed as it is if minimum jerk is not free of contact.
         optimisation: options of the trajectory optimisation.
@@ -71,6 +75,7 @@ class ShapedOptions(NetworkOptions):
     largest_deviation: float = 5e-3
     rate: float = field(default=1.0, metadata={"range": (0.01, 1.0)})
     teachers: int = 1
+    encoded: bool = True
     neurons: tuple[int, ...] = field(default=(8, 16, 32, 64), metadata={"range": (2, 256)})
     optimised: bool = True
     optimisation: OptimisationOptions = _OPTIMISATION
@@ -83,11 +88,15 @@ class ShapedDetails:
 
     Attributes:
         deviation: largest distance of the end effector's path from the teacher's [m].
-        fit_time: CPU time of the shaping [s].
+        fit_time: CPU time of the encoding and the shaping [s].
+        encoded: whether the network is the universal one, with a code, and not a shaped one.
+        encoding_time: CPU time of the encoding alone [s].
     """
 
     deviation: float
     fit_time: float
+    encoded: bool = False
+    encoding_time: float = 0.0
 
 
 def shaped(problem: PlanningProblem, options: ShapedOptions) -> Plan:
@@ -121,27 +130,50 @@ def _following(problem: PlanningProblem, options: ShapedOptions, teacher: Plan) 
         return Plan(in_time(timed_motion, asked, path), network, ShapedDetails(0.0, 0.0), teacher=teacher)
     law = law_of(guide, units)
     curve = np.concatenate([guide.xi[:-1:_STRIDE], guide.xi_target[None]])
-    line, guide_jerk = _effector(arm, guide), rms_jerk(arm, guide)
-    fit_time, refusal, left = 0.0, "no number of neurons was allowed", list[_Fitted]()
+    line, guide_jerk = _effector(arm, guide.q[::_STRIDE]), rms_jerk(arm, guide)
+    fit_time, encoding_time, refusal, left = 0.0, 0.0, "no number of neurons was allowed", list[_Fitted]()
 
     def planned(candidate: _Fitted) -> Plan | None:
         nonlocal refusal
         path, deviation = candidate.path, candidate.deviation
+
+        def timely(problem: PlanningProblem) -> Motion:
+            if problem.duration == lasts:
+                return checked_motion(problem, candidate.motion)
+            return timed_motion(problem, path, law)
+
         try:
-            motion = in_time(timed_motion, asked, path, law)
+            motion = in_time(timely, asked)
         except PlanError as error:
             refusal = str(error)
             return None
-        return Plan(motion, path.network, ShapedDetails(deviation, fit_time), teacher=teacher)
+        details = ShapedDetails(deviation, fit_time, isinstance(path, EncodedPath), encoding_time)
+        return Plan(motion, path.network, details, teacher=teacher)
 
-    for count in options.neurons:
-        shaping = ShapingOptions(options.rate, neurons=(), placed_neurons=(count,), activation=options.activation)
-        result = shape(curve, options.deviation, units=units, options=shaping)
-        fit_time += result.cpu_time
-        path = NetworkPath.integrate(arm, result.network, problem.start, units)
-        motion = path.timed(lasts, lasts / _N_COMPARED, law)
-        deviation, jerk = _deviation(_effector(arm, motion), line), rms_jerk(arm, motion) / guide_jerk
-        candidate = _Fitted(max(deviation / options.deviation, (jerk - 1.0) / (options.jerk - 1.0)), path, deviation)
+    def paths() -> Iterator[NetworkPath]:
+        nonlocal fit_time, encoding_time, refusal
+        if options.encoded and options.rate == 1.0:
+            try:
+                encoder = CurveEncoder(arm.n_links, options.activation)
+                begun = cpu_time()
+                encoded = encoder.encode(curve, units)
+            except InputError as error:
+                refusal = str(error)
+            else:
+                encoding_time = fit_time = cpu_time() - begun
+                yield EncodedPath.follow(arm, encoder, encoded, problem.start, units)
+        for count in options.neurons:
+            shaping = ShapingOptions(options.rate, neurons=(), placed_neurons=(count,), activation=options.activation)
+            result = shape(curve, options.deviation, units=units, options=shaping)
+            fit_time += result.cpu_time
+            yield NetworkPath.integrate(arm, result.network, problem.start, units)
+
+    for path in paths():
+        motion = path.timed(lasts, problem.timestep, law)
+        some = motion.q[:: max(1, len(motion.q) // _N_COMPARED)]
+        deviation, jerk = _deviation(_effector(arm, some), line), rms_jerk(arm, motion) / guide_jerk
+        badness = max(deviation / options.deviation, (jerk - 1.0) / (options.jerk - 1.0))
+        candidate = _Fitted(badness, path, motion, deviation)
         if candidate.badness <= 1.0:
             if made := planned(candidate):
                 return made
@@ -157,10 +189,11 @@ def _following(problem: PlanningProblem, options: ShapedOptions, teacher: Plan) 
 
 @frozen
 class _Fitted:
-    """A network's path along the teacher's, its badness (at most 1 is accepted at once), and its deviation [m]."""
+    """A network's path and motion; their badness, of which at most 1 is accepted at once, and deviation [m]."""
 
     badness: float
     path: NetworkPath
+    motion: Motion
     deviation: float
 
 
@@ -202,9 +235,9 @@ def lever_units(arm: Arm, q: Floats) -> Floats:
     return units
 
 
-def _effector(arm: Arm, motion: Motion) -> Floats:
-    """Positions ``(K, 3)`` of the end effector [m]."""
-    return np.asarray(arm.link_poses(motion.q).as_matrix()[:, -1, :3, 3])
+def _effector(arm: Arm, q: Floats) -> Floats:
+    """Positions ``(K, 3)`` of the end effector at joint positions ``(K, n)`` [m]."""
+    return np.asarray(arm.link_poses(q).as_matrix()[:, -1, :3, 3])
 
 
 def _deviation(path: Floats, line: Floats) -> float:

@@ -180,7 +180,13 @@ def robustness(
     others = None
     if not reached.all():
         # The reached coordinates do not affect them. They need not be whole twists, so the proof is on W itself.
-        others = robustness(matrix[np.ix_(~reached, ~reached)], gamma=gamma, mu=mu)
+        rest = matrix[np.ix_(~reached, ~reached)]
+        if rest.any():
+            others = robustness(rest, gamma=gamma, mu=mu)
+        else:
+            # Each decays on its own, as one does.
+            every = np.arange(len(rest))
+            others = replace(robustness(rest[:1, :1], gamma=gamma, mu=mu), pushed=every, reached=every)
     return Robustness(moved, np.flatnonzero(reached), tuple(guarantees), others)
 
 

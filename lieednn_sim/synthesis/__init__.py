@@ -4,12 +4,13 @@ from lieednn_sim.synthesis.attempts import RESIDUAL_TOLERANCE
 from lieednn_sim.synthesis.bias import BIAS_RULES, bias_for
 from lieednn_sim.synthesis.certified import synthesize, synthesize_many
 from lieednn_sim.synthesis.result import Synthesis
-from lieednn_sim.synthesis.shaping import Shaping, ShapingOptions, shape
+from lieednn_sim.synthesis.shaping import CurveEncoder, Shaping, ShapingOptions, shape
 from lieednn_sim.typecheck import typecheck_public
 
 __all__ = [
     "BIAS_RULES",
     "RESIDUAL_TOLERANCE",
+    "CurveEncoder",
     "Shaping",
     "ShapingOptions",
     "Synthesis",

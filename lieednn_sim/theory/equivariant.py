@@ -188,9 +188,9 @@ class EquivariantLieEDNN(RigidNetwork):
         return replace(self, rotation=turned, translation=moved, bias=bias)
 
     def _driven(self, state: Floats) -> Floats:
-        size = self.bias.size
-        product = np.einsum("ijab,...jbc->...iajc", self.blocks, self.phi_jacobian(state))
-        return product.reshape(*state.shape[:-2], size, size)
+        driven = self.blocks[: self.n_driven]
+        product = np.einsum("ijab,...jbc->...iajc", driven, self.phi_jacobian(state))
+        return product.reshape(*state.shape[:-2], 6 * self.n_driven, self.bias.size)
 
     def _rotational_field(self, x: Floats) -> Floats:
         omega = x.reshape(-1, 3)

@@ -13,7 +13,9 @@ from scipy.spatial.transform import Rotation
 from lieednn_sim import storage
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.network import LieEDNN
+from lieednn_sim.network.dynamics import runge_kutta_step
 from lieednn_sim.network.hopfield import HopfieldNetwork
+from lieednn_sim.network.runge_kutta import RungeKuttaStepper
 
 seeds = st.integers(0, 2**32 - 1)
 sizes = st.tuples(st.integers(1, 3), st.integers(0, 3), st.integers(0, 3)).filter(lambda sizes: sizes[2] <= sizes[1])
@@ -225,3 +227,31 @@ def test_wrong_states_are_named():
             call(np.zeros((3, 6)))
     with pytest.raises(InputError, match=r"xi must have shape \(\.\.\., 3, 6\), got \(2, 6\)"):
         network.visible(np.zeros((2, 6)))
+
+
+def test_neurons_without_inputs_are_the_same_as_ever():
+    """By the formulas with the whole W, whose rows of zeros a network leaves out."""
+    full = random_network(5, 2, 4, 0, layered=True)
+    alpha = full.alpha.copy()
+    alpha[2:] = 0.0
+    network, rng = dataclasses.replace(full, alpha=alpha), np.random.default_rng(6)
+    assert network.n_driven == 2
+    assert network.driven_weight.shape == (12, 36)
+    x, weight = rng.normal(size=(3, 6, 6)), network.weight
+    flat = x.reshape(3, -1)
+    rate = -1.3 * flat + 0.9 * (np.tanh(flat) @ weight.T + network.bias.ravel())
+    np.testing.assert_allclose(network.vector_field(x).reshape(3, -1), rate, atol=1e-12)
+    np.testing.assert_allclose(network.flat_vector_field(flat[0]), rate[0], atol=1e-12)
+    slopes = 0.9 * weight * (1.0 - np.tanh(flat[0]) ** 2) - 1.3 * np.eye(36)
+    np.testing.assert_allclose(network.jacobian(x[0]), slopes, atol=1e-12)
+    found = network.equilibrium()
+    assert found.success
+    assert np.abs(network.vector_field(found.xi)).max() < 1e-11
+    assert found.spectral_abscissa == pytest.approx(np.linalg.eigvals(network.jacobian(found.xi)).real.max())
+    np.testing.assert_allclose(network.goal(found.xi[:2]), found.xi, atol=1e-12)
+    stepper = RungeKuttaStepper(network)
+    np.testing.assert_allclose(stepper.drive(flat[0]), 0.9 / 1.3 * weight @ np.tanh(flat[0]), atol=1e-12)
+    pull = 0.9 / 1.3 * network.bias.ravel()
+    after, _ = stepper.step(flat[0], stepper.drive(flat[0]), pull, 0.13)
+    by_field = runge_kutta_step(lambda state, _: network.flat_vector_field(state), flat[0], 0.1)
+    np.testing.assert_allclose(after, by_field, atol=1e-12)

@@ -203,3 +203,17 @@ def test_the_smoothed_eigenvalue_and_its_gradient_by_hand():
     value, gradient = smooth_largest(np.array([0.0, np.log(3.0) / 5.0]), np.eye(2), 5.0)
     assert value == pytest.approx(np.log(4.0) / 5.0)
     np.testing.assert_allclose(gradient, np.diag([0.25, 0.75]), atol=1e-12)
+
+
+def test_rows_of_zeros_are_fast_and_change_nothing():
+    rng = np.random.default_rng(4)
+    for inner in (1.0, -5.0):
+        weight = np.zeros((30, 30))
+        weight[[3, 7, 20]] = rng.normal(size=(3, 30))
+        weight[[3, 7, 20], [3, 7, 20]] += inner
+        diagonal = np.exp(rng.normal(size=30))
+        scaled = np.sqrt(diagonal)[:, None] * weight / np.sqrt(diagonal)
+        expected = np.linalg.eigvalsh(0.5 * (scaled + scaled.T))[-1]
+        assert verify(diagonal, weight).lambda_max == pytest.approx(expected, rel=1e-12)
+    # Without inputs of the others what is left are zeros.
+    assert verify(np.ones(5), np.diag([-1.0, -2.0, 0.0, 0.0, 0.0])).lambda_max == 0.0

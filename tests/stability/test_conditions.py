@@ -214,3 +214,19 @@ def test_stiff_networks_are_warned_of():
         assert ("warning: stiff: the strongest coupling is 100 gamma/mu" in str(verdict)) == stiff
     # Without neurons to tell apart the largest entry counts.
     assert assess([[0.0, -300.0], [0.0, 0.0]], gamma=1.0, mu=1.0).stiffness == 300.0
+
+
+def test_many_coordinates_without_inputs_change_no_weighted_condition():
+    """What they send can be scaled away, here by hand."""
+    weight = np.zeros((9, 9))
+    weight[:2] = 30.0 * np.random.default_rng(2).normal(size=(2, 9))
+    weight[:2, :2] = [[0.3, 0.4], [-0.2, 0.1]]
+    verdict, inner = assess(weight, gamma=1.0, mu=1.0), assess(weight[:2, :2], gamma=1.0, mu=1.0)
+    for name in ("weighted log norm", "contraction"):
+        assert verdict[name].value == pytest.approx(inner[name].value, rel=1e-6)
+        assert verdict[name].holds
+    assert verdict["diagonal Lyapunov"].holds
+    assert not verdict["log norm 2"].holds
+    # Their columns small beside the others.
+    scaled = weight * np.where(np.arange(9) < 2, 1.0, 1e-9)
+    assert weighted_norm(scaled).value == pytest.approx(verdict["weighted log norm"].value, rel=1e-5)

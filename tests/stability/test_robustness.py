@@ -243,3 +243,15 @@ def test_words_are_of_contraction_where_there_is_one_and_of_the_best_proof():
     assert "followed within 6\n" in told
     assert "up to 0.5 (Euler), 1.5 (RK4)" in told
     assert "at most 1 away, a tenth of it is left after 0.256 (about the" in str(Robustness(both, both, proofs[2:]))
+
+
+def test_coordinates_without_inputs_take_the_steps_of_one():
+    weight = np.zeros((12, 12))
+    weight[:2] = np.random.default_rng(1).normal(size=(2, 12)) * 0.3
+    whole = robustness(weight, gamma=1.2, mu=0.9, pushed=[0, 1])
+    assert whole.others is not None
+    assert whole.others.reached.tolist() == list(range(10))
+    alone = robustness(np.zeros((10, 10)), gamma=1.2, mu=0.9)
+    for method in ("Euler", "RK4"):
+        assert whole.others.largest_step(method) == pytest.approx(alone.largest_step(method), rel=1e-9)
+    assert whole.push_gain(watched=[11]) == 0.0

@@ -1,0 +1,75 @@
+"""The path of an arm that follows a universal network, in closed form: nothing is integrated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
+
+from lieednn_sim.arm import Arm
+from lieednn_sim.network import LieEDNN
+from lieednn_sim.planning.motion import Motion
+from lieednn_sim.planning.network_path import NetworkPath
+from lieednn_sim.planning.time_laws import Law
+from lieednn_sim.synthesis import CurveEncoder
+from lieednn_sim.validation import as_floats
+from lieednn_sim.values import Floats
+
+# Every second instant of the closed form is decoded: the interpolation between them is good to a micrometre.
+_STRIDE = 2
+
+
+@dataclass(frozen=True, eq=False)
+class EncodedPath(NetworkPath):
+    """The path of an arm that follows a universal network (`synthesis.CurveEncoder`) with a code.
+
+    Positions on it are w = 1 - e^-tau, in which it is smooth to its end.
+
+    Attributes:
+        trajectory: visible states ``(..., N, 6)`` and the speed along them, both as functions of w.
+        joints: joint positions ``(..., n)`` as a function of w, decoded at the instants of the closed form.
+    """
+
+    trajectory: tuple[CubicHermiteSpline, PchipInterpolator]
+    joints: CubicHermiteSpline
+
+    @classmethod
+    def follow(cls, arm: Arm, encoder: CurveEncoder, network: LieEDNN, start: ArrayLike, units: Floats) -> EncodedPath:
+        """The path of a network of ``encoder`` from joint position ``start`` ``(n,)``.
+
+        Args:
+            arm: decodes states to joint positions.
+            encoder: the encoder.
+            network: its network, with the code of a curve.
+            start: joint position at rest.
+            units: ``(N, 6)`` units of the visible neurons' coordinates in the path's length, as in
+                `NetworkPath.integrate`.
+
+        Raises:
+            InputError: the start is out of limits, or the network is none of the encoder's.
+        """
+        begin = arm.check_position(start, "start")
+        origin = network.start(arm.encode(begin))
+        visible = encoder.path(network, network.visible(origin))
+        w = visible.x
+        target = network.goal(network.bias[: network.n_visible])
+        speed = PchipInterpolator(w, np.linalg.norm(visible(w, 1) * units, axis=(-2, -1)))
+        some = np.append(w[:-1:_STRIDE], w[-1])
+        decoded = arm.decode(visible(some), visible(some, 1), begin)
+        joints = CubicHermiteSpline(some, decoded.q, decoded.qd)
+        return cls(arm, network, begin, origin, target, (visible, speed), joints)
+
+    def state(self, tau: ArrayLike) -> Floats:
+        """States ``(..., N, 6)`` of all neurons at the network's own times ``(...)``, up to the path's end."""
+        visible, fading = self.trajectory[0], np.exp(-as_floats("tau", tau, (), batched=True))
+        states = self.target + fading[..., None, None] * (self.origin - self.target)
+        states[..., : self.network.n_visible, :] = visible(np.minimum(1.0 - fading, visible.x[-1]))
+        return states
+
+    def _timed(self, duration: float, timestep: float, law: Law) -> Motion:
+        t, w, rate = self._positions(duration, timestep, law)
+        xi, q, qd = self.trajectory[0](w), self.joints(w), self.joints(w, 1) * rate[:, None]
+        qd[[0, -1]] = 0.0
+        return Motion(t, -np.log1p(-w), xi, self.network.visible(self.target), q, qd, *self.arm.gap(xi, q))

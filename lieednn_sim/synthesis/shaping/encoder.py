@@ -1,0 +1,277 @@
+"""A universal network: its weights are fixed and certified once, and the hidden neurons' start encodes any curve.
+
+Each visible neuron has `CODE_PAIRS` pairs of opposite switches (`pairs`) and nothing else. From a code of zero it goes
+straight to the target. With g = e^-t, r a hidden neuron's rest state and h(0) = r + c + delta, it obeys
+
+    x(g) = x_d + g (x_0 - x_d) + g int_g^1 u(s) / s^2 ds
+    u(s) = D sum_m [phi(z_m + s delta_m) - phi(z_m - s delta_m)],    z_m = a_m + c_m s.
+
+Here u is odd in delta, and nearly linear while codes are small. So encoding is one linear least-squares problem,
+solved beforehand for all curves: a product of matrices remains. The proof of arrival is that of the weights, whatever
+the code; how close the path is to the curve is a fit. Some pairs lie beyond the ends of the way, so that the first and
+the last part of it have as many bumps as its middle.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.interpolate import CubicHermiteSpline
+from scipy.ndimage import gaussian_filter1d
+
+from lieednn_sim._blas import one_blas_thread
+from lieednn_sim.errors import InputError, NotCertifiedError
+from lieednn_sim.network import ACTIVATIONS, DEFAULT_ACTIVATION, LieEDNN
+from lieednn_sim.network.componentwise import as_activation
+from lieednn_sim.synthesis.shaping.assembly import assemble
+from lieednn_sim.synthesis.shaping.cascade import TAIL, Parameters
+from lieednn_sim.synthesis.shaping.pairs import LARGEST_CODE
+from lieednn_sim.validation import as_count, as_floats
+from lieednn_sim.values import Floats, frozen
+
+# Pairs for each visible neuron, the part of the clock over which they are spread, and slope times spacing.
+CODE_PAIRS, _SPREAD, _SLOPE = 48, (-0.1, 1.05), 0.6
+# Largest number of visible neurons: arrays of hidden ones grow with its square, to 0.2 GB.
+_MOST_VISIBLE = 16
+# D. Codes of the package's arms reach about a third of `LARGEST_CODE`.
+_STRENGTH = 80.0
+# Instants of the fit and of the path in closed form: this many even steps of g, then steps by this ratio, to this g.
+_STEPS, _RATIO, _LEAST_CLOCK = 360, 0.75, 5e-10
+# Every third instant is one of the fit.
+_STRIDE = 3
+# Ripples shorter than 2 pi times this fraction of the clock count more than deviations.
+_RIPPLE, _LEAST_RIPPLING = 0.02, 0.01
+# Weight of the squared codes D delta.
+_RIDGE = 1e-6
+# A turn of the tangent by one radian takes as much of the clock as this fraction of the length, smoothed over the
+# second; looked at on this many pieces.
+_CLOCK_PER_TURN, _SMOOTHING, _PIECES = 0.2, 0.02, 256
+# Powers of a code in its bump; the next one is below rounding.
+_POWERS = np.array([1, 3, 5])
+
+
+class CurveEncoder:
+    """The universal network of an arm with ``n_visible`` links, and the codes of curves.
+
+    The network is made and certified once for each size in a process; all encoders of a size share it.
+
+    Args:
+        n_visible: number N of visible neurons, at most 16.
+        activation: a name of `ACTIVATIONS`.
+
+    Attributes:
+        network: the certified `LieEDNN` with code zero and target zero: N visible neurons and M = 2 N `CODE_PAIRS`
+            hidden ones, gamma = mu = 1, rate rho = 1.
+
+    Raises:
+        InputError: a value is out of range.
+    """
+
+    def __init__(self, n_visible: int, activation: str = DEFAULT_ACTIVATION) -> None:
+        count, name = as_count("n_visible", n_visible), as_activation(activation)
+        if count > _MOST_VISIBLE:
+            raise InputError(f"n_visible must be at most {_MOST_VISIBLE}, got {count}")
+        self.network, self._silent = _universal(count, name)
+        self._basis = _basis(name)
+
+    def encode(self, curve: ArrayLike, units: ArrayLike = 1.0) -> LieEDNN:
+        """The universal network with the code and the target of a curve.
+
+        Args:
+            curve: samples ``(K, N, 6)`` from start to target; where it is matters, not when.
+            units: metres that one unit of each coordinate counts for in the curve's length, of a shape that broadcasts
+                to ``(N, 6)``.
+
+        Raises:
+            InputError: a shape does not fit, or the curve's code exceeds `LARGEST_CODE`, beyond which bumps are not
+                linear in the code.
+        """
+        samples = self._checked(curve, batched=False)
+        return self.with_code(self._coded(samples[None], units)[0], samples[-1])
+
+    def codes(self, curves: ArrayLike, units: ArrayLike = 1.0) -> Floats:
+        """Hidden starts ``(..., M, 6)`` of curves ``(..., K, N, 6)``; see `encode`."""
+        samples = self._checked(curves, batched=True)
+        flat = samples.reshape(-1, *samples.shape[-3:])
+        return self._coded(flat, units).reshape(*samples.shape[:-3], *self._silent.shape)
+
+    def with_code(self, code: ArrayLike, target: ArrayLike) -> LieEDNN:
+        """The universal network with a code ``(M, 6)``, to a target ``(N, 6)``; the certificate is not checked again.
+
+        Raises:
+            InputError: a shape does not fit.
+        """
+        return self.network.retarget(target).with_start(as_floats("code", code, self._silent.shape))
+
+    def path(self, network: LieEDNN, start: ArrayLike) -> CubicHermiteSpline:
+        """States ``(..., N, 6)`` of the visible neurons in closed form, as a function of w = 1 - e^-t.
+
+        It ends where e^-t is 5e-10. A test integrates the network for comparison.
+
+        Args:
+            network: the universal network with any code and target.
+            start: ``(N, 6)`` visible start.
+
+        Raises:
+            InputError: a shape does not fit, or the network is another one or has a code out of range.
+        """
+        n = self.network.n_visible
+        if not np.array_equal(network.alpha, self.network.alpha):
+            raise InputError("the network must be one of this encoder, with a code")
+        shift = (network.hidden_start - self._silent).reshape(n, 2, CODE_PAIRS, 6)
+        code = shift.mean(axis=1).transpose(1, 0, 2).reshape(CODE_PAIRS, -1)
+        self._require_range(code)
+        basis, target = self._basis, network.bias[:n]
+        powers = code ** _POWERS[:, None, None]
+        bent, driven = (
+            np.asarray(sum(one @ power for one, power in zip(table, powers, strict=True)))
+            for table in (basis.shifts, basis.drives)
+        )
+        offset = (as_floats("start", start, (n, 6)) - target).ravel()
+        away = basis.g[:, None] * offset + bent
+        # From x' = u - (x - x_d) in the network's time: dx/dg = ((x - x_d) - u) / g.
+        slope = (driven - away) / basis.g[:, None]
+        shape = (len(basis.g), n, 6)
+        return CubicHermiteSpline(1.0 - basis.g, target + away.reshape(shape), slope.reshape(shape))
+
+    def _coded(self, curves: Floats, units: ArrayLike) -> Floats:
+        basis, n = self._basis, self.network.n_visible
+        try:
+            scale = np.broadcast_to(as_floats("units", units, (), batched=True), (n, 6))
+        except ValueError:
+            raise InputError(f"units must broadcast to ({n}, 6), got shape {np.shape(units)}") from None
+        g = basis.fitted
+        with one_blas_thread():
+            at = np.stack([_at_clock(curve, scale, 1.0 - g) for curve in curves])
+            missing = at - curves[:, -1:] - g[:, None, None] * (curves[:, :1] - curves[:, -1:])
+            code = basis.solution @ missing.reshape(len(curves), len(g), -1)
+        self._require_range(code)
+        # ``(B, pairs, N 6)`` to ``(B, N, 1, pairs, 6)``.
+        shift = code.reshape(len(curves), CODE_PAIRS, n, 1, 6).transpose(0, 2, 3, 1, 4)
+        whole = np.broadcast_to(shift, (len(curves), n, 2, CODE_PAIRS, 6))
+        return self._silent + whole.reshape(len(curves), *self._silent.shape)
+
+    def _require_range(self, code: Floats) -> None:
+        largest = float(np.abs(code).max(initial=0.0))
+        if largest > LARGEST_CODE:
+            raise InputError(
+                f"the curve's code must stay below {LARGEST_CODE:g}, up to which bumps are linear in it, and would "
+                f"reach {largest:.3g}: the curve is too long or too sharply bent for the universal network"
+            )
+
+    def _checked(self, curves: ArrayLike, *, batched: bool) -> Floats:
+        samples = as_floats("curve", curves, ("K", self.network.n_visible, 6), batched=batched)
+        if samples.shape[-3] < 2:
+            raise InputError(f"a curve must have at least two samples, got {samples.shape[-3]}")
+        return samples
+
+
+@frozen
+class _Basis:
+    """Bumps of one visible neuron's pairs, and how curves become codes.
+
+    Attributes:
+        g: ``(K,)`` instants of the closed form.
+        shifts: ``(3, K, pairs)`` displacements at the instants, for each of `_POWERS` of the code.
+        drives: ``(3, K, pairs)`` inputs u there, likewise.
+        fitted: ``(F,)`` g at the instants of the fit.
+        solution: ``(pairs, F)`` from a displacement there to the code.
+    """
+
+    g: Floats
+    shifts: Floats
+    drives: Floats
+    fitted: Floats
+    solution: Floats
+
+
+def _places() -> tuple[Floats, Floats]:
+    """Equilibria a and slopes c ``(pairs,)`` of the first switches of the pairs."""
+    low, high = _SPREAD
+    c = np.full(CODE_PAIRS, _SLOPE * CODE_PAIRS / (high - low))
+    return -c * (1.0 - low - (high - low) * (np.arange(CODE_PAIRS) + 0.5) / CODE_PAIRS), c
+
+
+@lru_cache(maxsize=8)
+def _universal(n: int, activation: str) -> tuple[LieEDNN, Floats]:
+    """The universal network of N visible neurons, and the hidden start of code zero."""
+    a, c = (np.tile(np.outer([1.0, -1.0], part).ravel(), n)[:, None] * np.ones(6) for part in _places())
+    q = np.zeros((n, n, 2 * CODE_PAIRS, 4))
+    q[np.arange(n), np.arange(n), :, 0] = np.sqrt(_STRENGTH)
+    parameters = Parameters(a, c, q.reshape(n, -1, 4), np.zeros((n, len(a), 3)))
+    network = assemble(parameters, 1.0, np.zeros((n, 6)), activation)
+    if not network.certified:
+        raise NotCertifiedError(f"the closed-form certificate does not hold ({network.certificate})")
+    return network, network.hidden_start
+
+
+@lru_cache(maxsize=2)
+def _basis(activation: str) -> _Basis:
+    phi = ACTIVATIONS[activation].phi
+    a, c = _places()
+    # An odd polynomial in d through phi(z + d) - phi(z - d) at as many d as it has terms.
+    tried = LARGEST_CODE * np.arange(1.0, 1.0 + len(_POWERS)) / len(_POWERS)
+    of_values = _STRENGTH * np.linalg.inv(tried[:, None] ** _POWERS)
+
+    def inputs(g: Floats) -> Floats:
+        z = a + c * g[:, None]
+        values = np.stack([phi(z + d) - phi(z - d) for d in tried])
+        return np.tensordot(of_values, values, 1) * (g ** _POWERS[:, None])[..., None]
+
+    first = np.linspace(1.0, 1.0 / _STEPS, _STEPS)
+    # The first geometric steps may not be longer than the even ones.
+    even = first[first > 1.0 / (_STEPS * (1.0 - _RATIO))]
+    count = int(np.ceil(np.log(_LEAST_CLOCK / even[-1]) / np.log(_RATIO)))
+    g = np.append(even, even[-1] * (_LEAST_CLOCK / even[-1]) ** (np.arange(1.0, count + 1.0) / count))
+    node, weight = np.polynomial.legendre.leggauss(3)
+    width = -np.diff(g)
+    fine = g[1:, None] + 0.5 * width[:, None] * (node + 1.0)
+    masses = 0.5 * width[:, None] * weight / fine**2
+    pieces = (inputs(fine.ravel()).reshape(len(_POWERS), *fine.shape, -1) * masses[..., None]).sum(axis=2)
+    shifts = np.concatenate([np.zeros((len(_POWERS), 1, CODE_PAIRS)), np.cumsum(pieces, axis=1)], axis=1)
+    shifts *= g[:, None]
+    looks = np.append(np.arange(0, len(even), _STRIDE), np.arange(len(even), len(g), _STRIDE))
+    bumps = shifts[0, looks]
+    # Near the end u = D delta s 2 phi'(a), and x - x_d = e^-t (A + B t) with B = 2 D phi'(a) delta.
+    tail = 2.0 * TAIL * _STRENGTH * ACTIVATIONS[activation].slope(a)
+    ripples = _third_derivative(1.0 - g[looks])
+    rows = np.concatenate([bumps, _RIPPLE**3 * (ripples @ bumps), tail[None], _RIDGE**0.5 * _STRENGTH * np.eye(len(a))])
+    inverse = np.linalg.pinv(rows)
+    count = len(looks)
+    solution = inverse[:, :count] + inverse[:, count : count + len(ripples)] @ (_RIPPLE**3 * ripples)
+    return _Basis(g, shifts, inputs(g), g[looks], solution)
+
+
+def _third_derivative(w: Floats) -> Floats:
+    """Matrix of third divided differences of values at ``w``, up to `_LEAST_RIPPLING` before the end."""
+    used = int((w < 1.0 - _LEAST_RIPPLING).sum())
+    matrix = np.eye(used, len(w))
+    for order in (1, 2, 3):
+        matrix = order * np.diff(matrix, axis=0) / (w[order:used] - w[: used - order])[:, None]
+    return matrix
+
+
+def _at_clock(curve: Floats, units: Floats, w: Floats) -> Floats:
+    """Points ``(F, N, 6)`` of a curve ``(K, N, 6)`` at fractions ``(F,)`` of the clock, slower where it turns."""
+    steps = (np.diff(curve, axis=0) * units).reshape(len(curve) - 1, -1)
+    passed = np.append(0.0, np.cumsum(np.sqrt(np.einsum("ki,ki->k", steps, steps))))
+    if passed[-1] <= 0.0:
+        return np.broadcast_to(curve[-1], (len(w), *curve.shape[1:]))
+    even = np.linspace(0.0, 1.0, _PIECES + 1)
+    pieces = np.diff((_interpolated(passed, curve, even * passed[-1]) * units).reshape(len(even), -1), axis=0)
+    pieces /= np.maximum(np.sqrt(np.einsum("ki,ki->k", pieces, pieces)), 1e-300)[:, None]
+    turns = np.diff(pieces, axis=0)
+    turning = np.pad(np.sqrt(np.einsum("ki,ki->k", turns, turns)), 1)
+    turning = gaussian_filter1d(turning, _SMOOTHING * _PIECES, mode="nearest")
+    spent = even + _CLOCK_PER_TURN * np.append(0.0, np.cumsum(0.5 * (turning[1:] + turning[:-1])))
+    return _interpolated(passed, curve, np.interp(w, spent / spent[-1], even * passed[-1]))
+
+
+def _interpolated(x: Floats, values: Floats, wanted: Floats) -> Floats:
+    """Linear interpolation of ``values`` ``(K, ...)`` at nondecreasing ``x`` ``(K,)``."""
+    low = np.clip(np.searchsorted(x, wanted, side="right") - 1, 0, len(x) - 2)
+    part = (wanted - x[low]) / np.maximum(x[low + 1] - x[low], 1e-300)
+    start = values[low]
+    return np.asarray(start + np.clip(part, 0.0, 1.0)[:, None, None] * (values[low + 1] - start))
