@@ -15,13 +15,17 @@ from lieednn_sim.cli.joint_demonstrations import learn_joints
 from lieednn_sim.cli.run_directory import PLOT_KINDS
 from lieednn_sim.errors import InputError
 from lieednn_sim.learning.demonstrations import Demonstrations, align, load_demonstrations
+from lieednn_sim.learning.demonstrations.alignment import goal_distance
 from lieednn_sim.learning.demonstrations.family import describe, ridges_of
 from lieednn_sim.learning.demonstrations.shaped import ShapedMotion
 from lieednn_sim.manifest import Manifest
-from lieednn_sim.studies.demonstrations.models import RIVALS, ModelRow, compare_models, models_table
+from lieednn_sim.studies.demonstrations.models import RIVALS, ModelRow, compare_models, family_deviation, models_table
 from lieednn_sim.studies.demonstrations.plots import plot_field, plot_paths
 from lieednn_sim.synthesis import ShapingOptions
 from lieednn_sim.validation import as_choice, as_count, as_seed
+
+# Distance of goals from their mean that is told, in extents of the demonstrations.
+_GOALS_APART = 0.01
 
 
 def learn(arguments: argparse.Namespace) -> None:
@@ -42,7 +46,9 @@ def learn(arguments: argparse.Namespace) -> None:
     shown = load_demonstrations(
         arguments.files, unit=arguments.unit, quaternion=arguments.quaternion, rate=arguments.sample_rate
     )
-    demonstrations = align(shown, phase=arguments.phase)
+    aligned = align(shown, phase=arguments.phase)
+    demonstrations = align(shown, phase=arguments.phase, goals=arguments.goals)
+    apart = goal_distance(shown)
     if demonstrations.extent <= 0.0:
         raise InputError("the mean of the demonstrations does not move")
     with filesystem.created(arguments.output) as directory, filesystem.locked(directory):
@@ -56,6 +62,7 @@ def learn(arguments: argparse.Namespace) -> None:
                 shaped,
                 options,
                 rivals=rivals,
+                aligned=aligned,
                 starts=starts,
                 leave_one_out=not arguments.no_leave_one_out,
                 seed=seed,
@@ -63,13 +70,18 @@ def learn(arguments: argparse.Namespace) -> None:
             )
         with manifest.replacing(outputs) as (network, report, paths, field):
             shaped.network.save(network)
-            storage.save_json(report, _report(arguments, demonstrations, shaped, rows))
-            plot_paths(models, demonstrations, paths)
+            found = _report(arguments, demonstrations, shaped, rows)
+            storage.save_json(report, {**found, "goal_distance_m": apart})
+            drawn = {shaped.name: shaped} if demonstrations.goals_kept else models
+            plot_paths(drawn, demonstrations, paths)
             plot_field(shaped, demonstrations, field, seed)
     console.print(
         f"{len(shown)} demonstrations, {shown[0].shown}, {demonstrations.extent:.3g} m across, "
         f"{demonstrations.duration:.3g} s; {shaped.shaping.message}; {describe(shaped.response)}"
     )
+    if apart > _GOALS_APART * demonstrations.extent:
+        seen = "kept" if demonstrations.goals_kept else "aligned: each path is seen from its own (see --goals)"
+        console.print(f"goals are up to {apart:.3g} m from their mean, and {seen}")
     console.print(models_table(rows, turns=demonstrations.dof == 6))
     console.print(f"stability: {shaped.network.certificate}")
     wrote(*outputs)
@@ -86,6 +98,7 @@ def _report(
         "quaternion": arguments.quaternion,
         "sample_rate_hz": arguments.sample_rate,
         "phase": arguments.phase,
+        "goals": arguments.goals,
         "clock_rate": arguments.clock_rate,
         "seed": arguments.seed,
         "family": not arguments.no_family,
@@ -102,6 +115,7 @@ def _report(
         "network_within_deviation": shaped.shaping.success,
         "network_certified": shaped.network.certified,
         "ridges": ridges_of(shaped.response),
+        "family_deviation_m": family_deviation(shaped, demonstrations),
         # The time law: at t [s] the network is at its own time tau.
         "t_s": shaped.t.tolist(),
         "tau": shaped.tau.tolist(),

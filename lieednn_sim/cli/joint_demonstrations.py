@@ -18,7 +18,7 @@ from lieednn_sim.cli.task import DEMONSTRATED
 from lieednn_sim.errors import InputError
 from lieednn_sim.learning.demonstrations.family import describe, ridges_of
 from lieednn_sim.planning.demonstrated import JointDemonstrations, JointMotion
-from lieednn_sim.studies.demonstrations.joints import joints_table, study_joints
+from lieednn_sim.studies.demonstrations.joints import joints_table, motion_to, study_joints
 from lieednn_sim.studies.demonstrations.plots import plot_joint_paths
 from lieednn_sim.synthesis import ShapingOptions
 from lieednn_sim.validation import as_count, as_seed
@@ -39,7 +39,9 @@ def learn_joints(arguments: argparse.Namespace) -> None:
     seed = as_seed("seed", arguments.seed)
     options = ShapingOptions(rate=arguments.clock_rate)
     arm = Arm.load(arguments.arm, **import_options(arguments))
-    shown = JointDemonstrations.load(arm, arguments.files, rate=arguments.sample_rate, phase=arguments.phase)
+    shown = JointDemonstrations.load(
+        arm, arguments.files, rate=arguments.sample_rate, phase=arguments.phase, goals=arguments.goals
+    )
     with run.made():
         learned = JointMotion.fit(shown, arguments.deviation, options, seed, family=not arguments.no_family)
         motion, refusal = learned.planned(shown.mean[0])
@@ -58,6 +60,7 @@ def learn_joints(arguments: argparse.Namespace) -> None:
             "files": [str(name) for name in arguments.files],
             "sample_rate_hz": arguments.sample_rate,
             "phase": arguments.phase,
+            "goals": arguments.goals,
             "clock_rate": arguments.clock_rate,
             "deviation_m": arguments.deviation,
             "family": not arguments.no_family,
@@ -87,7 +90,7 @@ def learn_joints(arguments: argparse.Namespace) -> None:
             **asdict(study),
         }
         reproduced = learned.run(shown.mean[0]).q
-        fan = [learned.run(one[0]).q for one in shown.q] if learned.response else []
+        fan = [motion_to(learned, shown, one[-1]).run(one[0]).q for one in shown.q] if learned.response else []
         results = [run.report, run.demonstrations_plot, run.starts_plot]
         with run.manifest.replacing(results) as (report, demonstrations_plot, starts_plot):
             storage.save_json(report, found)

@@ -255,6 +255,11 @@ def add_demonstrations(parser: argparse.ArgumentParser) -> None:
         "--phase", default="length", help="align demonstrations by 'length', the fraction of their path, or by 'time'"
     )
     parser.add_argument(
+        "--goals",
+        default="aligned",
+        help="'aligned': each path is seen from its own goal; 'kept': goals differ, and the path depends on its goal",
+    )
+    parser.add_argument(
         "--deviation",
         type=decimal,
         metavar="M",

@@ -48,6 +48,7 @@ class BlockNetwork(ABC):
         "hidden_start",
         "start_gain",
         "start_reference",
+        "goal_gain",
         "n_clock",
     )
     # Cached values independent of the visible neurons' bias, which `retarget` hands over.
@@ -76,6 +77,11 @@ class BlockNetwork(ABC):
     @cached_property
     def start_reference(self) -> Floats | None:
         """Visible start ``(N - M, d)`` at which the hidden one is `hidden_start`; None without a gain."""
+        return None
+
+    @cached_property
+    def goal_gain(self) -> Floats | None:
+        """Gain L ``(dM, d (N - M))`` from the visible equilibrium to hidden starts, see `retarget`; None for zero."""
         return None
 
     @property
@@ -306,7 +312,8 @@ class BlockNetwork(ABC):
         The visible neurons' bias becomes b = (gamma/mu) x - W phi(x) with x the `goal`; the hidden ones keep theirs.
         The certificate does not depend on the bias: a certified network stays certified. The `start_reference` moves
         with the equilibrium, so that hidden starts depend on the visible one as seen from the target: a cascade
-        retargeted by d and started from xi + d repeats its motion from xi, shifted by d.
+        retargeted by d and started from xi + d repeats its motion from xi, shifted by d. With a `goal_gain` L the
+        `hidden_start` moves by L d, so that the motion to another target may be another one.
 
         Raises:
             InputError: the hidden neurons have no equilibrium while the visible ones are at ``xi``, or there is a gain,
@@ -322,7 +329,11 @@ class BlockNetwork(ABC):
         vars(network)["bias"] = read_only(as_floats("bias", bias, bias.shape))
         if self.start_reference is not None:
             reached = target[: self.n_visible]
-            vars(network)["start_reference"] = read_only(self.start_reference + (reached - self._visible_target))
+            moved = reached - self._visible_target
+            vars(network)["start_reference"] = read_only(self.start_reference + moved)
+            if self.goal_gain is not None:
+                shift = (self.goal_gain @ moved.ravel()).reshape(self.hidden_start.shape)
+                vars(network)["hidden_start"] = read_only(self.hidden_start + shift)
             vars(network)["_visible_target"] = read_only(reached)
         return network
 

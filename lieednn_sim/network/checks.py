@@ -57,16 +57,18 @@ def as_hidden(hidden_start: ArrayLike, n_clock: int, n: int) -> dict[str, Floats
 
 
 def as_start_law(
-    gain: ArrayLike | None, reference: ArrayLike | None, n_hidden: int, n: int
+    gain: ArrayLike | None, reference: ArrayLike | None, goal_gain: ArrayLike | None, n_hidden: int, n: int
 ) -> dict[str, Floats | None]:
-    """Return the gain and the reference of hidden starts checked, by name, in a network of n neurons."""
-    if gain is None and reference is None:
-        return {"start_gain": None, "start_reference": None}
+    """Return the gains and the reference of hidden starts checked, by name, in a network of n neurons."""
+    if gain is None and reference is None and goal_gain is None:
+        return {"start_gain": None, "start_reference": None, "goal_gain": None}
     if gain is None or reference is None:
-        raise InputError("start_gain and start_reference must be given together, or neither")
+        raise InputError("start_gain and start_reference must be given together, or neither; goal_gain needs both")
     visible = n - n_hidden
+    shape = (6 * n_hidden, 6 * visible)
     return {
-        "start_gain": as_floats("start_gain", gain, (6 * n_hidden, 6 * visible)),
+        "start_gain": as_floats("start_gain", gain, shape),
+        "goal_gain": None if goal_gain is None else as_floats("goal_gain", goal_gain, shape),
         "start_reference": as_floats("start_reference", reference, (visible, 6)),
     }
 

@@ -75,6 +75,7 @@ class LieEDNN(RigidNetwork, ComponentwiseNetwork):
         n_clock: number of hidden neurons, the last ones, that are the clock.
         start_gain: ``(6M, 6 (N - M))`` K, how hidden starts depend on visible ones (see `start`); None if they do not.
         start_reference: ``(N - M, 6)`` visible start at which the hidden one is ``hidden_start``; None without a gain.
+        goal_gain: ``(6M, 6 (N - M))`` L, how ``hidden_start`` moves with the target (see `retarget`); None if it stays.
 
     Raises:
         InputError: wrong shapes, entries that are not finite, or matrices that are no rotations.
@@ -92,6 +93,7 @@ class LieEDNN(RigidNetwork, ComponentwiseNetwork):
     n_clock: int = 0
     start_gain: Floats | None = None
     start_reference: Floats | None = None
+    goal_gain: Floats | None = None
 
     _kind: ClassVar[str] = "network"
     _arrays: ClassVar[tuple[str, ...]] = (
@@ -103,6 +105,7 @@ class LieEDNN(RigidNetwork, ComponentwiseNetwork):
         "hidden_start",
         "start_gain",
         "start_reference",
+        "goal_gain",
     )
     _scalars: ClassVar[tuple[str, ...]] = ("gamma", "mu", "activation", "n_clock")
 
@@ -119,11 +122,15 @@ class LieEDNN(RigidNetwork, ComponentwiseNetwork):
             activation=as_activation(self.activation),
             lyapunov_diagonal=None if diagonal is None else as_floats("lyapunov_diagonal", diagonal, (3 * n,)),
             **as_hidden(self.hidden_start, self.n_clock, n),
-            **as_start_law(self.start_gain, self.start_reference, len(self.hidden_start), n),
+            **as_start_law(self.start_gain, self.start_reference, self.goal_gain, len(self.hidden_start), n),
         )
 
     def with_start(
-        self, hidden_start: Floats, start_gain: Floats | None = None, start_reference: Floats | None = None
+        self,
+        hidden_start: Floats,
+        start_gain: Floats | None = None,
+        start_reference: Floats | None = None,
+        goal_gain: Floats | None = None,
     ) -> LieEDNN:
         """The same network with other starts of its hidden neurons, which are the code of its motion.
 
@@ -133,12 +140,13 @@ class LieEDNN(RigidNetwork, ComponentwiseNetwork):
             hidden_start: ``(M, 6)``.
             start_gain: ``(6M, 6 (N - M))``, or None if the start is the same whatever the visible one is.
             start_reference: ``(N - M, 6)``, with a gain.
+            goal_gain: ``(6M, 6 (N - M))``, with a gain, or None if `retarget` leaves the code as it is.
 
         Raises:
             InputError: a shape does not fit.
         """
         start = as_floats("hidden_start", hidden_start, self.hidden_start.shape)
-        law = as_start_law(start_gain, start_reference, self.n_hidden, self.n_neurons)
+        law = as_start_law(start_gain, start_reference, goal_gain, self.n_hidden, self.n_neurons)
         network = object.__new__(type(self))
         vars(network).update(vars(self))
         set_fields(network, hidden_start=start, **law)

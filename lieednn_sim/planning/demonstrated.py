@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError, PlanError
-from lieednn_sim.learning.demonstrations.alignment import PHASES, at_phases
+from lieednn_sim.learning.demonstrations.alignment import GOALS, PHASES, at_phases
 from lieednn_sim.learning.demonstrations.family import Response, with_response
 from lieednn_sim.learning.demonstrations.files import TIMES, read_tables
 from lieednn_sim.network import LieEDNN
@@ -50,16 +50,24 @@ class JointDemonstrations:
         t: ``(K,)`` mean time at which a phase is reached, from 0 to the mean duration [s].
         q: ``(m, K, n)`` joint positions [rad, m].
         units: ``(N, 6)`` metres for one unit of each network coordinate, `lever_units`.
+        goals_kept: whether each ends at its own goal; else all end at one.
     """
 
     arm: Arm
     t: Floats
     q: Floats
     units: Floats
+    goals_kept: bool = False
 
     @classmethod
     def load(
-        cls, arm: Arm, files: Iterable[str | os.PathLike[str]], *, rate: float = 100.0, phase: str = "length"
+        cls,
+        arm: Arm,
+        files: Iterable[str | os.PathLike[str]],
+        *,
+        rate: float = 100.0,
+        phase: str = "length",
+        goals: str = "aligned",
     ) -> JointDemonstrations:
         """Read files as `load_demonstrations` does, but with the arm's joints as columns.
 
@@ -71,13 +79,15 @@ class JointDemonstrations:
             files: at least one.
             rate: sampling rate of files without times [1/s].
             phase: a name of `PHASES`; see `align`.
+            goals: ``"aligned"``, all end at one goal, or ``"kept"``, each at its own.
 
         Raises:
             FileError: a file cannot be read, or is none of these.
             InputError: a file is no motion of the arm within its limits, or ends differ by more than 2 % of a joint's
-                range.
+                range and are not kept.
         """
         as_choice("phase", phase, PHASES)
+        kept = as_choice("goals", goals, GOALS) == "kept"
         rate = as_positive("rate", rate)
         tables = read_tables(files, partial(_joint_columns, arm))
         shown = [_motion(arm, source, samples, t, rate) for source, samples, t in tables]
@@ -94,12 +104,13 @@ class JointDemonstrations:
         ends = np.array([path[-1] for path in paths])
         goal = ends.mean(axis=0)
         k, joint = map(int, np.unravel_index(np.argmax(np.abs(ends - goal) / arm.ranges), ends.shape))
-        if np.abs(ends[k, joint] - goal[joint]) > _MAX_END_DISTANCE * arm.ranges[joint]:
+        if not kept and np.abs(ends[k, joint] - goal[joint]) > _MAX_END_DISTANCE * arm.ranges[joint]:
             raise InputError(
                 f"demonstrations must end at one goal: {tables[k][0]} ends with joint {arm.joint_names[joint]!r} at "
-                f"{ends[k, joint]:.4g} {arm.unit(joint)}, their mean is {goal[joint]:.4g}; learn other goals apart"
+                f"{ends[k, joint]:.4g} {arm.unit(joint)}, their mean is {goal[joint]:.4g}; "
+                "keep their goals (--goals kept), or learn other goals apart"
             )
-        made = cls(arm, np.mean(times, axis=0), np.array(paths), units)
+        made = cls(arm, np.mean(times, axis=0), np.array(paths), units, kept)
         for configuration, what in ((made.mean[0], "the mean start"), (made.mean[-1], "the mean end")):
             arm.check_reachable(configuration, what)
         return made
@@ -189,8 +200,14 @@ class JointMotion:
         duration = float(demonstrations.t[-1])
         network, response = shaping.network, None
         if family and (options is None or options.rate == 1.0):
-            network, response = with_response(shaping, curve, arm.encode(demonstrations.q), demonstrations.units)
+            paths = arm.encode(demonstrations.q)
+            network, response, _ = with_response(shaping, curve, paths, demonstrations.units, demonstrations.goals_kept)
         return cls(network, arm, demonstrations.units, mean[-1], duration, law, shaping, response)
+
+    def toward(self, goal: Floats) -> JointMotion:
+        """The motion to another joint position ``(n,)``, as `ShapedMotion.toward`."""
+        goal = self.arm.check_position(goal, "goal")
+        return replace(self, network=self.network.retarget(self.arm.encode(goal)), goal=goal)
 
     def run(self, start: Floats, samples: int = 400) -> Motion:
         """The motion from joint position ``(n,)`` in the demonstrations' time, without checks of limits.

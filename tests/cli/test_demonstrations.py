@@ -39,6 +39,7 @@ def test_learn(hook, tmp_path, capsys, monkeypatch):
     printed = capsys.readouterr().out
     # 60 samples at 100 Hz.
     assert "2 demonstrations, positions in a plane, 0.3 m across, 0.59 s; " in printed
+    assert "goals are up to 0.035 m from their mean, and aligned" in printed
     for word in ("lieednn-shaped", "dmp", "left out", "20/20", "globally stable for every bias"):
         assert word in printed
     network = LieEDNN.load(output / "network.npz")
@@ -67,6 +68,25 @@ def test_learn(hook, tmp_path, capsys, monkeypatch):
     for name in ("paths.png", "field.png"):
         with Image.open(output / name) as picture:
             assert min(picture.size) > 400
+    assert 0.0 < report["family_deviation_m"] < 0.02
+    words = [
+        "learn",
+        *hook,
+        "--unit",
+        "cm",
+        "--goals",
+        "kept",
+        "--deviation",
+        "0.02",
+        "--output",
+        str(tmp_path / "kept"),
+    ]
+    assert main([*words, "--starts", "2", "--rivals", "none", "--no-leave-one-out"]) == 0
+    assert "and kept" in capsys.readouterr().out
+    assert LieEDNN.load(tmp_path / "kept" / "network.npz").goal_gain is not None
+    report = json.loads((tmp_path / "kept" / "report.json").read_text())
+    assert (report["goals"], report["goal_distance_m"]) == ("kept", pytest.approx(0.035))
+    assert report["models"][0]["training"]["goal_mm"] < 0.1
 
 
 def test_learn_joints(gantry, tmp_path, capsys, monkeypatch):
@@ -130,6 +150,7 @@ def test_learn_joints(gantry, tmp_path, capsys, monkeypatch):
         (["--clock-rate", "2"], "rate must be from 0.01 to 1"),
         (["--plots", "gif"], "no kind of plots 'gif'"),
         (["--phase", "pace"], "no phase 'pace'"),
+        (["--goals", "moved"], "no goals 'moved'"),
         (["--starts", "0"], "starts must be at least 1"),
         (["--deviation", "-1"], "deviation must be positive"),
         (["--links", "a,b"], "--links needs --arm FILE.xml"),

@@ -82,6 +82,18 @@ def test_a_start_may_depend_on_the_visible_one(tmp_path_factory, seed, sizes):
     path = tmp_path_factory.mktemp("file") / "n.npz"
     family.save(path)
     assert LieEDNN.load(path) == family
+    # With a gain of the goal the code moves with the target, in one step or in two.
+    there = network.visible(network.goal(xi))
+    family = family.retarget(there).with_start(family.hidden_start, gain, reference, goal_gain := 0.1 * gain[::-1])
+    family.save(path)
+    assert LieEDNN.load(path) == family
+    shift = rng.normal(size=(2, visible, 6))
+    for moved in (family.retarget(there + shift[0]), family.retarget(there + shift[1]).retarget(there + shift[0])):
+        wanted = family.hidden_start.ravel() + goal_gain @ shift[0].ravel()
+        np.testing.assert_allclose(moved.hidden_start.ravel(), wanted, atol=1e-8)
+        assert moved.certificate == network.certificate
+    with pytest.raises(InputError, match="goal_gain needs both"):
+        network.with_start(network.hidden_start, goal_gain=gain)
     with pytest.raises(InputError, match="start_gain and start_reference must be given together, or neither"):
         network.with_start(network.hidden_start, gain)
     with pytest.raises(InputError, match=r"start_gain must have shape \(\d+, \d+\), got \(1, 1\)"):

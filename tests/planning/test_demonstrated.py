@@ -80,7 +80,9 @@ def test_what_is_no_motion_of_the_arm_says_why(gantry, files, tmp_path):
     ):
         with pytest.raises(InputError, match=message):
             load(samples)
-    with pytest.raises(InputError, match=r"must end at one goal: wrong.npy ends with joint 'x' at 0.6 m, .* 0.525"):
+    with pytest.raises(
+        InputError, match=r"must end at one goal: wrong.npy ends with joint 'x' at 0.6 m, .* 0.525; keep"
+    ):
         load(bend(end=0.1), *files)
     # Within 2 % of the range, 4 cm, all end at their mean.
     assert load(bend(end=0.03), *files).mean[-1, 0] == pytest.approx(0.5075)
@@ -119,6 +121,20 @@ def test_a_start_of_its_own_has_the_bend_that_was_shown(gantry, tmp_path):
         found = [np.abs(model.run(q[0]).q[:, 1]).max() for model in (family, fading)]
         assert found[0] == pytest.approx(q[:, 1].max(), abs=0.02)
         assert found[1] == pytest.approx(0.5, abs=0.02)
+
+
+def test_goals_that_are_kept_decide_the_bend(gantry, tmp_path):
+    # x ends further where y bends more.
+    np.save(tmp_path / "all.npy", [bend(2.0 * k, k) for k in (-0.1, -0.05, 0.05, 0.1)])
+    shown = JointDemonstrations.load(gantry, [tmp_path / "all.npy"], rate=50.0, goals="kept")
+    model = JointMotion.fit(shown, 5e-3, OPTIONS)
+    assert model.network.certified
+    for q in shown.q:
+        found = model.toward(q[-1]).run(q[0]).q
+        np.testing.assert_allclose(found[-1], q[-1], atol=1e-5)
+        assert np.abs(found[:, 1]).max() == pytest.approx(q[:, 1].max(), abs=0.02)
+    # The errors that are reported are to each goal of its own.
+    assert study.study_joints(shown, model, OPTIONS, starts=1, leave_one_out=False)[0].training.effector.goal_mm < 0.1
 
 
 def test_the_spread_is_used(learned, monkeypatch):

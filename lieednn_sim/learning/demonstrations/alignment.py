@@ -16,6 +16,7 @@ from lieednn_sim.validation import as_choice, as_count, as_floats, as_positive, 
 from lieednn_sim.values import Floats, frozen
 
 PHASES = ("length", "time")
+GOALS = ("aligned", "kept")
 # Metres that a radian counts for: 2 mm and 0.5 degrees weigh about the same.
 LEVER = 0.2
 _MOST_SAMPLES = 100_000
@@ -23,10 +24,10 @@ _MOST_SAMPLES = 100_000
 
 @frozen
 class Demonstrations:
-    """Demonstrations of one motion, each relative to its own goal, at K equal steps of the phase.
+    """Demonstrations of one motion, relative to their goal, at K equal steps of the phase.
 
-    Goals are aligned: every demonstration ends at the twist zero (see `Demonstration.twists`), wherever in the world it
-    ended.
+    Usually goals are aligned: every demonstration is seen from its own goal and ends at the twist zero (see
+    `Demonstration.twists`), wherever in the world it ended. If they are kept, all are seen from the mean goal.
 
     Attributes:
         goal: world pose at which the motion ends: the mean of the recorded ends.
@@ -34,6 +35,7 @@ class Demonstrations:
         twists: ``(n, K, 6)`` [rad, m].
         dof: degrees of freedom that were recorded: 2, 3 or 6.
         lever: metres that a radian counts for, in lengths and distances.
+        goals_kept: whether each ends at its own goal.
 
     Raises:
         InputError: an entry is not finite, times do not increase, or shapes do not fit.
@@ -44,6 +46,7 @@ class Demonstrations:
     twists: Floats
     dof: int
     lever: float = LEVER
+    goals_kept: bool = False
 
     def __post_init__(self) -> None:
         as_floats("twists", self.twists, ("n", len(as_times("t", self.t)), 6))
@@ -105,7 +108,12 @@ class Demonstrations:
 
 
 def align(
-    demonstrations: Sequence[Demonstration], *, phase: str = "length", samples: int = 200, lever: float = LEVER
+    demonstrations: Sequence[Demonstration],
+    *,
+    phase: str = "length",
+    samples: int = 200,
+    lever: float = LEVER,
+    goals: str = "aligned",
 ) -> Demonstrations:
     """Resample demonstrations at equal phases.
 
@@ -115,24 +123,40 @@ def align(
             fraction of the duration.
         samples: K.
         lever: metres that a radian counts for in lengths.
+        goals: ``"aligned"``, every demonstration is seen from its own goal, or ``"kept"``, all from the mean goal.
 
     Raises:
         InputError: there are no demonstrations, or they record different quantities.
     """
     as_choice("phase", phase, PHASES)
+    kept = as_choice("goals", goals, GOALS) == "kept"
     lever = as_positive("lever", lever)
     fractions = np.linspace(0.0, 1.0, as_count("samples", samples, 2, _MOST_SAMPLES))
     if not demonstrations or len({one.dof for one in demonstrations}) > 1:
         raise InputError("align needs at least one demonstration, and all must show the same")
-    twists, times = [], []
+    goal, twists, times = mean_goal(demonstrations), [], []
+    rest = np.tile(goal.translation, (2, 1)), np.tile(goal.rotation.as_matrix(), (2, 1, 1))
+    at_goal = Demonstration(np.arange(2.0), *rest, demonstrations[0].dof)
     for one in demonstrations:
-        reached, at = at_phases(fractions, one.twists, one.t, one.steps(lever), phase)
+        seen = one.twists_from(at_goal) if kept else one.twists
+        reached, at = at_phases(fractions, seen, one.t, one.steps(lever), phase)
         twists.append(reached)
         times.append(at)
+    return Demonstrations(goal, np.mean(times, axis=0), np.stack(twists), demonstrations[0].dof, lever, kept)
+
+
+def mean_goal(demonstrations: Sequence[Demonstration]) -> RigidTransform:
+    """The mean of the poses at which demonstrations end."""
     ends = Rotation.from_matrix(np.stack([one.rotation[-1] for one in demonstrations]))
-    place = np.mean([one.position[-1] for one in demonstrations], axis=0)
-    goal = RigidTransform.from_components(place, ends.mean())
-    return Demonstrations(goal, np.mean(times, axis=0), np.stack(twists), demonstrations[0].dof, lever)
+    return RigidTransform.from_components(np.mean([one.position[-1] for one in demonstrations], axis=0), ends.mean())
+
+
+def goal_distance(demonstrations: Sequence[Demonstration], lever: float = LEVER) -> float:
+    """Largest distance of a demonstration's end from the mean one [m], a radian counting for ``lever`` metres."""
+    goal = mean_goal(demonstrations)
+    turns = [(Rotation.from_matrix(one.rotation[-1]) * goal.rotation.inv()).magnitude() for one in demonstrations]
+    apart = [np.linalg.norm(one.position[-1] - goal.translation) for one in demonstrations]
+    return float(np.hypot(apart, lever * np.array(turns)).max())
 
 
 def at_phases(fractions: Floats, samples: Floats, t: Floats, steps: Floats, phase: str) -> tuple[Floats, Floats]:

@@ -2,7 +2,8 @@
 
 At equal phases s, demonstration k is x_k(s) = mean(s) + (1 - s) dx_k + B(s) dx_k + noise, with dx_k the deviation
 of its start from the mean. B is found by ridge regression, and the ridge by leaving each demonstration out once; with
-an infinite one, deviations fade as 1 - s.
+an infinite one, deviations fade as 1 - s. If demonstrations keep goals of their own, dg_k from the mean goal, s dg_k is
+added, and B(s) is a function of (dx_k, dg_k).
 """
 
 from __future__ import annotations
@@ -13,61 +14,79 @@ from lieednn_sim.network import ACTIVATIONS, LieEDNN
 from lieednn_sim.synthesis import Shaping
 from lieednn_sim.synthesis.shaping.cascade import Cascade, clockwork
 from lieednn_sim.synthesis.shaping.curve import Curve
-from lieednn_sim.synthesis.shaping.pairs import with_pairs
+from lieednn_sim.synthesis.shaping.pairs import PAIRS, encoder, with_pairs
 from lieednn_sim.values import Floats, frozen
 
 # Ridges that are tried, relative to the mean square deviation of the starts.
 RIDGES = np.append(10.0 ** np.arange(-3.0, 1.1, 0.5), np.inf)
 # Refinement of the clock, as for placed switches.
-_REFINEMENT = 2
+REFINEMENT = 2
 
 
 @frozen
 class Response:
-    """How paths depend on their start.
+    """How paths depend on their start, and on their goal if it is not the same; E = D, or 2 D for both.
 
     Attributes:
-        gain: ``(K, D, D)`` derivatives of the path at equal steps of the phase in the coordinates of its start.
+        gain: ``(K, D, E)`` derivatives of the path at equal steps of the phase in the coordinates of start and goal.
         ridges: the smallest and the largest of `RIDGES` that were averaged.
         errors: ``(R, n)`` mean distance of each path from its prediction by the others, for each of `RIDGES`; empty for
             fewer than three paths, and if their starts are the same.
+        residuals: ``(n, K, D)`` what is left of each path, over the square root of 1 less its leverage: as large as if
+            it had not been fitted to.
+        growth: ``(E, E)`` A: at u from the mean start (and goal), u^T A u times the residuals' covariance is added by
+            the doubt about the gain. It is the inverse of the regression's normal matrix, with the least of the ridges,
+            or the largest finite one; zero if starts are the same.
     """
 
     gain: Floats
     ridges: tuple[float, float]
     errors: Floats
+    residuals: Floats
+    growth: Floats
 
 
-def response_to_start(paths: Floats) -> Response:
-    """Regress paths ``(n, K, D)``, with coordinates in one unit, on their starts.
+def response_to_start(paths: Floats, goals: bool = False) -> Response:
+    """Regress paths ``(n, K, D)``, with coordinates in one unit, on their starts, or on their starts and ``goals``.
 
     Ridges are averaged from that with the least left-out error to the largest one allowed by `one_standard_error`: with
     few demonstrations either of the two alone changes much from one set of them to the next.
     """
     n, count, size = paths.shape
-    fading = (1.0 - np.linspace(0.0, 1.0, count))[:, None, None] * np.eye(size)
     away = paths - paths.mean(axis=0)
+    fading = (1.0 - np.linspace(0.0, 1.0, count))[:, None, None] * np.eye(size)
     start = away[:, 0]
+    if goals:
+        fading = np.concatenate([fading, np.eye(size) - fading], axis=2)
+        start = np.concatenate([start, away[:, -1]], axis=1)
     # Of n starts about their mean, n - 1 directions at most; rounding leaves others.
     left, spread, right = np.linalg.svd(start, full_matrices=False)
     kept = spread > 1e-9 * max(float(np.abs(paths).max()), 1e-300)
-    # Without one of two, what is left says nothing about starts.
-    if n < 3 or not kept.any():
-        return Response(fading, (np.inf, np.inf), np.empty((len(RIDGES), 0)))
     left, spread, right = left[:, kept], spread[kept], right[kept]
     rest = (away - np.einsum("kij,nj->nki", fading, start)).reshape(n, -1)
-    shrinking = spread**2 / (spread**2 + RIDGES[:, None] * np.sum(spread**2))
-    errors = np.empty((len(RIDGES), n))
-    for row, factor in enumerate(shrinking):
-        hat = left * factor @ left.T
-        # A linear smoother's error at a sample that it has not seen, in closed form; 1/n is the mean's part.
-        unseen = (rest - hat @ rest) / (1.0 - 1.0 / n - np.diag(hat))[:, None]
-        errors[row] = np.linalg.norm(unseen.reshape(n, count, size), axis=2).mean(axis=1)
-    first, last = one_standard_error(errors)
-    shrunk = shrinking[first : last + 1].mean(axis=0) / spread
-    fitted = (left.T @ rest).reshape(-1, count, size) * shrunk[:, None, None]
+    total = max(float(np.sum(spread**2)), 1e-300)
+    shrinking = spread**2 / (spread**2 + RIDGES[:, None] * total)
+    first, last, errors = len(RIDGES) - 1, len(RIDGES) - 1, np.empty((len(RIDGES), 0))
+    # Without one of two, what is left says nothing about starts.
+    if n > 2 and kept.any():
+        errors = np.empty((len(RIDGES), n))
+        for row, factor in enumerate(shrinking):
+            hat = left * factor @ left.T
+            # A linear smoother's error at a sample that it has not seen, in closed form; 1/n is the mean's part.
+            unseen = (rest - hat @ rest) / (1.0 - 1.0 / n - np.diag(hat))[:, None]
+            errors[row] = np.linalg.norm(unseen.reshape(n, count, size), axis=2).mean(axis=1)
+        first, last = one_standard_error(errors)
+    factor = shrinking[first : last + 1].mean(axis=0)
+    fitted = (left.T @ rest).reshape(-1, count, size) * (factor / spread)[:, None, None]
+    hat = left * factor @ left.T
+    # Of one path nothing is left, and its leverage is 1.
+    free = np.maximum(1.0 - 1.0 / n - np.diag(hat), 1e-9)
+    residuals = ((rest - hat @ rest) / np.sqrt(free)[:, None]).reshape(paths.shape)
+    growth = np.zeros((start.shape[1],) * 2)
+    if kept.any():
+        growth = np.linalg.inv(start.T @ start + min(RIDGES[first], RIDGES[-2]) * total * np.eye(len(growth)))
     ridges = float(RIDGES[first]), float(RIDGES[last])
-    return Response(fading + np.einsum("rki,rj->kij", fitted, right), ridges, errors)
+    return Response(fading + np.einsum("rki,rj->kij", fitted, right), ridges, errors, residuals, growth)
 
 
 def one_standard_error(errors: Floats) -> tuple[int, int]:
@@ -82,7 +101,9 @@ def one_standard_error(errors: Floats) -> tuple[int, int]:
     return best, int(np.flatnonzero(excess.mean(axis=1) <= doubt)[-1])
 
 
-def with_response(shaping: Shaping, curve: Floats, paths: Floats, units: Floats) -> tuple[LieEDNN, Response]:
+def with_response(
+    shaping: Shaping, curve: Floats, paths: Floats, units: Floats, goals: bool = False
+) -> tuple[LieEDNN, Response, Floats]:
     """The network shaped by the mean of demonstrations, made to depend on its start as they do.
 
     Args:
@@ -90,22 +111,29 @@ def with_response(shaping: Shaping, curve: Floats, paths: Floats, units: Floats)
         curve: ``(K, N, 6)`` the mean.
         paths: ``(n, K, N, 6)`` the demonstrations at the same phases.
         units: ``(N, 6)`` metres for a unit of each coordinate.
+        goals: whether their goals differ, and the motion depends on its goal, too.
 
     Returns:
-        The network, and the response that it realises, in metres.
+        The network, the response that it realises, in metres, and the codes ``(n, N, M, 6)`` of its residuals.
     """
     units = np.broadcast_to(units, curve.shape[1:])
-    response = response_to_start((paths * units).reshape(*paths.shape[:2], -1))
-    clock = clockwork(1.0, _REFINEMENT, ACTIVATIONS[shaping.network.activation])
+    response = response_to_start((paths * units).reshape(*paths.shape[:2], -1), goals)
+    clock = clockwork(1.0, REFINEMENT, ACTIVATIONS[shaping.network.activation])
     states = Cascade(clock, curve[0], curve[-1]).states(shaping.parameters)[:-1]
-    phase = _phases(states, curve, units)
-    row = np.linspace(0.0, 1.0, len(curve))
-    flat = response.gain.reshape(len(curve), -1)
-    gain = np.stack([np.interp(phase, row, entry) for entry in flat.T], axis=-1).reshape(-1, *response.gain.shape[1:])
+    phase, row = _phases(states, curve, units), np.linspace(0.0, 1.0, len(curve))
+
+    def at_instants(curves: Floats) -> Floats:
+        flat = curves.reshape(len(curves), -1).T
+        return np.stack([np.interp(phase, row, entry) for entry in flat], axis=-1).reshape(-1, *curves.shape[1:])
+
     scale = units.ravel()
-    gain = gain / scale[:, None] * scale
-    network = with_pairs(shaping.parameters, clock, shaping.network, curve[0], gain, paths[:, 0])
-    return network, response
+    gain = at_instants(response.gain) / scale[:, None] * np.tile(scale, 1 + goals)
+    left = at_instants(response.residuals.swapaxes(0, 1)) / scale
+    codes = (encoder(clock, PAIRS) @ left.reshape(len(left), -1)).reshape(PAIRS, -1, *units.shape)
+    codes = codes.transpose(1, 2, 0, 3)
+    away = (paths[:, [0, -1]] - curve[[0, -1]])[:, : 1 + goals].reshape(len(paths), -1)
+    network = with_pairs(shaping.parameters, clock, shaping.network, curve[0], gain, away, codes)
+    return network, response, codes
 
 
 def _phases(states: Floats, curve: Floats, units: Floats) -> Floats:

@@ -12,16 +12,19 @@ from dataclasses import field, replace
 from typing import ClassVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from lieednn_sim.budget import cpu_time
 from lieednn_sim.errors import InputError
-from lieednn_sim.learning.demonstrations.alignment import Demonstrations, displacement, twist_of
+from lieednn_sim.learning.demonstrations.alignment import Demonstrations, displacement, shown_part, twist_of
 from lieednn_sim.learning.demonstrations.family import Response, with_response
 from lieednn_sim.learning.demonstrations.models import run_field
+from lieednn_sim.learning.demonstrations.spread import CodeSpread
 from lieednn_sim.learning.demonstrations.warping import warp
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.synthesis import Shaping, ShapingOptions, shape
-from lieednn_sim.validation import Seed, as_floats, as_positive, as_times
+from lieednn_sim.synthesis.shaping.pairs import PAIRS, codes_of, shifts
+from lieednn_sim.validation import Seed, as_count, as_floats, as_generator, as_positive, as_times
 from lieednn_sim.values import Floats, frozen
 
 # Default of the requested deviation, in extents of the demonstrations.
@@ -31,6 +34,9 @@ DEVIATION = 2e-3
 _NETWORK_TIME, _LONGEST_STEP, _FRACTION_STEP = 16.0, 0.2, 1.0 / 600.0
 # Durations of the demonstrations after which a reproduction ends, when the network has long come to rest.
 _MAX_DURATIONS = 100.0
+# Corrections of a code until the motion is at its via point, and how near that must be, in standard deviations of the
+# motion: far from the demonstrations bumps are not linear in their codes.
+_CORRECTIONS, _NEAR = 50, 1e-4
 # Parameters of a switch that are not zero by construction, by dof: without rotations, halves and shifts vanish.
 _PER_SWITCH = {2: 10, 3: 10, 6: 19}
 # The same for a placed switch: its position, its slope, and a vector.
@@ -49,6 +55,7 @@ class ShapedMotion:
         dof: 2, 3 or 6.
         shaping: the search that found the network of their mean.
         response: how the motion depends on its start, realised by the hidden neurons' start; None if it does not.
+        spread: the distribution of the demonstrations' codes; None without a response, or with one demonstration.
         cpu_time: of the fit [s].
     """
 
@@ -59,6 +66,7 @@ class ShapedMotion:
     dof: int
     shaping: Shaping
     response: Response | None = None
+    spread: CodeSpread | None = None
     cpu_time: float = field(default=0.0, compare=False)
 
     name: ClassVar[str] = "lieednn-shaped"
@@ -81,8 +89,8 @@ class ShapedMotion:
                 `DEVIATION` times their extent. Neurons are added until it is met; see `Shaping.success`.
             options: options of the search.
             seed: seed of its starts.
-            family: whether the motion depends on its start as the demonstrations do (`family`), which takes a clock
-                rate of 1; else deviations of the start fade as e^-t.
+            family: whether the motion depends on its start, and on its goal if they are kept, as the demonstrations do
+                (`family`), which takes a clock rate of 1; else deviations of the start fade as e^-t.
         """
         begun = cpu_time()
         chosen = ShapingOptions() if options is None else options
@@ -95,10 +103,17 @@ class ShapedMotion:
         made = replace(made, t=demonstrations.t, tau=made._beside(demonstrations), cpu_time=cpu_time() - begun)
         if not family or chosen.rate < 1.0:
             return made
-        network, response = with_response(
-            shaping, curve, demonstrations.displaced[:, :, None], demonstrations.scale[None]
-        )
-        return replace(made, network=network, response=response, cpu_time=cpu_time() - begun)
+        units, extent, spread = demonstrations.scale, demonstrations.extent, None
+        paths, kept = demonstrations.displaced[:, :, None], demonstrations.goals_kept
+        network, response, codes = with_response(shaping, curve, paths, units[None], kept)
+        if len(demonstrations) > 1 and network.start_gain is not None:
+            least = np.zeros(6)
+            least[shown_part(demonstrations.dof)] = DEVIATION * extent
+            spread = CodeSpread.of(codes[:, 0], response.growth, units, least / units, network.activation)
+        if kept:
+            # Turns and positions of the mean path end near the mean goal, not at it.
+            network = network.retarget(np.zeros((1, 6)))
+        return replace(made, network=network, response=response, spread=spread, cpu_time=cpu_time() - begun)
 
     @property
     def n_parameters(self) -> int:
@@ -114,13 +129,164 @@ class ShapedMotion:
         Raises:
             InputError: a value is malformed, or times do not increase from 0 or go on too long.
         """
-        start = as_floats("start", start, (6,), batched=True)
+        start, tau = as_floats("start", start, (6,), batched=True), self._network_times(t)
+        return twist_of(self._run(displacement(start).reshape(-1, 6), tau)).reshape(*start.shape[:-1], len(tau), 6)
+
+    def toward(self, goal: Floats) -> ShapedMotion:
+        """The motion to another goal, a twist ``(6,)`` from the demonstrations' (mean) goal, under the same proof.
+
+        If demonstrations kept their goals, it is as they would go there; else the motion shifted, see
+        `LieEDNN.retarget`.
+        """
+        target = displacement(as_floats("goal", goal, (6,)))
+        return replace(self, network=self.network.retarget(target[None]))
+
+    def covariance(self, start: Floats, t: Floats) -> Floats:
+        """How sure the motion is: its predictive covariance about `reproduce`, in rotation vector and position.
+
+        The covariance of what the response leaves of the demonstrations, larger the further the start is from theirs:
+        see `CodeSpread`. It is zero at the start and at the goal.
+
+        Args:
+            start: twists ``(..., 6)``.
+            t: ``(K,)`` increasing times from 0 [s].
+
+        Returns:
+            ``(..., K, 6, 6)`` [rad, m].
+
+        Raises:
+            InputError: as of `reproduce`, or there is no spread.
+        """
+        (spread, *_), tau = self._family(), self._network_times(t)
+        scale = spread.scale(self._inputs(as_floats("start", start, (6,), batched=True)))
+        return scale[..., None, None, None] * spread.along(tau)
+
+    def sample(self, start: Floats, count: int, seed: Seed = 0) -> tuple[ShapedMotion, ...]:
+        """Motions drawn from the distribution from one start: the same certified network with other codes.
+
+        Args:
+            start: twist ``(6,)``.
+            count: how many.
+            seed: seed of the draw.
+
+        Raises:
+            InputError: a value is malformed, or there is no spread.
+        """
+        (spread, *_), rng = self._family(), as_generator("seed", seed)
+        root = np.sqrt(spread.scale(self._inputs(as_floats("start", start, (6,))))) * spread.root
+        drawn = rng.normal(size=(as_count("count", count), root.shape[1])) @ root.T
+        return tuple(self._coded(code) for code in drawn)
+
+    def condition(
+        self, via: ArrayLike, *, fraction: float | None = None, time: float | None = None, noise: float = 0.0
+    ) -> ShapedMotion:
+        """The motion that passes a via point, with the most likely code; as a probabilistic primitive is conditioned.
+
+        The change of the code c is the least in the metric of its covariance C: it minimises c^T C^-1 c + |miss|^2 /
+        noise^2. The motion passes the same point from other starts, and to another of several goals, as far as bumps
+        are linear in their codes. It is the same network with another start of its hidden neurons: certificate and goal
+        stay, and the spread is smaller, the most at the via point.
+
+        Args:
+            via: position ``(3,)`` relative to the goal [m], or twist ``(6,)`` where poses were recorded.
+            fraction: fraction of the demonstrations' path at which it is passed, between 0 and 1; or
+            time: the time [s].
+            noise: standard deviation with which it should be passed [m], a radian counting for the demonstrations'
+                lever.
+
+        Raises:
+            InputError: a value is malformed, there is no spread, or no code leads so far from the demonstrations.
+        """
+        spread, start_gain, reference = self._family()
+        place, seen = self._via(via)
+        miss = float(as_floats("noise", noise, ()))
+        if miss < 0.0:
+            raise InputError(f"noise must be at least 0, got {miss:g}")
+        if fraction is not None and time is None:
+            name, value, knots = "fraction", as_positive("fraction", fraction), np.linspace(0.0, 1.0, len(self.t))
+        elif time is not None and fraction is None:
+            name, value, knots = "time", as_positive("time", time), self.t
+        else:
+            raise InputError("condition needs the fraction of the way or the time at which the via point is, not both")
+        if value >= knots[-1]:
+            raise InputError(f"{name} must be between 0 and {knots[-1]:g}, got {value:g}")
+        tau = np.array([0.0, np.interp(value, knots, self.tau)])
+        passing: Floats = np.asarray(np.kron(spread.basis(tau[1:]), np.eye(6))[seen], dtype=float)
+        deviation = np.asarray(np.linalg.norm(passing @ spread.root, axis=1))
+        if not (deviation > 0.0).all():
+            raise InputError(f"no code moves the motion at {name} {value:g}, when it is at its goal")
+        noises = miss / spread.units[seen]
+        gain = spread.gain(passing, noises)
+        code = np.zeros(len(gain))
+        for _ in range(_CORRECTIONS):
+            passed = self._coded(code)._run(reference, tau)[0, -1, seen]
+            change = gain @ (place - passed + passing @ code) - code
+            code = code + change
+            if (np.abs(passing @ change) < _NEAR * deviation).all():
+                break
+        else:
+            away = np.linalg.norm((place - passed) * spread.units[seen])
+            raise InputError(f"no code leads to the via point: the motion ends up {away:.3g} m from it")
+        # From other starts as well: how the place depends on them is taken back, and how it moves with start and goal.
+        laws = []
+        for law, left in ((start_gain, np.exp(-tau[1])), (self.network.goal_gain, 1.0)):
+            if law is not None:
+                moved = passing @ codes_of(self.network, law.reshape(-1, 6, 6), PAIRS).reshape(-1, 6)
+                back = gain @ (left * np.eye(6)[seen] + moved)
+                laws.append(law - shifts(self.network, back.reshape(1, PAIRS, 6, 6)).reshape(law.shape))
+        return self._coded(code, spread.knowing(passing, noises), *laws)
+
+    def _family(self) -> tuple[CodeSpread, Floats, Floats]:
+        """The spread, and the network's gain and reference; or `InputError`."""
+        gain, reference = self.network.start_gain, self.network.start_reference
+        if self.spread is None or gain is None or reference is None:
+            raise InputError("the motion has no spread: learn a family from two or more demonstrations that differ")
+        return self.spread, gain, reference
+
+    def _inputs(self, start: Floats) -> Floats:
+        """Deviations ``(..., E)`` of starts, and of the goal if several were kept, from their means."""
+        (spread, _, reference), place = self._family(), displacement(start)
+        if len(spread.growth) == 6:
+            return np.asarray(place - reference[0])
+        goal = self.network.visible(self.network.equilibrium().xi)[0]
+        return np.concatenate([place - reference[0] + goal, np.broadcast_to(goal, place.shape)], axis=-1)
+
+    def _via(self, via: ArrayLike) -> tuple[Floats, slice]:
+        """The displacement of a via point, and which of its coordinates it is."""
+        if np.shape(via) == (6,) and self.dof == 6:
+            return displacement(as_floats("via", via, (6,))), slice(0, 6)
+        place = as_floats("via", via, (3,))
+        # Motions in a plane leave it by what their fit leaves.
+        if self.dof == 2 and abs(place[2]) > 1e-2 * np.abs(place[:2]).max():
+            raise InputError(
+                f"via must be in the plane of the demonstrations, with a third entry of 0, got {place[2]:g}"
+            )
+        return place[: min(self.dof, 3)], slice(3, 3 + min(self.dof, 3))
+
+    def _coded(
+        self,
+        code: Floats,
+        spread: CodeSpread | None = None,
+        start_gain: Floats | None = None,
+        goal_gain: Floats | None = None,
+    ) -> ShapedMotion:
+        """The motion with codes ``(6M,)`` added to its own, with another spread, and with other gains if given."""
+        network = self.network
+        made = network.with_start(
+            network.hidden_start + shifts(network, code.reshape(1, PAIRS, 6)),
+            network.start_gain if start_gain is None else start_gain,
+            network.start_reference,
+            network.goal_gain if goal_gain is None else goal_gain,
+        )
+        return replace(self, network=made, spread=spread)
+
+    def _network_times(self, t: Floats) -> Floats:
+        """Network times ``(K,)`` at times [s]."""
         t, latest = as_times("t", t), _MAX_DURATIONS * self.t[-1]
         if t[0] < 0.0 or t[-1] > latest:
             raise InputError(f"t must be from 0 to {latest:g} s, got {t[0]:g} to {t[-1]:g} s")
         pace = self.tau[-1] / self.t[-1]
-        tau = np.where(t > self.t[-1], self.tau[-1] + pace * (t - self.t[-1]), np.interp(t, self.t, self.tau))
-        return twist_of(self._run(displacement(start).reshape(-1, 6), tau)).reshape(*start.shape[:-1], len(t), 6)
+        return np.where(t > self.t[-1], self.tau[-1] + pace * (t - self.t[-1]), np.interp(t, self.t, self.tau))
 
     def _run(self, start: Floats, tau: Floats) -> Floats:
         """Displacements ``(n, K, 6)`` at network times ``tau``, from displacements ``(n, 6)``."""

@@ -100,7 +100,7 @@ def study_joints(
                 progress(k, folds + 1)
             family = learned.response is not None
             model = JointMotion.fit(demonstrations.without(k), options=again, seed=seed, family=family)
-            without.append(_errors(model, demonstrations.q[k]))
+            without.append(_errors(motion_to(model, demonstrations, demonstrations.q[k, -1]), demonstrations.q[k]))
         if progress:
             progress(folds, folds + 1)
         for k in range(starts):
@@ -112,12 +112,17 @@ def study_joints(
                 paths.append(motion.q)
         study = JointStudy(
             mean=_errors(learned, demonstrations.mean),
-            training=_mean([_errors(learned, one) for one in demonstrations.q]),
+            training=_mean([_errors(motion_to(learned, demonstrations, q[-1]), q) for q in demonstrations.q]),
             left_out=_mean(without) if without else None,
             starts=starts,
             arrived=len(paths),
         )
     return study, paths
+
+
+def motion_to(model: JointMotion, demonstrations: JointDemonstrations, goal: Floats) -> JointMotion:
+    """The motion to the goal ``(n,)`` of a demonstration, if demonstrations keep their goals; else to the one goal."""
+    return model.toward(goal) if demonstrations.goals_kept else model
 
 
 def joint_errors(arm: Arm, found: Floats, shown: Floats, gap: tuple[float, float] = (0.0, 0.0)) -> JointErrors:

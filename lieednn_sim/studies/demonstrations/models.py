@@ -67,8 +67,12 @@ class ModelRow:
     attraction: Attraction
 
 
-def reproduction(model: MotionModel, demonstrations: Demonstrations, start: Floats) -> Floats:
-    """Twists ``(K, 6)`` from a twist ``(6,)`` until the model's motion is over."""
+def reproduction(
+    model: MotionModel, demonstrations: Demonstrations, start: Floats, goal: Floats | None = None
+) -> Floats:
+    """Twists ``(K, 6)`` from a twist ``(6,)`` until the model's motion is over; to a ``goal`` if they are kept."""
+    if isinstance(model, ShapedMotion) and demonstrations.goals_kept and goal is not None:
+        model = model.toward(goal)
     return model.reproduce(start, np.linspace(0.0, model.durations * demonstrations.duration, _INSTANTS))
 
 
@@ -78,6 +82,7 @@ def compare_models(
     options: ShapingOptions,
     *,
     rivals: Sequence[str] | None = None,
+    aligned: Demonstrations | None = None,
     starts: int = 1000,
     leave_one_out: bool = True,
     seed: int = 0,
@@ -91,6 +96,8 @@ def compare_models(
         shaped: the network fitted to all of them.
         options: the options of its fit. Networks fitted without a demonstration have no more hidden neurons.
         rivals: names of `RIVALS`; by default all.
+        aligned: if goals are kept, the same demonstrations with aligned goals: rivals know one goal. An error is the
+            same seen from either.
         starts: number of random starts, see `attraction.random_starts`.
         leave_one_out: fit each model again without each of the demonstrations.
         seed: seed of the starts and the fits.
@@ -108,28 +115,31 @@ def compare_models(
     n, places = len(demonstrations), random_starts(demonstrations, starts, seed)
     folds = range(n) if leave_one_out and n > 1 else range(0)
     fit = partial(_fit, n_parameters=shaped.n_parameters, options=again, seed=seed, family=shaped.response is not None)
-    fold = partial(_left_out, fit, demonstrations)
-    pending = {} if executor is None else {one: executor.submit(fold, *one) for one in product(names, folds)}
+    seen = {name: demonstrations if aligned is None or name == shaped.name else aligned for name in names}
+    pending = {}
+    if executor is not None:
+        pending = {(name, k): executor.submit(_left_out, fit, seen[name], name, k) for name, k in product(names, folds)}
     rows: list[ModelRow] = []
     models: dict[str, MotionModel] = {}
     with one_blas_thread(), _cancelling(pending.values()):
         for number, name in enumerate(names):
             begun = cpu_time()
-            model: MotionModel = shaped if name == shaped.name else fit(name, demonstrations)
+            shown = seen[name]
+            model: MotionModel = shaped if name == shaped.name else fit(name, shown)
             seconds = shaped.cpu_time if name == shaped.name else cpu_time() - begun
             without = []
             for k in folds:
                 if progress:
                     progress(number * (len(folds) + 1) + k, len(names) * (len(folds) + 1))
-                without.append(pending[name, k].result() if pending else fold(name, k))
+                without.append(pending[name, k].result() if pending else _left_out(fit, shown, name, k))
             row = ModelRow(
                 model=name,
                 n_parameters=model.n_parameters,
                 fit_s=seconds,
-                mean=_errors(model, demonstrations, demonstrations.mean),
-                training=mean_errors([_errors(model, demonstrations, one) for one in demonstrations.twists]),
+                mean=_errors(model, shown, shown.mean),
+                training=mean_errors([_errors(model, shown, one) for one in shown.twists]),
                 left_out=mean_errors(without) if without else None,
-                attraction=attraction(model, demonstrations, places),
+                attraction=attraction(model, shown, places),
             )
             rows.append(row)
             models[name] = model
@@ -175,7 +185,15 @@ def no_more_than(options: ShapingOptions, network: LieEDNN) -> ShapingOptions:
 
 
 def _errors(model: MotionModel, demonstrations: Demonstrations, shown: Floats) -> PathErrors:
-    return path_errors(reproduction(model, demonstrations, shown[0]), shown, demonstrations.lever)
+    return path_errors(reproduction(model, demonstrations, shown[0], shown[-1]), shown, demonstrations.lever)
+
+
+def family_deviation(shaped: ShapedMotion, demonstrations: Demonstrations) -> float | None:
+    """Largest standard deviation of a family's position along the mean motion [m]; None without a spread."""
+    if shaped.spread is None:
+        return None
+    covariance = shaped.covariance(demonstrations.mean[0], demonstrations.t)[:, 3:, 3:]
+    return float(np.sqrt(np.trace(covariance, axis1=1, axis2=2).max()))
 
 
 def mean_errors(errors: Sequence[PathErrors]) -> PathErrors:

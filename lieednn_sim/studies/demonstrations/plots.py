@@ -8,14 +8,17 @@ from typing import Any
 
 import matplotlib
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 
 from lieednn_sim.evaluation import figure_layout
 from lieednn_sim.evaluation.figure_layout import COLOURS, STYLE
 from lieednn_sim.learning.demonstrations import Demonstrations
 from lieednn_sim.learning.demonstrations.alignment import displacement
 from lieednn_sim.learning.demonstrations.models import MotionModel
+from lieednn_sim.learning.demonstrations.shaped import ShapedMotion
 from lieednn_sim.planning.demonstrated import JointDemonstrations
 from lieednn_sim.studies.demonstrations.attraction import random_starts
 from lieednn_sim.studies.demonstrations.models import reproduction
@@ -35,6 +38,7 @@ _LINES: tuple[dict[str, Any], ...] = (
 
 
 _FAN: dict[str, Any] = {"color": COLOURS[0], "lw": 0.6, "ls": "-", "alpha": 0.6}
+_BAND: dict[str, Any] = {"color": COLOURS[0], "lw": 0.0, "alpha": 0.15}
 
 
 def plot_paths(models: Mapping[str, MotionModel], demonstrations: Demonstrations, path: str | os.PathLike[str]) -> None:
@@ -42,7 +46,8 @@ def plot_paths(models: Mapping[str, MotionModel], demonstrations: Demonstrations
 
     Positions in a plane are shown in one view, positions in space in three. Below them, rotations, where they were
     recorded, are shown over the fraction of the path.
-    Thin lines are the first model's reproductions from the demonstrations' own starts.
+    Thin lines are the first model's reproductions from the demonstrations' own starts; the band about its reproduction
+    of the mean is two standard deviations wide on each side, if it has a spread.
     """
     shown = 1e3 * demonstrations.displaced[..., 3:]
     paths = {
@@ -50,7 +55,11 @@ def plot_paths(models: Mapping[str, MotionModel], demonstrations: Demonstrations
         for name, model in models.items()
     }
     first = next(iter(models.values()))
-    fan = [displacement(reproduction(first, demonstrations, one[0])) for one in demonstrations.twists]
+    fan = [displacement(reproduction(first, demonstrations, one[0], one[-1])) for one in demonstrations.twists]
+    band, path_of_band = np.empty((0, 6, 6)), paths[first.name]
+    if isinstance(first, ShapedMotion) and first.spread is not None:
+        t = np.linspace(0.0, first.durations * demonstrations.duration, len(path_of_band))
+        band = first.covariance(demonstrations.mean[0], t)
     views = ((0, 1),) if demonstrations.dof == 2 else ((0, 1), (0, 2), (1, 2))
     with matplotlib.rc_context(STYLE):
         turns = demonstrations.dof == 6
@@ -64,7 +73,9 @@ def plot_paths(models: Mapping[str, MotionModel], demonstrations: Demonstrations
                 axis.plot(1e3 * one[:, 3 + h], 1e3 * one[:, 3 + v], **_FAN)
             for (_, one), line in zip(paths.items(), _LINES, strict=False):
                 axis.plot(1e3 * one[:, 3 + h], 1e3 * one[:, 3 + v], **line)
-            axis.plot(0.0, 0.0, "k*", ms=9, zorder=5)
+            if len(band):
+                _draw_band(axis, path_of_band, band, [3 + h, 3 + v])
+            axis.plot(*shown[:, -1, [h, v]].T, "k*", ms=9, zorder=5)
             axis.set(xlabel=f"{'xyz'[h]} [mm]", ylabel=f"{'xyz'[v]} [mm]")
             axis.set_aspect("equal", adjustable="datalim")
         for c in range(3 if turns else 0):
@@ -75,14 +86,21 @@ def plot_paths(models: Mapping[str, MotionModel], demonstrations: Demonstrations
                 axis.plot(*_over_path(one, demonstrations.lever, c), **_FAN)
             for (_, one), line in zip(paths.items(), _LINES, strict=False):
                 axis.plot(*_over_path(one, demonstrations.lever, c), **line)
+            if len(band):
+                fraction, turn = _over_path(path_of_band, demonstrations.lever, c)
+                width = 2.0 * np.rad2deg(np.sqrt(band[:, c, c]))
+                axis.fill_between(fraction, turn - width, turn + width, **_BAND)
             axis.set(xlabel="fraction of the path", ylabel=f"turn about {'xyz'[c]} [deg]")
-        handles = [
+        handles: list[Artist] = [
             Line2D([], [], color=_SHOWN, ls="-"),
             Line2D([], [], **_FAN),
             *(Line2D([], [], **line) for _, line in zip(paths, _LINES, strict=False)),
         ]
         handles.append(Line2D([], [], color="k", marker="*", ls="", ms=9))
         labels = ["demonstrations", f"{first.name}, from their starts", *paths, "goal"]
+        if len(band):
+            handles.append(Patch(**_BAND))
+            labels.append("two standard deviations")
         figure.legend(handles, labels, loc="outside upper center", ncols=3 if len(views) == 1 else len(labels))
         figure_layout.save_figure(figure, path)
 
@@ -191,6 +209,16 @@ def _draw_field(
     axis.streamplot(
         *lines, flow[..., 0], flow[..., 1], color="0.85", linewidth=0.6, arrowsize=0.7, density=1.3, zorder=1
     )
+
+
+def _draw_band(axis: Any, path: Floats, covariance: Floats, view: list[int]) -> None:
+    """Two standard deviations across a path ``(K, 6)``, on both sides, seen along an axis [mm]."""
+    along = np.gradient(path[:, view], axis=0)
+    across = along[:, ::-1] * [-1.0, 1.0] / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
+    seen = covariance[:, view][:, :, view]
+    width = 2.0 * np.sqrt(np.einsum("ki,kij,kj->k", across, seen, across))[:, None] * across
+    edges = 1e3 * np.concatenate([path[:, view] + width, (path[:, view] - width)[::-1]])
+    axis.fill(*edges.T, **_BAND)
 
 
 def _over_path(displaced: Floats, lever: float, c: int) -> tuple[Floats, Floats]:

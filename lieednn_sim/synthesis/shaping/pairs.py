@@ -43,27 +43,42 @@ def bumps(clock: Clockwork, count: int) -> Floats:
     return np.concatenate([clock.filter @ (2.0 * g * slope(a + c * g)), 2.0 * TAIL * slope(a)[None]])
 
 
+def encoder(clock: Clockwork, count: int) -> Floats:
+    """Codes D delta ``(M,)`` of a displacement at the clock's instants ``(K,)``, as one matrix ``(M, K)``."""
+    left, size, right = np.linalg.svd(bumps(clock, count), full_matrices=False)
+    return np.asarray(right.T * (size / (size**2 + (_RIDGE * size[0]) ** 2)) @ left.T[:, :-1])
+
+
 def with_pairs(
-    parameters: Parameters, clock: Clockwork, network: LieEDNN, start: Floats, response: Floats, starts: Floats
+    parameters: Parameters,
+    clock: Clockwork,
+    network: LieEDNN,
+    start: Floats,
+    response: Floats,
+    inputs: Floats,
+    others: Floats | None = None,
 ) -> LieEDNN:
-    """A network whose motion depends on its visible start, with the pairs and the gain that this takes.
+    """A network whose motion depends on its visible start, and its target, with the pairs and gains that this takes.
 
     Args:
         parameters: parameters of the cascade.
         clock: its clockwork, with rho = 1.
         network: the network of the cascade.
         start: ``(N, 6)`` visible start of its motion, which stays as it is.
-        response: ``(K, 6N, 6N)`` derivatives of the visible states at the clock's instants in the visible start.
-        starts: ``(n, N, 6)`` visible starts for which codes must be small, so that bumps are linear in them.
+        response: ``(K, 6N, E)`` derivatives of the visible states at the clock's instants in the visible start, E = 6N,
+            or in that and in the target, E = 12N.
+        inputs: ``(n, E)`` deviations of the start (and of the target) for which codes must be small, so that bumps are
+            linear in them.
+        others: other codes D delta ``(..., N, M, 6)`` that must be small.
     """
-    n, m, count = *parameters.q.shape[:2], PAIRS
-    wanted = response - np.exp(-clock.t)[:, None, None] * np.eye(6 * n)
-    basis = bumps(clock, count)
-    left, size, right = np.linalg.svd(basis, full_matrices=False)
-    solved = right.T * (size / (size**2 + (_RIDGE * size[0]) ** 2)) @ left.T[:, :-1]
-    # For each visible neuron and pair, D delta for a unit of each coordinate of the start.
-    codes = (solved @ wanted.reshape(len(wanted), -1)).reshape(count, n, 6, 6 * n).swapaxes(0, 1)
-    strength = float(np.abs(codes @ (starts - start).reshape(len(starts), -1).T).max()) / LARGEST_CODE
+    n, count = parameters.q.shape[0], PAIRS
+    left = np.exp(-clock.t)[:, None, None] * np.eye(6 * n)
+    wanted = response - np.concatenate([left, np.eye(6 * n) - left], axis=2)[:, :, : response.shape[2]]
+    # For each visible neuron and pair, D delta for a unit of each coordinate of the start and of the target.
+    codes = encoder(clock, count) @ wanted.reshape(len(wanted), -1)
+    codes = codes.reshape(count, n, 6, -1).swapaxes(0, 1)
+    largest = float(np.abs(codes @ inputs.T).max())
+    strength = max(largest, 0.0 if others is None else float(np.abs(others).max())) / LARGEST_CODE
     if strength <= 0.0:
         return network
     a, c = (np.tile(np.outer([1.0, -1.0], part).ravel(), n)[:, None] * np.ones(6) for part in switches(count))
@@ -76,6 +91,22 @@ def with_pairs(
         np.concatenate([parameters.tau, np.zeros((n, len(a), 3))], axis=1),
     )
     made = assemble(joined, clock.rate, network.equilibrium().xi[:n], network.activation)
-    gain = np.zeros((m + len(a), 6, 6 * n))
-    gain[m:].reshape(n, 2, count, 6, 6 * n)[:] = codes[:, None] / strength
-    return made.with_start(made.hidden_start, gain.reshape(-1, 6 * n), start)
+    gain, *rest = np.split(shifts(made, codes).reshape(made.n_hidden * 6, -1), response.shape[2] // (6 * n), axis=1)
+    # The start is seen from the target, with which its reference moves: K (start - target) + (K + K_target) target.
+    return made.with_start(made.hidden_start, gain, start, gain + rest[0] if rest else None)
+
+
+def shifts(network: LieEDNN, codes: Floats) -> Floats:
+    """Shifts of the hidden starts ``(H, 6, ...)`` of a network with pairs by codes D delta ``(N, M, 6, ...)``."""
+    n, count = codes.shape[:2]
+    shift = np.zeros((network.n_hidden, 6, *codes.shape[3:]))
+    # Both of a pair are shifted by the same; they are the last hidden neurons, and D is the strength of each.
+    shift[-2 * n * count :].reshape(n, 2, count, *codes.shape[2:])[:] = codes[:, None] / network.alpha[n - 1, -1]
+    return shift
+
+
+def codes_of(network: LieEDNN, shift: Floats, count: int) -> Floats:
+    """The inverse of `shifts` for ``count`` pairs."""
+    n = network.n_visible
+    pairs = shift[-2 * n * count :].reshape(n, 2, count, *shift.shape[1:])
+    return np.asarray(pairs[:, 0] * network.alpha[n - 1, -1])

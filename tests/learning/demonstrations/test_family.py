@@ -40,35 +40,50 @@ def motions_in_one(kinds, seed=0):
     return align(made)
 
 
-def test_left_out_errors_and_the_ridge_are_those_of_regressions_without_a_demonstration():
+@pytest.mark.parametrize("goals", [False, True])
+def test_left_out_errors_and_the_ridge_are_those_of_regressions_without_a_demonstration(goals):
     rng = np.random.default_rng(3)
     shown = np.cumsum(rng.normal(size=(5, 8, 3)), axis=1)
-    found = response_to_start(shown)
-    fading = (1.0 - np.linspace(0.0, 1.0, 8))[:, None]
+    found = response_to_start(shown, goals)
+    share = np.linspace(0.0, 1.0, 8)[:, None]
+    inputs = shown[:, [0, -1]].reshape(5, 6)[:, : 6 if goals else 3]
 
-    def fitted(some, penalty):
-        mean = some.mean(axis=0)
-        start = some[:, 0] - mean[0]
-        rest = (some - mean - fading * start[:, None]).reshape(len(some), -1)
-        gain = np.linalg.solve(start.T @ start + penalty * np.eye(3), start.T @ rest)
-        return mean, gain.reshape(3, 8, 3)
+    def straight(u):
+        """What is expected without any regression: the start's part that fades, and the goal's that grows."""
+        return (1.0 - share) * u[..., None, :3] + (share * u[..., None, 3:] if goals else 0.0)
 
-    away = shown[:, 0] - shown[:, 0].mean(axis=0)
+    def fitted(some, given, penalty):
+        mean, u = some.mean(axis=0), given - given.mean(axis=0)
+        rest = (some - mean - straight(u)).reshape(len(some), -1)
+        gain = np.linalg.solve(u.T @ u + penalty * np.eye(len(u.T)), u.T @ rest)
+        return mean, gain.reshape(len(gain), 8, 3)
+
+    away = inputs - inputs.mean(axis=0)
     # The same penalty for all of them; an infinite one is a very large one.
     penalties = np.minimum(RIDGES, 1e12) * np.sum(away**2)
     wanted = np.empty((len(RIDGES), 5))
     for k in range(5):
         for row, penalty in enumerate(penalties):
-            mean, gain = fitted(np.delete(shown, k, axis=0), penalty)
-            start = shown[k, 0] - mean[0]
-            guess = mean + fading * start + np.einsum("i,ikj->kj", start, gain)
+            others = np.delete(inputs, k, axis=0)
+            mean, gain = fitted(np.delete(shown, k, axis=0), others, penalty)
+            u = inputs[k] - others.mean(axis=0)
+            guess = mean + straight(u) + np.einsum("i,ikj->kj", u, gain)
             wanted[row, k] = np.linalg.norm(guess - shown[k], axis=1).mean()
     np.testing.assert_allclose(found.errors, wanted, rtol=1e-9)
     first, last = one_standard_error(wanted)
     assert found.ridges == (RIDGES[first], RIDGES[last])
-    gains = [fitted(shown, penalty)[1] for penalty in penalties[first : last + 1]]
-    whole = np.mean(gains, axis=0).transpose(1, 2, 0) + fading[:, :, None] * np.eye(3)
-    np.testing.assert_allclose(found.gain, whole, atol=1e-9)
+    gains = [fitted(shown, inputs, penalty)[1] for penalty in penalties[first : last + 1]]
+    foreseen = straight(away) + np.einsum("ni,ikj->nkj", away, np.mean(gains, axis=0))
+    np.testing.assert_allclose(np.einsum("kij,nj->nki", found.gain, away), foreseen, atol=1e-9)
+    # What is left, by the slope of each prediction in what it predicts.
+    hats = [
+        away @ np.linalg.solve(away.T @ away + p * np.eye(len(away.T)), away.T) for p in penalties[first : last + 1]
+    ]
+    free = 1.0 - 0.2 - np.diag(np.mean(hats, axis=0))
+    left = shown - shown.mean(axis=0) - foreseen
+    np.testing.assert_allclose(found.residuals, left / np.sqrt(free)[:, None, None], atol=1e-8)
+    normal = away.T @ away + min(penalties[first], 10.0 * np.sum(away**2)) * np.eye(len(away.T))
+    np.testing.assert_allclose(found.growth @ normal, np.eye(len(normal)), atol=1e-8)
 
 
 def test_one_standard_error_by_hand():
