@@ -147,6 +147,7 @@ MAKERS: dict[str, Callable[[], Any]] = {
     "Sensitivity": lambda: learning.sensitivity(thing("LieEDNN"), 0.4 * thing("Arm").encode(home())),
     "Plan": lambda: ls.plan(thing("Arm"), 0.99 * home(), planner="minimum-jerk", duration=0.5, max_time_scale=20.0),
     "Motion": lambda: thing("Plan").motion,
+    "Tube": lambda: planning.find_tube(thing("Arm"), ls.plan(thing("Arm"), home(), planner="linear-attractor")),
     "Planner": lambda: planning.PLANNERS["minimum-jerk"],
     **{name: getattr(planning, name) for name in planning.__all__ if name.endswith("Options")},
     "PlannerOptions": planning.CertifiedOptions,

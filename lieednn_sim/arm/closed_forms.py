@@ -10,6 +10,7 @@ from functools import cached_property
 
 import numpy as np
 
+from lieednn_sim.arm.deviations import Deviations, Group
 from lieednn_sim.arm.kinematics import CompoundJoint
 from lieednn_sim.lie import exp, hat, left_jacobian_so3, rotations, spatial_twist
 from lieednn_sim.values import Floats
@@ -123,6 +124,50 @@ class HingeSlide:
         angle_rate = np.divide(pull, curvature, out=np.zeros_like(pull), where=curvature > _FLAT * scale)
         return offset, np.stack([angle_rate, unit * (m_rate + slope * angle_rate)], axis=-1)
 
+    @property
+    def groups(self) -> list[Group]:
+        """Angle and slide."""
+        return [(self.indices[:1], np.ones(1)), (self.indices[1:], np.ones(1))]
+
+    def spread(self, deviations: Deviations) -> Floats:
+        """Bounds ``(K, 2)`` of the changes of angle and slide.
+
+        At the highest point u = (cos theta, sin theta) is parallel to the gradient of g, of length lambda, and unique
+        where lambda > 2 (b^2 + c^2) (More and Sorensen). With h = (b, c), its parts h_u along u and h_t across, and
+        changes dR and dp of the pose, the implicit function theorem gives
+
+            |d theta| <= (2 |dR| + 2 (|h_t| + f |m|) |dp| / length) / (lambda - 2 h_t^2),
+
+        f being the part of the slide that turns with the hinge, and |dm| <= |dp| / length + |h_t d theta|.
+        """
+        link, length = self.links[0], self._length
+        poses = MovingPoses(deviations.twist, None)
+        x, y, a, b, c = self._coefficients(poses.rotation[..., link, :, :], poses.translation[..., link, :])
+        angle = _highest(x + 2.0 * a * b, y + 2.0 * a * c, b, c)
+        cos, sin = np.cos(angle), np.sin(angle)
+        along, across, size = b * cos + c * sin, np.abs(c * cos - b * sin), np.hypot(b, c)
+        m, level, beside = a + along, x * cos + y * sin, np.abs(y * cos - x * sin)
+        f = float(np.linalg.norm(self._of_translation[1])) * length
+        wide, far = deviations.wide[:, link], deviations.far[:, link] / length
+
+        def turned(most: Floats, turn: Floats, shift: Floats) -> tuple[Floats, Floats]:
+            """Bounds of |h_t| and |d theta| for angles that change by up to ``most``; infinite where u may jump."""
+            swung = 0.5 * np.abs(along) * most**2 + across * most
+            higher, longer = np.abs(m) + far + swung, size + f * far
+            off = across + f * far + longer * most
+            left = level + 2.0 * m * along - 2.0 * wide - 0.5 * np.abs(level) * most**2 - beside * most
+            left -= 2.0 * (higher * (f * far + swung) + (far + swung) * np.abs(along))
+            unique = left > 2.0 * longer**2
+            pull = 2.0 * turn + 2.0 * (off + f * higher) * shift
+            return off, np.where(unique, pull / np.where(unique, left - 2.0 * off**2, 1.0), np.inf)
+
+        most = np.minimum(1.5 * turned(np.zeros_like(wide), wide, far)[1], np.pi)
+        kept = (turned(most, wide, far)[1] <= most) & (np.abs(angle) + most < np.pi)
+        shift = deviations.shift[:, link] / length
+        off, turn = turned(most, np.broadcast_to(deviations.turn[link], wide.shape), shift)
+        slide = (shift + off * np.where(kept, turn, 0.0)) * length / self._stretch
+        return np.where(kept[:, None], np.stack([turn, slide], axis=-1), np.inf)
+
     def _coefficients(self, rotation: Floats, translation: Floats) -> tuple[Floats, ...]:
         """x, y and, in units of ``length``, a, b, c, each ``(...)``; linear in ``(..., 3, 3)`` and ``(..., 3)``."""
         flat = rotation.reshape(*rotation.shape[:-2], 9)
@@ -183,6 +228,16 @@ class OneScrew:
         offset = poses.twist[..., link, :] @ self._dual[:, None]
         return offset, None if poses.twist_rate is None else poses.twist_rate[..., link, :] @ self._dual[:, None]
 
+    @property
+    def groups(self) -> list[Group]:
+        """Its one coordinate."""
+        return [(self.indices, np.ones(1))]
+
+    def spread(self, deviations: Deviations) -> Floats:
+        """Bound ``(K, 1)`` of its change, which is linear in that of the twist."""
+        lengths = np.linalg.norm(self._dual.reshape(2, 3), axis=1)
+        return np.full((len(deviations.twist), 1), lengths @ deviations.size[self.links[0]])
+
 
 class SixDof:
     """Trans(S s) Rot(A w), three slides below a ball joint: every pose is met exactly."""
@@ -214,3 +269,15 @@ class SixDof:
         omega, velocity = poses.rates
         turning = np.linalg.solve(left_jacobian_so3(rotvec), omega[..., link, :, None])[..., 0]
         return offset, np.concatenate([velocity[..., link, :] @ self._inverse.T, turning @ self._ball], axis=-1)
+
+    @property
+    def groups(self) -> list[Group]:
+        """The three slides and the ball joint."""
+        return [(self.indices[:3], np.ones(3)), (self.indices[3:], np.ones(3))]
+
+    def spread(self, deviations: Deviations) -> Floats:
+        """Bounds ``(K, 2)`` of the changes of the slides and of the rotation vector, omega below half a turn."""
+        link = self.links[0]
+        slide = float(np.linalg.norm(self._inverse, 2)) * deviations.shift[:, link]
+        turn = np.where(deviations.angle[:, link] < np.pi, deviations.turn[link], np.inf)
+        return np.stack([slide, turn], axis=-1)

@@ -94,7 +94,17 @@ class Collisions:
         Raises:
             InputError: q is malformed, or the cutoff is not positive.
         """
-        position = self._move(q)
+        sorted_distance, points, sorted_pairs = self.separations(q, cutoff)
+        if not len(sorted_distance):
+            return Distances(sorted_distance, np.zeros((0, self.arm.n_joints)), sorted_pairs)
+        slopes = self._slopes(sorted_pairs, points, sorted_distance)
+        position = as_floats("q", q, (self.arm.n_joints,))
+        rates = self.arm.qvel(np.broadcast_to(position, self._identity.shape), self._identity)
+        return Distances(sorted_distance, slopes @ rates.T, sorted_pairs)
+
+    def separations(self, q: ArrayLike, cutoff: ArrayLike) -> tuple[Floats, Floats, Pairs]:
+        """Distances ``(P,)``, witness points ``(P, 2, 3)`` and pairs ``(P, 2)``; arguments as of `distances`."""
+        self._move(q)
         limits = as_floats("cutoff", cutoff, (), batched=True)
         limits = np.broadcast_to(as_floats("cutoff", limits, self.pairs.shape[: limits.ndim]), len(self.pairs))
         if (limits <= 0.0).any():
@@ -110,13 +120,9 @@ class Collisions:
             segments.append(self._segment.copy())
             distance.append(value)
             found.append(index)
-        if not found:
-            return Distances(np.zeros(0), np.zeros((0, self.arm.n_joints)), self.pairs[:0])
         order = np.argsort(distance, kind="stable")
-        sorted_pairs, sorted_distance = self.pairs[np.array(found)[order]], np.array(distance)[order]
-        slopes = self._slopes(sorted_pairs, np.array(segments)[order].reshape(-1, 2, 3), sorted_distance)
-        rates = self.arm.qvel(np.broadcast_to(position, self._identity.shape), self._identity)
-        return Distances(sorted_distance, slopes @ rates.T, sorted_pairs)
+        chosen = np.array(found, dtype=int)[order]
+        return np.array(distance)[order], np.array(segments).reshape(-1, 2, 3)[order], self.pairs[chosen]
 
     def nearest(self, q: ArrayLike) -> tuple[float, tuple[int, int]]:
         """The smallest signed distance [m] at ``q`` ``(n,)`` and its geom ids; infinite and (-1, -1) without pairs."""

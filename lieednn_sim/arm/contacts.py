@@ -77,3 +77,13 @@ def colliding_geoms(model: mujoco.MjModel) -> NDArray[np.bool_]:
     """Which geoms ``(ngeom,)`` collide with any others; the rest are only drawn."""
     colliding: NDArray[np.bool_] = (model.geom_contype | model.geom_conaffinity) != 0
     return colliding
+
+
+def moved_by(model: mujoco.MjModel, body: int) -> NDArray[np.bool_]:
+    """Which degrees of freedom ``(nv,)`` move a body."""
+    moved = np.zeros(model.nv, dtype=bool)
+    while body > 0:
+        first = model.body_dofadr[body]
+        moved[first : first + model.body_dofnum[body]] = True
+        body = int(model.body_parentid[body])
+    return moved

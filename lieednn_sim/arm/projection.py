@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Hashable
-from dataclasses import field
+from dataclasses import field, replace
 from functools import cached_property, partial
 from typing import Protocol
 
@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieednn_sim.arm.closed_forms import HingeSlide, MovingPoses, OneScrew, SixDof
+from lieednn_sim.arm.deviations import Deviations, Group, spread_of_nearest
 from lieednn_sim.arm.kinematics import CompoundJoints, Factor
 from lieednn_sim.arm.nearest import NearestPose
 from lieednn_sim.budget import count_states
@@ -67,6 +68,13 @@ class _Solver(Protocol):
     def __call__(self, poses: MovingPoses, near: Floats | None) -> tuple[Floats, Floats | None]:
         """Displacements ``(..., c)`` from the reference and their rates; followed from ``near`` ``(n,)`` if given."""
 
+    @property
+    def groups(self) -> list[Group]:
+        """Its coordinates in groups."""
+
+    def spread(self, deviations: Deviations) -> Floats:
+        """Bounds ``(K, G)`` of the changes of these groups."""
+
 
 class Retractor:
     """Retracts the poses of an arm's compound joints.
@@ -113,6 +121,19 @@ class Retractor:
         """Distances [m] and angles [rad] ``(..., N)`` of the poses of ``xi`` ``(..., N, 6)`` from those at ``q``."""
         return self._gap(MovingPoses(xi, None), q)
 
+    @property
+    def groups(self) -> list[Group]:
+        """All coordinates in the groups whose changes `spread` bounds."""
+        return [group for solver in self._solvers for group in solver.groups]
+
+    def spread(self, deviations: Deviations) -> Floats:
+        """Largest changes ``(K, G)`` of the `groups` when the twists deviate; infinite where nothing is proved.
+
+        Smaller deviations change them less in proportion.
+        """
+        offset = replace(deviations, q=deviations.q - self._joints.reference)
+        return np.concatenate([solver.spread(offset) for solver in self._solvers], axis=1)
+
     def _gap(self, given: MovingPoses, q: Floats) -> tuple[Floats, Floats]:
         """Distances [m] and angles [rad] ``(..., N)`` of given poses from those at q ``(..., n)``."""
         rotation, translation = self._joints.matrices(q)
@@ -130,7 +151,30 @@ class _Nearest:
         members = [[joints.joints[link] for link in links] for links in groups]
         coordinates = [np.unique(np.concatenate([joint.indices for joint in group])) for group in members]
         self.indices = np.concatenate(coordinates)
+        self._coordinates, self._length = coordinates, length
+        self._sliding = ~np.isin(
+            self.indices,
+            [
+                i
+                for joint in joints.joints
+                for factor in joint.factors
+                if factor.kind != "slide"
+                for i in factor.indices
+            ],
+        )
         self._problem = NearestPose(members[0], coordinates[0], len(joints.reference), length)
+
+    @property
+    def groups(self) -> list[Group]:
+        """Each group of links; slides in units of the length."""
+        weights = np.where(self._sliding, 1.0 / self._length, 1.0).reshape(len(self._links), -1)
+        return list(zip(self._coordinates, weights, strict=True))
+
+    def spread(self, deviations: Deviations) -> Floats:
+        """See `spread_of_nearest`."""
+        each = zip(self._links, self._coordinates, strict=True)
+        found = [spread_of_nearest(self._problem, links, deviations, deviations.q[:, mine]) for links, mine in each]
+        return np.stack(found, axis=-1)
 
     def __call__(self, poses: MovingPoses, near: Floats | None) -> tuple[Floats, Floats | None]:
         rotation, translation = poses.rotation[..., self._links, :, :], poses.translation[..., self._links, :]

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.coordinates import Coordinates
+from lieednn_sim.arm.deviations import Deviations, Group
 from lieednn_sim.arm.kinematics import CompoundJoints
 from lieednn_sim.arm.projection import Retraction, Retractor
 from lieednn_sim.errors import InputError
@@ -253,6 +254,15 @@ class SerialArm:
         """Mechanism gap [m] and [rad], each ``(..., N)``, of states ``(..., N, 6)`` at joint positions ``(..., n)``."""
         twist = as_floats("xi", xi, (self.n_links, 6), batched=True) * self.twist_units
         return self._retractor.gap(twist, as_floats("q", q, (*twist.shape[:-2], self.n_joints)))
+
+    @property
+    def deviation_groups(self) -> list[Group]:
+        """All joint coordinates, in the groups whose changes `deviation_spread` bounds; see `Retractor.spread`."""
+        return self._retractor.groups
+
+    def deviation_spread(self, deviations: Deviations) -> Floats:
+        """How far deviations of the links' twists change the joints decoded from them; see `Retractor.spread`."""
+        return self._retractor.spread(deviations)
 
     @property
     def twist_units(self) -> Floats:

@@ -29,6 +29,7 @@ from lieednn_sim.planning.registry import (
 )
 from lieednn_sim.planning.retiming import retime
 from lieednn_sim.planning.shaped import ShapedOptions
+from lieednn_sim.planning.tube import Tube, find_tube
 from lieednn_sim.typecheck import typecheck_public
 
 __all__ = [
@@ -51,8 +52,10 @@ __all__ = [
     "ShapedOptions",
     "StompOptions",
     "TrainedOptions",
+    "Tube",
     "UnprojectedOptions",
     "default_planner",
+    "find_tube",
     "joint_motion",
     "missing_planners",
     "plan",

@@ -58,7 +58,7 @@ class Study(ABC, Generic[R]):
 
     @abstractmethod
     def failed(self, case: tuple[Any, ...], reason: str) -> list[R]:
-        """The rows of a case that raised, from the same arguments and the reason."""
+        """The rows of a case that raised, from the same arguments and the reason; unchecked."""
 
     def open(self, directory: str | os.PathLike[str]) -> Table[R]:
         """The table in a directory, which is created if it is missing; raises as `Table`."""

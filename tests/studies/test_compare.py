@@ -18,7 +18,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.errors import FileError, InputError, PlanError
 from lieednn_sim.evaluation.motion_metrics import least_clearance, rms_curvature, violations
-from lieednn_sim.planning import plan
+from lieednn_sim.planning import find_tube, plan
 from lieednn_sim.simulation import simulate
 from lieednn_sim.studies import Case, Comparison, Settings, compute, read_rows, run_case, write_summary
 from lieednn_sim.studies.comparison import cases
@@ -58,6 +58,23 @@ def test_a_row_holds_what_the_plan_says_of_itself():
     assert value["jerk_joints"] == pytest.approx((720.0 * ((way / ranges) ** 2).mean()) ** 0.5 / 4.0**3, rel=2e-3)
     assert value["motion_s"] == 4.0
     assert 3.0 < value["settling_s"] < 4.0
+
+
+def test_only_motions_of_certified_networks_have_a_tube(tmp_path):
+    """A number in its own column, a dash for others; and the page says why."""
+    made = [run_case(replace(CASE, planner=name), ["mocap"], QUICK) for name in ("linear-attractor", "minimum-jerk")]
+    arm, target = cases.arm_and_target(CASE.arm, CASE.scene, CASE.seed)
+    size = find_tube(arm, plan(arm, target, planner="linear-attractor", duration=QUICK.duration)).size
+    assert [row.tube_mm for (row,) in made] == [pytest.approx(1e3 * size, rel=1e-5), None]
+    table = Comparison(common=QUICK).open(tmp_path)
+    table.add([row for rows in made for row in rows])
+    write_summary(tmp_path / "s.md", table)
+    text = (tmp_path / "s.md").read_text(encoding="utf-8")
+    assert "since nothing is proved about how the rest would go on" in text
+    motions = text[text.index("## Motions") : text.index("## Tracking")]
+    cells = {line.split(" | ")[2]: line.split(" | ")[-1] for line in motions.splitlines() if "telescopic_pr" in line}
+    assert cells["minimum-jerk"] == "- |"
+    assert float(cells["linear-attractor"].removesuffix(" |")) == pytest.approx(1e3 * size, rel=1e-2)
 
 
 def test_masses_that_the_controller_does_not_know_show_in_the_row():

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.collision import Collisions, Distances
+from lieednn_sim.arm.contacts import moved_by
 from lieednn_sim.errors import InputError
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.validation import quoted
@@ -102,7 +103,7 @@ class ApproachBounds:
         model = arm.model
         self._geoms, index = np.unique(pairs, return_inverse=True)
         self._first, self._second = index.reshape(-1, 2).T
-        self._moves = np.array([_moved_by(model, int(model.geom_bodyid[geom])) for geom in self._geoms])
+        self._moves = np.array([moved_by(model, int(model.geom_bodyid[geom])) for geom in self._geoms])
         self._turns = model.jnt_type[model.dof_jntid] != mujoco.mjtJoint.mjJNT_SLIDE
         self._radius = np.where(model.geom_rbound > 0.0, model.geom_rbound, 0.0)[self._geoms]
         self._identity = np.eye(arm.n_joints)
@@ -118,16 +119,6 @@ class ApproachBounds:
         moved = np.where(self._turns, levers, 1.0) * self._moves * (speeds @ np.abs(rates))
         table = moved @ ~self._moves.T
         return np.asarray(table[self._first, self._second] + table[self._second, self._first])
-
-
-def _moved_by(model: mujoco.MjModel, body: int) -> NDArray[np.bool_]:
-    """Which degrees of freedom ``(nv,)`` move a body."""
-    moved = np.zeros(model.nv, dtype=bool)
-    while body > 0:
-        first = model.body_dofadr[body]
-        moved[first : first + model.body_dofnum[body]] = True
-        body = int(model.body_parentid[body])
-    return moved
 
 
 class ClearanceBarrier(Barrier):

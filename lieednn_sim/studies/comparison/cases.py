@@ -16,10 +16,10 @@ from lieednn_sim.errors import LieEDNNError
 from lieednn_sim.evaluation.evaluation import Evaluation
 from lieednn_sim.evaluation.metrics import evaluate
 from lieednn_sim.evaluation.motion_metrics import MotionMetrics, motion_metrics
-from lieednn_sim.planning import Plan, plan, reference_network
+from lieednn_sim.planning import Plan, find_tube, plan, reference_network
 from lieednn_sim.simulation import Rollout, simulate
 from lieednn_sim.simulation.tracking import as_hold
-from lieednn_sim.studies.comparison.rows import COLUMNS, TIMING, Case, Row
+from lieednn_sim.studies.comparison.rows import COLUMNS, TIMING, TUBE, Case, Row
 from lieednn_sim.studies.user_files import SCENE, UserFile, load
 from lieednn_sim.validation import as_positive
 from lieednn_sim.values import Floats, check_fields, set_fields
@@ -131,7 +131,7 @@ def run_case(
             error.add_note(f"while planning the case {case}")
             raise
         planned = {"planning_s": time.process_time() - begun, **_stability(made.network)}
-        planned |= _measured(motion_metrics(arm, made.motion), of_motion=True)
+        planned |= {TUBE: _tube_mm(arm, made), **_measured(motion_metrics(arm, made.motion), of_motion=True)}
         rows = []
         for name in controllers:
             try:
@@ -178,6 +178,14 @@ def _stability(network: Any) -> dict[str, Any]:
     return {"stability": "global" if verdict.globally_stable else local, "stability_level": verdict.level}
 
 
+def _tube_mm(arm: Arm, made: Plan) -> float | None:
+    """Size of the plan's tube [mm]; None if it has none."""
+    try:
+        return 1e3 * find_tube(arm, made).size
+    except LieEDNNError:
+        return None
+
+
 def _measured(metrics: MotionMetrics | Evaluation, *, of_motion: bool) -> dict[str, Any]:
-    names = [column.name for column in COLUMNS if column.of_motion is of_motion and column.name not in TIMING]
+    names = [column.name for column in COLUMNS if column.of_motion is of_motion and column.name not in (*TIMING, TUBE)]
     return {name: getattr(metrics, name) for name in names}

@@ -93,6 +93,9 @@ class Row(TableRow):
     curvature: float | None = _of_motion(
         "curvature [1/m]", "RMS curvature along the planned end-effector path, where its speed is above 5 % of the peak"
     )
+    tube_mm: float | None = _of_motion(
+        "tube [mm]", "largest deviation of all links at once that is proved to end at the target without contact"
+    )
     settling_s: float | None = column(
         "settled [s]", "time from which every link stays at its target; none when it does not"
     )
@@ -148,5 +151,7 @@ class Row(TableRow):
 FIELDS = tuple(entry.name for entry in fields(Row))
 COLUMNS = columns_of(Row)
 BY_NAME = {entry.name: entry for entry in COLUMNS}
+# The column that is proved rather than measured.
+TUBE = "tube_mm"
 # Columns that differ between runs.
 TIMING = ("planning_s",)

@@ -176,7 +176,7 @@ class Comparison(Study[Row]):
         return run_case
 
     def failed(self, case: tuple[Any, ...], reason: str) -> list[Row]:
-        """See `Study`."""
+        """See `Study`; unchecked."""
         return failed_case(*(*case, reason))
 
     def _planning_costs(self, table: Table[Row]) -> Mapping[str, float]:

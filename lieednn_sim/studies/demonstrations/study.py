@@ -123,5 +123,5 @@ class DemonstrationSets(Study[ModelScore]):
         return score
 
     def failed(self, case: tuple[Any, ...], reason: str) -> list[ModelScore]:
-        """See `Study`."""
+        """See `Study`; unchecked."""
         return [ModelScore(case[0], Path(case[1]).stem, model, reason=reason) for model in self.models]

@@ -242,5 +242,5 @@ class PublishedProblems(Study[Solution]):
         return solve
 
     def failed(self, case: tuple[Any, ...], reason: str) -> list[Solution]:
-        """See `Study`."""
+        """See `Study`; unchecked."""
         return failed(*(*case, reason))

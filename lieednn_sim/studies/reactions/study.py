@@ -81,7 +81,7 @@ class Reactions(Study[Reaction]):
         return run_reactions
 
     def failed(self, case: tuple[Any, ...], reason: str) -> list[Reaction]:
-        """See `Study`."""
+        """See `Study`; unchecked."""
         return failed_reactions(*(*case, reason))
 
 

@@ -30,6 +30,7 @@ _SHOWN = (
     "tracking_rms_deg",
     "tracking_max_mm",
     "clearance_mm",
+    "tube_mm",
     "path_ranges",
     "path_m",
     "settling_s",

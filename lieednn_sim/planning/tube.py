@@ -1,0 +1,241 @@
+"""The tube of a plan: deviations of its network's state that are proved to end at the target without contact.
+
+Let the visible neurons of a certified network be off their planned states by d, at one instant on the way, while the
+hidden ones, and so the clock, are as planned. What is proved, for every d in the tube:
+
+1. The network ends at the target: its certificate holds for every state.
+2. The deviation never leaves the tube. In a cascade, whose visible neurons hear no visible ones and whose hidden ones
+   hear none either, the inputs of the visible neurons are as planned, so d' = -gamma d holds exactly, in each
+   coordinate, at whatever instant d occurs. In another network |d(t)| is at most the gain of
+   `stability.Robustness.push_gain` times |d(0)|, by contraction, and only deviations that much smaller are allowed.
+3. The joints stay near the plan: `arm.deviations` bounds how far the projection of the deviated twists onto the joints
+   is from that of the planned ones. Where it is found by least squares, the joints are those connected with the planned
+   ones, as `arm.local_retraction` finds them. Clipping joints to their position limits, as the policies do, brings two
+   positions no further apart, so limits do not bound the tube.
+4. Nothing touches: `arm.clearance_bounds` proves it for all joints that near to the plan. The statement is for the
+   continuous motion: it is covered by intervals of time, in each of which the motion's own speed and acceleration bound
+   how far the plan is from the joints in the middle; intervals are halved until the bound is sharp.
+
+The law of time maps the motion's time to the network's, the same for both, so the deviated motion obeys the same bound.
+
+Assumed: between its samples, which are a time step of the model apart, the motion is the cubic through their positions
+and velocities, and its states are no further from the nearer sample than samples are from each other; MuJoCo's
+kinematics, and geoms that are convex. Not covered: obstacles that move; pushes that change the clock or the law of
+time; starts that change a family's code (`LieEDNN.start`); limits of velocity and force on the way back; the error of a
+controller that tracks the deviated motion, unless it is given as ``tracking``.
+"""
+
+from __future__ import annotations
+
+import heapq
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.interpolate import CubicHermiteSpline
+
+from lieednn_sim.arm import Arm
+from lieednn_sim.arm.clearance_bounds import ClearanceBounds
+from lieednn_sim.arm.deviations import Deviations
+from lieednn_sim.budget import check_time
+from lieednn_sim.errors import InputError, NotCertifiedError, PlanError
+from lieednn_sim.network import ComponentwiseNetwork
+from lieednn_sim.planning.motion import Motion
+from lieednn_sim.planning.problem import Plan
+from lieednn_sim.planning.shaped import lever_units
+from lieednn_sim.validation import as_floats
+from lieednn_sim.values import Floats, frozen
+
+# Instants of a first estimate; intervals to begin with; and the fraction of the least bound at single instants that the
+# bound for all of them must reach.
+_INSTANTS, _INTERVALS, _SHARPNESS = 16, 48, 0.95
+# Largest number of configurations at which distances are measured.
+_EVALUATIONS = 4000
+# Largest size that is looked for, smallest one at which the projection is bounded [m], and the factor between trials.
+_LARGEST, _SMALLEST, _SHRINK = 0.1, 1e-4, 0.85
+# Largest difference of a motion's states and joints from those computed again, and what is allowed for it and for
+# clipping joints to their limits [rad, m].
+_SAME, _ROUNDING = 1e-6, 5e-6
+# Larger errors of tracking and margins are refused [rad, m].
+_MOST = 1e3
+
+
+@frozen
+class Tube:
+    """Deviations of a network's visible state, anywhere on the way, that end at the target without contact.
+
+    All links may deviate at once: link i by any turn up to `rotation` and any shift up to `translation`, in the
+    coordinates omega and v of its twist. The module says what is proved and what is assumed.
+
+    Attributes:
+        size: s, the shift of every link [m]. Each link may at the same time turn by s over its lever arm, the longest
+            distance of the end effector from it on the way: by as much as moves the end effector by s. Sizes above 0.1
+            are not looked for.
+        rotation: ``(N,)`` largest deviations |d omega| [rad].
+        translation: ``(N,)`` largest deviations |d v| [network coordinates, `Arm.length_scale` m].
+        push: largest Euclidean norm, over all visible coordinates, of a push of the state that is harmless, however it
+            is directed [network coordinates].
+        gain: largest growth of a deviation; 1 for a cascade.
+        t: instant of the motion that limits the tube [s].
+        pair: names of the geoms that limit it; empty if not contact does.
+    """
+
+    size: float
+    rotation: Floats
+    translation: Floats
+    push: float
+    gain: float
+    t: float
+    pair: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        limit = (
+            f"limited by {' and '.join(map(repr, self.pair))} at {self.t:.2f} s"
+            if self.pair
+            else "not limited by contact"
+        )
+        return f"<Tube: {1e3 * self.size:.3g} mm for every link at once, pushes up to {self.push:.3g}, {limit}>"
+
+    def holds(self, deviation: ArrayLike) -> bool:
+        """Whether a deviation ``(N, 6)`` of the visible neurons, in network coordinates, is proved to be harmless."""
+        off = as_floats("deviation", deviation, (len(self.rotation), 6))
+        turns, shifts = np.linalg.norm(off.reshape(-1, 2, 3), axis=2).T
+        inside = (turns <= self.rotation).all() and (shifts <= self.translation).all()
+        return bool(inside or np.linalg.norm(off) <= self.push)
+
+
+def find_tube(arm: Arm, plan: Plan, *, tracking: ArrayLike = 0.0, margin: float = 0.0) -> Tube:
+    """The largest tube that is proved for a plan whose motion is the path of its certified network.
+
+    Args:
+        arm: the arm that the plan is for, in its scene.
+        plan: the plan.
+        tracking: largest errors ``(n,)`` of the joints' tracking that the tube shall allow for, or one for all [rad,
+            m].
+        margin: distance that everything keeps from contact [m].
+
+    Raises:
+        InputError: a value is malformed or negative, the plan has no network, or its motion is not the network's path,
+            as after the safety filter.
+        NotCertifiedError: the network has no certificate, or nothing is proved about the growth of deviations.
+        PlanError: the motion comes too close to contact for any tube.
+    """
+    given = as_floats("tracking", tracking, (), batched=True, largest=_MOST)
+    errors = np.broadcast_to(as_floats("tracking", given, (arm.n_joints,) if given.ndim else ()), arm.n_joints)
+    keep = float(as_floats("margin", margin, (), largest=_MOST))
+    if (errors < 0.0).any() or keep < 0.0:
+        raise InputError(f"tracking and margin must not be negative, got {errors.min():g} and {keep:g}")
+    network, motion = plan.network, plan.motion
+    if network is None:
+        raise InputError(f"only plans with a network have a tube, the planner {plan.planner!r} makes none")
+    if not network.certified:
+        raise NotCertifiedError("only certified networks have a tube; see network.certify()")
+    cascade = not network.blocks[:, : network.n_visible].any()
+    gain = 1.0 if cascade else _gain(network)
+    _check_path(arm, network, motion)
+    path = _Path(arm, motion, errors, keep)
+    units = np.stack([1.0 / lever_units(arm, motion.q)[:, 0], np.full(arm.n_links, 1.0)], axis=1)
+    size, t, pair = path.largest(units)
+    each = units / [1.0, arm.length_scale]
+    push = size * float(each.min()) / gain
+    if not cascade:
+        # Only a ball is proved to stay inside, and all links at once must be in it.
+        size = push / float(np.linalg.norm(each))
+    rotation, translation = size * each.T
+    return Tube(size, rotation, translation, push, gain, t, path.bounds.names(pair) if pair[0] >= 0 else ())
+
+
+def _gain(network: ComponentwiseNetwork) -> float:
+    """Largest growth of a deviation of the visible neurons; raises `NotCertifiedError` if none is proved."""
+    proved = network.robustness().contracting
+    if proved is None:
+        raise NotCertifiedError("nothing is proved about the growth of deviations, since contraction is not")
+    return max(1.0, proved.push_gain())
+
+
+def _check_path(arm: Arm, network: ComponentwiseNetwork, motion: Motion) -> None:
+    """Raise `InputError` unless the motion's states are those of the network, and its joints those nearest to them."""
+    own = motion.xi.shape[1] == network.n_visible
+    if own and motion.tau[-1] > 0.0:
+        states = network.trajectory(network.start(motion.xi[0]), motion.tau[-1])(motion.tau)
+        own = bool(np.abs(network.visible(states) - motion.xi).max() <= _SAME)
+    if not own or np.abs(arm.decode(motion.xi, start=motion.q[0]).q - motion.q).max() > _SAME:
+        raise InputError("the motion is not the path of its network, as after the safety filter: there is no tube")
+
+
+class _Path:
+    """A motion as a continuous path, and its clearance."""
+
+    def __init__(self, arm: Arm, motion: Motion, tracking: Floats, margin: float) -> None:
+        self._arm, self._motion, self._rest = arm, motion, tracking + _ROUNDING
+        self._spline = CubicHermiteSpline(motion.t, motion.q, motion.qd)
+        self._rates = self._spline.derivative()
+        # Along a cubic the acceleration is linear.
+        chords, step = np.diff(motion.q, axis=0) / motion.timestep, motion.timestep
+        before, after = motion.qd[:-1], motion.qd[1:]
+        ends = np.stack([6.0 * chords - 4.0 * before - 2.0 * after, 4.0 * after + 2.0 * before - 6.0 * chords])
+        self._accelerations = np.abs(ends).max(axis=0) / step
+        self.bounds = ClearanceBounds(arm.without_visuals, arm.deviation_groups, margin)
+        twist = motion.xi * arm.twist_units
+        steps = np.linalg.norm(np.diff(twist, axis=0).reshape(len(twist) - 1, -1, 2, 3), axis=-1)
+        slack = np.zeros((*twist.shape[:2], 2))
+        slack[1:] = steps
+        slack[:-1] = np.maximum(slack[:-1], steps)
+        self._states = Deviations(twist, motion.q, np.zeros((arm.n_links, 2)), slack)
+
+    def largest(self, sizes: Floats) -> tuple[float, float, tuple[int, int]]:
+        """The largest scale of ``sizes`` ``(N, 2)`` [rad, m] without contact, the instant and the geoms that limit it.
+
+        Raises:
+            PlanError: there is none.
+        """
+        last = len(self._motion.t) - 1
+        # A first estimate at some instants: at this size the projection is then bounded.
+        spread, best, t, pair = self._spread(_SMALLEST, sizes), _LARGEST, 0.0, (-1, -1)
+        for k in np.linspace(0, last, _INSTANTS) if np.isfinite(spread).all() else ():
+            _, there, geoms = self._scales(k, k, spread, best)
+            if there < best:
+                best, t, pair = there, k * self._motion.timestep, geoms
+        while best >= _SMALLEST and not np.isfinite(spread := self._spread(best, sizes)).all():
+            best, pair = _SHRINK * best, (-1, -1)
+        if best < _SMALLEST:
+            raise PlanError(
+                f"there is no tube of {1e3 * _SMALLEST:g} mm: the motion comes too close to contact, or the joints "
+                "nearest to the network's state may jump"
+            )
+        edges = np.linspace(0.0, last, min(_INTERVALS, last) + 1)
+        heap: list[tuple[float, float, float]] = [(-1.0, a, b) for a, b in pairwise(edges)]
+        for _ in range(_EVALUATIONS):
+            check_time()
+            scale, a, b = heapq.heappop(heap)
+            if scale >= _SHARPNESS * best:
+                heapq.heappush(heap, (scale, a, b))
+                break
+            middle = 0.5 * (a + b)
+            parts = ((a, b),) if scale < 0.0 else ((a, middle), (middle, b))
+            for begin, end in parts:
+                found, there, geoms = self._scales(begin, end, spread, best)
+                if there < best:
+                    best, t, pair = there, 0.5 * (begin + end) * self._motion.timestep, geoms
+                heapq.heappush(heap, (found, begin, end))
+        size = max(heap[0][0], 0.0)
+        if size == 0.0:
+            raise PlanError(f"there is no tube: the motion comes too close to contact at t = {t:.2f} s")
+        return size, t, pair
+
+    def _spread(self, radius: float, sizes: Floats) -> Floats:
+        """Largest changes ``(K, G)`` of the joints for a scale of 1, proved for scales up to ``radius``."""
+        return self._arm.deviation_spread(replace(self._states, size=radius * sizes)) / radius
+
+    def _scales(self, a: float, b: float, spread: Floats, most: float) -> tuple[float, float, tuple[int, int]]:
+        """As `ClearanceBounds`, for an interval of samples: for all its instants, and for its middle alone."""
+        first, last = int(np.floor(a)), max(int(np.ceil(b)), int(np.floor(a)) + 1)
+        last = min(last, len(self._accelerations))
+        first = min(first, last - 1)
+        step = self._motion.timestep
+        middle, half = 0.5 * (a + b) * step, 0.5 * (b - a) * step
+        curve = 0.5 * half**2 * self._accelerations[first:last].max(axis=0)
+        rest = np.stack([self._rest + curve, self._rest])
+        widest = spread[first : last + 1].max(axis=0)
+        return self.bounds(self._spline(middle), half * self._rates(middle), rest, widest, most)

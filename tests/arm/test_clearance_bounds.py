@@ -1,0 +1,56 @@
+"""How far joints may be from a configuration without contact: by hand, and by random deviations."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lieednn_sim.arm import Arm
+from lieednn_sim.arm.clearance_bounds import ClearanceBounds
+from lieednn_sim.arm.collision import Collisions
+
+NOTHING = np.zeros((2, 4))
+
+
+def test_a_ball_over_a_floor_by_hand(gantry):
+    """The ball of radius 0.1 is 1 m over the floor: only z brings it nearer, by what it moves."""
+    bounds = ClearanceBounds(gantry, [(np.array([i]), np.ones(1)) for i in range(4)], margin=0.2)
+    home, still = np.zeros(4), np.zeros(4)
+    x, z, turn = np.eye(4)[[0, 2, 3]]
+    for spread, path, rest, expected in (
+        (2.0 * z, still, NOTHING, (0.35, 0.35)),
+        (2.0 * z + x + turn, still, NOTHING, (0.35, 0.35)),
+        (x + turn, still, NOTHING, (0.6, 0.6)),
+        (2.0 * z, -0.1 * z + 0.5 * turn, NOTHING, (0.3, 0.35)),
+        (2.0 * z, still, np.stack([0.3 * z, 0.2 * z]), (0.2, 0.25)),
+        (2.0 * z, 0.9 * z, NOTHING, (0.0, 0.35)),
+    ):
+        whole, there, _ = bounds(home, path, rest, spread, 0.6)
+        assert (whole, there) == pytest.approx(expected, abs=1e-9)
+    assert bounds.names(bounds(home, still, NOTHING, z, 1.0)[2]) == ("floor", "ball")
+
+
+@pytest.mark.parametrize(("name", "scene"), [("telescopic_pr", "poles"), ("telescopic_compound", "window")])
+def test_within_the_scale_nothing_comes_nearer_than_the_margin(name, scene):
+    """Corners of the set, where the distance is measured by MuJoCo; large turns show the terms of second order."""
+    arm = Arm.load(name, scene, 0)
+    rng, margin = np.random.default_rng(0), 0.002
+    groups = arm.deviation_groups
+    bounds, collisions = ClearanceBounds(arm, groups, margin), Collisions(arm)
+    home, least, largest = arm.keyframe("home"), np.inf, 0.0
+    for _ in range(4):
+        q = home + 0.02 * rng.uniform(-1.0, 1.0, arm.n_joints)
+        path, spread = 0.002 * rng.uniform(-1.0, 1.0, arm.n_joints), rng.uniform(0.5, 2.0, len(groups))
+        rest = np.full((2, arm.n_joints), 1e-3)
+        scale, there, _ = bounds(q, path, rest, spread, 0.3)
+        assert scale <= there
+        largest = max(largest, scale)
+        for _ in range(60):
+            off = np.zeros(arm.n_joints)
+            for size, (indices, weights) in zip(spread, groups, strict=True):
+                way = rng.standard_normal(len(indices))
+                off[indices] = scale * size * way / np.linalg.norm(way) / weights
+            shift = rng.choice([-1.0, 1.0]) * path + rest[0] * rng.choice([-1.0, 1.0], arm.n_joints)
+            least = min(least, collisions.clearance(q + shift + off))
+    assert margin <= least < 0.1
+    assert largest > 0.005
