@@ -29,6 +29,7 @@ from lieednn_sim.planning.registry import (
 )
 from lieednn_sim.planning.retiming import retime
 from lieednn_sim.planning.shaped import ShapedOptions
+from lieednn_sim.planning.teachers import TeacherOptions
 from lieednn_sim.planning.tube import Tube, find_tube
 from lieednn_sim.typecheck import typecheck_public
 
@@ -51,6 +52,7 @@ __all__ = [
     "RrtStarOptions",
     "ShapedOptions",
     "StompOptions",
+    "TeacherOptions",
     "TrainedOptions",
     "Tube",
     "UnprojectedOptions",

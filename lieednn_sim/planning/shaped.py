@@ -1,7 +1,6 @@
 """A certified network shaped after the motion of a teacher.
 
-The teacher is minimum jerk if that is free of contact, else trajectory optimisation from there, else trajectory
-optimisation from a path of RRT-Connect, else that path itself. It is encoded as a start of the arm's universal network
+The teacher is the best of a few quick motions (`teachers`). It is encoded as a start of the arm's universal network
 (`synthesis.CurveEncoder`); where that does not follow it closely enough, a network is shaped by `synthesis.shape`. The
 motion follows the network's path by the teacher's time law. It is proved that the network ends at the target from every
 start; its distance from the teacher's path, limits and clearance are only checked.
@@ -9,9 +8,8 @@ start; its distance from the teacher's path, limits and clearance are only check
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from functools import partial
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -19,23 +17,18 @@ from scipy.spatial import KDTree
 from lieednn_sim.arm import Arm
 from lieednn_sim.budget import cpu_time
 from lieednn_sim.errors import InputError, PlanError
-from lieednn_sim.planning.baselines import interpolation, optimisation, sampling
-from lieednn_sim.planning.baselines.optimisation import OptimisationOptions
-from lieednn_sim.planning.baselines.sampling import RrtConnectOptions
 from lieednn_sim.planning.encoded_path import EncodedPath
 from lieednn_sim.planning.motion import Motion, rms_jerk
 from lieednn_sim.planning.network_path import NetworkPath, checked_motion, timed_motion
 from lieednn_sim.planning.network_planners import without_weights
 from lieednn_sim.planning.options import NetworkOptions
 from lieednn_sim.planning.problem import Plan, PlanningProblem, in_time
+from lieednn_sim.planning.teachers import TeacherOptions, best_teacher
 from lieednn_sim.planning.time_laws import law_of
 from lieednn_sim.synthesis import CurveEncoder, ShapingOptions, shape
 from lieednn_sim.values import Floats, frozen
 
-# From one guess: if that fails, a path of RRT-Connect is a better one than a random guess. The inset keeps it off the
-# joints' limits, which a network slightly off the path would break.
-_OPTIMISATION = OptimisationOptions(guesses=1, evaluations=12, inset=0.01)
-_RRT = RrtConnectOptions()
+_TEACHER = TeacherOptions()
 # Every second sample of the teacher's motion is a sample of the curve.
 _STRIDE = 2
 # Samples of a network's motion at which it is compared with the teacher's.
@@ -55,16 +48,13 @@ class ShapedOptions(NetworkOptions):
         largest_deviation: deviation up to which the best network is accepted if none is accepted at once [m].
         rate: rho of the hidden neurons' clock (`ShapingOptions`): with 1 the network is as fast as the arm; with less
             it returns to its path after a push.
-        teachers: largest number of teachers' motions to try until a network follows one; further ones are other paths
-            of RRT-Connect, each from the next seed.
+        teachers: largest number of teachers' motions to try until a network follows one, each from the next seed;
+            minimum jerk is tried once.
         encoded: whether to encode the motion in the universal network of the arm first (`synthesis.CurveEncoder`),
             whose rate is 1; with another rate a network is shaped at once.
         neurons: numbers of hidden neurons of networks to shape where the universal network does not suffice, tried in
             turn until the motion is near, smooth, and keeps limits and clearance.
-        optimised: whether to optimise trajectories, which is slow among many obstacles; otherwise RRT-Connect's motion
-            is followed as it is if minimum jerk is not free of contact.
-        optimisation: options of the trajectory optimisation.
-        search: options of RRT-Connect.
+        teacher: how the teacher's motion is found.
 
     Raises:
         InputError: a value is out of range.
@@ -77,9 +67,7 @@ class ShapedOptions(NetworkOptions):
     teachers: int = 1
     encoded: bool = True
     neurons: tuple[int, ...] = field(default=(8, 16, 32, 64), metadata={"range": (2, 256)})
-    optimised: bool = True
-    optimisation: OptimisationOptions = _OPTIMISATION
-    search: RrtConnectOptions = _RRT
+    teacher: TeacherOptions = _TEACHER
 
 
 @frozen
@@ -100,19 +88,19 @@ class ShapedDetails:
 
 
 def shaped(problem: PlanningProblem, options: ShapedOptions) -> Plan:
-    """A network shaped after the motion of the first successful teacher.
+    """A network shaped after the motion of the best teacher.
 
     Raises:
         LieEDNNError: OMPL is needed but not installed.
         PlanError: no teacher finds a motion, or no network follows it closely enough.
     """
     for attempt in range(options.teachers):
-        teacher = _teacher(replace(problem, seed=problem.seed + attempt), options)
+        teacher = best_teacher(replace(problem, seed=problem.seed + attempt), options.teacher)
         try:
             return _following(problem, options, teacher)
         except PlanError:
-            # Other teachers' motions do not depend on the seed.
-            if attempt + 1 == options.teachers or not teacher.planner.startswith("rrt-connect"):
+            # Minimum jerk does not depend on the seed.
+            if attempt + 1 == options.teachers or teacher.planner == "minimum-jerk":
                 raise
     raise AssertionError("options.teachers is at least one")
 
@@ -195,29 +183,6 @@ class _Fitted:
     path: NetworkPath
     motion: Motion
     deviation: float
-
-
-def _teacher(problem: PlanningProblem, options: ShapedOptions) -> Plan:
-    """The plan of the first successful teacher, under that planner's name."""
-    optimised = partial(optimisation.trajectory_optimisation, problem, options.optimisation)
-    refusals = []
-
-    def asked(name: str, solve: Callable[[], Motion]) -> Plan | None:
-        try:
-            begun = cpu_time()
-            return Plan(solve(), target=problem.target, planner=name, cpu_time=cpu_time() - begun)
-        except PlanError as error:
-            refusals.append(f"{name}: {error}")
-            return None
-
-    found = asked("minimum-jerk", lambda: interpolation.minimum_jerk(problem))
-    if found is None and options.optimised:
-        found = asked("trajectory-optimisation", optimised)
-    if found is None and (path := asked("rrt-connect", lambda: sampling.rrt_connect(problem, options.search))):
-        found = (options.optimised and asked("rrt-connect, optimised", lambda: optimised(path.motion))) or path
-    if found is None:
-        raise PlanError(f"no teacher finds a motion; {'; '.join(refusals)}")
-    return found
 
 
 def lever_units(arm: Arm, q: Floats) -> Floats:

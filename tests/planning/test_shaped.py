@@ -12,7 +12,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.evaluation.motion_metrics import motion_metrics
-from lieednn_sim.planning import CertifiedOptions, OptimisationOptions, ShapedOptions, missing_planners, plan, shaped
+from lieednn_sim.planning import CertifiedOptions, ShapedOptions, TeacherOptions, missing_planners, plan, shaped
 from lieednn_sim.planning.encoded_path import EncodedPath
 from lieednn_sim.planning.motion import check_motion
 from lieednn_sim.planning.network_path import NetworkPath
@@ -24,6 +24,7 @@ SPEC = Arm.load("telescopic_pr").spec.copy()
 # Motions of fewer samples are planned in less time.
 SPEC.option.timestep = 0.005
 FREE = Arm.from_spec(SPEC, Path("telescopic_pr.xml"), "telescopic_pr")
+UNPOLISHED = TeacherOptions(polished=False)
 needs_ompl = pytest.mark.skipif("rrt-connect" in missing_planners(), reason="RRT-Connect needs OMPL")
 
 
@@ -35,8 +36,8 @@ def planned(arm, target, **options):
     ("scene", "seed", "teacher", "asked"),
     [
         ("free", 0, "minimum-jerk", 7e-4),
-        ("shelf", 1, "trajectory-optimisation", 7e-4),
-        pytest.param("poles", 0, "rrt-connect, optimised", 3e-3, marks=needs_ompl),
+        ("shelf", 2, "minimum-jerk, polished", 7e-4),
+        ("poles", 0, "rrt-connect, polished", 3e-3),
     ],
 )
 def test_the_motion_is_the_teachers_and_the_network_is_certified(scene, seed, teacher, asked):
@@ -133,16 +134,6 @@ def test_what_is_too_far_off_is_refused():
 
 
 @needs_ompl
-def test_without_a_teacher_there_is_no_motion(monkeypatch):
-    arm = FREE.among("poles", 0)
-    monkeypatch.setattr("lieednn_sim.planning.baselines.sampling.connecting_path", lambda *_: None)
-    with pytest.raises(
-        PlanError, match=r"no teacher finds a motion; minimum-jerk: .*; trajectory-optimisation: .*; rrt"
-    ):
-        planned(arm, draw_target(arm, 0), optimisation=OptimisationOptions(guesses=1, evaluations=1))
-
-
-@needs_ompl
 def test_where_no_network_follows_another_path_is_asked_for(monkeypatch):
     """The first path is refused; minimum jerk's motion would be the same again, and is asked for once."""
     arm = FREE.among("poles", 0)
@@ -155,14 +146,14 @@ def test_where_no_network_follows_another_path_is_asked_for(monkeypatch):
         return replace(teacher, teacher=teacher)
 
     monkeypatch.setattr(shaped, "_following", picky)
-    made = planned(arm, draw_target(arm, 0), teachers=2, optimised=False)
+    made = planned(arm, draw_target(arm, 0), teachers=2, teacher=UNPOLISHED)
     first, second = (teacher.motion for teacher in taught)
     assert made.teacher is taught[1]
     assert first.q.shape != second.q.shape or not np.array_equal(first.q, second.q)
     for teachers, target_arm in ((1, arm), (2, FREE)):
         taught.clear()
         with pytest.raises(PlanError, match="not this one"):
-            planned(target_arm, draw_target(target_arm, 0), teachers=teachers, optimised=False)
+            planned(target_arm, draw_target(target_arm, 0), teachers=teachers, teacher=UNPOLISHED)
         assert len(taught) == 1
 
 

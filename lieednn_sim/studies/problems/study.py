@@ -26,6 +26,7 @@ from lieednn_sim.planning.baselines.sampling import RrtConnectOptions
 from lieednn_sim.planning.motion import Motion, least_duration
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.shaped import ShapedOptions
+from lieednn_sim.planning.teachers import TeacherOptions
 from lieednn_sim.studies.problems.motion_bench_maker import ProblemSets
 from lieednn_sim.studies.rows import TableRow, column, columns_of, outcome
 from lieednn_sim.studies.study import Study
@@ -53,8 +54,7 @@ OPTIONS: Mapping[str, PlannerOptions] = {
     # contacts of a network that deviates a little are found by the check of its motion. Unlike those of the search,
     # these numbers were chosen on six problems of the list on which fewer neurons had failed.
     "lieednn-shaped": ShapedOptions(
-        search=_SEARCH,
-        optimised=False,
+        teacher=TeacherOptions(polished=False, search=_SEARCH),
         teachers=100,
         neurons=(16, 32, 64, 128),
         deviation=2e-3,

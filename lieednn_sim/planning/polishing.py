@@ -1,0 +1,212 @@
+"""Polishing a motion: from any first guess to the nearest local optimum of jerk, path length and clearance.
+
+A motion is a quintic B-spline in time with control points C, from rest to rest. In units of the joints' ranges and of
+the straight motion by minimum jerk, J is its squared jerk and E a bound on its squared length, the integral of
+|q'|^2 / s' over the fraction u of the duration, with s(u) the minimum-jerk law. The straight motion has J = E = 1, the
+least of all. Both are quadratic in C. With the least distance d from everything on the way, the measure is
+
+    log(J + E) - kappa log(d),
+
+where d counts up to that of start and target, which no motion exceeds. It is minimised by sequential quadratic
+programming: at every step MuJoCo's contacts give the distances of all pairs and their slopes, a quadratic program in C
+and d is solved within a trust region, and the step is taken if it lowers the measure.
+"""
+
+from __future__ import annotations
+
+import math
+
+import daqp
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import BSpline
+
+from lieednn_sim.arm.contact_slopes import ContactSlopes
+from lieednn_sim.budget import check_time
+from lieednn_sim.planning.joint_space import SPLINE_DEGREE, clamped_knots, joint_motion
+from lieednn_sim.planning.motion import Motion
+from lieednn_sim.planning.problem import PlanningProblem
+from lieednn_sim.planning.time_laws import minimum_jerk_law
+from lieednn_sim.values import Floats
+
+# Control points fixed at each end by its position and zero velocity and acceleration.
+_FIXED = 3
+# Share of even spacing in time of the instants; the rest of the spacing is even along the path.
+_EVEN = 0.3
+# Least minimum-jerk speed by which the bound on the length is divided, relative to the mean speed: at rest it is zero.
+_LEAST_SPEED = 0.02
+# First trust region, as the largest distance that a joint may move a link [m], its factors after a step that is taken
+# and one that is not, and the size at which the descent ends.
+_TRUST, _GROW, _SHRINK, _LEAST_TRUST = 0.1, 1.5, 0.4, 5e-3
+# A step that lowers the measure by less ends the descent.
+_LEAST_GAIN = 1e-3
+# Below this clearance [m] the logarithm is continued by a steep line, so that contact is left first.
+_TOUCHING, _STEEPNESS = 2.5e-3, 100.0
+# Distances beyond the clearance sought at which a pair counts, since a step may bring it nearer [m].
+_AHEAD = 0.03
+# The clearance sought is up to this many times that of start and target, for distances between instants are less, and
+# up to an ample one [m].
+_BEYOND, _AMPLE = 1.1, 0.15
+# Fraction of the joints' ranges that control points keep from the limits if start and target do.
+_INSET = 0.005
+# How soft the quadratic program's clearances are, and DAQP's mark of soft constraints.
+_SOFTNESS, _SOFT = 1e-6, 8
+
+
+class Polish:
+    """Descent for one problem; guesses and results are free control points ``(F, n)`` in units of the ranges.
+
+    Args:
+        problem: start and target.
+        sweep: ``(n,)`` largest distance that a unit of each joint moves a link frame (`joint_space.sweeps`).
+        ends: least distance of start and target from everything [m], the largest clearance that counts.
+        weight: kappa, the weight of clearance.
+        intervals: number of intervals of the spline.
+        instants: number of instants at which distances are measured.
+        own: whether distances of the arm from itself count; without them a step takes a fraction of the time.
+
+    Attributes:
+        straight: ``(F, n)`` the minimum-jerk motion.
+    """
+
+    def __init__(
+        self,
+        problem: PlanningProblem,
+        sweep: Floats,
+        ends: float,
+        *,
+        weight: float,
+        intervals: int,
+        instants: int,
+        own: bool = False,
+    ) -> None:
+        arm = problem.arm
+        self._problem, self._scale, self._weight = problem, arm.ranges, weight
+        self._enough = max(min(_BEYOND * ends, _AMPLE), _TOUCHING)
+        self._slopes = ContactSlopes(arm, self._enough + _AHEAD, own=own)
+        count = intervals + SPLINE_DEGREE
+        self._basis = BSpline(clamped_knots(count), np.eye(count), SPLINE_DEGREE)
+        u = np.linspace(0.0, 1.0, 1001)
+        spacing = _EVEN * u + (1.0 - _EVEN) * minimum_jerk_law(u)[0]
+        self._rows = self._basis(np.interp((np.arange(instants) + 0.5) / instants, spacing, u))
+        self._free = slice(_FIXED, -_FIXED)
+        start, target = problem.start / arm.ranges, problem.target / arm.ranges
+        self._ends = np.zeros((count, arm.n_joints))
+        self._ends[:_FIXED], self._ends[-_FIXED:] = start, target
+        # The three-point Gauss rule is exact for the squared jerk, whose degree is 4.
+        nodes, weights = np.polynomial.legendre.leggauss(3)
+        u = (np.arange(intervals)[:, None] + 0.5 * (nodes + 1.0)).ravel() / intervals
+        rate, jerk = (self._basis(u, nu=nu) for nu in (1, 3))
+        share = np.tile(weights, intervals)[:, None] / (2 * intervals)
+        speed = np.maximum(minimum_jerk_law(u)[1], _LEAST_SPEED)[:, None]
+        # A unit displacement has a squared jerk of 720. The unit is its length, at least a tenth of the joint space's.
+        unit = max(float(np.linalg.norm(target - start)), 0.1 * math.sqrt(arm.n_joints))
+        self._quadratic = (jerk.T @ (jerk * share) / 720.0 + rate.T @ (rate * share / speed)) / unit**2
+        self._hessian = self._quadratic[self._free, self._free]
+        self.straight = -np.linalg.solve(self._hessian, self._quadratic[self._free] @ self._ends)
+        low, high = (arm.position_limits / arm.ranges[:, None]).T
+        self._low = np.minimum(low + _INSET, np.minimum(start, target))
+        self._high = np.maximum(high - _INSET, np.maximum(start, target))
+        self._sweep = sweep * arm.ranges
+
+    def near(self, corners: Floats) -> Floats:
+        """The spline near a polyline ``(M, n)`` that is followed by minimum jerk, smoothed a little."""
+        points = corners / self._scale
+        length = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
+        u = np.linspace(0.0, 1.0, 200)[1:-1]
+        fraction = minimum_jerk_law(u)[0]
+        wanted = np.stack([np.interp(fraction, length / length[-1], joint) for joint in points.T], axis=1)
+        basis = self._basis(u)
+        left, free = wanted - basis @ self._ends, basis[:, self._free]
+        smooth = 1e-4 * len(u) / self._hessian.diagonal().mean() * self._hessian
+        return np.asarray(np.linalg.solve(free.T @ free + smooth, free.T @ left))
+
+    def cost(self, free: Floats) -> float:
+        """J + E."""
+        control = self._control(free)
+        return float(np.sum(control * (self._quadratic @ control)))
+
+    def measure(self, free: Floats, clearance: float) -> float:
+        """The measure of a motion with this clearance [m]."""
+        far = min(max(clearance, _TOUCHING), self._enough)
+        return math.log(self.cost(free)) - self._weight * math.log(far) + _STEEPNESS * max(_TOUCHING - clearance, 0.0)
+
+    def descend(self, free: Floats, steps: int) -> tuple[float, Floats, bool]:
+        """The measure, the control points and whether they are clear after up to this many steps from a guess."""
+        distances = self._distances(free)
+        clearance, trust = self._least(distances), _TRUST
+        measure = self.measure(free, clearance)
+        for _ in range(steps):
+            check_time()
+            new = self._step(free, distances, clearance, trust)
+            ahead = self._distances(new)
+            near = self._least(ahead)
+            lower = self.measure(new, near)
+            if lower < measure:
+                gain = measure - lower
+                free, distances, clearance, measure = new, ahead, near, lower
+                if gain < _LEAST_GAIN:
+                    break
+                trust *= _GROW
+            else:
+                trust *= _SHRINK
+                if trust < _LEAST_TRUST:
+                    break
+        return measure, free, clearance >= _TOUCHING
+
+    def motion(self, problem: PlanningProblem, free: Floats) -> Motion:
+        """The checked motion, in the problem's duration.
+
+        Raises:
+            PlanError: it breaks a limit or touches something.
+        """
+        t, control = problem.times(), self._control(free)
+        u = t / t[-1]
+        q, qd = (self._scale * (self._basis(u, nu=nu) @ control) for nu in (0, 1))
+        return joint_motion(problem, q, qd / t[-1], minimum_jerk_law(u)[0])
+
+    def _control(self, free: Floats) -> Floats:
+        """All control points ``(F + 6, n)``."""
+        control = self._ends.copy()
+        control[self._free] = free
+        return control
+
+    def _distances(self, free: Floats) -> tuple[NDArray[np.int_], Floats, Floats]:
+        """Instants ``(C,)``, distances [m] and slopes ``(C, n)`` in units of the ranges of near pairs."""
+        instant, distance, slope = self._slopes.along(self._scale * (self._rows @ self._control(free)))
+        return instant, distance, slope * self._scale
+
+    def _least(self, distances: tuple[NDArray[np.int_], Floats, Floats]) -> float:
+        return float(distances[1].min(initial=self._enough))
+
+    def _step(
+        self, free: Floats, distances: tuple[NDArray[np.int_], Floats, Floats], clearance: float, trust: float
+    ) -> Floats:
+        """The control points after the quadratic program's step within the trust region."""
+        n, count = free.shape[1], len(free)
+        radius = trust / self._sweep
+        instant, distance, slope = distances
+        # The last variable is the change of the clearance, relative to it: -log(1 + y) is about y^2 / 2 - y.
+        known = min(max(clearance, _TOUCHING), self._enough)
+        most = min(1.0, self._enough / known - 1.0)
+        reached = distance - known * (1.0 + most) < np.abs(slope) @ radius
+        instant, distance, slope = instant[reached], distance[reached], slope[reached]
+        x = free.T.ravel()
+        value = self._weight * self.cost(free) / 2.0
+        hessian = np.zeros((n * count + 1, n * count + 1))
+        hessian[:-1, :-1] = np.kron(np.eye(n), self._hessian)
+        hessian[-1, -1] = value
+        pull = hessian[:-1, :-1] @ x + (self._quadratic[self._free] @ self._ends).T.ravel()
+        rows = np.empty((len(instant), n * count + 1))
+        each = slope[:, :, None] * self._rows[instant][:, None, self._free]
+        rows[:, :-1] = each.reshape(len(instant), n * count)
+        rows[:, -1] = -known
+        reach = np.repeat(radius, count)
+        low = np.minimum(np.maximum(np.repeat(self._low, count) - x, -reach), 0.0)
+        high = np.maximum(np.minimum(np.repeat(self._high, count) - x, reach), 0.0)
+        upper = np.concatenate([high, [most], np.full(len(instant), 1e30)])
+        lower = np.concatenate([low, [-0.5 if known > _TOUCHING else 0.0], known - distance])
+        sense = np.zeros(len(upper), dtype=np.int32)
+        sense[n * count + 1 :] = _SOFT
+        found = daqp.solve(hessian, np.append(pull, -value), rows, upper, lower, sense, rho_soft=_SOFTNESS)
+        return free + np.asarray(found[0])[:-1].reshape(n, count).T

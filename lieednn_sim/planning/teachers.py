@@ -1,0 +1,194 @@
+"""The teacher of a shaped network: a motion that is short, smooth and clear of everything, found quickly.
+
+Candidates are polished (`polishing`), and the one with the least measure is the teacher. They are the straight motion,
+though it touches something, and the paths of a few searches by RRT-Connect with balanced trees (`trees`), shortened.
+All work is counted in configurations tested and steps, so a teacher depends on no clock and, unless everything fails,
+on no optional library.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from functools import partial
+
+import numpy as np
+
+from lieednn_sim.budget import check_time, cpu_time
+from lieednn_sim.errors import PlanError
+from lieednn_sim.planning.baselines import interpolation, sampling
+from lieednn_sim.planning.baselines.sampling import RrtConnectOptions
+from lieednn_sim.planning.baselines.search_space import EdgeTest
+from lieednn_sim.planning.baselines.trees import connected
+from lieednn_sim.planning.joint_space import Workspace
+from lieednn_sim.planning.motion import Motion
+from lieednn_sim.planning.options import PlannerOptions
+from lieednn_sim.planning.polishing import Polish
+from lieednn_sim.planning.problem import Plan, PlanningProblem, in_time
+from lieednn_sim.values import Floats
+
+_RRT = RrtConnectOptions()
+# Least weight of a joint in the distances of the trees, as a fraction of that of the joint that moves links most.
+_LEAST_SWEEP = 0.1
+# J + E of the straight motion, which no motion is below, times this: a clear motion with less ends the search for more.
+_NEARLY_STRAIGHT = 1.05 * 2.0
+
+
+@dataclass(frozen=True)
+class TeacherOptions(PlannerOptions):
+    """How the teacher's motion is found.
+
+    Attributes:
+        polished: whether to polish candidates; otherwise RRT-Connect's motion is taken if minimum jerk is not free.
+        clearance_weight: kappa, the weight of clearance in the measure of `polishing`: twice the clearance is worth
+            0.7 kappa of the sum of jerk and path length.
+        searches: number of paths searched for.
+        collision_checks: largest number of configurations tested in a search.
+        margin: clearance of paths, reduced where start or target is closer to something [m].
+        spacing: largest distance that a link frame moves between configurations tested in a search, about [m].
+        longest_edge: longest edge that a tree grows, as a fraction of the joint space's diagonal.
+        shortcuts: number of shortcuts tried on a path.
+        intervals: number of intervals of the polished splines.
+        instants: number of instants at which distances from obstacles are measured in a step of the polish.
+        steps: largest number of steps of a polish.
+        search: options of RRT-Connect, which is asked if no candidate can be followed.
+    """
+
+    polished: bool = True
+    clearance_weight: float = 0.15
+    searches: int = field(default=2, metadata={"range": (1, 100)})
+    collision_checks: int = 20_000
+    margin: float = 0.01
+    spacing: float = field(default=0.06, metadata={"range": (1e-3, 1.0)})
+    longest_edge: float = field(default=0.1, metadata={"range": (1e-3, 1.0)})
+    shortcuts: int = 40
+    intervals: int = field(default=8, metadata={"range": (2, 1000)})
+    instants: int = field(default=96, metadata={"range": (1, 10_000)})
+    steps: int = 12
+    search: RrtConnectOptions = _RRT
+
+
+def best_teacher(problem: PlanningProblem, options: TeacherOptions) -> Plan:
+    """The teacher's plan, under the name of the planner whose motion it is, with ", polished" if it was.
+
+    Minimum jerk is the teacher at once if it is free of contact: no motion is shorter or smoother. Otherwise it is the
+    polished candidate with the least measure that keeps all limits and the arm's clearance, at last RRT-Connect's
+    motion.
+
+    Raises:
+        LieEDNNError: RRT-Connect is asked, but OMPL is not installed.
+        PlanError: no teacher finds a motion; the message has the reason of each.
+    """
+    begun, refusals = cpu_time(), list[str]()
+
+    def asked(name: str, solve: Callable[[], Motion]) -> Plan | None:
+        try:
+            return Plan(solve(), target=problem.target, planner=name, cpu_time=cpu_time() - begun)
+        except PlanError as error:
+            refusals.append(f"{name}: {error}")
+            return None
+
+    if found := asked("minimum-jerk", partial(interpolation.minimum_jerk, problem)):
+        return found
+    if options.polished:
+        candidates = sorted(_Candidates(problem, options).all(), key=lambda one: one[0])
+        for _, name, motion in candidates:
+            if found := asked(f"{name}, polished", motion):
+                return found
+    if found := asked("rrt-connect", partial(sampling.rrt_connect, problem, options.search)):
+        return found
+    raise PlanError(f"no teacher finds a motion; {'; '.join(refusals)}")
+
+
+class _Candidates:
+    """The candidates of a problem whose straight motion is blocked."""
+
+    def __init__(self, problem: PlanningProblem, options: TeacherOptions) -> None:
+        self.problem, self.options, arm = problem, options, problem.arm
+        self.workspace = Workspace(problem, options.margin)
+        self.edges = EdgeTest(arm, self.workspace, options.spacing)
+        self.ends = min(map(self.workspace.collisions.clearance, (problem.start, problem.target)))
+
+    def polish(self, *, own: bool) -> Polish:
+        """With the arm's distances from itself, at twice the instants; without them, at a fraction of the cost."""
+        return Polish(
+            self.problem,
+            self.edges.swept / self.edges.scale,
+            self.ends,
+            weight=self.options.clearance_weight,
+            intervals=self.options.intervals,
+            instants=(1 + own) * self.options.instants,
+            own=own,
+        )
+
+    def all(self) -> Iterator[tuple[float, str, Callable[[], Motion]]]:
+        """Measure, name, and the function that makes and checks the motion of each candidate that is clear."""
+        polish = self.polish(own=False)
+        for name, guess in self.guesses(polish):
+            measure, free, clear = polish.descend(guess, self.options.steps)
+            if clear:
+                yield measure, name, partial(self.motion, polish, free)
+                if polish.cost(free) <= _NEARLY_STRAIGHT:
+                    break
+
+    def motion(self, polish: Polish, free: Floats) -> Motion:
+        """The checked motion; if it is refused, that of a finer polish from there."""
+        try:
+            return in_time(polish.motion, self.problem, free)
+        except PlanError:
+            finer = self.polish(own=True)
+            return in_time(finer.motion, self.problem, finer.descend(free, self.options.steps)[1])
+
+    def guesses(self, polish: Polish) -> Iterator[tuple[str, Floats]]:
+        yield "minimum-jerk", polish.straight
+        for attempt in range(self.options.searches):
+            corners = self.path(attempt)
+            if corners is not None:
+                yield "rrt-connect", polish.near(corners)
+
+    def path(self, attempt: int) -> Floats | None:
+        """Corners ``(M, n)`` of a shortened path; each attempt has a seed and as many tests of its own."""
+        options, edges = self.options, self.edges
+        weight = np.maximum(edges.swept, _LEAST_SWEEP * edges.swept.max())
+        box, scale = weight[:, None] * edges.bounds, edges.scale / weight
+
+        def clear(first: Floats, second: Floats) -> bool:
+            return edges.passable(first / weight, second / weight)
+
+        search, shortcuts = np.random.SeedSequence([self.problem.seed, attempt]).spawn(2)
+        found = connected(
+            self.problem.start / scale,
+            self.problem.target / scale,
+            bounds=box,
+            longest_edge=options.longest_edge * float(np.linalg.norm(np.ptp(box, axis=1))),
+            clear=clear,
+            over=partial(edges.over, (attempt + 1) * options.collision_checks),
+            seed=search,
+        )
+        check_time()
+        if found is None:
+            return None
+        return scale * shortened(found, clear, options.shortcuts, np.random.default_rng(shortcuts))
+
+
+def shortened(
+    corners: Floats, clear: Callable[[Floats, Floats], bool], attempts: int, rng: np.random.Generator
+) -> Floats:
+    """A path with corners ``(M, n)`` after attempts to connect two random points of it by a straight edge.
+
+    Args:
+        corners: the path.
+        clear: returns whether the edge between two clear points is clear.
+        attempts: number of pairs of points, drawn evenly along the path.
+        rng: generator of the points.
+    """
+    for _ in range(attempts):
+        length = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1)))
+        at = np.sort(rng.uniform(0.0, length[-1], 2))
+        first, second = np.clip(np.searchsorted(length, at, side="right") - 1, 0, len(corners) - 2)
+        if first == second:
+            continue
+        points = np.stack([np.interp(at, length, joint) for joint in corners.T], axis=1)
+        if clear(*points):
+            corners = np.concatenate([corners[: first + 1], points, corners[second + 1 :]])
+    return corners

@@ -1,0 +1,152 @@
+"""Teachers of shaped networks, and the polish of motions."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lieednn_sim.arm import Arm
+from lieednn_sim.arm.collision import Collisions
+from lieednn_sim.arm.contact_slopes import ContactSlopes
+from lieednn_sim.arm.targets import draw_target
+from lieednn_sim.errors import LieEDNNError, PlanError
+from lieednn_sim.evaluation.motion_metrics import motion_metrics
+from lieednn_sim.planning import PlanningProblem, TeacherOptions, missing_planners, plan, teachers
+from lieednn_sim.planning.joint_space import sweeps
+from lieednn_sim.planning.motion import check_motion
+from lieednn_sim.planning.polishing import Polish
+from lieednn_sim.planning.teachers import best_teacher, shortened
+
+SPEC = Arm.load("telescopic_pr").spec.copy()
+SPEC.option.timestep = 0.005
+FREE = Arm.from_spec(SPEC, Path("telescopic_pr.xml"), "telescopic_pr")
+needs_ompl = pytest.mark.skipif("rrt-connect" in missing_planners(), reason="RRT-Connect needs OMPL")
+
+
+def problem_of(scene, seed):
+    arm = FREE.among(scene, seed)
+    return PlanningProblem(arm, arm.keyframe("home"), draw_target(arm, seed), seed=seed)
+
+
+@pytest.fixture(scope="module")
+def poles():
+    return problem_of("poles", 0)
+
+
+@pytest.fixture
+def no_ompl(monkeypatch):
+    def missing(_name):
+        raise LieEDNNError("ompl is not installed")
+
+    for module in ("sampling", "search_space"):
+        monkeypatch.setattr(f"lieednn_sim.planning.baselines.{module}.optional_module", missing)
+
+
+def polish(problem, **options):
+    ends = min(map(Collisions(problem.arm).clearance, (problem.start, problem.target)))
+    settings = {"weight": 0.1, "intervals": 8, "instants": 96, **options}
+    return Polish(problem, sweeps(problem.arm), ends, **settings)
+
+
+@pytest.mark.parametrize("own", [False, True])
+def test_slopes_of_contacts_are_those_of_the_distances(own, poles):
+    arm = poles.arm
+    q = poles.start + np.linspace(0.2, 0.8, 7)[:, None] * (poles.target - poles.start)
+    slopes = ContactSlopes(arm, 0.1, own=own)
+    index, distance, slope = slopes.along(q)
+    collisions = Collisions(arm)
+    of_arm = {tuple(pair) for pair in collisions.pairs[collisions.own].tolist()}
+    compared = 0
+    for k, position in enumerate(q):
+        near = collisions.distances(position, 0.1)
+        pairs = zip(near.distance, near.pairs.tolist(), strict=True)
+        counted = [gap for gap, pair in pairs if own or tuple(pair) not in of_arm]
+        # Depths of penetration are not defined alike.
+        if counted and counted[0] > 0.0:
+            assert distance[index == k].min() == pytest.approx(counted[0], abs=1e-6)
+            compared += 1
+    assert compared > 0
+    # Against differences of the distances themselves; of several contacts of a pair only the nearest is exact.
+    k = int(index[distance.argmax()])
+    change = 1e-6 * np.arange(1, arm.n_joints + 1)
+    moved = slopes.along(q[[k]] + change)[1] - slopes.along(q[[k]] - change)[1]
+    np.testing.assert_allclose(moved, 2.0 * slope[index == k] @ change, rtol=0.03)
+
+
+def test_without_obstacles_the_straight_motion_is_the_best_and_costs_two():
+    problem = problem_of("free", 0)
+    one = polish(problem)
+    assert one.cost(one.straight) == pytest.approx(2.0, rel=1e-2)
+    made, wanted = one.motion(problem, one.straight), plan(FREE, problem.target, planner="minimum-jerk").motion
+    np.testing.assert_allclose(made.q, wanted.q, atol=2e-2)
+    assert best_teacher(problem, TeacherOptions()).planner == "minimum-jerk"
+
+
+def test_a_polished_motion_is_no_worse_than_its_start_and_keeps_limits_and_clearance(poles):
+    one = polish(poles)
+    path = teachers._Candidates(poles, TeacherOptions()).path(0)
+    guess = one.near(path)
+    start = one.descend(guess, 0)
+    measures = [start[0]]
+    for steps in (1, 4, 12):
+        measure, free, clear = one.descend(guess, steps)
+        measures.append(measure)
+    assert measures == sorted(measures, reverse=True)
+    assert measures[-1] < measures[0] - 0.1
+    assert clear
+    motion = one.motion(poles, free)
+    check_motion(poles.arm, motion)
+    least = Collisions(poles.arm).least_clearance(motion.q)
+    assert measure == pytest.approx(one.measure(free, least), abs=0.05)
+    # A larger weight of clearance gives more of it, at the cost of length and jerk.
+    wide = polish(poles, weight=1.0)
+    wider = wide.motion(poles, wide.descend(free, 12)[1])
+    assert Collisions(poles.arm).least_clearance(wider.q) > 1.1 * least
+    assert wide.cost(wide.descend(free, 12)[1]) > one.cost(free)
+
+
+def test_the_winner_has_the_least_measure_whatever_the_order(poles, monkeypatch):
+    one = polish(poles, weight=TeacherOptions().clearance_weight)
+    guesses = [one.near(teachers._Candidates(poles, TeacherOptions()).path(k)) for k in range(2)]
+    found = [one.descend(guess, steps) for guess, steps in zip(guesses, (12, 2), strict=True)]
+    assert all(clear for _, _, clear in found)
+    better, worse = (one.motion(poles, free) for _, free, _ in sorted(found, key=lambda each: each[0]))
+    assert motion_metrics(poles.arm, better).jerk_joints < motion_metrics(poles.arm, worse).jerk_joints
+    given = [(measure, "given", lambda free=free: one.motion(poles, free)) for measure, free, _ in found]
+    for order in (given, given[::-1]):
+        monkeypatch.setattr(teachers._Candidates, "all", lambda _, order=order: iter(order))
+        np.testing.assert_array_equal(best_teacher(poles, TeacherOptions()).motion.q, better.q)
+
+
+def test_a_teacher_is_the_same_for_a_seed_and_needs_no_optional_library(poles, no_ompl):
+    first, second = (best_teacher(poles, TeacherOptions()) for _ in range(2))
+    assert first.planner == "rrt-connect, polished"
+    np.testing.assert_array_equal(first.motion.q, second.motion.q)
+    with pytest.raises(LieEDNNError, match="ompl is not installed"):
+        best_teacher(poles, TeacherOptions(polished=False))
+
+
+@needs_ompl
+def test_without_a_teacher_there_is_no_motion(poles, monkeypatch):
+    monkeypatch.setattr("lieednn_sim.planning.baselines.sampling.connecting_path", lambda *_: None)
+    with pytest.raises(PlanError, match=r"no teacher finds a motion; minimum-jerk: .*; rrt-connect: "):
+        best_teacher(poles, TeacherOptions(collision_checks=1))
+
+
+def test_a_shortened_path_is_shorter_and_clear_by_hand():
+    # Around a wall at x = 0 that ends at y = 1: the shortest path goes over its tip.
+    corners = np.array([[-1.0, 0.0], [-1.0, 3.0], [1.0, 3.0], [1.0, 0.0]])
+
+    def clear(first, second):
+        fraction = -first[0] / (second[0] - first[0]) if first[0] * second[0] < 0.0 else None
+        return fraction is None or first[1] + fraction * (second[1] - first[1]) > 1.0
+
+    short = shortened(corners, clear, 60, np.random.default_rng(0))
+    np.testing.assert_array_equal(short[[0, -1]], corners[[0, -1]])
+    assert all(clear(*edge) for edge in pairwise(short))
+    length = np.linalg.norm(np.diff(short, axis=0), axis=1).sum()
+    assert 2.0 * np.sqrt(2.0) <= length < 3.2
+    np.testing.assert_array_equal(shortened(corners, lambda *_: False, 60, np.random.default_rng(0)), corners)
