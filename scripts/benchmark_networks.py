@@ -73,7 +73,7 @@ def control_step_rows(arm: Arm) -> list[Row]:
     Over a run with its simulation, which empties the processor's caches between steps.
     """
     target, home = draw_target(arm, 0), arm.keyframe("home")
-    network = plan(arm, target, planner="lieednn-shaped", options=ShapedOptions(neurons=(8,))).network
+    network = plan(arm, target, planner="lieednn-shaped", options=ShapedOptions(encoded=False, neurons=(8,))).network
     assert isinstance(network, LieEDNN)
     assert network.n_neurons == 12
     following = follow(NetworkPolicy(arm, network), target, 7.0)

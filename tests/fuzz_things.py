@@ -76,6 +76,7 @@ def _demonstration() -> Any:
 # A policy of each class.
 POLICY_CLASSES = {"Fabric": "fabric", "MotionTracker": "tracker", "MovementPrimitive": "dmp", "PathIntegral": "mppi"}
 POLICY_CLASSES |= dict.fromkeys(("Policy", "JointPolicy"), "fabric") | {"NetworkPolicy": "linear-attractor"}
+POLICY_CLASSES |= dict.fromkeys(("ReplanningPolicy", "CodedPolicy"), "lieednn-replanning")
 
 
 def _policy(kind: str, **how: Any) -> Any:
@@ -163,6 +164,7 @@ MAKERS: dict[str, Callable[[], Any]] = {
     "Disturbances": lambda: ls.Disturbances(payload=0.1),
     "Channel": lambda: ls.Channel("centre of mass", "m", lambda data: data.subtree_com[0]),
     "Push": lambda: ls.Push("link 1", (1.0, 0.0, 0.0), 0.0, 0.1),
+    "MovingObstacle": lambda: simulation.MovingObstacle("floor", (0.0, 1.0), ((0.0, 0.0, 0.0), (0.0, 0.0, -1.0))),
     "Simulation": lambda: simulation.Simulation(thing("Arm")),
     "Log": lambda: simulation.Log(fresh("Simulation")),
     "Instant": _instant,

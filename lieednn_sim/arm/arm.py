@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import os
 import pickle
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -14,7 +14,7 @@ from typing import Any, Unpack
 from numpy.typing import ArrayLike
 
 from lieednn_sim._mujoco import mujoco
-from lieednn_sim.arm.contacts import PLANNED_CLEARANCE, ContactFinder
+from lieednn_sim.arm.contacts import PLANNED_CLEARANCE, ContactFinder, fixed_body
 from lieednn_sim.arm.fingerprint import arm_fingerprint, model_fingerprint
 from lieednn_sim.arm.importer import ImportOptions, ImportReport
 from lieednn_sim.arm.models import find_model, label_of, open_model
@@ -24,7 +24,7 @@ from lieednn_sim.arm.scenes import SCENES, add_obstacles
 from lieednn_sim.arm.serial_arm import SerialArm
 from lieednn_sim.arm.visuals import discard_visuals, moves_alike
 from lieednn_sim.errors import FileError, InputError, LieEDNNError
-from lieednn_sim.validation import Seed, as_choice, as_floats, as_path, as_seed
+from lieednn_sim.validation import Seed, as_choice, as_floats, as_path, as_seed, quoted
 from lieednn_sim.values import Floats
 
 
@@ -152,6 +152,26 @@ class Arm(SerialArm):
         spec = self.spec.copy()
         add_own_obstacles(spec, self, obstacles, label)
         return replace(self._of(spec), scene=label)
+
+    def placed(self, places: Mapping[str, ArrayLike], grown: float = 0.0) -> Arm:
+        """This arm with obstacles elsewhere, such as where they are measured, and grown by a margin.
+
+        Args:
+            places: positions ``(3,)`` of bodies without joints, in the frames of their parents [m], by name.
+            grown: how much further than they do the surfaces of their geoms shall reach [m]; meshes are not grown.
+
+        Raises:
+            InputError: there is no such body, or a value is malformed.
+        """
+        spec = self.spec.copy()
+        for name, place in places.items():
+            fixed_body(self.model, name)
+            body = spec.body(name)
+            body.pos = as_floats(f"the place of {quoted(name)}", place, (3,))
+            for geom in body.geoms:
+                # Sizes that a geom's type does not use are zero.
+                geom.size = geom.size + as_floats("grown", grown, ()) * (geom.size > 0.0)
+        return replace(self._of(spec), scene=self.scene, scene_seed=self.scene_seed)
 
     def _of(self, spec: mujoco.MjSpec) -> Arm:
         """This arm, compiled from an extended spec."""

@@ -7,6 +7,9 @@ d, negative in penetration, the normal is n = (b - a) / d, and d changes at the 
 
 from __future__ import annotations
 
+import copy
+from collections.abc import Mapping
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -14,10 +17,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.arm import Arm
-from lieednn_sim.arm.contacts import moving_geoms
+from lieednn_sim.arm.contacts import fixed_body, moving_geoms
 from lieednn_sim.errors import InputError
 from lieednn_sim.typecheck import typecheck_public
-from lieednn_sim.validation import as_count, as_floats
+from lieednn_sim.validation import as_count, as_floats, quoted
 from lieednn_sim.values import Floats
 
 __all__ = ["Collisions"]
@@ -64,6 +67,8 @@ class Collisions:
         self.arm = arm
         self.pairs = _colliding_pairs(arm.model)
         self._data = mujoco.MjData(arm.model)
+        # The model as it was given, once obstacles have moved.
+        self._scene: mujoco.MjModel | None = None
         self.own = np.asarray(moving_geoms(arm.model)[self.pairs].all(axis=1))
         used, index = np.unique(self.pairs, return_inverse=True)
         self._used, self._first, self._second = used, *index.reshape(-1, 2).T
@@ -84,6 +89,25 @@ class Collisions:
         slots[self._bodies] = np.arange(len(self._bodies))
         self._slots = slots[model.geom_bodyid]
         self._jacobians = np.zeros((len(self._bodies) + 1, 6, model.nv))
+
+    def move(self, places: Mapping[str, ArrayLike]) -> None:
+        """Put obstacles where they are now, and all others back where the scene has them; the arm gets another model.
+
+        Args:
+            places: positions ``(3,)`` of bodies without joints, in the frames of their parents [m], by name.
+
+        Raises:
+            InputError: there is no such body, or a value is malformed.
+        """
+        if self._scene is None:
+            if not places:
+                return
+            self._scene = self.arm.model
+            self.arm = replace(self.arm, model=copy.deepcopy(self._scene))
+        self.arm.model.body_pos[:] = self._scene.body_pos
+        for name, place in places.items():
+            body = fixed_body(self._scene, name)
+            self.arm.model.body_pos[body] = as_floats(f"the place of {quoted(name)}", place, (3,))
 
     def distances(self, q: ArrayLike, cutoff: ArrayLike) -> Distances:
         """Distances and gradients of all pairs closer than ``cutoff`` [m], a scalar or ``(P,)``, at ``q`` ``(n,)``.

@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import mujoco
+from lieednn_sim.errors import InputError
+from lieednn_sim.validation import quoted
 from lieednn_sim.values import Floats
 
 # Planned motions keep this distance from contact by default [m], since tracking them is off by a millimetre or two.
@@ -31,6 +33,10 @@ class ContactFinder:
         self._model.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_OVERRIDE)
         self._model.opt.o_margin = margin
         self._data = mujoco.MjData(self._model)
+
+    def move(self, body: int, position: Floats) -> None:
+        """Put a fixed body elsewhere: its position ``(3,)`` in the frame of its parent [m]."""
+        self._model.body_pos[body] = position
 
     def geoms(self, qpos: Floats) -> tuple[Floats, NDArray[np.int_]]:
         """Distances ``(C,)`` and ids ``(C, 2)`` of geoms closer than the margin at MuJoCo's positions ``(nq,)``."""
@@ -87,3 +93,14 @@ def moved_by(model: mujoco.MjModel, body: int) -> NDArray[np.bool_]:
         moved[first : first + model.body_dofnum[body]] = True
         body = int(model.body_parentid[body])
     return moved
+
+
+def fixed_body(model: mujoco.MjModel, name: str) -> int:
+    """The id of a body without joints, not even its parents'; `InputError` lists the names of such bodies."""
+    found = int(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name))
+    if found <= 0 or model.body_weldid[found] != 0:
+        fixed = sorted(model.body(k).name for k in range(1, model.nbody) if model.body_weldid[k] == 0)
+        raise InputError(
+            f"no obstacle {quoted(name)} can move; bodies without joints are: {', '.join(fixed) or 'none'}"
+        )
+    return found

@@ -381,7 +381,7 @@ class BlockNetwork(ABC):
 
     @classmethod
     def restored(cls, arrays: Mapping[str, Floats], meta: Mapping[str, Any], path: str | os.PathLike[str]) -> Self:
-        """The network of what `stored` gave, read from a file; its certificate is verified again. Raises as `load`."""
+        """The network of what `stored` gave, read from a file, verified and raising as by `load`; unchecked."""
         names = [name for name in cls._arrays if name in arrays or name not in cls._optional]
         values = dict(zip(names, storage.take(arrays, path, *names), strict=True))
         try:

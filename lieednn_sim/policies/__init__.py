@@ -18,6 +18,7 @@ from lieednn_sim.policies.registry import (
     policies,
     register_policy,
 )
+from lieednn_sim.policies.replanning import ReplanningOptions, ReplanningPolicy
 from lieednn_sim.policies.tracker import MotionTracker
 from lieednn_sim.typecheck import typecheck_public
 
@@ -39,6 +40,8 @@ __all__ = [
     "PolicyKind",
     "PolicyTask",
     "PrimitiveOptions",
+    "ReplanningOptions",
+    "ReplanningPolicy",
     "control_loop",
     "make_policy",
     "policies",

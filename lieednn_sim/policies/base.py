@@ -100,6 +100,13 @@ class Policy(ABC):
         self.q, self.qd = q, qd
         return q, qd
 
+    def see(self, places: Mapping[str, Floats]) -> None:  # noqa: B027 (most look at no obstacles)
+        """Be told where moving obstacles are now.
+
+        Args:
+            places: positions ``(3,)`` of bodies of the arm's scene, in the frames of their parents [m], by name.
+        """
+
     def begin(self, q: Floats) -> None:  # noqa: B027 (some have no state of their own)
         """Prepare to start from joint coordinates ``(n,)``; called by `reset`, unchecked."""
 

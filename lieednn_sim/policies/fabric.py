@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -65,10 +66,15 @@ class Fabric(JointPolicy):
     def begin(self, q: Floats) -> None:
         """See `Policy`; unchecked."""
         super().begin(q)
+        self._collisions.move({})
         # Pairs that are close by design, or at the target, repel only when closer still: else it would not arrive.
         self._design, self._goal = self._near(q), np.full_like(q, np.nan)
         self._there: dict[tuple[int, int], float] = {}
         self._v = np.zeros_like(q)
+
+    def see(self, places: Mapping[str, Floats]) -> None:
+        """See `Policy`; raises `InputError` for names that are no bodies without joints."""
+        self._collisions.move(places)
 
     def velocity(self, target: Floats, waiting: float) -> Floats:
         """See `JointPolicy`; unchecked."""

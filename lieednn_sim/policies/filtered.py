@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from lieednn_sim.planning.safety_filter import FilterOptions, SafetyFilter
 from lieednn_sim.policies.base import Policy
 from lieednn_sim.values import Floats
@@ -44,6 +46,11 @@ class FilteredPolicy(Policy):
         self._filter.allow(q)
         self.blocking: tuple[str, ...] = ()
         self.clearance, self.braked = float("inf"), False
+
+    def see(self, places: Mapping[str, Floats]) -> None:
+        """See `Policy`; raises `InputError` for names that are no bodies without joints."""
+        self.inner.see(places)
+        self._filter.see(places)
 
     def act(self, measured: Floats | None, target: Floats) -> tuple[Floats, Floats]:
         """See `Policy`; unchecked."""

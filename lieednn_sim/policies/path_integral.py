@@ -10,6 +10,7 @@ Noise is sampled around u, so changes of u itself cost nothing (their gamma = la
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -18,11 +19,11 @@ from scipy.special import softmax
 
 from lieednn_sim._mujoco import QuietWarnings, mujoco
 from lieednn_sim.arm import Arm
-from lieednn_sim.arm.contacts import moving_geoms
+from lieednn_sim.arm.contacts import fixed_body, moving_geoms
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.policies.feedback import FEEDBACK, Feedback
 from lieednn_sim.policies.joint_policy import JointPolicy
-from lieednn_sim.validation import Seed, as_positive, as_seed
+from lieednn_sim.validation import Seed, as_floats, as_positive, as_seed, quoted
 from lieednn_sim.values import Floats
 
 # Number of velocity knots over the horizon; cost of contact [1/s].
@@ -73,8 +74,15 @@ class VelocityRollouts:
         self._arm, self._near = arm, near
         self._model = _kinematic(arm, step, near)
         self._data = mujoco.MjData(self._model)
+        self._scene = self._model.body_pos.copy()
         self._kind = mujoco.mjtState.mjSTATE_FULLPHYSICS
         self._state = np.zeros((1, mujoco.mj_stateSize(self._model, self._kind)))
+
+    def move(self, places: Mapping[str, Floats]) -> None:
+        """Put obstacles where they are now, and all others back where the scene has them; see `Policy.see`."""
+        self._model.body_pos[:] = self._scene
+        for name, place in places.items():
+            self._model.body_pos[fixed_body(self._model, name)] = as_floats(f"the place of {quoted(name)}", place, (3,))
 
     def __call__(self, q: Floats, velocities: Floats) -> tuple[Floats, Floats]:
         """Configurations after each step, and clearances before it.
@@ -177,9 +185,14 @@ class PathIntegral(JointPolicy):
     def begin(self, q: Floats) -> None:
         """See `Policy`; unchecked."""
         super().begin(q)
+        self._rollouts.move({})
         self._rng = np.random.default_rng([self._seed, 17])
         self._plan = np.zeros((_KNOTS, len(q)))
         self._goal, self._near = np.full_like(q, np.nan), self._options.near
+
+    def see(self, places: Mapping[str, Floats]) -> None:
+        """See `Policy`; raises `InputError` for names that are no bodies without joints."""
+        self._rollouts.move(places)
 
     def velocity(self, target: Floats, waiting: float) -> Floats:
         """See `JointPolicy`; unchecked."""

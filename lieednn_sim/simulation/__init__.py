@@ -6,6 +6,7 @@ from lieednn_sim.simulation.disturbances import Disturbances, Push
 from lieednn_sim.simulation.following import Following, follow
 from lieednn_sim.simulation.log import Channel, Instant, Log
 from lieednn_sim.simulation.many import Rollouts, simulate_many
+from lieednn_sim.simulation.moving_obstacles import MovingObstacle
 from lieednn_sim.simulation.rollout import Rollout
 from lieednn_sim.simulation.simulation import Simulation
 from lieednn_sim.simulation.tracking import simulate
@@ -19,6 +20,7 @@ __all__ = [
     "Following",
     "Instant",
     "Log",
+    "MovingObstacle",
     "Push",
     "Rollout",
     "Rollouts",

@@ -1,4 +1,4 @@
-"""Disturbances unknown to the controller: pushes, a payload, other masses, sensor noise."""
+"""Disturbances unknown to the controller: pushes, a payload, other masses, sensor noise, moving obstacles."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError
+from lieednn_sim.simulation.moving_obstacles import MovingObstacle
 from lieednn_sim.validation import as_floats, as_positive, as_seed, quoted
 from lieednn_sim.values import Floats, check_fields, set_fields
 
@@ -74,6 +75,7 @@ class Disturbances:
         position_noise: standard deviation of the white noise on each measured joint position, at every step [rad, m].
         velocity_noise: the same for velocities [rad/s, m/s].
         seed: seed of the noise.
+        obstacles: obstacles that move; `follow` tells the policy where they are.
     """
 
     pushes: tuple[Push, ...] = ()
@@ -82,6 +84,7 @@ class Disturbances:
     position_noise: float = 0.0
     velocity_noise: float = 0.0
     seed: int = 0
+    obstacles: tuple[MovingObstacle, ...] = ()
 
     def __post_init__(self) -> None:
         set_fields(self, pushes=tuple(sorted(self.pushes, key=lambda push: push.start)))
@@ -97,7 +100,9 @@ class Disturbances:
     def from_json(cls, value: Mapping[str, Any]) -> Disturbances:
         """The inverse of `to_json`; raises InputError for malformed values."""
         try:
-            return cls(**{**value, "pushes": tuple(Push(**push) for push in value["pushes"])})
+            pushes = tuple(Push(**push) for push in value["pushes"])
+            obstacles = tuple(MovingObstacle(**each) for each in value.get("obstacles", ()))
+            return cls(**{**value, "pushes": pushes, "obstacles": obstacles})
         except (KeyError, TypeError) as error:
             raise InputError(f"these are no disturbances: {type(error).__name__}: {error}") from None
 

@@ -108,6 +108,9 @@ def follow(
             targets.append(sample(k))
             if k % period == 0:
                 states.append(policy.state)
+                if changes.obstacles:
+                    simulation.moved.apply(simulation.time)
+                    policy.see(simulation.moved.places())
                 measured, before = simulation.measured()[0], (policy.q, policy.qd)
                 begun = time.thread_time()
                 after = policy.step(measured, targets[-1])

@@ -94,8 +94,10 @@ def simulate_many(
         threads: number of threads; by default, the number of processors.
 
     Raises:
-        InputError: there are no motions, one does not fit the model, or the controller needs the state.
+        InputError: there are no motions, one does not fit the model, the controller needs the state, or obstacles move.
     """
+    if disturbances is not None and disturbances.obstacles:
+        raise InputError("obstacles move in single rollouts alone, those of simulate and follow")
     if not (chosen := [as_motion(arm, motion) for motion in motions]):
         raise InputError("motions must hold at least one motion or plan")
     total = max(len(motion.t) for motion in chosen) + round(as_hold(hold) / arm.timestep)

@@ -13,6 +13,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError, SimulationError
 from lieednn_sim.lie import poses, rotations
 from lieednn_sim.simulation.disturbances import Disturbances, Noise, Pushes, Sensors
+from lieednn_sim.simulation.moving_obstacles import Moved
 from lieednn_sim.simulation.plant import make_plant
 from lieednn_sim.validation import as_count, as_floats
 from lieednn_sim.values import Floats
@@ -35,6 +36,7 @@ class Simulation:
         model: the plant.
         data: its state.
         pushes: applies the pushes of the disturbances.
+        moved: places their moving obstacles.
         steps: number of steps since the last reset.
         noise: measurement errors at the present time, to be added to qpos (by `mj_integratePos`) and qvel.
     """
@@ -49,6 +51,7 @@ class Simulation:
         # Views are held: to ask for them takes as long as to read them.
         self._warnings, self._velocity, self._control = self.data.warning.number, self.data.qvel, self.data.ctrl
         self.pushes = Pushes(arm, self.model, self.disturbances.pushes)
+        self.moved = Moved(self.model, self.disturbances.obstacles)
         self._sensors = Sensors(arm, self.disturbances)
         self.steps = 0
         self.noise: Noise
@@ -106,6 +109,7 @@ class Simulation:
         mujoco.mj_resetData(self.model, self.data)
         self.data.qpos[:], self.data.qvel[:] = self.arm.qpos(position), self.arm.qvel(position, velocity)
         self.steps = 0
+        self.moved.apply(0.0)
         self._sensors.reset()
         self.noise = self._sensors.draw()
 
@@ -131,6 +135,8 @@ class Simulation:
         """Do one step as `advance` does, within the caller's `QuietWarnings`, which is entered once for many steps."""
         if self.disturbances.pushes:
             self.pushes.apply(self.data, self.steps)
+        if self.disturbances.obstacles:
+            self.moved.apply(self.time)
         mujoco.mj_step(self.model, self.data)
         # Positions follow from velocities. A finite sum has finite terms; otherwise it may have overflowed, so the
         # terms are checked one by one. For a few numbers a list is faster than an array.

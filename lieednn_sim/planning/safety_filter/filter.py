@@ -15,7 +15,7 @@ prefers, DAQP (Arnstrom et al., IEEE Trans. Autom. Control 2022).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import daqp
 import numpy as np
@@ -125,6 +125,10 @@ class SafetyFilter:
             barrier.allow(reached)
         for limit in self.limits:
             limit.allow(reached)
+
+    def see(self, places: Mapping[str, ArrayLike]) -> None:
+        """Be told where moving obstacles are now, as in `Collisions.move`; their velocity is not taken into account."""
+        self.clearance.collisions.move(places)
 
     def step(self, q: ArrayLike, velocity: ArrayLike, wanted: ArrayLike) -> FilterStep:
         """Velocities at the end of a step that begins at ``q`` with ``velocity``, all ``(n,)``.

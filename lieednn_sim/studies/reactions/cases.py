@@ -1,7 +1,7 @@
 """One case of the reactive benchmark: an arm in a scene, a policy, a disturbance and a seed.
 
-Among obstacles, networks, primitives and the linear attractor use the safety filter; the fabric and the path integral
-avoid obstacles themselves, and the tracker plays a motion that does.
+Among obstacles, networks, primitives and the linear attractor use the safety filter; the fabric, the path integral and
+the network that plans again avoid obstacles themselves, and the tracker plays a motion that does.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 from lieednn_sim._blas import one_blas_thread
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.targets import LIMIT_MARGIN
-from lieednn_sim.errors import LieEDNNError
+from lieednn_sim.errors import LieEDNNError, PlanError
 from lieednn_sim.evaluation.metrics import evaluate
 from lieednn_sim.planning import ShapedOptions, plan
 from lieednn_sim.planning.motion import Motion
@@ -25,6 +25,7 @@ from lieednn_sim.policies import Policy, make_policy
 from lieednn_sim.simulation import Disturbances, Following, Push, follow
 from lieednn_sim.studies.comparison.cases import FREE, arm_and_target
 from lieednn_sim.studies.reactions.recovery import PUSH_TIME, UndisturbedPath, pushing_force
+from lieednn_sim.studies.reactions.walker import walking_pole
 from lieednn_sim.studies.rows import TableRow, column, columns_of, outcome
 from lieednn_sim.studies.user_files import UserFile
 from lieednn_sim.values import Floats, frozen
@@ -50,13 +51,14 @@ COMPARED: dict[str, ComparedPolicy] = {
         for rate in (1, 0.3, 0.1)
     },
     "lieednn-certified": ComparedPolicy("lieednn-certified"),
+    "lieednn-replanning": ComparedPolicy("lieednn-replanning", filtered=False),
     "linear-attractor": ComparedPolicy("linear-attractor"),
     "dmp": ComparedPolicy("dmp"),
     "fabric": ComparedPolicy("fabric", filtered=False),
     "mppi": ComparedPolicy("mppi", filtered=False),
     "tracker": ComparedPolicy("tracker", filtered=False),
 }
-DISTURBANCES = ("none", "push", "payload", "target")
+DISTURBANCES = ("none", "push", "payload", "target", "obstacle")
 # Simulated time [s], control rate [Hz], and the fraction of the policy's own path at which it is disturbed.
 _DURATION, _RATE, _AT = 7.0, 100.0, 0.35
 # Rate at which policies without a time law approach their target [1/s].
@@ -101,6 +103,8 @@ class Reaction(TableRow):
     force_fraction: float | None = column(
         "force / limit", "largest actuator force in units of its limit in the weaker direction"
     )
+    path_m: float | None = column("path [m]", "length of the end effector's path")
+    settled_s: float | None = column("settled after [s]", "time from which it stays within 1 mm and 0.1 degrees")
     step_us: float | None = column("control step [us]", "median CPU time of a control step")
 
 
@@ -125,10 +129,10 @@ class Task:
     motion: Motion
     seed: int
 
-    def policy(self, name: str) -> Policy:
-        """A policy of `COMPARED` for this task."""
+    def policy(self, name: str, *, obstructed: bool = False) -> Policy:
+        """A policy of `COMPARED` for this task, or for one with a moving obstacle."""
         kind, options, filtered = COMPARED[name]
-        safety = FilterOptions() if filtered and self.scene != FREE else None
+        safety = FilterOptions() if filtered and (obstructed or self.scene != FREE) else None
         return make_policy(
             kind,
             self.arm,
@@ -164,6 +168,9 @@ def run_reactions(
         begin = float(nominal.rollout.t[np.argmax(gone >= _AT)])
         rows = [_row(task, policy, "none", nominal)]
         for disturbance in DISTURBANCES[1:]:
+            if disturbance == "obstacle":
+                rows.append(_obstructed(task, policy, nominal, gone, begin))
+                continue
             try:
                 targets, changes, end = _disturbed(task, made, disturbance, begin, path)
                 following = _run(made, targets, changes)
@@ -215,8 +222,26 @@ def _row(task: Task, policy: str, disturbance: str, following: Following) -> Rea
         effort=float(use.sum() * rollout.timestep),
         velocity_fraction=evaluation.velocity_fraction,
         force_fraction=evaluation.force_fraction,
+        path_m=evaluation.path_m,
+        settled_s=evaluation.settling_s,
         step_us=1e6 * float(np.median(following.step_time)),
     )
+
+
+def _obstructed(task: Task, policy: str, nominal: Following, gone: Floats, begin: float) -> Reaction:
+    """The row of a run in which a pole walks into the way; up to then it is the undisturbed one."""
+    kind, ran = "obstacle", nominal.rollout
+    rng = np.random.default_rng([task.seed, DISTURBANCES.index(kind)])
+    try:
+        walk = walking_pole(task.arm, ran.t, ran.q, gone, begin, rng)
+    except PlanError as error:
+        return Reaction(task.arm.name, task.scene, policy, kind, task.seed, reason=f"problem: {error}")
+    try:
+        made = replace(task, arm=walk.arm).policy(policy, obstructed=True)
+        following = _run(made, task.target, Disturbances(obstacles=(walk.obstacle,)))
+    except LieEDNNError as error:
+        return Reaction(task.arm.name, task.scene, policy, kind, task.seed, reason=f"simulation: {error}")
+    return _row(task, policy, kind, following)
 
 
 def _disturbed(

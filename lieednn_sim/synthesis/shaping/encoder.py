@@ -105,6 +105,36 @@ class CurveEncoder:
         """
         return self.network.retarget(target).with_start(as_floats("code", code, self._silent.shape))
 
+    @property
+    def levels(self) -> Floats:
+        """``(F,)`` values of e^-t at which `encode_at` takes the visible states, falling from 1."""
+        return self._basis.fitted
+
+    def encode_at(self, states: Floats, start: Floats, target: Floats, rate: Floats, bend: Floats) -> LieEDNN:
+        """The universal network with the code of a motion in its own time; unchecked but for the code's range.
+
+        Args:
+            states: ``(F, N, 6)`` visible states at the `levels`.
+            start: ``(N, 6)`` visible state at the beginning.
+            target: ``(N, 6)`` visible equilibrium.
+            rate: ``(N, 6)`` dx/dt at the beginning, which the network has up to terms of third order in the code.
+            bend: ``(N, 6)`` its derivative there, likewise.
+
+        Raises:
+            InputError: the code exceeds `LARGEST_CODE`.
+        """
+        basis, n = self._basis, self.network.n_visible
+        offset = start - target
+        missing = states - target - basis.fitted[:, None, None] * offset
+        code = basis.solution @ missing.reshape(len(basis.fitted), -1)
+        # x' = u - (x - x_d) and x'' = u' - x'.
+        wanted = np.stack([(rate + offset).ravel(), (bend + rate).ravel()])
+        code += basis.starting @ (wanted - basis.start @ code)
+        self._require_range(code)
+        shift = code.reshape(CODE_PAIRS, n, 1, 6).transpose(1, 2, 0, 3)
+        whole = np.broadcast_to(shift, (n, 2, CODE_PAIRS, 6)).reshape(self._silent.shape)
+        return self.network.retarget(target).with_start(self._silent + whole)
+
     def path(self, network: LieEDNN, start: ArrayLike) -> CubicHermiteSpline:
         """States ``(..., N, 6)`` of the visible neurons in closed form, as a function of w = 1 - e^-t.
 
@@ -178,6 +208,8 @@ class _Basis:
         drives: ``(3, K, pairs)`` inputs u there, likewise.
         fitted: ``(F,)`` g at the instants of the fit.
         solution: ``(pairs, F)`` from a displacement there to the code.
+        start: ``(2, pairs)`` the input u and its derivative in time at the beginning, of unit codes.
+        starting: ``(pairs, 2)`` codes of unit u and u' there that change the rest of the motion least.
     """
 
     g: Floats
@@ -185,6 +217,8 @@ class _Basis:
     drives: Floats
     fitted: Floats
     solution: Floats
+    start: Floats
+    starting: Floats
 
 
 def _places() -> tuple[Floats, Floats]:
@@ -241,7 +275,12 @@ def _basis(activation: str) -> _Basis:
     inverse = np.linalg.pinv(rows)
     count = len(looks)
     solution = inverse[:, :count] + inverse[:, count : count + len(ripples)] @ (_RIPPLE**3 * ripples)
-    return _Basis(g, shifts, inputs(g), g[looks], solution)
+    slope = ACTIVATIONS[activation].slope_at(a + c, phi(a + c))
+    steeper = ACTIVATIONS[activation].bend_at(a + c, phi(a + c)) * slope
+    # Of u = 2 D delta g phi'(a + c g), with g' = -g.
+    start = 2.0 * _STRENGTH * np.stack([slope, -(slope + c * steeper)])
+    starting = inverse @ inverse.T @ start.T
+    return _Basis(g, shifts, inputs(g), g[looks], solution, start, starting @ np.linalg.inv(start @ starting))
 
 
 def _third_derivative(w: Floats) -> Floats:

@@ -100,6 +100,7 @@ def test_a_target_moves_no_nearer_to_limits_than_other_targets_are(name, gantry,
 
 def test_a_row_by_hand(task, monkeypatch):
     measured = {"final_worst_mm": 3.0, "final_effector_mm": 1.0, "velocity_fraction": 0.25, "force_fraction": 0.75}
+    measured |= {"path_m": 1.5, "settling_s": 2.5}
     monkeypatch.setattr(cases, "evaluate", lambda rollout, clearance: SimpleNamespace(shortfall="", **measured))
     # An actuator at half its limit and one at all of it, for three steps of 0.1 s.
     arm = SimpleNamespace(force_limits=np.array([2.0, 10.0]))
@@ -107,6 +108,7 @@ def test_a_row_by_hand(task, monkeypatch):
     following = SimpleNamespace(rollout=rollout, step_time=[1e-6, 9e-6, 2e-6])
     row = cases._row(task, "tracker", "none", following)
     assert (row.final_mm, row.velocity_fraction, row.force_fraction) == (3.0, 0.25, 0.75)
+    assert (row.path_m, row.settled_s) == (1.5, 2.5)
     assert (row.effort, row.step_us) == pytest.approx((0.3 * 0.5 * (0.25 + 1.0), 2.0))
 
 
@@ -117,7 +119,7 @@ def test_the_disturbances_of_a_tracker_by_hand(task, monkeypatch):
         following = run(policy, targets, changes, *duration)
         kind = "target" if targets.ndim > 1 else "none"
         if changes is not None:
-            kind = "push" if changes.pushes[0].duration == 0.2 else "payload"
+            kind = ("push" if changes.pushes[0].duration == 0.2 else "payload") if changes.pushes else "obstacle"
         ran[kind] = targets, changes, following.rollout
         return following
 
@@ -125,7 +127,7 @@ def test_the_disturbances_of_a_tracker_by_hand(task, monkeypatch):
     monkeypatch.setattr(cases, "_task", lambda *case: task)
     rows = {row.disturbance: row for row in cases.run_reactions("gantry", "free", "tracker", 3)}
     assert list(rows) == list(DISTURBANCES)
-    assert [row.deviation is None for row in rows.values()] == [True, False, False, True]
+    assert [row.deviation is None for row in rows.values()] == [True, False, False, True, True]
     # Of 2 s of minimum jerk 35 % of the path are gone where 10 s^3 - 15 s^4 + 6 s^5 = 0.35, at s = 0.4186.
     (push,) = ran["push"][1].pushes
     assert push.start == pytest.approx(0.84)

@@ -1,0 +1,153 @@
+"""Transitions of a moving arm to a new target or onto a new path, with continuous velocity and acceleration.
+
+A base motion b(t) from rest to rest gets corrections that vanish at the time T_c of the fade. With s = t / T_c in
+[0, 1] and the differences e, v and a of position, velocity and acceleration at t = 0,
+
+    q(t) = b(t) + e (1 - 10 s^3 + 15 s^4 - 6 s^5) + v T_c (s - 6 s^3 + 8 s^4 - 3 s^5)
+         + a T_c^2 / 2 (s^2 - 3 s^3 + 3 s^4 - s^5).
+
+To a target the base is the straight minimum-jerk motion; with T_c its duration, q(t) is the quintic polynomial between
+the two states.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from scipy.interpolate import CubicHermiteSpline, PPoly
+
+from lieednn_sim.arm import Arm
+from lieednn_sim.errors import PlanError
+from lieednn_sim.planning.motion import LIMIT_TOLERANCE, Motion
+from lieednn_sim.values import Floats, frozen
+
+# Coefficients of the corrections for unit e, v and a in s, the lowest power first.
+_FADING = np.array(
+    [[1.0, 0.0, 0.0, -10.0, 15.0, -6.0], [0.0, 1.0, 0.0, -6.0, 8.0, -3.0], [0.0, 0.0, 0.5, -1.5, 1.5, -0.5]]
+)
+_MINIMUM_JERK = np.array([0.0, 0.0, 0.0, 10.0, -15.0, 6.0])
+# Largest speed and acceleration of the minimum-jerk law on [0, 1].
+_FASTEST, _STRONGEST = 1.875, 10.0 / np.sqrt(3.0)
+# Factors on the base's duration, and durations of the fade over the transition's, that are tried in turn.
+_SLOWER, _FADES = (1.0, 1.25, 1.6, 2.2, 3.0), (1.0, 0.5, 0.25, 0.12, 0.06)
+# Samples at which a transition is checked: of its fade, and of all.
+_FADE_SAMPLES, _SAMPLES = 16, 48
+# Fraction of the limits of velocity and acceleration that a base may take; together with the corrections.
+BASE_SHARE, SHARE = 0.5, 0.8
+
+
+@frozen
+class JointState:
+    """Joint coordinates, rates and accelerations of an instant, each ``(n,)``."""
+
+    q: Floats
+    qd: Floats
+    qdd: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Transition:
+    """A motion of the joints from a moving state to rest, twice continuously differentiable where its base is.
+
+    Attributes:
+        base: b, a piecewise polynomial from rest to rest over [0, its last breakpoint].
+        slower: factor on its duration.
+        differences: ``(3, n)`` e, v and a.
+        fade: T_c [s].
+    """
+
+    base: PPoly
+    slower: float
+    differences: Floats
+    fade: float
+
+    @property
+    def duration(self) -> float:
+        """Duration [s]."""
+        return float(self.base.x[-1]) * self.slower
+
+    @property
+    def end(self) -> Floats:
+        """Joint coordinates ``(n,)`` at the end."""
+        return np.asarray(self.base(self.base.x[-1]))
+
+    def __call__(self, t: Floats) -> tuple[Floats, Floats, Floats]:
+        """Joint coordinates, rates and accelerations, each ``(K, n)``, at times ``(K,)``; at rest after the end."""
+        own = np.clip(t / self.slower, 0.0, self.base.x[-1])
+        s = np.clip(t / self.fade, 0.0, 1.0)[:, None] ** np.arange(6)
+        scaled = self.differences * self.fade ** np.arange(3.0)[:, None]
+        found = []
+        factors = _FADING
+        for order in range(3):
+            part = self.base(own, nu=order) / self.slower**order
+            found.append(part + s[:, : factors.shape[1]] @ (factors.T @ scaled) / self.fade**order)
+            factors = factors[:, 1:] * np.arange(1.0, factors.shape[1])
+        return found[0], found[1], found[2]
+
+
+def transition(
+    arm: Arm, now: JointState, base: PPoly, clear: Callable[[Floats], str | None] | None = None
+) -> Transition:
+    """The fastest tried transition from a state onto a base motion that keeps the arm's limits and clearance.
+
+    Positions, velocities and accelerations are checked at samples, the latter two against `SHARE` of their limits.
+
+    Args:
+        arm: the arm.
+        now: the state at the beginning.
+        base: motion from rest to rest, such as `straight` or `along` make.
+        clear: says what is in the way at configurations ``(K, n)``, or None; by default nothing is checked.
+
+    Raises:
+        PlanError: no transition tried keeps the limits and the clearance.
+    """
+    start = np.stack([base(0.0), base(0.0, nu=1), base(0.0, nu=2)])
+    differences = np.stack([now.q, now.qd, now.qdd]) - start
+    # The base's own acceleration may be left out: it begins at rest, and a spline's is no exact one.
+    differences[2] = now.qdd
+    refusal = "no transition keeps the limits of the joints"
+    moves = bool((np.abs(differences) > 1e-12).any())
+    for slower, share in product(_SLOWER, _FADES if moves else (1.0,)):
+        duration = slower * float(base.x[-1])
+        fade = share * duration
+        found = Transition(base, slower, differences, fade)
+        t = np.concatenate([np.linspace(0.0, fade, _FADE_SAMPLES), np.linspace(0.0, duration, _SAMPLES)])
+        q, qd, qdd = found(t)
+        if (
+            (np.abs(qd) > SHARE * arm.velocity_limits).any()
+            or (np.abs(qdd) > SHARE * arm.acceleration_limits).any()
+            or (arm.limit_excess(q) > LIMIT_TOLERANCE).any()
+        ):
+            continue
+        # All samples of a fade that takes the whole motion are there twice.
+        blocked = None if clear is None else clear(q[_FADE_SAMPLES * (share == 1.0) :])
+        if blocked is None:
+            return found
+        refusal = f"no transition keeps clear of {blocked}"
+    raise PlanError(refusal)
+
+
+def straight(arm: Arm, start: Floats, target: Floats, least: float) -> PPoly:
+    """The straight minimum-jerk motion within `BASE_SHARE` of the limits, in at least ``least`` [s]."""
+    distance = np.abs(target - start)
+    fast = (_FASTEST * distance / (BASE_SHARE * arm.velocity_limits)).max()
+    strong = np.sqrt((_STRONGEST * distance / (BASE_SHARE * arm.acceleration_limits)).max())
+    duration = max(least, float(fast), float(strong))
+    powers = _MINIMUM_JERK / duration ** np.arange(6)
+    factors = powers[::-1, None, None] * (target - start)
+    factors[-1] += start
+    return PPoly(factors, [0.0, duration])
+
+
+def along(arm: Arm, motion: Motion) -> PPoly:
+    """A planned motion as a base, slowed down until it keeps `BASE_SHARE` of the limits."""
+    spline = CubicHermiteSpline(motion.t, motion.q, motion.qd)
+    accelerations = np.abs(np.diff(motion.qd, axis=0)) / motion.timestep
+    fast = (np.abs(motion.qd) / (BASE_SHARE * arm.velocity_limits)).max()
+    strong = np.sqrt((accelerations / (BASE_SHARE * arm.acceleration_limits)).max())
+    slower = max(1.0, float(fast), float(strong))
+    powers = slower ** -np.arange(3.0, -1.0, -1.0)
+    return PPoly(spline.c * powers[:, None, None], slower * spline.x)

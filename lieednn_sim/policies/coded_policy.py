@@ -1,0 +1,176 @@
+"""A certified universal network as a policy that follows coded motions, and may begin another one at any time.
+
+With the network's time z, its certified field F, and the clock's rate r(t) of a coded motion, the visible state obeys
+
+    x_v' = p r(t) F_v(x) + k d (xi(q) - xi(q_r)),    x_h' = p r(t) F_h(x),    t' = p,
+
+with s, k and d of `feedback`, and a pace p <= s that keeps the joints' accelerations within their limits, both while
+speeding up and while slowing down. Another motion changes the code, that is the hidden state, and the bias. The visible
+state stays as it is, and the code is such that its velocity and acceleration do too (`transition`).
+
+What is proved: the certificate covers every code and every bias. After the last change, once the arm keeps up (s > 0
+and no pull) and need not rest (p > 0), x' = p r F(x) has the network's orbits, which all end at the target. That a
+transition keeps limits is only checked, at samples.
+
+Before a time t_r of the motion at which the arm must rest, p <= (2 c (t_r - t))^(1/2), where c is the deceleration of
+the pace that the limits allow.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import abstractmethod
+from collections.abc import Callable
+
+import numpy as np
+from scipy.interpolate import PPoly
+
+from lieednn_sim.arm import Arm
+from lieednn_sim.arm.local_retraction import LocalRetraction
+from lieednn_sim.errors import InputError, PlanError
+from lieednn_sim.planning.coded_course import CodedCourse
+from lieednn_sim.planning.transition import JointState, straight, transition
+from lieednn_sim.policies.feedback import FEEDBACK, Feedback, FeedbackPolicy
+from lieednn_sim.synthesis.shaping.encoder import CurveEncoder
+from lieednn_sim.values import Floats
+
+# Fraction of the accelerations' limits by which the pace falls, and by which it may change velocities at most.
+_BRAKING, _ACCELERATION = 0.35, 0.85
+# Below this pace the arm rests.
+RESTS = 1e-3
+# Time in which the pace may fall to zero where no joint moves fast [s], and duration of the motion of rest at first.
+_SOONEST = 0.25
+
+
+class CodedPolicy(FeedbackPolicy):
+    """A certified universal network along coded motions; a subclass defines `decide`, which may `take` another one.
+
+    Args:
+        arm: the arm.
+        rate: control rate [Hz].
+        feedback: settings of the feedback from the measured joints; None for no feedback.
+
+    Attributes:
+        network: the certified network with its present code and bias.
+        changes: number of codes taken since the reset.
+        course: the present motion.
+        time: time of the present motion [s].
+        rest_at: t_r, infinite while the arm need not rest.
+        pace: factor p of the last period.
+        behind: error e of `feedback` at the beginning of the last period.
+    """
+
+    certified = True
+    # Set with every motion taken: t_r, the network's time z, c, and the velocity of the motion itself.
+    rest_at: float
+    _z: float
+    _braking: float
+    _velocity: Floats
+
+    def __init__(self, arm: Arm, rate: float = 100.0, *, feedback: Feedback | None = FEEDBACK) -> None:
+        super().__init__(arm, rate, feedback)
+        self._encoder = CurveEncoder(arm.n_links)
+        self._low, self._high = arm.position_limits.T
+        self._range = arm.ranges
+
+    def begin(self, q: Floats) -> None:
+        """See `Policy`; unchecked."""
+        super().begin(q)
+        self._retraction = LocalRetraction(self.arm, q)
+        self.drawn, self._waiting, self._pace_rate = q, 1.0, 0.0
+        rest = JointState(q, np.zeros_like(q), np.zeros_like(q))
+        stay = transition(self.arm, rest, straight(self.arm, q, q, _SOONEST))
+        self.changes = -1
+        self._follow(CodedCourse(self.arm, self._encoder, stay, self.arm.encode(q)))
+
+    @abstractmethod
+    def decide(self, target: Floats) -> None:
+        """Take another motion, or set when to rest, as the target ``(n,)`` requires; called in each period."""
+
+    @property
+    def state(self) -> Floats:
+        """``(N, 6)`` state of the visible neurons, one for each link."""
+        return self.course.state.x.reshape(-1, 6)
+
+    def act(self, measured: Floats | None, target: Floats) -> tuple[Floats, Floats]:
+        """See `Policy`; unchecked."""
+        self.decide(target)
+        pull, pull_rate = self._listen(measured)
+        course, ahead = self.course, self.rest_at - self.time
+        wish = self._waiting * min(1.0, math.sqrt(2.0 * self._braking * max(ahead, 0.0)))
+        guess = self._within_acceleration(wish, pull_rate)
+        self.time += 0.5 * self.period * (self.pace + guess)
+        z, rate = course.clock(self.time)
+        course.state.x = course.state.x + self.period * pull
+        course.state.advance(z - self._z)
+        self._z = z
+        self._retraction.q = self.drawn + self.period * (guess * self._velocity + pull_rate)
+        drawn, slope = self._retraction(course.state.x.reshape(-1, 6), course.state.flow.reshape(-1, 6))
+        self._velocity = rate * slope
+        pace = self._within_acceleration(wish, pull_rate)
+        wanted = pace * self._velocity + pull_rate
+        slower = 1.0 / max(1.0, float((np.abs(wanted) / self.allowed()).max()))
+        self._limited = slower * pace < 0.99 * self._waiting
+        self._pace_rate, self.pace = (slower * pace - self.pace) / self.period, slower * pace
+        qd, inside = slower * wanted, np.clip(self.arm.within_angles(drawn), self._low, self._high)
+        self.drawn = drawn
+        return inside, np.where(np.abs(inside - drawn) > 0.0, 0.0, qd)
+
+    def _listen(self, measured: Floats | None) -> tuple[Floats, Floats]:
+        """Set s, and return the pull of the measured joints on the flat visible state and on the configuration."""
+        off = np.zeros_like(self.drawn) if measured is None else measured - self.drawn
+        self._waiting, strength = 1.0, 0.0
+        if self._feedback is not None:
+            self.behind = float((np.abs(off) / self._range).max())
+            self._waiting, strength = self._feedback.response(self.behind)
+        if strength == 0.0 or measured is None:
+            return np.zeros_like(self.course.state.x), np.zeros_like(off)
+        there, here = self.arm.encode(np.stack([measured, self.drawn]))
+        return strength * (there - here).ravel(), strength * off
+
+    def _within_acceleration(self, wish: float, extra: Floats) -> float:
+        """The pace nearest to a wish with which no joint's velocity changes by more than its limit in a period."""
+        most, change, velocity = _ACCELERATION * self._max_gain, extra - self.qd, self._velocity
+        moving = np.abs(velocity) > 1e-9
+        ends = (np.array([-most, most]) - change)[:, moving] / velocity[moving]
+        low = float(ends.min(axis=0).max(initial=0.0))
+        high = float(ends.max(axis=0).min(initial=math.inf))
+        # Where no pace keeps all limits, since the arm is pulled, one between those that keep some of them.
+        return max(min(wish, max(low, high)), min(low, high, self._waiting))
+
+    def _now(self) -> tuple[JointState, float]:
+        """State of the joints in the time of a motion that begins now, and the pace with which it begins."""
+        scale = max(self._waiting, self.pace, RESTS)
+        ratio = self.pace / scale
+        _, _, bend = self.course.transition(np.array([self.time]))
+        most = 0.5 * self.arm.acceleration_limits
+        qdd = ratio**2 * bend[0] + self._pace_rate / scale**2 * self._velocity
+        return JointState(self.drawn, ratio * self._velocity, np.clip(qdd, -most, most)), scale
+
+    def take(self, base: PPoly, clear: Callable[[Floats], str | None]) -> None:
+        """Turn to a base motion, see `transition`; raises `PlanError` if there is no clear transition or no code."""
+        now, pace = self._now()
+        made = transition(self.arm, now, base, clear)
+        try:
+            course = CodedCourse(self.arm, self._encoder, made, self.state)
+        except InputError as error:
+            raise PlanError(f"the network cannot follow the motion: {error}") from None
+        self.pace, self._pace_rate = pace, 0.0
+        self._follow(course)
+
+    @property
+    def stopping(self) -> float:
+        """How far the present motion goes on, in its time, until the arm can rest [s]."""
+        return self.pace**2 / (2.0 * self._braking)
+
+    def _follow(self, course: CodedCourse) -> None:
+        """Follow a course from its beginning."""
+        self.course, self.network = course, course.network
+        self.time, self._z, self.rest_at = 0.0, 0.0, math.inf
+        self.changes += 1
+        _, rate = course.clock(0.0)
+        _, slope = self._retraction(self.state, course.state.flow.reshape(-1, 6))
+        self._velocity = rate * slope
+        _, qd, _ = course.transition(np.linspace(0.0, course.transition.duration, 64))
+        swift = np.abs(qd).max(axis=0) / self.arm.acceleration_limits
+        self._braking = _BRAKING / max(float(swift.max()), _SOONEST * _BRAKING)

@@ -1,0 +1,259 @@
+"""A certified network that takes a new target in any control period, and a new path where an obstacle moves in the way.
+
+It is a `CodedPolicy`, which has the proof. To a new target it goes straight if that is clear. Where something is in the
+way, on the path ahead or on the way to a new target, the arm slows down so as to rest before the first blocked sample,
+while RRT-Connect searches for a path from where it can rest. If there is none, the arm waits there, and the search is
+made again. Obstacles are where they were last seen, or where they will be soon if they go on as they move: that nothing
+touches is only checked, at samples of the path.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+
+import numpy as np
+from scipy.interpolate import PPoly
+
+from lieednn_sim.arm import Arm
+from lieednn_sim.errors import InputError, LieEDNNError, PlanError
+from lieednn_sim.planning.baselines.sampling import RrtConnectOptions
+from lieednn_sim.planning.motion import Motion
+from lieednn_sim.planning.options import PlannerOptions
+from lieednn_sim.planning.transition import along, straight
+from lieednn_sim.policies.coded_policy import RESTS, CodedPolicy
+from lieednn_sim.policies.feedback import FEEDBACK, Feedback
+from lieednn_sim.policies.surroundings import PathSearch, Surroundings
+from lieednn_sim.values import Floats
+
+# Time between the samples of a path that are looked at [s], and their largest number.
+_LOOK, _MOST_LOOKS = 0.04, 150
+# Time for which obstacles are expected to go on as they move [s].
+_FORESIGHT = 0.3
+# Configurations are one if they differ by less than this fraction of the ranges.
+_SAME = 1e-6
+
+
+@dataclass(frozen=True)
+class ReplanningOptions(PlannerOptions):
+    """Options of the policy ``lieednn-replanning``.
+
+    Attributes:
+        least_duration: shortest motion to a new target [s].
+        margin: distance that new paths keep from moving obstacles where that is possible [m]; a path is blocked where
+            one of them is nearer than half of it.
+        look_every: control periods from one look at the path ahead to the next.
+        search_periods: control periods after which a new path is taken; the policy waits for the search if it is not
+            over then, so that results do not depend on the machine.
+        at_once: take a new path as soon as it is there, and never wait for it: for real robots.
+        search: options of RRT-Connect, which searches for new paths.
+
+    Raises:
+        InputError: a value is out of range.
+    """
+
+    least_duration: float = 0.5
+    margin: float = 0.06
+    look_every: int = 5
+    search_periods: int = 20
+    at_once: bool = False
+    search: RrtConnectOptions = field(default=RrtConnectOptions(max_collision_checks=(20_000,), fastest=True))
+
+
+class ReplanningPolicy(CodedPolicy):
+    """A certified network that plans again whenever the target or the obstacles move.
+
+    It logs ``changes``, the number of codes taken, and ``blocked``, which is 1 while a moving obstacle is in the way.
+
+    Args:
+        arm: the arm, in its scene.
+        rate: control rate [Hz].
+        motion: motion for the first target, from start to target; by default, and from elsewhere, it goes straight.
+        options: settings.
+        feedback: settings of the feedback from the measured joints; None for no feedback.
+        seed: seed of the searches.
+
+    Raises:
+        InputError: the motion is of another arm.
+    """
+
+    channel_units: Mapping[str, str] = MappingProxyType(
+        {"pace": "1", "behind": "ranges", "changes": "1", "blocked": "1"}
+    )
+
+    def __init__(
+        self,
+        arm: Arm,
+        rate: float = 100.0,
+        *,
+        motion: Motion | None = None,
+        options: ReplanningOptions | None = None,
+        feedback: Feedback | None = FEEDBACK,
+        seed: int = 0,
+    ) -> None:
+        super().__init__(arm, rate, feedback=feedback)
+        if motion is not None and motion.q.shape[1] != arm.n_joints:
+            raise InputError(
+                f"the motion has {motion.q.shape[1]} joint coordinates, arm {arm.name!r} has {arm.n_joints}"
+            )
+        self._given, self._seed = motion, seed
+        self._options = ReplanningOptions() if options is None else options
+
+    def begin(self, q: Floats) -> None:
+        """See `Policy`; unchecked."""
+        super().begin(q)
+        self._surroundings = Surroundings(self.arm, 0.5 * self._options.margin)
+        self._periods = self._searches = 0
+        self._goal: Floats | None = None
+        self._search: tuple[PathSearch, int] | None = None
+        self._path: PPoly | None = None
+        self._last_places: dict[str, Floats] = {}
+        self._clear_way()
+
+    def see(self, places: Mapping[str, Floats]) -> None:
+        """See `Policy`; raises `InputError` for names that are no bodies without joints."""
+        self._surroundings.see(places)
+
+    @property
+    def message(self) -> str:
+        """See `Policy`."""
+        if math.isinf(self.rest_at):
+            return super().message
+        does = "waits" if self.pace < RESTS else "slows down"
+        why = f" for {self._blocker!r}" if self._blocker else " to turn"
+        return f"{does}{why}{f'; {self._reason}' if self._reason else ''}"
+
+    def channels(self) -> Floats:
+        """See `Policy`."""
+        return np.array([self.pace, self.behind, self.changes, math.isfinite(self._blocked_at)])
+
+    def decide(self, target: Floats) -> None:
+        """See `CodedPolicy`; unchecked."""
+        self._surroundings.leave(self.drawn)
+        if target is not self._goal:
+            self._goal, self._search, self._path, self._reason = target, None, None, ""
+            self._turn(target)
+        self._take_path(target)
+        if self._periods % self._options.look_every == 0:
+            self._look(target)
+        self._periods += 1
+        self.rest_at = min(self._blocked_at, self._ends_at)
+
+    def _clear_way(self) -> None:
+        # Times of the present motion before which the arm must rest, since something blocks it, or another is to come.
+        self._blocked_at = self._ends_at = math.inf
+        self._blocker = self._reason = ""
+
+    def _turn_to(self, base: PPoly) -> None:
+        """Take a base motion; raises `PlanError`."""
+
+        def clear(q: Floats) -> str | None:
+            found = self._surroundings.blocked(q)
+            self._blocker = found[1] if found else ""
+            return repr(found[1]) if found else None
+
+        # Where limits alone refuse all transitions, nothing is in the way.
+        self._blocker = ""
+        self.take(base, clear)
+        self._clear_way()
+
+    def _turn(self, goal: Floats) -> None:
+        """Go to the present goal: by the given motion if it leads there, else straight, else by a path searched for."""
+        given, base = self._given, straight(self.arm, self.drawn, goal, self._options.least_duration)
+        if given is not None and self.changes == 0:
+            off = np.stack([given.q[0] - self.drawn, given.q[-1] - goal])
+            if (np.abs(off) < _SAME * self._range).all():
+                base = along(self.arm, given)
+        try:
+            self._turn_to(base)
+        except PlanError as error:
+            self._reason = str(error)
+            self._ends_at = min(self._ends_at, self.time + self.stopping)
+            if self._blocker:
+                self._seek(goal)
+
+    def _seek(self, goal: Floats) -> None:
+        """Search for a path from where the arm can rest on its present one, without need before it is found."""
+        if at_goal := self._surroundings.blocked(goal[None]):
+            self._blocker, self._reason = at_goal[1], "the target is not free"
+            return
+        lead = self.stopping + self.pace * self.period * self._options.search_periods
+        rest = max(self.time + self.stopping, min(self._blocked_at, self.time + lead))
+        self._ends_at = rest
+        q, _, _ = self.course.transition(np.array([rest]))
+        start = np.clip(self.arm.within_angles(q[0]), self._low, self._high)
+        seed, self._searches = self._seed + self._searches, self._searches + 1
+        options = self._options
+        places = self._surroundings.places
+        search = PathSearch(self.arm, places, (start, goal), options.margin, options.search, seed)
+        self._search = search, self._periods + options.search_periods
+        self._reason = "a path is searched for"
+
+    def _take_path(self, goal: Floats) -> None:
+        """Take the path that was searched for, if it is there and due."""
+        if self._search is not None:
+            search, due = self._search
+            if not (search.done if self._options.at_once else self._periods >= due):
+                return
+            self._search = None
+            try:
+                self._path = along(self.arm, search.result())
+            except LieEDNNError as error:
+                self._reason = str(error)
+                return
+        elif self._path is None or self._periods % self._options.look_every:
+            return
+        path = self._path
+        assert path is not None
+        # An obstacle may have moved into it meanwhile.
+        passable = self._surroundings.blocked(self._sampled(path, 0.0, float(path.x[-1]))[1], only_moving=True) is None
+        try:
+            if passable:
+                self._turn_to(path)
+                self._path = None
+        except PlanError as error:
+            self._reason, passable = str(error), self.pace > RESTS
+        # A moving arm slows down, and tries again; otherwise only another path may help.
+        if not passable:
+            self._path = None
+            self._seek(goal)
+
+    def _sampled(self, motion: Callable[[Floats], Floats], begin: float, end: float) -> tuple[Floats, Floats]:
+        """Times ``(K,)`` between two ones, and the configurations ``(K, n)`` of a motion there."""
+        times = np.linspace(begin, end, min(max(2, math.ceil((end - begin) / _LOOK) + 1), _MOST_LOOKS))
+        return times, np.asarray(motion(times))
+
+    def _foreseen(self, q: Floats) -> tuple[int, str] | None:
+        """As `Surroundings.blocked`, were the obstacles to go on as since the last look."""
+        now, last = dict(self._surroundings.places), self._last_places
+        self._last_places = now
+        looks = _FORESIGHT / (self._options.look_every * self.period)
+        ahead = {name: place + looks * (place - last.get(name, place)) for name, place in now.items()}
+        if all((ahead[name] == place).all() for name, place in now.items()):
+            return None
+        self._surroundings.see(ahead)
+        found = self._surroundings.blocked(q, only_moving=True)
+        self._surroundings.see(now)
+        return found
+
+    def _look(self, goal: Floats) -> None:
+        """Look whether the path ahead is clear, and what to do if it is not, or if the arm waits."""
+        course, busy = self.course, self._search is not None or self._path is not None
+        if self._surroundings.places:
+            end = max(course.transition.duration, self.time)
+            times, q = self._sampled(lambda t: course.transition(t)[0], self.time, end)
+            found = self._surroundings.blocked(q, only_moving=True) or self._foreseen(q)
+            if found is not None:
+                self._blocked_at, self._blocker = float(times[max(found[0] - 1, 0)]), found[1]
+                if not busy:
+                    self._seek(goal)
+                return
+            if math.isfinite(self._blocked_at):
+                # The obstacle went away again.
+                self._blocked_at, self._blocker = math.inf, ""
+                if np.abs(course.transition.end - goal).max() < _SAME:
+                    self._ends_at, self._search, self._path, busy = math.inf, None, None, False
+        if math.isfinite(self._ends_at) and not busy:
+            self._turn(goal)

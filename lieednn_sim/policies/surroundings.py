@@ -1,0 +1,178 @@
+"""What a policy knows of moving obstacles: where they are, whether they are in the way, and paths around them."""
+
+from __future__ import annotations
+
+import copy
+import os
+from collections.abc import Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm import Arm
+from lieednn_sim.arm.contacts import ContactFinder, colliding_geoms, fixed_body, moving_geoms
+from lieednn_sim.errors import InputError, PlanError
+from lieednn_sim.planning.baselines.sampling import RrtConnectOptions, rrt_connect
+from lieednn_sim.planning.motion import Motion
+from lieednn_sim.planning.problem import PlanningProblem
+from lieednn_sim.validation import as_floats, quoted
+from lieednn_sim.values import Floats
+
+# Fraction of a distance below the margin that is kept.
+_KEPT_FRACTION = 0.8
+# Fractions of the margin with which a path is searched for, where start or target are nearer than that.
+_MARGINS = (1.0, 0.5, 0.0)
+# Duration asked for [s], which nearly every motion needs more of, and how many times of it one may take.
+_DURATION, _MAX_TIME_SCALE = 0.5, 100.0
+
+
+class Surroundings:
+    """The arm's scene with moving obstacles at their last known places.
+
+    Args:
+        arm: the arm, in its scene.
+        margin: distance from a moving obstacle below which it is in the way [m]. Everything else is in the way if it is
+            nearer than the arm's clearance.
+
+    Attributes:
+        places: positions ``(3,)`` of the moving obstacles' bodies, by name; empty before any was seen.
+    """
+
+    def __init__(self, arm: Arm, margin: float) -> None:
+        self._arm, self._margin, self._kept = arm, margin, margin
+        self._model = arm.without_visuals.model
+        self._all = ContactFinder(self._model, arm.clearance)
+        # Sees nothing but pairs of the arm and a moving obstacle.
+        self._near: ContactFinder | None = None
+        self.places: dict[str, Floats] = {}
+
+    def see(self, places: Mapping[str, Floats]) -> None:
+        """Take note of the places; raises `InputError` for names that are no bodies without joints."""
+        seen = {name: as_floats(f"the place of {quoted(name)}", place, (3,)) for name, place in places.items()}
+        if not seen.keys() <= self.places.keys():
+            self._near = ContactFinder(self._pairs_of({*self.places, *seen}), self._margin)
+        self.places.update(seen)
+        for name, place in self.places.items():
+            body = fixed_body(self._model, name)
+            for finder in filter(None, (self._all, self._near)):
+                finder.move(body, place)
+
+    def blocked(self, q: Floats, *, only_moving: bool = False) -> tuple[int, str] | None:
+        """Index of the first of the configurations ``(K, n)`` at which something is in the way, and its body's name.
+
+        Args:
+            q: configurations.
+            only_moving: look at moving obstacles alone.
+        """
+        finders = [each for each in (None if only_moving else self._all, self._near) if each is not None]
+        for index, qpos in enumerate(self._arm.space.to_qpos(q)):
+            for finder in finders:
+                distance, found = finder.geoms(qpos)
+                found = found if finder is self._all else self._near_pairs(distance, found, self._kept)[1]
+                if len(found):
+                    first, second = found[0]
+                    obstacle = first if self._model.body_weldid[self._model.geom_bodyid[first]] == 0 else second
+                    return index, self._model.body(self._model.geom_bodyid[obstacle]).name
+        return None
+
+    def leave(self, q: Floats) -> None:
+        """Let the arm, at ``q`` ``(n,)``, get away from a moving obstacle that is nearer than the margin already.
+
+        Until this is called again, something is in the way only below four fifths of that distance.
+        """
+        if self._near is not None:
+            distance, _ = self._near_pairs(*self._near.geoms(self._arm.space.to_qpos(q)), self._margin)
+            self._kept = min(self._margin, _KEPT_FRACTION * max(float(distance.min(initial=np.inf)), 0.0))
+
+    def _near_pairs(self, distance: Floats, pairs: NDArray[np.int_], margin: float) -> tuple[Floats, NDArray[np.int_]]:
+        """Those of the pairs ``(C, 2)`` and their distances that have a moving obstacle within a margin."""
+        # Explicit pairs of the model collide whatever their types.
+        near = self._moved[pairs].any(axis=1) & (distance < margin)
+        return distance[near], pairs[near]
+
+    def _pairs_of(self, names: set[str]) -> mujoco.MjModel:
+        """The arm's model, in which its moving parts collide with the bodies of these names, and nothing else does."""
+        model = copy.deepcopy(self._model)
+        colliding, parts = colliding_geoms(model), moving_geoms(model)
+        bodies = {fixed_body(model, name) for name in names}
+        owners = [_ancestors(model, body) for body in model.geom_bodyid]
+        self._moved = moved = np.array([not bodies.isdisjoint(each) for each in owners], dtype=bool)
+        model.geom_contype[:], model.geom_conaffinity[:] = colliding & moved, colliding & parts
+        return model
+
+
+class PathSearch:
+    """A search for a path by RRT-Connect in a thread of its own, whose result depends on its arguments alone.
+
+    Args:
+        arm: the arm, in its scene.
+        places: where the moving obstacles are.
+        ends: start and target ``(n,)``.
+        margin: distance to keep from moving obstacles where start and target allow it [m].
+        options: options of the search.
+        seed: its seed.
+    """
+
+    def __init__(
+        self,
+        arm: Arm,
+        places: Mapping[str, Floats],
+        ends: tuple[Floats, Floats],
+        margin: float,
+        options: RrtConnectOptions,
+        seed: int,
+    ) -> None:
+        self._future: Future[Motion] = _worker(os.getpid()).submit(
+            _path, arm, dict(places), ends, margin, options, seed
+        )
+
+    @property
+    def done(self) -> bool:
+        """Whether the search is over."""
+        return self._future.done()
+
+    def result(self) -> Motion:
+        """The motion found, which is waited for.
+
+        Raises:
+            LieEDNNError: there is no path, or OMPL is not installed.
+        """
+        return self._future.result()
+
+
+@cache
+def _worker(_: int) -> ThreadPoolExecutor:
+    # One for each process, since threads do not survive a fork; one thread, since OMPL's random numbers are global.
+    return ThreadPoolExecutor(1, "replanning")
+
+
+def _path(
+    arm: Arm,
+    places: dict[str, Floats],
+    ends: tuple[Floats, Floats],
+    margin: float,
+    options: RrtConnectOptions,
+    seed: int,
+) -> Motion:
+    refused: InputError | None = None
+    for share in _MARGINS:
+        there = arm.placed(places, share * margin)
+        try:
+            problem = PlanningProblem(there, *ends, _DURATION, seed=seed, max_time_scale=_MAX_TIME_SCALE)
+        except InputError as error:
+            refused = error
+            continue
+        return rrt_connect(problem, options)
+    raise PlanError(str(refused))
+
+
+def _ancestors(model: mujoco.MjModel, body: int) -> set[int]:
+    """A body, its parents, and so on up to the world."""
+    found = set[int]()
+    while body:
+        found.add(int(body))
+        body = model.body_parentid[body]
+    return found

@@ -1,0 +1,68 @@
+"""Obstacles that move in a simulation, along given places, whatever they touch."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm.contacts import fixed_body
+from lieednn_sim.errors import InputError
+from lieednn_sim.validation import as_floats
+from lieednn_sim.values import Floats, set_fields
+
+
+@dataclass(frozen=True)
+class MovingObstacle:
+    """A fixed body of a scene that moves, straight and evenly between given places, and rests before and after.
+
+    It is placed anew in each step, so contacts see where it is, but not its velocity: it carries nothing along by
+    friction.
+
+    Attributes:
+        body: name of a body of the scene without joints.
+        times: ``(K,)`` increasing times since the start of the rollout [s].
+        positions: ``(K, 3)`` positions of the body at these times, in the frame of its parent [m].
+
+    Raises:
+        InputError: the times do not increase, or a value is malformed.
+    """
+
+    body: str
+    times: tuple[float, ...]
+    positions: tuple[tuple[float, ...], ...]
+
+    def __post_init__(self) -> None:
+        times = as_floats("times", self.times, ("K",))
+        positions = as_floats("positions", self.positions, (len(times), 3))
+        if not len(times) or (np.diff(times) <= 0.0).any():
+            raise InputError(f"times must hold at least one time, and increase, got {self.times}")
+        set_fields(self, times=tuple(times.tolist()), positions=tuple(map(tuple, positions.tolist())))
+
+    def at(self, time: float) -> Floats:
+        """Position of the body ``(3,)`` at a time [s]; `InputError` if that is no finite number."""
+        now = float(as_floats("time", time, ()))
+        return np.array([np.interp(now, self.times, column) for column in zip(*self.positions, strict=True)])
+
+
+class Moved:
+    """Places the moving obstacles of a simulation in its plant.
+
+    Args:
+        model: the plant, whose bodies are moved.
+        obstacles: the obstacles.
+    """
+
+    def __init__(self, model: mujoco.MjModel, obstacles: tuple[MovingObstacle, ...]) -> None:
+        self._model = model
+        self._obstacles = [(each, fixed_body(model, each.body)) for each in obstacles]
+
+    def apply(self, time: float) -> None:
+        """Move the obstacles to their places at a time [s]."""
+        for obstacle, body in self._obstacles:
+            self._model.body_pos[body] = obstacle.at(time)
+
+    def places(self) -> dict[str, Floats]:
+        """The present positions ``(3,)`` of the obstacles, by the names of their bodies."""
+        return {obstacle.body: self._model.body_pos[body].copy() for obstacle, body in self._obstacles}

@@ -1,0 +1,118 @@
+"""Transitions by hand, and their codes: velocity and acceleration go on, and the network's own motion is the curve."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from lieednn_sim.arm import Arm
+from lieednn_sim.errors import InputError, PlanError
+from lieednn_sim.network.undriven import UndrivenState
+from lieednn_sim.planning import plan
+from lieednn_sim.planning.coded_course import Clock, CodedCourse
+from lieednn_sim.planning.transition import JointState, along, straight, transition
+from lieednn_sim.synthesis.shaping.encoder import CurveEncoder
+
+TARGET = np.array([0.3, -0.4, 0.5, 0.6])
+
+
+def moving(speed=1.0):
+    return JointState(np.zeros(4), speed * np.array([0.2, 0.1, -0.3, 0.4]), speed * np.array([0.5, -1.0, 0.2, 0.1]))
+
+
+def test_to_a_target_it_is_the_quintic_between_both_states(gantry):
+    now = moving()
+    made = transition(gantry, now, straight(gantry, now.q, TARGET, 2.0))
+    assert (made.duration, made.fade) == (2.0, 2.0)
+    # Values and derivatives of powers of t at both ends.
+    rows = [np.polynomial.Polynomial.basis(k).deriv(d) for d in range(3) for k in range(6)]
+    matrix = np.array([[rows[6 * d + k](t) for k in range(6)] for t in (0.0, 2.0) for d in range(3)])
+    ends = np.stack([now.q, now.qd, now.qdd, TARGET, np.zeros(4), np.zeros(4)])
+    factors = np.linalg.solve(matrix, ends)
+    t = np.linspace(0.0, 2.0, 9)
+    for order, found in enumerate(made(t)):
+        wanted = np.array([[rows[6 * order + k](one) for k in range(6)] for one in t]) @ factors
+        np.testing.assert_allclose(found, wanted, atol=1e-12)
+    np.testing.assert_allclose(made(np.array([9.0]))[0][0], TARGET, atol=1e-12)
+
+
+def test_a_motion_is_slowed_down_and_joined(gantry):
+    motion = plan(gantry, TARGET, planner="minimum-jerk", duration=0.4, max_time_scale=9.0).motion
+    base = along(gantry, motion)
+    # It takes 0.675 of the y joint's limit of 2 m/s and more of others': at most half of all is left.
+    slower = base.x[-1] / motion.t[-1]
+    assert (np.abs(motion.qd) / slower / gantry.velocity_limits).max() <= 0.5 + 1e-9
+    made = transition(gantry, moving(), base)
+    t = np.linspace(0.0, made.duration, 400)
+    q, qd, qdd = made(t)
+    np.testing.assert_allclose(qd[0], moving().qd, atol=1e-9)
+    np.testing.assert_allclose(q[-1], TARGET, atol=1e-9)
+    assert (np.abs(qd) <= 0.8 * gantry.velocity_limits).all()
+    assert (np.abs(qdd) <= 0.81 * gantry.acceleration_limits).all()
+    np.testing.assert_allclose(np.gradient(q, t, axis=0)[1:-1], qd[1:-1], atol=2e-3)
+
+
+def test_it_says_what_is_in_the_way(gantry):
+    base = straight(gantry, np.zeros(4), TARGET, 1.0)
+    with pytest.raises(PlanError, match="no transition keeps clear of a chair"):
+        transition(gantry, moving(), base, lambda q: "a chair")
+    fast = JointState(np.zeros(4), gantry.velocity_limits, np.zeros(4))
+    with pytest.raises(PlanError, match="no transition keeps the limits of the joints"):
+        transition(gantry, fast, base)
+
+
+def test_the_clock_is_its_own_inverse_and_never_stops():
+    t = np.linspace(0.0, 2.0, 129)
+    clock = Clock(t, np.where(t < 1.0, 1.0, 0.0))
+    levels = np.array([1.0, 0.9, 0.5, 0.1, 1e-3])
+    back = np.exp([-clock(time)[0] for time in clock.times(levels)])
+    np.testing.assert_allclose(back, levels, rtol=2e-3)
+    for time in (0.0, 0.7, 1.5, 1.99, 2.0, 5.0):
+        ahead, behind = clock(time + 1e-5)[0], clock(max(time - 1e-5, 0.0))[0]
+        assert clock(time)[1] > 0.0
+        assert (ahead - behind) / (2e-5 if time else 1e-5) == pytest.approx(clock(time)[1], rel=2e-3)
+
+
+@pytest.mark.parametrize("name", ["gantry", "telescopic_rrp"])
+def test_the_network_follows_the_transition_from_its_first_velocity_on(name, gantry):
+    arm = gantry if name == "gantry" else Arm.load(name)
+    home, rng = arm.keyframe("home"), np.random.default_rng(0)
+    target = home + 0.15 * arm.ranges * rng.uniform(-1.0, 1.0, arm.n_joints)
+    target = np.clip(target, *arm.position_limits.T)
+    now = JointState(home, 0.1 * arm.velocity_limits, -0.1 * arm.acceleration_limits)
+    made = transition(arm, now, straight(arm, home, target, 2.0))
+    encoder = CurveEncoder(arm.n_links)
+    course = CodedCourse(arm, encoder, made, arm.encode(home))
+    assert course.network.certificate is encoder.network.certificate
+    z, rate = course.clock(0.0)
+    h = 1e-4
+    near = arm.encode(made(np.array([0.0, h, 2.0 * h]))[0]).reshape(3, -1)
+    assert z == pytest.approx(0.0, abs=1e-12)
+    velocity = (-1.5 * near[0] + 2.0 * near[1] - 0.5 * near[2]) / h
+    np.testing.assert_allclose(rate * course.state.flow, velocity, atol=2e-4 * np.abs(velocity).max())
+    for time in (0.1, 0.5, 1.0, 1.5, 2.0):
+        there, _ = course.clock(time)
+        course.state.advance(there - z)
+        z = there
+        wanted = arm.encode(made(np.array([time]))[0][0])
+        np.testing.assert_allclose(course.state.x.reshape(-1, 6), wanted, atol=1e-3)
+
+
+def test_steps_without_inputs_are_the_networks_own():
+    rng = np.random.default_rng(1)
+    curve = np.cumsum(0.03 * rng.normal(size=(30, 2, 6)), axis=0)
+    network = CurveEncoder(2).encode(np.linspace(0.0, 1.0, 30)[:, None, None] * curve[-1] + 0.1 * curve)
+    start = curve[0]
+    state = UndrivenState(network, start)
+    trajectory = network.trajectory(network.start(start), 3.0, rtol=1e-9, atol=1e-11)
+    times = np.linspace(0.0, 3.0, 12)
+    for before, after in itertools.pairwise(times):
+        state.advance(after - before)
+        own = trajectory(np.array([after]))[0]
+        np.testing.assert_allclose(state.x, own[:2].ravel(), atol=1e-6)
+        np.testing.assert_allclose(state.flow, network.vector_field(own)[:2].ravel(), atol=1e-5)
+
+
+def test_other_networks_are_refused(cascade):
+    with pytest.raises(InputError, match="only visible neurons may have inputs, and only from hidden ones"):
+        UndrivenState(cascade(np.zeros((2, 6))), np.zeros((2, 6)))

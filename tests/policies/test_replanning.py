@@ -1,0 +1,148 @@
+"""Replanning: no jump at a change, the proof and the arrival, a pole in the way, nowhere to go, and error messages."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm import Arm
+from lieednn_sim.errors import InputError
+from lieednn_sim.planning import plan
+from lieednn_sim.planning.safety_filter import FilterOptions
+from lieednn_sim.policies import Feedback, ReplanningOptions, ReplanningPolicy, make_policy
+from lieednn_sim.simulation import Disturbances, MovingObstacle, Push, follow
+from lieednn_sim.synthesis.shaping.encoder import CurveEncoder
+
+ACROSS = np.array([0.0, 1.5, 0.0, 0.5])
+
+
+@pytest.fixture(scope="module")
+def beside(gantry):
+    """The gantry, whose end effector is at x = 1 m, and a pole at x = 3 m."""
+    spec = mujoco.MjSpec()
+    body = spec.worldbody.add_body(name="pole", pos=[3.0, 0.8, 0.0])
+    body.add_geom(type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=[0.05, 4.0, 0.0])
+    return dataclasses.replace(gantry.amid(spec, "pole"), scene="free")
+
+
+def coming(*more):
+    """A pole that walks to where the end effector would pass, in half a second; and on."""
+    places = [(0.3, (3.0, 0.8, 0.0)), (0.8, (1.0, 0.8, 0.0)), *more]
+    return Disturbances(obstacles=(MovingObstacle("obstacle_pole", *zip(*places, strict=True)),))
+
+
+def test_changes_of_target_at_any_time_jump_in_nothing(gantry):
+    policy, rng = ReplanningPolicy(gantry, 50.0), np.random.default_rng(0)
+    policy.reset(np.zeros(4))
+    low, high = gantry.position_limits.T
+    rows, changed = [(policy.q, policy.qd)], []
+    for _ in range(25):
+        target = np.clip(rng.uniform(0.9 * low, 0.9 * high), [-1.0, -2.0, -0.85, -3.0], high)
+        changed.append(len(rows))
+        rows += [policy.step(policy.q, target) for _ in range(rng.integers(1, 80))]
+    rows += [policy.step(policy.q, target) for _ in range(500)]
+    q, qd = np.moveaxis(np.array(rows), 1, 0)
+    assert policy.changes >= 25
+    assert (np.abs(qd) <= gantry.velocity_limits).all()
+    acceleration = np.diff(qd, axis=0) / 0.02
+    assert (np.abs(acceleration) <= 0.9 * gantry.acceleration_limits).all()
+    # Positions are those that the velocities lead to.
+    np.testing.assert_allclose(np.diff(q, axis=0), 0.01 * (qd[1:] + qd[:-1]), atol=2e-3)
+    # Across a change the acceleration differs no more than elsewhere.
+    jerk = np.abs(np.diff(acceleration, axis=0)) / gantry.acceleration_limits
+    at = np.array([k - 1 for k in changed if 1 < k < len(jerk)])
+    assert jerk[at].max() < 0.12
+    np.testing.assert_allclose(q[-1], target, atol=1e-8)
+    assert policy.network.certificate is CurveEncoder(2).network.certificate
+    np.testing.assert_allclose(policy.network.visible(policy.network.equilibrium().xi), gantry.encode(target))
+
+
+def test_after_the_last_change_it_is_the_network_itself(gantry):
+    """Its states lie on the orbit of the network with its code, integrated for comparison."""
+    policy = ReplanningPolicy(gantry, 50.0, feedback=None)
+    policy.reset(np.zeros(4))
+    for target in (ACROSS, -0.4 * ACROSS):
+        code, states = policy.network.hidden_start, [policy.state]
+        for _ in range(20):
+            policy.step(None, target)
+            states.append(policy.state)
+        assert (policy.network.hidden_start != code).any()
+    network = policy.network
+    trajectory = network.trajectory(network.start(states[0]), 2.0, rtol=1e-6, atol=1e-8)
+    orbit = network.visible(trajectory(np.linspace(0.0, 2.0, 4001)))
+    for state in states:
+        assert np.abs(orbit - state).max(axis=(1, 2)).min() < 1e-4
+
+
+def test_it_goes_around_a_pole_that_walks_into_its_way(beside):
+    pytest.importorskip("ompl")
+    motion = plan(beside, ACROSS, planner="minimum-jerk", duration=3.0).motion
+    make = {"motion": motion, "rate": 50.0, "start": np.zeros(4)}
+    touched = follow(make_policy("tracker", beside, ACROSS, **make), ACROSS, 3.0, disturbances=coming())
+    assert touched.rollout.contacts.any()
+    policy = make_policy("lieednn-replanning", beside, ACROSS, **make)
+    rollout, again = (follow(policy, ACROSS, end, disturbances=coming()).rollout for end in (4.5, 2.0))
+    # To the bit, though the search is in another thread.
+    np.testing.assert_array_equal(rollout.q[: len(again.q)], again.q)
+    assert again.channels["changes"][-1] >= 2.0
+    assert not rollout.contacts.any()
+    np.testing.assert_allclose(rollout.q[-1], ACROSS, atol=1e-3)
+    assert rollout.channels["blocked"].max() == 1.0
+    assert rollout.channels["changes"][-1] >= 2.0
+    # Undisturbed, it is the given motion.
+    policy.reset(np.zeros(4))
+    rows = np.array([policy.step(None, ACROSS)[0] for _ in range(150)])
+    np.testing.assert_allclose(rows, motion.q[2::2], atol=1e-3)
+    assert policy.changes == 1
+
+
+@pytest.mark.parametrize("name", ["linear-attractor", "fabric", "mppi"])
+def test_others_also_see_where_the_pole_is(name, beside):
+    """They stop before it; the one without a filter does not see it."""
+    target = ACROSS * [1.0, 1.0, 1.0, 0.0]
+    safety = FilterOptions() if name == "linear-attractor" else None
+    walk = Disturbances(obstacles=(MovingObstacle("obstacle_pole", (0.0, 0.1), ((3.0, 0.8, 0.0), (1.0, 0.8, 0.0))),))
+    policy = make_policy(name, beside, target, rate=50.0, safety=safety, feedback=None)
+    assert not follow(policy, target, 1.5, disturbances=walk).rollout.contacts.any()
+    if safety:
+        assert follow(policy.inner, target, 1.5, disturbances=walk).rollout.contacts.any()
+    # A reset puts the pole back.
+    policy.reset(np.zeros(4))
+    for _ in range(100):
+        policy.step(None, target)
+    assert abs(policy.q[1] - 1.5) < 0.2
+
+
+def test_it_waits_where_there_is_no_way_and_goes_on_when_there_is(beside):
+    target = np.array([0.0, 0.8, 0.0, 0.0])
+    policy = ReplanningPolicy(beside, 50.0, options=ReplanningOptions(search_periods=5))
+    blocked = follow(policy, target, 3.0, disturbances=coming())
+    assert policy.message.startswith("waits for 'obstacle_pole'; the target is not free")
+    assert not blocked.rollout.contacts.any()
+    assert np.abs(blocked.rollout.qd[-1]).max() < 1e-3
+    # It leaves after 2 s.
+    left = follow(policy, target, 6.0, disturbances=coming((2.0, (1.0, 0.8, 0.0)), (2.5, (3.0, 0.8, 0.0))))
+    assert not left.rollout.contacts.any()
+    np.testing.assert_allclose(left.rollout.q[-1], target, atol=1e-3)
+
+
+def test_it_yields_to_a_push_and_arrives_all_the_same(gantry):
+    push = Disturbances(pushes=(Push("end effector", (0.0, 60.0, 0.0), 0.3, 0.2),))
+    policy = ReplanningPolicy(gantry, 50.0, feedback=Feedback())
+    pushed, free = (follow(policy, ACROSS, 4.0, disturbances=each).rollout for each in (push, None))
+    assert pushed.channels["pace"].min() < 0.5 < free.channels["pace"].min()
+    assert np.abs(pushed.q_ref - free.q_ref).max() > 0.02
+    np.testing.assert_allclose(pushed.q[-1], ACROSS, atol=1e-3)
+
+
+def test_what_it_is_not_for_is_said(gantry, beside):
+    motion, other = plan(gantry, ACROSS, planner="minimum-jerk").motion, Arm.load("telescopic_pr")
+    with pytest.raises(InputError, match="the motion has 4 joint coordinates, arm 'telescopic_pr' has 8"):
+        ReplanningPolicy(other, motion=motion)
+    policy = ReplanningPolicy(beside)
+    policy.reset(np.zeros(4))
+    with pytest.raises(InputError, match="no obstacle 'wrist' can move; bodies without joints are"):
+        policy.see({"wrist": np.zeros(3)})
+    with pytest.raises(InputError, match="the place of 'obstacle_pole' must"):
+        policy.see({"obstacle_pole": np.zeros(2)})
