@@ -8,7 +8,7 @@
 
 The names below are imported on first use; everything else is in the subpackages: `lie`, `stability`, `network`,
 `theory`, `synthesis`, `learning`, `arm`, `planning`, `policies`, `simulation`, `rendering`, `evaluation`,
-`studies`, `environments`, `cli`.
+`studies`, `environments`, `live`, `cli`.
 """
 
 from __future__ import annotations
@@ -26,9 +26,12 @@ if TYPE_CHECKING:
     from lieednn_sim.evaluation import evaluate, evaluate_following
     from lieednn_sim.evaluation.plots import plot
     from lieednn_sim.learning import train
+    from lieednn_sim.live import view
     from lieednn_sim.network import LieEDNN
     from lieednn_sim.planning import MotionLibrary, Plan, plan, register_planner
     from lieednn_sim.policies import Feedback, NetworkPolicy, Policy, control_loop, make_policy
+    from lieednn_sim.rendering.page import render_page
+    from lieednn_sim.rendering.still import render_still
     from lieednn_sim.rendering.video import render_video
     from lieednn_sim.simulation import Channel, Disturbances, Push, Rollout, follow, simulate, simulate_many
     from lieednn_sim.studies import compare
@@ -59,6 +62,8 @@ __all__ = [
     "plan",
     "plot",
     "register_planner",
+    "render_page",
+    "render_still",
     "render_video",
     "shape",
     "simulate",
@@ -66,6 +71,7 @@ __all__ = [
     "solve_ik",
     "synthesize",
     "train",
+    "view",
 ]
 
 _ROOMS = {
@@ -75,9 +81,12 @@ _ROOMS = {
     "evaluation": ("evaluate", "evaluate_following"),
     "evaluation.plots": ("plot",),
     "learning": ("train",),
+    "live": ("view",),
     "network": ("LieEDNN",),
     "planning": ("MotionLibrary", "Plan", "plan", "register_planner"),
     "policies": ("Feedback", "NetworkPolicy", "Policy", "control_loop", "make_policy"),
+    "rendering.page": ("render_page",),
+    "rendering.still": ("render_still",),
     "rendering.video": ("render_video",),
     "simulation": ("Channel", "Disturbances", "Push", "Rollout", "follow", "simulate", "simulate_many"),
     "studies": ("compare",),
@@ -85,7 +94,7 @@ _ROOMS = {
 }
 _SUBPACKAGES = (
     *("lie", "stability", "network", "theory", "synthesis", "learning", "arm", "planning", "policies", "simulation"),
-    *("rendering", "evaluation", "studies", "environments", "cli"),
+    *("rendering", "evaluation", "studies", "environments", "live", "cli"),
 )
 _ROOM_OF = {name: room for room, names in _ROOMS.items() for name in names}
 

@@ -9,7 +9,7 @@ cd "$(dirname "${BASH_SOURCE[0]}")/.."
 wanted=${1:-demo}
 venv=.venv
 made_in=$venv/.made-in
-extras=gymnasium,rivals,timing
+extras=gymnasium,rivals,timing,view
 if [ "$wanted" = dev ]; then extras=dev; fi
 if [ -n "${PYTHON:-}" ]; then pythons=("$PYTHON"); else pythons=(python3.11 python3.12 python3.13 python3 python); fi
 

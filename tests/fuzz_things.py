@@ -30,10 +30,11 @@ from lieednn_sim.environments.expert import Expert
 from lieednn_sim.learning import demonstrations
 from lieednn_sim.planning import safety_filter
 from lieednn_sim.rendering import opengl
+from lieednn_sim.rendering.recording import Recording
 from lieednn_sim.rendering.video import Camera
 from lieednn_sim.simulation.tracking import as_reference
 from lieednn_sim.studies.comparison.study import Shard
-from lieednn_sim.studies.report import Clip
+from lieednn_sim.studies.report import Clip, View
 
 _TWO_HINGES = """
 <mujoco><worldbody><body name="one"><joint name="a" range="-90 90"/><geom size="0.1"/>
@@ -42,7 +43,7 @@ _TWO_HINGES = """
 """
 # Calls change these: a new one is made for each.
 CHANGING = {"Environment", "VectorEnvironment", "Reach", "Track", "Expert", "ControlEnvironment", "Camera", "Table"}
-CHANGING |= {"Simulation", "Log", "MjSpec", "Controller", "FilteredPolicy", "Policy"}
+CHANGING |= {"Simulation", "Log", "MjSpec", "Controller", "FilteredPolicy"}
 
 
 @functools.cache
@@ -77,6 +78,7 @@ def _demonstration() -> Any:
 POLICY_CLASSES = {"Fabric": "fabric", "MotionTracker": "tracker", "MovementPrimitive": "dmp", "PathIntegral": "mppi"}
 POLICY_CLASSES |= dict.fromkeys(("Policy", "JointPolicy"), "fabric") | {"NetworkPolicy": "linear-attractor"}
 POLICY_CLASSES |= dict.fromkeys(("ReplanningPolicy", "CodedPolicy"), "lieednn-replanning")
+CHANGING |= {*POLICY_CLASSES}
 
 
 def _policy(kind: str, **how: Any) -> Any:
@@ -187,6 +189,7 @@ MAKERS: dict[str, Callable[[], Any]] = {
     "Table": _table,
     "Shard": lambda: Shard(1, 2),
     "Clip": lambda: Clip(thing("Row"), Path("file.npz"), b"1"),
+    "View": lambda: View((thing("Row"),), Recording(b"1", 1.0)),
     "Environment": lambda: gymnasium.Environment(time_limit=0.1),
     "VectorEnvironment": lambda: gymnasium.VectorEnvironment(2, threads=1, time_limit=0.1),
     "Reach": lambda: tasks.Reach(time_limit=0.1),

@@ -78,7 +78,7 @@ def checkout(tmp_path):
 def test_an_environment_is_made_once_and_used_as_it_is_without_a_network(checkout):
     done = checkout.ensure()
     assert done.returncode == 0, done.stderr
-    assert checkout.installed() == [".[gymnasium,rivals,timing]"]
+    assert checkout.installed() == [".[gymnasium,rivals,timing,view]"]
     checkout.offline.touch()
     # Git leaves a newer file of the same content; the linter's options are no metadata.
     project = checkout.path / "pyproject.toml"
@@ -114,7 +114,7 @@ def test_without_a_network_it_says_what_is_out_of_date(checkout):
         assert "could not bring .venv up to date with pyproject.toml" in done.stderr
     checkout.offline.unlink()
     assert checkout.ensure().returncode == 0
-    assert checkout.installed() == [".[gymnasium,rivals,timing]"]
+    assert checkout.installed() == [".[gymnasium,rivals,timing,view]"]
 
 
 def test_an_environment_of_the_users_own_is_used(checkout):
@@ -164,7 +164,7 @@ def test_its_own_environment_is_made_anew(checkout, tmp_path, fault):
     done = checkout.ensure()
     assert done.returncode == 0, done.stderr
     assert "Making .venv" in done.stderr
-    assert checkout.installed() == [".[gymnasium,rivals,timing]"]
+    assert checkout.installed() == [".[gymnasium,rivals,timing,view]"]
 
 
 def test_an_unsuitable_interpreter_is_named(checkout):

@@ -58,7 +58,7 @@ def run(tmp_path_factory):
 
 def test_a_demo_that_is_killed_leaves_what_it_had_finished(tmp_path, start):
     directory = tmp_path / "run"
-    die(start, AT_PROGRESS, "demo", "--no-video", *PLAN, "--output", directory, "simulate")
+    die(start, AT_PROGRESS, "demo", "--no-page", "--no-video", *PLAN, "--output", directory, "simulate")
     assert names(directory) == {"made.json", "task.json", "network.npz", "motion.npz"}
     # The lock died with it, and the next step goes on from there.
     assert main(["simulate", str(directory), "--hold", "0"]) == 0

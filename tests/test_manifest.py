@@ -23,7 +23,7 @@ PLAN = ["--target", "random:3", "--planner", "linear-attractor", "--duration", "
 # Each command with the names of what it makes.
 COMMANDS = {
     "plan": (["plan", *PLAN], RUN),
-    "demo": (["demo", "--no-video", *PLAN], RUN),
+    "demo": (["demo", "--no-page", "--no-video", *PLAN], RUN),
     "train": (["train", "--target", "extended"], [*RUN, *(f"training/{name}" for name in RUN)]),
     "learn --arm": (["learn", "joints.csv", "--arm", "telescopic_pr"], RUN),
     "learn": (["learn", "way.csv"], ["network.npz", "report.json", "paths.png", "field.png"]),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,12 +24,20 @@ _TOLERANCE = 1e-6
 _ATTEMPTS = 8
 # No arm reaches further [m], and squares stay far from overflow.
 _FARTHEST = 1e6
+# Distance from a limit, as a fraction of the joint's range, at which the joint counts as being there.
+_AT_LIMIT = 1e-4
 # Weight of the pull towards the start, which picks one of the many solutions of a redundant arm.
 _CONFIGURATION_WEIGHT = 1e-3
 
 
 def solve_ik(
-    arm: Arm, position: ArrayLike, rotation: Rotation | None = None, *, start: ArrayLike | str = "home", seed: Seed = 0
+    arm: Arm,
+    position: ArrayLike,
+    rotation: Rotation | None = None,
+    *,
+    start: ArrayLike | str = "home",
+    seed: Seed = 0,
+    progress: Callable[[int, int], None] | None = None,
 ) -> Floats:
     """Joint position within the limits, free of contact, that puts the end effector at a pose.
 
@@ -38,6 +47,8 @@ def solve_ik(
         rotation: orientation of the end effector; free when omitted.
         start: joint coordinates ``(n,)`` to stay near, or a keyframe's name.
         seed: seed of the random starts that are tried when the first one fails.
+        progress: called before each attempt with the number of those done and the largest one; an exception of it ends
+            the search.
 
     Raises:
         InputError: a value is malformed.
@@ -77,6 +88,8 @@ def solve_ik(
 
     best, closest, refused = np.inf, rest, ""
     for attempt in range(_ATTEMPTS):
+        if progress is not None:
+            progress(attempt, _ATTEMPTS)
         q = rest if attempt == 0 else rng.uniform(low, high)
         # First with the configuration term, for a solution near the start; then without it, for an exact one.
         for weight in (_CONFIGURATION_WEIGHT, 0.0):
@@ -109,7 +122,15 @@ def solve_ik(
         f"the end effector cannot reach ({', '.join(f'{x:g}' for x in goal)}) m"
         + (" with this orientation" if rotation is not None else "")
         + (refused or f": the closest configuration found is {_miss(arm.link_poses(closest)[-1], goal, rotation)} away")
+        + ("" if refused else _at_limits(arm, closest))
     )
+
+
+def _at_limits(arm: Arm, q: Floats) -> str:
+    """Which joints are at their limits at q ``(n,)``, in words; empty if none are."""
+    near = arm.limit_excess(q) > -_AT_LIMIT * arm.ranges
+    names = list(dict.fromkeys(name for name, at in zip(arm.joint_names, near, strict=True) if at))
+    return f", with {', '.join(map(repr, names))} at the limit" if names else ""
 
 
 def _miss(pose: RigidTransform, position: Floats, rotation: Rotation | None) -> str:

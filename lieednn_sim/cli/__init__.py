@@ -33,6 +33,7 @@ _MODULES = {
     "problems": "problems",
     "arms": "arms",
     "doctor": "doctor",
+    "view": "live",
 }
 
 
@@ -143,7 +144,7 @@ def _parser() -> argparse.ArgumentParser:
 
     demo = command(
         "demo",
-        "run the whole pipeline: target, network, motion, simulation, video, report",
+        "run the whole pipeline: target, network, motion, simulation, report, page, video",
         "Without a target the arm goes to its keyframe 'extended', or among obstacles to a random target.",
     )
     # The paper's bias; the planner's own choice is often stronger, and leaves less to the weights.
@@ -151,7 +152,8 @@ def _parser() -> argparse.ArgumentParser:
     options.add_simulation(demo)
     options.add_video(demo)
     options.add_plots(demo)
-    demo.add_argument("--no-video", action="store_true", help="skip rendering")
+    demo.add_argument("--no-page", action="store_true", help="skip motion.html, which plays the motion in 3D")
+    demo.add_argument("--no-video", action="store_true", help="skip video.mp4")
 
     plan = command(
         "plan",
@@ -193,11 +195,18 @@ def _parser() -> argparse.ArgumentParser:
     options.add_simulation(simulate)
 
     render = command(
-        "render", "render a run's simulation", "This needs OpenGL (see 'lieednn-sim doctor'), but no display."
+        "render",
+        "render a run's simulation",
+        "Videos and pictures need OpenGL (see 'lieednn-sim doctor'), but no display; pages need the extra 'view'.",
     )
     options.add_run(render)
     options.add_video(render)
-    render.add_argument("--output", metavar="FILE", help=".mp4 or .gif (default: video.mp4 in the run directory)")
+    render.add_argument(
+        "--output",
+        metavar="FILE",
+        help=".mp4, .gif, or .html for a page that plays the motion in 3D (default: video.mp4 in the run directory)",
+    )
+    render.add_argument("--still", metavar="FILE", help=".png: one picture with the arm at five instants")
 
     evaluate = command(
         "evaluate",
@@ -206,6 +215,13 @@ def _parser() -> argparse.ArgumentParser:
     )
     options.add_run(evaluate)
     options.add_plots(evaluate)
+
+    view = command(
+        "view",
+        "show an arm in the browser: drag its target, push it, change policy, controller and load",
+        "It needs the extra 'view', runs until Ctrl-C, and is for this machine alone unless --host says otherwise.",
+    )
+    options.add_view(view)
 
     compare = command(
         "compare",

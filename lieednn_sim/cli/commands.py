@@ -11,7 +11,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.cli.arguments import disturbances, load_arm, size
 from lieednn_sim.cli.console import console, progress, wrote
 from lieednn_sim.cli.run_directory import RunDirectory
-from lieednn_sim.errors import InputError, RenderingUnavailableError, SimulationError
+from lieednn_sim.errors import InputError, LieEDNNError, RenderingUnavailableError, SimulationError
 from lieednn_sim.evaluation.metrics import evaluate as evaluate_rollout
 from lieednn_sim.planning.motion import check_motion
 from lieednn_sim.planning.network_path import make_motion
@@ -35,6 +35,11 @@ def demo(arguments: argparse.Namespace) -> None:
         make_plan(run, arguments)
         _simulate(run, arguments)
         _evaluate(run)
+        if not arguments.no_page:
+            try:
+                _render(run, arguments, run.page)
+            except LieEDNNError as error:
+                console.print(f"no page: {error}")
         if not arguments.no_video:
             try:
                 _render(run, arguments, run.video)
@@ -72,12 +77,14 @@ def evaluate(arguments: argparse.Namespace) -> None:
 
 
 def render(arguments: argparse.Namespace) -> None:
-    """Render the rollout, and write the video."""
+    """Render the rollout, and write a video, a page or a picture."""
     run = RunDirectory(arguments.run).existing()
-    path = run.video if arguments.output is None else as_path("the name of a video", arguments.output)
-    filesystem.check_outputs([path])
-    with run.at_work(shared=True, outputs=[path] if path == run.video else []):
-        _render(run, arguments, path)
+    given = [as_path("the name of an output", name) for name in (arguments.still, arguments.output) if name is not None]
+    paths = given or [run.video]
+    filesystem.check_outputs(paths)
+    with run.at_work(shared=True, outputs=[path for path in paths if path in (run.video, run.page)]):
+        for path in paths:
+            _render(run, arguments, path, still=arguments.still is not None and path == given[0])
 
 
 def _simulate(run: RunDirectory, arguments: argparse.Namespace) -> None:
@@ -145,25 +152,32 @@ def _evaluate(run: RunDirectory) -> None:
     wrote(*outputs)
 
 
-def _render(run: RunDirectory, arguments: argparse.Namespace, path: Path) -> None:
-    from lieednn_sim.rendering.video import render_video
-
+def _render(run: RunDirectory, arguments: argparse.Namespace, path: Path, *, still: bool = False) -> None:
+    """Write a picture, or what the suffix of the path says: a page or a video."""
     task, arm = run.load_task()
-    backend = opengl.require()
-    console.print(f"rendering with {backend.name}: {backend.detail}")
+    rollout = run.load_rollout(task, arm)
+    page = not still and path.suffix == ".html"
+    if not page:
+        backend = opengl.require()
+        console.print(f"rendering with {backend.name}: {backend.detail}")
     # A file that the user named is replaced, whatever it is.
-    writing = run.manifest.writing(path) if path == run.video else filesystem.atomic_path(path)
+    own = path in (run.video, run.page)
+    writing = run.manifest.writing(path) if own else filesystem.atomic_path(path)
+    view = {"size": size(arguments.size), "preset": arguments.preset}
     with progress("render") as report, writing as temporary:
-        render_video(
-            run.load_rollout(task, arm),
-            temporary,
-            camera=arguments.camera,
-            size=size(arguments.size),
-            fps=arguments.fps,
-            preset=arguments.preset,
-            title=task.planner,
-            progress=report,
-        )
+        if still:
+            from lieednn_sim.rendering.still import render_still
+
+            render_still(rollout, temporary, camera=arguments.camera, **view)
+        elif page:
+            from lieednn_sim.rendering.page import render_page
+
+            render_page(rollout, temporary, camera=arguments.camera, title=task.planner, progress=report)
+        else:
+            from lieednn_sim.rendering.video import render_video
+
+            given = {"camera": arguments.camera, "fps": arguments.fps, "title": task.planner, "progress": report}
+            render_video(rollout, temporary, **view, **given)
     wrote(path)
 
 

@@ -22,7 +22,7 @@ from lieednn_sim.studies.cluster import dask_executor
 from lieednn_sim.studies.comparison.merging import merge as merge_shards
 from lieednn_sim.studies.comparison.study import Shard
 from lieednn_sim.studies.reactions.study import Reactions, write_reactions
-from lieednn_sim.studies.report import Clip, choose_cases, film, write_page
+from lieednn_sim.studies.report import Clip, View, choose_cases, choose_problems, film, view, write_page
 from lieednn_sim.studies.user_files import ARM, bare_arm, describe_files
 from lieednn_sim.validation import as_count
 
@@ -49,6 +49,7 @@ def compare(arguments: argparse.Namespace) -> None:
     jobs = as_count("jobs", os.cpu_count() or 1 if arguments.jobs is None else arguments.jobs)
     # Check values before any work.
     as_count("videos", arguments.videos, least=0)
+    as_count("views", arguments.views, least=0)
     as_count("reactive", arguments.reactive, least=0)
     cases = [Case.parse(text) for text in arguments.video]
     if shard is not None and (arguments.videos or cases or arguments.reactive):
@@ -73,6 +74,7 @@ def compare(arguments: argparse.Namespace) -> None:
             return
         with table.manifest.writing(summary) as temporary:
             write_summary(temporary, table, study.absent)
+        views = _views(table, arguments.views, study.controllers[0])
         clips = _film(table, cases + choose_cases(table, arguments.videos), study.controllers[0])
         line = shlex.join(["lieednn-sim", *arguments.words])
         reactions, more = None, []
@@ -84,7 +86,7 @@ def compare(arguments: argparse.Namespace) -> None:
                 write_reactions(temporary, reactions)
         head = {"command": line, "date": arguments.date}
         with table.manifest.writing(page) as temporary:
-            write_page(temporary, table, missing=study.absent, clips=clips, reactions=reactions, **head)
+            write_page(temporary, table, missing=study.absent, views=views, clips=clips, reactions=reactions, **head)
     wrote(table.csv, summary, *more, page)
 
 
@@ -133,6 +135,18 @@ def _print_found(study: Comparison) -> None:
     others = PLANNER_REGISTRY.found(study.planners) + CONTROLLER_REGISTRY.found(study.controllers)
     for line in others + describe_files(study.arms, study.scenes, study.user_files):
         console.print(line, markup=False)
+
+
+def _views(table: Table[Row], count: int, controller: str) -> list[View]:
+    """Problems of a table in 3D; prints why one cannot be shown."""
+    views: list[View] = []
+    for cases in choose_problems(table, count, controller):
+        try:
+            with progress(f"view {len(views) + 1}") as report:
+                views.append(view(table, cases, controller, progress=report))
+        except LieEDNNError as error:
+            console.print(f"no view of {cases[0].arm}, {cases[0].scene}: {error}")
+    return views
 
 
 def _film(table: Table[Row], cases: Sequence[Case], controller: str) -> list[Clip]:

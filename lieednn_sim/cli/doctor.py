@@ -38,6 +38,8 @@ _PACKAGES = (
 # Optional packages that not only planners need, the extra that installs them, and their purpose.
 _OTHERS = {
     "toppra": ("timing", "the planned path in the least time, --fastest"),
+    "viser": ("view", "motions in a browser"),
+    "mjviser": ("view", "motions in a browser"),
     "gymnasium": ("gymnasium", "Gymnasium environments"),
     "distributed": ("cluster", "comparisons on a Dask cluster"),
 }

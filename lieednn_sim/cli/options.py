@@ -7,7 +7,7 @@ import math
 import re
 from collections.abc import Iterable, Sequence
 
-from lieednn_sim.cli.names import ALGORITHMS, ARMS, BIAS_RULES, CONTROLLERS, RIVALS, SCENES
+from lieednn_sim.cli.names import ALGORITHMS, ARMS, BIAS_RULES, CONTROLLERS, POLICIES, RIVALS, SCENES
 from lieednn_sim.planner_table import PLANNERS, SLOW
 
 # Those that make a network.
@@ -43,10 +43,7 @@ def add_task(parser: argparse.ArgumentParser, output: str, *, goal: bool = True)
         "--arm", default="telescopic_pr", metavar="NAME", help=f"{_one_of(ARMS)}, or an MJCF, URDF or YAML file"
     )
     add_frames(parser)
-    parser.add_argument(
-        "--scene", default="free", metavar="NAME", help=f"obstacles: {_one_of(SCENES)}, or an MJCF or YAML file"
-    )
-    parser.add_argument("--scene-seed", type=whole, default=0, metavar="N", help="seed of the obstacles' positions")
+    _add_scene(parser)
     group = parser.add_mutually_exclusive_group(required=goal)
     group.add_argument(
         "--target",
@@ -60,6 +57,13 @@ def add_task(parser: argparse.ArgumentParser, output: str, *, goal: bool = True)
     parser.add_argument("--seed", type=whole, default=0, help="seed of random draws")
     parser.add_argument("--output", default=output, metavar="DIR", help="run directory")
     return group
+
+
+def _add_scene(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--scene", default="free", metavar="NAME", help=f"obstacles: {_one_of(SCENES)}, or an MJCF or YAML file"
+    )
+    parser.add_argument("--scene-seed", type=whole, default=0, metavar="N", help="seed of the obstacles' positions")
 
 
 def add_frames(parser: argparse.ArgumentParser) -> None:
@@ -179,6 +183,7 @@ def add_comparison(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="number of seeds of the reactive benchmark, in which policies are pushed, loaded and given another target",
     )
+    parser.add_argument("--views", type=whole, default=1, metavar="N", help="number of problems to show in 3D")
     parser.add_argument("--videos", type=whole, default=0, metavar="N", help="number of cases to film")
     parser.add_argument(
         "--video",
@@ -237,6 +242,43 @@ def add_simulation(parser: argparse.ArgumentParser) -> None:
             help=f"standard deviation of measured joint {what} [{unit}]",
         )
     parser.add_argument("--noise-seed", type=whole, default=0, metavar="N", help="seed of the noise")
+
+
+def add_view(parser: argparse.ArgumentParser) -> None:
+    """Options of ``view``."""
+    parser.add_argument(
+        "arm", nargs="?", default="telescopic_pr", metavar="ARM", help=f"{_one_of(ARMS)}, or an MJCF, URDF or YAML file"
+    )
+    add_frames(parser)
+    _add_scene(parser)
+    parser.add_argument(
+        "--run", metavar="DIR", help="a simulated run to play, or a comparison: its arm, scene, start and target"
+    )
+    parser.add_argument("--policy", default="lieednn-shaped", metavar="NAME", help=_one_of(POLICIES))
+    parser.add_argument(
+        "--planner", metavar="NAME", help="plans motions for the policies tracker and dmp (default: as for 'plan')"
+    )
+    parser.add_argument("--controller", default="inverse-dynamics", metavar="NAME", help=_one_of(CONTROLLERS))
+    parser.add_argument("--payload", type=decimal, default=0.0, metavar="KG", help="mass at the end effector")
+    parser.add_argument(
+        "--mass-scale",
+        type=decimal,
+        default=1.0,
+        metavar="X",
+        help="true masses relative to those that the controller knows",
+    )
+    parser.add_argument(
+        "--target",
+        metavar="Q",
+        help="first target, as for 'plan' (default: extended; among obstacles, or without it, random:SEED)",
+    )
+    parser.add_argument("--start", default="home", metavar="Q", help="start, given as for --target")
+    parser.add_argument("--seed", type=whole, default=0, help="seed of random draws")
+    parser.add_argument("--port", type=whole, default=0, metavar="N", help="port of the page (default: a free one)")
+    parser.add_argument(
+        "--host", default="127.0.0.1", metavar="ADDRESS", help="address to listen at; 0.0.0.0 lets other machines in"
+    )
+    parser.add_argument("--no-browser", action="store_true", help="only print the page's address")
 
 
 def add_demonstrations(parser: argparse.ArgumentParser) -> None:

@@ -50,6 +50,7 @@ class RunDirectory:
         self.rollout = self.path / "rollout.npz"
         self.divergence = self.path / "divergence.npz"
         self.video = self.path / "video.mp4"
+        self.page = self.path / "motion.html"
         self.checkpoint = self.path / "checkpoint.npz"
         self.history = self.path / "history.npz"
         self.report = self.path / "report.json"
@@ -75,7 +76,7 @@ class RunDirectory:
     def results(self) -> list[Path]:
         """Files made from a rollout, which are outdated when there is a new one."""
         plots = self._plots_of(*_PLOTS[3:])
-        return [self.metrics_json, self.metrics_csv, *plots, self.video, self.divergence]
+        return [self.metrics_json, self.metrics_csv, *plots, self.video, self.page, self.divergence]
 
     @property
     def evaluated(self) -> list[Path]:

@@ -58,15 +58,19 @@ class NetworkPolicy(FeedbackPolicy):
         feedback: settings of the feedback from the measured joints; None for no feedback.
 
     Attributes:
+        network: the network.
+        speed: its speed c [1/s].
         xi: ``(N, 6)`` state of all neurons.
         jumped: whether the last target was faster than the joints' limits.
         time_scale: factor l of the last period, below 1 where limits slowed the network down.
         pace: factor l s of the last period.
         behind: error e of `feedback` at the beginning of the last period.
+        pulled: whether measured joints pulled the state in the last period, which is then no orbit of the network.
         limit_excess: largest excess of the decoded joints over their position limits since the reset [rad, m], not
             positive if they kept the limits; the reference stops at the limits.
         gap_translation: largest mechanism gap since the reset [m].
         gap_rotation: largest mechanism gap since the reset, as an angle [rad].
+        gap: ``(N, 2)`` mechanism gap of each link in the last period: angle [rad] and distance [m].
 
     Raises:
         InputError: network and arm differ in size, the network is not certified, or the speed is too high for the rate.
@@ -86,12 +90,12 @@ class NetworkPolicy(FeedbackPolicy):
     ) -> None:
         super().__init__(arm, rate, feedback)
         require_fit(arm, network, certified=True)
-        self._network = network
-        self._speed, self._feedforward = as_positive("speed", speed), feedforward
+        self.network = network
+        self.speed, self._feedforward = as_positive("speed", speed), feedforward
         self._stepping, self._visible = RungeKuttaStepper(network), 6 * network.n_visible
         self._stiffness = network.gamma + network.mu * _certified_norm(network)
         fastest = _MAX_STEPS * _MAX_STEP * self.rate / self._stiffness
-        if self._speed > fastest:
+        if self.speed > fastest:
             raise InputError(
                 f"speed must be at most {fastest:.3g} per second for this network at {self.rate:g} Hz, got {speed:g}"
             )
@@ -102,7 +106,7 @@ class NetworkPolicy(FeedbackPolicy):
     def begin(self, q: Floats) -> None:
         """See `Policy`; unchecked."""
         super().begin(q)
-        self.xi = self._network.start(self.arm.encode(q))
+        self.xi = self.network.start(self.arm.encode(q))
         self._retraction = LocalRetraction(self.arm, q)
         # The last target with its goal, and whether the field is that of this goal, not of one ahead of it.
         self._aimed: tuple[Floats, Floats] | None = None
@@ -114,7 +118,8 @@ class NetworkPolicy(FeedbackPolicy):
         self._drawn, self._flow_rate = q, self.qd
         # The pull towards the network's rest state.
         self._pull = np.zeros(self.xi.size)
-        self.jumped, self.time_scale = False, 1.0
+        self.jumped, self.pulled, self.time_scale = False, False, 1.0
+        self.gap = np.zeros((self.arm.n_links, 2))
         self.limit_excess, self._gap = -np.inf, np.zeros((self.arm.n_links, 2))
 
     @property
@@ -137,7 +142,7 @@ class NetworkPolicy(FeedbackPolicy):
         period = self.period
         drift, rate = self._aim(target)
         waiting, pull = self._listen(measured)
-        scale = waiting * self._speed
+        scale = waiting * self.speed
         if pull is not None:
             drift, rate = drift + pull[0], rate + pull[1]
         allowed = self.allowed()
@@ -154,7 +159,8 @@ class NetworkPolicy(FeedbackPolicy):
         self._x, self._drive, self._flow, self._flow_rate = x, drive, flow, flow_rate
         self.xi, self.time_scale, self.pace = x.reshape(self.xi.shape), fraction, fraction * waiting
         self._limited = fraction < 1.0
-        self._gap = np.maximum(self._gap, self._retraction.gap)
+        self.gap = self._retraction.gap
+        self._gap = np.maximum(self._gap, self.gap)
         outside = max(np.maximum(self._low - drawn, drawn - self._high).tolist())
         self.limit_excess = max(self.limit_excess, outside)
         if outside > 0.0 or self._turned_far(drawn):
@@ -169,7 +175,7 @@ class NetworkPolicy(FeedbackPolicy):
         moving = self._still
         if before is not None and self._settled and target is before[0]:
             return moving
-        goal = self._network.goal(self.arm.encode(target)).ravel()
+        goal = self.network.goal(self.arm.encode(target)).ravel()
         self._aimed, aim = (target, goal), goal
         if before is not None:
             rate = (target - before[0]) * self.rate
@@ -186,7 +192,7 @@ class NetworkPolicy(FeedbackPolicy):
 
     def _listen(self, measured: Floats | None) -> tuple[float, tuple[Floats, Floats] | None]:
         """How far the clock waits for the measured joints, and how they pull the flat state and its configuration."""
-        feedback = self._feedback
+        feedback, self.pulled = self._feedback, False
         if measured is None or feedback is None:
             return 1.0, None
         off = measured - self._drawn
@@ -194,6 +200,7 @@ class NetworkPolicy(FeedbackPolicy):
         waiting, strength = feedback.response(self.behind)
         if strength == 0.0:
             return waiting, None
+        self.pulled = True
         there, here = self.arm.encode(np.stack([measured, self._drawn]))
         pull = np.zeros(self.xi.size)
         pull[: self._visible] = strength * (there - here).ravel()
@@ -209,11 +216,11 @@ class NetworkPolicy(FeedbackPolicy):
 
     def _field(self, x: Floats, drive: Floats) -> Floats:
         """Flat field F at a state with its drive."""
-        return self._network.gamma * (self._pull + drive - x)
+        return self.network.gamma * (self._pull + drive - x)
 
     def _integrate(self, scale: float, drift: Floats) -> tuple[Floats, Floats, Floats]:
         """The state after a period of x' = scale (F(x) + drift), by RK4, and its drive and F there."""
-        x, drive, gamma = self._x, self._drive, self._network.gamma
+        x, drive, gamma = self._x, self._drive, self.network.gamma
         switching = _max_abs(self._flow[self._visible :])
         extent = scale * self.period * max(self._stiffness / _MAX_STEP, switching / _MAX_SWITCHING)
         count = min(math.ceil(extent), _MAX_STEPS) or 1

@@ -23,6 +23,9 @@ class MotionTracker(Policy):
         motion: motion that begins where the policy is reset, or a spline of joint coordinates ``(n,)`` over time [s].
         rate: control rate [Hz].
 
+    Attributes:
+        end: ``(n,)`` where the motion ends.
+
     Raises:
         InputError: the motion is of another arm; `reset` raises it if the motion begins elsewhere.
     """
@@ -35,6 +38,7 @@ class MotionTracker(Policy):
             raise InputError(f"the motion has {joints} joint coordinates, arm {arm.name!r} has {arm.n_joints}")
         times = np.minimum(self.period * np.arange(np.ceil(end / self.period) + 1.0), end)
         # At the beginning of each period.
+        self.end = spline(end)
         self._rows = spline(times), np.where((times < end)[:, None], spline(times, 1), 0.0)
 
     def begin(self, q: Floats) -> None:

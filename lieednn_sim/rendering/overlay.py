@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from lieednn_sim._mujoco import mujoco
+from lieednn_sim.simulation import Rollout
 from lieednn_sim.values import Floats, frozen
 
 # Red, green and blue for x, y and z.
@@ -19,6 +20,8 @@ _AXIS_COLOURS = np.array(
 )
 PLANNED_COLOUR = (0.08, 0.75, 0.70, 0.55)
 TRACED_COLOUR = (0.98, 0.80, 0.10, 1.0)
+# Radii of the paths [m]; the travelled one is thicker, since it usually covers the planned one.
+PLANNED_RADIUS, TRACED_RADIUS = 0.008, 0.011
 # Length of a frame's axes at full size [m], and most segments of a path.
 _AXIS_LENGTH = 0.22
 _MAX_SEGMENTS = 150
@@ -40,14 +43,23 @@ class Overlay:
     traced_tip: Floats
     scale: float = 1.0
 
+    @classmethod
+    def of(cls, rollout: Rollout, scale: float) -> Overlay:
+        """The overlay of a rollout: its reference's link frames, and the simulated end effector."""
+        return cls(rollout.arm.link_poses(rollout.q_ref).as_matrix(), rollout.link_position[:, -1], scale)
+
     def draw(self, scene: mujoco.MjvScene, k: int) -> None:
         """Add the geometry of sample ``k`` to a scene."""
-        _polyline(scene, self.planned_frames[:, -1, :3, 3], 0.008 * self.scale, PLANNED_COLOUR)
-        _polyline(scene, self.traced_tip[: k + 1], 0.011 * self.scale, TRACED_COLOUR)
+        self.draw_paths(scene, k)
         for frame in self.planned_frames[k]:
             for axis, rgba in enumerate(_AXIS_COLOURS):
                 tip = frame[:3, 3] + self.scale * _AXIS_LENGTH * frame[:3, axis]
                 _connect(scene, mujoco.mjtGeom.mjGEOM_ARROW, 0.007 * self.scale, frame[:3, 3], tip, rgba)
+
+    def draw_paths(self, scene: mujoco.MjvScene, k: int) -> None:
+        """Add the planned path, and the one travelled up to sample ``k``, without the frames."""
+        _polyline(scene, self.planned_frames[:, -1, :3, 3], PLANNED_RADIUS * self.scale, PLANNED_COLOUR)
+        _polyline(scene, self.traced_tip[: k + 1], TRACED_RADIUS * self.scale, TRACED_COLOUR)
 
 
 def _polyline(scene: mujoco.MjvScene, points: Floats, radius: float, colour: tuple[float, ...]) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 from lieednn_sim._mujoco import kinematics_at, mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.importer.loading import unused
+from lieednn_sim.simulation import Rollout
 from lieednn_sim.values import Floats
 
 _LIGHTS = (((-0.33, 0.43, -0.84), 0.45, True), ((-0.45, -0.72, -0.54), 0.2, False))  # direction, diffuse, shadow
@@ -17,6 +18,8 @@ _AXES = ((0.87, 0.20, 0.20, 1.0), (0.20, 0.68, 0.28, 1.0), (0.18, 0.40, 0.88, 1.
 _GLASS = (0.08, 0.75, 0.70, 0.35)
 _AZIMUTH, _ELEVATION = 125.0, -20.0  # of the default camera [degrees]
 _CONFIGURATIONS = 64  # number of random configurations from which the arm's workspace is estimated
+_OVERVIEW = "overview"  # the camera of the package's own scenes
+_LARGE = 1.3  # extent of the view [m] from which on what is drawn around the arm has its full size
 _UNSEEN = {"contype": 0, "conaffinity": 0, "group": 2, "mass": 0.0}  # no effect on contacts and dynamics
 
 
@@ -26,6 +29,37 @@ def reached(arm: Arm) -> Floats:
     configurations = np.random.default_rng(0).uniform(low, high, (_CONFIGURATIONS, arm.n_joints))
     places = arm.link_poses(np.vstack([arm.keyframe("home"), arm.within_angles(configurations)])).translation
     return np.vstack([arm.base.translation, np.asarray(places).reshape(-1, 3)])
+
+
+def occupied(rollout: Rollout) -> Floats:
+    """Points ``(P, 3)`` that a view of a rollout must contain: the base, the target, and all that the links pass."""
+    ends = [rollout.arm.base.translation, rollout.arm.link_poses(rollout.target).translation[-1]]
+    return np.vstack([*ends, rollout.link_position.reshape(-1, 3)])
+
+
+def place(arm: Arm) -> str:
+    """Name of the arm, and of its scene if there are obstacles, for captions."""
+    return arm.name if arm.scene == "free" else f"{arm.name}, {arm.scene}"
+
+
+def cameras(arm: Arm) -> list[str]:
+    """Names of the cameras of the arm's scene."""
+    return [arm.model.camera(i).name for i in range(arm.model.ncam)]
+
+
+def camera(arm: Arm, name: str | None, points: Floats) -> mujoco.MjvCamera:
+    """A camera of the scene by its name; by default ``overview`` if there is one, else one that frames the points."""
+    name = name or (_OVERVIEW if _OVERVIEW in cameras(arm) else None)
+    if name is None:
+        return framing(arm, points)
+    fixed = mujoco.MjvCamera()
+    fixed.type, fixed.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, arm.model.camera(name).id
+    return fixed
+
+
+def scale(arm: Arm, points: Floats) -> float:
+    """Scale of lengths and widths that are drawn around an arm: 1 in the package's scenes, less for small arms."""
+    return 1.0 if _OVERVIEW in cameras(arm) else min(1.0, float(np.linalg.norm(np.ptp(points, axis=0))) / _LARGE)
 
 
 def framing(arm: Arm, points: Floats) -> mujoco.MjvCamera:
@@ -91,6 +125,13 @@ def staged(arm: Arm, points: Floats) -> tuple[mujoco.MjModel, int]:
             marker.add_geom(type=kind, fromto=ends, size=[0.04 * size, 0.0, 0.0], rgba=colour, **_UNSEEN)
     made = spec.compile()
     return made, int(made.body_mocapid[made.body(name).id])
+
+
+def mark(arm: Arm, data: mujoco.MjData, marker: int, target: Floats | None) -> None:
+    """Put the marker, by its mocap id, at a joint target ``(n,)``, or without one into the base, which hides it."""
+    pose = arm.base if target is None else arm.link_poses(target)[-1]
+    data.mocap_pos[marker] = pose.translation
+    data.mocap_quat[marker] = pose.rotation.as_quat(scalar_first=True)
 
 
 def _hand(arm: Arm) -> float:

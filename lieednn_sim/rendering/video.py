@@ -40,15 +40,13 @@ class Preset:
 
 
 _MAX_RATE = 1000.0  # frames per second: more is probably a mistake
-_LARGE = 1.3  # extent of the view [m] from which on overlays have their full size
 _MAX_WIDTH, _MAX_HEIGHT = 3840, 2160  # 4K [pixels]
 PRESETS = {"draft": Preset(shadows=False, samples=0), "nice": Preset(shadows=True, samples=4)}
 
 
 def check_view(arm: Arm, *, camera: str | None, size: tuple[int, int], preset: str) -> None:
     """Raise `InputError` for an unknown camera or preset, or a size that cannot be rendered."""
-    if camera is not None:
-        as_choice("camera", camera, _cameras(arm))
+    check_camera(arm, camera)
     as_choice("preset", preset, PRESETS)
     if np.shape(size) != (2,):
         raise InputError(f"size must be (width, height), got {quoted(size)}")
@@ -57,8 +55,10 @@ def check_view(arm: Arm, *, camera: str | None, size: tuple[int, int], preset: s
         raise InputError(f"size must be even and at most {_MAX_WIDTH}x{_MAX_HEIGHT}, got {width}x{height}")
 
 
-def _cameras(arm: Arm) -> list[str]:
-    return [arm.model.camera(i).name for i in range(arm.model.ncam)]
+def check_camera(arm: Arm, camera: str | None) -> None:
+    """Raise `InputError` for a camera that the arm's scene does not have."""
+    if camera is not None:
+        as_choice("camera", camera, stage.cameras(arm))
 
 
 def check_rate(fps: float, path: str | os.PathLike[str]) -> float:
@@ -102,8 +102,7 @@ class Camera:
         self._arm, self._preset = arm, PRESETS[preset]
         held = stage.reached(arm) if points is None else as_floats("points", points, (3,), batched=True)
         self._model, self._marker = stage.staged(arm, held)
-        named = camera or ("overview" if "overview" in _cameras(arm) else None)
-        self._camera: str | mujoco.MjvCamera = named or stage.framing(arm, held)
+        self._camera = stage.camera(arm, camera, held)
         self._model.vis.global_.offwidth, self._model.vis.global_.offheight = size
         self._model.vis.quality.offsamples = self._preset.samples
         self._data = mujoco.MjData(self._model)
@@ -137,11 +136,8 @@ class Camera:
         """Put the marker at a joint target ``(n,)``; without a target, hide an added marker in the base."""
         if target is None and self._model.nbody == self._arm.model.nbody:
             return
-        pose = self._arm.base
-        if target is not None:
-            pose = self._arm.link_poses(as_floats("target", target, (self._arm.n_joints,)))[-1]
-        self._data.mocap_pos[self._marker] = pose.translation
-        self._data.mocap_quat[self._marker] = pose.rotation.as_quat(scalar_first=True)
+        goal = None if target is None else as_floats("target", target, (self._arm.n_joints,))
+        stage.mark(self._arm, self._data, self._marker, goal)
 
 
 def render_video(
@@ -179,12 +175,10 @@ def render_video(
     # The slack keeps the last frame when duration * fps is a whole number up to rounding.
     total = int(np.floor((rollout.t[-1] - rollout.t[0]) * rate + 1e-6)) + 1
     samples = np.rint(np.arange(total) / rate / rollout.timestep).astype(int)
-    ends = [arm.base.translation, arm.link_poses(rollout.target).translation[-1]]
-    points = np.vstack([*ends, rollout.link_position.reshape(-1, 3)])
-    scale = 1.0 if "overview" in _cameras(arm) else min(1.0, float(np.linalg.norm(np.ptp(points, axis=0))) / _LARGE)
-    overlay = Overlay(arm.link_poses(rollout.q_ref).as_matrix(), rollout.link_position[:, -1], scale)
+    points = stage.occupied(rollout)
+    overlay = Overlay.of(rollout, stage.scale(arm, points))
     names = [title] if title else []
-    names += [arm.name if arm.scene == "free" else f"{arm.name}, {arm.scene}", rollout.controller]
+    names += [stage.place(arm), rollout.controller]
     end = rollout.t[-1]
     view = Camera(arm, camera=camera, size=size, preset=preset, target=rollout.target, points=points)
     with view, filesystem.atomic_path(path) as temporary:

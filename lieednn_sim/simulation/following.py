@@ -23,6 +23,9 @@ from lieednn_sim.simulation.tracking import make_controlled
 from lieednn_sim.validation import as_floats
 from lieednn_sim.values import Floats, frozen
 
+# Control periods of an endless run for which the reference is kept.
+_KEPT_PERIODS = 1000
+
 
 @frozen
 class Following:
@@ -86,8 +89,10 @@ def follow(
         InputError: a value is malformed, the target leaves the position limits, or two channels have one name.
         SimulationError: as `simulate`.
     """
-    arm = policy.arm
-    period, total = steps_of_rate("the policy's rate", policy.rate, arm.timestep), count_steps(duration, arm.timestep)
+    arm, total = policy.arm, count_steps(duration, policy.arm.timestep)
+    changes = Disturbances() if disturbances is None else disturbances
+    loop = ClosedLoop(policy, controller, changes, rows=total + 1)
+    period, simulation = loop.period, loop.simulation
     if period > total:
         raise InputError(
             f"the policy's rate must be at least {1.0 / (total * arm.timestep):g} Hz for a duration of {duration:g} s, "
@@ -95,41 +100,111 @@ def follow(
         )
     origin = arm.check_position(start, "start")
     policy.reset(origin)
-    changes = Disturbances() if disturbances is None else disturbances
-    reference, between = Reference(arm, total + 1), interpolator(policy.period, period)
-    reference.extend(origin[None], np.zeros((1, arm.n_joints)))
-    driver, simulation = make_controlled(arm, controller, reference, changes)
-    simulation.reset(origin)
+    loop.begin(origin)
     sample = _sampler(arm, target, arm.timestep)
-    record, targets = Log(simulation, driver, _Channels(policy), *log), list[Floats]()
+    record, targets = Log(simulation, loop.driver, _Channels(policy), *log), list[Floats]()
     states, spent = list[Floats](), list[float]()
     with QuietWarnings():
         for k in range(total + 1):
             targets.append(sample(k))
             if k % period == 0:
                 states.append(policy.state)
-                if changes.obstacles:
-                    simulation.moved.apply(simulation.time)
-                    policy.see(simulation.moved.places())
-                measured, before = simulation.measured()[0], (policy.q, policy.qd)
-                begun = time.thread_time()
-                after = policy.step(measured, targets[-1])
-                spent.append(time.thread_time() - begun)
-                reference.extend(*between(*before, *after))
-            driver.act(simulation.data, k, simulation.noise)
+                spent.append(loop.decide(targets[-1]))
+            loop.act()
             record.step()
     end = total * arm.timestep
     rollout = as_rollout(
         arm,
         record,
-        reference.q,
-        reference.qd,
+        loop.reference.q,
+        loop.reference.qd,
         target=targets[-1],
         motion_end=end,
         controller=controller,
         disturbances=changes,
     )
     return Following(rollout, np.array(targets), np.array(states), period, np.array(spent))
+
+
+class ClosedLoop:
+    """A simulated arm behind a policy, which is asked once in every control period.
+
+        policy.reset(q)
+        loop.begin(q)
+        loop.advance(target)    # one control period; or `decide`, and for each of its steps `act` and the step itself
+
+    Args:
+        policy: runs the arm; its rate must divide the rate of the simulation.
+        controller: a name of `CONTROLLERS`.
+        disturbances: disturbances unknown to policy and controller.
+        rows: number of simulation steps of the whole run; by default it has no end, and old references are forgotten.
+
+    Attributes:
+        policy: the policy; another one of the same arm and rate may take its place between periods.
+        period: simulation steps in a control period.
+        reference: the reference of the controller.
+        driver: the controller.
+        simulation: the simulated arm.
+
+    Raises:
+        InputError: the rates do not fit, or the controller is unknown or cannot drive the arm.
+    """
+
+    def __init__(self, policy: Policy, controller: str, disturbances: Disturbances, rows: int | None = None) -> None:
+        arm = policy.arm
+        self.policy, self.period = policy, steps_of_rate("the policy's rate", policy.rate, arm.timestep)
+        self.reference = Reference(arm, _KEPT_PERIODS * self.period if rows is None else rows)
+        self.driver, self.simulation = make_controlled(arm, controller, self.reference, disturbances)
+        self._between, self._forgotten = interpolator(policy.period, self.period), 0
+        self._endless = rows is None
+
+    def begin(self, q: ArrayLike, qd: ArrayLike | None = None) -> None:
+        """Put the arm at joint coordinates ``(n,)`` with rates, by default zero; its reference is the policy's."""
+        self.reference.forget(self.reference.known)
+        self.reference.extend(self.policy.q[None], self.policy.qd[None])
+        self.simulation.reset(q, qd)
+        self._forgotten = 0
+
+    def decide(self, target: Floats) -> float:
+        """Ask the policy for the reference of the control period that begins now.
+
+        Args:
+            target: ``(n,)`` joint coordinates wanted now.
+
+        Returns:
+            CPU time of the policy's step [s].
+        """
+        reference, row = self.reference, self.simulation.steps - self._forgotten
+        if self._endless and reference.known + self.period > len(reference.q):
+            # Velocities take the row before the present one.
+            reference.forget(row - 1)
+            self._forgotten += row - 1
+        if self.simulation.disturbances.obstacles:
+            self.simulation.moved.apply(self.simulation.time)
+            self.policy.see(self.simulation.moved.places())
+        measured, before = self.simulation.measured()[0], (self.policy.q, self.policy.qd)
+        begun = time.thread_time()
+        after = self.policy.step(measured, target)
+        spent = time.thread_time() - begun
+        reference.extend(*self._between(*before, *after))
+        return spent
+
+    def act(self) -> None:
+        """Let the controller set the controls of the next simulation step."""
+        self.driver.act(self.simulation.data, self.simulation.steps - self._forgotten, self.simulation.noise)
+
+    def advance(self, target: Floats) -> float:
+        """Do one control period towards a target ``(n,)``; returns the CPU time of the policy's step [s].
+
+        Raises:
+            SimulationError: as `Simulation.advance`.
+        """
+        with QuietWarnings():
+            spent = self.decide(target)
+            for _ in range(self.period):
+                self.act()
+                self.simulation.advance_once()
+        return spent
 
 
 class _Channels:

@@ -62,6 +62,13 @@ class Reference:
         self.known += count
         self.revision += 1
 
+    def forget(self, count: int) -> None:
+        """Drop the first known rows, as many as ``count``: what was row k becomes row k - count."""
+        for rows in (self.q, self.qd, self.qpos, self.qvel):
+            rows[: self.known - count] = rows[count : self.known].copy()
+        self.known -= count
+        self.revision += 1
+
     def become(self, other: Reference) -> None:
         """Take the rows of another reference of the same arm and with the same hold, without a copy."""
         self.q, self.qd, self.qpos, self.qvel = other.q, other.qd, other.qpos, other.qvel

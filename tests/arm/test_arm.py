@@ -215,6 +215,21 @@ def test_reach_says_how_close_the_best_of_its_attempts_comes(gantry, monkeypatch
         solve_ik(gantry, [1.75, 4.0, 0.0], Rotation.from_rotvec([0.0, 0.0, np.pi / 6.0]))
 
 
+def test_reach_names_the_joints_that_end_at_their_limits_and_can_be_ended(gantry):
+    with pytest.raises(NoSolutionError, match=r"configuration found is 3 m away, with 'x' at the limit$"):
+        solve_ik(gantry, [5.0, 0.0, 0.0])
+    asked = []
+
+    def end(done, total):
+        asked.append((done, total))
+        if done == 2:
+            raise TimeoutError
+
+    with pytest.raises(TimeoutError):
+        solve_ik(gantry, [5.0, 0.0, 0.0], progress=end)
+    assert asked == [(0, 8), (1, 8), (2, 8)]
+
+
 @pytest.mark.parametrize(("keys", "rest"), [("", 0.25), ('<key name="a" qpos="0 0.5"/>', 0.25), ("{home}", 0.75)])
 def test_joints_that_are_no_part_of_the_arm_stay_at_home(tmp_path, keys, rest):
     """At the keyframe ``home``, the first or another, else at the reference position of 0.25."""

@@ -59,7 +59,8 @@ def test_the_demo_without_video_meets_its_bounds(tmp_path, capsys):
     assert tip["tracking_rms_mm"] < 1.0
     assert tip["tracking_rms_deg"] < 0.1
     expected = {"task.json", "network.npz", "motion.npz", "rollout.npz", "metrics.json", "metrics.csv"}
-    expected |= {"network.png", "tracking.png", "joints.png"}
+    expected |= {"network.png", "tracking.png", "joints.png", "motion.html"}
+    assert (directory / "motion.html").stat().st_size < 1.5e6
     assert {path.name for path in directory.iterdir()} == {*expected, "made.json"}
     printed = capsys.readouterr().out
     assert "end effector" in printed
@@ -341,6 +342,7 @@ def test_without_opengl_the_demo_goes_on_without_video(tmp_path, start):
         "import pathlib, sys\n"
         "from lieednn_sim.evaluation import plots\n"
         "from lieednn_sim.cli import main\n"
+        "sys.modules['viser'] = None\n"  # as if it were not installed
         "made = lambda *given, **named: pathlib.Path(given[-1]).touch()\n"  # to plot takes longer than all else
         "plots.plot_network = plots.plot_tracking = plots.plot_joints = made\n"
         "print(main(['demo', '--output', *sys.argv[1:]]), flush=True)\n"
@@ -351,6 +353,8 @@ def test_without_opengl_the_demo_goes_on_without_video(tmp_path, start):
     process = start("-c", code, str(tmp_path), *FAST, env=environment)
     printed, message = process.communicate()
     assert "no video: cannot render" in printed
+    assert re.search(r"^no page: .* needs viser .*: pip install 'lieednn_sim\[view\]'$", printed, re.MULTILINE)
+    assert not (tmp_path / "motion.html").exists()
     assert printed.splitlines()[-1] == "0", "the demo went well"
     assert (tmp_path / "metrics.json").exists()
     assert not (tmp_path / "video.mp4").exists()

@@ -33,7 +33,19 @@ def interrupted(what):
 commands.progress = interrupted
 sys.exit(main())
 """
-DEMO = ["demo", "--no-video", "--target", "random:3", "--planner", "linear-attractor", "--duration", "1", "--hold", "0"]
+DEMO = [
+    "demo",
+    "--no-page",
+    "--no-video",
+    "--target",
+    "random:3",
+    "--planner",
+    "linear-attractor",
+    "--duration",
+    "1",
+    "--hold",
+    "0",
+]
 
 
 @pytest.mark.parametrize("then", ["signal.pause()", "sys.unraisablehook = lambda *_: None"], ids=["again", "between"])

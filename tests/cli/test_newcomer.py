@@ -29,6 +29,7 @@ from lieednn_sim.planning import PLANNERS, Plan, reference_network
 from lieednn_sim.planning.certified import CertifiedDetails
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.safety_filter import run_filtered
+from lieednn_sim.policies import POLICIES
 from lieednn_sim.simulation import CONTROLLERS, Rollout
 from lieednn_sim.studies.workers import progress_bar
 from lieednn_sim.synthesis import BIAS_RULES
@@ -44,6 +45,7 @@ def test_the_help_lists_what_there_is():
         names.ARMS: arm_names(),
         names.SCENES: SCENES,
         names.CONTROLLERS: CONTROLLERS,
+        names.POLICIES: POLICIES,
         names.ALGORITHMS: [*ALGORITHMS, *RIEMANNIAN],
         names.BIAS_RULES: BIAS_RULES,
     }
@@ -116,7 +118,7 @@ def hook(name, *rest):
             raise ImportError("cannot load the library") from None
     return original(name, *rest)
 builtins.__import__ = hook
-sys.exit(main(["demo", "--no-video", "--output", {output!r}]))
+sys.exit(main(["demo", "--no-page", "--no-video", "--output", {output!r}]))
 """
 
 
@@ -138,7 +140,7 @@ def test_a_planner_without_a_network_goes_the_whole_road(tmp_path, capsys):
     directory = tmp_path / "run"
     # An earlier run's network must not stay.
     assert main(["synthesize", "--target", "extended", "--n-networks", "2", "--output", str(directory)]) == 0
-    words = ["demo", "--no-video", "--planner", "minimum-jerk", "--duration", "2", "--hold", "0.2"]
+    words = ["demo", "--no-page", "--no-video", "--planner", "minimum-jerk", "--duration", "2", "--hold", "0.2"]
     assert main([*words, "--output", str(directory)]) == 0
     expected = {"made.json", "task.json", "motion.npz", "rollout.npz", "metrics.json", "metrics.csv"}
     expected |= {"network.png", "tracking.png", "joints.png"}

@@ -56,6 +56,7 @@ def test_an_arm_of_ones_own_goes_the_whole_road_from_another_directory(own, tmp_
     monkeypatch.chdir(tmp_path)
     arguments = [
         "demo",
+        "--no-page",
         "--no-video",
         "--arm",
         "own.xml",
@@ -138,6 +139,7 @@ def test_disturbances_reach_the_simulation_and_are_reported(tmp_path, capsys):
     directory = tmp_path / "run"
     road = [
         "demo",
+        "--no-page",
         "--no-video",
         "--output",
         str(directory),
@@ -169,7 +171,10 @@ def test_disturbances_reach_the_simulation_and_are_reported(tmp_path, capsys):
 @pytest.mark.usefixtures("no_plots")
 def test_among_obstacles_the_filter_plans_and_the_clearance_is_measured(tmp_path, capsys):
     directory = tmp_path / "run"
-    assert main(["demo", "--no-video", "--scene", "window", "--scene-seed", "2", "--output", str(directory)]) == 0
+    assert (
+        main(["demo", "--no-page", "--no-video", "--scene", "window", "--scene-seed", "2", "--output", str(directory)])
+        == 0
+    )
     task = Task.load(directory / "task.json")
     assert (task.scene, task.scene_seed, task.planner) == ("window", 2, OBSTACLE_PLANNER)
     clearance = re.search(r"least clearance ([\d.-]+) mm", capsys.readouterr().out)
@@ -241,7 +246,9 @@ def test_bad_options_stop_the_demo_before_the_work(arguments, message, tmp_path,
 
 def test_a_push_after_the_end_is_no_push(tmp_path, capsys):
     arguments = ["--output", tmp_path / "run", "--n-networks", "3", "--push", "link 1,1,2,3,9,1"]
-    assert "at 9 s would begin when the run is over, at 5 s" in error(capsys, "demo", "--no-video", *arguments)
+    assert "at 9 s would begin when the run is over, at 5 s" in error(
+        capsys, "demo", "--no-page", "--no-video", *arguments
+    )
 
 
 def test_the_joints_of_a_large_arm_stand_in_two_blocks(tmp_path, monkeypatch):

@@ -79,7 +79,7 @@ def test_a_frame_shows_its_sample_and_says_its_time(gantry, monkeypatch, tmp_pat
 
     monkeypatch.setattr(video, "Camera", lambda *_, **__: Pictures())
     overlay = SimpleNamespace(draw=lambda _, k: samples.append(k))
-    monkeypatch.setattr(video, "Overlay", lambda *given: overlays.append(given) or overlay)
+    monkeypatch.setattr(video, "Overlay", SimpleNamespace(of=lambda *given: overlays.append(given) or overlay))
     monkeypatch.setattr(video, "_writer", lambda path, *_: path.touch() or contextlib.nullcontext(lambda _: None))
     monkeypatch.setattr(video, "_check_complete", lambda *_: None)
     monkeypatch.setattr(video, "write_caption", lambda _, lines: captions.append(lines))
@@ -88,7 +88,9 @@ def test_a_frame_shows_its_sample_and_says_its_time(gantry, monkeypatch, tmp_pat
     np.testing.assert_array_equal(shown, rollout.q[::25])
     names = ["a planner", gantry.name, "position-servo"]
     assert captions == [[*names, f"{0.25 * k:.2f} s of 1.00 s"] for k in range(5)]
-    ((planned, traced, _),) = overlays
+    ((followed, _),) = overlays
+    made = Overlay.of(followed, 1.0)
+    planned, traced = made.planned_frames, made.traced_tip
     np.testing.assert_array_equal(planned, gantry.link_poses(rollout.q_ref).as_matrix())
     np.testing.assert_array_equal(traced, rollout.link_position[:, 1])
     video.render_video(replace(rollout, arm=replace(gantry, scene="poles")), tmp_path / "v.mp4", fps=4)

@@ -9,7 +9,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError
 from lieednn_sim.evaluation import evaluate_following
 from lieednn_sim.policies import NetworkPolicy
-from lieednn_sim.simulation import Disturbances, Push, follow
+from lieednn_sim.simulation import Disturbances, Push, follow, following
 from lieednn_sim.synthesis import synthesize
 
 
@@ -141,3 +141,18 @@ def test_bad_input(arm, network):
         follow(policy, np.zeros((0, 8)), 1.0)
     with pytest.raises(InputError, match="policy must be a Policy"):
         follow(network, home, 1.0)
+
+
+@pytest.mark.parametrize("controller", ["inverse-dynamics", "mocap"])
+def test_a_run_without_end_is_that_of_follow_though_it_forgets_its_reference(arm, network, controller, monkeypatch):
+    monkeypatch.setattr(following, "_KEPT_PERIODS", 7)
+    goal = ramp(arm, 0.1)(1.0)
+    expected = follow(NetworkPolicy(arm, network), goal, 0.5, controller=controller).rollout.q[-1]
+    policy = NetworkPolicy(arm, network)
+    policy.reset("home")
+    loop = following.ClosedLoop(policy, controller, Disturbances())
+    loop.begin(policy.q)
+    for _ in range(50):
+        loop.advance(goal)
+    assert len(loop.reference.q) == 7 * loop.period
+    assert loop.simulation.q.tolist() == expected.tolist()

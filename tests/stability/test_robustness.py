@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from lieednn_sim.errors import InputError, NotCertifiedError
 from lieednn_sim.lie import adjoint
 from lieednn_sim.stability import find_certificate, find_contraction, robustness
+from lieednn_sim.stability.decay import Decay
 from lieednn_sim.stability.guarantees import Guarantee, _lyapunov_step
 from lieednn_sim.stability.robustness import Robustness
 
@@ -243,6 +244,28 @@ def test_words_are_of_contraction_where_there_is_one_and_of_the_best_proof():
     assert "followed within 6\n" in told
     assert "up to 0.5 (Euler), 1.5 (RK4)" in told
     assert "at most 1 away, a tenth of it is left after 0.256 (about the" in str(Robustness(both, both, proofs[2:]))
+
+
+def test_the_distance_left_is_bounded_at_all_times_and_sharply_without_weights():
+    decay = Decay(robustness(np.zeros((4, 4)), gamma=GAMMA, mu=MU), 2)
+    begun = decay.begin([3.0, 4.0, 0.0, 0.0])
+    # Without weights e = e(0) exp(-gamma t); the proof gives up a thousandth of the rate.
+    assert 5.0 * np.exp(-2.0 * GAMMA) <= decay.bound(begun, 2.0) <= 5.01 * np.exp(-1.998 * GAMMA)
+    assert decay.bound(decay.begin(np.zeros(4)), 1.0) == 0.0
+    rng = np.random.default_rng(5)
+    weight, core = twists(rng, 0.4)
+    decay = Decay(robustness(weight, gamma=GAMMA, mu=MU, rotational_weight=core), 6)
+    start, rest = rng.normal(size=12), rng.normal(size=12)
+    times = np.linspace(0.0, 6.0, 30)
+    run = solve_ivp(lambda _, x: field(weight, x, rest), (0.0, 6.0), start, t_eval=times, rtol=1e-9, atol=1e-12)
+    left = np.linalg.norm((run.y.T - rest)[:, :6], axis=1)
+    begun = decay.begin(start - rest)
+    bounds = [decay.bound(begun, time) for time in times]
+    assert (left <= bounds).all()
+    assert bounds[-1] < 0.05 * bounds[0]
+    cascade = np.array([[0.0, 0.5], [0.0, 0.0]])
+    with pytest.raises(InputError, match="reach all coordinates"):
+        Decay(robustness(cascade, gamma=GAMMA, mu=MU, pushed=[0]), 1)
 
 
 def test_coordinates_without_inputs_take_the_steps_of_one():

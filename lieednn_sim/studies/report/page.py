@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -10,6 +11,7 @@ import jinja2
 
 from lieednn_sim import filesystem
 from lieednn_sim.errors import InputError
+from lieednn_sim.rendering.page import player
 from lieednn_sim.studies.comparison.rows import BY_NAME, Row
 from lieednn_sim.studies.comparison.statistics import controllers_of, failures, seeds_by_planner, verdict
 from lieednn_sim.studies.comparison.summary import method
@@ -18,6 +20,7 @@ from lieednn_sim.studies.reactions.study import METHOD, groups
 from lieednn_sim.studies.report.figures import plots
 from lieednn_sim.studies.report.style import in_order, marks, number
 from lieednn_sim.studies.report.videos import Clip
+from lieednn_sim.studies.report.views import View
 from lieednn_sim.studies.rows import Column
 from lieednn_sim.studies.statistics import Group, grouped, motions, numbers, wilson
 from lieednn_sim.studies.table import Table
@@ -73,6 +76,7 @@ def write_page(
     table: Table[Row],
     *,
     missing: Mapping[str, str] | None = None,
+    views: Sequence[View] = (),
     clips: Sequence[Clip] = (),
     command: str = "",
     date: str = "",
@@ -84,18 +88,21 @@ def write_page(
         path: the file to write.
         table: table of the comparison.
         missing: planners that could not be compared, with the reason.
+        views: problems to show in 3D; with them the page has viser's player once.
         clips: videos to embed.
         command: command that made the table.
         date: date for the page's head; none when empty, so that the page depends on the table alone.
         reactions: results of the reactive benchmark, for a section of their own.
 
     Raises:
-        InputError: the table is empty.
+        InputError: the table is empty, or ``reactions`` is of another kind.
         FileError: the file cannot be written.
     """
-    rows = table.sorted_rows()
+    rows, reacted = table.sorted_rows(), [] if reactions is None else reactions.sorted_rows()
     if not rows:
         raise InputError(f"the table {table.csv} is empty; there is nothing to show")
+    if not all(isinstance(row, Reaction) for row in reacted):
+        raise InputError("reactions must be a table of the reactive benchmark, got one of another kind")
     names = in_order(row.planner for row in rows)
     controllers = controllers_of(rows)
     arms = sorted({row.arm for row in rows})
@@ -123,8 +130,11 @@ def write_page(
             lines=_lines(rows),
             plots={arm: plots([row for row in rows if row.arm == arm], controllers[0]) for arm in arms},
             failures=failures(rows),
+            views=views,
+            # What ends a script element must not be in the text of one.
+            player=json.dumps(player("RECORDING")).replace("</", "<\\/") if views else "",
             clips=clips,
-            reactions=[] if reactions is None else groups(reactions.sorted_rows()),
+            reactions=groups(reacted) if reacted else [],
             reaction_heads=_reaction_heads(),
             reaction_method=METHOD,
         )
@@ -141,7 +151,7 @@ def _environment() -> jinja2.Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters["rounded"] = lambda value: number(value, rounding=_ROUNDING)
+    environment.filters["rounded"] = lambda value: "-" if value is None else number(value, rounding=_ROUNDING)
     return environment
 
 

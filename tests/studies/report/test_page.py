@@ -6,13 +6,15 @@ import contextlib
 import re
 import shutil
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 
 from lieednn_sim.errors import InputError
 from lieednn_sim.studies import Case, Comparison, Row, Settings, compute
-from lieednn_sim.studies.report import choose_cases, film, page, videos, write_page
+from lieednn_sim.studies.report import choose_cases, film, page, videos, view, write_page
 from lieednn_sim.studies.report.style import marks, number
+from lieednn_sim.studies.report.views import choose_problems
 
 CONTROLLERS = ("position-servo", "computed-torque")
 SETTINGS = Settings(duration=1.2, hold=0.1)
@@ -124,6 +126,26 @@ def test_cases_to_show_differ_in_planner_and_place(table):
         film(table, Case("another_arm", "free", "rrt-connect", 0), "position-servo")
 
 
+def test_views_are_of_one_problem_by_the_best_of_lieednn_and_others_in_turn():
+    """Two scenes; 'dmp' fails in one, 'lieednn-shaped' succeeds once more than 'lieednn-certified'."""
+    others = ["minimum-jerk", "se3-geodesic", "linear-attractor", "dmp", "promp"]
+    reasons = {("free", "dmp", 0), ("poles", "lieednn-certified", 0)}
+    rows = [
+        Row("arm", scene, planner, "pd", seed, 1.0, "contact" if (scene, planner, seed) in reasons else "")
+        for scene in ("free", "poles")
+        for planner in ("lieednn-certified", "lieednn-shaped", *others)
+        for seed in (0, 1)
+    ]
+    first, second = choose_problems(SimpleNamespace(sorted_rows=lambda: rows), 2, "pd")
+    for cases in (first, second):
+        assert len({(case.arm, case.scene, case.seed) for case in cases}) == 1
+        assert cases[0].planner == "lieednn-shaped"
+        assert len({case.planner for case in cases}) == 4
+        assert {case.seed for case in cases} == {1}, "the seed that all solved"
+    assert {case.planner for case in first} & {case.planner for case in second} == {"lieednn-shaped"}
+    assert choose_problems(SimpleNamespace(sorted_rows=lambda: rows), 2, "another") == []
+
+
 @pytest.fixture(scope="module")
 def browser(table, figures_kept, tmp_path_factory):
     """The page with a video, open in a headless Chromium."""
@@ -132,10 +154,13 @@ def browser(table, figures_kept, tmp_path_factory):
     with figures_kept(), pytest.MonkeyPatch.context() as patch:
         patch.setattr(videos, "FPS", 10)
         clip = film(table, Case("telescopic_pr", "free", "se3-geodesic", 0), "position-servo")
-        write_page(path, table, clips=[clip, replace(clip)])
+        cases = [Case("telescopic_pr", "free", planner, 0) for planner in ("minimum-jerk", "se3-geodesic")]
+        shown = view(table, cases, "position-servo")
+        write_page(path, table, views=[shown, shown], clips=[clip, replace(clip)])
+    assert path.stat().st_size < 3e6
     options = webdriver.ChromeOptions()
     options.binary_location = shutil.which("chromium")
-    for argument in ("--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage"):
+    for argument in ("--headless=new", "--no-sandbox", "--enable-unsafe-swiftshader", "--disable-dev-shm-usage"):
         options.add_argument(argument)
     options.add_argument("--window-size=1280,1000")
     options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
@@ -231,3 +256,22 @@ def test_in_a_browser_the_video_plays(browser):
     )
     assert played[0] == pytest.approx(SETTINGS.duration + SETTINGS.hold, abs=0.1)
     assert played[1:] == [480, 270]
+
+
+@pytest.mark.browser
+@pytest.mark.rendering
+def test_in_a_browser_a_click_plays_two_planners_side_by_side(browser):
+    """A second view takes the first one's place."""
+    browser.set_window_size(400, 400)
+    for button in browser.find_elements("css selector", ".view button"):
+        browser.execute_script("arguments[0].click()", button)
+        (frame,) = browser.find_elements("css selector", ".view iframe")
+        wait = pytest.importorskip("selenium.webdriver.support.wait")
+        browser.switch_to.frame(frame)
+        wait.WebDriverWait(browser, 300.0).until(
+            lambda driver: driver.execute_script(
+                "const poses = window.__viserMutable?.nodePoseData;"
+                "return poses && '/0/link1' in poses && '/1/link1' in poses"
+            )
+        )
+        browser.switch_to.default_content()

@@ -42,4 +42,18 @@
   form.addEventListener("reset", () => setTimeout(filter));
   form.addEventListener("submit", (event) => event.preventDefault());
   filter();
+
+  // One view plays at a time: browsers allow few pictures in 3D. A click on another one puts the button back.
+  let playing = null;
+  for (const button of document.querySelectorAll(".view button")) {
+    button.addEventListener("click", () => {
+      if (playing) playing.frame.replaceWith(playing.button);
+      const frame = document.createElement("iframe");
+      frame.title = button.textContent;
+      frame.style.aspectRatio = button.style.aspectRatio;
+      frame.srcdoc = PLAYER.replace("RECORDING", () => button.dataset.recording);
+      button.replaceWith(frame);
+      playing = { button, frame };
+    });
+  }
 })();

@@ -1,0 +1,145 @@
+"""The page of a live view: a server for browsers, and the thread that shows a session in it."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import ipaddress
+import threading
+import time
+import webbrowser
+from collections.abc import Sequence
+from types import TracebackType
+from typing import Any
+
+from scipy.spatial.transform import Rotation
+
+from lieednn_sim.live.panel import Panel
+from lieednn_sim.live.playback import Track
+from lieednn_sim.live.scene import ArmScene
+from lieednn_sim.live.session import Session
+from lieednn_sim.live.snapshot import Observer
+from lieednn_sim.rendering import viser_scene
+from lieednn_sim.validation import as_count
+
+# Instants shown per second, and how many of them between two refreshed tables and plots.
+_RATE, _TABLE = 30.0, 5
+# A drag of the target that tells nothing for this long is over, such as after a lost connection [s].
+_DRAG_ENDS = 1.0
+
+
+class Page:
+    """A session in the browser; `close` ends it, as does the end of a ``with`` block.
+
+    Args:
+        session: the session; the page runs it, and closes it.
+        host: address to listen at; only the loopback address keeps other machines out.
+        port: port to listen at; 0 for a free one.
+        tracks: up to four motions to play beside the live arm.
+        dark: whether the page is dark at first.
+
+    Attributes:
+        session: the session.
+        url: the page's address.
+
+    Raises:
+        LieEDNNError: viser, of the extra ``view``, is not installed.
+    """
+
+    def __init__(
+        self,
+        session: Session,
+        *,
+        host: str = "127.0.0.1",
+        port: int = 0,
+        tracks: Sequence[Track] = (),
+        dark: bool = False,
+    ) -> None:
+        (viser,) = viser_scene.require("viser")
+        self.session, self._closed = session, threading.Event()
+        with contextlib.redirect_stdout(io.StringIO()):
+            self._server: Any = viser.ViserServer(host=host, port=as_count("port", port, 0, 65535), verbose=False)
+        shown = "127.0.0.1" if host in ("0.0.0.0", "::") else host
+        self.url = f"http://{shown}:{self._server.get_port()}"
+        aimed = session.aimed
+        self._scene = ArmScene(self._server, session.arm, (aimed.position, aimed.quaternion))
+        self._panel = Panel(self._server, session, self._scene, tracks=tracks, dark=dark)
+        self._dragged = -_DRAG_ENDS
+        self._scene.handle.on_update(self._drag)
+        for node, body in self._scene.surfaces:
+            node.on_drag("left")(self._grab(body))
+        self._observer = Observer(session)
+        self._thread = threading.Thread(target=self._show, name="page", daemon=True)
+        session.run()
+        self._thread.start()
+
+    def __enter__(self) -> Page:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def open(self) -> bool:
+        """Open the page in a browser; False if there is none."""
+        try:
+            return webbrowser.open(self.url)
+        except webbrowser.Error:
+            return False
+
+    def wait(self) -> None:
+        """Wait until `close` is called, or until Ctrl-C."""
+        # An event that is waited for without a limit would not see Ctrl-C on every platform.
+        while not self._closed.wait(1.0):
+            pass
+
+    def close(self) -> None:
+        """Close the page and the session."""
+        if self._closed.is_set():
+            return
+        self._closed.set()
+        self.session.close()
+        self._panel.player.close()
+        self._thread.join()
+        with contextlib.redirect_stdout(io.StringIO()):
+            self._server.stop()
+
+    async def _drag(self, event: Any) -> None:
+        # Not in the server's pool of threads, where the last two of these calls might change places.
+        self._dragged = time.monotonic() if event.phase != "end" else -_DRAG_ENDS
+        target = event.target
+        turn = Rotation.from_quat(target.wxyz, scalar_first=True) if self._panel.holds_direction else None
+        if event.phase != "start":
+            self.session.aim(target.position.copy(), turn)
+
+    def _grab(self, body: str) -> Any:
+        async def pull(event: Any) -> None:
+            force = self._panel.spring(event.start_position, event.end_position)
+            self.session.pull(body, force if event.phase != "end" else (0.0, 0.0, 0.0), event.start_position)
+
+        return pull
+
+    def _show(self) -> None:
+        aimed, count, shown = self.session.aimed, 0, time.monotonic()
+        while not self._closed.wait(1.0 / _RATE):
+            snapshot = self._observer.look()
+            before, shown = shown, time.monotonic()
+            with self._server.atomic():
+                self._scene.show(snapshot, self.session.path)
+                if snapshot.aimed is not aimed and time.monotonic() - self._dragged > _DRAG_ENDS:
+                    aimed = snapshot.aimed
+                    self._scene.place_handle(aimed.position, aimed.quaternion)
+                self._panel.player.show(shown - before)
+                if count % _TABLE == 0:
+                    self._panel.show(snapshot)
+            count += 1
+
+
+def warning(host: str) -> str:
+    """What to say about an address that other machines can reach; empty for the loopback address."""
+    try:
+        private = ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        private = host == "localhost"
+    return "" if private else f"anybody who can reach this machine at {host} can see the page and move its arm"

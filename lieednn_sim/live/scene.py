@@ -1,0 +1,213 @@
+"""The 3D scene of a live view: arm, target, paths, frames and ghosts."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Any
+
+import numpy as np
+
+from lieednn_sim._mujoco import kinematics_at, mujoco
+from lieednn_sim.arm import Arm
+from lieednn_sim.arm.contacts import moving_geoms
+from lieednn_sim.live.snapshot import Snapshot
+from lieednn_sim.rendering import stage, viser_scene
+from lieednn_sim.rendering.overlay import PLANNED_COLOUR, PLANNED_RADIUS, TRACED_COLOUR, TRACED_RADIUS
+from lieednn_sim.values import Floats
+
+# Colours of a target that the arm cannot reach, of the force on a link, and of ghosts [RGB].
+_REFUSED, _FORCE = (222, 45, 38), (222, 45, 38)
+GHOSTS = ((31, 119, 180), (214, 39, 140), (230, 126, 34), (44, 140, 60))
+# Most points of the travelled path, and the distance between two of them [m].
+_TRAVELLED, _SPACING = 600, 2e-3
+# Length of a force's arrow [m/N], and its largest length [m].
+_METRES_PER_NEWTON, _LONGEST = 3e-3, 0.8
+_GHOST_OPACITY = 0.35
+# Width / height of a picture in which all that the arm reaches is seen at first.
+_RATIO = 1.0
+# How far the arm is above the middle of a narrow screen, as a fraction of its height.
+_UPWARDS = 0.3
+# Part of a narrow screen's width that the arm takes.
+_ROOM = 0.75
+
+
+class ArmScene:
+    """An arm in the scene of a `viser.ViserServer`, with its target as a handle.
+
+    Args:
+        server: the server.
+        arm: the arm; it is not changed.
+        pose: position ``(3,)`` and quaternion ``(4,)`` of the target.
+
+    Attributes:
+        handle: viser's transform controls at the target; the mouse moves them.
+        surfaces: viser's nodes of the arm's moving surfaces, with the names of their bodies.
+    """
+
+    def __init__(self, server: Any, arm: Arm, pose: tuple[Floats, Floats]) -> None:
+        self._server, self._arm, scene = server, arm, server.scene
+        points = stage.reached(arm)
+        model, self._marker = stage.staged(arm, points)
+        self._shapes = shapes = viser_scene.Shapes(model)
+        self._scale = stage.scale(arm, points)
+        home = kinematics_at(model, arm.qpos(arm.keyframe("home")))
+        seen = viser_scene.viewpoint(model, home, stage.camera(arm, None, points), points)
+        self._view, self._reached = seen.back_off(points, _RATIO), points
+        self._view.place(server)
+        server.on_client_connect(self._make_room)
+        viser_scene.add_floor(scene, shapes)
+        self._nodes = viser_scene.ModelNodes(scene, shapes, "/arm")
+        self._data = mujoco.MjData(model)
+        marked = int(np.flatnonzero(model.body_mocapid == self._marker)[0])
+        self._glass = [
+            (node, node.color) for body, nodes in self._nodes.surfaces.items() for node in nodes if body == marked
+        ]
+        moving = set(model.geom_bodyid[moving_geoms(model)].tolist()) - {marked}
+        self.surfaces = [
+            (node, model.body(body).name)
+            for body, nodes in self._nodes.surfaces.items()
+            for node in nodes
+            if body in moving and model.body(body).name and model.body_mocapid[model.body_rootid[body]] < 0
+        ]
+        self._moving = [*(node for node, _ in self.surfaces), *(node for node, _ in self._glass)]
+        self.handle = scene.add_transform_controls(
+            "/target handle",
+            scale=0.28 * self._scale,
+            line_width=3.0,
+            depth_test=False,
+            position=pose[0],
+            wxyz=pose[1],
+        )
+        # Seen through what the target may be in.
+        self._refusal = scene.add_label("/refused", "cannot be reached", visible=False, anchor="bottom-left")
+        blank = np.zeros((2, 3))
+        self._planned = viser_scene.add_path(scene, "/planned", blank, PLANNED_COLOUR, PLANNED_RADIUS * self._scale)
+        self._travelled = viser_scene.add_path(scene, "/travelled", blank, TRACED_COLOUR, TRACED_RADIUS * self._scale)
+        self._trace: deque[Floats] = deque(maxlen=_TRAVELLED)
+        self._path: Floats | None = blank
+        axes = {"axes_length": 0.2 * self._scale, "axes_radius": 0.006 * self._scale}
+        self._frames = scene.add_batched_axes(
+            "/frames", batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (arm.n_links, 1)),
+            batched_positions=np.zeros((arm.n_links, 3)), **axes,
+        )  # fmt: skip
+        self._arrow: Any = None
+        self._refused: bool | None = None
+        self._shown = True
+        self._ghosts: list[tuple[viser_scene.ModelNodes, list[Any]]] = []
+
+    async def _make_room(self, client: Any) -> None:
+        """On a narrow screen, where the controls take the lower part, show the arm in the upper one."""
+        camera = client.camera
+        if camera.aspect > _RATIO:
+            return
+        view = self._view.back_off(self._reached, _ROOM * camera.aspect)
+        height = 2.0 * np.linalg.norm(view.position - view.look_at) * np.tan(0.5 * camera.fov)
+        lower = _UPWARDS * float(height) * view.axes[1]
+        with client.atomic():
+            camera.position, camera.look_at = view.position - lower, view.look_at - lower
+
+    def show(self, snapshot: Snapshot, path: Floats | None) -> None:
+        """Move everything to an instant, with the path ahead ``(P, 3)``, or None if it is not known."""
+        tick, aimed = snapshot.tick, snapshot.aimed
+        self._data.mocap_pos[self._marker], self._data.mocap_quat[self._marker] = aimed.position, aimed.quaternion
+        self._pose(self._nodes, tick.q)
+        refused = bool(aimed.problem)
+        if refused != self._refused:
+            self._refused = refused
+            for node, colour in self._glass:
+                node.color = _REFUSED if refused else colour
+            self._refusal.visible = refused
+        if refused:
+            self._refusal.position = aimed.position
+        self._frames.batched_positions = np.asarray(snapshot.planned.translation, dtype=np.float32)
+        self._frames.batched_wxyzs = snapshot.planned.rotation.as_quat(scalar_first=True).astype(np.float32)
+        tip = np.asarray(snapshot.frames[-1].translation)
+        if not self._trace or np.linalg.norm(tip - self._trace[-1]) > _SPACING:
+            self._trace.append(tip)
+            self._travelled.points = _segments(self._trace)
+        if path is not self._path:
+            self._path = path
+            self._planned.visible = self._shown and path is not None
+            if path is not None:
+                self._planned.points = _segments(path)
+        self._show_force(tick.force, tick.pushed)
+
+    def forget_path(self) -> None:
+        """Forget the path travelled so far."""
+        self._trace.clear()
+
+    def show_frames(self, visible: bool) -> None:
+        """Show or hide the link frames of the reference."""
+        self._frames.visible = visible
+
+    def place_handle(self, position: Floats, quaternion: Floats) -> None:
+        """Move the handle to where somebody else put the target."""
+        self.handle.position, self.handle.wxyz = position, quaternion
+
+    def show_arm(self, visible: bool) -> None:
+        """Show or hide the live arm with its target and paths, and never what stands around it."""
+        self._shown = visible
+        for node in (*self._moving, self.handle, self._planned, self._travelled, self._frames):
+            node.visible = visible
+
+    def set_ghosts(self, paths: list[Floats], *, solid: bool = False) -> None:
+        """Replace all ghosts by one for each path of the end effector ``(P, 3)``.
+
+        Args:
+            paths: the paths.
+            solid: whether they look like the arm itself, not each in a colour of its own.
+        """
+        for nodes, others in self._ghosts:
+            for surfaces in nodes.surfaces.values():
+                for surface in surfaces:
+                    surface.remove()
+            for other in others:
+                other.remove()
+        self._ghosts = []
+        scene = self._server.scene
+        for k, path in enumerate(paths):
+            colour = GHOSTS[k % len(GHOSTS)]
+            opacity = 1.0 if solid else _GHOST_OPACITY
+            nodes = viser_scene.ModelNodes(scene, self._shapes, f"/ghost {k}", opacity=opacity)
+            moving = {name for _, name in self.surfaces}
+            for body, surfaces in nodes.surfaces.items():
+                for surface in surfaces:
+                    surface.visible = nodes.model.body(body).name in moving
+                    if not solid and hasattr(surface, "color"):
+                        surface.color = colour
+            radius = 0.7 * PLANNED_RADIUS * self._scale
+            line = viser_scene.add_path(scene, f"/ghost path {k}", path, tuple(c / 255 for c in colour), radius)
+            self._ghosts.append((nodes, [line]))
+
+    def show_ghosts(self, configurations: list[Floats]) -> None:
+        """Move the ghosts to joint coordinates ``(n,)``, one for each."""
+        for (nodes, _), q in zip(self._ghosts, configurations, strict=True):
+            self._pose(nodes, q)
+
+    def _pose(self, nodes: viser_scene.ModelNodes, q: Floats) -> None:
+        self._data.qpos[:] = self._arm.qpos(q)
+        mujoco.mj_kinematics(nodes.model, self._data)
+        nodes.show(self._data)
+
+    def _show_force(self, force: Floats, place: Floats) -> None:
+        if not force.any():
+            if self._arrow is not None:
+                self._arrow.remove()
+                self._arrow = None
+            return
+        length = float(np.linalg.norm(force))
+        end = place + force * min(_METRES_PER_NEWTON, _LONGEST / length) * self._scale
+        points = np.array([[place, end]], dtype=np.float32)
+        if self._arrow is None:
+            size = {"shaft_radius": 0.012, "head_radius": 0.03, "head_length": 0.06}
+            self._arrow = self._server.scene.add_arrows(
+                "/force", points, _FORCE, **{name: value * self._scale for name, value in size.items()}
+            )
+        else:
+            self._arrow.points = points
+
+
+def _segments(points: Any) -> Floats:
+    """Segments of a path, at least one."""
+    path = np.array(points)
+    return viser_scene.segments(path if len(path) > 1 else np.repeat(path, 2, axis=0))

@@ -1,0 +1,349 @@
+"""A simulated arm behind a policy that answers to requests while it runs, without any page.
+
+One thread runs the control loop (`run`), or the caller steps it (`advance`). Requests may come from any thread; they
+are queued, and the loop takes them between control periods. What takes longer than that, inverse kinematics, planning
+and compiling another plant, is done by workers, whose results are queued in the same way. With `settle` between the
+steps, a session that is stepped is a function of its requests.
+"""
+
+from __future__ import annotations
+
+import copy
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from queue import Empty, SimpleQueue
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
+
+from lieednn_sim.arm import Arm, solve_ik
+from lieednn_sim.arm.targets import draw_target
+from lieednn_sim.errors import LieEDNNError, NoSolutionError, SimulationError
+from lieednn_sim.live.engine import Engine
+from lieednn_sim.live.making import Made, foreseen, make_for
+from lieednn_sim.live.settings import Settings
+from lieednn_sim.live.worker import Worker
+from lieednn_sim.policies import Policy
+from lieednn_sim.simulation.disturbances import Push
+from lieednn_sim.simulation.following import ClosedLoop
+from lieednn_sim.validation import Seed, as_count, as_floats, as_positive, as_seed
+from lieednn_sim.values import Floats
+
+# Slowest and fastest speed of the simulation, relative to real time.
+SPEEDS = (0.1, 4.0)
+# Control periods over which the loop measures how fast it runs, and its wait while paused [s].
+_MEASURED, _PAUSED_WAIT = 50, 0.02
+
+
+class Aim(NamedTuple):
+    """The latest target that was asked for.
+
+    Attributes:
+        position: ``(3,)`` of the end effector, world [m].
+        quaternion: ``(4,)`` its orientation (w, x, y, z).
+        problem: why the arm is not sent there; empty if it is, or if that is not known yet.
+    """
+
+    position: Floats
+    quaternion: Floats
+    problem: str = ""
+
+
+class Session:
+    """A simulated arm that follows a target which may be moved, and yields to pushes.
+
+    It begins at rest; `aim` and `aim_at` move the target. The policy is made at once, in a worker; until then the arm
+    stays where it is.
+
+    Args:
+        arm: the arm, in its scene.
+        settings: policy, controller and disturbances; by default `Settings()`.
+        target: ``(n,)`` the first joint target, or a keyframe's name; by default the start.
+        start: ``(n,)`` joint coordinates at the beginning and after `reset`, or a keyframe's name.
+        rate: control rate [Hz].
+        seed: seed of random draws.
+
+    Attributes:
+        arm: the arm; nobody changes it.
+        start: ``(n,)`` joint coordinates at the beginning.
+        seed: seed of random draws.
+        tick: state after the last control period.
+        aimed: the latest target that was asked for.
+        path: ``(P, 3)`` positions of the end effector on the way to the target, or None if they are not known.
+        wanted: the latest settings that were asked for.
+        failure: the last error, in words; empty after a request that succeeded.
+        paused: whether `run` waits.
+        speed: speed at which `run` simulates, relative to real time.
+        achieved: speed at which it has simulated lately.
+
+    Raises:
+        InputError: a value is malformed or beyond the arm's limits, or the controller cannot drive the arm.
+    """
+
+    def __init__(
+        self,
+        arm: Arm,
+        *,
+        settings: Settings | None = None,
+        target: ArrayLike | str | None = None,
+        start: ArrayLike | str = "home",
+        rate: float = 100.0,
+        seed: Seed = 0,
+    ) -> None:
+        self.arm, self._rate, self.seed = arm, as_positive("rate", rate), as_seed("seed", seed)
+        self.wanted = Settings() if settings is None else settings
+        self.start = arm.check_position(start, "start")
+        first = self.start if target is None else arm.check_position(target, "target")
+        self._requests: SimpleQueue[Callable[[], object]] = SimpleQueue()
+        self._closed = threading.Event()
+        self.paused, self.speed, self.achieved, self.failure = False, 1.0, 1.0, ""
+        self.path: Floats | None = None
+        self._engine = Engine(arm, self.wanted, self.start, first, self._rate)
+        # The settings that the policy serves, None if another one is wanted; and one that waits for the arm to stop.
+        self._served: Settings | None = None
+        self._waiting: Made | None = None
+        self.aimed, self.tick = self._pose_of(first), self._engine.look()
+        self._aimer = Worker("inverse kinematics", self._failed)
+        self._maker = Worker("planning", self._failed)
+        self._foreseer = Worker("path", lambda error: None)
+        # Each worker has an arm of its own: finding contacts is not for several threads.
+        self._aimer_arm = copy.deepcopy(arm)
+        self._thread: threading.Thread | None = None
+        self._remake()
+
+    # Requests, from any thread.
+
+    def aim(self, position: ArrayLike, rotation: Rotation | None = None) -> None:
+        """Move the target to a pose of the end effector; the newest of several requests counts.
+
+        Args:
+            position: ``(3,)`` world [m].
+            rotation: orientation; free when omitted.
+        """
+        goal = as_floats("position", position, (3,))
+        near = self.tick.target
+
+        def search() -> None:
+            try:
+                q = solve_ik(self._aimer_arm, goal, rotation, start=near, progress=self._aimer.check)
+            except NoSolutionError as error:
+                problem = str(error)
+                self._requests.put(lambda: self._refuse(goal, rotation, problem))
+            else:
+                self._requests.put(lambda: self._retarget(q))
+
+        self._aimer.submit(search)
+
+    def aim_at(self, q: ArrayLike | str) -> None:
+        """Move the target to joint coordinates ``(n,)``, or a keyframe's; `InputError` if the arm cannot be there."""
+        goal = self.arm.check_position(q, "target")
+        self._aimer.submit(lambda: self._requests.put(lambda: self._retarget(goal)))
+
+    def aim_randomly(self, seed: Seed) -> None:
+        """Move the target to a random one of the scene, see `draw_target`."""
+        number = as_seed("seed", seed)
+
+        def draw() -> None:
+            q = draw_target(self._aimer_arm, number)
+            self._requests.put(lambda: self._retarget(q))
+
+        self._aimer.submit(draw)
+
+    def push(self, link: str, force: ArrayLike, duration: float = 0.2) -> None:
+        """Push a link, or another body, by a force ``(3,)`` [N], along the world's axes, for a time [s]."""
+        value = as_floats("force", force, (3,))
+        push = Push(link, tuple(value), 0.0, duration)
+        push.body_id(self.arm, self.arm.model)
+        self._requests.put(lambda: self._engine.push(push))
+
+    def pull(self, link: str, force: ArrayLike, point: ArrayLike | None = None) -> None:
+        """Pull a link by a force ``(3,)`` [N] until the next pull; without force, let it go.
+
+        Args:
+            link: name of a link or another body.
+            force: along the world's axes.
+            point: ``(3,)`` where it acts, world [m]; by default the body's centre of mass.
+        """
+        push = Push(link, tuple(as_floats("force", force, (3,))), 0.0, 1.0)
+        push.body_id(self.arm, self.arm.model)
+        where = None if point is None else as_floats("point", point, (3,))
+        held = (push, where) if any(push.force) else None
+        self._requests.put(lambda: setattr(self._engine, "pull", held))
+
+    def choose(self, **settings: Any) -> None:
+        """Change fields of `Settings`; what that takes is made by a worker, and meanwhile the arm goes on.
+
+        Raises:
+            InputError: a value is malformed or unknown.
+        """
+        self.wanted = replace(self.wanted, **settings)
+        self._requests.put(self._remake)
+
+    def reset(self) -> None:
+        """Put the arm back to the start, at rest, with the first target."""
+        self._requests.put(self._reset)
+
+    # The loop.
+
+    def advance(self, periods: int = 1) -> None:
+        """Take the waiting requests and do control periods, whatever the time is.
+
+        Raises:
+            SimulationError: the simulation failed; `reset` begins again.
+        """
+        for _ in range(as_count("periods", periods)):
+            self._take_requests()
+            self.tick = self._engine.advance()
+            if self._waiting is not None and not self.policy.qd.any():
+                self._requests.put(partial(self._put_in, self._waiting))
+                self._waiting = None
+
+    def settle(self) -> None:
+        """Wait for all workers, and queue their results; for a session that the caller steps."""
+        while True:
+            for worker in (self._aimer, self._maker, self._foreseer):
+                worker.wait()
+            if self._requests.empty():
+                return
+            self._take_requests()
+
+    @property
+    def policy(self) -> Policy:
+        """The policy in use; only the loop steps it."""
+        return self._engine.policy
+
+    @property
+    def busy(self) -> bool:
+        """Whether a policy or a plant is being made."""
+        return self._maker.busy or self._waiting is not None
+
+    def run(self) -> None:
+        """Advance in real time times `speed` until `close`; where the machine is too slow, the simulation is, too."""
+        self._thread = threading.Thread(target=self._keep_time, name="control loop", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """End the loop and the workers."""
+        self._closed.set()
+        for worker in (self._aimer, self._maker, self._foreseer):
+            worker.close()
+        if self._thread is not None:
+            self._thread.join()
+
+    def _keep_time(self) -> None:
+        start = since = time.perf_counter()
+        done = 0
+        while not self._closed.is_set():
+            if self.paused:
+                self._take_requests()
+                self.tick = self._engine.look()
+                self._closed.wait(_PAUSED_WAIT)
+                start = since = time.perf_counter()
+                done = 0
+                continue
+            try:
+                self.advance()
+            except SimulationError as error:
+                self.failure, self.paused = f"{error}; reset it", True
+                continue
+            period = self.policy.period / self.speed
+            end = start + period
+            time.sleep(max(end - time.perf_counter(), 0.0))
+            # One late period is caught up; more are not, so that a slow machine shows a slow arm, not one that jumps.
+            start = max(end, time.perf_counter() - period)
+            done += 1
+            if done == _MEASURED:
+                now = time.perf_counter()
+                self.achieved, since, done = done * self.policy.period / (now - since), now, 0
+
+    # In the loop's thread.
+
+    def _take_requests(self) -> None:
+        while True:
+            try:
+                request = self._requests.get_nowait()
+            except Empty:
+                return
+            try:
+                request()
+            except LieEDNNError as error:
+                self._failed(error)
+
+    def _reset(self) -> None:
+        self._engine.restart()
+        self._served = self._waiting = self.path = None
+        self.aimed, self.failure, self.paused = self._pose_of(self._engine.target), "", False
+        self._remake()
+
+    def _retarget(self, q: Floats) -> None:
+        self._engine.retarget(q)
+        self.aimed, self.failure = self._pose_of(q), ""
+        # A policy that plays a motion does not look at the target.
+        if self.wanted.policy == "tracker":
+            self._served = None
+            self._remake()
+        self._foresee()
+
+    def _refuse(self, position: Floats, rotation: Rotation | None, problem: str) -> None:
+        turn = self.aimed.quaternion if rotation is None else rotation.as_quat(scalar_first=True)
+        self.aimed = Aim(position, turn, problem)
+
+    def _pose_of(self, q: Floats) -> Aim:
+        pose = self.arm.link_poses(q)[-1]
+        return Aim(np.asarray(pose.translation), pose.rotation.as_quat(scalar_first=True))
+
+    def _remake(self) -> None:
+        """Let the worker make what the wanted settings need, beyond what there is."""
+        engine, wanted = self._engine, self.wanted
+        needs_policy = self._served is None or self._served.of_policy != wanted.of_policy
+        needs_plant = engine.equipped.of_plant != wanted.of_plant
+        start = engine.policy.q
+        if needs_policy:
+            self._served = self._waiting = None
+            if wanted.policy == "tracker":
+                # A planned motion begins at rest.
+                start = engine.stop()
+        target, policy = engine.target, engine.policy
+
+        def work() -> None:
+            arm = copy.deepcopy(self.arm)
+            how: dict[str, Any] = {"rate": self._rate, "seed": self.seed, "check": self._maker.check}
+            made = make_for(arm, wanted, start, target, **how) if needs_policy else None
+            plant = ClosedLoop(policy, wanted.controller, wanted.disturbances) if needs_plant else None
+            self._maker.check()
+            self._requests.put(lambda: self._adopt(wanted, made, plant))
+
+        if needs_policy or needs_plant:
+            self._maker.submit(work)
+
+    def _adopt(self, settings: Settings, made: Made | None, plant: ClosedLoop | None) -> None:
+        self.failure = ""
+        if plant is not None:
+            self._engine.equip(plant, settings)
+        if made is not None and settings.policy == "tracker" and self.policy.qd.any():
+            self._waiting = made
+        elif made is not None:
+            self._put_in(made)
+
+    def _put_in(self, made: Made) -> None:
+        self._engine.put_in(made)
+        self._served = made.settings
+        self._foresee()
+
+    def _foresee(self) -> None:
+        """Let the worker find the way ahead, to be drawn."""
+        engine = self._engine
+        now = engine.policy, engine.motion, engine.progress, engine.policy.q, engine.target
+
+        def work() -> None:
+            self.path = foreseen(self.arm, *now)
+
+        self._foreseer.submit(work)
+
+    def _failed(self, error: Exception) -> None:
+        self.failure = str(error) if isinstance(error, LieEDNNError) else f"{type(error).__name__}: {error}"

@@ -1,0 +1,154 @@
+"""Recordings of rollouts for viser's player: one arm, or several side by side that share their geometry."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import product
+from typing import Any
+
+import numpy as np
+
+from lieednn_sim._mujoco import kinematics_at, mujoco
+from lieednn_sim.errors import InputError
+from lieednn_sim.rendering import stage, viser_scene
+from lieednn_sim.rendering.overlay import PLANNED_COLOUR, PLANNED_RADIUS, TRACED_COLOUR, TRACED_RADIUS
+from lieednn_sim.simulation import Rollout
+from lieednn_sim.values import Floats
+
+_RATE = 25  # poses per second
+_WIDE = 16.0 / 9.0  # widest picture that a view is made for: width / height
+_MARGIN = 1.2  # room around what a view contains, as a factor
+_GAP = 1.1  # distance of arms side by side over the width of one
+_FIELD_OF_VIEW = np.deg2rad(30.0)  # of arms side by side: narrow, so that all are seen from the same side
+_PLANNED_POINTS = 100  # of a path that is drawn
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Motions for viser's player.
+
+    Attributes:
+        content: the recording, a ``.viser`` file.
+        ratio: least width / height of the picture in which all is seen, 1 to 16/9.
+    """
+
+    content: bytes
+    ratio: float
+
+
+def record(
+    rollouts: Sequence[Rollout],
+    labels: Sequence[str] = (),
+    *,
+    camera: str | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Recording:
+    """Record rollouts of one arm on one clock.
+
+    A single one is seen from the camera of its film; several stand in a row, seen from the same direction. Each has its
+    target, the planned path, and the path that the end effector has travelled so far.
+
+    Args:
+        rollouts: one or more rollouts of the same arm in the same scene.
+        labels: a text above each arm; none by default.
+        camera: name of a camera of the scene, as for `render_video`.
+        progress: called with (done, total) after every instant.
+
+    Raises:
+        InputError: the rollouts are of several arms or scenes, or the labels are not as many.
+        LieEDNNError: viser is not installed.
+    """
+    if not rollouts or len({rollout.arm.fingerprint for rollout in rollouts}) > 1:
+        raise InputError("rollouts side by side must be of one arm in one scene, and there must be one at least")
+    if labels and len(labels) != len(rollouts):
+        raise InputError(f"labels must be one for each of {len(rollouts)} rollouts, got {len(labels)}")
+    arm = rollouts[0].arm
+    points = np.vstack([stage.occupied(rollout) for rollout in rollouts])
+    model, marker = stage.staged(arm, points)
+    shapes = viser_scene.Shapes(model)
+    home = kinematics_at(model, arm.qpos(rollouts[0].q[0]))
+    view = viser_scene.viewpoint(model, home, stage.camera(arm, camera, points), points)
+    offsets, ratio = np.zeros((1, 3)), float(np.clip(_MARGIN * view.ratio(points), 1.0, _WIDE))
+    held = np.vstack([points, *map(_corners, (points, shapes.extent))])
+    if len(rollouts) > 1:
+        right = view.axes[0] * [1.0, 1.0, 0.0]
+        right /= np.linalg.norm(right)
+        spacing = _GAP * float(np.ptp(held @ right))
+        offsets = np.outer(np.arange(len(rollouts)) * spacing, right)
+        there = (held + offsets[:, None]).reshape(-1, 3)
+        view = viser_scene.Viewpoint(view.position, view.look_at, _FIELD_OF_VIEW).back_off(there, _WIDE)
+        ratio = _WIDE
+    with viser_scene.unheard_server() as server:
+        view.place(server)
+        viser_scene.add_floor(server.scene, shapes)
+        scale = stage.scale(arm, points)
+        copies = [
+            _Copy(server.scene, shapes, marker, rollout, f"/{k}", offset, scale)
+            for k, (rollout, offset) in enumerate(zip(rollouts, offsets, strict=True))
+        ]
+        for offset, label in zip(offsets, labels, strict=False):
+            top = np.append(0.5 * (held.min(axis=0) + held.max(axis=0))[:2], _MARGIN * held[:, 2].max())
+            size = {"font_size_mode": "scene", "font_scene_height": spacing / 16.0} if len(rollouts) > 1 else {}
+            server.scene.add_label(f"/label {label}", label, position=top + offset, anchor="bottom-center", **size)
+        recording = server.get_scene_serializer()
+        total = 1 + int(max(rollout.t[-1] - rollout.t[0] for rollout in rollouts) * _RATE + 1e-6)
+        for done in range(total):
+            for copy in copies:
+                copy.show(done / _RATE)
+            recording.insert_sleep(1.0 / _RATE)
+            if progress is not None:
+                progress(done + 1, total)
+        return Recording(recording.serialize(), ratio)
+
+
+class _Copy:
+    """One rollout's arm, target and paths, a translation of those in the model."""
+
+    def __init__(
+        self,
+        scene: Any,
+        shapes: viser_scene.Shapes,
+        marker: int,
+        rollout: Rollout,
+        name: str,
+        offset: Floats,
+        scale: float,
+    ) -> None:
+        arm = rollout.arm
+        self._rollout, self._nodes = rollout, viser_scene.ModelNodes(scene, shapes, name, offset=offset)
+        self._data = mujoco.MjData(shapes.model)
+        stage.mark(arm, self._data, marker, rollout.target)
+        self._samples = np.unique(np.linspace(0, len(rollout.t) - 1, _PLANNED_POINTS + 1, dtype=int))
+        self._way = arm.link_poses(rollout.q_ref[self._samples]).translation[:, -1]
+        off = np.linalg.norm(self._way - rollout.link_position[self._samples, -1], axis=1)
+        self._followed = off < scale * TRACED_RADIUS
+        self._planned = viser_scene.add_path(
+            scene, f"{name}/planned", self._way, PLANNED_COLOUR, scale * PLANNED_RADIUS
+        )
+        self._tip = [rollout.link_position[0, -1]]
+        self._travelled = viser_scene.add_path(
+            scene, f"{name}/travelled", np.repeat(self._tip, 2, axis=0), TRACED_COLOUR, scale * TRACED_RADIUS
+        )
+
+    def show(self, time: float) -> None:
+        """Move to a time [s] after the beginning, or to the end."""
+        rollout = self._rollout
+        k = min(round(time / rollout.timestep), len(rollout.t) - 1)
+        self._data.qpos[:] = rollout.arm.qpos(rollout.q[k])
+        mujoco.mj_kinematics(self._nodes.model, self._data)
+        self._nodes.show(self._data)
+        tip = rollout.link_position[k, -1]
+        if np.linalg.norm(tip - self._tip[-1]) > 1e-3:
+            self._tip.append(tip)
+            self._travelled.points = viser_scene.segments(np.array(self._tip))
+            # What the travelled path covers is left out: at the same depth the two lines would flicker.
+            covered = self._followed & (self._samples <= k)
+            self._planned.points = viser_scene.segments(self._way)[~(covered[:-1] & covered[1:])]
+
+
+def _corners(points: Floats) -> Floats:
+    """The corners ``(8, 3)`` of the box around points ``(P, 3)``; none without points."""
+    if not len(points):
+        return points
+    return np.array(list(product(*zip(points.min(axis=0), points.max(axis=0), strict=True))))

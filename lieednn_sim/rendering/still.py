@@ -1,0 +1,100 @@
+"""One picture of a whole motion: the arm at several instants, the earlier ones faded, with its path and target."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+from PIL import Image as Picture
+
+from lieednn_sim import filesystem
+from lieednn_sim._mujoco import mujoco
+from lieednn_sim.errors import InputError
+from lieednn_sim.rendering import stage
+from lieednn_sim.rendering.overlay import Overlay
+from lieednn_sim.rendering.video import Camera, Image
+from lieednn_sim.simulation import Rollout
+from lieednn_sim.typecheck import typecheck_public
+from lieednn_sim.validation import as_path
+from lieednn_sim.values import Floats
+
+__all__ = ["render_still"]
+
+# Opacity of the arm at each instant, from the first to the last.
+OPACITIES = (0.3, 0.36, 0.44, 0.55, 1.0)
+# Where no camera and no light sees what is put there [m].
+_AWAY = (0.0, 0.0, -1e4)
+
+
+def render_still(
+    rollout: Rollout,
+    path: str | os.PathLike[str],
+    *,
+    camera: str | None = None,
+    size: tuple[int, int] = (1280, 720),
+    preset: str = "nice",
+) -> None:
+    """Write one picture of a rollout: the arm at five instants, its target, and the planned and travelled paths.
+
+    The instants divide the end effector's path into equal lengths; the earlier the instant, the fainter the arm.
+
+    Args:
+        rollout: the rollout.
+        path: ``.png`` file.
+        camera: as in `Camera`.
+        size: (width, height) in pixels.
+        preset: a name of `PRESETS`.
+
+    Raises:
+        InputError: the name does not end in .png, or camera, size or preset are not as allowed.
+        RenderingUnavailableError: there is no working OpenGL.
+    """
+    if as_path("path", path).suffix != ".png":
+        raise InputError(f"a picture's name must end in .png, got {Path(path).name!r}")
+    image = still(rollout, camera=camera, size=size, preset=preset)
+    with filesystem.atomic_path(path) as temporary:
+        Picture.fromarray(image).save(temporary, format="PNG")
+
+
+def still(rollout: Rollout, *, camera: str | None, size: tuple[int, int], preset: str) -> Image:
+    """The picture ``(height, width, 3)`` of `render_still`."""
+    points = stage.occupied(rollout)
+    overlay = Overlay.of(rollout, stage.scale(rollout.arm, points))
+    model = rollout.arm.model
+    moving = (model.body_weldid[model.geom_bodyid] != 0) & (model.body_mocapid[model.geom_bodyid] < 0)
+    chosen = instants(rollout.link_position[:, -1], len(OPACITIES))
+
+    def draw(scene: mujoco.MjvScene) -> None:
+        overlay.draw_paths(scene, len(rollout.t) - 1)
+
+    def draw_without_arm(scene: mujoco.MjvScene) -> None:
+        for geom in scene.geoms[: scene.ngeom]:
+            if geom.objtype == mujoco.mjtObj.mjOBJ_GEOM and geom.objid < len(moving) and moving[geom.objid]:
+                geom.pos[:] = _AWAY
+        draw(scene)
+
+    with Camera(rollout.arm, camera=camera, size=size, preset=preset, target=rollout.target, points=points) as view:
+        empty = view.picture(rollout.q[0], draw_without_arm)
+        # In the order of time. Where a picture is the empty one, the arm is not, nor its shadow.
+        made = empty.astype(float)
+        for k, opacity in zip(chosen, OPACITIES, strict=True):
+            picture = view.picture(rollout.q[k], draw)
+            there = (picture != empty).any(axis=-1)
+            made[there] += opacity * (picture[there] - made[there])
+    return np.rint(made).astype(np.uint8)
+
+
+def instants(path: Floats, count: int) -> list[int]:
+    """Indices of ``count`` samples that divide a path ``(K, 3)`` into equal lengths, from the first to its end.
+
+    If the path has no length, they are at equal times.
+    """
+    travelled = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1)))
+    if travelled[-1] < 1e-6:
+        travelled = np.linspace(0.0, 1.0, len(path))
+    wanted = np.linspace(0.0, 1.0, count) * travelled[-1] * (1.0 - 1e-9)
+    return [int(k) for k in np.searchsorted(travelled, wanted)]
+
+
+typecheck_public(globals())

@@ -1,0 +1,242 @@
+"""A MuJoCo model in a scene of viser, which a browser shows: for saved pages and for live views.
+
+viser (https://viser.studio) is optional; its modules are imported when they are used.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import io
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from lieednn_sim._mujoco import mujoco
+from lieednn_sim.errors import LieEDNNError
+from lieednn_sim.values import Floats, frozen
+
+# Faces that meet at less than this angle [rad] are shaded as one smooth surface, such as the sides of a cylinder.
+_SMOOTH = 0.6
+# Poses are rounded to multiples of this, 0.1 mm or 0.1 mrad, since recordings of few digits are small.
+_RESOLUTION = 2.0**-13
+# Lines of the floor, which are visible on a white and on a dark background [RGB], and their distance [m].
+_FLOOR, _FLOOR_CELL = (158, 162, 168), 0.5
+
+
+def require(*modules: str) -> list[Any]:
+    """Import modules of the extra ``view``.
+
+    Raises:
+        LieEDNNError: one of them is not installed.
+    """
+    try:
+        return [importlib.import_module(name) for name in modules]
+    except ImportError as error:
+        raise LieEDNNError(
+            f"to show motions in a browser needs viser and mjviser, which are not installed ({error}): "
+            "pip install 'lieednn_sim[view]'"
+        ) from None
+
+
+@contextlib.contextmanager
+def unheard_server() -> Iterator[Any]:
+    """A `viser.ViserServer` whose scene is to be recorded: at a free port of this machine, without its messages."""
+    (viser,) = require("viser")
+    with contextlib.redirect_stdout(io.StringIO()):
+        server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+    try:
+        yield server
+    finally:
+        with contextlib.redirect_stdout(io.StringIO()):
+            server.stop()
+
+
+@dataclass(frozen=True)
+class Shape:
+    """Surfaces of one colour, or one textured surface, of a body, in the frame of the body.
+
+    Attributes:
+        body: id of the body.
+        mesh: a `trimesh.Trimesh`.
+        rgba: its colour, four numbers from 0 to 1; None where the mesh has a texture.
+    """
+
+    body: int
+    mesh: Any
+    rgba: tuple[float, ...] | None
+
+
+class Shapes:
+    """The geometry of a model that a film shows: groups, colours and transparency are as MuJoCo renders them.
+
+    Args:
+        model: the model; its planes are floors of unlimited size.
+
+    Attributes:
+        shapes: surfaces of all bodies.
+        floors: ids of the geoms that are planes.
+        extent: ``(2, 3)`` smallest and largest coordinates of what does not move, without the floors; ``(0, 3)`` if
+            there is nothing.
+    """
+
+    def __init__(self, model: mujoco.MjModel) -> None:
+        conversions, trimesh_graph = require("mjviser.conversions", "trimesh.graph")
+        data = mujoco.MjData(model)
+        mujoco.mj_kinematics(model, data)
+        self.model, self.shapes, self.floors = model, [], []
+        parts: dict[tuple[int, tuple[float, ...] | None, int], list[int]] = {}
+        for geom in _drawn(model, data):
+            if geom.type == mujoco.mjtGeom.mjGEOM_PLANE:
+                self.floors.append(int(geom.objid))
+                continue
+            texture = conversions.get_geom_texture_id(model, geom.objid)
+            rgba = tuple(np.round(geom.rgba.astype(float), 3)) if texture < 0 else None
+            parts.setdefault((int(model.geom_bodyid[geom.objid]), rgba, texture), []).append(int(geom.objid))
+        still: list[Floats] = [np.zeros((0, 3))]
+        for (body, rgba, _), geoms in parts.items():
+            mesh = conversions.merge_geoms(model, geoms)
+            if model.body_weldid[body] == 0 and model.body_mocapid[model.body_rootid[body]] < 0:
+                still.append(mesh.bounds @ data.xmat[body].reshape(3, 3).T + data.xpos[body])
+            if rgba is not None:
+                mesh = trimesh_graph.smooth_shade(mesh, angle=_SMOOTH)
+            self.shapes.append(Shape(body, mesh, rgba))
+        points = np.vstack(still)
+        self.extent = np.array([points.min(axis=0), points.max(axis=0)]) if len(points) else points
+
+
+class ModelNodes:
+    """The bodies of a model as nodes of a viser scene; several may share the same `Shapes`.
+
+    Args:
+        scene: the scene, such as ``viser.ViserServer.scene``.
+        shapes: the model's geometry.
+        root: name of the node above all others, such as ``/arm``.
+        offset: ``(3,)`` translation of everything [m].
+        opacity: 0 to 1, below 1 for ghosts, which throw no shadow.
+
+    Attributes:
+        model: the model.
+        bodies: the node of each body that has a geometry, by its id; nodes of the target and others can be moved alone.
+        surfaces: the nodes of surfaces by the id of their body, whose ``color`` and ``opacity`` can be set.
+    """
+
+    def __init__(
+        self, scene: Any, shapes: Shapes, root: str, *, offset: ArrayLike = (0.0, 0.0, 0.0), opacity: float = 1.0
+    ) -> None:
+        self.model = model = shapes.model
+        scene.add_frame(root, show_axes=False, position=np.asarray(offset))
+        self.bodies: dict[int, Any] = {}
+        self.surfaces: dict[int, list[Any]] = {}
+        for shape in shapes.shapes:
+            name = f"{root}/{model.body(shape.body).name or shape.body}"
+            if shape.body not in self.bodies:
+                self.bodies[shape.body] = scene.add_frame(name, show_axes=False)
+            made = self.surfaces.setdefault(shape.body, [])
+            name = f"{name}/{len(made)}"
+            if shape.rgba is None:
+                made.append(scene.add_mesh_trimesh(name, shape.mesh, cast_shadow=opacity >= 1.0))
+                continue
+            alpha = opacity * shape.rgba[3]
+            solid = alpha >= 1.0
+            given = {"color": shape.rgba[:3], "opacity": None if solid else alpha, "cast_shadow": solid}
+            made.append(scene.add_mesh_simple(name, shape.mesh.vertices, shape.mesh.faces, **given))
+
+    def show(self, data: mujoco.MjData) -> None:
+        """Move the nodes to the poses of the bodies in ``data``, whose kinematics are up to date."""
+        for body, node in self.bodies.items():
+            node.position = np.round(data.xpos[body] / _RESOLUTION) * _RESOLUTION
+            node.wxyz = np.round(data.xquat[body] / _RESOLUTION) * _RESOLUTION
+
+
+def add_floor(scene: Any, shapes: Shapes) -> None:
+    """Draw a grid in place of each plane of the model, with shadows on it."""
+    model = shapes.model
+    for geom in shapes.floors:
+        scene.add_grid(
+            f"/floor/{geom}",
+            infinite_grid=True,
+            cell_size=_FLOOR_CELL,
+            section_size=_FLOOR_CELL,
+            cell_color=_FLOOR,
+            section_color=_FLOOR,
+            cell_thickness=0.6,
+            section_thickness=0.6,
+            fade_distance=25.0,
+            shadow_opacity=0.3,
+            position=model.geom_pos[geom],
+            wxyz=model.geom_quat[geom],
+        )
+
+
+def segments(points: Floats) -> Floats:
+    """The segments ``(K - 1, 2, 3)`` of a path ``(K, 3)``, as viser takes them."""
+    return np.stack([points[:-1], points[1:]], axis=1)
+
+
+def add_path(scene: Any, name: str, points: Floats, rgba: tuple[float, ...], radius: float) -> Any:
+    """Draw a path ``(K, 3)`` in the colour ``rgba`` and return its node, whose ``points`` are its `segments`."""
+    return scene.add_line_segments(name, segments(points), rgba[:3], thickness=2.0 * radius)
+
+
+@frozen
+class Viewpoint:
+    """Where a browser looks from: position ``(3,)``, the point ``(3,)`` in the middle [m], and vertical angle [rad]."""
+
+    position: Floats
+    look_at: Floats
+    field_of_view: float
+
+    def place(self, server: Any) -> None:
+        """Let the pages of a `viser.ViserServer` begin from here."""
+        server.initial_camera.position = self.position
+        server.initial_camera.look_at = self.look_at
+        server.initial_camera.fov = self.field_of_view
+
+    @property
+    def axes(self) -> Floats:
+        """``(3, 3)`` unit vectors to the right, up and forward, in rows; z is up in the world."""
+        forward = self.look_at - self.position
+        forward = forward / np.linalg.norm(forward)
+        right = np.cross(forward, [0.0, 0.0, 1.0])
+        right = right / np.linalg.norm(right)
+        return np.array([right, np.cross(right, forward), forward])
+
+    def back_off(self, points: Floats, ratio: float) -> Viewpoint:
+        """The viewpoint from the same side where points ``(P, 3)`` fill a picture of width / height ``ratio``."""
+        centre = 0.5 * (points.min(axis=0) + points.max(axis=0))
+        x, y, z = self.axes @ (points - centre).T
+        slope = np.tan(0.5 * self.field_of_view)
+        # The pictured offset x / (distance + z) must stay below the slope of the picture's edge.
+        distance = max((abs(x) / (ratio * slope) - z).max(), (abs(y) / slope - z).max())
+        return Viewpoint(centre - distance * self.axes[2], centre, self.field_of_view)
+
+    def ratio(self, points: Floats) -> float:
+        """The least width / height of a picture from here that contains points ``(P, 3)`` from left to right."""
+        x, _, z = self.axes @ (points - self.position).T
+        return float((abs(x) / z).max() / np.tan(0.5 * self.field_of_view))
+
+
+def viewpoint(model: mujoco.MjModel, data: mujoco.MjData, camera: mujoco.MjvCamera, points: Floats) -> Viewpoint:
+    """The viewpoint of a camera of MuJoCo; in the middle is what is as far away as the points ``(P, 3)``."""
+    scene = mujoco.MjvScene(model, maxgeom=1)  # no geoms are asked for, only the camera's pose and frustum
+    mujoco.mj_camlight(model, data)
+    mujoco.mjv_updateCamera(model, data, camera, scene)
+    left, right = scene.camera
+    position, forward = 0.5 * (left.pos + right.pos).astype(float), left.forward.astype(float)
+    distance = max(float((points.mean(axis=0) - position) @ forward), 0.1)
+    angle = 2.0 * np.arctan(left.frustum_top / left.frustum_near)
+    return Viewpoint(position, position + distance * forward, float(angle))
+
+
+def _drawn(model: mujoco.MjModel, data: mujoco.MjData) -> Iterator[Any]:
+    """The model's geoms as MuJoCo would render them, with colours resolved from geoms and materials."""
+    scene = mujoco.MjvScene(model, maxgeom=model.ngeom + model.nsite + 1000)
+    everything = mujoco.mjtCatBit.mjCAT_ALL
+    mujoco.mjv_updateScene(model, data, mujoco.MjvOption(), None, mujoco.MjvCamera(), everything, scene)
+    for geom in scene.geoms[: scene.ngeom]:
+        if geom.objtype == mujoco.mjtObj.mjOBJ_GEOM and geom.rgba[3] > 0.0:
+            yield geom

@@ -1,0 +1,93 @@
+"""Views of a comparison: one problem solved by several planners, side by side in 3D, for viser's player in the page."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from lieednn_sim.errors import InputError
+from lieednn_sim.rendering.recording import Recording, record
+from lieednn_sim.studies.comparison.cases import Settings, replay
+from lieednn_sim.studies.comparison.rows import Case, Row
+from lieednn_sim.studies.report.style import in_order
+from lieednn_sim.studies.statistics import grouped
+from lieednn_sim.studies.table import Table
+from lieednn_sim.studies.user_files import recorded_files
+from lieednn_sim.validation import as_count
+
+# Planners in a view: more would be too small to see.
+_TOGETHER = 4
+_OWN = "lieednn"
+
+
+@dataclass(frozen=True)
+class View:
+    """One problem solved by several planners.
+
+    Attributes:
+        rows: their rows in the table, from left to right.
+        recording: their motions.
+    """
+
+    rows: tuple[Row, ...]
+    recording: Recording
+
+    @property
+    def base64(self) -> str:
+        """The recording as text for the page."""
+        return base64.b64encode(self.recording.content).decode("ascii")
+
+
+def choose_problems(table: Table[Row], count: int, controller: str) -> list[list[Case]]:
+    """Choose up to ``count`` problems of a table, and at most four planners that solved each.
+
+    The problems that most planners solved come first, each arm and scene once. The planner of LieEDNN with the most
+    successes in the whole table is in every view where it succeeded; the others take turns.
+
+    Raises:
+        InputError: ``count`` is not a whole number >= 0.
+    """
+    wanted = as_count("views", count, least=0)
+    solved = [row for row in table.sorted_rows() if row.success and row.controller == controller]
+    totals = {name: sum(row.planner == name for row in solved) for name in in_order(row.planner for row in solved)}
+    best = max((name for name in totals if name.startswith(_OWN)), key=lambda name: totals[name], default=None)
+    # Of each arm in each scene, the seed that the most planners solved; the first of several.
+    problems = []
+    for place in grouped(solved, ("arm", "scene")):
+        seeds = sorted({row.seed for row in place.rows})
+        seed = max(seeds, key=lambda seed: sum(row.seed == seed for row in place.rows))
+        problems.append([row for row in place.rows if row.seed == seed])
+    problems.sort(key=lambda rows: (best not in {row.planner for row in rows}, -len(rows)))
+    shown = dict.fromkeys(totals, 0)
+    chosen: list[list[Case]] = []
+    for rows in problems[:wanted]:
+        names = in_order(row.planner for row in rows)
+        names.sort(key=lambda name: (name != best, shown[name]))
+        for name in names[:_TOGETHER]:
+            shown[name] += 1
+        by_name = {row.planner: row.case for row in rows}
+        chosen.append([by_name[name] for name in names[:_TOGETHER]])
+    return chosen
+
+
+def view(
+    table: Table[Row],
+    cases: Sequence[Case],
+    controller: str,
+    *,
+    progress: Callable[[int, int], None] | None = None,
+) -> View:
+    """Plan and simulate cases of one problem again, and record them side by side.
+
+    Raises:
+        InputError: the table has no such case, or they are of several problems.
+        LieEDNNError: viser is not installed.
+    """
+    rows = [table.rows.get((case.arm, case.scene, case.planner, controller, case.seed)) for case in cases]
+    found = tuple(row for row in rows if row is not None)
+    if len(found) < len(rows) or len({(row.arm, row.scene, row.seed) for row in found}) != 1:
+        raise InputError("a view is of one problem that the table has, by one planner or more")
+    settings, files = Settings(**table.settings), recorded_files(table.directory)
+    rollouts = [replay(case, controller, settings, user_files=files) for case in cases]
+    return View(found, record(rollouts, [case.planner for case in cases], progress=progress))

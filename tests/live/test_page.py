@@ -1,0 +1,233 @@
+"""The live view in a real browser: its target and links are dragged with the mouse, its menus and buttons used."""
+
+import io
+import shutil
+import signal
+import sys
+import time
+from types import SimpleNamespace
+from urllib.request import urlopen
+
+import numpy as np
+import pytest
+from PIL import Image
+from scipy.spatial.transform import Rotation
+
+import lieednn_sim as ls
+from lieednn_sim.arm import Arm
+from lieednn_sim.errors import LieEDNNError
+from lieednn_sim.live import Page, Session, Settings
+from lieednn_sim.live.page import warning
+
+pytest.importorskip("viser")
+WIDTH, HEIGHT = 720, 560
+
+
+def wait(event):
+    """Wait until something is so, and return it; the limit is for a test that would hang."""
+    ends = time.monotonic() + 240.0
+    while not (found := event()):
+        assert time.monotonic() < ends
+        time.sleep(0.01)
+    return found
+
+
+@pytest.fixture(scope="module")
+def page():
+    """A page whose arm has come to its first target."""
+    session = Session(Arm.load("telescopic_pr"), settings=Settings(policy="linear-attractor"), target="extended")
+    session.speed = 4.0
+    with Page(session) as made:
+        wait(lambda: arrived(made))
+        # Near the target, so that the handle is large in a small picture.
+        target = session.aimed.position
+        made._server.initial_camera.position = target + np.array([0.7, -1.0, 0.6])
+        made._server.initial_camera.look_at = target
+        yield made
+
+
+@pytest.fixture(scope="module")
+def browser(page):
+    """The page in a headless Chromium that draws with the processor."""
+    webdriver = pytest.importorskip("selenium.webdriver")
+    options = webdriver.ChromeOptions()
+    options.binary_location = shutil.which("chromium")
+    for argument in ("--headless=new", "--no-sandbox", "--enable-unsafe-swiftshader", "--disable-dev-shm-usage"):
+        options.add_argument(argument)
+    options.add_argument(f"--window-size={WIDTH},{HEIGHT}")
+    options.set_capability("goog:loggingPrefs", {"browser": "SEVERE"})
+    driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(shutil.which("chromedriver")))
+    try:
+        driver.get(page.url)
+        wait(lambda: "certified" in driver.find_element("tag name", "body").text)
+        wait(page._server.get_clients)
+        # That it draws with the processor it tells in a corner, which may be where the mouse is to go.
+        hide = (
+            "document.head.insertAdjacentHTML('beforeend', '<style>.mantine-Notifications-root{display:none}</style>')"
+        )
+        driver.execute_script(hide)
+        yield driver
+    finally:
+        driver.quit()
+
+
+def tip(page):
+    arm = page.session.arm
+    return np.asarray(arm.link_poses(page.session.tick.q)[-1].translation)
+
+
+def arrived(page):
+    return page.session.tick.policy and np.linalg.norm(tip(page) - page.session.aimed.position) < 1e-3
+
+
+def pixel(page, browser, point):
+    """Where the browser shows a point of the world, from its own camera."""
+    camera = next(iter(page._server.get_clients().values())).camera
+    x, y, z = Rotation.from_quat(camera.wxyz, scalar_first=True).inv().apply(point - camera.position)
+    box = browser.execute_script(
+        "const b = document.querySelector('canvas').getBoundingClientRect(); return [b.x, b.y, b.width, b.height]"
+    )
+    scale = 0.5 * box[3] / np.tan(0.5 * camera.fov)
+    return np.array([box[0] + 0.5 * box[2] + scale * x / z, box[1] + 0.5 * box[3] + scale * y / z])
+
+
+def picture(browser, mode="RGB"):
+    """Colours of all pixels."""
+    return np.asarray(Image.open(io.BytesIO(browser.get_screenshot_as_png())).convert(mode))
+
+
+def drag(browser, start, end):
+    """Press the mouse at a pixel, move it in steps, and leave it pressed."""
+    mouse = {"button": "left", "buttons": 1, "clickCount": 1}
+
+    def send(kind, place, **more):
+        what = {"type": kind, "x": float(place[0]), "y": float(place[1]), **more}
+        browser.execute_cdp_cmd("Input.dispatchMouseEvent", what)
+
+    send("mouseMoved", start)
+    send("mousePressed", start, **mouse)
+    for share in np.linspace(0.0, 1.0, 4)[1:]:
+        send("mouseMoved", start + share * (end - start), **mouse)
+    return lambda: send("mouseReleased", end, **mouse)
+
+
+def press(browser, path):
+    """Click at what a path of XML leads to."""
+    found = wait(lambda: browser.find_elements("xpath", path))[0]
+    browser.execute_script("arguments[0].scrollIntoView({block: 'center'})", found)
+    found.click()
+
+
+@pytest.mark.browser
+def test_the_mouse_drags_the_target_and_the_arm_arrives_within_a_millimetre(page, browser):
+    before = page.session.aimed.position
+    # The handle's arrow along z, which the mouse moves along itself; nearer to the middle are its rings and planes.
+    along = Rotation.from_quat(page.session.aimed.quaternion, scalar_first=True).apply([0.0, 0.0, 1.0])
+    start, end = (pixel(page, browser, before + length * along) for length in (0.25, 0.05))
+
+    def blue():
+        x, y = np.round(start).astype(int)
+        red, _, ink = np.moveaxis(picture(browser)[y - 3 : y + 4, x - 3 : x + 4].astype(int), -1, 0)
+        return (ink - red > 100).any()
+
+    wait(blue)  # the arrow is there
+    drag(browser, start, end)()
+    wait(lambda: np.linalg.norm(page.session.aimed.position - before) > 0.1)
+    wait(lambda: arrived(page))
+    away = page.session.aimed.position - before
+    assert page.session.aimed.problem == ""
+    assert np.linalg.norm(away) > 0.1
+    np.testing.assert_allclose(np.cross(away, along), 0.0, atol=1e-3)
+
+
+@pytest.mark.browser
+def test_a_link_that_the_mouse_holds_yields_and_returns(page, browser):
+    wait(lambda: arrived(page))
+    frames = page.session.arm.link_poses(page.session.tick.q)
+    there, held = tip(page), np.mean([frames[k].translation for k in (-2, -1)], axis=0)
+    start = pixel(page, browser, held)
+    let_go = drag(browser, start, start + np.array([0.0, 60.0]))
+    wait(lambda: np.linalg.norm(tip(page) - there) > 2e-3)
+    let_go()
+    wait(lambda: not page.session.tick.force.any() and arrived(page))
+
+
+@pytest.mark.browser
+def test_the_button_pushes_and_the_menu_changes_the_policy(page, browser):
+    wait(lambda: arrived(page))
+    there = tip(page)
+    press(browser, "//button[normalize-space()='push']")
+    wait(lambda: np.linalg.norm(tip(page) - there) > 1e-3)
+    wait(lambda: arrived(page))
+    press(browser, "//input[@value='linear-attractor']")
+    press(browser, "//*[@role='option'][normalize-space()='fabric']")
+    wait(lambda: page.session.tick.policy == "fabric")
+    wait(lambda: "none" in browser.find_element("tag name", "body").text)  # no proof
+
+
+@pytest.mark.browser
+def test_two_tabs_and_a_lost_one_then_a_picture_shows_the_arm_and_nothing_complains(page, browser):
+    browser.refresh()  # a lost connection
+    wait(lambda: "policy" in browser.find_element("tag name", "body").text)
+    first = browser.current_window_handle
+    browser.switch_to.new_window("tab")
+    browser.get(page.url)
+    wait(lambda: len(page._server.get_clients()) == 2)
+    browser.close()
+    browser.switch_to.window(first)
+    wait(lambda: len(page._server.get_clients()) == 1)
+
+    def orange():
+        hue, saturation, value = np.moveaxis(picture(browser, "HSV")[:, : WIDTH // 2], -1, 0)
+        return int(((hue > 5) & (hue < 25) & (saturation > 150) & (value > 100)).sum())
+
+    wait(lambda: orange() > 1000)
+    # Chromium itself grumbles about how the panel scrolls.
+    complaints = [entry["message"] for entry in browser.get_log("browser")]
+    assert [text for text in complaints if "preventDefault" not in text] == []
+
+
+def test_the_command_shows_an_own_robot_until_ctrl_c(start, tmp_path, two_hinges):
+    (tmp_path / "mine.xml").write_text(two_hinges)
+    (tmp_path / "table.yaml").write_text("obstacles: [{shape: sphere, name: lamp, radius: 0.1, position: [2, 0, 1]}]")
+    words = ["view", str(tmp_path / "mine.xml"), "--scene", str(tmp_path / "table.yaml"), "--no-browser"]
+    process = start("-m", "lieednn_sim.cli", *words)
+    lines = iter(process.stdout.readline, "")
+    address = next(line for line in lines if line.startswith("view: "))
+    assert b"<html" in urlopen(address.split()[1]).read()
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate()
+    assert errors == "lieednn-sim: interrupted; files already reported are complete\n"
+    assert process.returncode == 130
+
+
+def test_other_machines_are_let_in_with_a_warning_and_only_when_asked_for():
+    assert [warning(host) for host in ("127.0.0.1", "localhost", "::1")] == ["", "", ""]
+    assert "at 0.0.0.0 can see the page" in warning("0.0.0.0")
+    with pytest.warns(UserWarning, match="anybody who can reach this machine"), ls.view(host="0.0.0.0", browser=False):
+        pass
+
+
+def test_without_viser_one_line_says_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "viser", None)
+    with pytest.raises(LieEDNNError, match=r"pip install 'lieednn_sim\[view\]'"):
+        ls.view(browser=False)
+
+
+def test_a_recorded_motion_is_played_in_place_of_the_live_arm_and_its_page_is_saved():
+    arm = Arm.load("telescopic_pr")
+    there = arm.keyframe("home") + 0.01
+    rollout = ls.simulate(arm, ls.plan(arm, there, planner="minimum-jerk", duration=0.5), hold=0.0)
+    sent = []
+    client = SimpleNamespace(send_file_download=lambda *given: sent.append(given))
+    with ls.view(arm, rollouts={"minimum <jerk>": rollout}, policy="linear-attractor", browser=False) as page:
+        player = page._panel.player
+        wait(lambda: player.playback.time > 0.0)
+        assert not page._scene.handle.visible
+        player._download(SimpleNamespace(client=client))
+        player._clicked("clear")
+        wait(lambda: page._scene.handle.visible and not player.playback.tracks)
+        assert page.session.failure == ""
+    ((name, content),) = sent
+    assert name == "motion.html"
+    assert b"minimum &lt;jerk&gt;" in content

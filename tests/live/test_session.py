@@ -1,0 +1,292 @@
+"""The session of a live view, stepped by hand: targets, refusals, pushes, menus, and that all of it is repeatable."""
+
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from lieednn_sim.arm import Arm
+from lieednn_sim.errors import InputError
+from lieednn_sim.live.playback import Playback, Track, plan_tracks
+from lieednn_sim.live.session import Session
+from lieednn_sim.live.settings import Settings
+from lieednn_sim.live.snapshot import Observer
+from lieednn_sim.live.status import status
+from lieednn_sim.live.worker import Worker
+from lieednn_sim.planning import plan
+from lieednn_sim.policies import MotionTracker
+
+QUICK = Settings(policy="linear-attractor")
+
+
+@pytest.fixture(scope="module")
+def arm():
+    return Arm.load("telescopic_pr")
+
+
+@pytest.fixture
+def begin(arm):
+    """A function that begins a session whose policy is made."""
+    open_ones = []
+
+    def session(where=arm, **options):
+        made = Session(where, **{"settings": QUICK, **options})
+        open_ones.append(made)
+        made.settle()
+        return made
+
+    yield session
+    for made in open_ones:
+        made.close()
+
+
+def wait(event):
+    """Wait until something is so; the limit is for a test that would hang."""
+    ends = time.monotonic() + 120.0
+    while not event():
+        assert time.monotonic() < ends
+        time.sleep(0.002)
+
+
+def tip(arm, q):
+    return np.asarray(arm.link_poses(q)[-1].translation)
+
+
+def test_a_dragged_target_is_reached_within_a_millimetre_under_a_bound_that_holds(arm, begin):
+    session = begin(settings=Settings(), target="extended")
+    observer, goal = Observer(session), session.aimed.position - np.array([0.3, -0.1, 0.1])
+    # Of several requests that wait only the newest counts.
+    for share in (0.2, 0.5, 1.0):
+        session.aim(session.aimed.position + share * (goal - session.aimed.position))
+    session.settle()
+    seen = []
+    for _ in range(20):
+        session.advance(20)
+        progress = session.tick.progress
+        assert progress.distance <= progress.bound
+        seen.append(progress.distance)
+    np.testing.assert_allclose(session.aimed.position, goal, atol=1e-6)
+    assert np.linalg.norm(tip(arm, session.tick.q) - goal) < 1e-3
+    shown = observer.look()
+    assert shown.arrived
+    assert shown.distance == pytest.approx(np.linalg.norm(tip(arm, session.tick.q) - goal), abs=1e-6)
+    assert progress.certificate.lambda_max < progress.certificate.bound == 1.0
+    # The bound is no triviality: it falls as the distance does.
+    assert progress.bound < 0.05 * seen[0]
+    # The path that is drawn ahead begins at the reference and ends at the target.
+    np.testing.assert_allclose(session.path[-1], goal, atol=1e-6)
+
+
+def test_a_target_out_of_reach_is_refused_with_the_joint_or_the_contact(begin):
+    session = begin()
+    before = session.tick.target
+    session.aim([9.0, 0.0, 0.0])
+    session.settle()
+    session.advance()
+    assert session.aimed.problem.startswith("the end effector cannot reach (9, 0, 0) m")
+    assert "'extend1'" in session.aimed.problem
+    assert "at the limit" in session.aimed.problem
+    assert (session.tick.target == before).all()
+    np.testing.assert_array_equal(session.aimed.position, [9.0, 0.0, 0.0])
+    fenced = begin(Arm.load("telescopic_pr", "window"))
+    fenced.aim([1.88, 0.474256, 1.47846])
+    fenced.settle()
+    assert fenced.aimed.problem.endswith("'link4' touches 'obstacle_window'")
+
+
+def test_a_pushed_arm_yields_and_returns(arm, begin):
+    session = begin()
+    session.advance(10)
+    there = tip(arm, session.tick.q)
+    session.push("link 2", (0.0, 300.0, 0.0), 0.2)
+    session.advance(20)
+    np.testing.assert_array_equal(session.tick.force, [0.0, 300.0, 0.0])
+    assert tip(arm, session.tick.q)[1] > there[1] + 1e-3
+    session.advance(300)
+    assert not session.tick.force.any()
+    assert np.linalg.norm(tip(arm, session.tick.q) - there) < 1e-4
+    # A link that is held goes on being pulled until it is let go.
+    session.pull("end effector", (0.0, -50.0, 0.0))
+    session.advance(100)
+    assert tip(arm, session.tick.q)[1] < there[1] - 1e-3
+    session.pull("end effector", (0.0, 0.0, 0.0))
+    session.advance(300)
+    assert np.linalg.norm(tip(arm, session.tick.q) - there) < 1e-4
+    # Beyond the servos' force the arm pulls the network's state along: the bound begins again, and holds from there.
+    session.push("link 2", (0.0, 2000.0, 0.0), 0.3)
+    session.advance(60)
+    assert session.policy.pulled
+    assert session.tick.progress.time == 0.0
+    assert session.tick.progress.distance > 0.1
+    for _ in range(80):
+        session.advance(10)
+        assert session.tick.progress.distance <= session.tick.progress.bound + 1e-12
+    assert session.tick.progress.time > 5.0
+    assert np.linalg.norm(tip(arm, session.tick.q) - there) < 1e-3
+    with pytest.raises(InputError, match="no body 'elbow' to push"):
+        session.push("elbow", (1.0, 0.0, 0.0))
+
+
+def test_menus_change_the_plant_and_the_policy_without_a_jump(begin):
+    session = begin(target="extended")
+    session.advance(60)
+    before = session.tick
+    session.choose(payload=3.0, controller="computed-torque", policy="fabric")
+    session.settle()
+    session.advance()
+    assert session.tick.policy == "fabric"
+    assert "none" in status(Observer(session).look())
+    assert np.abs(session.tick.q - before.q).max() < 0.03
+    assert session.tick.progress is None
+    assert 0.0 < np.abs(session.tick.q_ref - before.q_ref).max() < 0.03
+    session.advance(300)
+    # The load is there: without it the arm would follow up to rounding.
+    assert np.abs(session.tick.q - session.tick.q_ref).max() > 1e-3
+    with pytest.raises(InputError, match="no policy 'guess'; allowed: dmp, fabric"):
+        session.choose(policy="guess")
+    assert session.wanted.policy == "fabric"
+    # What cannot be made is told, and the arm goes on as before.
+    session.choose(policy="lieednn-shaped", rho=2.0)
+    session.settle()
+    session.advance()
+    assert session.failure == "rate must be from 0.01 to 1, got 2"
+    assert session.policy.channel_units
+    session.choose(rho=0.5)
+    session.settle()
+    assert (session.failure, session.tick.policy) == ("", "fabric")
+    session.advance()
+    assert session.tick.policy == "lieednn-shaped"
+    shown = status(Observer(session).look())
+    assert ">certified<" in shown
+    assert " proved" in shown
+    session.choose(policy="lieednn-replanning")  # whose network has a certificate, but no bound on its way
+    session.settle()
+    session.advance()
+    shown = status(Observer(session).look())
+    assert ">certified<" in shown
+    assert " proved" not in shown
+    session.choose(policy="lieednn-shaped")
+    session.settle()
+    session.advance()
+    assert session.policy.network.n_clock > 0
+
+
+def test_a_planned_motion_begins_where_the_arm_stopped_and_is_made_again_for_each_target(arm, begin):
+    session = begin(target="extended")
+    session.advance(50)
+    session.choose(policy="tracker")
+    # The arm brakes before there is a motion, within its limits.
+    references = [session.tick.q_ref]
+    session.advance(1)
+    stop = session.policy
+    assert isinstance(stop, MotionTracker)
+    for _ in range(60):
+        references.append(session.tick.q_ref)
+        session.advance()
+    change = np.diff(np.array(references), n=2, axis=0) * 100.0**2
+    assert (np.abs(change[1:]) <= 1.01 * arm.acceleration_limits).all()
+    session.settle()
+    session.advance(600)
+    assert np.abs(session.tick.q_ref - arm.keyframe("extended")).max() < 1e-9
+    middle = plan(arm, "extended", planner="minimum-jerk", start=stop.end).motion
+    assert session.path is not None
+    np.testing.assert_allclose(session.path[0], tip(arm, middle.q[0]), atol=1e-9)
+    session.aim_at("retracted")
+    session.settle()
+    session.advance(700)
+    assert np.abs(session.tick.q_ref - arm.keyframe("retracted")).max() < 1e-9
+
+
+def test_a_session_that_is_stepped_is_a_function_of_its_requests(begin):
+    def run():
+        session = begin(settings=Settings(policy="lieednn-shaped", payload=0.5), target="extended")
+        session.advance(30)
+        session.aim(session.aimed.position - np.array([0.1, -0.2, 0.0]))
+        session.settle()
+        session.push("end effector", (0.0, 0.0, 80.0))
+        session.advance(70)
+        return session
+
+    first, second = run(), run()
+    assert first.tick.q.tolist() == second.tick.q.tolist()
+    first.reset()
+    first.settle()
+    first.advance(30)
+    again = begin(settings=Settings(policy="lieednn-shaped", payload=0.5), target="extended")
+    again.advance(30)
+    assert first.tick.q.tolist() == again.tick.q.tolist()
+    assert first.tick.time == again.tick.time == pytest.approx(0.3)
+
+
+def test_in_real_time_a_paused_loop_stands_and_a_closed_one_ends(arm, begin):
+    session = begin(target="extended")
+    session.speed = 4.0
+    session.run()
+    wait(lambda: session.tick.time > 0.05)
+    session.paused = True
+    stood = []
+    for name in ("retracted", "home"):
+        session.aim_at(name)
+        wait(lambda name=name: (session.tick.target == arm.keyframe(name)).all())
+        stood.append(session.tick.time)
+    assert stood[0] == stood[1] > 0.05
+    session.close()
+    assert not [thread for thread in threading.enumerate() if thread.name == "control loop"]
+
+
+def test_a_worker_does_the_newest_job_and_tells_what_failed():
+    done, failed, go, begun = [], [], threading.Event(), threading.Event()
+    worker = Worker("test", failed.append)
+
+    def first():
+        begun.set()
+        go.wait(60.0)
+        worker.check()
+        done.append("first")
+
+    worker.submit(first)
+    begun.wait(60.0)
+    worker.submit(lambda: done.append("second"))
+    worker.submit(lambda: 1 / 0)
+    assert worker.busy
+    go.set()
+    worker.wait()
+    assert done == []  # the first was told that there was a newer one, the second was replaced
+    assert isinstance(failed[0], ZeroDivisionError)
+    worker.close()
+
+
+def test_motions_are_played_on_one_clock():
+    ramp = np.full((3, 8), 0.1) * np.arange(3)[:, None]
+    slow, fast = (Track("some", np.arange(3) * step, ramp) for step in (1.0, 0.5))
+    clock = Playback()
+    assert not clock.advance(1.0)
+    clock.load([slow, fast])
+    assert clock.playing
+    assert clock.advance(1.0)
+    np.testing.assert_allclose([q[0] for q in clock.configurations()], [0.1, 0.2])
+    clock.advance(0.5)
+    np.testing.assert_allclose([q[0] for q in clock.configurations()], [0.1, 0.2])  # the fast one waits at its end
+    clock.advance(1.0)
+    assert clock.time == 0.0  # again
+    clock.loop = False
+    clock.advance(5.0)
+    assert (clock.time, clock.playing) == (2.0, False)
+    clock.step(-1)
+    assert clock.time == 1.0
+    clock.seek(-3.0)
+    assert clock.time == 0.0
+    with pytest.raises(InputError, match="at most 4 motions"):
+        clock.load([slow] * 5)
+
+
+def test_planners_compared_start_and_end_alike_and_a_failure_is_told(arm):
+    start, target = arm.keyframe("home"), arm.keyframe("retracted")
+    names = ["minimum-jerk", "linear-attractor", "guess"]
+    tracks, failures = plan_tracks(arm, names, start, target, seed=0, check=lambda: None)
+    assert [track.name for track in tracks] == names[:2]
+    for track in tracks:
+        np.testing.assert_allclose(track.q[[0, -1]], [start, target], atol=1e-6)
+        np.testing.assert_allclose(track.path(arm)[-1], tip(arm, target), atol=1e-6)
+    assert failures["guess"].startswith("no planner 'guess'")

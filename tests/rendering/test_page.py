@@ -1,0 +1,134 @@
+"""Pages that play a motion: what is in them, and what a browser makes of them."""
+
+from __future__ import annotations
+
+import io
+import json
+import shutil
+import sys
+
+import numpy as np
+import pytest
+from PIL import Image
+from rollouts import make_rollout
+
+from lieednn_sim._mujoco import kinematics_at, mujoco
+from lieednn_sim.arm import Arm
+from lieednn_sim.errors import InputError, LieEDNNError
+from lieednn_sim.rendering import stage, viser_scene
+from lieednn_sim.rendering.page import render_page
+from lieednn_sim.rendering.recording import record
+from lieednn_sim.rendering.viser_scene import Viewpoint
+
+
+@pytest.fixture(scope="module")
+def rollout():
+    """The arm goes from home to its keyframe 'extended' within half a second, and rests as long."""
+    arm = Arm.load("telescopic_pr")
+    share = np.clip(np.linspace(0.0, 2.0, 101), 0.0, 1.0)[:, None]
+    q = arm.keyframe("home") + share * (arm.keyframe("extended") - arm.keyframe("home"))
+    return make_rollout(arm, q, motion_end=0.5)
+
+
+def test_without_viser_the_error_says_what_to_install(rollout, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "viser", None)
+    with pytest.raises(LieEDNNError, match=r"viser and mjviser, which are not installed.*'lieednn_sim\[view\]'"):
+        rollout.to_html(tmp_path / "motion.html")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_bad_input_is_refused(rollout, gantry, tmp_path):
+    with pytest.raises(InputError, match=r"must end in \.html, got 'motion\.mp4'"):
+        render_page(rollout, tmp_path / "motion.mp4")
+    with pytest.raises(InputError, match="no camera 'moon'"):
+        render_page(rollout, tmp_path / "motion.html", camera="moon")
+    with pytest.raises(InputError, match="of one arm in one scene"):
+        record([rollout, make_rollout(gantry)])
+    with pytest.raises(InputError, match="one for each of 1 rollouts, got 2"):
+        record([rollout], ["a", "b"])
+
+
+def test_a_viewpoint_sees_what_a_film_sees(gantry):
+    """A camera 5 m from the origin that looks along y, slightly down; by hand."""
+    camera = mujoco.MjvCamera()
+    camera.azimuth, camera.elevation, camera.distance = 90.0, -30.0, 5.0
+    data = kinematics_at(gantry.model, gantry.qpos(gantry.keyframe("home")))
+    view = viser_scene.viewpoint(gantry.model, data, camera, np.zeros((1, 3)))
+    np.testing.assert_allclose(view.position, [0.0, -5.0 * np.cos(np.pi / 6), 2.5], atol=1e-5)
+    np.testing.assert_allclose(view.look_at, 0.0, atol=1e-5)
+    assert view.field_of_view == pytest.approx(np.deg2rad(gantry.model.vis.global_.fovy), abs=1e-5)
+    assert view.ratio(np.array([[1.0, 0.0, 0.0]])) == pytest.approx(0.2 / np.tan(0.5 * view.field_of_view), rel=1e-5)
+
+
+def test_backing_off_fills_the_picture():
+    """With 90 degrees and a picture twice as wide as high, the edges are where x = 2 z and y = z."""
+    view = Viewpoint(np.array([0.0, -9.0, 0.0]), np.zeros(3), 0.5 * np.pi)
+    wide = view.back_off(np.array([[-6.0, 0.0, 0.0], [6.0, 0.0, 0.0]]), 2.0)
+    np.testing.assert_allclose(wide.position, [0.0, -3.0, 0.0], atol=1e-9)
+    high = view.back_off(np.array([[-6.0, 0.0, 0.0], [6.0, 0.0, 8.0]]), 2.0)
+    np.testing.assert_allclose(high.position, [0.0, -4.0, 4.0], atol=1e-9)
+
+
+def test_only_what_a_film_shows_is_in_the_scene(rollout):
+    """Not the collision geometry; the glass ball of the target is as transparent as in a film."""
+    arm = rollout.arm
+    model, _ = stage.staged(arm, stage.occupied(rollout))
+    shapes = viser_scene.Shapes(model)
+    colours = {shape.rgba for shape in shapes.shapes}
+    assert (0.2, 0.6, 0.9, 0.35) not in colours  # of collision geoms, in group 3
+    assert (0.08, 0.75, 0.7, 0.25) in colours
+    assert {model.body(shape.body).name for shape in shapes.shapes} >= {"base", "link1", "target"}
+    assert [model.geom(geom).name for geom in shapes.floors] == ["floor"]
+
+
+def test_two_arms_side_by_side_share_their_geometry(rollout):
+    one, two = record([rollout]), record([rollout, rollout], ["one", "other"])
+    assert len(two.content) < 1.35 * len(one.content)
+    assert 1.0 <= one.ratio <= two.ratio == pytest.approx(16 / 9)
+
+
+@pytest.fixture(scope="module")
+def browser(rollout, tmp_path_factory):
+    """The page, opened from a file in a headless Chromium that renders without a graphics card."""
+    webdriver = pytest.importorskip("selenium.webdriver")
+    path = tmp_path_factory.mktemp("page") / "motion.html"
+    rollout.to_html(path, title="by <hand>")
+    options = webdriver.ChromeOptions()
+    options.binary_location = shutil.which("chromium")
+    for argument in ("--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--window-size=520,460"):
+        options.add_argument(argument)
+    for argument in ("--use-angle=swiftshader", "--enable-unsafe-swiftshader"):
+        options.add_argument(argument)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
+    driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(shutil.which("chromedriver")))
+    try:
+        driver.set_script_timeout(300)
+        driver.get(path.as_uri())
+        yield driver
+    finally:
+        driver.quit()
+
+
+@pytest.mark.browser
+def test_in_a_browser_the_page_plays_to_its_end(rollout, browser):
+    """The last body comes to where the simulation ends, and the arm is seen; nothing is asked of the network."""
+    arm = rollout.arm
+    data = kinematics_at(arm.model, arm.qpos(rollout.q[-1]))
+    body = int(arm.model.site_bodyid[arm.site_ids[-1]])
+    place = browser.execute_async_script(
+        "const [name, end, done] = arguments; const wait = setInterval(() => {"
+        "const pose = window.__viserMutable?.nodePoseData[name]; if (!pose) return;"
+        "if (Math.hypot(...pose.position.map((x, i) => x - end[i])) < 1e-3) {"
+        "clearInterval(wait); document.querySelector('button').click(); done(pose.position); }}, 5)",
+        f"/0/{arm.model.body(body).name}",
+        data.xpos[body].tolist(),
+    )
+    np.testing.assert_allclose(place, data.xpos[body], atol=1e-3)
+    assert browser.find_element("tag name", "header").text.split("\n")[:2] == ["telescopic_pr", "by <hand>"]
+    picture = np.asarray(Image.open(io.BytesIO(browser.get_screenshot_as_png())).convert("RGB")).astype(int)
+    red, green, blue = np.moveaxis(picture, -1, 0)
+    assert np.count_nonzero((red > 150) & (green < 0.6 * red) & (blue < 0.4 * red)) > 300, "the arm is orange"
+    requests = [json.loads(entry["message"])["message"] for entry in browser.get_log("performance")]
+    asked = [item["params"]["request"]["url"] for item in requests if item["method"] == "Network.requestWillBeSent"]
+    assert [url for url in asked if not url.startswith(("data:", "blob:"))] == [browser.current_url]
+    assert [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"] == []
