@@ -108,7 +108,7 @@ STUDIES = {
     "pushes": _script("evaluate_pushes", "", "pushes", "md"),
     "cost_over_time": _script("cost_over_time", "--seeds 4", "cost_over_time", "md", "csv", "png"),
     "comparison": Study(
-        ("lieednn-sim compare --seeds 20 --slow-seeds 3 --reactive 3 --videos 3 --date DATE",),
+        ("lieednn-sim compare --seeds 20 --slow-seeds 3 --reactive 3 --views 3 --date DATE",),
         {name: f"results/comparison/{name}" for name in ("comparison.md", "comparison.html", "reactions.md")},
         ("lieednn_sim.studies.comparison.study", "lieednn_sim.studies.reactions.study"),
         jobs=True,
