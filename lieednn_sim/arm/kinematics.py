@@ -62,6 +62,17 @@ class Factor:
         directions = self._scaled @ np.swapaxes(turning, -1, -2)
         return directions, directions @ skew(self.anchor).T
 
+    def move(self, points: Floats, offset: Floats) -> Floats:
+        """Points ``(B, 3)`` moved by this joint at displacements ``(B, n)``, without its poses."""
+        if self.kind == "ball":
+            rotation, translation = self.motion(offset)
+            return np.asarray((rotation @ points[..., None])[..., 0] + translation)
+        if self.kind == "slide":
+            return points + offset[:, self.indices] @ self._scaled
+        angle, lever = self.ratio * offset[:, self.indices], points - self.anchor
+        axis, square = self._turning
+        return np.asarray(points + np.sin(angle) * (lever @ axis.T) + (1.0 - np.cos(angle)) * (lever @ square.T))
+
     def carry(self, frames: Floats, offset: Floats) -> tuple[Floats, Floats]:
         """Move frames [R, p] ``(B, k, 3, 4)`` by this joint at displacements ``(B, n)``.
 
@@ -169,7 +180,8 @@ class CompoundJoint:
 
 
 def _compose(rotation: Floats, translation: Floats, turn: Floats, shift: Floats) -> tuple[Floats, Floats]:
-    return rotation @ turn, translation + (rotation @ shift[..., None])[..., 0]
+    # A slide does not turn.
+    return rotation if turn is _ONE else rotation @ turn, translation + (rotation @ shift[..., None])[..., 0]
 
 
 def _times(frames: Floats, matrix: Floats) -> Floats:

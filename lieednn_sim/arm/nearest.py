@@ -97,14 +97,17 @@ class NearestPose:
     def follow(self, rotation: Floats, translation: Floats, near: Floats) -> tuple[Floats, NDArray[np.bool_]]:
         """Displacements ``(K, ..., c)`` along paths of poses ``(K, ..., m, 3, 3)`` and ``(K, ..., m, 3)``.
 
-        The first is the minimum next to ``near`` ``(..., c)``, each other one that next to its predecessor. So if
-        several configurations have the same poses, as the two of a wrist, the branch is kept, and hinges may exceed
+        The first is the minimum next to ``near`` ``(..., c)``, each other one that next to its predecessor; or, with
+        guesses ``near`` ``(K, ..., c)`` along the path, each is that next to its guess. So if several configurations have the same poses, as the two of a wrist, the branch is kept, and hinges may exceed
         half a turn. Where poses hardly determine the coordinates, these go straight on (`singularities.straighten`),
         which the second result ``(K, ...)`` marks.
         """
         goal = self._stack(rotation, translation).reshape(len(translation), -1, 12 * len(self._joints))
-        start = np.broadcast_to(near, (*translation.shape[1:-2], len(self._indices))).reshape(goal.shape[1], -1)
-        guess = self._stride(start, goal)
+        if near.ndim == translation.ndim - 1:
+            guess = near.reshape(*goal.shape[:2], -1)
+        else:
+            start = np.broadcast_to(near, (*translation.shape[1:-2], len(self._indices))).reshape(goal.shape[1], -1)
+            guess = self._stride(start, goal)
         flat = guess.reshape(-1, guess.shape[-1])
         evaluated = self._evaluate(flat)
         q = self._descend(flat, goal.reshape(-1, goal.shape[-1]), evaluated).reshape(guess.shape)

@@ -66,7 +66,7 @@ class _Solver(Protocol):
     indices: NDArray[np.int_]
 
     def __call__(self, poses: MovingPoses, near: Floats | None) -> tuple[Floats, Floats | None]:
-        """Displacements ``(..., c)`` from the reference and their rates; followed from ``near`` ``(n,)`` if given."""
+        """Displacements ``(..., c)`` from the reference and their rates; followed from ``near`` if given."""
 
     @property
     def groups(self) -> list[Group]:
@@ -101,7 +101,7 @@ class Retractor:
             xi: ``(..., N, 6)``.
             xi_dot: ``(..., N, 6)``, or None for poses at rest.
             start: ``(n,)`` configuration from which ``xi`` ``(K, ..., N, 6)`` are followed along their first axis, see
-                `nearest.NearestPose.follow`.
+                `nearest.NearestPose.follow`; or guesses ``(K, ..., n)`` of the result.
         """
         if self._searching:
             count_states(math.prod(xi.shape[:-2]))
@@ -184,7 +184,7 @@ class _Nearest:
             offset = self._problem.solve(rotation, translation)
         else:
             offset, straightened = self._problem.follow(
-                rotation, translation, near[self.indices].reshape(len(self._links), -1)
+                rotation, translation, near[..., self.indices].reshape(*near.shape[:-1], len(self._links), -1)
             )
         if poses.rates is None:
             return offset.reshape(flat), None

@@ -55,7 +55,7 @@ def farthest(arm: Arm) -> float:
     origin = np.asarray(arm.base.translation)
 
     def distances(q: Floats) -> Floats:
-        tip = np.asarray(arm.link_poses(arm.within_angles(q)).translation)[..., -1, :]
+        tip = arm.tip(arm.within_angles(q))
         return np.linalg.norm(tip - origin, axis=-1)
 
     def negative(q: Floats) -> tuple[float, Floats]:

@@ -46,7 +46,7 @@ class MotionMetrics:
 
 def motion_metrics(arm: Arm, motion: Motion) -> MotionMetrics:
     """Evaluate a plan."""
-    tip = arm.link_poses(motion.q).as_matrix()[:, -1, :3, 3]
+    tip = arm.tip(motion.q)
     tip_jerk = np.diff(tip, n=3, axis=0) / motion.timestep**3
     return MotionMetrics(
         motion_s=float(motion.t[-1]),

@@ -73,16 +73,15 @@ def exp(twist: ArrayLike) -> RigidTransform:
     # SciPy's compiled code refuses arrays that are read-only, as those of results are, and takes one leading axis; for
     # more it computes the same in NumPy, many times as slowly. Its own map of twists takes twice the time of this one.
     flat = np.require(array.reshape(-1, 6), requirements="W")
-    omega, v = flat[:, :3], flat[:, 3:, None]
+    omega, v = flat.T.copy().reshape(2, 3, -1)
     # Cancellation in the coefficients costs nothing here, where they multiply as small products; nor does underflow.
-    square = np.maximum((omega * omega) @ np.ones(3), 1e-200)
+    square = np.maximum(np.einsum("ib,ib->b", omega, omega), 1e-200)
     angle = np.sqrt(square)
-    half_sine, across = np.sin(0.5 * angle), skew(omega)
+    half_sine, turned = np.sin(0.5 * angle), _cross(omega, v)
     b, c = 2.0 * half_sine * half_sine / square, (1.0 - np.sin(angle) / angle) / square
-    turned = across @ v
     matrix = np.zeros((len(flat), 4, 4))
-    matrix[:, :3, :3] = scipy.spatial.transform.Rotation.from_rotvec(omega).as_matrix()
-    matrix[:, :3, 3:] = v + b[:, None, None] * turned + c[:, None, None] * (across @ turned)
+    matrix[:, :3, :3] = scipy.spatial.transform.Rotation.from_rotvec(flat[:, :3]).as_matrix()
+    matrix[:, :3, 3] = (v + b * turned + c * _cross(omega, turned)).T
     matrix[:, 3, 3] = 1.0
     return scipy.spatial.transform.RigidTransform(matrix.reshape(*array.shape[:-1], 4, 4), normalize=False, copy=False)
 

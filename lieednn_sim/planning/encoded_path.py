@@ -12,7 +12,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.network_path import NetworkPath
-from lieednn_sim.planning.time_laws import Law
+from lieednn_sim.planning.time_laws import Law, step_lengths
 from lieednn_sim.synthesis import CurveEncoder
 from lieednn_sim.validation import as_floats
 from lieednn_sim.values import Floats
@@ -36,7 +36,15 @@ class EncodedPath(NetworkPath):
     joints: CubicHermiteSpline
 
     @classmethod
-    def follow(cls, arm: Arm, encoder: CurveEncoder, network: LieEDNN, start: ArrayLike, units: Floats) -> EncodedPath:
+    def follow(
+        cls,
+        arm: Arm,
+        encoder: CurveEncoder,
+        network: LieEDNN,
+        start: ArrayLike,
+        units: Floats,
+        guide: Motion | None = None,
+    ) -> EncodedPath:
         """The path of a network of ``encoder`` from joint position ``start`` ``(n,)``.
 
         Args:
@@ -46,6 +54,7 @@ class EncodedPath(NetworkPath):
             start: joint position at rest.
             units: ``(N, 6)`` units of the visible neurons' coordinates in the path's length, as in
                 `NetworkPath.integrate`.
+            guide: a motion near the path, whose joint positions are the guesses from which the path is decoded.
 
         Raises:
             InputError: the start is out of limits, or the network is none of the encoder's.
@@ -57,7 +66,12 @@ class EncodedPath(NetworkPath):
         target = network.goal(network.bias[: network.n_visible])
         speed = PchipInterpolator(w, np.linalg.norm(visible(w, 1) * units, axis=(-2, -1)))
         some = np.append(w[:-1:_STRIDE], w[-1])
-        decoded = arm.decode(visible(some), visible(some, 1), begin)
+        near = begin
+        if guide is not None:
+            passed, length = np.append(0.0, np.cumsum(step_lengths(guide.xi, units))), speed.antiderivative()(some)
+            shares = length / length[-1] * passed[-1]
+            near = np.stack([np.interp(shares, passed, joint) for joint in guide.q.T], axis=1)
+        decoded = arm.decode(visible(some), visible(some, 1), near)
         joints = CubicHermiteSpline(some, decoded.q, decoded.qd)
         return cls(arm, network, begin, origin, target, (visible, speed), joints)
 

@@ -118,7 +118,7 @@ def _following(problem: PlanningProblem, options: ShapedOptions, teacher: Plan) 
         return Plan(in_time(timed_motion, asked, path), network, ShapedDetails(0.0, 0.0), teacher=teacher)
     law = law_of(guide, units)
     curve = np.concatenate([guide.xi[:-1:_STRIDE], guide.xi_target[None]])
-    line, guide_jerk = _effector(arm, guide.q[::_STRIDE]), rms_jerk(arm, guide)
+    line, guide_jerk = arm.tip(guide.q[::_STRIDE]), rms_jerk(arm, guide)
     fit_time, encoding_time, refusal, left = 0.0, 0.0, "no number of neurons was allowed", list[_Fitted]()
 
     def planned(candidate: _Fitted) -> Plan | None:
@@ -149,7 +149,7 @@ def _following(problem: PlanningProblem, options: ShapedOptions, teacher: Plan) 
                 refusal = str(error)
             else:
                 encoding_time = fit_time = cpu_time() - begun
-                yield EncodedPath.follow(arm, encoder, encoded, problem.start, units)
+                yield EncodedPath.follow(arm, encoder, encoded, problem.start, units, guide)
         for count in options.neurons:
             shaping = ShapingOptions(options.rate, neurons=(), placed_neurons=(count,), activation=options.activation)
             result = shape(curve, options.deviation, units=units, options=shaping)
@@ -159,7 +159,7 @@ def _following(problem: PlanningProblem, options: ShapedOptions, teacher: Plan) 
     for path in paths():
         motion = path.timed(lasts, problem.timestep, law)
         some = motion.q[:: max(1, len(motion.q) // _N_COMPARED)]
-        deviation, jerk = _deviation(_effector(arm, some), line), rms_jerk(arm, motion) / guide_jerk
+        deviation, jerk = _deviation(arm.tip(some), line), rms_jerk(arm, motion) / guide_jerk
         badness = max(deviation / options.deviation, (jerk - 1.0) / (options.jerk - 1.0))
         candidate = _Fitted(badness, path, motion, deviation)
         if candidate.badness <= 1.0:
@@ -198,11 +198,6 @@ def lever_units(arm: Arm, q: Floats) -> Floats:
     units = np.empty((arm.n_links, 6))
     units[:, :3], units[:, 3:] = lever[:, None], arm.length_scale
     return units
-
-
-def _effector(arm: Arm, q: Floats) -> Floats:
-    """Positions ``(K, 3)`` of the end effector at joint positions ``(K, n)`` [m]."""
-    return np.asarray(arm.link_poses(q).as_matrix()[:, -1, :3, 3])
 
 
 def _deviation(path: Floats, line: Floats) -> float:
