@@ -98,9 +98,10 @@ class NearestPose:
         """Displacements ``(K, ..., c)`` along paths of poses ``(K, ..., m, 3, 3)`` and ``(K, ..., m, 3)``.
 
         The first is the minimum next to ``near`` ``(..., c)``, each other one that next to its predecessor; or, with
-        guesses ``near`` ``(K, ..., c)`` along the path, each is that next to its guess. So if several configurations have the same poses, as the two of a wrist, the branch is kept, and hinges may exceed
-        half a turn. Where poses hardly determine the coordinates, these go straight on (`singularities.straighten`),
-        which the second result ``(K, ...)`` marks.
+        guesses ``near`` ``(K, ..., c)`` along the path, each is that next to its guess. So if several configurations
+        have the same poses, as the two of a wrist, the branch is kept, and hinges may exceed half a turn. Where poses
+        hardly determine the coordinates, these go straight on (`singularities.straighten`), which the second result
+        ``(K, ...)`` marks.
         """
         goal = self._stack(rotation, translation).reshape(len(translation), -1, 12 * len(self._joints))
         if near.ndim == translation.ndim - 1:
@@ -234,9 +235,8 @@ class NearestPose:
         shape = q.shape
         goal_rate = self._stack(skew(omega) @ rotation, velocity).reshape(-1, 12 * len(self._joints))
         goal = self._stack(rotation, translation).reshape(goal_rate.shape)
-        flat = q.reshape(-1, shape[-1])
-        pull = np.swapaxes(self._evaluate(flat)[1], -1, -2) @ goal_rate[..., None]
-        return (self._quadratic(flat, goal)[1] @ pull)[..., 0].reshape(shape)
+        pull, inverse = self._quadratic(q.reshape(-1, shape[-1]), goal, goal_rate)
+        return (inverse @ pull[..., None])[..., 0].reshape(shape)
 
     def rates_along(self, q: Floats, rotation: Floats, translation: Floats, omega: Floats, velocity: Floats) -> Floats:
         """Derivative ``(K, ..., c)`` of coordinates along a path, from its samples alone, whatever they minimise."""
@@ -287,8 +287,10 @@ class NearestPose:
         # Long steps are outside the range of the quadratic model.
         return np.where(np.abs(step).max(axis=-1, keepdims=True) < 0.1, step, 0.0)
 
-    def _quadratic(self, q: Floats, goal: Floats) -> tuple[Floats, Floats]:
+    def _quadratic(self, q: Floats, goal: Floats, rate: Floats | None = None) -> tuple[Floats, Floats]:
         """The gradient ``(B, c)`` of f / 2, and the pseudo-inverse of its Hessian: undetermined coordinates stay.
+
+        With rates of stacked poses ``(B, 12m)``, in place of the gradient their product with the Jacobian.
 
         With Y = R (R - R_goal)^T / 2 and e = p - p_goal, the second derivatives of the poses T_i contribute, for joints
         a before b, omega_a^T Y omega_b - (omega_a . omega_b) tr Y + (e x omega_a) . p_b / length^2. Within a ball joint
@@ -301,7 +303,8 @@ class NearestPose:
             value, rows, omega = self._moved(joint, offset)
             error = value - goal[:, 12 * i : 12 * (i + 1)]
             own = rows if place is None else place @ rows
-            gradient += (own @ error[..., None])[..., 0]
+            pulling = error if rate is None else rate[:, 12 * i : 12 * (i + 1)]
+            gradient += (own @ pulling[..., None])[..., 0]
             frame, left = value.reshape(-1, 3, 4), error.reshape(-1, 3, 4)
             turn = frame[..., :3] @ np.swapaxes(left[..., :3], -1, -2)
             turn -= np.trace(turn, axis1=-2, axis2=-1)[:, None, None] * np.eye(3)

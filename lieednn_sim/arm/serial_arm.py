@@ -201,18 +201,24 @@ class SerialArm:
     def tip(self, q: ArrayLike) -> Floats:
         """Positions of the end effector in the world, ``(..., n)`` to ``(..., 3)`` [m]: those of the last link frame.
 
-        They are moved as points, in a quarter of the time of `link_poses`.
+        They take a quarter of the time of `link_poses`.
         """
+        base = self.base.as_matrix()
+        return np.asarray(self.tip_in_frames(q)[..., 0, :] @ base[:3, :3].T + base[:3, 3])
+
+    def tip_in_frames(self, q: ArrayLike) -> Floats:
+        """Positions of the end effector in the base frame and in all link frames but the last, ``(..., N, 3)`` [m]."""
         q = as_floats("q", q, (self.n_joints,), batched=True)
-        offset = (q - self.joints.reference).reshape(-1, self.n_joints)
-        mounts, tips, base = (each.as_matrix() for each in (self.mounts, self.tips, self.base))
+        offset, places = (q - self.joints.reference).reshape(-1, self.n_joints), []
+        mounts, tips = self.mounts.as_matrix(), self.tips.as_matrix()
         point = np.zeros((len(offset), 3))
         for mount, joint, tip in zip(mounts[::-1], self.joints.joints[::-1], tips[::-1], strict=True):
             point = point @ tip[:3, :3].T + tip[:3, 3]
             for factor in joint.factors[::-1]:
                 point = factor.move(point, offset)
             point = point @ mount[:3, :3].T + mount[:3, 3]
-        return np.asarray((point @ base[:3, :3].T + base[:3, 3]).reshape(*q.shape[:-1], 3))
+            places.append(point)
+        return np.stack(places[::-1], axis=1).reshape(*q.shape[:-1], self.n_links, 3)
 
     def jacobian(self, q: ArrayLike, link: int = -1) -> Floats:
         """The geometric Jacobian J of a link frame, ``(..., n)`` to ``(..., 6, n)``: its twist is J(q) qd.

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
+from scipy.interpolate import BSpline, CubicHermiteSpline, PchipInterpolator, make_interp_spline
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.network import LieEDNN
@@ -17,8 +17,10 @@ from lieednn_sim.synthesis import CurveEncoder
 from lieednn_sim.validation import as_floats
 from lieednn_sim.values import Floats
 
-# Every second instant of the closed form is decoded: the interpolation between them is good to a micrometre.
+# The mechanism gap is measured at every second instant of the closed form, most of which are between decoded ones.
 _STRIDE = 2
+# Degree of the spline of the joints through the instants of the fit, which is good to a micrometre.
+_DEGREE = 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,11 +31,13 @@ class EncodedPath(NetworkPath):
 
     Attributes:
         trajectory: visible states ``(..., N, 6)`` and the speed along them, both as functions of w.
-        joints: joint positions ``(..., n)`` as a function of w, decoded at the instants of the closed form.
+        joints: joint positions ``(..., n)`` as a function of w, decoded at the instants of the fit.
+        gap: mechanism gap ``(..., 2, N)`` [m, rad] as a function of w.
     """
 
     trajectory: tuple[CubicHermiteSpline, PchipInterpolator]
-    joints: CubicHermiteSpline
+    joints: BSpline
+    gap: BSpline
 
     @classmethod
     def follow(
@@ -41,39 +45,38 @@ class EncodedPath(NetworkPath):
         arm: Arm,
         encoder: CurveEncoder,
         network: LieEDNN,
-        start: ArrayLike,
+        guide: Motion,
         units: Floats,
-        guide: Motion | None = None,
     ) -> EncodedPath:
-        """The path of a network of ``encoder`` from joint position ``start`` ``(n,)``.
+        """The path of a network of ``encoder`` from the start of a motion that it follows.
 
         Args:
             arm: decodes states to joint positions.
             encoder: the encoder.
             network: its network, with the code of a curve.
-            start: joint position at rest.
+            guide: the motion, whose joint positions are the guesses from which the path is decoded.
             units: ``(N, 6)`` units of the visible neurons' coordinates in the path's length, as in
                 `NetworkPath.integrate`.
-            guide: a motion near the path, whose joint positions are the guesses from which the path is decoded.
 
         Raises:
-            InputError: the start is out of limits, or the network is none of the encoder's.
+            InputError: the network is none of the encoder's.
         """
-        begin = arm.check_position(start, "start")
-        origin = network.start(arm.encode(begin))
+        origin = network.start(guide.xi[0])
         visible = encoder.path(network, network.visible(origin))
         w = visible.x
         target = network.goal(network.bias[: network.n_visible])
         speed = PchipInterpolator(w, np.linalg.norm(visible(w, 1) * units, axis=(-2, -1)))
-        some = np.append(w[:-1:_STRIDE], w[-1])
-        near = begin
-        if guide is not None:
-            passed, length = np.append(0.0, np.cumsum(step_lengths(guide.xi, units))), speed.antiderivative()(some)
-            shares = length / length[-1] * passed[-1]
-            near = np.stack([np.interp(shares, passed, joint) for joint in guide.q.T], axis=1)
-        decoded = arm.decode(visible(some), visible(some, 1), near)
-        joints = CubicHermiteSpline(some, decoded.q, decoded.qd)
-        return cls(arm, network, begin, origin, target, (visible, speed), joints)
+        # Both paths have about the same length.
+        passed, length = (
+            np.append(0.0, np.cumsum(step_lengths(guide.xi, units))),
+            speed.antiderivative()(encoder.fitted),
+        )
+        near = np.stack([np.interp(length, passed, joint) for joint in guide.q.T], axis=1)
+        decoded = arm.decode(visible(encoder.fitted), start=near)
+        joints = make_interp_spline(encoder.fitted, decoded.q, _DEGREE)
+        looks = np.append(w[:-1:_STRIDE], w[-1])
+        gap = make_interp_spline(looks, np.stack(arm.gap(visible(looks), joints(looks)), axis=1), 1)
+        return cls(arm, network, guide.q[0], origin, target, (visible, speed), joints, gap)
 
     def state(self, tau: ArrayLike) -> Floats:
         """States ``(..., N, 6)`` of all neurons at the network's own times ``(...)``, up to the path's end."""
@@ -86,4 +89,5 @@ class EncodedPath(NetworkPath):
         t, w, rate = self._positions(duration, timestep, law)
         xi, q, qd = self.trajectory[0](w), self.joints(w), self.joints(w, 1) * rate[:, None]
         qd[[0, -1]] = 0.0
-        return Motion(t, -np.log1p(-w), xi, self.network.visible(self.target), q, qd, *self.arm.gap(xi, q))
+        gap = self.gap(w).swapaxes(0, 1)
+        return Motion(t, -np.log1p(-w), xi, self.network.visible(self.target), q, qd, *gap)

@@ -213,9 +213,7 @@ def _invert(length: PchipInterpolator, speed: PchipInterpolator, grid: Floats, w
     known = length(grid)
     index = np.clip(np.searchsorted(known, wanted, side="right") - 1, 0, len(grid) - 2)
     low, high = grid[index].copy(), grid[index + 1].copy()
-    tau = 0.5 * (low + high)
-    # Newton steps overshoot the ends, and bisection alone converges to them slowly.
-    tau[0], tau[-1] = grid[0], grid[-1]
+    tau = np.interp(wanted, known, grid)
     for _ in range(60):
         error = length(tau) - wanted
         # Solved samples are kept: rounding could lead them out of their brackets, and bisection then far away.

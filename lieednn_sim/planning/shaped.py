@@ -149,7 +149,7 @@ def _following(problem: PlanningProblem, options: ShapedOptions, teacher: Plan) 
                 refusal = str(error)
             else:
                 encoding_time = fit_time = cpu_time() - begun
-                yield EncodedPath.follow(arm, encoder, encoded, problem.start, units, guide)
+                yield EncodedPath.follow(arm, encoder, encoded, guide, units)
         for count in options.neurons:
             shaping = ShapingOptions(options.rate, neurons=(), placed_neurons=(count,), activation=options.activation)
             result = shape(curve, options.deviation, units=units, options=shaping)
@@ -192,9 +192,7 @@ def lever_units(arm: Arm, q: Floats) -> Floats:
     scale.
     """
     some = q[:: max(1, len(q) // _N_CONFIGURATIONS)]
-    frames = arm.link_poses(some).as_matrix()[..., :3, 3]
-    before = np.concatenate([np.broadcast_to(arm.base.as_matrix()[:3, 3], frames[:, :1].shape), frames[:, :-1]], axis=1)
-    lever = np.linalg.norm(frames[:, -1:] - before, axis=-1).max(axis=0)
+    lever = np.linalg.norm(arm.tip_in_frames(some), axis=-1).max(axis=0)
     units = np.empty((arm.n_links, 6))
     units[:, :3], units[:, 3:] = lever[:, None], arm.length_scale
     return units
@@ -202,7 +200,7 @@ def lever_units(arm: Arm, q: Floats) -> Floats:
 
 def _deviation(path: Floats, line: Floats) -> float:
     """Largest distance of a path ``(K, 3)`` from a polyline ``(L, 3)`` [m], near its nearest vertices."""
-    _, nearest = KDTree(line).query(path)
+    _, nearest = KDTree(line, compact_nodes=False, balanced_tree=False).query(path)
     off = np.full(len(path), np.inf)
     for first in (np.maximum(nearest - 1, 0), np.minimum(nearest, len(line) - 2)):
         step, away = line[first + 1] - line[first], path - line[first]

@@ -33,6 +33,11 @@ def test_link_poses_equal_mujocos_kinematics(arm):
         mujoco.mj_kinematics(arm.model, data)
         np.testing.assert_allclose(pose[:, :3, 3], data.site_xpos[arm.site_ids], atol=1e-9)
         np.testing.assert_allclose(pose[:, :3, :3].reshape(-1, 9), data.site_xmat[arm.site_ids], atol=1e-9)
+    np.testing.assert_allclose(arm.tip(positions), poses[:, -1, :3, 3], atol=1e-12)
+    np.testing.assert_allclose(arm.tip(positions[0]), poses[0, -1, :3, 3], atol=1e-12)
+    for k in range(1, arm.n_links):
+        seen = np.linalg.solve(poses[:, k - 1], poses[:, -1, :, 3:])[:, :3, 0]
+        np.testing.assert_allclose(arm.tip_in_frames(positions)[:, k], seen, atol=1e-12)
 
 
 def test_jacobian_is_mujocos_own_and_the_derivative_of_the_pose(arm):

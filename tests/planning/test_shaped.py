@@ -87,7 +87,7 @@ def test_the_universal_network_is_integrated_to_the_same_motion():
     again = path.timed(one.motion.t[-1], one.motion.timestep, law_of(guide, units))
     np.testing.assert_allclose(again.q, one.motion.q, atol=2e-5)
     np.testing.assert_allclose(again.qd, one.motion.qd, atol=2e-3)
-    known = EncodedPath.follow(FREE, CurveEncoder(FREE.n_links), one.network, FREE.keyframe("home"), units)
+    known = EncodedPath.follow(FREE, CurveEncoder(FREE.n_links), one.network, guide, units)
     np.testing.assert_allclose(known.state(path.trajectory[0].t), path.trajectory[0].xi, atol=1e-6)
 
 

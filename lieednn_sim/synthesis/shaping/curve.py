@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
+from scipy.ndimage import gaussian_filter1d
 
 from lieednn_sim.errors import InputError
 from lieednn_sim.values import Floats, frozen
@@ -84,3 +85,27 @@ class Curve:
     def weight(self, s: Floats) -> Floats:
         """Weights of deviations at fractions ``(K,)`` of the length."""
         return np.asarray(np.interp(s, np.linspace(0.0, 1.0, len(self.weights)), self.weights))
+
+
+def clock_along(points: Floats, per_turn: float, smoothing: float) -> Floats:
+    """Fractions ``(P + 1,)`` of the clock at points ``(P + 1, D)`` that divide a curve evenly: slower where it turns.
+
+    Args:
+        points: points at even steps of the curve's length, in its metric.
+        per_turn: a turn of the tangent by one radian takes as much of the clock as this fraction of the length.
+        smoothing: fraction of the length over which turns are smoothed.
+    """
+    s, pieces = np.linspace(0.0, 1.0, len(points)), np.diff(points, axis=0)
+    directions = pieces / np.maximum(np.linalg.norm(pieces, axis=1, keepdims=True), 1e-300)
+    turns = np.linalg.norm(np.diff(directions, axis=0), axis=1)
+    turning = gaussian_filter1d(np.interp(s[:-1], s[1:-1], turns), smoothing * len(pieces), mode="nearest")
+    passed = np.append(0.0, np.cumsum(1.0 / len(pieces) + per_turn * turning))
+    return np.asarray(passed / passed[-1])
+
+
+def third_derivative(w: Floats) -> Floats:
+    """Matrix ``(K - 3, K)`` of third divided differences of values at ``w`` ``(K,)``, which approximate derivatives."""
+    matrix = np.eye(len(w))
+    for order in (1, 2, 3):
+        matrix = order * np.diff(matrix, axis=0) / (w[order:] - w[:-order])[:, None]
+    return matrix

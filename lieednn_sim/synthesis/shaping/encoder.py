@@ -19,7 +19,6 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.interpolate import CubicHermiteSpline
-from scipy.ndimage import gaussian_filter1d
 
 from lieednn_sim._blas import one_blas_thread
 from lieednn_sim.errors import InputError, NotCertifiedError
@@ -27,6 +26,7 @@ from lieednn_sim.network import ACTIVATIONS, DEFAULT_ACTIVATION, LieEDNN
 from lieednn_sim.network.componentwise import as_activation
 from lieednn_sim.synthesis.shaping.assembly import assemble
 from lieednn_sim.synthesis.shaping.cascade import TAIL, Parameters
+from lieednn_sim.synthesis.shaping.curve import clock_along, third_derivative
 from lieednn_sim.synthesis.shaping.pairs import LARGEST_CODE
 from lieednn_sim.validation import as_count, as_floats
 from lieednn_sim.values import Floats, frozen
@@ -135,6 +135,11 @@ class CurveEncoder:
         whole = np.broadcast_to(shift, (n, 2, CODE_PAIRS, 6)).reshape(self._silent.shape)
         return self.network.retarget(target).with_start(self._silent + whole)
 
+    @property
+    def fitted(self) -> Floats:
+        """Instants w = 1 - e^-t ``(F,)`` of the fit, which resolve all bumps."""
+        return 1.0 - self._basis.fitted
+
     def path(self, network: LieEDNN, start: ArrayLike) -> CubicHermiteSpline:
         """States ``(..., N, 6)`` of the visible neurons in closed form, as a function of w = 1 - e^-t.
 
@@ -148,17 +153,13 @@ class CurveEncoder:
             InputError: a shape does not fit, or the network is another one or has a code out of range.
         """
         n = self.network.n_visible
-        if not np.array_equal(network.alpha, self.network.alpha):
+        if network.alpha is not self.network.alpha and not np.array_equal(network.alpha, self.network.alpha):
             raise InputError("the network must be one of this encoder, with a code")
         shift = (network.hidden_start - self._silent).reshape(n, 2, CODE_PAIRS, 6)
         code = shift.mean(axis=1).transpose(1, 0, 2).reshape(CODE_PAIRS, -1)
         self._require_range(code)
         basis, target = self._basis, network.bias[:n]
-        powers = code ** _POWERS[:, None, None]
-        bent, driven = (
-            np.asarray(sum(one @ power for one, power in zip(table, powers, strict=True)))
-            for table in (basis.shifts, basis.drives)
-        )
+        bent, driven = basis.bent @ (code ** _POWERS[:, None, None]).reshape(-1, code.shape[1])
         offset = (as_floats("start", start, (n, 6)) - target).ravel()
         away = basis.g[:, None] * offset + bent
         # From x' = u - (x - x_d) in the network's time: dx/dg = ((x - x_d) - u) / g.
@@ -204,8 +205,7 @@ class _Basis:
 
     Attributes:
         g: ``(K,)`` instants of the closed form.
-        shifts: ``(3, K, pairs)`` displacements at the instants, for each of `_POWERS` of the code.
-        drives: ``(3, K, pairs)`` inputs u there, likewise.
+        bent: ``(2, K, 3 pairs)`` displacements and inputs u at the instants, for each of `_POWERS` of the code.
         fitted: ``(F,)`` g at the instants of the fit.
         solution: ``(pairs, F)`` from a displacement there to the code.
         start: ``(2, pairs)`` the input u and its derivative in time at the beginning, of unit codes.
@@ -213,8 +213,7 @@ class _Basis:
     """
 
     g: Floats
-    shifts: Floats
-    drives: Floats
+    bent: Floats
     fitted: Floats
     solution: Floats
     start: Floats
@@ -270,7 +269,8 @@ def _basis(activation: str) -> _Basis:
     bumps = shifts[0, looks]
     # Near the end u = D delta s 2 phi'(a), and x - x_d = e^-t (A + B t) with B = 2 D phi'(a) delta.
     tail = 2.0 * TAIL * _STRENGTH * ACTIVATIONS[activation].slope(a)
-    ripples = _third_derivative(1.0 - g[looks])
+    used = int((g[looks] > _LEAST_RIPPLING).sum())
+    ripples = np.pad(third_derivative(1.0 - g[looks[:used]]), ((0, 0), (0, len(looks) - used)))
     rows = np.concatenate([bumps, _RIPPLE**3 * (ripples @ bumps), tail[None], _RIDGE**0.5 * _STRENGTH * np.eye(len(a))])
     inverse = np.linalg.pinv(rows)
     count = len(looks)
@@ -280,16 +280,8 @@ def _basis(activation: str) -> _Basis:
     # Of u = 2 D delta g phi'(a + c g), with g' = -g.
     start = 2.0 * _STRENGTH * np.stack([slope, -(slope + c * steeper)])
     starting = inverse @ inverse.T @ start.T
-    return _Basis(g, shifts, inputs(g), g[looks], solution, start, starting @ np.linalg.inv(start @ starting))
-
-
-def _third_derivative(w: Floats) -> Floats:
-    """Matrix of third divided differences of values at ``w``, up to `_LEAST_RIPPLING` before the end."""
-    used = int((w < 1.0 - _LEAST_RIPPLING).sum())
-    matrix = np.eye(used, len(w))
-    for order in (1, 2, 3):
-        matrix = order * np.diff(matrix, axis=0) / (w[order:used] - w[: used - order])[:, None]
-    return matrix
+    bent = np.stack([shifts, inputs(g)]).transpose(0, 2, 1, 3).reshape(2, len(g), -1)
+    return _Basis(g, bent, g[looks], solution, start, starting @ np.linalg.inv(start @ starting))
 
 
 def _at_clock(curve: Floats, units: Floats, w: Floats) -> Floats:
@@ -299,13 +291,9 @@ def _at_clock(curve: Floats, units: Floats, w: Floats) -> Floats:
     if passed[-1] <= 0.0:
         return np.broadcast_to(curve[-1], (len(w), *curve.shape[1:]))
     even = np.linspace(0.0, 1.0, _PIECES + 1)
-    pieces = np.diff((_interpolated(passed, curve, even * passed[-1]) * units).reshape(len(even), -1), axis=0)
-    pieces /= np.maximum(np.sqrt(np.einsum("ki,ki->k", pieces, pieces)), 1e-300)[:, None]
-    turns = np.diff(pieces, axis=0)
-    turning = np.pad(np.sqrt(np.einsum("ki,ki->k", turns, turns)), 1)
-    turning = gaussian_filter1d(turning, _SMOOTHING * _PIECES, mode="nearest")
-    spent = even + _CLOCK_PER_TURN * np.append(0.0, np.cumsum(0.5 * (turning[1:] + turning[:-1])))
-    return _interpolated(passed, curve, np.interp(w, spent / spent[-1], even * passed[-1]))
+    points = (_interpolated(passed, curve, even * passed[-1]) * units).reshape(len(even), -1)
+    spent = clock_along(points, _CLOCK_PER_TURN, _SMOOTHING)
+    return _interpolated(passed, curve, np.interp(w, spent, even * passed[-1]))
 
 
 def _interpolated(x: Floats, values: Floats, wanted: Floats) -> Floats:

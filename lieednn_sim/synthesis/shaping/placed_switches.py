@@ -12,12 +12,11 @@ derivative of the error is penalised too.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d
 
 from lieednn_sim.synthesis.shaping.cascade import Cascade, Parameters
-from lieednn_sim.synthesis.shaping.curve import Curve
+from lieednn_sim.synthesis.shaping.curve import Curve, clock_along, third_derivative
 from lieednn_sim.synthesis.shaping.fit import LARGEST_SLOPE
 from lieednn_sim.synthesis.shaping.start import towards
 from lieednn_sim.values import Floats
@@ -49,7 +48,10 @@ def fit_placed_switches(cascade: Cascade, curve: Curve, n_switches: int) -> Para
     # The last row is the tail, which should vanish.
     missing = np.concatenate([goal - cascade.free[:-1], np.zeros((1, n, 6))])
     weight = np.append(curve.weight(fractions), 1.0)[:, None]
-    looks, ripples = _third_derivative(1.0 - clock.g)
+    w = 1.0 - clock.g
+    # Nearly even, so that no difference is dominated by close instants.
+    looks = np.unique(np.abs(w[:, None] - np.linspace(0.0, 1.0 - _LEAST_CLOCK, _INSTANTS)).argmin(axis=0))
+    ripples = third_derivative(w[looks])
     a, c, q = np.zeros((m, 6)), np.zeros((m, 6)), np.zeros((n, m, 4))
     for half, chosen in _halves(curve, m):
         place, slope = _switches(curve, pace, half, len(chosen))
@@ -77,12 +79,8 @@ def _halves(curve: Curve, count: int) -> list[tuple[slice, Floats]]:
 def _pace(curve: Curve) -> CubicSpline:
     """Fraction of the curve's length as a function of the fraction of the clock: slower where the curve turns."""
     s = np.linspace(0.0, 1.0, _PIECES + 1)
-    pieces = np.diff((curve.at(s)[0] * curve.units).reshape(len(s), -1), axis=0)
-    directions = pieces / np.maximum(np.linalg.norm(pieces, axis=1, keepdims=True), 1e-300)
-    turns = np.linalg.norm(np.diff(directions, axis=0), axis=1)
-    turning = gaussian_filter1d(np.interp(s[:-1], s[1:-1], turns), _SMOOTHING * _PIECES, mode="nearest")
-    passed = np.append(0.0, np.cumsum(1.0 / _PIECES + _CLOCK_PER_TURN * turning))
-    return CubicSpline(passed / passed[-1], s)
+    points = (curve.at(s)[0] * curve.units).reshape(len(s), -1)
+    return CubicSpline(clock_along(points, _CLOCK_PER_TURN, _SMOOTHING), s)
 
 
 def _switches(curve: Curve, pace: CubicSpline, half: slice, count: int) -> tuple[Floats, Floats]:
@@ -95,13 +93,3 @@ def _switches(curve: Curve, pace: CubicSpline, half: slice, count: int) -> tuple
     mass = np.append(0.0, np.cumsum(0.5 * (density[1:] + density[:-1])))
     edges = np.interp(np.linspace(0.0, mass[-1], 2 * count + 1), mass, w)
     return edges[1::2], np.clip(_OVERLAP / (edges[2::2] - edges[:-2:2]), _LEAST_SLOPE, LARGEST_SLOPE)
-
-
-def _third_derivative(w: Floats) -> tuple[NDArray[np.int_], Floats]:
-    """Indices of instants, nearly even in ``w``, and the matrix of third divided differences there."""
-    wanted = np.linspace(0.0, 1.0 - _LEAST_CLOCK, _INSTANTS)
-    looks = np.unique(np.abs(w[:, None] - wanted).argmin(axis=0))
-    at, matrix = w[looks], np.eye(len(looks))
-    for order in (1, 2, 3):
-        matrix = order * np.diff(matrix, axis=0) / (at[order:] - at[:-order])[:, None]
-    return looks, matrix
