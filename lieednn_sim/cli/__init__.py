@@ -31,6 +31,7 @@ _MODULES = {
     "compare": "comparison",
     "merge": "comparison",
     "problems": "problems",
+    "library": "library",
     "arms": "arms",
     "doctor": "doctor",
     "view": "live",
@@ -244,6 +245,13 @@ def _parser() -> argparse.ArgumentParser:
         "It can be interrupted: the same command continues.",
     )
     options.add_problems(problems)
+
+    library = command(
+        "library",
+        "store the motions of runs in one file, blend them, and make runs of them",
+        "All motions are codes of one network with one proof of arrival; where they go is stored, not when.",
+    )
+    options.add_library(library)
 
     arms = command(
         "arms",

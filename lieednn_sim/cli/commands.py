@@ -14,7 +14,6 @@ from lieednn_sim.cli.run_directory import RunDirectory
 from lieednn_sim.errors import InputError, LieEDNNError, RenderingUnavailableError, SimulationError
 from lieednn_sim.evaluation.metrics import evaluate as evaluate_rollout
 from lieednn_sim.planning.motion import check_motion
-from lieednn_sim.planning.network_path import make_motion
 from lieednn_sim.rendering import opengl
 from lieednn_sim.simulation import simulate as simulate_motion
 from lieednn_sim.validation import as_path
@@ -91,10 +90,7 @@ def _simulate(run: RunDirectory, arguments: argparse.Namespace) -> None:
     task, arm = run.load_task()
     changes = disturbances(arm, arguments)
     with progress("check"):
-        if task.drawn:
-            motion = make_motion(arm, run.load_network(task), task.start, task.duration, arm.timestep)
-        else:
-            motion = run.load_motion(task)
+        motion = run.motion_of(task, arm)
         check_motion(arm, motion)
     end = motion.t[-1] + arguments.hold
     for push in changes.pushes:

@@ -39,11 +39,7 @@ def decimal_or_inf(text: str) -> float:
 
 def add_task(parser: argparse.ArgumentParser, output: str, *, goal: bool = True) -> argparse._MutuallyExclusiveGroup:
     """Add arm, scene, start and target; where ``goal`` is false the target is optional."""
-    parser.add_argument(
-        "--arm", default="telescopic_pr", metavar="NAME", help=f"{_one_of(ARMS)}, or an MJCF, URDF or YAML file"
-    )
-    add_frames(parser)
-    _add_scene(parser)
+    _add_arm(parser)
     group = parser.add_mutually_exclusive_group(required=goal)
     group.add_argument(
         "--target",
@@ -53,10 +49,18 @@ def add_task(parser: argparse.ArgumentParser, output: str, *, goal: bool = True)
     )
     group.add_argument("--position", metavar="X,Y,Z", help="target position of the end effector in the world [m]")
     parser.add_argument("--start", default="home", metavar="Q", help="start, given as for --target")
-    parser.add_argument("--duration", type=decimal, default=4.0, metavar="S", help="duration of the motion [s]")
+    _add_duration(parser)
     parser.add_argument("--seed", type=whole, default=0, help="seed of random draws")
     parser.add_argument("--output", default=output, metavar="DIR", help="run directory")
     return group
+
+
+def _add_arm(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--arm", default="telescopic_pr", metavar="NAME", help=f"{_one_of(ARMS)}, or an MJCF, URDF or YAML file"
+    )
+    add_frames(parser)
+    _add_scene(parser)
 
 
 def _add_scene(parser: argparse.ArgumentParser) -> None:
@@ -64,6 +68,10 @@ def _add_scene(parser: argparse.ArgumentParser) -> None:
         "--scene", default="free", metavar="NAME", help=f"obstacles: {_one_of(SCENES)}, or an MJCF or YAML file"
     )
     parser.add_argument("--scene-seed", type=whole, default=0, metavar="N", help="seed of the obstacles' positions")
+
+
+def _add_duration(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--duration", type=decimal, default=4.0, metavar="S", help="duration of the motion [s]")
 
 
 def add_frames(parser: argparse.ArgumentParser) -> None:
@@ -146,6 +154,26 @@ def add_training(parser: argparse.ArgumentParser) -> None:
 def add_run(parser: argparse.ArgumentParser) -> None:
     """The run directory of a command that reads one."""
     parser.add_argument("run", metavar="DIR", help="run directory, made by 'plan', 'synthesize', 'train' or 'demo'")
+
+
+def add_library(parser: argparse.ArgumentParser) -> None:
+    """The file of ``library``, and what to do with it."""
+    parser.add_argument("file", metavar="FILE", help="the library, an .npz file; made by the first 'add'")
+    actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
+    add = actions.add_parser("add", help="store the motions of runs; one of the same name is replaced")
+    add.add_argument("runs", nargs="+", metavar="RUN", help="run directories of arms with equally many links")
+    add.add_argument("--name", help="name of a single run's motion (default: the directory's name)")
+    actions.add_parser("list", help="list the motions")
+    run = actions.add_parser("run", help="make a run of a motion, which 'simulate' continues")
+    run.add_argument("motion", metavar="NAME", help="name of a motion")
+    run.add_argument("--blend", metavar="OTHER", help="blend with another motion")
+    run.add_argument(
+        "--fraction", type=decimal, metavar="F", help="share of the way from NAME, 0, to OTHER, 1 (default: 0.5)"
+    )
+    _add_arm(run)
+    _add_duration(run)
+    run.add_argument("--output", default="results/run", metavar="DIR", help="run directory")
+    run.set_defaults(seed=0)
 
 
 def add_comparison(parser: argparse.ArgumentParser) -> None:

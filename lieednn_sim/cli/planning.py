@@ -61,7 +61,7 @@ def make_plan(run: RunDirectory, arguments: argparse.Namespace) -> None:
     if planner == CERTIFIED:
         _print_choice(arm, made, shown["bias"])
     else:
-        _print_outcome(made)
+        print_outcome(made)
     wrote(*written)
 
 
@@ -119,7 +119,8 @@ def _print_choice(arm: Arm, made: Plan, bias: str) -> None:
     console.print(rows)
 
 
-def _print_outcome(made: Plan) -> None:
+def print_outcome(made: Plan) -> None:
+    """Print a plan's duration, mechanism gap, teacher and stability."""
     rows = table("plan", "quantity", "value")
     rows.add_row("planner", made.planner)
     rows.add_row("duration", f"{made.motion.t[-1]:.2f} s")

@@ -8,15 +8,21 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lieednn_sim import storage
+from lieednn_sim.arm import Arm
 from lieednn_sim.errors import FileError, InputError
+from lieednn_sim.lie import continued
 from lieednn_sim.network import DEFAULT_ACTIVATION, LieEDNN
 from lieednn_sim.planning.motion import Motion
+from lieednn_sim.planning.network_path import NetworkPath, require_fit, timed_motion
+from lieednn_sim.planning.problem import Plan, PlanningProblem, in_time
 from lieednn_sim.synthesis import CurveEncoder
 from lieednn_sim.validation import as_choice, as_floats, quoted
 from lieednn_sim.values import Floats, read_only
 
 _KIND = "motion library"
 _LONGEST_NAME = 100
+# Samples of the straight way of states along which the joints are followed from a motion's start to its target.
+_WAY = 65
 
 
 class MotionLibrary:
@@ -104,6 +110,46 @@ class MotionLibrary:
         one, other = self._named(first), self._named(second)
         code, (begin, target) = (a + share * (b - a) for a, b in zip(one, other, strict=True))
         return self._coded(code, target), np.concatenate([begin, code])
+
+    def plan(
+        self,
+        arm: Arm,
+        name: str,
+        blend: str | None = None,
+        fraction: float = 0.5,
+        *,
+        duration: float = 4.0,
+        max_time_scale: float = 3.0,
+    ) -> Plan:
+        """The motion of an arm along a stored path, or a blend of two, within the arm's limits and free of contact.
+
+        It goes from rest to rest between the joint positions whose poses are nearest to the path's ends; of several,
+        they are those next to the keyframe ``home``.
+
+        Args:
+            arm: an arm with as many links as the network has visible neurons.
+            name: name of a motion.
+            blend: name of a motion to blend with, as in `blend`.
+            fraction: from 0, the first motion, to 1, the other one.
+            duration: duration of the motion [s].
+            max_time_scale: as for `plan`.
+
+        Raises:
+            InputError: a value is malformed, there is no such motion, the arm has another number of links, or start or
+                target cannot be used.
+            PlanError: the motion breaks a limit of the arm, touches something, or does not arrive.
+        """
+        network, state = self.blend(name, name if blend is None else blend, fraction)
+        require_fit(arm, network)
+        begin, goal = network.visible(state), network.bias[: network.n_visible]
+        way = begin + np.linspace(0.0, 1.0, _WAY)[:, None, None] * (goal - begin)
+        q = arm.decode(way, start=arm.configuration("home", "home")).q
+        problem = PlanningProblem(arm, q[0], q[-1], duration, max_time_scale=max_time_scale)
+        # Blended poses need not be such that the joints can take them.
+        reached = continued(np.stack([goal, arm.encode(q[-1])]))[1]
+        path = NetworkPath.integrate(arm, network.retarget(reached).with_start(network.hidden_start), problem.start)
+        motion = in_time(timed_motion, problem, path)
+        return Plan(motion, path.network, target=problem.target, planner="library")
 
     def switch(self, state: ArrayLike, name: str) -> tuple[LieEDNN, Floats]:
         """Change to another motion in flight: its network, and the state ``(N + M, 6)`` to go on from.
