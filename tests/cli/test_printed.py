@@ -88,7 +88,7 @@ def test_synthesize_prints_what_another_planner_made(printed):
     teacher = SimpleNamespace(planner="rrt-connect")
     how = {"teacher": teacher, "details": ShapedDetails(0.0135, 0.25)}
     made = SimpleNamespace(planner="shaped", network=Network(), motion=MOTION, **how)
-    planning._print_outcome(made)
+    planning.print_outcome(made)
     lines = printed()
     assert dict(line for line in lines if len(line) == 2) == {
         "quantity": "value",
