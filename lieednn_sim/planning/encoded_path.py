@@ -17,9 +17,9 @@ from lieednn_sim.synthesis import CurveEncoder
 from lieednn_sim.validation import as_floats
 from lieednn_sim.values import Floats
 
-# The mechanism gap is measured at every second instant of the closed form, most of which are between decoded ones.
-_STRIDE = 2
-# Degree of the spline of the joints through the instants of the fit, which is good to a micrometre.
+# Joints are decoded at every third instant of the closed form, and beyond this w, where instants become denser, at all.
+_STRIDE, _DENSE = 3, 0.95
+# Degree of the spline through them, which is good to a micrometre.
 _DEGREE = 5
 
 
@@ -31,13 +31,11 @@ class EncodedPath(NetworkPath):
 
     Attributes:
         trajectory: visible states ``(..., N, 6)`` and the speed along them, both as functions of w.
-        joints: joint positions ``(..., n)`` as a function of w, decoded at the instants of the fit.
-        gap: mechanism gap ``(..., 2, N)`` [m, rad] as a function of w.
+        joints: joint positions ``(..., n)`` as a function of w, decoded at instants of the closed form.
     """
 
     trajectory: tuple[CubicHermiteSpline, PchipInterpolator]
     joints: BSpline
-    gap: BSpline
 
     @classmethod
     def follow(
@@ -66,17 +64,12 @@ class EncodedPath(NetworkPath):
         w = visible.x
         target = network.goal(network.bias[: network.n_visible])
         speed = PchipInterpolator(w, np.linalg.norm(visible(w, 1) * units, axis=(-2, -1)))
+        some = w[(np.arange(len(w)) % _STRIDE == 0) | (w > _DENSE)]
         # Both paths have about the same length.
-        passed, length = (
-            np.append(0.0, np.cumsum(step_lengths(guide.xi, units))),
-            speed.antiderivative()(encoder.fitted),
-        )
+        passed, length = np.append(0.0, np.cumsum(step_lengths(guide.xi, units))), speed.antiderivative()(some)
         near = np.stack([np.interp(length, passed, joint) for joint in guide.q.T], axis=1)
-        decoded = arm.decode(visible(encoder.fitted), start=near)
-        joints = make_interp_spline(encoder.fitted, decoded.q, _DEGREE)
-        looks = np.append(w[:-1:_STRIDE], w[-1])
-        gap = make_interp_spline(looks, np.stack(arm.gap(visible(looks), joints(looks)), axis=1), 1)
-        return cls(arm, network, guide.q[0], origin, target, (visible, speed), joints, gap)
+        joints = make_interp_spline(some, arm.decode(visible(some), start=near).q, _DEGREE)
+        return cls(arm, network, guide.q[0], origin, target, (visible, speed), joints)
 
     def state(self, tau: ArrayLike) -> Floats:
         """States ``(..., N, 6)`` of all neurons at the network's own times ``(...)``, up to the path's end."""
@@ -89,5 +82,4 @@ class EncodedPath(NetworkPath):
         t, w, rate = self._positions(duration, timestep, law)
         xi, q, qd = self.trajectory[0](w), self.joints(w), self.joints(w, 1) * rate[:, None]
         qd[[0, -1]] = 0.0
-        gap = self.gap(w).swapaxes(0, 1)
-        return Motion(t, -np.log1p(-w), xi, self.network.visible(self.target), q, qd, *gap)
+        return Motion(t, -np.log1p(-w), xi, self.network.visible(self.target), q, qd, *self.arm.gap(xi, q))

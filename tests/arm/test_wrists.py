@@ -9,7 +9,7 @@ from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm, import_arm
 from lieednn_sim.arm.kinematics import least_singular_value
 from lieednn_sim.arm.singularities import NEARLY_SINGULAR, singularity_margin
-from lieednn_sim.errors import PlanError
+from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.planning import default_planner, plan
 
 WRIST = """
@@ -43,6 +43,12 @@ def test_a_way_of_states_is_followed_on_the_branch_on_which_it_begins():
         # Several ways side by side.
         pair = arm.decode(np.stack([xi, xi], axis=1), start=ends[0])
         np.testing.assert_allclose(pair.q[:, 1], ends, atol=1e-9)
+        # From guesses, those next to them.
+        guessed = arm.decode(xi, xi_dot, start=ends + 1e-2)
+        np.testing.assert_allclose(guessed.q, ends, atol=1e-9)
+        np.testing.assert_allclose(guessed.qd, rates, atol=1e-6)
+    with pytest.raises(InputError, match="start must have shape"):
+        arm.decode(xi, start=ends[1:])
     assert np.abs(arm.decode(arm.encode(way * [1.0, 1.0, -1.0, 1.0])).q[:, 2] + way[:, 2]).max() > 0.1
 
 

@@ -135,11 +135,6 @@ class CurveEncoder:
         whole = np.broadcast_to(shift, (n, 2, CODE_PAIRS, 6)).reshape(self._silent.shape)
         return self.network.retarget(target).with_start(self._silent + whole)
 
-    @property
-    def fitted(self) -> Floats:
-        """Instants w = 1 - e^-t ``(F,)`` of the fit, which resolve all bumps."""
-        return 1.0 - self._basis.fitted
-
     def path(self, network: LieEDNN, start: ArrayLike) -> CubicHermiteSpline:
         """States ``(..., N, 6)`` of the visible neurons in closed form, as a function of w = 1 - e^-t.
 
