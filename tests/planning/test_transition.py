@@ -100,7 +100,7 @@ def test_the_network_follows_the_transition_from_its_first_velocity_on(name, gan
 
 def test_steps_without_inputs_are_the_networks_own():
     rng = np.random.default_rng(1)
-    curve = np.cumsum(0.03 * rng.normal(size=(30, 2, 6)), axis=0)
+    curve = np.cumsum(0.02 * rng.normal(size=(30, 2, 6)), axis=0)
     network = CurveEncoder(2).encode(np.linspace(0.0, 1.0, 30)[:, None, None] * curve[-1] + 0.1 * curve)
     start = curve[0]
     state = UndrivenState(network, start)
