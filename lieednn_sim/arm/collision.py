@@ -17,10 +17,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.arm import Arm
-from lieednn_sim.arm.contacts import fixed_body, moving_geoms
+from lieednn_sim.arm.contacts import move_bodies, moving_geoms
 from lieednn_sim.errors import InputError
 from lieednn_sim.typecheck import typecheck_public
-from lieednn_sim.validation import as_count, as_floats, quoted
+from lieednn_sim.validation import as_count, as_floats
 from lieednn_sim.values import Floats
 
 __all__ = ["Collisions"]
@@ -105,9 +105,7 @@ class Collisions:
             self._scene = self.arm.model
             self.arm = replace(self.arm, model=copy.deepcopy(self._scene))
         self.arm.model.body_pos[:] = self._scene.body_pos
-        for name, place in places.items():
-            body = fixed_body(self._scene, name)
-            self.arm.model.body_pos[body] = as_floats(f"the place of {quoted(name)}", place, (3,))
+        move_bodies(self.arm.model, places)
 
     def distances(self, q: ArrayLike, cutoff: ArrayLike) -> Distances:
         """Distances and gradients of all pairs closer than ``cutoff`` [m], a scalar or ``(P,)``, at ``q`` ``(n,)``.

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.errors import InputError
-from lieednn_sim.validation import quoted
+from lieednn_sim.validation import as_floats, quoted
 from lieednn_sim.values import Floats
 
 # Planned motions keep this distance from contact by default [m], since tracking them is off by a millimetre or two.
@@ -34,9 +35,9 @@ class ContactFinder:
         self._model.opt.o_margin = margin
         self._data = mujoco.MjData(self._model)
 
-    def move(self, body: int, position: Floats) -> None:
-        """Put a fixed body elsewhere: its position ``(3,)`` in the frame of its parent [m]."""
-        self._model.body_pos[body] = position
+    def move(self, places: Mapping[str, ArrayLike]) -> None:
+        """See `move_bodies`."""
+        move_bodies(self._model, places)
 
     def geoms(self, qpos: Floats) -> tuple[Floats, NDArray[np.int_]]:
         """Distances ``(C,)`` and ids ``(C, 2)`` of geoms closer than the margin at MuJoCo's positions ``(nq,)``."""
@@ -104,3 +105,13 @@ def fixed_body(model: mujoco.MjModel, name: str) -> int:
             f"no obstacle {quoted(name)} can move; bodies without joints are: {', '.join(fixed) or 'none'}"
         )
     return found
+
+
+def move_bodies(model: mujoco.MjModel, places: Mapping[str, ArrayLike]) -> None:
+    """Put bodies without joints at positions ``(3,)`` in the frames of their parents [m], by name, in a model.
+
+    Raises:
+        InputError: there is no such body, or a value is malformed.
+    """
+    for name, place in places.items():
+        model.body_pos[fixed_body(model, name)] = as_floats(f"the place of {quoted(name)}", place, (3,))

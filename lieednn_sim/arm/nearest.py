@@ -49,6 +49,7 @@ class NearestPose:
 
     Attributes:
         length: as given.
+        sliding: ``(c,)`` whether a coordinate is that of a slide.
 
     Args:
         joints: the group.
@@ -62,7 +63,7 @@ class NearestPose:
         # Weights of the entries of [R, p].
         self._weights = np.tile([np.sqrt(0.5)] * 3 + [1.0 / length], 3)
         turning = [factor.indices for joint in joints for factor in joint.factors if factor.kind != "slide"]
-        self._sliding = ~np.isin(indices, np.concatenate([*turning, []]))
+        self.sliding = ~np.isin(indices, np.concatenate([*turning, []]))
         factors = [factor for joint in joints for factor in joint.factors]
         # For each joint: a selection matrix ``(c, r)`` of its r coordinates among the group's, or None if equal;
         # and for pairs ``(r, r)`` of them 1 if the first belongs to an earlier factor, 1/2 if both to the same one.
@@ -214,7 +215,7 @@ class NearestPose:
         left = (values**2).sum(axis=-1) - 2.0 * goal @ values.T - taken
         best = np.argsort(left, axis=1, kind="stable")[:, :_STARTS]
         starts = configurations[best]
-        starts[..., self._sliding] = np.take_along_axis(slides, best[..., None], axis=1)
+        starts[..., self.sliding] = np.take_along_axis(slides, best[..., None], axis=1)
         return np.moveaxis(starts, 1, 0)
 
     @cached_property
@@ -225,9 +226,9 @@ class NearestPose:
         for factor in (factor for joint in self._joints for factor in joint.factors if factor.kind == "ball"):
             turns = scipy.spatial.transform.Rotation.random(_CONFIGURATIONS, rng=np.random.default_rng(0)).as_rotvec()
             configurations[:, np.searchsorted(self._indices, factor.indices)] = turns @ factor.axes
-        configurations[:, self._sliding] = 0.0
+        configurations[:, self.sliding] = 0.0
         values, jacobian = self._evaluate(configurations)
-        slopes = jacobian[:, :, self._sliding]
+        slopes = jacobian[:, :, self.sliding]
         return configurations, values, slopes, np.asarray(np.linalg.pinv(slopes), dtype=np.float64)
 
     def rates(self, q: Floats, rotation: Floats, translation: Floats, omega: Floats, velocity: Floats) -> Floats:
@@ -270,7 +271,7 @@ class NearestPose:
         """
         goal = self._stack(rotation, translation).reshape(len(q), -1)
         values, jacobian = self._evaluate(q)
-        slopes, residual = jacobian * np.where(self._sliding, self.length, 1.0), values - goal
+        slopes, residual = jacobian * np.where(self.sliding, self.length, 1.0), values - goal
         transposed = np.swapaxes(slopes, -1, -2)
         least = np.linalg.eigvalsh(transposed @ slopes)[:, 0]
         levers = np.linalg.norm(slopes.reshape(len(q), -1, 12, slopes.shape[-1])[:, :, 3::4], axis=2)
@@ -278,7 +279,7 @@ class NearestPose:
             np.sqrt(np.maximum(least, 0.0)),
             np.asarray(np.linalg.norm(residual, axis=1)),
             np.asarray(np.linalg.norm((transposed @ residual[..., None])[..., 0], axis=1)),
-            levers[..., ~self._sliding].max(axis=(1, 2), initial=0.0),
+            levers[..., ~self.sliding].max(axis=(1, 2), initial=0.0),
         )
 
     def _newton_step(self, q: Floats, goal: Floats) -> Floats:

@@ -151,24 +151,14 @@ class _Nearest:
         members = [[joints.joints[link] for link in links] for links in groups]
         coordinates = [np.unique(np.concatenate([joint.indices for joint in group])) for group in members]
         self.indices = np.concatenate(coordinates)
-        self._coordinates, self._length = coordinates, length
-        self._sliding = ~np.isin(
-            self.indices,
-            [
-                i
-                for joint in joints.joints
-                for factor in joint.factors
-                if factor.kind != "slide"
-                for i in factor.indices
-            ],
-        )
+        self._coordinates = coordinates
         self._problem = NearestPose(members[0], coordinates[0], len(joints.reference), length)
 
     @property
     def groups(self) -> list[Group]:
         """Each group of links; slides in units of the length."""
-        weights = np.where(self._sliding, 1.0 / self._length, 1.0).reshape(len(self._links), -1)
-        return list(zip(self._coordinates, weights, strict=True))
+        weights = np.where(self._problem.sliding, 1.0 / self._problem.length, 1.0)
+        return [(indices, weights) for indices in self._coordinates]
 
     def spread(self, deviations: Deviations) -> Floats:
         """See `spread_of_nearest`."""

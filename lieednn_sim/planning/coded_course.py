@@ -20,6 +20,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.lie import continued
 from lieednn_sim.network.undriven import UndrivenState
 from lieednn_sim.planning.joint_space import joint_scale
+from lieednn_sim.planning.time_laws import minimum_jerk_law
 from lieednn_sim.planning.transition import Transition
 from lieednn_sim.synthesis.shaping.encoder import CurveEncoder
 from lieednn_sim.values import Floats
@@ -102,8 +103,8 @@ class CodedCourse:
         q, _, _ = transition(times)
         states = continued(np.concatenate([visible[None], arm.encode(q)]))[1:]
         # What the state lacks of a configuration, a mechanism gap, fades.
-        s = np.clip(times / duration, 0.0, 1.0)
-        states += (1.0 - s**3 * (10.0 - 15.0 * s + 6.0 * s**2))[:, None, None] * (visible - states[0])
+        left = 1.0 - minimum_jerk_law(np.clip(times / duration, 0.0, 1.0))[0]
+        states += left[:, None, None] * (visible - states[0])
         near, rest, target = states[:4], states[4:-1], states[-1]
         velocity = (-1.5 * near[0] + 2.0 * near[1] - 0.5 * near[2]) / h
         acceleration = (2.0 * near[0] - 5.0 * near[1] + 4.0 * near[2] - near[3]) / h**2

@@ -100,12 +100,17 @@ class Policy(ABC):
         self.q, self.qd = q, qd
         return q, qd
 
-    def see(self, places: Mapping[str, Floats]) -> None:  # noqa: B027 (most look at no obstacles)
-        """Be told where moving obstacles are now.
+    def see(self, places: Mapping[str, Floats]) -> None:
+        """Be told where all moving obstacles are now; most policies look at none. A reset puts them back.
 
         Args:
             places: positions ``(3,)`` of bodies of the arm's scene, in the frames of their parents [m], by name.
+
+        Raises:
+            InputError: the policy was never reset.
         """
+        if "q" not in vars(self):
+            raise InputError("the policy was never reset, and a reset puts obstacles back: call reset(q) before see")
 
     def begin(self, q: Floats) -> None:  # noqa: B027 (some have no state of their own)
         """Prepare to start from joint coordinates ``(n,)``; called by `reset`, unchecked."""

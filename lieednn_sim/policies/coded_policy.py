@@ -71,7 +71,6 @@ class CodedPolicy(FeedbackPolicy):
         super().__init__(arm, rate, feedback)
         self._encoder = CurveEncoder(arm.n_links)
         self._low, self._high = arm.position_limits.T
-        self._range = arm.ranges
 
     def begin(self, q: Floats) -> None:
         """See `Policy`; unchecked."""
@@ -118,15 +117,11 @@ class CodedPolicy(FeedbackPolicy):
 
     def _listen(self, measured: Floats | None) -> tuple[Floats, Floats]:
         """Set s, and return the pull of the measured joints on the flat visible state and on the configuration."""
-        off = np.zeros_like(self.drawn) if measured is None else measured - self.drawn
-        self._waiting, strength = 1.0, 0.0
-        if self._feedback is not None:
-            self.behind = float((np.abs(off) / self._range).max())
-            self._waiting, strength = self._feedback.response(self.behind)
+        self._waiting, strength = self._response(measured, self.drawn)
         if strength == 0.0 or measured is None:
-            return np.zeros_like(self.course.state.x), np.zeros_like(off)
+            return np.zeros_like(self.course.state.x), np.zeros_like(self.drawn)
         there, here = self.arm.encode(np.stack([measured, self.drawn]))
-        return strength * (there - here).ravel(), strength * off
+        return strength * (there - here).ravel(), strength * (measured - self.drawn)
 
     def _within_acceleration(self, wish: float, extra: Floats) -> float:
         """The pace nearest to a wish with which no joint's velocity changes by more than its limit in a period."""

@@ -74,6 +74,7 @@ class Fabric(JointPolicy):
 
     def see(self, places: Mapping[str, Floats]) -> None:
         """See `Policy`; raises `InputError` for names that are no bodies without joints."""
+        super().see(places)
         self._collisions.move(places)
 
     def velocity(self, target: Floats, waiting: float) -> Floats:

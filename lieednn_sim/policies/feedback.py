@@ -71,12 +71,19 @@ class FeedbackPolicy(Policy):
 
     def __init__(self, arm: Arm, rate: float, feedback: Feedback | None) -> None:
         super().__init__(arm, rate)
-        self._feedback = feedback
+        self._feedback, self._range = feedback, arm.ranges
 
     def begin(self, q: Floats) -> None:
         """See `Policy`; unchecked."""
         # Whether joint limits slowed the policy down in the last period.
         self.pace, self.behind, self._limited = 1.0, 0.0, False
+
+    def _response(self, measured: Floats | None, drawn: Floats) -> tuple[float, float]:
+        """The factors s and k d [1/s] for the measured joints and the reference of the same instant; sets `behind`."""
+        if measured is None or self._feedback is None:
+            return 1.0, 0.0
+        self.behind = float((np.abs(measured - drawn) / self._range).max())
+        return self._feedback.response(self.behind)
 
     @property
     def message(self) -> str:

@@ -49,6 +49,7 @@ class FilteredPolicy(Policy):
 
     def see(self, places: Mapping[str, Floats]) -> None:
         """See `Policy`; raises `InputError` for names that are no bodies without joints."""
+        super().see(places)
         self.inner.see(places)
         self._filter.see(places)
 

@@ -41,13 +41,10 @@ class JointPolicy(FeedbackPolicy):
 
     def act(self, measured: Floats | None, target: Floats) -> tuple[Floats, Floats]:
         """See `Policy`; unchecked."""
-        waiting, pull = 1.0, np.zeros_like(self.y)
-        if measured is not None and self._feedback is not None:
-            off = measured - self.y
-            self.behind = float((np.abs(off) / self.range).max())
-            waiting, strength = self._feedback.response(self.behind)
-            pull = strength * off
-        wanted = waiting * self.velocity(target, waiting) + pull
+        waiting, strength = self._response(measured, self.y)
+        wanted = waiting * self.velocity(target, waiting)
+        if measured is not None:
+            wanted = wanted + strength * (measured - self.y)
         slower = 1.0 / max(1.0, float((np.abs(wanted) / self.allowed()).max()))
         self.pace, self._limited = slower * waiting, slower < 1.0
         self.elapse(self.pace * self.period)

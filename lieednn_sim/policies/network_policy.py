@@ -100,7 +100,7 @@ class NetworkPolicy(FeedbackPolicy):
                 f"speed must be at most {fastest:.3g} per second for this network at {self.rate:g} Hz, got {speed:g}"
             )
         self._low, self._high = arm.position_limits.T
-        self._range, self._balls = arm.ranges, arm.space.balls
+        self._balls = arm.space.balls
         self._widest = self._high[self._balls[:, 0]].tolist()
 
     def begin(self, q: Floats) -> None:
@@ -192,19 +192,15 @@ class NetworkPolicy(FeedbackPolicy):
 
     def _listen(self, measured: Floats | None) -> tuple[float, tuple[Floats, Floats] | None]:
         """How far the clock waits for the measured joints, and how they pull the flat state and its configuration."""
-        feedback, self.pulled = self._feedback, False
-        if measured is None or feedback is None:
-            return 1.0, None
-        off = measured - self._drawn
-        self.behind = _max_abs(off / self._range)
-        waiting, strength = feedback.response(self.behind)
-        if strength == 0.0:
+        self.pulled = False
+        waiting, strength = self._response(measured, self._drawn)
+        if measured is None or strength == 0.0:
             return waiting, None
         self.pulled = True
         there, here = self.arm.encode(np.stack([measured, self._drawn]))
         pull = np.zeros(self.xi.size)
         pull[: self._visible] = strength * (there - here).ravel()
-        return waiting, (pull, strength * off)
+        return waiting, (pull, strength * (measured - self._drawn))
 
     def _turned_far(self, q: Floats) -> bool:
         """Whether a ball joint is beyond its largest angle."""

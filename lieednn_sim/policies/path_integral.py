@@ -19,11 +19,11 @@ from scipy.special import softmax
 
 from lieednn_sim._mujoco import QuietWarnings, mujoco
 from lieednn_sim.arm import Arm
-from lieednn_sim.arm.contacts import fixed_body, moving_geoms
+from lieednn_sim.arm.contacts import move_bodies, moving_geoms
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.policies.feedback import FEEDBACK, Feedback
 from lieednn_sim.policies.joint_policy import JointPolicy
-from lieednn_sim.validation import Seed, as_floats, as_positive, as_seed, quoted
+from lieednn_sim.validation import Seed, as_positive, as_seed
 from lieednn_sim.values import Floats
 
 # Number of velocity knots over the horizon; cost of contact [1/s].
@@ -81,8 +81,7 @@ class VelocityRollouts:
     def move(self, places: Mapping[str, Floats]) -> None:
         """Put obstacles where they are now, and all others back where the scene has them; see `Policy.see`."""
         self._model.body_pos[:] = self._scene
-        for name, place in places.items():
-            self._model.body_pos[fixed_body(self._model, name)] = as_floats(f"the place of {quoted(name)}", place, (3,))
+        move_bodies(self._model, places)
 
     def __call__(self, q: Floats, velocities: Floats) -> tuple[Floats, Floats]:
         """Configurations after each step, and clearances before it.
@@ -192,6 +191,7 @@ class PathIntegral(JointPolicy):
 
     def see(self, places: Mapping[str, Floats]) -> None:
         """See `Policy`; raises `InputError` for names that are no bodies without joints."""
+        super().see(places)
         self._rollouts.move(places)
 
     def velocity(self, target: Floats, waiting: float) -> Floats:

@@ -114,6 +114,7 @@ class ReplanningPolicy(CodedPolicy):
 
     def see(self, places: Mapping[str, Floats]) -> None:
         """See `Policy`; raises `InputError` for names that are no bodies without joints."""
+        super().see(places)
         self._surroundings.see(places)
 
     @property

@@ -55,10 +55,8 @@ class Surroundings:
         if not seen.keys() <= self.places.keys():
             self._near = ContactFinder(self._pairs_of({*self.places, *seen}), self._margin)
         self.places.update(seen)
-        for name, place in self.places.items():
-            body = fixed_body(self._model, name)
-            for finder in filter(None, (self._all, self._near)):
-                finder.move(body, place)
+        for finder in filter(None, (self._all, self._near)):
+            finder.move(self.places)
 
     def blocked(self, q: Floats, *, only_moving: bool = False) -> tuple[int, str] | None:
         """Index of the first of the configurations ``(K, n)`` at which something is in the way, and its body's name.
@@ -98,8 +96,11 @@ class Surroundings:
         model = copy.deepcopy(self._model)
         colliding, parts = colliding_geoms(model), moving_geoms(model)
         bodies = {fixed_body(model, name) for name in names}
-        owners = [_ancestors(model, body) for body in model.geom_bodyid]
-        self._moved = moved = np.array([not bodies.isdisjoint(each) for each in owners], dtype=bool)
+        along = np.zeros(model.nbody, dtype=bool)
+        # Parents come before their children.
+        for body, parent in enumerate(model.body_parentid):
+            along[body] = body in bodies or along[parent]
+        self._moved = moved = along[model.geom_bodyid]
         model.geom_contype[:], model.geom_conaffinity[:] = colliding & moved, colliding & parts
         return model
 
@@ -167,12 +168,3 @@ def _path(
             continue
         return rrt_connect(problem, options)
     raise PlanError(str(refused))
-
-
-def _ancestors(model: mujoco.MjModel, body: int) -> set[int]:
-    """A body, its parents, and so on up to the world."""
-    found = set[int]()
-    while body:
-        found.add(int(body))
-        body = model.body_parentid[body]
-    return found

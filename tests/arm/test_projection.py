@@ -273,7 +273,7 @@ def test_a_far_search_starts_at_the_posture_that_fits_best_with_its_best_slides(
     indices = np.unique(np.concatenate([joint.indices for joint in joints]))
     problem = NearestPose(joints, indices, arm.n_joints, 1.0)
     postures = problem._spread[0][[3, 100, 255]].copy()
-    postures[:, problem._sliding] = [[0.3], [-0.2], [0.7]]
+    postures[:, problem.sliding] = [[0.3], [-0.2], [0.7]]
     np.testing.assert_allclose(problem._starts(problem._evaluate(postures)[0])[0], postures, atol=1e-12)
 
 

@@ -141,6 +141,8 @@ def test_what_it_is_not_for_is_said(gantry, beside):
     with pytest.raises(InputError, match="the motion has 4 joint coordinates, arm 'telescopic_pr' has 8"):
         ReplanningPolicy(other, motion=motion)
     policy = ReplanningPolicy(beside)
+    with pytest.raises(InputError, match=r"a reset puts obstacles back: call reset\(q\) before see"):
+        policy.see({"obstacle_pole": np.zeros(3)})
     policy.reset(np.zeros(4))
     with pytest.raises(InputError, match="no obstacle 'wrist' can move; bodies without joints are"):
         policy.see({"wrist": np.zeros(3)})

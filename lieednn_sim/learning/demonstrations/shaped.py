@@ -290,16 +290,10 @@ class ShapedMotion:
 
     def _run(self, start: Floats, tau: Floats) -> Floats:
         """Displacements ``(n, K, 6)`` at network times ``tau``, from displacements ``(n, 6)``."""
-        network = self.network
-        bias = network.bias.ravel()
-        # Hidden neurons without inputs are many.
-        heard = network.weight.any(axis=1)
-        weight = network.weight[heard].T
+        network, bias = self.network, self.network.bias.ravel()
 
         def field(x: Floats) -> Floats:
-            driven = np.tile(bias, (len(x), 1))
-            driven[:, heard] += network.phi(x) @ weight
-            return -network.gamma * x + network.mu * driven
+            return -network.gamma * x + network.mu * (network.interaction(network.phi(x)) + bias)
 
         states = np.stack([network.start(one[None]).ravel() for one in start])
         return run_field(field, states, _grid(max(tau[-1], 1.0), self.rate), tau, kept=6)
