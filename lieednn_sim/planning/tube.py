@@ -129,6 +129,8 @@ def find_tube(arm: Arm, plan: Plan, *, tracking: ArrayLike = 0.0, margin: float 
     network, motion = plan.network, plan.motion
     if network is None:
         raise InputError(f"only plans with a network have a tube, the planner {plan.planner!r} makes none")
+    if motion.q.shape[1] != arm.n_joints:
+        raise InputError(f"the plan has {motion.q.shape[1]} joint coordinates, arm {arm.name!r} has {arm.n_joints}")
     if not network.certified:
         raise NotCertifiedError("only certified networks have a tube; see network.certify()")
     cascade = not network.blocks[:, : network.n_visible].any()

@@ -26,9 +26,10 @@ from lieednn_sim.planning.transition import along, straight
 from lieednn_sim.policies.coded_policy import RESTS, CodedPolicy
 from lieednn_sim.policies.feedback import FEEDBACK, Feedback
 from lieednn_sim.policies.surroundings import PathSearch, Surroundings
+from lieednn_sim.validation import Seed, as_seed
 from lieednn_sim.values import Floats
 
-# Time between the samples of a path that are looked at [s], and their largest number.
+# Time between the samples of a path that are looked at [s], and their number beyond which it is a multiple of that.
 _LOOK, _MOST_LOOKS = 0.04, 150
 # Time for which obstacles are expected to go on as they move [s].
 _FORESIGHT = 0.3
@@ -76,7 +77,7 @@ class ReplanningPolicy(CodedPolicy):
         seed: seed of the searches.
 
     Raises:
-        InputError: the motion is of another arm.
+        InputError: the motion is of another arm, or a value is malformed.
     """
 
     channel_units: Mapping[str, str] = MappingProxyType(
@@ -91,14 +92,14 @@ class ReplanningPolicy(CodedPolicy):
         motion: Motion | None = None,
         options: ReplanningOptions | None = None,
         feedback: Feedback | None = FEEDBACK,
-        seed: int = 0,
+        seed: Seed = 0,
     ) -> None:
         super().__init__(arm, rate, feedback=feedback)
         if motion is not None and motion.q.shape[1] != arm.n_joints:
             raise InputError(
                 f"the motion has {motion.q.shape[1]} joint coordinates, arm {arm.name!r} has {arm.n_joints}"
             )
-        self._given, self._seed = motion, seed
+        self._given, self._seed = motion, as_seed("seed", seed)
         self._options = ReplanningOptions() if options is None else options
 
     def begin(self, q: Floats) -> None:
@@ -223,7 +224,9 @@ class ReplanningPolicy(CodedPolicy):
 
     def _sampled(self, motion: Callable[[Floats], Floats], begin: float, end: float) -> tuple[Floats, Floats]:
         """Times ``(K,)`` between two ones, and the configurations ``(K, n)`` of a motion there."""
-        times = np.linspace(begin, end, min(max(2, math.ceil((end - begin) / _LOOK) + 1), _MOST_LOOKS))
+        # The same instants in each look: otherwise where a motion is blocked would change though nothing moves.
+        step = _LOOK * max(1, math.ceil((end - begin) / (_LOOK * _MOST_LOOKS)))
+        times = np.clip(step * np.arange(math.floor(begin / step), math.ceil(end / step) + 1), begin, end)
         return times, np.asarray(motion(times))
 
     def _foreseen(self, q: Floats) -> tuple[int, str] | None:

@@ -52,11 +52,17 @@ class Moved:
     Args:
         model: the plant, whose bodies are moved.
         obstacles: the obstacles.
+
+    Raises:
+        InputError: one is no body without joints, or is given twice.
     """
 
     def __init__(self, model: mujoco.MjModel, obstacles: tuple[MovingObstacle, ...]) -> None:
         self._model = model
         self._obstacles = [(each, fixed_body(model, each.body)) for each in obstacles]
+        names = [each.body for each in obstacles]
+        if twice := {name for name in names if names.count(name) > 1}:
+            raise InputError(f"an obstacle can move in one way only, got more than one for {', '.join(sorted(twice))}")
 
     def apply(self, time: float) -> None:
         """Move the obstacles to their places at a time [s]."""

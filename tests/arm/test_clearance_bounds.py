@@ -54,3 +54,45 @@ def test_within_the_scale_nothing_comes_nearer_than_the_margin(name, scene):
             least = min(least, collisions.clearance(q + shift + off))
     assert margin <= least < 0.1
     assert largest > 0.005
+
+
+ELBOW = """
+<mujoco><compiler angle="radian"/><worldbody>
+  <body name="wall" pos="1.35 0 0"><geom size="0.1"/></body>
+  <body name="upper"><joint name="a" axis="0 0 1" range="-1 1"/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
+    <body name="lower" pos="0.6 0 0"><joint name="b" axis="0 0 1" range="-1 1"/><geom size="0.05" pos="0.4 0 0"/></body>
+  </body></worldbody></mujoco>
+"""
+
+
+def test_turns_count_to_second_order_by_hand(tmp_path):
+    """The tip of a stretched arm moves across the normal: s^2 (1 m / 2), and 0.4 m (s^2 / 2 + s^2) by the elbow."""
+    path = tmp_path / "elbow.xml"
+    path.write_text(ELBOW)
+    bounds = ClearanceBounds(Arm.load(path, floor="none"), [(np.array([i]), np.ones(1)) for i in range(2)])
+    for spread, bent in (([1.0, 0.0], 0.5), ([0.0, 1.0], 0.2), ([1.0, 1.0], 1.1)):
+        scale, _, _ = bounds(np.zeros(2), np.zeros(2), np.zeros((2, 2)), np.array(spread), 2.0)
+        assert scale == pytest.approx(np.sqrt(0.2 / bent), rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("geom", "reach"),
+    [
+        ('type="capsule" size="0.05 0.1"', 0.15),
+        ('type="cylinder" size="0.05 0.1"', 0.1),
+        ('type="cylinder" size="0.05 0.1" euler="0 1.5707963 0.2617994"', 0.05),
+        ('type="box" size="0.05 0.1 0.2"', 0.2),
+        ('type="ellipsoid" size="0.05 0.1 0.2"', 0.2),
+    ],
+)
+def test_geoms_reach_as_far_as_they_do_by_hand(tmp_path, geom, reach):
+    """Over a floor 1 m below, lowered by a slide."""
+    path = tmp_path / "lift.xml"
+    path.write_text(
+        '<mujoco><compiler angle="radian"/><worldbody><geom name="floor" type="plane" size="1 1 1"/>'
+        f'<body name="hand" pos="0 0 1"><joint name="z" type="slide" axis="0 0 1" range="-1 1"/><geom {geom}/></body>'
+        "</worldbody></mujoco>"
+    )
+    bounds = ClearanceBounds(Arm.load(path), [(np.array([0]), np.ones(1))])
+    scale, _, _ = bounds(np.zeros(1), np.zeros(1), np.zeros((2, 1)), np.ones(1), 2.0)
+    assert scale == pytest.approx(1.0 - reach, abs=1e-6)

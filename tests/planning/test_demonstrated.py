@@ -132,6 +132,7 @@ def test_goals_that_are_kept_decide_the_bend(gantry, tmp_path):
     for q in shown.q:
         found = model.toward(q[-1]).run(q[0]).q
         np.testing.assert_allclose(found[-1], q[-1], atol=1e-5)
+        np.testing.assert_array_equal(model.toward(q[-1]).goal, q[-1])
         assert np.abs(found[:, 1]).max() == pytest.approx(q[:, 1].max(), abs=0.02)
     # The errors that are reported are to each goal of its own.
     assert study.study_joints(shown, model, OPTIONS, starts=1, leave_one_out=False)[0].training.effector.goal_mm < 0.1

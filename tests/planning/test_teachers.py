@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -125,6 +126,8 @@ def test_a_teacher_is_the_same_for_a_seed_and_needs_no_optional_library(poles, n
     first, second = (best_teacher(poles, TeacherOptions()) for _ in range(2))
     assert first.planner == "rrt-connect, polished"
     np.testing.assert_array_equal(first.motion.q, second.motion.q)
+    other = best_teacher(replace(poles, seed=1), TeacherOptions())
+    assert np.abs(other.motion.q - first.motion.q).max() > 1e-3
     with pytest.raises(LieEDNNError, match="ompl is not installed"):
         best_teacher(poles, TeacherOptions(polished=False))
 

@@ -52,6 +52,50 @@ def test_a_motion_is_slowed_down_and_joined(gantry):
     np.testing.assert_allclose(np.gradient(q, t, axis=0)[1:-1], qd[1:-1], atol=2e-3)
 
 
+def test_limits_are_kept_also_where_the_first_transition_tried_breaks_them(gantry):
+    """0.5 of the limits for a short motion from rest; then begun against the motion, and towards a joint's limit."""
+    start, short, t = np.zeros(4), 0.03 * TARGET, np.linspace(0.0, 1.0, 500)
+    base = straight(gantry, start, short, 1e-3)
+    limits = gantry.velocity_limits, gantry.acceleration_limits
+    taken = [np.abs(base(t * base.x[-1], nu=nu) / most).max() for nu, most in enumerate(limits, 1)]
+    assert max(taken) == pytest.approx(0.5, rel=1e-3)
+    low, high = gantry.position_limits.T
+    against = JointState(start, -0.3 * np.sign(TARGET) * limits[0], start)
+    towards = JointState(high * [0.0, 0.0, 0.0, 1.0] - 0.1, limits[0] * [0.0, 0.0, 0.0, 0.2], start)
+    for now, target, least in ((against, short, 1e-3), (towards, TARGET, 5.0)):
+        made = transition(gantry, now, straight(gantry, now.q, target, least))
+        q, qd, qdd = made(made.duration * t)
+        assert (np.abs(qd) <= 0.81 * limits[0]).all()
+        assert (np.abs(qdd) <= 0.82 * limits[1]).all()
+        assert ((q >= low - 1e-6) & (q <= high + 1e-6)).all()
+
+
+def test_a_short_fade_is_looked_at_by_itself(gantry):
+    """A detour of 0.1 s in a motion of 10 s is between two of its samples."""
+    looked = []
+
+    def clear(q):
+        looked.append(len(q))
+        return "a chair"
+
+    with pytest.raises(PlanError):
+        transition(gantry, moving(0.05), straight(gantry, np.zeros(4), TARGET, 10.0), clear)
+    assert looked[:3] == [48, 64, 64]
+
+
+def test_what_the_state_lacks_of_a_configuration_fades(gantry):
+    made = transition(gantry, moving(), straight(gantry, np.zeros(4), TARGET, 2.0))
+    gap = 1e-3 * np.random.default_rng(0).normal(size=(2, 6))
+    course = CodedCourse(gantry, CurveEncoder(2), made, gantry.encode(np.zeros(4)) + gap)
+    last = 0.0
+    for time, left in ((0.02, 1.0), (1.0, 0.5), (2.0, 0.0)):
+        z, _ = course.clock(time)
+        course.state.advance(z - last)
+        last = z
+        off = course.state.x.reshape(2, 6) - gantry.encode(made(np.array([time]))[0][0])
+        np.testing.assert_allclose(off, left * gap, atol=2e-4)
+
+
 def test_it_says_what_is_in_the_way(gantry):
     base = straight(gantry, np.zeros(4), TARGET, 1.0)
     with pytest.raises(PlanError, match="no transition keeps clear of a chair"):
@@ -90,6 +134,13 @@ def test_the_network_follows_the_transition_from_its_first_velocity_on(name, gan
     assert z == pytest.approx(0.0, abs=1e-12)
     velocity = (-1.5 * near[0] + 2.0 * near[1] - 0.5 * near[2]) / h
     np.testing.assert_allclose(rate * course.state.flow, velocity, atol=2e-4 * np.abs(velocity).max())
+    # And from the first acceleration on.
+    begun, ahead = course.state.flow, UndrivenState(course.network, arm.encode(home))
+    after, rate_after = course.clock(h)
+    ahead.advance(after)
+    acceleration = (near[2] - 2.0 * near[1] + near[0]) / h**2
+    found = (rate_after * ahead.flow - rate * begun) / h
+    np.testing.assert_allclose(found, acceleration, atol=0.05 * np.abs(acceleration).max())
     for time in (0.1, 0.5, 1.0, 1.5, 2.0):
         there, _ = course.clock(time)
         course.state.advance(there - z)

@@ -7,6 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicHermiteSpline
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.collision import Collisions
@@ -14,7 +15,7 @@ from lieednn_sim.arm.contacts import ContactFinder
 from lieednn_sim.arm.deviations import Deviations
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.errors import InputError, NotCertifiedError, PlanError
-from lieednn_sim.planning import CertifiedOptions, find_tube, plan
+from lieednn_sim.planning import CertifiedOptions, find_tube, plan, tube
 
 # Scenes whose targets minimum jerk reaches, which the shaped network follows; and how far at most a deviation in the
 # worst direction may exceed the tube before it touches.
@@ -164,6 +165,28 @@ def test_less_is_left_with_a_margin_and_with_errors_of_tracking():
         find_tube(arm, made, margin=clearance)
 
 
+def test_between_samples_the_motion_is_covered(monkeypatch):
+    """What the proof allows for within an interval bounds how far the spline is from its tangent in the middle."""
+    arm, made, _ = tubed("telescopic_pr")
+    path = tube._Path(arm, made.motion, np.zeros(arm.n_joints), 0.0)
+    spread, given = path._spread(1e-3, np.ones((arm.n_links, 2))), []
+    monkeypatch.setattr(path, "bounds", lambda *arguments: given.append(arguments) or (0.0, 0.0, (-1, -1)))
+    motion, spline = made.motion, CubicHermiteSpline(made.motion.t, made.motion.q, made.motion.qd)
+    last, largest = len(motion.t) - 1, 0.0
+    for a, b in ((0.0, last / 4), (last / 4, last / 2), (last / 2 + 0.2, last / 2 + 0.7), (0.7 * last, last)):
+        path._scales(a, b, spread, 1.0)
+        q, way, rest = given[-1][:3]
+        c = np.linspace(-1.0, 1.0, 101)[:, None]
+        off = np.abs(spline(motion.timestep * (0.5 * (a + b) + 0.5 * (b - a) * c[:, 0])) - q - c * way)
+        assert (off <= rest[0]).all()
+        largest = max(largest, (off / rest[0]).max())
+    assert largest > 0.3
+    # The state may be as far from its nearest sample as the next one is.
+    steps = np.linalg.norm(np.diff(motion.xi * arm.twist_units, axis=0).reshape(last, -1, 2, 3), axis=-1)
+    assert (path._states.slack[:-1] >= steps).all()
+    assert (path._states.slack[1:] >= steps).all()
+
+
 def test_other_plans_have_none_and_the_reason_is_told():
     arm, shaped, _ = tubed("telescopic_pr")
     target = shaped.target
@@ -173,6 +196,8 @@ def test_other_plans_have_none_and_the_reason_is_told():
     elsewhere = replace(made, motion=replace(made.motion, q=made.motion.q + 1e-4))
     with pytest.raises(InputError, match="not the path of its network, as after the safety filter"):
         find_tube(arm, elsewhere)
+    with pytest.raises(InputError, match="the plan has 8 joint coordinates, arm 'telescopic_rrp' has 12"):
+        find_tube(Arm.load("telescopic_rrp"), made)
     for wrong in ({"margin": -0.01}, {"tracking": -1e-3}):
         with pytest.raises(InputError, match="tracking and margin must not be negative"):
             find_tube(arm, made, **wrong)

@@ -7,10 +7,12 @@ import pytest
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
-from lieednn_sim.errors import InputError
+from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.planning import plan
 from lieednn_sim.planning.safety_filter import FilterOptions
-from lieednn_sim.policies import Feedback, ReplanningOptions, ReplanningPolicy, make_policy
+from lieednn_sim.planning.transition import straight
+from lieednn_sim.policies import Feedback, ReplanningOptions, ReplanningPolicy, make_policy, replanning
+from lieednn_sim.policies.surroundings import Surroundings
 from lieednn_sim.simulation import Disturbances, MovingObstacle, Push, follow
 from lieednn_sim.synthesis.shaping.encoder import CurveEncoder
 
@@ -109,8 +111,11 @@ def test_others_also_see_where_the_pole_is(name, beside):
         assert follow(policy.inner, target, 1.5, disturbances=walk).rollout.contacts.any()
     # A reset puts the pole back.
     policy.reset(np.zeros(4))
-    for _ in range(100):
-        policy.step(None, target)
+    fresh = make_policy(name, beside, target, rate=50.0, safety=safety, feedback=None)
+    for each in (policy, fresh):
+        for _ in range(100):
+            each.step(None, target)
+    np.testing.assert_array_equal(policy.q, fresh.q)
     assert abs(policy.q[1] - 1.5) < 0.2
 
 
@@ -127,6 +132,90 @@ def test_it_waits_where_there_is_no_way_and_goes_on_when_there_is(beside):
     np.testing.assert_allclose(left.rollout.q[-1], target, atol=1e-3)
 
 
+def test_what_is_in_the_way_by_hand(beside):
+    """The arm's ball of 0.1 m is at (1, y, 0), the pole has 0.05 m; the margin is 0.03 m."""
+    look = Surroundings(beside, 0.03)
+    at_pole, home = np.array([2.0, 0.8, 0.0, 0.0]), np.zeros(4)
+    assert look.blocked(np.stack([home, at_pole])) == (1, "obstacle_pole")
+
+    def gap_of(gap, q=home, **how):
+        look.see({"obstacle_pole": np.array([1.15 + gap, 0.0, 0.0])})
+        return look.blocked(q[None], **how)
+
+    for only_moving in (False, True):
+        assert gap_of(0.028, only_moving=only_moving) == (0, "obstacle_pole")
+        assert gap_of(0.032, only_moving=only_moving) is None
+        # It is no longer where the scene has it.
+        assert look.blocked(at_pole[None], only_moving=only_moving) is None
+    # From 0.02 m the arm may get away, as long as four fifths of that are left.
+    gap_of(0.02)
+    look.leave(home)
+    assert gap_of(0.017) is None
+    assert gap_of(0.015) == (0, "obstacle_pole")
+
+
+@pytest.mark.parametrize(("step", "blocked"), [(-0.1, True), (0.0, False), (0.1, False)])
+def test_an_obstacle_is_expected_to_go_on(beside, step, blocked):
+    """Five periods of 0.02 s at 1 m/s towards the path, 0.3 s before it is there, or away from it."""
+    policy = ReplanningPolicy(beside, 50.0, feedback=None)
+    policy.reset(np.zeros(4))
+    for k in range(6):
+        policy.see({"obstacle_pole": np.array([1.4 - step * (1.0 - k / 5.0), 0.8, 0.0])})
+        policy.step(None, ACROSS)
+    assert policy.channels()[3] == blocked
+
+
+def test_searches_have_seeds_of_their_own_and_their_paths_are_looked_at_again(beside, monkeypatch):
+    """No path, and then one into which the pole has moved meanwhile; it rests before the pole all the same."""
+    seeds, path = [], plan(beside, ACROSS, planner="minimum-jerk", duration=2.0).motion
+
+    class Search:
+        done = True
+
+        def __init__(self, arm, places, ends, margin, options, seed):
+            seeds.append(seed)
+
+        def result(self):
+            if len(seeds) < 3:
+                raise PlanError("no path")
+            return path
+
+    monkeypatch.setattr(replanning, "PathSearch", Search)
+    policy = ReplanningPolicy(beside, 50.0, seed=7, feedback=None, options=ReplanningOptions(search_periods=5))
+    policy.reset(np.zeros(4))
+    policy.see({"obstacle_pole": np.array([1.0, 0.8, 0.0])})
+    for _ in range(100):
+        policy.step(None, ACROSS)
+    assert seeds[:4] == [7, 8, 9, 10]
+    assert policy.q[1] < 0.65
+
+
+def test_a_change_leaves_the_visible_state_as_it_is(gantry):
+    """Also what it lacks of a configuration."""
+    policy = ReplanningPolicy(gantry, 50.0, feedback=None)
+    policy.reset(np.zeros(4))
+    for _ in range(30):
+        policy.step(None, ACROSS)
+    state = policy.state.copy()
+    assert np.abs(gantry.encode(policy.drawn) - state).max() > 0.0
+    policy.take(straight(gantry, policy.drawn, np.zeros(4), 1.0), lambda _: None)
+    np.testing.assert_array_equal(policy.state, state)
+
+
+def test_it_brakes_once_and_in_time_to_do_so_gently(beside):
+    """Where it must rest does not change from look to look, so that a small part of the limits is enough."""
+    policy = ReplanningPolicy(beside, 200.0, feedback=None, options=ReplanningOptions(least_duration=2.0))
+    policy.reset(np.zeros(4))
+    rates = []
+    for k in range(400):
+        policy.see({"obstacle_pole": np.array([1.0 if k > 80 else 3.0, 0.8, 0.0])})
+        rates.append(policy.step(None, np.array([0.0, 0.8, 0.0, 0.0]))[1])
+    assert policy.pace < 1e-3
+    assert 0.3 < policy.time <= policy.rest_at + 1e-3
+    braking = np.abs(np.diff(rates, axis=0)) * 200.0 / beside.acceleration_limits
+    assert braking.max() < 0.3
+
+
 def test_it_yields_to_a_push_and_arrives_all_the_same(gantry):
     push = Disturbances(pushes=(Push("end effector", (0.0, 60.0, 0.0), 0.3, 0.2),))
     policy = ReplanningPolicy(gantry, 50.0, feedback=Feedback())
@@ -140,6 +229,8 @@ def test_what_it_is_not_for_is_said(gantry, beside):
     motion, other = plan(gantry, ACROSS, planner="minimum-jerk").motion, Arm.load("telescopic_pr")
     with pytest.raises(InputError, match="the motion has 4 joint coordinates, arm 'telescopic_pr' has 8"):
         ReplanningPolicy(other, motion=motion)
+    with pytest.raises(InputError, match="seed must be a whole number >= 0, got -1"):
+        ReplanningPolicy(beside, seed=-1)
     policy = ReplanningPolicy(beside)
     with pytest.raises(InputError, match=r"a reset puts obstacles back: call reset\(q\) before see"):
         policy.see({"obstacle_pole": np.zeros(3)})

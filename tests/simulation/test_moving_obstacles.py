@@ -59,6 +59,8 @@ def test_what_cannot_move_is_named(beside):
         changes = Disturbances(obstacles=(MovingObstacle(name, (0.0,), there),))
         with pytest.raises(InputError, match=f"no obstacle '{name}' can move; bodies without joints are: .*_ball"):
             Simulation(beside, disturbances=changes)
+    with pytest.raises(InputError, match="in one way only, got more than one for obstacle_ball"):
+        Simulation(beside, disturbances=Disturbances(obstacles=(COMING, COMING)))
     with pytest.raises(InputError, match="times must hold at least one time, and increase, got"):
         MovingObstacle("obstacle_ball", (1.0, 1.0), there * 2)
     with pytest.raises(InputError, match="positions must"):

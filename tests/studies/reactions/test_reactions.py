@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from lieednn_sim.arm import Arm
+from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.planning import Plan, plan
 from lieednn_sim.policies import Fabric, FilteredPolicy, NetworkPolicy, registry
 from lieednn_sim.simulation import Disturbances, Push
@@ -16,6 +17,7 @@ from lieednn_sim.studies import compute
 from lieednn_sim.studies.reactions import cases, study
 from lieednn_sim.studies.reactions.cases import CONVERGENCE_RATE, DISTURBANCES, Reaction, Task
 from lieednn_sim.studies.reactions.recovery import UndisturbedPath, pushing_force
+from lieednn_sim.studies.reactions.walker import walking_pole
 
 
 def test_a_recovery_by_hand(gantry):
@@ -159,6 +161,30 @@ def test_a_task_shows_the_teachers_motion_and_filters_among_obstacles(scene, tau
         policy = found.policy(name)
         assert policy.rate == 100.0
         assert isinstance(policy, FilteredPolicy) == (scene != "free" and name in ("linear-attractor", "dmp"))
+
+
+def test_a_pole_walks_into_the_way_but_into_no_arm(gantry):
+    """Clear of the way before, and of wherever the arm was since it began; on the way, later, it is met."""
+    motion, begin = plan(gantry, [0.0, 1.5, 0.0, 0.5], planner="minimum-jerk", duration=3.0).motion, 1.0
+    gone = np.linspace(0.0, 1.0, len(motion.t))
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        arm, pole = walking_pole(gantry, motion.t, motion.q, gone, begin, rng)
+        (since, until), collisions = pole.times, Collisions(arm)
+
+        def gap(time, q, collisions=collisions, pole=pole):
+            collisions.move({pole.body: pole.at(time)})
+            near = collisions.distances(q, 1.0)
+            walker = collisions.arm.model.body(pole.body).id
+            mine = (collisions.arm.model.geom_bodyid[near.pairs] == walker).any(axis=1)
+            return near.distance[mine].min(initial=np.inf)
+
+        walks = (motion.t >= since) & (motion.t <= until)
+        times, way = motion.t[walks][::20], motion.q[walks][::20]
+        assert min(gap(time, q) for k, time in enumerate(times) for q in way[: k + 1]) > 0.035
+        assert min(gap(0.0, q) for q in motion.q[::20]) > 0.05
+        assert min(gap(9.0, q) for q in motion.q[motion.t > until][::5]) < 0.01
+        assert gap(9.0, motion.q[-1]) > 0.05
 
 
 def test_networks_run_as_fast_as_the_linear_attractor_decays(monkeypatch, gantry, task):
