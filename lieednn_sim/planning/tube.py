@@ -4,9 +4,9 @@ Let the visible neurons of a certified network be off their planned states by d,
 hidden ones, and so the clock, are as planned. What is proved, for every d in the tube:
 
 1. The network ends at the target: its certificate holds for every state.
-2. The deviation never leaves the tube. In a cascade, whose visible neurons hear no visible ones and whose hidden ones
-   hear none either, the inputs of the visible neurons are as planned, so d' = -gamma d holds exactly, in each
-   coordinate, at whatever instant d occurs. In another network |d(t)| is at most the gain of
+2. The deviation never leaves the tube. In a cascade no neuron has an input from a visible one. So the inputs of the
+   visible neurons are as planned, and d' = -gamma d holds exactly, in each coordinate, at whatever instant d occurs.
+   In another network |d(t)| is at most the gain of
    `stability.Robustness.push_gain` times |d(0)|, by contraction, and only deviations that much smaller are allowed.
 3. The joints stay near the plan: `arm.deviations` bounds how far the projection of the deviated twists onto the joints
    is from that of the planned ones. Where it is found by least squares, the joints are those connected with the planned
