@@ -73,7 +73,7 @@ class Fabric(JointPolicy):
         self._v = np.zeros_like(q)
 
     def see(self, places: Mapping[str, Floats]) -> None:
-        """See `Policy`; raises `InputError` for names that are no bodies without joints."""
+        """See `Policy`; raises `InputError` for names of no obstacles."""
         super().see(places)
         self._collisions.move(places)
 

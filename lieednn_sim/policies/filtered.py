@@ -48,7 +48,7 @@ class FilteredPolicy(Policy):
         self.clearance, self.braked = float("inf"), False
 
     def see(self, places: Mapping[str, Floats]) -> None:
-        """See `Policy`; raises `InputError` for names that are no bodies without joints."""
+        """See `Policy`; raises `InputError` for names of no obstacles."""
         super().see(places)
         self.inner.see(places)
         self._filter.see(places)

@@ -190,7 +190,7 @@ class PathIntegral(JointPolicy):
         self._goal, self._near = np.full_like(q, np.nan), self._options.near
 
     def see(self, places: Mapping[str, Floats]) -> None:
-        """See `Policy`; raises `InputError` for names that are no bodies without joints."""
+        """See `Policy`; raises `InputError` for names of no obstacles."""
         super().see(places)
         self._rollouts.move(places)
 

@@ -114,7 +114,7 @@ class ReplanningPolicy(CodedPolicy):
         self._clear_way()
 
     def see(self, places: Mapping[str, Floats]) -> None:
-        """See `Policy`; raises `InputError` for names that are no bodies without joints."""
+        """See `Policy`; raises `InputError` for names of no obstacles."""
         super().see(places)
         self._surroundings.see(places)
 

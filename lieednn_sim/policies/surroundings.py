@@ -50,7 +50,7 @@ class Surroundings:
         self.places: dict[str, Floats] = {}
 
     def see(self, places: Mapping[str, Floats]) -> None:
-        """Take note of the places; raises `InputError` for names that are no bodies without joints."""
+        """Take note of the places; raises `InputError` for names of no obstacles."""
         seen = {name: as_floats(f"the place of {quoted(name)}", place, (3,)) for name, place in places.items()}
         if not seen.keys() <= self.places.keys():
             self._near = ContactFinder(self._pairs_of({*self.places, *seen}), self._margin)

@@ -54,7 +54,7 @@ class Moved:
         obstacles: the obstacles.
 
     Raises:
-        InputError: one is no body without joints, or is given twice.
+        InputError: one is no body without joints, carries an arm, or is given twice.
     """
 
     def __init__(self, model: mujoco.MjModel, obstacles: tuple[MovingObstacle, ...]) -> None:

@@ -235,7 +235,7 @@ def test_what_it_is_not_for_is_said(gantry, beside):
     with pytest.raises(InputError, match=r"a reset puts obstacles back: call reset\(q\) before see"):
         policy.see({"obstacle_pole": np.zeros(3)})
     policy.reset(np.zeros(4))
-    with pytest.raises(InputError, match="no obstacle 'wrist' can move; bodies without joints are"):
+    with pytest.raises(InputError, match="no obstacle 'wrist' can move; bodies that neither move nor carry an arm are"):
         policy.see({"wrist": np.zeros(3)})
     with pytest.raises(InputError, match="the place of 'obstacle_pole' must"):
         policy.see({"obstacle_pole": np.zeros(2)})

@@ -55,9 +55,11 @@ def test_the_policy_is_told_where_it_is(beside):
 
 def test_what_cannot_move_is_named(beside):
     there = ((0.0, 0.0, 0.0),)
-    for name in ("wrist", "chair"):
+    for name in ("wrist", "chair", "base"):
         changes = Disturbances(obstacles=(MovingObstacle(name, (0.0,), there),))
-        with pytest.raises(InputError, match=f"no obstacle '{name}' can move; bodies without joints are: .*_ball"):
+        with pytest.raises(
+            InputError, match=f"no obstacle '{name}' can move; bodies that neither move nor carry an arm are: .*_ball"
+        ):
             Simulation(beside, disturbances=changes)
     with pytest.raises(InputError, match="in one way only, got more than one for obstacle_ball"):
         Simulation(beside, disturbances=Disturbances(obstacles=(COMING, COMING)))
