@@ -139,9 +139,8 @@ def _largest(matrix: Floats) -> float:
     rows = np.concatenate([matrix[np.ix_(heard, heard)], triangle.T], axis=1)
     square = np.zeros((rows.shape[1], rows.shape[1]))
     square[:few] = 0.5 * rows
-    # The zeros of the other coordinates are eigenvalues too, if there are any.
-    largest = float(np.linalg.eigvalsh(square + square.T)[-1])
-    return largest if rows.shape[1] == len(matrix) else max(largest, 0.0)
+    # The zeros of the other coordinates do not exceed it, since it has a block of zeros, too.
+    return float(np.linalg.eigvalsh(square + square.T)[-1])
 
 
 def find_certificate(weight: ArrayLike, *, gamma: float = 1.0, mu: float = 1.0, group_size: int = 1) -> Certificate:

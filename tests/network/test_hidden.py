@@ -263,6 +263,10 @@ def test_neurons_without_inputs_are_the_same_as_ever():
     np.testing.assert_allclose(network.goal(found.xi[:2]), found.xi, atol=1e-12)
     stepper = RungeKuttaStepper(network)
     np.testing.assert_allclose(stepper.drive(flat[0]), 0.9 / 1.3 * weight @ np.tanh(flat[0]), atol=1e-12)
+    # Visible neurons that inhibit themselves decay faster than the others, which then are the slowest.
+    fast = LieEDNN(np.diag([-0.5, 0.0]), np.tile(np.eye(3), (2, 2, 1, 1)), np.zeros((2, 2, 3)), np.zeros((2, 6)))
+    assert fast.n_driven == 1
+    assert fast.equilibrium().spectral_abscissa == pytest.approx(-1.0)
     pull = 0.9 / 1.3 * network.bias.ravel()
     after, _ = stepper.step(flat[0], stepper.drive(flat[0]), pull, 0.13)
     by_field = runge_kutta_step(lambda state, _: network.flat_vector_field(state), flat[0], 0.1)

@@ -129,6 +129,7 @@ def test_the_deviation_decays_as_the_proof_says(case):
     # The motion is interpolated between points of the network's path.
     np.testing.assert_allclose(network.visible(run) - motion.xi[k:], left * off, atol=1e-6)
     assert tube.holds(off * (1.0 - 1e-12))
+    assert tube.push == pytest.approx(min(tube.rotation.min(), tube.translation.min()))
     assert not tube.holds(1.01 * off)
     assert tube.gain == 1.0
 
@@ -194,8 +195,10 @@ def test_other_plans_have_none_and_the_reason_is_told():
         find_tube(arm, plan(arm, target, planner="minimum-jerk"))
     made = plan(arm, target, planner="linear-attractor")
     elsewhere = replace(made, motion=replace(made.motion, q=made.motion.q + 1e-4))
-    with pytest.raises(InputError, match="not the path of its network, as after the safety filter"):
-        find_tube(arm, elsewhere)
+    late = replace(made, motion=replace(made.motion, tau=0.9 * made.motion.tau))
+    for other in (elsewhere, late):
+        with pytest.raises(InputError, match="not the path of its network, as after the safety filter"):
+            find_tube(arm, other)
     with pytest.raises(InputError, match="the plan has 8 joint coordinates, arm 'telescopic_rrp' has 12"):
         find_tube(Arm.load("telescopic_rrp"), made)
     for wrong in ({"margin": -0.01}, {"tracking": -1e-3}):

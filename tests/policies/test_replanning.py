@@ -147,6 +147,7 @@ def test_what_is_in_the_way_by_hand(beside):
         assert gap_of(0.032, only_moving=only_moving) is None
         # It is no longer where the scene has it.
         assert look.blocked(at_pole[None], only_moving=only_moving) is None
+    assert beside.placed({"obstacle_pole": np.zeros(3)}).scene == beside.scene
     # From 0.02 m the arm may get away, as long as four fifths of that are left.
     gap_of(0.02)
     look.leave(home)
@@ -190,30 +191,38 @@ def test_searches_have_seeds_of_their_own_and_their_paths_are_looked_at_again(be
     assert policy.q[1] < 0.65
 
 
-def test_a_change_leaves_the_visible_state_as_it_is(gantry):
-    """Also what it lacks of a configuration."""
+def test_a_change_leaves_state_velocity_and_acceleration_as_they_are(gantry):
+    """The visible state to the bit, also what it lacks of a configuration."""
     policy = ReplanningPolicy(gantry, 50.0, feedback=None)
     policy.reset(np.zeros(4))
     for _ in range(30):
         policy.step(None, ACROSS)
     state = policy.state.copy()
     assert np.abs(gantry.encode(policy.drawn) - state).max() > 0.0
+    before = policy.course.transition(np.array([policy.time]))
     policy.take(straight(gantry, policy.drawn, np.zeros(4), 1.0), lambda _: None)
     np.testing.assert_array_equal(policy.state, state)
+    for old, new in zip(before[1:], policy.course.transition(np.zeros(1))[1:], strict=True):
+        assert np.abs(old).max() > 0.1
+        np.testing.assert_allclose(new, old, atol=0.02 * np.abs(old).max())
 
 
-def test_it_brakes_once_and_in_time_to_do_so_gently(beside):
-    """Where it must rest does not change from look to look, so that a small part of the limits is enough."""
+@pytest.mark.parametrize(("appears", "share"), [(80, 0.3), (250, 0.86)])
+def test_it_brakes_once_as_gently_as_it_can(appears, share, beside):
+    """Where it must rest does not change from look to look, so that a small part of the limits is enough.
+
+    Late, it takes the 0.85 that it may.
+    """
     policy = ReplanningPolicy(beside, 200.0, feedback=None, options=ReplanningOptions(least_duration=2.0))
     policy.reset(np.zeros(4))
     rates = []
     for k in range(400):
-        policy.see({"obstacle_pole": np.array([1.0 if k > 80 else 3.0, 0.8, 0.0])})
+        policy.see({"obstacle_pole": np.array([1.0 if k > appears else 3.0, 0.8, 0.0])})
         rates.append(policy.step(None, np.array([0.0, 0.8, 0.0, 0.0]))[1])
     assert policy.pace < 1e-3
-    assert 0.3 < policy.time <= policy.rest_at + 1e-3
+    assert 0.3 < policy.time <= policy.rest_at + (1e-3 if appears < 100 else 0.1)
     braking = np.abs(np.diff(rates, axis=0)) * 200.0 / beside.acceleration_limits
-    assert braking.max() < 0.3
+    assert share - 0.1 < braking.max() < share
 
 
 def test_it_yields_to_a_push_and_arrives_all_the_same(gantry):

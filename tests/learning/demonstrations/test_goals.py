@@ -97,6 +97,10 @@ def test_another_goal_is_reached_the_way_that_was_not_shown(learned, tmp_path):
     far = motion.toward(4.0 * ends[1])
     sizes = [one.covariance(ends[0], t)[75, 4, 4] for one in (motion, there, far)]
     assert sizes[0] < sizes[1] < 0.5 * sizes[2]
+    u = np.concatenate([displacement(ends[0]) - motion.network.start_reference[0], displacement(ends[1])])
+    ratio = 1.0 + 1.0 / 8.0 + u @ motion.spread.growth @ u
+    along = motion.spread.along(motion._network_times(t))[75, 4, 4]
+    np.testing.assert_allclose(sizes[1], ratio * along, rtol=1e-9)
     via = motion.condition([0.2, 0.1, 0.0], fraction=0.5)
     when = np.array([0.0, motion.t[100] - 0.5 * (motion.t[100] - motion.t[99])])
     for one in (via, via.toward(ends[1])):
