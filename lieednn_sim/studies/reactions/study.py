@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import os
+from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -107,9 +108,13 @@ class ReactionGroup(Group[Reaction]):
 
 
 def groups(rows: Iterable[Reaction]) -> list[ReactionGroup]:
-    """Groups over arms and seeds, sorted by their keys: scene, disturbance and policy."""
+    """Groups over arms and seeds, sorted by their keys: scene, disturbance and policy.
+
+    Rows of a problem that could not be posed, such as a pole without a place in the arm's way, belong to none.
+    """
     order = {name: index for index, name in enumerate((*DISTURBANCES, *COMPARED))}
-    found = grouped(rows, ("scene", "disturbance", "policy"))
+    posed = [row for row in rows if not row.reason.startswith("problem")]
+    found = grouped(posed, ("scene", "disturbance", "policy"))
     found.sort(key=lambda one: (one.key[0], order[one.key[1]], order[one.key[2]]))
     return [ReactionGroup(one.key, one.rows) for one in found]
 
@@ -132,8 +137,15 @@ def write_reactions(path: str | os.PathLike[str], table: Table[Reaction]) -> Non
         counts.append(str(group.back) if group.key[1] in ("push", "payload") else "-")
         cells = ["-" if value is None else f"{value:.3g}" for value in group.medians]
         lines.append(table_line([*group.key, *counts, *cells]))
-    failed = [row for row in rows if row.reason.startswith(("problem", "plan", "simulation", "error"))]
-    lines += ["", "## Could not be run", ""] if failed else []
+    unposed = Counter(
+        (row.scene, row.disturbance, row.policy, row.reason) for row in rows if row.reason.startswith("problem")
+    )
+    failed = [row for row in rows if row.reason.startswith(("plan", "simulation", "error"))]
+    lines += ["", "## Could not be run", ""] if failed or unposed else []
+    lines += [
+        escaped(f"- {', '.join(key)}, {count} case{'s' if count != 1 else ''}: {reason}")
+        for (*key, reason), count in sorted(unposed.items())
+    ]
     lines += [
         escaped(f"- {row.policy}, {row.arm}, {row.scene}, {row.disturbance}, seed {row.seed}: {row.reason}")
         for row in failed

@@ -271,6 +271,9 @@ def test_the_summary_is_in_the_order_of_the_benchmark_and_tells_what_could_not_b
         rows = (row(policy, disturbance, k, final_mm=(1.0, 2.0, 9.0)[k], reason=reasons[k]) for k in range(3))
         table.add(list(rows))
     table.add([row("tracker", "push", 0, reason="simulation: it fell over")])
+    # Who has no problem has no row, and counts nowhere.
+    table.add([row(name, "obstacle", k, reason="problem: no place") for k in range(3) for name in ("fabric", "mppi")])
+    table.add([row("mppi", "obstacle", 3)])
     study.write_reactions(tmp_path / "reactions.md", table)
     lines = (tmp_path / "reactions.md").read_text("utf-8").splitlines()
     assert [line.split(" | ")[1:3] for line in lines if line.startswith("| free")] == [
@@ -279,6 +282,9 @@ def test_the_summary_is_in_the_order_of_the_benchmark_and_tells_what_could_not_b
         ["push", "tracker"],
         ["payload", "linear-attractor"],
         ["payload", "dmp"],
+        ["obstacle", "mppi"],
     ]
+    assert any(line.startswith("| free | obstacle | mppi | 1 of 1 | 0 |") for line in lines)
+    assert "- free, obstacle, fabric, 3 cases: problem: no place" in lines
     assert any(line.startswith("| free | push | dmp | 1 of 3 | 1 | 0 | - | 2 |") for line in lines)
     assert lines[-1] == "- tracker, an_arm, free, push, seed 0: simulation: it fell over"
