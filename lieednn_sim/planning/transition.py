@@ -36,7 +36,7 @@ _SLOWER, _FADES = (1.0, 1.25, 1.6, 2.2, 3.0), (1.0, 0.5, 0.25, 0.12, 0.06)
 # Samples at which a transition is checked: of its fade, and of all.
 _FADE_SAMPLES, _SAMPLES = 16, 48
 # Fraction of the limits of velocity and acceleration that a base may take; together with the corrections.
-BASE_SHARE, SHARE = 0.5, 0.8
+BASE_FRACTION, FRACTION = 0.5, 0.8
 
 
 @frozen
@@ -93,7 +93,7 @@ def transition(
 ) -> Transition:
     """The fastest tried transition from a state onto a base motion that keeps the arm's limits and clearance.
 
-    Positions, velocities and accelerations are checked at samples, the latter two against `SHARE` of their limits.
+    Positions, velocities and accelerations are checked at samples, the latter two against `FRACTION` of their limits.
 
     Args:
         arm: the arm.
@@ -117,8 +117,8 @@ def transition(
         t = np.concatenate([np.linspace(0.0, fade, _FADE_SAMPLES), np.linspace(0.0, duration, _SAMPLES)])
         q, qd, qdd = found(t)
         if (
-            (np.abs(qd) > SHARE * arm.velocity_limits).any()
-            or (np.abs(qdd) > SHARE * arm.acceleration_limits).any()
+            (np.abs(qd) > FRACTION * arm.velocity_limits).any()
+            or (np.abs(qdd) > FRACTION * arm.acceleration_limits).any()
             or (arm.limit_excess(q) > LIMIT_TOLERANCE).any()
         ):
             continue
@@ -131,10 +131,10 @@ def transition(
 
 
 def straight(arm: Arm, start: Floats, target: Floats, least: float) -> PPoly:
-    """The straight minimum-jerk motion within `BASE_SHARE` of the limits, in at least ``least`` [s]."""
+    """The straight minimum-jerk motion within `BASE_FRACTION` of the limits, in at least ``least`` [s]."""
     distance = np.abs(target - start)
-    fast = (_FASTEST * distance / (BASE_SHARE * arm.velocity_limits)).max()
-    strong = np.sqrt((_STRONGEST * distance / (BASE_SHARE * arm.acceleration_limits)).max())
+    fast = (_FASTEST * distance / (BASE_FRACTION * arm.velocity_limits)).max()
+    strong = np.sqrt((_STRONGEST * distance / (BASE_FRACTION * arm.acceleration_limits)).max())
     duration = max(least, float(fast), float(strong))
     powers = _MINIMUM_JERK / duration ** np.arange(6)
     factors = powers[::-1, None, None] * (target - start)
@@ -143,11 +143,11 @@ def straight(arm: Arm, start: Floats, target: Floats, least: float) -> PPoly:
 
 
 def along(arm: Arm, motion: Motion) -> PPoly:
-    """A planned motion as a base, slowed down until it keeps `BASE_SHARE` of the limits."""
+    """A planned motion as a base, slowed down until it keeps `BASE_FRACTION` of the limits."""
     spline = CubicHermiteSpline(motion.t, motion.q, motion.qd)
     accelerations = np.abs(np.diff(motion.qd, axis=0)) / motion.timestep
-    fast = (np.abs(motion.qd) / (BASE_SHARE * arm.velocity_limits)).max()
-    strong = np.sqrt((accelerations / (BASE_SHARE * arm.acceleration_limits)).max())
+    fast = (np.abs(motion.qd) / (BASE_FRACTION * arm.velocity_limits)).max()
+    strong = np.sqrt((accelerations / (BASE_FRACTION * arm.acceleration_limits)).max())
     slower = max(1.0, float(fast), float(strong))
     powers = slower ** -np.arange(3.0, -1.0, -1.0)
     return PPoly(spline.c * powers[:, None, None], slower * spline.x)

@@ -123,17 +123,14 @@ class CurveEncoder:
         Raises:
             InputError: the code exceeds `LARGEST_CODE`.
         """
-        basis, n = self._basis, self.network.n_visible
-        offset = start - target
+        basis, offset = self._basis, start - target
         missing = states - target - basis.fitted[:, None, None] * offset
         code = basis.solution @ missing.reshape(len(basis.fitted), -1)
         # x' = u - (x - x_d) and x'' = u' - x'.
         wanted = np.stack([(rate + offset).ravel(), (bend + rate).ravel()])
         code += basis.starting @ (wanted - basis.start @ code)
         self._require_range(code)
-        shift = code.reshape(CODE_PAIRS, n, 1, 6).transpose(1, 2, 0, 3)
-        whole = np.broadcast_to(shift, (n, 2, CODE_PAIRS, 6)).reshape(self._silent.shape)
-        return self.network.retarget(target).with_start(self._silent + whole)
+        return self.network.retarget(target).with_start(self._started(code[None])[0])
 
     def path(self, network: LieEDNN, start: ArrayLike) -> CubicHermiteSpline:
         """States ``(..., N, 6)`` of the visible neurons in closed form, as a function of w = 1 - e^-t.
@@ -174,10 +171,15 @@ class CurveEncoder:
             missing = at - curves[:, -1:] - g[:, None, None] * (curves[:, :1] - curves[:, -1:])
             code = basis.solution @ missing.reshape(len(curves), len(g), -1)
         self._require_range(code)
-        # ``(B, pairs, N 6)`` to ``(B, N, 1, pairs, 6)``.
-        shift = code.reshape(len(curves), CODE_PAIRS, n, 1, 6).transpose(0, 2, 3, 1, 4)
-        whole = np.broadcast_to(shift, (len(curves), n, 2, CODE_PAIRS, 6))
-        return self._silent + whole.reshape(len(curves), *self._silent.shape)
+        return self._started(code)
+
+    def _started(self, code: Floats) -> Floats:
+        """Hidden starts ``(B, M, 6)`` of codes ``(B, pairs, 6N)``, which both neurons of a pair have."""
+        n = self.network.n_visible
+        # To ``(B, N, 1, pairs, 6)``.
+        shift = code.reshape(-1, CODE_PAIRS, n, 1, 6).transpose(0, 2, 3, 1, 4)
+        whole = np.broadcast_to(shift, (len(code), n, 2, CODE_PAIRS, 6))
+        return self._silent + whole.reshape(-1, *self._silent.shape)
 
     def _require_range(self, code: Floats) -> None:
         largest = float(np.abs(code).max(initial=0.0))
