@@ -70,6 +70,11 @@ def draw_target(arm: Arm, seed: Seed = 0) -> Floats:
     )
 
 
+def goes_to_extended(arm: Arm) -> bool:
+    """Whether the arm's usual target is its keyframe ``extended``; else a random one is, as among obstacles."""
+    return arm.scene == "free" and "extended" in arm.keyframes
+
+
 def reference_configuration(arm: Arm) -> Floats:
     """The keyframe ``extended`` ``(n,)``; without one, halfway from home to each joint's farther limit.
 

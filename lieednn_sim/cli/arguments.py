@@ -13,7 +13,7 @@ from lieednn_sim.arm import Arm, solve_ik
 from lieednn_sim.arm.importer import ImportOptions
 from lieednn_sim.arm.models import chosen, is_arm_file
 from lieednn_sim.arm.obstacles import is_scene_file
-from lieednn_sim.arm.targets import draw_target
+from lieednn_sim.arm.targets import draw_target, goes_to_extended
 from lieednn_sim.cli.options import decimal
 from lieednn_sim.cli.task import Task
 from lieednn_sim.errors import InputError
@@ -89,7 +89,7 @@ def start_and_target(arm: Arm, arguments: argparse.Namespace) -> tuple[Floats, F
 
 def usual_target(arm: Arm, seed: int) -> str:
     """The keyframe ``extended``; among obstacles, or where there is none, a random target."""
-    return "extended" if arm.scene == "free" and "extended" in arm.keyframes else f"{RANDOM}{seed}"
+    return "extended" if goes_to_extended(arm) else f"{RANDOM}{seed}"
 
 
 def joint_position(arm: Arm, text: str, what: str) -> Floats:

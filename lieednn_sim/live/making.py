@@ -8,12 +8,12 @@ from typing import NamedTuple
 import numpy as np
 
 from lieednn_sim.arm import Arm
-from lieednn_sim.live.proof import Progress, network_policy
+from lieednn_sim.live.proof import Progress, network_policy, unfiltered
 from lieednn_sim.live.settings import PLANNED, Settings
 from lieednn_sim.planning import ShapedOptions, plan
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.safety_filter import FilterOptions
-from lieednn_sim.policies import Policy, make_policy
+from lieednn_sim.policies import MotionTracker, Policy, make_policy
 from lieednn_sim.values import Floats
 
 # Network time for which a path is foreseen, its tolerance, and the number of its points.
@@ -79,9 +79,9 @@ def foreseen(
 
     Of a network it is its own orbit from the present state, which limits and a slow arm only slow down.
     """
-    if motion is not None and policy.channel_units == {}:
+    if motion is not None and isinstance(unfiltered(policy), MotionTracker):
         rows = np.linspace(0, len(motion.q) - 1, _POINTS).astype(int)
-        return np.asarray(arm.link_poses(motion.q[rows]).translation)[:, -1]
+        return arm.tip(motion.q[rows])
     inner = network_policy(policy)
     if progress is None or inner is None:
         return None
@@ -90,5 +90,4 @@ def foreseen(
         progress.xi, _HORIZON, until=progress.goal, distance=1e-3, rtol=_TOLERANCE, atol=_TOLERANCE
     )
     decoded = arm.decode(network.visible(run(np.linspace(0.0, run.t[-1], _POINTS))), start=q).q
-    ends = np.vstack([decoded, target])
-    return np.asarray(arm.link_poses(ends).translation)[:, -1]
+    return arm.tip(np.vstack([decoded, target]))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import io
 import ipaddress
 import threading
 import time
@@ -55,10 +54,9 @@ class Page:
         tracks: Sequence[Track] = (),
         dark: bool = False,
     ) -> None:
-        (viser,) = viser_scene.require("viser")
-        self.session, self._closed = session, threading.Event()
-        with contextlib.redirect_stdout(io.StringIO()):
-            self._server: Any = viser.ViserServer(host=host, port=as_count("port", port, 0, 65535), verbose=False)
+        self.session, self._closed, self._resources = session, threading.Event(), contextlib.ExitStack()
+        server = viser_scene.quiet_server(host, as_count("port", port, 0, 65535))
+        self._server: Any = self._resources.enter_context(server)
         shown = "127.0.0.1" if host in ("0.0.0.0", "::") else host
         self.url = f"http://{shown}:{self._server.get_port()}"
         aimed = session.aimed
@@ -102,8 +100,7 @@ class Page:
         self.session.close()
         self._panel.player.close()
         self._thread.join()
-        with contextlib.redirect_stdout(io.StringIO()):
-            self._server.stop()
+        self._resources.close()
 
     async def _drag(self, event: Any) -> None:
         # Not in the server's pool of threads, where the last two of these calls might change places.

@@ -12,10 +12,9 @@ from lieednn_sim.live.player import Player
 from lieednn_sim.live.plots import Plots
 from lieednn_sim.live.scene import ArmScene
 from lieednn_sim.live.session import SPEEDS, Session
-from lieednn_sim.live.settings import PLANNED
+from lieednn_sim.live.settings import PLANNED, ready_planners
 from lieednn_sim.live.snapshot import Snapshot
 from lieednn_sim.live.status import status
-from lieednn_sim.planning import missing_planners, planners
 from lieednn_sim.policies import policies
 from lieednn_sim.simulation import controllers
 from lieednn_sim.values import Floats
@@ -100,11 +99,13 @@ class Panel:
 
     def _menus(self) -> None:
         gui, wanted = self._server.gui, self._session.wanted
-        ready = [name for name in planners() if name not in missing_planners()]
         menus = {
             "policy": gui.add_dropdown("policy", tuple(policies()), initial_value=wanted.policy),
             "planner": gui.add_dropdown(
-                "planner", tuple(ready), initial_value=wanted.planner, hint=f"for the policies {' and '.join(PLANNED)}"
+                "planner",
+                ready_planners(),
+                initial_value=wanted.planner,
+                hint=f"for the policies {' and '.join(PLANNED)}",
             ),
             "rho": gui.add_slider("rho", 0.05, 1.0, step=0.05, initial_value=wanted.rho, hint="of lieednn-shaped"),
             "filtered": gui.add_checkbox("safety filter", wanted.filtered),

@@ -44,7 +44,7 @@ class Track:
     def path(self, arm: Arm) -> Floats:
         """Positions of the end effector ``(P, 3)``, to be drawn."""
         rows = np.unique(np.linspace(0, len(self.t) - 1, _POINTS).astype(int))
-        return np.asarray(arm.link_poses(self.q[rows]).translation)[:, -1]
+        return arm.tip(self.q[rows])
 
 
 class Playback:

@@ -13,8 +13,8 @@ from lieednn_sim.errors import LieEDNNError
 from lieednn_sim.live.playback import MOST, Playback, Track, plan_tracks
 from lieednn_sim.live.scene import GHOSTS, ArmScene
 from lieednn_sim.live.session import Session
+from lieednn_sim.live.settings import ready_planners
 from lieednn_sim.live.worker import Worker
-from lieednn_sim.planning import missing_planners, planners
 
 _NONE, _FIRST = "none", ("lieednn-shaped", "minimum-jerk")
 
@@ -34,12 +34,11 @@ class Player:
         self._server, self._session, self._scene = server, session, scene
         self.playback = Playback()
         self._worker = Worker("comparison", lambda error: self._say(str(error)))
-        ready = [name for name in planners() if name not in missing_planners()]
+        choices = (_NONE, *ready_planners())
         with gui.add_folder("Compare planners", expand_by_default=False):
             firsts = [*_FIRST, *[_NONE] * MOST][:MOST]
             self._names = [
-                gui.add_dropdown(f"planner {k + 1}", (_NONE, *ready), initial_value=first)
-                for k, first in enumerate(firsts)
+                gui.add_dropdown(f"planner {k + 1}", choices, initial_value=first) for k, first in enumerate(firsts)
             ]
             gui.add_button("plan and play", hint="from the start to the target").on_click(lambda _: self._plan())
         self._folder = gui.add_folder("Play", visible=False)

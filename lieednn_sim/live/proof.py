@@ -14,15 +14,20 @@ from lieednn_sim.stability.decay import Decay
 from lieednn_sim.values import Floats, frozen
 
 
+def unfiltered(policy: Policy) -> Policy:
+    """The policy itself, without a safety filter around it."""
+    return policy.inner if isinstance(policy, FilteredPolicy) else policy
+
+
 def network_policy(policy: Policy) -> NetworkPolicy | None:
     """The network policy in a policy, which may be behind a safety filter; None if there is none."""
-    inner = policy.inner if isinstance(policy, FilteredPolicy) else policy
+    inner = unfiltered(policy)
     return inner if isinstance(inner, NetworkPolicy) else None
 
 
 def certificate_of(policy: Policy) -> Certificate | None:
     """The certificate of the network of a policy, whatever class the policy has; None without one."""
-    inner = policy.inner if isinstance(policy, FilteredPolicy) else policy
+    inner = unfiltered(policy)
     network = getattr(inner, "network", None) if inner.certified else None
     return network.certificate if isinstance(network, BlockNetwork) else None
 

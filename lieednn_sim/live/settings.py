@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from lieednn_sim.planning import planners
+from lieednn_sim.planning import missing_planners, planners
 from lieednn_sim.policies import policies
 from lieednn_sim.simulation import Disturbances, controllers
 from lieednn_sim.validation import as_choice, as_positive
@@ -12,6 +12,12 @@ from lieednn_sim.values import check_fields
 
 # Policies that follow or imitate a planned motion.
 PLANNED = ("tracker", "dmp")
+
+
+def ready_planners() -> tuple[str, ...]:
+    """Names of the planners whose libraries are installed, for menus."""
+    missing = missing_planners()
+    return tuple(name for name in planners() if name not in missing)
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from numpy.typing import ArrayLike
 
 from lieednn_sim.arm import Arm
-from lieednn_sim.arm.targets import draw_target
+from lieednn_sim.arm.targets import draw_target, goes_to_extended
 from lieednn_sim.errors import NoSolutionError
 from lieednn_sim.live.page import Page, warning
 from lieednn_sim.live.playback import Track
@@ -99,7 +99,7 @@ def view(
 
 
 def _usual_target(arm: Arm, seed: int) -> Floats | str:
-    if arm.scene == "free" and "extended" in arm.keyframes:
+    if goes_to_extended(arm):
         return "extended"
     try:
         return draw_target(arm, seed)

@@ -79,7 +79,7 @@ def record(
         there = (held + offsets[:, None]).reshape(-1, 3)
         view = viser_scene.Viewpoint(view.position, view.look_at, _FIELD_OF_VIEW).back_off(there, _WIDE)
         ratio = _WIDE
-    with viser_scene.unheard_server() as server:
+    with viser_scene.quiet_server() as server:
         view.place(server)
         viser_scene.add_floor(server.scene, shapes)
         scale = stage.scale(arm, points)
@@ -120,7 +120,7 @@ class _Copy:
         self._data = mujoco.MjData(shapes.model)
         stage.mark(arm, self._data, marker, rollout.target)
         self._samples = np.unique(np.linspace(0, len(rollout.t) - 1, _PLANNED_POINTS + 1, dtype=int))
-        self._way = arm.link_poses(rollout.q_ref[self._samples]).translation[:, -1]
+        self._way = arm.tip(rollout.q_ref[self._samples])
         off = np.linalg.norm(self._way - rollout.link_position[self._samples, -1], axis=1)
         self._followed = off < scale * TRACED_RADIUS
         self._planned = viser_scene.add_path(

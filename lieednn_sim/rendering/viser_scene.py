@@ -43,11 +43,15 @@ def require(*modules: str) -> list[Any]:
 
 
 @contextlib.contextmanager
-def unheard_server() -> Iterator[Any]:
-    """A `viser.ViserServer` whose scene is to be recorded: at a free port of this machine, without its messages."""
+def quiet_server(host: str = "127.0.0.1", port: int = 0) -> Iterator[Any]:
+    """A `viser.ViserServer` without its messages, by default at a free port of this machine.
+
+    Raises:
+        LieEDNNError: viser is not installed.
+    """
     (viser,) = require("viser")
     with contextlib.redirect_stdout(io.StringIO()):
-        server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+        server = viser.ViserServer(host=host, port=port, verbose=False)
     try:
         yield server
     finally:
