@@ -6,9 +6,9 @@ import argparse
 import contextlib
 import os
 import shlex
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from lieednn_sim import filesystem
 from lieednn_sim.cli.arms import print_import_report
@@ -17,14 +17,17 @@ from lieednn_sim.errors import InputError, LieEDNNError
 from lieednn_sim.manifest import Manifest
 from lieednn_sim.planning.registry import REGISTRY as PLANNER_REGISTRY
 from lieednn_sim.simulation.controllers import REGISTRY as CONTROLLER_REGISTRY
-from lieednn_sim.studies import Case, Comparison, Row, Settings, Table, compute, write_summary
+from lieednn_sim.studies import Case, Comparison, Settings, compute, write_summary
 from lieednn_sim.studies.cluster import dask_executor
 from lieednn_sim.studies.comparison.merging import merge as merge_shards
 from lieednn_sim.studies.comparison.study import Shard
 from lieednn_sim.studies.reactions.study import Reactions, write_reactions
-from lieednn_sim.studies.report import Clip, View, choose_cases, choose_problems, film, view, write_page
+from lieednn_sim.studies.report import choose_cases, choose_problems, film, view, write_page
 from lieednn_sim.studies.user_files import ARM, bare_arm, describe_files
 from lieednn_sim.validation import as_count
+
+_Wanted = TypeVar("_Wanted")
+_Shown = TypeVar("_Shown")
 
 
 def compare(arguments: argparse.Namespace) -> None:
@@ -74,8 +77,12 @@ def compare(arguments: argparse.Namespace) -> None:
             return
         with table.manifest.writing(summary) as temporary:
             write_summary(temporary, table, study.absent)
-        views = _views(table, arguments.views, study.controllers[0])
-        clips = _film(table, cases + choose_cases(table, arguments.videos), study.controllers[0])
+        controller = study.controllers[0]
+        problems = choose_problems(table, arguments.views, controller)
+        places = {f"{some[0].arm}, {some[0].scene}": some for some in problems}
+        views = _shown("view", places, lambda some, **told: view(table, some, controller, **told))
+        filmed = {str(case): case for case in cases + choose_cases(table, arguments.videos)}
+        clips = _shown("video", filmed, lambda case, **told: film(table, case, controller, **told))
         line = shlex.join(["lieednn-sim", *arguments.words])
         reactions, more = None, []
         if arguments.reactive:
@@ -137,25 +144,13 @@ def _print_found(study: Comparison) -> None:
         console.print(line, markup=False)
 
 
-def _views(table: Table[Row], count: int, controller: str) -> list[View]:
-    """Problems of a table in 3D; prints why one cannot be shown."""
-    views: list[View] = []
-    for cases in choose_problems(table, count, controller):
+def _shown(kind: str, wanted: Mapping[str, _Wanted], make: Callable[..., _Shown]) -> list[_Shown]:
+    """Views or videos of what is wanted, by the words for each; prints why one cannot be shown."""
+    made: list[_Shown] = []
+    for words, each in wanted.items():
         try:
-            with progress(f"view {len(views) + 1}") as report:
-                views.append(view(table, cases, controller, progress=report))
+            with progress(f"{kind} {len(made) + 1}") as report:
+                made.append(make(each, progress=report))
         except LieEDNNError as error:
-            console.print(f"no view of {cases[0].arm}, {cases[0].scene}: {error}")
-    return views
-
-
-def _film(table: Table[Row], cases: Sequence[Case], controller: str) -> list[Clip]:
-    """Videos of the cases; prints why a case cannot be shown."""
-    clips: list[Clip] = []
-    for case in dict.fromkeys(cases):
-        try:
-            with progress(f"video {len(clips) + 1}") as report:
-                clips.append(film(table, case, controller, progress=report))
-        except LieEDNNError as error:
-            console.print(f"no video of {case}: {error}")
-    return clips
+            console.print(f"no {kind} of {words}: {error}")
+    return made

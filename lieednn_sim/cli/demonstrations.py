@@ -46,8 +46,8 @@ def learn(arguments: argparse.Namespace) -> None:
     shown = load_demonstrations(
         arguments.files, unit=arguments.unit, quaternion=arguments.quaternion, rate=arguments.sample_rate
     )
-    aligned = align(shown, phase=arguments.phase)
     demonstrations = align(shown, phase=arguments.phase, goals=arguments.goals)
+    aligned = align(shown, phase=arguments.phase) if demonstrations.goals_kept else None
     apart = goal_distance(shown)
     if demonstrations.extent <= 0.0:
         raise InputError("the mean of the demonstrations does not move")

@@ -288,13 +288,7 @@ def add_view(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--controller", default="inverse-dynamics", metavar="NAME", help=_one_of(CONTROLLERS))
     parser.add_argument("--payload", type=decimal, default=0.0, metavar="KG", help="mass at the end effector")
-    parser.add_argument(
-        "--mass-scale",
-        type=decimal,
-        default=1.0,
-        metavar="X",
-        help="true masses relative to those that the controller knows",
-    )
+    _add_mass_scale(parser)
     parser.add_argument(
         "--target",
         metavar="Q",
@@ -369,7 +363,7 @@ def _add_time_budget(parser: argparse.ArgumentParser, more: str = "") -> None:
     )
 
 
-def _add_conditions(parser: argparse.ArgumentParser) -> None:
+def _add_mass_scale(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--mass-scale",
         type=decimal,
@@ -377,6 +371,10 @@ def _add_conditions(parser: argparse.ArgumentParser) -> None:
         metavar="X",
         help="true masses relative to those that the controller knows",
     )
+
+
+def _add_conditions(parser: argparse.ArgumentParser) -> None:
+    _add_mass_scale(parser)
     parser.add_argument("--hold", type=decimal, default=1.0, metavar="S", help="time simulated after the motion [s]")
 
 

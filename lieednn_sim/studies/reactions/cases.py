@@ -107,6 +107,11 @@ class Reaction(TableRow):
     settled_s: float | None = column("settled after [s]", "time from which it stays within 1 mm and 0.1 degrees")
     step_us: float | None = column("control step [us]", "median CPU time of a control step")
 
+    @property
+    def posed(self) -> bool:
+        """Whether there was a problem to solve; a pole may find no place in the arm's way."""
+        return not self.reason.startswith("problem")
+
 
 MEASURED = columns_of(Reaction)
 

@@ -113,8 +113,7 @@ def groups(rows: Iterable[Reaction]) -> list[ReactionGroup]:
     Rows of a problem that could not be posed, such as a pole without a place in the arm's way, belong to none.
     """
     order = {name: index for index, name in enumerate((*DISTURBANCES, *COMPARED))}
-    posed = [row for row in rows if not row.reason.startswith("problem")]
-    found = grouped(posed, ("scene", "disturbance", "policy"))
+    found = grouped((row for row in rows if row.posed), ("scene", "disturbance", "policy"))
     found.sort(key=lambda one: (one.key[0], order[one.key[1]], order[one.key[2]]))
     return [ReactionGroup(one.key, one.rows) for one in found]
 
@@ -137,9 +136,7 @@ def write_reactions(path: str | os.PathLike[str], table: Table[Reaction]) -> Non
         counts.append(str(group.back) if group.key[1] in ("push", "payload") else "-")
         cells = ["-" if value is None else f"{value:.3g}" for value in group.medians]
         lines.append(table_line([*group.key, *counts, *cells]))
-    unposed = Counter(
-        (row.scene, row.disturbance, row.policy, row.reason) for row in rows if row.reason.startswith("problem")
-    )
+    unposed = Counter((row.scene, row.disturbance, row.policy, row.reason) for row in rows if not row.posed)
     failed = [row for row in rows if row.reason.startswith(("plan", "simulation", "error"))]
     lines += ["", "## Could not be run", ""] if failed or unposed else []
     lines += [
