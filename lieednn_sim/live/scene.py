@@ -69,7 +69,7 @@ class ArmScene:
             for node in nodes
             if body in moving and model.body(body).name and model.body_mocapid[model.body_rootid[body]] < 0
         ]
-        self._moving = [*(node for node, _ in self.surfaces), *(node for node, _ in self._glass)]
+        self._moving = [node for node, _ in (*self.surfaces, *self._nodes.tendons, *self._glass)]
         self.handle = scene.add_transform_controls(
             "/target handle",
             scale=0.28 * self._scale,
@@ -161,7 +161,7 @@ class ArmScene:
             for surfaces in nodes.surfaces.values():
                 for surface in surfaces:
                     surface.remove()
-            for other in others:
+            for other in (*(node for node, _ in nodes.tendons), *others):
                 other.remove()
         self._ghosts = []
         scene = self._server.scene
@@ -175,6 +175,9 @@ class ArmScene:
                     surface.visible = nodes.model.body(body).name in moving
                     if not solid and hasattr(surface, "color"):
                         surface.color = colour
+            if not solid:
+                for node, _ in nodes.tendons:
+                    node.colors = np.array(colour, dtype=np.uint8)
             radius = 0.7 * PLANNED_RADIUS * self._scale
             line = viser_scene.add_path(scene, f"/ghost path {k}", path, tuple(c / 255 for c in colour), radius)
             self._ghosts.append((nodes, [line]))

@@ -20,14 +20,14 @@ from lieednn_sim.validation import as_path
 
 __all__ = ["render_page"]
 
-# viser's player fills the window below a caption, and on narrow screens is no higher than what it shows is wide. Its
-# notice of slow rendering without a graphics card would cover the arm.
+# viser's notice of slow rendering without a graphics card would cover the arm.
+_PLAYER_STYLE = "<style>.mantine-Notifications-root { display: none; }</style>"
+# viser's player fills the window below a caption, and on narrow screens is no higher than what it shows is wide.
 _STYLE = """<style>
 body { display: flex; flex-direction: column; background: #fff; color: #1c1f23; }
 header { display: flex; flex-wrap: wrap; gap: .1rem 1.2rem; padding: .55rem .9rem; font-size: .92rem; }
 header i { display: inline-block; width: 1.3em; height: .3em; margin-right: .45em; vertical-align: .18em; }
 #root { flex: 1; min-height: 0; max-height: calc(100vw / RATIO + 3rem); }
-.mantine-Notifications-root { display: none; }
 @media (prefers-color-scheme: dark) { body { background: #1a1b1e; color: #e6e8ea; } }
 </style>"""
 
@@ -52,7 +52,7 @@ def player(recording: str, *, title: str = "Motion", style: str = "", header: st
         '{darkMode:matchMedia("(prefers-color-scheme: dark)").matches};</script>'
     )
     page = page.replace("<title>Viser</title>", f"<title>{escape(title)}</title>", 1)
-    page = page.replace("</head>", f"{given}{style}</head>", 1)
+    page = page.replace("</head>", f"{given}{_PLAYER_STYLE}{style}</head>", 1)
     return page.replace('<div id="root">', f'{header}<div id="root">', 1)
 
 

@@ -83,6 +83,7 @@ class Shapes:
     Attributes:
         shapes: surfaces of all bodies.
         floors: ids of the geoms that are planes.
+        tendons: ids of the tendons by their colour, four numbers from 0 to 1, and radius [m].
         extent: ``(2, 3)`` smallest and largest coordinates of what does not move, without the floors; ``(0, 3)`` if
             there is nothing.
     """
@@ -91,9 +92,18 @@ class Shapes:
         conversions, trimesh_graph = require("mjviser.conversions", "trimesh.graph")
         data = mujoco.MjData(model)
         mujoco.mj_kinematics(model, data)
+        _find_tendons(model, data)
         self.model, self.shapes, self.floors = model, [], []
+        self.tendons: dict[tuple[tuple[float, ...], float], list[int]] = {}
         parts: dict[tuple[int, tuple[float, ...] | None, int], list[int]] = {}
         for geom in _drawn(model, data):
+            if geom.objtype == mujoco.mjtObj.mjOBJ_TENDON:
+                look = tuple(np.round(geom.rgba.astype(float), 3)), float(geom.size[0])
+                alike = self.tendons.setdefault(look, [])
+                # A tendon is drawn in pieces.
+                if int(geom.objid) not in alike:
+                    alike.append(int(geom.objid))
+                continue
             if geom.type == mujoco.mjtGeom.mjGEOM_PLANE:
                 self.floors.append(int(geom.objid))
                 continue
@@ -126,6 +136,7 @@ class ModelNodes:
         model: the model.
         bodies: the node of each body that has a geometry, by its id; nodes of the target and others can be moved alone.
         surfaces: the nodes of surfaces by the id of their body, whose ``color`` and ``opacity`` can be set.
+        tendons: the nodes of tendons, which are lines, with the tendons' ids.
     """
 
     def __init__(
@@ -148,12 +159,21 @@ class ModelNodes:
             solid = alpha >= 1.0
             given = {"color": shape.rgba[:3], "opacity": None if solid else alpha, "cast_shadow": solid}
             made.append(scene.add_mesh_simple(name, shape.mesh.vertices, shape.mesh.faces, **given))
+        self.tendons: list[tuple[Any, list[int]]] = []
+        for (rgba, radius), tendons in shapes.tendons.items():
+            name = f"{root}/tendons {len(self.tendons)}"
+            self.tendons.append((add_path(scene, name, np.zeros((2, 3)), rgba, radius), tendons))
 
     def show(self, data: mujoco.MjData) -> None:
         """Move the nodes to the poses of the bodies in ``data``, whose kinematics are up to date."""
         for body, node in self.bodies.items():
             node.position = np.round(data.xpos[body] / _RESOLUTION) * _RESOLUTION
             node.wxyz = np.round(data.xquat[body] / _RESOLUTION) * _RESOLUTION
+        if self.tendons:
+            _find_tendons(self.model, data)
+        for node, tendons in self.tendons:
+            pieces = np.concatenate([_pieces(data, tendon) for tendon in tendons])
+            node.points = np.round(pieces / _RESOLUTION) * _RESOLUTION
 
 
 def add_floor(scene: Any, shapes: Shapes) -> None:
@@ -236,11 +256,24 @@ def viewpoint(model: mujoco.MjModel, data: mujoco.MjData, camera: mujoco.MjvCame
     return Viewpoint(position, position + distance * forward, float(angle))
 
 
+def _find_tendons(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    """Compute where tendons are, from the frames of the bodies."""
+    mujoco.mj_comPos(model, data)
+    mujoco.mj_tendon(model, data)
+
+
+def _pieces(data: mujoco.MjData, tendon: int) -> Floats:
+    """The straight pieces ``(S, 2, 3)`` of a tendon; there is none at a pulley."""
+    rows = slice(first := data.ten_wrapadr[tendon], first + data.ten_wrapnum[tendon])
+    pulley = data.wrap_obj.ravel()[rows] == -2
+    return segments(data.wrap_xpos.reshape(-1, 3)[rows])[~(pulley[:-1] | pulley[1:])]
+
+
 def _drawn(model: mujoco.MjModel, data: mujoco.MjData) -> Iterator[Any]:
-    """The model's geoms as MuJoCo would render them, with colours resolved from geoms and materials."""
+    """The model's geoms and tendons as MuJoCo would render them, with colours resolved from materials."""
     scene = mujoco.MjvScene(model, maxgeom=model.ngeom + model.nsite + 1000)
     everything = mujoco.mjtCatBit.mjCAT_ALL
     mujoco.mjv_updateScene(model, data, mujoco.MjvOption(), None, mujoco.MjvCamera(), everything, scene)
     for geom in scene.geoms[: scene.ngeom]:
-        if geom.objtype == mujoco.mjtObj.mjOBJ_GEOM and geom.rgba[3] > 0.0:
+        if geom.objtype in (mujoco.mjtObj.mjOBJ_GEOM, mujoco.mjtObj.mjOBJ_TENDON) and geom.rgba[3] > 0.0:
             yield geom
