@@ -2,7 +2,7 @@
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo test lint clean reference reference-stale release env env-dev gl browser
+.PHONY: help demo test lint docs clean reference reference-stale release env env-dev gl browser
 
 # REQUIRE_RENDERING=1 makes the rendering tests fail, instead of skip, where there is no OpenGL;
 # REQUIRE_BROWSER=1 does the same for the tests of the HTML page, where there is no browser.
@@ -15,6 +15,7 @@ help:
 	@echo "make test    lint, types and tests                           (REQUIRE_RENDERING=1: no OpenGL is a failure;"
 	@echo "                                                              REQUIRE_BROWSER=1: no Chromium is one)"
 	@echo "make lint    lint and types alone"
+	@echo "make docs    build the site in docs/_build/html"
 	@echo "make reference        make the results below results/reference again where they are stale (ARGS: results/README.md)"
 	@echo "make reference-stale  say which are stale, and why"
 	@echo "make release          build the packages in dist/, unless results are stale"
@@ -32,6 +33,9 @@ lint: env-dev
 	.venv/bin/ruff format --check
 	.venv/bin/mypy
 
+docs: env-dev gl
+	.venv/bin/sphinx-build -W --keep-going -q docs docs/_build/html
+
 reference: env-dev gl
 	.venv/bin/python scripts/reference.py $(ARGS)
 
@@ -42,7 +46,7 @@ release: reference-stale
 	.venv/bin/python -m build
 
 clean:
-	rm -rf build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf build dist docs/_build docs/api/_made docs/gallery/_made .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find lieednn_sim tests scripts -type d -name __pycache__ -prune -exec rm -rf {} +
 
 env:

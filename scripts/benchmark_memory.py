@@ -3,7 +3,7 @@
     python scripts/benchmark_memory.py [--cases 2000] [--problems FOLDER] [--output results/memory]
 
 Each study runs in one fresh process, with cases as cheap as they can be; those of published problems need the folder of
-a robot (docs/published_problems.md). Writes ``memory.md``: resident memory [MB] after so many cases.
+a robot (docs/howto/published_problems.md). Writes ``memory.md``: resident memory [MB] after so many cases.
 """
 
 from __future__ import annotations

@@ -10,7 +10,11 @@ wanted=${1:-demo}
 venv=.venv
 made_in=$venv/.made-in
 extras=gymnasium,rivals,timing,view
-if [ "$wanted" = dev ]; then extras=dev; fi
+group=
+if [ "$wanted" = dev ]; then
+    extras=$extras,cbirrt,cluster
+    group="--group dev"
+fi
 if [ -n "${PYTHON:-}" ]; then pythons=("$PYTHON"); else pythons=(python3.11 python3.12 python3.13 python3 python); fi
 
 say() { printf '%s\n' "$*" >&2; }
@@ -77,7 +81,7 @@ digest() {
 import hashlib, json, sys, tomllib
 with open("pyproject.toml", "rb") as file:
     content = tomllib.load(file)
-parts = [content["build-system"], content["project"], content.get("tool", {}).get("hatch"), sys.argv[1]]
+parts = [content["build-system"], content["project"], content["dependency-groups"], content.get("tool", {}).get("hatch"), sys.argv[1]]
 print(hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest())
 PYTHON
 }
@@ -107,7 +111,8 @@ now=$(digest)
 if ! fresh; then
     was=$(ls $venv/.lieednn-sim-* 2>/dev/null || true)
     say "Installing lieednn_sim with the extras $extras into $venv; the first time this takes some minutes"
-    if ! pip_install --editable ".[$extras]"; then
+    # Dependency groups came with pip 25.1.
+    if ! { { [ -z "$group" ] || pip_install 'pip>=25.1'; } && pip_install --editable ".[$extras]" $group; }; then
         if [ -n "$was" ]; then
             die "pip could not bring $venv up to date with pyproject.toml (its reason is above); without a network," \
                 "try again later, or run what is there, as it is: $venv/bin/lieednn-sim"

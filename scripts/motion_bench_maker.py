@@ -2,9 +2,9 @@
 
     python scripts/motion_bench_maker.py FOLDER [--problems 100] [--jobs 1] [--output results/motion_bench_maker]
 
-FOLDER is the ``resources`` of VAMP's repository, which is not part of this project; docs/published_problems.md says how
-the problems are posed. Each robot's rows are a table of `lieednn-sim problems` below the output, so an interrupted run
-can be continued; ``motion_bench_maker.md`` has the statistics of all.
+FOLDER is the ``resources`` of VAMP's repository, which is not part of this project; docs/howto/published_problems.md
+says how the problems are posed. Each robot's rows are a table of `lieednn-sim problems` below the output, so an
+interrupted run can be continued; ``motion_bench_maker.md`` has the statistics of all.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def table(rows: dict[str, Sequence[Solution]]) -> str:
         "",
         METHOD.format(budget=BUDGET)
         + " Four numbers are mean / median / 75 % / 98 %. [How the problems are posed, and "
-        "what others publish](../../docs/published_problems.md).",
+        "what others publish](../../docs/howto/published_problems.md).",
         "",
         table_line(HEADINGS),
         "|" + " --- |" * len(HEADINGS),

@@ -1,6 +1,6 @@
 """Mutation testing: change the code slightly, with mutmut, and count the changes that a room's tests notice.
 
-    pip install 'lieednn_sim[mutation]'
+    pip install --group mutation
     python scripts/mutation.py [--rooms lie,motion] [--sample 40] [--seed 0] [--jobs 2] [--output results/mutation]
 
 A seeded random sample of each room's mutants is tried (0: all of them), with its own fast tests, in a copy of the

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -51,7 +52,11 @@ class Checkout:
     def installed(self) -> list[str]:
         """What pip was asked to install by the last call."""
         calls = self.log.read_text().splitlines()
-        return [call.rpartition(" ")[2] for call in calls if call.startswith("-m pip install")]
+        return [
+            re.sub(r".*--quiet --disable-pip-version-check (--editable )?", "", call)
+            for call in calls
+            if " install " in call
+        ]
 
     def own_environment(self) -> Path:
         """An environment as the user would make it; returns its interpreter."""
@@ -92,7 +97,7 @@ def test_what_the_tests_need_is_added_and_serves_the_demo_too(checkout):
     assert checkout.ensure().returncode == 0
     done = checkout.ensure("dev")
     assert done.returncode == 0, done.stderr
-    assert checkout.installed() == [".[dev]"]
+    assert checkout.installed() == ["pip>=25.1", ".[gymnasium,rivals,timing,view,cbirrt,cluster] --group dev"]
     (checkout.venv / ".lieednn-sim-demo").unlink()
     assert checkout.ensure().returncode == 0
     assert checkout.installed() == []

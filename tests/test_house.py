@@ -117,7 +117,7 @@ def test_the_tests_that_the_documents_name_are_there():
     root = PACKAGE.parent
     named = [
         (document.name, *reference)
-        for document in (*root.glob("docs/*.md"), *root.glob("results/reference/*.md"), *root.glob("*.md"))
+        for document in (*root.glob("docs/**/*.md"), *root.glob("results/reference/*.md"), *root.glob("*.md"))
         for reference in re.findall(r"(tests/[\w/]+\.py)(?:::(\w+))?", document.read_text(encoding="utf-8"))
     ]
     assert len(named) > 10

@@ -25,7 +25,7 @@ def blocks(language: str, text: str = README, name: str = "") -> list:
     return [pytest.param(match[1], id=f"{name}line {text[: match.start()].count(chr(10)) + 2}") for match in found]
 
 
-POLICIES = blocks("python", (ROOT / "docs" / "policies.md").read_text(), "policies.md ")
+POLICIES = blocks("python", (ROOT / "docs" / "howto" / "policies.md").read_text(), "policies.md ")
 COMMANDS = [line for block in blocks("sh") for line in block.values[0].splitlines()]
 
 

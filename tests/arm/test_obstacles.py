@@ -16,7 +16,7 @@ from lieednn_sim.arm.obstacles import describe, load_obstacles
 from lieednn_sim.arm.targets import TARGET_CLEARANCE, draw_target
 from lieednn_sim.errors import FileError, InputError
 
-DOCUMENT = Path(__file__).parents[2] / "docs" / "own_scenes.md"
+DOCUMENT = Path(__file__).parents[2] / "docs" / "howto" / "own_scene.md"
 BOX = {"shape": "box", "size": [0.2, 0.4, 0.6], "position": [1.5, 0.0, 0.0]}
 POLE = {"shape": "cylinder", "name": "pole", "radius": 0.1, "length": 2.0, "position": [0.0, 1.5, 0.0]}
 TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"

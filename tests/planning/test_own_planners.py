@@ -24,7 +24,7 @@ HOME, TARGET = ARM.keyframe("home"), ARM.keyframe("extended")
 HALF = 0.5 * (HOME + TARGET)
 OTHER = Arm.load("telescopic_compound")
 FIRST, LAST = OTHER.keyframe("home"), OTHER.keyframe("extended")
-DOCUMENT = Path(__file__).parents[2] / "docs" / "own_planners.md"
+DOCUMENT = Path(__file__).parents[2] / "docs" / "howto" / "own_planner.md"
 
 
 @pytest.fixture(autouse=True)

@@ -1,0 +1,72 @@
+"""How Sphinx builds the site: `make docs`, or `sphinx-build -W docs docs/_build/html`."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+
+HERE = Path(__file__).parent
+sys.path[:0] = [str(HERE), str(HERE.parent / "scripts")]
+
+import lieednn_sim  # noqa: E402 - after the path
+
+# Small matrices: one thread is faster, and the figures of the gallery are the same on every machine.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+project = "lieednn_sim"
+author = "The lieednn_sim authors"
+copyright = author
+release = version = lieednn_sim.__version__
+
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.autosummary",
+    "sphinx.ext.intersphinx",
+    "sphinx.ext.napoleon",
+    "sphinx.ext.viewcode",
+    "matplotlib.sphinxext.plot_directive",
+    "sphinx_copybutton",
+    "sphinx_design",
+    "sphinx_gallery.gen_gallery",
+    "sphinx-mathjax-offline",
+]
+exclude_patterns = ["_build", "**/GALLERY_HEADER.md", "gallery/*.py", "drawings"]
+nitpicky = False
+suppress_warnings = ["config.cache"]  # sphinx-gallery's settings hold functions
+
+html_theme = "furo"
+html_title = "lieednn_sim"
+html_static_path = ["_static"]
+html_css_files = ["site.css"]
+
+myst_enable_extensions = ["amsmath", "attrs_inline", "colon_fence", "deflist", "dollarmath"]
+myst_heading_anchors = 3
+
+autosummary_generate = True
+autodoc_typehints = "signature"
+autodoc_member_order = "bysource"
+napoleon_numpy_docstring = False
+
+copybutton_exclude = ".linenos, .gp, .go"
+
+# Without a network the inventories are missing: their names then stay words, and nothing is asked for.
+intersphinx_mapping = {}
+
+plot_formats = ["svg"]
+plot_html_show_formats = False
+plot_html_show_source_link = False
+plot_working_directory = str(HERE)
+
+sphinx_gallery_conf = {
+    "examples_dirs": ["gallery"],
+    "gallery_dirs": ["gallery/_made"],
+    "filename_pattern": r"\.py$",
+    "ignore_pattern": r"__init__",
+    "abort_on_example_error": True,
+    "show_memory": False,
+    "show_signature": False,
+    "download_all_examples": False,
+    "remove_config_comments": True,
+}
