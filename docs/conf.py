@@ -31,6 +31,7 @@ extensions = [
     "sphinx_design",
     "sphinx_gallery.gen_gallery",
     "sphinx-mathjax-offline",
+    "_ext.measured",
 ]
 exclude_patterns = ["_build", "**/GALLERY_HEADER.md", "gallery/*.py", "drawings"]
 nitpicky = False
@@ -40,6 +41,7 @@ html_theme = "furo"
 html_title = "lieednn_sim"
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
+html_extra_path = ["../results/reference/comparison.html"]
 
 myst_enable_extensions = ["amsmath", "attrs_inline", "colon_fence", "deflist", "dollarmath"]
 myst_heading_anchors = 3
