@@ -20,6 +20,7 @@ REFERENCE = Path(__file__).parents[2] / "results" / "reference"
 def setup(app: Sphinx) -> dict[str, bool]:
     """Called by Sphinx."""
     app.connect("include-read", arrange)
+    app.add_css_file("results.css")
     return {"parallel_read_safe": True}
 
 
@@ -42,6 +43,8 @@ def arrange(app: Sphinx, path: Path, _: str, content: list[str]) -> None:
         return f"](/{Path(os.path.relpath(target, app.srcdir)).as_posix()}" if target.is_file() else match[0]
 
     text = re.sub(r"\]\(([^)#:]+)", from_docs, text)
+    # An image with a width is a link to the whole picture.
+    text = re.sub(r"^(!\[.*\))$", r"\1{width=100%}", text, flags=re.MULTILINE)
     content[0] = f"{_origin(file)}\n\n{text}"
 
 
