@@ -220,3 +220,34 @@ def test_the_speeds_on_the_site_are_those_of_the_benchmark():
     ):
         median = next(ratio["median"] for name, ratio in ratios.items() if name.startswith(begins))
         assert re.search(rf"(^|[ ,]){re.escape(f'{median:.{digits}f}')}\b", said[row]), f"{row}: {median}"
+
+
+def test_the_answers_on_the_site_are_in_the_tables():
+    root = Path(benchmark.__file__).parents[1]
+    answers = (root / "docs/results/index.md").read_text(encoding="utf-8").replace("10,000", "10000").replace(",", "")
+
+    def made(name: str, planner: str) -> str:
+        """Motions made, of all arms and scenes."""
+        motions = (root / f"results/reference/{name}.md").read_text(encoding="utf-8").split("## Tracking")[0]
+        rows = [cells(line) for line in motions.splitlines() if line.startswith("| telescopic")]
+        return str(sum(int(row[3].split()[0]) for row in rows if row[2] == planner))
+
+    for answer in (
+        f"`lieednn-shaped` solves {made('comparison', 'lieednn-shaped')} of 120",
+        f"minimum jerk {made('comparison', 'minimum-jerk')}; "
+        f"`lieednn-certified` solves {made('comparison', 'lieednn-certified')}.",
+        f"solve {made('obstacles', 'lieednn-guided')} of 90 `lieednn-filtered` {made('obstacles', 'lieednn-filtered')} "
+        f"minimum jerk {made('obstacles', 'minimum-jerk')}.",
+    ):
+        assert answer in answers
+    for name, written in (
+        ("benchmark", ("9995 of 10000",)),
+        ("shaped", ("450 of 450", "0.57", "1.04")),
+        ("demonstrations", ("27834", "1093", "32328", "1701")),
+        ("robustness", ("7979",)),
+        ("paper/report", ("Of 36 claims 19 hold",)),
+    ):
+        table = (root / f"results/reference/{name}.md").read_text(encoding="utf-8")
+        for figure in written:
+            assert figure in table
+            assert figure in answers
