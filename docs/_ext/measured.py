@@ -32,7 +32,8 @@ def arrange(app: Sphinx, path: Path, _: str, content: list[str]) -> None:
     text = content[0]
     if file.suffix == ".csv":
         head, *rows = csv.reader(io.StringIO(text))
-        lines = [[name.replace("_", " ") for name in head], ["---"] * len(head), *([_short(cell) for cell in row] for row in rows)]
+        names = [name.replace("_", " ") for name in head]
+        lines = [names, ["---"] * len(head), *([_short(cell) for cell in row] for row in rows)]
         text = "\n".join("| " + " | ".join(line) + " |" for line in lines)
     text = re.sub(r"\A# .*\n", "", text)
     text = re.sub(r"\nMade by `[^`]*`,.*\n*\Z", "\n", text)
