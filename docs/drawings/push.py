@@ -6,8 +6,8 @@ from drawings import style
 import lieednn_sim as ls
 
 arm = ls.Arm.load("telescopic_pr")
-target = arm.encode(arm.keyframe("extended"))
-network = ls.synthesize(target, bias_magnitude=0.5, seed=0).unwrap()
+network = ls.plan(arm, "extended", seed=0).network
+target = network.equilibrium().xi
 robustness = network.robustness()
 gain = robustness.push_gain()
 
