@@ -30,6 +30,6 @@ plain = np.linalg.eigvalsh(0.5 * (network.rotational_weight + network.rotational
 for height, eigenvalues, colour in ((1.0, plain, style.GREY), (0.0, values, style.BLUE)):
     right.plot(eigenvalues, np.full(12, height), "|", ms=16, mew=2, color=colour)
 right.axvline(certificate.bound, color=style.RED, lw=1.2)
-right.text(certificate.bound, 1.75, "γ/μ", color=style.RED, ha="center", va="center")
+right.text(certificate.bound, 1.75, r"$\gamma/\mu$", color=style.RED, ha="center", va="center")
 right.set_yticks([0.0, 1.0], ["sym(S W S⁻¹)", "sym(W)"])
 right.set(ylim=(-0.6, 1.6), xlabel="eigenvalues of the rotational weights")

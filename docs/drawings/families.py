@@ -1,4 +1,4 @@
-"""A family of motions from three demonstrations: a fan of starts, and the hidden neurons' starts that tell them apart."""
+"""A family of motions from three demonstrations: a fan of starts, and the starts of the hidden neurons."""
 
 import numpy as np
 from drawings import style

@@ -1,4 +1,4 @@
-"""The mechanism gap: a link's pose as decoded from a network, the nearest one that its joint can take, and its course."""
+"""The mechanism gap: a pose decoded from a network, the nearest one that the joint can take, and its course."""
 
 import numpy as np
 from drawings import style
@@ -31,5 +31,5 @@ seen_at = style.show_arm(above, arm, nearest.q, size=(960, 640), crop=(0.36, 0.9
 ends = style.draw_frames(above, seen_at, [feasible[link].as_matrix(), decoded.as_matrix()], 0.2)
 above.plot(*ends.T, "--", color="black", lw=1.5)
 box = {"boxstyle": "round,pad=0.2", "fc": "white", "ec": "none", "alpha": 0.85}
-above.text(*(ends[0] + (-16, -62)), "nearest pose that the joint can take", ha="center", bbox=box)
+above.text(*(ends[0] + (-16, -66)), "nearest pose that the joint can take", ha="center", bbox=box)
 above.text(*(ends[1] + (0, 46)), "pose decoded from the network", ha="center", bbox=box)
