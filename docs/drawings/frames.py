@@ -7,11 +7,11 @@ import lieednn_sim as ls
 arm = ls.Arm.load("telescopic_pr")
 q = arm.keyframe("extended")
 _, axis = style.figure(3.5)
-seen_at = style.show_arm(axis, arm, q, size=(960, 640), crop=(0.14, 0.99, 1.0, 0.04))
+seen_at = style.show_arm(axis, arm, q, size=(960, 640), crop=(0.14, 0.96, 1.0, 0.0))
 frames = [arm.base.as_matrix(), *arm.link_poses(q).as_matrix()]
 origins = style.draw_frames(axis, seen_at, frames, 0.24)
 labels = ("base", "link 1", "link 2", "link 3", "link 4 =\nend effector")
-places = ((0, 44), (-74, -34), (-40, -62), (-46, -62), (40, 62))
+places = ((0, 44), (-74, -34), (-40, -62), (-76, -50), (-60, -80))
 box = {"boxstyle": "round,pad=0.2", "fc": "white", "ec": "none", "alpha": 0.85}
 for label, origin, place in zip(labels, origins, places, strict=True):
     axis.annotate(label, origin + place, ha="center", va="center", bbox=box)

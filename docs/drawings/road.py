@@ -9,10 +9,10 @@ from lieednn_sim.rendering.still import still
 arm = ls.Arm.load("telescopic_pr")
 plan = ls.plan(arm, "extended", seed=0)
 rollout = ls.simulate(arm, plan)
-motion, size, crop = plan.motion, (600, 400), (0.06, 0.98, 1.0, 0.14)
+motion, size, crop = plan.motion, (600, 400), (0.12, 0.96, 0.98, 0.14)
 half = len(motion.t) // 2
 
-_, axes = style.figure(6.6, 4, 2)
+_, axes = style.figure(7.6, 4, 2)
 titles = ("target", "network: its weights", "states ξ(t)", "pose of each joint", "joint trajectory q(t)", "simulation")
 axes = axes.ravel()
 for number, (axis, title) in enumerate(zip(axes, (*titles, "metrics", "video, page, pictures"), strict=True), 1):
