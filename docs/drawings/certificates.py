@@ -20,7 +20,7 @@ for angle in around:
     left.plot(path[:, 0, 0], path[:, 1, 1], color=style.BLUE, lw=0.9)
     left.plot(*start[[0, 1], [0, 1]], "o", color=style.BLUE, ms=3)
 left.plot(target[0, 0], target[1, 1], "*", color=style.ORANGE, ms=13, zorder=3, label="target")
-left.set(xlabel="ω₁ of neuron 1 [rad]", ylabel="ω₂ of neuron 2 [rad]", aspect="equal")
+left.set(xlabel=r"$\omega_x$ of neuron 1 [rad]", ylabel=r"$\omega_y$ of neuron 2 [rad]", aspect="equal")
 left.legend(loc="upper right")
 
 scale = np.sqrt(certificate.lyapunov_diagonal)
