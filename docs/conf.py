@@ -9,7 +9,8 @@ from pathlib import Path
 HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE), str(HERE.parent / "scripts")]
 
-import lieednn_sim  # noqa: E402 - after the path
+import api_names  # noqa: E402 - after the path
+import lieednn_sim  # noqa: E402
 
 # Small matrices: one thread is faster, and the figures of the gallery are the same on every machine.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -32,8 +33,9 @@ extensions = [
     "sphinx_gallery.gen_gallery",
     "sphinx-mathjax-offline",
     "_ext.measured",
+    "api_names",
 ]
-exclude_patterns = ["_build", "**/GALLERY_HEADER.md", "gallery/*.py", "drawings"]
+exclude_patterns = ["_build", "_templates", "**/GALLERY_HEADER.*", "gallery/*.py", "drawings"]
 nitpicky = False
 suppress_warnings = ["config.cache"]  # sphinx-gallery's settings hold functions
 
@@ -46,10 +48,17 @@ html_extra_path = ["../results/reference/comparison.html"]
 myst_enable_extensions = ["amsmath", "attrs_inline", "colon_fence", "deflist", "dollarmath"]
 myst_heading_anchors = 3
 
+templates_path = ["_templates"]
+default_role = "name"
+add_module_names = False
+python_maximum_signature_line_length = 90
 autosummary_generate = True
+autosummary_context = {name: getattr(api_names, name) for name in ("comment", "foreign", "inherited", "public", "FRONT")}
 autodoc_typehints = "signature"
 autodoc_member_order = "bysource"
 napoleon_numpy_docstring = False
+napoleon_use_ivar = True
+napoleon_use_rtype = False
 
 copybutton_exclude = ".linenos, .gp, .go"
 

@@ -13,7 +13,8 @@ from lieednn_sim.errors import InputError
 from lieednn_sim.validation import as_floats, quoted
 from lieednn_sim.values import Floats
 
-# Planned motions keep this distance from contact by default [m], since tracking them is off by a millimetre or two.
+#: Distance [m] that planned motions keep from obstacles and between the arm's own parts by default. It allows for
+#: tracking errors of a millimetre or two.
 PLANNED_CLEARANCE = 0.002
 
 

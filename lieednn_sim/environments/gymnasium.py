@@ -36,7 +36,7 @@ from lieednn_sim.validation import as_seed, quoted
 
 __all__ = ["ENVIRONMENTS", "Environment", "VectorEnvironment", "register"]
 
-# The task of each environment, by name.
+#: Name of the task of each registered Gymnasium environment, by the environment's id.
 ENVIRONMENTS = {"LieEDNN/TelescopicReach-v0": "reach", "LieEDNN/TelescopicTrack-v0": "track"}
 
 

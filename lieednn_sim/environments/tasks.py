@@ -26,7 +26,7 @@ __all__ = ["REFERENCES", "TASKS", "Reach", "Track", "make_task"]
 
 # Joints are at rest below this fraction of their velocity limits.
 REST = 0.01
-# Sources of moving targets.
+#: Sources of the moving target of `Track`.
 REFERENCES = ("band-limited", "plan")
 # Fraction of the velocity limits, beyond `REST`, at which the reward for resting falls to a tenth.
 _REST_MARGIN_FRACTION = 0.5
@@ -173,6 +173,7 @@ class Track(ArmTask):
         return self._closeness(distance, angle)[0], self._closeness.within(distance, angle)
 
 
+#: Tasks by name.
 TASKS: dict[str, type[ArmTask]] = {"reach": Reach, "track": Track}
 
 

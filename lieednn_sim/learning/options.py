@@ -190,7 +190,7 @@ class RiemannianOptions:
         check_rates(self.initial_rate, (self.min_rate, self.max_rate), grow=self.grow, shrink=self.shrink)
 
 
-# The named settings, for the command line.
+#: Functions that return the settings of each learning algorithm, by the name that the command line uses.
 ALGORITHMS = {
     "literal": TrainingOptions.literal,
     "repaired": TrainingOptions.repaired,

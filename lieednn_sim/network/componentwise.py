@@ -90,6 +90,7 @@ def _values(name: str, function: Callable[[Floats], Floats], x: Floats) -> Float
         ) from None
 
 
+#: Activation functions by name: ``tanh``, and others that are added, ``ACTIVATIONS["name"] = Activation(...)``.
 ACTIVATIONS: dict[str, Activation] = {
     "tanh": Activation(
         np.tanh,
@@ -104,6 +105,7 @@ ACTIVATIONS: dict[str, Activation] = {
     ),
 }
 
+#: Name of the activation function that networks have unless another is given.
 DEFAULT_ACTIVATION = "tanh"
 
 

@@ -50,6 +50,7 @@ def _loaded(entry: Entry) -> Planner:
     return Planner(getattr(module, name), getattr(module, entry.options) if entry.options else None, entry.cost)
 
 
+#: All planners by name, including those added by `register_planner`.
 PLANNERS: dict[str, Planner] = {name: _loaded(entry) for name, entry in planner_table.PLANNERS.items()}
 
 
@@ -118,7 +119,8 @@ def _checked(solve: Callable[..., Plan | Motion], problem: PlanningProblem, *opt
     return made
 
 
-# The LieEDNN planner with the most successes and the smoothest motions among obstacles, with or without OMPL.
+#: Name of the default planner among obstacles: the LieEDNN planner with the most successes and the smoothest motions
+#: there, with or without OMPL.
 OBSTACLE_PLANNER = "lieednn-shaped"
 _REDUNDANT = 3  # hinges that move one link
 

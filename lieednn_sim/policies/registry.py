@@ -151,6 +151,7 @@ def _tracker(task: PolicyTask) -> Policy:
     return MotionTracker(task.arm, task.motion, task.rate)
 
 
+#: All policies by name, including those added by `register_policy`.
 POLICIES: dict[str, PolicyKind] = {
     "lieednn-shaped": PolicyKind(_shaped, ShapedOptions),
     "lieednn-certified": PolicyKind(_certified, CertifiedPolicyOptions),

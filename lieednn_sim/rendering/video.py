@@ -41,6 +41,7 @@ class Preset:
 
 _MAX_RATE = 1000.0  # frames per second: more is probably a mistake
 _MAX_WIDTH, _MAX_HEIGHT = 3840, 2160  # 4K [pixels]
+#: Rendering presets by name.
 PRESETS = {"draft": Preset(shadows=False, samples=0), "nice": Preset(shadows=True, samples=4)}
 
 

@@ -21,7 +21,7 @@ from lieednn_sim.stability.norms import as_weight, frobenius, log_norms, weighte
 from lieednn_sim.validation import as_floats, as_positive, as_ratio, quoted
 from lieednn_sim.values import Floats
 
-# In hierarchical order; a verdict's level is one of these or "none".
+#: Names of the stability conditions in hierarchical order; a verdict's level is one of these, or "none".
 CONDITIONS = (
     "1-norm",
     "infinity norm",

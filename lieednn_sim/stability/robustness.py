@@ -22,6 +22,7 @@ from lieednn_sim.values import Floats, frozen
 
 Indices = NDArray[np.intp]
 
+#: Integrators with fixed time steps for which `Robustness.largest_step` proves a largest step.
 INTEGRATORS_WITH_PROOF = ("Euler", "RK4")
 
 # Weights of v against omega: with smaller ones, omega's coupling to v costs less in rate, and more in size.

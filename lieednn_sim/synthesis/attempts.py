@@ -19,7 +19,8 @@ from lieednn_sim.synthesis.starts import contracted, random_starts
 from lieednn_sim.validation import as_count, as_positive
 from lieednn_sim.values import Floats
 
-# Residual of the vector field, in units of gamma, below which the target is the equilibrium; the polish reaches 1e-13.
+#: Largest entry of the vector field at the target, in units of gamma, with which the target counts as the
+#: equilibrium; the solution is usually exact to 1e-13.
 RESIDUAL_TOLERANCE = 1e-9
 # Largest norm of W_R that is searched for, in units of gamma/mu.
 _LARGEST_NORM = 1e3

@@ -8,6 +8,7 @@ from scipy.optimize import brentq
 from lieednn_sim.validation import as_choice, as_floats, as_positive
 from lieednn_sim.values import Floats
 
+#: Rules for choosing a network's bias, see `bias_for`.
 BIAS_RULES = ("uniform", "sign-matched", "solved")
 
 # Rotations drive translations through t poorly when all their coordinates are below this [rad] ...

@@ -149,7 +149,7 @@ def general_linear(n: int) -> MatrixLieGroup:
     return MatrixLieGroup(f"GL({size})", basis, projection, _is_invertible)
 
 
-# Built on first use.
+#: Functions that construct the groups, by name; each group is constructed when it is first used.
 GROUPS: dict[str, Callable[[], MatrixLieGroup]] = {
     "SO(2)": so2,
     "SO(3)": so3,

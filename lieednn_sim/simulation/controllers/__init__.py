@@ -15,6 +15,8 @@ from lieednn_sim.simulation.reference import Reference
 
 _Make = TypeVar("_Make", bound=Callable[[Arm, Reference], Controller])
 
+#: Controllers by name, including those added by `register_controller`: functions or classes that take an arm and a
+#: `Reference`.
 CONTROLLERS: dict[str, Callable[[Arm, Reference], Controller]] = {
     "position-servo": PositionServo,
     "inverse-dynamics": InverseDynamicsServo,

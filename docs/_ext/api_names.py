@@ -1,0 +1,170 @@
+"""What the API reference lists, taken from each subpackage's `__all__`, and how the site links to it."""
+
+from __future__ import annotations
+
+import ast
+import functools
+import inspect
+import re
+import types
+from importlib import import_module
+from typing import Any
+
+import lieednn_sim
+from docutils import nodes
+from docutils.parsers.rst import roles
+from sphinx.addnodes import pending_xref
+from sphinx.application import Sphinx
+from sphinx.domains.python import PyClasslike
+from sphinx.pycode import ModuleAnalyzer
+
+# Public modules whose names are not in their subpackage's own `__all__`.
+MODULES = {
+    "arm": ("targets",),
+    "environments": ("tasks", "suite", "gymnasium", "vector", "expert"),
+    "evaluation": ("plots",),
+    "learning": ("demonstrations",),
+    "rendering": ("video", "still", "page", "opengl"),
+}
+KINDS = {"function": "Functions", "class": "Classes", "data": "Constants"}
+
+
+def _names(module: str) -> list[str]:
+    value = import_module(module)
+    local = [name for name, item in vars(value).items() if getattr(item, "__module__", None) == module]
+    return getattr(value, "__all__", None) or [name for name in local if not name.startswith("_")]
+
+
+def public(module: str) -> dict[str, list[str]]:
+    """Public names of a subpackage by their kind; a name of one of its `MODULES` has that module before it."""
+    room = module.partition(".")[2]
+    # An empty `__all__` is a subpackage without names of its own.
+    own = _names(module) if room != "environments" else []
+    names = own + [f"{part}.{name}" for part in MODULES.get(room, ()) for name in _names(f"{module}.{part}")]
+    kinds: dict[str, list[str]] = {kind: [] for kind in KINDS.values()}
+    for name in sorted(names, key=lambda name: name.rpartition(".")[2].lower()):
+        value = find(f"{module}.{name}")
+        kind = "class" if inspect.isclass(value) else "function" if inspect.isroutine(value) else "data"
+        kinds[KINDS[kind]].append(name)
+    return {kind: found for kind, found in kinds.items() if found}
+
+
+def find(name: str) -> Any:
+    """The object of a full name."""
+    parts = name.split(".")
+    for length in range(len(parts), 0, -1):
+        try:
+            value = import_module(".".join(parts[:length]))
+        except ModuleNotFoundError:
+            continue
+        for part in parts[length:]:
+            value = getattr(value, part)
+        return value
+    raise ModuleNotFoundError(name)
+
+
+def comment(name: str) -> str:
+    """The comment ``#:`` above a constant, wherever in the package it is defined."""
+    module, _, constant = name.rpartition(".")
+    analyzer = ModuleAnalyzer.for_module(module)
+    while ("", constant) not in (found := analyzer.find_attr_docs()):
+        imports = [node for node in ast.parse(analyzer.code).body if isinstance(node, ast.ImportFrom)]
+        module = next(node.module for node in imports if constant in {alias.name for alias in node.names})
+        analyzer = ModuleAnalyzer.for_module(module)
+    return " ".join(found["", constant])
+
+
+def own(cls: type) -> list[str]:
+    """Public methods and properties that a class defines itself."""
+    kinds = (property, functools.cached_property, classmethod, staticmethod, types.FunctionType)
+    return [name for name, item in vars(cls).items() if isinstance(item, kinds) and not name.startswith("_")]
+
+
+def inherited(name: str) -> dict[str, list[str]]:
+    """Public methods and properties that a class has from other documented classes, by the full names of these."""
+    cls = find(name)
+    members, known = {}, set(own(cls))
+    for base in cls.__mro__[1:]:
+        if base in DOCUMENTED:
+            members[DOCUMENTED[base]] = sorted(set(own(base)) - known)
+        known |= set(own(base))
+    return {base: found for base, found in members.items() if found}
+
+
+def foreign(name: str) -> str:
+    """Base classes of a class whose members are not repeated on its page: documented ones and other packages'."""
+    bases = find(name).__mro__[1:]
+    return ", ".join(b.__name__ for b in bases if b in DOCUMENTED or not b.__module__.startswith("lieednn_sim"))
+
+
+ROOMS = ("errors", *(room for room in lieednn_sim._SUBPACKAGES if room != "cli"))
+ALL = [f"lieednn_sim.{room}.{name}" for room in ROOMS for group in public(f"lieednn_sim.{room}").values() for name in group]
+DOCUMENTED = {value: name for name in ALL if inspect.isclass(value := find(name))}
+FRONT = {
+    name: next(full for full in ALL if full.rpartition(".")[2] == name and find(full) is getattr(lieednn_sim, name))
+    for name in lieednn_sim.__all__
+}
+# Words in single backticks that are both a public name and an argument's mean the argument.
+ARGUMENTS = {
+    argument
+    for name in ALL
+    if inspect.isroutine(value := find(name)) or (inspect.isclass(value) and not issubclass(value, Exception))
+    for method in (value, *(getattr(value, key) for key in (own(value) if inspect.isclass(value) else ())))
+    if callable(method)
+    for argument in inspect.signature(method).parameters
+}
+SHORT = {name.rpartition(".")[2]: name for name in reversed(ALL)}
+
+
+def role(_: str, raw: str, text: str, line: int, inliner: Any, options: Any = None, content: Any = ()) -> Any:
+    """Single backticks in docstrings: code, which links to the API reference where it is a public name."""
+    literal = nodes.literal(raw, text.replace("\0", ""), classes=["py"])
+    first, dot, rest = literal.astext().removesuffix("()").partition(".")
+    target = SHORT.get(first, "") + dot + rest
+    if first in ARGUMENTS or first not in SHORT:
+        target = literal.astext() if literal.astext().startswith("lieednn_sim.") else ""
+    if not target:
+        return [literal], []
+    module = inliner.document.settings.env.ref_context.get("py:module")
+    reference = pending_xref(raw, literal, refdomain="py", reftype="obj", reftarget=target, refexplicit=True, refwarn=False)
+    reference["py:module"] = module
+    return [reference], []
+
+
+def _escape_bars(_app: Sphinx, _what: str, _name: str, _object: Any, _options: Any, lines: list[str]) -> None:
+    """Absolute values are no substitutions of reStructuredText."""
+    for index, line in enumerate(lines):
+        parts = re.split(r"(``.*?``|`.*?`)", line)
+        lines[index] = "".join(part if part.startswith("`") else part.replace("|", r"\|") for part in parts)
+
+
+def _resolve_front(app: Sphinx, env: Any, node: pending_xref, content: Any) -> Any:
+    """Names of the front door, such as `lieednn_sim.plan`, and inherited methods link to where they are documented."""
+    words = node.get("reftarget", "").removeprefix("lieednn_sim.").split(".")
+    if node.get("refdomain") != "py" or not words[0]:
+        return None
+    name = ".".join([FRONT.get(words[0], node["reftarget"]), *words[1:]]) if words[0] in FRONT else node["reftarget"]
+    owner, _, member = name.rpartition(".")
+    if owner in ALL and inspect.isclass(find(owner)):
+        name = next((f"{base}.{member}" for base, found in inherited(owner).items() if member in found), name)
+    if name == node["reftarget"]:
+        return None
+    return env.get_domain("py").resolve_xref(env, node["refdoc"], app.builder, "obj", name, node, content)
+
+
+def _defining_module(_app: Sphinx, module: str, name: str) -> str | None:
+    """Where the source of a public name is, past the check of its arguments' types."""
+    try:
+        return getattr(inspect.unwrap(find(f"{module}.{name}")), "__module__", None)
+    except (AttributeError, ModuleNotFoundError):
+        return None
+
+
+def setup(app: Sphinx) -> None:
+    for field in PyClasslike.doc_field_types:
+        if field.name == "variable":
+            field.label = "Attributes"
+    roles.register_local_role("name", role)
+    app.connect("autodoc-process-docstring", _escape_bars)
+    app.connect("missing-reference", _resolve_front)
+    app.connect("viewcode-follow-imported", _defining_module)
