@@ -53,10 +53,12 @@ default_role = "name"
 add_module_names = False
 python_maximum_signature_line_length = 90
 autosummary_generate = True
-autosummary_context = {name: getattr(api_names, name) for name in ("comment", "foreign", "inherited", "public", "FRONT")}
+autosummary_context = {name: getattr(api_names, name) for name in ("comment", "extends", "foreign", "inherited", "public", "FRONT")}
 autodoc_typehints = "signature"
+autodoc_type_aliases = {"ArrayLike": "ArrayLike", "Floats": "Floats"}
 autodoc_member_order = "bysource"
 napoleon_numpy_docstring = False
+napoleon_attr_annotations = False
 napoleon_use_ivar = True
 napoleon_use_rtype = False
 

@@ -6,7 +6,9 @@ import ast
 import functools
 import inspect
 import re
+import sys
 import types
+from collections.abc import Iterator
 from importlib import import_module
 from typing import Any
 
@@ -25,8 +27,10 @@ MODULES = {
     "evaluation": ("plots",),
     "learning": ("demonstrations",),
     "rendering": ("video", "still", "page", "opengl"),
+    "studies": ("report",),
 }
 KINDS = {"function": "Functions", "class": "Classes", "data": "Constants"}
+FURTHER = "Classes that these take, return or extend"
 
 
 def _names(module: str) -> list[str]:
@@ -46,7 +50,8 @@ def public(module: str) -> dict[str, list[str]]:
         value = find(f"{module}.{name}")
         kind = "class" if inspect.isclass(value) else "function" if inspect.isroutine(value) else "data"
         kinds[KINDS[kind]].append(name)
-    return {kind: found for kind, found in kinds.items() if found}
+    further = [name.removeprefix(f"{module}.") for name in SUPPORT if name.startswith(f"{module}.")]
+    return {kind: found for kind, found in (kinds | {FURTHER: further}).items() if found}
 
 
 def find(name: str) -> Any:
@@ -91,40 +96,78 @@ def inherited(name: str) -> dict[str, list[str]]:
     return {base: found for base, found in members.items() if found}
 
 
+def extends(name: str) -> bool:
+    """Whether a class extends documented ones."""
+    return any(base in DOCUMENTED for base in find(name).__mro__[1:])
+
+
 def foreign(name: str) -> str:
     """Base classes of a class whose members are not repeated on its page: documented ones and other packages'."""
     bases = find(name).__mro__[1:]
     return ", ".join(b.__name__ for b in bases if b in DOCUMENTED or not b.__module__.startswith("lieednn_sim"))
 
 
+def _annotated(value: Any) -> Iterator[type]:
+    """Classes of the package that a function or a class mentions in its annotations, or that a class extends."""
+    functions, texts = [value] if inspect.isroutine(value) else [], []
+    for base in value.__mro__ if inspect.isclass(value) else ():
+        if base.__module__.startswith("lieednn_sim"):
+            yield base
+            texts.append((vars(sys.modules[base.__module__]), vars(base).get("__annotations__", {})))
+            items = (vars(base)[name] for name in own(base))
+            functions += [getattr(item, "func", getattr(item, "fget", getattr(item, "__func__", item))) for item in items]
+    texts += [(one.__globals__, one.__annotations__) for one in map(inspect.unwrap, functions)]
+    for scope, annotations in texts:
+        for words in re.findall(r"[\w.]+", " ".join(map(str, annotations.values()))):
+            first, *rest = words.split(".")
+            found = functools.reduce(lambda item, name: getattr(item, name, None), rest, scope.get(first))
+            if inspect.isclass(found) and found.__module__.startswith("lieednn_sim"):
+                yield found
+
+
 ROOMS = ("errors", *(room for room in lieednn_sim._SUBPACKAGES if room != "cli"))
+SUPPORT: list[str] = []
 ALL = [f"lieednn_sim.{room}.{name}" for room in ROOMS for group in public(f"lieednn_sim.{room}").values() for name in group]
 DOCUMENTED = {value: name for name in ALL if inspect.isclass(value := find(name))}
+waiting = [find(name) for name in ALL]
+while waiting:
+    for cls in _annotated(waiting.pop()):
+        if cls not in DOCUMENTED and not cls.__name__.startswith("_"):
+            DOCUMENTED[cls] = f"{cls.__module__}.{cls.__qualname__}"
+            SUPPORT.append(DOCUMENTED[cls])
+            waiting.append(cls)
+SUPPORT.sort(key=lambda name: name.rpartition(".")[2].lower())
+ALL += SUPPORT
 FRONT = {
     name: next(full for full in ALL if full.rpartition(".")[2] == name and find(full) is getattr(lieednn_sim, name))
     for name in lieednn_sim.__all__
 }
+
+
+def _arguments(value: Any) -> set[str]:
+    try:
+        found = set(inspect.signature(value).parameters) if callable(value) else set()
+    except ValueError:  # exceptions and dictionaries
+        return set()
+    return found.union(*(_arguments(getattr(value, name)) for name in own(value))) if inspect.isclass(value) else found
+
+
 # Words in single backticks that are both a public name and an argument's mean the argument.
-ARGUMENTS = {
-    argument
-    for name in ALL
-    if inspect.isroutine(value := find(name)) or (inspect.isclass(value) and not issubclass(value, Exception))
-    for method in (value, *(getattr(value, key) for key in (own(value) if inspect.isclass(value) else ())))
-    if callable(method)
-    for argument in inspect.signature(method).parameters
-}
+ARGUMENTS = set().union(*(_arguments(find(name)) for name in ALL))
 SHORT = {name.rpartition(".")[2]: name for name in reversed(ALL)}
+
+_FLOATS = re.compile(r"(~?numpy\.)?ndarray\[tuple\[(~?typing\.)?Any, \.\.\.\], (~?numpy\.)?dtype\[(~?numpy\.)?float64\]\]")
 
 
 def role(_: str, raw: str, text: str, line: int, inliner: Any, options: Any = None, content: Any = ()) -> Any:
     """Single backticks in docstrings: code, which links to the API reference where it is a public name."""
     literal = nodes.literal(raw, text.replace("\0", ""), classes=["py"])
     first, dot, rest = literal.astext().removesuffix("()").partition(".")
-    target = SHORT.get(first, "") + dot + rest
-    if first in ARGUMENTS or first not in SHORT:
-        target = literal.astext() if literal.astext().startswith("lieednn_sim.") else ""
-    if not target:
+    if literal.astext() in ROOMS:
+        first = f"lieednn_sim.{first}"
+    if first in ARGUMENTS or not (first in SHORT or first.startswith("lieednn_sim")):
         return [literal], []
+    target = SHORT.get(first, first) + dot + rest
     module = inliner.document.settings.env.ref_context.get("py:module")
     reference = pending_xref(raw, literal, refdomain="py", reftype="obj", reftarget=target, refexplicit=True, refwarn=False)
     reference["py:module"] = module
@@ -136,6 +179,20 @@ def _escape_bars(_app: Sphinx, _what: str, _name: str, _object: Any, _options: A
     for index, line in enumerate(lines):
         parts = re.split(r"(``.*?``|`.*?`)", line)
         lines[index] = "".join(part if part.startswith("`") else part.replace("|", r"\|") for part in parts)
+
+
+def _shorten_types(
+    _app: Sphinx, _what: str, _name: str, _object: Any, _options: Any, signature: str | None, returns: str | None
+) -> tuple[str | None, str | None]:
+    """Arrays of floats by the name that the package gives them, and defaults that are no Python as dots."""
+    short = (text and _FLOATS.sub("Floats", text).replace("<factory>", "...") for text in (signature, returns))
+    return next(short), next(short)
+
+
+def _is_field(_app: Sphinx, what: str, _name: str, value: Any, skip: bool, _options: Any) -> bool | None:
+    """Leave out fields with defaults: the section of attributes has them."""
+    described = inspect.isroutine(value) or inspect.isclass(value) or inspect.isdatadescriptor(value)
+    return True if what == "class" and not (described or hasattr(value, "__get__")) else None
 
 
 def _resolve_front(app: Sphinx, env: Any, node: pending_xref, content: Any) -> Any:
@@ -166,5 +223,7 @@ def setup(app: Sphinx) -> None:
             field.label = "Attributes"
     roles.register_local_role("name", role)
     app.connect("autodoc-process-docstring", _escape_bars)
+    app.connect("autodoc-process-signature", _shorten_types)
+    app.connect("autodoc-skip-member", _is_field)
     app.connect("missing-reference", _resolve_front)
     app.connect("viewcode-follow-imported", _defining_module)
