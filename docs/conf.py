@@ -9,7 +9,8 @@ from pathlib import Path
 HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE), str(HERE.parent / "scripts")]
 
-import api_names  # noqa: E402 - after the path
+from api_names import context as autosummary_context  # noqa: E402, F401 - after the path
+
 import lieednn_sim  # noqa: E402
 
 # Small matrices: one thread is faster, and the figures of the gallery are the same on every machine.
@@ -53,7 +54,6 @@ default_role = "name"
 add_module_names = False
 python_maximum_signature_line_length = 90
 autosummary_generate = True
-autosummary_context = {name: getattr(api_names, name) for name in ("comment", "extends", "foreign", "inherited", "public", "FRONT")}
 autodoc_typehints = "signature"
 autodoc_type_aliases = {"ArrayLike": "ArrayLike", "Floats": "Floats"}
 autodoc_member_order = "bysource"

@@ -1,4 +1,6 @@
-"""LieEDNN on a telescopic manipulator: certified neural planners on se(3), simulated and rendered in MuJoCo.
+"""The front door: the names that most programs need, to plan, simulate, render and evaluate an arm's motion.
+
+::
 
     import lieednn_sim as ls
 
@@ -6,7 +8,7 @@
     plan = ls.plan(arm, "extended")
     rollout = ls.simulate(arm, plan)
 
-The names below are imported on first use; everything else is in the subpackages: `lie`, `stability`, `network`,
+Each name is imported when it is first used. Everything else is in the subpackages: `lie`, `stability`, `network`,
 `theory`, `synthesis`, `learning`, `arm`, `planning`, `policies`, `simulation`, `rendering`, `evaluation`,
 `studies`, `environments`, `live`, `cli`.
 """

@@ -28,10 +28,10 @@ class PlanError(NoSolutionError):
 
 
 class TooFastError(PlanError):
-    """A motion that would keep all limits if it took longer.
+    """A planned motion breaks a velocity, acceleration or jerk limit that it would keep if it took longer.
 
     Attributes:
-        duration: a sufficient duration [s].
+        duration: a duration that is long enough [s].
     """
 
     def __init__(self, message: str, duration: float) -> None:
@@ -40,7 +40,7 @@ class TooFastError(PlanError):
 
 
 class OutOfTimeError(NoSolutionError):
-    """The time budget of a planner was spent before it was done; see `budget`."""
+    """A planner used up its time budget before it found a motion; see the argument ``time_budget`` of `plan`."""
 
 
 class SimulationError(LieEDNNError):

@@ -12,7 +12,6 @@ from collections.abc import Iterator
 from importlib import import_module
 from typing import Any
 
-import lieednn_sim
 from docutils import nodes
 from docutils.parsers.rst import roles
 from sphinx.addnodes import pending_xref
@@ -20,10 +19,12 @@ from sphinx.application import Sphinx
 from sphinx.domains.python import PyClasslike
 from sphinx.pycode import ModuleAnalyzer
 
+import lieednn_sim
+
 # Public modules whose names are not in their subpackage's own `__all__`.
 MODULES = {
     "arm": ("targets",),
-    "environments": ("tasks", "suite", "gymnasium", "vector", "expert"),
+    "environments": ("tasks", "suite", "gymnasium", "expert"),
     "evaluation": ("plots",),
     "learning": ("demonstrations",),
     "rendering": ("video", "still", "page", "opengl"),
@@ -115,10 +116,12 @@ def _annotated(value: Any) -> Iterator[type]:
             yield base
             texts.append((vars(sys.modules[base.__module__]), vars(base).get("__annotations__", {})))
             items = (vars(base)[name] for name in own(base))
-            functions += [getattr(item, "func", getattr(item, "fget", getattr(item, "__func__", item))) for item in items]
+            functions += [
+                getattr(item, "func", getattr(item, "fget", getattr(item, "__func__", item))) for item in items
+            ]
     texts += [(one.__globals__, one.__annotations__) for one in map(inspect.unwrap, functions)]
-    for scope, annotations in texts:
-        for words in re.findall(r"[\w.]+", " ".join(map(str, annotations.values()))):
+    for scope, hints in texts:
+        for words in re.findall(r"[\w.]+", " ".join(map(str, hints.values()))):
             first, *rest = words.split(".")
             found = functools.reduce(lambda item, name: getattr(item, name, None), rest, scope.get(first))
             if inspect.isclass(found) and found.__module__.startswith("lieednn_sim"):
@@ -127,7 +130,9 @@ def _annotated(value: Any) -> Iterator[type]:
 
 ROOMS = ("errors", *(room for room in lieednn_sim._SUBPACKAGES if room != "cli"))
 SUPPORT: list[str] = []
-ALL = [f"lieednn_sim.{room}.{name}" for room in ROOMS for group in public(f"lieednn_sim.{room}").values() for name in group]
+ALL = [
+    f"lieednn_sim.{room}.{name}" for room in ROOMS for group in public(f"lieednn_sim.{room}").values() for name in group
+]
 DOCUMENTED = {value: name for name in ALL if inspect.isclass(value := find(name))}
 waiting = [find(name) for name in ALL]
 while waiting:
@@ -156,7 +161,10 @@ def _arguments(value: Any) -> set[str]:
 ARGUMENTS = set().union(*(_arguments(find(name)) for name in ALL))
 SHORT = {name.rpartition(".")[2]: name for name in reversed(ALL)}
 
-_FLOATS = re.compile(r"(~?numpy\.)?ndarray\[tuple\[(~?typing\.)?Any, \.\.\.\], (~?numpy\.)?dtype\[(~?numpy\.)?float64\]\]")
+_FLOATS = re.compile(
+    r"(~?numpy\.)?ndarray\[tuple\[(~?typing\.)?Any, \.\.\.\], (~?numpy\.)?dtype\[(~?numpy\.)?float64\]\]"
+)
+_ALIAS = re.compile(r"TypeAliasForwardRef\('(\w+)'\)|<factory>")
 
 
 def role(_: str, raw: str, text: str, line: int, inliner: Any, options: Any = None, content: Any = ()) -> Any:
@@ -165,11 +173,15 @@ def role(_: str, raw: str, text: str, line: int, inliner: Any, options: Any = No
     first, dot, rest = literal.astext().removesuffix("()").partition(".")
     if literal.astext() in ROOMS:
         first = f"lieednn_sim.{first}"
+    elif first.islower() and rest.partition(".")[0] in SHORT:  # after its subpackage or module
+        first, dot, rest = rest.partition(".")
     if first in ARGUMENTS or not (first in SHORT or first.startswith("lieednn_sim")):
         return [literal], []
     target = SHORT.get(first, first) + dot + rest
     module = inliner.document.settings.env.ref_context.get("py:module")
-    reference = pending_xref(raw, literal, refdomain="py", reftype="obj", reftarget=target, refexplicit=True, refwarn=False)
+    reference = pending_xref(
+        raw, literal, refdomain="py", reftype="obj", reftarget=target, refexplicit=True, refwarn=False
+    )
     reference["py:module"] = module
     return [reference], []
 
@@ -185,7 +197,10 @@ def _shorten_types(
     _app: Sphinx, _what: str, _name: str, _object: Any, _options: Any, signature: str | None, returns: str | None
 ) -> tuple[str | None, str | None]:
     """Arrays of floats by the name that the package gives them, and defaults that are no Python as dots."""
-    short = (text and _FLOATS.sub("Floats", text).replace("<factory>", "...") for text in (signature, returns))
+    short = (
+        text and _FLOATS.sub("Floats", _ALIAS.sub(lambda match: match[1] or "...", text))
+        for text in (signature, returns)
+    )
     return next(short), next(short)
 
 
@@ -215,6 +230,11 @@ def _defining_module(_app: Sphinx, module: str, name: str) -> str | None:
         return getattr(inspect.unwrap(find(f"{module}.{name}")), "__module__", None)
     except (AttributeError, ModuleNotFoundError):
         return None
+
+
+# What the templates use.
+context = {"comment": comment, "extends": extends, "foreign": foreign, "inherited": inherited, "public": public}
+context["FRONT"] = FRONT
 
 
 def setup(app: Sphinx) -> None:

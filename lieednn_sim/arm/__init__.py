@@ -1,4 +1,8 @@
-"""Arms: MJCF models of compound joints, with their forward map, encoding and retraction."""
+"""Arms and their scenes: models, kinematics, inverse kinematics, contacts, and the importer for MJCF and URDF files.
+
+An arm is a chain of links, each moved by a compound joint. `Arm.encode` maps joint coordinates to the twists that are
+the network's state; `Arm.decode` finds the joint coordinates whose poses are nearest to given twists.
+"""
 
 from lieednn_sim.arm.arm import Arm
 from lieednn_sim.arm.contacts import PLANNED_CLEARANCE

@@ -30,7 +30,9 @@ from lieednn_sim.values import Floats
 
 @dataclass(frozen=True, eq=False)
 class Arm(SerialArm):
-    """A `SerialArm` in a scene; the base class has its coordinates, limits and kinematics.
+    """A robot arm among obstacles; make one with `Arm.load`.
+
+    The base class `SerialArm` has its joint coordinates, limits and kinematics; this class adds obstacles and contacts.
 
     Attributes:
         scene: name of the obstacles around it: one of `scenes.SCENES`, or the stem of their file.
@@ -56,7 +58,7 @@ class Arm(SerialArm):
         seed: Seed = 0,
         **options: Unpack[ImportOptions],
     ) -> Arm:
-        """Load an arm, with the obstacles of a scene.
+        """Load an arm of the package, or of an MJCF or URDF file, with the obstacles of a scene.
 
         Args:
             name: an arm of the package; or an MJCF or URDF file (see `from_xml`), optionally followed by its links as

@@ -29,7 +29,7 @@ from lieednn_sim.values import Floats, frozen
 
 @frozen
 class Retraction:
-    """Joint motion nearest to given per-joint poses, with the mechanism gap.
+    """The joint coordinates whose poses are nearest to given poses of the links, and the distance: the mechanism gap.
 
     Attributes:
         q: ``(..., n)`` joint coordinates [rad, m].

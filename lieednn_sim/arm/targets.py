@@ -31,7 +31,7 @@ _TOLERANCE = 1e-3
 
 
 def draw_target(arm: Arm, seed: Seed = 0) -> Floats:
-    """A random joint target ``(n,)`` at which nothing comes closer than the arm's `clearance`.
+    """Draw a random joint target ``(n,)`` at which everything keeps the arm's clearance.
 
     Without obstacles: uniform within the joint limits, or, where every compound joint has six dofs, uniform in the
     network's coordinates. With obstacles there is a distance of `TARGET_CLEARANCE` from them, and where the scene has

@@ -20,7 +20,7 @@ __all__ = ["Expert"]
 
 
 class Expert:
-    """A policy with access to the arm and the task.
+    """An expert policy for imitation learning, which has access to the arm and the task.
 
     In `Reach` it plans a certified network's motion from ``home`` to each episode's target, around obstacles if there
     are any, and commands its positions, as fast as 90 % of the limits allow. In `Track` it commands the target's next
@@ -71,7 +71,7 @@ class Expert:
         self._policy: Policy
 
     def act(self) -> Floats:
-        """Action ``(n,)`` for the present time, from the arm and the task, which tell more than the observations.
+        """Action ``(n,)`` for the present time, from the arm and the task, which know more than the observations say.
 
         Raises:
             PlanError: no plan was found for the episode's target.

@@ -178,7 +178,7 @@ TASKS: dict[str, type[ArmTask]] = {"reach": Reach, "track": Track}
 
 
 def make_task(task: str, arm: str | os.PathLike[str] | Arm = "telescopic_pr", **options: Any) -> ArmTask:
-    """A task of `TASKS` by name, with its options; `InputError` lists the names."""
+    """Make a task of `TASKS` by its name, with its options; an `InputError` lists the names."""
     kind = TASKS[as_choice("task", task, TASKS)]
     # Options of the task itself, and of every task.
     known = {*signature(kind).parameters, *signature(ArmTask).parameters} - {"arm", "options"}

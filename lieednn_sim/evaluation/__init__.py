@@ -1,4 +1,4 @@
-"""Evaluation of one rollout or one path: metrics, plots, and the causes of a final error."""
+"""Evaluation of a rollout: metrics, plots, and the causes of an error that is left at the end."""
 
 from lieednn_sim.evaluation.evaluation import Evaluation
 from lieednn_sim.evaluation.metrics import evaluate, evaluate_following

@@ -21,7 +21,7 @@ from lieednn_sim.values import Floats
 
 
 def evaluate(rollout: Rollout, *, clearance: bool = True) -> Evaluation:
-    """Evaluate a rollout: its arm against its reference, its target, its obstacles and its limits.
+    """Compute the metrics of a rollout: tracking error, final error, clearance, contacts, and use of the limits.
 
     Args:
         rollout: the simulated run.
@@ -120,7 +120,7 @@ class FollowingErrors:
 
 
 def evaluate_following(following: Following) -> FollowingErrors:
-    """Evaluate how a moving target was followed; raises `InputError` for anything but a `Following`."""
+    """Compute how far the arm lagged behind a moving target; raises `InputError` for anything but a `Following`."""
     rollout = following.rollout
     t, wanted = rollout.t, rollout.arm.link_poses(following.target)
     distance, angle = pose_errors(rollout.link_poses(), wanted)

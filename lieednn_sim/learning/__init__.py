@@ -1,4 +1,9 @@
-"""Learning the weights of a LieEDNN: the paper's Algorithm 1, as printed and repaired, and what works better."""
+"""Learning the weights of a LieEDNN so that its equilibrium is a given target.
+
+`train` is the paper's Algorithm 1, as printed, repaired, or with projections that keep the equilibrium.
+`train_riemannian` moves on the manifold of the weights, and can learn a certificate with them. Learning from recorded
+motions is in `lieednn_sim.learning.demonstrations`.
+"""
 
 from lieednn_sim.learning.history import History
 from lieednn_sim.learning.options import ALGORITHMS, RiemannianOptions, TrainingOptions

@@ -17,7 +17,7 @@ from lieednn_sim.values import Floats, check_fields, frozen
 
 @frozen
 class History:
-    """One row for the weights at the beginning of each epoch; K rows.
+    """The course of a training: K rows, each for the weights at the beginning of an epoch.
 
     Attributes:
         epoch: ``(K,)`` epochs done before the row; rejected trials leave gaps.

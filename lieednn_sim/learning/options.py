@@ -30,7 +30,7 @@ def check_rates(initial: float, bounds: tuple[float, float], *, grow: float, shr
 
 @dataclass(frozen=True)
 class TrainingOptions:
-    """How `train` learns. The defaults are the paper's Algorithm 1, repaired.
+    """Options of `train`. The defaults are the paper's Algorithm 1, repaired.
 
     Attributes:
         direction: ``"gradient"`` of the loss, or ``"gauss-newton"``, the smallest change of W that reaches the target
@@ -138,7 +138,7 @@ _LARGEST_RATE = 1e6
 
 @dataclass(frozen=True)
 class RiemannianOptions:
-    """How `train_riemannian` learns.
+    """Options of `train_riemannian`.
 
     Attributes:
         method: ``"gradient"``, each step lowers E, or ``"gauss-newton"``, each step aims straight at the target.

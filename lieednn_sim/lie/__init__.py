@@ -1,10 +1,11 @@
-"""SE(3): exponential map, adjoint representation and projections onto it.
+"""The Lie group SE(3): exponential map, logarithm, adjoint matrices, and projections of matrices onto them.
 
-Twists of SE(3) are ordered (omega, v), the order of `RigidTransform.from_exp_coords`. Leading batch axes everywhere.
-
-Here and in `arm`, SciPy's names are written in full after `import scipy`: its subpackages are then imported on first
-use, and importing `scipy.spatial` takes longer than importing MuJoCo.
+Twists are ordered (omega, v), rotation before translation, as in SciPy's ``RigidTransform.from_exp_coords``. All
+functions take arrays with any number of leading batch axes.
 """
+
+# Here and in `arm`, SciPy's names are written in full after `import scipy`: its subpackages are then imported on first
+# use, and importing `scipy.spatial` takes longer than importing MuJoCo.
 
 from lieednn_sim.lie.projection import (
     project_to_adjoint,

@@ -27,10 +27,11 @@ _SHORTEST_STEP = 1e-12
 
 
 def project_to_rotation(matrix: ArrayLike) -> Floats:
-    """Frobenius-nearest rotation of ``(..., 3, 3)`` matrices (paper, Lemma "Metric Projection to SO(3)").
+    """Rotation nearest to each of the ``(..., 3, 3)`` matrices in the Frobenius norm.
 
-    U diag(1, 1, det(U V^T)) V^T of the singular value decomposition. A matrix of rank below 2, or with a negative
-    determinant and equal smallest singular values, has many nearest rotations; one of them is returned.
+    It is U diag(1, 1, det(U V^T)) V^T (paper, Lemma "Metric Projection to SO(3)"), where U and V are those of the
+    singular value decomposition. A matrix of rank below 2, or with a negative determinant and equal smallest singular
+    values, has many nearest rotations; one of them is returned.
 
     Raises:
         InputError: wrong shape or entries that are not finite.
@@ -56,7 +57,9 @@ def project_to_adjoint(matrix: ArrayLike) -> tuple[Floats, Floats]:
 
 
 def project_to_adjoint_exact(matrix: ArrayLike) -> tuple[Floats, Floats]:
-    """Frobenius-nearest adjoint matrix of SE(3) to ``(..., 6, 6)``, at most as far as the block-wise one.
+    """The adjoint matrix of SE(3) that is nearest to ``(..., 6, 6)`` in the Frobenius norm.
+
+    It is never further away than the result of `project_to_adjoint`.
 
     With blocks [[A, B], [C, D]] the squared distance is |A - R|^2 + |B|^2 + |C R^T - hat(t)|^2 + |D - R|^2. The best
     hat(t) is the skew part of C R^T, which leaves |A - R|^2 + |D - R|^2 + |sym(C R^T)|^2 to minimise over R in SO(3).

@@ -87,7 +87,7 @@ def exp(twist: ArrayLike) -> RigidTransform:
 
 
 def log(pose: RigidTransform) -> Floats:
-    """Principal logarithm ``(..., 6)`` of poses, rotation angle at most pi: SciPy's, see `exp`."""
+    """Principal logarithm ``(..., 6)`` of poses, the inverse of `exp` for rotation angles up to pi [rad, m]."""
     flat = scipy.spatial.transform.RigidTransform(pose.as_matrix().reshape(-1, 4, 4), normalize=False, copy=False)
     return np.asarray(flat.as_exp_coords()).reshape(*pose.shape, 6)
 

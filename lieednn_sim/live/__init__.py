@@ -1,4 +1,7 @@
-"""The live view: a simulated arm in the browser, whose target is dragged and whose links are pushed."""
+"""The live view: a simulated arm in the browser. Its target can be dragged, and its links pushed, with the mouse.
+
+`view` opens it. A `Session` is the simulation without a page, and a `Page` shows a session.
+"""
 
 from lieednn_sim.live.page import Page
 from lieednn_sim.live.session import Session

@@ -28,7 +28,7 @@ _DRAG_ENDS = 1.0
 
 
 class Page:
-    """A session in the browser; `close` ends it, as does the end of a ``with`` block.
+    """A session that is shown in the browser; `close` ends it, as does the end of a ``with`` block.
 
     Args:
         session: the session; the page runs it, and closes it.

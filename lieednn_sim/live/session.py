@@ -185,13 +185,13 @@ class Session:
         self._requests.put(self._remake)
 
     def reset(self) -> None:
-        """Put the arm back to the start, at rest, with the first target."""
+        """Put the arm back to the start, at rest, with the first target again."""
         self._requests.put(self._reset)
 
     # The loop.
 
     def advance(self, periods: int = 1) -> None:
-        """Take the waiting requests and do control periods, whatever the time is.
+        """Act on the waiting requests and simulate control periods at once, without waiting for real time.
 
         Raises:
             SimulationError: the simulation failed; `reset` begins again.

@@ -59,11 +59,11 @@ class Settings:
 
     @property
     def of_policy(self) -> tuple[object, ...]:
-        """What another policy is made for."""
+        """The values whose change needs another policy."""
         planner = self.planner if self.policy in PLANNED else ""
         return self.policy, planner, self.rho if self.policy == "lieednn-shaped" else 1.0, self.filtered
 
     @property
     def of_plant(self) -> tuple[object, ...]:
-        """What another plant and controller are made for."""
+        """The values whose change needs another simulated model and controller."""
         return self.controller, self.payload, self.mass_scale

@@ -42,6 +42,8 @@ def view(
 ) -> Page:
     """Show a simulated arm in the browser: drag its target, push its links, change policy, controller and load.
 
+    ::
+
         with ls.view("telescopic_pr") as page:
             page.wait()    # until Ctrl-C
 

@@ -1,6 +1,7 @@
-"""LieEDNN on se(3)^N: Hopfield-like neural ODEs whose weight blocks are scaled adjoint matrices of SE(3).
+"""`LieEDNN`: Hopfield-like neural ODEs on se(3)^N whose weight blocks are scaled adjoint matrices of SE(3).
 
-`theory` has the same equation on other matrix Lie groups.
+A network is an immutable value. It knows its vector field, its equilibria and trajectories, and its certificate, and
+it can be saved to a file. `theory` has the same equation on other matrix Lie groups.
 """
 
 from lieednn_sim.network.base import BlockNetwork

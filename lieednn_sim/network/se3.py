@@ -57,7 +57,9 @@ class RigidNetwork(BlockNetwork):
 
 @frozen
 class LieEDNN(RigidNetwork, ComponentwiseNetwork):
-    """x_i' = -gamma x_i + mu sum_j alpha_ij Ad(theta_ij) phi(x_j) + mu b_i, with x_i in se(3) (paper, eq. 3.9).
+    """A Hopfield-like neural ODE whose neurons live in se(3) and whose weight blocks are scaled adjoints of SE(3).
+
+    It is x_i' = -gamma x_i + mu sum_j alpha_ij Ad(theta_ij) phi(x_j) + mu b_i, with x_i in se(3) (paper, eq. 3.9).
 
     The state has shape ``(..., N, 6)``, twists ordered (omega, v); the flat state is its C-order ravel. The visible
     neurons come first, one for each link of an arm; then the hidden ones, the clock last.
@@ -66,8 +68,8 @@ class LieEDNN(RigidNetwork, ComponentwiseNetwork):
         alpha: ``(N, N)`` connection strengths.
         rotation: ``(N, N, 3, 3)`` rotations of theta_ij, from neuron j to neuron i.
         translation: ``(N, N, 3)`` translations of theta_ij.
-        bias: ``(N, 6)``.
-        gamma: decay rate, positive.
+        bias: ``(N, 6)`` bias b.
+        gamma: decay rate, positive, in 1 / (the network's time).
         mu: scale of the interaction, positive.
         activation: a name of `ACTIVATIONS`.
         lyapunov_diagonal: ``(3N,)`` diagonal P that certifies W_R, or None. Checked by `certificate`.
@@ -132,7 +134,7 @@ class LieEDNN(RigidNetwork, ComponentwiseNetwork):
         start_reference: Floats | None = None,
         goal_gain: Floats | None = None,
     ) -> LieEDNN:
-        """The same network with other starts of its hidden neurons, which are the code of its motion.
+        """The same network with other initial states of its hidden neurons, which are the code of its motion.
 
         Weights, bias, equilibrium and certificate stay as they are, and are not checked again; see `start`.
 

@@ -1,4 +1,8 @@
-"""From a joint target to a checked motion: certified networks, the safety filter, and rival planners."""
+"""Planning: from a joint target to a motion that is checked for limits, contact and clearance.
+
+`plan` runs any planner by its name: certified networks, alone or behind the safety filter, and the planners with which
+they are compared. Each planner has a class of options here.
+"""
 
 from lieednn_sim.planning.baselines.optimisation import OptimisationOptions
 from lieednn_sim.planning.baselines.primitives import DmpOptions

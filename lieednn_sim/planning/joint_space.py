@@ -132,7 +132,7 @@ def sweeps(arm: Arm) -> Floats:
 
 
 def joint_motion(problem: PlanningProblem, q: Floats, qd: Floats, progress: Floats) -> Motion:
-    """The checked motion through joint positions ``(K, n)`` at `PlanningProblem.times`.
+    """The motion through given joint positions at `PlanningProblem.times`, checked against the arm's limits.
 
     The poses are those of the joints, so there is no mechanism gap.
 

@@ -26,9 +26,11 @@ _WAY = 65
 
 
 class MotionLibrary:
-    """Named motions of one universal network (`synthesis.CurveEncoder`): weights and certificate are common to all.
+    """Many motions of one certified network, stored under their names.
 
-    A motion is a code, which is the hidden neurons' start, with the visible neurons' start and target.
+    The network is that of `synthesis.CurveEncoder`; all motions share its weights and its certificate. A motion
+    consists of its code, which is the state at which the hidden neurons start, and of the visible neurons' start and
+    target.
 
     Args:
         n_visible: number N of visible neurons, one for each link of an arm.
@@ -152,7 +154,7 @@ class MotionLibrary:
         return Plan(motion, path.network, target=problem.target, planner="library")
 
     def switch(self, state: ArrayLike, name: str) -> tuple[LieEDNN, Floats]:
-        """Change to another motion in flight: its network, and the state ``(N + M, 6)`` to go on from.
+        """Change to another motion while one is running: its network, and the state ``(N + M, 6)`` to go on from.
 
         The visible neurons stay where they are. The hidden ones jump to where the other motion has them when as much
         of its clock has passed, so that the deviation from its path decays as e^-t. The proof of arrival holds from

@@ -26,10 +26,10 @@ _MAX_STEPS = 100_000
 
 @frozen
 class Motion:
-    """A joint trajectory, sampled at constant time steps.
+    """A planned joint trajectory, sampled at constant time steps, with the network's states along it.
 
     Attributes:
-        t: ``(K,)`` [s].
+        t: ``(K,)`` times [s].
         tau: ``(K,)`` the network's own time; for a planner without a network, the progress from 0 to 1.
         xi: ``(K, N, 6)`` states of the network's visible neurons, one for each link.
         xi_target: ``(N, 6)`` their states at the equilibrium.

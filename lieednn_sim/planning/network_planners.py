@@ -76,7 +76,9 @@ def retargeted(problem: PlanningProblem, options: RetargetedOptions) -> Plan:
 def reference_network(
     arm: Arm, bias_magnitude: float = RetargetedOptions.bias_magnitude, activation: str = DEFAULT_ACTIVATION
 ) -> LieEDNN:
-    """The network certified once for the arm's `reference_configuration`, the same for every target and seed.
+    """The network of the planner ``lieednn-retargeted``, which is the same for every target and seed.
+
+    It is certified for the arm's reference configuration; other targets change its bias only.
 
     Args:
         arm: the arm.

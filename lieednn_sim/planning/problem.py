@@ -27,7 +27,9 @@ _TIME_RESERVE = 1.02
 
 @dataclass(frozen=True, eq=False)
 class PlanningProblem:
-    """A motion to plan from rest to rest. The arguments are those of `plan`, checked when the problem is made.
+    """What a planner has to solve: the arm, start, target and duration of a motion from rest to rest.
+
+    The arguments are those of `plan`. They are checked when the problem is made.
 
     Attributes:
         arm: the arm.
@@ -75,7 +77,9 @@ class PlanningProblem:
 
 @frozen
 class Plan:
-    """Result of a planner; `plan` adds the target, the planner's name and the time.
+    """A planned motion, the network that made it if there is one, and how it was planned.
+
+    Planners return it with the first three attributes; `plan` adds the others.
 
     Attributes:
         motion: from rest at the start to rest at the target, within limits and free of contact (`motion.check_motion`).

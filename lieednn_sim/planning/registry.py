@@ -60,7 +60,7 @@ def register_planner(name: str, options: type[PlannerOptions] | None = None) -> 
     It returns a `Motion` (see `planning.joint_motion`) or a `Plan` with its network, and raises `PlanError` if it finds
     none. Limits, clearance, start and target of every motion are checked; if the motion is too fast, the function is
     called again with the duration that it needs. For worker processes and the command line, an installed package
-    declares its planners as entry points:
+    declares its planners as entry points::
 
         [project.entry-points."lieednn_sim.planners"]
         my-planner = "my_package.my_module:my_function"
@@ -126,7 +126,7 @@ _REDUNDANT = 3  # hinges that move one link
 
 
 def default_planner(arm: Arm) -> tuple[str, str]:
-    """The default planner for an arm in its scene, and the reason for it.
+    """Name of the default planner for an arm in its scene, and the reason for the choice.
 
     Where three or more hinges move one link, the arm often cannot follow a network's own path, since the configuration
     nearest to it changes abruptly. There, and among obstacles, the default planner follows a teacher's motion.

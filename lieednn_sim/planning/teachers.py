@@ -36,7 +36,7 @@ _NEARLY_STRAIGHT = 1.05 * 2.0
 
 @dataclass(frozen=True)
 class TeacherOptions(PlannerOptions):
-    """How the teacher's motion is found.
+    """Options for the teacher's motion, which the planner ``lieednn-shaped`` follows.
 
     Attributes:
         polished: whether to polish candidates; otherwise RRT-Connect's motion is taken if minimum jerk is not free.

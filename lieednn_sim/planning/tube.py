@@ -63,7 +63,9 @@ _MOST = 1e3
 
 @frozen
 class Tube:
-    """Deviations of a network's visible state, anywhere on the way, that end at the target without contact.
+    """The deviations of a network's visible state from its path that provably end at the target without contact.
+
+    They may occur anywhere on the way.
 
     All links may deviate at once: link i by any turn up to `rotation` and any shift up to `translation`, in the
     coordinates omega and v of its twist. The module says what is proved and what is assumed.
@@ -74,8 +76,8 @@ class Tube:
             are not looked for.
         rotation: ``(N,)`` largest deviations |d omega| [rad].
         translation: ``(N,)`` largest deviations |d v| [network coordinates, `Arm.length_scale` m].
-        push: largest Euclidean norm, over all visible coordinates, of a push of the state that is harmless, however it
-            is directed [network coordinates].
+        push: largest Euclidean norm, over all visible coordinates, of a perturbation of the state that is harmless in
+            every direction [network coordinates].
         gain: largest growth of a deviation; 1 for a cascade.
         t: instant of the motion that limits the tube [s].
         pair: names of the geoms that limit it; empty if not contact does.

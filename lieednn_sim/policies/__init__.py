@@ -1,4 +1,8 @@
-"""Policies, which run an arm online: from measured joints and the present target to the next reference."""
+"""Policies, which run an arm online: from measured joints and the present target to the next reference.
+
+`make_policy` makes one by its name; `lieednn_sim.follow` runs it behind a simulated arm, and `control_loop` behind a
+real one.
+"""
 
 from lieednn_sim.policies.base import Policy
 from lieednn_sim.policies.fabric import Fabric, FabricOptions

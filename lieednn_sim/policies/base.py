@@ -25,6 +25,8 @@ _MAX_TARGET_SPEED = 10.0
 class Policy(ABC):
     """Base class of policies; a subclass defines `act`, and `begin` if it has a state of its own.
 
+    A policy is used like this::
+
         policy.reset(q)
         q_ref, qd_ref = policy.step(q_measured, target)     # once in every control period
 
@@ -57,7 +59,7 @@ class Policy(ABC):
         self.qd: Floats
 
     def reset(self, q: ArrayLike | str) -> None:
-        """Start again at rest from joint coordinates ``(n,)``, or a keyframe's.
+        """Start again at rest from joint coordinates ``(n,)``, or from a keyframe, given by its name.
 
         Raises:
             InputError: the coordinates are malformed or beyond the position limits, or the policy cannot start there.
@@ -101,7 +103,9 @@ class Policy(ABC):
         return q, qd
 
     def see(self, places: Mapping[str, Floats]) -> None:
-        """Be told where all moving obstacles are now; most policies look at none. A reset puts them back.
+        """Inform the policy of the places where all moving obstacles are now; most policies ignore them.
+
+        `reset` puts the obstacles back where the scene has them.
 
         Args:
             places: positions ``(3,)`` of bodies of the arm's scene, in the frames of their parents [m], by name.

@@ -38,7 +38,7 @@ class FabricOptions(PlannerOptions):
 
 
 class Fabric(JointPolicy):
-    """An attractor and repelling geoms, weighted by their metrics as in Riemannian motion policies.
+    """A policy that combines an attractor and repelling geoms by their metrics, as Riemannian motion policies do.
 
     With joints in units of their range, M a = k (g - y) - c v + sum_i w_i n_i (r / d_i - c n_i . v) and
     M = I + sum_i w_i n_i n_i', with n_i the gradient of the distance of a pair, d_i this distance above its margin, and

@@ -27,7 +27,7 @@ _MIN_SPEED = 0.01
 
 @dataclass(frozen=True)
 class Feedback:
-    """Settings of the feedback from the arm to its policy; the module has the equations.
+    """Settings of the feedback from the measured joints to the state of a policy.
 
     Attributes:
         rate: k, rate at which the state is pulled to the measured joints [1/s]; with 0 only the clock waits.
@@ -50,7 +50,7 @@ class Feedback:
         check_fields(self, as_positive, "tolerance", "patience")
 
     def response(self, behind: float) -> tuple[float, float]:
-        """The factors s and k d [1/s] for an error e, a fraction of the joints' ranges; unchecked."""
+        """The policy's speed s and the pull k d [1/s] for an error e, a fraction of the joints' ranges; unchecked."""
         waiting = max(1.0 / (1.0 + (behind / self.patience) ** 2), _MIN_SPEED)
         return waiting, self.rate * max(0.0, 1.0 - self.tolerance / max(behind, 1e-300))
 

@@ -13,7 +13,7 @@ _TRACKING_GAIN = 8.0
 
 
 class FilteredPolicy(Policy):
-    """A policy whose reference keeps the limits of position, velocity and acceleration, and clearance.
+    """Another policy behind a safety filter, which keeps position, velocity and acceleration limits and clearance.
 
     The state of the wrapped policy does not depend on the filter, except that its speed limits count from the filtered
     reference. Its proof covers only this state; where an obstacle blocks the arm, the filtered reference stays behind.

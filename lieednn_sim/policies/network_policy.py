@@ -47,7 +47,9 @@ _TOO_FAST, _TRIES = 1e-3, 4
 
 
 class NetworkPolicy(FeedbackPolicy):
-    """A certified network that leads an arm to a target, which may move; only `reset` sets its state.
+    """A certified network that leads an arm to a target, which may move.
+
+    Its state follows the network's own dynamics from one `reset` to the next.
 
     Args:
         arm: the arm, which encodes targets; `LocalRetraction` decodes states.

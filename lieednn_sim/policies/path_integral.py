@@ -144,12 +144,10 @@ def weights(costs: Floats, temperature: float) -> Floats:
 
 
 class PathIntegral(JointPolicy):
-    """The controller of this module, towards a target and clear of the surroundings.
+    """Model predictive path integral control (MPPI) in joint space, which reaches a target and avoids obstacles.
 
-    With joints in units of their range and e = g - y the cost of a sample is
-
-        integral of |e|^2 + |u|^2 / c^2 + near + touching dt, and |e|^2 / c at its end,
-
+    With joints in units of their range and e = g - y, the cost of a sample is the integral of
+    |e|^2 + |u|^2 / c^2 + near + touching over time, plus |e|^2 / c at its end,
     which the linear attractor u = c e minimises where nothing is near. Noise shrinks with the distance from the target,
     so that the arm comes to rest there.
 

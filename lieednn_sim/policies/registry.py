@@ -183,7 +183,7 @@ REGISTRY = Registry("policy", POLICIES, _policy, "lieednn_sim.policies")
 def register_policy(name: str, options: type[PlannerOptions] | None = None) -> Callable[[_Make], _Make]:
     """Decorator that registers a function of a `PolicyTask`, which returns a `Policy`, for `make_policy`.
 
-    An installed package declares its policies as entry points:
+    An installed package declares its policies as entry points::
 
         [project.entry-points."lieednn_sim.policies"]
         my-policy = "my_package.my_module:my_function"

@@ -64,9 +64,10 @@ class ReplanningOptions(PlannerOptions):
 
 
 class ReplanningPolicy(CodedPolicy):
-    """A certified network that plans again whenever the target or the obstacles move.
+    """A policy of one certified network, which plans again whenever the target or the obstacles move.
 
-    It logs ``changes``, the number of codes taken, and ``blocked``, which is 1 while a moving obstacle is in the way.
+    It logs ``changes``, the number of times it took a new code, and ``blocked``, which is 1 while a moving obstacle is
+    in the way.
 
     Args:
         arm: the arm, in its scene.

@@ -152,7 +152,9 @@ def render_video(
     title: str = "",
     progress: Callable[[int, int], None] | None = None,
 ) -> int:
-    """Render a rollout; frame k shows time k / fps, with planned link frames and the tip's path drawn over the arm.
+    """Render a video of a rollout, with planned link frames and the end effector's path drawn over the arm.
+
+    Frame k shows the time k / fps.
 
     A caption in a corner has the time, the names of arm, scene and controller, and a colour legend.
 

@@ -1,4 +1,8 @@
-"""Simulation of planned and of online motions in MuJoCo."""
+"""Simulation in MuJoCo: an arm tracks a planned motion, or follows a policy, under chosen disturbances.
+
+`simulate` tracks a motion with a controller, `simulate_many` does that for many motions at once, and `follow` runs a
+policy. Each returns the log of what happened.
+"""
 
 from lieednn_sim.simulation.controllers import CONTROLLERS, controllers, register_controller
 from lieednn_sim.simulation.controllers.base import Controller

@@ -65,7 +65,7 @@ class Push:
 
 @dataclass(frozen=True)
 class Disturbances:
-    """Disturbances of one rollout, unknown to the controller; none by default.
+    """Disturbances of a simulation that the controller does not know of; none by default.
 
     Attributes:
         pushes: forces on bodies.
@@ -75,7 +75,7 @@ class Disturbances:
         position_noise: standard deviation of the white noise on each measured joint position, at every step [rad, m].
         velocity_noise: the same for velocities [rad/s, m/s].
         seed: seed of the noise.
-        obstacles: obstacles that move; `follow` tells the policy where they are.
+        obstacles: obstacles that move; `follow` passes their positions to the policy.
     """
 
     pushes: tuple[Push, ...] = ()

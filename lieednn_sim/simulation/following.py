@@ -68,9 +68,9 @@ def follow(
     disturbances: Disturbances | None = None,
     log: Sequence[ChannelSource] = (),
 ) -> Following:
-    """Let the simulated arm follow a policy, which sees the measured joints and the present target.
+    """Simulate an arm that follows a policy, which sees the measured joints and the present target.
 
-    In every control period the policy gets both and returns the reference for the end of the period. The controller
+    In every control period the policy gets both, and it returns the reference for the end of the period. The controller
     gets a cubic polynomial between these references at every simulation step. The run is a function of its arguments
     alone.
 

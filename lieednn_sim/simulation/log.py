@@ -35,7 +35,7 @@ class ChannelSource(Protocol):
 
 @dataclass(frozen=True)
 class Channel:
-    """One quantity to log, computed from MuJoCo's data after each step.
+    """A quantity to log besides the usual ones, computed from MuJoCo's data after each step.
 
     What MuJoCo derives in a step (frames, velocities and centres of mass of bodies, sensors, forces) is of the instant
     t[k] at which it begins, as row k of the log; qpos and qvel are already of t[k + 1].

@@ -81,7 +81,7 @@ def simulate_many(
     disturbances: Disturbances | None = None,
     threads: int | None = None,
 ) -> Rollouts:
-    """Follow many motions, as `simulate` follows one, and keep their states; all end at the same time.
+    """Simulate many motions in threads, as `simulate` does one, and keep their states; all end at the same time.
 
     Args:
         arm: the arm; its model is not changed.

@@ -15,10 +15,10 @@ from lieednn_sim.values import Floats, set_fields
 
 @dataclass(frozen=True)
 class MovingObstacle:
-    """A fixed body of a scene that moves, straight and evenly between given places, and rests before and after.
+    """An obstacle that moves along straight lines between given places, at constant speed on each of them.
 
-    It is placed anew in each step, so contacts see where it is, but not its velocity: it carries nothing along by
-    friction.
+    It rests before the first time and after the last one. It is a body without joints that is put to its new place in
+    each step: contacts act where it is, but know nothing of its velocity, so it drags nothing along by friction.
 
     Attributes:
         body: name of a body of the scene without joints.

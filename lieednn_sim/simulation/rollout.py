@@ -44,7 +44,7 @@ def _zeros() -> Floats:
 
 @frozen
 class Rollout:
-    """Log of a simulation and its conditions; row k of every array over time belongs to time t[k].
+    """Log of a simulation and of its conditions; row k of every array over time belongs to time ``t[k]``.
 
     Attributes:
         arm: the simulated arm in its scene.

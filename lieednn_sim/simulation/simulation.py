@@ -23,9 +23,10 @@ _MOST_STEPS = 10**7
 
 
 class Simulation:
-    """A simulated arm; its state is a function of the arguments, the last reset and the controls since then.
+    """A simulated arm, for loops of one's own; `simulate` and `follow` are made of it.
 
-    The user or a `Controller` sets ``data.ctrl``; `advance` or a `Log` does the steps.
+    Its state is a function of the arguments, the last reset, and the controls since then. The user or a `Controller`
+    sets ``data.ctrl``; `advance` or a `Log` does the steps.
 
     Args:
         arm: the arm; its model is not changed.

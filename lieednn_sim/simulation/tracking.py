@@ -92,7 +92,7 @@ def simulate(
     dump_directory: str | os.PathLike[str] | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Rollout:
-    """Follow a motion with a controller, then hold its end.
+    """Simulate an arm whose controller tracks a motion and then holds its end.
 
     The simulation starts at rest at the motion's first position, and is a function of its arguments alone: two runs
     are bit-identical.

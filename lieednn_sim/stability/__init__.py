@@ -1,6 +1,9 @@
-"""Proofs about x' = -gamma x + mu W phi(x) + mu b: stability and its rate, pushes and time steps.
+"""Proofs about the neural ODE x' = -gamma x + mu W phi(x) + mu b, from its weight matrix alone.
 
-`assess` evaluates the hierarchy of conditions; a `Certificate` is the strongest of them, in a form that can be stored.
+`assess` evaluates a hierarchy of sufficient conditions for stability, each with the convergence rate that it proves.
+`find_certificate` searches for a diagonal Lyapunov matrix, which proves that there is one equilibrium and that it
+attracts every start, whatever the bias; `verify` checks one. `robustness` bounds the effect of perturbations of the
+state, the lag behind a moving target, and the time steps with which a fixed-step integrator keeps the proof.
 """
 
 from lieednn_sim.stability.certificate import (

@@ -41,7 +41,9 @@ _EPS, _TINY = float(np.finfo(float).eps), float(np.finfo(float).tiny)
 
 @frozen
 class Certificate:
-    """The result for one diagonal P and one W_R, decided by eigenvalues alone.
+    """A proof of global stability: a diagonal Lyapunov matrix P, checked by eigenvalues against one W_R.
+
+    It is valid if lambda_max(sym(S W_R S^-1)) < gamma/mu with S = P^(1/2) (Forti and Tesi, 1995).
 
     Attributes:
         lyapunov_diagonal: the diagonal of P, ``(3N,)``, geometric mean 1.

@@ -45,7 +45,7 @@ _BLOCK_TOLERANCE = 1e-12
 
 @dataclass(frozen=True)
 class Condition:
-    """One condition, evaluated.
+    """One stability condition, evaluated for one network.
 
     Attributes:
         name: one of `CONDITIONS`.
@@ -67,7 +67,7 @@ class Condition:
 
 @dataclass(frozen=True)
 class Verdict:
-    """All conditions of one network.
+    """The verdict on a network: all stability conditions, evaluated, and the proofs behind them.
 
     Attributes:
         conditions: in the order of `CONDITIONS`; "local" only when a Jacobian was given.

@@ -48,7 +48,9 @@ _LARGEST_CONDITION = 1e12
 
 @frozen
 class Contraction:
-    """The result for one pair (P, Q) and one W, decided by a spectral norm alone.
+    """A proof that any two motions of a network approach each other, checked by a spectral norm alone.
+
+    It is the result for one pair (P, Q) and one W: distances in the norm of P fall at the rate `rate`.
 
     Attributes:
         factor: upper triangular T ``(n, n)`` of the norm |e|_P = |T e|_2, P = T^T T.

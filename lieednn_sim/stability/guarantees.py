@@ -47,7 +47,9 @@ _LYAPUNOV_FRACTIONS = (0.1, 0.5, 0.9)
 
 @frozen
 class Guarantee:
-    """|T e(t)| <= overshoot exp(-rate t) |T e(0)|, and |T e| <= delay |T x*'| behind an equilibrium that moves.
+    """A bound on how a deviation e decays, and on the lag behind an equilibrium that moves.
+
+    The bounds are |T e(t)| <= overshoot exp(-rate t) |T e(0)| and |T e| <= delay |T x*'|.
 
     Attributes:
         contracting: whether e may be the distance of any two motions; otherwise it is the distance to the equilibrium.

@@ -25,7 +25,9 @@ _N_HALVINGS = 30
 
 @dataclass(frozen=True)
 class NormConditions:
-    """The paper's sufficient conditions (its theorem on equilibrium and asymptotic stability, App. G and I).
+    """The paper's sufficient conditions on norms of W: its theorem on equilibrium and asymptotic stability.
+
+    The proofs are in the paper's appendices G and I.
 
     Attributes:
         one_norm: largest column sum of absolute weights of W.
@@ -67,7 +69,7 @@ def norm_conditions(weight: ArrayLike, smallest: float, *, gamma: float = 1.0, m
 
 
 def smallest_one_norm(output: ArrayLike, required: ArrayLike) -> float:
-    """Smallest 1-norm of any W with W output = required, which is ||required||_1 / ||output||_1.
+    """Smallest 1-norm that a matrix W with W output = required can have: ||required||_1 / ||output||_1.
 
     Args:
         output: phi(xi*), any shape.
@@ -144,7 +146,7 @@ def log_norms(weight: ArrayLike) -> LogNorms:
 
 @frozen
 class WeightedNorm:
-    """The log norm of W in the best weighted 1-norm sum_i p_i |e_i|, largest over all slopes in [0, 1].
+    """The log norm of W in the best weighted 1-norm sum_i p_i |e_i|, for the worst slopes in [0, 1].
 
     Attributes:
         value: max(0, largest (p^T M)_j / p_j), rounded up; M is the Metzler majorant of W. It lies just above 0 or the

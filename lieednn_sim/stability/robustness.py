@@ -31,7 +31,9 @@ _TRANSLATION_WEIGHTS = (1.0, 0.25, 0.06, 0.015, 0.004, 1e-4)
 
 @frozen
 class Robustness:
-    """Bounds for a push on some coordinates, or for a target that moves in them; each the best of several proofs.
+    """Bounds on the effect of a perturbation of the state, and on the lag behind a target that moves.
+
+    A push is a sudden change of some coordinates of the state. Each bound is the best one of several proofs.
 
     Sizes are Euclidean, in the units of the state (rad for omega, m for v); times are the network's own.
 
@@ -55,7 +57,7 @@ class Robustness:
         return replace(self, guarantees=chosen) if chosen else None
 
     def push_gain(self, pushed: ArrayLike | None = None, watched: ArrayLike | None = None) -> float:
-        """Largest effect, at any time, of a push of size 1: sup |e_watched(t)| / |e_pushed(0)|.
+        """Largest deviation at any time after a push of size 1: sup over t of |e_watched(t)| / |e_pushed(0)|.
 
         Args:
             pushed: flat coordinates that the push moves, among `pushed`; all of them by default.

@@ -1,4 +1,7 @@
-"""Studies: many cases in one table that can be interrupted, resumed, and divided among processes and machines."""
+"""Studies: tables of many cases, whose computation can be interrupted, resumed, and divided among machines.
+
+`compare` is the study that compares planners; `Study` is the base class for studies of one's own.
+"""
 
 from lieednn_sim.studies.comparison.cases import Settings, replay, run_case
 from lieednn_sim.studies.comparison.rows import Case, Row

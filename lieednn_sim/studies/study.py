@@ -23,7 +23,7 @@ R = TypeVar("R", bound=TableRow)
 
 
 class Study(ABC, Generic[R]):
-    """A study: which cases there are, how the rows of one are computed, and what all rows share.
+    """Base class of studies: it says which cases there are, how the rows of one are computed, and what all rows share.
 
     Attributes:
         name: name of the table's files without suffix, and of the progress bar.

@@ -1,4 +1,9 @@
-"""Certified synthesis: networks with a proof of global stability, made in milliseconds, or shaped to follow a curve."""
+"""Certified synthesis: networks that have a proof of global stability by construction.
+
+`synthesize` makes a network for a target in milliseconds. `shape` makes one that also follows a given curve to its
+end, by hidden neurons. `CurveEncoder` has one network for all curves, and encodes each as the state at which the
+hidden neurons start.
+"""
 
 from lieednn_sim.synthesis.attempts import RESIDUAL_TOLERANCE
 from lieednn_sim.synthesis.bias import BIAS_RULES, bias_for

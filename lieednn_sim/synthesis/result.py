@@ -10,7 +10,7 @@ from lieednn_sim.values import frozen
 
 @frozen
 class Synthesis:
-    """Result of `synthesize`, or one of those of `synthesize_many`.
+    """Result of `synthesize`, or one of the results of `synthesize_many`.
 
     Attributes:
         impossible: whether it is proved that no weights can be certified with this target and bias.

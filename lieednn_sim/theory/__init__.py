@@ -1,8 +1,8 @@
 """The paper's mathematics beyond SE(3): networks on any matrix Lie group, and how smooth their trajectories are.
 
 `GroupLieEDNN` is the paper's equation on a group of `GROUPS`; `complex_network` and `quaternion_network` are two of its
-special cases; `EquivariantLieEDNN` has an activation that commutes with Ad. Learning works on any of the groups;
-planning uses nothing of this subpackage.
+special cases; `EquivariantLieEDNN` has an activation that commutes with Ad. `train` works on any of the groups. No
+planner needs this subpackage.
 """
 
 from lieednn_sim.theory.division_algebras import (

@@ -56,7 +56,9 @@ _SERIES_SLOPE = 2.0 * polynomial.polyder(_SERIES)
 
 @frozen
 class EquivariantLieEDNN(RigidNetwork):
-    """x_i' = -gamma x_i + mu sum_j alpha_ij Ad(theta_ij) Phi(x_j) + mu b_i, with x_i in se(3) and Phi of App. N.
+    """A network on se(3)^N whose activation Phi commutes with the adjoint, so that it commutes with changes of frame.
+
+    It is x_i' = -gamma x_i + mu sum_j alpha_ij Ad(theta_ij) Phi(x_j) + mu b_i, with Phi of the paper's appendix N.
 
     Attributes:
         alpha: ``(N, N)`` connection strengths.
@@ -105,7 +107,7 @@ class EquivariantLieEDNN(RigidNetwork):
         return stability.verify(diagonal, self.rotational_weight, gamma=self.gamma, mu=self.mu)
 
     def certify(self) -> EquivariantLieEDNN:
-        """Search for a certificate, and return this network carrying it.
+        """Search for a certificate, and return this network with it.
 
         Raises:
             NotCertifiedError: none was found; the network may be unstable.

@@ -20,7 +20,10 @@ from lieednn_sim.values import Floats, frozen, read_only, set_fields
 
 @frozen
 class GroupLieEDNN(ComponentwiseNetwork):
-    """X_i' = -gamma X_i + mu sum_j alpha_ij theta_ij phi(X_j) theta_ij^-1 + mu B_i in a Lie algebra (paper, eq. 3.9).
+    """The paper's network on any matrix Lie group.
+
+    It is X_i' = -gamma X_i + mu sum_j alpha_ij theta_ij phi(X_j) theta_ij^-1 + mu B_i in the Lie algebra (paper,
+    eq. 3.9).
 
     The state ``(..., N, d)`` holds the coordinates of X_i in the basis of the group, and phi acts on each of them: the
     network depends on the basis. theta_ij matters only up to the kernel of Ad: SU(2) gives the networks of SO(3).

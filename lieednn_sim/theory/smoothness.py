@@ -22,7 +22,7 @@ _LARGEST_SLOPE = 1e300
 
 @dataclass(frozen=True)
 class SmoothnessBounds:
-    """Bounds in the largest coordinate, in the network's own time.
+    """Bounds on a trajectory's velocity, acceleration and curvature, in the largest coordinate and the network's time.
 
     Attributes:
         velocity: on |xi'|_inf: gamma R + mu ||W||_inf M + mu |b|_inf.

@@ -18,7 +18,7 @@ from lieednn_sim.values import Floats
 
 @dataclass(frozen=True)
 class ImportReport:
-    """What `import_arm` made of a model.
+    """Report of `import_arm`: what it found in a model, and what it changed.
 
     Attributes:
         configuration: the keyframe that the locked joints and the new keyframe ``home`` were taken from.

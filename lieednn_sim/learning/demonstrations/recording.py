@@ -35,7 +35,7 @@ def as_dof(dof: int) -> int:
 
 @frozen
 class Demonstration:
-    """A recorded motion of a frame.
+    """A recorded motion of a frame, such as of an end effector.
 
     Attributes:
         t: ``(K,)`` times, starting at 0 [s].
@@ -112,7 +112,7 @@ class Demonstration:
 
     @property
     def shown(self) -> str:
-        """What was recorded, in words."""
+        """The quantities that were recorded, in words."""
         return _SHOWN[7 if self.dof == 6 else self.dof]
 
     @cached_property

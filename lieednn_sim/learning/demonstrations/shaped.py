@@ -45,7 +45,7 @@ _PER_PLACED = {2: 4, 3: 5, 6: 5}
 
 @frozen
 class ShapedMotion:
-    """A shaped network with the time law of the demonstrations.
+    """A model of demonstrations: a certified network that follows their mean, with their time law.
 
     Attributes:
         network: certified network with one visible neuron: rotation and position relative to the goal [rad, m].
@@ -142,10 +142,10 @@ class ShapedMotion:
         return replace(self, network=self.network.retarget(target[None]))
 
     def covariance(self, start: Floats, t: Floats) -> Floats:
-        """How sure the motion is: its predictive covariance about `reproduce`, in rotation vector and position.
+        """Predictive covariance of the motion about `reproduce`, in rotation vector and position.
 
-        The covariance of what the response leaves of the demonstrations, larger the further the start is from theirs:
-        see `CodeSpread`. It is zero at the start and at the goal.
+        It is the covariance of what the response does not explain of the demonstrations, and is larger the further the
+        start is from theirs: see `CodeSpread`. It is zero at the start and at the goal.
 
         Args:
             start: twists ``(..., 6)``.

@@ -40,7 +40,7 @@ def register_controller(name: str) -> Callable[[_Make], _Make]:
 
     A controller is made from an arm and a reference; a function that returns one is also accepted. The actions are
     checked at every step: a controller may set finite controls and mocap bodies, but neither the state nor forces.
-    Worker processes and the command line find controllers that an installed package names in its entry points:
+    Worker processes and the command line find controllers that an installed package names in its entry points::
 
         [project.entry-points."lieednn_sim.controllers"]
         my-controller = "my_package.my_module:MyController"

@@ -74,7 +74,7 @@ class Shard:
 
 @dataclass(frozen=True)
 class Comparison(Study[Row]):
-    """What to compare: all combinations of planners, arms, scenes, controllers and seeds.
+    """The study of `compare`: all combinations of planners, arms, scenes, controllers and seeds.
 
     An empty list means all; for scenes and controllers, `DEFAULT_SCENES` and `DEFAULT_CONTROLLERS`.
 
@@ -207,7 +207,9 @@ def compare(
     console: Console | None = None,
     executor: Executor | None = None,
 ) -> Table[Row]:
-    """Compare planners: compute the rows that the directory's table lacks.
+    """Compare planners in a table, of which the rows that the directory lacks are computed.
+
+    ::
 
         table = ls.compare("out", planners=["minimum-jerk", "lieednn-certified"], arms=["telescopic_pr"], seeds=3)
         write_page("out/comparison.html", table)     # of `studies.report`

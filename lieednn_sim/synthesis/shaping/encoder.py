@@ -53,9 +53,10 @@ _POWERS = np.array([1, 3, 5])
 
 
 class CurveEncoder:
-    """The universal network of an arm with ``n_visible`` links, and the codes of curves.
+    """One certified network for every curve of an arm, which encodes a curve as its hidden neurons' initial state.
 
-    The network is made and certified once for each size in a process; all encoders of a size share it.
+    This universal network depends on the number of links and the activation alone. It is made and certified once for
+    each size in a process; all encoders of a size share it.
 
     Args:
         n_visible: number N of visible neurons, at most 16.
