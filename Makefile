@@ -16,7 +16,7 @@ help:
 	@echo "                                                              REQUIRE_BROWSER=1: no Chromium is one)"
 	@echo "make lint    lint and types alone"
 	@echo "make docs    build the site in docs/_build/html"
-	@echo "make reference        make the results below results/reference again where they are stale (ARGS: results/README.md)"
+	@echo "make reference        make the results below results/reference again where they are stale (ARGS: docs/development/references.md)"
 	@echo "make reference-stale  say which are stale, and why"
 	@echo "make release          build the packages in dist/, unless results are stale"
 	@echo "make clean   remove caches and built packages; keeps .venv and results"

@@ -157,4 +157,4 @@ def test_each_committed_result_is_of_a_study_and_each_root_is_there():
         for root in study.roots:
             path = ROOT / ("" if root.startswith("lieednn_sim.") else "scripts") / root.replace(".", "/")
             assert path.is_dir() or path.with_name(f"{path.name}.py").is_file(), name
-        assert f"| `{name}` |" in (ROOT / "results/README.md").read_text(encoding="utf-8")
+        assert f"| `{name}` |" in (ROOT / "docs/development/references.md").read_text(encoding="utf-8")
