@@ -51,6 +51,7 @@ myst_heading_anchors = 3
 
 templates_path = ["_templates"]
 default_role = "name"
+smartquotes = False  # the primes of derivatives stay
 add_module_names = False
 python_maximum_signature_line_length = 90
 autosummary_generate = True

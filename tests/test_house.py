@@ -105,6 +105,12 @@ def test_the_front_door_knows_each_name_and_where_it_lives():
     assert {*ls.__all__, "__version__"} <= set(dir(ls))
 
 
+def test_the_api_reference_has_a_page_for_each_room():
+    """On which its `__all__` is, by the template."""
+    listed = re.findall(r"^   lieednn_sim\.(\w+)$", (PACKAGE.parent / "docs/api/index.md").read_text(), re.MULTILINE)
+    assert listed == ["errors", *ROOMS[:-1]]
+
+
 def test_an_arm_is_imported_without_the_subpackages_of_scipy():
     """They would take twice as long as MuJoCo."""
     code = "import sys, scipy; before = set(sys.modules); import lieednn_sim.arm; print(*set(sys.modules) - before)"

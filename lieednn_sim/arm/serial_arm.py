@@ -26,11 +26,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class SerialArm:
-    """An arm whose consecutive sites ``link<i>_frame`` are each moved by the compound joint between them.
+    """The coordinates, limits and kinematics of an arm, as a chain of links that compound joints move.
 
-    Link frame i is link frame i-1 times a fixed mount, T_i(q) and a fixed tip; frame 0 is the site ``base_frame``.
-    q in R^n holds one coordinate for a hinge or slide and three, its rotation vector, for a ball joint; coupled stages
-    of a telescope share one.
+    The frame of link i is the site ``link<i>_frame`` of the model. Link frame i is link frame i-1 times a fixed mount,
+    T_i(q) and a fixed tip; frame 0 is the site ``base_frame``. q in R^n holds one coordinate for a hinge or slide and
+    three, its rotation vector, for a ball joint; coupled stages of a telescope share one.
 
     Attributes:
         name: name of the model.
@@ -96,7 +96,7 @@ class SerialArm:
 
     @property
     def exact(self) -> bool:
-        """Whether every compound joint has six degrees of freedom, so that every network state is met without a gap."""
+        """Whether every compound joint has six degrees of freedom, so that it can take any pose."""
         return self._retractor.exact
 
     @property

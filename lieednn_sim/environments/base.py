@@ -86,11 +86,11 @@ class Commands:
 
 
 class ArmTask(ABC):
-    """Tasks in which joint velocities bring an arm to target positions that are among the observations.
+    """Base class of tasks in which joint velocities bring an arm to target positions that are observed.
 
-    The object is two things. The definition of the task is in `commands`, `draw`, `judge` and `look`, which work on
-    arrays with any leading axes, so that `vector.VectorEnvironment` can use them for many episodes. And it runs one
-    episode in its simulation by `begin` and `step`.
+    An object has two parts. The definition of the task is in `commands`, `draw`, `judge` and `look`, which work on
+    arrays with any leading axes, so that `vector.VectorEnvironment` can use them for many episodes. With `begin` and
+    `step` it runs one episode in its simulation.
 
     An action in [-1, 1]^n is a joint velocity as a fraction of the limits. It moves the commanded position, which stays
     within the position limits, at constant velocity for one control step; the arm's position servos follow it, with

@@ -41,7 +41,7 @@ ENVIRONMENTS = {"LieEDNN/TelescopicReach-v0": "reach", "LieEDNN/TelescopicTrack-
 
 
 class Environment(gymnasium.Env[Any, Floats]):
-    """A task behind the interface of Gymnasium; the time limit is the task's own and truncates.
+    """A task as a Gymnasium environment, which is truncated at the task's own time limit.
 
     ``reset(options={"target": q})`` chooses the target of a `Reach` episode.
 
@@ -129,7 +129,7 @@ class Environment(gymnasium.Env[Any, Floats]):
 
 
 def register() -> None:
-    """Register the environments with Gymnasium; done at import, harmless when repeated."""
+    """Register the environments with Gymnasium. Importing the module does that; repeating it is harmless."""
     for name, task in ENVIRONMENTS.items():
         if name not in gymnasium.registry:
             gymnasium.register(

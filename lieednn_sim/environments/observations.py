@@ -45,7 +45,7 @@ def reach(arm: Arm) -> float:
 
 
 class Target(NamedTuple):
-    """The target of an episode.
+    """The target of an episode, which may move.
 
     Attributes:
         position: joint target ``(n,)`` at a time of the episode [s].

@@ -31,7 +31,7 @@ def load(
     random: int | np.random.Generator | None = None,
     **options: Any,
 ) -> ControlEnvironment:
-    """Load an environment.
+    """Make an environment of a task in the style of the dm_control suite.
 
     Args:
         arm: name of an arm, or an arm.

@@ -73,7 +73,7 @@ def closeness(error: Floats | float, allowed: Floats | float, margin: Floats | f
 
 
 class Reach(ArmTask):
-    """Come to rest at a random target that the arm can reach, drawn for each episode by `arm.targets.draw_target`.
+    """Task: come to rest at a random target that the arm can reach, drawn for each episode by `draw_target`.
 
     Success: the goal frames are within the tolerances, and no joint moves faster than `REST` of its limit. The reward
     is the closeness of distance and angle, reduced in motion by up to a half; it is 1 exactly at success.
@@ -104,7 +104,7 @@ class Reach(ArmTask):
 
 
 class Track(ArmTask):
-    """Keep up with a target that moves from ``home`` within the arm's limits, free of contact.
+    """Task: keep up with a target that moves from ``home`` within the arm's limits, free of contact.
 
     Additional observations are ``target_velocity`` ``(n,)`` and ``preview`` ``(P, n)``, the target positions at the
     ends of this and the following control steps. Success: the goal frames are within the tolerances now. The reward is

@@ -40,7 +40,9 @@ def observation_space(bounds: Bounds) -> spaces.Dict:
 
 
 class VectorEnvironment(gymnasium.vector.VectorEnv[dict[str, Floats], Floats, Any]):
-    """Many environments, each equal to an `Environment` with its seed; with NumPy 2.4 to the last bit.
+    """Many environments that are stepped together, as a Gymnasium vector environment.
+
+    Each is equal to an `Environment` with its seed, with NumPy 2.4 to the last bit.
 
     Args:
         num_envs: number of environments, B.

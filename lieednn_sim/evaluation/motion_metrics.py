@@ -25,7 +25,7 @@ _STANDSTILL = 1e-9  # [m/s]
 
 @dataclass(frozen=True)
 class MotionMetrics:
-    """Metrics of a plan by itself; those that are not listed here are explained in `studies.Row`.
+    """Metrics of a planned motion before it is simulated; those not listed here are explained in `studies.Row`.
 
     Attributes:
         curvature: see `rms_curvature`; None where the end effector does not move.

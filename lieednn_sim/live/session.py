@@ -55,7 +55,7 @@ class Aim(NamedTuple):
 
 
 class Session:
-    """A simulated arm that follows a target which may be moved, and yields to pushes.
+    """The live view without a page: a simulated arm that follows a target which may be moved, and yields to pushes.
 
     It begins at rest; `aim` and `aim_at` move the target. The policy is made at once, in a worker; until then the arm
     stays where it is.

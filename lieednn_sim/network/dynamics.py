@@ -66,7 +66,7 @@ class Equilibrium:
 
 @frozen
 class Trajectory:
-    """Solution xi(t) with dense output.
+    """A trajectory xi(t) of a network, which can be evaluated at any time within it.
 
     Attributes:
         t: ``(K,)`` times of the integrator's steps.

@@ -15,7 +15,9 @@ from lieednn_sim.values import Floats, frozen, read_only, set_fields
 
 @frozen
 class HopfieldNetwork(ComponentwiseNetwork):
-    """x' = -gamma x + mu (W phi(x) + b) with any matrix W of N neurons with d coordinates (Hopfield, PNAS 81, 1984).
+    """A network with any weight matrix, of N neurons with d coordinates (Hopfield, PNAS 81, 1984).
+
+    It is x' = -gamma x + mu (W phi(x) + b).
 
     Attributes:
         matrix: ``(dN, dN)`` W.

@@ -56,7 +56,7 @@ class TrainedOptions(CandidateOptions):
 
 @dataclass(frozen=True)
 class UnprojectedOptions(TrainedOptions):
-    """Options of the planner ``lieednn-unprojected``: `TrainedOptions` with gradient steps, never projected."""
+    """Options of the planner ``lieednn-unprojected``: `TrainedOptions`, with gradient steps, never projected."""
 
     training: TrainingOptions = _PLAIN
 

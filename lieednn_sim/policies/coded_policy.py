@@ -43,7 +43,9 @@ _SOONEST = 0.25
 
 
 class CodedPolicy(FeedbackPolicy):
-    """A certified universal network along coded motions; a subclass defines `decide`, which may `take` another one.
+    """Base class of policies that run the universal network along coded motions.
+
+    A subclass defines `decide`, which may `take` another motion.
 
     Args:
         arm: the arm.

@@ -60,7 +60,7 @@ FEEDBACK = Feedback()
 
 
 class FeedbackPolicy(Policy):
-    """Base class of policies that wait for the arm, and tell by how much.
+    """Base class of policies that wait for an arm that does not keep up, and report by how much.
 
     Attributes:
         pace: factor l s of the last period.

@@ -28,7 +28,7 @@ _MAX_PERIODS = 10**7
 
 @frozen
 class LoopReport:
-    """Timing of a control loop.
+    """Report of `control_loop`: its timing.
 
     Attributes:
         lateness: ``(L,)`` time from the deadline of each reference, the end of its period, until it was sent [s];

@@ -23,7 +23,7 @@ _BATCH_SIZE = 256
 
 @dataclass(frozen=True)
 class Push:
-    """A constant force on a body for a limited time.
+    """A disturbance: a constant force on a body for a limited time.
 
     Attributes:
         body: name of a body of the scene or of a link ("link 1", ..., "end effector").

@@ -101,7 +101,9 @@ def import_arm(
     servos: str = "keep",
     floor: float | str = AUTO,
 ) -> tuple[mujoco.MjSpec, ImportReport]:
-    """Make a model into an arm by `STEPS`: sites at the link frames, one servo per coordinate, all other joints locked.
+    """Turn an MJCF or URDF model with a serial chain into an arm.
+
+    The arm has sites at its link frames and one servo for each coordinate; all other joints are locked.
 
     Without ``links`` the link frames are the model's own sites base_frame, link1_frame, ..., if it has them; otherwise
     the arm is the chain with the most driven joints (`serial_chain.longest_chain`), cut into compound joints

@@ -25,7 +25,9 @@ REFINEMENT = 2
 
 @frozen
 class Response:
-    """How paths depend on their start, and on their goal if it is not the same; E = D, or 2 D for both.
+    """How the paths of demonstrations depend on their starts, and on their goals if these differ.
+
+    There are D coordinates, and E = D inputs, or E = 2 D for start and goal.
 
     Attributes:
         gain: ``(K, D, E)`` derivatives of the path at equal steps of the phase in the coordinates of start and goal.

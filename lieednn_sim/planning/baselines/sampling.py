@@ -45,7 +45,7 @@ _STRAIGHT = 1.0 + 1e-9
 
 @dataclass(frozen=True)
 class SearchOptions(PlannerOptions):
-    """How paths are searched for.
+    """Options for how paths are searched for.
 
     Attributes:
         margin: clearance of paths, reduced where start or target is closer to something [m]; smoothed motions are
@@ -69,7 +69,7 @@ class SearchOptions(PlannerOptions):
 
 @dataclass(frozen=True)
 class PathOptions(SearchOptions, SmoothingOptions):
-    """How paths are searched for and smoothed; see the two base classes."""
+    """Options for how paths are searched for and smoothed; see the two base classes."""
 
 
 @dataclass(frozen=True)

@@ -41,7 +41,7 @@ _SLOW_DURATIONS, _STRIDE = 4.0, 32
 
 @dataclass(frozen=True)
 class SmoothingOptions(PlannerOptions):
-    """How polylines are smoothed.
+    """Options for how a path of straight edges is smoothed.
 
     Attributes:
         control_points: numbers of control points to try, from the smoothest curve to the closest, each up to 10 000.

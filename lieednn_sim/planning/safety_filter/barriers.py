@@ -38,7 +38,7 @@ _ANGLE_INSET, _ANGLE_BRAKING_FRACTION = 5e-3, 0.05
 
 @dataclass(frozen=True)
 class FilterOptions(PlannerOptions):
-    """Settings of the filter.
+    """Settings of the safety filter, which keeps limits and clearance by a quadratic program at every control step.
 
     Attributes:
         margin: distance kept from the surroundings [m].

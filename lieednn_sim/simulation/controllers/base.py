@@ -29,7 +29,9 @@ _NATURAL_FREQUENCY = 2.0 * np.pi * 10.0
 
 
 class Controller(ABC):
-    """Drives a rollout along the known part of a reference, and may log channels of its own.
+    """Base class of controllers, which set the controls that make the simulated arm track a reference.
+
+    A controller sees the part of the reference that is known so far, and may log channels of its own.
 
     Attributes:
         adds_bodies: whether `add_bodies` adds any; if not, the plant need not be compiled again.

@@ -43,7 +43,7 @@ class Case:
 
 @dataclass(frozen=True, slots=True)
 class Row(TableRow):
-    """One rollout of a comparison. Measured columns have their names from `Evaluation` and `MotionMetrics`.
+    """A row of the comparison's table: one rollout. Measured columns are named as in `Evaluation` and `MotionMetrics`.
 
     Attributes:
         arm: name of the arm; together with the next four, the key of the row.

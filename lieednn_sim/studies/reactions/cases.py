@@ -69,7 +69,7 @@ _WEIGHT, _STEP, _DRAWS = 10.0, 0.1, 100
 
 @dataclass(frozen=True, slots=True)
 class Reaction(TableRow):
-    """One rollout of the reactive benchmark.
+    """A row of the benchmark of disturbed policies: one rollout.
 
     Attributes:
         arm: name of the arm; together with the next four, the key of the row.
