@@ -9,12 +9,13 @@ from pathlib import Path
 HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE), str(HERE.parent / "scripts")]
 
-from api_names import context as autosummary_context  # noqa: E402, F401 - after the path
-
-import lieednn_sim  # noqa: E402
-
 # Small matrices: one thread is faster, and the figures of the gallery are the same on every machine.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+from api_names import context as autosummary_context  # noqa: E402, F401 - after the path
+from api_names import filenames as autosummary_filename_map  # noqa: E402, F401
+
+import lieednn_sim  # noqa: E402
 
 project = "lieednn_sim"
 author = "The lieednn_sim authors"
@@ -51,7 +52,7 @@ myst_heading_anchors = 3
 
 templates_path = ["_templates"]
 default_role = "name"
-smartquotes = False  # the primes of derivatives stay
+smartquotes_action = "De"  # dashes and dots, no quotes: the primes of derivatives stay
 add_module_names = False
 python_maximum_signature_line_length = 90
 autosummary_generate = True

@@ -20,6 +20,7 @@ from sphinx.domains.python import PyClasslike
 from sphinx.pycode import ModuleAnalyzer
 
 import lieednn_sim
+from lieednn_sim.studies.rows import TableRow, columns_of
 
 # Public modules whose names are not in their subpackage's own `__all__`.
 MODULES = {
@@ -56,17 +57,13 @@ def public(module: str) -> dict[str, list[str]]:
 
 
 def find(name: str) -> Any:
-    """The object of a full name."""
-    parts = name.split(".")
-    for length in range(len(parts), 0, -1):
-        try:
-            value = import_module(".".join(parts[:length]))
-        except ModuleNotFoundError:
-            continue
-        for part in parts[length:]:
-            value = getattr(value, part)
-        return value
-    raise ModuleNotFoundError(name)
+    """The object of a full name; where a module and a public name are the same, the public name."""
+    value = import_module(name.partition(".")[0])
+    path = value.__name__
+    for part in name.split(".")[1:]:
+        path += f".{part}"
+        value = getattr(value, part) if hasattr(value, part) else import_module(path)
+    return value
 
 
 def comment(name: str) -> str:
@@ -186,8 +183,12 @@ def role(_: str, raw: str, text: str, line: int, inliner: Any, options: Any = No
     return [reference], []
 
 
-def _escape_bars(_app: Sphinx, _what: str, _name: str, _object: Any, _options: Any, lines: list[str]) -> None:
-    """Absolute values are no substitutions of reStructuredText."""
+def _finish(_app: Sphinx, what: str, _name: str, value: Any, _options: Any, lines: list[str]) -> None:
+    """Absolute values are no substitutions of reStructuredText; rows of tables have their columns."""
+    if what == "class" and issubclass(value, TableRow) and value is not TableRow:
+        last = max(index for index, line in enumerate(lines) if line.startswith(":ivar"))
+        last += next((i for i, line in enumerate(lines[last:]) if not line.strip()), len(lines))
+        lines[last:last] = [f":ivar {entry.name}: {entry.meaning}." for entry in columns_of(value)]
     for index, line in enumerate(lines):
         parts = re.split(r"(``.*?``|`.*?`)", line)
         lines[index] = "".join(part if part.startswith("`") else part.replace("|", r"\|") for part in parts)
@@ -232,6 +233,8 @@ def _defining_module(_app: Sphinx, module: str, name: str) -> str | None:
         return None
 
 
+# Pages of names that differ in case alone, such as `plan` and `Plan`, have different files in every file system.
+filenames = {name: f"{name}_class" for name in ALL if inspect.isclass(find(name)) and name.lower() in ALL}
 # What the templates use.
 context = {"comment": comment, "extends": extends, "foreign": foreign, "inherited": inherited, "public": public}
 context["FRONT"] = FRONT
@@ -242,7 +245,7 @@ def setup(app: Sphinx) -> None:
         if field.name == "variable":
             field.label = "Attributes"
     roles.register_local_role("name", role)
-    app.connect("autodoc-process-docstring", _escape_bars)
+    app.connect("autodoc-process-docstring", _finish)
     app.connect("autodoc-process-signature", _shorten_types)
     app.connect("autodoc-skip-member", _is_field)
     app.connect("missing-reference", _resolve_front)

@@ -33,7 +33,7 @@ _ITERATIONS = 8
 
 @dataclass(frozen=True, eq=False)
 class Deviations:
-    """Deviations about K states.
+    """Sets of deviations of an arm's links about K states.
 
     Attributes:
         twist: ``(K, N, 6)`` the links' twists [rad, m].

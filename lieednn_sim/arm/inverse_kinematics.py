@@ -39,7 +39,7 @@ def solve_ik(
     seed: Seed = 0,
     progress: Callable[[int, int], None] | None = None,
 ) -> Floats:
-    """Joint position within the limits, free of contact, that puts the end effector at a pose.
+    """Find a joint position, within the limits and free of contact, that puts the end effector at a pose.
 
     Args:
         arm: the arm.

@@ -28,7 +28,7 @@ _MAX_TIME_LIMIT = 1000.0
 
 
 class Transition(NamedTuple):
-    """The result of an action.
+    """The result of an action in a task.
 
     Attributes:
         observation: arrays by name, those of `ArmTask.bounds`.

@@ -44,7 +44,9 @@ _LABEL = 0.85
 def plot(
     rollout: Rollout, directory: str | os.PathLike[str], *, network: ComponentwiseNetwork | None = None
 ) -> tuple[Path, ...]:
-    """Plot a run: ``tracking.png``, ``joints.png``, and ``network.png`` and ``channels.png`` if it has either.
+    """Plot a run in PNG files: tracking error, joints, and network and channels if it has them.
+
+    The files are ``tracking.png``, ``joints.png``, ``network.png`` and ``channels.png``.
 
     Args:
         rollout: the simulated run.

@@ -42,11 +42,11 @@ def project_to_rotation(matrix: ArrayLike) -> Floats:
 
 
 def project_to_adjoint(matrix: ArrayLike) -> tuple[Floats, Floats]:
-    """Block-wise projection of ``(..., 6, 6)`` onto the adjoint matrices of SE(3) (paper, App. F).
+    """Project matrices ``(..., 6, 6)`` block by block onto the adjoint matrices of SE(3), as the paper does.
 
-    With blocks [[A, B], [C, D]]: R is the nearest rotation to (A + D)/2 and hat(t) the skew part of C R^T. (The paper's
-    text says "A and B", its formula and proof use A and D.) This is not the Frobenius-nearest point: there R would
-    also depend on the symmetric part of C R^T.
+    It is the projection of the paper's appendix F. With blocks [[A, B], [C, D]]: R is the nearest rotation to (A + D)/2
+    and hat(t) the skew part of C R^T. (The paper's text says "A and B", its formula and proof use A and D.) This is not
+    the Frobenius-nearest point: there R would also depend on the symmetric part of C R^T.
 
     Returns:
         Rotations ``(..., 3, 3)`` and translations ``(..., 3)``; `adjoint` puts them together.
@@ -108,7 +108,7 @@ def project_to_adjoint_exact(matrix: ArrayLike) -> tuple[Floats, Floats]:
 
 
 def project_to_scaled_adjoint(matrix: ArrayLike) -> tuple[Floats, Floats, Floats]:
-    """Block-wise projection of ``(..., 6, 6)`` onto alpha Ad, alpha of either sign.
+    """Project matrices ``(..., 6, 6)`` block by block onto scaled adjoint matrices alpha Ad, alpha of either sign.
 
     With blocks [[A, B], [C, D]] and M = (A + D)/2, (alpha, R) minimises |M - alpha R|: |alpha| is a third of the sum of
     the singular values of M, its sign that of det M, and R the nearest rotation to M or -M. So a block with det M < 0,

@@ -65,9 +65,10 @@ def vee(matrix: ArrayLike) -> Floats:
 
 
 def exp(twist: ArrayLike) -> RigidTransform:
-    """Exponential map (R, p) of twists ``(..., 6)`` [rad, m]: SciPy's R = Exp(omega), and p = J(omega) v.
+    """Exponential map: the poses (R, p) of twists (omega, v), ``(..., 6)`` [rad, m].
 
-    J is the left Jacobian, p = v + (1 - cos a)/a^2 omega x v + (a - sin a)/a^3 omega x (omega x v) with the angle a.
+    R = Exp(omega) is SciPy's, and p = J(omega) v. J is the left Jacobian, p = v + (1 - cos a)/a^2 omega x v + (a - sin
+    a)/a^3 omega x (omega x v) with the angle a.
     """
     array = as_floats("twist", twist, (6,), batched=True)
     # SciPy's compiled code refuses arrays that are read-only, as those of results are, and takes one leading axis; for

@@ -36,7 +36,7 @@ _STRETCH, _MAX_STRETCHES = 1.002, 20
 
 
 def retime(arm: Arm, motion: Motion) -> Motion:
-    """A motion along the path of another one, as fast as the arm's limits of velocity, acceleration and jerk allow.
+    """Make a motion along the path of another one, as fast as velocity, acceleration and jerk limits allow.
 
     Args:
         arm: the motion's arm, in its scene.

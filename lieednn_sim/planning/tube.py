@@ -108,7 +108,7 @@ class Tube:
 
 
 def find_tube(arm: Arm, plan: Plan, *, tracking: ArrayLike = 0.0, margin: float = 0.0) -> Tube:
-    """The largest tube that is proved for a plan whose motion is the path of its certified network.
+    """Find the largest tube that can be proved for a plan whose motion is the path of its certified network.
 
     Args:
         arm: the arm that the plan is for, in its scene.

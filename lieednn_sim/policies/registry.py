@@ -181,7 +181,9 @@ REGISTRY = Registry("policy", POLICIES, _policy, "lieednn_sim.policies")
 
 
 def register_policy(name: str, options: type[PlannerOptions] | None = None) -> Callable[[_Make], _Make]:
-    """Decorator that registers a function of a `PolicyTask`, which returns a `Policy`, for `make_policy`.
+    """Decorator that registers a function that makes policies, for `make_policy`.
+
+    The function takes a `PolicyTask` and returns a `Policy`.
 
     An installed package declares its policies as entry points::
 

@@ -118,7 +118,7 @@ def configure() -> Backend:
 
 
 def require() -> Backend:
-    """The configured backend.
+    """The OpenGL backend in use, which is certain to render.
 
     Raises:
         RenderingUnavailableError: it cannot render; the message says what to install or unset.

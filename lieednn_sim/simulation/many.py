@@ -33,7 +33,9 @@ _PUSHES = mujoco.mjtState.mjSTATE_XFRC_APPLIED
 
 @frozen
 class Rollouts:
-    """States of B rollouts at the same K times, each bit-identical to its `Rollout`; all last as long as the longest.
+    """States of B simulations at the same K times; all last as long as the longest one.
+
+    Each is equal to that of `simulate` to the last bit.
 
     Attributes:
         arm: the simulated arm.

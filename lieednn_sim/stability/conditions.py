@@ -156,7 +156,9 @@ def assess(
     jacobian: ArrayLike | None = None,
     lyapunov_diagonal: ArrayLike | None = None,
 ) -> Verdict:
-    """Evaluate every condition for x' = -gamma x + mu W phi(x) + mu b, each slope of phi in (0, 1].
+    """Evaluate every stability condition for a network x' = -gamma x + mu W phi(x) + mu b.
+
+    The activation phi may be any function whose slopes are in (0, 1].
 
     The adjoint of SE(3) makes W block triangular once all omega are sorted before all v, with W_R twice on the
     diagonal; a small weight of v against omega then makes W_C arbitrarily small, so the weighted and the Lyapunov

@@ -29,11 +29,11 @@ _RANDOM_STARTS = 5
 
 @dataclass(frozen=True, eq=False)
 class MatrixLieGroup:
-    """A connected matrix Lie group G, given by a basis E_1 .. E_d of its Lie algebra (paper, App. D).
+    """A connected matrix Lie group G, given by a basis of its Lie algebra (paper, appendix D).
 
-    Every method takes leading batch axes. The product is ``@``, the inverse `numpy.linalg.inv`. Coordinates x stand for
-    hat(x) = sum_k x_k E_k; they are real also where the matrices are complex. L[Ad_g] is the real ``(d, d)`` matrix
-    with g hat(x) g^-1 = hat(L[Ad_g] x).
+    The basis consists of the matrices E_1 to E_d. Every method takes leading batch axes. The product is ``@``, the
+    inverse `numpy.linalg.inv`. Coordinates x stand for hat(x) = sum_k x_k E_k; they are real also where the matrices
+    are complex. L[Ad_g] is the real ``(d, d)`` matrix with g hat(x) g^-1 = hat(L[Ad_g] x).
 
     Attributes:
         name: name in messages.

@@ -40,7 +40,9 @@ _TESTS_PER_CHECK = 100
 
 @dataclass(frozen=True)
 class StompOptions(PlannerOptions):
-    """Options of the planner ``stomp``; tuned on problems with seeds from 100 on.
+    """Options of the planner ``stomp``.
+
+    Their defaults were chosen on problems with seeds from 100 on.
 
     Attributes:
         margin: clearance of paths, reduced where start or target is closer to something [m].
