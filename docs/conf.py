@@ -46,6 +46,7 @@ html_title = "lieednn_sim"
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
 html_extra_path = ["../results/reference/comparison.html"]
+html_copy_source = False
 
 myst_enable_extensions = ["amsmath", "attrs_inline", "colon_fence", "deflist", "dollarmath"]
 myst_heading_anchors = 3
