@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 HERE = Path(__file__).parent
-sys.path[:0] = [str(HERE), str(HERE.parent / "scripts")]
+sys.path[:0] = [str(HERE), str(HERE / "_ext"), str(HERE.parent / "scripts")]
 
 # Small matrices: one thread is faster, and the figures of the gallery are the same on every machine.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -34,7 +34,7 @@ extensions = [
     "sphinx_design",
     "sphinx_gallery.gen_gallery",
     "sphinx-mathjax-offline",
-    "_ext.measured",
+    "measured",
     "api_names",
 ]
 exclude_patterns = ["_build", "_templates", "**/GALLERY_HEADER.*", "gallery/*.py", "drawings"]
