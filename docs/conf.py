@@ -12,8 +12,10 @@ sys.path[:0] = [str(HERE), str(HERE / "_ext"), str(HERE.parent / "scripts")]
 # Small matrices: one thread is faster, and the figures of the gallery are the same on every machine.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
-from api_names import context as autosummary_context  # noqa: E402, F401 - after the path
+import gallery_scraper  # noqa: E402 - after the path
+from api_names import context as autosummary_context  # noqa: E402, F401
 from api_names import filenames as autosummary_filename_map  # noqa: E402, F401
+from sphinx_gallery.sorting import ExplicitOrder  # noqa: E402
 
 import lieednn_sim  # noqa: E402
 
@@ -37,7 +39,7 @@ extensions = [
     "measured",
     "api_names",
 ]
-exclude_patterns = ["_build", "_templates", "**/GALLERY_HEADER.*", "gallery/*.py", "drawings"]
+exclude_patterns = ["_build", "_templates", "gallery/*.*", "drawings"]
 nitpicky = False
 suppress_warnings = ["config.cache"]  # sphinx-gallery's settings hold functions
 
@@ -75,14 +77,29 @@ plot_html_show_formats = False
 plot_html_show_source_link = False
 plot_working_directory = str(HERE)
 
+# The order of the cards; an example that is not listed comes last.
+EXAMPLES = (
+    *("retargeting", "window", "own_urdf_table", "push_and_return", "demonstrations_fan", "motion_library"),
+    *("moving_target", "payload_and_friction", "environment", "own_certificate", "paper_figure", "algorithm_1", "*"),
+)
+gallery_scraper.EXTRA.mkdir(parents=True, exist_ok=True)
+html_extra_path = [str(gallery_scraper.EXTRA)]
 sphinx_gallery_conf = {
     "examples_dirs": ["gallery"],
     "gallery_dirs": ["gallery/_made"],
     "filename_pattern": r"\.py$",
-    "ignore_pattern": r"__init__",
+    "ignore_pattern": r"gallery/_made/",  # copies of the examples, which are below them
+    "within_subsection_order": ExplicitOrder([name if name == "*" else f"{name}.py" for name in EXAMPLES]),
+    "reset_argv": gallery_scraper.empty_directory,
+    "image_scrapers": ("matplotlib", gallery_scraper.written_files),
+    "thumbnail_size": (480, 336),
+    "capture_repr": (),  # what an example prints is its output
+    "min_reported_time": float("inf"),
+    "reference_url": {"lieednn_sim": None},  # names in the code link to the API reference
     "abort_on_example_error": True,
-    "show_memory": False,
     "show_signature": False,
     "download_all_examples": False,
+    "notebook_extensions": set(),
+    "write_computation_times": False,
     "remove_config_comments": True,
 }
