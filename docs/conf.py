@@ -41,7 +41,8 @@ extensions = [
 ]
 exclude_patterns = ["_build", "_templates", "gallery/*.*", "drawings"]
 nitpicky = False
-suppress_warnings = ["config.cache"]  # sphinx-gallery's settings hold functions
+# sphinx-gallery's settings hold functions; its copies of the examples are below the examples.
+suppress_warnings = ["config.cache", "sphinx_gallery.duplicate_filename"]
 
 html_theme = "furo"
 html_title = "lieednn_sim"
@@ -88,7 +89,6 @@ sphinx_gallery_conf = {
     "examples_dirs": ["gallery"],
     "gallery_dirs": ["gallery/_made"],
     "filename_pattern": r"\.py$",
-    "ignore_pattern": r"gallery/_made/",  # copies of the examples, which are below them
     "within_subsection_order": ExplicitOrder([name if name == "*" else f"{name}.py" for name in EXAMPLES]),
     "reset_argv": gallery_scraper.empty_directory,
     "image_scrapers": ("matplotlib", gallery_scraper.written_files),

@@ -1,4 +1,4 @@
-"""Every example of the gallery runs as a script in an empty directory, prints something, and leaves something to see."""
+"""Every example of the gallery runs as a script in an empty directory, prints something, leaves something to see."""
 
 from __future__ import annotations
 
