@@ -107,7 +107,8 @@ class Polish:
         low, high = (arm.position_limits / arm.ranges[:, None]).T
         self._low = np.minimum(low + _INSET, np.minimum(start, target))
         self._high = np.maximum(high - _INSET, np.maximum(start, target))
-        self._sweep = sweep * arm.ranges
+        # A joint through the origin of the last frame moves no frame; only its limits bound its steps.
+        self._sweep = np.maximum(sweep * arm.ranges, 1e-9)
 
     def near(self, corners: Floats) -> Floats:
         """The spline near a polyline ``(M, n)`` that is followed by minimum jerk, smoothed a little."""
