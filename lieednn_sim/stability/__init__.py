@@ -13,6 +13,7 @@ from lieednn_sim.stability.certificate import (
 )
 from lieednn_sim.stability.conditions import CONDITIONS, Condition, Verdict, assess
 from lieednn_sim.stability.contraction import Contraction, find_contraction, verify_contraction
+from lieednn_sim.stability.decay import Decay
 from lieednn_sim.stability.guarantees import Guarantee
 from lieednn_sim.stability.norms import (
     LogNorms,
@@ -32,6 +33,7 @@ __all__ = [
     "Certificate",
     "Condition",
     "Contraction",
+    "Decay",
     "Guarantee",
     "LogNorms",
     "NormConditions",
