@@ -24,8 +24,7 @@ for hour in range(1, 13):
     paths.append(arm.tip(motion.q))
 library.save("motions.npz")
 size = Path("motions.npz").stat().st_size / 1024
-print(f"{len(library.names)} motions in {size:.0f} KiB")
-print(library.universal.certificate)
+print(f"{len(library.names)} motions in {size:.0f} KiB; {library.universal.certificate}")
 
 # %%
 # A blend is a motion that nobody has planned. ``library.plan`` checks it against the arm's limits and for contact.
@@ -54,8 +53,7 @@ for hour, path in enumerate(paths, start=1):
 for blend, colour in zip(blends, ("tab:blue", "tab:green"), strict=True):
     ax.plot(*arm.tip(blend.motion.q)[:, 1:].T, color=colour, label="blend of 10 and 2")
 ax.plot(*flight[:, 1:].T, color="tab:orange", label="12, then 4, then 8")
-for piece in pieces[:-1]:
-    ax.plot(*piece[-1, 1:], "o", color="tab:orange")
+ax.plot(*pieces[0][-1, 1:], "o", *pieces[1][-1, 1:], "o", color="tab:orange")
 ax.set(title="Paths of the end effector, as the arm sees them", aspect="equal")
 ax.set(xlabel="y [m]", ylabel="z [m]", ylim=(0.7, 2.2))
 ax.invert_xaxis()

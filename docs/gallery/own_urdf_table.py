@@ -31,8 +31,8 @@ LINK = """
   <parent link="{9}"/><child link="{0}"/><origin xyz="{3}"/><axis xyz="{2}"/>
   <limit lower="{7}" upper="{8}" effort="300" velocity="1.5"/></joint>
 """
-urdf = '<robot name="boom"><mujoco><compiler discardvisual="false"/></mujoco>'
-urdf, parent = urdf + '<link name="ground"/>', "ground"
+urdf = '<robot name="boom"><mujoco><compiler discardvisual="false"/></mujoco><link name="ground"/>'
+parent = "ground"
 for part in PARTS.strip().splitlines():
     words = [word.replace(",", " ") for word in part.split()]
     urdf, parent = urdf + LINK.format(*words, parent), words[0]
@@ -55,7 +55,6 @@ print(arm.import_report)
 
 planned = ls.plan(arm, ls.solve_ik(arm, (1.2, 0.0, 0.55)))
 rollout = ls.simulate(arm, planned)
-metrics = ls.evaluate(rollout)
-print(f"{planned.planner}, taught by {planned.teacher.planner}")
-print(f"clearance {metrics.clearance_mm:.0f} mm, contacts {metrics.contacts}")
+print(planned.network.certificate)
+print(f"clearance {ls.evaluate(rollout).clearance_mm:.0f} mm")
 rollout.to_html("motion.html")

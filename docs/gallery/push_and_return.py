@@ -52,9 +52,8 @@ fig, ax = plt.subplots(figsize=(7, 4.5), layout="constrained")
 for name, run in runs.items():
     apart = (arm.encode(run.rollout.q) - goal).reshape(len(run.rollout.t), -1)
     ax.semilogy(run.rollout.t, np.linalg.norm(apart, axis=1), label=f"arm, {name}")
-t = rollout.t[:: following.period]
-ax.semilogy(t, distance, "k:", label="state of the network")
-ax.semilogy(t[first:], bound, "k--", label="proved bound on it")
+ax.semilogy(rollout.t[:: following.period], distance, "k:", label="state of the network")
+ax.semilogy(rollout.t[:: following.period][first:], bound, "k--", label="proved bound on it")
 ax.axvspan(push.start, push.end, color="0.85", label="push")
 ax.set(title="Distance from the target after a push", xlabel="time [s]", ylim=(1e-4, 10))
 ax.set_ylabel("distance in the network's coordinates")
