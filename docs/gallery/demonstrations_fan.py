@@ -47,7 +47,7 @@ for name, model in (("single curve", single), ("family", family)):
     off = np.linalg.norm(ways[:, :, None] - truth, axis=-1).min(axis=2)
     print(f"{name}: {1e3 * off.mean():.1f} mm off on average, at most {1e3 * off.max():.0f}")
 
-fig, (left, right) = plt.subplots(1, 2, figsize=(7, 4), layout="constrained", sharex=True, sharey=True)
+fig, (left, right) = plt.subplots(1, 2, figsize=(7, 4), layout="constrained", sharey=True)
 for twists in shown.twists:
     left.plot(*twists[:, 3:5].T, color="0.6")
 left.plot(*shown.mean[:, 3:5].T, "k", lw=2)

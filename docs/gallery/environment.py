@@ -12,11 +12,8 @@ import matplotlib.pyplot as plt
 
 from lieednn_sim.environments.expert import Expert
 
-environment = gymnasium.make(
-    "lieednn_sim.environments.gymnasium:LieEDNN/TelescopicReach-v0",
-    render_mode="rgb_array",
-    size=(400, 300),
-)
+name = "lieednn_sim.environments.gymnasium:LieEDNN/TelescopicReach-v0"
+environment = gymnasium.make(name, render_mode="rgb_array", size=(400, 300))
 expert = Expert(environment)
 print("action:", environment.action_space)
 for name, space in environment.observation_space.items():

@@ -24,7 +24,7 @@ for hour in range(1, 13):
     paths.append(arm.tip(motion.q))
 library.save("motions.npz")
 size = Path("motions.npz").stat().st_size / 1024
-print(f"{len(library.names)} motions in {size:.0f} KiB; {library.universal.certificate}")
+print(f"{len(library.names)} motions, {size:.0f} KiB; {library.universal.certificate}")
 
 # %%
 # A blend is a motion that nobody has planned. ``library.plan`` checks it against the arm's limits and for contact.
@@ -50,11 +50,11 @@ fig, ax = plt.subplots(figsize=(7, 6), layout="constrained")
 for hour, path in enumerate(paths, start=1):
     ax.plot(*path[:, 1:].T, color="0.75")
     ax.annotate(str(hour), path[-1, 1:], ha="center", va="center", size="large")
-for blend, colour in zip(blends, ("tab:blue", "tab:green"), strict=True):
-    ax.plot(*arm.tip(blend.motion.q)[:, 1:].T, color=colour, label="blend of 10 and 2")
-ax.plot(*flight[:, 1:].T, color="tab:orange", label="12, then 4, then 8")
-ax.plot(*pieces[0][-1, 1:], "o", *pieces[1][-1, 1:], "o", color="tab:orange")
+for blend, name in zip(blends, ("mostly 10", "mostly 2"), strict=True):
+    ax.plot(*arm.tip(blend.motion.q)[:, 1:].T, label=f"blend: {name}")
+ax.plot(*flight[:, 1:].T, color="tab:red", label="12, then 4, then 8")
+ax.plot(*pieces[0][-1, 1:], "o", *pieces[1][-1, 1:], "o", color="tab:red")
 ax.set(title="Paths of the end effector, as the arm sees them", aspect="equal")
-ax.set(xlabel="y [m]", ylabel="z [m]", ylim=(0.7, 2.2))
+ax.set(xlabel="y [m]", ylabel="z [m]")
 ax.invert_xaxis()
-ax.legend(ncols=3, loc="upper center")
+fig.legend(ncols=3, loc="outside lower center")

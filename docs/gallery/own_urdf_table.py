@@ -11,7 +11,7 @@ from pathlib import Path
 
 import lieednn_sim as ls
 
-# name, joint, axis, place in the link before, box [m], its centre, colour, least and largest angle or shift
+# name, joint, axis, place in the link before, box, its centre, colour, range [m, rad]
 PARTS = """
 turret revolute  0,0,1  0,0,0    .2,.2,.5     0,0,.25  .3,.3,.35   -2.6 2.6
 boom   revolute  0,-1,0 0,0,.56  .7,.12,.12   .3,0,0   .9,.5,.1    -.6  1.2
@@ -31,8 +31,8 @@ LINK = """
   <parent link="{9}"/><child link="{0}"/><origin xyz="{3}"/><axis xyz="{2}"/>
   <limit lower="{7}" upper="{8}" effort="300" velocity="1.5"/></joint>
 """
-urdf = '<robot name="boom"><mujoco><compiler discardvisual="false"/></mujoco><link name="ground"/>'
-parent = "ground"
+urdf = '<robot name="boom"><mujoco><compiler discardvisual="false"/></mujoco>'
+urdf, parent = urdf + '<link name="ground"/>', "ground"
 for part in PARTS.strip().splitlines():
     words = [word.replace(",", " ") for word in part.split()]
     urdf, parent = urdf + LINK.format(*words, parent), words[0]

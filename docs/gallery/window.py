@@ -21,8 +21,8 @@ print(planned.network.certificate)
 # %%
 # The arm follows the plan with a controller that knows its dynamics, and 1 kg that the controller does not know.
 
-disturbances = ls.Disturbances(payload=1.0)
-rollout = ls.simulate(arm, planned, controller="computed-torque", disturbances=disturbances)
+load = ls.Disturbances(payload=1.0)
+rollout = ls.simulate(arm, planned, controller="computed-torque", disturbances=load)
 rollout.to_html("motion.html")
 
 # %%
