@@ -80,8 +80,9 @@ plot_working_directory = str(HERE)
 
 # The order of the cards; an example that is not listed comes last.
 EXAMPLES = (
-    *("retargeting", "window", "own_urdf_table", "push_and_return", "demonstrations_fan", "motion_library"),
-    *("moving_target", "payload_and_friction", "environment", "own_certificate", "paper_figure", "algorithm_1", "*"),
+    *("retargeting", "window", "own_urdf_table", "push_and_return", "moving_target", "moving_obstacle"),
+    *("demonstrations_fan", "motion_library", "payload_and_friction", "batch_of_256", "planner_figure", "environment"),
+    *("own_certificate", "paper_figure", "algorithm_1", "*"),
 )
 gallery_scraper.EXTRA.mkdir(parents=True, exist_ok=True)
 html_extra_path = [str(gallery_scraper.EXTRA)]

@@ -41,6 +41,7 @@ frames = []
 by_expert = episode(expert.act, frames)
 environment.action_space.seed(0)
 at_random = episode(environment.action_space.sample)
+environment.close()
 
 fig, axes = plt.subplots(2, 2, figsize=(7, 5.3), layout="constrained")
 step = environment.unwrapped.task.control_timestep
