@@ -45,7 +45,6 @@ left.set(xlabel="epoch", ylabel="loss E [rad, length]", title="distance to the t
 right.set(ylim=(0.2, None), xlabel="epoch", ylabel=r"$\|W\|_1$ [$\gamma/\mu$]", title="norm of the weights")
 figure.legend(*left.get_legend_handles_labels(), loc="outside upper center", ncols=4)
 right.legend(fontsize="small", loc="lower center")
-plt.show()
 
 # %%
 # Whether the target attracts every start is decided by the weights that were learned. A sharper condition than the

@@ -58,4 +58,3 @@ for panel, weight, title in zip(axes, (strong, exciting, scaled), titles, strict
     panel.title.set_fontsize("medium")
     print(f"{title}: {len(np.unique(ends.round(3), axis=0))} end(s)")
 axes[0].set_ylabel("$x_2$")
-plt.show()

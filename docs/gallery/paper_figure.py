@@ -43,7 +43,6 @@ for panel in axes[:, 0]:
     panel.set_ylabel("coordinate [rad, length]")
 handles, labels = axes[0, 0].get_legend_handles_labels()
 figure.legend(handles, labels, loc="outside upper center", ncols=6, title="target (dashed) of each coordinate")
-plt.show()
 
 # %%
 # The distance to the target falls exponentially. The proof gives a lower bound on the rate from any start, even far
@@ -59,4 +58,3 @@ panel.semilogy(times, 3.0 * np.exp(-verdict.best_rate * times), "k--", label=rf"
 panel.semilogy(times, 3.0 * np.exp(-local * times), "k:", label=rf"slope near the target, {local:.3f} $\gamma$")
 panel.set(xlabel=r"time [$1/\gamma$]", ylabel="largest distance\n[rad, length]", title="distance from sixteen random starts")
 panel.legend()
-plt.show()

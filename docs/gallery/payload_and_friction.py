@@ -53,7 +53,6 @@ for panel in axes[1]:
 for panel in axes[:, 0]:
     panel.set_ylabel("error [mm]")
 figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
-plt.show()
 
 # %%
 # A model does not help against what it does not contain: with wrong masses or a payload the servo is as good without
