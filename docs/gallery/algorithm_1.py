@@ -2,23 +2,28 @@
 Algorithm 1, literal and repaired
 =================================
 
-The paper's Algorithm 1 learns the weights of a network whose equilibrium is a given target. As printed it does not
-reach the target; repaired it does for most targets, and two further variants do so in fewer epochs or with a proof of
-stability. This example is for readers of the paper who want to repeat its training. It trains the four variants on
-the same target and shows the loss and the norm of the weights over the epochs, and what is proved at the end.
+The paper's Algorithm 1 learns the weights of a network whose equilibrium is a given
+target. As printed it does not reach the target; repaired it does for most targets, and
+two further variants do so in fewer epochs or with a proof of stability. This example is
+for readers of the paper who want to repeat its training. It trains the four variants on
+the same target and shows the loss and the norm of the weights over the epochs, and what
+is proved at the end.
 """
 
-import lieednn_sim as ls
 import matplotlib.pyplot as plt
 import numpy as np
+
+import lieednn_sim as ls
 from lieednn_sim.learning import RiemannianOptions, TrainingOptions, train_riemannian
 
 # %%
-# The target is random, as in the paper. The printed algorithm integrates the network in each epoch and descends on the
-# loss E itself, with the strengths alpha fixed; here it may take 600 epochs, but in :doc:`our measurements
-# </results/index>` it did not arrive in 10,000 either. The repaired one finds the equilibrium by Newton's method,
-# descends on E²/2, and learns alpha too; it reaches 69 of 100 random targets, this one among them. The tracked one takes
-# Gauss-Newton steps and refuses those that lose the equilibrium. The last one learns a certificate with the weights.
+# The target is random, as in the paper. The printed algorithm integrates the network
+# in each epoch and descends on the loss E itself, with the strengths alpha fixed;
+# here it may take 600 epochs, but in :doc:`our measurements </results/index>` it did
+# not arrive in 10,000 either. The repaired one finds the equilibrium by Newton's
+# method, descends on E²/2, and learns alpha too; it reaches 69 of 100 random targets,
+# this one among them. The tracked one takes Gauss-Newton steps and refuses those that
+# lose the equilibrium. The last one learns a certificate with the weights.
 
 target = np.random.default_rng(8).uniform(-0.8, 0.8, (4, 6))
 results = {
@@ -31,8 +36,9 @@ for name, result in results.items():
     print(f"{name:<10}  {result.message}, {result.cpu_time:.2f} s of CPU time")
 
 # %%
-# Left: the loss, the distance of the equilibrium from the target. Right: the 1-norm of the weights. The paper proves
-# stability where this norm is below gamma/mu = 1, but no network with this equilibrium can have so small a norm.
+# Left: the loss, the distance of the equilibrium from the target. Right: the 1-norm
+# of the weights. The paper proves stability where this norm is below gamma/mu = 1,
+# but no network with this equilibrium can have so small a norm.
 
 least = results["tracked"].network.norm_conditions(target).smallest_one_norm
 figure, (left, right) = plt.subplots(1, 2, figsize=(6.0, 3.2), layout="constrained")
@@ -42,16 +48,20 @@ for name, result in results.items():
 right.axhline(1.0, color="k", ls="--", lw=1.0, label="the paper's condition: below 1")
 right.axhline(least, color="k", ls=":", lw=1.0, label=f"least possible: {least:.2f}")
 left.set(xlabel="epoch", ylabel="loss E [rad, length]", title="distance to the target")
-right.set(ylim=(0.2, None), xlabel="epoch", ylabel=r"$\|W\|_1$ [$\gamma/\mu$]", title="norm of the weights")
-figure.legend(*left.get_legend_handles_labels(), loc="outside upper center", ncols=4)
+right.set(xlabel="epoch", ylabel=r"$\|W\|_1$ [$\gamma/\mu$]", ylim=(0.2, None))
+right.set_title("norm of the weights")
+handles = left.get_legend_handles_labels()
+figure.legend(*handles, loc="outside upper center", ncols=4)
 right.legend(fontsize="small", loc="lower center")
 
 # %%
-# Whether the target attracts every start is decided by the weights that were learned. A sharper condition than the
-# norms is the diagonal Lyapunov matrix: it holds where lambda_max is below gamma/mu = 1.
+# Whether the target attracts every start is decided by the weights that were learned.
+# A sharper condition than the norms is the diagonal Lyapunov matrix: it holds where
+# lambda_max is below gamma/mu = 1.
 
 print(f"{'':<10}  {'at the target':<13}  {'lambda_max':<10}  proof")
 for name, result in results.items():
     verdict = result.network.assess()
-    proof = f"global, by the {verdict.level}" if verdict.globally_stable else f"{verdict.level} only"
-    print(f"{name:<10}  {'yes' if result.success else 'no':<13}  {verdict.certificate.lambda_max:<10.3f}  {proof}")
+    scope = "global, by the" if verdict.globally_stable else "only"
+    arrived, value = "yes" if result.success else "no", verdict.certificate.lambda_max
+    print(f"{name:<10}  {arrived:<13}  {value:<10.3f}  {scope} {verdict.level}")

@@ -2,19 +2,23 @@
 A target that moves, and the lag behind it
 ==========================================
 
-An arm that hands something over, or works on a conveyor, has a target that does not stand still. A certified network
-follows it by its bias alone, and how far it may lag behind is proved beforehand from its weights. This example moves
-the target of four joints to and fro and compares the lag with the bound, for a certified network, for the plain linear
-attractor, and for the same certified network that is told the target's velocity.
+An arm that hands something over, or works on a conveyor, has a target that does not
+stand still. A certified network follows it by its bias alone, and how far it may lag
+behind is proved beforehand from its weights. This example moves the target of four
+joints to and fro and compares the lag with the bound, for a certified network, for the
+plain linear attractor, and for the same certified network that is told the target's
+velocity.
 """
 
-import lieednn_sim as ls
 import matplotlib.pyplot as plt
 import numpy as np
+
+import lieednn_sim as ls
 from lieednn_sim.policies import NetworkPolicy
 
 # %%
-# The target swings about the middle between two keyframes, by 15 % of their difference, once in 6 s.
+# The target swings about the middle between two keyframes, by 15 % of their
+# difference, once in 6 s.
 
 arm = ls.Arm.load("telescopic_pr")
 home, extended = arm.keyframe("home"), arm.keyframe("extended")
@@ -26,40 +30,48 @@ def target(t):
 
 
 # %%
-# Each policy follows the target for 6 s, from the middle and without feedback from the measured joints, of which the
-# bound says nothing. ``feedforward`` adds the target's velocity.
+# Each policy follows the target for 6 s, from the middle and without feedback from
+# the measured joints, of which the bound says nothing. ``feedforward`` adds the
+# target's velocity.
 
-certified = ls.make_policy("lieednn-certified", arm, middle, start=middle, rate=50, feedback=None)
+how = {"rate": 50.0, "feedback": None}
+linear = ls.make_policy("linear-attractor", arm, middle, **how)
+certified = ls.make_policy("lieednn-certified", arm, middle, **how)
+network, speed = certified.network, certified.speed
+told = NetworkPolicy(arm, network, speed=speed, feedforward=True, **how)
 policies = {
-    "linear attractor": ls.make_policy("linear-attractor", arm, middle, start=middle, rate=50, feedback=None),
+    "linear attractor": linear,
     "certified network": certified,
-    "with feedforward": NetworkPolicy(arm, certified.network, 50, speed=certified.speed, feedback=None, feedforward=True),
+    "with feedforward": told,
 }
-followed = {name: ls.follow(policy, target, 6.0, start=middle) for name, policy in policies.items()}
 
 # %%
-# The bound is a lag per unit of the target's speed, in the coordinates of the network: twists of all four links, in
-# radians and metres together. A policy runs its network at ``speed`` units of network time per second. The target is
-# encoded in these coordinates, too; its largest speed times the lag is the proved bound on the distance.
+# The bound is a lag per unit of the target's speed, in the coordinates of the
+# network: twists of all four links, in radians and metres together. A policy runs its
+# network at ``speed`` units of network time per second. The target is encoded in
+# these coordinates, too; its largest speed times the lag is the proved bound on the
+# distance.
 
-figure, (above, below) = plt.subplots(2, 1, figsize=(6.0, 5.0), sharex=True, layout="constrained")
-for colour, (name, following) in zip(("C1", "C0", "C2"), followed.items(), strict=True):
-    policy, t = policies[name], following.rollout.t[:: following.period][: len(following.states)]
-    goals = arm.encode(following.target[:: following.period][: len(following.states)])
-    distance = np.linalg.norm((following.states - goals).reshape(len(t), -1), axis=1)
-    fastest = policy.rate * np.linalg.norm(np.diff(goals, axis=0).reshape(len(t) - 1, -1), axis=1).max()
-    bound = policy.network.robustness().lag() * fastest / policy.speed
+figure, (above, below) = plt.subplots(2, 1, figsize=(7.0, 5.0), sharex=True)
+figure.set_layout_engine("constrained")
+for colour, (name, policy) in zip(("C1", "C0", "C2"), policies.items(), strict=True):
+    following = ls.follow(policy, target, 6.0, start=middle)
     errors = ls.evaluate_following(following)
-    print(
-        f"{name:<17}  largest distance {distance.max():.4f}, proved without feedforward {bound:.4f}; "
-        f"end effector {errors.rms_mm:.1f} mm RMS behind, {errors.lag_s:.3f} s late"
-    )
+    print(f"{name}: {errors.rms_mm:.1f} mm RMS behind, {errors.lag_s:.3f} s late")
     above.plot(following.rollout.t, following.rollout.q[:, 4], color=colour, label=name)
+
+    t = following.rollout.t[:: following.period][: len(following.states)]
+    goals = arm.encode([target(instant) for instant in t]).reshape(len(t), -1)
+    distance = np.linalg.norm(following.states.reshape(len(t), -1) - goals, axis=1)
     below.plot(t, distance, color=colour)
-    if name != "with feedforward":
+    if policy is not told:
+        fastest = np.linalg.norm(np.diff(goals, axis=0), axis=1).max() * policy.rate
+        bound = policy.network.robustness().lag() * fastest / policy.speed
+        print(f"  largest distance {distance.max():.3f}, proved {bound:.3f} [rad, m]")
         below.axhline(bound, color=colour, ls="--", label=f"proved for the {name}")
 above.plot(following.rollout.t, following.target[:, 4], "k:", label="target")
 above.set(ylabel="yaw [rad]", title="one joint and its target")
-below.set(xlabel="time [s]", ylabel="distance [rad, m]", ylim=(0.0, 0.26), title="distance of the network's state")
+below.set(xlabel="time [s]", ylabel="distance [rad, m]", ylim=(0.0, 0.26))
+below.set_title("distance of the network's state from its target")
 above.legend(fontsize="small", ncols=2)
 below.legend(fontsize="small", loc="upper left")

@@ -2,22 +2,25 @@
 Five planners in a figure for a paper
 =====================================
 
-Whoever writes about motion planning needs a table of all runs and one figure that shows it. This example compares five
-planners on the same random targets, keeps every run in a CSV table, and draws medians and ranges of three measures
-into a figure that is saved as PDF for the paper and as PNG for slides. The targets are few here so that the page is
+Whoever writes about motion planning needs a table of all runs and one figure that shows
+it. This example compares five planners on the same random targets, keeps every run in a
+CSV table, and draws medians and ranges of three measures into a figure that is saved as
+PDF for the paper and as PNG for slides. The targets are few here so that the page is
 quick to build; more seeds, arms and scenes are a change of one line.
 """
 
 from concurrent.futures import ThreadPoolExecutor
 
-import lieednn_sim as ls
 import matplotlib.pyplot as plt
 import numpy as np
+
+import lieednn_sim as ls
 from lieednn_sim.studies import Settings
 
 # %%
-# The comparison writes ``comparison.csv`` after each run, and continues there if it is
-# interrupted. By default it uses worker processes; three seeds are done in a thread.
+# The comparison writes ``comparison.csv`` after each run, and continues there if it
+# is interrupted. By default it uses worker processes; three seeds are done in a
+# thread.
 
 planners = ["minimum-jerk", "se3-geodesic", "dmp", "lieednn-certified", "lieednn-shaped"]
 table = ls.compare(
@@ -30,45 +33,47 @@ table = ls.compare(
     settings=Settings(duration=2.0, hold=0.5),
     executor=ThreadPoolExecutor(1),
 )
-rows = {name: [row for row in table.sorted_rows() if row.planner == name] for name in planners}
-print(f"{'planner':<18}  arrived  proof   path [m]  jerk [ranges/s³]  mechanism gap [mm]")
+rows = {name: [] for name in planners}
+for row in table.sorted_rows():
+    rows[row.planner].append(row)
+print(f"{'planner':<18}  arrived  proof   path [m]  jerk [ranges/s³]  gap [mm]")
 for name, runs in rows.items():
-    path, jerk, gap = (
-        np.median([getattr(row, column) for row in runs])
-        for column in ("path_m", "jerk_joints", "gap_mm")
-    )
+    values = [(row.path_m, row.jerk_joints, row.gap_mm) for row in runs]
+    path, jerk, gap = np.median(values, axis=0)
     arrived = f"{sum(row.success for row in runs)} of {len(runs)}"
-    print(f"{name:<18}  {arrived}   {runs[0].stability:<6}  {path:8.2f}  {jerk:16.2f}  {gap:18.3f}")
+    measured = f"{path:8.2f}  {jerk:16.2f}  {gap:8.3f}"
+    print(f"{name:<18}  {arrived}   {runs[0].stability:<6}  {measured}")
 
 # %%
-# Each dot is a run, each bar reaches from the best run to the worst, and each line marks a
-# median. Path lengths are relative to minimum jerk, since the targets lie at different
-# distances. Planners with a proof of global stability are blue.
+# Each dot is a run, each bar reaches from the best run to the worst, and each line
+# marks a median. Path lengths are relative to minimum jerk, since the targets lie at
+# different distances. Planners with a proof of global stability are blue.
 
 shortest = np.array([row.path_m for row in rows["minimum-jerk"]])
 measures = {
-    "path / minimum jerk": lambda runs: np.array([row.path_m for row in runs]) / shortest,
-    "joint jerk [ranges/s³]": lambda runs: np.array([row.jerk_joints for row in runs]),
-    "mechanism gap [mm]": lambda runs: np.array([row.gap_mm for row in runs]),
+    "path / minimum jerk": ("path_m", shortest),
+    "joint jerk [ranges/s³]": ("jerk_joints", 1.0),
+    "mechanism gap [mm]": ("gap_mm", 1.0),
 }
 with plt.rc_context({"font.size": 8, "pdf.fonttype": 42}):  # text stays text in the PDF
-    figure, axes = plt.subplots(1, 3, figsize=(6.75, 2.4), sharey=True, layout="constrained")
-    for panel, (title, measure) in zip(axes, measures.items(), strict=True):
-        for place, (name, runs) in enumerate(rows.items()):
-            values, proved = measure(runs), runs[0].stability == "global"
-            colour = "C0" if proved else "0.45"
-            panel.plot([values.min(), values.max()], [place, place], color=colour, lw=6, alpha=0.3)
-            panel.plot(values, np.full(len(values), place), "o", color=colour, ms=3)
-            panel.plot(np.median(values), place, "|", color=colour, ms=14, mew=2)
+    figure, axes = plt.subplots(1, 3, figsize=(6.75, 2.5), sharey=True)
+    figure.set_layout_engine("constrained")
+    for panel, (title, (column, unit)) in zip(axes, measures.items(), strict=True):
+        for y, runs in enumerate(rows.values()):
+            x = np.array([getattr(row, column) for row in runs]) / unit
+            style = {"color": "C0" if runs[0].stability == "global" else "0.45"}
+            panel.plot([x.min(), x.max()], [y, y], lw=6, alpha=0.3, **style)
+            panel.plot(x, np.full(len(x), y), "o", ms=3, **style)
+            panel.plot(np.median(x), y, "|", ms=14, mew=2, **style)
         panel.set_xlabel(title)
         panel.grid(axis="x", alpha=0.3)
     axes[0].set_yticks(range(len(planners)), planners)
-    axes[0].invert_yaxis()
+    axes[0].set_ylim(len(planners) - 0.5, -0.5)
     figure.savefig("planners.pdf")
-    figure.savefig("planners.png", dpi=130)
+    figure.savefig("planners.png", dpi=110)
 plt.close(figure)
 
 # %%
-# Without obstacles straight minimum jerk is the shortest and smoothest. A certified network
-# adds its proof at the price of a longer path and of a mechanism gap; a shaped network has
-# the proof on nearly the path of minimum jerk, without a gap.
+# Without obstacles straight minimum jerk is the shortest and smoothest. A certified
+# network adds its proof at the price of a longer path and of a mechanism gap; a
+# shaped network has the proof on nearly the path of minimum jerk, without a gap.
