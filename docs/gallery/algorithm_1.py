@@ -33,7 +33,7 @@ results = {
     "certified": train_riemannian(target, RiemannianOptions(certified=True)),
 }
 for name, result in results.items():
-    print(f"{name:<10}  {result.message}, {result.cpu_time:.2f} s of CPU time")
+    print(f"{name:<10}  {result.message}, {result.cpu_time:.2f} s")
 
 # %%
 # Left: the loss, the distance of the equilibrium from the target. Right: the 1-norm
@@ -41,7 +41,7 @@ for name, result in results.items():
 # but no network with this equilibrium can have so small a norm.
 
 least = results["tracked"].network.norm_conditions(target).smallest_one_norm
-figure, (left, right) = plt.subplots(1, 2, figsize=(6.0, 3.2), layout="constrained")
+figure, (left, right) = plt.subplots(1, 2, figsize=(6.4, 3.4), layout="constrained")
 for name, result in results.items():
     left.loglog(result.history.epoch + 1, result.history.error, lw=1.2, label=name)
     right.loglog(result.history.epoch + 1, result.history.one_norm, lw=1.2)

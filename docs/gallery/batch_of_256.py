@@ -58,7 +58,7 @@ reached = arm.tip(np.array([batch.q[:, -1] for batch in batches]))
 errors = 1e3 * np.linalg.norm(reached - arm.tip(np.array(targets)), axis=-1)
 print(f"final error: median {np.median(errors):.2f} mm, largest {errors.max():.2f} mm")
 
-figure, panel = plt.subplots(figsize=(7.0, 4.0), layout="constrained")
+figure, panel = plt.subplots(figsize=(6.4, 4.0), layout="constrained")
 shades = plt.cm.viridis(np.linspace(0.9, 0.1, len(payloads)))
 names = [f"{mass:.2f} kg" for mass in payloads]
 panel.hist(list(errors), bins=20, stacked=True, color=shades, label=names)

@@ -52,7 +52,7 @@ policies = {
 # these coordinates, too; its largest speed times the lag is the proved bound on the
 # distance.
 
-figure, (above, below) = plt.subplots(2, 1, figsize=(7.0, 5.0), sharex=True)
+figure, (above, below) = plt.subplots(2, 1, figsize=(6.4, 5.0), sharex=True)
 figure.set_layout_engine("constrained")
 for colour, (name, policy) in zip(("C1", "C0", "C2"), policies.items(), strict=True):
     following = ls.follow(policy, target, 6.0, start=middle)

@@ -52,7 +52,7 @@ def rate(weight, state):
     return -gamma * state + mu * (np.tanh(state) @ weight.T + bias)
 
 
-figure, axes = plt.subplots(1, 3, figsize=(7.0, 2.9), sharey=True)
+figure, axes = plt.subplots(1, 3, figsize=(6.4, 2.7), sharey=True)
 figure.set_layout_engine("constrained")
 shown = {
     "strong, certified": strong,

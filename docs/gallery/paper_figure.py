@@ -35,7 +35,7 @@ runs = np.stack([network.trajectory(start, 40.0)(times) for start in starts])
 print(f"runs, times, neurons, coordinates: {runs.shape}")
 
 names = [rf"$\omega_{axis}$" for axis in "xyz"] + [rf"$v_{axis}$" for axis in "xyz"]
-figure, axes = plt.subplots(2, 2, figsize=(6.0, 4.8), sharex="all", sharey="all")
+figure, axes = plt.subplots(2, 2, figsize=(6.4, 5.0), sharex="all", sharey="all")
 figure.set_layout_engine("constrained")
 for i, panel in enumerate(axes.flat):
     for k, name in enumerate(names):
@@ -59,7 +59,7 @@ distance = np.abs(runs - target).max(axis=(2, 3))
 local = verdict["local"].rate
 print(f"largest distance after 40 time units: {distance[:, -1].max():.1e} [rad, length]")
 
-figure, panel = plt.subplots(figsize=(6.0, 3.0), layout="constrained")
+figure, panel = plt.subplots(figsize=(6.4, 3.2), layout="constrained")
 panel.semilogy(times, distance.T, color="C0", lw=0.7, alpha=0.6)
 slopes = (("--", verdict.best_rate, "proved"), (":", local, "near the target"))
 for dash, rate, name in slopes:

@@ -42,7 +42,7 @@ cases = {
 # The motion ends after 4 s; then the arm holds its position for 1 s.
 
 controllers = {"position-servo": "-", "inverse-dynamics": "--", "computed-torque": "-."}
-figure, axes = plt.subplots(2, 2, figsize=(7.0, 5.0), sharex="all", layout="constrained")
+figure, axes = plt.subplots(2, 2, figsize=(6.4, 5.0), sharex="all", layout="constrained")
 print(f"{'RMS error of the tip [mm]':<26}  {'  '.join(controllers)}")
 for panel, (name, (plant, disturbances)) in zip(axes.flat, cases.items(), strict=True):
     row = []
@@ -51,7 +51,7 @@ for panel, (name, (plant, disturbances)) in zip(axes.flat, cases.items(), strict
         rollout = ls.simulate(plant, planned.motion, **how)
         offset = rollout.link_position[:, -1] - plant.tip(rollout.q_ref)
         error = 1e3 * np.linalg.norm(offset, axis=1)
-        panel.plot(rollout.t, error, dash, lw=1.2, label=controller)
+        panel.plot(rollout.t, error, dash, lw=1.0, label=controller)
         row.append(f"{np.sqrt(np.mean(error**2)):{len(controller)}.3f}")
     print(f"{name:<26}  {'  '.join(row)}")
     panel.set(title=name, ylim=(0.0, None))
