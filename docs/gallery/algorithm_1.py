@@ -3,11 +3,11 @@ Algorithm 1, literal and repaired
 =================================
 
 The paper's Algorithm 1 learns the weights of a network whose equilibrium is a given
-target. As printed it does not reach the target; repaired it does for most targets, and
-two further variants do so in fewer epochs or with a proof of stability. This example is
-for readers of the paper who want to repeat its training. It trains the four variants on
-the same target and shows the loss and the norm of the weights over the epochs, and what
-is proved at the end.
+target. As printed it does not reach the target. Repaired it does for most targets, and
+two further variants need fewer epochs or learn a proof of stability as well. This
+example is for readers of the paper who want to repeat its training. It trains all four
+on the same target and shows their loss and the norm of their weights over the epochs,
+and what is proved about each result.
 """
 
 import matplotlib.pyplot as plt

@@ -2,11 +2,11 @@
 A pole walks into the way
 =========================
 
-In a room with people or other machines, obstacles do not stay where they were when the
-motion was planned. Here a pole walks into the way of an arm that is already moving. An arm
-that plays its motion hits it; the policy ``lieednn-replanning`` slows down, searches for a
-path around the pole, and goes on along it, with the same proof of arrival as before. It
-searches by RRT-Connect, from the extra ``rivals``.
+Among people or other machines, obstacles do not stay where they were when the motion was
+planned. Here a pole walks into the way of an arm that is already moving. An arm that plays
+its motion hits it; the policy ``lieednn-replanning`` slows down, searches for a path around
+the pole, and goes on along that path, with the same proof of arrival as before. It searches
+by RRT-Connect, which the extra ``rivals`` installs.
 """
 
 from dataclasses import replace
@@ -42,12 +42,13 @@ for name in ("tracker", "lieednn-replanning"):
     rollouts[name] = ls.follow(policy, target, 6.0, disturbances=disturbances).rollout
     shown = rollouts[name]
     away = 1e3 * np.linalg.norm(shown.link_position[-1, -1] - arm.tip(target))
-    print(f"{name}: contact force {shown.contact_force.max():.0f} N, ends {away:.1f} mm off")
+    force = shown.contact_force.max()
+    print(f"{name}: contact force {force:.0f} N, ends {away:.1f} mm off")
 print(f"paths taken: {shown.channels['changes'][-1]:.0f}")
 
 # %%
-# Seen from above, the two go the same way until the pole is seen to come into it. The speed
-# shows how the arm slows down while it searches.
+# Both arms go the same way at first. With replanning the arm slows down while it searches,
+# then goes over and around the pole. The other stops at the pole.
 
 figure, (above, speed) = plt.subplots(1, 2, figsize=(6.4, 3.2), layout="constrained")
 for name, one in rollouts.items():
@@ -56,13 +57,14 @@ for name, one in rollouts.items():
     travelled = np.linalg.norm(np.gradient(one.link_position[:, -1], axis=0), axis=1)
     speed.plot(one.t, travelled / one.timestep)
 above.plot(*np.array(places)[:, :2].T, "k:o", label="pole")
-above.set(xlabel="x [m]", ylabel="y [m]", aspect="equal", title="end effector from above")
+above.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
+above.set_title("end effector from above")
 speed.axvspan(*walk.times, color="0.9")
 speed.set(xlabel="time [s]", ylabel="speed [m/s]", title="speed (grey: the pole walks)")
 figure.legend(*above.get_legend_handles_labels(), loc="outside upper center", ncols=3)
 
 # %%
-# The page shows the pole where it stands in the end.
+# The page shows the replanned motion, and the pole where it stands in the end.
 
 shown = replace(shown, arm=arm.placed({"obstacle_pole": places[-1]}))
 shown.to_html("pole.html")

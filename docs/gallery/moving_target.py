@@ -2,11 +2,11 @@
 A target that moves, and the lag behind it
 ==========================================
 
-An arm that hands something over, or works on a conveyor, has a target that does not
-stand still. A certified network follows it by its bias alone, and how far it may lag
-behind is proved beforehand from its weights. This example moves the target of four
-joints to and fro and compares the lag with the bound, for a certified network, for the
-plain linear attractor, and for the same certified network that is told the target's
+An arm that hands something over, or that works at a conveyor, has a target that moves.
+A certified network follows it by changing its bias alone, and its weights prove
+beforehand how far it may lag behind. This example moves a target to and fro. It
+compares the lag with the proved bound for a certified network and for the plain linear
+attractor, and shows what remains of the lag when the network knows the target's
 velocity.
 """
 
@@ -17,8 +17,8 @@ import lieednn_sim as ls
 from lieednn_sim.policies import NetworkPolicy
 
 # %%
-# The target swings about the middle between two keyframes, by 15 % of their
-# difference, once in 6 s.
+# The target swings about the middle between two keyframes, by 15 % of the difference
+# between them, once in 6 s.
 
 arm = ls.Arm.load("telescopic_pr")
 home, extended = arm.keyframe("home"), arm.keyframe("extended")
@@ -30,8 +30,8 @@ def target(t):
 
 
 # %%
-# Each policy follows the target for 6 s, from the middle and without feedback from
-# the measured joints, of which the bound says nothing. ``feedforward`` adds the
+# Each policy starts at the target and follows it for 6 s. Feedback from the measured
+# joints is off, since the bound says nothing about it. ``feedforward`` adds the
 # target's velocity.
 
 how = {"rate": 50.0, "feedback": None}
@@ -46,11 +46,11 @@ policies = {
 }
 
 # %%
-# The bound is a lag per unit of the target's speed, in the coordinates of the
-# network: twists of all four links, in radians and metres together. A policy runs its
-# network at ``speed`` units of network time per second. The target is encoded in
-# these coordinates, too; its largest speed times the lag is the proved bound on the
-# distance.
+# The bound is a distance per unit of the target's speed, in the network's
+# coordinates: the twists of all four links, in radians and metres together. The
+# policy runs its network at ``speed`` units of network time per second. So the proved
+# bound on the distance is the lag, times the largest speed of the encoded target,
+# divided by the policy's ``speed``.
 
 figure, (above, below) = plt.subplots(2, 1, figsize=(6.4, 5.0), sharex=True)
 figure.set_layout_engine("constrained")

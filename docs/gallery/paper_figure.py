@@ -2,11 +2,11 @@
 The figure of the paper
 =======================
 
-Four neurons of se(3) move to their target, whatever state they start from. This is the
-figure that the paper shows for its four-link example, drawn for sixteen random starts
-instead of one. It is for readers of the paper who want to see the method work before
-they read on, and it needs no robot. The network here is certified, so the picture shows
-what is proved: the target attracts every start.
+Four neurons of se(3) converge to their target from sixteen random starts. This is the
+paper's figure of its four-link example, drawn for many starts instead of one. It is for
+readers of the paper who want to see the method work before they read on, and it needs
+no robot. The network is certified, so the figure shows what is proved: the target
+attracts every start.
 """
 
 import matplotlib.pyplot as plt
@@ -52,8 +52,8 @@ figure.legend(handles, labels, loc="outside upper center", ncols=6, title=title)
 
 # %%
 # The distance to the target falls exponentially. The proof gives a lower bound on the
-# rate from any start, even far away, where the slopes of tanh are small; near the
-# target the linearised network is faster.
+# rate that holds from any start, even far away, where the slopes of tanh are small.
+# Near the target the rate is that of the linearised network, which is higher.
 
 distance = np.abs(runs - target).max(axis=(2, 3))
 local = verdict["local"].rate

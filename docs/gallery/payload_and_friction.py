@@ -2,12 +2,12 @@
 Payload, wrong masses, noise and friction
 =========================================
 
-No controller knows its arm exactly. Who chooses a controller wants to know what each
-kind of ignorance costs. Here the same motion is followed by three controllers under
-four disturbances: masses that are all 20 % larger than the controller's model says, an
-unknown payload of 2 kg, noisy sensors, and dry friction in every joint. One sees the
-error of the end effector over time, and that the best controller for one disturbance is
-not the best for another.
+No controller knows its arm exactly. If you have to choose a controller, you want to
+know what each kind of error costs. Here three controllers follow the same motion under
+four conditions: all masses are 20 % larger than in the controller's model, the arm
+carries an unknown payload of 2 kg, the sensors are noisy, or every joint has dry
+friction. You see the error of the end effector over time, and that no controller is the
+best under all four.
 """
 
 import matplotlib.pyplot as plt
@@ -22,7 +22,7 @@ planned = ls.plan(arm, "extended", duration=4.0, seed=0)
 # %%
 # Masses, payload and noise are disturbances, which no controller knows. The friction
 # belongs to the arm: a copy of its model gets 5 N m in each hinge and 20 N in each
-# slide. Controllers that use a model know this friction.
+# slide. Controllers that use the model know this friction.
 
 spec = arm.spec.copy()
 for joint in spec.joints:
@@ -36,10 +36,11 @@ cases = {
 }
 
 # %%
-# ``position-servo`` uses no model, ``inverse-dynamics`` adds the forces of the model
-# to the servo, and ``computed-torque`` replaces the servo by feedback through the
-# model. All follow the motion exactly, or within 0.12 mm, when their model is right.
-# The motion ends after 4 s; then the arm holds its position for 1 s.
+# ``position-servo`` uses nothing of the model but the damping of the joints.
+# ``inverse-dynamics`` adds the forces that the model needs to the servo, and
+# ``computed-torque`` replaces the servo by feedback through the model. When the model
+# is right, the servo follows within 0.12 mm and the others exactly. The motion ends
+# after 4 s; then the arm holds its position for 1 s.
 
 controllers = {"position-servo": "-", "inverse-dynamics": "--", "computed-torque": "-."}
 figure, axes = plt.subplots(2, 2, figsize=(6.4, 5.0), sharex="all", layout="constrained")
@@ -63,7 +64,8 @@ handles = axes[0, 0].get_legend_handles_labels()
 figure.legend(*handles, loc="outside upper center", ncols=3)
 
 # %%
-# A model does not help against what it does not contain: with wrong masses or a
-# payload the servo is as good without it, and computed torque, whose feedback is
-# softer, sags more under the payload. It does filter noise better. Friction that the
-# model knows is compensated.
+# A model does not help against what it does not contain. With wrong masses or a
+# payload the servo does as well without it. The feedback of computed torque is
+# softer, so the arm sags more under the payload, but less of the noise reaches the
+# joints. The friction is in the model, so both controllers that use the model
+# compensate for it.

@@ -2,11 +2,11 @@
 Five planners in a figure for a paper
 =====================================
 
-Whoever writes about motion planning needs a table of all runs and one figure that shows
-it. This example compares five planners on the same random targets, keeps every run in a
-CSV table, and draws medians and ranges of three measures into a figure that is saved as
-PDF for the paper and as PNG for slides. The targets are few here so that the page is
-quick to build; more seeds, arms and scenes are a change of one line.
+If you write about motion planning, you need a table of all runs and a figure that
+summarises it. This example compares five planners on the same random targets, keeps
+every run in a CSV table, and draws medians and ranges of three measures. It saves the
+figure as PDF for the paper and as PNG for slides. There are only three targets, so that
+this page is built quickly; more seeds, arms and scenes are a change of one line each.
 """
 
 from concurrent.futures import ThreadPoolExecutor
@@ -18,9 +18,10 @@ import lieednn_sim as ls
 from lieednn_sim.studies import Settings
 
 # %%
-# The comparison writes ``comparison.csv`` after each run, and continues there if it
-# is interrupted. By default it uses worker processes; three seeds are done in a
-# thread.
+# The comparison writes each run to ``comparison/comparison.csv`` at once, and
+# continues from there if it is interrupted. By default it uses worker processes,
+# which in a script need the guard ``if __name__ == "__main__":``. For a few runs a
+# thread will do.
 
 planners = ["minimum-jerk", "se3-geodesic", "dmp", "lieednn-certified", "lieednn-shaped"]
 table = ls.compare(
@@ -45,9 +46,9 @@ for name, runs in rows.items():
     print(f"{name:<18}  {arrived}   {runs[0].stability:<6}  {measured}")
 
 # %%
-# Each dot is a run, each bar reaches from the best run to the worst, and each line
-# marks a median. Path lengths are relative to minimum jerk, since the targets lie at
-# different distances. Planners with a proof of global stability are blue.
+# Each dot is a run, each bar spans all runs, and each vertical mark is a median. Path
+# lengths are relative to those of minimum jerk, since the targets lie at different
+# distances. Planners with a proof of global stability are blue.
 
 shortest = np.array([row.path_m for row in rows["minimum-jerk"]])
 measures = {
@@ -75,5 +76,6 @@ plt.close(figure)
 
 # %%
 # Without obstacles straight minimum jerk is the shortest and smoothest. A certified
-# network adds its proof at the price of a longer path and of a mechanism gap; a
-# shaped network has the proof on nearly the path of minimum jerk, without a gap.
+# network adds its proof, at the price of a longer path and of a mechanism gap. A
+# shaped network has the proof and nearly the path of minimum jerk, almost without a
+# gap.
