@@ -36,7 +36,7 @@ exciting = np.array([[1.8, -0.5], [0.3, 1.6]])
 verdict = ls.stability.assess(exciting, gamma=gamma, mu=mu)
 print(verdict)
 largest = gamma / (mu * verdict.certificate.lambda_max)
-print(f"it passes times less than {largest:.3f}, or with gamma above {gamma / largest:.1f}")
+print(f"passes below {largest:.3f} times W, or with gamma above {gamma / largest:.1f}")
 scaled = 0.95 * largest * exciting
 print(ls.stability.find_certificate(scaled, gamma=gamma, mu=mu))
 
