@@ -9,6 +9,7 @@ the pole, and goes on along that path, with the same proof of arrival as before.
 by RRT-Connect, which the extra ``rivals`` installs.
 """
 
+# sphinx_gallery_thumbnail_number = 2
 from dataclasses import replace
 from pathlib import Path
 
@@ -51,11 +52,11 @@ print(f"paths taken: {shown.channels['changes'][-1]:.0f}")
 # then goes over and around the pole. The other stops at the pole.
 
 figure, (above, speed) = plt.subplots(1, 2, figsize=(6.4, 3.2), layout="constrained")
-for name, one in rollouts.items():
+for width, (name, one) in zip((3.0, 1.5), rollouts.items(), strict=True):
     x, y, _ = one.link_position[:, -1].T
-    above.plot(x, y, label=name)
-    travelled = np.linalg.norm(np.gradient(one.link_position[:, -1], axis=0), axis=1)
-    speed.plot(one.t, travelled / one.timestep)
+    above.plot(x, y, lw=width, label=name)
+    velocity = np.gradient(one.link_position[:, -1], one.timestep, axis=0)
+    speed.plot(one.t, np.linalg.norm(velocity, axis=1), lw=width)
 above.plot(*np.array(places)[:, :2].T, "k:o", label="pole")
 above.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
 above.set_title("end effector from above")

@@ -57,7 +57,7 @@ figure.set_layout_engine("constrained")
 shown = {
     "strong: certified": strong,
     "exciting: not certified": exciting,
-    f"the same times {0.95 * largest:.2f}: certified": scaled,
+    f"times {0.95 * largest:.2f}: certified": scaled,
 }
 for panel, (title, weight) in zip(axes, shown.items(), strict=True):
     flow = rate(weight, grid)
