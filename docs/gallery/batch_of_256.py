@@ -17,13 +17,14 @@ import lieednn_sim as ls
 
 # %%
 # Planning takes longer than simulating, so each motion is planned once and simulated
-# with every payload. Each target lies halfway between home and a random posture. A
+# with every payload. Each target is 30 % of the way from home to a random posture. A
 # straight minimum-jerk motion takes 0.5 s, or as much longer as the arm's limits
 # require.
 
 arm = ls.Arm.load("telescopic_pr")
 home = arm.keyframe("home")
-targets = [0.5 * (home + ls.draw_target(arm, seed)) for seed in range(32)]
+drawn = [ls.draw_target(arm, seed) for seed in range(32)]
+targets = [home + 0.3 * (posture - home) for posture in drawn]
 how = {"planner": "minimum-jerk", "duration": 0.5, "max_time_scale": 6.0}
 plans = [ls.plan(arm, target, **how) for target in targets]
 payloads = np.sort(np.random.default_rng(0).uniform(0.0, 2.0, 8))
