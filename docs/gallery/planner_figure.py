@@ -31,7 +31,7 @@ table = ls.compare(
     scenes=["free"],
     controllers=["inverse-dynamics"],
     seeds=3,
-    settings=Settings(duration=2.0, hold=0.5),
+    settings=Settings(duration=2.0, hold=0.2),
     executor=ThreadPoolExecutor(1),
 )
 rows = {name: [] for name in planners}
