@@ -2,12 +2,10 @@
 Algorithm 1, literal and repaired
 =================================
 
-The paper's Algorithm 1 learns the weights of a network whose equilibrium is a given
-target. As printed it does not reach the target. Repaired it does for most targets, and
-two further variants need fewer epochs or learn a proof of stability as well. This
-example is for readers of the paper who want to repeat its training. It trains all four
-on the same target and shows their loss and the norm of their weights over the epochs,
-and what is proved about each result.
+The paper's Algorithm 1 learns the weights of a network whose equilibrium is a given target. As printed it does not
+reach the target. Repaired it does for most targets, and two further variants need fewer epochs or learn a proof of
+stability as well. This example is for readers of the paper who want to repeat its training. It trains all four on the
+same target and shows their loss and the norm of their weights over the epochs, and what is proved about each result.
 """
 
 import matplotlib.pyplot as plt
@@ -17,13 +15,12 @@ import lieednn_sim as ls
 from lieednn_sim.learning import RiemannianOptions, TrainingOptions, train_riemannian
 
 # %%
-# The target is random, as in the paper. The printed algorithm integrates the network
-# in each epoch and descends on the loss E itself, with the strengths alpha fixed;
-# here it may take 300 epochs, but in :doc:`our measurements </results/index>` it did
-# not arrive in 10,000 either. The repaired one finds the equilibrium by Newton's
-# method, descends on E²/2, and learns alpha too; it reaches 69 of 100 random targets,
-# this one among them. The tracked one takes Gauss-Newton steps and refuses those that
-# lose the equilibrium. The last one learns a certificate with the weights.
+# The target is random, as in the paper. The printed algorithm integrates the network in each epoch and descends on the
+# loss E itself, with the strengths alpha fixed; here it may take 300 epochs, but in :doc:`our measurements
+# </results/index>` it did not arrive in 10,000 either. The repaired one finds the equilibrium by Newton's method,
+# descends on E²/2, and learns alpha too; it reaches 69 of 100 random targets, this one among them. The tracked one
+# takes Gauss-Newton steps and refuses those that lose the equilibrium. The last one learns a certificate with the
+# weights.
 
 target = np.random.default_rng(8).uniform(-0.8, 0.8, (4, 6))
 results = {
@@ -36,9 +33,8 @@ for name, result in results.items():
     print(f"{name:<10}  {result.message}, {result.cpu_time:.2f} s")
 
 # %%
-# Left: the loss, the distance of the equilibrium from the target. Right: the 1-norm
-# of the weights. The paper proves stability where this norm is below gamma/mu = 1,
-# but no network with this equilibrium can have so small a norm.
+# Left: the loss, the distance of the equilibrium from the target. Right: the 1-norm of the weights. The paper proves
+# stability where this norm is below gamma/mu = 1, but no network with this equilibrium can have so small a norm.
 
 least = results["tracked"].network.norm_conditions(target).smallest_one_norm
 figure, (left, right) = plt.subplots(1, 2, figsize=(6.4, 3.4), layout="constrained")
@@ -47,18 +43,16 @@ for name, result in results.items():
     right.loglog(result.history.epoch + 1, result.history.one_norm, lw=1.2)
 right.axhline(1.0, color="k", ls="--", lw=1.0, label="the paper's condition: below 1")
 right.axhline(least, color="k", ls=":", lw=1.0, label=f"least possible: {least:.2f}")
-left.set(xlabel="epoch", ylabel="loss E [rad, length]", title="distance to the target")
-right.set(xlabel="epoch", ylabel=r"$\|W\|_1$ [$\gamma/\mu$]", ylim=(0.2, None))
-right.set_title("norm of the weights")
+left.set(xlabel="epoch", ylabel="loss E [rad, length]", title="loss")
+right.set(xlabel="epoch", ylabel=r"$\|W\|_1$ [$\gamma/\mu$]", ylim=(0.2, None), title="norm")
 handles = left.get_legend_handles_labels()
 figure.legend(*handles, loc="outside upper center", ncols=4)
 right.legend(fontsize="small", loc="lower center")
 
 # %%
-# Whether the target attracts every start is decided by the weights that were learned.
-# A sharper condition than the norms is the diagonal Lyapunov matrix: it holds where
-# lambda_max is below gamma/mu = 1. After the printed algorithm the network is stable,
-# too, but it rests elsewhere than at the target.
+# Whether the target attracts every start is decided by the weights that were learned. A sharper condition than the
+# norms is the diagonal Lyapunov matrix: it holds where lambda_max is below gamma/mu = 1. After the printed algorithm
+# the network is stable, too, but it rests elsewhere than at the target.
 
 print(f"{'':<10}  {'at the target':<13}  {'lambda_max':<10}  proof")
 for name, result in results.items():

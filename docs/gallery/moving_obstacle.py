@@ -2,14 +2,12 @@
 A pole walks into the way
 =========================
 
-Among people or other machines, obstacles do not stay where they were when the motion was
-planned. Here a pole walks into the way of an arm that is already moving. An arm that plays
-its motion hits it; the policy ``lieednn-replanning`` slows down, searches for a path around
-the pole, and goes on along that path, with the same proof of arrival as before. It searches
-by RRT-Connect, which the extra ``rivals`` installs.
+Among people or other machines, obstacles do not stay where they were when the motion was planned. Here a pole walks
+into the way of an arm that is already moving. An arm that plays its motion hits it; the policy ``lieednn-replanning``
+slows down, searches for a path around the pole, and goes on along that path, with the same proof of arrival as before.
+It searches by RRT-Connect, which the extra ``rivals`` installs.
 """
 
-# sphinx_gallery_thumbnail_number = 2
 from dataclasses import replace
 from pathlib import Path
 
@@ -29,27 +27,28 @@ obstacles:
 arm = ls.Arm.load("telescopic_pr", scene="pole.yaml")
 target = arm.keyframe("home").copy()
 target[0] += 1.6  # turn by 92 degrees, at the same reach
-planned = ls.plan(arm, target, planner="minimum-jerk", duration=4.0)
+motion = ls.plan(arm, target, planner="minimum-jerk", duration=4.0)
 
 # %%
-# The pole walks for 0.8 s, to where the end effector would pass later, and stays there.
+# The pole walks to where the end effector would pass later. The page shows the replanned motion and the pole at its
+# end.
 
 places = ((1.9, 2.2, 0.85), (0.66, 1.6, 0.85))
 walk = MovingObstacle("obstacle_pole", times=(0.8, 1.6), positions=places)
-disturbances = ls.Disturbances(obstacles=(walk,))
+walks = ls.Disturbances(obstacles=(walk,))
 rollouts = {}
 for name in ("tracker", "lieednn-replanning"):
-    policy = ls.make_policy(name, arm, target, motion=planned, rate=50)
-    rollouts[name] = ls.follow(policy, target, 6.0, disturbances=disturbances).rollout
-    shown = rollouts[name]
-    away = 1e3 * np.linalg.norm(shown.link_position[-1, -1] - arm.tip(target))
-    force = shown.contact_force.max()
+    policy = ls.make_policy(name, arm, target, motion=motion, rate=50)
+    shown = ls.follow(policy, target, 6.0, disturbances=walks).rollout
+    rollouts[name], judged = shown, ls.evaluate(shown)
+    force, away = judged.peak_contact_force_n, judged.final_effector_mm
     print(f"{name}: contact force {force:.0f} N, ends {away:.1f} mm off")
 print(f"paths taken: {shown.channels['changes'][-1]:.0f}")
+shown = replace(shown, arm=arm.placed({"obstacle_pole": places[-1]}))
+shown.to_html("pole.html")
 
 # %%
-# Both arms go the same way at first. With replanning the arm slows down while it searches,
-# then goes over and around the pole. The other stops at the pole.
+# Both arms go the same way at first. With replanning the arm slows down while it searches, then goes around the pole.
 
 figure, (above, speed) = plt.subplots(1, 2, figsize=(6.4, 3.2), layout="constrained")
 for width, (name, one) in zip((3.0, 1.5), rollouts.items(), strict=True):
@@ -58,14 +57,7 @@ for width, (name, one) in zip((3.0, 1.5), rollouts.items(), strict=True):
     velocity = np.gradient(one.link_position[:, -1], one.timestep, axis=0)
     speed.plot(one.t, np.linalg.norm(velocity, axis=1), lw=width)
 above.plot(*np.array(places)[:, :2].T, "k:o", label="pole")
-above.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
-above.set_title("end effector from above")
+above.set(xlabel="x [m]", ylabel="y [m]", aspect="equal", title="seen from above")
 speed.axvspan(*walk.times, color="0.9")
 speed.set(xlabel="time [s]", ylabel="speed [m/s]", title="speed (grey: the pole walks)")
 figure.legend(*above.get_legend_handles_labels(), loc="outside upper center", ncols=3)
-
-# %%
-# The page shows the replanned motion, and the pole where it stands in the end.
-
-shown = replace(shown, arm=arm.placed({"obstacle_pole": places[-1]}))
-shown.to_html("pole.html")

@@ -2,12 +2,11 @@
 A certificate for your own weights
 ==================================
 
-A recurrent network x' = -gamma x + mu W tanh(x) + mu b may have one equilibrium that
-attracts every start, several stable equilibria, or none. If you have the weights of
-such a network, from training or from a paper, you want to know which. This example
-assesses three weight matrices. It shows which conditions hold, which fail, and by how
-much the weights must be scaled to pass, next to trajectories from everywhere. It needs
-no robot and no network class, only a matrix.
+A recurrent network x' = -gamma x + mu W tanh(x) + mu b may have one equilibrium that attracts every start, several
+stable equilibria, or none. If you have the weights of such a network, from training or from a paper, you want to know
+which. This example assesses three weight matrices. It shows which conditions hold, which fail, and by how much the
+weights must be scaled to pass, next to trajectories from everywhere. It needs no robot and no network class, only a
+matrix.
 """
 
 import matplotlib.pyplot as plt
@@ -16,21 +15,18 @@ import numpy as np
 import lieednn_sim as ls
 
 # %%
-# The first matrix has strong couplings, but of opposite signs. Every condition on
-# norms fails. There is a diagonal Lyapunov matrix, however: it is found by a search
-# and then checked by eigenvalues, and lambda_max lies below gamma/mu = 1. So the
-# network has one equilibrium for every bias, and it attracts every start.
+# The first matrix has strong couplings, but of opposite signs. Every condition on norms fails. There is a diagonal
+# Lyapunov matrix, however: it is found by a search and then checked by eigenvalues, and lambda_max lies below gamma/mu
+# = 1. So the network has one equilibrium for every bias, and it attracts every start.
 
 gamma, mu, bias = 1.0, 1.0, np.array([0.2, -0.1])
 strong = np.array([[0.4, 4.0], [-1.5, 0.3]])
 print(ls.stability.assess(strong, gamma=gamma, mu=mu))
 
 # %%
-# In the second matrix each neuron excites itself. All conditions fail, and lambda_max
-# of the best diagonal Lyapunov matrix exceeds gamma/mu. For a given diagonal,
-# lambda_max is proportional to W. So the weights pass when they are multiplied by
-# less than gamma/(mu lambda_max), and so does a network whose gamma is raised above
-# mu lambda_max.
+# In the second matrix each neuron excites itself. All conditions fail, and lambda_max of the best diagonal Lyapunov
+# matrix exceeds gamma/mu. For a given diagonal, lambda_max is proportional to W. So the weights pass when they are
+# multiplied by less than gamma/(mu lambda_max), and so does a network whose gamma is raised above mu lambda_max.
 
 exciting = np.array([[1.8, -0.5], [0.3, 1.6]])
 verdict = ls.stability.assess(exciting, gamma=gamma, mu=mu)
@@ -41,31 +37,21 @@ scaled = 0.95 * largest * exciting
 print(ls.stability.find_certificate(scaled, gamma=gamma, mu=mu))
 
 # %%
-# Trajectories from everywhere in the plane agree with this. The stars mark where they
-# end: in one state, in two, and in one.
+# Trajectories from everywhere in the plane agree with this. The stars mark where they end: in one state, in two, and in
+# one.
 
 x = np.linspace(-3.0, 3.0, 25)
-grid = np.stack(np.meshgrid(x, x), axis=-1)
-
-
-def rate(weight, state):
-    return -gamma * state + mu * (np.tanh(state) @ weight.T + bias)
-
-
 figure, axes = plt.subplots(1, 3, figsize=(6.4, 2.7), sharey=True)
 figure.set_layout_engine("constrained")
-shown = {
-    "strong: certified": strong,
-    "exciting: not certified": exciting,
-    f"times {0.95 * largest:.2f}: certified": scaled,
-}
-for panel, (title, weight) in zip(axes, shown.items(), strict=True):
-    flow = rate(weight, grid)
-    u, v = np.moveaxis(flow, -1, 0)
-    panel.streamplot(x, x, u, v, linewidth=0.7, arrowsize=0.7, density=0.9)
-    ends = grid.reshape(-1, 2)
-    for _ in range(4000):
-        ends = ends + 0.02 * rate(weight, ends)
+titles = ("strong: certified", "exciting: not certified", "scaled: certified")
+for panel, weight, title in zip(axes, (strong, exciting, scaled), titles, strict=True):
+    states = np.stack(np.meshgrid(x, x), axis=-1)
+    for step in range(4000):
+        rate = -gamma * states + mu * (np.tanh(states) @ weight.T + bias)
+        if step == 0:
+            panel.streamplot(x, x, *np.moveaxis(rate, -1, 0), linewidth=0.7, arrowsize=0.7)
+        states = states + 0.02 * rate
+    ends = states.reshape(-1, 2)
     panel.plot(*ends.T, "*", color="C3", ms=9)
     panel.set(xlabel="$x_1$", aspect="equal", xlim=(-3.0, 3.0), ylim=(-3.0, 3.0))
     panel.set_title(title, fontsize="medium")

@@ -2,11 +2,9 @@
 The figure of the paper
 =======================
 
-Four neurons of se(3) converge to their target from sixteen random starts. This is the
-paper's figure of its four-link example, drawn for many starts instead of one. It is for
-readers of the paper who want to see the method work before they read on, and it needs
-no robot. The network is certified, so the figure shows what is proved: the target
-attracts every start.
+Four neurons of se(3) converge to their target from sixteen random starts. This is the paper's figure of its four-link
+example, drawn for many starts instead of one. It is for readers of the paper who want to see the method work before
+they read on. The network is certified, so the figure shows what is proved: the target attracts every start.
 """
 
 import matplotlib.pyplot as plt
@@ -15,9 +13,8 @@ import numpy as np
 import lieednn_sim as ls
 
 # %%
-# The paper draws its targets at random: four twists, each coordinate uniform between
-# -0.8 and 0.8. A twist is (omega, v): a rotation vector in radians and a translation
-# in units of length. The bias is 1/8 in every coordinate.
+# The paper draws its targets at random: four twists, each coordinate uniform between -0.8 and 0.8. A twist is (omega,
+# v): a rotation vector in radians and a translation in units of length. The bias is 1/8 in every coordinate.
 
 rng = np.random.default_rng(0)
 target = rng.uniform(-0.8, 0.8, (4, 6))
@@ -27,12 +24,11 @@ print(network.certificate)
 print(f"proved rate from every start: {verdict.best_rate:.3f} gamma")
 
 # %%
-# Sixteen starts, uniform between -2 and 2, run for 40 time units of 1/gamma.
+# Sixteen starts are drawn, uniform between -2 and 2, and run for 40 time units of 1/gamma.
 
 times = np.linspace(0.0, 40.0, 401)
 starts = rng.uniform(-2.0, 2.0, (16, 4, 6))
 runs = np.stack([network.trajectory(start, 40.0)(times) for start in starts])
-print(f"runs, times, neurons, coordinates: {runs.shape}")
 
 names = [rf"$\omega_{axis}$" for axis in "xyz"] + [rf"$v_{axis}$" for axis in "xyz"]
 figure, axes = plt.subplots(2, 2, figsize=(6.4, 5.0), sharex="all", sharey="all")
@@ -42,27 +38,22 @@ for i, panel in enumerate(axes.flat):
         panel.plot(times, runs[:, :, i, k].T, color=f"C{k}", lw=0.7, alpha=0.5)
         panel.axhline(target[i, k], color=f"C{k}", ls="--", lw=1.2, label=name)
     panel.set_title(f"neuron {i + 1}")
-for panel in axes[1]:
-    panel.set(xlabel=r"time [$1/\gamma$]", xlim=(0.0, 25.0))
-for panel in axes[:, 0]:
-    panel.set_ylabel("coordinate [rad, length]")
+axes[1, 0].set_xlim(0.0, 25.0)
+figure.supxlabel(r"time [$1/\gamma$]", fontsize="medium")
+figure.supylabel("coordinate [rad, length]", fontsize="medium")
 handles, labels = axes[0, 0].get_legend_handles_labels()
-title = "dashed: target of each coordinate"
-figure.legend(handles, labels, loc="outside upper center", ncols=6, title=title)
+figure.legend(handles, labels, loc="outside upper center", ncols=6, title="dashed: target")
 
 # %%
-# The distance to the target falls exponentially. The proof gives a lower bound on the
-# rate that holds from any start, even far away, where the slopes of tanh are small.
-# Near the target the rate is that of the linearised network, which is higher.
+# The distance to the target falls exponentially. The proof gives a lower bound on the rate that holds from any start,
+# even far away, where the slopes of tanh are small. Near the target the linearised network has a higher rate.
 
 distance = np.abs(runs - target).max(axis=(2, 3))
 local = verdict["local"].rate
-print(f"largest distance after 40 time units: {distance[:, -1].max():.1e} [rad, length]")
-
+print(f"largest distance at the end: {distance[:, -1].max():.1e} [rad, length]")
 figure, panel = plt.subplots(figsize=(6.4, 3.2), layout="constrained")
 panel.semilogy(times, distance.T, color="C0", lw=0.7, alpha=0.6)
-slopes = (("--", verdict.best_rate, "proved"), (":", local, "near the target"))
-for dash, rate, name in slopes:
+for dash, rate, name in ("--", verdict.best_rate, "proved"), (":", local, "local"):
     label = rf"slope of the rate {name}, {rate:.3f} $\gamma$"
     panel.semilogy(times, 3.0 * np.exp(-rate * times), "k" + dash, label=label)
 panel.set(xlabel=r"time [$1/\gamma$]", ylabel="largest distance\n[rad, length]")

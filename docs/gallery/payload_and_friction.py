@@ -2,12 +2,10 @@
 Payload, wrong masses, noise and friction
 =========================================
 
-No controller knows its arm exactly. If you have to choose a controller, you want to
-know what each kind of error costs. Here three controllers follow the same motion under
-four conditions: all masses are 20 % larger than in the controller's model, the arm
-carries an unknown payload of 2 kg, the sensors are noisy, or every joint has dry
-friction. You see the error of the end effector over time, and that no controller is the
-best under all four.
+No controller knows its arm exactly. If you have to choose a controller, you want to know what each kind of error costs.
+Here three controllers follow the same motion under four conditions: all masses are 20 % larger than in the controller's
+model, the arm carries an unknown payload of 2 kg, the sensors are noisy, or every joint has dry friction. You see the
+error of the end effector over time, and that no controller is the best under all four.
 """
 
 import matplotlib.pyplot as plt
@@ -20,9 +18,8 @@ arm = ls.Arm.load("telescopic_pr")
 planned = ls.plan(arm, "extended", duration=4.0, seed=0)
 
 # %%
-# Masses, payload and noise are disturbances, which no controller knows. The friction
-# belongs to the arm: a copy of its model gets 5 N m in each hinge and 20 N in each
-# slide. Controllers that use the model know this friction.
+# Masses, payload and noise are disturbances, which no controller knows. The friction belongs to the arm: a copy of its
+# model gets 5 N m in each hinge and 20 N in each slide. Controllers that use the model know this friction.
 
 spec = arm.spec.copy()
 for joint in spec.joints:
@@ -36,15 +33,13 @@ cases = {
 }
 
 # %%
-# ``position-servo`` uses nothing of the model but the damping of the joints.
-# ``inverse-dynamics`` adds the forces that the model needs to the servo, and
-# ``computed-torque`` replaces the servo by feedback through the model. When the model
-# is right, the servo follows within 0.12 mm and the others exactly. The motion ends
-# after 4 s; then the arm holds its position for 1 s.
+# ``position-servo`` uses nothing of the model but the damping of the joints. ``inverse-dynamics`` adds the forces that
+# the model needs to the servo, and ``computed-torque`` replaces the servo by feedback through the model. When the model
+# is right, the servo follows within 0.12 mm and the others exactly. The motion ends after 4 s.
 
 controllers = {"position-servo": "-", "inverse-dynamics": "--", "computed-torque": "-."}
-figure, axes = plt.subplots(2, 2, figsize=(6.4, 5.0), sharex="all", layout="constrained")
-print(f"{'RMS error of the tip [mm]':<26}  {'  '.join(controllers)}")
+figure, axes = plt.subplots(2, 2, figsize=(6.4, 5.0), sharex=True, layout="constrained")
+print(f"{'RMS error [mm]':<26}  {'  '.join(controllers)}")
 for panel, (name, (plant, disturbances)) in zip(axes.flat, cases.items(), strict=True):
     row = []
     for controller, dash in controllers.items():
@@ -56,16 +51,12 @@ for panel, (name, (plant, disturbances)) in zip(axes.flat, cases.items(), strict
         row.append(f"{np.sqrt(np.mean(error**2)):{len(controller)}.3f}")
     print(f"{name:<26}  {'  '.join(row)}")
     panel.set(title=name, ylim=(0.0, None))
-for panel in axes[1]:
-    panel.set_xlabel("time [s]")
-for panel in axes[:, 0]:
-    panel.set_ylabel("error [mm]")
+figure.supxlabel("time [s]", fontsize="medium")
+figure.supylabel("error of the end effector [mm]", fontsize="medium")
 handles = axes[0, 0].get_legend_handles_labels()
 figure.legend(*handles, loc="outside upper center", ncols=3)
 
 # %%
-# A model does not help against what it does not contain. With wrong masses or a
-# payload the servo does as well without it. The feedback of computed torque is
-# softer, so the arm sags more under the payload, but less of the noise reaches the
-# joints. The friction is in the model, so both controllers that use the model
-# compensate for it.
+# A model does not help against what it does not contain, such as wrong masses or a payload. The feedback of computed
+# torque is softer: the arm sags more under the payload, but less noise reaches the joints. Known friction is
+# compensated.
