@@ -54,7 +54,7 @@ print(f"largest distance at the end: {distance[:, -1].max():.1e} [rad, length]")
 figure, panel = plt.subplots(figsize=(6.4, 3.2), layout="constrained")
 panel.semilogy(times, distance.T, color="C0", lw=0.7, alpha=0.6)
 for dash, rate, name in ("--", verdict.best_rate, "proved"), (":", local, "local"):
-    label = rf"slope of the rate {name}, {rate:.3f} $\gamma$"
+    label = rf"slope of the {name} rate, {rate:.3f} $\gamma$"
     panel.semilogy(times, 3.0 * np.exp(-rate * times), "k" + dash, label=label)
 panel.set(xlabel=r"time [$1/\gamma$]", ylabel="largest distance\n[rad, length]")
 panel.set_title("distance from the target, sixteen random starts")
