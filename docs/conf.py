@@ -15,6 +15,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import gallery_scraper  # noqa: E402 - after the path
 from api_names import context as autosummary_context  # noqa: E402, F401
 from api_names import filenames as autosummary_filename_map  # noqa: E402, F401
+from sphinx.application import Sphinx  # noqa: E402
 from sphinx_gallery.sorting import ExplicitOrder  # noqa: E402
 
 import lieednn_sim  # noqa: E402
@@ -48,7 +49,6 @@ html_theme = "furo"
 html_title = "lieednn_sim"
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
-html_extra_path = ["../results/reference/comparison.html"]
 html_copy_source = False
 
 myst_enable_extensions = ["amsmath", "attrs_inline", "colon_fence", "deflist", "dollarmath"]
@@ -70,8 +70,18 @@ napoleon_use_rtype = False
 
 copybutton_exclude = ".linenos, .gp, .go"
 
-# Without a network the inventories are missing: their names then stay words, and nothing is asked for.
-intersphinx_mapping = {}
+# Links to the pages of others take a network; without it their names stay words.
+intersphinx_mapping = (
+    {
+        "python": ("https://docs.python.org/3", None),
+        "numpy": ("https://numpy.org/doc/stable", None),
+        "scipy": ("https://docs.scipy.org/doc/scipy", None),
+        "matplotlib": ("https://matplotlib.org/stable", None),
+        "gymnasium": ("https://gymnasium.farama.org", None),
+    }
+    if "DOCS_WITH_NETWORK" in os.environ
+    else {}
+)
 
 plot_formats = ["svg"]
 plot_html_show_formats = False
@@ -85,7 +95,7 @@ EXAMPLES = (
     *("own_certificate", "paper_figure", "algorithm_1", "*"),
 )
 gallery_scraper.EXTRA.mkdir(parents=True, exist_ok=True)
-html_extra_path = [str(gallery_scraper.EXTRA)]
+html_extra_path = [str(gallery_scraper.EXTRA), "../results/reference/comparison.html"]
 sphinx_gallery_conf = {
     "examples_dirs": ["gallery"],
     "gallery_dirs": ["gallery/_made"],
@@ -104,3 +114,15 @@ sphinx_gallery_conf = {
     "write_computation_times": False,
     "remove_config_comments": True,
 }
+
+
+def setup(app: Sphinx) -> None:
+    """Called by Sphinx."""
+    app.connect("build-finished", keep_one_mathjax, priority=900)
+
+
+def keep_one_mathjax(app: Sphinx, _: Exception | None) -> None:
+    """Delete the bundles of MathJax that no page loads, 17 MB."""
+    for bundle in (Path(app.outdir) / "_static" / "mathjax").glob("*.js"):
+        if bundle.name != "tex-chtml.js":
+            bundle.unlink()

@@ -13,7 +13,7 @@ from sphinx_gallery.scrapers import figure_rst
 import lieednn_sim as ls
 
 # Below the site's root, for Sphinx's `html_extra_path`, which copies what is in the folder.
-EXTRA = Path(__file__).parent / "gallery" / "_made" / "extra"
+EXTRA = Path(__file__).parents[1] / "gallery" / "_made" / "extra"
 PICTURES = {".png", ".jpg"}
 
 _PAGE = """
