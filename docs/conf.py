@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import sys
 from pathlib import Path
@@ -9,6 +10,8 @@ from pathlib import Path
 HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE), str(HERE / "_ext"), str(HERE.parent / "scripts")]
 
+# Before furo's colours do it, at a level at which the examples' servers and fonts tell everything.
+logging.basicConfig(level=logging.WARNING)
 # Small matrices: one thread is faster, and the figures of the gallery are the same on every machine.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
