@@ -34,7 +34,7 @@ lint: env-dev
 	.venv/bin/mypy
 
 docs: env-dev gl
-	.venv/bin/sphinx-build -W --keep-going -q docs docs/_build/html
+	.venv/bin/sphinx-build -W --keep-going -q -d docs/_build/doctrees docs docs/_build/html
 
 reference: env-dev gl
 	.venv/bin/python scripts/reference.py $(ARGS)

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import logging
 import os
+import shutil
 import sys
 from pathlib import Path
+from typing import Any
 
 HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE), str(HERE / "_ext"), str(HERE.parent / "scripts")]
@@ -121,11 +123,21 @@ sphinx_gallery_conf = {
 
 def setup(app: Sphinx) -> None:
     """Called by Sphinx."""
-    app.connect("build-finished", keep_one_mathjax, priority=900)
+    app.connect("html-page-context", keep_sidebar_short, priority=100)
+    app.connect("build-finished", keep_needed_mathjax, priority=900)
 
 
-def keep_one_mathjax(app: Sphinx, _: Exception | None) -> None:
-    """Delete the bundles of MathJax that no page loads, 17 MB."""
-    for bundle in (Path(app.outdir) / "_static" / "mathjax").glob("*.js"):
-        if bundle.name != "tex-chtml.js":
-            bundle.unlink()
+def keep_sidebar_short(app: Sphinx, page: str, template: str, context: dict[str, Any], _: Any) -> None:
+    """Leave the objects of the API out of every page's sidebar, which would be most of the site's size."""
+    if whole := context.get("toctree"):
+        context["toctree"] = lambda **options: whole(**{**options, "maxdepth": 2})
+
+
+def keep_needed_mathjax(app: Sphinx, _: Exception | None) -> None:
+    """Delete what no page loads of MathJax, 20 MB."""
+    mathjax = Path(app.outdir) / "_static" / "mathjax"
+    for unused in (mathjax / "input" / "asciimath.js", mathjax / "output" / "svg", *mathjax.glob("*.js")):
+        if unused.is_dir():
+            shutil.rmtree(unused)
+        elif unused.name != "tex-chtml.js":
+            unused.unlink(missing_ok=True)
