@@ -1,6 +1,6 @@
-"""What the README says runs: each Python block by itself, as it stands; each command line as far as its parser.
+"""What the README and the site's pages say runs: a page's Python blocks in order, command lines as far as the parser.
 
-So do the Python blocks of the document on policies.
+Links lead somewhere, and the README stays short.
 """
 
 from __future__ import annotations
@@ -16,46 +16,100 @@ from lieednn_sim.cli import _parser
 from lieednn_sim.policies.registry import REGISTRY
 
 ROOT = Path(__file__).resolve().parents[1]
-README = (ROOT / "README.md").read_text()
+PAGES = [
+    path
+    for path in (ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")))
+    if not {"_build", "_made"} & set(path.relative_to(ROOT).parts)
+]
+TEXTS = {path.relative_to(ROOT).as_posix(): path.read_text(encoding="utf-8") for path in PAGES}
+# tests/planning/test_own_planners.py and tests/simulation/test_own_controllers.py run its blocks, with more around them.
+ELSEWHERE = {"docs/howto/own_planner.md"}
+# Modules of extras, and what in a page needs them.
+OPTIONAL = {
+    "gymnasium": r"^import gymnasium",
+    "dm_control": r"^import dm_control",
+    "ompl": r"lieednn-guided",
+    "viser": r"\.to_html\(",
+}
 
 
-def blocks(language: str, text: str = README, name: str = "") -> list:
-    """The code blocks of a language in a document, named by the line that they begin at."""
-    found = re.finditer(rf"^```{language}\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
-    return [pytest.param(match[1], id=f"{name}line {text[: match.start()].count(chr(10)) + 2}") for match in found]
+def blocks(text: str, languages: str) -> list[tuple[int, str]]:
+    """The line before each code block's first, and the block."""
+    found = re.finditer(rf"^```(?:{languages})\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+    return [(text[: match.start(1)].count("\n"), match[1]) for match in found]
 
 
-POLICIES = blocks("python", (ROOT / "docs" / "howto" / "policies.md").read_text(), "policies.md ")
-COMMANDS = [line for block in blocks("sh") for line in block.values[0].splitlines()]
+PYTHON = {page: found for page, text in TEXTS.items() if page not in ELSEWHERE and (found := blocks(text, "python"))}
+COMMANDS = {
+    (page, line): None
+    for page, text in TEXTS.items()
+    for _, block in blocks(text, "sh|bash")
+    for line in block.replace("\\\n", " ").splitlines()
+}
 
 
-@pytest.mark.parametrize("code", [*blocks("python"), *POLICIES])
-def test_each_python_block_runs_by_itself(code, tmp_path, monkeypatch, capsys):
-    modules = set(re.findall(r"^import (gymnasium|dm_control)", code, re.MULTILINE))
-    modules |= {"ompl"} if "lieednn-guided" in code else set()
-    for module in modules:
-        pytest.importorskip(module)
+@pytest.mark.parametrize("page", PYTHON)
+def test_the_python_blocks_of_a_page_run_in_order(page, tmp_path, monkeypatch, capsys):
+    code = "\n".join(block for _, block in PYTHON[page])
+    for module, need in OPTIONAL.items():
+        if re.search(need, code, re.MULTILINE):
+            pytest.importorskip(module)
     monkeypatch.chdir(tmp_path)
-    before = dict(REGISTRY.given)
+    before, names = dict(REGISTRY.given), {"__name__": "__main__"}
     try:
-        exec(compile(code, "README.md", "exec"), {"__name__": "__main__"})
+        for line, block in PYTHON[page]:
+            exec(compile("\n" * line + block, ROOT / page, "exec"), names)
     finally:
         REGISTRY.forget(before)
-    assert "False" not in capsys.readouterr().out
+    # What a page prints is a success, unless it says otherwise.
+    assert "False" not in capsys.readouterr().out or "# False" in code
 
 
-@pytest.mark.parametrize("line", [line for line in COMMANDS if line.startswith("lieednn-sim ")])
+@pytest.mark.parametrize("line", [line for _, line in COMMANDS if line.startswith("lieednn-sim ")])
 def test_each_command_line_is_understood(line):
     words = shlex.split(line, comments=True)
     assert _parser().parse_args(words[1:]).command == words[1]
 
 
-def test_the_targets_of_make_and_the_extras_are_those_there_are():
-    makefile, script = (ROOT / "Makefile").read_text(), (ROOT / "scripts" / "ensure_env.sh").read_text()
-    for target in re.findall(r"make ([a-z]+)", "\n".join(COMMANDS)):
-        assert re.search(rf"^{target}:", makefile, re.MULTILINE)
-    rows = dict(re.findall(r"^\| `(\w+)` (.*(?:`make test`.*|neither) \|)$", README, re.MULTILINE))
+def test_the_targets_of_make_are_those_there_are():
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    targets = re.findall(r"^make ([a-z-]+)", "\n".join(line for _, line in COMMANDS), re.MULTILINE)
+    assert {"demo", "test"} <= set(targets)
+    for target in targets:
+        assert re.search(rf"^{target}:", makefile, re.MULTILINE), target
+
+
+def test_the_extras_are_those_there_are():
+    page, script = TEXTS["docs/start/index.md"], (ROOT / "scripts" / "ensure_env.sh").read_text(encoding="utf-8")
+    rows = dict(re.findall(r"^\| `(\w+)` (.*(?:`make test`.*|neither) \|)$", page, re.MULTILINE))
     assert set(rows) == set(tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"])
     installed = ",".join(name for name, row in rows.items() if "`make demo`" in row)
     assert f"\nextras={installed}\n" in script
-    assert f"'.[{installed}]'" in README
+    assert f"'.[{installed}]'" in page
+
+
+def test_the_readme_has_at_most_150_lines():
+    assert len(TEXTS["README.md"].splitlines()) <= 150
+
+
+def test_no_relative_link_is_broken():
+    """Files and headings; generated pages, below `_made`, are left to Sphinx."""
+    broken = []
+    for path in (*PAGES, *ROOT.glob("*.md"), *(ROOT / "results").glob("*.md")):
+        prose = re.sub(r"^```.*?^```|`[^`\n]*`", "", path.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+        for target, heading in re.findall(r"\]\(<?([^)#\s>]*)(#[^)\s]*)?", prose):
+            aim = path.parent / target if target else path
+            if re.match(r"[a-z]+:", target) or "_made" in aim.parts:
+                continue
+            if not aim.exists() or (heading and aim.suffix == ".md" and heading[1:] not in anchors(aim)):
+                broken.append(f"{path.relative_to(ROOT)}: {target}{heading}")
+    assert not broken, "\n".join(broken)
+
+
+def anchors(path: Path) -> set[str]:
+    """The names by which a page's headings are linked, as on the repository's host, and labels in parentheses."""
+    text = path.read_text(encoding="utf-8")
+    headings = re.findall(r"^#+ (.*)$", text, re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings} | {
+        *re.findall(r"^\(([\w-]+)\)=$", text, re.MULTILINE)
+    }
