@@ -95,7 +95,7 @@ def test_the_readme_has_at_most_150_lines():
 def test_no_relative_link_is_broken():
     """Files and headings; generated pages, below `_made`, are left to Sphinx."""
     broken = []
-    for path in (*PAGES, *ROOT.glob("*.md"), *(ROOT / "results").glob("*.md")):
+    for path in {*PAGES, *ROOT.glob("*.md"), *(ROOT / "results").glob("*.md")}:
         prose = re.sub(r"^```.*?^```|`[^`\n]*`", "", path.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
         for target, heading in re.findall(r"\]\(<?([^)#\s>]*)(#[^)\s]*)?", prose):
             aim = path.parent / target if target else path
@@ -103,7 +103,7 @@ def test_no_relative_link_is_broken():
                 continue
             if not aim.exists() or (heading and aim.suffix == ".md" and heading[1:] not in anchors(aim)):
                 broken.append(f"{path.relative_to(ROOT)}: {target}{heading}")
-    assert not broken, "\n".join(broken)
+    assert not broken, "\n".join(sorted(broken))
 
 
 def anchors(path: Path) -> set[str]:
