@@ -22,8 +22,8 @@ PAGES = [
     if not {"_build", "_made"} & set(path.relative_to(ROOT).parts)
 ]
 TEXTS = {path.relative_to(ROOT).as_posix(): path.read_text(encoding="utf-8") for path in PAGES}
-# tests/planning/test_own_planners.py and tests/simulation/test_own_controllers.py run its blocks, and try more.
-ELSEWHERE = {"docs/howto/own_planner.md"}
+# tests/planning/test_own_planners.py and tests/simulation/test_own_controllers.py run their blocks, and try more.
+ELSEWHERE = {"docs/howto/own_planner.md", "docs/howto/own_controller.md"}
 # Modules of extras, and what in a page needs them.
 OPTIONAL = {
     "gymnasium": r"^import gymnasium",
