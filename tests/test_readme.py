@@ -96,7 +96,8 @@ def test_no_relative_link_is_broken():
     """Files and headings; generated pages, below `_made`, are left to Sphinx."""
     broken = []
     for path in {*PAGES, *ROOT.glob("*.md"), *(ROOT / "results").glob("*.md")}:
-        prose = re.sub(r"^```.*?^```|`[^`\n]*`", "", path.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+        text = path.read_text(encoding="utf-8")
+        prose = re.sub(r"^```.*?^```|\$\$.*?\$\$|`[^`\n]*`|\$[^$\n]+\$", "", text, flags=re.MULTILINE | re.DOTALL)
         for target, heading in re.findall(r"\]\(<?([^)#\s>]*)(#[^)\s]*)?", prose):
             aim = path.parent / target if target else path
             if re.match(r"[a-z]+:", target) or "_made" in aim.parts:
@@ -107,9 +108,9 @@ def test_no_relative_link_is_broken():
 
 
 def anchors(path: Path) -> set[str]:
-    """The names by which a page's headings are linked, as on the repository's host, and labels in parentheses."""
+    """The names by which a page's headings, and those that it includes, are linked, and labels in parentheses."""
     text = path.read_text(encoding="utf-8")
     headings = re.findall(r"^#+ (.*)$", text, re.MULTILINE)
-    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings} | {
-        *re.findall(r"^\(([\w-]+)\)=$", text, re.MULTILINE)
-    }
+    names = {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+    included = [anchors(path.parent / name) for name in re.findall(r"^```\{include\} (.*)$", text, re.MULTILINE)]
+    return names.union(re.findall(r"^\(([\w-]+)\)=$", text, re.MULTILINE), *included)
