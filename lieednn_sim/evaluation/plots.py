@@ -28,8 +28,8 @@ from lieednn_sim.values import Floats
 __all__ = ["plot"]
 
 _PUSH = "0.85"
-# Hidden neurons per row in each block of a plot, and the line styles of their coordinates.
-_HIDDEN_IN_ROW = 4
+# Hidden neurons per row in each block of a plot, most of them shown, and the line styles of their coordinates.
+_HIDDEN_IN_ROW, _MOST_HIDDEN = 4, 24
 _HIDDEN_STYLES = {"\\omega": "-", "v": ":"}
 # Most names in a row of a legend, and in one of channels.
 _MOST_IN_ROW, _LABELS_IN_ROW = 7, 5
@@ -92,7 +92,7 @@ def plot_network(
     blocks = -(-n // _MOST_ROWS)
     rows = -(-n // blocks)
     columns = (("rotation $\\omega$", "[rad]", 0, 1.0), ("translation $v$", "[m]", 3, arm.length_scale))
-    hidden = 0 if network is None else network.n_hidden
+    hidden = 0 if network is None else min(network.n_hidden, _MOST_HIDDEN)
     below = 0.5 * bool(hidden) + 1.4 * -(-hidden // (_HIDDEN_IN_ROW * blocks))
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(10.0 * blocks, 1.2 + 1.7 * rows + below))
@@ -123,6 +123,9 @@ def plot_network(
             for kind, style in _HIDDEN_STYLES.items():
                 handles.append(Line2D([], [], color="0.3", ls=style))
                 labels.append(f"hidden: $\\varphi({kind})$")
+            if hidden < network.n_hidden:
+                handles.append(Line2D([], [], ls=""))
+                labels.append(f"{hidden} of {network.n_hidden} hidden neurons")
         figure.legend(handles, labels, loc="upper center", ncols=_MOST_IN_ROW)
         figure_layout.save_figure(figure, path)
 
@@ -133,18 +136,21 @@ def _plot_hidden(figure: Figure, height: float, motion: Motion, network: Compone
     states = network.trajectory(network.start(motion.xi[0]), duration)(motion.tau)
     sent = network.phi(states[:, first:])
     highest = 1.08 * ACTIVATIONS[network.activation].bound
-    rows = -(-network.n_hidden // columns)
+    # An encoder has hundreds of them: some of all kinds.
+    chosen = np.linspace(0, network.n_hidden - 1, min(network.n_hidden, _MOST_HIDDEN)).astype(int)
+    rows = -(-len(chosen) // columns)
     axes = _subplots(figure, motion.t, rows, columns, sharey=True, above=figure.get_figheight() - height - 0.35)
-    for i, axis in enumerate(axes.ravel()):
-        if i >= network.n_hidden:
+    for k, axis in enumerate(axes.ravel()):
+        if k >= len(chosen):
             axis.set_visible(False)
             continue
+        i = int(chosen[k])
         for c, style in enumerate(style for style in _HIDDEN_STYLES.values() for _ in range(3)):
             axis.plot(motion.t, sent[:, i, c], color=COLOURS[c % 3], ls=style, lw=1.0)
         axis.set_ylim(-highest, highest)
         kind = "clock" if i >= network.n_hidden - network.n_clock else "hidden"
-        _label(axis, "output [1]" if i % columns == 0 else "", f"neuron {first + i + 1} ({kind})", fontsize=9)
-        if i + columns >= network.n_hidden:
+        _label(axis, "output [1]" if k % columns == 0 else "", f"neuron {first + i + 1} ({kind})", fontsize=9)
+        if k + columns >= len(chosen):
             axis.set_xlabel("time [s]")
             axis.tick_params(labelbottom=True)
 

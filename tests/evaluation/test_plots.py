@@ -78,7 +78,7 @@ def test_the_network_s_plot_names_links_and_shows_radians_and_metres(arm, drawn)
     assert "target" in [text.get_text() for text in drawn[0].legends[0].texts]
 
 
-def test_the_network_s_plot_names_hidden_neurons_and_shows_what_they_send(arm, drawn, cascade):
+def test_the_network_s_plot_names_hidden_neurons_and_shows_what_they_send(arm, drawn, cascade, monkeypatch):
     home = arm.keyframe("home")
     network = cascade(arm.encode(home))
     motion = make_motion(arm, network, home, 1.0, 0.01)
@@ -94,6 +94,12 @@ def test_the_network_s_plot_names_hidden_neurons_and_shows_what_they_send(arm, d
     # Rotation and translation are told apart, in the legend as well.
     assert [line.get_linestyle() for line in shown["neuron 6 (hidden)"].lines] == 3 * ["-"] + 3 * [":"]
     assert [text.get_text()[:6] for text in drawn[0].legends[0].texts][-2:] == ["hidden", "hidden"]
+    # Of hundreds some are shown, the first and the last among them.
+    monkeypatch.setattr(plots, "_MOST_HIDDEN", 2)
+    plots.plot_network(replace(rollout_of(arm, motion.q, motion.q), motion=motion), "some.png", network=network)
+    few = [axis.get_title("left") for axis in drawn[-1].axes if axis.get_visible()]
+    assert few[8:] == ["neuron 5 (hidden)", "neuron 7 (clock)"]
+    assert [text.get_text() for text in drawn[-1].legends[0].texts][-1] == "2 of 3 hidden neurons"
     with pytest.raises(InputError, match=r"xi must have shape \(1, 6\), got \(4, 6\)"):
         plots.plot_network(
             replace(rollout_of(arm, motion.q, motion.q), motion=motion), "n.png", network=cascade(np.zeros((1, 6)))
