@@ -3,6 +3,7 @@
 #   scripts/try_release.sh [WHEEL]      default: the one in dist/
 # PYTHONS="3.11 3.12 3.13" are the Pythons, in uv's words; EXTRAS="none rivals ..." the extras. Takes uv, and the network.
 # Environments go below $TMPDIR and are removed. Prints a Markdown row for each, with its seconds; exit code 1 if any fails.
+# shellcheck disable=SC2317  # `try` calls them
 set -uo pipefail
 
 wheel=$(realpath "${1:-$(echo "$(dirname "${BASH_SOURCE[0]}")"/../dist/*.whl)}") || exit 1
@@ -38,13 +39,14 @@ PYTHON
             ;;
         cluster)
             python - <<'PYTHON'
-from distributed import LocalCluster
 from subprocess import run
 
-if __name__ == "__main__":
-    with LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None) as cluster:
-        what = "--arms telescopic_pr --scenes free --planners minimum-jerk --seeds 1 --views 0 --output table"
-        run(["lieednn-sim", "compare", "--scheduler", cluster.scheduler_address, *what.split()], check=True)
+from distributed import LocalCluster
+
+local = {"n_workers": 1, "threads_per_worker": 1, "processes": False, "protocol": "tcp://", "dashboard_address": None}
+what = "--arms telescopic_pr --scenes free --planners minimum-jerk --seeds 1 --views 0 --output table"
+with LocalCluster(**local) as cluster:
+    run(["lieednn-sim", "compare", "--scheduler", cluster.scheduler_address, *what.split()], check=True)
 PYTHON
             ;;
     esac
@@ -68,7 +70,7 @@ try() {
 fresh() {
     uv venv --quiet --clear --python "$1" "$work/venv" || return
     local path=$wheel
-    [ "$2" = none ] || path="$wheel[$2]"
+    [ "$2" = none ] || path="${wheel}[$2]"
     uv pip install --quiet --python "$work/venv" "$path" || return
     (
         PATH=$work/venv/bin:$PATH
