@@ -18,7 +18,7 @@ help:
 	@echo "make docs    build the site in docs/_build/html"
 	@echo "make reference        make the results below results/reference again where they are stale (ARGS: docs/development/references.md)"
 	@echo "make reference-stale  say which are stale, and why"
-	@echo "make release          build the packages in dist/, unless results are stale"
+	@echo "make release          build the packages in dist/ and check them, unless results are stale"
 	@echo "make clean   remove caches and built packages; keeps .venv and results"
 	@echo "Each makes .venv when it is missing; PYTHON=... chooses the interpreter (3.11, 3.12 or 3.13)."
 
@@ -43,7 +43,9 @@ reference-stale: env-dev
 	.venv/bin/python scripts/reference.py --stale $(ARGS)
 
 release: reference-stale
+	rm -rf dist
 	.venv/bin/python -m build
+	.venv/bin/python -m twine check --strict dist/*
 
 clean:
 	rm -rf build dist docs/_build docs/api/_made docs/gallery/_made .pytest_cache .mypy_cache .ruff_cache .hypothesis
