@@ -1,4 +1,4 @@
-"""The packages hold what they should and nothing else; the wheel, in a fresh environment, finds its models and works."""
+"""The packages hold what they should, and the wheel, in a fresh environment, finds its models and does its work."""
 
 import json
 import os
