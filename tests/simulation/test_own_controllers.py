@@ -22,7 +22,7 @@ from lieednn_sim.simulation.controllers.mocap import MocapWelds
 from lieednn_sim.studies import Comparison, Row, Settings, compute, read_rows
 
 ARM = Arm.load("telescopic_pr")
-DOCUMENT = Path(__file__).parents[2] / "docs" / "howto" / "own_planner.md"
+DOCUMENT = Path(__file__).parents[2] / "docs" / "howto" / "own_controller.md"
 MOTION = plan(ARM, ARM.keyframe("extended"), planner="minimum-jerk", duration=1.5).motion
 
 
