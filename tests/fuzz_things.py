@@ -128,6 +128,7 @@ MAKERS: dict[str, Callable[[], Any]] = {
     "Contraction": lambda: thing("Verdict").contraction,
     "Robustness": lambda: thing("LieEDNN").robustness(),
     "Guarantee": lambda: thing("Robustness").guarantees[0],
+    "Decay": lambda: stability.Decay(thing("Robustness"), 6),
     "LogNorms": lambda: stability.log_norms(np.eye(2)),
     "NormConditions": lambda: stability.norm_conditions(np.eye(2), 0.5),
     "WeightedNorm": lambda: stability.weighted_norm(np.eye(2)),
