@@ -41,6 +41,7 @@ class Decay:
         """The bounds ``(g,)`` of all guarantees for a state that is off its equilibrium by e ``(n,)`` now."""
         return np.asarray(np.linalg.norm(self._factors @ as_floats("off", off, self._factors.shape[-1:]), axis=1))
 
-    def bound(self, begun: Floats, time: float) -> float:
+    def bound(self, begun: ArrayLike, time: float) -> float:
         """The largest |e_m| a time after `begin` returned ``begun``, in the network's time."""
-        return float((begun * np.exp(-self._rates * time)).min())
+        begun = as_floats("begun", begun, self._rates.shape)
+        return float((begun * np.exp(-self._rates * as_floats("time", time, ()))).min())
