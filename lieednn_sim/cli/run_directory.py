@@ -173,6 +173,8 @@ class RunDirectory:
         self.check(task, "network", "motion", "rollout")
         # In a run that was not simulated, the missing file to report is the rollout.
         motion = Motion.load(self.motion) if self.rollout.exists() else None
+        if not filesystem.is_file(self.rollout):
+            raise FileError(f"no such file: {self.rollout}; make it with 'lieednn-sim simulate {self.path}'")
         return Rollout.load(self.rollout, arm, motion)
 
     def check(self, task: Task, *names: str) -> dict[str, str]:
