@@ -19,6 +19,7 @@ import shutil
 import subprocess
 import sys
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -217,6 +218,8 @@ def main() -> None:
     names = options.rooms.split(",")
     if unknown := sorted(set(names) - set(ROOMS)):
         parser.error(f"no room {unknown[0]!r}; rooms are: {', '.join(ROOMS)}")
+    if find_spec("mutmut") is None:
+        parser.error("mutmut is not installed; install it with `pip install --group mutation`")
     output = options.output.resolve()
     results = []
     for name in names:
