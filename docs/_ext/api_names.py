@@ -14,7 +14,7 @@ from typing import Any
 
 from docutils import nodes
 from docutils.parsers.rst import roles
-from sphinx.addnodes import pending_xref
+from sphinx.addnodes import desc_signature, pending_xref
 from sphinx.application import Sphinx
 from sphinx.domains.python import PyClasslike
 from sphinx.pycode import ModuleAnalyzer
@@ -225,6 +225,15 @@ def _resolve_front(app: Sphinx, env: Any, node: pending_xref, content: Any) -> A
     return env.get_domain("py").resolve_xref(env, node["refdoc"], app.builder, "obj", name, node, content)
 
 
+def _also_by_room(_app: Sphinx, doctree: nodes.document) -> None:
+    """Names of modules can be reached by their room as well: the pages of sources link back by one prefix a module."""
+    for signature in doctree.findall(desc_signature):
+        room = ".".join((signature.get("module") or "").split(".")[:2])
+        name = f"{room}.{signature.get('fullname')}"
+        if room.startswith("lieednn_sim.") and name not in signature["ids"]:
+            signature["ids"].append(name)
+
+
 def _defining_module(_app: Sphinx, module: str, name: str) -> str | None:
     """Where the source of a public name is, past the check of its arguments' types."""
     try:
@@ -250,3 +259,4 @@ def setup(app: Sphinx) -> None:
     app.connect("autodoc-skip-member", _is_field)
     app.connect("missing-reference", _resolve_front)
     app.connect("viewcode-follow-imported", _defining_module)
+    app.connect("doctree-read", _also_by_room)
