@@ -145,20 +145,22 @@ def _parser() -> argparse.ArgumentParser:
 
     demo = command(
         "demo",
-        "run the whole pipeline: target, network, motion, simulation, report, page, video",
-        "Without a target the arm goes to its keyframe 'extended', or among obstacles to a random target.",
+        "run everything: plan a motion to a target, simulate it, evaluate it, make a page and a video",
+        "Without a target, the arm goes to its keyframe 'extended', or to a random target among obstacles.",
     )
     # The paper's bias; the planner's own choice is often stronger, and leaves less to the weights.
     options.add_planning(demo, output="results/demo", goal=False, bias_magnitude=0.125)
     options.add_simulation(demo)
     options.add_video(demo)
     options.add_plots(demo)
-    demo.add_argument("--no-page", action="store_true", help="skip motion.html, which plays the motion in 3D")
-    demo.add_argument("--no-video", action="store_true", help="skip video.mp4")
+    demo.add_argument(
+        "--no-page", action="store_true", help="do not make motion.html, a page that plays the motion in 3D"
+    )
+    demo.add_argument("--no-video", action="store_true", help="do not make video.mp4")
 
     plan = command(
         "plan",
-        "plan a motion to a target by any planner, in a run directory",
+        "plan a motion to a target with any planner, in a run directory",
         "Continue with 'simulate', 'evaluate' and 'render'.",
     )
     options.add_planning(plan, output="results/run")
@@ -166,38 +168,39 @@ def _parser() -> argparse.ArgumentParser:
     synthesize = command(
         "synthesize",
         "make a certified network for a target, in a run directory",
-        "As 'plan', but only with planners that make a network.",
+        "This is 'plan' with only those planners that make a network. Continue with 'simulate'.",
     )
     options.add_planning(synthesize, output="results/run", planners=options.NETWORK_PLANNERS)
 
     train = command(
         "train",
-        "learn a network for a target by the paper's algorithm, or a better one",
-        "Continue with 'simulate', 'evaluate' and 'render'; resume an interrupted training with --resume.",
+        "learn a network for a target with the algorithm of the paper, or an improved one",
+        "Continue with 'simulate', 'evaluate' and 'render'; --resume continues an interrupted training.",
     )
     options.add_training(train)
     options.add_plots(train)
 
     learn = command(
         "learn",
-        "learn a certified network from demonstrations of an end effector or of an arm's joints",
-        "The files are .npy, .npz, .csv or LASA's .mat: positions x y or x y z, or poses with a unit quaternion; the"
-        " network is compared with other models. With --arm they hold its joints, and 'simulate' continues the run.",
+        "learn a certified network from recorded motions of an end effector or of an arm's joints",
+        "The files are .npy, .npz, .csv or LASA's .mat. Each row is a position x y or x y z, or a pose with a unit"
+        " quaternion, and the network is compared with other models. With --arm each row holds the joints of the arm;"
+        " continue with 'simulate'.",
     )
     options.add_demonstrations(learn)
     options.add_plots(learn)
 
     simulate = command(
         "simulate",
-        "simulate a run's motion, optionally with disturbances",
-        "A new simulation replaces the run's previous one.",
+        "simulate the motion of a run, with disturbances if asked for",
+        "A new simulation replaces the previous one of the run.",
     )
     options.add_run(simulate)
     options.add_simulation(simulate)
 
     render = command(
         "render",
-        "render a run's simulation",
+        "make a video, a picture or a page of the simulation of a run",
         "Videos and pictures need OpenGL (see 'lieednn-sim doctor'), but no display; pages need the extra 'view'.",
     )
     options.add_run(render)
@@ -205,66 +208,66 @@ def _parser() -> argparse.ArgumentParser:
     render.add_argument(
         "--output",
         metavar="FILE",
-        help=".mp4, .gif, or .html for a page that plays the motion in 3D (default: video.mp4 in the run directory)",
+        help="an .mp4 or .gif file, or .html for a page that plays in 3D (default: video.mp4 in the run directory)",
     )
-    render.add_argument("--still", metavar="FILE", help=".png: one picture with the arm at five instants")
+    render.add_argument("--still", metavar="FILE", help="make a .png picture that shows the arm at five instants")
 
     evaluate = command(
         "evaluate",
-        "compute metrics and plots of a run's simulation",
-        "They are printed and written into the run directory.",
+        "compute metrics and plots of the simulation of a run",
+        "The metrics are printed; both are written into the run directory.",
     )
     options.add_run(evaluate)
     options.add_plots(evaluate)
 
     view = command(
         "view",
-        "show an arm in the browser: drag its target, push it, change policy, controller and load",
-        "It needs the extra 'view', runs until Ctrl-C, and is for this machine alone unless --host says otherwise.",
+        "show an arm in the browser: drag its target, push it, change its policy and its load",
+        "It needs the extra 'view' and runs until Ctrl-C. Only this machine can connect, unless --host is given.",
     )
     options.add_view(view)
 
     compare = command(
         "compare",
-        "compare planners on arms, scenes, controllers and seeds: table and page",
-        "It can be interrupted: the same command continues. The default takes a quarter of an hour of CPU time.",
+        "compare planners on arms, scenes, controllers and seeds, in a table and a page",
+        "After an interruption, the same command continues. The defaults take a quarter of an hour of CPU time.",
     )
     options.add_comparison(compare)
 
     merge = command(
         "merge",
-        "merge the tables of 'compare --shard': table and page",
-        "If cases are missing they are listed, and the exit code is 1; the others are merged all the same.",
+        "join the tables of 'compare --shard' into one table and page",
+        "If cases are missing, they are listed, the exit code is 1, and the other cases are joined nevertheless.",
     )
-    merge.add_argument("output", metavar="DIR", help="directory of the whole table")
-    merge.add_argument("folders", nargs="+", metavar="FOLDER", help="directories of the shards")
+    merge.add_argument("output", metavar="DIR", help="directory for the whole table")
+    merge.add_argument("folders", nargs="+", metavar="FOLDER", help="directories of the tables to join")
 
     problems = command(
         "problems",
-        "run planners on MotionBenchMaker's published problems",
-        "It can be interrupted: the same command continues.",
+        "run planners on the published problems of MotionBenchMaker",
+        "After an interruption, the same command continues.",
     )
     options.add_problems(problems)
 
     library = command(
         "library",
         "store the motions of runs in one file, blend them, and make runs of them",
-        "All motions are codes of one network with one proof of arrival; where they go is stored, not when.",
+        "Each motion is a start of the hidden neurons of one certified network; its path is stored, not its timing.",
     )
     options.add_library(library)
 
     arms = command(
         "arms",
-        "list the arms, or describe one, of the package or a file",
-        "Without a name, all arms of the package in a table.",
+        "list the arms of the package, or describe one of them or that of a file",
+        "Without a name, the arms of the package are listed.",
     )
-    arms.add_argument("arm", nargs="?", metavar="NAME", help="name of an arm, or an MJCF file, to describe in full")
+    arms.add_argument("arm", nargs="?", metavar="NAME", help="name of an arm, or an MJCF, URDF or YAML file")
     options.add_frames(arms)
 
     doctor = command(
         "doctor",
         "check the installation: versions, headless OpenGL, what is missing",
-        "Exit code 1 if physics or rendering does not work.",
+        "The exit code is 1 if physics or rendering does not work.",
     )
     doctor.add_argument("--json", action="store_true", help="print JSON instead of a table")
     return parser

@@ -44,14 +44,14 @@ def add_task(parser: argparse.ArgumentParser, output: str, *, goal: bool = True)
     group.add_argument(
         "--target",
         metavar="Q",
-        help="joint target: a keyframe's name, random:SEED, or comma-separated joint coordinates [rad, m]"
+        help="joint target: the name of a keyframe, random:SEED, or joint coordinates separated by commas [rad, m]"
         + ("" if goal else " (default: extended; among obstacles, or without such a keyframe, random:SEED)"),
     )
     group.add_argument("--position", metavar="X,Y,Z", help="target position of the end effector in the world [m]")
-    parser.add_argument("--start", default="home", metavar="Q", help="start, given as for --target")
+    parser.add_argument("--start", default="home", metavar="Q", help="joints at the start, given as for --target")
     _add_duration(parser)
-    parser.add_argument("--seed", type=whole, default=0, help="seed of random draws")
-    parser.add_argument("--output", default=output, metavar="DIR", help="run directory")
+    parser.add_argument("--seed", type=whole, default=0, help="seed of everything that is random")
+    parser.add_argument("--output", default=output, metavar="DIR", help="directory for the files of the run")
     return group
 
 
@@ -79,21 +79,30 @@ def add_frames(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--links",
         metavar="A,B,...",
-        help="bodies or sites of a model file for the link frames, from the base outwards (default: found by itself)",
+        help="bodies or sites of a model file as link frames, from the base outwards (default: chosen automatically)",
     )
-    parser.add_argument("--base", metavar="NAME", help="body or site of the base frame (default: found by itself)")
     parser.add_argument(
-        "--keyframe", metavar="NAME", help="keyframe of an MJCF file for home and for the locked joints"
+        "--base", metavar="NAME", help="body or site that is the base frame (default: chosen automatically)"
     )
-    parser.add_argument("--home", metavar="J=X,...", help="home positions of joints of a model file, by name [rad, m]")
     parser.add_argument(
-        "--servos", default="keep", metavar="RULE", help="keep the position servos of an MJCF file, or design new ones"
+        "--keyframe",
+        metavar="NAME",
+        help="keyframe of an MJCF file with the home position and those of locked joints (default: home, or the first)",
+    )
+    parser.add_argument(
+        "--home", metavar="J=X,...", help="home positions of single joints of a model file, by name [rad, m]"
+    )
+    parser.add_argument(
+        "--servos",
+        default="keep",
+        metavar="RULE",
+        help="keep: use the position servos of an MJCF file; design: replace them by new ones",
     )
     parser.add_argument(
         "--floor",
         default="auto",
         metavar="HEIGHT",
-        help="height of the floor of a model file [m], or none (default: the file's own, else at its base)",
+        help="height of the floor below an imported arm [m], or none (default: the file's own floor, else at its base)",
     )
 
 
@@ -113,10 +122,19 @@ def add_planning(
         help="one of these (default: lieednn-certified, among obstacles lieednn-shaped):\n"
         + "\n".join(f"{name}: {PLANNERS[name].help}" for name in planners),
     )
-    parser.add_argument("--bias", metavar="RULE", help=f"{_one_of(BIAS_RULES)} (default: sign-matched)")
+    parser.add_argument(
+        "--bias",
+        metavar="RULE",
+        help=f"rule that chooses the network's bias: {_one_of(BIAS_RULES)} (default: sign-matched)",
+    )
     usual = "several are tried" if bias_magnitude is None else f"{bias_magnitude:g}"
-    parser.add_argument("--bias-magnitude", type=decimal, metavar="B", help=f"size of the bias (default: {usual})")
-    parser.add_argument("--n-networks", type=whole, metavar="N", help="number of networks to choose from (default: 24)")
+    parser.add_argument("--bias-magnitude", type=decimal, metavar="B", help=f"magnitude of the bias (default: {usual})")
+    parser.add_argument(
+        "--n-networks",
+        type=whole,
+        metavar="N",
+        help="number of networks to draw, of which the best is chosen (default: 24)",
+    )
     parser.add_argument(
         "--fastest", action="store_true", help="follow the planned path as fast as the arm's limits allow"
     )
@@ -127,17 +145,24 @@ def add_planning(
 def add_training(parser: argparse.ArgumentParser) -> None:
     """Options of ``train``."""
     goal = add_task(parser, output="results/run")
-    goal.add_argument("--resume", metavar="DIR", help="resume an interrupted training with its options")
-    parser.add_argument("--algorithm", default="tracked", metavar="NAME", help=_one_of(ALGORITHMS))
+    goal.add_argument(
+        "--resume", metavar="DIR", help="continue the interrupted training of this run directory, with its options"
+    )
+    parser.add_argument(
+        "--algorithm", default="tracked", metavar="NAME", help=f"learning algorithm: {_one_of(ALGORITHMS)}"
+    )
     parser.add_argument(
         "--candidates",
         type=whole,
         default=4,
         metavar="N",
-        help="number of seeds to try at most, until a network's motion keeps the limits",
+        help="largest number of seeds to try until the motion of a network is within the arm's limits",
     )
     parser.add_argument(
-        "--period", type=whole, metavar="P", help="epochs between projections (default: the algorithm's)"
+        "--period",
+        type=whole,
+        metavar="P",
+        help="number of epochs between two projections onto scaled adjoints (default: that of the algorithm)",
     )
     parser.add_argument("--epochs", type=whole, metavar="K", help="largest number of epochs (default: 25000)")
     parser.add_argument(
@@ -145,10 +170,15 @@ def add_training(parser: argparse.ArgumentParser) -> None:
         type=decimal,
         default=1e-5,
         metavar="TAU",
-        help="largest error of the equilibrium [rad, length units]",
+        help="largest allowed error of the equilibrium [rad, units of length of the arm]",
     )
-    parser.add_argument("--bias", default="sign-matched", metavar="RULE", help="uniform or sign-matched")
-    parser.add_argument("--bias-magnitude", type=decimal, default=0.125, metavar="B", help="size of the bias")
+    parser.add_argument(
+        "--bias",
+        default="sign-matched",
+        metavar="RULE",
+        help="rule that chooses the network's bias: uniform or sign-matched",
+    )
+    parser.add_argument("--bias-magnitude", type=decimal, default=0.125, metavar="B", help="magnitude of the bias")
 
 
 def add_run(parser: argparse.ArgumentParser) -> None:
@@ -160,19 +190,23 @@ def add_library(parser: argparse.ArgumentParser) -> None:
     """The file of ``library``, and what to do with it."""
     parser.add_argument("file", metavar="FILE", help="the library, an .npz file; made by the first 'add'")
     actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
-    add = actions.add_parser("add", help="store the motions of runs; one of the same name is replaced")
-    add.add_argument("runs", nargs="+", metavar="RUN", help="run directories of arms with equally many links")
-    add.add_argument("--name", help="name of a single run's motion (default: the directory's name)")
+    add = actions.add_parser("add", help="store the motions of runs; a motion replaces one of the same name")
+    add.add_argument(
+        "runs", nargs="+", metavar="RUN", help="run directories; all arms must have the same number of links"
+    )
+    add.add_argument("--name", help="name of the motion, if only one run is added (default: the name of its directory)")
     actions.add_parser("list", help="list the motions")
-    run = actions.add_parser("run", help="make a run of a motion, which 'simulate' continues")
+    run = actions.add_parser(
+        "run", help="plan a motion of the library for an arm, in a run directory; continue with 'simulate'"
+    )
     run.add_argument("motion", metavar="NAME", help="name of a motion")
-    run.add_argument("--blend", metavar="OTHER", help="blend with another motion")
+    run.add_argument("--blend", metavar="OTHER", help="name of another motion, to blend NAME with")
     run.add_argument(
-        "--fraction", type=decimal, metavar="F", help="share of the way from NAME, 0, to OTHER, 1 (default: 0.5)"
+        "--fraction", type=decimal, metavar="F", help="where the blend is between NAME (0) and OTHER (1) (default: 0.5)"
     )
     _add_arm(run)
     _add_duration(run)
-    run.add_argument("--output", default="results/run", metavar="DIR", help="run directory")
+    run.add_argument("--output", default="results/run", metavar="DIR", help="directory for the files of the run")
     run.set_defaults(seed=0)
 
 
@@ -187,45 +221,63 @@ def add_comparison(parser: argparse.ArgumentParser) -> None:
         parser.add_argument(
             f"--{name}", nargs="+", metavar="A,B,...", help=f"any of {', '.join(known)}{more} (default: {default})"
         )
-    parser.add_argument("--seeds", type=whole, default=3, metavar="N", help="number of seeds, starting at 0")
+    parser.add_argument(
+        "--seeds", type=whole, default=3, metavar="N", help="number of seeds for each arm, scene and planner: 0, 1, ..."
+    )
     parser.add_argument(
         "--slow-seeds",
         type=whole,
         metavar="N",
-        help=f"fewer seeds for planners whose cases take more than {SLOW:g} s, "
-        f"{', '.join(name for name, entry in PLANNERS.items() if entry.cost > SLOW)} (default: as many)",
+        help=f"number of seeds for planners whose cases take more than {SLOW:g} s of CPU time: "
+        f"{', '.join(name for name, entry in PLANNERS.items() if entry.cost > SLOW)} (default: as for the others)",
     )
     parser.add_argument("--duration", type=decimal, default=4.0, metavar="S", help="duration of the motions [s]")
     _add_time_budget(parser)
     _add_conditions(parser)
     parser.add_argument("--output", default="results/comparison", metavar="DIR", help="directory of the table")
-    parser.add_argument("--jobs", type=whole, metavar="N", help="worker processes (default: all cores)")
     parser.add_argument(
-        "--scheduler", metavar="ADDRESS", help="address of a Dask cluster that runs the cases instead of --jobs"
+        "--jobs", type=whole, metavar="N", help="number of worker processes (default: one for each core)"
     )
-    parser.add_argument("--shard", metavar="K/N", help="only the K-th of N parts of the cases, for 'merge'")
+    parser.add_argument(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="address of the scheduler of a Dask cluster, whose workers run the cases instead of --jobs",
+    )
+    parser.add_argument(
+        "--shard", metavar="K/N", help="run only the K-th of N parts of the cases; 'merge' joins the parts"
+    )
     parser.add_argument(
         "--reactive",
         type=whole,
         default=0,
         metavar="N",
-        help="number of seeds of the reactive benchmark, in which policies are pushed, loaded and given another target",
+        help="number of seeds for a benchmark of policies that are pushed, loaded and given another target",
     )
-    parser.add_argument("--views", type=whole, default=1, metavar="N", help="number of problems to show in 3D")
-    parser.add_argument("--videos", type=whole, default=0, metavar="N", help="number of cases to film")
+    parser.add_argument(
+        "--views",
+        type=whole,
+        default=1,
+        metavar="N",
+        help="number of problems that the page shows in 3D, with the motions of several planners",
+    )
+    parser.add_argument("--videos", type=whole, default=0, metavar="N", help="number of cases of which to make videos")
     parser.add_argument(
         "--video",
         action="append",
         default=[],
         metavar="CASE",
-        help="a case to film, planner:arm:scene:seed; may be repeated",
+        help="a case of which to make a video, planner:arm:scene:seed; may be repeated",
     )
-    parser.add_argument("--date", default="", metavar="TEXT", help="date for the page's head (default: none)")
+    parser.add_argument(
+        "--date", default="", metavar="TEXT", help="date to print at the top of the page (default: none)"
+    )
 
 
 def add_problems(parser: argparse.ArgumentParser) -> None:
     """Options of ``problems``."""
-    parser.add_argument("folder", metavar="FOLDER", help="folder of a robot: problems.tar.bz2 or problems/, URDF, SRDF")
+    parser.add_argument(
+        "folder", metavar="FOLDER", help="folder of one robot, with problems.tar.bz2 or problems/, a URDF and an SRDF"
+    )
     parser.add_argument(
         "--planners",
         nargs="+",
@@ -234,26 +286,36 @@ def add_problems(parser: argparse.ArgumentParser) -> None:
         help=f"any of {', '.join(PLANNERS)} (default: minimum-jerk,rrt-connect,lieednn-shaped)",
     )
     parser.add_argument(
-        "--problems", default="100", metavar="N", help="number of problems, chosen evenly from all sets, or 'all'"
+        "--problems", default="100", metavar="N", help="number of problems, taken evenly from all sets, or 'all'"
     )
     parser.add_argument(
-        "--time-budget", type=decimal, default=10.0, metavar="S", help="CPU time allowed for a problem [s]"
+        "--time-budget", type=decimal, default=10.0, metavar="S", help="largest CPU time for one problem [s]"
     )
     parser.add_argument("--output", default="results/problems", metavar="DIR", help="directory of the table")
-    parser.add_argument("--jobs", type=whole, metavar="N", help="worker processes (default: all cores)")
+    parser.add_argument(
+        "--jobs", type=whole, metavar="N", help="number of worker processes (default: one for each core)"
+    )
 
 
 def add_simulation(parser: argparse.ArgumentParser) -> None:
     """Controller and disturbances."""
-    parser.add_argument("--controller", default="position-servo", metavar="NAME", help=_one_of(CONTROLLERS))
+    parser.add_argument(
+        "--controller", default="position-servo", metavar="NAME", help=f"controller: {_one_of(CONTROLLERS)}"
+    )
     parser.add_argument(
         "--reference-rate",
         type=decimal,
         metavar="HZ",
-        help="the controller sees the motion sampled at this rate and held (default: every step)",
+        help="rate of the references that the controller gets, held in between [Hz] (default: every time step)",
     )
     _add_conditions(parser)
-    parser.add_argument("--payload", type=decimal, default=0.0, metavar="KG", help="mass at the end effector")
+    parser.add_argument(
+        "--payload",
+        type=decimal,
+        default=0.0,
+        metavar="KG",
+        help="mass at the end effector [kg], of which the controller does not know",
+    )
     parser.add_argument(
         "--push",
         action="append",
@@ -267,7 +329,7 @@ def add_simulation(parser: argparse.ArgumentParser) -> None:
             type=decimal,
             default=0.0,
             metavar="SD",
-            help=f"standard deviation of measured joint {what} [{unit}]",
+            help=f"standard deviation of the noise of each measured joint {what} [{unit}]",
         )
     parser.add_argument("--noise-seed", type=whole, default=0, metavar="N", help="seed of the noise")
 
@@ -280,73 +342,110 @@ def add_view(parser: argparse.ArgumentParser) -> None:
     add_frames(parser)
     _add_scene(parser)
     parser.add_argument(
-        "--run", metavar="DIR", help="a simulated run to play, or a comparison: its arm, scene, start and target"
+        "--run",
+        metavar="DIR",
+        help="play a simulated run, or motions of a comparison; arm, scene, start and target are those of the run",
     )
-    parser.add_argument("--policy", default="lieednn-shaped", metavar="NAME", help=_one_of(POLICIES))
+    parser.add_argument("--policy", default="lieednn-shaped", metavar="NAME", help=f"policy: {_one_of(POLICIES)}")
     parser.add_argument(
-        "--planner", metavar="NAME", help="plans motions for the policies tracker and dmp (default: as for 'plan')"
+        "--planner",
+        metavar="NAME",
+        help="planner of the motions that the policies tracker and dmp follow (default: as for 'plan')",
     )
-    parser.add_argument("--controller", default="inverse-dynamics", metavar="NAME", help=_one_of(CONTROLLERS))
-    parser.add_argument("--payload", type=decimal, default=0.0, metavar="KG", help="mass at the end effector")
+    parser.add_argument(
+        "--controller", default="inverse-dynamics", metavar="NAME", help=f"controller: {_one_of(CONTROLLERS)}"
+    )
+    parser.add_argument(
+        "--payload",
+        type=decimal,
+        default=0.0,
+        metavar="KG",
+        help="mass at the end effector [kg], of which the controller does not know",
+    )
     _add_mass_scale(parser)
     parser.add_argument(
         "--target",
         metavar="Q",
-        help="first target, as for 'plan' (default: extended; among obstacles, or without it, random:SEED)",
+        help="first target, given as for 'plan' (default: extended, or random:SEED among obstacles or without it)",
     )
-    parser.add_argument("--start", default="home", metavar="Q", help="start, given as for --target")
-    parser.add_argument("--seed", type=whole, default=0, help="seed of random draws")
-    parser.add_argument("--port", type=whole, default=0, metavar="N", help="port of the page (default: a free one)")
+    parser.add_argument("--start", default="home", metavar="Q", help="joints at the start, given as for --target")
+    parser.add_argument("--seed", type=whole, default=0, help="seed of everything that is random")
     parser.add_argument(
-        "--host", default="127.0.0.1", metavar="ADDRESS", help="address to listen at; 0.0.0.0 lets other machines in"
+        "--port", type=whole, default=0, metavar="N", help="port at which the page is served (default: any free port)"
     )
-    parser.add_argument("--no-browser", action="store_true", help="only print the page's address")
+    parser.add_argument(
+        "--host",
+        default="127.0.0.1",
+        metavar="ADDRESS",
+        help="network address to listen at; 0.0.0.0 lets other machines connect",
+    )
+    parser.add_argument("--no-browser", action="store_true", help="print the page's address, but do not open a browser")
 
 
 def add_demonstrations(parser: argparse.ArgumentParser) -> None:
     """Options of ``learn``: files of demonstrations, how they are read, and what is learned from them."""
-    parser.add_argument("files", nargs="+", metavar="FILE", help="demonstrations of one motion; each ends at its goal")
+    parser.add_argument(
+        "files",
+        nargs="+",
+        metavar="FILE",
+        help="files with demonstrations of one motion, each of which ends at its goal",
+    )
     parser.add_argument(
         "--arm",
         metavar="NAME",
-        help=f"learn a motion of the joints of {_one_of(ARMS)}, or an MJCF file; they are the files' columns [rad, m]",
+        help=f"learn the joints' motion of {_one_of(ARMS)}, or of an MJCF, URDF or YAML file; the columns of "
+        "the demonstrations are its joints [rad, m]",
     )
     add_frames(parser)
-    parser.add_argument("--unit", default="m", help="unit of positions: m, cm or mm")
-    parser.add_argument("--quaternion", default="wxyz", metavar="ORDER", help="order of components: wxyz or xyzw")
-    parser.add_argument("--sample-rate", type=decimal, default=100.0, metavar="HZ", help="for files without times")
+    parser.add_argument("--unit", default="m", help="unit of the positions in the files: m, cm or mm")
     parser.add_argument(
-        "--phase", default="length", help="align demonstrations by 'length', the fraction of their path, or by 'time'"
+        "--quaternion", default="wxyz", metavar="ORDER", help="order of the components of quaternions: wxyz or xyzw"
+    )
+    parser.add_argument(
+        "--sample-rate", type=decimal, default=100.0, metavar="HZ", help="sampling rate of files without times [Hz]"
+    )
+    parser.add_argument(
+        "--phase",
+        default="length",
+        help="average demonstrations at equal fractions of their path, 'length', or of their duration, 'time'",
     )
     parser.add_argument(
         "--goals",
         default="aligned",
-        help="'aligned': each path is seen from its own goal; 'kept': goals differ, and the path depends on its goal",
+        help="'aligned': express each path relative to its own goal; 'kept': learn how the path depends on its goal",
     )
     parser.add_argument(
         "--deviation",
         type=decimal,
         metavar="M",
-        help="requested deviation from the mean demonstration [m] (default: 0.002 of the demonstrations' extent, or "
-        "with --arm 0.001 of the length of their path)",
+        help="largest deviation of the network from the mean demonstration [m] (default: 0.002 of the extent of the "
+        "demonstrations, or with --arm 0.001 of the length of their path)",
     )
     parser.add_argument(
         "--clock-rate",
         type=decimal,
         default=1.0,
         metavar="RHO",
-        help="rho: at 1 the path moves along with the start, below 1 the motion returns to it 1/rho times as fast",
-    )
-    parser.add_argument("--rivals", default=",".join(RIVALS), metavar="A,B,...", help="models to compare with, or none")
-    parser.add_argument(
-        "--starts", type=whole, metavar="N", help="random starts for each model (default: 1000; with --arm 20)"
+        help="rate rho of the network's clock: at 1 the path moves along with the start; below 1 the motion returns to "
+        "the learned path, 1/rho times as fast",
     )
     parser.add_argument(
-        "--no-family", action="store_true", help="one motion, the mean's, whose start fades; not one for each start"
+        "--rivals", default=",".join(RIVALS), metavar="A,B,...", help="models to compare the network with, or none"
     )
-    parser.add_argument("--no-leave-one-out", action="store_true", help="skip the leave-one-out fits")
-    parser.add_argument("--seed", type=whole, default=0, help="seed of random draws")
-    parser.add_argument("--output", default="results/learned-motion", metavar="DIR", help="directory of the results")
+    parser.add_argument(
+        "--starts",
+        type=whole,
+        metavar="N",
+        help="number of random starts from which to run each model (default: 1000; with --arm 20)",
+    )
+    parser.add_argument(
+        "--no-family", action="store_true", help="learn the mean motion alone; the deviation of another start fades"
+    )
+    parser.add_argument(
+        "--no-leave-one-out", action="store_true", help="do not fit the models again with each demonstration left out"
+    )
+    parser.add_argument("--seed", type=whole, default=0, help="seed of everything that is random")
+    parser.add_argument("--output", default="results/learned-motion", metavar="DIR", help="directory for the results")
 
 
 def _one_of(names: Sequence[str]) -> str:
@@ -359,7 +458,7 @@ def _add_time_budget(parser: argparse.ArgumentParser, more: str = "") -> None:
         type=decimal_or_inf,
         default=60.0,
         metavar="S",
-        help=f"CPU time allowed for planning a motion [s]{more}",
+        help=f"largest CPU time for planning one motion [s]{more}",
     )
 
 
@@ -369,7 +468,7 @@ def _add_mass_scale(parser: argparse.ArgumentParser) -> None:
         type=decimal,
         default=1.0,
         metavar="X",
-        help="true masses relative to those that the controller knows",
+        help="true masses and inertias, relative to those that the controller knows",
     )
 
 
@@ -380,14 +479,16 @@ def _add_conditions(parser: argparse.ArgumentParser) -> None:
 
 def add_plots(parser: argparse.ArgumentParser) -> None:
     """Format of the plots."""
-    parser.add_argument("--plots", default="png", metavar="KIND", help="png, pdf or svg")
+    parser.add_argument("--plots", default="png", metavar="KIND", help="format of the plots: png, pdf or svg")
 
 
 def add_video(parser: argparse.ArgumentParser) -> None:
     """Quality, size and view of a video."""
-    parser.add_argument("--preset", default="nice", help="draft or nice")
-    parser.add_argument("--size", default="1280x720", metavar="WxH", help="size in pixels")
-    parser.add_argument("--fps", type=whole, default=30, help="frames per second")
+    parser.add_argument("--preset", default="nice", help="quality: draft, which is faster, or nice")
+    parser.add_argument("--size", default="1280x720", metavar="WxH", help="width and height [pixels]")
+    parser.add_argument("--fps", type=whole, default=30, help="frames per second of the video")
     parser.add_argument(
-        "--camera", metavar="NAME", help="a camera of the scene (default: overview, or a view of the whole)"
+        "--camera",
+        metavar="NAME",
+        help="name of a camera of the model (default: overview, if there is one, else a view of the whole)",
     )
