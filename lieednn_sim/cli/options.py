@@ -50,7 +50,7 @@ def add_task(parser: argparse.ArgumentParser, output: str, *, goal: bool = True)
     group.add_argument("--position", metavar="X,Y,Z", help="target position of the end effector in the world [m]")
     parser.add_argument("--start", default="home", metavar="Q", help="joints at the start, given as for --target")
     _add_duration(parser)
-    parser.add_argument("--seed", type=whole, default=0, help="seed of everything that is random")
+    parser.add_argument("--seed", type=whole, default=0, help="seed of random draws")
     parser.add_argument("--output", default=output, metavar="DIR", help="directory for the files of the run")
     return group
 
@@ -369,7 +369,7 @@ def add_view(parser: argparse.ArgumentParser) -> None:
         help="first target, given as for 'plan' (default: extended, or random:SEED among obstacles or without it)",
     )
     parser.add_argument("--start", default="home", metavar="Q", help="joints at the start, given as for --target")
-    parser.add_argument("--seed", type=whole, default=0, help="seed of everything that is random")
+    parser.add_argument("--seed", type=whole, default=0, help="seed of random draws")
     parser.add_argument(
         "--port", type=whole, default=0, metavar="N", help="port at which the page is served (default: any free port)"
     )
@@ -444,7 +444,7 @@ def add_demonstrations(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--no-leave-one-out", action="store_true", help="do not fit the models again with each demonstration left out"
     )
-    parser.add_argument("--seed", type=whole, default=0, help="seed of everything that is random")
+    parser.add_argument("--seed", type=whole, default=0, help="seed of random draws")
     parser.add_argument("--output", default="results/learned-motion", metavar="DIR", help="directory for the results")
 
 
