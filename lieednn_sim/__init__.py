@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from lieednn_sim.learning import train
     from lieednn_sim.live import view
     from lieednn_sim.network import LieEDNN
-    from lieednn_sim.planning import MotionLibrary, Plan, plan, register_planner
+    from lieednn_sim.planning import MotionLibrary, Plan, plan, plan_in, register_planner
     from lieednn_sim.policies import Feedback, NetworkPolicy, Policy, control_loop, make_policy
     from lieednn_sim.rendering.page import render_page
     from lieednn_sim.rendering.still import render_still
@@ -62,6 +62,7 @@ __all__ = [
     "follow",
     "make_policy",
     "plan",
+    "plan_in",
     "plot",
     "register_planner",
     "render_page",
@@ -85,7 +86,7 @@ _ROOMS = {
     "learning": ("train",),
     "live": ("view",),
     "network": ("LieEDNN",),
-    "planning": ("MotionLibrary", "Plan", "plan", "register_planner"),
+    "planning": ("MotionLibrary", "Plan", "plan", "plan_in", "register_planner"),
     "policies": ("Feedback", "NetworkPolicy", "Policy", "control_loop", "make_policy"),
     "rendering.page": ("render_page",),
     "rendering.still": ("render_still",),

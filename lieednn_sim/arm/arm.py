@@ -16,7 +16,9 @@ from numpy.typing import ArrayLike
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.contacts import PLANNED_CLEARANCE, ContactFinder, fixed_body
 from lieednn_sim.arm.fingerprint import arm_fingerprint, model_fingerprint
-from lieednn_sim.arm.importer import ImportOptions, ImportReport
+from lieednn_sim.arm.importer import ImportOptions, ImportReport, import_arm
+from lieednn_sim.arm.importer.compiled import spec_of
+from lieednn_sim.arm.importer.floor import NONE
 from lieednn_sim.arm.models import find_model, label_of, open_model
 from lieednn_sim.arm.obstacles import add_own_obstacles, check_home, is_scene_file, load_obstacles, scene_label
 from lieednn_sim.arm.parsing import read_arm
@@ -110,6 +112,31 @@ class Arm(SerialArm):
         return cls(
             name=name, source=source, spec=spec, model=model, import_report=import_report, **read_arm(model, name)
         )
+
+    @classmethod
+    def from_model(
+        cls,
+        model: mujoco.MjModel,
+        data: mujoco.MjData,
+        **options: Unpack[ImportOptions],
+    ) -> Arm:
+        """Make an arm of some joints of a compiled model; everything else is its scene, as it stands in ``data``.
+
+        The arm's model holds what `importer.compiled.spec_of` keeps, and is imported as a file would be. Its keyframe
+        ``home`` is near the state of ``data``, away from the limits of the joints. It cannot be pickled.
+
+        Args:
+            model: a compiled model, which is not changed.
+            data: its state: positions, mocap bodies, active equalities.
+            options: those of `importer.import_arm`, above all the names of the ``joints``; without ``floor``, no floor
+                is added.
+
+        Raises:
+            InputError: the joints are not an arm's, or data is of another model, or not finite.
+        """
+        options.setdefault("floor", NONE)
+        spec, report = import_arm(spec_of(model, data), **options)
+        return cls.from_spec(spec, Path("a compiled model"), "arm", report)
 
     def among(self, scene: str | os.PathLike[str], seed: Seed = 0) -> Arm:
         """This arm with the obstacles of a scene; itself for the scene ``"free"``.

@@ -26,15 +26,18 @@ class ContactFinder:
     Args:
         model: the compiled model, which is not changed.
         margin: distance [m] below which geoms count as touching.
+        mocap: where mocap bodies are; by default where the model has them.
     """
 
-    def __init__(self, model: mujoco.MjModel, margin: float = 0.0) -> None:
+    def __init__(self, model: mujoco.MjModel, margin: float = 0.0, mocap: mujoco.MjData | None = None) -> None:
         self._margin = margin
         self._model = copy.deepcopy(model)
         # Overridden rather than written into the geoms, whose bounding volumes were built for the old margins.
         self._model.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_OVERRIDE)
         self._model.opt.o_margin = margin
         self._data = mujoco.MjData(self._model)
+        if mocap is not None:
+            self._data.mocap_pos[:], self._data.mocap_quat[:] = mocap.mocap_pos, mocap.mocap_quat
 
     def move(self, places: Mapping[str, ArrayLike]) -> None:
         """See `move_bodies`."""

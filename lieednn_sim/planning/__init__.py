@@ -12,6 +12,7 @@ from lieednn_sim.planning.baselines.stomp import StompOptions
 from lieednn_sim.planning.certified import CertifiedOptions
 from lieednn_sim.planning.extras import missing_planners, require_planner
 from lieednn_sim.planning.filtered_planners import FilteredOptions, GuidedOptions
+from lieednn_sim.planning.in_model import ModelPlan, plan_in
 from lieednn_sim.planning.joint_space import joint_motion
 from lieednn_sim.planning.library import MotionLibrary
 from lieednn_sim.planning.motion import Motion
@@ -44,6 +45,7 @@ __all__ = [
     "DmpOptions",
     "FilteredOptions",
     "GuidedOptions",
+    "ModelPlan",
     "Motion",
     "MotionLibrary",
     "OptimisationOptions",
@@ -65,6 +67,7 @@ __all__ = [
     "joint_motion",
     "missing_planners",
     "plan",
+    "plan_in",
     "planners",
     "reference_network",
     "register_planner",

@@ -64,7 +64,8 @@ class Draft:
     Attributes:
         spec: the spec, edited by the steps.
         source: its file, if any.
-        links, base, keyframe, home, limits, servo_rule, floor: the options of `import_arm`.
+        links, chosen, tip, base, keyframe, home, limits, servo_rule, floor: the options of `import_arm`; `chosen` are
+            its ``joints``.
         notes: remarks for the report.
         original: the model as given.
         keyframes: those of ``original`` that hold configurations.
@@ -87,6 +88,8 @@ class Draft:
     spec: mujoco.MjSpec
     source: Path | None
     links: tuple[str, ...] | None
+    chosen: tuple[str, ...] | None
+    tip: str | None
     base: str | None
     keyframe: str | None
     home: Mapping[str, float]

@@ -82,6 +82,8 @@ class ImportOptions(TypedDict, total=False):
     """The options of `import_arm`, for functions that pass them on."""
 
     links: Sequence[str] | None
+    joints: Sequence[str] | None
+    tip: str | None
     base: str | None
     keyframe: str | None
     home: Mapping[str, float] | None
@@ -94,6 +96,8 @@ def import_arm(
     model: str | os.PathLike[str] | mujoco.MjSpec,
     *,
     links: Sequence[str] | None = None,
+    joints: Sequence[str] | None = None,
+    tip: str | None = None,
     base: str | None = None,
     keyframe: str | None = None,
     home: Mapping[str, float] | None = None,
@@ -105,9 +109,9 @@ def import_arm(
 
     The arm has sites at its link frames and one servo for each coordinate; all other joints are locked.
 
-    Without ``links`` the link frames are the model's own sites base_frame, link1_frame, ..., if it has them; otherwise
-    the arm is the chain with the most driven joints (`serial_chain.longest_chain`), cut into compound joints
-    (`compound_joints.cut`), with its link frames at the origins of the bodies behind the cuts.
+    Without ``links`` and ``joints`` the link frames are the model's own sites base_frame, link1_frame, ..., if it has
+    them; otherwise the arm is the chain with the most driven joints (`serial_chain.longest_chain`). A chain is cut into
+    compound joints (`compound_joints.cut`), with its link frames at the origins of the bodies behind the cuts.
 
     Coupled stages count as one coordinate; a fixed tendon that drives several stages becomes equalities between them,
     and soft equalities become as stiff as belts. Plain position servos keep their gains; other actuators are replaced
@@ -121,6 +125,10 @@ def import_arm(
     Args:
         model: an MJCF or URDF file, or a `mujoco.MjSpec`, which is not changed.
         links: names of bodies or sites, from the base outwards; the frame of a body is at its origin.
+        joints: names of the arm's joints, instead of its links, which are then found. Joints that equalities tie to
+            them are the arm's too; all others are locked.
+        tip: body or site of the end effector's frame, beyond the last joint, where no links are named. Default: the
+            body that the last joint moves.
         base: body or site of the base frame. Default: the parent of the first moving body of link 1.
         keyframe: configuration of the locked joints, and of the new keyframe ``home``, which stays 5 % of each range
             away from the limits. Default: ``home``, else the first keyframe, else the reference position. Keyframes
@@ -142,6 +150,10 @@ def import_arm(
     as_choice("choice of servos", servos, SERVOS)
     if links is not None and not links:
         raise InputError("links must name at least one body or site, from the base outwards")
+    if joints is not None and not joints:
+        raise InputError("joints must name at least one joint")
+    if links is not None and (joints is not None or tip is not None):
+        raise InputError("name either the links, of which the last one is the tip, or the joints and the tip")
     check_rates(limits)
     height = as_floor(floor)
     notes: list[str] = []
@@ -151,6 +163,8 @@ def import_arm(
         spec,
         source,
         None if links is None else tuple(links),
+        None if joints is None else tuple(joints),
+        tip,
         base,
         keyframe,
         home or {},

@@ -9,10 +9,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import kinematics_at, mujoco
+from lieednn_sim.arm.checks import ancestry
 from lieednn_sim.arm.importer.compound_joints import cut
 from lieednn_sim.arm.importer.draft import Draft
 from lieednn_sim.arm.importer.loading import compile_spec
-from lieednn_sim.arm.importer.serial_chain import body_frame, is_gripper, joint_groups, longest_chain, named_frames
+from lieednn_sim.arm.importer.serial_chain import (
+    Frame,
+    body_frame,
+    find_frame,
+    is_gripper,
+    joint_groups,
+    longest_chain,
+    named_chain,
+    named_frames,
+)
 from lieednn_sim.arm.importer.stages import Couplings, find_couplings
 from lieednn_sim.errors import InputError
 from lieednn_sim.validation import as_choice, as_floats, quoted
@@ -64,24 +74,21 @@ def find_mechanism(draft: Draft) -> None:
         InputError: there is no such arm, the choice is ambiguous, or coupled joints move different links.
     """
     model, links, base = draft.original, draft.links, draft.base
-    if links is None and base is None:
+    if links is None and base is None and draft.chosen is None and draft.tip is None:
         links, base = _frames_of_the_model(model)
     if links is not None:
         draft.frames = named_frames(model, links, base)
+        draft.groups = joint_groups(model, draft.frames)
+        draft.couplings = find_couplings(model, draft.joints)
     else:
-        inner, tip = longest_chain(model, base)
-        draft.frames = (inner, body_frame(model, tip))
-        behind = (joint for joint in range(model.njnt) if model.body_parentid[model.jnt_bodyid[joint]] == tip)
-        hands = [model.joint(joint).name for joint in behind if is_gripper(model, joint)]
-        if hands:
-            draft.notes.append(f"taken for a gripper, and locked: {', '.join(hands)}; name the links to move it")
-    draft.groups = joint_groups(model, draft.frames)
-    draft.couplings = find_couplings(model, draft.joints)
-    if links is None:
+        inner, chain = _chain(draft, base)
+        draft.couplings = find_couplings(model, chain)
         data = kinematics_at(model, draft.qpos)
-        whole = joint_ranges(model, [[joint] for joint in draft.joints], draft.couplings, [])
-        draft.groups = cut(model, data, draft.joints, whole, draft.couplings)
+        whole = joint_ranges(model, [[joint] for joint in chain], draft.couplings, [])
+        draft.groups = cut(model, data, chain, whole, draft.couplings)
         draft.frames = (inner, *(body_frame(model, int(model.jnt_bodyid[group[-1]])) for group in draft.groups))
+        if draft.tip is not None:
+            draft.frames = (*draft.frames[:-1], _tip(model, draft.tip, draft.frames[-1]))
     draft.ranges = joint_ranges(model, draft.groups, draft.couplings, draft.notes)
     link = {joint: i for i, group in enumerate(draft.groups, start=1) for joint in group}
     for follower, (leader, _, _) in draft.couplings.lines.items():
@@ -98,6 +105,27 @@ def find_mechanism(draft: Draft) -> None:
             )
     if len(draft.groups) == 1:
         draft.notes.append("the arm is one link; networks of a single neuron are hard to certify: name more links")
+
+
+def _chain(draft: Draft, base: str | None) -> tuple[Frame, tuple[int, ...]]:
+    """Base frame and joints of an arm without named links: the joints that are named, or the longest chain."""
+    model = draft.original
+    if draft.chosen is not None:
+        return named_chain(model, draft.chosen, base)
+    inner, tip = longest_chain(model, base)
+    behind = (joint for joint in range(model.njnt) if model.body_parentid[model.jnt_bodyid[joint]] == tip)
+    if hands := [model.joint(joint).name for joint in behind if is_gripper(model, joint)]:
+        draft.notes.append(f"taken for a gripper, and locked: {', '.join(hands)}; name the links to move it")
+    (chain,) = joint_groups(model, (inner, body_frame(model, tip)))
+    return inner, chain
+
+
+def _tip(model: mujoco.MjModel, name: str, last: Frame) -> Frame:
+    """The frame of the end effector by its name, on the last link or beyond it."""
+    tip = find_frame(model, name)
+    if last.body not in ancestry(model, tip.body):
+        raise InputError(f"the tip {name!r} is not carried by the last link, {last.name!r}")
+    return tip
 
 
 def _frames_of_the_model(model: mujoco.MjModel) -> tuple[tuple[str, ...] | None, str | None]:

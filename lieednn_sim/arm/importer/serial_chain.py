@@ -14,7 +14,7 @@ from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.checks import ancestry, joints_of
 from lieednn_sim.arm.importer.stages import driven_directly, driven_tendons, tendon_joints, tied_joints
 from lieednn_sim.errors import InputError
-from lieednn_sim.validation import quoted
+from lieednn_sim.validation import as_choice, quoted
 from lieednn_sim.values import Floats
 
 _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
@@ -106,6 +106,38 @@ def joint_groups(model: mujoco.MjModel, frames: Sequence[Frame]) -> tuple[tuple[
                 )
         groups.append(tuple(group))
     return tuple(groups)
+
+
+def named_chain(model: mujoco.MjModel, joints: Sequence[str], base: str | None) -> tuple[Frame, tuple[int, ...]]:
+    """Base frame and joints of the chain that named joints form, from the base outwards, with the joints tied to them.
+
+    Raises:
+        InputError: a name is unknown, comes twice, or is a free joint's; the joints are not on one chain; or they are
+            not beyond the base.
+    """
+    known = {model.joint(joint).name: joint for joint in range(model.njnt) if model.jnt_type[joint] != _FREE}
+    chosen = [known[as_choice("joint of the arm", name, known)] for name in joints]
+    if len(set(chosen)) < len(chosen):
+        raise InputError(f"joints must differ, got {_listed(joints)}")
+    tied = {joint for pair in tied_joints(model) if set(pair) & set(chosen) for joint in pair} - set(chosen)
+    paths = {joint: ancestry(model, int(model.jnt_bodyid[joint])) for joint in (*chosen, *tied)}
+    path = max((paths[joint] for joint in chosen), key=len)
+    for joint in chosen:
+        if paths[joint] != path[: len(paths[joint])]:
+            raise InputError(
+                f"joint {model.joint(joint).name!r} is not on the way to body {model.body(path[-1]).name!r}: an arm is "
+                "one chain; leave out the joints of its hand"
+            )
+    # A telescope's last stages may follow the one that is named.
+    path = max((other for other in paths.values() if other[: len(path)] == path), key=len)
+    arm = {joint for joint, other in paths.items() if other == path[: len(other)]}
+    chain = tuple(joint for body in path for joint in joints_of(model, body) if joint in arm)
+    if base is None:
+        return body_frame(model, int(model.body_parentid[model.jnt_bodyid[chain[0]]])), chain
+    start = find_frame(model, base)
+    if start.body not in path or path.index(start.body) >= path.index(int(model.jnt_bodyid[chain[0]])):
+        raise InputError(f"joint {model.joint(chain[0]).name!r} does not move against the base {base!r}")
+    return start, chain
 
 
 def longest_chain(model: mujoco.MjModel, base: str | None) -> tuple[Frame, int]:

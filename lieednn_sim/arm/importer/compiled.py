@@ -1,0 +1,243 @@
+"""A compiled model as a spec: what the importer needs of a model whose file nobody has."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm.forces import ON_JOINTS
+from lieednn_sim.arm.importer.loading import unused
+from lieednn_sim.arm.importer.stages import tendon_joints
+from lieednn_sim.errors import InputError
+
+_EQ, _GEOM, _OBJ, _TRN = mujoco.mjtEq, mujoco.mjtGeom, mujoco.mjtObj, mujoco.mjtTrn
+_EQUALITIES = tuple(map(int, (_EQ.mjEQ_CONNECT, _EQ.mjEQ_WELD, _EQ.mjEQ_JOINT)))
+# Fields that an element of a spec and its row of the compiled model share, by the prefix of the model's names.
+_JOINT = ("type", "pos", "axis", "range", "margin", "group", "solref_limit=solref", "solimp_limit=solimp")
+_JOINT_FORCES = ("actfrcrange", "actgravcomp")
+_GEOM_FIELDS = (
+    *("type", "size", "pos", "quat", "contype", "conaffinity", "condim", "priority", "solmix", "solref", "solimp"),
+    *("margin", "gap", "friction", "group"),
+)
+# Entries of qpos and qvel of joints that have more than one.
+_BALL, _HINGE, _SLIDE = (int(getattr(mujoco.mjtJoint, f"mjJNT_{kind}")) for kind in ("BALL", "HINGE", "SLIDE"))
+_WIDTHS, _RATES = {_BALL: 4}, {_BALL: 3}
+_ACTUATOR = ("gear", "ctrlrange", "forcerange", "trntype", "gaintype", "biastype", "gainprm", "biasprm")
+
+
+def spec_of(model: mujoco.MjModel, data: mujoco.MjData) -> mujoco.MjSpec:
+    """A spec that compiles to the bodies, joints, geoms and actuators of a model, with a keyframe at its present state.
+
+    It has what planning and a simulation of one arm need: bodies with their inertias, joints, geoms with meshes and
+    height fields in plain colours, sites, equalities, fixed tendons, actuators on joints and fixed tendons, rules of
+    contact, and numbers of ``<custom>``. Left out are what the arm cannot touch, and what only draws: flexes, skins,
+    sensors, spatial tendons, textures, lights and cameras. Elements without a name get one, and a hinge without a range
+    gets one turn either way from where it is.
+
+    Args:
+        model: any compiled model.
+        data: its state: the keyframe ``home`` gets its `qpos`, mocap bodies stand where it has them, and equalities
+            that are off in it are left out.
+
+    Raises:
+        InputError: the positions are not finite, or the data is of another model.
+    """
+    if len(data.qpos) != model.nq or data.xpos.shape[0] != model.nbody:
+        raise InputError("data must be of the model: make it by mujoco.MjData(model)")
+    if not np.isfinite(data.qpos).all():
+        raise InputError("data holds NaN or infinite positions: reset it, or set its qpos")
+    spec = mujoco.MjSpec()
+    spec.compiler.degree, spec.compiler.autolimits = False, False
+    for name in dir(model.opt):
+        if not name.startswith("_"):
+            setattr(spec.option, name, getattr(model.opt, name))
+    names = _Names(model)
+    _add_assets(spec, model, names)
+    bodies = [spec.worldbody]
+    for body in range(1, model.nbody):
+        bodies.append(_add_body(bodies[model.body_parentid[body]], model, data, body, names))
+    _add_parts(spec, bodies, model, names)
+    _add_tendons(spec, model, names)
+    _add_equalities(spec, model, data, names)
+    _add_actuators(spec, model, names)
+    _add_contact_rules(spec, model, names)
+    for i in range(model.nnumeric):
+        start = model.numeric_adr[i]
+        spec.add_numeric(name=model.numeric(i).name, data=model.numeric_data[start : start + model.numeric_size[i]])
+    spec.add_key(name="home", qpos=data.qpos.copy())
+    return spec
+
+
+class _Names:
+    """Names of a model's elements; those without one get one."""
+
+    def __init__(self, model: mujoco.MjModel) -> None:
+        self._of: dict[tuple[str, int], str] = {}
+        counts = {
+            **{"body": model.nbody, "joint": model.njnt, "geom": model.ngeom, "site": model.nsite},
+            **{"mesh": model.nmesh, "hfield": model.nhfield, "tendon": model.ntendon, "actuator": model.nu},
+        }
+        for kind, count in counts.items():
+            given = [mujoco.mj_id2name(model, getattr(_OBJ, f"mjOBJ_{kind.upper()}"), i) for i in range(count)]
+            taken = set(filter(None, given))
+            for i, name in enumerate(given):
+                self._of[kind, i] = name or unused(f"{kind}{i}", taken)
+                taken.add(self._of[kind, i])
+
+    def __call__(self, kind: str, number: int) -> str:
+        return self._of[kind, int(number)]
+
+
+def _copy(element: Any, model: mujoco.MjModel, prefix: str, row: int, fields: tuple[str, ...]) -> None:
+    """Copy ``model.PREFIX_FIELD[row]`` to the field of an element; ``mine=theirs`` where the names differ."""
+    for field in fields:
+        mine, _, theirs = field.partition("=")
+        value = getattr(model, f"{prefix}_{theirs or mine}")[row]
+        setattr(element, mine, value if np.ndim(value) else getattr(value, "item", lambda value=value: value)())
+
+
+def _limited(limited: bool) -> Any:
+    return mujoco.mjtLimited.mjLIMITED_TRUE if limited else mujoco.mjtLimited.mjLIMITED_FALSE
+
+
+def _add_assets(spec: mujoco.MjSpec, model: mujoco.MjModel, names: _Names) -> None:
+    for i in range(model.nmesh):
+        points, faces = (
+            array[start : start + count]
+            for array, start, count in (
+                (model.mesh_vert, model.mesh_vertadr[i], model.mesh_vertnum[i]),
+                (model.mesh_face, model.mesh_faceadr[i], model.mesh_facenum[i]),
+            )
+        )
+        mesh = spec.add_mesh(name=names("mesh", i), uservert=points.ravel(), userface=faces.ravel())
+        # Any surface has this kind of inertia, closed or not; bodies have their inertias from the model.
+        mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
+    for i in range(model.nhfield):
+        rows, columns, start = int(model.hfield_nrow[i]), int(model.hfield_ncol[i]), model.hfield_adr[i]
+        spec.add_hfield(
+            name=names("hfield", i),
+            nrow=rows,
+            ncol=columns,
+            size=model.hfield_size[i],
+            userdata=model.hfield_data[start : start + rows * columns],
+        )
+
+
+def _add_body(
+    parent: mujoco.MjsBody, model: mujoco.MjModel, data: mujoco.MjData, body: int, names: _Names
+) -> mujoco.MjsBody:
+    """Add a body with its inertia and joints; a mocap body stands still where it is."""
+    pos, quat = model.body_pos[body], model.body_quat[body]
+    if (mocap := model.body_mocapid[body]) >= 0:
+        pos, quat = data.mocap_pos[mocap], data.mocap_quat[mocap]
+    made = parent.add_body(name=names("body", body), pos=pos, quat=quat, explicitinertial=True)
+    made.mass, made.gravcomp = float(model.body_mass[body]), float(model.body_gravcomp[body])
+    made.ipos, made.iquat, made.inertia = model.body_ipos[body], model.body_iquat[body], model.body_inertia[body]
+    for joint in range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body]):
+        _add_joint(made, model, data, joint, names)
+    return made
+
+
+def _add_joint(body: mujoco.MjsBody, model: mujoco.MjModel, data: mujoco.MjData, joint: int, names: _Names) -> None:
+    made = body.add_joint(name=names("joint", joint), align=0)
+    _copy(made, model, "jnt", joint, _JOINT)
+    dof, address = model.jnt_dofadr[joint], model.jnt_qposadr[joint]
+    made.limited = _limited(model.jnt_limited[joint])
+    if model.jnt_type[joint] == _HINGE and not model.jnt_limited[joint]:
+        made.limited, made.range = _limited(True), data.qpos[address] + 2.0 * np.pi * np.array([-1.0, 1.0])
+    made.stiffness = [model.jnt_stiffness[joint], *model.jnt_stiffnesspoly[joint]]
+    made.damping = [model.dof_damping[dof], *model.dof_dampingpoly[dof]]
+    made.armature, made.frictionloss = float(model.dof_armature[dof]), float(model.dof_frictionloss[dof])
+    if model.jnt_type[joint] in (_HINGE, _SLIDE):
+        made.ref, made.springref = float(model.qpos0[address]), float(model.qpos_spring[address])
+        _copy(made, model, "jnt", joint, _JOINT_FORCES)
+        made.actfrclimited = _limited(model.jnt_actfrclimited[joint])
+
+
+def _add_parts(spec: mujoco.MjSpec, bodies: list[mujoco.MjsBody], model: mujoco.MjModel, names: _Names) -> None:
+    """Add geoms and sites."""
+    for geom in range(model.ngeom):
+        kind = int(model.geom_type[geom])
+        made = bodies[model.geom_bodyid[geom]].add_geom(name=names("geom", geom))
+        _copy(made, model, "geom", geom, _GEOM_FIELDS)
+        material = model.geom_matid[geom]
+        made.rgba = model.geom_rgba[geom] if material < 0 else model.mat_rgba[material]
+        if kind in (int(_GEOM.mjGEOM_MESH), int(_GEOM.mjGEOM_SDF)):
+            made.meshname = names("mesh", model.geom_dataid[geom])
+        elif kind == int(_GEOM.mjGEOM_HFIELD):
+            made.hfieldname = names("hfield", model.geom_dataid[geom])
+    for site in range(model.nsite):
+        made = bodies[model.site_bodyid[site]].add_site(name=names("site", site))
+        _copy(made, model, "site", site, ("pos", "quat", "size", "group", "rgba"))
+
+
+def _add_tendons(spec: mujoco.MjSpec, model: mujoco.MjModel, names: _Names) -> None:
+    """Add fixed tendons, which may drive the stages of a telescope."""
+    for tendon in range(model.ntendon):
+        if coefficients := tendon_joints(model, tendon):
+            made = spec.add_tendon(name=names("tendon", tendon))
+            for joint, coefficient in coefficients.items():
+                made.wrap_joint(names("joint", joint), coefficient)
+
+
+def _add_equalities(spec: mujoco.MjSpec, model: mujoco.MjModel, data: mujoco.MjData, names: _Names) -> None:
+    for equality in map(int, np.flatnonzero(data.eq_active)):
+        kind = int(model.eq_type[equality])
+        if kind not in _EQUALITIES:
+            continue
+        on_sites = model.eq_objtype[equality] == int(_OBJ.mjOBJ_SITE)
+        sort = "joint" if kind == int(_EQ.mjEQ_JOINT) else "site" if on_sites else "body"
+        made = spec.add_equality(name=model.equality(equality).name, type=model.eq_type[equality].item())
+        made.objtype = model.eq_objtype[equality].item()
+        made.name1 = names(sort, model.eq_obj1id[equality])
+        if model.eq_obj2id[equality] >= 0:
+            made.name2 = names(sort, model.eq_obj2id[equality])
+        _copy(made, model, "eq", equality, ("data", "solref", "solimp"))
+
+
+def _add_actuators(spec: mujoco.MjSpec, model: mujoco.MjModel, names: _Names) -> None:
+    """Add actuators on joints and fixed tendons; where a gain is of another kind, they are motors with its force."""
+    for actuator in range(model.nu):
+        transmission, target = int(model.actuator_trntype[actuator]), int(model.actuator_trnid[actuator, 0])
+        on_tendon = transmission == int(_TRN.mjTRN_TENDON) and bool(tendon_joints(model, target))
+        if not on_tendon and transmission not in ON_JOINTS:
+            continue
+        made = spec.add_actuator(
+            name=names("actuator", actuator), target=names("tendon" if on_tendon else "joint", target)
+        )
+        _copy(made, model, "actuator", actuator, _ACTUATOR)
+        made.ctrllimited = _limited(model.actuator_ctrllimited[actuator])
+        made.forcelimited = _limited(model.actuator_forcelimited[actuator])
+
+
+def _add_contact_rules(spec: mujoco.MjSpec, model: mujoco.MjModel, names: _Names) -> None:
+    """Add excluded pairs of bodies, and explicit pairs of geoms."""
+    for signature in model.exclude_signature:
+        one, other = divmod(int(signature), 1 << 16)
+        spec.add_exclude(bodyname1=names("body", one), bodyname2=names("body", other))
+    for pair in range(model.npair):
+        made = spec.add_pair(
+            geomname1=names("geom", model.pair_geom1[pair]), geomname2=names("geom", model.pair_geom2[pair])
+        )
+        _copy(made, model, "pair", pair, ("margin", "gap", "solref", "solimp", "friction", "condim=dim"))
+
+
+def shared_addresses(model: mujoco.MjModel, arm: mujoco.MjModel) -> tuple[NDArray[np.int_], ...]:
+    """Where the joints of an arm from `spec_of` are in the model that it was made of.
+
+    Returns:
+        Addresses in qpos of the model and of the arm, and in qvel of the model and of the arm, one for each entry.
+    """
+    names = _Names(model)
+    qpos: list[tuple[int, int]] = []
+    qvel: list[tuple[int, int]] = []
+    theirs = {names("joint", joint): joint for joint in range(model.njnt)}
+    for joint in range(arm.njnt):
+        other = theirs[arm.joint(joint).name]
+        for width, found, address in ((_WIDTHS, qpos, "jnt_qposadr"), (_RATES, qvel, "jnt_dofadr")):
+            count = width.get(int(arm.jnt_type[joint]), 1)
+            found += [(getattr(model, address)[other] + k, getattr(arm, address)[joint] + k) for k in range(count)]
+    return (*np.array(qpos).T, *np.array(qvel).T)

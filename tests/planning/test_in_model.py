@@ -1,0 +1,193 @@
+"""Plans in a compiled model that somebody else made, and the arm's model that is made of it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import dm_control
+import mujoco
+import numpy as np
+import pytest
+
+import lieednn_sim as ls
+from lieednn_sim.arm.importer.compiled import shared_addresses, spec_of
+from lieednn_sim.errors import InputError, PlanError
+from lieednn_sim.planning.in_model import _check_contacts
+
+JACO = Path(dm_control.__file__).parent / "third_party" / "kinova" / "jaco_arm.xml"
+# Two arms, whose joints take turns in qpos only by tree; things that lie, hang from a moved mocap body, and are tied.
+SCENE = """
+<mujoco>
+  <option timestep="0.004" gravity="0 0 -9"/>
+  <asset>
+    <mesh name="wedge" vertex="0 0 0  .3 0 0  0 .2 0  0 0 .1  .3 .2 .05"/>
+    <hfield name="ground" nrow="3" ncol="3" size=".2 .2 .1 .01" elevation="0 1 0 1 2 1 0 1 0"/>
+  </asset>
+  <worldbody>
+    <geom type="plane" size="3 3 .1" pos="0 0 -.5"/>
+    <geom type="hfield" hfield="ground" pos="2 2 -.5"/>
+    <body name="thing" pos="0 0 1"><freejoint/><geom type="mesh" mesh="wedge"/></body>
+    <body name="hanging" mocap="true" pos="0 0 3"><geom type="sphere" size=".15"/></body>
+    <body name="other" pos="-1 0 0">
+      <joint name="other" axis="0 0 1" range="-90 90"/><geom type="capsule" size=".05" fromto="0 0 0 .3 0 0"/>
+    </body>
+    <body name="a" pos="0 0 .2" euler="0 0 30">
+      <joint name="turn" axis="0 0 1" damping="2" armature=".1"/>
+      <geom type="capsule" size=".04" fromto="0 0 0 .4 0 0" mass="2"/>
+      <body name="b" pos=".4 0 0">
+        <joint name="lift" axis="0 1 0" range="-60 60" ref="10" stiffness="3" springref="20" frictionloss=".2"/>
+        <geom type="capsule" size=".03" fromto="0 0 0 .3 0 0" friction="2 .1 .1"/>
+        <body name="c" pos=".3 0 0">
+          <joint name="out" type="slide" axis="1 0 0" range="0 .3"/>
+          <geom type="capsule" size=".02" fromto="0 0 0 .3 0 0" rgba="1 0 0 1"/>
+          <body name="d" pos=".3 0 0">
+            <joint name="last" type="slide" axis="1 0 0" range="0 .3"/><geom type="sphere" size=".03"/>
+            <site name="pen" pos=".05 0 .02" euler="0 90 0"/>
+            <body name="finger" pos=".05 0 0">
+              <joint name="finger" axis="0 0 1" range="0 40"/><geom type="box" size=".02 .01 .01"/>
+            </body>
+          </body>
+        </body>
+      </body>
+    </body>
+  </worldbody>
+  <equality>
+    <joint joint1="last" joint2="out" polycoef="0 1 0 0 0"/><weld body1="other" body2="thing" active="false"/>
+  </equality>
+  <actuator>
+    <motor joint="turn" gear="3" ctrlrange="-20 20" ctrllimited="true"/>
+    <position name="servo" joint="lift" kp="400" kv="40" forcerange="-50 50"/>
+    <motor joint="out" ctrlrange="-90 90" ctrllimited="true"/>
+  </actuator>
+</mujoco>
+"""
+JOINTS = ["out", "turn", "lift"]
+
+
+@pytest.fixture
+def state():
+    """The scene and a state of it: the arm turned, a thing lying elsewhere, a mocap body moved, a finger open."""
+    model = mujoco.MjModel.from_xml_string(SCENE)
+    data = mujoco.MjData(model)
+    data.joint("turn").qpos, data.joint("lift").qpos, data.joint("finger").qpos = 3.5, 0.3, 0.4
+    data.joint("out").qpos = data.joint("last").qpos = 0.1
+    data.qpos[:3], data.mocap_pos[0] = [0.2, -0.9, 0.2], [0.5, 0.8, 0.5]
+    mujoco.mj_forward(model, data)
+    return model, data
+
+
+@pytest.mark.parametrize("source", [SCENE, JACO], ids=["scene", "jaco"])
+def test_a_compiled_model_as_a_spec_compiles_to_the_same_mechanics(source):
+    model = mujoco.MjModel.from_xml_string(SCENE) if source is SCENE else mujoco.MjModel.from_xml_path(str(source))
+    data = mujoco.MjData(model)
+    data.mocap_pos[:] = [0.1, 0.2, 0.6]
+    made = spec_of(model, data).compile()
+    assert (made.nq, made.ngeom, made.nu, made.opt.timestep) == (model.nq, model.ngeom, model.nu, model.opt.timestep)
+    rng, moved, again = np.random.default_rng(0), mujoco.MjData(model), mujoco.MjData(made)
+    moved.mocap_pos[:] = data.mocap_pos
+    touched = 0
+    for _ in range(30):
+        moved.qpos[:], moved.qvel[:] = rng.normal(size=model.nq), rng.normal(size=model.nv)
+        mujoco.mj_normalizeQuat(model, moved.qpos)
+        moved.ctrl[:] = rng.normal(size=model.nu)
+        again.qpos[:], again.qvel[:], again.ctrl[:] = moved.qpos, moved.qvel, moved.ctrl
+        for each, its in ((model, moved), (made, again)):
+            mujoco.mj_forward(each, its)
+        for name in ("qfrc_bias", "qfrc_passive", "qfrc_actuator", "qacc_smooth", "xpos", "geom_xpos", "site_xmat"):
+            mine, theirs = getattr(again, name), getattr(moved, name)
+            if name == "geom_xpos":  # a mesh has other axes, and the same place
+                mine, theirs = mine[model.geom_type != 7], theirs[model.geom_type != 7]
+            np.testing.assert_allclose(mine, theirs, rtol=1e-6, atol=1e-6 * (1.0 + np.abs(theirs).max()), err_msg=name)
+        touched += moved.ncon
+        pairs = [{(*sorted(pair),) for pair in each.contact.geom.tolist()} for each in (moved, again)]
+        assert pairs[0] == pairs[1]
+    assert touched > 10
+
+
+def test_a_plan_in_somebody_elses_model_keeps_their_order_and_the_rest_where_it_is(state):
+    model, data = state
+    before = data.qpos.copy()
+    goal = {"out": 0.25, "turn": 5.2, "lift": -0.4}
+    found = ls.plan_in(
+        model, data, JOINTS, [goal[name] for name in JOINTS], tip="pen", limits={"turn": {"velocity": 2.0}}
+    )
+    assert found.plan.planner == "lieednn-shaped"
+    assert found.plan.network.certified
+    assert found.arm.joint_names == ("turn", "lift", "out")
+    assert found.arm.import_report.links[-1] == "pen"
+    np.testing.assert_array_equal(data.qpos, before)
+    np.testing.assert_allclose(found.qpos[0], before, atol=1e-6)
+    address = {name: int(model.joint(name).qposadr[0]) for name in (*JOINTS, "last", "finger")}
+    for name, value in goal.items():
+        assert found.qpos[-1, address[name]] == pytest.approx(value, abs=1e-6)
+    np.testing.assert_allclose(found.qpos[:, address["last"]], found.qpos[:, address["out"]], atol=1e-12)
+    rest = np.delete(np.arange(model.nq), [address[name] for name in (*JOINTS, "last")])
+    np.testing.assert_array_equal(found.qpos[:, rest], np.tile(before[rest], (len(found.t), 1)))
+    # The velocities are those of the positions, in MuJoCo's own order.
+    step = np.zeros(model.nv)
+    for k in range(50, len(found.t) - 1, 200):
+        mujoco.mj_differentiatePos(model, step, 2.0 * found.arm.timestep, found.qpos[k - 1], found.qpos[k + 1])
+        np.testing.assert_allclose(found.qvel[k], step, atol=2e-3)
+    assert np.abs(found.qvel[:, model.joint("turn").dofadr[0]]).max() <= 2.0
+    # Where the end effector goes, by their kinematics and by ours.
+    their = mujoco.MjData(model)
+    their.qpos[:] = found.qpos[300]
+    mujoco.mj_kinematics(model, their)
+    np.testing.assert_allclose(found.arm.tip(found.plan.motion.q[300]), their.site("pen").xpos, atol=1e-9)
+
+
+def test_what_stands_in_the_way_is_avoided_where_the_data_has_it(state):
+    model, data = state
+    goal = [0.1, 4.7, 0.3]
+    straight = ls.plan_in(model, data, JOINTS, goal, planner="minimum-jerk")
+    tip = mujoco.MjData(model)
+    tip.qpos[:] = straight.qpos[len(straight.t) // 2]
+    mujoco.mj_kinematics(model, tip)
+    data.mocap_pos[0] = tip.body("d").xpos
+    with pytest.raises(PlanError, match="'hanging'"):
+        ls.plan_in(model, data, JOINTS, goal, planner="minimum-jerk")
+    around = ls.plan_in(model, data, JOINTS, goal)
+    tip.mocap_pos[:] = data.mocap_pos
+    for tip.qpos[:] in around.qpos[::20]:
+        mujoco.mj_forward(model, tip)
+        assert "hanging" not in {
+            model.geom(g).id and model.body(model.geom_bodyid[g]).name for g in tip.contact.geom.flat
+        }
+    with pytest.raises(PlanError, match=r"in the given model '\w+' would touch"):
+        _check_contacts(model, data, straight.qpos, shared_addresses(model, straight.arm.model)[2])
+
+
+def test_the_start_may_be_any_turn_of_a_hinge_without_a_range(state):
+    model, data = state
+    data.joint("turn").qpos = 40.0
+    found = ls.plan_in(model, data, JOINTS, [0.2, 41.0, 0.0], planner="minimum-jerk")
+    turned = found.qpos[[0, -1], model.joint("turn").qposadr[0]]
+    np.testing.assert_allclose(turned, [40.0, 41.0], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("joints", "changes", "message"),
+    [
+        ([], {}, "at least one joint"),
+        (["turn", "knee"], {}, "joint of the arm.*'knee'.*finger, last, lift, other, out, turn"),
+        (["turn", "turn"], {}, "joints must differ"),
+        (["turn", "other"], {}, "'other' is not on the way to body 'a'|'turn' is not on the way to body 'other'"),
+        (JOINTS, {"goal": [0.1, 0.2]}, r"the goal of out, turn, lift"),
+        (JOINTS, {"goal": [0.1, 3.0, 2.0]}, "target is out of reach: joint 'lift' would be at 2 rad"),
+        (JOINTS, {"tip": "other"}, "the tip 'other' is not carried by the last link"),
+        (JOINTS, {"clearance": [1.0]}, "clearance"),
+    ],
+)
+def test_bad_input_is_named(state, joints, changes, message):
+    model, data = state
+    with pytest.raises(InputError, match=message):
+        ls.plan_in(model, data, joints, **{"goal": [0.1, 3.6, 0.2], **changes})
+
+
+def test_data_of_another_model_or_with_nan_is_refused(state):
+    model, data = state
+    with pytest.raises(InputError, match="data must be of the model"):
+        ls.plan_in(model, mujoco.MjData(mujoco.MjModel.from_xml_string("<mujoco/>")), JOINTS, [0.1, 3.6, 0.2])
+    data.qpos[0] = np.nan
+    with pytest.raises(InputError, match="NaN"):
+        ls.plan_in(model, data, JOINTS, [0.1, 3.6, 0.2])
