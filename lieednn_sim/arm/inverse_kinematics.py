@@ -1,8 +1,8 @@
-"""Inverse kinematics: a joint position from an end effector pose."""
+"""Inverse kinematics: joint positions from an end effector pose."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,9 +19,11 @@ from lieednn_sim.values import Floats
 if TYPE_CHECKING:
     from scipy.spatial.transform import RigidTransform, Rotation
 
-# Error at which the pose counts as reached [m, rad], and the number of starts.
+# Error at which the pose counts as reached [m, rad], and the numbers of starts.
 _TOLERANCE = 1e-6
-_ATTEMPTS = 8
+_ATTEMPTS, _MOST_ATTEMPTS = 8, 32
+# Candidates for a target, and the fraction of a joint's range by which they differ.
+_CANDIDATES, _SAME = 4, 1e-3
 # No arm reaches further [m], and squares stay far from overflow.
 _FARTHEST = 1e6
 # Distance from a limit, as a fraction of the joint's range, at which the joint counts as being there.
@@ -54,6 +56,57 @@ def solve_ik(
         InputError: a value is malformed.
         NoSolutionError: no such joint position was found; the message says how close the search came.
     """
+    return next(_solutions(arm, position, rotation, start, seed, progress))
+
+
+def ik_candidates(
+    arm: Arm,
+    pose: RigidTransform,
+    *,
+    start: ArrayLike | str = "home",
+    seed: Seed = 0,
+) -> list[Floats]:
+    """Several joint positions ``(n,)`` as of `solve_ik`, the one that is reached soonest first.
+
+    The measure is the time that the slowest joint needs at its velocity limit, or at its range in a second where it has
+    none. The search ends with four different positions, or after 32 attempts.
+
+    Args:
+        arm: the arm.
+        pose: of the end effector in the world.
+        start: joint coordinates ``(n,)`` from which they are to be reached, or a keyframe's name.
+        seed: seed of the random starts of the search.
+
+    Raises:
+        InputError: a value is malformed.
+        NoSolutionError: none was found; the message says how close the search came.
+    """
+    rest = arm.check_position(start, "start")
+    pace = np.where(np.isfinite(arm.velocity_limits), arm.velocity_limits, arm.ranges)
+    found: list[Floats] = []
+    for q in _solutions(arm, pose.translation, pose.rotation, rest, seed, several=True):
+        if all(np.abs((q - other) / arm.ranges).max() > _SAME for other in found):
+            found.append(q)
+        if len(found) == _CANDIDATES:
+            break
+    return sorted(found, key=lambda q: float(np.abs((q - rest) / pace).max()))
+
+
+def _solutions(
+    arm: Arm,
+    position: ArrayLike,
+    rotation: Rotation | None,
+    start: ArrayLike | str,
+    seed: Seed,
+    progress: Callable[[int, int], None] | None = None,
+    *,
+    several: bool = False,
+) -> Iterator[Floats]:
+    """Solutions near the start or, where several are wanted, near one random position each after the first one.
+
+    Raises as `solve_ik` if there is none.
+    """
+    attempts = _MOST_ATTEMPTS if several else _ATTEMPTS
     goal = as_floats("position", position, (3,))
     if np.abs(goal).max() > _FARTHEST:
         raise InputError(f"position must be within {_FARTHEST:g} m of the origin, got {np.abs(goal).max():g} m")
@@ -86,16 +139,17 @@ def solve_ik(
         turned = rotation.as_matrix().T @ hat(angular.T) @ data.site_xmat[site].reshape(3, 3)
         return np.vstack([linear, turned.reshape(arm.n_joints, 9).T])
 
-    best, closest, refused = np.inf, rest, ""
-    for attempt in range(_ATTEMPTS):
+    best, closest, refused, solved = np.inf, rest, "", False
+    for attempt in range(attempts):
         if progress is not None:
-            progress(attempt, _ATTEMPTS)
+            progress(attempt, attempts)
         q = rest if attempt == 0 else rng.uniform(low, high)
+        near = q if several else rest
         # First with the configuration term, for a solution near the start; then without it, for an exact one.
         for weight in (_CONFIGURATION_WEIGHT, 0.0):
             pull = np.diag(weight / spread)
             q = scipy.optimize.least_squares(
-                lambda x, pull=pull: np.concatenate([error(x), pull @ (x - rest)]),
+                lambda x, pull=pull, near=near: np.concatenate([error(x), pull @ (x - near)]),
                 np.clip(q, low + 1e-9 * spread, high - 1e-9 * spread),
                 jac=lambda x, pull=pull: np.vstack([jacobian(x), pull]),
                 bounds=(low, high),
@@ -111,13 +165,16 @@ def solve_ik(
             excess = arm.limit_excess(q)
             contacts = arm.near_contacts(q)
             if excess.max() <= 0.0 and not contacts:
-                return q
-            if excess.max() > 0.0:
+                solved = True
+                yield q
+            elif excess.max() > 0.0:
                 refused = f"; at the solutions found {arm.describe_excess(q, int(excess.argmax()))}"
             else:
                 refused = f"; at the solutions found {contacts[0][0]!r} touches {contacts[0][1]!r}"
         if distance < best:
             best, closest = distance, q
+    if solved:
+        return
     raise NoSolutionError(
         f"the end effector cannot reach ({', '.join(f'{x:g}' for x in goal)}) m"
         + (" with this orientation" if rotation is not None else "")

@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scipy
 
-from lieednn_sim.arm import Arm, solve_ik
+from lieednn_sim.arm import Arm, ik_candidates, solve_ik
 from lieednn_sim.arm.importer import ImportOptions
 from lieednn_sim.arm.models import chosen, is_arm_file
 from lieednn_sim.arm.obstacles import is_scene_file
@@ -37,6 +38,8 @@ def import_options(arguments: argparse.Namespace) -> ImportOptions:
     return chosen(
         {
             "links": list(names(arguments.links)),
+            "joints": list(names(arguments.joints)),
+            "tip": arguments.tip,
             "base": arguments.base,
             "keyframe": arguments.keyframe,
             "home": named_numbers(arguments.home, "home"),
@@ -80,10 +83,15 @@ def make_task(
 
 
 def start_and_target(arm: Arm, arguments: argparse.Namespace) -> tuple[Floats, Floats]:
-    """Joint positions from --start, and from --target or --position."""
+    """Joint positions from --start, and from --target, --position or --pose."""
     start = arm.check_position(joint_position(arm, arguments.start, "start"), "start")
     if arguments.position is not None:
         return start, solve_ik(arm, numbers(arguments.position, "position", 3), start=start)
+    if arguments.pose is not None:
+        pose = numbers(arguments.pose, "pose", 6)
+        rotation = scipy.spatial.transform.Rotation.from_rotvec(pose[3:])
+        goal = scipy.spatial.transform.RigidTransform.from_components(pose[:3], rotation)
+        return start, ik_candidates(arm, goal, start=start)[0]
     return start, joint_position(arm, arguments.target, "target")
 
 

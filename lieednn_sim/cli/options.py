@@ -48,6 +48,11 @@ def add_task(parser: argparse.ArgumentParser, output: str, *, goal: bool = True)
         + ("" if goal else " (default: extended; among obstacles, or without such a keyframe, random:SEED)"),
     )
     group.add_argument("--position", metavar="X,Y,Z", help="target position of the end effector in the world [m]")
+    group.add_argument(
+        "--pose",
+        metavar="X,Y,Z,RX,RY,RZ",
+        help="target pose of the end effector in the world: position [m] and rotation vector [rad]",
+    )
     parser.add_argument("--start", default="home", metavar="Q", help="joints at the start, given as for --target")
     _add_duration(parser)
     parser.add_argument("--seed", type=whole, default=0, help="seed of random draws")
@@ -80,6 +85,12 @@ def add_frames(parser: argparse.ArgumentParser) -> None:
         "--links",
         metavar="A,B,...",
         help="bodies or sites of a model file as link frames, from the base outwards (default: chosen automatically)",
+    )
+    parser.add_argument(
+        "--joints", metavar="A,B,...", help="joints of a model file that are the arm, instead of its links"
+    )
+    parser.add_argument(
+        "--tip", metavar="NAME", help="body or site of a model file that is the end effector, if no links are named"
     )
     parser.add_argument(
         "--base", metavar="NAME", help="body or site that is the base frame (default: chosen automatically)"

@@ -29,7 +29,7 @@ def make_plan(run: RunDirectory, arguments: argparse.Namespace) -> None:
     arm = load_arm(arguments)
     planner, reason = _planner(arm, arguments)
     console.print(f"planner: {planner} ({reason}), at most {arguments.time_budget:g} s of CPU time")
-    if arguments.target is None and arguments.position is None:
+    if arguments.target is arguments.position is arguments.pose is None:
         arguments.target = usual_target(arm, arguments.seed)
         if arguments.target.startswith(RANDOM):
             console.print(f"target: {arguments.target}")

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim._mujoco import mujoco
@@ -19,6 +21,9 @@ from lieednn_sim.planning.problem import Plan
 from lieednn_sim.planning.registry import OBSTACLE_PLANNER, plan
 from lieednn_sim.validation import Seed, as_floats
 from lieednn_sim.values import Floats, frozen
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import RigidTransform
 
 
 @frozen
@@ -45,7 +50,7 @@ def plan_in(
     model: mujoco.MjModel,
     data: mujoco.MjData,
     joints: Sequence[str],
-    goal: ArrayLike,
+    goal: ArrayLike | RigidTransform,
     *,
     tip: str | None = None,
     limits: Mapping[str, Mapping[str, float]] | None = None,
@@ -70,7 +75,7 @@ def plan_in(
         data: its state. The motion starts at its positions, at rest.
         joints: names of the joints, on one chain; joints that equalities tie to them are the arm's, too.
         goal: joint target ``(n,)`` in the order of ``joints`` [rad, m]: three values, a rotation vector, for a ball
-            joint, and none for a joint that follows another.
+            joint, and none for a joint that follows another. Or a pose of the tip in the world, as of `plan`.
         tip: body or site of the end effector, by default the last body that the joints move.
         limits: ``velocity``, ``acceleration`` and ``jerk`` of coordinates by name [rad or m, s].
         clearance: distance that the motion keeps from contact, start and goal included [m].
@@ -105,8 +110,10 @@ def plan_in(
     return ModelPlan(motion.t, qpos, qvel, found, arm)
 
 
-def _in_order_of_arm(arm: Arm, joints: Sequence[str], goal: ArrayLike) -> Floats:
-    """A goal in the order of the given joints, in that of the arm's coordinates."""
+def _in_order_of_arm(arm: Arm, joints: Sequence[str], goal: ArrayLike | RigidTransform) -> Floats | RigidTransform:
+    """A goal in the order of the given joints, in that of the arm's coordinates; a pose as it is."""
+    if isinstance(goal, scipy.spatial.transform.RigidTransform):
+        return goal
     names = arm.joint_names
     given = [k for joint in joints for k, name in enumerate(names) if name in (joint, *(f"{joint}_{a}" for a in "xyz"))]
     values = as_floats(f"the goal of {', '.join(names[k] for k in given)}", goal, (arm.n_joints,))

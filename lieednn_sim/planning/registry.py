@@ -6,15 +6,16 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 from importlib import import_module
-from typing import NamedTuple, TypeVar
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
 
 from lieednn_sim import planner_table
-from lieednn_sim.arm import Arm
+from lieednn_sim.arm import Arm, ik_candidates
 from lieednn_sim.budget import DEFAULT_TIME_BUDGET, cpu_time, time_limit
-from lieednn_sim.errors import InputError, LieEDNNError, PlanError
+from lieednn_sim.errors import InputError, LieEDNNError, NotCertifiedError, PlanError
 from lieednn_sim.planner_table import TYPICAL, Entry
 from lieednn_sim.planning.extras import optional_module
 from lieednn_sim.planning.motion import Motion, check_motion
@@ -23,6 +24,9 @@ from lieednn_sim.planning.problem import Plan, PlanningProblem, in_time
 from lieednn_sim.planning.retiming import retime
 from lieednn_sim.registration import Registry
 from lieednn_sim.validation import Seed, as_choice, as_seed
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import RigidTransform
 
 # Largest distance of a motion's ends from the start and target asked for, in joint coordinates [rad, m].
 _END_TOLERANCE = 1e-3
@@ -141,7 +145,7 @@ def default_planner(arm: Arm) -> tuple[str, str]:
 
 def plan(
     arm: Arm,
-    target: ArrayLike | str,
+    target: ArrayLike | str | RigidTransform,
     *,
     planner: str | None = None,
     start: ArrayLike | str = "home",
@@ -157,7 +161,9 @@ def plan(
 
     Args:
         arm: the arm, in its scene.
-        target: joint target ``(n,)`` [rad, m], or a keyframe's name.
+        target: joint target ``(n,)`` [rad, m], a keyframe's name, or a pose of the end effector in the world. Of the
+            joint positions with this pose (`arm.ik_candidates`) it is the one that is reached soonest among those to
+            which the planner finds a motion.
         planner: a name of `PLANNERS`; by default the `default_planner`.
         start: joint position at rest ``(n,)`` [rad, m], or a keyframe's name.
         duration: duration of the motion [s], rounded to a whole number of the model's time steps.
@@ -184,14 +190,30 @@ def plan(
     known = planners()
     solve, kind, _ = known[as_choice("planner", planner, known)]
     given = given_options(f"the planner {planner!r}", kind, options)
-    ends = arm.configuration(start, "start"), arm.configuration(target, "target")
-    problem = PlanningProblem(arm, *ends, duration, as_seed("seed", seed), time_budget, max_time_scale, progress)
     if fastest:
         optional_module("toppra")  # before the work
-    begun = cpu_time()
-    with time_limit(problem.time_budget):
-        made = solve(problem, *given)
-        found = Plan(made) if isinstance(made, Motion) else made
-        if fastest:
-            found = replace(found, motion=retime(problem.arm, found.motion))
+    begun, number = cpu_time(), as_seed("seed", seed)
+    begin = arm.configuration(start, "start")
+
+    def problem_to(goal: ArrayLike | str) -> PlanningProblem:
+        return PlanningProblem(
+            arm, begin, arm.configuration(goal, "target"), duration, number, time_budget, max_time_scale, progress
+        )
+
+    # Poses are searched for within the budget, the rest of a bad problem is refused before.
+    posed = isinstance(target, scipy.spatial.transform.RigidTransform)
+    first = problem_to(begin if posed else target)
+    with time_limit(first.time_budget):
+        goals = ik_candidates(arm, target, start=begin, seed=number) if posed else [first.target]
+        for goal in goals:
+            problem = replace(first, target=goal)
+            try:
+                made = solve(problem, *given)
+                found = Plan(made) if isinstance(made, Motion) else made
+                if fastest:
+                    found = replace(found, motion=retime(problem.arm, found.motion))
+                break
+            except (PlanError, NotCertifiedError):
+                if goal is goals[-1]:
+                    raise
     return replace(found, target=problem.target, planner=planner, cpu_time=cpu_time() - begun)

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lieednn_sim.arm import arm_names
+from lieednn_sim.arm import Arm, arm_names
 from lieednn_sim.cli import doctor, main
 from lieednn_sim.learning import projected
 from lieednn_sim.learning.history import History
@@ -226,6 +226,12 @@ def test_a_target_can_be_numbers_or_a_position(tmp_path):
     assert main(["synthesize", "--target", q, "--output", str(tmp_path / "a"), *FAST]) == 0
     assert json.loads((tmp_path / "a" / "task.json").read_text())["target"][4] == -0.3
     assert main(["synthesize", "--position", "-.9,1.2,1.2", "--output", str(tmp_path / "b"), *FAST[:2]]) == 0
+    arm = Arm.load("telescopic_pr")
+    goal = arm.link_poses(arm.keyframe("extended"))[-1]
+    text = ",".join(map(repr, map(float, [*goal.translation, *goal.rotation.as_rotvec()])))
+    assert main(["plan", f"--pose={text}", "--planner", "minimum-jerk", "--output", str(tmp_path / "c")]) == 0
+    reached = arm.link_poses(json.loads((tmp_path / "c" / "task.json").read_text())["target"])[-1]
+    np.testing.assert_allclose(reached.as_matrix(), goal.as_matrix(), atol=1e-5)
 
 
 @pytest.mark.parametrize(
@@ -238,6 +244,7 @@ def test_a_target_can_be_numbers_or_a_position(tmp_path):
         (["--target", "0,nan,0,0,0,0,0,0"], "target must be 8 comma-separated numbers, got '0,nan"),
         (["--target", "0,0.1,0,9,0,0,0,0"], "joint 'extend1' would be at 9 m"),
         (["--position", "9,9,9"], "cannot reach"),
+        (["--pose", "0,0,1"], "pose must be 6 comma-separated numbers, got 3"),
         (["--target", "extended", "--start", "0,0,0,0,0,0,0,99"], "start is out of reach"),
         (["--target", "extended", "--duration", "1e9"], "duration must be between"),
         (["--target", "extended", "--duration", "0.1"], "a duration of at least"),

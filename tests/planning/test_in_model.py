@@ -42,7 +42,11 @@ SCENE = """
           <geom type="capsule" size=".02" fromto="0 0 0 .3 0 0" rgba="1 0 0 1"/>
           <body name="d" pos=".3 0 0">
             <joint name="last" type="slide" axis="1 0 0" range="0 .3"/><geom type="sphere" size=".03"/>
-            <site name="pen" pos=".05 0 .02" euler="0 90 0"/>
+            <body name="e" pos=".05 0 .02">
+              <joint name="spin" axis="1 0 0" range="-90 90"/>
+              <inertial pos="0 0 .01" mass=".1" diaginertia="1e-4 1e-4 1e-4"/>
+              <site name="pen" euler="0 90 0"/>
+            </body>
             <body name="finger" pos=".05 0 0">
               <joint name="finger" axis="0 0 1" range="0 40"/><geom type="box" size=".02 .01 .01"/>
             </body>
@@ -146,7 +150,8 @@ def test_what_stands_in_the_way_is_avoided_where_the_data_has_it(state):
     data.mocap_pos[0] = tip.body("d").xpos
     with pytest.raises(PlanError, match="'hanging'"):
         ls.plan_in(model, data, JOINTS, goal, planner="minimum-jerk")
-    around = ls.plan_in(model, data, JOINTS, goal)
+    # With a last joint that moves nothing that could touch.
+    around = ls.plan_in(model, data, [*JOINTS, "spin"], [*goal, 0.4])
     tip.mocap_pos[:] = data.mocap_pos
     for tip.qpos[:] in around.qpos[::20]:
         mujoco.mj_forward(model, tip)
@@ -155,6 +160,20 @@ def test_what_stands_in_the_way_is_avoided_where_the_data_has_it(state):
         }
     with pytest.raises(PlanError, match=r"in the given model '\w+' would touch"):
         _check_contacts(model, data, straight.qpos, shared_addresses(model, straight.arm.model)[2])
+
+
+def test_a_pose_of_the_tip_is_a_goal_too(state):
+    model, data = state
+    data.mocap_pos[0] = [0.0, 0.0, 5.0]
+    joints = [*JOINTS, "spin"]
+    arm = ls.Arm.from_model(model, data, joints=joints, tip="pen")
+    pose = arm.link_poses([4.4, 0.5, 0.2, -0.7])[-1]
+    found = ls.plan_in(model, data, joints, pose, tip="pen")
+    reached = mujoco.MjData(model)
+    reached.qpos[:] = found.qpos[-1]
+    mujoco.mj_kinematics(model, reached)
+    np.testing.assert_allclose(reached.site("pen").xpos, pose.translation, atol=1e-5)
+    np.testing.assert_allclose(reached.site("pen").xmat.reshape(3, 3), pose.rotation.as_matrix(), atol=1e-5)
 
 
 def test_the_start_may_be_any_turn_of_a_hinge_without_a_range(state):
@@ -169,7 +188,7 @@ def test_the_start_may_be_any_turn_of_a_hinge_without_a_range(state):
     ("joints", "changes", "message"),
     [
         ([], {}, "at least one joint"),
-        (["turn", "knee"], {}, "joint of the arm.*'knee'.*finger, last, lift, other, out, turn"),
+        (["turn", "knee"], {}, "joint of the arm.*'knee'.*finger, last, lift, other, out, spin, turn"),
         (["turn", "turn"], {}, "joints must differ"),
         (["turn", "other"], {}, "'other' is not on the way to body 'a'|'turn' is not on the way to body 'other'"),
         (JOINTS, {"goal": [0.1, 0.2]}, r"the goal of out, turn, lift"),
