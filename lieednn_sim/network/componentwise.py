@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from functools import cached_property
+from pathlib import Path
 from typing import Self
 
 import numpy as np
@@ -12,6 +14,7 @@ from numpy.typing import ArrayLike
 from lieednn_sim import stability
 from lieednn_sim.errors import InputError, NotCertifiedError
 from lieednn_sim.network.base import BlockNetwork
+from lieednn_sim.network.c_code import write_c
 from lieednn_sim.validation import as_choice, as_floats, as_positive
 from lieednn_sim.values import Floats, frozen
 
@@ -181,6 +184,25 @@ class ComponentwiseNetwork(BlockNetwork):
             rotational_weight=None if self.certifiable_weight is self.weight else self.certifiable_weight,
             lyapunov_diagonal=self.lyapunov_diagonal,
         )
+
+    def to_c(self, folder: str | os.PathLike[str]) -> Path:
+        """Write the network as C99, for a controller: ``lieednn.h`` and ``lieednn.c``, without allocation.
+
+        The header says what each function does, and gives the certificate's figures. A step is that of `policies` and
+        of `dynamics.runge_kutta_step`: the fourth-order Runge-Kutta method. The target can be moved as by `retarget`.
+
+        Args:
+            folder: where to write them; it is made if it is missing. Two files of these names there are replaced.
+
+        Returns:
+            The folder.
+
+        Raises:
+            InputError: the activation is one of the user's own, hidden neurons hear visible ones, or the network has no
+                equilibrium.
+            FileError: the files cannot be written.
+        """
+        return write_c(self, folder)
 
     def phi(self, x: Floats) -> Floats:
         """Activation, entry by entry, of an array of any shape; unchecked."""
