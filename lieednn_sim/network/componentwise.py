@@ -15,6 +15,7 @@ from lieednn_sim import stability
 from lieednn_sim.errors import InputError, NotCertifiedError
 from lieednn_sim.network.base import BlockNetwork
 from lieednn_sim.network.c_code import write_c
+from lieednn_sim.network.onnx_graph import write_onnx
 from lieednn_sim.validation import as_choice, as_floats, as_positive
 from lieednn_sim.values import Floats, frozen
 
@@ -203,6 +204,23 @@ class ComponentwiseNetwork(BlockNetwork):
             FileError: the files cannot be written.
         """
         return write_c(self, folder)
+
+    def to_onnx(self, path: str | os.PathLike[str]) -> None:
+        """Write one Runge-Kutta step as a graph of ONNX, in double precision; needs the extra ``onnx``.
+
+        Inputs are the flat state ``x``, the step ``h`` in the network's time, and ``bias``, mu b flat, which may be
+        left out; a target is moved by the bias of a network that `retarget` made. The output is ``x_next``. The
+        metadata has the certificate in words.
+
+        Args:
+            path: the file, which is replaced if it exists.
+
+        Raises:
+            InputError: the activation is not tanh.
+            LieEDNNError: the library onnx is not installed.
+            FileError: the file cannot be written.
+        """
+        write_onnx(self, path)
 
     def phi(self, x: Floats) -> Floats:
         """Activation, entry by entry, of an array of any shape; unchecked."""
