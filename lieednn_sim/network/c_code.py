@@ -14,7 +14,7 @@ from lieednn_sim.filesystem import atomic_paths, make_directory
 from lieednn_sim.values import Floats
 
 if TYPE_CHECKING:
-    from lieednn_sim.network.componentwise import ComponentwiseNetwork
+    from lieednn_sim.network.base import BlockNetwork
 
 _PHI = {"tanh": "tanh(x)", "arctan": "M_2_PI * atan(M_PI_2 * x)"}
 
@@ -147,10 +147,10 @@ static const double hidden_start[HIDDEN] = $hidden_start;
 $gains""")
 
 
-def write_c(network: ComponentwiseNetwork, folder: str | os.PathLike[str]) -> Path:
+def write_c(network: BlockNetwork, activation: str, folder: str | os.PathLike[str]) -> Path:
     """Write ``lieednn.h`` and ``lieednn.c`` into a folder; see `ComponentwiseNetwork.to_c`."""
-    if network.activation not in _PHI:
-        raise InputError(f"C code is known for {' and '.join(_PHI)}, not for the activation {network.activation!r}")
+    if activation not in _PHI:
+        raise InputError(f"C code is known for {' and '.join(_PHI)}, not for the activation {activation!r}")
     first, d = network.n_visible, network.bias.shape[1]
     if network.n_hidden and network.n_driven > first and network.blocks[first:, :first].any():
         raise InputError("hidden neurons hear visible ones in this network, which the C code cannot retarget")
@@ -171,7 +171,7 @@ def write_c(network: ComponentwiseNetwork, folder: str | os.PathLike[str]) -> Pa
         "weight": _array(network.mu * network.driven_weight.T),
         "bias_values": _array(network.mu * network.bias.ravel()),
         "rest": _array(found.xi.ravel()),
-        "phi": _PHI[network.activation],
+        "phi": _PHI[activation],
         **_hidden(network),
     }
     directory = make_directory(folder)
@@ -182,7 +182,7 @@ def write_c(network: ComponentwiseNetwork, folder: str | os.PathLike[str]) -> Pa
     return directory
 
 
-def _hidden(network: ComponentwiseNetwork) -> dict[str, str]:
+def _hidden(network: BlockNetwork) -> dict[str, str]:
     """The hidden neurons' starts as C."""
     if not network.n_hidden:
         return {"hidden_arrays": "", "start": ""}

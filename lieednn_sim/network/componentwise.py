@@ -203,7 +203,7 @@ class ComponentwiseNetwork(BlockNetwork):
                 equilibrium.
             FileError: the files cannot be written.
         """
-        return write_c(self, folder)
+        return write_c(self, self.activation, folder)
 
     def to_onnx(self, path: str | os.PathLike[str]) -> None:
         """Write one Runge-Kutta step as a graph of ONNX, in double precision; needs the extra ``onnx``.
@@ -220,7 +220,7 @@ class ComponentwiseNetwork(BlockNetwork):
             LieEDNNError: the library onnx is not installed.
             FileError: the file cannot be written.
         """
-        write_onnx(self, path)
+        write_onnx(self, self.activation, path)
 
     def phi(self, x: Floats) -> Floats:
         """Activation, entry by entry, of an array of any shape; unchecked."""

@@ -13,20 +13,20 @@ from lieednn_sim.network.dynamics import runge_kutta_step
 from lieednn_sim.values import Floats
 
 if TYPE_CHECKING:
-    from lieednn_sim.network.componentwise import ComponentwiseNetwork
+    from lieednn_sim.network.base import BlockNetwork
 
 # Doubles of MatMul, Add and Tanh; every runtime of the last years has it.
 _OPSET, _IR = 17, 8
 
 
-def write_onnx(network: ComponentwiseNetwork, path: str | os.PathLike[str]) -> None:
+def write_onnx(network: BlockNetwork, activation: str, path: str | os.PathLike[str]) -> None:
     """Write the graph to a file; see `ComponentwiseNetwork.to_onnx`."""
     try:
         import onnx
     except ImportError:
         raise LieEDNNError("to_onnx needs the library onnx: pip install 'lieednn_sim[onnx]'") from None
-    if network.activation != "tanh":
-        raise InputError(f"an ONNX graph is made of tanh, not of the activation {network.activation!r}")
+    if activation != "tanh":
+        raise InputError(f"an ONNX graph is made of tanh, not of the activation {activation!r}")
     size, driven = network.bias.size, len(network.driven_weight)
     # Rows of zeros let every stage be a sum of vectors of one size.
     weight = np.vstack([network.mu * network.driven_weight, np.zeros((size - driven, size))])
