@@ -95,7 +95,15 @@ plot_working_directory = str(HERE)
 
 # The order of the cards; an example that is not listed comes last.
 EXAMPLES = (
-    *("retargeting", "window", "own_urdf_table", "push_and_return", "moving_target", "moving_obstacle"),
+    *(
+        "retargeting",
+        "window",
+        "own_urdf_table",
+        "plan_in_model",
+        "push_and_return",
+        "moving_target",
+        "moving_obstacle",
+    ),
     *("demonstrations_fan", "motion_library", "payload_and_friction", "batch_of_256", "planner_figure", "environment"),
     *("own_certificate", "paper_figure", "algorithm_1", "*"),
 )
