@@ -10,7 +10,7 @@
 
 Each name is imported when it is first used. Everything else is in the subpackages: `lie`, `stability`, `network`,
 `theory`, `synthesis`, `learning`, `arm`, `planning`, `policies`, `simulation`, `rendering`, `evaluation`,
-`studies`, `environments`, `live`, `cli`.
+`studies`, `environments`, `exports`, `live`, `cli`.
 """
 
 from __future__ import annotations
@@ -97,7 +97,7 @@ _ROOMS = {
 }
 _SUBPACKAGES = (
     *("lie", "stability", "network", "theory", "synthesis", "learning", "arm", "planning", "policies", "simulation"),
-    *("rendering", "evaluation", "studies", "environments", "live", "cli"),
+    *("rendering", "evaluation", "studies", "environments", "exports", "live", "cli"),
 )
 _ROOM_OF = {name: room for room, names in _ROOMS.items() for name in names}
 

@@ -43,6 +43,7 @@ ROOMS = (
     "evaluation",
     "studies",
     "environments",
+    "exports",
     "live",
     "cli",
 )

@@ -32,6 +32,7 @@ _MODULES = {
     "merge": "comparison",
     "problems": "problems",
     "library": "library",
+    "export": "exporting",
     "arms": "arms",
     "doctor": "doctor",
     "view": "live",
@@ -255,6 +256,13 @@ def _parser() -> argparse.ArgumentParser:
         "Each motion is a start of the hidden neurons of one certified network; its path is stored, not its timing.",
     )
     options.add_library(library)
+
+    export = command(
+        "export",
+        "write runs or comparisons in the file formats of other tools",
+        "Runs must have been simulated. Files that this package did not write are never replaced.",
+    )
+    options.add_export(export)
 
     arms = command(
         "arms",

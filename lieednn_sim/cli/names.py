@@ -11,4 +11,5 @@ POLICIES = (
 )
 ALGORITHMS = ("literal", "repaired", "tracked", "riemannian", "stability-aware")
 BIAS_RULES = ("uniform", "sign-matched", "solved")
+FORMATS = ("csv",)
 RIVALS = ("dmp", "promp", "lpv-ds", "linear-attractor")

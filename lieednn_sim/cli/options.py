@@ -7,7 +7,7 @@ import math
 import re
 from collections.abc import Iterable, Sequence
 
-from lieednn_sim.cli.names import ALGORITHMS, ARMS, BIAS_RULES, CONTROLLERS, POLICIES, RIVALS, SCENES
+from lieednn_sim.cli.names import ALGORITHMS, ARMS, BIAS_RULES, CONTROLLERS, FORMATS, POLICIES, RIVALS, SCENES
 from lieednn_sim.planner_table import PLANNERS, SLOW
 
 # Those that make a network.
@@ -219,6 +219,18 @@ def add_library(parser: argparse.ArgumentParser) -> None:
     _add_duration(run)
     run.add_argument("--output", default="results/run", metavar="DIR", help="directory for the files of the run")
     run.set_defaults(seed=0)
+
+
+def add_export(parser: argparse.ArgumentParser) -> None:
+    """Options of ``export``."""
+    parser.add_argument(
+        "runs", nargs="+", metavar="RUN", help="run directories, or for plannerarena directories of 'compare'"
+    )
+    parser.add_argument("--format", required=True, metavar="NAME", help=_one_of(FORMATS))
+    parser.add_argument(
+        "--rate", type=decimal, metavar="HZ", help="samples per second (default: every step of the simulation)"
+    )
+    parser.add_argument("--output", default="results/export", metavar="DIR", help="directory of the files")
 
 
 def add_comparison(parser: argparse.ArgumentParser) -> None:

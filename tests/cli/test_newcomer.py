@@ -23,6 +23,7 @@ from lieednn_sim.cli.task import Task
 from lieednn_sim.cli.training import RIEMANNIAN
 from lieednn_sim.errors import InputError, NoSolutionError
 from lieednn_sim.evaluation.display import table
+from lieednn_sim.exports import FORMATS
 from lieednn_sim.learning import ALGORITHMS, TrainingOptions
 from lieednn_sim.learning import train as learn
 from lieednn_sim.planning import PLANNERS, Plan, reference_network
@@ -48,6 +49,7 @@ def test_the_help_lists_what_there_is():
         names.POLICIES: POLICIES,
         names.ALGORITHMS: [*ALGORITHMS, *RIEMANNIAN],
         names.BIAS_RULES: BIAS_RULES,
+        names.FORMATS: FORMATS,
     }
     for listed, registered in known.items():
         assert sorted(listed) == sorted(registered)

@@ -1,0 +1,39 @@
+"""The command ``export``: runs and comparisons in the file formats of other tools."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from lieednn_sim.cli.console import progress, wrote
+from lieednn_sim.cli.run_directory import RunDirectory
+from lieednn_sim.errors import FileError, InputError
+from lieednn_sim.exports import FORMATS
+from lieednn_sim.exports import export as export_sources
+from lieednn_sim.validation import as_choice, as_path
+
+
+def export(arguments: argparse.Namespace) -> None:
+    """Write the runs, or the tables of comparisons, in the chosen format."""
+    chosen = FORMATS[as_choice("format", arguments.format, FORMATS)]
+    chosen.require()
+    sources: dict[str, Any] = {}
+    for text in arguments.runs:
+        path = as_path("the name of a run directory", text)
+        name = path.resolve().name
+        if name in sources:
+            raise InputError(f"two of the directories are called {name!r}; export them into different directories")
+        sources[name] = path if chosen.of_comparison else _rollout(path)
+    with progress("export"):
+        written = export_sources(sources, arguments.output, format=arguments.format, rate=arguments.rate)
+    wrote(*written)
+
+
+def _rollout(path: Path) -> Any:
+    run = RunDirectory(path).existing()
+    with run.at_work(shared=True, outputs=[]):
+        task, arm = run.load_task()
+        if not run.rollout.exists():
+            raise FileError(f"{path} has not been simulated; run: lieednn-sim simulate {path}")
+        return run.load_rollout(task, arm)

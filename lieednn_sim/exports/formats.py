@@ -1,0 +1,135 @@
+"""The table of formats, and the function that writes any of them."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import os
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from lieednn_sim import filesystem
+from lieednn_sim.errors import InputError, LieEDNNError
+from lieednn_sim.manifest import Manifest
+from lieednn_sim.planning.motion import steps_of_rate
+from lieednn_sim.simulation import Rollout
+from lieednn_sim.validation import as_choice, as_path, quoted
+
+
+class Format(NamedTuple):
+    """A format of another tool.
+
+    Attributes:
+        help: what is written.
+        module: the module of `lieednn_sim.exports` whose function ``write`` writes it.
+        library: the library that it needs, if any.
+        extra: the extra of this package that installs the library.
+        of_comparison: whether it holds the table of a comparison; otherwise it holds rollouts.
+    """
+
+    help: str
+    module: str
+    library: str = ""
+    extra: str = ""
+    of_comparison: bool = False
+
+    def require(self) -> None:
+        """Raise `LieEDNNError` if the library is not installed; the message says what to do."""
+        if self.library and importlib.util.find_spec(self.library) is None:
+            raise LieEDNNError(f"this format needs {self.library}: pip install 'lieednn_sim[{self.extra}]'")
+
+    @property
+    def write(self) -> Callable[..., None]:
+        """Function of the sources by name, a folder, and further options, which writes files into the folder."""
+        self.require()
+        return importlib.import_module(f"lieednn_sim.exports.{self.module}").write
+
+
+FORMATS: Mapping[str, Format] = {
+    "csv": Format("a table of time, joints and end effector", "csv_table"),
+}
+
+
+def export(
+    source: Rollout | str | os.PathLike[str] | Mapping[str, Any],
+    directory: str | os.PathLike[str],
+    *,
+    format: str = "csv",
+    rate: float | None = None,
+) -> list[Path]:
+    """Write rollouts or comparisons in the format of another tool.
+
+        ls.exports.export(rollout, "out", format="csv")             # out/motion.csv
+
+    All files of a call appear together when they are complete.
+
+    Args:
+        source: a rollout, the directory of a comparison for a format of comparisons, or several of them by name.
+            Files are called by these names; a single one is called ``motion`` or ``comparison``.
+        directory: where to write; it is created if it is missing.
+        format: a name of `FORMATS`.
+        rate: samples per second [Hz], which must divide the rate of the simulation; by default all samples are written.
+
+    Returns:
+        The files written.
+
+    Raises:
+        InputError: an argument is malformed, or a source does not suit the format.
+        FileError: the files cannot be written, or one of that name is there that this package did not make.
+        LieEDNNError: a library that the format needs is not installed.
+    """
+    chosen = FORMATS[as_choice("format", format, FORMATS)]
+    kinds, wanted, alone = (Rollout, "a rollout", "motion")
+    if chosen.of_comparison:
+        kinds, wanted, alone = ((str, os.PathLike), "the directory of a comparison", "comparison")
+        if rate is not None:
+            raise InputError(f"the format {format} has no rate")
+    sources = source if isinstance(source, Mapping) else {alone: source}
+    if not sources:
+        raise InputError("there is nothing to export")
+    for name, one in sources.items():
+        if not isinstance(one, kinds):
+            raise InputError(f"the format {format} is made from {wanted}, got {quoted(one)}")
+        check_name(name)
+    more = {} if chosen.of_comparison else {"rate": rate}
+    with exporting(directory) as (folder, written):
+        chosen.write(sources, folder, **more)
+    return written
+
+
+def samples(rollout: Rollout, rate: float | None) -> slice:
+    """The rows of a rollout at a rate [Hz], or all; `InputError` if the rate does not divide the simulation's."""
+    return slice(None, None, 1 if rate is None else steps_of_rate("rate", rate, rollout.timestep))
+
+
+def check_name(name: Any) -> None:
+    """Raise `InputError` if a name is not one of a file in a folder."""
+    if not isinstance(name, str) or name in ("", ".", "..") or as_path("the name of an export", name).name != name:
+        raise InputError(f"the name of an export must be that of a file, without folders, got {quoted(name)}")
+
+
+@contextmanager
+def exporting(directory: str | os.PathLike[str]) -> Iterator[tuple[Path, list[Path]]]:
+    """Yield a folder for files, and the list to which their final paths are added when the block succeeds.
+
+    Raises:
+        FileError: the files cannot be written, or one of that name is there that this package did not make.
+    """
+    written: list[Path] = []
+    # Libraries choose names in a folder of their own; only complete files are moved to where they are asked for.
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch)
+        yield folder, written
+        made = sorted(path for path in folder.rglob("*") if path.is_file())
+        with filesystem.created(directory) as target, filesystem.locked(target):
+            paths = [target / path.relative_to(folder) for path in made]
+            for parent in sorted({path.parent for path in paths}):
+                filesystem.make_directory(parent)
+            with Manifest(target).replacing(paths) as temporaries:
+                for path, temporary in zip(made, temporaries, strict=True):
+                    shutil.copyfile(path, temporary)
+        written += paths

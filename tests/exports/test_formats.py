@@ -1,0 +1,97 @@
+"""What all exports have in common: names, refusals, and files of others that stay as they are; and CSV."""
+
+from __future__ import annotations
+
+import csv
+
+import numpy as np
+import pytest
+from rollouts import make_rollout
+
+import lieednn_sim as ls
+from lieednn_sim.arm import Arm
+from lieednn_sim.cli import main
+from lieednn_sim.errors import FileError, InputError, LieEDNNError
+from lieednn_sim.exports import FORMATS, export
+
+
+@pytest.fixture(scope="module")
+def rollout():
+    """Half a second of the gantry-like motion of an arm, by hand."""
+    arm = Arm.load("telescopic_pr")
+    s = np.linspace(0.0, 1.0, 51)[:, None]
+    q = arm.keyframe("home") + s * (arm.keyframe("extended") - arm.keyframe("home")) / 3.0
+    return make_rollout(arm, q, q_ref=q + 1e-7, qd=0.1 + q, motion_end=0.4)
+
+
+def test_csv_holds_every_number_with_its_name_and_unit(rollout, tmp_path):
+    (path,) = export(rollout, tmp_path / "new", rate=20.0)
+    assert path == tmp_path / "new" / "motion.csv"
+    with path.open(newline="") as stream:
+        header, *rows = csv.reader(stream)
+    assert header[:5] == [
+        *("time [s]", "turn planned position [rad]", "turn measured position [rad]"),
+        *("turn planned velocity [rad/s]", "turn measured velocity [rad/s]"),
+    ]
+    assert header[5] == "lift planned position [m]"
+    values = np.array(rows, dtype=float)
+    columns = dict(zip(header, values.T, strict=True))
+    np.testing.assert_array_equal(columns["time [s]"], rollout.t[::5])
+    np.testing.assert_array_equal(columns["lift measured position [m]"], rollout.q[::5, 1])
+    np.testing.assert_array_equal(columns["lift planned position [m]"], rollout.q_ref[::5, 1])
+    tip = np.stack([columns[f"end effector {axis} [m]"] for axis in "xyz"], axis=1)
+    np.testing.assert_allclose(tip, rollout.arm.tip(rollout.q[::5]), atol=1e-12)
+    read = np.genfromtxt(path, delimiter=",", names=True)
+    np.testing.assert_array_equal(read["end_effector_qw_1"], rollout.link_quaternion[::5, -1, 0])
+
+
+def test_files_of_others_are_never_replaced(rollout, tmp_path):
+    (path,) = export(rollout, tmp_path)
+    export({"motion": rollout}, tmp_path, rate=50.0)
+    path.write_text("mine")
+    with pytest.raises(FileError, match="was changed after this package made it"):
+        export(rollout, tmp_path)
+    (tmp_path / "other.csv").write_text("mine")
+    with pytest.raises(FileError, match="was not made by a command of this package"):
+        export({"new": rollout, "other": rollout}, tmp_path)
+    assert {one.name: one.read_text() for one in tmp_path.glob("*.csv")} == {"motion.csv": "mine", "other.csv": "mine"}
+
+
+@pytest.mark.parametrize(
+    ("source", "options", "message"),
+    [
+        ("rollout", {"format": "xml"}, "format"),
+        ("rollout", {"rate": 30.0}, "rate must divide the simulation's 100 Hz"),
+        ("nowhere", {}, "is made from a rollout"),
+        ({}, {}, "nothing to export"),
+        ({"../out": "rollout"}, {}, "without folders"),
+    ],
+)
+def test_bad_exports_are_refused_and_leave_nothing(rollout, tmp_path, source, options, message):
+    given = dict.fromkeys(source, rollout) if isinstance(source, dict) else source
+    with pytest.raises(InputError, match=message):
+        ls.exports.export(rollout if source == "rollout" else given, tmp_path / "new", **options)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", [name for name, entry in FORMATS.items() if entry.library])
+def test_a_missing_library_is_named_with_its_extra(rollout, tmp_path, monkeypatch, name):
+    monkeypatch.setattr("lieednn_sim.exports.formats.importlib.util.find_spec", lambda _: None)
+    with pytest.raises(LieEDNNError, match=rf"pip install 'lieednn_sim\[{FORMATS[name].extra}\]'"):
+        export(rollout, tmp_path, format=name)
+
+
+@pytest.mark.usefixtures("no_plots")
+def test_the_command_exports_runs(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    words = ["plan", "--planner", "minimum-jerk", "--target", "extended", "--duration", "1.2", "--output", "reach"]
+    assert main(words) == 0
+    assert main(["export", "reach", "--format", "csv"]) == 2
+    assert "reach has not been simulated; run: lieednn-sim simulate reach" in capsys.readouterr().err
+    assert main(["simulate", "reach", "--hold", "0"]) == 0
+    assert main(["export", "reach", "--format", "csv", "--rate", "100", "--output", "out"]) == 0
+    assert "wrote out/reach.csv" in capsys.readouterr().out
+    assert len((tmp_path / "out" / "reach.csv").read_text().splitlines()) == 1 + 121
+    assert main(["export", "reach", "./reach", "--format", "csv"]) == 2
+    assert "two of the directories are called 'reach'" in capsys.readouterr().err
+    assert not (tmp_path / "results").exists()
