@@ -41,6 +41,7 @@ _OTHERS = {
     "viser": ("view", "motions in a browser"),
     "mjviser": ("view", "motions in a browser"),
     "gymnasium": ("gymnasium", "Gymnasium environments"),
+    "rosbags": ("ros2", "export --format ros2"),
     "distributed": ("cluster", "comparisons on a Dask cluster"),
 }
 

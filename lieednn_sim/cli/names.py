@@ -11,5 +11,5 @@ POLICIES = (
 )
 ALGORITHMS = ("literal", "repaired", "tracked", "riemannian", "stability-aware")
 BIAS_RULES = ("uniform", "sign-matched", "solved")
-FORMATS = ("csv",)
+FORMATS = ("csv", "ros2")
 RIVALS = ("dmp", "promp", "lpv-ds", "linear-attractor")

@@ -51,6 +51,7 @@ class Format(NamedTuple):
 
 FORMATS: Mapping[str, Format] = {
     "csv": Format("a table of time, joints and end effector", "csv_table"),
+    "ros2": Format("a JointTrajectory as YAML, and a bag in MCAP", "ros2", "rosbags", "ros2"),
 }
 
 
@@ -83,9 +84,10 @@ def export(
         LieEDNNError: a library that the format needs is not installed.
     """
     chosen = FORMATS[as_choice("format", format, FORMATS)]
-    kinds, wanted, alone = (Rollout, "a rollout", "motion")
+    kinds: Any
+    kinds, wanted, alone = Rollout, "a rollout", "motion"
     if chosen.of_comparison:
-        kinds, wanted, alone = ((str, os.PathLike), "the directory of a comparison", "comparison")
+        kinds, wanted, alone = (str, os.PathLike), "the directory of a comparison", "comparison"
         if rate is not None:
             raise InputError(f"the format {format} has no rate")
     sources = source if isinstance(source, Mapping) else {alone: source}

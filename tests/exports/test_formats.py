@@ -6,22 +6,11 @@ import csv
 
 import numpy as np
 import pytest
-from rollouts import make_rollout
 
 import lieednn_sim as ls
-from lieednn_sim.arm import Arm
 from lieednn_sim.cli import main
 from lieednn_sim.errors import FileError, InputError, LieEDNNError
 from lieednn_sim.exports import FORMATS, export
-
-
-@pytest.fixture(scope="module")
-def rollout():
-    """Half a second of the gantry-like motion of an arm, by hand."""
-    arm = Arm.load("telescopic_pr")
-    s = np.linspace(0.0, 1.0, 51)[:, None]
-    q = arm.keyframe("home") + s * (arm.keyframe("extended") - arm.keyframe("home")) / 3.0
-    return make_rollout(arm, q, q_ref=q + 1e-7, qd=0.1 + q, motion_end=0.4)
 
 
 def test_csv_holds_every_number_with_its_name_and_unit(rollout, tmp_path):
