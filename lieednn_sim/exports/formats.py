@@ -52,6 +52,7 @@ class Format(NamedTuple):
 FORMATS: Mapping[str, Format] = {
     "csv": Format("a table of time, joints and end effector", "csv_table"),
     "ros2": Format("a JointTrajectory as YAML, and a bag in MCAP", "ros2", "rosbags", "ros2"),
+    "plannerarena": Format("OMPL's benchmark logs of a comparison", "planner_arena", of_comparison=True),
 }
 
 

@@ -1,0 +1,82 @@
+"""Tables of comparisons as benchmark logs of OMPL, from which its own tool makes the database for Planner Arena."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+
+from lieednn_sim.errors import FileError, InputError
+from lieednn_sim.studies.comparison.rows import COLUMNS, Row
+from lieednn_sim.studies.statistics import grouped
+from lieednn_sim.studies.table import how_made, read_rows
+
+# Names and SQL types of what each run tells; OMPL's own names for the first two.
+_PROPERTIES = (
+    *(("time", "REAL"), ("solved", "BOOLEAN"), ("arrived", "BOOLEAN"), ("seed", "INTEGER")),
+    *((column.name, "REAL") for column in COLUMNS if column.name != "planning_s"),
+)
+
+
+def write(comparisons: Mapping[str, str | os.PathLike[str]], folder: Path) -> None:
+    """Write ``<name>-<arm>-<scene>-<controller>.log`` for each part of each comparison; see `formats.export`.
+
+    Each log is an experiment of OMPL, whose runs are the seeds: another target, and other obstacles, for each. ``time``
+    is the CPU time of the planner, ``solved`` whether it planned a motion, and ``arrived`` whether the simulated arm
+    came to the target without contact; the other columns are those of the comparison.
+
+    Raises:
+        FileError: a directory holds no comparison.
+        InputError: a comparison has no rows.
+    """
+    for name, directory in comparisons.items():
+        table = Path(directory) / "comparison.csv"
+        made, rows = how_made(table.with_suffix(".json"), "comparison"), read_rows(table, Row)
+        if not rows:
+            raise InputError(f"{table} has no rows: there is nothing to export")
+        try:
+            date = datetime.fromtimestamp(table.stat().st_mtime, UTC)
+        except OSError as error:
+            raise FileError(f"cannot read {table}: {error.strerror or error}") from None
+        head = {
+            "version": f"lieednn_sim version {made['versions'].get('lieednn_sim', 'unknown')}",
+            "date": f"{date:%Y-%m-%d %H:%M:%S}",
+            "setup": json.dumps({key: made[key] for key in ("settings", "versions")}),
+            "limit": f"{made['settings'].get('time_budget', 0.0):g}",
+        }
+        for part in grouped([rows[key] for key in sorted(rows)], ("arm", "scene", "controller")):
+            experiment = "-".join("_".join(str(word).split()) for word in part.key)
+            lines = _log(experiment, part.rows, **head)
+            (folder / f"{name}-{experiment}.log").write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def _log(experiment: str, rows: Sequence[Row], *, version: str, date: str, setup: str, limit: str) -> list[str]:
+    """The lines of a log; the reader of OMPL takes each from its place and by the words around it."""
+    planners = grouped(rows, ("planner",))
+    lines = [
+        version,
+        f"Experiment {experiment}",
+        "Running on unknown",
+        f"Starting at {date}",
+        *("<<<|", setup, "|>>>"),
+        "0 is the random seed",
+        f"{limit} seconds per run",
+        "0 MB per run",
+        f"{max(len(group.rows) for group in planners)} runs per planner",
+        f"{sum(row.planning_s or 0.0 for row in rows):g} seconds spent to collect the data",
+        "0 enum types",
+        f"{len(planners)} planners",
+    ]
+    for group in planners:
+        lines += [str(group.key[0]), "0 common properties", f"{len(_PROPERTIES)} properties for each run"]
+        lines += [f"{name} {kind}" for name, kind in _PROPERTIES]
+        lines += [f"{len(group.rows)} runs", *map(_run, group.rows), "."]
+    return lines
+
+
+def _run(row: Row) -> str:
+    measured = [getattr(row, name) for name, _ in _PROPERTIES[4:]]
+    values = [row.planning_s, int(row.planned), int(row.success), row.seed, *measured]
+    return "".join("; " if value is None else f"{value}; " for value in values)
