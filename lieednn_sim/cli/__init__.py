@@ -33,6 +33,7 @@ _MODULES = {
     "problems": "problems",
     "library": "library",
     "export": "exporting",
+    "record": "exporting",
     "arms": "arms",
     "doctor": "doctor",
     "view": "live",
@@ -263,6 +264,13 @@ def _parser() -> argparse.ArgumentParser:
         "Runs must have been simulated. Files that this package did not write are never replaced.",
     )
     options.add_export(export)
+
+    record = command(
+        "record",
+        "record successful episodes of the expert as a data set for LeRobot",
+        "They are of the learning environment TelescopicReach-v0; the data set needs the extra 'lerobot'.",
+    )
+    options.add_recording(record)
 
     arms = command(
         "arms",

@@ -42,6 +42,7 @@ _OTHERS = {
     "mjviser": ("view", "motions in a browser"),
     "gymnasium": ("gymnasium", "Gymnasium environments"),
     "rosbags": ("ros2", "export --format ros2"),
+    "pyarrow": ("lerobot", "export --format lerobot, record"),
     "distributed": ("cluster", "comparisons on a Dask cluster"),
 }
 

@@ -1,4 +1,4 @@
-"""The command ``export``: runs and comparisons in the file formats of other tools."""
+"""The commands ``export`` and ``record``: files in the formats of other tools."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from lieednn_sim.cli.run_directory import RunDirectory
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.exports import FORMATS
 from lieednn_sim.exports import export as export_sources
+from lieednn_sim.exports import record as record_episodes
 from lieednn_sim.validation import as_choice, as_path
 
 
@@ -27,6 +28,22 @@ def export(arguments: argparse.Namespace) -> None:
         sources[name] = path if chosen.of_comparison else _rollout(path)
     with progress("export"):
         written = export_sources(sources, arguments.output, format=arguments.format, rate=arguments.rate)
+    wrote(*written)
+
+
+def record(arguments: argparse.Namespace) -> None:
+    """Record episodes of the expert."""
+    with progress("record") as report:
+        written = record_episodes(
+            arguments.output,
+            arguments.episodes,
+            arm=arguments.arm,
+            scene=arguments.scene,
+            scene_seed=arguments.scene_seed,
+            planner=arguments.planner,
+            seed=arguments.seed,
+            progress=report,
+        )
     wrote(*written)
 
 

@@ -233,6 +233,20 @@ def add_export(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--output", default="results/export", metavar="DIR", help="directory of the files")
 
 
+def add_recording(parser: argparse.ArgumentParser) -> None:
+    """Options of ``record``."""
+    parser.add_argument("--episodes", type=whole, default=50, metavar="N", help="number of successful episodes")
+    parser.add_argument(
+        "--arm", default="telescopic_pr", metavar="NAME", help=f"{_one_of(ARMS)}, or an MJCF, URDF or YAML file"
+    )
+    _add_scene(parser)
+    parser.add_argument(
+        "--planner", metavar="NAME", help="planner of the expert (default: as for 'plan'); see lieednn-sim plan --help"
+    )
+    parser.add_argument("--seed", type=whole, default=0, help="seed of the first episode; each other has the next one")
+    parser.add_argument("--output", default="results/episodes", metavar="DIR", help="directory of the data set")
+
+
 def add_comparison(parser: argparse.ArgumentParser) -> None:
     """Options of ``compare``."""
     for name, known, more, default in (

@@ -34,6 +34,10 @@ class Expert:
         n_networks: number of networks drawn for a plan at first, see `trajectories.planned`.
         seed: seed of the draws.
 
+    Attributes:
+        certificate: in an episode of `Reach`, the proof of stability of the network whose motion it commands, in words;
+            empty before its first action, and where no network moves the arm.
+
     Raises:
         InputError: the environment is none of these, there is no such policy or planner, or both are given.
         LieEDNNError: a library that the planner needs is not installed.
@@ -69,6 +73,7 @@ class Expert:
         self._seed = as_seed("seed", seed)
         self._episode, self._periods = 0, 0
         self._policy: Policy
+        self.certificate = ""
 
     def act(self) -> Floats:
         """Action ``(n,)`` for the present time, from the arm and the task, which know more than the observations say.
@@ -81,6 +86,7 @@ class Expert:
         if task.episode == 0:
             raise InputError("the environment has not been reset")
         if self._episode != task.episode:
+            self.certificate = ""
             self._policy = self._make(task)
             self._episode = task.episode
             # A plan is from the beginning of the episode on, while a policy by name begins where the arm is.
@@ -101,6 +107,7 @@ class Expert:
         if isinstance(task, Track):
             return _TargetFollower(arm, rate)
         made = planned(arm, target, planner=self._planner, n_networks=self._n_networks, seed=self._seed)
+        self.certificate = made.certificate
         return MotionTracker(arm, made.spline, rate)
 
 

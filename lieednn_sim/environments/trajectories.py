@@ -11,8 +11,7 @@ from scipy.interpolate import CubicHermiteSpline
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import NoSolutionError, NotCertifiedError, PlanError
-from lieednn_sim.planning import CertifiedOptions, plan
-from lieednn_sim.planning.motion import Motion
+from lieednn_sim.planning import CertifiedOptions, Plan, plan
 from lieednn_sim.planning.time_laws import minimum_jerk_law
 from lieednn_sim.validation import Seed, as_count, as_floats, as_positive, as_seed
 from lieednn_sim.values import Floats
@@ -39,9 +38,11 @@ class JointTrajectory:
 
     Attributes:
         spline: positions ``(n,)`` [rad, m] over time [s].
+        certificate: the proof of stability of the network that it comes from, in words; empty without one.
     """
 
     spline: CubicHermiteSpline
+    certificate: str = ""
 
     @property
     def duration(self) -> float:
@@ -80,18 +81,19 @@ def planned(
     """
     count, seed = as_count("n_networks", n_networks), as_seed("seed", seed)
     if planner is None:
-        motion = _patient_plan(arm, target, count, seed)
+        made = _patient_plan(arm, target, count, seed)
     else:
-        motion = plan(arm, target, planner=planner, duration=_PLANNING_DURATION, seed=seed).motion
+        made = plan(arm, target, planner=planner, duration=_PLANNING_DURATION, seed=seed)
+    motion, certificate = made.motion, "" if made.network is None else str(made.network.certificate)
     # Nothing moves if it is already there.
     pace = _pace(arm, motion.t, motion.qd, _PLAN_LIMIT_FRACTION) or 1.0
-    return JointTrajectory(CubicHermiteSpline(motion.t * pace, motion.q, motion.qd / pace))
+    return JointTrajectory(CubicHermiteSpline(motion.t * pace, motion.q, motion.qd / pace), certificate)
 
 
-def _patient_plan(arm: Arm, target: ArrayLike | str, n_networks: int, seed: int) -> Motion:
-    def drawn(total: int) -> Motion:
+def _patient_plan(arm: Arm, target: ArrayLike | str, n_networks: int, seed: int) -> Plan:
+    def drawn(total: int) -> Plan:
         options = CertifiedOptions(n_networks=total)
-        return plan(arm, target, duration=_PLANNING_DURATION, max_time_scale=1.0, seed=seed, options=options).motion
+        return plan(arm, target, duration=_PLANNING_DURATION, max_time_scale=1.0, seed=seed, options=options)
 
     # Few networks suffice for most targets, and each takes time.
     for total in (n_networks, 4 * n_networks):

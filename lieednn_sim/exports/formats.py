@@ -12,6 +12,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from numpy.typing import NDArray
+
 from lieednn_sim import filesystem
 from lieednn_sim.errors import InputError, LieEDNNError
 from lieednn_sim.manifest import Manifest
@@ -49,10 +51,23 @@ class Format(NamedTuple):
         return importlib.import_module(f"lieednn_sim.exports.{self.module}").write
 
 
+class Episode(NamedTuple):
+    """An episode of a data set for imitation learning.
+
+    Attributes:
+        frames: features ``(T,)`` or ``(T, k)`` by name, of numbers or booleans.
+        about: further values of the episode, such as its seed, for the table of episodes.
+    """
+
+    frames: Mapping[str, NDArray[Any]]
+    about: Mapping[str, Any]
+
+
 FORMATS: Mapping[str, Format] = {
     "csv": Format("a table of time, joints and end effector", "csv_table"),
     "ros2": Format("a JointTrajectory as YAML, and a bag in MCAP", "ros2", "rosbags", "ros2"),
     "plannerarena": Format("OMPL's benchmark logs of a comparison", "planner_arena", of_comparison=True),
+    "lerobot": Format("a data set of LeRobot with one episode for each run", "lerobot", "pyarrow", "lerobot"),
 }
 
 

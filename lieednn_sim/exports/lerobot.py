@@ -1,0 +1,165 @@
+"""Data sets in the format of LeRobot, version 3.0, written by pyarrow alone."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+from pyarrow import parquet
+
+from lieednn_sim.errors import InputError
+from lieednn_sim.exports.formats import Episode, samples
+from lieednn_sim.simulation import Rollout
+
+# Samples per second of runs, unless another rate is asked for.
+_RATE = 50.0
+_QUANTILES = (1, 10, 50, 90, 99)
+_FILE = "chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+_FIRST = _FILE.format(chunk_index=0, file_index=0)
+# All files of a data set.
+FILES = (f"data/{_FIRST}", f"meta/episodes/{_FIRST}", "meta/tasks.parquet", "meta/info.json", "meta/stats.json")
+
+
+def write(rollouts: Mapping[str, Rollout], folder: Path, rate: float | None = None) -> None:
+    """Write a data set with one episode for each rollout; see `formats.export`.
+
+    ``observation.state`` holds the measured positions and velocities, and ``action`` the planned positions one sample
+    later; ``rate`` is 50 Hz by default.
+
+    Raises:
+        InputError: the rollouts are of arms with other joints, or the rate is no whole number.
+    """
+    first, episodes = next(iter(rollouts.values())).arm, []
+    for name, rollout in rollouts.items():
+        if rollout.arm.joint_names != first.joint_names:
+            raise InputError(f"a data set is of one arm: {name!r} has other joints than the first run")
+        rows = samples(rollout, _RATE if rate is None else rate)
+        state = np.hstack([rollout.q, rollout.qd])[rows][:-1]
+        if not len(state):
+            raise InputError(f"{name!r} is too short for one sample at this rate")
+        frames = {"observation.state": state, "action": rollout.q_ref[rows][1:]}
+        episodes.append(Episode(frames, {"run": name}))
+    names = {"observation.state": state_names(first.joint_names), "action": list(first.joint_names)}
+    fps = _RATE if rate is None else rate
+    write_dataset(folder, episodes, names, fps=fps, task="Follow the planned motion.", robot=first.name)
+
+
+def state_names(joints: Sequence[str], *parts: str) -> list[str]:
+    """Names of the components of a state, by default of positions and velocities."""
+    return [f"{joint} {part}" for part in parts or ("position", "velocity") for joint in joints]
+
+
+def write_dataset(
+    folder: Path,
+    episodes: Sequence[Episode],
+    names: Mapping[str, Sequence[str]],
+    *,
+    fps: float,
+    task: str,
+    robot: str,
+) -> None:
+    """Write a data set into a folder.
+
+    Args:
+        folder: the data set's directory.
+        episodes: its episodes, all with the same features; numbers are stored with 32 bits.
+        names: names of the components of features, by the names of the features.
+        fps: frames per second [Hz].
+        task: what is done in all episodes, in words.
+        robot: name of the robot.
+
+    Raises:
+        InputError: the number of frames per second is no whole number, which the format demands.
+    """
+    if abs(fps - round(fps)) > 1e-6:
+        raise InputError(f"LeRobot's format has a whole number of frames per second, got {fps:g}")
+    data, told, tasks, *described = (folder / name for name in FILES)
+    for path in (data, told):
+        path.parent.mkdir(parents=True)
+    tables, rows, begin = [], [], 0
+    for number, episode in enumerate(episodes):
+        frames = _with_indices(episode.frames, number, begin, fps)
+        tables.append(frames)
+        end = begin + len(frames["index"])
+        rows.append(
+            {
+                **{"episode_index": number, "tasks": [task], "length": end - begin},
+                **{"data/chunk_index": 0, "data/file_index": 0, "dataset_from_index": begin, "dataset_to_index": end},
+                **{"meta/episodes/chunk_index": 0, "meta/episodes/file_index": 0, **episode.about},
+                **{f"stats/{name}/{what}": s for name, v in frames.items() for what, s in _statistics(v).items()},
+            }
+        )
+        begin = end
+    schema = _table(tables[0]).schema
+    with parquet.ParquetWriter(data, schema) as writer:
+        # A row group for each episode, by which readers find it.
+        for frames in tables:
+            writer.write_table(_table(frames))
+    parquet.write_table(pa.Table.from_pylist(rows), told)
+    _write_task(tasks, task)
+    whole = {name: np.concatenate([frames[name] for frames in tables]) for name in tables[0]}
+    features = {
+        name: {
+            "dtype": values.dtype.name,
+            "shape": list(values.shape[1:] or (1,)),
+            "names": list(names[name]) if name in names else None,
+        }
+        for name, values in whole.items()
+    }
+    info = {
+        **{"codebase_version": "v3.0", "robot_type": robot, "total_episodes": len(rows), "total_frames": begin},
+        **{"total_tasks": 1, "chunks_size": 1000, "data_files_size_in_mb": 100, "video_files_size_in_mb": 500},
+        **{"fps": round(fps), "splits": {"train": f"0:{len(rows)}"}, "data_path": f"data/{_FILE}", "video_path": None},
+        "features": features,
+    }
+    statistics = {name: _statistics(values) for name, values in whole.items()}
+    for path, content in zip(described, (info, statistics), strict=True):
+        path.write_text(json.dumps(content, indent=4) + "\n", encoding="utf-8")
+
+
+def _with_indices(frames: Mapping[str, NDArray[Any]], number: int, begin: int, fps: float) -> dict[str, NDArray[Any]]:
+    """The features of an episode in the types of the format, with its indices and times."""
+    made = {name: values if values.dtype == bool else values.astype(np.float32) for name, values in frames.items()}
+    # One component alone is a number, not a list.
+    made = {name: values[:, 0] if values.shape[1:] == (1,) else values for name, values in made.items()}
+    index = np.arange(len(next(iter(made.values()))))
+    return made | {
+        **{"timestamp": (index / fps).astype(np.float32), "frame_index": index},
+        **{"episode_index": np.full_like(index, number), "index": begin + index, "task_index": np.zeros_like(index)},
+    }
+
+
+def _table(frames: Mapping[str, NDArray[Any]]) -> Any:
+    def column(values: NDArray[Any]) -> Any:
+        flat = pa.array(values.ravel())
+        return flat if values.ndim == 1 else pa.FixedSizeListArray.from_arrays(flat, values.shape[1])
+
+    return pa.table({name: column(values) for name, values in frames.items()})
+
+
+def _statistics(values: NDArray[Any]) -> dict[str, list[Any]]:
+    """Statistics over the frames, one number for each component."""
+    columns = values.reshape(len(values), -1).astype(float)
+    found = {"min": columns.min(0), "max": columns.max(0), "mean": columns.mean(0), "std": columns.std(0)}
+    found |= {f"q{q:02d}": np.percentile(columns, q, axis=0) for q in _QUANTILES}
+    return {**{name: numbers.tolist() for name, numbers in found.items()}, "count": [len(values)]}
+
+
+def _write_task(path: Path, task: str) -> None:
+    """The table of tasks; its index, in pandas' words, is the text, as LeRobot reads it."""
+    index = "__index_level_0__"
+    columns = [
+        {"name": name, "field_name": field, "pandas_type": kind, "numpy_type": numpy_kind, "metadata": None}
+        for name, field, kind, numpy_kind in (
+            ("task_index", "task_index", "int64", "int64"),
+            (None, index, "unicode", "object"),
+        )
+    ]
+    told = {"index_columns": [index], "column_indexes": [], "columns": columns, "pandas_version": "2.0.0"}
+    table = pa.table({"task_index": [0], index: [task]})
+    parquet.write_table(table.replace_schema_metadata({"pandas": json.dumps(told)}), path)

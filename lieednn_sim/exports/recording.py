@@ -1,0 +1,127 @@
+"""Successful episodes of the expert as a data set for imitation learning."""
+
+from __future__ import annotations
+
+import importlib
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from lieednn_sim import filesystem
+from lieednn_sim.arm import Arm
+from lieednn_sim.environments.base import ArmTask
+from lieednn_sim.environments.expert import Expert
+from lieednn_sim.environments.tasks import make_task
+from lieednn_sim.errors import NoSolutionError, NotCertifiedError, PlanError
+from lieednn_sim.exports.formats import FORMATS, Episode, exporting
+from lieednn_sim.manifest import Manifest
+from lieednn_sim.validation import Seed, as_count, as_seed
+from lieednn_sim.values import Floats
+
+# Seeds tried for each episode that is wanted, before the search is given up.
+_ATTEMPTS = 20
+
+
+def record(
+    directory: str | os.PathLike[str],
+    episodes: int = 50,
+    *,
+    arm: str | os.PathLike[str] | Arm = "telescopic_pr",
+    scene: str | os.PathLike[str] = "free",
+    scene_seed: int = 0,
+    planner: str | None = None,
+    seed: Seed = 0,
+    progress: Callable[[int, int], None] | None = None,
+) -> list[Path]:
+    """Record successful episodes of `environments.expert.Expert` as a data set of LeRobot, version 3.0.
+
+    An episode of ``LieEDNN/TelescopicReach-v0`` is kept if a motion was planned and the arm rests at its target at the
+    end. It is that of ``reset(seed=seed)`` with the seed that the table of episodes holds, beside the target and, as
+    ``certificate``, the proof of stability of the network that planned it. The features are
+
+    - ``observation.state``: positions, velocities and commanded positions of the joints,
+    - ``observation.environment_state``: what is left to the target, as joint positions and as the twist ``pose_error``,
+    - ``action``: joint velocities as fractions of their limits,
+    - ``next.reward``, ``next.done``, ``next.success``: what the action led to.
+
+    Args:
+        directory: directory of the data set; it is created if it is missing.
+        episodes: number of episodes.
+        arm: name of an arm of the package, a model file, or an arm.
+        scene: obstacles around it, a name of `arm.scenes.SCENES` or a file, see `Arm.among`.
+        scene_seed: seed of the obstacles' positions.
+        planner: planner of the expert, as there.
+        seed: seed of the first episode that is tried; the others follow one by one.
+        progress: called with the numbers of episodes recorded and wanted.
+
+    Returns:
+        The files written.
+
+    Raises:
+        InputError: an argument is malformed.
+        FileError: the files cannot be written, or one of that name is there that this package did not make.
+        NoSolutionError: too few episodes succeed.
+        LieEDNNError: pyarrow is not installed.
+    """
+    wanted, first = as_count("episodes", episodes), as_seed("seed", seed)
+    FORMATS["lerobot"].require()
+    dataset = importlib.import_module("lieednn_sim.exports.lerobot")
+    task = make_task("reach", arm, scene=scene, scene_seed=scene_seed)
+    expert = Expert(task, planner=planner)
+    made: list[Episode] = []
+    with filesystem.created(directory) as target:
+        # Before the work, which takes long.
+        paths = [target / name for name in dataset.FILES]
+        Manifest(target).check(path for path in paths if os.path.lexists(path))
+        for attempt in range(_ATTEMPTS * wanted):
+            if (episode := _episode(task, expert, first + attempt)) is not None:
+                made.append(episode)
+                if progress is not None:
+                    progress(len(made), wanted)
+                if len(made) == wanted:
+                    break
+        else:
+            raise NoSolutionError(f"only {len(made)} of {_ATTEMPTS * wanted} episodes succeeded, {wanted} are wanted")
+        joints = task.arm.joint_names
+        names = {
+            "observation.state": dataset.state_names(joints, "position", "velocity", "command"),
+            "observation.environment_state": [
+                *dataset.state_names(joints, "error"),
+                *(f"pose_error {part}" for part in ("wx", "wy", "wz", "vx", "vy", "vz")),
+            ],
+            "action": list(joints),
+        }
+        with exporting(directory) as (folder, written):
+            about = {"fps": 1.0 / task.control_timestep, "robot": task.arm.name}
+            dataset.write_dataset(folder, made, names, task="Come to rest at the target.", **about)
+    return written
+
+
+def _episode(task: ArmTask, expert: Expert, seed: int) -> Episode | None:
+    """The episode of a seed; None if no motion is planned, or the arm is not at its target at the end."""
+    observation, steps = task.begin(np.random.default_rng(seed)), []
+    while not task.over:
+        try:
+            action = expert.act()
+        except (PlanError, NotCertifiedError):
+            return None
+        after = task.step(action)
+        steps.append((observation, action, after))
+        observation = after.observation
+    if not steps[-1][2].info["success"]:
+        return None
+
+    def joined(*names: str) -> Floats:
+        return np.array([np.concatenate([seen[name].ravel() for name in names]) for seen, _, _ in steps])
+
+    frames = {
+        "observation.state": joined("position", "velocity", "command"),
+        "observation.environment_state": joined("position_error", "pose_error"),
+        "action": np.array([action for _, action, _ in steps]),
+        "next.reward": np.array([after.reward for *_, after in steps]),
+        "next.done": np.arange(len(steps)) == len(steps) - 1,
+        "next.success": np.array([after.info["success"] for *_, after in steps]),
+    }
+    return Episode(frames, {"seed": seed, "target": task.target(0.0).tolist(), "certificate": expert.certificate})
