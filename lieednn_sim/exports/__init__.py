@@ -1,9 +1,9 @@
-"""Motions and comparisons in the file formats of other tools; see `FORMATS`."""
+"""Motions, comparisons and episodes in the file formats of other tools: `export` in any of `FORMATS`, and `record`."""
 
-from lieednn_sim.exports.formats import FORMATS, Format, export
+from lieednn_sim.exports.formats import FORMATS, export
 from lieednn_sim.exports.recording import record
 from lieednn_sim.typecheck import typecheck_public
 
-__all__ = ["FORMATS", "Format", "export", "record"]
+__all__ = ["FORMATS", "export", "record"]
 
 typecheck_public(globals())

@@ -22,6 +22,8 @@ from lieednn_sim.values import Floats
 
 # Seeds tried for each episode that is wanted, before the search is given up.
 _ATTEMPTS = 20
+# Episodes of a data set, which are held in memory: at 300 frames each, 3 GB.
+_MOST = 50_000
 
 
 def record(
@@ -65,7 +67,7 @@ def record(
         NoSolutionError: too few episodes succeed.
         LieEDNNError: pyarrow is not installed.
     """
-    wanted, first = as_count("episodes", episodes), as_seed("seed", seed)
+    wanted, first = as_count("episodes", episodes, most=_MOST), as_seed("seed", seed)
     FORMATS["lerobot"].require()
     dataset = importlib.import_module("lieednn_sim.exports.lerobot")
     task = make_task("reach", arm, scene=scene, scene_seed=scene_seed)
