@@ -43,6 +43,7 @@ _OTHERS = {
     "gymnasium": ("gymnasium", "Gymnasium environments"),
     "rosbags": ("ros2", "export --format ros2"),
     "pyarrow": ("lerobot", "export --format lerobot, record"),
+    "rerun-sdk": ("rerun", "export --format rerun"),
     "distributed": ("cluster", "comparisons on a Dask cluster"),
 }
 

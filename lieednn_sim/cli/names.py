@@ -11,5 +11,5 @@ POLICIES = (
 )
 ALGORITHMS = ("literal", "repaired", "tracked", "riemannian", "stability-aware")
 BIAS_RULES = ("uniform", "sign-matched", "solved")
-FORMATS = ("csv", "ros2", "plannerarena", "lerobot")
+FORMATS = ("csv", "ros2", "plannerarena", "lerobot", "rerun")
 RIVALS = ("dmp", "promp", "lpv-ds", "linear-attractor")

@@ -68,6 +68,7 @@ FORMATS: Mapping[str, Format] = {
     "ros2": Format("a JointTrajectory as YAML, and a bag in MCAP", "ros2", "rosbags", "ros2"),
     "plannerarena": Format("OMPL's benchmark logs of a comparison", "planner_arena", of_comparison=True),
     "lerobot": Format("a data set of LeRobot with one episode for each run", "lerobot", "pyarrow", "lerobot"),
+    "rerun": Format("a recording of the moving arm and of curves over time", "rerun_recording", "rerun", "rerun"),
 }
 
 

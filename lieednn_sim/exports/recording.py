@@ -28,7 +28,7 @@ _MOST = 50_000
 
 def record(
     directory: str | os.PathLike[str],
-    episodes: int = 50,
+    episodes: int,
     *,
     arm: str | os.PathLike[str] | Arm = "telescopic_pr",
     scene: str | os.PathLike[str] = "free",
