@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import rerun as rr
+import rerun.blueprint as rrb
 from scipy.spatial.transform import Rotation
 
 from lieednn_sim._mujoco import mujoco
@@ -31,10 +32,19 @@ def write(rollouts: Mapping[str, Rollout], folder: Path, rate: float | None = No
     """
     for name, rollout in rollouts.items():
         with rr.RecordingStream("lieednn_sim", recording_id=name, send_properties=False) as stream:
-            stream.save(folder / f"{name}.rrd")
+            stream.save(folder / f"{name}.rrd", _layout())
+            stream.send_recording_name(name)
             _write(stream, rollout, samples(rollout, rate))
             stream.flush()
             stream.disconnect()
+
+
+def _layout() -> rrb.Blueprint:
+    """The scene beside the curves; by itself the viewer would give each curve a plot of its own."""
+    plots = (rrb.TimeSeriesView(origin=f"/{name}", name=name) for name in ("joints", "tracking_error", "contacts"))
+    curves = rrb.Vertical(*plots, row_shares=[3, 1, 1])
+    scene = rrb.Spatial3DView(origin="/", contents=["/scene/**", "/planned_path", "/target"], name="scene")
+    return rrb.Blueprint(rrb.Horizontal(scene, curves, column_shares=[3, 2]))
 
 
 def _write(stream: rr.RecordingStream, rollout: Rollout, rows: slice) -> None:

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from lieednn_sim import stability, storage
 from lieednn_sim.errors import FileError, InputError, NotCertifiedError
 from lieednn_sim.network.dynamics import Equilibrium, Trajectory, find_equilibrium, integrate
-from lieednn_sim.validation import as_floats, as_positive
+from lieednn_sim.validation import as_floats, as_path, as_positive
 from lieednn_sim.values import Floats, read_only
 
 
@@ -382,6 +382,7 @@ class BlockNetwork(ABC):
     @classmethod
     def restored(cls, arrays: Mapping[str, Floats], meta: Mapping[str, Any], path: str | os.PathLike[str]) -> Self:
         """The network of what `stored` gave, read from a file, verified and raising as by `load`; unchecked."""
+        path = as_path("path", path)
         names = [name for name in cls._arrays if name in arrays or name not in cls._optional]
         values = dict(zip(names, storage.take(arrays, path, *names), strict=True))
         try:
