@@ -97,7 +97,7 @@ def test_what_the_tests_need_is_added_and_serves_the_demo_too(checkout):
     assert checkout.ensure().returncode == 0
     done = checkout.ensure("dev")
     assert done.returncode == 0, done.stderr
-    assert checkout.installed() == ["pip>=25.1", ".[gymnasium,rivals,timing,view,cbirrt,cluster,onnx] --group dev"]
+    assert checkout.installed() == ["pip>=25.1", ".[gymnasium,rivals,timing,view,cbirrt,cluster,onnx,ros2,lerobot,rerun] --group dev"]
     (checkout.venv / ".lieednn-sim-demo").unlink()
     assert checkout.ensure().returncode == 0
     assert checkout.installed() == []
