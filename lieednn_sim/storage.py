@@ -31,6 +31,8 @@ _META_KEY, _FINGERPRINT, _MADE_FROM = "meta_json", "fingerprint", "made_from"
 _DAMAGE = (zipfile.BadZipFile, zlib.error, NotImplementedError)
 # An archive's last record: signature, four counters, size and offset of the directory before it, length of a comment.
 _ARCHIVE_END = struct.Struct("<4s4H2LH")
+# Characters of the names in a message.
+_LONGEST = 500
 
 
 def save_json(path: str | os.PathLike[str], value: Any) -> None:
@@ -202,5 +204,7 @@ def take(arrays: Mapping[str, NDArray[Any]], source: str | os.PathLike[str], *na
     """Return the named arrays of a loaded file, or raise `FileError` naming the first that is missing."""
     for name in names:
         if name not in arrays:
-            raise FileError(f"{source} has no array {name!r}; it holds: {', '.join(sorted(arrays)) or 'nothing'}")
+            held = ", ".join(sorted(arrays)) or "nothing"
+            shown = held if len(held) < _LONGEST else f"{len(arrays)} others"
+            raise FileError(f"{source} has no array {name!r}; it holds: {shown}")
     return [arrays[name] for name in names]
