@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import os
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -12,6 +11,13 @@ from typing import IO
 
 from lieednn_sim.errors import FileError
 from lieednn_sim.validation import as_path
+
+try:
+    import fcntl
+except ImportError:  # on Windows
+    _LOCKS = False
+else:
+    _LOCKS = True
 
 # Between the name of a file and the random end of its temporary name; nobody else's files are called so.
 _UNFINISHED = ".unfinished-"
@@ -60,12 +66,16 @@ def locked(directory: str | os.PathLike[str], *, shared: bool = False) -> Iterat
     """Lock a directory against other processes of the package; the lock ends with the process, however that ends.
 
     Args:
-        directory: an existing directory. The lock is on the directory itself (flock); no file is created.
+        directory: an existing directory. The lock is on the directory itself (flock); no file is created. Windows and
+            some network file systems cannot do that: there is no lock, and files are still written atomically.
         shared: allow other shared locks.
 
     Raises:
         FileError: another process is at work there.
     """
+    if not _LOCKS:
+        yield
+        return
     handle = os.open(directory, os.O_RDONLY)
     try:
         try:
@@ -75,7 +85,7 @@ def locked(directory: str | os.PathLike[str], *, shared: bool = False) -> Iterat
                 f"another lieednn-sim is at work in {directory}; wait for it, or choose another directory"
             ) from None
         except OSError:
-            # Some network file systems cannot lock directories; files are still written atomically and checked.
+            # A network file system that cannot lock directories.
             pass
         yield
     finally:
@@ -140,8 +150,9 @@ def atomic_paths(
         umask = os.umask(0)
         os.umask(umask)
         for temporary in temporaries:
-            temporary.chmod(0o666 & ~umask)
+            # Before a umask can forbid to open it.
             _sync(temporary)
+            temporary.chmod(0o666 & ~umask)
         prepare(temporaries)
         for target in outdated:
             target.unlink(missing_ok=True)
@@ -163,15 +174,18 @@ def unfinished(path: Path) -> Iterator[Path]:
 
 
 def _sync(path: Path) -> None:
-    """Write a file, or the names in a directory, to the disk; some file systems cannot sync directories."""
-    handle = os.open(path, os.O_RDONLY)
+    """Write a file, or the names in a directory, to the disk; Windows and some file systems cannot sync directories."""
+    directory = path.is_dir()
     try:
-        os.fsync(handle)
+        # Windows syncs only what is open for writing.
+        handle = os.open(path, os.O_RDONLY if directory else os.O_RDWR)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
     except OSError:
-        if not path.is_dir():
+        if not directory:
             raise
-    finally:
-        os.close(handle)
 
 
 def _named_as_asked(message: str, targets: Sequence[Path], temporaries: Sequence[Path]) -> str:

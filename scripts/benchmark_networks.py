@@ -153,7 +153,7 @@ def start_rows(repeats: int) -> list[Row]:
         return partial(subprocess.run, [sys.executable, *arguments], check=True, capture_output=True)
 
     pairs = {
-        "lieednn-sim --help, in starts of Python with NumPy": (("-m", "lieednn_sim.cli", "--help"), "import numpy"),
+        "lieednn-sim --help, in starts of Python with NumPy": (("-m", "lieednn_sim", "--help"), "import numpy"),
         "import of lieednn_sim.arm, in imports of mujoco": (("-c", "import lieednn_sim.arm"), "import mujoco"),
     }
     return [

@@ -211,7 +211,7 @@ def make(name: str, study: Study, given: Mapping[str, Sequence[str]], jobs: int,
 
 def _run(words: list[str], work: Path, root: Path) -> None:
     """Run a command of the checkout in a folder, with its output in a file there; `FileError` if it fails."""
-    program = {"python": [str(root / words[1])], "lieednn-sim": ["-m", "lieednn_sim.cli", words[1]]}[words[0]]
+    program = {"python": [str(root / words[1])], "lieednn-sim": ["-m", "lieednn_sim", words[1]]}[words[0]]
     log = work / "output.log"
     process = None
     with log.open("ab") as stream:

@@ -97,7 +97,7 @@ def start(words: list[str], folder: Path) -> subprocess.Popen[str]:
     given = [word.format(folder) for word in words]
     # Interrupts may be ignored where this script runs in a shell's background.
     return subprocess.Popen(
-        [sys.executable, "-m", "lieednn_sim.cli", *given],
+        [sys.executable, "-m", "lieednn_sim", *given],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

@@ -12,13 +12,16 @@ from typing import Any
 
 # Time until an interruption that Python had to swallow is raised again [s].
 _AGAIN = 0.01
+# Whether the system can do so.
+_TIMED = hasattr(signal, "setitimer")
 
 
 class Interruption:
     """Context, for the main thread, in which SIGINT and SIGTERM raise `KeyboardInterrupt` once.
 
     Python swallows exceptions that are raised in callbacks of weak references and in ``__del__``; therefore the
-    interruption is raised again a moment later, and `check` raises it between the steps of a command.
+    interruption is raised again a moment later, and `check` raises it between the steps of a command. Windows has no
+    timer for the former.
 
     A second signal ends the process at once. So does the first one while modules are still being imported: they might
     turn the exception into another one, and there is nothing to clean up yet. Objects that an interruption leaves half
@@ -51,7 +54,8 @@ class Interruption:
                 # A shell's background job ignores Ctrl-C.
                 if signal.getsignal(number) is not signal.SIG_IGN:
                     self._before[number] = signal.signal(number, self._handle)
-            self._before[signal.SIGALRM] = signal.signal(signal.SIGALRM, self._raise)
+            if _TIMED:
+                self._before[signal.SIGALRM] = signal.signal(signal.SIGALRM, self._raise)
             self._unraisable, sys.unraisablehook = sys.unraisablehook, self._swallowed
             Interruption._current = self
         return self
@@ -61,15 +65,15 @@ class Interruption:
     ) -> None:
         if Interruption._current is self:
             Interruption._current = None
-            _forget_alarm()
+            _alarm(0.0)
             quiet = self._last and self.received is not None
             sys.unraisablehook = _ignore if quiet else self._unraisable
         for number, handler in self._before.items():
-            signal.signal(number, _end if self._last and number != signal.SIGALRM else handler)
+            signal.signal(number, _end if self._last and number in (signal.SIGINT, signal.SIGTERM) else handler)
 
     def report(self) -> int:
         """Print that the command was interrupted; returns the exit code."""
-        _forget_alarm()
+        _alarm(0.0)
         say("interrupted; files already reported are complete")
         return self.exit_code
 
@@ -85,7 +89,7 @@ class Interruption:
 
     def _swallowed(self, error: Any) -> None:
         if self.received is not None and issubclass(error.exc_type, KeyboardInterrupt):
-            signal.setitimer(signal.ITIMER_REAL, _AGAIN)
+            _alarm(_AGAIN)
         elif self.received is None:
             self._unraisable(error)
 
@@ -94,13 +98,14 @@ def check() -> None:
     """Raise `KeyboardInterrupt` if the running command was interrupted but the exception was lost."""
     current = Interruption._current
     if current is not None and current.received is not None:
-        _forget_alarm()
+        _alarm(0.0)
         raise KeyboardInterrupt
 
 
-def _forget_alarm() -> None:
-    """Do not raise the interruption again, since its exception is under way."""
-    signal.setitimer(signal.ITIMER_REAL, 0.0)
+def _alarm(seconds: float) -> None:
+    """Raise the interruption again in so many seconds; with 0 never, since its exception is under way."""
+    if _TIMED:
+        signal.setitimer(signal.ITIMER_REAL, seconds)
 
 
 def say(message: str) -> None:

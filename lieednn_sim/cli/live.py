@@ -74,4 +74,4 @@ def _recorded(directory: str) -> tuple[dict[str, Rollout], Floats]:
 
 def _has_display() -> bool:
     """Whether a browser would have a window; without one `webbrowser` may start a browser in this terminal."""
-    return sys.platform == "darwin" or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+    return sys.platform in ("darwin", "win32") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))

@@ -6,8 +6,9 @@ from __future__ import annotations
 import _signal as signal  # type: ignore[import-not-found]
 import sys
 
-# Only where this package is the program: `python -m`, while it looks for the module, or the installed command.
-_program = sys.argv[:1] == ["-m"] or "".join(sys.argv[:1]).endswith("lieednn-sim")
+# Only where this package is the program: the installed command, or `python -m`, also while it looks for the module.
+_ENDS = ("lieednn-sim", "lieednn-sim.exe", "lieednn_sim/__main__.py", "lieednn_sim\\__main__.py")
+_program = sys.argv[:1] == ["-m"] or "".join(sys.argv[:1]).endswith(_ENDS)
 # Not if a shell's background job ignores it.
 if _program and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
     signal.signal(signal.SIGINT, signal.SIG_DFL)

@@ -68,7 +68,7 @@ def mp4_writer(path: Path, size: tuple[int, int], fps: float) -> Iterator[Callab
         def append(picture: NDArray[np.uint8]) -> None:
             try:
                 frames.write(np.ascontiguousarray(picture).data)
-            except BrokenPipeError:
+            except OSError:  # on Windows not a broken pipe, but an invalid argument
                 encoder.wait()
                 raise stopped() from None
 
@@ -79,14 +79,14 @@ def mp4_writer(path: Path, size: tuple[int, int], fps: float) -> Iterator[Callab
 
         try:
             yield append
-            with contextlib.suppress(BrokenPipeError):
+            with contextlib.suppress(OSError):
                 frames.close()
             if encoder.wait() != 0:
                 raise stopped()
         finally:
             encoder.kill()
             encoder.wait()
-            with contextlib.suppress(BrokenPipeError):
+            with contextlib.suppress(OSError):
                 frames.close()
 
 

@@ -23,15 +23,19 @@ from lieednn_sim.errors import RenderingUnavailableError
 
 __all__ = ["Backend", "choose_backend", "configure", "missing_packages", "require"]
 
-BackendName = Literal["egl", "osmesa", "glfw", "disable"]
+BackendName = Literal["egl", "osmesa", "cgl", "glfw", "disable"]
 
 # What MuJoCo and dm_control understand; MuJoCo ignores case and blanks, dm_control does not.
 _SYNONYMS: Mapping[str, BackendName] = {
     "egl": "egl",
     "osmesa": "osmesa",
-    **dict.fromkeys(("glfw", "glx", "wgl", "cgl", "enable", "enabled", "on", "true", "1"), "glfw"),
+    "cgl": "cgl",
+    **dict.fromkeys(("glfw", "glx", "wgl", "enable", "enabled", "on", "true", "1"), "glfw"),
     **dict.fromkeys(("disable", "disabled", "off", "false", "0"), "disable"),
 }
+
+# What is tried, best first, by `sys.platform`; CGL needs no window, which GLFW may open in the main thread alone.
+_ORDER: Mapping[str, tuple[BackendName, ...]] = {"linux": ("egl", "osmesa"), "darwin": ("cgl", "glfw")}
 
 # Of Debian and Ubuntu: EGL uses a GPU where there is one, else llvmpipe. Mesa 25.1 dropped OSMesa.
 _PACKAGES: Mapping[str, list[str]] = {"egl": ["libegl1", "libgl1"], "osmesa": ["libosmesa6"]}
@@ -53,7 +57,7 @@ class Backend:
     """The OpenGL backend for MuJoCo.
 
     Attributes:
-        name: value for ``MUJOCO_GL``; ``"disable"`` means physics without rendering.
+        name: ``egl``, ``osmesa``, ``cgl`` or ``glfw``; ``"disable"`` means physics without rendering.
         detail: the renderer found, or why there is none.
         requested: the user's ``MUJOCO_GL``, or empty.
     """
@@ -77,7 +81,8 @@ def choose_backend() -> Backend:
     """Find a backend that works, without importing MuJoCo or changing the environment.
 
     The user's own ``MUJOCO_GL`` is taken if it works. If not, the result is ``disable`` rather than another backend,
-    and ``detail`` says why. Without it the order is EGL, OSMesa, ``disable``, or the window system outside of Linux.
+    and ``detail`` says why. Without it the order is EGL, OSMesa on Linux; CGL, GLFW on macOS; GLFW elsewhere; and
+    last ``disable``.
     """
     inherited = _inherited()
     if inherited is not None:
@@ -89,9 +94,8 @@ def choose_backend() -> Backend:
         return Backend("disable", error, requested)
     if asked == "disable":
         return Backend("disable", f"MUJOCO_GL={requested} turns rendering off", requested)
-    order: tuple[BackendName, ...] = ("egl", "osmesa") if sys.platform.startswith("linux") else ("glfw",)
     failures = []
-    for name in order if asked is None else (asked,):
+    for name in _ORDER.get(sys.platform, ("glfw",)) if asked is None else (asked,):
         report = _probe(name)
         if "error" not in report:
             return Backend(name, report["GL_RENDERER"], requested)
@@ -155,12 +159,15 @@ def _inherited() -> Backend | None:
         backend = Backend(**json.loads(os.environ[_INHERITED]))
     except (KeyError, TypeError, ValueError):
         return None
-    return backend if backend.name == os.environ.get("MUJOCO_GL") else None
+    return backend if _variables(backend.name)["MUJOCO_GL"] == os.environ.get("MUJOCO_GL") else None
 
 
 def _variables(name: str) -> dict[str, str]:
-    """Environment variables of a backend; MuJoCo refuses a PyOpenGL with another platform than its own."""
-    return {"MUJOCO_GL": name, **({"PYOPENGL_PLATFORM": name} if name in _PACKAGES else {})}
+    """Environment variables of a backend; MuJoCo refuses a PyOpenGL with another platform than its own.
+
+    On macOS, MuJoCo takes "on" for CGL, of which dm_control does not know.
+    """
+    return {"MUJOCO_GL": "on" if name == "cgl" else name, **({"PYOPENGL_PLATFORM": name} if name in _PACKAGES else {})}
 
 
 def _remedy(backend: Backend) -> str:

@@ -12,6 +12,7 @@ import multiprocessing
 import os
 import queue
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor
@@ -34,14 +35,22 @@ _AHEAD = 4096
 # Largest fraction of a process's time that `released` takes; when it last did its work, and how long that took [s].
 _RELEASING = 0.05
 _released = (-math.inf, 0.0)
-# What reaches a whole process group.
-_GROUP = {signal.SIGINT}
+# What reaches a whole process group, and whether the system can block it.
+_GROUP, _BLOCKS = {signal.SIGINT}, hasattr(signal, "pthread_sigmask")
+# Most processes that a pool can have on Windows.
+_MOST_ON_WINDOWS = 61
 
 
 class _Worker(SpawnProcess):
-    """A process that starts with Ctrl-C blocked, so that none ends it with a traceback before it is prepared."""
+    """A process that starts with Ctrl-C blocked, so that none ends it with a traceback before it is prepared.
+
+    Windows cannot block it; the traceback is all that differs there.
+    """
 
     def start(self) -> None:
+        if not _BLOCKS:
+            super().start()
+            return
         before = signal.pthread_sigmask(signal.SIG_BLOCK, _GROUP)
         try:
             super().start()
@@ -60,6 +69,7 @@ def worker_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
     None of them survives the block, however it ends; other children of this process are left alone.
     """
     context: Any = _Context()
+    workers = min(workers, _MOST_ON_WINDOWS) if sys.platform == "win32" else workers
     others = set(multiprocessing.active_children())
     pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_prepare_worker, initargs=(_modules(),))
     try:
@@ -152,7 +162,10 @@ def released(run: Callable[..., Any], *task: Any) -> Any:
 @cache
 def _trim() -> Callable[[int], Any]:
     """Glibc's `malloc_trim`; elsewhere a function that does nothing."""
-    return getattr(ctypes.CDLL(None), "malloc_trim", lambda _: 0)
+    try:
+        return getattr(ctypes.CDLL(None), "malloc_trim", lambda _: 0)
+    except TypeError:  # Windows gives no handle of the program itself
+        return lambda _: 0
 
 
 def progress_bar(console: Console) -> Progress:
@@ -192,7 +205,8 @@ def _prepare_worker(modules: Sequence[str]) -> None:
             importlib.import_module(name)
     # Ctrl-C reaches the whole process group; the main process stops the workers.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.pthread_sigmask(signal.SIG_UNBLOCK, _GROUP)
+    if _BLOCKS:
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, _GROUP)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     # What is imported stays: with it, `released` would take 50 ms in place of 2.
     gc.freeze()

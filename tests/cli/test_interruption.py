@@ -71,7 +71,7 @@ def test_a_signal_while_the_first_modules_are_imported_is_no_traceback(start, tm
     """By one of these modules itself, in place of the standard library's."""
     (tmp_path / "textwrap.py").write_text("import os, signal\nos.kill(os.getpid(), signal.SIGINT)\n")
     paths = os.pathsep.join([str(tmp_path), *sys.path])
-    process = start("-m", "lieednn_sim.cli", "arms", env={**os.environ, "PYTHONPATH": paths})
+    process = start("-m", "lieednn_sim", "arms", env={**os.environ, "PYTHONPATH": paths})
     assert process.communicate() == ("", "")
     assert process.returncode == -signal.SIGINT
 
@@ -180,7 +180,7 @@ def test_a_disk_that_is_full_is_one_line_with_the_name_that_was_asked_for(run, t
     def limited():
         resource.setrlimit(resource.RLIMIT_FSIZE, (2000, 2000))
 
-    process = start("-m", "lieednn_sim.cli", *words, preexec_fn=limited)
+    process = start("-m", "lieednn_sim", *words, preexec_fn=limited)
     assert process.communicate()[1] == f"lieednn-sim: error: cannot write {film}: File too large\n"
     assert process.returncode == 2
     assert list(tmp_path.iterdir()) == []
@@ -191,13 +191,13 @@ def test_too_few_open_files_and_a_full_standard_error_are_errors_as_others(tmp_p
         resource.setrlimit(resource.RLIMIT_NOFILE, (12, 12))
 
     words = ["--planners", "minimum-jerk", "--arms", "telescopic_pr", "--scenes", "free", "--output", str(tmp_path)]
-    process = start("-m", "lieednn_sim.cli", "compare", *words, "--jobs", "1", preexec_fn=limited)
+    process = start("-m", "lieednn_sim", "compare", *words, "--jobs", "1", preexec_fn=limited)
     *bar, line = process.communicate()[1].splitlines()
     assert process.returncode == 2
     assert "Traceback" not in "".join(bar)
     assert line.endswith("Too many open files")
     with open("/dev/full", "w") as full:  # noqa: PTH123, a device
-        process = start("-m", "lieednn_sim.cli", "simulate", str(tmp_path / "none"), stderr=full)
+        process = start("-m", "lieednn_sim", "simulate", str(tmp_path / "none"), stderr=full)
         process.communicate()
     assert process.returncode == 2
 

@@ -194,7 +194,7 @@ def test_the_command_shows_an_own_robot_until_ctrl_c(start, tmp_path, two_hinges
     (tmp_path / "mine.xml").write_text(two_hinges)
     (tmp_path / "table.yaml").write_text("obstacles: [{shape: sphere, name: lamp, radius: 0.1, position: [2, 0, 1]}]")
     words = ["view", str(tmp_path / "mine.xml"), "--scene", str(tmp_path / "table.yaml"), "--no-browser"]
-    process = start("-m", "lieednn_sim.cli", *words)
+    process = start("-m", "lieednn_sim", *words)
     lines = iter(process.stdout.readline, "")
     address = next(line for line in lines if line.startswith("view: "))
     assert b"<html" in urlopen(address.split()[1]).read()
