@@ -133,10 +133,38 @@ def test_glfw_needs_a_display(monkeypatch: pytest.MonkeyPatch) -> None:
     assert "MUJOCO_GL=glfw is unusable (glfw: " in opengl.choose_backend().detail
 
 
-def test_elsewhere_it_is_the_window_system(working: Pretend, monkeypatch: pytest.MonkeyPatch) -> None:
-    working("glfw")
-    monkeypatch.setattr(sys, "platform", "darwin")
-    assert opengl.choose_backend().name == "glfw"
+@pytest.mark.parametrize(
+    ("platform", "asked", "library", "probes", "variable"),
+    [
+        ("darwin", "", "cgl", ["cgl"], "on"),
+        ("darwin", "", "glfw", ["cgl", "glfw"], "glfw"),
+        ("darwin", "cgl", "cgl", ["cgl"], "on"),
+        ("darwin", "egl", "cgl", ["egl"], "disable"),
+        ("win32", "", "glfw", ["glfw"], "glfw"),
+        ("win32", "wgl", "glfw", ["glfw"], "glfw"),
+    ],
+)
+def test_elsewhere_it_is_the_window_system(
+    working: Pretend,
+    monkeypatch: pytest.MonkeyPatch,
+    platform: str,
+    asked: str,
+    library: str,
+    probes: list[str],
+    variable: str,
+) -> None:
+    made = working(library)
+    monkeypatch.setattr(sys, "platform", platform)
+    monkeypatch.setenv("MUJOCO_GL", asked)
+    backend = opengl.configure()
+    assert backend.renders == (variable != "disable")
+    # What MuJoCo and dm_control both take; PyOpenGL finds its platform by itself.
+    assert (made, os.environ["MUJOCO_GL"], os.environ.get("PYOPENGL_PLATFORM")) == (probes, variable, None)
+    assert opengl.missing_packages() == []
+    # A child process does not ask again.
+    monkeypatch.setattr(opengl, "_configured", None)
+    assert opengl.configure() == backend
+    assert made == probes
 
 
 @pytest.mark.parametrize("value", ["disable", "off", "0"])
