@@ -46,6 +46,10 @@ gc.set_threshold(100_000, 50, 50)
 # No test depends on how fast the machine is: time budgets see a clock that stands still. Tests of them bring their own.
 budget.cpu_time = lambda: 0.0
 
+# What Windows has not: signals between processes, limits of a process, named pipes, and a shell.
+_POSIX = ("cli/test_interruption", "test_ensure_env", "test_faults", "test_reference", "test_signal_campaign")
+collect_ignore = [f"{name}.py" for name in _POSIX] if sys.platform == "win32" else []
+
 _BACKEND = opengl.configure()
 # A skip for want of a marker's means is a failure where its variable is set.
 _REQUIRED = {
@@ -247,7 +251,8 @@ def start() -> Iterator[Callable[..., subprocess.Popen[str]]]:
 
         def begin(*arguments: str, **options: object) -> subprocess.Popen[str]:
             usual = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-            usual["preexec_fn"] = lambda: signal.signal(signal.SIGINT, signal.SIG_DFL)
+            if sys.platform != "win32":
+                usual["preexec_fn"] = lambda: signal.signal(signal.SIGINT, signal.SIG_DFL)
             process = stack.enter_context(subprocess.Popen([sys.executable, *arguments], **{**usual, **options}))
             stack.callback(process.kill)
             return process

@@ -20,7 +20,6 @@ import io
 import os
 import pkgutil
 import random
-import resource
 import subprocess
 import sys
 import tempfile
@@ -315,6 +314,8 @@ def attempt(number: int, only: Collection[str] = (), say: Callable[[str], object
 
 def _batch(first: int, count: int, only: Collection[str]) -> None:
     """Calls in this process, each announced on standard error before it is made."""
+    import resource  # which Windows has not
+
     from fuzz_things import furnish
 
     furnish()
