@@ -46,6 +46,7 @@ ROOMS = (
     "exports",
     "live",
     "cli",
+    "__main__",
 )
 
 
