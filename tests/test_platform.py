@@ -19,12 +19,12 @@ import ctypes, errno, os, re, signal, sys
 
 for name in ("fcntl", "resource", "pwd", "grp", "termios", "tty", "pty", "syslog"):
     sys.modules[name] = None
-# But for what the standard library and NumPy need here: waitpid, uname, poll and the like.
+# But for what the standard library and NumPy need here: waitpid, uname, sysconf and the like.
 ABSENT = {
     signal: "SIG(?!INT$|TERM$|ABRT$|FPE$|ILL$|SEGV$|_DFL$|_IGN$)|pthread_|sig(wait|pend|interrupt|timed)|.*itimer|"
     "ITIMER|alarm|pause",
-    os: "fork|sched_|set|get(e|res)?[ug]id|getp?g|getsid|killpg|l?chown|fch|chroot|mkfifo|mknod|posix_|nice|sync|"
-    "fdatasync|f?statvfs|pread|pwrite|openpty|ttyname|getloadavg|sysconf|lockf|wait[34i]?$|O_DIRECTORY|O_NO|O_SYNC",
+    os: "fork|set|get(e|res)?[ug]id|getp?g|getsid|killpg|l?chown|fch|chroot|mkfifo|mknod|posix_|nice|sync|"
+    "fdatasync|f?statvfs|pread|pwrite|openpty|ttyname|getloadavg|lockf|wait[34i]?$|O_DIRECTORY|O_NO|O_SYNC",
 }
 for module, names in ABSENT.items():
     for name in filter(re.compile(names).match, dir(module)):
