@@ -97,7 +97,9 @@ class Tube:
             if self.pair
             else "not limited by contact"
         )
-        return f"<Tube: {1e3 * self.size:.3g} mm for every link at once, pushes up to {self.push:.3g}, {limit}>"
+        return (
+            f"<Tube: {1e3 * self.size:.3g} mm for every link at once, pushes up to {self.push:.3g} [rad, m], {limit}>"
+        )
 
     def holds(self, deviation: ArrayLike) -> bool:
         """Whether a deviation ``(N, 6)`` of the visible neurons, in network coordinates, is proved to be harmless."""

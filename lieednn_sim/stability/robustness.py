@@ -102,11 +102,11 @@ class Robustness:
         scope = "between any two motions" if self.contracting else "about the equilibrium"
         best = self.contracting or self
         return (
-            f"a push of size 1 throws the state at most {best.push_gain():.3g} away, a tenth of it is left after "
-            f"{best.settling_time(0.1):.3g} ({scope})\n"
-            f"a target that moves at speed 1 is followed within {self.lag():.3g}\n"
-            f"time steps up to {self.largest_step('Euler'):.3g} (Euler), {self.largest_step('RK4'):.3g} (RK4) keep the "
-            "proof; RK45 has none"
+            f"after a push of size 1 the state is at most {best.push_gain():.3g} away, and less than 0.1 away after "
+            f"{best.settling_time(0.1):.3g} of the network's time ({scope})\n"
+            f"a target that moves by 1 per unit of that time is followed within {self.lag():.3g}\n"
+            f"time steps up to {self.largest_step('Euler'):.3g} (Euler) or {self.largest_step('RK4'):.3g} (RK4) keep "
+            "the proof; the adaptive RK45 has none"
         )
 
     def _gains(self, pushed: ArrayLike | None, watched: ArrayLike | None) -> list[tuple[Guarantee, float]]:

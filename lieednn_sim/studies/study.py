@@ -110,8 +110,9 @@ def compute(
         run_each(run, todo, add, workers=workers, title=study.name, console=shown, executor=executor)
     except (BrokenExecutor, CancelledError):
         raise LieEDNNError(
-            f"a worker process died (out of memory?); finished cases are kept in {table.csv}, the same command "
-            "continues; --jobs 1 needs less memory"
+            "a worker process died, of too little memory, or because a script that starts workers has no "
+            f"`if __name__ == '__main__':`; finished cases are kept in {table.csv}, the same command continues, and "
+            "one job needs less memory"
             if executor is None
             else f"the executor gave up; finished cases are kept in {table.csv}, the same command continues"
         ) from None

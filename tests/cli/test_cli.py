@@ -157,7 +157,7 @@ def test_interrupted_training_goes_on_with_resume(tmp_path, capsys, monkeypatch)
         assert main([*arguments, str(broken)]) == 130
     printed = capsys.readouterr().out
     assert f"train --resume {broken}" in printed
-    assert "\na push of size 1 throws the state at most" in printed
+    assert "\nafter a push of size 1 the state is at most" in printed
     assert [path.name for path in broken.iterdir()] == ["training"]
     words = fails(capsys, "train", "--resume", broken, "--epochs=7", "--output", tmp_path / "other", "--plots", "svg")
     assert words.endswith("with its own options; leave out --epochs, --output")

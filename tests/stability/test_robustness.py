@@ -240,10 +240,12 @@ def test_words_are_of_contraction_where_there_is_one_and_of_the_best_proof():
         proof(False, 1.0, 9.0, 6.0, 0.1, 0.2),
     )
     told = str(Robustness(both, both, proofs))
-    assert "at most 2 away, a tenth of it is left after 6.8 (between any two motions)" in told
+    assert "at most 2 away, and less than 0.1 away after 6.8 of the network's time (between any two motions)" in told
     assert "followed within 6\n" in told
-    assert "up to 0.5 (Euler), 1.5 (RK4)" in told
-    assert "at most 1 away, a tenth of it is left after 0.256 (about the" in str(Robustness(both, both, proofs[2:]))
+    assert "up to 0.5 (Euler) or 1.5 (RK4)" in told
+    assert "at most 1 away, and less than 0.1 away after 0.256 of the network's time (about the" in str(
+        Robustness(both, both, proofs[2:])
+    )
 
 
 def test_the_distance_left_is_bounded_at_all_times_and_sharply_without_weights():
