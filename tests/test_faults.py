@@ -163,7 +163,7 @@ def test_a_worker_that_is_killed_loses_no_finished_case(tmp_path, monkeypatch, i
     monkeypatch.setattr(workers, "worker_pool", Context)
     selection = Comparison(("minimum-jerk",), ("telescopic_pr",), ("free",), ("computed-torque",), seeds=2)
     settings = Settings(duration=1.0, hold=0.0)
-    with pytest.raises(LieEDNNError, match=r"a worker process died .* continues, and one job needs less"):
+    with pytest.raises(LieEDNNError, match=r"a worker process died, .* continues, and one job needs less"):
         compute(replace(selection, common=settings), tmp_path)
     assert list(read_rows(tmp_path / "comparison.csv", Row).values()) == rows[0]
     monkeypatch.undo()
