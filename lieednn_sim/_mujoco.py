@@ -20,7 +20,10 @@ except Exception:  # of several OpenGL bindings, with no common base
         else:
             os.environ["MUJOCO_GL"] = asked
 
-__all__ = ["QuietWarnings", "kinematics_at", "mujoco"]
+__all__ = ["QuietWarnings", "geom_colours", "kinematics_at", "mujoco"]
+
+# The colour of a geom that has none of its own.
+_UNCOLOURED = (0.5, 0.5, 0.5, 1.0)
 
 
 class QuietWarnings:
@@ -40,6 +43,14 @@ def kinematics_at(model: Any, qpos: Any) -> Any:
     data.qpos[:] = qpos
     mujoco.mj_kinematics(model, data)
     return data
+
+
+def geom_colours(model: Any) -> Any:
+    """Colours ``(G, 4)`` of all geoms, from 0 to 1: their own, else those of their materials, as MuJoCo draws them."""
+    colours = model.geom_rgba.copy()
+    of_material = (model.geom_matid >= 0) & (colours == _UNCOLOURED).all(axis=1)
+    colours[of_material] = model.mat_rgba[model.geom_matid[of_material]]
+    return colours
 
 
 def _ignore(_: str) -> None:

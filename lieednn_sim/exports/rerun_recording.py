@@ -11,15 +11,13 @@ import rerun as rr
 import rerun.blueprint as rrb
 from scipy.spatial.transform import Rotation
 
-from lieednn_sim._mujoco import mujoco
+from lieednn_sim._mujoco import geom_colours, mujoco
 from lieednn_sim.exports.formats import samples
 from lieednn_sim.simulation import Rollout
 from lieednn_sim.values import Floats
 
 # MuJoCo shows geoms of these groups unless it is asked for others.
 _SHOWN_GROUPS = (0, 1, 2)
-# The colour of a geom that has none of its own.
-_UNCOLOURED = np.array([0.5, 0.5, 0.5, 1.0], dtype=np.float32)
 _TARGET_RADIUS = 0.02  # [m]
 
 
@@ -127,8 +125,5 @@ def _mesh(model: mujoco.MjModel, geom: int, colour: Any) -> rr.Mesh3D:
 
 
 def _colours(model: mujoco.MjModel) -> Any:
-    """Colours ``(G, 4)`` of all geoms from 0 to 255: their own, else that of their material, as MuJoCo has it."""
-    own = model.geom_rgba.copy()
-    of_material = (model.geom_matid >= 0) & (own == _UNCOLOURED).all(axis=1)
-    own[of_material] = model.mat_rgba[model.geom_matid[of_material]]
-    return np.round(255.0 * own).astype(np.uint8)
+    """Colours ``(G, 4)`` of all geoms from 0 to 255."""
+    return np.round(255.0 * geom_colours(model)).astype(np.uint8)

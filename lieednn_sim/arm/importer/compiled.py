@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lieednn_sim._mujoco import mujoco
+from lieednn_sim._mujoco import geom_colours, mujoco
 from lieednn_sim.arm.forces import ON_JOINTS
 from lieednn_sim.arm.importer.loading import unused
 from lieednn_sim.arm.importer.stages import tendon_joints
@@ -96,7 +96,7 @@ def _copy(element: Any, model: mujoco.MjModel, prefix: str, row: int, fields: tu
     for field in fields:
         mine, _, theirs = field.partition("=")
         value = getattr(model, f"{prefix}_{theirs or mine}")[row]
-        setattr(element, mine, value if np.ndim(value) else getattr(value, "item", lambda value=value: value)())
+        setattr(element, mine, value if np.ndim(value) else value.item())
 
 
 def _limited(limited: bool) -> Any:
@@ -159,12 +159,12 @@ def _add_joint(body: mujoco.MjsBody, model: mujoco.MjModel, data: mujoco.MjData,
 
 def _add_parts(spec: mujoco.MjSpec, bodies: list[mujoco.MjsBody], model: mujoco.MjModel, names: _Names) -> None:
     """Add geoms and sites."""
+    colours = geom_colours(model)
     for geom in range(model.ngeom):
         kind = int(model.geom_type[geom])
         made = bodies[model.geom_bodyid[geom]].add_geom(name=names("geom", geom))
         _copy(made, model, "geom", geom, _GEOM_FIELDS)
-        material = model.geom_matid[geom]
-        made.rgba = model.geom_rgba[geom] if material < 0 else model.mat_rgba[material]
+        made.rgba = colours[geom]
         if kind in (int(_GEOM.mjGEOM_MESH), int(_GEOM.mjGEOM_SDF)):
             made.meshname = names("mesh", model.geom_dataid[geom])
         elif kind == int(_GEOM.mjGEOM_HFIELD):
