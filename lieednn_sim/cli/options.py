@@ -61,11 +61,15 @@ def add_task(parser: argparse.ArgumentParser, output: str, *, goal: bool = True)
 
 
 def _add_arm(parser: argparse.ArgumentParser) -> None:
+    _add_arm_name(parser)
+    add_frames(parser)
+    _add_scene(parser)
+
+
+def _add_arm_name(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--arm", default="telescopic_pr", metavar="NAME", help=f"{_one_of(ARMS)}, or an MJCF, URDF or YAML file"
     )
-    add_frames(parser)
-    _add_scene(parser)
 
 
 def _add_scene(parser: argparse.ArgumentParser) -> None:
@@ -236,9 +240,7 @@ def add_export(parser: argparse.ArgumentParser) -> None:
 def add_recording(parser: argparse.ArgumentParser) -> None:
     """Options of ``record``."""
     parser.add_argument("--episodes", type=whole, default=50, metavar="N", help="number of successful episodes")
-    parser.add_argument(
-        "--arm", default="telescopic_pr", metavar="NAME", help=f"{_one_of(ARMS)}, or an MJCF, URDF or YAML file"
-    )
+    _add_arm_name(parser)
     _add_scene(parser)
     parser.add_argument(
         "--planner", metavar="NAME", help="planner of the expert (default: as for 'plan'); see lieednn-sim plan --help"

@@ -119,7 +119,7 @@ def plot_network(
         handles.append(Line2D([], [], color="0.3", ls="--", lw=0.9))
         labels.append("target")
         if network is not None and hidden:
-            _plot_hidden(figure, below, motion, network, _HIDDEN_IN_ROW * blocks)
+            _plot_hidden(figure, below, motion, network, hidden, _HIDDEN_IN_ROW * blocks)
             for kind, style in _HIDDEN_STYLES.items():
                 handles.append(Line2D([], [], color="0.3", ls=style))
                 labels.append(f"hidden: $\\varphi({kind})$")
@@ -130,14 +130,16 @@ def plot_network(
         figure_layout.save_figure(figure, path)
 
 
-def _plot_hidden(figure: Figure, height: float, motion: Motion, network: ComponentwiseNetwork, columns: int) -> None:
-    """Outputs of the hidden neurons, in a panel of a given height [inch] and number of columns at the bottom."""
+def _plot_hidden(
+    figure: Figure, height: float, motion: Motion, network: ComponentwiseNetwork, count: int, columns: int
+) -> None:
+    """Outputs of some hidden neurons, in a panel of a given height [inch] and number of columns at the bottom."""
     first, duration = network.n_visible, max(float(motion.tau[-1]), 1e-9)
     states = network.trajectory(network.start(motion.xi[0]), duration)(motion.tau)
     sent = network.phi(states[:, first:])
     highest = 1.08 * ACTIVATIONS[network.activation].bound
     # An encoder has hundreds of them: some of all kinds.
-    chosen = np.linspace(0, network.n_hidden - 1, min(network.n_hidden, _MOST_HIDDEN)).astype(int)
+    chosen = np.linspace(0, network.n_hidden - 1, count).astype(int)
     rows = -(-len(chosen) // columns)
     axes = _subplots(figure, motion.t, rows, columns, sharey=True, above=figure.get_figheight() - height - 0.35)
     for k, axis in enumerate(axes.ravel()):

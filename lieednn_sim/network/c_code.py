@@ -157,16 +157,15 @@ def write_c(network: BlockNetwork, activation: str, folder: str | os.PathLike[st
     found = network.equilibrium()
     if not found.success:
         raise InputError(f"the network has no equilibrium that its target could be ({found.message})")
-    certificate = network.certificate
-    proved = network.certified and certificate is not None
+    proof = network.certificate if network.certified else None
     values = {
-        "proof": f"   {certificate}." if proved else "   It is not certified: nothing is proved about where it goes.",
+        "proof": f"   {proof}." if proof else "   It is not certified: nothing is proved about where it goes.",
         "size": d * network.n_neurons,
         "visible": d * first,
         "driven": d * network.n_driven,
-        "lambda_max": _number(certificate.lambda_max) if proved and certificate else "NAN",
+        "lambda_max": _number(proof.lambda_max) if proof else "NAN",
         "bound": _number(network.gamma / network.mu),
-        "rate": _number(certificate.rate if proved and certificate else 0.0),
+        "rate": _number(proof.rate if proof else 0.0),
         "gamma": _number(network.gamma),
         "weight": _array(network.mu * network.driven_weight.T),
         "bias_values": _array(network.mu * network.bias.ravel()),

@@ -194,15 +194,10 @@ def plan(
         optional_module("toppra")  # before the work
     begun, number = cpu_time(), as_seed("seed", seed)
     begin = arm.configuration(start, "start")
-
-    def problem_to(goal: ArrayLike | str) -> PlanningProblem:
-        return PlanningProblem(
-            arm, begin, arm.configuration(goal, "target"), duration, number, time_budget, max_time_scale, progress
-        )
-
-    # Poses are searched for within the budget, the rest of a bad problem is refused before.
+    # Poses are searched for within the budget; the rest of a bad problem is refused before.
     posed = isinstance(target, scipy.spatial.transform.RigidTransform)
-    first = problem_to(begin if posed else target)
+    end = arm.configuration(begin if posed else target, "target")
+    first = PlanningProblem(arm, begin, end, duration, number, time_budget, max_time_scale, progress)
     with time_limit(first.time_budget):
         goals = ik_candidates(arm, target, start=begin, seed=number) if posed else [first.target]
         for goal in goals:
