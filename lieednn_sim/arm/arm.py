@@ -17,8 +17,9 @@ from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.contacts import PLANNED_CLEARANCE, ContactFinder, fixed_body
 from lieednn_sim.arm.fingerprint import arm_fingerprint, model_fingerprint
 from lieednn_sim.arm.importer import ImportOptions, ImportReport, import_arm
-from lieednn_sim.arm.importer.compiled import spec_of
+from lieednn_sim.arm.importer.compiled import name_in_spec, spec_of
 from lieednn_sim.arm.importer.floor import NONE
+from lieednn_sim.arm.importer.holding import Grasp, keep_from_last_link
 from lieednn_sim.arm.models import find_model, label_of, open_model
 from lieednn_sim.arm.obstacles import add_own_obstacles, check_home, is_scene_file, load_obstacles, scene_label
 from lieednn_sim.arm.parsing import read_arm
@@ -118,6 +119,8 @@ class Arm(SerialArm):
         cls,
         model: mujoco.MjModel,
         data: mujoco.MjData,
+        *,
+        grasp: Grasp | None = None,
         **options: Unpack[ImportOptions],
     ) -> Arm:
         """Make an arm of some joints of a compiled model; everything else is its scene, as it stands in ``data``.
@@ -128,6 +131,7 @@ class Arm(SerialArm):
         Args:
             model: a compiled model, which is not changed.
             data: its state: positions, mocap bodies, active equalities.
+            grasp: what the hand holds (`importer.holding.find_grasp`), which moves with it.
             options: those of `importer.import_arm`, above all the names of the ``joints``; without ``floor``, no floor
                 is added.
 
@@ -135,7 +139,9 @@ class Arm(SerialArm):
             InputError: the joints are not an arm's, or data is of another model, or not finite.
         """
         options.setdefault("floor", NONE)
-        spec, report = import_arm(spec_of(model, data), **options)
+        spec, report = import_arm(spec_of(model, data, grasp), **options)
+        if grasp is not None:
+            keep_from_last_link(spec, [name_in_spec(model, body) for body in grasp.bodies])
         return cls.from_spec(spec, Path("a compiled model"), "arm", report)
 
     def among(self, scene: str | os.PathLike[str], seed: Seed = 0) -> Arm:

@@ -14,12 +14,13 @@ from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.contacts import PLANNED_CLEARANCE, ContactFinder, moved_by
 from lieednn_sim.arm.importer.compiled import shared_addresses
+from lieednn_sim.arm.importer.holding import Grasp, find_grasp
 from lieednn_sim.budget import DEFAULT_TIME_BUDGET
 from lieednn_sim.errors import PlanError
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.problem import Plan
 from lieednn_sim.planning.registry import OBSTACLE_PLANNER, plan
-from lieednn_sim.validation import Seed, as_floats
+from lieednn_sim.validation import Seed, as_choice, as_floats
 from lieednn_sim.values import Floats, frozen
 
 if TYPE_CHECKING:
@@ -50,7 +51,7 @@ def plan_in(
     model: mujoco.MjModel,
     data: mujoco.MjData,
     joints: Sequence[str],
-    goal: ArrayLike | RigidTransform,
+    goal: ArrayLike | str | RigidTransform,
     *,
     tip: str | None = None,
     limits: Mapping[str, Mapping[str, float]] | None = None,
@@ -62,6 +63,8 @@ def plan_in(
     time_budget: float = DEFAULT_TIME_BUDGET,
     options: PlannerOptions | None = None,
     fastest: bool = False,
+    holding: str | None = None,
+    touching: Sequence[str] = (),
 ) -> ModelPlan:
     """Plan a motion of some joints of any compiled model, from its present state, around everything else in it.
 
@@ -75,24 +78,37 @@ def plan_in(
         data: its state. The motion starts at its positions, at rest.
         joints: names of the joints, on one chain; joints that equalities tie to them are the arm's, too.
         goal: joint target ``(n,)`` in the order of ``joints`` [rad, m]: three values, a rotation vector, for a ball
-            joint, and none for a joint that follows another. Or a pose of the tip in the world, as of `plan`.
+            joint, and none for a joint that follows another. Or a pose of the tip in the world, as of `plan`, or the
+            name of a keyframe of the model, of which the arm's joints are taken.
         tip: body or site of the end effector, by default the last body that the joints move.
         limits: ``velocity``, ``acceleration`` and ``jerk`` of coordinates by name [rad or m, s].
         clearance: distance that the motion keeps from contact, start and goal included [m].
         planner, duration, max_time_scale, seed, time_budget, options, fastest: as of `plan`.
+        holding: name of a body with a free joint that the tip carries: it moves with the tip from where it is now. What
+            holds it may touch it. It keeps the clearance from all else, except from what it stands on, that is, what it
+            is nearer to now: that it may touch, but sink no deeper into than now.
+        touching: names of bodies that the held one may touch as well, such as those it is put on.
 
     Raises:
         InputError: a value is malformed; the joints are no arm; or start or goal is beyond a limit or too near contact.
         PlanError, NotCertifiedError: there is no such motion, as of `plan`.
     """
-    arm = Arm.from_model(model, data, joints=joints, tip=tip, limits=limits)
-    arm = replace(arm, clearance=float(as_floats("clearance", clearance, ())))
+    distance = float(as_floats("clearance", clearance, ()))
+    grasp = None if holding is None else find_grasp(model, data, holding, tip, touching, distance)
+    arm = Arm.from_model(model, data, grasp=grasp, joints=joints, tip=tip, limits=limits)
+    arm = replace(arm, clearance=distance)
     theirs, ours, their_rates, our_rates = shared_addresses(model, arm.model)
     now = arm.qpos(np.zeros(arm.n_joints))
+    if isinstance(goal, str):
+        key = as_choice("keyframe", goal, [model.key(k).name for k in range(model.nkey)])
+        now[ours] = model.key(key).qpos[theirs]
+        goal = arm.coordinates(now)
+    else:
+        goal = _in_order_of_arm(arm, joints, goal)
     now[ours] = data.qpos[theirs]
     found = plan(
         arm,
-        _in_order_of_arm(arm, joints, goal),
+        goal,
         start=arm.coordinates(now),
         planner=planner,
         duration=duration,
@@ -106,7 +122,9 @@ def plan_in(
     qpos, qvel = np.tile(data.qpos, (len(motion.t), 1)), np.zeros((len(motion.t), model.nv))
     qpos[:, theirs] = arm.qpos(motion.q)[:, ours]
     qvel[:, their_rates] = arm.qvel(motion.q, motion.qd)[:, our_rates]
-    _check_contacts(model, data, qpos, their_rates)
+    if grasp is not None:
+        _carry(model, data, grasp, qpos, qvel, motion.timestep)
+    _check_contacts(model, data, qpos, their_rates, grasp, touching)
     return ModelPlan(motion.t, qpos, qvel, found, arm)
 
 
@@ -122,22 +140,55 @@ def _in_order_of_arm(arm: Arm, joints: Sequence[str], goal: ArrayLike | RigidTra
     return ordered
 
 
-def _check_contacts(model: mujoco.MjModel, data: mujoco.MjData, qpos: Floats, moving: NDArray[np.int_]) -> None:
+def _carry(
+    model: mujoco.MjModel, data: mujoco.MjData, grasp: Grasp, qpos: Floats, qvel: Floats, timestep: float
+) -> None:
+    """Set positions ``(K, nq)`` and velocities ``(K, nv)`` of a held body from those of the body that carries it."""
+    joint = model.body_jntadr[grasp.body]
+    place, rate = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
+    moved = mujoco.MjData(model)
+    moved.mocap_pos[:], moved.mocap_quat[:] = data.mocap_pos, data.mocap_quat
+    inside, turn = grasp.place.translation, grasp.place.rotation.as_quat(scalar_first=True)
+    for row in qpos:
+        moved.qpos[:] = row
+        mujoco.mj_kinematics(model, moved)
+        row[place : place + 3] = moved.xpos[grasp.carrier] + moved.xmat[grasp.carrier].reshape(3, 3) @ inside
+        mujoco.mju_mulQuat(moved.qpos[place + 3 : place + 7], moved.xquat[grasp.carrier], turn)
+        row[place + 3 : place + 7] = moved.qpos[place + 3 : place + 7]
+    step = np.zeros(model.nv)
+    for k in range(1, len(qpos) - 1):
+        mujoco.mj_differentiatePos(model, step, 2.0 * timestep, qpos[k - 1], qpos[k + 1])
+        qvel[k, rate : rate + 6] = step[rate : rate + 6]
+
+
+def _check_contacts(
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    qpos: Floats,
+    moving: NDArray[np.int_],
+    grasp: Grasp | None = None,
+    touching: Sequence[str] = (),
+) -> None:
     """Look for contacts of the arm with other trees of bodies in the given model itself, apart from those at the start.
+
+    A held body counts as the arm's; what it may touch is left out.
 
     Raises:
         PlanError: there are any, so that the arm's model is not like the given one.
     """
     arm = {body for body in range(model.nbody) if moved_by(model, body)[moving].any()}
-    finder = ContactFinder(model, mocap=data)
+    held = set() if grasp is None else set(grasp.bodies)
+    allowed = {model.body(name).id for name in touching}
+    finder, arm = ContactFinder(model, mocap=data), arm | held
 
-    def touching(positions: Floats) -> set[tuple[int, int]]:
+    def near(positions: Floats) -> set[tuple[int, int]]:
         pairs = (tuple(map(int, model.geom_bodyid[geoms])) for geoms in finder.geoms(positions)[1])
-        return {(a, b) for a, b in pairs if (a in arm) != (b in arm) and model.body_rootid[a] != model.body_rootid[b]}
+        found = {(a, b) for a, b in pairs if (a in arm) != (b in arm) and model.body_rootid[a] != model.body_rootid[b]}
+        return {(a, b) for a, b in found if not ((a in held and b in allowed) or (b in held and a in allowed))}
 
-    before = touching(data.qpos)
+    before = near(data.qpos)
     for positions in qpos:
-        if found := touching(positions) - before:
+        if found := near(positions) - before:
             one, other = (model.body(body).name or f"body {body}" for body in min(found))
             raise PlanError(
                 f"in the given model {one!r} would touch {other!r}, which the arm's own model does not show"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import geom_colours, mujoco
 from lieednn_sim.arm.forces import ON_JOINTS
+from lieednn_sim.arm.importer.holding import Grasp, add_supports, in_order
 from lieednn_sim.arm.importer.loading import unused
 from lieednn_sim.arm.importer.serial_chain import Frame, body_frame, find_frame
 from lieednn_sim.arm.importer.stages import tendon_joints
@@ -24,12 +26,14 @@ _GEOM_FIELDS = (
     *("margin", "gap", "friction", "group"),
 )
 # Entries of qpos and qvel of joints that have more than one.
-_BALL, _HINGE, _SLIDE = (int(getattr(mujoco.mjtJoint, f"mjJNT_{kind}")) for kind in ("BALL", "HINGE", "SLIDE"))
+_FREE, _BALL, _HINGE, _SLIDE = (
+    int(getattr(mujoco.mjtJoint, f"mjJNT_{kind}")) for kind in ("FREE", "BALL", "HINGE", "SLIDE")
+)
 _WIDTHS, _RATES = {_BALL: 4}, {_BALL: 3}
 _ACTUATOR = ("gear", "ctrlrange", "forcerange", "trntype", "gaintype", "biastype", "gainprm", "biasprm")
 
 
-def spec_of(model: mujoco.MjModel, data: mujoco.MjData) -> mujoco.MjSpec:
+def spec_of(model: mujoco.MjModel, data: mujoco.MjData, grasp: Grasp | None = None) -> mujoco.MjSpec:
     """A spec that compiles to the bodies, joints, geoms and actuators of a model, with a keyframe at its present state.
 
     It has what planning and a simulation of one arm need: bodies with their inertias, joints, geoms with meshes and
@@ -57,10 +61,14 @@ def spec_of(model: mujoco.MjModel, data: mujoco.MjData) -> mujoco.MjSpec:
             setattr(spec.option, name, getattr(model.opt, name))
     names = _Names(model)
     _add_assets(spec, model, names)
-    bodies = [spec.worldbody]
-    for body in range(1, model.nbody):
-        bodies.append(_add_body(bodies[model.body_parentid[body]], model, data, body, names))
+    bodies, order = {0: spec.worldbody}, in_order(model, grasp)
+    for body in order[1:]:
+        held = grasp is not None and body == grasp.body
+        parent = grasp.carrier if grasp is not None and held else int(model.body_parentid[body])
+        bodies[body] = _add_body(bodies[parent], model, data, body, names, grasp if held else None)
     _add_parts(spec, bodies, model, names)
+    if grasp is not None:
+        add_supports(spec, model, grasp, names, partial(_add_geom, bodies, model, names, geom_colours(model)))
     _add_tendons(spec, model, names)
     _add_equalities(spec, model, data, names)
     _add_actuators(spec, model, names)
@@ -68,8 +76,20 @@ def spec_of(model: mujoco.MjModel, data: mujoco.MjData) -> mujoco.MjSpec:
     for i in range(model.nnumeric):
         start = model.numeric_adr[i]
         spec.add_numeric(name=model.numeric(i).name, data=model.numeric_data[start : start + model.numeric_size[i]])
-    spec.add_key(name="home", qpos=data.qpos.copy())
+    spec.add_key(name="home", qpos=data.qpos[_entries(model, order, grasp)])
     return spec
+
+
+def _entries(model: mujoco.MjModel, order: list[int], grasp: Grasp | None) -> list[int]:
+    """Which entries of qpos the joints of bodies in an order have, without the free joint of a held body."""
+    found: list[int] = []
+    for body in order:
+        if grasp is not None and body == grasp.body:
+            continue
+        for joint in range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body]):
+            first = int(model.jnt_qposadr[joint])
+            found += range(first, first + {_FREE: 7, _BALL: 4}.get(int(model.jnt_type[joint]), 1))
+    return found
 
 
 class _Names:
@@ -128,17 +148,25 @@ def _add_assets(spec: mujoco.MjSpec, model: mujoco.MjModel, names: _Names) -> No
 
 
 def _add_body(
-    parent: mujoco.MjsBody, model: mujoco.MjModel, data: mujoco.MjData, body: int, names: _Names
+    parent: mujoco.MjsBody,
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    body: int,
+    names: _Names,
+    grasp: Grasp | None,
 ) -> mujoco.MjsBody:
-    """Add a body with its inertia and joints; a mocap body stands still where it is."""
+    """Add a body with its inertia and joints; a mocap body stands still where it is, and a held one has no joint."""
     pos, quat = model.body_pos[body], model.body_quat[body]
+    if grasp is not None:
+        pos, quat = grasp.place.translation, grasp.place.rotation.as_quat(scalar_first=True)
     if (mocap := model.body_mocapid[body]) >= 0:
         pos, quat = data.mocap_pos[mocap], data.mocap_quat[mocap]
     made = parent.add_body(name=names("body", body), pos=pos, quat=quat, explicitinertial=True)
     made.mass, made.gravcomp = float(model.body_mass[body]), float(model.body_gravcomp[body])
     made.ipos, made.iquat, made.inertia = model.body_ipos[body], model.body_iquat[body], model.body_inertia[body]
-    for joint in range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body]):
-        _add_joint(made, model, data, joint, names)
+    if grasp is None:
+        for joint in range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body]):
+            _add_joint(made, model, data, joint, names)
     return made
 
 
@@ -158,20 +186,28 @@ def _add_joint(body: mujoco.MjsBody, model: mujoco.MjModel, data: mujoco.MjData,
         made.actfrclimited = _limited(model.jnt_actfrclimited[joint])
 
 
-def _add_parts(spec: mujoco.MjSpec, bodies: list[mujoco.MjsBody], model: mujoco.MjModel, names: _Names) -> None:
+def _add_geom(
+    bodies: dict[int, mujoco.MjsBody], model: mujoco.MjModel, names: _Names, colours: Any, geom: int, name: str
+) -> Any:
+    """Add a copy of a geom to its body."""
+    kind = int(model.geom_type[geom])
+    made = bodies[int(model.geom_bodyid[geom])].add_geom(name=name)
+    _copy(made, model, "geom", geom, _GEOM_FIELDS)
+    made.rgba = colours[geom]
+    if kind in (int(_GEOM.mjGEOM_MESH), int(_GEOM.mjGEOM_SDF)):
+        made.meshname = names("mesh", model.geom_dataid[geom])
+    elif kind == int(_GEOM.mjGEOM_HFIELD):
+        made.hfieldname = names("hfield", model.geom_dataid[geom])
+    return made
+
+
+def _add_parts(spec: mujoco.MjSpec, bodies: dict[int, mujoco.MjsBody], model: mujoco.MjModel, names: _Names) -> None:
     """Add geoms and sites."""
     colours = geom_colours(model)
     for geom in range(model.ngeom):
-        kind = int(model.geom_type[geom])
-        made = bodies[model.geom_bodyid[geom]].add_geom(name=names("geom", geom))
-        _copy(made, model, "geom", geom, _GEOM_FIELDS)
-        made.rgba = colours[geom]
-        if kind in (int(_GEOM.mjGEOM_MESH), int(_GEOM.mjGEOM_SDF)):
-            made.meshname = names("mesh", model.geom_dataid[geom])
-        elif kind == int(_GEOM.mjGEOM_HFIELD):
-            made.hfieldname = names("hfield", model.geom_dataid[geom])
+        _add_geom(bodies, model, names, colours, geom, names("geom", geom))
     for site in range(model.nsite):
-        made = bodies[model.site_bodyid[site]].add_site(name=names("site", site))
+        made = bodies[int(model.site_bodyid[site])].add_site(name=names("site", site))
         _copy(made, model, "site", site, ("pos", "quat", "size", "group", "rgba"))
 
 
@@ -224,6 +260,11 @@ def _add_contact_rules(spec: mujoco.MjSpec, model: mujoco.MjModel, names: _Names
             geomname1=names("geom", model.pair_geom1[pair]), geomname2=names("geom", model.pair_geom2[pair])
         )
         _copy(made, model, "pair", pair, ("margin", "gap", "solref", "solimp", "friction", "condim=dim"))
+
+
+def name_in_spec(model: mujoco.MjModel, body: int) -> str:
+    """The name of a body in `spec_of`."""
+    return _Names(model)("body", body)
 
 
 def shared_addresses(model: mujoco.MjModel, arm: mujoco.MjModel) -> tuple[NDArray[np.int_], ...]:
