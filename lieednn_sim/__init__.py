@@ -30,7 +30,16 @@ if TYPE_CHECKING:
     from lieednn_sim.learning import train
     from lieednn_sim.live import view
     from lieednn_sim.network import LieEDNN
-    from lieednn_sim.planning import MotionLibrary, Plan, plan, plan_in, register_planner
+    from lieednn_sim.planning import (
+        Actuate,
+        MotionLibrary,
+        Move,
+        Plan,
+        plan,
+        plan_in,
+        plan_sequence,
+        register_planner,
+    )
     from lieednn_sim.policies import Feedback, NetworkPolicy, Policy, control_loop, make_policy
     from lieednn_sim.rendering.page import render_page
     from lieednn_sim.rendering.still import render_still
@@ -40,6 +49,7 @@ if TYPE_CHECKING:
     from lieednn_sim.synthesis import CurveEncoder, shape, synthesize
 
 __all__ = [
+    "Actuate",
     "Arm",
     "Channel",
     "CurveEncoder",
@@ -48,6 +58,7 @@ __all__ = [
     "LieEDNN",
     "LieEDNNError",
     "MotionLibrary",
+    "Move",
     "NetworkPolicy",
     "Plan",
     "PlanError",
@@ -63,6 +74,7 @@ __all__ = [
     "make_policy",
     "plan",
     "plan_in",
+    "plan_sequence",
     "plot",
     "register_planner",
     "render_page",
@@ -87,7 +99,7 @@ _ROOMS = {
     "learning": ("train",),
     "live": ("view",),
     "network": ("LieEDNN",),
-    "planning": ("MotionLibrary", "Plan", "plan", "plan_in", "register_planner"),
+    "planning": ("Actuate", "MotionLibrary", "Move", "Plan", "plan", "plan_in", "plan_sequence", "register_planner"),
     "policies": ("Feedback", "NetworkPolicy", "Policy", "control_loop", "make_policy"),
     "rendering.page": ("render_page",),
     "rendering.still": ("render_still",),

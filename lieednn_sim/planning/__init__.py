@@ -33,7 +33,9 @@ from lieednn_sim.planning.registry import (
     register_planner,
 )
 from lieednn_sim.planning.retiming import retime
+from lieednn_sim.planning.sequence import PlanSequence, SequencePart, plan_sequence
 from lieednn_sim.planning.shaped import ShapedOptions
+from lieednn_sim.planning.steps import Actuate, Move
 from lieednn_sim.planning.teachers import TeacherOptions
 from lieednn_sim.planning.tube import Tube, find_tube
 from lieednn_sim.typecheck import typecheck_public
@@ -41,6 +43,7 @@ from lieednn_sim.typecheck import typecheck_public
 __all__ = [
     "OBSTACLE_PLANNER",
     "PLANNERS",
+    "Actuate",
     "CertifiedOptions",
     "DmpOptions",
     "FilteredOptions",
@@ -48,14 +51,17 @@ __all__ = [
     "ModelPlan",
     "Motion",
     "MotionLibrary",
+    "Move",
     "OptimisationOptions",
     "Plan",
+    "PlanSequence",
     "Planner",
     "PlanningProblem",
     "QshnnOptions",
     "RetargetedOptions",
     "RrtConnectOptions",
     "RrtStarOptions",
+    "SequencePart",
     "ShapedOptions",
     "StompOptions",
     "TeacherOptions",
@@ -68,6 +74,7 @@ __all__ = [
     "missing_planners",
     "plan",
     "plan_in",
+    "plan_sequence",
     "planners",
     "reference_network",
     "register_planner",

@@ -20,7 +20,7 @@ from lieednn_sim.errors import PlanError
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.problem import Plan
 from lieednn_sim.planning.registry import OBSTACLE_PLANNER, plan
-from lieednn_sim.validation import Seed, as_choice, as_floats
+from lieednn_sim.validation import Seed, as_choice, as_floats, as_positive
 from lieednn_sim.values import Floats, frozen
 
 if TYPE_CHECKING:
@@ -45,6 +45,13 @@ class ModelPlan:
     qvel: Floats
     plan: Plan
     arm: Arm
+
+    def rows(self, timestep: float) -> NDArray[np.int_]:
+        """The rows nearest to times at a distance of ``timestep`` [s], such as the given model's, to the end."""
+        times = np.arange(round(self.t[-1] / as_positive("timestep", timestep)) + 1) * timestep
+        found = np.minimum(np.rint(times / self.arm.timestep).astype(int), len(self.t) - 1)
+        found[-1] = len(self.t) - 1
+        return found
 
 
 def plan_in(

@@ -1,4 +1,4 @@
-"""Simulations of a compiled model that somebody else made, in which an arm follows a plan of `plan_in`."""
+"""Simulations of a compiled model that somebody else made, in which an arm follows a plan or a sequence of plans."""
 
 from __future__ import annotations
 
@@ -10,8 +10,10 @@ import numpy as np
 from lieednn_sim._mujoco import QuietWarnings, mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.importer.compiled import shared_addresses
-from lieednn_sim.errors import InputError
+from lieednn_sim.errors import InputError, SimulationError
 from lieednn_sim.planning.in_model import ModelPlan
+from lieednn_sim.planning.sequence import PlanSequence, SequencePart
+from lieednn_sim.planning.steps import Actuate, Gripping, Move
 from lieednn_sim.simulation.actuators import ModelActuators
 from lieednn_sim.simulation.controllers.base import NATURAL_FREQUENCY
 from lieednn_sim.simulation.disturbances import tangent_basis
@@ -29,7 +31,7 @@ _SEEN = 100  # steps between calls of ``progress``
 def run_in(
     model: mujoco.MjModel,
     data: mujoco.MjData,
-    found: ModelPlan,
+    found: ModelPlan | PlanSequence,
     *,
     hold: float = 1.0,
     feedforward: bool = True,
@@ -46,7 +48,8 @@ def run_in(
     Args:
         model: the model that the plan was made in, which is not changed.
         data: its state, which is not changed: the simulation begins there.
-        found: the plan.
+        found: the plan, or a sequence, whose steps of controls end by time or by their events, which may come sooner or
+            later than planned.
         hold: how long the simulation goes on after the plan, with the arm at rest [s].
         feedforward: whether servos get what gravity and inertia need; without it they sag and lag as plain ones do.
         progress: called with (done, total) now and then, in steps.
@@ -54,40 +57,114 @@ def run_in(
     Raises:
         InputError: a value is malformed, the arm is not where the plan begins, or what moves it are actuators of other
             kinds, such as muscles, or too few.
-        SimulationError: MuJoCo warns, or the state is not finite.
+        SimulationError: MuJoCo warns, the state is not finite, or an event of a sequence does not come in time.
     """
     rest = float(as_floats("hold", hold, ()))
     if not 0.0 <= rest <= _LONGEST_HOLD:
         raise InputError(f"hold must be from 0 to {_LONGEST_HOLD:g} s, got {rest:g}")
-    simulated, timestep = copy.deepcopy(model), float(model.opt.timestep)
-    state = mujoco.MjData(simulated)
-    mujoco.mj_copyData(state, simulated, data)
-    state.time = 0.0
-    drive = _Drive(simulated, found.arm, state, feedforward)
-    drive.check_start(state, found.qpos[0])
-    moving = np.arange(round(found.t[-1] / timestep)) * timestep
-    rows = np.append(
-        np.rint(moving / found.arm.timestep).astype(int), [len(found.t) - 1] * (1 + round(rest / timestep))
-    )
-    last = len(rows) - 1
-    log = {
-        name: np.empty((last + 1, size)) for name, size in (("qpos", model.nq), ("qvel", model.nv), ("ctrl", model.nu))
-    }
+    running = _Running(model, data, found, feedforward, round(rest / model.opt.timestep), progress)
     with QuietWarnings():
-        mujoco.mj_forward(simulated, state)
-        for k in range(last + 1):
-            now, then = rows[k], rows[min(k + 1, last)]
-            drive.act(state, found.qpos[now], found.qvel[now], found.qvel[then])
-            for name, values in log.items():
-                values[k] = getattr(state, name)
-            if k < last:
-                mujoco.mj_step(simulated, state)
-                if state.warning.number.any() or not np.isfinite(state.qvel).all():
-                    raise failure(state, "the given model", (k + 1) * timestep)
-            if progress is not None and (k % _SEEN == 0 or k == last):
-                progress(k, last)
-    t = timestep * np.arange(last + 1, dtype=float)
-    return ModelRun.of(simulated, data, found.arm, t, log, found.qpos[rows], float(found.t[-1]))
+        running.begin()
+        if isinstance(found, ModelPlan):
+            running.follow(0, len(running.qpos) - 1)
+        else:
+            for k, part in enumerate(found.parts):
+                running.steps.append((running.time, part.step.name))
+                if isinstance(part.step, Move):
+                    running.follow(part.first, part.last)
+                else:
+                    running.grip(k, part)
+        end = running.time
+        for _ in range(round(rest / running.timestep)):
+            running.step(len(running.qpos) - 1, len(running.qpos) - 1)
+    return running.result(found.arm, end)
+
+
+class _Running:
+    """A simulation of a given model on its way, whose arm follows the rows of a plan, and its log.
+
+    Attributes:
+        qpos: ``(R, nq)`` planned positions at the model's steps.
+        timestep: the model's [s].
+        steps: when each step of a sequence began, and its name.
+    """
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        data: mujoco.MjData,
+        found: ModelPlan | PlanSequence,
+        feedforward: bool,
+        rest: int,
+        progress: Callable[[int, int], None] | None,
+    ) -> None:
+        self._model, self.timestep = copy.deepcopy(model), float(model.opt.timestep)
+        self._data = mujoco.MjData(self._model)
+        mujoco.mj_copyData(self._data, self._model, data)
+        self._data.time = 0.0
+        rows = found.rows(self.timestep) if isinstance(found, ModelPlan) else slice(None)
+        self.qpos, self._qvel = found.qpos[rows], found.qvel[rows]
+        self._drive = _Drive(self._model, found.arm, self._data, feedforward)
+        self._drive.check_start(self._data, self.qpos[0])
+        self._log: dict[str, list[Floats]] = {"qpos": [], "qvel": [], "ctrl": []}
+        self._rows: list[int] = []
+        self.steps: list[tuple[float, str]] = []
+        self._planned, self._progress = len(self.qpos) - 1 + rest, progress
+
+    @property
+    def time(self) -> float:
+        """Present time [s]."""
+        return len(self._rows) * self.timestep
+
+    def begin(self) -> None:
+        """Compute what the first controls depend on."""
+        mujoco.mj_forward(self._model, self._data)
+
+    def follow(self, first: int, last: int) -> None:
+        """Follow rows of the plan."""
+        for row in range(first, last):
+            self.step(row, row + 1)
+
+    def grip(self, number: int, part: SequencePart) -> None:
+        """Change controls, and wait until that step is over; the arm rests, so its rows are all the same."""
+        assert isinstance(part.step, Actuate)
+        gripping, done = Gripping(self._model, part.step, self._drive.dofs), 0
+        gripping.begin(self._data)
+        while True:
+            self.step(min(part.first + done, part.last), min(part.first + done + 1, part.last))
+            done += 1
+            try:
+                if gripping.over(self._data, done):
+                    return
+            except LookupError as error:
+                raise SimulationError(
+                    f"step {number + 1}, {part.step.name!r}, begun at {self.steps[-1][0]:.2f} s: its event does not "
+                    f"come: {error.args[0]}"
+                ) from None
+
+    def step(self, row: int, following: int) -> None:
+        """Log the present state, and do a step from one row of the plan to another."""
+        data = self._data
+        self._note(row, following)
+        mujoco.mj_step(self._model, data)
+        if data.warning.number.any() or not np.isfinite(data.qvel).all():
+            raise failure(data, "the given model", self.time)
+        done = len(self._rows)
+        if self._progress is not None and (done % _SEEN == 0 or done == self._planned):
+            self._progress(min(done, self._planned), self._planned)
+
+    def _note(self, row: int, following: int) -> None:
+        self._drive.act(self._data, self.qpos[row], self._qvel[row], self._qvel[following])
+        self._rows.append(row)
+        for name, values in self._log.items():
+            values.append(getattr(self._data, name).copy())
+
+    def result(self, arm: Arm, end: float) -> ModelRun:
+        """The log, with the present state as its last row."""
+        self._note(len(self.qpos) - 1, len(self.qpos) - 1)
+        t = self.timestep * np.arange(len(self._rows), dtype=float)
+        log = {name: np.array(values) for name, values in self._log.items()}
+        return ModelRun.of(self._model, self._data, arm, t, log, self.qpos[self._rows], end, tuple(self.steps))
 
 
 class _Drive:
@@ -95,12 +172,15 @@ class _Drive:
 
     With coordinates x of the arm, and velocities B dx/dt of the model's dofs, the forces along the coordinates are
     B^T (M B a + bias - passive), with a the planned acceleration, plus feedback where no servo has its own.
+
+    Attributes:
+        dofs: ``(m,)`` the arm's dofs in the model.
     """
 
     def __init__(self, model: mujoco.MjModel, arm: Arm, data: mujoco.MjData, feedforward: bool) -> None:
-        _, _, self._dofs, ours = shared_addresses(model, arm.model)
+        _, _, self.dofs, ours = shared_addresses(model, arm.model)
         self._model, self._basis = model, np.zeros((model.nv, arm.n_joints))
-        self._basis[self._dofs] = tangent_basis(arm)[ours]
+        self._basis[self.dofs] = tangent_basis(arm)[ours]
         self._rates = np.linalg.pinv(self._basis)
         self._actuators = actuators = ModelActuators(model, self._basis)
         transmission = actuators.transmission
@@ -119,7 +199,7 @@ class _Drive:
     def check_start(self, data: mujoco.MjData, first: Floats) -> None:
         """Raise `InputError` unless the arm is where the plan begins."""
         mujoco.mj_differentiatePos(self._model, self._error, 1.0, data.qpos, first)
-        worst = int(self._dofs[np.abs(self._error[self._dofs]).argmax()])
+        worst = int(self.dofs[np.abs(self._error[self.dofs]).argmax()])
         if abs(self._error[worst]) > _START_TOLERANCE:
             name = self._model.joint(self._model.dof_jntid[worst]).name
             raise InputError(

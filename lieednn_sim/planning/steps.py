@@ -1,0 +1,175 @@
+"""Steps of a sequence: moves of an arm, and controls of other actuators, such as a gripper's."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm.forces import actuator_moments
+from lieednn_sim.errors import InputError
+from lieednn_sim.planning.in_model import plan_in
+from lieednn_sim.validation import as_choice, as_floats, as_positive, quoted
+
+SETTLED = "settled"
+# What settled means: joints slower than this [rad/s, m/s], for so long [s].
+_SLOW, _QUIET = 2e-3, 0.05
+# Arguments of `plan_in` that concern the whole sequence, or are fields of a move.
+_NOT_OF_A_MOVE = ("model", "data", "joints", "goal", "tip", "limits", "holding", "touching")
+
+
+@dataclass(frozen=True, eq=False, init=False)
+class Move:
+    """A motion of the arm to a goal, planned by `plan_in`.
+
+    Attributes:
+        goal: any goal of `plan_in`: joint positions, a pose of the tip, the name of a keyframe of the model.
+        name: what the move is called.
+        holding: name of the free body that the tip carries, from where it then is.
+        touching: names of bodies that the held one may touch, besides what it stands on at the beginning.
+        changes: other arguments of `plan_in` that differ from those of the sequence, such as ``duration``.
+
+    Raises:
+        InputError: a name of ``changes`` is no argument of `plan_in`.
+    """
+
+    goal: Any
+    name: str
+    holding: str | None
+    touching: tuple[str, ...]
+    changes: Mapping[str, Any]
+
+    def __init__(
+        self,
+        goal: Any,
+        *,
+        name: str = "",
+        holding: str | None = None,
+        touching: Sequence[str] = (),
+        **changes: Any,
+    ) -> None:
+        for word in changes:
+            as_choice("argument of a move", word, changes_of_moves())
+        label = name or (goal if isinstance(goal, str) else "move")
+        names = (touching,) if isinstance(touching, str) else tuple(touching)
+        values = {"goal": goal, "name": label, "holding": holding, "touching": names, "changes": changes}
+        for field, value in values.items():
+            object.__setattr__(self, field, value)
+
+
+def changes_of_moves() -> list[str]:
+    """The arguments of `plan_in` that a move may have for itself."""
+    return [name for name in inspect.signature(plan_in).parameters if name not in _NOT_OF_A_MOVE]
+
+
+@dataclass(frozen=True)
+class Actuate:
+    """New controls of actuators that do not move the arm, while the arm rests.
+
+    Attributes:
+        controls: the controls by the names of the actuators; they stay so in the steps that follow.
+        seconds: how long the step takes; with ``until``, how long it may take at most [s].
+        until: the event that ends the step: ``"settled"``, when the joints of these actuators rest, or the names of two
+            bodies, when one of them, or what it carries, touches the other. Without it the step ends by time.
+        name: what the step is called.
+
+    Raises:
+        InputError: a value is malformed.
+    """
+
+    controls: Mapping[str, float]
+    seconds: float = 0.5
+    until: str | tuple[str, str] | None = None
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        values = {
+            name: float(as_floats(f"the control of {name!r}", value, ())) for name, value in self.controls.items()
+        }
+        until = self.until
+        if isinstance(until, str):
+            until = as_choice("event", until, (SETTLED,))
+        elif until is not None:
+            until = tuple(until)  # type: ignore[assignment]
+            if len(until) != 2 or not all(isinstance(name, str) for name in until):
+                raise InputError(f"an event is {SETTLED!r} or the names of two bodies, got {quoted(self.until)}")
+        label = self.name or ", ".join(f"{name} {value:g}" for name, value in values.items()) or "wait"
+        fields = {"controls": values, "seconds": as_positive("seconds", self.seconds), "until": until, "name": label}
+        for field, value in fields.items():
+            object.__setattr__(self, field, value)
+
+
+class Gripping:
+    """A step of controls in a model: sets them, and knows when the step is over.
+
+    Args:
+        model: the model.
+        step: the step.
+        arm: ``(m,)`` the dofs of the arm, which the actuators must not move.
+
+    Raises:
+        InputError: there is no such actuator or body, it moves the arm, or a control is out of its range.
+    """
+
+    def __init__(self, model: mujoco.MjModel, step: Actuate, arm: NDArray[np.int_]) -> None:
+        self.step, self._model = step, model
+        names = [model.actuator(k).name for k in range(model.nu)]
+        moments = actuator_moments(model)
+        self._controls = {names.index(as_choice("actuator", name, names)): v for name, v in step.controls.items()}
+        for k, value in self._controls.items():
+            low, high = model.actuator_ctrlrange[k]
+            if moments[k, arm].any():
+                raise InputError(f"actuator {names[k]!r} moves the arm, which follows its plan; leave it out")
+            if model.actuator_ctrllimited[k] and not low <= value <= high:
+                raise InputError(f"the control of {names[k]!r} must be from {low:g} to {high:g}, got {value:g}")
+        self._dofs = np.flatnonzero(moments[list(self._controls)].any(axis=0))
+        if step.until == SETTLED and not len(self._dofs):
+            raise InputError(f"step {step.name!r} waits until joints have settled, but its actuators move none")
+        self._sides = [] if step.until in (None, SETTLED) else [self._carried(name) for name in step.until or ()]
+        self._quiet = 0.0
+
+    def begin(self, data: mujoco.MjData) -> None:
+        """Set the controls."""
+        data.ctrl[list(self._controls)] = list(self._controls.values())
+        self._quiet = 0.0
+
+    def over(self, data: mujoco.MjData, steps: int) -> bool:
+        """Whether the step is over after a number of time steps, the last one just done.
+
+        Raises:
+            LookupError: the event has not come in time; the message says so.
+        """
+        timestep = self._model.opt.timestep
+        late = steps >= max(round(self.step.seconds / timestep), 1)
+        if self.step.until is None:
+            return late
+        if self.step.until == SETTLED:
+            fastest = float(np.abs(data.qvel[self._dofs]).max())
+            self._quiet = self._quiet + timestep if fastest < _SLOW else 0.0
+            if self._quiet >= _QUIET:
+                return True
+            missing = f"its joints have not settled, the fastest moves at {fastest:.2g} rad/s or m/s"
+        else:
+            one, other = self._sides
+            bodies = self._model.geom_bodyid[data.contact.geom]
+            if ((one[bodies[:, 0]] & other[bodies[:, 1]]) | (other[bodies[:, 0]] & one[bodies[:, 1]])).any():
+                return True
+            missing = "{!r} and {!r} have not touched".format(*self.step.until)
+        if late:
+            raise LookupError(f"after {self.step.seconds:g} s {missing}")
+        return False
+
+    def _carried(self, name: str) -> NDArray[np.bool_]:
+        """Which bodies ``(nbody,)`` a body is or carries."""
+        model = self._model
+        carried = np.zeros(model.nbody, dtype=bool)
+        known = [model.body(k).name for k in range(model.nbody)]
+        carried[known.index(as_choice("body", name, filter(None, known)))] = True
+        for body in range(1, model.nbody):
+            carried[body] |= carried[model.body_parentid[body]] and body != 0
+        return carried
