@@ -165,6 +165,12 @@ MAKERS: dict[str, Callable[[], Any]] = {
     "ModelPlan": lambda: ls.plan_in(
         thing("MjModel"), thing("MjData"), ["turn"], [0.1], planner="minimum-jerk", duration=0.5, max_time_scale=20.0
     ),
+    "Move": lambda: ls.Move([0.1], planner="minimum-jerk", duration=0.5, max_time_scale=20.0),
+    "Actuate": lambda: ls.Actuate({}, 0.1),
+    "PlanSequence": lambda: ls.plan_sequence(
+        thing("MjModel"), thing("MjData"), ["turn"], [thing("Move"), thing("Actuate")]
+    ),
+    "SequencePart": lambda: thing("PlanSequence").parts[0],
     "ModelRun": lambda: ls.run_in(thing("MjModel"), thing("MjData"), thing("ModelPlan"), hold=0.0),
     "Rollout": lambda: ls.simulate(thing("Arm"), thing("Plan"), hold=0.0),
     "Rollouts": lambda: ls.simulate_many(thing("Arm"), [thing("Plan")] * 2, hold=0.0, threads=1),

@@ -16,12 +16,14 @@ from lieednn_sim.arm.contacts import PLANNED_CLEARANCE, ContactFinder, moved_by
 from lieednn_sim.arm.importer.compiled import shared_addresses
 from lieednn_sim.arm.importer.holding import Grasp, find_grasp
 from lieednn_sim.budget import DEFAULT_TIME_BUDGET
-from lieednn_sim.errors import PlanError
+from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.problem import Plan
 from lieednn_sim.planning.registry import OBSTACLE_PLANNER, plan
 from lieednn_sim.validation import Seed, as_choice, as_floats, as_positive
 from lieednn_sim.values import Floats, frozen
+
+_FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import RigidTransform
@@ -113,10 +115,12 @@ def plan_in(
     else:
         goal = _in_order_of_arm(arm, joints, goal)
     now[ours] = data.qpos[theirs]
+    start = arm.coordinates(now)
+    _check_hand(model, arm, start)
     found = plan(
         arm,
         goal,
-        start=arm.coordinates(now),
+        start=start,
         planner=planner,
         duration=duration,
         max_time_scale=max_time_scale,
@@ -131,7 +135,7 @@ def plan_in(
     qvel[:, their_rates] = arm.qvel(motion.q, motion.qd)[:, our_rates]
     if grasp is not None:
         _carry(model, data, grasp, qpos, qvel, motion.timestep)
-    _check_contacts(model, data, qpos, their_rates, grasp, touching)
+    _check_contacts(model, data, qpos, their_rates, grasp)
     return ModelPlan(motion.t, qpos, qvel, found, arm)
 
 
@@ -168,34 +172,45 @@ def _carry(
         qvel[k, rate : rate + 6] = step[rate : rate + 6]
 
 
+def _check_hand(model: mujoco.MjModel, arm: Arm, start: Floats) -> None:
+    """Raise `InputError` that tells how to hold a free body, if the arm touches one at its start."""
+    free = {model.body(model.jnt_bodyid[joint]).name for joint in range(model.njnt) if model.jnt_type[joint] == _FREE}
+    for pair in arm.near_contacts(start):
+        if found := free.intersection(pair):
+            body = min(found)
+            raise InputError(
+                f"start is out of reach: {pair[0]!r} would touch {pair[1]!r} there; if the hand holds it, say so by "
+                f"holding={body!r}"
+            )
+
+
 def _check_contacts(
     model: mujoco.MjModel,
     data: mujoco.MjData,
     qpos: Floats,
     moving: NDArray[np.int_],
     grasp: Grasp | None = None,
-    touching: Sequence[str] = (),
 ) -> None:
     """Look for contacts of the arm with other trees of bodies in the given model itself, apart from those at the start.
 
-    A held body counts as the arm's; what it may touch is left out.
+    A held body counts as the arm's; the geoms that it may touch are left out.
 
     Raises:
         PlanError: there are any, so that the arm's model is not like the given one.
     """
     arm = {body for body in range(model.nbody) if moved_by(model, body)[moving].any()}
-    held = set() if grasp is None else set(grasp.bodies)
-    allowed = {model.body(name).id for name in touching}
-    finder, arm = ContactFinder(model, mocap=data), arm | held
+    arm |= set() if grasp is None else set(grasp.bodies)
+    allowed = set() if grasp is None else {frozenset(pair) for pair in grasp.supports}
+    finder = ContactFinder(model, mocap=data)
 
-    def near(positions: Floats) -> set[tuple[int, int]]:
-        pairs = (tuple(map(int, model.geom_bodyid[geoms])) for geoms in finder.geoms(positions)[1])
-        found = {(a, b) for a, b in pairs if (a in arm) != (b in arm) and model.body_rootid[a] != model.body_rootid[b]}
-        return {(a, b) for a, b in found if not ((a in held and b in allowed) or (b in held and a in allowed))}
+    def touching(positions: Floats) -> set[tuple[int, int]]:
+        near = [pair for pair in finder.geoms(positions)[1].tolist() if frozenset(pair) not in allowed]
+        pairs = (tuple(map(int, model.geom_bodyid[geoms])) for geoms in near)
+        return {(a, b) for a, b in pairs if (a in arm) != (b in arm) and model.body_rootid[a] != model.body_rootid[b]}
 
-    before = near(data.qpos)
+    before = touching(data.qpos)
     for positions in qpos:
-        if found := near(positions) - before:
+        if found := touching(positions) - before:
             one, other = (model.body(body).name or f"body {body}" for body in min(found))
             raise PlanError(
                 f"in the given model {one!r} would touch {other!r}, which the arm's own model does not show"

@@ -15,6 +15,7 @@ from lieednn_sim.arm.forces import actuator_moments
 from lieednn_sim.errors import InputError
 from lieednn_sim.planning.in_model import plan_in
 from lieednn_sim.validation import as_choice, as_floats, as_positive, quoted
+from lieednn_sim.values import set_fields
 
 SETTLED = "settled"
 # What settled means: joints slower than this [rad/s, m/s], for so long [s].
@@ -56,10 +57,8 @@ class Move:
         for word in changes:
             as_choice("argument of a move", word, changes_of_moves())
         label = name or (goal if isinstance(goal, str) else "move")
-        names = (touching,) if isinstance(touching, str) else tuple(touching)
-        values = {"goal": goal, "name": label, "holding": holding, "touching": names, "changes": changes}
-        for field, value in values.items():
-            object.__setattr__(self, field, value)
+        object.__setattr__(self, "goal", goal)  # not copied: whether it is a goal is for the planner to say
+        set_fields(self, name=label, holding=holding, touching=tuple(touching), changes=changes)
 
 
 def changes_of_moves() -> list[str]:
@@ -89,19 +88,12 @@ class Actuate:
 
     def __post_init__(self) -> None:
         values = {
-            name: float(as_floats(f"the control of {name!r}", value, ())) for name, value in self.controls.items()
+            name: float(as_floats(f"the control of {quoted(name)}", value, ())) for name, value in self.controls.items()
         }
-        until = self.until
-        if isinstance(until, str):
-            until = as_choice("event", until, (SETTLED,))
-        elif until is not None:
-            until = tuple(until)  # type: ignore[assignment]
-            if len(until) != 2 or not all(isinstance(name, str) for name in until):
-                raise InputError(f"an event is {SETTLED!r} or the names of two bodies, got {quoted(self.until)}")
+        if isinstance(self.until, str):
+            as_choice("event", self.until, (SETTLED,))
         label = self.name or ", ".join(f"{name} {value:g}" for name, value in values.items()) or "wait"
-        fields = {"controls": values, "seconds": as_positive("seconds", self.seconds), "until": until, "name": label}
-        for field, value in fields.items():
-            object.__setattr__(self, field, value)
+        set_fields(self, controls=values, seconds=as_positive("seconds", self.seconds), name=label)
 
 
 class Gripping:

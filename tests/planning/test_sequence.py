@@ -1,0 +1,198 @@
+"""Picking and placing: what the hand holds on its way, gripper steps, and the whole in one simulation."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
+
+import lieednn_sim as ls
+from lieednn_sim.arm.models import models_directory
+from lieednn_sim.errors import InputError, PlanError, SimulationError
+
+JOINTS = ["turn", "lift", "extend", "pitch", "yaw"]
+SPEEDS = {"turn": 1.5, "lift": 1.0, "extend": 0.6, "pitch": 2.0, "yaw": 3.0}
+LIMITS = {name: {"velocity": speed} for name, speed in SPEEDS.items()}
+OPEN, CLOSED = {"gripper": 0.04}, {"gripper": 0.0}
+# Where the box stands in the end: on the shelf, whose top is at 0.3 m.
+PLACE = [0.62, 0.45, 0.32]
+
+
+def down(x, y, z):
+    """A pose of the hand that points down, with its fingers along y."""
+    return RigidTransform.from_components([x, y, z], Rotation.from_euler("y", 90.0, degrees=True))
+
+
+GRASP = [ls.Move(down(0.62, -0.45, 0.225), name="fetch"), ls.Actuate(CLOSED, 1.0, "settled", "grasp")]
+CARRY = ls.Move(down(0.62, 0.45, 0.326), name="carry", holding="box", touching=["shelf"])
+STEPS = [*GRASP, CARRY, ls.Actuate(OPEN), ls.Move("home")]
+
+
+def cell():
+    model = mujoco.MjModel.from_xml_path(str(models_directory() / "picking_cell" / "cell.xml"))
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    return model, data
+
+
+def sequence(model, data, steps, **how):
+    return ls.plan_sequence(model, data, JOINTS, steps, **{"tip": "grasp", "limits": LIMITS, **how})
+
+
+@pytest.fixture(scope="module")
+def planned():
+    model, data = cell()
+    return model, data, sequence(model, data, STEPS)
+
+
+@pytest.fixture(scope="module")
+def grasped(planned):
+    """The model with the closed hand around the box."""
+    model, data, found = planned
+    state = mujoco.MjData(model)
+    mujoco.mj_copyData(state, model, data)
+    state.qpos[:] = found.qpos[found.parts[1].last]
+    return model, state
+
+
+def test_what_is_held_moves_with_the_hand_and_stays_where_it_is_put(planned):
+    model, data, found = planned
+    np.testing.assert_array_equal(data.qpos, cell()[1].qpos)
+    assert [part.step.name for part in found.parts] == ["fetch", "grasp", "carry", "gripper 0.04", "home"]
+    assert [part.plan is not None for part in found.parts] == [True, False, True, False, True]
+    assert all(plan.network.certified for plan in found.plans)
+    carry = found.parts[2]
+    places, shown = [], mujoco.MjData(model)
+    for row in (carry.first, carry.first + 700, carry.first + 1300, carry.last):
+        shown.qpos[:] = found.qpos[row]
+        mujoco.mj_forward(model, shown)
+        places.append(shown.site("grasp").xmat.reshape(3, 3).T @ (shown.body("box").xpos - shown.site("grasp").xpos))
+        names = {model.geom(geom).name for geom in shown.contact.geom.flat}
+        assert "wall" not in names
+    # The box stood 5 mm below the middle of the fingers.
+    np.testing.assert_allclose(places, [[0.005, 0.0, 0.0]] * 4, atol=3e-4)
+    velocity = np.zeros(model.nv)
+    k = carry.first + 900
+    mujoco.mj_differentiatePos(model, velocity, 0.004, found.qpos[k - 1], found.qpos[k + 1])
+    np.testing.assert_allclose(found.qvel[k], velocity, atol=2e-3)
+    # It went over the wall, which is 48 cm high, and stands on the shelf afterwards.
+    over = found.qpos[carry.first : carry.last, :3]
+    assert over[np.abs(over[:, 1]).argmin(), 2] > 0.48 + 0.02
+    np.testing.assert_allclose(found.qpos[-1, :3], PLACE, atol=1e-3)
+    np.testing.assert_array_equal(found.qpos[found.parts[4].first :, 2], found.qpos[-1, 2])
+    # The gripper closed until it met the box: its fingers are 1 mm inside their open position of 6 mm and more.
+    assert found.qpos[carry.first, -1] == pytest.approx(0.02 - 0.001 - 0.001, abs=2e-3)
+    assert "carry         lieednn-shaped: globally stable for every bias" in str(found)
+
+
+def test_the_same_seed_gives_the_same_sequence(planned):
+    again = sequence(*planned[:2], GRASP)
+    rows = len(again.t)
+    np.testing.assert_array_equal(again.qpos, planned[2].qpos[:rows])
+
+
+def test_in_the_simulation_friction_holds_the_box_and_it_is_put_where_planned(planned, tmp_path):
+    model, data, found = planned
+    run = ls.run_in(model, data, found, hold=0.5)
+    assert [name for _, name in run.steps] == [part.step.name for part in found.parts]
+    assert run.step_at(run.steps[2][0] + 1.0) == "carry"
+    assert np.abs(run.tracking_error).max() < 2e-3
+    box = run.poses("box")
+    assert box.translation[:, 2].max() > 0.45
+    np.testing.assert_allclose(box[-1].translation, PLACE, atol=3e-3)
+    assert run.t[-1] == pytest.approx(run.motion_end + 0.5)
+    # Fingers that close later or sooner than planned only shift what follows.
+    assert run.motion_end == pytest.approx(found.t[-1], abs=0.2)
+    assert set(np.unique(run.ctrl[:, model.actuator("gripper").id])) == {0.0, 0.04}
+    found.save(tmp_path / "sequence.npz")
+    with np.load(tmp_path / "sequence.npz") as saved:
+        np.testing.assert_array_equal(saved["qpos"], found.qpos)
+
+
+def test_an_event_that_does_not_come_ends_planning_and_run(planned):
+    model, data, _ = planned
+    touch = ls.Actuate(CLOSED, 0.3, until=("hand", "box"), name="touch")
+    with pytest.raises(PlanError, match=r"step 1, 'touch': its event does not come: after 0\.3 s 'hand' and 'box'"):
+        sequence(model, data, [touch])
+    with pytest.raises(PlanError, match=r"step 1, .*have not settled, the fastest moves at 0\.\d+ rad/s or m/s"):
+        sequence(model, data, [ls.Actuate(CLOSED, 0.05, until="settled")])
+    found = sequence(model, data, [GRASP[0], touch])
+    assert found.t[-1] - found.t[found.parts[1].first] < 0.2
+    away = mujoco.MjData(model)
+    mujoco.mj_copyData(away, model, data)
+    away.joint("box").qpos[0] = 0.8
+    with pytest.raises(
+        SimulationError, match=r"step 2, 'touch', begun at 4\.00 s: its event does not come: after 0\.3"
+    ):
+        ls.run_in(model, away, found)
+
+
+def test_a_held_box_is_kept_off_what_the_empty_hand_passes(grasped):
+    """A block where the lower face of the box would sweep, below the fingers."""
+    model, state = grasped
+    how = {"tip": "grasp", "limits": LIMITS, "planner": "minimum-jerk"}
+    state.qpos[:] = ls.plan_in(model, state, JOINTS, [-0.3, 0.1, 0.2, 1.4, 0.0], holding="box", **how).qpos[-1]
+    goal = [-1.0, 0.1, 0.2, 1.4, 0.0]
+    held = ls.plan_in(model, state, JOINTS, goal, holding="box", **how)
+    shown, changed = mujoco.MjData(model), cell()[0]
+    shown.qpos[:] = held.qpos[2 * len(held.t) // 3]
+    mujoco.mj_kinematics(model, shown)
+    wall = model.body("wall").id
+    changed.body_pos[wall], changed.geom_size[model.geom("wall").id] = shown.body("box").xpos - [0, 0, 0.02], 0.003
+    with pytest.raises(PlanError, match="'wall' would come within 2 mm of 'box'"):
+        ls.plan_in(changed, state, JOINTS, goal, holding="box", **how)
+    around = ls.plan_in(changed, state, JOINTS, goal, holding="box", **{**how, "planner": "lieednn-shaped"})
+    np.testing.assert_allclose(around.qpos[-1], held.qpos[-1], atol=1e-6)
+    # The empty hand passes above the block.
+    state.joint("box").qpos[:3] = [0.0, -2.0, 0.5]
+    ls.plan_in(changed, state, JOINTS, goal, **how)
+
+
+def test_what_it_stands_on_may_be_touched_but_not_entered_and_nothing_else(planned):
+    model, data, found = planned
+    state = mujoco.MjData(model)
+    mujoco.mj_copyData(state, model, data)
+    state.qpos[:] = found.qpos[found.parts[1].last]
+    how = {"tip": "grasp", "limits": LIMITS}
+    aside = ls.plan_in(model, state, JOINTS, down(0.62, -0.40, 0.225), holding="box", **how)
+    assert aside.qpos[:, 2].min() > 0.22 - 1e-3
+    assert aside.qpos[-1, 2] == pytest.approx(0.22, abs=2e-4)
+    for goal, holding, message in (
+        (down(0.62, -0.40, 0.222), "box", "'box'.*'table'|'table'.*'box'"),
+        (CARRY.goal, "box", "'box'.*'shelf'|'shelf'.*'box'"),
+        (down(0.62, -0.40, 0.3), None, "start is out of reach: .* if the hand holds it, say so by holding='box'"),
+    ):
+        with pytest.raises(ls.LieEDNNError, match=message):
+            ls.plan_in(model, state, JOINTS, goal, holding=holding, **how)
+
+
+@pytest.mark.parametrize(
+    ("steps", "message"),
+    [
+        ([], "at least one"),
+        ([ls.Actuate({"claw": 1.0})], "no actuator 'claw'; allowed: extend, gripper"),
+        ([ls.Actuate({"gripper": 255.0})], r"control of 'gripper' must be from 0 to 0\.04, got 255"),
+        ([ls.Actuate({"turn": 0.0})], "actuator 'turn' moves the arm"),
+        ([ls.Actuate({}, until="settled")], "its actuators move none"),
+        ([ls.Actuate({}, until=("box", "cup"))], "no body 'cup'"),
+        ([ls.Move("home", holding="cup")], "step 1, 'home': nothing to hold is called 'cup'.*: box"),
+        ([ls.Move("home", holding="box", touching=["cup"])], "no body 'cup' to touch"),
+        ([ls.Move("nowhere")], "no keyframe 'nowhere'; allowed: home"),
+        ([ls.Move([0.0])], "step 1, 'move': the goal of turn, lift"),
+    ],
+)
+def test_bad_steps_are_named(planned, steps, message):
+    with pytest.raises(InputError, match=message):
+        sequence(*planned[:2], steps)
+
+
+def test_bad_events_and_changes_are_refused():
+    with pytest.raises(InputError, match="no event 'soon'; allowed: settled"):
+        ls.Actuate(CLOSED, until="soon")
+    with pytest.raises(InputError, match="until must be a string or a tuple of 2"):
+        ls.Actuate(CLOSED, until=("box",))
+    with pytest.raises(InputError, match="seconds must be positive"):
+        ls.Actuate(CLOSED, seconds=0.0)
+    with pytest.raises(InputError, match="no argument of a move 'speed'; allowed: clearance, duration"):
+        ls.Move("home", speed=2.0)
