@@ -196,7 +196,7 @@ def _add_obstacle(spec: mujoco.MjSpec, entry: dict[str, Any], number: int, folde
     if not isinstance(name, str) or not name or not name.isprintable() or name in names or name == "world":
         raise InputError(f"name must be a printable text that no other obstacle has, got {quoted(name)}")
     names.add(name)
-    body = spec.worldbody.add_body(name=name, **_pose(entry))
+    body = spec.worldbody.add_body(name=name, **read_pose(entry))
     look = {"name": name, "rgba": _COLOUR, "group": 2}
     if shape == "mesh":
         file = folder / as_path("file", entry["file"])
@@ -217,7 +217,9 @@ def _add_obstacle(spec: mujoco.MjSpec, entry: dict[str, Any], number: int, folde
 def _add_goal(spec: mujoco.MjSpec, entry: dict[str, Any], number: int, folder: Path, _: set[str]) -> None:
     _check_entries(entry, {"size"})
     kind, look = mujoco.mjtGeom.mjGEOM_BOX, {"group": _HIDDEN, "rgba": (0.1, 0.8, 0.3, 0.15)}
-    spec.worldbody.add_site(name=f"{_GOAL}{number}", type=kind, size=_half_sizes(entry, "box"), **_pose(entry), **look)
+    spec.worldbody.add_site(
+        name=f"{_GOAL}{number}", type=kind, size=_half_sizes(entry, "box"), **read_pose(entry), **look
+    )
 
 
 def _check_entries(entry: dict[str, Any], made_of: set[str]) -> None:
@@ -236,8 +238,8 @@ def _half_sizes(entry: dict[str, Any], shape: str) -> Floats:
     return np.array([as_positive("radius", entry["radius"]), length, 0.0])
 
 
-def _pose(entry: dict[str, Any]) -> dict[str, Any]:
-    """Position and orientation of an entry, for a body or a site."""
+def read_pose(entry: dict[str, Any]) -> dict[str, Any]:
+    """Position and orientation of an entry of a file, as ``pos`` and ``quat`` of a body or a site."""
     if "rpy" in entry and "quaternion" in entry:
         raise InputError("it has both rpy and quaternion; give one of them")
     pose: dict[str, Any] = {"pos": as_floats("position", entry["position"], (3,))}

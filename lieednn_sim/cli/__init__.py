@@ -31,6 +31,7 @@ _MODULES = {
     "compare": "comparison",
     "merge": "comparison",
     "problems": "problems",
+    "sequence": "sequences",
     "library": "library",
     "export": "exporting",
     "record": "exporting",
@@ -243,6 +244,15 @@ def _parser() -> argparse.ArgumentParser:
     )
     merge.add_argument("output", metavar="DIR", help="directory for the whole table")
     merge.add_argument("folders", nargs="+", metavar="FOLDER", help="directories of the tables to join")
+
+    sequence = command(
+        "sequence",
+        "plan the moves and gripper steps of a file in its model, simulate them, and show them",
+        "The file is YAML or JSON: a model, the joints of its arm, and the steps. Results of the same command in the"
+        " directory are replaced.",
+    )
+    options.add_sequence(sequence)
+    options.add_video(sequence)
 
     problems = command(
         "problems",

@@ -201,6 +201,15 @@ def add_run(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("run", metavar="DIR", help="run directory, made by 'plan', 'synthesize', 'train' or 'demo'")
 
 
+def add_sequence(parser: argparse.ArgumentParser) -> None:
+    """The file of ``sequence``, and what is made of it."""
+    parser.add_argument("file", metavar="FILE", help="the description of the sequence, a YAML or JSON file")
+    parser.add_argument("--output", default="results/sequence", metavar="DIR", help="directory for the files")
+    parser.add_argument("--hold", type=decimal, default=1.0, metavar="S", help="time simulated after the last step [s]")
+    parser.add_argument("--no-page", action="store_true", help="do not make run.html, a page that plays in 3D")
+    parser.add_argument("--no-video", action="store_true", help="do not make video.mp4")
+
+
 def add_library(parser: argparse.ArgumentParser) -> None:
     """The file of ``library``, and what to do with it."""
     parser.add_argument("file", metavar="FILE", help="the library, an .npz file; made by the first 'add'")
