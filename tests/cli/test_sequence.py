@@ -123,6 +123,6 @@ def test_pictures_show_the_given_model_with_what_moves_in_it(folder):
     assert ls.render_video(run, "film.mp4", size=(160, 120), fps=4, preset="draft") == 5
     ls.render_still(run, "still.png", size=(160, 120), preset="draft")
     picture = np.asarray(Image.open("still.png")).astype(int)
-    red = (picture[..., 0] > 100) & (picture[..., 0] > 2 * picture[..., 1])
+    red = picture[..., 0] > 1.5 * picture[..., 1] + 15
     rows = np.flatnonzero(red.any(axis=1))
     assert np.ptp(rows) > 20
