@@ -100,6 +100,7 @@ EXAMPLES = (
         "window",
         "own_urdf_table",
         "plan_in_model",
+        "pick_and_place",
         "push_and_return",
         "moving_target",
         "moving_obstacle",
