@@ -17,6 +17,7 @@ from lieednn_sim.arm.importer.compiled import shared_addresses
 from lieednn_sim.arm.importer.holding import Grasp, find_grasp
 from lieednn_sim.budget import DEFAULT_TIME_BUDGET
 from lieednn_sim.errors import InputError, PlanError
+from lieednn_sim.planning.motion import LIMIT_TOLERANCE
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.problem import Plan
 from lieednn_sim.planning.registry import OBSTACLE_PLANNER, plan
@@ -116,6 +117,9 @@ def plan_in(
         goal = _in_order_of_arm(arm, joints, goal)
     now[ours] = data.qpos[theirs]
     start = arm.coordinates(now)
+    # Where a move ended at a limit, rounding may have left it just outside.
+    inside = np.clip(start, *arm.position_limits.T)
+    start = np.where(np.abs(start - inside) <= LIMIT_TOLERANCE, inside, start)
     _check_hand(model, arm, start)
     found = plan(
         arm,

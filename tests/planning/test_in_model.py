@@ -184,6 +184,16 @@ def test_the_start_may_be_any_turn_of_a_hinge_without_a_range(state):
     np.testing.assert_allclose(turned, [40.0, 41.0], atol=1e-6)
 
 
+def test_stages_that_follow_one_another_are_all_of_the_arm_of_the_first():
+    stage = '<body pos=".1 0 0"><joint name="{0}" type="slide" axis="1 0 0" range="0 .1"/><geom size=".01"/>{1}</body>'
+    bodies = stage.format("a", stage.format("b", stage.format("c", "")))
+    ties = "".join(f'<joint joint1="{one}" joint2="{other}"/>' for one, other in ("ba", "cb"))
+    text = f"<mujoco><worldbody><body>{bodies}</body></worldbody><equality>{ties}</equality></mujoco>"
+    model = mujoco.MjModel.from_xml_string(text)
+    found = ls.plan_in(model, mujoco.MjData(model), ["a"], [0.05], planner="minimum-jerk", duration=1.0)
+    np.testing.assert_allclose(found.qpos[-1], 0.05, atol=1e-9)
+
+
 @pytest.mark.parametrize(
     ("joints", "changes", "message"),
     [

@@ -119,7 +119,12 @@ def named_chain(model: mujoco.MjModel, joints: Sequence[str], base: str | None) 
     chosen = [known[as_choice("joint of the arm", name, known)] for name in joints]
     if len(set(chosen)) < len(chosen):
         raise InputError(f"joints must differ, got {_listed(joints)}")
-    tied = {joint for pair in tied_joints(model) if set(pair) & set(chosen) for joint in pair} - set(chosen)
+    tied, ties = set[int](), tied_joints(model)
+    while more := {joint for pair in ties if tied.union(chosen).intersection(pair) for joint in pair} - {
+        *tied,
+        *chosen,
+    }:
+        tied |= more
     paths = {joint: ancestry(model, int(model.jnt_bodyid[joint])) for joint in (*chosen, *tied)}
     path = max((paths[joint] for joint in chosen), key=len)
     for joint in chosen:
