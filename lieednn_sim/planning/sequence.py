@@ -8,11 +8,13 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lieednn_sim import storage
 from lieednn_sim._mujoco import QuietWarnings, mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.contacts import PLANNED_CLEARANCE
+from lieednn_sim.arm.forces import actuator_moments
 from lieednn_sim.arm.importer.compiled import shared_addresses
 from lieednn_sim.budget import DEFAULT_TIME_BUDGET
 from lieednn_sim.errors import InputError, LieEDNNError, PlanError
@@ -24,8 +26,9 @@ from lieednn_sim.planning.steps import Actuate, Gripping, Move
 from lieednn_sim.validation import Seed, as_seed
 from lieednn_sim.values import Floats, frozen
 
-# Added to the inertia of each joint of the arm, so that it rests while the gripper moves.
-_HELD = 1e5
+# What is added to the inertia of each joint of the arm, as a multiple of it, so that the arm rests while the gripper
+# moves. A far more rigid arm lets fingers fling what they release.
+_HELD = 10.0
 
 
 @frozen
@@ -167,8 +170,7 @@ class _Planned:
         mujoco.mj_copyData(self._state, model, data)
         self._state.qvel[:] = 0.0
         self._places, _, self._dofs, _ = shared_addresses(model, arm.model)
-        self._stiff = copy.deepcopy(model)
-        self._stiff.dof_armature[self._dofs] += _HELD
+        self._heavy = _heavier(self._model, self._state, self._dofs)
         self.qpos, self.qvel = [data.qpos[None].copy()], [np.zeros((1, model.nv))]
         self.last = 0
 
@@ -191,9 +193,13 @@ class _Planned:
         state, qpos, qvel = self._state, [], []
         rest = state.qpos[self._places]
         gripping.begin(state)
+        applied = state.qfrc_applied[self._dofs]
         with QuietWarnings():
+            mujoco.mj_forward(self._heavy, state)
             while True:
-                mujoco.mj_step(self._stiff, state)
+                # Against gravity; of the last step, in which the arm was in the same place.
+                state.qfrc_applied[self._dofs] = (state.qfrc_bias - state.qfrc_passive)[self._dofs]
+                mujoco.mj_step(self._heavy, state)
                 if state.warning.number.any() or not np.isfinite(state.qvel).all():
                     raise PlanError("the simulation of the gripper diverged")
                 state.qpos[self._places], state.qvel[self._dofs] = rest, 0.0
@@ -204,6 +210,7 @@ class _Planned:
                         break
                 except LookupError as error:
                     raise PlanError(f"its event does not come: {error.args[0]}") from None
+        state.qfrc_applied[self._dofs] = applied
         self._add(np.array(qpos), np.array(qvel))
 
     def _add(self, qpos: Floats, qvel: Floats) -> None:
@@ -212,3 +219,19 @@ class _Planned:
         self.last += len(qpos)
         self._state.qpos[:], self._state.qvel[:] = qpos[-1], 0.0
         self._state.qacc_warmstart[:] = 0.0
+
+
+def _heavier(model: mujoco.MjModel, data: mujoco.MjData, dofs: NDArray[np.int_]) -> mujoco.MjModel:
+    """A copy of a model in which some dofs have more inertia than in a state, and no actuators."""
+    heavy, state = copy.deepcopy(model), mujoco.MjData(model)
+    mujoco.mj_copyData(state, model, data)
+    mujoco.mj_fwdPosition(model, state)
+    column, unit = np.zeros(model.nv), np.zeros(model.nv)
+    for dof in dofs:
+        unit[:] = 0.0
+        unit[dof] = 1.0
+        mujoco.mj_mulM(model, state, column, unit)
+        heavy.dof_armature[dof] += _HELD * column[dof]
+    driving = actuator_moments(model)[:, dofs].any(axis=1)
+    heavy.actuator_gainprm[driving] = heavy.actuator_biasprm[driving] = 0.0
+    return heavy

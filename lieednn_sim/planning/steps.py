@@ -19,7 +19,7 @@ from lieednn_sim.values import set_fields
 
 SETTLED = "settled"
 # What settled means: joints slower than this [rad/s, m/s], for so long [s].
-_SLOW, _QUIET = 2e-3, 0.05
+_SLOW, _QUIET = 2e-3, 0.1
 # Arguments of `plan_in` that concern the whole sequence, or are fields of a move.
 _NOT_OF_A_MOVE = ("model", "data", "joints", "goal", "tip", "limits", "holding", "touching")
 
