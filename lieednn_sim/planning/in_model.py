@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import scipy
 from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim._mujoco import mujoco
-from lieednn_sim.arm import Arm
+from lieednn_sim.arm import Arm, TaskSpaceRegion
 from lieednn_sim.arm.contacts import PLANNED_CLEARANCE, ContactFinder, moved_by
 from lieednn_sim.arm.importer.compiled import shared_addresses
 from lieednn_sim.budget import DEFAULT_TIME_BUDGET
 from lieednn_sim.errors import PlanError
+from lieednn_sim.planning.goals import single_goals
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.problem import Plan
 from lieednn_sim.planning.registry import OBSTACLE_PLANNER, plan
@@ -24,6 +24,8 @@ from lieednn_sim.values import Floats, frozen
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import RigidTransform
+
+    from lieednn_sim.planning.goals import Goal
 
 
 @frozen
@@ -50,7 +52,7 @@ def plan_in(
     model: mujoco.MjModel,
     data: mujoco.MjData,
     joints: Sequence[str],
-    goal: ArrayLike | RigidTransform,
+    goal: ArrayLike | str | RigidTransform | TaskSpaceRegion | Sequence[Any],
     *,
     tip: str | None = None,
     limits: Mapping[str, Mapping[str, float]] | None = None,
@@ -75,7 +77,8 @@ def plan_in(
         data: its state. The motion starts at its positions, at rest.
         joints: names of the joints, on one chain; joints that equalities tie to them are the arm's, too.
         goal: joint target ``(n,)`` in the order of ``joints`` [rad, m]: three values, a rotation vector, for a ball
-            joint, and none for a joint that follows another. Or a pose of the tip in the world, as of `plan`.
+            joint, and none for a joint that follows another. Or a pose of the tip in the world, a region of poses, or a
+            set of goals, as of `plan`.
         tip: body or site of the end effector, by default the last body that the joints move.
         limits: ``velocity``, ``acceleration`` and ``jerk`` of coordinates by name [rad or m, s].
         clearance: distance that the motion keeps from contact, start and goal included [m].
@@ -110,16 +113,15 @@ def plan_in(
     return ModelPlan(motion.t, qpos, qvel, found, arm)
 
 
-def _in_order_of_arm(arm: Arm, joints: Sequence[str], goal: ArrayLike | RigidTransform) -> Floats | RigidTransform:
-    """A goal in the order of the given joints, in that of the arm's coordinates; a pose as it is."""
-    if isinstance(goal, scipy.spatial.transform.RigidTransform):
-        return goal
+def _in_order_of_arm(arm: Arm, joints: Sequence[str], goal: Goal) -> Goal:
+    """Goals in the order of the given joints, in that of the arm's coordinates; poses and regions as they are."""
     names = arm.joint_names
     given = [k for joint in joints for k, name in enumerate(names) if name in (joint, *(f"{joint}_{a}" for a in "xyz"))]
-    values = as_floats(f"the goal of {', '.join(names[k] for k in given)}", goal, (arm.n_joints,))
-    ordered = np.empty(arm.n_joints)
-    ordered[given] = values
-    return ordered
+    ordered = [
+        one[np.argsort(given)] if isinstance(one, np.ndarray) else one
+        for one in single_goals(arm, goal, f"the goal of {', '.join(names[k] for k in given)}")
+    ]
+    return ordered if len(ordered) > 1 else ordered[0]
 
 
 def _check_contacts(model: mujoco.MjModel, data: mujoco.MjData, qpos: Floats, moving: NDArray[np.int_]) -> None:

@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from importlib import import_module
-from typing import TYPE_CHECKING, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
-import scipy
 from numpy.typing import ArrayLike
 
 from lieednn_sim import planner_table
-from lieednn_sim.arm import Arm, ik_candidates
+from lieednn_sim.arm import Arm, TaskSpaceRegion
 from lieednn_sim.budget import DEFAULT_TIME_BUDGET, cpu_time, time_limit
 from lieednn_sim.errors import InputError, LieEDNNError, NotCertifiedError, PlanError
 from lieednn_sim.planner_table import TYPICAL, Entry
 from lieednn_sim.planning.extras import optional_module
+from lieednn_sim.planning.goals import candidates
 from lieednn_sim.planning.motion import Motion, check_motion
 from lieednn_sim.planning.options import PlannerOptions, given_options
 from lieednn_sim.planning.problem import Plan, PlanningProblem, in_time
@@ -145,7 +145,7 @@ def default_planner(arm: Arm) -> tuple[str, str]:
 
 def plan(
     arm: Arm,
-    target: ArrayLike | str | RigidTransform,
+    target: ArrayLike | str | RigidTransform | TaskSpaceRegion | Sequence[Any],
     *,
     planner: str | None = None,
     start: ArrayLike | str = "home",
@@ -161,9 +161,11 @@ def plan(
 
     Args:
         arm: the arm, in its scene.
-        target: joint target ``(n,)`` [rad, m], a keyframe's name, or a pose of the end effector in the world. Of the
-            joint positions with this pose (`arm.ik_candidates`) it is the one that is reached soonest among those to
-            which the planner finds a motion.
+        target: a goal: joint target ``(n,)`` [rad, m], a keyframe's name, a pose of the end effector in the world, or
+            a region of poses (`TaskSpaceRegion`). Or a set of goals: joint targets ``(m, n)``, poses of shape ``(m,)``,
+            or a list of goals. A pose or region has several joint positions (`arm.ik_candidates`). Of all of them the
+            plan's target is the one that is reached soonest (`motion.least_duration`) among those to which the planner
+            finds a motion.
         planner: a name of `PLANNERS`; by default the `default_planner`.
         start: joint position at rest ``(n,)`` [rad, m], or a keyframe's name.
         duration: duration of the motion [s], rounded to a whole number of the model's time steps.
@@ -180,6 +182,7 @@ def plan(
     Raises:
         InputError: a value is malformed, the planner is unknown, the options are those of another one, or start or
             target cannot be used.
+        NoSolutionError: no goal can be reached.
         NotCertifiedError: no network could be certified.
         PlanError: the motion breaks a limit of the arm, or does not arrive; `TooFastError` if more time would suffice.
         OutOfTimeError: the time budget is spent.
@@ -194,12 +197,10 @@ def plan(
         optional_module("toppra")  # before the work
     begun, number = cpu_time(), as_seed("seed", seed)
     begin = arm.configuration(start, "start")
-    # Poses are searched for within the budget; the rest of a bad problem is refused before.
-    posed = isinstance(target, scipy.spatial.transform.RigidTransform)
-    end = arm.configuration(begin if posed else target, "target")
-    first = PlanningProblem(arm, begin, end, duration, number, time_budget, max_time_scale, progress)
+    # The rest of a bad problem is refused before goals are searched for, which is within the budget.
+    first = PlanningProblem(arm, begin, begin, duration, number, time_budget, max_time_scale, progress)
     with time_limit(first.time_budget):
-        goals = ik_candidates(arm, target, start=begin, seed=number) if posed else [first.target]
+        goals = candidates(arm, target, begin, number)
         for goal in goals:
             problem = replace(first, target=goal)
             try:
