@@ -64,6 +64,7 @@ def plan_in(
     time_budget: float = DEFAULT_TIME_BUDGET,
     options: PlannerOptions | None = None,
     fastest: bool = False,
+    keep: TaskSpaceRegion | None = None,
 ) -> ModelPlan:
     """Plan a motion of some joints of any compiled model, from its present state, around everything else in it.
 
@@ -82,7 +83,7 @@ def plan_in(
         tip: body or site of the end effector, by default the last body that the joints move.
         limits: ``velocity``, ``acceleration`` and ``jerk`` of coordinates by name [rad or m, s].
         clearance: distance that the motion keeps from contact, start and goal included [m].
-        planner, duration, max_time_scale, seed, time_budget, options, fastest: as of `plan`.
+        planner, duration, max_time_scale, seed, time_budget, options, fastest, keep: as of `plan`.
 
     Raises:
         InputError: a value is malformed; the joints are no arm; or start or goal is beyond a limit or too near contact.
@@ -104,6 +105,7 @@ def plan_in(
         time_budget=time_budget,
         options=options,
         fastest=fastest,
+        keep=keep,
     )
     motion = found.motion
     qpos, qvel = np.tile(data.qpos, (len(motion.t), 1)), np.zeros((len(motion.t), model.nv))

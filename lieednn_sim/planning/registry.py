@@ -18,6 +18,7 @@ from lieednn_sim.errors import InputError, LieEDNNError, NotCertifiedError, Plan
 from lieednn_sim.planner_table import TYPICAL, Entry
 from lieednn_sim.planning.extras import optional_module
 from lieednn_sim.planning.goals import candidates
+from lieednn_sim.planning.kept import check_kept
 from lieednn_sim.planning.motion import Motion, check_motion
 from lieednn_sim.planning.options import PlannerOptions, given_options
 from lieednn_sim.planning.problem import Plan, PlanningProblem, in_time
@@ -41,17 +42,20 @@ class Planner(NamedTuple):
             raises. The motion is sampled at the model's time step and passes `motion.check_motion`.
         options: class of the options; None for a planner without options.
         cost: CPU time of a case of a comparison [s]; see `planner_table.Entry`.
+        keeps: whether it can keep a region, `PlanningProblem.keep`; whether a motion does is checked in any case.
     """
 
     solve: Callable[..., Plan | Motion]
     options: type[PlannerOptions] | None = None
     cost: float = TYPICAL
+    keeps: bool = False
 
 
 def _loaded(entry: Entry) -> Planner:
     place, _, name = entry.solve.partition(":")
     module = import_module(f"lieednn_sim.{place}")
-    return Planner(getattr(module, name), getattr(module, entry.options) if entry.options else None, entry.cost)
+    options = getattr(module, entry.options) if entry.options else None
+    return Planner(getattr(module, name), options, entry.cost, entry.keeps)
 
 
 #: All planners by name, including those added by `register_planner`.
@@ -92,7 +96,7 @@ def planners() -> Mapping[str, Planner]:
 def _planner(name: str, solve: Callable[..., Plan | Motion], options: type[PlannerOptions] | None = None) -> Planner:
     if not callable(solve):
         raise InputError(f"planner {name!r} must be a function of a PlanningProblem, got {type(solve).__name__}")
-    return Planner(partial(in_time, partial(_checked, solve)), options)
+    return Planner(partial(in_time, partial(_checked, solve)), options, keeps=True)
 
 
 REGISTRY = Registry("planner", PLANNERS, _planner)
@@ -155,6 +159,7 @@ def plan(
     time_budget: float = DEFAULT_TIME_BUDGET,
     options: PlannerOptions | None = None,
     fastest: bool = False,
+    keep: TaskSpaceRegion | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Plan:
     """Plan a motion from rest to rest within the arm's limits and free of contact.
@@ -166,7 +171,7 @@ def plan(
             or a list of goals. A pose or region has several joint positions (`arm.ik_candidates`). Of all of them the
             plan's target is the one that is reached soonest (`motion.least_duration`) among those to which the planner
             finds a motion.
-        planner: a name of `PLANNERS`; by default the `default_planner`.
+        planner: a name of `PLANNERS`; by default the `default_planner`, or ``lieednn-shaped`` where a region is kept.
         start: joint position at rest ``(n,)`` [rad, m], or a keyframe's name.
         duration: duration of the motion [s], rounded to a whole number of the model's time steps.
         max_time_scale: largest duration, as a multiple of `duration`, that the motion may take if the arm's limits
@@ -177,6 +182,9 @@ def plan(
             motion, never which one.
         options: options of the planner, of its class in `PLANNERS`; by default that class's defaults.
         fastest: retime the planned path to the arm's limits (`retime`); the duration then applies to planning only.
+        keep: region in which the end effector stays on the way, such as a line or an orientation; start and target
+            must be in it. Up to 1 mm and 0.25 degrees outside it are allowed, and checked at every sample. Only some
+            planners can keep one.
         progress: called with (done, total) after every candidate, by planners that draw a fixed number of them.
 
     Raises:
@@ -189,18 +197,21 @@ def plan(
         LieEDNNError: a library that the planner needs is not installed (see `missing_planners`).
     """
     if planner is None:
-        planner = default_planner(arm)[0]
+        planner = default_planner(arm)[0] if keep is None else OBSTACLE_PLANNER
     known = planners()
-    solve, kind, _ = known[as_choice("planner", planner, known)]
+    solve, kind, _, keeps = known[as_choice("planner", planner, known)]
+    if keep is not None and not keeps:
+        able = ", ".join(name for name, each in known.items() if each.keeps)
+        raise InputError(f"the planner {planner!r} cannot keep a region on the way; planners that can: {able}")
     given = given_options(f"the planner {planner!r}", kind, options)
     if fastest:
         optional_module("toppra")  # before the work
     begun, number = cpu_time(), as_seed("seed", seed)
     begin = arm.configuration(start, "start")
     # The rest of a bad problem is refused before goals are searched for, which is within the budget.
-    first = PlanningProblem(arm, begin, begin, duration, number, time_budget, max_time_scale, progress)
+    first = PlanningProblem(arm, begin, begin, duration, number, time_budget, max_time_scale, progress, keep)
     with time_limit(first.time_budget):
-        goals = candidates(arm, target, begin, number)
+        goals = candidates(arm, target, begin, number, keep)
         for goal in goals:
             problem = replace(first, target=goal)
             try:
@@ -208,6 +219,7 @@ def plan(
                 found = Plan(made) if isinstance(made, Motion) else made
                 if fastest:
                     found = replace(found, motion=retime(problem.arm, found.motion))
+                check_kept(arm, keep, found.motion)
                 break
             except (PlanError, NotCertifiedError):
                 if goal is goals[-1]:

@@ -1,0 +1,104 @@
+"""Regions in which the end effector stays on its way: joint positions projected onto them, and the check of motions."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from lieednn_sim.arm import Arm, TaskSpaceRegion
+from lieednn_sim.errors import PlanError
+from lieednn_sim.lie import poses
+from lieednn_sim.planning.motion import Motion
+from lieednn_sim.values import Floats
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import RigidTransform
+
+# How far a motion may be outside its region [m, rad], as `TaskSpaceRegion.distance` measures it.
+KEPT_DISTANCE, KEPT_ANGLE = 1e-3, np.deg2rad(0.25)
+# The same for its start and target, which lie in it up to the accuracy of inverse kinematics.
+_ENDS = 1e-4
+# Newton steps of a projection, the excess at which it ends [m, rad], and its longest step in units of joint ranges.
+_STEPS, _ACCURACY, _LONGEST = 30, 1e-11, 0.2
+# Damping where a pose does not determine the joints, relative to slopes of about 1 m or rad per range.
+_DAMPING = 1e-9
+
+
+def _end_poses(arm: Arm, q: Floats) -> RigidTransform:
+    """Poses ``(K,)`` of the end effector in the world at q ``(K, n)``."""
+    matrix = arm.link_poses(q).as_matrix()[..., -1, :, :]
+    return poses(matrix[..., :3, :3], matrix[..., :3, 3])
+
+
+def excess_and_slopes(arm: Arm, region: TaskSpaceRegion, q: Floats) -> tuple[Floats, Floats]:
+    """How far the end effector is outside a region, ``(K, 6)``, and its derivatives ``(K, 6, n)``, at q ``(K, n)``."""
+    pose = _end_poses(arm, q)
+    return region.excess(pose), region.excess_slopes(pose) @ arm.jacobian(q)
+
+
+def projected(arm: Arm, region: TaskSpaceRegion, q: Floats) -> Floats:
+    """Joint positions ``(K, n)`` in a region near given ones, within the limits; some may be outside where none is.
+
+    Newton's method takes the least step, in units of the joints' ranges, so that a smooth path stays smooth. Joints
+    that it would lead out of their limits stay where they are.
+    """
+    low, high = arm.position_limits.T
+    q = q.copy()
+    left = np.arange(len(q))
+    for _ in range(_STEPS):
+        excess, slopes = excess_and_slopes(arm, region, q[left])
+        off = np.abs(excess).max(axis=1) > _ACCURACY
+        left, excess, slopes = left[off], excess[off], slopes[off] * arm.ranges
+        if not len(left):
+            break
+        step = _least_step(excess, slopes)
+        new = q[left] + arm.ranges * step
+        blocked = (new < low) | (new > high)
+        if blocked.any():
+            step = _least_step(excess, np.where(blocked[:, None], 0.0, slopes))
+        step *= np.minimum(1.0, _LONGEST / np.maximum(np.abs(step).max(axis=1, keepdims=True), 1e-300))
+        q[left] = arm.within_angles(np.clip(q[left] + arm.ranges * step, low, high))
+    return q
+
+
+def _least_step(excess: Floats, slopes: Floats) -> Floats:
+    """The least steps ``(K, n)`` that undo an excess ``(K, 6)`` with slopes ``(K, 6, n)``."""
+    square = slopes @ np.swapaxes(slopes, -1, -2) + _DAMPING * np.eye(6)
+    return -np.einsum("kcn,kc->kn", slopes, np.linalg.solve(square, excess[..., None])[..., 0])
+
+
+def outside(arm: Arm, region: TaskSpaceRegion, q: Floats) -> float:
+    """Largest distance or angle by which the end effector at q ``(K, n)`` leaves a region, as a fraction of the bound.
+
+    The bounds are `KEPT_DISTANCE` and `KEPT_ANGLE`.
+    """
+    distance, angle = region.distance(_end_poses(arm, q))
+    return float(max((distance / KEPT_DISTANCE).max(), (angle / KEPT_ANGLE).max()))
+
+
+def check_kept(arm: Arm, region: TaskSpaceRegion | None, motion: Motion) -> None:
+    """Check that the end effector is in a region, up to `KEPT_DISTANCE` and `KEPT_ANGLE`, at every sample of a motion.
+
+    Raises:
+        PlanError: it is not; the message has the largest distance or angle, and its time.
+    """
+    if region is None:
+        return
+    distance, angle = region.distance(_end_poses(arm, motion.q))
+    k = int(np.maximum(distance / KEPT_DISTANCE, angle / KEPT_ANGLE).argmax())
+    if distance[k] > KEPT_DISTANCE or angle[k] > KEPT_ANGLE:
+        raise PlanError(
+            f"the end effector would be {_words(distance[k], angle[k])} outside the region to keep at "
+            f"t = {motion.t[k]:.2f} s; allowed are {_words(KEPT_DISTANCE, KEPT_ANGLE)}"
+        )
+
+
+def end_outside(arm: Arm, region: TaskSpaceRegion, q: Floats) -> str | None:
+    """How far the end effector at an end of a motion, q ``(n,)``, is outside a region, in words; None if inside."""
+    distance, angle = region.distance(arm.link_poses(q)[-1])
+    return None if max(distance, angle) <= _ENDS else _words(float(distance), float(angle))
+
+
+def _words(distance: float, angle: float) -> str:
+    return f"{1e3 * distance:.3g} mm and {np.rad2deg(angle):.3g} degrees"
