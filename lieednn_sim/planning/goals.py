@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from lieednn_sim.arm import Arm, TaskSpaceRegion, ik_candidates
 from lieednn_sim.budget import check_time
 from lieednn_sim.errors import InputError, NoSolutionError
+from lieednn_sim.planning.kept import followed
 from lieednn_sim.planning.motion import least_duration
 from lieednn_sim.validation import as_floats
 from lieednn_sim.values import Floats
@@ -59,10 +60,11 @@ def _single(arm: Arm, target: Goal, what: str, *, outermost: bool = True) -> Ite
 
 def candidates(
     arm: Arm, target: Goal, start: Floats, seed: int = 0, keep: TaskSpaceRegion | None = None
-) -> list[Floats]:
+) -> Iterator[Floats]:
     """Joint positions ``(n,)`` with one of the goals, the one that is reached soonest (`least_duration`) first.
 
-    Poses and regions have those of `ik_candidates`. In a set, goals that the arm cannot reach are left out.
+    Poses and regions have those of `ik_candidates`. In a set, goals that the arm cannot reach are left out. If a region
+    is to be kept, those that the arm reaches in small steps within it (`kept.followed`) come first.
 
     Args:
         arm: the arm, in its scene.
@@ -75,8 +77,10 @@ def candidates(
         InputError: a goal is malformed; or the only one is a joint position that cannot be used.
         NoSolutionError: the only pose or region cannot be reached, or no goal of a set can.
     """
-    goals, found = single_goals(arm, target), list[Floats]()
-    refusals: list[InputError | NoSolutionError] = []
+    goals = single_goals(arm, target)
+    near = [] if keep is None else list(_followed(arm, goals, start, keep))
+    yield from sorted(near, key=lambda q: least_duration(arm, start, q))
+    found, refusals = list[Floats](), list[InputError | NoSolutionError]()
     for goal in goals:
         check_time()
         try:
@@ -86,8 +90,20 @@ def candidates(
                 found += ik_candidates(arm, goal, start=start, seed=seed, keep=keep)
         except (InputError, NoSolutionError) as error:
             refusals.append(error)
-    if not found and len(goals) == 1:
+    yield from sorted(found, key=lambda q: least_duration(arm, start, q))
+    if not near and not found and len(goals) == 1:
         raise refusals[0]
-    if not found:
+    if not near and not found:
         raise NoSolutionError(f"none of {len(goals)} goals can be reached; the first one: {refusals[0]}")
-    return sorted(found, key=lambda q: least_duration(arm, start, q))
+
+
+def _followed(arm: Arm, goals: Sequence[Single], start: Floats, keep: TaskSpaceRegion) -> Iterator[Floats]:
+    """Joint positions ``(n,)``, free of contact, in goals that are poses or regions."""
+    for goal in goals:
+        check_time()
+        if isinstance(goal, np.ndarray | str):
+            continue
+        region = goal if isinstance(goal, TaskSpaceRegion) else TaskSpaceRegion(goal, np.zeros(6), np.zeros(6))
+        q = followed(arm, start, region, keep)
+        if q is not None and not arm.near_contacts(q):
+            yield q

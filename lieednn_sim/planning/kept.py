@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,11 +17,13 @@ if TYPE_CHECKING:
     from scipy.spatial.transform import RigidTransform
 
 # How far a motion may be outside its region [m, rad], as `TaskSpaceRegion.distance` measures it.
-KEPT_DISTANCE, KEPT_ANGLE = 1e-3, np.deg2rad(0.25)
+KEPT_DISTANCE, KEPT_ANGLE = 5e-4, np.deg2rad(0.1)
 # The same for its start and target, which lie in it up to the accuracy of inverse kinematics.
 _ENDS = 1e-4
 # Newton steps of a projection, the excess at which it ends [m, rad], and its longest step in units of joint ranges.
 _STEPS, _ACCURACY, _LONGEST = 30, 1e-11, 0.2
+# Steps in which a goal is approached, and how far inside the bounds its joint positions are [m, rad].
+_FOLLOWED, _INSET = 32, 1e-6
 # Damping where a pose does not determine the joints, relative to slopes of about 1 m or rad per range.
 _DAMPING = 1e-9
 
@@ -31,14 +34,15 @@ def _end_poses(arm: Arm, q: Floats) -> RigidTransform:
     return poses(matrix[..., :3, :3], matrix[..., :3, 3])
 
 
-def excess_and_slopes(arm: Arm, region: TaskSpaceRegion, q: Floats) -> tuple[Floats, Floats]:
-    """How far the end effector is outside a region, ``(K, 6)``, and its derivatives ``(K, 6, n)``, at q ``(K, n)``."""
+def excess_and_slopes(arm: Arm, q: Floats, *regions: TaskSpaceRegion) -> tuple[Floats, Floats]:
+    """Excess ``(K, 6 R)`` of the end effector over R regions at joint positions ``(K, n)``, and slopes ``(K, 6 R, n)``."""
     pose = _end_poses(arm, q)
-    return region.excess(pose), region.excess_slopes(pose) @ arm.jacobian(q)
+    excess = np.concatenate([region.excess(pose) for region in regions], axis=1)
+    return excess, np.concatenate([region.excess_slopes(pose) for region in regions], axis=1) @ arm.jacobian(q)
 
 
-def projected(arm: Arm, region: TaskSpaceRegion, q: Floats) -> Floats:
-    """Joint positions ``(K, n)`` in a region near given ones, within the limits; some may be outside where none is.
+def projected(arm: Arm, q: Floats, *regions: TaskSpaceRegion) -> Floats:
+    """Joint positions ``(K, n)`` in all regions near given ones, within the limits; some stay outside where none is.
 
     Newton's method takes the least step, in units of the joints' ranges, so that a smooth path stays smooth. Joints
     that it would lead out of their limits stay where they are.
@@ -47,7 +51,7 @@ def projected(arm: Arm, region: TaskSpaceRegion, q: Floats) -> Floats:
     q = q.copy()
     left = np.arange(len(q))
     for _ in range(_STEPS):
-        excess, slopes = excess_and_slopes(arm, region, q[left])
+        excess, slopes = excess_and_slopes(arm, q[left], *regions)
         off = np.abs(excess).max(axis=1) > _ACCURACY
         left, excess, slopes = left[off], excess[off], slopes[off] * arm.ranges
         if not len(left):
@@ -63,9 +67,26 @@ def projected(arm: Arm, region: TaskSpaceRegion, q: Floats) -> Floats:
 
 
 def _least_step(excess: Floats, slopes: Floats) -> Floats:
-    """The least steps ``(K, n)`` that undo an excess ``(K, 6)`` with slopes ``(K, 6, n)``."""
-    square = slopes @ np.swapaxes(slopes, -1, -2) + _DAMPING * np.eye(6)
+    """The least steps ``(K, n)`` that undo an excess ``(K, C)`` with slopes ``(K, C, n)``."""
+    square = slopes @ np.swapaxes(slopes, -1, -2) + _DAMPING * np.eye(excess.shape[1])
     return -np.einsum("kcn,kc->kn", slopes, np.linalg.solve(square, excess[..., None])[..., 0])
+
+
+def followed(arm: Arm, start: Floats, goal: TaskSpaceRegion, keep: TaskSpaceRegion) -> Floats | None:
+    """The joint position ``(n,)`` in a goal that the arm reaches from a start in small steps within a region, if any.
+
+    The goal's bounds are widened until they hold the start, and then drawn in.
+    """
+    goal, keep, q = goal.within(_INSET), keep.within(_INSET), start[None]
+    beyond = goal.excess(arm.link_poses(start)[-1])
+    for left in np.linspace(1.0, 0.0, _FOLLOWED + 1)[1:]:
+        wide = replace(
+            goal, lower=goal.lower + left * np.minimum(beyond, 0.0), upper=goal.upper + left * np.maximum(beyond, 0.0)
+        )
+        q = projected(arm, q, wide, keep)
+        if np.abs(excess_and_slopes(arm, q, wide, keep)[0]).max() > _INSET:
+            return None
+    return q[0]
 
 
 def outside(arm: Arm, region: TaskSpaceRegion, q: Floats) -> float:

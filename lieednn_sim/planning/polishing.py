@@ -48,6 +48,8 @@ _LEAST_GAIN = 1e-3
 _TOUCHING, _STEEPNESS = 2.5e-3, 100.0
 # Weight in the measure of the mean excess over the region that is kept [1/m, 1/rad].
 _KEPT_WEIGHT = 30.0
+# Mean excess below which the projection of the motion is near it [m, rad].
+_KEPT = 0.01
 # Distances beyond the clearance sought at which a pair counts, since a step may bring it nearer [m].
 _AHEAD = 0.03
 # The clearance sought is up to this many times that of start and target, for distances between instants are less, and
@@ -134,7 +136,7 @@ class Polish:
         """The spline near the projections of a motion's positions onto the region that is kept."""
         assert self._problem.keep is not None
         q = self._scale * (self._kept_rows @ self._control(free))
-        left = projected(self._problem.arm, self._problem.keep, q) / self._scale - self._kept_rows @ self._ends
+        left = projected(self._problem.arm, q, self._problem.keep) / self._scale - self._kept_rows @ self._ends
         return np.asarray(np.linalg.solve(self._kept_rows[:, self._free], left))
 
     def cost(self, free: Floats) -> float:
@@ -145,16 +147,11 @@ class Polish:
     def measure(self, free: Floats, clearance: float) -> float:
         """The measure of a motion with this clearance [m]."""
         far = min(max(clearance, _TOUCHING), self._enough)
-        beyond = 0.0 if self._problem.keep is None else float(np.abs(self._kept(free)[0]).sum(axis=1).mean())
-        return (
-            math.log(self.cost(free))
-            - self._weight * math.log(far)
-            + _STEEPNESS * max(_TOUCHING - clearance, 0.0)
-            + _KEPT_WEIGHT * beyond
-        )
+        touching = _STEEPNESS * max(_TOUCHING - clearance, 0.0)
+        return math.log(self.cost(free)) - self._weight * math.log(far) + touching + _KEPT_WEIGHT * self._beyond(free)
 
     def descend(self, free: Floats, steps: int) -> tuple[float, Floats, bool]:
-        """The measure, the control points and whether they are clear after up to this many steps from a guess."""
+        """The measure, the control points and whether they can be used after up to this many steps from a guess."""
         distances = self._distances(free)
         clearance, trust = self._least(distances), _TRUST
         measure = self.measure(free, clearance)
@@ -174,7 +171,7 @@ class Polish:
                 trust *= _SHRINK
                 if trust < _LEAST_TRUST:
                     break
-        return measure, free, clearance >= _TOUCHING
+        return measure, free, clearance >= _TOUCHING and self._beyond(free) < _KEPT
 
     def motion(self, problem: PlanningProblem, free: Floats) -> Motion:
         """The checked motion, in the problem's duration.
@@ -187,7 +184,7 @@ class Polish:
         q, qd = (self._scale * (self._basis(u, nu=nu) @ control) for nu in (0, 1))
         progress = minimum_jerk_law(u)[0]
         if problem.keep is not None:
-            q = projected(problem.arm, problem.keep, q)
+            q = projected(problem.arm, q, problem.keep)
             # The ends are in the region up to the accuracy of inverse kinematics.
             q += np.outer(1.0 - progress, problem.start - q[0]) + np.outer(progress, problem.target - q[-1])
             qd = CubicSpline(t, q, bc_type="clamped")(t, 1) * t[-1]
@@ -195,11 +192,15 @@ class Polish:
         check_kept(problem.arm, problem.keep, motion)
         return motion
 
+    def _beyond(self, free: Floats) -> float:
+        """Mean over the instants of the excess over the region that is kept [m, rad]."""
+        return 0.0 if self._problem.keep is None else float(np.abs(self._kept(free)[0]).sum(axis=1).mean())
+
     def _kept(self, free: Floats) -> tuple[Floats, Floats]:
         """Excess ``(I, 6)`` over the region that is kept, and slopes ``(I, 6, n)`` in units of the ranges."""
         assert self._problem.keep is not None
         q = self._scale * (self._kept_rows @ self._control(free))
-        excess, slopes = excess_and_slopes(self._problem.arm, self._problem.keep, q)
+        excess, slopes = excess_and_slopes(self._problem.arm, q, self._problem.keep)
         return excess, slopes * self._scale
 
     def _control(self, free: Floats) -> Floats:

@@ -183,7 +183,7 @@ def plan(
         options: options of the planner, of its class in `PLANNERS`; by default that class's defaults.
         fastest: retime the planned path to the arm's limits (`retime`); the duration then applies to planning only.
         keep: region in which the end effector stays on the way, such as a line or an orientation; start and target
-            must be in it. Up to 1 mm and 0.25 degrees outside it are allowed, and checked at every sample. Only some
+            must be in it. Up to 0.5 mm and 0.1 degrees outside it are allowed, and checked at every sample. Only some
             planners can keep one.
         progress: called with (done, total) after every candidate, by planners that draw a fixed number of them.
 
@@ -211,8 +211,8 @@ def plan(
     # The rest of a bad problem is refused before goals are searched for, which is within the budget.
     first = PlanningProblem(arm, begin, begin, duration, number, time_budget, max_time_scale, progress, keep)
     with time_limit(first.time_budget):
-        goals = candidates(arm, target, begin, number, keep)
-        for goal in goals:
+        refusal: PlanError | NotCertifiedError | None = None
+        for goal in candidates(arm, target, begin, number, keep):
             problem = replace(first, target=goal)
             try:
                 made = solve(problem, *given)
@@ -221,7 +221,9 @@ def plan(
                     found = replace(found, motion=retime(problem.arm, found.motion))
                 check_kept(arm, keep, found.motion)
                 break
-            except (PlanError, NotCertifiedError):
-                if goal is goals[-1]:
-                    raise
+            except (PlanError, NotCertifiedError) as error:
+                refusal = error
+        else:
+            assert refusal is not None
+            raise refusal
     return replace(found, target=problem.target, planner=planner, cpu_time=cpu_time() - begun)

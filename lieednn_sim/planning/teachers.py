@@ -33,6 +33,8 @@ _RRT = RrtConnectOptions()
 _LEAST_SWEEP = 0.1
 # Number of intervals of splines that keep a region.
 _KEPT_INTERVALS = 24
+# A projection takes as long as so many tests of a configuration.
+_KEPT_SLOWER = 20
 # J + E of the straight motion, which no motion is below, times this: a clear motion with less ends the search for more.
 _NEARLY_STRAIGHT = 1.05 * 2.0
 
@@ -165,7 +167,7 @@ class _Candidates:
         if keep is not None:
 
             def onto(point: Floats) -> Floats:
-                return projected(self.problem.arm, keep, (scale * point)[None])[0] / scale
+                return projected(self.problem.arm, (scale * point)[None], keep)[0] / scale
 
         search, shortcuts = np.random.SeedSequence([self.problem.seed, attempt]).spawn(2)
         found = connected(
@@ -174,7 +176,7 @@ class _Candidates:
             bounds=box,
             longest_edge=options.longest_edge * float(np.linalg.norm(np.ptp(box, axis=1))),
             clear=clear,
-            over=partial(edges.over, (attempt + 1) * options.collision_checks),
+            over=partial(edges.over, (attempt + 1) * options.collision_checks // (1 if keep is None else _KEPT_SLOWER)),
             seed=search,
             onto=onto,
         )

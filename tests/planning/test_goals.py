@@ -27,13 +27,13 @@ def test_of_all_goals_of_a_set_the_one_reached_soonest_with_a_motion_is_taken(ar
     region = ls.TaskSpaceRegion.box(pose.translation - 0.05, pose.translation + 0.05)
     home, far = arm.keyframe("home"), RigidTransform.from_translation([9.0, 0.0, 1.0])
     beyond = arm.position_limits[:, 1] + 1.0
-    found = candidates(arm, [joints[1], pose, region, far, beyond, "extended"], home)
+    found = list(candidates(arm, [joints[1], pose, region, far, beyond, "extended"], home))
     times = [least_duration(arm, home, q) for q in found]
     assert times == sorted(times)
     assert times[0] < min(least_duration(arm, home, q) for q in joints)
     inside = [max(region.distance(arm.link_poses(q)[-1])) < 1e-6 for q in found]
     assert sum(inside) >= 3
-    np.testing.assert_array_equal(candidates(arm, joints, home), candidates(arm, list(joints), home))
+    np.testing.assert_array_equal(list(candidates(arm, joints, home)), list(candidates(arm, list(joints), home)))
     asked, before = [], dict(REGISTRY.given)
 
     @ls.register_planner("second-only")
