@@ -35,7 +35,7 @@ def _end_poses(arm: Arm, q: Floats) -> RigidTransform:
 
 
 def excess_and_slopes(arm: Arm, q: Floats, *regions: TaskSpaceRegion) -> tuple[Floats, Floats]:
-    """Excess ``(K, 6 R)`` of the end effector over R regions at joint positions ``(K, n)``, and slopes ``(K, 6 R, n)``."""
+    """Excess ``(K, 6 R)`` of the end effector over R regions at joints ``(K, n)``, and its slopes ``(K, 6 R, n)``."""
     pose = _end_poses(arm, q)
     excess = np.concatenate([region.excess(pose) for region in regions], axis=1)
     return excess, np.concatenate([region.excess_slopes(pose) for region in regions], axis=1) @ arm.jacobian(q)

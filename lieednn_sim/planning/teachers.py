@@ -34,7 +34,7 @@ _LEAST_SWEEP = 0.1
 # Number of intervals of splines that keep a region.
 _KEPT_INTERVALS = 24
 # A projection takes as long as so many tests of a configuration.
-_KEPT_SLOWER = 20
+_KEPT_SLOWER = 5
 # J + E of the straight motion, which no motion is below, times this: a clear motion with less ends the search for more.
 _NEARLY_STRAIGHT = 1.05 * 2.0
 
