@@ -115,8 +115,10 @@ def check_kept(arm: Arm, region: TaskSpaceRegion | None, motion: Motion) -> None
         )
 
 
-def end_outside(arm: Arm, region: TaskSpaceRegion, q: Floats) -> str | None:
+def end_outside(arm: Arm, region: TaskSpaceRegion | None, q: Floats) -> str | None:
     """How far the end effector at an end of a motion, q ``(n,)``, is outside a region, in words; None if inside."""
+    if region is None:
+        return None
     distance, angle = region.distance(arm.link_poses(q)[-1])
     return None if max(distance, angle) <= _ENDS else _words(float(distance), float(angle))
 

@@ -60,7 +60,7 @@ class PlanningProblem:
 
     def __post_init__(self) -> None:
         set_fields(self, **{name: self.arm.check_reachable(getattr(self, name), name) for name in ("start", "target")})
-        for name in ("start", "target") if self.keep is not None else ():
+        for name in ("start", "target"):
             if off := end_outside(self.arm, self.keep, getattr(self, name)):
                 raise InputError(f"at the {name} the end effector is outside the region to keep: by {off}")
         check_fields(self, as_positive, "duration", "max_time_scale")
