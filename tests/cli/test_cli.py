@@ -245,7 +245,7 @@ def test_of_several_poses_the_nearest_is_taken_and_a_line_or_an_orientation_is_k
         task = json.loads((tmp_path / folder / "task.json").read_text())
         return task, Motion.load(tmp_path / folder / "motion.npz")
 
-    places = [here.translation + np.array(way) for way in ([-0.1, -0.1, 0.0], [-0.3, 0.0, 0.2])]
+    places = [here.translation + np.array(way) for way in ([-0.02, -0.02, 0.0], [-0.3, 0.0, 0.2])]
     poses = [f"--pose={','.join(map(repr, [*map(float, place), *turn]))}" for place in places]
     task, motion = command("set", *poses[::-1], "--planner", "minimum-jerk")
     np.testing.assert_allclose(arm.tip(task["target"]), places[0], atol=1e-5)
