@@ -58,12 +58,18 @@ class TaskSpaceRegion:
         for name in ("pose", "offset"):
             as_floats(f"the translation of {name}", getattr(self, name).translation, (3,), largest=_FARTHEST)
         lower, upper = (_as_bounds(name, getattr(self, name)) for name in ("lower", "upper"))
-        set_fields(self, lower=lower, upper=upper)
+        set_fields(self, lower=lower + 0.0, upper=upper + 0.0)  # no negative zeros
         for what, low, high in zip(_COORDINATES, lower, upper, strict=True):
             if not low <= high or np.inf in (low, -high):
                 raise InputError(f"the lower bound of {what} must not be above the upper one, got {low:g} and {high:g}")
             if "rotation" in what and np.isinf(low) != np.isinf(high):
                 raise InputError(f"{what} must have two finite bounds, or none, got {low:g} and {high:g}")
+
+    def __repr__(self) -> str:
+        units = np.repeat([1.0, 180.0 / np.pi], 3)
+        bounds = zip("x y z rx ry rz".split(), self.lower * units, self.upper * units, strict=True)
+        parts = (f"{name} {low:.3g}" + (f" to {high:.3g}" if low < high else "") for name, low, high in bounds)
+        return f"<TaskSpaceRegion: {', '.join(parts)} (m, degrees)>"
 
     @classmethod
     def line(
