@@ -67,7 +67,7 @@ class TaskSpaceRegion:
 
     def __repr__(self) -> str:
         units = np.repeat([1.0, 180.0 / np.pi], 3)
-        bounds = zip("x y z rx ry rz".split(), self.lower * units, self.upper * units, strict=True)
+        bounds = zip(["x", "y", "z", "rx", "ry", "rz"], self.lower * units, self.upper * units, strict=True)
         parts = (f"{name} {low:.3g}" + (f" to {high:.3g}" if low < high else "") for name, low, high in bounds)
         return f"<TaskSpaceRegion: {', '.join(parts)} (m, degrees)>"
 
