@@ -66,9 +66,9 @@ def register_planner(name: str, options: type[PlannerOptions] | None = None) -> 
     """Decorator that registers a function as a planner for `plan`, `compare` and the command line.
 
     The function takes a `PlanningProblem`. It returns a `Motion` (see `planning.joint_motion`) or a `Plan` with its
-    network, and raises `PlanError` if it finds none. Limits, clearance, start and target of every motion are checked;
-    if the motion is too fast, the function is called again with the duration that it needs. For worker processes and
-    the command line, an installed package declares its planners as entry points::
+    network, and raises `PlanError` if it finds none. Limits, clearance, start, target and the region to keep are
+    checked of every motion; if it is too fast, the function is called again with the duration that it needs. For worker
+    processes and the command line, an installed package declares its planners as entry points::
 
         [project.entry-points."lieednn_sim.planners"]
         my-planner = "my_package.my_module:my_function"

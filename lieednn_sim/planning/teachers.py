@@ -21,7 +21,7 @@ from lieednn_sim.planning.baselines.sampling import RrtConnectOptions
 from lieednn_sim.planning.baselines.search_space import EdgeTest
 from lieednn_sim.planning.baselines.trees import connected
 from lieednn_sim.planning.joint_space import Workspace
-from lieednn_sim.planning.kept import projected
+from lieednn_sim.planning.kept import check_kept, outside, projected
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.polishing import Polish
@@ -33,6 +33,8 @@ _RRT = RrtConnectOptions()
 _LEAST_SWEEP = 0.1
 # Number of intervals of splines that keep a region.
 _KEPT_INTERVALS = 24
+# Samples of the straight motion that are looked at first.
+_KEPT_SAMPLES = 9
 # A projection takes as long as so many tests of a configuration.
 _KEPT_SLOWER = 5
 # J + E of the straight motion, which no motion is below, times this: a clear motion with less ends the search for more.
@@ -94,7 +96,7 @@ def best_teacher(problem: PlanningProblem, options: TeacherOptions) -> Plan:
             return None
 
     kept = problem.keep is not None
-    if not kept and (found := asked("minimum-jerk", partial(interpolation.minimum_jerk, problem))):
+    if found := asked("minimum-jerk", partial(_straight, problem)):
         return found
     if options.polished or kept:
         candidates = sorted(_Candidates(problem, options).all(), key=lambda one: one[0])
@@ -104,6 +106,17 @@ def best_teacher(problem: PlanningProblem, options: TeacherOptions) -> Plan:
     if not kept and (found := asked("rrt-connect", partial(sampling.rrt_connect, problem, options.search))):
         return found
     raise PlanError(f"no teacher finds a motion; {'; '.join(refusals)}")
+
+
+def _straight(problem: PlanningProblem) -> Motion:
+    """The motion by minimum jerk, in the region to keep, if any."""
+    if problem.keep is not None:
+        some = np.linspace(problem.start, problem.target, _KEPT_SAMPLES)
+        if outside(problem.arm, problem.keep, some) > 1.0:
+            raise PlanError("the straight motion leaves the region to keep")
+    motion = interpolation.minimum_jerk(problem)
+    check_kept(problem.arm, problem.keep, motion)
+    return motion
 
 
 class _Candidates:

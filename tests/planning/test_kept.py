@@ -98,6 +98,17 @@ def test_every_motion_is_checked_with_how_far_it_leaves_the_region_and_when(arm,
         assert said == pytest.approx([0.0, np.rad2deg(turned_by(arm, q, here.rotation).max())], rel=0.01)
 
 
+def test_a_straight_motion_that_stays_in_the_region_is_taken(arm, start):
+    """In the middle of a slab, also where nothing moves at all."""
+    height = arm.tip(start)[2]
+    slab = ls.TaskSpaceRegion.box([-np.inf, -np.inf, height - 0.2], [np.inf, np.inf, height + 0.2])
+    target = start + 0.1 * (arm.keyframe("home") - start)
+    for end in (start, target):
+        made = ls.plan(arm, end, start=start, keep=slab)
+        assert made.teacher.planner == "minimum-jerk"
+        np.testing.assert_allclose(made.motion.q[-1], end, atol=1e-6)
+
+
 def test_ends_outside_the_region_are_refused(arm, start):
     here = arm.tip(start)
     region = ls.TaskSpaceRegion.box(here, here + 1.0)
