@@ -259,7 +259,10 @@ def _matrix(angles: Floats) -> Floats:
 
 def _as_bounds(name: str, value: ArrayLike, count: int = 6) -> Floats:
     """Bounds ``(count,)``, which may be infinite."""
-    given = np.asarray(value)
+    try:
+        given = np.asarray(value)
+    except (TypeError, ValueError):  # such as lists of unequal lengths
+        return as_floats(name, value, (count,))
     if given.dtype.kind not in "iuf":
         return as_floats(name, value, (count,))
     as_floats(name, np.where(np.isinf(given), 0.0, given), (count,), largest=_FARTHEST)

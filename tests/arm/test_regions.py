@@ -84,6 +84,7 @@ def test_a_line_and_a_box_by_hand():
         ([np.inf] + [0] * 5, [np.inf] + [0] * 5, "lower bound of x must not be above"),
         ([0] * 5, [0] * 6, r"lower must have shape \(6\)"),
         ([np.nan] * 6, [0] * 6, "lower must be finite"),
+        ([[0], 0, 0, 0, 0, 0], [0] * 6, "lower must be an array of numbers"),
     ],
 )
 def test_malformed_bounds_are_refused(lower, upper, message):
