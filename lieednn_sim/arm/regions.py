@@ -261,9 +261,9 @@ def _as_bounds(name: str, value: ArrayLike, count: int = 6) -> Floats:
     """Bounds ``(count,)``, which may be infinite."""
     try:
         given = np.asarray(value)
-    except (TypeError, ValueError):  # such as lists of unequal lengths
+    except (TypeError, ValueError, MemoryError, OverflowError):  # such as lists of unequal lengths
         return as_floats(name, value, (count,))
-    if given.dtype.kind not in "iuf":
+    if given.dtype.kind not in "iuf" or given.shape != (count,):
         return as_floats(name, value, (count,))
     as_floats(name, np.where(np.isinf(given), 0.0, given), (count,), largest=_FARTHEST)
     return np.asarray(given, dtype=np.float64)

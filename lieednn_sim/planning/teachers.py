@@ -21,7 +21,7 @@ from lieednn_sim.planning.baselines.sampling import RrtConnectOptions
 from lieednn_sim.planning.baselines.search_space import EdgeTest
 from lieednn_sim.planning.baselines.trees import connected
 from lieednn_sim.planning.joint_space import Workspace
-from lieednn_sim.planning.kept import check_kept, outside, projected
+from lieednn_sim.planning.kept import outside, projected
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.polishing import Polish
@@ -33,8 +33,10 @@ _RRT = RrtConnectOptions()
 _LEAST_SWEEP = 0.1
 # Number of intervals of splines that keep a region.
 _KEPT_INTERVALS = 24
-# Samples of the straight motion that are looked at first.
-_KEPT_SAMPLES = 9
+# Samples of the straight motion that are looked at first, and the part of the tolerance that it may need: the rest is
+# for the network that follows it.
+_KEPT_SAMPLES, _KEPT_PART = 9, 0.01
+_LEAVES = "the straight motion leaves the region to keep"
 # A projection takes as long as so many tests of a configuration.
 _KEPT_SLOWER = 5
 # J + E of the straight motion, which no motion is below, times this: a clear motion with less ends the search for more.
@@ -112,10 +114,11 @@ def _straight(problem: PlanningProblem) -> Motion:
     """The motion by minimum jerk, in the region to keep, if any."""
     if problem.keep is not None:
         some = np.linspace(problem.start, problem.target, _KEPT_SAMPLES)
-        if outside(problem.arm, problem.keep, some) > 1.0:
-            raise PlanError("the straight motion leaves the region to keep")
+        if outside(problem.arm, problem.keep, some) > _KEPT_PART:
+            raise PlanError(_LEAVES)
     motion = interpolation.minimum_jerk(problem)
-    check_kept(problem.arm, problem.keep, motion)
+    if problem.keep is not None and outside(problem.arm, problem.keep, motion.q) > _KEPT_PART:
+        raise PlanError(_LEAVES)
     return motion
 
 
