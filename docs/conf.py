@@ -98,6 +98,7 @@ EXAMPLES = (
     *(
         "retargeting",
         "window",
+        "straight_line",
         "own_urdf_table",
         "plan_in_model",
         "pick_and_place",

@@ -22,7 +22,7 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Any
 
-    from lieednn_sim.arm import Arm, solve_ik
+    from lieednn_sim.arm import Arm, TaskSpaceRegion, solve_ik
     from lieednn_sim.arm.targets import draw_target
     from lieednn_sim.errors import LieEDNNError, PlanError
     from lieednn_sim.evaluation import evaluate, evaluate_following
@@ -65,6 +65,7 @@ __all__ = [
     "Policy",
     "Push",
     "Rollout",
+    "TaskSpaceRegion",
     "compare",
     "control_loop",
     "draw_target",
@@ -91,7 +92,7 @@ __all__ = [
 ]
 
 _ROOMS = {
-    "arm": ("Arm", "solve_ik"),
+    "arm": ("Arm", "TaskSpaceRegion", "solve_ik"),
     "arm.targets": ("draw_target",),
     "errors": ("LieEDNNError", "PlanError"),
     "evaluation": ("evaluate", "evaluate_following"),

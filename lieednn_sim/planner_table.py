@@ -24,6 +24,7 @@ class Entry(NamedTuple):
             package's arms, free and behind the window. Declared, not measured, so that which cases there are depends
             on no machine.
         network: whether its plans have a certifiable network, which `lieednn-sim synthesize` stores.
+        keeps: whether it can keep the end effector in a region on the way, the argument ``keep`` of `planning.plan`.
     """
 
     solve: str
@@ -33,6 +34,7 @@ class Entry(NamedTuple):
     libraries: tuple[str, ...] = ()
     cost: float = TYPICAL
     network: bool = False
+    keeps: bool = False
 
 
 _OMPL = ("rivals", ("ompl",))
@@ -81,7 +83,7 @@ PLANNERS = {
         "planning.network_planners:unprojected", "UnprojectedOptions", "the same without projections", network=True
     ),
     "lieednn-shaped": Entry(
-        "planning.shaped:shaped", "ShapedOptions", "a network along another's motion", network=True
+        "planning.shaped:shaped", "ShapedOptions", "a network along another's motion", network=True, keeps=True
     ),
     "lieednn-filtered": Entry(
         "planning.filtered_planners:filtered",

@@ -116,6 +116,7 @@ MAKERS: dict[str, Callable[[], Any]] = {
     "MjData": lambda: mujoco.MjData(thing("Arm").model),
     "ImportReport": lambda: arm.import_arm("two.xml")[1],
     "Retraction": lambda: thing("Arm").decode(thing("Arm").encode(home())),
+    "TaskSpaceRegion": lambda: arm.TaskSpaceRegion.line(np.zeros(3), np.ones(3)),
     "Collisions": lambda: Collisions(thing("Arm")),
     "RigidTransform": lambda: thing("Arm").link_poses(home()),
     "Rotation": lambda: thing("RigidTransform").rotation[0],

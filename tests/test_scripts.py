@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import cost_over_time
 import evaluate_demonstrations
 import growth
+import kept_ways
 import numpy as np
 import picture_arms
 import pytest
@@ -44,6 +45,16 @@ def test_bounds_are_measured_and_a_broken_one_is_told(tmp_path, monkeypatch, cap
     assert path.read_text().count("| 1 | 0 |") == len(robustness.BOUNDS) * len(robustness.KINDS)
     monkeypatch.setattr(robustness, "unstable_step", lambda jacobian, method: 1e-9)
     assert robustness.main(["--cases", "1", "--output", str(path)]) == 1
+
+
+def test_ways_that_are_kept_are_counted_and_measured(capsys):
+    kept_ways.main(["telescopic_pr", "--ways", "1"])
+    rows = [line.strip("| ").split(" | ") for line in capsys.readouterr().out.splitlines()[2:]]
+    assert [row[1] for row in rows] == ["line", "orientation"]
+    for _, _, drawn, followed, planned, distance, angle, *_ in rows:
+        assert int(drawn) >= int(followed) == int(planned) == 1
+        assert float(distance) < 0.5
+        assert float(angle) < 0.1
 
 
 def test_growth_is_measured_in_sizes_that_grow_as_they_say(tmp_path, monkeypatch, capsys):

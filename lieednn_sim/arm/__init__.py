@@ -10,6 +10,7 @@ from lieednn_sim.arm.importer import ImportReport, import_arm
 from lieednn_sim.arm.inverse_kinematics import ik_candidates, solve_ik
 from lieednn_sim.arm.models import arm_names, models_directory, scene_path
 from lieednn_sim.arm.projection import Retraction
+from lieednn_sim.arm.regions import TaskSpaceRegion
 from lieednn_sim.typecheck import typecheck_public
 
 __all__ = [
@@ -17,6 +18,7 @@ __all__ = [
     "Arm",
     "ImportReport",
     "Retraction",
+    "TaskSpaceRegion",
     "arm_names",
     "ik_candidates",
     "import_arm",

@@ -11,8 +11,9 @@ from numpy.typing import ArrayLike
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.arm import Arm
+from lieednn_sim.arm.regions import TaskSpaceRegion
 from lieednn_sim.errors import InputError, NoSolutionError
-from lieednn_sim.lie import hat
+from lieednn_sim.lie import hat, poses
 from lieednn_sim.validation import Seed, as_floats, as_generator
 from lieednn_sim.values import Floats
 
@@ -22,6 +23,8 @@ if TYPE_CHECKING:
 # Error at which the pose counts as reached [m, rad], and the numbers of starts.
 _TOLERANCE = 1e-6
 _ATTEMPTS, _MOST_ATTEMPTS = 8, 32
+# Least error of the first attempts [m, rad] after which no more are made.
+_FAR = 0.1
 # Candidates for a target, and the fraction of a joint's range by which they differ.
 _CANDIDATES, _SAME = 4, 1e-3
 # No arm reaches further [m], and squares stay far from overflow.
@@ -30,6 +33,8 @@ _FARTHEST = 1e6
 _AT_LIMIT = 1e-4
 # Weight of the pull towards the start, which picks one of the many solutions of a redundant arm.
 _CONFIGURATION_WEIGHT = 1e-3
+# How far inside a region its solutions are sought, so that they are in it [m, rad].
+_INSET = 2.0 * _TOLERANCE
 
 
 def solve_ik(
@@ -56,26 +61,29 @@ def solve_ik(
         InputError: a value is malformed.
         NoSolutionError: no such joint position was found; the message says how close the search came.
     """
-    return next(_solutions(arm, position, rotation, start, seed, progress))
+    return next(_solutions(arm, _Point(position, rotation), None, start, seed, progress))
 
 
 def ik_candidates(
     arm: Arm,
-    pose: RigidTransform,
+    pose: RigidTransform | TaskSpaceRegion,
     *,
     start: ArrayLike | str = "home",
     seed: Seed = 0,
+    keep: TaskSpaceRegion | None = None,
 ) -> list[Floats]:
     """Several joint positions ``(n,)`` as of `solve_ik`, the one that is reached soonest first.
 
     The measure is the time that the slowest joint needs at its velocity limit, or at its range in a second where it has
-    none. The search ends with four different positions, or after 32 attempts.
+    none. The search ends with four different positions, or after 32 attempts; after 8 if
+    none of them came near.
 
     Args:
         arm: the arm.
-        pose: of the end effector in the world.
+        pose: of the end effector in the world, or a region of poses.
         start: joint coordinates ``(n,)`` from which they are to be reached, or a keyframe's name.
         seed: seed of the random starts of the search.
+        keep: a region in which the end effector is, too.
 
     Raises:
         InputError: a value is malformed.
@@ -84,7 +92,8 @@ def ik_candidates(
     rest = arm.check_position(start, "start")
     pace = np.where(np.isfinite(arm.velocity_limits), arm.velocity_limits, arm.ranges)
     found: list[Floats] = []
-    for q in _solutions(arm, pose.translation, pose.rotation, rest, seed, several=True):
+    goal = pose if isinstance(pose, TaskSpaceRegion) else _Point(pose.translation, pose.rotation)
+    for q in _solutions(arm, goal, keep, rest, seed, several=True):
         if all(np.abs((q - other) / arm.ranges).max() > _SAME for other in found):
             found.append(q)
         if len(found) == _CANDIDATES:
@@ -92,10 +101,46 @@ def ik_candidates(
     return sorted(found, key=lambda q: float(np.abs((q - rest) / pace).max()))
 
 
+class _Point:
+    """A position of the end effector, with an orientation or without: errors and slopes as of a region."""
+
+    def __init__(self, position: ArrayLike, rotation: Rotation | None) -> None:
+        self._place = as_floats("position", position, (3,))
+        if np.abs(self._place).max() > _FARTHEST:
+            raise InputError(
+                f"position must be within {_FARTHEST:g} m of the origin, got {np.abs(self._place).max():g} m"
+            )
+        self._rotation = rotation
+
+    def error(self, place: Floats, turn: Floats) -> Floats:
+        """Zero at the goal, for a position ``(3,)`` and a matrix ``(3, 3)`` of the end effector."""
+        if self._rotation is None:
+            return place - self._place
+        return np.concatenate([place - self._place, (self._rotation.as_matrix().T @ turn - np.eye(3)).ravel()])
+
+    def slopes(self, turn: Floats, linear: Floats, angular: Floats) -> Floats:
+        """Derivatives ``(E, n)`` of the error, from those ``(3, n)`` of the position and the rotation."""
+        if self._rotation is None:
+            return linear
+        turned = self._rotation.as_matrix().T @ hat(angular.T) @ turn
+        return np.vstack([linear, turned.reshape(-1, 9).T])
+
+    def __str__(self) -> str:
+        place = ", ".join(f"{x:g}" for x in self._place)
+        return f"({place}) m" + ("" if self._rotation is None else " with this orientation")
+
+    def miss(self, pose: RigidTransform) -> str:
+        """Distance of a pose from the position [m], and the angle from the rotation."""
+        distance = f"{np.linalg.norm(pose.translation - self._place):.3g} m"
+        if self._rotation is None:
+            return distance
+        return f"{distance} and {np.rad2deg((self._rotation.inv() * pose.rotation).magnitude()):.3g} degrees"
+
+
 def _solutions(
     arm: Arm,
-    position: ArrayLike,
-    rotation: Rotation | None,
+    goal: _Point | TaskSpaceRegion,
+    keep: TaskSpaceRegion | None,
     start: ArrayLike | str,
     seed: Seed,
     progress: Callable[[int, int], None] | None = None,
@@ -107,13 +152,11 @@ def _solutions(
     Raises as `solve_ik` if there is none.
     """
     attempts = _MOST_ATTEMPTS if several else _ATTEMPTS
-    goal = as_floats("position", position, (3,))
-    if np.abs(goal).max() > _FARTHEST:
-        raise InputError(f"position must be within {_FARTHEST:g} m of the origin, got {np.abs(goal).max():g} m")
     rest = arm.check_position(start, "start")
     low, high = arm.position_limits.T
     spread = arm.ranges
     rng = as_generator("seed", seed)
+    regions = [one.within(_INSET) for one in (goal, keep) if isinstance(one, TaskSpaceRegion)]
 
     data = mujoco.MjData(arm.model)
     site = int(arm.site_ids[-1])
@@ -121,10 +164,9 @@ def _solutions(
     def error(q: Floats) -> Floats:
         data.qpos[:] = arm.qpos(q)
         mujoco.mj_kinematics(arm.model, data)
-        parts = [data.site_xpos[site] - goal]
-        if rotation is not None:
-            parts.append((rotation.as_matrix().T @ data.site_xmat[site].reshape(3, 3) - np.eye(3)).ravel())
-        return np.concatenate(parts)
+        place, turn = data.site_xpos[site], data.site_xmat[site].reshape(3, 3)
+        parts = [goal.error(place, turn)] if isinstance(goal, _Point) else []
+        return np.concatenate([*parts, *(region.excess(poses(turn, place)) for region in regions)])
 
     def jacobian(q: Floats) -> Floats:
         data.qpos[:] = arm.qpos(q)
@@ -134,10 +176,10 @@ def _solutions(
         mujoco.mj_jacSite(arm.model, data, linear, angular, site)
         to_rates = arm.qvel(q, np.eye(arm.n_joints)).T
         linear, angular = linear @ to_rates, angular @ to_rates
-        if rotation is None:
-            return linear
-        turned = rotation.as_matrix().T @ hat(angular.T) @ data.site_xmat[site].reshape(3, 3)
-        return np.vstack([linear, turned.reshape(arm.n_joints, 9).T])
+        place, turn = data.site_xpos[site], data.site_xmat[site].reshape(3, 3)
+        parts = [goal.slopes(turn, linear, angular)] if isinstance(goal, _Point) else []
+        twist = np.vstack([angular, linear])
+        return np.vstack([*parts, *(region.excess_slopes(poses(turn, place)) @ twist for region in regions)])
 
     best, closest, refused, solved = np.inf, rest, "", False
     for attempt in range(attempts):
@@ -173,12 +215,14 @@ def _solutions(
                 refused = f"; at the solutions found {contacts[0][0]!r} touches {contacts[0][1]!r}"
         if distance < best:
             best, closest = distance, q
+        if attempt + 1 >= _ATTEMPTS and best > _FAR:
+            break
     if solved:
         return
+    where = str(goal) if isinstance(goal, _Point) else "the region"
+    away = refused or f": the closest configuration found is {_miss(arm.link_poses(closest)[-1], goal)} away"
     raise NoSolutionError(
-        f"the end effector cannot reach ({', '.join(f'{x:g}' for x in goal)}) m"
-        + (" with this orientation" if rotation is not None else "")
-        + (refused or f": the closest configuration found is {_miss(arm.link_poses(closest)[-1], goal, rotation)} away")
+        f"the end effector cannot reach {where}{'' if keep is None else ' within the region to keep'}{away}"
         + ("" if refused else _at_limits(arm, closest))
     )
 
@@ -190,9 +234,9 @@ def _at_limits(arm: Arm, q: Floats) -> str:
     return f", with {', '.join(map(repr, names))} at the limit" if names else ""
 
 
-def _miss(pose: RigidTransform, position: Floats, rotation: Rotation | None) -> str:
-    """Distance of the end effector's pose from a position [m], and the angle from a rotation."""
-    distance = f"{np.linalg.norm(pose.translation - position):.3g} m"
-    if rotation is None:
-        return distance
-    return f"{distance} and {np.rad2deg((rotation.inv() * pose.rotation).magnitude()):.3g} degrees"
+def _miss(pose: RigidTransform, goal: _Point | TaskSpaceRegion) -> str:
+    """Distance of the end effector's pose from a goal [m], and the angle where the goal has orientations."""
+    if isinstance(goal, _Point):
+        return goal.miss(pose)
+    distance, angle = goal.distance(pose)
+    return f"{distance:.3g} m and {np.rad2deg(angle):.3g} degrees"

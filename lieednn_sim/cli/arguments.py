@@ -5,12 +5,12 @@ from __future__ import annotations
 import argparse
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy
 
-from lieednn_sim.arm import Arm, ik_candidates, solve_ik
+from lieednn_sim.arm import Arm, TaskSpaceRegion, solve_ik
 from lieednn_sim.arm.importer import ImportOptions
 from lieednn_sim.arm.models import chosen, is_arm_file
 from lieednn_sim.arm.obstacles import is_scene_file
@@ -18,11 +18,17 @@ from lieednn_sim.arm.targets import draw_target, goes_to_extended
 from lieednn_sim.cli.options import decimal
 from lieednn_sim.cli.task import Task
 from lieednn_sim.errors import InputError
+from lieednn_sim.planning.goals import candidates
 from lieednn_sim.planning.motion import count_steps, steps_of_rate
 from lieednn_sim.simulation import Disturbances, Push, controllers
 from lieednn_sim.simulation.tracking import as_hold
 from lieednn_sim.validation import as_choice, as_positive, as_seed
 from lieednn_sim.values import Floats
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import RigidTransform
+
+    _Goal = Floats | TaskSpaceRegion | list[RigidTransform]
 
 # Prefix of the seed of a random joint position.
 RANDOM = "random:"
@@ -84,15 +90,44 @@ def make_task(
 
 def start_and_target(arm: Arm, arguments: argparse.Namespace) -> tuple[Floats, Floats]:
     """Joint positions from --start, and from --target, --position or --pose."""
+    start, goal = start_and_goal(arm, arguments)
+    return start, next(candidates(arm, goal, start))
+
+
+def start_and_goal(arm: Arm, arguments: argparse.Namespace, *, place: bool = False) -> tuple[Floats, _Goal]:
+    """Joint position from --start, and the goal of --target, --position or --pose.
+
+    A position is a joint position with it or, if ``place`` is true, the region of all poses there.
+    """
     start = arm.check_position(joint_position(arm, arguments.start, "start"), "start")
     if arguments.position is not None:
-        return start, solve_ik(arm, numbers(arguments.position, "position", 3), start=start)
+        position = numbers(arguments.position, "position", 3)
+        return start, TaskSpaceRegion.box(position, position) if place else solve_ik(arm, position, start=start)
     if arguments.pose is not None:
-        pose = numbers(arguments.pose, "pose", 6)
-        rotation = scipy.spatial.transform.Rotation.from_rotvec(pose[3:])
-        goal = scipy.spatial.transform.RigidTransform.from_components(pose[:3], rotation)
-        return start, ik_candidates(arm, goal, start=start)[0]
+        return start, [_pose(text) for text in arguments.pose]
     return start, joint_position(arm, arguments.target, "target")
+
+
+def _pose(text: str) -> RigidTransform:
+    pose = numbers(text, "pose", 6)
+    rotation = scipy.spatial.transform.Rotation.from_rotvec(pose[3:])
+    return scipy.spatial.transform.RigidTransform.from_components(pose[:3], rotation)
+
+
+def kept_region(arm: Arm, start: Floats, goal: _Goal, keep: str | None) -> TaskSpaceRegion | None:
+    """The region of --keep, between a start and a goal of `start_and_goal`."""
+    if keep is None:
+        return None
+    here = arm.link_poses(start)[-1]
+    if keep == "orientation":
+        return TaskSpaceRegion.orientation(here.rotation)
+    if isinstance(goal, list):
+        if len(goal) > 1:
+            raise InputError(f"--keep line takes one goal, got {len(goal)} of --pose")
+        there = goal[0].translation
+    else:
+        there = goal.project(here).translation if isinstance(goal, TaskSpaceRegion) else arm.tip(goal)
+    return TaskSpaceRegion.line(here.translation, there)
 
 
 def usual_target(arm: Arm, seed: int) -> str:

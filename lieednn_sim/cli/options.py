@@ -51,7 +51,9 @@ def add_task(parser: argparse.ArgumentParser, output: str, *, goal: bool = True)
     group.add_argument(
         "--pose",
         metavar="X,Y,Z,RX,RY,RZ",
-        help="target pose of the end effector in the world: position [m] and rotation vector [rad]",
+        action="append",
+        help="target pose of the end effector in the world: position [m] and rotation vector [rad]; given several "
+        "times, the one that is reached soonest",
     )
     parser.add_argument("--start", default="home", metavar="Q", help="joints at the start, given as for --target")
     _add_duration(parser)
@@ -149,6 +151,11 @@ def add_planning(
         type=whole,
         metavar="N",
         help="number of networks to draw, of which the best is chosen (default: 24)",
+    )
+    parser.add_argument(
+        "--keep",
+        choices=("line", "orientation"),
+        help="let the end effector go on a straight line, or keep its orientation, on the way",
     )
     parser.add_argument(
         "--fastest", action="store_true", help="follow the planned path as fast as the arm's limits allow"

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import argparse
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from lieednn_sim.arm import Arm
-from lieednn_sim.cli.arguments import RANDOM, load_arm, make_task, start_and_target, usual_target
+from lieednn_sim.cli.arguments import RANDOM, kept_region, load_arm, make_task, start_and_goal, usual_target
 from lieednn_sim.cli.arms import print_import_report
 from lieednn_sim.cli.console import console, one_norm, print_stability, progress, wrote
 from lieednn_sim.cli.options import NETWORK_PLANNERS
@@ -18,7 +19,15 @@ from lieednn_sim.cli.task import CERTIFIED
 from lieednn_sim.errors import InputError
 from lieednn_sim.evaluation.display import rounded, table
 from lieednn_sim.planner_table import PLANNERS
-from lieednn_sim.planning import CertifiedOptions, Plan, default_planner, plan, planners, require_planner
+from lieednn_sim.planning import (
+    OBSTACLE_PLANNER,
+    CertifiedOptions,
+    Plan,
+    default_planner,
+    plan,
+    planners,
+    require_planner,
+)
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.shaped import ShapedDetails
 from lieednn_sim.validation import as_choice
@@ -33,16 +42,18 @@ def make_plan(run: RunDirectory, arguments: argparse.Namespace) -> None:
         arguments.target = usual_target(arm, arguments.seed)
         if arguments.target.startswith(RANDOM):
             console.print(f"target: {arguments.target}")
-    start, target = start_and_target(arm, arguments)
+    start, goal = start_and_goal(arm, arguments, place=arguments.keep is not None)
+    keep = kept_region(arm, start, goal, arguments.keep)
     chosen, shown = _options(arguments) if planner == CERTIFIED else (None, {})
     # JSON has no infinity.
     budget = None if arguments.time_budget == math.inf else arguments.time_budget
     shown |= {"time_budget": budget} | ({"fastest": True} if arguments.fastest else {})
-    task = make_task(arm, start, target, arguments, planner=planner, reason=reason, options=shown)
+    shown |= {"keep": arguments.keep} if keep is not None else {}
+    task = make_task(arm, start, start, arguments, planner=planner, reason=reason, options=shown)
     with progress("synthesize" if planner == CERTIFIED else "plan") as report:
         made = plan(
             arm,
-            target,
+            goal,
             planner=planner,
             start=start,
             duration=arguments.duration,
@@ -52,10 +63,12 @@ def make_plan(run: RunDirectory, arguments: argparse.Namespace) -> None:
             time_budget=arguments.time_budget,
             options=chosen,
             fastest=arguments.fastest,
+            keep=keep,
             progress=report,
         )
     if arguments.command == "synthesize" and made.network is None:
         raise _no_network(planner)
+    task = replace(task, target=tuple(made.target.tolist()))
     written = run.save_network(task, made.network, None if task.drawn else made.motion)
     print_import_report(arm)
     if planner == CERTIFIED:
@@ -71,6 +84,8 @@ def _planner(arm: Arm, arguments: argparse.Namespace) -> tuple[str, str]:
     The default does not depend on what is installed: if it cannot run, that is an error.
     """
     name, reason = default_planner(arm) if arguments.planner is None else (arguments.planner, "asked for")
+    if arguments.planner is None and arguments.keep is not None:
+        name, reason = OBSTACLE_PLANNER, "the default where a region is kept"
     as_choice("planner", name, planners())
     if arguments.command == "synthesize" and name in PLANNERS and name not in NETWORK_PLANNERS:
         raise _no_network(name)

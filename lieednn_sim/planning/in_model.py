@@ -4,19 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import scipy
 from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim._mujoco import mujoco
-from lieednn_sim.arm import Arm
+from lieednn_sim.arm import Arm, TaskSpaceRegion
 from lieednn_sim.arm.contacts import PLANNED_CLEARANCE, ContactFinder, moved_by
 from lieednn_sim.arm.importer.compiled import shared_addresses
 from lieednn_sim.arm.importer.holding import Grasp, find_grasp
 from lieednn_sim.budget import DEFAULT_TIME_BUDGET
 from lieednn_sim.errors import InputError, PlanError
+from lieednn_sim.planning.goals import single_goals
 from lieednn_sim.planning.motion import LIMIT_TOLERANCE
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.problem import Plan
@@ -28,6 +28,8 @@ _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import RigidTransform
+
+    from lieednn_sim.planning.goals import Goal
 
 
 @frozen
@@ -61,7 +63,7 @@ def plan_in(
     model: mujoco.MjModel,
     data: mujoco.MjData,
     joints: Sequence[str],
-    goal: ArrayLike | str | RigidTransform,
+    goal: ArrayLike | str | RigidTransform | TaskSpaceRegion | Sequence[Any],
     *,
     tip: str | None = None,
     limits: Mapping[str, Mapping[str, float]] | None = None,
@@ -73,6 +75,7 @@ def plan_in(
     time_budget: float = DEFAULT_TIME_BUDGET,
     options: PlannerOptions | None = None,
     fastest: bool = False,
+    keep: TaskSpaceRegion | None = None,
     holding: str | None = None,
     touching: Sequence[str] = (),
 ) -> ModelPlan:
@@ -88,12 +91,12 @@ def plan_in(
         data: its state. The motion starts at its positions, at rest.
         joints: names of the joints, on one chain; joints that equalities tie to them are the arm's, too.
         goal: joint target ``(n,)`` in the order of ``joints`` [rad, m]: three values, a rotation vector, for a ball
-            joint, and none for a joint that follows another. Or a pose of the tip in the world, as of `plan`, or the
-            name of a keyframe of the model, of which the arm's joints are taken.
+            joint, and none for a joint that follows another. Or the name of a keyframe of the model, of which the arm's
+            joints are taken, a pose of the tip in the world, a region of poses, or a set of goals, as of `plan`.
         tip: body or site of the end effector, by default the last body that the joints move.
         limits: ``velocity``, ``acceleration`` and ``jerk`` of coordinates by name [rad or m, s].
         clearance: distance that the motion keeps from contact, start and goal included [m].
-        planner, duration, max_time_scale, seed, time_budget, options, fastest: as of `plan`.
+        planner, duration, max_time_scale, seed, time_budget, options, fastest, keep: as of `plan`.
         holding: name of a body with a free joint that the tip carries: it moves with the tip from where it is now. What
             holds it may touch it. It keeps the clearance from all else, except from what it stands on, that is, what it
             is nearer to now: that it may touch, but sink no deeper into than now.
@@ -109,12 +112,16 @@ def plan_in(
     arm = replace(arm, clearance=distance)
     theirs, ours, their_rates, our_rates = shared_addresses(model, arm.model)
     now = arm.qpos(np.zeros(arm.n_joints))
-    if isinstance(goal, str):
-        key = as_choice("keyframe", goal, [model.key(k).name for k in range(model.nkey)])
+
+    def named(one: Any) -> Any:
+        """A keyframe of the model, in the order of the given joints; other goals as they are."""
+        if not isinstance(one, str):
+            return one
+        key = as_choice("keyframe", one, [model.key(k).name for k in range(model.nkey)])
         now[ours] = model.key(key).qpos[theirs]
-        goal = arm.coordinates(now)
-    else:
-        goal = _in_order_of_arm(arm, joints, goal)
+        return arm.coordinates(now)[_given(arm, joints)]
+
+    goals = _in_order_of_arm(arm, joints, [*map(named, goal)] if isinstance(goal, list | tuple) else named(goal))
     now[ours] = data.qpos[theirs]
     start = arm.coordinates(now)
     # Where a move ended at a limit, rounding may have left it just outside.
@@ -123,7 +130,7 @@ def plan_in(
     _check_hand(model, arm, start)
     found = plan(
         arm,
-        goal,
+        goals,
         start=start,
         planner=planner,
         duration=duration,
@@ -132,6 +139,7 @@ def plan_in(
         time_budget=time_budget,
         options=options,
         fastest=fastest,
+        keep=keep,
     )
     motion = found.motion
     qpos, qvel = np.tile(data.qpos, (len(motion.t), 1)), np.zeros((len(motion.t), model.nv))
@@ -143,16 +151,20 @@ def plan_in(
     return ModelPlan(motion.t, qpos, qvel, found, arm)
 
 
-def _in_order_of_arm(arm: Arm, joints: Sequence[str], goal: ArrayLike | RigidTransform) -> Floats | RigidTransform:
-    """A goal in the order of the given joints, in that of the arm's coordinates; a pose as it is."""
-    if isinstance(goal, scipy.spatial.transform.RigidTransform):
-        return goal
+def _given(arm: Arm, joints: Sequence[str]) -> list[int]:
+    """The arm's coordinates in the order of the given joints."""
     names = arm.joint_names
-    given = [k for joint in joints for k, name in enumerate(names) if name in (joint, *(f"{joint}_{a}" for a in "xyz"))]
-    values = as_floats(f"the goal of {', '.join(names[k] for k in given)}", goal, (arm.n_joints,))
-    ordered = np.empty(arm.n_joints)
-    ordered[given] = values
-    return ordered
+    return [k for joint in joints for k, name in enumerate(names) if name in (joint, *(f"{joint}_{a}" for a in "xyz"))]
+
+
+def _in_order_of_arm(arm: Arm, joints: Sequence[str], goal: Goal) -> Goal:
+    """Goals in the order of the given joints, in that of the arm's coordinates; poses and regions as they are."""
+    given = _given(arm, joints)
+    ordered = [
+        one[np.argsort(given)] if isinstance(one, np.ndarray) else one
+        for one in single_goals(arm, goal, f"the goal of {', '.join(arm.joint_names[k] for k in given)}")
+    ]
+    return ordered if len(ordered) > 1 else ordered[0]
 
 
 def _carry(

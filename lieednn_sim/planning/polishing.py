@@ -10,6 +10,9 @@ least of all. Both are quadratic in C. With the least distance d from everything
 where d counts up to that of start and target, which no motion exceeds. It is minimised by sequential quadratic
 programming: at every step MuJoCo's contacts give the distances of all pairs and their slopes, a quadratic program in C
 and d is solved within a trust region, and the step is taken if it lowers the measure.
+
+If the end effector is to stay in a region, the program has its bounds, linearised, at a few more instants, and what the
+motion is outside counts in the measure. The samples of the final motion are projected onto the region.
 """
 
 from __future__ import annotations
@@ -19,11 +22,12 @@ import math
 import daqp
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import BSpline
+from scipy.interpolate import BSpline, CubicSpline
 
 from lieednn_sim.arm.contact_slopes import ContactSlopes
 from lieednn_sim.budget import check_time
 from lieednn_sim.planning.joint_space import SPLINE_DEGREE, clamped_knots, joint_motion
+from lieednn_sim.planning.kept import check_kept, excess_and_slopes, projected
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.problem import PlanningProblem
 from lieednn_sim.planning.time_laws import minimum_jerk_law
@@ -42,6 +46,10 @@ _TRUST, _GROW, _SHRINK, _LEAST_TRUST = 0.1, 1.5, 0.4, 5e-3
 _LEAST_GAIN = 1e-3
 # Below this clearance [m] the logarithm is continued by a steep line, so that contact is left first.
 _TOUCHING, _STEEPNESS = 2.5e-3, 100.0
+# Weight in the measure of the mean excess over the region that is kept [1/m, 1/rad].
+_KEPT_WEIGHT = 30.0
+# Mean excess below which the projection of the motion is near it [m, rad].
+_KEPT = 0.01
 # Distances beyond the clearance sought at which a pair counts, since a step may bring it nearer [m].
 _AHEAD = 0.03
 # The clearance sought is up to this many times that of start and target, for distances between instants are less, and
@@ -90,6 +98,8 @@ class Polish:
         spacing = _EVEN * u + (1.0 - _EVEN) * minimum_jerk_law(u)[0]
         self._rows = self._basis(np.interp((np.arange(instants) + 0.5) / instants, spacing, u))
         self._free = slice(_FIXED, -_FIXED)
+        # As many instants as free control points, which can then keep all bounds there.
+        self._kept_rows = self._basis((np.arange(count - 2 * _FIXED) + 1.0) / (count - 2 * _FIXED + 1.0))
         start, target = problem.start / arm.ranges, problem.target / arm.ranges
         self._ends = np.zeros((count, arm.n_joints))
         self._ends[:_FIXED], self._ends[-_FIXED:] = start, target
@@ -122,6 +132,13 @@ class Polish:
         smooth = 1e-4 * len(u) / self._hessian.diagonal().mean() * self._hessian
         return np.asarray(np.linalg.solve(free.T @ free + smooth, free.T @ left))
 
+    def near_kept(self, free: Floats) -> Floats:
+        """The spline near the projections of a motion's positions onto the region that is kept."""
+        assert self._problem.keep is not None
+        q = self._scale * (self._kept_rows @ self._control(free))
+        left = projected(self._problem.arm, q, self._problem.keep) / self._scale - self._kept_rows @ self._ends
+        return np.asarray(np.linalg.solve(self._kept_rows[:, self._free], left))
+
     def cost(self, free: Floats) -> float:
         """J + E."""
         control = self._control(free)
@@ -130,10 +147,11 @@ class Polish:
     def measure(self, free: Floats, clearance: float) -> float:
         """The measure of a motion with this clearance [m]."""
         far = min(max(clearance, _TOUCHING), self._enough)
-        return math.log(self.cost(free)) - self._weight * math.log(far) + _STEEPNESS * max(_TOUCHING - clearance, 0.0)
+        touching = _STEEPNESS * max(_TOUCHING - clearance, 0.0)
+        return math.log(self.cost(free)) - self._weight * math.log(far) + touching + _KEPT_WEIGHT * self._beyond(free)
 
     def descend(self, free: Floats, steps: int) -> tuple[float, Floats, bool]:
-        """The measure, the control points and whether they are clear after up to this many steps from a guess."""
+        """The measure, the control points and whether they can be used after up to this many steps from a guess."""
         distances = self._distances(free)
         clearance, trust = self._least(distances), _TRUST
         measure = self.measure(free, clearance)
@@ -153,7 +171,7 @@ class Polish:
                 trust *= _SHRINK
                 if trust < _LEAST_TRUST:
                     break
-        return measure, free, clearance >= _TOUCHING
+        return measure, free, clearance >= _TOUCHING and self._beyond(free) < _KEPT
 
     def motion(self, problem: PlanningProblem, free: Floats) -> Motion:
         """The checked motion, in the problem's duration.
@@ -164,7 +182,26 @@ class Polish:
         t, control = problem.times(), self._control(free)
         u = t / t[-1]
         q, qd = (self._scale * (self._basis(u, nu=nu) @ control) for nu in (0, 1))
-        return joint_motion(problem, q, qd / t[-1], minimum_jerk_law(u)[0])
+        progress = minimum_jerk_law(u)[0]
+        if problem.keep is not None:
+            q = projected(problem.arm, q, problem.keep)
+            # The ends are in the region up to the accuracy of inverse kinematics.
+            q += np.outer(1.0 - progress, problem.start - q[0]) + np.outer(progress, problem.target - q[-1])
+            qd = CubicSpline(t, q, bc_type="clamped")(t, 1) * t[-1]
+        motion = joint_motion(problem, q, qd / t[-1], progress)
+        check_kept(problem.arm, problem.keep, motion)
+        return motion
+
+    def _beyond(self, free: Floats) -> float:
+        """Mean over the instants of the excess over the region that is kept [m, rad]."""
+        return 0.0 if self._problem.keep is None else float(np.abs(self._kept(free)[0]).sum(axis=1).mean())
+
+    def _kept(self, free: Floats) -> tuple[Floats, Floats]:
+        """Excess ``(I, 6)`` over the region that is kept, and slopes ``(I, 6, n)`` in units of the ranges."""
+        assert self._problem.keep is not None
+        q = self._scale * (self._kept_rows @ self._control(free))
+        excess, slopes = excess_and_slopes(self._problem.arm, q, self._problem.keep)
+        return excess, slopes * self._scale
 
     def _control(self, free: Floats) -> Floats:
         """All control points ``(F + 6, n)``."""
@@ -207,6 +244,14 @@ class Polish:
         high = np.maximum(np.minimum(np.repeat(self._high, count) - x, reach), 0.0)
         upper = np.concatenate([high, [most], np.full(len(instant), 1e30)])
         lower = np.concatenate([low, [-0.5 if known > _TOUCHING else 0.0], known - distance])
+        if self._problem.keep is not None:
+            excess, slope = self._kept(free)
+            instant, bound = np.nonzero(slope.any(axis=2))
+            each = slope[instant, bound][:, :, None] * self._kept_rows[instant][:, None, self._free]
+            kept = np.zeros((len(instant), n * count + 1))
+            kept[:, :-1] = each.reshape(len(instant), n * count)
+            rows = np.concatenate([rows, kept])
+            upper, lower = (np.concatenate([side, -excess[instant, bound]]) for side in (upper, lower))
         sense = np.zeros(len(upper), dtype=np.int32)
         sense[n * count + 1 :] = _SOFT
         found = daqp.solve(hessian, np.append(pull, -value), rows, upper, lower, sense, rho_soft=_SOFTNESS)

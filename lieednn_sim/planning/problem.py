@@ -10,10 +10,11 @@ from typing import Any, TypeVar, cast
 
 import numpy as np
 
-from lieednn_sim.arm import Arm
+from lieednn_sim.arm import Arm, TaskSpaceRegion
 from lieednn_sim.budget import DEFAULT_TIME_BUDGET, as_time_budget
 from lieednn_sim.errors import InputError, TooFastError
 from lieednn_sim.network import ComponentwiseNetwork
+from lieednn_sim.planning.kept import end_outside
 from lieednn_sim.planning.motion import Motion, count_steps
 from lieednn_sim.validation import as_positive, as_seed
 from lieednn_sim.values import Floats, check_fields, frozen, set_fields
@@ -40,10 +41,11 @@ class PlanningProblem:
         time_budget: CPU time that a planner may take [s].
         max_time_scale: largest duration that the motion may take, as a multiple of `duration`.
         progress: called with (done, total) after every candidate, by planners that draw a fixed number of them.
+        keep: region in which the end effector stays on the way; none if it may go anywhere.
 
     Raises:
-        InputError: a value is malformed, or start or target cannot be used: beyond a limit, or closer to contact than
-            the arm's `clearance`.
+        InputError: a value is malformed, or start or target cannot be used: beyond a limit, closer to contact than the
+            arm's `clearance`, or outside the region to keep.
     """
 
     arm: Arm
@@ -54,9 +56,13 @@ class PlanningProblem:
     time_budget: float = DEFAULT_TIME_BUDGET
     max_time_scale: float = 3.0
     progress: Callable[[int, int], None] | None = None
+    keep: TaskSpaceRegion | None = None
 
     def __post_init__(self) -> None:
         set_fields(self, **{name: self.arm.check_reachable(getattr(self, name), name) for name in ("start", "target")})
+        for name in ("start", "target"):
+            if off := end_outside(self.arm, self.keep, getattr(self, name)):
+                raise InputError(f"at the {name} the end effector is outside the region to keep: by {off}")
         check_fields(self, as_positive, "duration", "max_time_scale")
         if self.max_time_scale < 1.0:
             raise InputError(f"max_time_scale must be at least 1, the duration itself, got {self.max_time_scale:g}")

@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from importlib import import_module
-from typing import TYPE_CHECKING, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
-import scipy
 from numpy.typing import ArrayLike
 
 from lieednn_sim import planner_table
-from lieednn_sim.arm import Arm, ik_candidates
+from lieednn_sim.arm import Arm, TaskSpaceRegion
 from lieednn_sim.budget import DEFAULT_TIME_BUDGET, cpu_time, time_limit
 from lieednn_sim.errors import InputError, LieEDNNError, NotCertifiedError, PlanError
 from lieednn_sim.planner_table import TYPICAL, Entry
 from lieednn_sim.planning.extras import optional_module
+from lieednn_sim.planning.goals import candidates
+from lieednn_sim.planning.kept import check_kept
 from lieednn_sim.planning.motion import Motion, check_motion
 from lieednn_sim.planning.options import PlannerOptions, given_options
 from lieednn_sim.planning.problem import Plan, PlanningProblem, in_time
@@ -41,17 +42,20 @@ class Planner(NamedTuple):
             raises. The motion is sampled at the model's time step and passes `motion.check_motion`.
         options: class of the options; None for a planner without options.
         cost: CPU time of a case of a comparison [s]; see `planner_table.Entry`.
+        keeps: whether it can keep a region, `PlanningProblem.keep`; whether a motion does is checked in any case.
     """
 
     solve: Callable[..., Plan | Motion]
     options: type[PlannerOptions] | None = None
     cost: float = TYPICAL
+    keeps: bool = False
 
 
 def _loaded(entry: Entry) -> Planner:
     place, _, name = entry.solve.partition(":")
     module = import_module(f"lieednn_sim.{place}")
-    return Planner(getattr(module, name), getattr(module, entry.options) if entry.options else None, entry.cost)
+    options = getattr(module, entry.options) if entry.options else None
+    return Planner(getattr(module, name), options, entry.cost, entry.keeps)
 
 
 #: All planners by name, including those added by `register_planner`.
@@ -62,9 +66,9 @@ def register_planner(name: str, options: type[PlannerOptions] | None = None) -> 
     """Decorator that registers a function as a planner for `plan`, `compare` and the command line.
 
     The function takes a `PlanningProblem`. It returns a `Motion` (see `planning.joint_motion`) or a `Plan` with its
-    network, and raises `PlanError` if it finds none. Limits, clearance, start and target of every motion are checked;
-    if the motion is too fast, the function is called again with the duration that it needs. For worker processes and
-    the command line, an installed package declares its planners as entry points::
+    network, and raises `PlanError` if it finds none. Limits, clearance, start, target and the region to keep are
+    checked of every motion; if it is too fast, the function is called again with the duration that it needs. For worker
+    processes and the command line, an installed package declares its planners as entry points::
 
         [project.entry-points."lieednn_sim.planners"]
         my-planner = "my_package.my_module:my_function"
@@ -92,7 +96,7 @@ def planners() -> Mapping[str, Planner]:
 def _planner(name: str, solve: Callable[..., Plan | Motion], options: type[PlannerOptions] | None = None) -> Planner:
     if not callable(solve):
         raise InputError(f"planner {name!r} must be a function of a PlanningProblem, got {type(solve).__name__}")
-    return Planner(partial(in_time, partial(_checked, solve)), options)
+    return Planner(partial(in_time, partial(_checked, solve)), options, keeps=True)
 
 
 REGISTRY = Registry("planner", PLANNERS, _planner)
@@ -145,7 +149,7 @@ def default_planner(arm: Arm) -> tuple[str, str]:
 
 def plan(
     arm: Arm,
-    target: ArrayLike | str | RigidTransform,
+    target: ArrayLike | str | RigidTransform | TaskSpaceRegion | Sequence[Any],
     *,
     planner: str | None = None,
     start: ArrayLike | str = "home",
@@ -155,16 +159,19 @@ def plan(
     time_budget: float = DEFAULT_TIME_BUDGET,
     options: PlannerOptions | None = None,
     fastest: bool = False,
+    keep: TaskSpaceRegion | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Plan:
     """Plan a motion from rest to rest within the arm's limits and free of contact.
 
     Args:
         arm: the arm, in its scene.
-        target: joint target ``(n,)`` [rad, m], a keyframe's name, or a pose of the end effector in the world. Of the
-            joint positions with this pose (`arm.ik_candidates`) it is the one that is reached soonest among those to
-            which the planner finds a motion.
-        planner: a name of `PLANNERS`; by default the `default_planner`.
+        target: a goal: joint target ``(n,)`` [rad, m], a keyframe's name, a pose of the end effector in the world, or
+            a region of poses (`TaskSpaceRegion`). Or a set of goals: joint targets ``(m, n)``, poses of shape ``(m,)``,
+            or a list of goals. A pose or region has several joint positions (`arm.ik_candidates`). Of all of them the
+            plan's target is the one that is reached soonest (`motion.least_duration`) among those to which the planner
+            finds a motion.
+        planner: a name of `PLANNERS`; by default the `default_planner`, or ``lieednn-shaped`` where a region is kept.
         start: joint position at rest ``(n,)`` [rad, m], or a keyframe's name.
         duration: duration of the motion [s], rounded to a whole number of the model's time steps.
         max_time_scale: largest duration, as a multiple of `duration`, that the motion may take if the arm's limits
@@ -175,40 +182,48 @@ def plan(
             motion, never which one.
         options: options of the planner, of its class in `PLANNERS`; by default that class's defaults.
         fastest: retime the planned path to the arm's limits (`retime`); the duration then applies to planning only.
+        keep: region in which the end effector stays on the way, such as a line or an orientation; start and target
+            must be in it. Up to 0.5 mm and 0.1 degrees outside it are allowed, and checked at every sample. Only some
+            planners can keep one.
         progress: called with (done, total) after every candidate, by planners that draw a fixed number of them.
 
     Raises:
         InputError: a value is malformed, the planner is unknown, the options are those of another one, or start or
             target cannot be used.
+        NoSolutionError: no goal can be reached.
         NotCertifiedError: no network could be certified.
         PlanError: the motion breaks a limit of the arm, or does not arrive; `TooFastError` if more time would suffice.
         OutOfTimeError: the time budget is spent.
         LieEDNNError: a library that the planner needs is not installed (see `missing_planners`).
     """
     if planner is None:
-        planner = default_planner(arm)[0]
+        planner = default_planner(arm)[0] if keep is None else OBSTACLE_PLANNER
     known = planners()
-    solve, kind, _ = known[as_choice("planner", planner, known)]
+    solve, kind, _, keeps = known[as_choice("planner", planner, known)]
+    if keep is not None and not keeps:
+        able = ", ".join(name for name, each in known.items() if each.keeps)
+        raise InputError(f"the planner {planner!r} cannot keep a region on the way; planners that can: {able}")
     given = given_options(f"the planner {planner!r}", kind, options)
     if fastest:
         optional_module("toppra")  # before the work
     begun, number = cpu_time(), as_seed("seed", seed)
     begin = arm.configuration(start, "start")
-    # Poses are searched for within the budget; the rest of a bad problem is refused before.
-    posed = isinstance(target, scipy.spatial.transform.RigidTransform)
-    end = arm.configuration(begin if posed else target, "target")
-    first = PlanningProblem(arm, begin, end, duration, number, time_budget, max_time_scale, progress)
+    # The rest of a bad problem is refused before goals are searched for, which is within the budget.
+    first = PlanningProblem(arm, begin, begin, duration, number, time_budget, max_time_scale, progress, keep)
     with time_limit(first.time_budget):
-        goals = ik_candidates(arm, target, start=begin, seed=number) if posed else [first.target]
-        for goal in goals:
+        refusal: PlanError | NotCertifiedError | None = None
+        for goal in candidates(arm, target, begin, number, keep):
             problem = replace(first, target=goal)
             try:
                 made = solve(problem, *given)
                 found = Plan(made) if isinstance(made, Motion) else made
                 if fastest:
                     found = replace(found, motion=retime(problem.arm, found.motion))
+                check_kept(arm, keep, found.motion)
                 break
-            except (PlanError, NotCertifiedError):
-                if goal is goals[-1]:
-                    raise
+            except (PlanError, NotCertifiedError) as error:
+                refusal = error
+        else:
+            assert refusal is not None
+            raise refusal
     return replace(found, target=problem.target, planner=planner, cpu_time=cpu_time() - begun)

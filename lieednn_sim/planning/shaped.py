@@ -18,6 +18,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.budget import cpu_time
 from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.planning.encoded_path import EncodedPath
+from lieednn_sim.planning.kept import check_kept, outside
 from lieednn_sim.planning.motion import Motion, rms_jerk
 from lieednn_sim.planning.network_path import NetworkPath, checked_motion, timed_motion
 from lieednn_sim.planning.network_planners import without_weights
@@ -132,6 +133,7 @@ def _following(problem: PlanningProblem, options: ShapedOptions, teacher: Plan) 
 
         try:
             motion = in_time(timely, asked)
+            check_kept(arm, problem.keep, motion)
         except PlanError as error:
             refusal = str(error)
             return None
@@ -161,6 +163,8 @@ def _following(problem: PlanningProblem, options: ShapedOptions, teacher: Plan) 
         some = motion.q[:: max(1, len(motion.q) // _N_COMPARED)]
         deviation, jerk = _deviation(arm.tip(some), line), rms_jerk(arm, motion) / guide_jerk
         badness = max(deviation / options.deviation, (jerk - 1.0) / (options.jerk - 1.0))
+        if problem.keep is not None:
+            badness = max(badness, outside(arm, problem.keep, some))
         candidate = _Fitted(badness, path, motion, deviation)
         if candidate.badness <= 1.0:
             if made := planned(candidate):

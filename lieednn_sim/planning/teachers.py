@@ -21,6 +21,7 @@ from lieednn_sim.planning.baselines.sampling import RrtConnectOptions
 from lieednn_sim.planning.baselines.search_space import EdgeTest
 from lieednn_sim.planning.baselines.trees import connected
 from lieednn_sim.planning.joint_space import Workspace
+from lieednn_sim.planning.kept import outside, projected
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.polishing import Polish
@@ -30,6 +31,14 @@ from lieednn_sim.values import Floats
 _RRT = RrtConnectOptions()
 # Least weight of a joint in the distances of the trees, as a fraction of that of the joint that moves links most.
 _LEAST_SWEEP = 0.1
+# Number of intervals of splines that keep a region.
+_KEPT_INTERVALS = 24
+# Samples of the straight motion that are looked at first, and the part of the tolerance that it may need: the rest is
+# for the network that follows it.
+_KEPT_SAMPLES, _KEPT_PART = 9, 0.01
+_LEAVES = "the straight motion leaves the region to keep"
+# A projection takes as long as so many tests of a configuration.
+_KEPT_SLOWER = 5
 # J + E of the straight motion, which no motion is below, times this: a clear motion with less ends the search for more.
 _NEARLY_STRAIGHT = 1.05 * 2.0
 
@@ -88,16 +97,29 @@ def best_teacher(problem: PlanningProblem, options: TeacherOptions) -> Plan:
             refusals.append(f"{name}: {error}")
             return None
 
-    if found := asked("minimum-jerk", partial(interpolation.minimum_jerk, problem)):
+    kept = problem.keep is not None
+    if found := asked("minimum-jerk", partial(_straight, problem)):
         return found
-    if options.polished:
+    if options.polished or kept:
         candidates = sorted(_Candidates(problem, options).all(), key=lambda one: one[0])
         for _, name, motion in candidates:
             if found := asked(f"{name}, polished", motion):
                 return found
-    if found := asked("rrt-connect", partial(sampling.rrt_connect, problem, options.search)):
+    if not kept and (found := asked("rrt-connect", partial(sampling.rrt_connect, problem, options.search))):
         return found
     raise PlanError(f"no teacher finds a motion; {'; '.join(refusals)}")
+
+
+def _straight(problem: PlanningProblem) -> Motion:
+    """The motion by minimum jerk, in the region to keep, if any."""
+    if problem.keep is not None:
+        some = np.linspace(problem.start, problem.target, _KEPT_SAMPLES)
+        if outside(problem.arm, problem.keep, some) > _KEPT_PART:
+            raise PlanError(_LEAVES)
+    motion = interpolation.minimum_jerk(problem)
+    if problem.keep is not None and outside(problem.arm, problem.keep, motion.q) > _KEPT_PART:
+        raise PlanError(_LEAVES)
+    return motion
 
 
 class _Candidates:
@@ -116,7 +138,7 @@ class _Candidates:
             self.edges.swept / self.edges.scale,
             self.ends,
             weight=self.options.clearance_weight,
-            intervals=self.options.intervals,
+            intervals=self.options.intervals if self.problem.keep is None else _KEPT_INTERVALS,
             instants=(1 + own) * self.options.instants,
             own=own,
         )
@@ -128,7 +150,7 @@ class _Candidates:
             measure, free, clear = polish.descend(guess, self.options.steps)
             if clear:
                 yield measure, name, partial(self.motion, polish, free)
-                if polish.cost(free) <= _NEARLY_STRAIGHT:
+                if self.problem.keep is not None or polish.cost(free) <= _NEARLY_STRAIGHT:
                     break
 
     def motion(self, polish: Polish, free: Floats) -> Motion:
@@ -140,11 +162,13 @@ class _Candidates:
             return in_time(finer.motion, self.problem, finer.descend(free, self.options.steps)[1])
 
     def guesses(self, polish: Polish) -> Iterator[tuple[str, Floats]]:
-        yield "minimum-jerk", polish.straight
+        kept = self.problem.keep is not None
+        yield "minimum-jerk", polish.near_kept(polish.straight) if kept else polish.straight
         for attempt in range(self.options.searches):
             corners = self.path(attempt)
             if corners is not None:
-                yield "rrt-connect", polish.near(corners)
+                near = polish.near(corners)
+                yield "rrt-connect", polish.near_kept(near) if kept else near
 
     def path(self, attempt: int) -> Floats | None:
         """Corners ``(M, n)`` of a shortened path; each attempt has a seed and as many tests of its own."""
@@ -155,6 +179,12 @@ class _Candidates:
         def clear(first: Floats, second: Floats) -> bool:
             return edges.passable(first / weight, second / weight)
 
+        onto, keep = None, self.problem.keep
+        if keep is not None:
+
+            def onto(point: Floats) -> Floats:
+                return projected(self.problem.arm, (scale * point)[None], keep)[0] / scale
+
         search, shortcuts = np.random.SeedSequence([self.problem.seed, attempt]).spawn(2)
         found = connected(
             self.problem.start / scale,
@@ -162,12 +192,15 @@ class _Candidates:
             bounds=box,
             longest_edge=options.longest_edge * float(np.linalg.norm(np.ptp(box, axis=1))),
             clear=clear,
-            over=partial(edges.over, (attempt + 1) * options.collision_checks),
+            over=partial(edges.over, (attempt + 1) * options.collision_checks // (1 if keep is None else _KEPT_SLOWER)),
             seed=search,
+            onto=onto,
         )
         check_time()
         if found is None:
             return None
+        if keep is not None:  # straight shortcuts would leave the region
+            return scale * found
         return scale * shortened(found, clear, options.shortcuts, np.random.default_rng(shortcuts))
 
 

@@ -21,6 +21,7 @@ from lieednn_sim.cli import doctor, main
 from lieednn_sim.learning import projected
 from lieednn_sim.learning.history import History
 from lieednn_sim.network import LieEDNN
+from lieednn_sim.planning import Motion
 
 FAST = ["--n-networks", "3", "--duration", "2"]
 MAIN = "import sys; from lieednn_sim.cli import main; sys.exit(main())"
@@ -232,6 +233,37 @@ def test_a_target_can_be_numbers_or_a_position(tmp_path):
     assert main(["plan", f"--pose={text}", "--planner", "minimum-jerk", "--output", str(tmp_path / "c")]) == 0
     reached = arm.link_poses(json.loads((tmp_path / "c" / "task.json").read_text())["target"])[-1]
     np.testing.assert_allclose(reached.as_matrix(), goal.as_matrix(), atol=1e-5)
+
+
+def test_of_several_poses_the_nearest_is_taken_and_a_line_or_an_orientation_is_kept(tmp_path, capsys):
+    arm = Arm.load("telescopic_pr")
+    here = arm.link_poses(arm.keyframe("home"))[-1]
+    turn = [*map(float, here.rotation.as_rotvec())]
+
+    def command(folder, *options):
+        assert main(["plan", *options, "--output", str(tmp_path / folder)]) == 0
+        task = json.loads((tmp_path / folder / "task.json").read_text())
+        return task, Motion.load(tmp_path / folder / "motion.npz")
+
+    places = [here.translation + np.array(way) for way in ([-0.02, -0.02, 0.0], [-0.3, 0.0, 0.2])]
+    poses = [f"--pose={','.join(map(repr, [*map(float, place), *turn]))}" for place in places]
+    task, motion = command("set", *poses[::-1], "--planner", "minimum-jerk")
+    np.testing.assert_allclose(arm.tip(task["target"]), places[0], atol=1e-5)
+    position = f"--position={','.join(map(repr, map(float, places[1])))}"
+    for kept, options in (("line", poses[1:]), ("orientation", [position])):
+        task, motion = command(kept, *options, "--keep", kept)
+        assert task["options"]["keep"] == kept
+        assert task["planner"] == "lieednn-shaped"
+        np.testing.assert_allclose(arm.tip(motion.q[-1]), places[1], atol=1e-5)
+        middle = arm.link_poses(motion.q[len(motion.q) // 2])[-1]
+        if kept == "line":
+            way, gone = places[1] - here.translation, middle.translation - here.translation
+            assert np.linalg.norm(np.cross(way, gone)) < 5e-4 * np.linalg.norm(way)
+        else:
+            assert (middle.rotation * here.rotation.inv()).magnitude() < np.deg2rad(0.1)
+    assert "--keep line takes one goal, got 2" in fails(capsys, "plan", *poses, "--keep", "line", "--output", tmp_path)
+    words = fails(capsys, "plan", position, "--keep", "line", "--planner", "dmp", "--output", tmp_path)
+    assert "the planner 'dmp' cannot keep a region on the way; planners that can: lieednn-shaped" in words
 
 
 @pytest.mark.parametrize(

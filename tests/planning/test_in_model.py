@@ -176,6 +176,22 @@ def test_a_pose_of_the_tip_is_a_goal_too(state):
     np.testing.assert_allclose(reached.site("pen").xmat.reshape(3, 3), pose.rotation.as_matrix(), atol=1e-5)
 
 
+def test_sets_of_goals_are_in_the_given_order_of_the_joints_and_a_line_is_kept(state):
+    model, data = state
+    data.mocap_pos[0] = [0.0, 0.0, 5.0]
+    far, near = [0.2, 1.0, 0.5], [0.15, 3.4, 0.2]
+    found = ls.plan_in(model, data, JOINTS, [far, near], tip="pen", planner="minimum-jerk")
+    arm = found.arm
+    assert dict(zip(arm.joint_names, found.plan.target, strict=True)) == dict(zip(JOINTS, near, strict=True))
+    tip = arm.tip(found.plan.motion.q[0])
+    up = ls.TaskSpaceRegion.line(tip, tip + np.array([0.0, 0.0, 0.1]))
+    high = ls.TaskSpaceRegion.box([-9.0, -9.0, tip[2] + 0.1], [9.0, 9.0, tip[2] + 0.1])
+    kept = ls.plan_in(model, data, JOINTS, high, tip="pen", keep=up)
+    off = arm.tip(kept.plan.motion.q)[:, :2] - tip[:2]
+    assert np.abs(off).max() < 5e-4
+    assert arm.tip(kept.plan.target)[2] == pytest.approx(tip[2] + 0.1, abs=1e-5)
+
+
 def test_the_start_may_be_any_turn_of_a_hinge_without_a_range(state):
     model, data = state
     data.joint("turn").qpos = 40.0

@@ -19,6 +19,8 @@ from lieednn_sim.values import Floats
 
 # Radius of a node's domain after a failed extension, in longest edges; as VAMP's.
 _DOMAIN = 4.0
+# Longest edge after a projection, in longest edges.
+_STRETCHED = 2.0
 # Samples drawn at once. Extensions towards those within the domains of their nearest nodes are tried in turn until one
 # succeeds; if there are none, towards the sample that is least outside.
 _DRAWN = 64
@@ -33,6 +35,7 @@ def connected(
     clear: Callable[[Floats, Floats], bool],
     over: Callable[[], bool],
     seed: int | np.random.SeedSequence,
+    onto: Callable[[Floats], Floats] | None = None,
 ) -> Floats | None:
     """Corners ``(M, n)`` of a path from start to target, or None if the search ends before one is found.
 
@@ -44,12 +47,18 @@ def connected(
         clear: returns whether the edge from a clear point to another point is clear, including its end.
         over: returns whether the search must end; called before each extension.
         seed: seed of the samples.
+        onto: projects a point onto the set in which the corners of the path are, such as that of a constraint (CBiRRT,
+            Berenson et al., ICRA 2009); by default they may be anywhere.
     """
-    if clear(start, target):
+    if onto is None and clear(start, target):
         return np.stack([start, target])
     rng = np.random.default_rng(seed)
     first = grown = _Tree(start)
     other = _Tree(target)
+
+    def near_enough(point: Floats, new: Floats) -> bool:
+        """A projection may lead far away."""
+        return onto is None or bool(np.linalg.norm(new - point) < _STRETCHED * longest_edge)
 
     def extension() -> tuple[int, Floats] | None:
         """A node and the new point that it can be extended to, or None if no extension succeeds."""
@@ -65,7 +74,9 @@ def connected(
                 break
             point = grown.points[node]
             new = point + (samples[index] - point) * (longest_edge / max(length, longest_edge))
-            if clear(point, new):
+            if onto is not None:
+                new = onto(new)
+            if near_enough(point, new) and clear(point, new):
                 return int(node), new
             grown.radius[node] = _DOMAIN * longest_edge
         return None
@@ -84,7 +95,9 @@ def connected(
         steps = max(1, math.ceil(float(np.linalg.norm(goal - new)) / longest_edge))
         for step in range(1, steps + 1):
             ahead = goal if step == steps else new + step / steps * (goal - new)
-            if not clear(grown.points[node], ahead):
+            if onto is not None and step < steps:
+                ahead = onto(ahead)
+            if not (near_enough(grown.points[node], ahead) and clear(grown.points[node], ahead)):
                 break
             node = grown.add(ahead, node)
         else:

@@ -1,0 +1,109 @@
+"""Where a motion may end: joint targets, keyframes, poses, regions, and sets of these, as joint positions."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from numbers import Number
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+import scipy
+from numpy.typing import ArrayLike
+
+from lieednn_sim.arm import Arm, TaskSpaceRegion, ik_candidates
+from lieednn_sim.budget import check_time
+from lieednn_sim.errors import InputError, NoSolutionError
+from lieednn_sim.planning.kept import followed
+from lieednn_sim.planning.motion import least_duration
+from lieednn_sim.validation import as_floats
+from lieednn_sim.values import Floats
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import RigidTransform
+
+# One goal, or a set of them.
+Goal: TypeAlias = "ArrayLike | str | RigidTransform | TaskSpaceRegion | Sequence[Any]"
+Single: TypeAlias = "Floats | str | RigidTransform | TaskSpaceRegion"
+
+
+def single_goals(arm: Arm, target: Goal, what: str = "target") -> list[Single]:
+    """The goals of a set, or the only one: joint positions ``(n,)``, keyframes, poses and regions.
+
+    Raises:
+        InputError: one is malformed, or there is none.
+    """
+    found = list(_single(arm, target, what))
+    if not found:
+        raise InputError(f"{what} must hold at least one goal, got an empty {type(target).__name__}")
+    return found
+
+
+def _single(arm: Arm, target: Goal, what: str, *, outermost: bool = True) -> Iterator[Single]:
+    if isinstance(target, str):
+        arm.keyframe(target)
+        yield target
+    elif isinstance(target, TaskSpaceRegion):
+        yield target
+    elif isinstance(target, scipy.spatial.transform.RigidTransform):
+        shape = target.as_matrix().shape[:-2]
+        if len(shape) > 1:
+            raise InputError(f"{what} must be a pose or poses of shape (m,), got {shape}")
+        yield from target if shape else [target]
+    elif outermost and isinstance(target, list | tuple) and not all(isinstance(one, Number) for one in target):
+        for number, one in enumerate(target):
+            yield from _single(arm, one, f"{what} {number}", outermost=False)
+    elif outermost and isinstance(target, np.ndarray) and target.ndim == 2:
+        yield from as_floats(what, target, ("m", arm.n_joints))
+    elif not (isinstance(target, list | tuple) and len(target) == 0):
+        yield as_floats(what, target, (arm.n_joints,))
+
+
+def candidates(
+    arm: Arm, target: Goal, start: Floats, seed: int = 0, keep: TaskSpaceRegion | None = None
+) -> Iterator[Floats]:
+    """Joint positions ``(n,)`` with one of the goals, the one that is reached soonest (`least_duration`) first.
+
+    Poses and regions have those of `ik_candidates`. In a set, goals that the arm cannot reach are left out. If a region
+    is to be kept, those that the arm reaches in small steps within it (`kept.followed`) come first.
+
+    Args:
+        arm: the arm, in its scene.
+        target: a goal or a set of goals, as of `plan`.
+        start: ``(n,)`` where the motion begins.
+        seed: seed of the inverse kinematics.
+        keep: a region in which the end effector must be, too.
+
+    Raises:
+        InputError: a goal is malformed; or the only one is a joint position that cannot be used.
+        NoSolutionError: the only pose or region cannot be reached, or no goal of a set can.
+    """
+    goals = single_goals(arm, target)
+    near = [] if keep is None else list(_followed(arm, goals, start, keep))
+    yield from sorted(near, key=lambda q: least_duration(arm, start, q))
+    found, refusals = list[Floats](), list[InputError | NoSolutionError]()
+    for goal in goals:
+        check_time()
+        try:
+            if isinstance(goal, np.ndarray | str):
+                found.append(arm.check_reachable(goal, "target"))
+            else:
+                found += ik_candidates(arm, goal, start=start, seed=seed, keep=keep)
+        except (InputError, NoSolutionError) as error:
+            refusals.append(error)
+    yield from sorted(found, key=lambda q: least_duration(arm, start, q))
+    if not near and not found and len(goals) == 1:
+        raise refusals[0]
+    if not near and not found:
+        raise NoSolutionError(f"none of {len(goals)} goals can be reached; the first one: {refusals[0]}")
+
+
+def _followed(arm: Arm, goals: Sequence[Single], start: Floats, keep: TaskSpaceRegion) -> Iterator[Floats]:
+    """Joint positions ``(n,)``, free of contact, in goals that are poses or regions."""
+    for goal in goals:
+        check_time()
+        if isinstance(goal, np.ndarray | str):
+            continue
+        region = goal if isinstance(goal, TaskSpaceRegion) else TaskSpaceRegion(goal, np.zeros(6), np.zeros(6))
+        q = followed(arm, start, region, keep)
+        if q is not None and not arm.near_contacts(q):
+            yield q
