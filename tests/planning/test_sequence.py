@@ -63,15 +63,19 @@ def test_what_is_held_moves_with_the_hand_and_stays_where_it_is_put(planned):
     assert [part.plan is not None for part in found.parts] == [True, False, True, False, True]
     assert all(plan.network.certified for plan in found.plans)
     carry = found.parts[2]
-    places, shown = [], mujoco.MjData(model)
+    places, turns, shown = [], [], mujoco.MjData(model)
     for row in (carry.first, carry.first + 700, carry.first + 1300, carry.last):
         shown.qpos[:] = found.qpos[row]
         mujoco.mj_forward(model, shown)
         places.append(shown.site("grasp").xmat.reshape(3, 3).T @ (shown.body("box").xpos - shown.site("grasp").xpos))
+        turns.append(shown.site("grasp").xmat.reshape(3, 3).T @ shown.body("box").xmat.reshape(3, 3))
         names = {model.geom(geom).name for geom in shown.contact.geom.flat}
         assert "wall" not in names
     # The box stood 5 mm below the middle of the fingers.
     np.testing.assert_allclose(places, [[0.005, 0.0, 0.0]] * 4, atol=3e-4)
+    np.testing.assert_allclose(turns, [turns[0]] * 4, atol=1e-6)
+    # In the world it is turned on the way.
+    assert abs(shown.body("box").xquat @ found.qpos[carry.first + 1000, 3:7]) < 1.0 - 1e-4
     velocity = np.zeros(model.nv)
     k = carry.first + 900
     mujoco.mj_differentiatePos(model, velocity, 0.004, found.qpos[k - 1], found.qpos[k + 1])
