@@ -14,6 +14,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
+from benchmark_c import code_rows
 from benchmark_floors import floor_rows, memory
 from benchmark_networks import epoch_costs, network_rows, start_rows
 from benchmark_stepping import stepping_rows
@@ -125,6 +126,7 @@ def write(directory: Path, scale: int, suffix: str = "") -> Path:
         *start_rows(max(10 // scale, 1)),
         *stepping_rows(arm, chosen.motion, max(10 // scale, 1), scale),
         *floor_rows(rollout, random_targets(4, 200, seed=2), scale),
+        *code_rows(scale),
     ]
     memories = memory(scale)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import time
 from functools import partial
 from importlib.util import find_spec
@@ -64,6 +65,7 @@ def test_every_row_is_measured_and_written(tmp_path, monkeypatch):
         "in LU solves": "<= 5",
     }
     others |= {"in RRT-Connect's": "<= 1"} if find_spec("ompl") else {}
+    others |= {"16 neurons in C": "<= 20"} if any(map(shutil.which, ("cc", "gcc", "clang"))) else {}
     for part, aim in others.items():
         assert [row["aim"] for name, row in ratios.items() if part in name] == [aim]
     assert len(written["memory [MB]"]) == len(codes) == 6

@@ -41,6 +41,7 @@ _OTHERS = {
     "viser": ("view", "motions in a browser"),
     "mjviser": ("view", "motions in a browser"),
     "gymnasium": ("gymnasium", "Gymnasium environments"),
+    "onnx": ("onnx", "a network as a graph, network.to_onnx"),
     "rosbags": ("ros2", "export --format ros2"),
     "pyarrow": ("lerobot", "export --format lerobot, record"),
     "rerun-sdk": ("rerun", "export --format rerun"),
@@ -99,7 +100,7 @@ def doctor(arguments: argparse.Namespace) -> int:
         table.add_row(name, version or f"not installed (optional, for {purpose}): {install}")
     table.add_row("platform", f"{platform.system()} {platform.machine()}, {sys.executable}")
     table.add_row("arms", models)
-    table.add_row("OpenGL backend", f"{backend.name} (by {backend.source})")
+    table.add_row("OpenGL backend", f"{backend.name} (by {backend.source})" if backend.renders else "none")
     verdict = "" if backend.renders else Text.assemble(("does not work", "red"), ": ")
     table.add_row("rendering", Text.assemble(verdict, backend.detail))
     console.print(table)
