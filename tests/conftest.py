@@ -228,30 +228,6 @@ def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture(scope="session")
-def plainly_lit() -> Callable[[], contextlib.AbstractContextManager[None]]:
-    """In this context pages in 3D have lamps alone: to light a scene by its surroundings takes the processor long."""
-
-    @contextlib.contextmanager
-    def without_surroundings() -> Iterator[None]:
-        from lieednn_sim.rendering import viser_scene
-
-        lit = viser_scene.quiet_server
-
-        @contextlib.contextmanager
-        def plain(*given: object, **named: object) -> Iterator[object]:
-            with lit(*given, **named) as server:
-                server.scene.configure_environment_map(None)
-                server.scene.configure_default_lights(cast_shadow=False)
-                yield server
-
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(viser_scene, "quiet_server", plain)
-            yield
-
-    return without_surroundings
-
-
-@pytest.fixture(scope="session")
 def in_this_process() -> Callable[[], contextlib.AbstractContextManager[None]]:
     """In this context comparisons start no worker processes, each of which imports everything first."""
 

@@ -33,11 +33,14 @@ def wait(event):
 
 
 @pytest.fixture(scope="module")
-def page(plainly_lit):
+def page():
     """A page whose arm has come to its first target."""
     session = Session(Arm.load("telescopic_pr"), settings=Settings(policy="linear-attractor"), target="extended")
     session.speed = 4.0
-    with plainly_lit(), Page(session) as made:
+    with Page(session) as made:
+        # To light a scene by its surroundings and to throw shadows takes a processor that draws longer than all else.
+        made._server.scene.configure_environment_map(None)
+        made._server.scene.configure_default_lights(cast_shadow=False)
         wait(lambda: arrived(made))
         # Near the target, so that the handle is large in a small picture.
         target = session.aimed.position

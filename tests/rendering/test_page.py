@@ -89,12 +89,11 @@ def test_two_arms_side_by_side_share_their_geometry(rollout):
 
 
 @pytest.fixture(scope="module")
-def browser(rollout, plainly_lit, tmp_path_factory):
+def browser(rollout, tmp_path_factory):
     """The page, opened from a file in a headless Chromium that renders without a graphics card."""
     webdriver = pytest.importorskip("selenium.webdriver")
     path = tmp_path_factory.mktemp("page") / "motion.html"
-    with plainly_lit():
-        rollout.to_html(path, title="by <hand>")
+    rollout.to_html(path, title="by <hand>")
     options = webdriver.ChromeOptions()
     options.binary_location = shutil.which("chromium")
     for argument in ("--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--window-size=520,460"):

@@ -147,11 +147,11 @@ def test_views_are_of_one_problem_by_the_best_of_lieednn_and_others_in_turn():
 
 
 @pytest.fixture(scope="module")
-def browser(table, figures_kept, plainly_lit, tmp_path_factory):
+def browser(table, figures_kept, tmp_path_factory):
     """The page with a video, open in a headless Chromium."""
     webdriver = pytest.importorskip("selenium.webdriver")
     path = tmp_path_factory.mktemp("page") / "page.html"
-    with figures_kept(), plainly_lit(), pytest.MonkeyPatch.context() as patch:
+    with figures_kept(), pytest.MonkeyPatch.context() as patch:
         patch.setattr(videos, "FPS", 10)
         clip = film(table, Case("telescopic_pr", "free", "se3-geodesic", 0), "position-servo")
         cases = [Case("telescopic_pr", "free", planner, 0) for planner in ("minimum-jerk", "se3-geodesic")]
