@@ -156,6 +156,8 @@ def test_a_link_that_the_mouse_holds_yields_and_returns(page, browser):
     start = pixel(page, browser, held)
     let_go = drag(browser, start, start + np.array([0.0, 60.0]))
     wait(lambda: np.linalg.norm(tip(page) - there) > 2e-3)
+    # The mouse is below the link, and pulls it down.
+    assert page.session.tick.force[2] < 0.0
     let_go()
     wait(lambda: not page.session.tick.force.any() and arrived(page))
 
