@@ -24,14 +24,14 @@ def learned(posed):
 
 
 def motions_in_one(seed=0):
-    """Three motions with bends of their own from starts of their own, three demonstrations each, to one goal."""
+    """Three motions with bends of their own from starts of their own, two demonstrations each, to one goal."""
     rng, s = np.random.default_rng(seed), np.linspace(0.0, 1.0, 150)[:, None]
     law = s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
     starts = np.array([[0.3, 0.1], [0.3, -0.1], [0.4, 0.05]])
     bends = np.array([[0.02, 0.12], [0.05, -0.1], [-0.06, 0.1]])
     made = []
     for start, bend in zip(starts, bends, strict=True):
-        for _ in range(3):
+        for _ in range(2):
             begin, by = start + rng.normal(scale=3e-3, size=2), bend + rng.normal(scale=3e-3, size=2)
             wave = np.sin(2.0 * np.pi * law) * np.roll(by, 1) * 0.5
             made.append(
