@@ -78,8 +78,7 @@ def walk(folder):
     Figure.get_layout_engine = lambda self: None
     Figure.savefig = lambda self, to, **_: to.write("<svg/>") if hasattr(to, "write") else to.write_bytes(b"")
     demo = ["demo", "--no-video", "--output", f"{folder}/run", "--duration", "1", "--hold", "0", "--planner"]
-    assert main([*demo, "minimum-jerk"]) == 0
-    assert main([*demo, "linear-attractor", "--no-page"]) == 0
+    assert main([*demo, "linear-attractor"]) == 0
     few = ["--planners", "minimum-jerk,linear-attractor", "--arms", "telescopic_pr", "--scenes", "free", "--seeds", "1"]
     assert main(["compare", *few, "--jobs", "1", "--views", "0", "--videos", "0", "--output", f"{folder}/table"]) == 0
 

@@ -227,10 +227,11 @@ class ComponentwiseNetwork(BlockNetwork):
         return ACTIVATIONS[self.activation].phi(x)
 
     def flat_vector_field(self, x: Floats) -> Floats:
-        """Right-hand side in flat form, ``(dN,)`` to ``(dN,)``; unchecked, for integrators."""
+        """Right-hand side in flat form, ``(..., dN)`` to the same shape; unchecked, for integrators."""
         weight, bias = self._scaled
         rate = bias - self.gamma * x
-        rate[: len(weight)] += weight.dot(self.phi(x))
+        # For one state the method is quicker.
+        rate[..., : len(weight)] += weight.dot(self.phi(x)) if x.ndim == 1 else self.phi(x) @ weight.T
         return rate
 
     @cached_property

@@ -341,7 +341,7 @@ def test_output_that_cannot_be_written(tmp_path, capsys):
     )
 
 
-@pytest.mark.parametrize(("argument", "unbuffered"), [("arms", ""), ("arms", "1"), ("--version", "1")])
+@pytest.mark.parametrize(("argument", "unbuffered"), [("arms", ""), ("doctor", "1"), ("--version", "1")])
 def test_a_full_output_gives_one_line(start, argument, unbuffered):
     with Path("/dev/full").open("w") as full:
         process = start("-c", MAIN, argument, stdout=full, env={**os.environ, "PYTHONUNBUFFERED": unbuffered})

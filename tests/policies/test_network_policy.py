@@ -1,5 +1,6 @@
 """Networks that run with the arm: a clock that waits keeps the orbits, pushes are taken up; the filter; determinism."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -213,8 +214,13 @@ def test_bad_input(gantry, cascade):
         NetworkPolicy(gantry, cascade(gantry.encode(GOAL)), feedback=True)
     with pytest.raises(InputError, match="3 visible neurons"):
         NetworkPolicy(gantry, cascade(np.zeros((3, 6))))
-    with pytest.raises(InputError, match=r"speed must be at most .* per second for this network at 50 Hz, got 10000"):
-        NetworkPolicy(gantry, cascade(gantry.encode(GOAL)), 50.0, speed=1e4)
+    # Half of 1 / (1 + |W|) in each of a hundred steps of a period, in the certificate's norm.
+    network = cascade(gantry.encode(GOAL))
+    root = np.sqrt(network.lyapunov_diagonal)
+    weight = np.diag(root) @ network.certifiable_weight @ np.diag(1.0 / root)
+    fastest = 100 * 0.5 * 50.0 / (1.0 + np.sqrt(np.linalg.eigvalsh(weight.T @ weight)[-1]))
+    with pytest.raises(InputError, match=rf"at most {re.escape(f'{fastest:.3g}')} per second .* at 50 Hz, got 10000"):
+        NetworkPolicy(gantry, network, 50.0, speed=1e4)
 
 
 def test_a_ball_joint_turns_no_further_than_its_largest_angle():

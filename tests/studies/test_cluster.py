@@ -20,11 +20,11 @@ WORDS += ["--controllers", "position-servo", "--duration", "1.5", "--hold", "0.2
 
 @pytest.fixture(scope="module")
 def scheduler():
-    """A client of a scheduler with two worker processes."""
+    """A client of a scheduler with a worker process, in whose place another one starts when it is killed."""
     distributed = pytest.importorskip("distributed", reason="distributed is not installed, the extra 'cluster'")
     with (
         distributed.LocalCluster(
-            n_workers=2, threads_per_worker=1, processes=True, host="127.0.0.1", dashboard_address=None
+            n_workers=1, threads_per_worker=1, processes=True, host="127.0.0.1", dashboard_address=None
         ) as processes,
         distributed.Client(processes.scheduler_address, set_as_default=False) as client,
     ):

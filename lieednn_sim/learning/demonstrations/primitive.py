@@ -15,7 +15,7 @@ from functools import lru_cache
 from typing import ClassVar
 
 import numpy as np
-from scipy.signal import lfilter
+import scipy
 from scipy.spatial.transform import Rotation
 
 from lieednn_sim.budget import check_time
@@ -132,4 +132,5 @@ def responses(forces: Floats, step: float) -> Floats:
     """
     stiffness, damping = step**2 * ALPHA * BETA, step * ALPHA
     recursion = [1.0, stiffness + damping - 2.0, 1.0 - damping]
-    return np.asarray(lfilter([0.0, step**2], recursion, forces, axis=0))
+    # In full: `scipy.signal` takes as long to import as all of `planning`, and few processes need it.
+    return np.asarray(scipy.signal.lfilter([0.0, step**2], recursion, forces, axis=0))
