@@ -66,6 +66,7 @@ class Commands:
         self._timestep = substeps * arm.timestep
         parts = np.arange(substeps + 1)[:, None] / substeps
         self._before, self._after = 1.0 - parts, parts
+        self._alone = None if len(arm.space.balls) else self._coefficients()
 
     def moved(self, command: Floats, action: Floats) -> Floats:
         """Commanded positions ``(..., n)`` after actions ``(..., n)``, from those before them."""
@@ -76,6 +77,25 @@ class Commands:
 
     def controls(self, start: Floats, end: Floats) -> Floats:
         """Controls ``(..., substeps, nu)`` that lead servos between commanded positions ``(..., n)``."""
+        if self._alone is None:
+            return self._any_controls(start, end)
+        columns, of_start, of_end, constant = self._alone
+        return of_start * start.take(columns, -1)[..., None, :] + of_end * end.take(columns, -1)[..., None, :] + constant
+
+    def _coefficients(self) -> tuple[NDArray[np.int_], Floats, Floats, Floats] | None:
+        """What `_any_controls` multiplies each actuator's joint with, if each has one: a third of the time of that."""
+        n = self._arm.n_joints
+        unit, zero = np.eye(n), np.zeros((n, n))
+        constant = self._any_controls(zero[0], zero[0])
+        factors = np.stack([self._any_controls(unit, zero), self._any_controls(zero, unit)]) - constant
+        moves = (factors != 0.0).any(axis=(0, 2))
+        if (moves.sum(axis=0) > 1).any():
+            return None
+        columns = moves.argmax(axis=0)
+        of_start, of_end = factors[:, columns, :, np.arange(len(columns))].transpose(1, 2, 0)
+        return columns, of_start, of_end, constant
+
+    def _any_controls(self, start: Floats, end: Floats) -> Floats:
         # Not start + part * (end - start), which may exceed a limit by rounding.
         q = self._before * start[..., None, :] + self._after * end[..., None, :]
         space = self._arm.space
