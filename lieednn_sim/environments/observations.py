@@ -33,6 +33,7 @@ def common_bounds(arm: Arm, frames: int) -> Bounds:
         "velocity": (-velocity, velocity),
         "command": (low.copy(), high.copy()),
         "position_error": (-span, span),
+        "approach": (-np.ones_like(span), np.ones_like(span)),
         "pose_error": (-twist, twist),
     }
 
