@@ -41,12 +41,12 @@ from lieednn_sim.values import Floats
 NAME = next(iter(ENVIRONMENTS))
 PERIOD = 0.1  # time between actions [s]
 # Names and budgets of learners: control steps, those of the expert for behaviour cloning.
-LEARNERS = {"behaviour cloning": 60_000, "SAC": 10_000, "PPO": 100_000}
+LEARNERS = {"behaviour cloning": 120_000, "SAC": 4_000, "PPO": 80_000}
 EXPERT, RANDOM = "expert", "random actions"
 POLICY = "lieednn-certified"
-EPOCHS, BATCH = 80, 256
+EPOCHS, BATCH = 50, 256
 # Evaluations during training; episodes of each, and of the last one; the first of their seeds.
-POINTS, FEW, MANY, FIRST_SEED = 10, 20, 100, 10**6
+POINTS, FEW, MANY, FIRST_SEED = 5, 20, 100, 10**6
 Act = Callable[[Floats], Any]
 
 

@@ -81,6 +81,7 @@ def test_specs_name_what_they_are():
         "velocity": (12,),
         "command": (12,),
         "position_error": (12,),
+        "approach": (12,),
         "pose_error": (1, 6),
         "target_velocity": (12,),
         "preview": (3, 12),
