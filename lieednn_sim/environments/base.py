@@ -132,7 +132,7 @@ class ArmTask(ABC):
     - ``position`` ``(n,)`` [rad, m], ``velocity`` ``(n,)`` [rad/s, m/s] of the joints,
     - ``command`` ``(n,)``: the commanded position,
     - ``position_error`` ``(n,)``: target minus position,
-    - ``approach`` ``(n,)``: the action that would bring the commanded position to the target, or as far as one step can,
+    - ``approach`` ``(n,)``: the action that brings the commanded position to the target, or as far as one step can,
     - ``pose_error`` ``(F, 6)``: for each goal frame, Log(T^-1 T_target) as a twist (omega, v) [rad, m].
 
     Args:

@@ -59,9 +59,9 @@ class Closeness:
     def __call__(self, distance: Floats, angle: Floats, *more: Floats) -> Floats:
         """Closeness ``(...)`` at distances [m], angles [rad] and further errors ``(...)``."""
         errors = np.array([distance, angle, distance, angle, *more]).T
-        far = np.maximum(errors[..., :2] - self._allowed[:2], 0.0) / self._farthest
-        far, far_turn = np.minimum(far, 1.0).T
-        near, near_turn, *fine = closeness(errors, self._allowed, self._margins).T
+        beyond = np.maximum(errors - self._allowed, 0.0)
+        far, far_turn = np.minimum(beyond[..., :2] / self._farthest, 1.0).T
+        near, near_turn, *fine = tail(beyond / self._margins).T
         return np.asarray(0.25 * (2.0 - far - far_turn + near * near_turn + math.prod(fine)))
 
     def within(self, distance: Floats, angle: Floats) -> NDArray[np.bool_]:
@@ -69,10 +69,9 @@ class Closeness:
         return np.asarray((distance <= self._position) & (angle <= self._rotation))
 
 
-def closeness(error: Floats | float, allowed: Floats | float, margin: Floats | float) -> Floats:
-    """1 up to the allowed error, 1 / (1 + 9 x^2) at x margins beyond it, as dm_control's ``tolerance``."""
-    beyond = np.maximum(error - allowed, 0.0) / margin
-    return np.asarray(1.0 / (1.0 + 9.0 * beyond * beyond))
+def tail(margins: Floats | float) -> Floats:
+    """1 at the tolerance, 1 / (1 + 9 x^2) at x margins beyond it, as dm_control's ``tolerance``."""
+    return np.asarray(1.0 / (1.0 + 9.0 * margins * margins))
 
 
 class Reach(ArmTask):

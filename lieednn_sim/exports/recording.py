@@ -44,8 +44,8 @@ def record(
     ``certificate``, the proof of stability of the network that planned it. The features are
 
     - ``observation.state``: positions, velocities and commanded positions of the joints,
-    - ``observation.environment_state``: what is left to the target, as joint positions, as the action ``approach`` and as
-      the twist ``pose_error``, see `ArmTask`,
+    - ``observation.environment_state``: what is left to the target, as joint positions, as the action ``approach`` and
+      as the twist ``pose_error``, see `ArmTask`,
     - ``action``: signed square roots of joint velocities as fractions of their limits,
     - ``next.reward``, ``next.done``, ``next.success``: what the action led to.
 
