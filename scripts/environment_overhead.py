@@ -30,7 +30,6 @@ import numpy as np
 from lieednn_sim import filesystem
 from lieednn_sim._blas import one_blas_thread
 from lieednn_sim._mujoco import mujoco
-from lieednn_sim.environments import suite
 from lieednn_sim.environments.gymnasium import Environment
 
 STEPS = 45  # of an episode: FetchReach has 50
@@ -58,7 +57,7 @@ def cases() -> Iterator[Case]:
     known = (task.simulation.model, task.simulation.data, task.substeps)
     yield Case("ours, Gymnasium", own.reset, own.step, task.arm.n_joints, *known)
     yield Case("ours, Gymnasium, of the whole model", own.reset, own.step, task.arm.n_joints, *known, task.arm.model)
-    control = suite.load(random=0)
+    control = importlib.import_module("lieednn_sim.environments.suite").load(random=0)
     task = control.task
     known = (task.simulation.model, task.simulation.data, task.substeps)
     yield Case("ours, dm_control", control.reset, control.step, task.arm.n_joints, *known)

@@ -23,6 +23,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from importlib import metadata
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -186,14 +187,14 @@ def run(learner: str, seed: int, folder: Path) -> None:
     storage.save_json(folder / f"{learner}-{seed}.json", result)
 
 
-def table(runs: dict[str, list[dict[str, Any]]]) -> str:
+def table(runs: dict[str, list[dict[str, Any]]], libraries: str = "") -> str:
     """Markdown table of all learners; rates as means with their range over the seeds."""
     lines = [
         "# Learning to reach",
         "",
         f"`{NAME}` with ten actions a second, {MANY} fixed episodes for each of {max(map(len, runs.values()))} "
         "seeds. Success: within 1 mm and 0.1 degrees and at rest at the end of 6 s. Errors at the end and, as medians, "
-        "the jerk of the joints in their ranges, and the time until success for good.",
+        f"the jerk of the joints in their ranges, and the time until success for good{libraries}.",
         "",
         "| | steps | success % (range) | mm, median | mm, 95 % | deg, median | deg, 95 % | jerk [1/s^3] | goal [s] "
         "| CPU min per seed |",
@@ -260,10 +261,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for learner in (EXPERT, *LEARNERS, RANDOM):
         paths = [folder / f"{learner}-{seed}.json" for name, seed in wanted if name == learner]
         runs[learner] = [json.loads(path.read_text(encoding="utf-8")) for path in paths]
+    used = [f"{name} {metadata.version(name)}" for name in ("stable-baselines3", "torch", "gymnasium")]
+    text = table(runs, f"; {', '.join(used)}")
     with filesystem.atomic_text(options.output / "learning.md") as file:
-        file.write(table(runs))
+        file.write(text)
     plot(runs, options.output / "learning.png")
-    print(table(runs))
+    print(text)
     return 0
 
 

@@ -133,10 +133,14 @@ def test_steps_with_given_controls_fail_where_single_steps_do(small_arms):
     arm = small_arms["telescope"]
     at_once, one_by_one = Simulation(arm), Simulation(arm)
     controls = np.zeros((6, at_once.model.nu))
+
+    def advance_one_by_one(rows):
+        for row in rows:
+            one_by_one.data.ctrl[:] = row
+            one_by_one.advance()
+
     at_once.advance(6, controls + 0.1)
-    for row in controls + 0.1:
-        one_by_one.data.ctrl[:] = row
-        one_by_one.advance()
+    advance_one_by_one(controls + 0.1)
     np.testing.assert_array_equal(at_once.data.qvel, one_by_one.data.qvel)
     assert at_once.steps == one_by_one.steps == 6
     controls[2] = 1e99
@@ -145,9 +149,7 @@ def test_steps_with_given_controls_fail_where_single_steps_do(small_arms):
     with pytest.raises(SimulationError) as found:
         at_once.advance(6, controls)
     with pytest.raises(SimulationError) as expected:
-        for row in controls:
-            one_by_one.data.ctrl[:] = row
-            one_by_one.advance()
+        advance_one_by_one(controls)
     assert str(found.value) == str(expected.value)
     assert at_once.steps == one_by_one.steps < 12
     np.testing.assert_array_equal(at_once.data.qvel, one_by_one.data.qvel)
