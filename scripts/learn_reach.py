@@ -23,7 +23,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from importlib import metadata
+from importlib import import_module, metadata
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -113,8 +113,7 @@ def demonstrations(path: Path) -> tuple[Floats, Floats]:
 
 def cloned(seed: int, path: Path) -> Iterator[tuple[int, Act]]:
     """Steps of the expert seen and the policy, now and then: a network like SAC's, fitted by least squares."""
-    import torch
-
+    torch = import_module("torch")
     observations, actions = demonstrations(path)
     mean, deviation = observations.mean(axis=0), observations.std(axis=0) + 1e-6
     torch.manual_seed(seed)
@@ -144,13 +143,13 @@ def cloned(seed: int, path: Path) -> Iterator[tuple[int, Act]]:
 
 def reinforced(learner: str, seed: int) -> Iterator[tuple[int, Act]]:
     """Steps done and the deterministic policy, now and then, of a learner of Stable-Baselines3."""
-    import stable_baselines3
-    from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
-
+    vectors = import_module("stable_baselines3.common.vec_env")
     count = 8 if learner == "PPO" else 1
-    environments = VecNormalize(DummyVecEnv([environment] * count))
+    environments = vectors.VecNormalize(vectors.DummyVecEnv([environment] * count))
     options = {"n_steps": 2048 // count} if learner == "PPO" else {}
-    model = getattr(stable_baselines3, learner)("MlpPolicy", environments, seed=seed, device="cpu", **options)
+    model = getattr(import_module("stable_baselines3"), learner)(
+        "MlpPolicy", environments, seed=seed, device="cpu", **options
+    )
 
     def act(seen: Floats) -> Floats:
         return np.asarray(model.predict(environments.normalize_obs(seen), deterministic=True)[0], dtype=float)
@@ -171,9 +170,7 @@ def run(learner: str, seed: int, folder: Path) -> None:
         rng, size = np.random.default_rng(seed), environment().action_space.shape
         result = {"last": evaluate(lambda _: rng.uniform(-1.0, 1.0, size), MANY)}
     else:
-        import torch
-
-        torch.set_num_threads(1)
+        import_module("torch").set_num_threads(1)
         spent, begun, curve, act = 0.0, time.process_time(), [], None
         data = folder / "demonstrations.npz"
         for steps, act in cloned(seed, data) if learner == "behaviour cloning" else reinforced(learner, seed):
