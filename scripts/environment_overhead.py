@@ -72,7 +72,7 @@ def cases() -> Iterator[Case]:
 
 def _fetch() -> Any:
     gymnasium.register_envs(importlib.import_module("gymnasium_robotics"))
-    utilities = importlib.import_module("gymnasium_robotics.utils.mujoco_utils")
+    utilities: Any = importlib.import_module("gymnasium_robotics.utils.mujoco_utils")
     # Version 1.4 compares numbers with names of kinds of joints, which MuJoCo 3.17 takes for different.
     kinds = {name: kind.value for name, kind in mujoco.mjtJoint.__members__.items()}
     utilities.mujoco = SimpleNamespace(**vars(mujoco) | {"mjtJoint": SimpleNamespace(**kinds)})

@@ -212,19 +212,22 @@ def table(runs: dict[str, list[dict[str, Any]]], libraries: str = "") -> str:
 
 
 def plot(runs: dict[str, list[dict[str, Any]]], path: Path) -> None:
-    """Success over steps, as means and ranges, and the expert's as a line."""
+    """Success over the budgets, as means and ranges, and the expert's as a line."""
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(6.5, 3.4), layout="constrained")
         axes = figure.subplots()
         for learner, found in runs.items():
             if "curve" in found[0]:
-                steps = [point[0] for point in found[0]["curve"]]
+                steps = np.array([point[0] for point in found[0]["curve"]])
+                label = f"{learner}, {steps[-1]:,} steps{' of the expert' if learner.startswith('behaviour') else ''}"
                 rates = 100.0 * np.array([[point[1] for point in one["curve"]] for one in found])
-                (line,) = axes.plot(steps, rates.mean(axis=0), "-o", markersize=3, label=learner)
-                axes.fill_between(steps, rates.min(axis=0), rates.max(axis=0), color=line.get_color(), alpha=0.2, lw=0)
+                (line,) = axes.plot(
+                    share := 100.0 * steps / steps[-1], rates.mean(axis=0), "-o", markersize=4, label=label
+                )
+                axes.fill_between(share, rates.min(axis=0), rates.max(axis=0), color=line.get_color(), alpha=0.2, lw=0)
         rate = 100.0 * np.mean(runs[EXPERT][0]["last"]["success"])
         axes.axhline(rate, color="black", linestyle="--", label=EXPERT)
-        axes.set(xscale="log", ylim=(-4, 104), xlabel="control steps (expert's for cloning)", ylabel="success [%]")
+        axes.set(ylim=(-4, 104), xlabel="share of the budget of steps, or of updates [%]", ylabel="success [%]")
         axes.legend(loc="center left")
         save_figure(figure, path)
 
