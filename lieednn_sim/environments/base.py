@@ -49,6 +49,8 @@ class Commands:
     """Turns actions into commanded positions, and these into the controls of position servos.
 
     The commanded position moves at constant velocity for one control step, and the servos have velocity feedforward.
+    An action a moves a joint with a |a| times its limit: slow motions, which a learner must hit precisely, have a wide
+    range of actions.
 
     Args:
         arm: the arm, whose limits scale the actions.
@@ -64,18 +66,46 @@ class Commands:
         self._damping = arm.model.dof_damping.copy()
         self._low, self._high = arm.position_limits.T
         self._timestep = substeps * arm.timestep
+        # What a control step can move at most.
+        self._travel = self._timestep * arm.velocity_limits
         parts = np.arange(substeps + 1)[:, None] / substeps
         self._before, self._after = 1.0 - parts, parts
+        self._alone = None if len(arm.space.balls) else self._coefficients()
 
     def moved(self, command: Floats, action: Floats) -> Floats:
         """Commanded positions ``(..., n)`` after actions ``(..., n)``, from those before them."""
-        fraction = np.minimum(np.maximum(action, -1.0), 1.0)
-        end = command + self._timestep * fraction * self._arm.velocity_limits
+        root = np.minimum(np.maximum(action, -1.0), 1.0)
+        end = command + self._travel * root * np.abs(root)
         end = np.minimum(np.maximum(end, self._low), self._high)
         return self._arm.within_angles(end) if len(self._arm.space.balls) else end
 
+    def towards(self, command: Floats, goal: Floats) -> Floats:
+        """Actions ``(..., n)`` that bring commanded positions ``(..., n)`` to others, or as far as one step can."""
+        fraction = np.minimum(np.maximum((goal - command) / self._travel, -1.0), 1.0)
+        return np.copysign(np.sqrt(np.abs(fraction)), fraction)
+
     def controls(self, start: Floats, end: Floats) -> Floats:
         """Controls ``(..., substeps, nu)`` that lead servos between commanded positions ``(..., n)``."""
+        if self._alone is None:
+            return self._any_controls(start, end)
+        columns, of_start, of_end, constant = self._alone
+        start, end = start.take(columns, axis=-1)[..., None, :], end.take(columns, axis=-1)[..., None, :]
+        return of_start * start + of_end * end + constant
+
+    def _coefficients(self) -> tuple[NDArray[np.int_], Floats, Floats, Floats] | None:
+        """What `_any_controls` multiplies each actuator's joint with, if each has one: a third of the time of that."""
+        n = self._arm.n_joints
+        unit, zero = np.eye(n), np.zeros((n, n))
+        constant = self._any_controls(zero[0], zero[0])
+        factors = np.stack([self._any_controls(unit, zero), self._any_controls(zero, unit)]) - constant
+        moves = (factors != 0.0).any(axis=(0, 2))
+        if (moves.sum(axis=0) > 1).any():
+            return None
+        columns = moves.argmax(axis=0)
+        of_start, of_end = factors[:, columns, :, np.arange(len(columns))].transpose(1, 2, 0)
+        return columns, of_start, of_end, constant
+
+    def _any_controls(self, start: Floats, end: Floats) -> Floats:
         # Not start + part * (end - start), which may exceed a limit by rounding.
         q = self._before * start[..., None, :] + self._after * end[..., None, :]
         space = self._arm.space
@@ -92,15 +122,17 @@ class ArmTask(ABC):
     arrays with any leading axes, so that `vector.VectorEnvironment` can use them for many episodes. With `begin` and
     `step` it runs one episode in its simulation.
 
-    An action in [-1, 1]^n is a joint velocity as a fraction of the limits. It moves the commanded position, which stays
-    within the position limits, at constant velocity for one control step; the arm's position servos follow it, with
-    velocity feedforward, at every physics step. Actions outside this range are clipped.
+    An action a in [-1, 1]^n gives the joint velocities a |a|, as fractions of their limits, so that slow motions have a
+    wide range of actions. It moves the commanded position, which stays within the position limits, at constant velocity
+    for one control step; the arm's position servos follow it, with velocity feedforward, at every physics step. Actions
+    outside this range are clipped.
 
     Observations, which are clipped to finite bounds:
 
     - ``position`` ``(n,)`` [rad, m], ``velocity`` ``(n,)`` [rad/s, m/s] of the joints,
     - ``command`` ``(n,)``: the commanded position,
     - ``position_error`` ``(n,)``: target minus position,
+    - ``approach`` ``(n,)``: the action that brings the commanded position to the target, or as far as one step can,
     - ``pose_error`` ``(F, 6)``: for each goal frame, Log(T^-1 T_target) as a twist (omega, v) [rad, m].
 
     Args:
@@ -211,7 +243,8 @@ class ArmTask(ABC):
         qd = self.arm.space.from_qvel(q, qvel)
         wanted, goals, *more = target
         twist, distance, angle = pose_error_twists(frames, goals)
-        row = self.observations.rows(q, qd, command, wanted - q, twist.reshape(*q.shape[:-1], -1), *more)
+        approach, pose_error = self.commands.towards(command, wanted), twist.reshape(*q.shape[:-1], -1)
+        row = self.observations.rows(q, qd, command, wanted - q, approach, pose_error, *more)
         return State(steps, command, row, *self.judge(distance, angle, qd), distance, angle)
 
     @property

@@ -97,8 +97,7 @@ class Expert:
         while self._periods <= task.state.steps:
             self._policy.step(measured, target)
             self._periods += 1
-        action = (self._policy.q - task.command) / (task.control_timestep * task.arm.velocity_limits)
-        return np.clip(action, -1.0, 1.0)
+        return task.commands.towards(task.command, self._policy.q)
 
     def _make(self, task: ArmTask) -> Policy:
         arm, rate, target = task.arm, 1.0 / task.control_timestep, task.target(0.0)

@@ -68,7 +68,7 @@ def pose_error_twists(frames: Floats, goals: Floats) -> tuple[Floats, Floats, Fl
         Twists (omega, v) ``(..., F, 6)`` [rad, m], and the largest distance ``(...)`` [m] and angle ``(...)`` [rad].
     """
     rotation = frames[..., 3:12].reshape(*frames.shape[:-1], 3, 3)
-    place = (rotation.swapaxes(-1, -2) @ (goals[..., :3] - frames[..., :3])[..., None])[..., 0]
+    place = np.vecmat(goals[..., :3] - frames[..., :3], rotation)
     cosine = np.vecdot(frames[..., 12:], goals[..., 12:])
     products = frames.take(_OWN, axis=-1) * goals.take(_GOAL, axis=-1)
     axis = products[..., :3] - products[..., 3:6] - (products[..., 6:9] - products[..., 9:])
@@ -77,7 +77,8 @@ def pose_error_twists(frames: Floats, goals: Floats) -> tuple[Floats, Floats, Fl
     scale = angle / safe
     bend = (1.0 - 0.5 * angle * c / safe) / np.maximum(angle * angle, _SMALL * _SMALL)
     small = sine < _SMALL
-    if small.any():
+    # Array methods would call the same reduction through Python.
+    if np.logical_or.reduce(small, axis=None):
         scale = np.where(small, 2.0 / np.maximum(c, 0.5) * (1.0 - sine * sine / 3.0), scale)
         bend = np.where(small, 1.0 / 12.0 + angle * angle / 720.0, bend)
     omega = np.copysign(scale, cosine)[..., None] * axis

@@ -33,6 +33,7 @@ def common_bounds(arm: Arm, frames: int) -> Bounds:
         "velocity": (-velocity, velocity),
         "command": (low.copy(), high.copy()),
         "position_error": (-span, span),
+        "approach": (-np.ones_like(span), np.ones_like(span)),
         "pose_error": (-twist, twist),
     }
 
@@ -121,5 +122,7 @@ class Observations:
     def split(self, rows: Floats) -> Observation:
         """The observations by name, views of rows ``(..., size)``."""
         batch = rows.shape[:-1]
-        parts = {name: rows[..., part] for name, part, _ in self._parts}
-        return parts | {name: parts[name].reshape(*batch, *shape) for name, _, shape in self._parts if len(shape) > 1}
+        return {
+            name: rows[..., part] if len(shape) == 1 else rows[..., part].reshape(*batch, *shape)
+            for name, part, shape in self._parts
+        }

@@ -93,7 +93,7 @@ class ControlEnvironment(control.Environment):  # type: ignore[misc]  # dm_contr
         return (dm_env.truncation if after.truncated else dm_env.transition)(after.reward, observation)
 
     def action_spec(self) -> specs.BoundedArray:
-        """Joint velocities as fractions of their limits."""
+        """Signed square roots of joint velocities as fractions of their limits."""
         joints = ", ".join(self._task.arm.joint_names)
         shape = (self._task.arm.n_joints,)
         return specs.BoundedArray(shape, np.float64, -1.0, 1.0, name=f"joint velocities ({joints})")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from functools import cached_property
 from inspect import signature
@@ -30,8 +31,8 @@ REST = 0.01
 REFERENCES = ("band-limited", "plan")
 # Fraction of the velocity limits, beyond `REST`, at which the reward for resting falls to a tenth.
 _REST_MARGIN_FRACTION = 0.5
-# Errors [m, rad] at which the near part of a reward falls to a tenth; for the far part, half the reach and pi.
-_NEAR = (0.05, 0.1)
+# Errors [m, rad] at which the near and the fine part of a reward fall to a tenth.
+_NEAR, _FINE = (0.05, 0.1), (0.005, 0.01)
 _ATTEMPTS = 10
 # Control steps that a preview may hold: their targets must fit into the memory of a learner.
 _LONGEST_PREVIEW = 10_000
@@ -40,43 +41,44 @@ _LONGEST_PREVIEW = 10_000
 class Closeness:
     """Closeness to a target: 1 within the tolerances, otherwise less.
 
-    It is the mean of two parts, one with wide margins, which guides from afar, and one with narrow margins. Each is the
-    product of a term for the distance and one for the angle. A term falls to a tenth where its error exceeds the
-    tolerance by the margin.
+    Half of it falls linearly with distance and angle, to 0 at the reach of the arm and pi, so that it guides from
+    everywhere. A quarter each are a near and a fine part with narrow margins, which are products of a term for the
+    distance and one for the angle. A term falls to a tenth where its error exceeds the tolerance by the margin.
 
     Args:
         task: the task, whose tolerances count, and the reach of its arm.
-        more: tolerances and margins of further errors.
+        more: tolerances and margins of further errors, whose terms are factors of the fine part.
     """
 
     def __init__(self, task: ArmTask, *more: tuple[float, float]) -> None:
         self._position, self._rotation = task.position_tolerance, task.rotation_tolerance
-        margins = (0.5 * reach(task.arm), np.pi, *_NEAR)
+        self._farthest = np.array([reach(task.arm), np.pi])
         allowed = 2 * (self._position, self._rotation)
-        self._allowed, self._margins = np.array([*zip(allowed, margins, strict=True), *more]).T
+        self._allowed, self._margins = np.array([*zip(allowed, (*_NEAR, *_FINE), strict=True), *more]).T
 
-    def __call__(self, distance: Floats, angle: Floats, *more: Floats) -> list[Floats]:
-        """Closeness ``(...)`` at distances [m] and angles [rad] ``(...)``, and the terms of further errors."""
+    def __call__(self, distance: Floats, angle: Floats, *more: Floats) -> Floats:
+        """Closeness ``(...)`` at distances [m], angles [rad] and further errors ``(...)``."""
         errors = np.array([distance, angle, distance, angle, *more]).T
-        far, far_turn, near, near_turn, *others = closeness(errors, self._allowed, self._margins).T
-        return [0.5 * (far * far_turn + near * near_turn), *others]
+        beyond = np.maximum(errors - self._allowed, 0.0)
+        far, far_turn = np.minimum(beyond[..., :2] / self._farthest, 1.0).T
+        near, near_turn, *fine = tail(beyond / self._margins).T
+        return np.asarray(0.25 * (2.0 - far - far_turn + near * near_turn + math.prod(fine)))
 
     def within(self, distance: Floats, angle: Floats) -> NDArray[np.bool_]:
         """Whether both are within their tolerances."""
         return np.asarray((distance <= self._position) & (angle <= self._rotation))
 
 
-def closeness(error: Floats | float, allowed: Floats | float, margin: Floats | float) -> Floats:
-    """1 up to the allowed error, 1 / (1 + 9 x^2) at x margins beyond it, as dm_control's ``tolerance``."""
-    beyond = np.maximum(error - allowed, 0.0) / margin
-    return np.asarray(1.0 / (1.0 + 9.0 * beyond * beyond))
+def tail(margins: Floats | float) -> Floats:
+    """1 at the tolerance, 1 / (1 + 9 x^2) at x margins beyond it, as dm_control's ``tolerance``."""
+    return np.asarray(1.0 / (1.0 + 9.0 * margins * margins))
 
 
 class Reach(ArmTask):
     """Task: come to rest at a random target that the arm can reach, drawn for each episode by `draw_target`.
 
     Success: the goal frames are within the tolerances, and no joint moves faster than `REST` of its limit. The reward
-    is the closeness of distance and angle, reduced in motion by up to a half; it is 1 exactly at success.
+    is the closeness of distance, angle and rest; it is 1 exactly at success.
 
     To choose the target of an episode, begin it with the option ``target``, a joint position ``(n,)``.
     """
@@ -99,8 +101,7 @@ class Reach(ArmTask):
     def judge(self, distance: Floats, angle: Floats, qd: Floats) -> tuple[Floats, NDArray[np.bool_]]:
         """See `ArmTask`; unchecked."""
         speed = np.maximum.reduce(np.abs(qd / self.arm.velocity_limits), axis=-1)
-        close, resting = self._closeness(distance, angle, speed)
-        return close * 0.5 * (1.0 + resting), self._closeness.within(distance, angle) & (speed <= REST)
+        return self._closeness(distance, angle, speed), self._closeness.within(distance, angle) & (speed <= REST)
 
 
 class Track(ArmTask):
@@ -170,7 +171,7 @@ class Track(ArmTask):
 
     def judge(self, distance: Floats, angle: Floats, qd: Floats) -> tuple[Floats, NDArray[np.bool_]]:
         """See `ArmTask`; unchecked."""
-        return self._closeness(distance, angle)[0], self._closeness.within(distance, angle)
+        return self._closeness(distance, angle), self._closeness.within(distance, angle)
 
 
 #: Tasks by name.

@@ -44,8 +44,9 @@ def record(
     ``certificate``, the proof of stability of the network that planned it. The features are
 
     - ``observation.state``: positions, velocities and commanded positions of the joints,
-    - ``observation.environment_state``: what is left to the target, as joint positions and as the twist ``pose_error``,
-    - ``action``: joint velocities as fractions of their limits,
+    - ``observation.environment_state``: what is left to the target, as joint positions, as the action ``approach`` and
+      as the twist ``pose_error``, see `ArmTask`,
+    - ``action``: signed square roots of joint velocities as fractions of their limits,
     - ``next.reward``, ``next.done``, ``next.success``: what the action led to.
 
     Args:
@@ -90,7 +91,7 @@ def record(
         names = {
             "observation.state": dataset.state_names(joints, "position", "velocity", "command"),
             "observation.environment_state": [
-                *dataset.state_names(joints, "error"),
+                *dataset.state_names(joints, "error", "approach"),
                 *(f"pose_error {part}" for part in ("wx", "wy", "wz", "vx", "vy", "vz")),
             ],
             "action": list(joints),
@@ -120,7 +121,7 @@ def _episode(task: ArmTask, expert: Expert, seed: int) -> Episode | None:
 
     frames = {
         "observation.state": joined("position", "velocity", "command"),
-        "observation.environment_state": joined("position_error", "pose_error"),
+        "observation.environment_state": joined("position_error", "approach", "pose_error"),
         "action": np.array([action for _, action, _ in steps]),
         "next.reward": np.array([after.reward for *_, after in steps]),
         "next.done": np.arange(len(steps)) == len(steps) - 1,

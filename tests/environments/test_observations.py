@@ -56,6 +56,7 @@ def test_bounds_by_hand(gantry):
         "command": (low, high),
         # From beyond one end to beyond the other.
         "position_error": (low - high - 2.0 * slack, high - low + 2.0 * slack),
+        "approach": (-np.ones(4), np.ones(4)),
         "pose_error": (-np.pi * np.repeat([[1.0, 7.0]] * 2, 3, axis=1), np.pi * np.repeat([[1.0, 7.0]] * 2, 3, axis=1)),
     }
     assert found.keys() == expected.keys()
@@ -67,11 +68,13 @@ def test_bounds_by_hand(gantry):
 
 
 def test_commands_move_by_the_velocity_limit_at_most_either_way(gantry):
-    """In two steps of 10 ms."""
+    """In two steps of 10 ms: half the action is a quarter of the velocity."""
     commands, zero = Commands(gantry, 2), np.zeros(4)
-    for action, fraction in ((-5.0, -1.0), (5.0, 1.0), (-0.5, -0.5)):
+    for action, fraction in ((-5.0, -1.0), (5.0, 1.0), (-0.5, -0.25), (0.0, 0.0)):
         moved = commands.moved(zero, np.full(4, action))
         np.testing.assert_allclose(moved, 0.02 * fraction * gantry.velocity_limits)
+        np.testing.assert_allclose(commands.towards(zero, moved), np.clip(action, -1.0, 1.0))
+    np.testing.assert_array_equal(commands.towards(zero, gantry.velocity_limits), 1.0)
 
 
 def test_tracking_knows_the_velocity_of_now_and_is_within_half_a_degree():

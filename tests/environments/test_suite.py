@@ -7,7 +7,7 @@ from numpy.testing import assert_array_equal
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.environments.expert import Expert
-from lieednn_sim.environments.tasks import closeness
+from lieednn_sim.environments.tasks import tail
 from lieednn_sim.errors import InputError
 
 control = pytest.importorskip("dm_control.rl.control")
@@ -81,6 +81,7 @@ def test_specs_name_what_they_are():
         "velocity": (12,),
         "command": (12,),
         "position_error": (12,),
+        "approach": (12,),
         "pose_error": (1, 6),
         "target_velocity": (12,),
         "preview": (3, 12),
@@ -146,4 +147,4 @@ def test_an_arm_of_one_s_own_is_as_good_as_a_name():
 def test_closeness_is_dm_controls_tolerance(error):
     rewards = pytest.importorskip("dm_control.utils.rewards")
     wanted = rewards.tolerance(error, (0.0, 0.02), 0.05, "long_tail")
-    assert closeness(error, 0.02, 0.05) == pytest.approx(float(wanted), rel=1e-14)
+    assert tail(max(error - 0.02, 0.0) / 0.05) == pytest.approx(float(wanted), rel=1e-14)

@@ -126,3 +126,30 @@ def test_a_start_beyond_the_limits_is_not_moved(small_arms):
         simulation = Simulation(arm)
         simulation.reset(q)
         np.testing.assert_array_equal(simulation.data.qpos, arm.qpos(q))
+
+
+def test_steps_with_given_controls_fail_where_single_steps_do(small_arms):
+    """They look at the state after the last step alone, and go back if it is not well."""
+    arm = small_arms["telescope"]
+    at_once, one_by_one = Simulation(arm), Simulation(arm)
+    controls = np.zeros((6, at_once.model.nu))
+
+    def advance_one_by_one(rows):
+        for row in rows:
+            one_by_one.data.ctrl[:] = row
+            one_by_one.advance()
+
+    at_once.advance(6, controls + 0.1)
+    advance_one_by_one(controls + 0.1)
+    np.testing.assert_array_equal(at_once.data.qvel, one_by_one.data.qvel)
+    assert at_once.steps == one_by_one.steps == 6
+    controls[2] = 1e99
+    at_once.model.actuator_ctrllimited[:] = at_once.model.actuator_forcelimited[:] = 0
+    one_by_one.model.actuator_ctrllimited[:] = one_by_one.model.actuator_forcelimited[:] = 0
+    with pytest.raises(SimulationError) as found:
+        at_once.advance(6, controls)
+    with pytest.raises(SimulationError) as expected:
+        advance_one_by_one(controls)
+    assert str(found.value) == str(expected.value)
+    assert at_once.steps == one_by_one.steps < 12
+    np.testing.assert_array_equal(at_once.data.qvel, one_by_one.data.qvel)

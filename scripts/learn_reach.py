@@ -1,0 +1,274 @@
+# /// script
+# requires-python = ">=3.11,<3.14"
+# dependencies = ["lieednn_sim[gymnasium]", "stable-baselines3>=2.9,<3", "gymnasium-robotics>=1.4,<2"]
+# ///
+"""Learn LieEDNN/TelescopicReach-v0 with common learners, against the expert and random actions.
+
+    pip install 'stable-baselines3>=2.9,<3' 'gymnasium-robotics>=1.4,<2'
+    python scripts/learn_reach.py [--seeds 3] [--jobs 2] [--output results/learning]
+
+Behaviour cloning of the expert, and SAC and PPO of Stable-Baselines3 with its default settings (PPO's batch of 2048
+steps comes from eight environments) on observations normalised by its `VecNormalize`, act ten times a second. Each
+learner has a fixed budget, see `LEARNERS`, and each run is a process of one thread. Finished runs are kept in
+``OUTPUT/runs`` and not repeated, so that an interrupted study goes on. Writes ``learning.md`` and ``learning.png``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from importlib import import_module, metadata
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.figure import Figure
+
+from lieednn_sim import filesystem, storage
+from lieednn_sim.environments.expert import Expert
+from lieednn_sim.environments.gymnasium import ENVIRONMENTS, Environment
+from lieednn_sim.errors import LieEDNNError
+from lieednn_sim.evaluation.figure_layout import STYLE, save_figure
+from lieednn_sim.values import Floats
+
+NAME = next(iter(ENVIRONMENTS))
+PERIOD = 0.1  # time between actions [s]
+# Names and budgets of learners: control steps, those of the expert for behaviour cloning.
+LEARNERS = {"behaviour cloning": 120_000, "SAC": 8_000, "PPO": 80_000}
+EXPERT, RANDOM = "expert", "random actions"
+POLICY = "lieednn-certified"
+EPOCHS, BATCH = 50, 256
+# Evaluations during training; episodes of each, and of the last one; the first of their seeds.
+POINTS, FEW, MANY, FIRST_SEED = 5, 20, 100, 10**6
+Act = Callable[[Floats], Any]
+
+
+def environment() -> Environment:
+    """The environment of all learners; observations are one vector."""
+    return Environment("reach", flat=True, control_timestep=PERIOD)
+
+
+def evaluate(act: Act, episodes: int, where: Environment | None = None) -> dict[str, list[Any]]:
+    """Final success and errors, and smoothness and time to the goal, of each of the fixed evaluation episodes."""
+    where = where or environment()
+    rows: dict[str, list[Any]] = {"success": [], "mm": [], "deg": [], "jerk": [], "goal_s": []}
+    for episode in range(episodes):
+        seen, info = where.reset(seed=FIRST_SEED + episode)
+        velocities, successes, over = [where.task.simulation.qd], [False], False
+        while not over:
+            seen, _, failed, late, info = where.step(act(seen))
+            over = failed or late
+            velocities.append(where.task.simulation.qd)
+            successes.append(info["success"])
+        rows["success"].append(successes[-1])
+        rows["mm"].append(1e3 * info["distance"])
+        rows["deg"].append(float(np.rad2deg(info["angle"])))
+        rows["jerk"].append(jerk(np.array(velocities) / where.task.arm.ranges, PERIOD))
+        rows["goal_s"].append(arrival(successes))
+    return rows
+
+
+def jerk(velocities: Floats, period: float) -> float:
+    """Root mean square of the second differences of velocities ``(K, n)``, as `planning.motion.rms_jerk`."""
+    return float(np.sqrt(np.mean((np.diff(velocities, n=2, axis=0) / period**2) ** 2)))
+
+
+def arrival(successes: Sequence[bool]) -> float | None:
+    """Time from which on all are true [s]; None if the last one is not."""
+    failures = np.flatnonzero(~np.array(successes))
+    first = int(failures[-1]) + 1 if len(failures) else 0
+    return PERIOD * first if first < len(successes) else None
+
+
+def expert_of(where: Environment) -> Act:
+    """The expert, which knows more than the observations; a new one for each environment."""
+    expert = Expert(where, policy=POLICY)
+    return lambda _: expert.act()
+
+
+def demonstrations(path: Path) -> tuple[Floats, Floats]:
+    """Observations and actions of the expert, from a file if it is there."""
+    if not path.exists():
+        where = environment()
+        act, seen, pairs = expert_of(where), np.empty(0), []
+        for step in range(LEARNERS["behaviour cloning"]):
+            if step % where.task.steps == 0:
+                seen, _ = where.reset(seed=step)
+            pairs.append((seen, act(seen)))
+            seen = where.step(pairs[-1][1])[0]
+        with filesystem.atomic_path(path) as temporary, temporary.open("wb") as stream:
+            observations, actions = (np.array(values, dtype=np.float32) for values in zip(*pairs, strict=True))
+            np.savez_compressed(stream, observations=observations, actions=actions)
+    with np.load(path) as stored:
+        return stored["observations"], stored["actions"]
+
+
+def cloned(seed: int, path: Path) -> Iterator[tuple[int, Act]]:
+    """Steps of the expert seen and the policy, now and then: a network like SAC's, fitted by least squares."""
+    torch = import_module("torch")
+    observations, actions = demonstrations(path)
+    mean, deviation = observations.mean(axis=0), observations.std(axis=0) + 1e-6
+    torch.manual_seed(seed)
+    x, y = torch.as_tensor((observations - mean) / deviation), torch.as_tensor(actions)
+    sizes = (x.shape[1], 256, 256)
+    layers = [part for size in pairwise(sizes) for part in (torch.nn.Linear(*size), torch.nn.ReLU())]
+    network = torch.nn.Sequential(*layers, torch.nn.Linear(sizes[-1], y.shape[1]))
+    total = EPOCHS * (len(x) // BATCH)
+    optimiser = torch.optim.Adam(network.parameters())
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, 1e-3, total)
+
+    def act(seen: Floats) -> Floats:
+        with torch.no_grad():
+            return network(torch.as_tensor((seen - mean) / deviation, dtype=torch.float32)).double().numpy()
+
+    done = 0
+    for _ in range(EPOCHS):
+        for rows in torch.randperm(len(x))[: len(x) // BATCH * BATCH].view(-1, BATCH):
+            optimiser.zero_grad()
+            torch.nn.functional.mse_loss(network(x[rows]), y[rows]).backward()
+            optimiser.step()
+            schedule.step()
+            done += 1
+            if done % (total // POINTS) == 0:
+                yield round(done / total * len(x)), act
+
+
+def reinforced(learner: str, seed: int) -> Iterator[tuple[int, Act]]:
+    """Steps done and the deterministic policy, now and then, of a learner of Stable-Baselines3."""
+    vectors = import_module("stable_baselines3.common.vec_env")
+    count = 8 if learner == "PPO" else 1
+    environments = vectors.VecNormalize(vectors.DummyVecEnv([environment] * count))
+    options = {"n_steps": 2048 // count} if learner == "PPO" else {}
+    model = getattr(import_module("stable_baselines3"), learner)(
+        "MlpPolicy", environments, seed=seed, device="cpu", **options
+    )
+
+    def act(seen: Floats) -> Floats:
+        return np.asarray(model.predict(environments.normalize_obs(seen), deterministic=True)[0], dtype=float)
+
+    for point in range(1, POINTS + 1):
+        more = LEARNERS[learner] * point // POINTS - model.num_timesteps
+        if more > 0:
+            model.learn(more, reset_num_timesteps=False)
+        yield model.num_timesteps, act
+
+
+def run(learner: str, seed: int, folder: Path) -> None:
+    """Train and evaluate one learner with one seed, and keep what came of it."""
+    if learner == EXPERT:
+        where = environment()
+        result: dict[str, Any] = {"last": evaluate(expert_of(where), MANY, where)}
+    elif learner == RANDOM:
+        rng, size = np.random.default_rng(seed), environment().action_space.shape
+        result = {"last": evaluate(lambda _: rng.uniform(-1.0, 1.0, size), MANY)}
+    else:
+        import_module("torch").set_num_threads(1)
+        spent, begun, curve, act = 0.0, time.process_time(), [], None
+        data = folder / "demonstrations.npz"
+        for steps, act in cloned(seed, data) if learner == "behaviour cloning" else reinforced(learner, seed):
+            spent += time.process_time() - begun
+            curve.append((steps, float(np.mean(evaluate(act, FEW)["success"]))))
+            print(f"{learner} {seed}: {steps} steps, {spent:.0f} s, success {curve[-1][1]:.2f}", flush=True)
+            begun = time.process_time()
+        if act is None:
+            raise LieEDNNError(f"{learner} made no policy")
+        result = {"curve": curve, "cpu_s": spent, "last": evaluate(act, MANY)}
+    storage.save_json(folder / f"{learner}-{seed}.json", result)
+
+
+def table(runs: dict[str, list[dict[str, Any]]], libraries: str = "") -> str:
+    """Markdown table of all learners; rates as means with their range over the seeds."""
+    lines = [
+        "# Learning to reach",
+        "",
+        f"`{NAME}` with ten actions a second, {MANY} fixed episodes for each of {max(map(len, runs.values()))} "
+        "seeds. Success: within 1 mm and 0.1 degrees and at rest at the end of 6 s. Errors at the end and, as medians, "
+        f"the jerk of the joints in their ranges, and the time until success for good{libraries}.",
+        "",
+        "| | steps | success % (range) | mm, median | mm, 95 % | deg, median | deg, 95 % | jerk [1/s^3] | goal [s] "
+        "| CPU min per seed |",
+        "| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |",
+    ]
+    for learner, found in runs.items():
+        rates = [100.0 * float(np.mean(one["last"]["success"])) for one in found]
+        keys = ("mm", "deg", "jerk", "goal_s")
+        every = {key: np.array([one["last"][key] for one in found], dtype=float) for key in keys}
+        cells = [learner, f"{found[0]['curve'][-1][0]:,}" if "curve" in found[0] else ""]
+        cells.append(f"{np.mean(rates):.0f} ({min(rates):.0f} to {max(rates):.0f})")
+        cells += [f"{np.quantile(every[key], part):.3g}" for key in ("mm", "deg") for part in (0.5, 0.95)]
+        times = every["goal_s"][np.isfinite(every["goal_s"])]
+        cells += [f"{np.median(every['jerk']):.3g}", f"{np.median(times):.1f}" if len(times) else ""]
+        cells.append(f"{np.mean([one['cpu_s'] for one in found]) / 60.0:.1f}" if "cpu_s" in found[0] else "")
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def plot(runs: dict[str, list[dict[str, Any]]], path: Path) -> None:
+    """Success over the budgets, as means and ranges, and the expert's as a line."""
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(6.5, 3.4), layout="constrained")
+        axes = figure.subplots()
+        for learner, found in runs.items():
+            if "curve" in found[0]:
+                steps = np.array([point[0] for point in found[0]["curve"]])
+                label = f"{learner}, {steps[-1]:,} steps{' of the expert' if learner.startswith('behaviour') else ''}"
+                rates = 100.0 * np.array([[point[1] for point in one["curve"]] for one in found])
+                (line,) = axes.plot(
+                    share := 100.0 * steps / steps[-1], rates.mean(axis=0), "-o", markersize=4, label=label
+                )
+                axes.fill_between(share, rates.min(axis=0), rates.max(axis=0), color=line.get_color(), alpha=0.2, lw=0)
+        rate = 100.0 * np.mean(runs[EXPERT][0]["last"]["success"])
+        axes.axhline(rate, color="black", linestyle="--", label=EXPERT)
+        axes.set(ylim=(-4, 104), xlabel="share of the budget of steps, or of updates [%]", ylabel="success [%]")
+        axes.legend(loc="center left")
+        save_figure(figure, path)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Do the runs that are missing, each in a process of its own, and write table and picture."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--jobs", type=int, default=2, help="runs at once")
+    parser.add_argument("--output", type=Path, default=Path("results/learning"))
+    parser.add_argument("--one", nargs=2, metavar=("LEARNER", "SEED"), help="do this run alone")
+    options = parser.parse_args(arguments)
+    folder = filesystem.make_directory(options.output / "runs")
+    if options.one:
+        run(options.one[0], int(options.one[1]), folder)
+        return 0
+    wanted = [(EXPERT, 0), *((learner, seed) for seed in range(options.seeds) for learner in (*LEARNERS, RANDOM))]
+
+    def start(one: tuple[str, int]) -> int:
+        if (folder / f"{one[0]}-{one[1]}.json").exists():
+            return 0
+        words = [sys.executable, __file__, "--output", str(options.output), "--one", one[0], str(one[1])]
+        return subprocess.run(words, env={**os.environ, "OMP_NUM_THREADS": "1"}, check=False).returncode
+
+    # All clones learn from the same demonstrations, which the first run makes.
+    demonstrations(folder / "demonstrations.npz")
+    with ThreadPoolExecutor(options.jobs) as pool:
+        if any(pool.map(start, wanted)):
+            return 1
+    runs: dict[str, list[dict[str, Any]]] = {}
+    for learner in (EXPERT, *LEARNERS, RANDOM):
+        paths = [folder / f"{learner}-{seed}.json" for name, seed in wanted if name == learner]
+        runs[learner] = [json.loads(path.read_text(encoding="utf-8")) for path in paths]
+    used = [f"{name} {metadata.version(name)}" for name in ("stable-baselines3", "torch", "gymnasium")]
+    text = table(runs, f"; {', '.join(used)}")
+    with filesystem.atomic_text(options.output / "learning.md") as file:
+        file.write(text)
+    plot(runs, options.output / "learning.png")
+    print(text)
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,51 @@
+"""Figures and tables of the studies of environments, without the libraries that they need."""
+
+from __future__ import annotations
+
+import environment_overhead
+import learn_reach
+import numpy as np
+import pytest
+
+
+def test_jerk_and_time_of_arrival_by_hand():
+    # Velocities t^2 of one joint and rest of the other: second differences of 2 and of 0.
+    t = 0.1 * np.arange(6.0)
+    velocities = np.column_stack([t**2, 0.0 * t])
+    assert learn_reach.jerk(velocities, 0.1) == pytest.approx(np.sqrt(2.0))
+    assert learn_reach.arrival([False, True, False, True, True]) == pytest.approx(0.3)
+    assert learn_reach.arrival([True, True]) == 0.0
+    assert learn_reach.arrival([False, True, False]) is None
+
+
+def test_the_expert_is_evaluated_and_random_actions_fail():
+    where = learn_reach.environment()
+    rows = learn_reach.evaluate(learn_reach.expert_of(where), 1, where)
+    assert rows["success"] == [True]
+    assert 0.0 < rows["goal_s"][0] < 5.0
+    assert rows["mm"][0] < 1.0
+    rng = np.random.default_rng(0)
+    assert learn_reach.evaluate(lambda _: rng.uniform(-1.0, 1.0, 8), 1)["success"] == [False]
+
+
+def test_the_table_has_means_ranges_and_pooled_quantiles(tmp_path):
+    def made(success, mm, **more):
+        last = {"success": success, "mm": mm, "deg": [0.1, 0.1], "jerk": [1.0, 3.0], "goal_s": [2.0, None]}
+        return {"last": last, **more}
+
+    clones = [
+        made([True, True], [0.0, 1.0], curve=[[10, 0.0], [20, 1.0]], cpu_s=60.0),
+        made([True, False], [2.0, 3.0], curve=[[10, 0.5], [20, 1.0]], cpu_s=120.0),
+    ]
+    runs = {learn_reach.EXPERT: [made([True, True], [0.0, 0.0])], "clone": clones}
+    expert, clone = learn_reach.table(runs).splitlines()[-2:]
+    assert expert == "| expert |  | 100 (100 to 100) | 0 | 0 | 0.1 | 0.1 | 2 | 2.0 |  |"
+    assert clone == "| clone | 20 | 75 (50 to 100) | 1.5 | 2.85 | 0.1 | 0.1 | 2 | 2.0 | 1.5 |"
+    learn_reach.plot(runs, tmp_path / "learning.png")
+    assert (tmp_path / "learning.png").stat().st_size > 1000
+
+
+def test_what_a_step_adds_is_subtracted_pair_by_pair():
+    steps, alone = np.array([30.0, 20.0, 25.0]), np.array([10.0, 10.0, 20.0])
+    text = environment_overhead.table([("ours", 10, steps, alone)])
+    assert text.splitlines()[-1] == "| ours | 10 | 25 | 10 | 10 (8 to 15) |"
