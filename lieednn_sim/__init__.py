@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from lieednn_sim.rendering.page import render_page
     from lieednn_sim.rendering.still import render_still
     from lieednn_sim.rendering.video import render_video
-    from lieednn_sim.simulation import Channel, Disturbances, Push, Rollout, follow, simulate, simulate_many
+    from lieednn_sim.simulation import Channel, Disturbances, Push, Rollout, follow, run_in, simulate, simulate_many
     from lieednn_sim.studies import compare
     from lieednn_sim.synthesis import CurveEncoder, shape, synthesize
 
@@ -68,6 +68,7 @@ __all__ = [
     "render_page",
     "render_still",
     "render_video",
+    "run_in",
     "shape",
     "simulate",
     "simulate_many",
@@ -91,7 +92,7 @@ _ROOMS = {
     "rendering.page": ("render_page",),
     "rendering.still": ("render_still",),
     "rendering.video": ("render_video",),
-    "simulation": ("Channel", "Disturbances", "Push", "Rollout", "follow", "simulate", "simulate_many"),
+    "simulation": ("Channel", "Disturbances", "Push", "Rollout", "follow", "run_in", "simulate", "simulate_many"),
     "studies": ("compare",),
     "synthesis": ("CurveEncoder", "shape", "synthesize"),
 }

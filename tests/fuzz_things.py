@@ -162,6 +162,10 @@ MAKERS: dict[str, Callable[[], Any]] = {
     "FilteredRun": lambda: safety_filter.run_filtered(thing("Arm"), thing("LieEDNN"), home(), 1.0, timestep=0.05),
     "Limit": lambda: thing("SafetyFilter").limits[0],
     "Barrier": lambda: thing("SafetyFilter").barriers[0],
+    "ModelPlan": lambda: ls.plan_in(
+        thing("MjModel"), thing("MjData"), ["turn"], [0.1], planner="minimum-jerk", duration=0.5, max_time_scale=20.0
+    ),
+    "ModelRun": lambda: ls.run_in(thing("MjModel"), thing("MjData"), thing("ModelPlan"), hold=0.0),
     "Rollout": lambda: ls.simulate(thing("Arm"), thing("Plan"), hold=0.0),
     "Rollouts": lambda: ls.simulate_many(thing("Arm"), [thing("Plan")] * 2, hold=0.0, threads=1),
     "Disturbances": lambda: ls.Disturbances(payload=0.1),

@@ -18,33 +18,37 @@ from lieednn_sim.simulation.disturbances import Noise, tangent_basis
 from lieednn_sim.values import Floats
 
 
-class Actuators:
-    """The actuators of an arm's model, and the controls for wanted states and forces.
+class ModelActuators:
+    """The actuators that move an arm in a model, and the controls for wanted states and forces.
+
+    Args:
+        model: the arm's own model, or another one that holds the arm.
+        basis: ``(nv, n)`` velocities of the model's dofs at unit rates of the arm's coordinates (`tangent_basis`).
 
     Attributes:
         driving: ``(nu,)`` whether actuators move the arm's joints. The others keep their controls of the keyframe
             ``home``, or zero.
+        servos: ``(nu,)`` which of the driving ones are position servos; the others exert forces alone.
+        transmission: ``(nu, n)`` lengths' rates at unit rates of the coordinates; zero for those that do not drive.
 
     Raises:
-        InputError: an actuator that moves the arm is not affine, without memory and on joints or fixed tendons; or
-            a joint has no actuator.
+        InputError: an actuator that moves the arm is not affine, without memory and on joints or fixed tendons.
     """
 
-    def __init__(self, arm: Arm) -> None:
-        model, moments = arm.model, actuator_moments(arm.model)
+    def __init__(self, model: mujoco.MjModel, basis: Floats) -> None:
+        moments = actuator_moments(model)
         self._nv = int(model.nv)
-        basis = tangent_basis(arm)
         self.driving = _moving(moments, basis)
         moment = np.where(self.driving[:, None], moments, 0.0)
-        transmission = moment @ basis
+        self.transmission = transmission = moment @ basis
         _check(model, self.driving)
-        _check_complete(arm, transmission)
         # Forces f of least norm with basis^T moment^T f = basis^T tau: components of tau that do no work on the arm,
         # such as forces on other joints and between coupled stages, are left out.
         allocation = np.linalg.pinv(transmission.T) @ basis.T
         self._moment, self._allocation = _Product(moment), _Product(allocation)
         self._gain = np.where(self.driving, model.actuator_gainprm[:, 0], 1.0)
         self._bias = np.where(self.driving, model.actuator_biasprm[:, :3].T, 0.0)
+        self.servos = self.driving & (self._bias[1] / self._gain < 0.0)
         self._idle = np.where(self.driving, 0.0, _home_controls(model))
         self._scalars = np.flatnonzero(np.isin(model.jnt_type, _SCALAR))
         self._positions = model.jnt_qposadr[self._scalars], model.jnt_dofadr[self._scalars]
@@ -53,7 +57,7 @@ class Actuators:
 
     def require_servos(self) -> None:
         """Raise `InputError` unless every driving actuator is a position servo."""
-        if not (self._bias[1, self.driving] / self._gain[self.driving] < 0.0).all():
+        if not self.servos[self.driving].all():
             raise InputError(
                 "this controller needs position actuators on the arm's joints (biasprm[1] < 0); "
                 "the controller computed-torque does without"
@@ -84,10 +88,12 @@ class Actuators:
 
         At other states they add b1 and b2 times the differences, their feedback.
         """
+        return self.affine_controls(qpos, qvel, 0.0 if generalised is None else self.forces(generalised))
+
+    def affine_controls(self, qpos: Floats, qvel: Floats, forces: Floats | float) -> Floats:
+        """Controls ``(..., nu)`` for which the actuators exert given forces ``(..., nu)`` at given states."""
         constant, stiffness, damping = self._bias
-        drive = -(constant + stiffness * self.lengths(qpos) + damping * self.velocities(qvel))
-        if generalised is not None:
-            drive += self.forces(generalised)
+        drive = forces - (constant + stiffness * self.lengths(qpos) + damping * self.velocities(qvel))
         return drive / self._gain + self._idle
 
     def measurement_error(self, noise: Noise) -> Floats:
@@ -117,6 +123,18 @@ class Actuators:
         model.actuator_gainprm[self.driving, 0] = 1.0
         model.actuator_biasprm[self.driving, :3] = 0.0
         self.free_controls(model)
+
+
+class Actuators(ModelActuators):
+    """The actuators of an arm's own model, which can move all of its joints.
+
+    Raises:
+        InputError: as `ModelActuators`; or a joint has no actuator.
+    """
+
+    def __init__(self, arm: Arm) -> None:
+        super().__init__(arm.model, tangent_basis(arm))
+        _check_complete(arm, self.transmission)
 
 
 class _Product:

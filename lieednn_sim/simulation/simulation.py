@@ -143,17 +143,16 @@ class Simulation:
         # terms are checked one by one. For a few numbers a list is faster than an array.
         finite = isfinite(sum(self._velocity.tolist())) or np.isfinite(self._velocity).all()
         if not finite or any(self._warnings.tolist()):
-            raise SimulationError(
-                f"the simulation of {self.arm.name!r} failed at t = {self.time:.4f} s: {_problem(self.data)}"
-            )
+            raise failure(self.data, repr(self.arm.name), self.time)
         self.steps += 1
         if self._sensors.noisy:
             self.noise = self._sensors.draw()
 
 
-def _problem(data: mujoco.MjData) -> str:
-    """MuJoCo's warning about the last step, or that the state is not finite."""
+def failure(data: mujoco.MjData, what: str, time: float) -> SimulationError:
+    """The error for a step after which there is a warning of MuJoCo, or the state is not finite."""
+    problem = "the state is not finite"
     if data.warning.number.any():
         index = int(np.flatnonzero(data.warning.number)[0])
-        return str(mujoco.mju_warningText(index, int(data.warning.lastinfo[index])))
-    return "the state is not finite"
+        problem = str(mujoco.mju_warningText(index, int(data.warning.lastinfo[index])))
+    return SimulationError(f"the simulation of {what} failed at t = {time:.4f} s: {problem}")

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from lieednn_sim._mujoco import geom_colours, mujoco
 from lieednn_sim.arm.forces import ON_JOINTS
 from lieednn_sim.arm.importer.loading import unused
+from lieednn_sim.arm.importer.serial_chain import Frame, body_frame, find_frame
 from lieednn_sim.arm.importer.stages import tendon_joints
 from lieednn_sim.errors import InputError
 
@@ -241,3 +242,12 @@ def shared_addresses(model: mujoco.MjModel, arm: mujoco.MjModel) -> tuple[NDArra
             count = width.get(int(arm.jnt_type[joint]), 1)
             found += [(getattr(model, address)[other] + k, getattr(arm, address)[joint] + k) for k in range(count)]
     return (*np.array(qpos).T, *np.array(qvel).T)
+
+
+def named_frame(model: mujoco.MjModel, name: str) -> Frame:
+    """The frame of a body or site of a model, by its name there or in `spec_of`; `InputError` lists the model's."""
+    names = _Names(model)
+    for body in range(1, model.nbody):
+        if not model.body(body).name and names("body", body) == name:
+            return body_frame(model, body)
+    return find_frame(model, name)

@@ -24,8 +24,8 @@ from lieednn_sim.values import Floats
 # Inputs by the part of MuJoCo's state that they set, each with steps along the first axis.
 Inputs = dict[mujoco.mjtState, Floats]
 
-# Natural frequency w of the computed-torque loop, 10 Hz [rad/s]; it is critically damped.
-_NATURAL_FREQUENCY = 2.0 * np.pi * 10.0
+#: Natural frequency w of the computed-torque loop, 10 Hz [rad/s]; it is critically damped.
+NATURAL_FREQUENCY = 2.0 * np.pi * 10.0
 
 
 class Controller(ABC):
@@ -185,7 +185,7 @@ class ComputedTorque(DriveController):
         self._foreseen = Foreseen(reference)
         self._turning = arm.model.nq > arm.model.nv
         # Gains of velocity and position, as arrays: multiplying by numbers takes twice as long.
-        self._gains = np.full((2, arm.model.nv), [[2.0 * _NATURAL_FREQUENCY], [_NATURAL_FREQUENCY**2]])
+        self._gains = np.full((2, arm.model.nv), [[2.0 * NATURAL_FREQUENCY], [NATURAL_FREQUENCY**2]])
         self._errors = np.empty_like(self._gains)
         self._lag, self._error = self._errors
 

@@ -1,0 +1,105 @@
+"""Logs of simulations of a compiled model that somebody else made."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm import Arm
+from lieednn_sim.arm.importer.compiled import named_frame, shared_addresses
+from lieednn_sim.lie import poses
+from lieednn_sim.values import Floats, frozen
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import RigidTransform
+
+
+@frozen
+class ModelRun:
+    """What happened in a model while its arm followed a plan, from `run_in`; row k belongs to time ``t[k]``.
+
+    Attributes:
+        model: a copy of the given model, in which mocap bodies are where the given state had them.
+        t: ``(K,)`` times from 0, at the model's steps [s].
+        qpos: ``(K, nq)`` positions of everything, in the model's order.
+        qvel: ``(K, nv)`` velocities.
+        ctrl: ``(K, nu)`` controls.
+        planned: ``(K, nq)`` positions of the plan.
+        joint_names: names of the arm's n coordinates.
+        tracking_error: ``(K, n)`` how far the coordinates are from the planned ones [rad, m].
+        motion_end: when the plan ended [s]; after it the arm was to rest.
+        tip: name of the body or site that is the end effector.
+    """
+
+    model: mujoco.MjModel = field(compare=False)
+    t: Floats
+    qpos: Floats
+    qvel: Floats
+    ctrl: Floats
+    planned: Floats
+    joint_names: tuple[str, ...]
+    tracking_error: Floats
+    motion_end: float
+    tip: str
+
+    @classmethod
+    def of(
+        cls,
+        model: mujoco.MjModel,
+        data: mujoco.MjData,
+        arm: Arm,
+        t: Floats,
+        log: Mapping[str, Floats],
+        planned: Floats,
+        motion_end: float,
+    ) -> ModelRun:
+        """The run of a log of positions, velocities and controls; mocap bodies of the model are put where they were."""
+        for body in np.flatnonzero(model.body_mocapid >= 0):
+            mocap = model.body_mocapid[body]
+            model.body_pos[body], model.body_quat[body] = data.mocap_pos[mocap], data.mocap_quat[mocap]
+        theirs, ours, _, _ = shared_addresses(model, arm.model)
+
+        def coordinates(qpos: Floats) -> Floats:
+            inside = np.tile(arm.qpos(np.zeros(arm.n_joints)), (len(qpos), 1))
+            inside[:, ours] = qpos[:, theirs]
+            return arm.coordinates(inside)
+
+        error = coordinates(log["qpos"]) - coordinates(planned)
+        assert arm.import_report is not None
+        tip = arm.import_report.links[-1]
+        return cls(
+            model,
+            t,
+            **log,
+            planned=planned,
+            joint_names=arm.joint_names,
+            tracking_error=error,
+            motion_end=motion_end,
+            tip=tip,
+        )
+
+    def __repr__(self) -> str:
+        return (
+            f"<ModelRun: {len(self.t)} samples in {self.t[-1]:g} s, {len(self.joint_names)} joints, "
+            f"tracking error up to {np.abs(self.tracking_error).max():.2g} rad or m>"
+        )
+
+    def poses(self, name: str, *, planned: bool = False) -> RigidTransform:
+        """Poses of shape ``(K,)`` of a body or site in the world, as simulated or as planned.
+
+        Raises:
+            InputError: there is no such body or site.
+        """
+        frame, data = named_frame(self.model, name), mujoco.MjData(self.model)
+        positions, turns = np.empty((len(self.t), 3)), np.empty((len(self.t), 3, 3))
+        turn, own = np.empty(9), np.empty(9)
+        mujoco.mju_quat2Mat(own, frame.quat)
+        for k, data.qpos[:] in enumerate(self.planned if planned else self.qpos):
+            mujoco.mj_kinematics(self.model, data)
+            turn = data.xmat[frame.body].reshape(3, 3)
+            positions[k], turns[k] = data.xpos[frame.body] + turn @ frame.pos, turn @ own.reshape(3, 3)
+        return poses(turns, positions)
