@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from lieednn_sim._mujoco import mujoco
-from lieednn_sim.simulation import Rollout
+from lieednn_sim.rendering import stage
+from lieednn_sim.simulation import ModelRun, Rollout
 from lieednn_sim.values import Floats, frozen
 
 # Red, green and blue for x, y and z.
@@ -44,9 +45,9 @@ class Overlay:
     scale: float = 1.0
 
     @classmethod
-    def of(cls, rollout: Rollout, scale: float) -> Overlay:
+    def of(cls, rollout: Rollout | ModelRun, scale: float) -> Overlay:
         """The overlay of a rollout: its reference's link frames, and the simulated end effector."""
-        return cls(rollout.arm.link_poses(rollout.q_ref).as_matrix(), rollout.link_position[:, -1], scale)
+        return cls(stage.planned_frames(rollout), stage.travelled(rollout), scale)
 
     def draw(self, scene: mujoco.MjvScene, k: int) -> None:
         """Add the geometry of sample ``k`` to a scene."""

@@ -14,7 +14,7 @@ from lieednn_sim.rendering import stage, viser_scene
 from lieednn_sim.rendering.overlay import KEY
 from lieednn_sim.rendering.recording import record
 from lieednn_sim.rendering.video import check_camera
-from lieednn_sim.simulation import Rollout
+from lieednn_sim.simulation import ModelRun, Rollout
 from lieednn_sim.typecheck import typecheck_public
 from lieednn_sim.validation import as_path
 
@@ -57,7 +57,7 @@ def player(recording: str, *, title: str = "Motion", style: str = "", header: st
 
 
 def render_page(
-    rollout: Rollout,
+    rollout: Rollout | ModelRun,
     path: str | os.PathLike[str],
     *,
     camera: str | None = None,
@@ -70,7 +70,7 @@ def render_page(
     as a file, asks for nothing from the network, and follows the reader's choice of light or dark.
 
     Args:
-        rollout: the rollout.
+        rollout: the rollout, or a run in a given model.
         path: ``.html`` file.
         camera: the view it begins with, as for `render_video`.
         title: the planner's name, for the caption.
@@ -82,17 +82,18 @@ def render_page(
     """
     if as_path("path", path).suffix != ".html":
         raise InputError(f"a page's name must end in .html, got {Path(path).name!r}")
-    arm = rollout.arm
-    check_camera(arm, camera)
+    what = stage.shown(rollout)
+    check_camera(what, camera)
     recording = record([rollout], camera=camera, progress=progress)
-    texts = [f"<b>{escape(stage.place(arm))}</b>"]
-    texts += [escape(word) for word in (title, rollout.controller, _duration(rollout)) if word]
+    controller = [] if isinstance(rollout, ModelRun) else [rollout.controller]
+    texts = [f"<b>{escape(stage.place(what))}</b>"]
+    texts += [escape(word) for word in (title, *controller, _duration(rollout)) if word]
     for (red, green, blue, _), word in KEY:
         colour = f"rgb({255 * red:.0f} {255 * green:.0f} {255 * blue:.0f})"
         texts.append(f'<i style="background:{colour}"></i>{word} path')
     page = player(
         base64.b64encode(recording.content).decode("ascii"),
-        title=f"{title or 'Motion'} on {stage.place(arm)}",
+        title=f"{title or 'Motion'} on {stage.place(what)}",
         style=_STYLE.replace("RATIO", f"{recording.ratio:.3f}"),
         header="<header>" + "".join(f"<span>{text}</span>" for text in texts) + "</header>",
     )
@@ -100,7 +101,7 @@ def render_page(
         stream.write(page)
 
 
-def _duration(rollout: Rollout) -> str:
+def _duration(rollout: Rollout | ModelRun) -> str:
     held = rollout.hold
     return f"{rollout.motion_end:.2f} s" + (f", then {held:.2f} s at rest" if held > 0.005 else "")
 

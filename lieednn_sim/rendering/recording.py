@@ -13,7 +13,7 @@ from lieednn_sim._mujoco import kinematics_at, mujoco
 from lieednn_sim.errors import InputError
 from lieednn_sim.rendering import stage, viser_scene
 from lieednn_sim.rendering.overlay import PLANNED_COLOUR, PLANNED_RADIUS, TRACED_COLOUR, TRACED_RADIUS
-from lieednn_sim.simulation import Rollout
+from lieednn_sim.simulation import ModelRun, Rollout
 from lieednn_sim.values import Floats
 
 _RATE = 25  # poses per second
@@ -38,7 +38,7 @@ class Recording:
 
 
 def record(
-    rollouts: Sequence[Rollout],
+    rollouts: Sequence[Rollout | ModelRun],
     labels: Sequence[str] = (),
     *,
     camera: str | None = None,
@@ -50,7 +50,7 @@ def record(
     target, the planned path, and the path that the end effector has travelled so far.
 
     Args:
-        rollouts: one or more rollouts of the same arm in the same scene.
+        rollouts: one or more rollouts of the same arm in the same scene, or one run in a given model.
         labels: a text above each arm; none by default.
         camera: name of a camera of the scene, as for `render_video`.
         progress: called with (done, total) after every instant.
@@ -59,15 +59,15 @@ def record(
         InputError: the rollouts are of several arms or scenes, or the labels are not as many.
         LieEDNNError: viser is not installed.
     """
-    if not rollouts or len({rollout.arm.fingerprint for rollout in rollouts}) > 1:
+    if not rollouts or len({_identity(rollout) for rollout in rollouts}) > 1:
         raise InputError("rollouts side by side must be of one arm in one scene, and there must be one at least")
     if labels and len(labels) != len(rollouts):
         raise InputError(f"labels must be one for each of {len(rollouts)} rollouts, got {len(labels)}")
-    arm = rollouts[0].arm
+    arm = stage.shown(rollouts[0])
     points = np.vstack([stage.occupied(rollout) for rollout in rollouts])
     model, marker = stage.staged(arm, points)
     shapes = viser_scene.Shapes(model)
-    home = kinematics_at(model, arm.qpos(rollouts[0].q[0]))
+    home = kinematics_at(model, stage.as_qpos(arm, stage.positions(rollouts[0])[0]))
     view = viser_scene.viewpoint(model, home, stage.camera(arm, camera, points), points)
     offsets, ratio = np.zeros((1, 3)), float(np.clip(_MARGIN * view.ratio(points), 1.0, _WIDE))
     held = np.vstack([points, *map(_corners, (points, shapes.extent))])
@@ -110,23 +110,27 @@ class _Copy:
         scene: Any,
         shapes: viser_scene.Shapes,
         marker: int,
-        rollout: Rollout,
+        rollout: Rollout | ModelRun,
         name: str,
         offset: Floats,
         scale: float,
     ) -> None:
-        arm = rollout.arm
         self._rollout, self._nodes = rollout, viser_scene.ModelNodes(scene, shapes, name, offset=offset)
+        self._shown, self._positions, self._way = (
+            stage.shown(rollout),
+            stage.positions(rollout),
+            stage.travelled(rollout),
+        )
         self._data = mujoco.MjData(shapes.model)
-        stage.mark(arm, self._data, marker, rollout.target)
+        stage.mark(self._shown, self._data, marker, stage.target(rollout))
         self._samples = np.unique(np.linspace(0, len(rollout.t) - 1, _PLANNED_POINTS + 1, dtype=int))
-        self._way = arm.tip(rollout.q_ref[self._samples])
-        off = np.linalg.norm(self._way - rollout.link_position[self._samples, -1], axis=1)
+        self._plan = stage.planned_frames(rollout)[self._samples, -1, :3, 3]
+        off = np.linalg.norm(self._plan - self._way[self._samples], axis=1)
         self._followed = off < scale * TRACED_RADIUS
         self._planned = viser_scene.add_path(
-            scene, f"{name}/planned", self._way, PLANNED_COLOUR, scale * PLANNED_RADIUS
+            scene, f"{name}/planned", self._plan, PLANNED_COLOUR, scale * PLANNED_RADIUS
         )
-        self._tip = [rollout.link_position[0, -1]]
+        self._tip = [self._way[0]]
         self._travelled = viser_scene.add_path(
             scene, f"{name}/travelled", np.repeat(self._tip, 2, axis=0), TRACED_COLOUR, scale * TRACED_RADIUS
         )
@@ -135,16 +139,21 @@ class _Copy:
         """Move to a time [s] after the beginning, or to the end."""
         rollout = self._rollout
         k = min(round(time / rollout.timestep), len(rollout.t) - 1)
-        self._data.qpos[:] = rollout.arm.qpos(rollout.q[k])
+        self._data.qpos[:] = stage.as_qpos(self._shown, self._positions[k])
         mujoco.mj_kinematics(self._nodes.model, self._data)
         self._nodes.show(self._data)
-        tip = rollout.link_position[k, -1]
+        tip = self._way[k]
         if np.linalg.norm(tip - self._tip[-1]) > 1e-3:
             self._tip.append(tip)
             self._travelled.points = viser_scene.segments(np.array(self._tip))
             # What the travelled path covers is left out: at the same depth the two lines would flicker.
             covered = self._followed & (self._samples <= k)
-            self._planned.points = viser_scene.segments(self._way)[~(covered[:-1] & covered[1:])]
+            self._planned.points = viser_scene.segments(self._plan)[~(covered[:-1] & covered[1:])]
+
+
+def _identity(rollout: Rollout | ModelRun) -> str | int:
+    """What rollouts of one arm in one scene have in common."""
+    return id(rollout.model) if isinstance(rollout, ModelRun) else rollout.arm.fingerprint
 
 
 def _corners(points: Floats) -> Floats:

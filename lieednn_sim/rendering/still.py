@@ -14,7 +14,7 @@ from lieednn_sim.errors import InputError
 from lieednn_sim.rendering import stage
 from lieednn_sim.rendering.overlay import Overlay
 from lieednn_sim.rendering.video import Camera, Image
-from lieednn_sim.simulation import Rollout
+from lieednn_sim.simulation import ModelRun, Rollout
 from lieednn_sim.typecheck import typecheck_public
 from lieednn_sim.validation import as_path
 from lieednn_sim.values import Floats
@@ -28,7 +28,7 @@ _AWAY = (0.0, 0.0, -1e4)
 
 
 def render_still(
-    rollout: Rollout,
+    rollout: Rollout | ModelRun,
     path: str | os.PathLike[str],
     *,
     camera: str | None = None,
@@ -40,7 +40,7 @@ def render_still(
     The instants divide the end effector's path into equal lengths; the earlier the instant, the fainter the arm.
 
     Args:
-        rollout: the rollout.
+        rollout: the rollout, or a run in a given model.
         path: ``.png`` file.
         camera: as in `Camera`.
         size: (width, height) in pixels.
@@ -57,13 +57,13 @@ def render_still(
         Picture.fromarray(image).save(temporary, format="PNG")
 
 
-def still(rollout: Rollout, *, camera: str | None, size: tuple[int, int], preset: str) -> Image:
+def still(rollout: Rollout | ModelRun, *, camera: str | None, size: tuple[int, int], preset: str) -> Image:
     """The picture ``(height, width, 3)`` of `render_still`."""
-    points = stage.occupied(rollout)
-    overlay = Overlay.of(rollout, stage.scale(rollout.arm, points))
-    model = rollout.arm.model
+    points, what, rows = stage.occupied(rollout), stage.shown(rollout), stage.positions(rollout)
+    overlay = Overlay.of(rollout, stage.scale(what, points))
+    model = stage.model_of(what)
     moving = (model.body_weldid[model.geom_bodyid] != 0) & (model.body_mocapid[model.geom_bodyid] < 0)
-    chosen = instants(rollout.link_position[:, -1], len(OPACITIES))
+    chosen = instants(overlay.traced_tip, len(OPACITIES))
 
     def draw(scene: mujoco.MjvScene) -> None:
         overlay.draw_paths(scene, len(rollout.t) - 1)
@@ -74,12 +74,12 @@ def still(rollout: Rollout, *, camera: str | None, size: tuple[int, int], preset
                 geom.pos[:] = _AWAY
         draw(scene)
 
-    with Camera(rollout.arm, camera=camera, size=size, preset=preset, target=rollout.target, points=points) as view:
-        empty = view.picture(rollout.q[0], draw_without_arm)
+    with Camera(what, camera=camera, size=size, preset=preset, target=stage.target(rollout), points=points) as view:
+        empty = view.picture(rows[0], draw_without_arm)
         # In the order of time. Where a picture is the empty one, the arm is not, nor its shadow.
         made = empty.astype(float)
         for k, opacity in zip(chosen, OPACITIES, strict=True):
-            picture = view.picture(rollout.q[k], draw)
+            picture = view.picture(rows[k], draw)
             there = (picture != empty).any(axis=-1)
             made[there] += opacity * (picture[there] - made[there])
     return np.rint(made).astype(np.uint8)

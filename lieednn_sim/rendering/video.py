@@ -22,7 +22,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.errors import FileError, InputError, RenderingUnavailableError
 from lieednn_sim.rendering import ffmpeg, opengl, stage
 from lieednn_sim.rendering.overlay import Overlay, write_caption
-from lieednn_sim.simulation import Rollout
+from lieednn_sim.simulation import ModelRun, Rollout
 from lieednn_sim.typecheck import typecheck_public
 from lieednn_sim.validation import as_choice, as_count, as_floats, as_path, as_positive, quoted
 
@@ -45,9 +45,9 @@ _MAX_WIDTH, _MAX_HEIGHT = 3840, 2160  # 4K [pixels]
 PRESETS = {"draft": Preset(shadows=False, samples=0), "nice": Preset(shadows=True, samples=4)}
 
 
-def check_view(arm: Arm, *, camera: str | None, size: tuple[int, int], preset: str) -> None:
+def check_view(what: stage.Shown, *, camera: str | None, size: tuple[int, int], preset: str) -> None:
     """Raise `InputError` for an unknown camera or preset, or a size that cannot be rendered."""
-    check_camera(arm, camera)
+    check_camera(what, camera)
     as_choice("preset", preset, PRESETS)
     if np.shape(size) != (2,):
         raise InputError(f"size must be (width, height), got {quoted(size)}")
@@ -56,10 +56,10 @@ def check_view(arm: Arm, *, camera: str | None, size: tuple[int, int], preset: s
         raise InputError(f"size must be even and at most {_MAX_WIDTH}x{_MAX_HEIGHT}, got {width}x{height}")
 
 
-def check_camera(arm: Arm, camera: str | None) -> None:
-    """Raise `InputError` for a camera that the arm's scene does not have."""
+def check_camera(what: stage.Shown, camera: str | None) -> None:
+    """Raise `InputError` for a camera that the scene does not have."""
     if camera is not None:
-        as_choice("camera", camera, stage.cameras(arm))
+        as_choice("camera", camera, stage.cameras(what))
 
 
 def check_rate(fps: float, path: str | os.PathLike[str]) -> float:
@@ -76,12 +76,13 @@ class Camera:
     """Renders an arm from a named camera; use as a context manager, which frees the OpenGL context.
 
     Args:
-        arm: the arm; its model is not changed.
+        arm: the arm, or a given model, which is rendered as it is; neither is changed.
         camera: name of a camera of its scene; by default ``overview`` if there is one, else a view of ``points``.
         size: (width, height) in pixels, both even, at most 3840x2160.
         preset: a name of `PRESETS`.
-        target: joint target ``(n,)`` for the marker, the scene's own or an added one (`stage.staged`).
-        points: points ``(P, 3)`` that the view must contain; by default those that the link frames reach.
+        target: joint target ``(n,)`` for the marker, the scene's own or an added one (`stage.staged`); a given model
+            has no marker.
+        points: points ``(P, 3)`` that the view must contain; by default those of `stage.reached`.
 
     Raises:
         InputError: the camera or preset is unknown, or the size cannot be rendered.
@@ -90,7 +91,7 @@ class Camera:
 
     def __init__(
         self,
-        arm: Arm,
+        arm: stage.Shown,
         *,
         camera: str | None = None,
         size: tuple[int, int] = (1280, 720),
@@ -120,8 +121,12 @@ class Camera:
         self._renderer.close()
 
     def picture(self, q: ArrayLike, draw: Callable[[mujoco.MjvScene], None] | None = None) -> Image:
-        """Image ``(height, width, 3)`` of the arm at ``q`` ``(n,)``; ``draw`` may add to the scene."""
-        self._data.qpos[:] = self._arm.qpos(as_floats("q", q, (self._arm.n_joints,)))
+        """Image ``(height, width, 3)`` of the arm at ``q`` ``(n,)``; ``draw`` may add to the scene.
+
+        Of a given model, ``q`` is MuJoCo's ``(nq,)``.
+        """
+        size = self._arm.n_joints if isinstance(self._arm, Arm) else self._model.nq
+        self._data.qpos[:] = stage.as_qpos(self._arm, as_floats("q", q, (size,)))
         mujoco.mj_forward(self._model, self._data)
         # Twice, because MuJoCo puts the headlight where the camera was at the previous update.
         for _ in range(2):
@@ -135,14 +140,14 @@ class Camera:
 
     def mark(self, target: ArrayLike | None) -> None:
         """Put the marker at a joint target ``(n,)``; without a target, hide an added marker in the base."""
-        if target is None and self._model.nbody == self._arm.model.nbody:
+        if not isinstance(self._arm, Arm) or (target is None and self._model.nbody == self._arm.model.nbody):
             return
         goal = None if target is None else as_floats("target", target, (self._arm.n_joints,))
         stage.mark(self._arm, self._data, self._marker, goal)
 
 
 def render_video(
-    rollout: Rollout,
+    rollout: Rollout | ModelRun,
     path: str | os.PathLike[str],
     *,
     camera: str | None = None,
@@ -156,10 +161,11 @@ def render_video(
 
     Frame k shows the time k / fps.
 
-    A caption in a corner has the time, the names of arm, scene and controller, and a colour legend.
+    A caption in a corner has the time, the names of arm, scene and controller, and a colour legend. Of a run of
+    `run_in`, the given model is shown as it is, and the caption names the step of a sequence.
 
     Args:
-        rollout: the rollout; the marker shows its target.
+        rollout: the rollout, whose target the marker shows, or a run in a given model.
         path: ``.mp4`` or ``.gif``; it appears only when the video is complete.
         camera: as in `Camera`.
         size: (width, height) in pixels.
@@ -171,7 +177,7 @@ def render_video(
     Returns:
         The number of frames.
     """
-    arm = rollout.arm
+    shown = stage.shown(rollout)
     if as_path("path", path).suffix not in (".mp4", ".gif"):
         raise InputError(f"a video's name must end in .mp4 or .gif, got {Path(path).name!r}")
     rate = check_rate(fps, path)
@@ -179,21 +185,19 @@ def render_video(
     total = int(np.floor((rollout.t[-1] - rollout.t[0]) * rate + 1e-6)) + 1
     samples = np.rint(np.arange(total) / rate / rollout.timestep).astype(int)
     points = stage.occupied(rollout)
-    overlay = Overlay.of(rollout, stage.scale(arm, points))
-    names = [title] if title else []
-    names += [stage.place(arm), rollout.controller]
-    end = rollout.t[-1]
-    view = Camera(arm, camera=camera, size=size, preset=preset, target=rollout.target, points=points)
+    overlay = Overlay.of(rollout, stage.scale(shown, points))
+    names, rows, end = [title] if title else [], stage.positions(rollout), rollout.t[-1]
+    view = Camera(shown, camera=camera, size=size, preset=preset, target=stage.target(rollout), points=points)
     with view, filesystem.atomic_path(path) as temporary:
         # A picture is captioned and encoded while the next one is rendered.
         with _writer(temporary, size, rate) as append, ThreadPoolExecutor(1) as encoder:
 
             def write(picture: Image, now: float) -> None:
-                append(write_caption(picture, [*names, f"{now:.2f} s of {end:.2f} s"]))
+                append(write_caption(picture, [*names, *stage.caption(rollout, now), f"{now:.2f} s of {end:.2f} s"]))
 
             written: Future[None] | None = None
             for done, k in enumerate(samples, start=1):
-                picture = view.picture(rollout.q[k], functools.partial(overlay.draw, k=int(k)))
+                picture = view.picture(rows[k], functools.partial(overlay.draw, k=int(k)))
                 if written is not None:
                     written.result()
                 written = encoder.submit(write, picture, rollout.t[k])

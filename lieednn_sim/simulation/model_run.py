@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import importlib
+import os
 from collections.abc import Mapping
 from dataclasses import field
 from typing import TYPE_CHECKING
@@ -33,6 +35,7 @@ class ModelRun:
         tracking_error: ``(K, n)`` how far the coordinates are from the planned ones [rad, m].
         motion_end: when the plan ended [s]; after it the arm was to rest.
         tip: name of the body or site that is the end effector.
+        steps: when each step of a sequence began [s], and its name; none for a single plan.
     """
 
     model: mujoco.MjModel = field(compare=False)
@@ -45,6 +48,7 @@ class ModelRun:
     tracking_error: Floats
     motion_end: float
     tip: str
+    steps: tuple[tuple[float, str], ...] = ()
 
     @classmethod
     def of(
@@ -56,6 +60,7 @@ class ModelRun:
         log: Mapping[str, Floats],
         planned: Floats,
         motion_end: float,
+        steps: tuple[tuple[float, str], ...] = (),
     ) -> ModelRun:
         """The run of a log of positions, velocities and controls; mocap bodies of the model are put where they were."""
         for body in np.flatnonzero(model.body_mocapid >= 0):
@@ -80,6 +85,7 @@ class ModelRun:
             tracking_error=error,
             motion_end=motion_end,
             tip=tip,
+            steps=steps,
         )
 
     def __repr__(self) -> str:
@@ -87,6 +93,25 @@ class ModelRun:
             f"<ModelRun: {len(self.t)} samples in {self.t[-1]:g} s, {len(self.joint_names)} joints, "
             f"tracking error up to {np.abs(self.tracking_error).max():.2g} rad or m>"
         )
+
+    @property
+    def timestep(self) -> float:
+        """Simulation step [s]."""
+        return float(self.t[1] - self.t[0])
+
+    @property
+    def hold(self) -> float:
+        """Time simulated after the plan [s]."""
+        return float(self.t[-1] - self.motion_end)
+
+    def step_at(self, time: float) -> str:
+        """Name of the step of a sequence that was being done at a time [s]; empty for a single plan."""
+        return next((name for begin, name in reversed(self.steps) if begin <= time + 1e-9), "")
+
+    def to_html(self, path: str | os.PathLike[str], *, title: str = "") -> None:
+        """Write a page that plays the run in 3D; as `lieednn_sim.render_page`, with its errors."""
+        # By name: whoever only simulates needs no renderer.
+        importlib.import_module("lieednn_sim.rendering.page").render_page(self, path, title=title)
 
     def poses(self, name: str, *, planned: bool = False) -> RigidTransform:
         """Poses of shape ``(K,)`` of a body or site in the world, as simulated or as planned.
