@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar
@@ -89,7 +89,7 @@ class Task:
     least: ClassVar[Mapping[str, float]] = {}
     joints: ClassVar[list[str]]
 
-    def __init__(self, menagerie: Path | None = None) -> None:
+    def __init__(self, menagerie: Sequence[Path] = ()) -> None:
         del menagerie
 
     def start(self, case: int) -> Outcome:
@@ -121,20 +121,20 @@ class Boom(Task):
     least: ClassVar[dict[str, float]] = {"clearance_mm": 30.0}
     joints: ClassVar[list[str]] = ["carriage", "telescope", "yaw", "pitch", "reach"]
     goals: ClassVar[list[list[float]]] = [
-        [5.0, 4.20, 0.45, 1.00, 0.40],
-        [5.0, 4.15, -0.62, -0.26, 0.26],
-        [5.0, 4.16, 0.46, -1.07, 0.18],
-        [4.9, 4.15, 0.30, 1.20, 0.50],
-        [5.0, 4.02, -0.49, -0.69, 0.43],
+        [4.95, 4.20, 0.45, 1.00, 0.40],
+        [4.95, 4.15, -0.62, -0.26, 0.26],
+        [4.95, 4.16, 0.46, -1.07, 0.18],
+        [4.9, 4.15, 0.30, 1.20, 0.45],
+        [4.95, 4.02, -0.49, -0.69, 0.43],
     ]
 
     def start(self, case: int) -> Outcome:
         return _at_home("boom")
 
     def play(self, done: Outcome, case: int, planner: str) -> None:
-        goal = self.goals[case]
         # 3 mm more than the published margin, for what a servo is off its plan.
-        done.move(self.joints, goal, 5.0, planner=planner, seed=case, tip="tip", clearance=0.033, duration=60.0)
+        options: dict[str, Any] = {"clearance": 0.033, "duration": 60.0, "max_time_scale": 4.0}
+        done.move(self.joints, self.goals[case], 5.0, planner=planner, seed=case, tip="tip", **options)
 
     def judge(self, done: Outcome, case: int) -> dict[str, float]:
         return {

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -39,7 +40,9 @@ class Shelf(Task):
     # The telescope's four stages share its extension.
     limits: ClassVar[dict[str, dict[str, float]]] = {
         joint: {"velocity": velocity, "acceleration": acceleration}
-        for joint, velocity, acceleration in zip((_JOINTS[0], _JOINTS[1], _JOINTS[-1]), (0.15, 0.1, 3.0), (0.3, 0.1, 3.0), strict=True)
+        for joint, velocity, acceleration in zip(
+            (_JOINTS[0], _JOINTS[1], _JOINTS[-1]), (0.15, 0.1, 3.0), (0.3, 0.1, 3.0), strict=True
+        )
     }
     defaults: ClassVar[tuple[tuple[float, float], ...]] = ((0.11, 0.2), (0.14, 0.14), (2.0, 3.0))
     begin: ClassVar[list[float]] = [0.35, 0.1, 0.0]
@@ -51,17 +54,14 @@ class Shelf(Task):
         [_BOARD, 0.50, -0.4],
     ]
 
-    def __init__(self, menagerie: Path | None = None) -> None:
-        if menagerie is None and importlib.util.find_spec("mujoco_menagerie"):
-            self.file = Path(importlib.import_module("mujoco_menagerie").get("hello_robot_stretch_3").path())
-            self.file = self.file if self.file.is_dir() else self.file.parent
-        elif menagerie is not None:
-            self.file = menagerie / "hello_robot_stretch_3"
-        else:
+    def __init__(self, menagerie: Sequence[Path] = ()) -> None:
+        folders = [folder / "hello_robot_stretch_3" for folder in menagerie]
+        if not folders and importlib.util.find_spec("mujoco_menagerie"):
+            folders = [Path(importlib.import_module("mujoco_menagerie").get("hello_robot_stretch_3").path())]
+        files = [folder / "stretch.xml" for folder in folders if (folder / "stretch.xml").is_file()]
+        if not files:
             raise LeftOutError("it needs MuJoCo Menagerie: --menagerie FOLDER, or pip install mujoco-menagerie")
-        self.file = self.file / "stretch.xml"
-        if not self.file.is_file():
-            raise LeftOutError(f"there is no {self.file}")
+        self.file = files[0]
         self.grip = self._upright()
 
     def start(self, case: int) -> Outcome:
@@ -101,7 +101,9 @@ class Shelf(Task):
             robot.delete(one)
         spec.attach(robot, prefix="stretch_", site=spec.site("robot"))
         hand = spec.body("stretch_link_SG3_gripper_body")
-        can = hand.add_body(name="can", pos=[0, 0, 0.23], quat=self.grip) if held else spec.worldbody.add_body(name="can")
+        can = (
+            hand.add_body(name="can", pos=[0, 0, 0.23], quat=self.grip) if held else spec.worldbody.add_body(name="can")
+        )
         can.add_geom(type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=[_RADIUS, _HALF, 0], mass=0.3, rgba=[0.8, 0.15, 0.1, 1])
         if held:
             for body in hand.find_all("body"):
