@@ -55,7 +55,7 @@ def attempt(task: Task, case: int, planner: str) -> tuple[dict[str, Any], Outcom
     return {"figures": figures, "missed": missed, "cpu_s": done.cpu_time}, done
 
 
-def write_film(path: Path, done: Outcome, frames: int = 60, size: tuple[int, int] = (480, 270)) -> None:
+def write_film(path: Path, done: Outcome, frames: int = 60, size: tuple[int, int] = (640, 360)) -> None:
     """Write a GIF of all that happened, as the scene's camera sees it."""
     whole, pictures = sum(t[-1] for _, t, _, _ in done.shots), []
     for model, t, qpos, riding in done.shots:
