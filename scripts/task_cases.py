@@ -114,7 +114,7 @@ class Boom(Task):
     title = "Boom of 22 m through a penetration of 0.55 m"
     published = (
         "Published: 22 m, 4.6 t, a hole of 55 cm and a margin of 30 mm to its wall "
-        "([sources](../../assets/tasks/boom/README.md)). Pass mark: 30 mm kept in simulation, tip within 10 mm."
+        "(sources: `assets/tasks/boom/README.md`). Pass mark: 30 mm kept in simulation, tip within 10 mm."
     )
     columns: ClassVar[dict[str, str]] = {"time_s": "time [s]", "clearance_mm": "clearance [mm]", "tip_mm": "tip [mm]"}
     most: ClassVar[dict[str, float]] = {"tip_mm": 10.0}
@@ -150,7 +150,7 @@ class Harvester(Task):
     title = "Picking arm at a row of fruit"
     published = (
         "Published: 5.97 s for a fruit in the mean, looking for it included, and 7.53 s and 5.27 s by other robots "
-        "([sources](../../assets/tasks/harvester/README.md)). Pass mark: four fruits, 5.97 s for each with 1 s for the "
+        "(sources: `assets/tasks/harvester/README.md`). Pass mark: four fruits, 5.97 s for each with 1 s for the "
         "vacuum, tip within 4.7 mm, no contact."
     )
     columns: ClassVar[dict[str, str]] = {
@@ -210,7 +210,7 @@ class Crane(Task):
     title = "Timber crane with an elastic last stage"
     published = (
         "Published: a feedforward that knows the load reduces its swing by more than 60 % "
-        "([sources](../../assets/tasks/crane/README.md)). Pass mark: at most 40 % of the swing after a trapezoidal "
+        "(sources: `assets/tasks/crane/README.md`). Pass mark: at most 40 % of the swing after a trapezoidal "
         "speed along the same path in the same time, hook within 50 mm, load 100 mm from everything."
     )
     columns: ClassVar[dict[str, str]] = {

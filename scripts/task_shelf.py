@@ -25,7 +25,7 @@ class Shelf(Task):
 
     title = "Stretch 3 puts a can into a shelf"
     published = (
-        "Published: the robot's default and largest speeds ([sources](../../assets/tasks/shelf/README.md)). Pass mark: "
+        "Published: the robot's default and largest speeds (sources: `assets/tasks/shelf/README.md`). Pass mark: "
         "there and back in at most the time of one joint after the other at the default speeds, can upright within "
         "10 mm, 2 mm kept as planned."
     )
