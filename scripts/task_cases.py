@@ -78,8 +78,10 @@ class Task:
     """A task: its name, the published figures, the columns of its table and its pass mark.
 
     Attributes:
+        title, published: what stands above its table.
         columns: heads of the table by name of the figure.
-        most, least: the pass mark.
+        most, least: the pass mark: the largest and the least values that pass, by name of the figure.
+        joints: the joints that are planned.
     """
 
     title: ClassVar[str]
@@ -93,12 +95,15 @@ class Task:
         del menagerie
 
     def start(self, case: int) -> Outcome:
+        """The state in which a case begins."""
         raise NotImplementedError
 
     def play(self, done: Outcome, case: int, planner: str) -> None:
+        """Plan and simulate all motions of a case; raises `LieEDNNError` if one is not found or fails."""
         raise NotImplementedError
 
     def judge(self, done: Outcome, case: int) -> dict[str, float]:
+        """The figures of a case whose motions were all simulated."""
         raise NotImplementedError
 
     def missed(self, figures: Mapping[str, float]) -> list[str]:
