@@ -67,7 +67,7 @@ def _script(name: str, words: str, folder: str, *kinds: str, jobs: bool = False)
     return Study((f"python scripts/{name}.py {words}".strip(),), outputs, (name,), jobs)
 
 
-_TASKS = ("boom", "harvester", "crane", "shelf")
+_TASKS = ("boom", "harvester", "crane", "slow_crane", "shelf")
 _VIDEO = "lieednn_sim.rendering.video"
 STUDIES = {
     "demo": Study(

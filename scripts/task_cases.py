@@ -212,7 +212,7 @@ class Harvester(Task):
 class Crane(Task):
     """A timber crane with an elastic last stage."""
 
-    title = "Timber crane with an elastic last stage"
+    title = "Timber crane with an elastic last stage, in 8 s"
     published = (
         "Published: a feedforward that knows the load reduces its swing by more than 60 % "
         "(sources: `assets/tasks/crane/README.md`). Pass mark: at most 40 % of the swing after a trapezoidal "
@@ -229,7 +229,7 @@ class Crane(Task):
     most: ClassVar[dict[str, float]] = {"ratio": 0.4, "hook_mm": 50.0}
     least: ClassVar[dict[str, float]] = {"load_mm": 100.0}
     joints: ClassVar[list[str]] = ["slew", "inner", "outer", "telescope"]
-    duration: ClassVar[float] = 12.0  # [s]
+    duration: ClassVar[float] = 8.0  # [s]
     starts: ClassVar[list[list[float]]] = [
         [-1.5, 0.45, -1.45, 1.0],
         [1.6, 0.55, -1.60, 1.1],
@@ -293,6 +293,13 @@ class Crane(Task):
             near = (mujoco.mj_geomDistance(model, data, one, other, 1.0, None) for one in load for other in others)
             least = min(least, *near)
         return float(least)
+
+
+class SlowCrane(Crane):
+    """The same with half as much time again."""
+
+    title = "Timber crane with an elastic last stage, in 12 s"
+    duration: ClassVar[float] = 12.0  # [s]
 
 
 def _at_home(name: str) -> Outcome:

@@ -19,14 +19,20 @@ from typing import Any
 
 import numpy as np
 from PIL import Image
-from task_cases import Boom, Crane, Harvester, LeftOutError, Outcome, Task
+from task_cases import Boom, Crane, Harvester, LeftOutError, Outcome, SlowCrane, Task
 from task_shelf import Shelf
 
 import lieednn_sim as ls
 from lieednn_sim import filesystem, storage
 from lieednn_sim._mujoco import mujoco
 
-TASKS: dict[str, type[Task]] = {"boom": Boom, "harvester": Harvester, "crane": Crane, "shelf": Shelf}
+TASKS: dict[str, type[Task]] = {
+    "boom": Boom,
+    "harvester": Harvester,
+    "crane": Crane,
+    "slow_crane": SlowCrane,
+    "shelf": Shelf,
+}
 
 PLANNERS = (
     "lieednn-certified",
