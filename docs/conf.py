@@ -106,6 +106,7 @@ EXAMPLES = (
         "moving_target",
         "moving_obstacle",
     ),
+    *("task_boom", "task_harvester", "task_crane"),
     *("demonstrations_fan", "motion_library", "payload_and_friction", "batch_of_256", "planner_figure", "environment"),
     *("own_certificate", "paper_figure", "algorithm_1", "*"),
 )

@@ -67,6 +67,7 @@ def _script(name: str, words: str, folder: str, *kinds: str, jobs: bool = False)
     return Study((f"python scripts/{name}.py {words}".strip(),), outputs, (name,), jobs)
 
 
+_TASKS = ("boom", "harvester", "crane", "slow_crane", "shelf")
 _VIDEO = "lieednn_sim.rendering.video"
 STUDIES = {
     "demo": Study(
@@ -114,6 +115,14 @@ STUDIES = {
         {name: f"results/comparison/{name}" for name in ("comparison.md", "comparison.html", "reactions.md")},
         ("lieednn_sim.studies.comparison.study", "lieednn_sim.studies.reactions.study"),
         jobs=True,
+    ),
+    "tasks": Study(
+        ("python scripts/tasks.py --menagerie ROBOTS",),
+        {
+            "tasks.md": "results/tasks/tasks.md",
+            **{f"tasks_{name}.gif": f"results/tasks/tasks_{name}.gif" for name in _TASKS},
+        },
+        ("tasks",),
     ),
     "shaped": Study(
         ("python scripts/shaped.py", "python scripts/shaped.py --scenes free --seeds 100"),
