@@ -102,6 +102,8 @@ EXAMPLES = (
         "own_urdf_table",
         "plan_in_model",
         "pick_and_place",
+        "plan_in_menagerie",
+        "plan_in_robosuite",
         "push_and_return",
         "moving_target",
         "moving_obstacle",
@@ -110,12 +112,14 @@ EXAMPLES = (
     *("demonstrations_fan", "motion_library", "payload_and_friction", "batch_of_256", "planner_figure", "environment"),
     *("own_certificate", "paper_figure", "algorithm_1", "*"),
 )
+# Examples that need models which are not the project's: they are shown, not run, beside a page that is kept.
+KEPT = "|".join(sorted(path.stem for path in (HERE / "_static" / "kept").glob("*.html")))
 gallery_scraper.EXTRA.mkdir(parents=True, exist_ok=True)
 html_extra_path = [str(gallery_scraper.EXTRA), "../results/reference/comparison.html"]
 sphinx_gallery_conf = {
     "examples_dirs": ["gallery"],
     "gallery_dirs": ["gallery/_made"],
-    "filename_pattern": r"\.py$",
+    "filename_pattern": rf"/(?!({KEPT})\.py)\w+\.py$",
     "within_subsection_order": ExplicitOrder([name if name == "*" else f"{name}.py" for name in EXAMPLES]),
     "reset_argv": gallery_scraper.empty_directory,
     "image_scrapers": ("matplotlib", gallery_scraper.written_files),
