@@ -82,6 +82,21 @@ def test_only_what_a_film_shows_is_in_the_scene(rollout):
     assert [model.geom(geom).name for geom in shapes.floors] == ["floor"]
 
 
+def test_edges_are_sharp_and_curved_sides_smooth():
+    """A box has three vertices at each of its 8 corners; of a cylinder, all but the middles of its ends are twice."""
+    pytest.importorskip("viser")
+    geoms = '<body><geom type="box" size="1 1 1"/></body><body><geom type="cylinder" size="1 1" rgba="1 0 0 1"/></body>'
+    model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{geoms}</worldbody></mujoco>")
+    box, cylinder = (shape.mesh for shape in viser_scene.Shapes(model).shapes)
+    assert (len(box.vertices), len(box.faces)) == (24, 12)
+    assert len(box.vertices) == 3 * len(np.unique(box.vertices, axis=0))
+    places, times = np.unique(np.round(cylinder.vertices, 6), axis=0, return_counts=True)
+    on_edge = np.hypot(*places[:, :2].T) > 0.5
+    np.testing.assert_array_equal(times, np.where(on_edge, 2, 1))
+    for mesh in (box, cylinder):
+        assert mesh.volume == pytest.approx({24: 8.0}.get(len(mesh.vertices), np.pi * 2.0), rel=0.02)
+
+
 def test_two_arms_side_by_side_share_their_geometry(rollout):
     one, two = record([rollout]), record([rollout, rollout], ["one", "other"])
     assert len(two.content) < 1.35 * len(one.content)
