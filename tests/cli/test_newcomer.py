@@ -124,8 +124,10 @@ sys.exit(main(["demo", "--no-page", "--no-video", "--output", {output!r}]))
 """
 
 
-@pytest.mark.parametrize("module", ["numpy", "lieednn_sim.cli.planning"])
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize(
+    ("module", "number", "code"),
+    [("numpy", signal.SIGINT, 130), ("lieednn_sim.cli.planning", signal.SIGTERM, 143)],
+)
 def test_a_signal_during_an_import_ends_the_command_cleanly(module, number, code, tmp_path, start):
     script = IMPORTING.format(module=module, number=int(number), output=str(tmp_path / "run"))
     process = start("-c", script)
