@@ -40,6 +40,9 @@ os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 for _variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ[_variable] = "1"
 
+# To wait for the disk makes nothing safer here; `test_platform.py` walks the road with the system's own.
+os.fsync = os.fstat
+
 # Garbage is little beside what is imported and kept, so that to look for it often takes a tenth of the time.
 gc.set_threshold(100_000, 50, 50)
 

@@ -22,7 +22,7 @@ from threadpoolctl import threadpool_limits
 from lieednn_sim.arm import Arm, arm_names
 from lieednn_sim.learning import projected
 from lieednn_sim.planning import plan
-from lieednn_sim.simulation import simulate
+from lieednn_sim.simulation import follow, simulate
 from lieednn_sim.synthesis import attempts
 
 
@@ -32,6 +32,7 @@ def test_every_row_is_measured_and_written(tmp_path, monkeypatch):
         monkeypatch.setattr(module, "plan", partial(plan, duration=1.5))
     for module in (benchmark, benchmark_networks, benchmark_stepping):
         monkeypatch.setattr(module, "simulate", partial(simulate, hold=0.0))
+    monkeypatch.setattr(benchmark_networks, "follow", lambda policy, target, _: follow(policy, target, 0.2))
     monkeypatch.setattr(benchmark_floors, "_FRAMES", 2)
     for module in (attempts, projected):
         monkeypatch.setattr(module, "cpu_time", time.thread_time)

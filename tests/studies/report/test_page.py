@@ -261,17 +261,19 @@ def test_in_a_browser_the_video_plays(browser):
 @pytest.mark.browser
 @pytest.mark.rendering
 def test_in_a_browser_a_click_plays_two_planners_side_by_side(browser):
-    """A second view takes the first one's place."""
+    """A second view takes the first one's place, before that has drawn anything: to draw takes longer than all else."""
     browser.set_window_size(400, 400)
-    for button in browser.find_elements("css selector", ".view button"):
+    buttons = browser.find_elements("css selector", ".view button")
+    assert len(buttons) == 2
+    for button in buttons:
         browser.execute_script("arguments[0].click()", button)
         (frame,) = browser.find_elements("css selector", ".view iframe")
-        wait = pytest.importorskip("selenium.webdriver.support.wait")
-        browser.switch_to.frame(frame)
-        wait.WebDriverWait(browser, 300.0).until(
-            lambda driver: driver.execute_script(
-                "const poses = window.__viserMutable?.nodePoseData;"
-                "return poses && '/0/link1' in poses && '/1/link1' in poses"
-            )
+    wait = pytest.importorskip("selenium.webdriver.support.wait")
+    browser.switch_to.frame(frame)
+    wait.WebDriverWait(browser, 300.0).until(
+        lambda driver: driver.execute_script(
+            "const poses = window.__viserMutable?.nodePoseData;"
+            "return poses && '/0/link1' in poses && '/1/link1' in poses"
         )
-        browser.switch_to.default_content()
+    )
+    browser.switch_to.default_content()
