@@ -45,11 +45,13 @@ def test_example(
 
 @pytest.mark.parametrize("page", sorted(KEPT.glob("*.html")), ids=lambda path: path.stem)
 def test_example_with_a_kept_page(page: Path) -> None:
-    """It is a script that shows its page and says when that was made; page and thumbnail are small."""
+    """The script shows its page, says when that was made and names the models' licence; the files are small."""
     text = (GALLERY / f"{page.stem}.py").read_text()
     compile(text, page.stem, "exec")
     assert f'src="../../_static/kept/{page.name}"' in text
     assert f"sphinx_gallery_thumbnail_path = '_static/kept/{page.stem}.jpg'" in text
     assert "by hand: on " in text
+    assert f"<../../_static/kept/{page.stem}.license.txt>" in text
+    assert page.with_suffix(".license.txt").exists()
     assert page.stat().st_size < 3e6
     assert page.with_suffix(".jpg").stat().st_size < 2e5

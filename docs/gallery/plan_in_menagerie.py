@@ -8,7 +8,8 @@ compartment of a shelf and into another, past cans that stand free.
 
 The script needs the Menagerie's files: ``pip install mujoco-menagerie`` downloads them when it first uses them. They
 are not part of this project, so this page was not made when the site was built, but by hand: on 25 November 2026, with
-MuJoCo 3.17.0, lieednn_sim 0.2.0, and a copy of the Menagerie's folder of this robot.
+MuJoCo 3.17.0, lieednn_sim 0.2.0, and a copy of the Menagerie's folder of this robot. The page shows
+its meshes, under `their licence <../../_static/kept/plan_in_menagerie.license.txt>`__.
 
 .. raw:: html
 

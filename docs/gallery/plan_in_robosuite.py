@@ -26,7 +26,8 @@ MuJoCo 3.17, which this package needs. So the task is saved in an environment of
 
 The XML names the meshes where robosuite is installed, so both environments must be on the same machine. robosuite's
 models are not part of this project, so this page was not made when the site was built, but by hand: on 25 November
-2026, with MuJoCo 3.17.0 and lieednn_sim 0.2.0.
+2026, with MuJoCo 3.17.0 and lieednn_sim 0.2.0. The page shows robosuite's collision meshes,
+under `its licence <../../_static/kept/plan_in_robosuite.license.txt>`__.
 
 .. raw:: html
 
