@@ -50,7 +50,7 @@ FRONT_DOOR = {
     "motions[0] must be a Plan or a Motion, got {}; see plan": [
         lambda other: simulation.simulate_many(Arm.load("telescopic_pr"), [other])
     ],
-    "rollout must be a Rollout, got {}; see simulate": [
+    "rollout must be a Rollout or a ModelRun, got {}; see simulate": [
         lambda other: ls.evaluate(other),
         lambda other: ls.render_video(other, "video.mp4"),
     ],
