@@ -228,7 +228,7 @@ def plot(runs: dict[str, list[dict[str, Any]]], path: Path) -> None:
         rate = 100.0 * np.mean(runs[EXPERT][0]["last"]["success"])
         axes.axhline(rate, color="black", linestyle="--", label=EXPERT)
         axes.set(ylim=(-4, 104), xlabel="share of the budget of steps, or of updates [%]", ylabel="success [%]")
-        axes.legend(loc="center left")
+        axes.legend(loc="center", bbox_to_anchor=(0.65, 0.3))
         save_figure(figure, path)
 
 
