@@ -42,7 +42,7 @@ from lieednn_sim.values import Floats
 NAME = next(iter(ENVIRONMENTS))
 PERIOD = 0.1  # time between actions [s]
 # Names and budgets of learners: control steps, those of the expert for behaviour cloning.
-LEARNERS = {"behaviour cloning": 120_000, "SAC": 8_000, "PPO": 80_000}
+LEARNERS = {"behaviour cloning": 120_000, "SAC": 20_000, "PPO": 400_000}
 EXPERT, RANDOM = "expert", "random actions"
 POLICY = "lieednn-certified"
 EPOCHS, BATCH = 50, 256
