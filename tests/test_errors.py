@@ -51,7 +51,9 @@ FRONT_DOOR = {
         lambda other: simulation.simulate_many(Arm.load("telescopic_pr"), [other])
     ],
     "rollout must be a Rollout, got {}; see simulate": [lambda other: ls.evaluate(other)],
-    "rollout must be a Rollout or a ModelRun, got {}; see simulate": [lambda other: ls.render_video(other, "video.mp4")],
+    "rollout must be a Rollout or a ModelRun, got {}; see simulate": [
+        lambda other: ls.render_video(other, "video.mp4")
+    ],
     "following must be a Following, got {}; see follow": [lambda other: evaluation.evaluate_following(other)],
     "path must be a string or a path, got {}": [
         lambda other: ls.LieEDNN.load(None if other is None else [other]),
