@@ -96,7 +96,7 @@ def write_pages(folder: Path, name: str, done: Outcome) -> None:
         rows = {key: np.concatenate([getattr(run, key) for run in runs]) for key in _ROWS}
         rows["t"] = np.arange(len(rows["qpos"])) * runs[0].timestep
         whole = replace(runs[0], **rows, motion_end=float(ends[-1] - runs[-1].t[-1] + runs[-1].motion_end))
-        whole.to_html(folder / f"{name}{k + 1 if k else ''}.html", title=name)
+        ls.render_page(whole, folder / f"{name}{k + 1 if k else ''}.html", camera="side", title=name)
 
 
 def as_markdown(results: dict[str, dict[str, Any]]) -> str:
