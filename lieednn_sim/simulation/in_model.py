@@ -9,7 +9,7 @@ import numpy as np
 
 from lieednn_sim._mujoco import QuietWarnings, mujoco
 from lieednn_sim.arm import Arm
-from lieednn_sim.arm.importer.compiled import shared_addresses
+from lieednn_sim.arm.importer.compiled import check_data, shared_addresses
 from lieednn_sim.errors import InputError, SimulationError
 from lieednn_sim.planning.in_model import ModelPlan
 from lieednn_sim.planning.sequence import PlanSequence, SequencePart
@@ -55,13 +55,18 @@ def run_in(
         progress: called with (done, total) now and then, in steps.
 
     Raises:
-        InputError: a value is malformed, the arm is not where the plan begins, or what moves it are actuators of other
-            kinds, such as muscles, or too few.
+        InputError: a value is malformed or of another model, the arm is not where the plan begins, or what moves it are
+            actuators of other kinds, such as muscles, or too few.
         SimulationError: MuJoCo warns, the state is not finite, or an event of a sequence does not come in time.
     """
     rest = float(as_floats("hold", hold, ()))
     if not 0.0 <= rest <= _LONGEST_HOLD:
         raise InputError(f"hold must be from 0 to {_LONGEST_HOLD:g} s, got {rest:g}")
+    check_data(model, data)
+    if found.qpos.shape[1] != model.nq:
+        raise InputError(
+            f"found is of another model: it has {found.qpos.shape[1]} positions, and this model has {model.nq}"
+        )
     running = _Running(model, data, found, feedforward, round(rest / model.opt.timestep), progress)
     with QuietWarnings():
         running.begin()

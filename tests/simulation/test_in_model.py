@@ -102,6 +102,13 @@ def test_what_cannot_be_simulated_is_named(case):
     elsewhere = mujoco.MjData(model)
     with pytest.raises(InputError, match=r"not where the plan begins: its joint 'turn' is 0\.5"):
         ls.run_in(model, elsewhere, found)
+    other = mujoco.MjModel.from_xml_string("<mujoco/>")
+    with pytest.raises(InputError, match="data must be of the model"):
+        ls.run_in(model, mujoco.MjData(other), found)
+    with pytest.raises(
+        InputError, match=f"found is of another model: it has {model.nq} positions, and this model has 0"
+    ):
+        ls.run_in(other, mujoco.MjData(other), found)
     with pytest.raises(InputError, match="hold must be from 0"):
         ls.run_in(model, data, found, hold=-1.0)
     elsewhere.qpos[:] = data.qpos

@@ -15,6 +15,7 @@ from lieednn_sim.arm.importer.loading import unused
 from lieednn_sim.arm.importer.serial_chain import Frame, body_frame, find_frame
 from lieednn_sim.arm.importer.stages import tendon_joints
 from lieednn_sim.errors import InputError
+from lieednn_sim.validation import as_choice
 
 _EQ, _GEOM, _OBJ, _TRN = mujoco.mjtEq, mujoco.mjtGeom, mujoco.mjtObj, mujoco.mjtTrn
 _EQUALITIES = tuple(map(int, (_EQ.mjEQ_CONNECT, _EQ.mjEQ_WELD, _EQ.mjEQ_JOINT)))
@@ -50,8 +51,7 @@ def spec_of(model: mujoco.MjModel, data: mujoco.MjData, grasp: Grasp | None = No
     Raises:
         InputError: the positions are not finite, or the data is of another model.
     """
-    if len(data.qpos) != model.nq or data.xpos.shape[0] != model.nbody:
-        raise InputError("data must be of the model: make it by mujoco.MjData(model)")
+    check_data(model, data)
     if not np.isfinite(data.qpos).all():
         raise InputError("data holds NaN or infinite positions: reset it, or set its qpos")
     spec = mujoco.MjSpec()
@@ -267,18 +267,27 @@ def name_in_spec(model: mujoco.MjModel, body: int) -> str:
     return _Names(model)("body", body)
 
 
+def check_data(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    """Raise `InputError` for data of another model."""
+    if len(data.qpos) != model.nq or data.xpos.shape[0] != model.nbody or len(data.ctrl) != model.nu:
+        raise InputError("data must be of the model: make it by mujoco.MjData(model)")
+
+
 def shared_addresses(model: mujoco.MjModel, arm: mujoco.MjModel) -> tuple[NDArray[np.int_], ...]:
     """Where the joints of an arm from `spec_of` are in the model that it was made of.
 
     Returns:
         Addresses in qpos of the model and of the arm, and in qvel of the model and of the arm, one for each entry.
+
+    Raises:
+        InputError: the model lacks a joint of the arm.
     """
     names = _Names(model)
     qpos: list[tuple[int, int]] = []
     qvel: list[tuple[int, int]] = []
     theirs = {names("joint", joint): joint for joint in range(model.njnt)}
     for joint in range(arm.njnt):
-        other = theirs[arm.joint(joint).name]
+        other = theirs[as_choice("joint of the arm in the model", arm.joint(joint).name, theirs)]
         for width, found, address in ((_WIDTHS, qpos, "jnt_qposadr"), (_RATES, qvel, "jnt_dofadr")):
             count = width.get(int(arm.jnt_type[joint]), 1)
             found += [(getattr(model, address)[other] + k, getattr(arm, address)[joint] + k) for k in range(count)]
