@@ -267,15 +267,19 @@ class Crane(Task):
         uninformed = ls.run_in(*self.begun, _trapezoidal(found), hold=10.0)
         swing, theirs = self._swing(run), self._swing(uninformed)
         rest = run.t >= run.motion_end
-        bend = run.qpos[rest, 4]
         return {
             "time_s": run.motion_end,
             "swing_deg": float(np.rad2deg(swing)),
             "ratio": swing / theirs,
-            "bend_mm": 1e3 * 1.2 * float(np.ptp(bend)) / 2.0,
+            "bend_mm": 1e3 * self.amplitude(run.qpos[rest, 4]),
             "hook_mm": 1e3 * done.missed(0),
             "load_mm": 1e3 * self._load_clearance(run),
         }
+
+    @staticmethod
+    def amplitude(bend: NDArray[np.float64]) -> float:
+        """How far the hook moves from its middle, up or down, as the last stage bends by angles ``(K,)`` [m]."""
+        return 0.5 * 1.2 * float(np.ptp(bend))
 
     def _swing(self, run: Any) -> float:
         """Largest angle of the load's line from the vertical after the motion [rad]."""

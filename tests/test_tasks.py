@@ -77,6 +77,7 @@ def test_lengths_and_masses_are_the_published_ones():
     # What the load bends: its moment over the stiffness, times the length that turns.
     bent = 510.0 * 9.81 * 1.2 / crane.joint("bend_down").stiffness[0] * 1.2
     assert bent == pytest.approx(0.06, abs=0.015)
+    assert task_cases.Crane.amplitude(np.array([0.05, 0.03, 0.04])) == pytest.approx(0.012)
 
 
 @pytest.mark.parametrize("task", [task_cases.Boom(), task_cases.Crane(), task_cases.Harvester()])

@@ -87,6 +87,11 @@ def test_what_is_held_moves_with_the_hand_and_stays_where_it_is_put(planned):
     np.testing.assert_array_equal(found.qpos[found.parts[4].first :, 2], found.qpos[-1, 2])
     # The gripper closed until it met the box: its fingers are 1 mm inside their open position of 6 mm and more.
     assert found.qpos[carry.first, -1] == pytest.approx(0.02 - 0.001 - 0.001, abs=2e-3)
+    # The step ended when they had been slower than 2 mm/s for 0.1 s, and were not before.
+    grip, speed = found.parts[1], np.abs(found.qvel[:, -2:]).max(axis=1)
+    quiet = round(0.1 / model.opt.timestep)
+    assert (speed[grip.last - quiet + 1 : grip.last + 1] < 2e-3).all()
+    assert speed[grip.last - quiet] >= 2e-3
     assert "carry         lieednn-shaped: globally stable for every bias" in str(found)
 
 
