@@ -97,6 +97,18 @@ def test_servos_sag_under_gravity_without_feedforward(case):
     assert plain.tracking_error[-1] == pytest.approx([0.0, sag, 0.0], abs=5e-4)
 
 
+def test_a_force_that_the_data_applies_stays_and_pushes_the_arm(case):
+    model, data, found = case
+    pushed = mujoco.MjData(model)
+    mujoco.mj_copyData(pushed, model, data)
+    pushed.qfrc_applied[model.joint("reach").dofadr[0]] = 5.0
+    one, other = (ls.run_in(model, state, found).tracking_error[-1, 2] for state in (pushed, data))
+    # In the end the feedback, m w^2 times the error, holds the force, with the mass of both stages, of which the second
+    # moves twice as far. It follows the first by a soft equality.
+    mass = model.body_subtreemass[model.body("c").id] + model.body_subtreemass[model.body("d").id] * 3.0
+    assert one - other == pytest.approx(5.0 / mass / (2.0 * np.pi * 10.0) ** 2, rel=0.2)
+
+
 def test_what_cannot_be_simulated_is_named(case):
     model, data, found = case
     elsewhere = mujoco.MjData(model)
