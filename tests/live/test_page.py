@@ -197,8 +197,8 @@ def test_another_tab_a_lost_one_then_a_picture_shows_the_arm_and_nothing_complai
         return int(((hue > 5) & (hue < 25) & (saturation > 150) & (value > 100)).sum())
 
     wait(lambda: orange() > 1000)
-    # Chromium itself grumbles about how the panel scrolls. On a busy machine viser's own script has been seen to stumble
-    # once over what came early, after which it drew all the same.
+    # Chromium itself grumbles about how the panel scrolls. On a busy machine viser's own script has been seen to
+    # stumble once over what came early, after which it drew all the same.
     known = ("preventDefault", "object null is not iterable")
     complaints = [entry["message"] for entry in (*complaints, *browser.get_log("browser"))]
     assert [line for line in complaints if not any(words in line for words in known)] == []
