@@ -55,10 +55,12 @@ def row(arm: ls.Arm, kind: str, ways: int) -> str:
             times.append(cpu_time() - begun)
             ends = RigidTransform.from_matrix(arm.link_poses(motion.q).as_matrix()[:, -1])
             deviations.append(np.max(keep.distance(ends), axis=1))
-    distance, angle = np.max([(0.0, 0.0), *deviations], axis=0)
+    if not times:
+        return f"| {arm.name} | {kind} | {seed} | {tried} | 0 | | | | |"
+    distance, angle = np.max(deviations, axis=0)
     return (
         f"| {arm.name} | {kind} | {seed} | {tried} | {len(times)} | {1e3 * distance:.2g} | {np.rad2deg(angle):.2g} "
-        f"| {np.median(times or [0.0]):.2f} | {np.max(times, initial=0.0):.2f} |"
+        f"| {np.median(times):.2f} | {np.max(times):.2f} |"
     )
 
 

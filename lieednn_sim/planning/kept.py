@@ -23,7 +23,7 @@ _ENDS = 1e-4
 # Newton steps of a projection, the excess at which it ends [m, rad], and its longest step in units of joint ranges.
 _STEPS, _ACCURACY, _LONGEST = 30, 1e-11, 0.2
 # Steps in which a goal is approached, and how far inside the bounds its joint positions are [m, rad].
-_FOLLOWED, _INSET = 16, 1e-6
+_FOLLOWED, _INSET = 32, 1e-6
 # Damping where a pose does not determine the joints, relative to slopes of about 1 m or rad per range.
 _DAMPING = 1e-9
 

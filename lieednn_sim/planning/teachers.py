@@ -107,6 +107,8 @@ def best_teacher(problem: PlanningProblem, options: TeacherOptions) -> Plan:
                 return found
     if not kept and (found := asked("rrt-connect", partial(sampling.rrt_connect, problem, options.search))):
         return found
+    if kept:
+        refusals.append("no other way within it was found")
     raise PlanError(f"no teacher finds a motion; {'; '.join(refusals)}")
 
 
