@@ -171,7 +171,9 @@ def _learner(options: Mapping[str, Any], xi: Floats, checkpoint: Path) -> Learne
     if not isinstance(make(), RiemannianOptions):
         learn = functools.partial(projected_train, xi, make(**given), checkpoint=checkpoint)
     elif len(given) > 1:
-        raise InputError(f"--period and --epochs are for the algorithms of the paper, not for {asked.algorithm}")
+        raise InputError(
+            f"--period and --epochs are for the algorithms literal, repaired and tracked, not for {asked.algorithm}"
+        )
     else:
         learn = functools.partial(train_riemannian, xi, make(**given))
     bias = _bias(xi, asked)
