@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from lieednn_sim import filesystem
+from lieednn_sim import io
 from lieednn_sim.arm import Arm
 from lieednn_sim.cli.arguments import load_arm, make_task, start_and_target
 from lieednn_sim.cli.arms import print_import_report
@@ -29,7 +29,6 @@ from lieednn_sim.learning import (
     train_riemannian,
 )
 from lieednn_sim.learning import train as projected_train
-from lieednn_sim.learning.checkpoint import KIND as CHECKPOINT_KIND
 from lieednn_sim.learning.checkpoint import seed_of
 from lieednn_sim.network import ACTIVATIONS, DEFAULT_ACTIVATION, LieEDNN
 from lieednn_sim.planning.motion import check_motion
@@ -54,11 +53,11 @@ def train(arguments: argparse.Namespace) -> int:
         _require_no_others(arguments.words)
     run = RunDirectory(arguments.output if arguments.resume is None else arguments.resume, arguments.plots)
     if arguments.resume is None:
-        with run.made():
+        with run.at_work():
             return _train(run, *_begin(run, arguments))
-    if not filesystem.is_file(run.pending.checkpoint):
+    if not io.is_file(run.pending.checkpoint):
         raise FileError(f"{run.path} holds no interrupted training (no {run.pending.checkpoint})")
-    with run.at_work(), run.pending.at_work():
+    with run.at_work():
         task, arm = run.pending.load_task()
         return _train(run, task, arm, _resumed(run.pending, task, arm.encode(task.target)))
 
@@ -82,15 +81,11 @@ def _begin(run: RunDirectory, arguments: argparse.Namespace) -> tuple[Task, Arm,
     task = make_task(arm, start, target, arguments, planner=TRAINED, reason="asked for", options=options)
     learner = _learner(options, arm.encode(target), run.pending.checkpoint)
     pending = run.pending
-    if pending.path.exists():
-        pending.manifest.check(pending.files)
+    if pending.path.is_dir():
         # An interrupted training that is not resumed.
         pending.remove()
-    filesystem.check_outputs([pending.path])
-    with filesystem.created(pending.path):
-        pending.manifest.expect(pending.checkpoint, CHECKPOINT_KIND)
-        with pending.manifest.writing(pending.task) as temporary:
-            task.save(temporary)
+    io.make_directory(pending.path)
+    task.save(pending.task)
     print_import_report(arm)
     return task, arm, [functools.partial(learner, task.seed + k) for k in range(candidates)]
 
@@ -113,8 +108,8 @@ def _train(run: RunDirectory, task: Task, arm: Arm, learners: Candidates) -> int
     else:
         # The run's previous files stay as they are.
         outputs = [pending.history, pending.training_plot]
-        with pending.manifest.replacing(outputs, [pending.checkpoint]) as (history, training_plot):
-            result.history.save(history, {"task": task.fingerprint})
+        with io.atomic_paths(outputs, [pending.checkpoint]) as (history, training_plot):
+            result.history.save(history)
             plot_training.plot_training(result.history, arm.encode(task.target), result.tolerance, training_plot)
     _report(result, arm.encode(task.target))
     if not result.success:
@@ -144,7 +139,7 @@ def _choose(learners: Candidates, run: RunDirectory, arm: Arm, task: Task) -> tu
             best = result, refusal
             if result.success and isinstance(result.network, LieEDNN):
                 run.save_network(task, result.network, history=result.history)
-                with run.manifest.writing(run.training_plot) as temporary:
+                with io.atomic_path(run.training_plot) as temporary:
                     plot_training.plot_training(result.history, xi, result.tolerance, temporary)
         if result.success and refusal is None:
             break

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lieednn_sim import storage
+from lieednn_sim import io
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.learning.equilibria import FlatEquilibrium
 from lieednn_sim.learning.history import History, Recorder
@@ -18,7 +18,7 @@ from lieednn_sim.learning.problem import TrainingProblem
 from lieednn_sim.learning.result import StopReason
 from lieednn_sim.values import Floats
 
-# What `storage.kind` says of a checkpoint.
+# The kind of the file of a checkpoint.
 KIND = "training"
 _NUMBERS = ("rate", "error", "epoch", "rows", "start", "start_epoch")
 
@@ -74,7 +74,7 @@ def save(
         **{f"history_{name}": value for name, value in recorder.history().arrays().items()},
     }
     meta = {"problem": _fingerprint(problem, options), "seed": problem.seed, "reason": state.reason}
-    storage.save_arrays(path, KIND, arrays, meta)
+    io.save_arrays(path, KIND, arrays, meta)
 
 
 def load(
@@ -85,7 +85,7 @@ def load(
     Raises:
         FileError: the file cannot be read, is no checkpoint, or one of another problem or other options.
     """
-    arrays, meta = storage.load_arrays(path, KIND)
+    arrays, meta = io.load_arrays(path, KIND)
     if meta.get("problem") != _fingerprint(problem, options):
         raise FileError(f"{path} is the checkpoint of a training with another target, other options or another seed")
     elements, rows = (
@@ -116,11 +116,11 @@ def load(
 
 def seed_of(path: str | os.PathLike[str]) -> int:
     """The seed of the training of a checkpoint; raises `FileError` if the file is none."""
-    return int(storage.load_arrays(path, KIND)[1].get("seed", -1))
+    return int(io.load_arrays(path, KIND)[1].get("seed", -1))
 
 
 def _fingerprint(problem: TrainingProblem, options: TrainingOptions) -> str:
     """Of everything that the result of a training depends on, and that must be the same for it to continue."""
     group = getattr(problem.group, "name", None)
     meta = {"options": asdict(options), "rates": problem.rates, "group": group, "seed": problem.seed}
-    return storage.fingerprint({"target": problem.target, "bias": problem.bias}, meta)
+    return io.fingerprint({"target": problem.target, "bias": problem.bias}, meta)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import root
 
-from lieednn_sim import storage
+from lieednn_sim import io
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.learning import ALGORITHMS, StopReason, TrainingOptions, projected, train
 from lieednn_sim.learning.equilibria import EquilibriumSolver
@@ -248,7 +248,7 @@ def test_checkpoint_with_nonsense_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(projected, "_CHECKPOINT_SECONDS", 0.0)
     path, options = tmp_path / "training.npz", TrainingOptions.repaired(max_epochs=20)
     train(target(0), options, checkpoint=path)
-    arrays, meta = storage.load_arrays(path, "training")
+    arrays, meta = io.load_arrays(path, "training")
     meta = {k: v for k, v in meta.items() if k not in ("kind", "format")}
     without = {name: value for name, value in arrays.items() if name != "weight"}
     for held, said in (
@@ -257,7 +257,7 @@ def test_checkpoint_with_nonsense_is_refused(tmp_path, monkeypatch):
         ({**arrays, "history_equilibrium": arrays["history_equilibrium"][:-1]}, meta),
         (arrays, {**meta, "reason": "bored"}),
     ):
-        storage.save_arrays(path, "training", held, said)
+        io.save_arrays(path, "training", held, said)
         with pytest.raises(FileError, match="not a valid training checkpoint"):
             train(target(0), options, checkpoint=path, resume=True)
 
