@@ -20,8 +20,7 @@ GROUND = (
     "versions",
     "io",
     "budget",
-    "planner_table",
-    "registration",
+    "registry",
     "_blas",
     "_mujoco",
 )

@@ -94,7 +94,7 @@ def output_folder(
 
     It must be new, empty, or ours for the same purpose, which its file `MARK` says; in such a folder the block may
     replace and remove its own files, whatever they hold. What a killed process left half written there is removed. If
-    the block fails before anything is in the folder, what was created is removed again.
+    nothing is in the folder when the block ends, what was created is removed again.
 
     Args:
         directory: the folder; it is created with its parents if it is missing.
@@ -108,19 +108,19 @@ def output_folder(
     folder = as_path("the name of a directory", directory)
     absent = [path for path in (folder, *folder.parents) if not os.path.lexists(path)]
     make_directory(folder)
-    marked = False
     try:
         with locked(folder, shared=shared):
             marked = _claim(folder, holds, remove_unfinished=not shared)
-            check_outputs(folder / name for name in outputs)
-            yield folder
-    except BaseException:
+            try:
+                check_outputs(folder / name for name in outputs)
+                yield folder
+            finally:
+                if marked and [path.name for path in folder.iterdir()] == [MARK]:
+                    (folder / MARK).unlink()
+    finally:
         with contextlib.suppress(OSError):
-            if marked and [path.name for path in folder.iterdir()] == [MARK]:
-                (folder / MARK).unlink()
             for path in absent:
                 path.rmdir()
-        raise
 
 
 def _claim(folder: Path, holds: str, *, remove_unfinished: bool) -> bool:
