@@ -317,29 +317,8 @@ PLANNERS: Registry[PlannerEntry] = Registry(
         "lieednn-trained": PlannerEntry(
             "planning.network_planners:trained", "a learned network", "TrainedOptions", cost=2.7, network=True
         ),
-        "lieednn-unprojected": PlannerEntry(
-            "planning.network_planners:unprojected",
-            "the same without projections",
-            "UnprojectedOptions",
-            network=True,
-        ),
         "lieednn-shaped": PlannerEntry(
             "planning.shaped:shaped", "a network along another's motion", "ShapedOptions", network=True, keeps=True
-        ),
-        "lieednn-filtered": PlannerEntry(
-            "planning.filtered_planners:filtered",
-            "a network through the safety filter",
-            "FilteredOptions",
-            cost=1.1,
-            network=True,
-        ),
-        "lieednn-guided": PlannerEntry(
-            "planning.filtered_planners:guided",
-            "the same along RRT-Connect's path",
-            "GuidedOptions",
-            "ompl",
-            cost=1.1,
-            network=True,
         ),
     },
     make=_added_planner,

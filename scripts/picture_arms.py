@@ -35,7 +35,7 @@ def main(path: str = "results/arms.jpg") -> None:
     for name, scene, seed in AMONG:
         arm = Arm.load(name, scene, seed)
         target = draw_target(arm, seed)
-        motion = plan(arm, target, planner="lieednn-guided", seed=seed).motion
+        motion = plan(arm, target, planner="lieednn-shaped", seed=seed).motion
         below.append(picture(arm, motion.q[int(0.7 * len(motion.q))], target))
     with io.atomic_path(path) as temporary:
         Image.fromarray(np.vstack([np.hstack(above), np.hstack(below)])).save(temporary, quality=86)

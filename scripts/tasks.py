@@ -37,7 +37,6 @@ TASKS: dict[str, type[Task]] = {
 PLANNERS = (
     "lieednn-certified",
     "lieednn-shaped",
-    "lieednn-filtered",
     "minimum-jerk",
     "rrt-connect",
     "sscbirrt",

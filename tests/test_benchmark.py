@@ -22,7 +22,7 @@ from threadpoolctl import threadpool_limits
 from lieednn_sim.arm import Arm, arm_names
 from lieednn_sim.learning import projected
 from lieednn_sim.planning import plan
-from lieednn_sim.policies import policies
+from lieednn_sim.policies import POLICIES
 from lieednn_sim.simulation import follow, simulate
 from lieednn_sim.synthesis import attempts
 
@@ -51,7 +51,7 @@ def test_every_row_is_measured_and_written(tmp_path, monkeypatch):
     assert len([name for name in ratios if "mj_step" in name and "rollout" in name]) == 12
     assert len([name for name in ratios if "simulate_many" in name or "environments at once" in name]) == 4
     assert len([name for name in ratios if "environment step of " in name]) == (8 if find_spec("dm_control") else 4)
-    assert len([name for name in ratios if name.startswith("step of policy ")]) == len(policies())
+    assert len([name for name in ratios if name.startswith("step of policy ")]) == len(POLICIES)
     assert len([name for name in ratios if "control step of follow" in name]) == 2 * len(arm_names())
     assert all(f"| {name} | " in table for name in ratios)
     assert all(row["minimum"] <= row["median"] <= row["maximum"] for row in ratios.values())

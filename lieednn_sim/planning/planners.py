@@ -151,7 +151,7 @@ def plan(
         NotCertifiedError: no network could be certified.
         PlanError: the motion breaks a limit of the arm, or does not arrive; `TooFastError` if more time would suffice.
         OutOfTimeError: the time budget is spent.
-        LieEDNNError: a library that the planner needs is not installed (see `missing_planners`).
+        LieEDNNError: a library that the planner needs is not installed (see `PLANNERS.missing`).
     """
     if planner is None:
         planner = default_planner(arm)[0] if keep is None else OBSTACLE_PLANNER
