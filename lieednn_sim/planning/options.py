@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields
-from functools import cache
 from typing import Any, get_args, get_origin, get_type_hints
 
 from lieednn_sim.errors import InputError
@@ -27,7 +26,7 @@ class PlannerOptions:
     """
 
     def __post_init__(self) -> None:
-        kinds = _annotations(type(self))
+        kinds = get_type_hints(type(self))
         for entry in fields(self):
             value = _checked(entry.name, getattr(self, entry.name), kinds[entry.name])
             low, high = entry.metadata.get("range", (-math.inf, math.inf))
@@ -62,11 +61,6 @@ class NetworkOptions(PlannerOptions):
     """
 
     activation: str = field(default=DEFAULT_ACTIVATION, kw_only=True, metadata={"choices": ACTIVATIONS})
-
-
-@cache
-def _annotations(options: Any) -> dict[str, Any]:
-    return get_type_hints(options)
 
 
 _NUMBERS: dict[Any, Callable[[str, Any], Any]] = {int: as_count, float: as_positive}
