@@ -8,6 +8,7 @@ Writes a Markdown table (ten minutes on one core). Exits with status 1 if a boun
 from __future__ import annotations
 
 import argparse
+import itertools
 import sys
 from collections import defaultdict
 from concurrent.futures import ProcessPoolExecutor
@@ -23,6 +24,7 @@ from lieednn_sim import filesystem
 from lieednn_sim._blas import one_blas_thread
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.stability import Robustness, find_certificate, find_contraction
+from lieednn_sim.studies.markdown import table
 from lieednn_sim.synthesis import synthesize
 
 KINDS = ("synthesized", "scaled", "cascade")
@@ -213,6 +215,13 @@ def report(cases: int, jobs: int) -> tuple[str, int]:
             if seed % 50 == 49:
                 print(f"{seed + 1} of {cases}", file=sys.stderr, flush=True)
     broken = sum(ratio > 1.0 + 1e-6 for values in ratios.values() for ratio in values)
+    rows = []
+    for name, kind in itertools.product(BOUNDS, KINDS):
+        values = np.array(ratios[name, kind])
+        if len(values):
+            spread = [f"{value:.3g}" for value in np.quantile(values, [0.5, 0.95, 1.0])]
+            rows.append([name, kind, len(values), (values > 1.0 + 1e-6).sum(), *spread])
+    proved = {kind: [rate for rate in measured if rate > 0.0] for kind, measured in rates.items()}
     lines = [
         "# Bounds on pushes, moving targets and time steps",
         "",
@@ -221,29 +230,17 @@ def report(cases: int, jobs: int) -> tuple[str, int]:
         "with a clock. Pushes (0.01 to 3), target velocities (0.001 to 0.1) and starts in random directions of the "
         "visible neurons. Measured over bound; of time steps the proved one over the one at which the linearisation at "
         f"the equilibrium turns unstable. Above 1 is broken: {broken} of {sum(map(len, ratios.values()))}.",
-        "",
-        "| bound | network | cases | broken | median | 95 % | largest |",
-        "| --- | --- | --- | --- | --- | --- | --- |",
-    ]
-    for name in BOUNDS:
-        for kind in KINDS:
-            values = np.array(ratios[name, kind])
-            if len(values):
-                lines.append(
-                    f"| {name} | {kind} | {len(values)} | {(values > 1.0 + 1e-6).sum()} | {np.median(values):.3g} | "
-                    f"{np.quantile(values, 0.95):.3g} | {values.max():.3g} |"
-                )
-    lines += [
+        *table(["bound", "network", "cases", "broken", "median", "95 %", "largest"], rows),
         "",
         "Rate of contraction over that of the best diagonal Lyapunov matrix, of every fourth network:",
-        "",
-        "| network | proved | median where proved |",
+        *table(
+            ["network", "proved", "median where proved"],
+            (
+                [kind, f"{len(some)} of {len(rates[kind])}", f"{np.median(some):.3g}" if some else "-"]
+                for kind, some in proved.items()
+            ),
+        ),
     ]
-    lines += ["| --- | --- | --- |"]
-    for kind, measured in rates.items():
-        fractions = np.array(measured)
-        median = f"{np.median(fractions[fractions > 0.0]):.3g}" if (fractions > 0.0).any() else "-"
-        lines.append(f"| {kind} | {(fractions > 0.0).sum()} of {len(fractions)} | {median} |")
     return "\n".join(lines) + "\n", broken
 
 
