@@ -27,7 +27,7 @@ from lieednn_sim import filesystem, storage
 from lieednn_sim._blas import one_blas_thread
 from lieednn_sim.arm import Arm, arm_names
 from lieednn_sim.arm.targets import draw_target
-from lieednn_sim.planning import planners
+from lieednn_sim.planning import PLANNERS
 from lieednn_sim.studies import Comparison, Row, write_summary
 from lieednn_sim.studies.comparison.rows import COLUMNS
 from lieednn_sim.studies.markdown import table
@@ -128,7 +128,7 @@ def growth(scale: int, sizes: Sequence[int]) -> dict[str, list[str]]:
 
 def add_rows(folder: Path, count: int) -> None:
     """Add made-up rows to the table of a comparison."""
-    rows, names = Comparison().open(folder), list(planners())
+    rows, names = Comparison().open(folder), list(PLANNERS)
     for k in range(count):
         values: dict[str, Any] = {column.name: 0.123456 * (k + i) for i, column in enumerate(COLUMNS)}
         values |= dict.fromkeys((name for name in values if name.endswith("violations")), 0)

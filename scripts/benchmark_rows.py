@@ -31,17 +31,17 @@ from lieednn_sim.environments.gymnasium import Environment, VectorEnvironment
 from lieednn_sim.errors import LieEDNNError, RenderingUnavailableError
 from lieednn_sim.learning import TrainingOptions, train
 from lieednn_sim.network import LieEDNN
-from lieednn_sim.planning import Plan, missing_planners, plan
+from lieednn_sim.planning import PLANNERS, Plan, plan
 from lieednn_sim.planning.certified import CandidateOptions
 from lieednn_sim.planning.motion import Motion, check_motion
 from lieednn_sim.planning.network_path import NetworkPath
 from lieednn_sim.planning.shaped import ShapedOptions
-from lieednn_sim.policies import NetworkPolicy, make_policy, policies
+from lieednn_sim.policies import POLICIES, NetworkPolicy, make_policy
 from lieednn_sim.rendering import ffmpeg
 from lieednn_sim.rendering.overlay import Overlay
 from lieednn_sim.rendering.video import Camera, render_video
 from lieednn_sim.simulation import Disturbances, Rollout, Simulation, follow, simulate, simulate_many
-from lieednn_sim.simulation.controllers import controllers
+from lieednn_sim.simulation.controllers import make_controller
 from lieednn_sim.simulation.plant import make_plant
 from lieednn_sim.simulation.reference import Reference
 from lieednn_sim.synthesis import synthesize, synthesize_many
@@ -150,7 +150,7 @@ def control_step_rows(arm: Arm) -> Iterator[Row]:
 def policy_rows(arm: Arm) -> Iterator[Row]:
     """Time of a step of every policy, over a run with its simulation."""
     target = draw_target(arm, 0)
-    for name in policies():
+    for name in POLICIES:
         times = follow(make_policy(name, arm, target), target, 4.0).step_time
         yield Row(f"step of policy {name}, {arm.name} [us]", 1e6 * times)
 
@@ -190,7 +190,7 @@ def start_rows(repeats: int) -> Iterator[Row]:
 def floor(arm: Arm, controller: str, followed: Rollout, bare: bool) -> Simulation:
     """A plant at the start of a rollout, with the controls of its first step, with or without visual geoms."""
     arm = arm.without_visuals if bare else arm
-    driver = controllers()[controller](arm, Reference.of(arm, followed.q_ref, followed.qd_ref))
+    driver = make_controller(controller, arm, Reference.of(arm, followed.q_ref, followed.qd_ref))
     plant = make_plant(arm, None, driver.add_bodies if driver.adds_bodies else None)
     driver.equip(plant)
     simulation = Simulation(arm, plant)
@@ -375,7 +375,7 @@ def check_row(arm: Arm, seed: int, repeats: int) -> Row:
 
 def rival_rows(arms: list[Arm], seeds: int) -> Iterator[Row]:
     """Time of plans of ``lieednn-certified`` in free space, in RRT-Connect's median; no row without OMPL."""
-    if "rrt-connect" in missing_planners():
+    if "rrt-connect" in PLANNERS.missing():
         return
     times: dict[str, list[float]] = {"lieednn-certified": [], "rrt-connect": []}
     for arm in arms:

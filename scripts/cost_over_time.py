@@ -31,7 +31,7 @@ from lieednn_sim.arm import arm_names
 from lieednn_sim.budget import cpu_time
 from lieednn_sim.errors import NoSolutionError
 from lieednn_sim.evaluation.figure_layout import COLOURS, STYLE, save_figure
-from lieednn_sim.planning import PLANNERS, missing_planners
+from lieednn_sim.planning import PLANNERS
 from lieednn_sim.planning.joint_space import joint_scale
 from lieednn_sim.studies.comparison.cases import arm_and_target
 from lieednn_sim.studies.markdown import table
@@ -129,7 +129,7 @@ def plot(runs: Sequence[dict[str, Any]], path: Path) -> None:
 def main(arguments: list[str] | None = None) -> None:
     """Measure missing runs, and write all three files."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    able = [name for name in LADDERS if name not in missing_planners()]
+    able = [name for name in LADDERS if name not in PLANNERS.missing()]
     parser.add_argument("--planners", nargs="+", choices=LADDERS, default=able, metavar="PLANNER")
     parser.add_argument("--arms", nargs="+", choices=arm_names(), default=arm_names(), metavar="ARM")
     parser.add_argument("--seeds", type=int, default=4)

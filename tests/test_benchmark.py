@@ -18,7 +18,7 @@ from benchmark_rows import Row, ratios
 from lieednn_sim.arm import Arm, arm_names
 from lieednn_sim.learning import projected
 from lieednn_sim.planning import plan
-from lieednn_sim.policies import policies
+from lieednn_sim.policies import POLICIES
 from lieednn_sim.simulation import follow, simulate
 from lieednn_sim.synthesis import attempts
 
@@ -61,7 +61,7 @@ def test_every_row_is_measured_and_written(tmp_path, monkeypatch):
         (("simulate_many",), 2),
         (("environments at once",), 2),
         (("environment step of ",), 6 if find_spec("dm_control") else 4),
-        (("step of policy ",), len(policies())),
+        (("step of policy ",), len(POLICIES)),
         (("control step of follow",), 2 * len(arm_names())),
     ):
         assert len([name for name in measured if all(part in name for part in parts)]) == count, parts

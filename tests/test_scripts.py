@@ -17,7 +17,7 @@ from PIL import Image
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import FileError, NoSolutionError
 from lieednn_sim.planning.motion import Motion
-from lieednn_sim.studies.demonstrations.models import RIVALS
+from lieednn_sim.registry import RIVALS
 from lieednn_sim.synthesis import ShapingOptions
 
 

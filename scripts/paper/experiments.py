@@ -35,7 +35,7 @@ def target(seed: int) -> np.ndarray:
 
 def trained(algorithm: str, changes: dict[str, Any], seed: int) -> Outcome:
     """Projective learning in one of its variants."""
-    options = ALGORITHMS[algorithm](**changes)
+    options = ALGORITHMS[algorithm].load()(**changes)
     return _training(*_timed(lambda: train(target(seed), options, bias=BIAS, seed=seed)), seed)
 
 
