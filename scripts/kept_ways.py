@@ -22,6 +22,7 @@ from lieednn_sim.planning.kept import followed
 from lieednn_sim.studies.markdown import table
 
 HEADINGS = ("arm", "kept", "drawn", "can be followed", "planned", "off [mm]", "off [degrees]", "CPU [s]", "longest")
+KINDS = ("line", "orientation")
 # Most ways drawn for one that the arm can follow.
 DRAWN = 40
 
@@ -65,9 +66,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--ways", type=int, default=20, help="ways of each kind that the arm can follow")
     options = parser.parse_args(arguments)
     arms = [ls.Arm.load(name) for name in options.arms]
-    print(
-        *table(HEADINGS, (row(arm, kind, options.ways) for arm in arms for kind in ("line", "orientation"))), sep="\n"
-    )
+    print(*table(HEADINGS, (row(arm, kind, options.ways) for arm in arms for kind in KINDS)), sep="\n")
 
 
 if __name__ == "__main__":

@@ -68,9 +68,6 @@ def walk(folder):
     for module in pkgutil.iter_modules(ls.__path__):
         if module.name != "__main__":
             importlib.import_module(f"lieednn_sim.{module.name}")
-    arm = ls.Arm.load("telescopic_pr")
-    ls.evaluate(ls.simulate(arm, ls.plan(arm, "extended")))
-
     from matplotlib.figure import Figure
     from lieednn_sim.cli import main
 

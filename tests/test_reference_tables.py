@@ -76,7 +76,7 @@ def test_bounds_and_rates_of_contraction_by_kind_of_network(monkeypatch):
     def case(seed):
         kind = kinds[0] if seed < 11 else kinds[1]
         rate = {0: 0.5, 1: 0.75, 2: 0.0}.get(seed) if kind == kinds[0] else None
-        return kind, {robustness.BOUNDS[0]: 0.01 * (seed + 1) ** 2 if seed < 11 else 0.5}, rate
+        return kind, {"push gain": 0.01 * (seed + 1) ** 2 if seed < 11 else 0.5}, rate
 
     pool = SimpleNamespace(map=lambda function, seeds, chunksize: map(function, seeds))
     monkeypatch.setattr(robustness, "ProcessPoolExecutor", lambda jobs: contextlib.nullcontext(pool))
@@ -86,8 +86,8 @@ def test_bounds_and_rates_of_contraction_by_kind_of_network(monkeypatch):
     assert "Above 1 is broken: 1 of 13." in text
     lines = [cells(line) for line in text.splitlines() if line.startswith("| ")]
     # The 95 % quantile of eleven values is half way between the last two.
-    assert [robustness.BOUNDS[0], kinds[0], "11", "1", "0.36", "1.1", "1.21"] in lines
-    assert [robustness.BOUNDS[0], kinds[1], "2", "0", "0.5", "0.5", "0.5"] in lines
+    assert ["push gain", kinds[0], "11", "1", "0.36", "1.1", "1.21"] in lines
+    assert ["push gain", kinds[1], "2", "0", "0.5", "0.5", "0.5"] in lines
     assert lines[-1] == [kinds[0], "2 of 3", "0.625"]
 
 

@@ -37,7 +37,6 @@ def draw(results: Results, directory: Path) -> dict[str, str]:
         "weights": network_figures.weights,
         "trajectory": network_figures.trajectories,
         "equilibrium": network_figures.equilibria,
-        "spread": network_figures.spread,
         "epochs": epochs,
         "stability": network_figures.stability,
     }
