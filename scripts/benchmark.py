@@ -23,7 +23,7 @@ import numpy as np
 from benchmark_rows import HEADINGS, epoch_costs, ratio_rows, seconds
 from threadpoolctl import threadpool_info
 
-from lieednn_sim import filesystem, storage
+from lieednn_sim import io
 from lieednn_sim._blas import one_blas_thread
 from lieednn_sim.arm import Arm, arm_names
 from lieednn_sim.arm.targets import draw_target
@@ -176,7 +176,7 @@ def write(directory: Path, scale: int, suffix: str = "") -> Path:
     epochs = epoch_costs(random_targets(4, min(5, max(1000 // scale, 1))), max(5000 // scale, 1))
     ratios = ratio_rows(random_targets(4, max(200 // scale, 1), seed=2), epochs, scale)
     memories = memory(scale)
-    storage.save_json(
+    io.save_json(
         directory / "benchmark.json",
         {
             "synthesis": rows,
@@ -204,7 +204,7 @@ def write(directory: Path, scale: int, suffix: str = "") -> Path:
         *table(["peak memory", "MB"], memories.items()),
     ]
     path = directory / "benchmark.md"
-    with filesystem.atomic_text(path) as stream:
+    with io.atomic_text(path) as stream:
         stream.write("\n".join(lines) + "\n")
     print(path.read_text(encoding="utf-8"))
     return path
@@ -215,7 +215,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--quick", action="store_true", help="a tenth of the targets")
     parser.add_argument("--output", default="results/benchmark", help="directory (default: %(default)s)")
     options = parser.parse_args(arguments)
-    directory = filesystem.make_directory(options.output)
+    directory = io.make_directory(options.output)
     # BLAS threads that wait for work would count as busy.
     with one_blas_thread():
         write(directory, 10 if options.quick else 1, " --quick" if options.quick else "")

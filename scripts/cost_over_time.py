@@ -26,7 +26,7 @@ from kept_rows import kept_rows
 from matplotlib.figure import Figure
 
 import lieednn_sim as ls
-from lieednn_sim import filesystem
+from lieednn_sim import io
 from lieednn_sim.arm import arm_names
 from lieednn_sim.budget import cpu_time
 from lieednn_sim.errors import NoSolutionError
@@ -135,7 +135,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--seeds", type=int, default=4)
     parser.add_argument("--output", type=Path, default=Path("results/cost_over_time"))
     options = parser.parse_args(arguments)
-    folder = filesystem.make_directory(options.output)
+    folder = io.make_directory(options.output)
     cases = [
         {"planner": planner, "arm": arm, "seed": seed, "work": work}
         for arm in options.arms
@@ -146,7 +146,7 @@ def main(arguments: list[str] | None = None) -> None:
     runs = kept_rows(folder / "cost_over_time.csv", cases, measured)
     runs.sort(key=lambda run: list(LADDERS).index(run["planner"]))
     text = report(runs, f"python scripts/cost_over_time.py --seeds {options.seeds}")
-    with filesystem.atomic_text(folder / "cost_over_time.md") as file:
+    with io.atomic_text(folder / "cost_over_time.md") as file:
         file.write(text)
     plot(runs, folder / "cost_over_time.png")
     print(text)

@@ -20,7 +20,7 @@ import numpy as np
 from kept_rows import kept_rows
 
 import lieednn_sim as ls
-from lieednn_sim import filesystem
+from lieednn_sim import io
 from lieednn_sim.arm import arm_names
 from lieednn_sim.planning.shaped import ShapedOptions
 from lieednn_sim.simulation import Following
@@ -112,14 +112,14 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--arms", nargs="+", default=arm_names(), help="(default: all)")
     parser.add_argument("--output", default="results/pushes", help="directory (default: %(default)s)")
     options = parser.parse_args(arguments)
-    directory: Path = filesystem.make_directory(options.output)
+    directory: Path = io.make_directory(options.output)
     asked = itertools.product(options.arms, options.rates, range(options.pushes))
     cases = [{"arm": arm, "rate": rate, "seed": seed} for arm, rate, seed in asked]
     rows = kept_rows(directory / "pushes.csv", cases, pushed)
     rows.sort(key=lambda row: (row["arm"], row["rate"], row["seed"]))
     rates = " ".join(f"{rate:g}" for rate in options.rates)
     text = summary(rows, f"python scripts/evaluate_pushes.py --pushes {options.pushes} --rates {rates}")
-    with filesystem.atomic_text(directory / "pushes.md") as stream:
+    with io.atomic_text(directory / "pushes.md") as stream:
         stream.write(text)
     print(text)
 

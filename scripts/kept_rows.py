@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
-from lieednn_sim import filesystem
+from lieednn_sim import io
 from lieednn_sim._blas import one_blas_thread
 from lieednn_sim.errors import FileError, LieEDNNError
 
@@ -36,7 +36,7 @@ def kept_rows(
             except LieEDNNError as error:
                 rows.append(case | {"reason": str(error)})
         print(*rows[-1].values(), sep=", ", flush=True)
-        with filesystem.atomic_text(path) as file:
+        with io.atomic_text(path) as file:
             names = dict.fromkeys(name for row in rows for name in row)
             writer = csv.DictWriter(file, names, quoting=csv.QUOTE_NONNUMERIC, lineterminator="\n")
             writer.writeheader()

@@ -22,7 +22,7 @@ import sys
 from importlib.util import find_spec
 from pathlib import Path
 
-from lieednn_sim import storage
+from lieednn_sim import io
 
 ROOT = Path(__file__).resolve().parents[1]
 # Files and folders that the tests read.
@@ -101,7 +101,7 @@ def main() -> None:
         else:
             alive[mutant] = run(place, "mutmut", "show", mutant).stdout
             print(alive[mutant], flush=True)
-    storage.save_json(options.output / "mutation.json", {"outcomes": results, "alive": alive})
+    io.save_json(options.output / "mutation.json", {"outcomes": results, "alive": alive})
     print(f"of {len(known)} mutants, {len(chosen)} tried:", dict(collections.Counter(results.values())))
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from PIL import Image
 
 import lieednn_sim as ls
-from lieednn_sim import filesystem
+from lieednn_sim import io
 from lieednn_sim.rendering.video import Camera
 
 SIZE = (640, 440)
@@ -34,7 +34,7 @@ def main(path: str = "results/arms.jpg") -> None:
         target = ls.draw_target(arm, seed)
         motion = ls.plan(arm, target, planner="lieednn-shaped", seed=seed).motion
         below.append(picture(arm, motion.q[int(0.7 * len(motion.q))], target))
-    with filesystem.atomic_path(path) as temporary:
+    with io.atomic_path(path) as temporary:
         Image.fromarray(np.vstack([np.hstack(above), np.hstack(below)])).save(temporary, quality=86)
     print(path)
 

@@ -21,15 +21,15 @@ from paper.plan import FULL, QUICK, Plan, jobs
 from paper.results import Results, load, run_all
 from rich.console import Console
 
-from lieednn_sim import filesystem
+from lieednn_sim import io
 from lieednn_sim.studies.workers import exit_code
 
 
 def reproduce(plan: Plan, directory: str | os.PathLike[str], workers: int, command: str, console: Console) -> Path:
     """Run missing jobs on processes; write figures and report, and return the report's path."""
     start = time.perf_counter()
-    output = filesystem.make_directory(directory)
-    cache = filesystem.make_directory(output / "jobs")
+    output = io.make_directory(directory)
+    cache = io.make_directory(output / "jobs")
     work = jobs(plan)
     count, failures = run_all(work, cache, workers, console)
     results = Results.collect(plan, work, lambda job: load(job, cache))

@@ -18,7 +18,7 @@ import numpy as np
 from kept_rows import kept_rows
 
 import lieednn_sim as ls
-from lieednn_sim import filesystem
+from lieednn_sim import io
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import arm_names
 from lieednn_sim.arm.collision import Collisions
@@ -133,7 +133,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--seeds", type=int, default=50, help="from 0 on")
     parser.add_argument("--output", type=Path, default=Path("results/shaped"))
     given = parser.parse_args(arguments)
-    folder = filesystem.make_directory(given.output)
+    folder = io.make_directory(given.output)
     # Seeds in the outer loop, so that an interrupted run covers all arms and scenes.
     cases = [
         {"arm": arm, "scene": scene, "seed": seed}
@@ -148,7 +148,7 @@ def main(arguments: list[str] | None = None) -> None:
         "is the hidden neurons' start; for the others a network was shaped. One seed, from 0 on, for target, obstacles "
         "and planner. Every network was saved, loaded and verified again. Times are CPU seconds of one core.\n"
     )
-    with filesystem.atomic_text(folder / "summary.md") as file:
+    with io.atomic_text(folder / "summary.md") as file:
         file.write(head + "\n".join(summary(rows)) + "\n")
 
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from lieednn_sim import storage
+from lieednn_sim import io
 from lieednn_sim._blas import one_blas_thread
 from lieednn_sim.errors import FileError
 from lieednn_sim.studies.workers import run_each
@@ -53,7 +53,7 @@ def run(job: Job) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
 def load(job: Job, directory: Path) -> Record | None:
     """Read the result of a job; None when there is none that can be read."""
     try:
-        arrays, meta = storage.load_arrays(directory / f"{job.key}.npz", KIND)
+        arrays, meta = io.load_arrays(directory / f"{job.key}.npz", KIND)
         values = {k: float("nan") if v is None else v for k, v in meta["values"].items()}
     except (FileError, KeyError, AttributeError):
         return None
@@ -76,7 +76,7 @@ def run_all(jobs: Iterable[Job], directory: Path, workers: int, console: Console
     def keep(task: tuple[Job], result: Any, error: Exception | None) -> None:
         (job,) = task
         if error is None:
-            storage.save_arrays(directory / f"{job.key}.npz", KIND, *result)
+            io.save_arrays(directory / f"{job.key}.npz", KIND, *result)
         else:
             failures.append(f"{job.name} {job.parameters}: {type(error).__name__}: {error}")
             console.print(f"[red]failed:[/red] {failures[-1]}", highlight=False)
