@@ -387,11 +387,6 @@ def add_view(parser: argparse.ArgumentParser) -> None:
     )
     add_frames(parser)
     _add_scene(parser)
-    parser.add_argument(
-        "--run",
-        metavar="DIR",
-        help="play a simulated run, or motions of a comparison; arm, scene, start and target are those of the run",
-    )
     parser.add_argument("--policy", default="lieednn-shaped", metavar="NAME", help=f"policy: {_one_of(POLICIES)}")
     parser.add_argument(
         "--planner",

@@ -5,7 +5,6 @@ import shutil
 import signal
 import sys
 import time
-from types import SimpleNamespace
 from urllib.request import urlopen
 
 import numpy as np
@@ -229,22 +228,3 @@ def test_without_viser_one_line_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "viser", None)
     with pytest.raises(LieEDNNError, match=r"pip install 'lieednn_sim\[view\]'"):
         ls.view(browser=False)
-
-
-def test_a_recorded_motion_is_played_in_place_of_the_live_arm_and_its_page_is_saved():
-    arm = Arm.load("telescopic_pr")
-    there = arm.keyframe("home") + 0.01
-    rollout = ls.simulate(arm, ls.plan(arm, there, planner="minimum-jerk", duration=0.5), hold=0.0)
-    sent = []
-    client = SimpleNamespace(send_file_download=lambda *given: sent.append(given))
-    with ls.view(arm, rollouts={"minimum <jerk>": rollout}, policy="linear-attractor", browser=False) as page:
-        player = page._panel.player
-        wait(lambda: player.playback.time > 0.0)
-        assert not page._scene.handle.visible
-        player._download(SimpleNamespace(client=client))
-        player._clicked("clear")
-        wait(lambda: page._scene.handle.visible and not player.playback.tracks)
-        assert page.session.failure == ""
-    ((name, content),) = sent
-    assert name == "motion.html"
-    assert b"minimum &lt;jerk&gt;" in content

@@ -33,8 +33,8 @@ def rollout():
 
 def test_without_viser_the_error_says_what_to_install(rollout, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "viser", None)
-    with pytest.raises(LieEDNNError, match=r"viser and mjviser, which are not installed.*'lieednn_sim\[view\]'"):
-        rollout.to_html(tmp_path / "motion.html")
+    with pytest.raises(LieEDNNError, match=r"viser is not installed .*: pip install 'lieednn_sim\[view\]'"):
+        render_page(rollout, tmp_path / "motion.html")
     assert list(tmp_path.iterdir()) == []
 
 
@@ -108,7 +108,7 @@ def browser(rollout, tmp_path_factory):
     """The page, opened from a file in a headless Chromium that renders without a graphics card."""
     webdriver = pytest.importorskip("selenium.webdriver")
     path = tmp_path_factory.mktemp("page") / "motion.html"
-    rollout.to_html(path, title="by <hand>")
+    render_page(rollout, path, title="by <hand>")
     options = webdriver.ChromeOptions()
     options.binary_location = shutil.which("chromium")
     for argument in ("--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--window-size=520,460"):
