@@ -52,7 +52,7 @@ def decimal_or_inf(text: str) -> float:
     return math.inf if text == "inf" else decimal(text)
 
 
-def add_task(parser: argparse.ArgumentParser, output: str, *, goal: bool = True) -> argparse._MutuallyExclusiveGroup:
+def add_task(parser: argparse.ArgumentParser, output: str, *, goal: bool = True) -> None:
     """Add arm, scene, start and target; where ``goal`` is false the target is optional."""
     _add_arm(parser)
     group = parser.add_mutually_exclusive_group(required=goal)
@@ -74,7 +74,6 @@ def add_task(parser: argparse.ArgumentParser, output: str, *, goal: bool = True)
     _add_duration(parser)
     parser.add_argument("--seed", type=whole, default=0, help="seed of random draws")
     parser.add_argument("--output", default=output, metavar="DIR", help="directory for the files of the run")
-    return group
 
 
 def _add_arm(parser: argparse.ArgumentParser) -> None:
@@ -181,10 +180,7 @@ def add_planning(
 
 def add_training(parser: argparse.ArgumentParser) -> None:
     """Options of ``train``."""
-    goal = add_task(parser, output="results/run")
-    goal.add_argument(
-        "--resume", metavar="DIR", help="continue the interrupted training of this run directory, with its options"
-    )
+    add_task(parser, output="results/run")
     parser.add_argument(
         "--algorithm", default="tracked", metavar="NAME", help=f"learning algorithm: {_one_of(ALGORITHMS)}"
     )
