@@ -12,7 +12,6 @@ from lieednn_sim.planning.baselines.stomp import StompOptions
 from lieednn_sim.planning.certified import CertifiedOptions
 from lieednn_sim.planning.in_model import ModelPlan, plan_in
 from lieednn_sim.planning.joint_space import joint_motion
-from lieednn_sim.planning.library import MotionLibrary
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.network_planners import (
     RetargetedOptions,
@@ -38,7 +37,6 @@ __all__ = [
     "DmpOptions",
     "ModelPlan",
     "Motion",
-    "MotionLibrary",
     "Move",
     "OptimisationOptions",
     "Plan",
