@@ -9,8 +9,10 @@ import pytest
 
 import lieednn_sim as ls
 from lieednn_sim.errors import InputError, PlanError
+from lieednn_sim.planning import PlanningProblem, TeacherOptions
 from lieednn_sim.planning.goals import candidates
-from lieednn_sim.planning.kept import projected
+from lieednn_sim.planning.kept import outside, projected
+from lieednn_sim.planning.teachers import _KeptSearch
 
 
 @pytest.fixture(scope="module")
@@ -66,6 +68,9 @@ def test_an_upright_hand_finds_its_way_among_obstacles():
     assert np.deg2rad(0.5) < tilt.max() < np.hypot(*np.deg2rad([5.1, 5.1]))
     with pytest.raises(InputError, match="planner 'minimum-jerk' cannot keep a region on the way; planners that can: "):
         ls.plan(arm, made.target, planner="minimum-jerk", keep=region)
+    # The path that it follows stays in the region, too: a straight shortcut would not.
+    problem = PlanningProblem(arm, arm.keyframe("home"), made.target, keep=region)
+    assert outside(arm, region, _KeptSearch(problem, TeacherOptions()).path(0)[1:-1]) < 1e-6
 
 
 @pytest.mark.parametrize("kind", ["line", "orientation"])
