@@ -120,7 +120,9 @@ def _learner(asked: argparse.Namespace, xi: Floats) -> Learner:
     if not isinstance(make(), RiemannianOptions):
         learn = functools.partial(projected_train, xi, make(**given))
     elif asked.period is not None or asked.epochs is not None:
-        raise InputError(f"--period and --epochs are for the algorithms of the paper, not for {asked.algorithm}")
+        raise InputError(
+            f"--period and --epochs are for the algorithms literal, repaired and tracked, not for {asked.algorithm}"
+        )
     else:
         learn = functools.partial(train_riemannian, xi, make(**given))
     bias = _bias(xi, asked)
