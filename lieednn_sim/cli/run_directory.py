@@ -7,9 +7,8 @@ rollout must have followed the motion, so that files of different runs are never
 
 from __future__ import annotations
 
-import contextlib
 import os
-from collections.abc import Iterable
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
@@ -86,21 +85,13 @@ class RunDirectory:
     def _plots_of(self, *names: str) -> list[Path]:
         return [self.path / f"{name}.{kind}" for name in names for kind in PLOT_KINDS]
 
-    def at_work(
-        self, *, shared: bool = False, outputs: Iterable[Path] | None = None
-    ) -> contextlib.AbstractContextManager[Path]:
-        """Create the directory if needed, and lock the run against other commands; see `io.output_folder`.
+    def at_work(self, *, shared: bool = False) -> AbstractContextManager[Path]:
+        """Create the directory if needed, and lock the run against other commands; raises as `io.output_folder`.
 
         Args:
             shared: let other commands in that only write results, as this one does.
-            outputs: the files that the command writes; by default all files of the run.
-
-        Raises:
-            FileError: another command is at work there, it is no directory of runs, or one of ``outputs`` cannot be
-                written.
         """
-        names = [path.name for path in (self.files if outputs is None else outputs)]
-        return io.output_folder(self.path, "run", outputs=names, shared=shared)
+        return io.output_folder(self.path, "run", shared=shared)
 
     def existing(self) -> RunDirectory:
         """Return self, or raise `FileError` if there is no such run."""
