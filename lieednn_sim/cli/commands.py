@@ -90,7 +90,7 @@ def _simulate(run: RunDirectory, arguments: argparse.Namespace) -> None:
     task, arm = run.load_task()
     changes = disturbances(arm, arguments)
     with progress("check"):
-        motion = run.load_motion(task, arm)
+        motion = run.load_motion(task)
         check_motion(arm, motion)
     end = motion.t[-1] + arguments.hold
     for push in changes.pushes:
@@ -111,7 +111,8 @@ def _simulate(run: RunDirectory, arguments: argparse.Namespace) -> None:
             dump_directory=run.path,
             progress=report,
         )
-    wrote(*run.save_rollout(task, rollout))
+    run.save_rollout(rollout)
+    wrote(run.rollout)
 
 
 def _evaluate(run: RunDirectory) -> None:

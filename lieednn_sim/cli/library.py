@@ -36,7 +36,7 @@ def _add(path: Path, arguments: argparse.Namespace) -> None:
     for run, name in zip(runs, names, strict=True):
         with io.locked(run.path, shared=True):
             task, arm = run.load_task()
-            motion = run.load_motion(task, arm)
+            motion = run.load_motion(task)
         known = MotionLibrary(arm.n_links) if known is None else known
         require_fit(arm, known.universal)
         known.add(name, motion, lever_units(arm, motion.q))
