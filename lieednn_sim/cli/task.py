@@ -17,8 +17,8 @@ from lieednn_sim.versions import versions
 
 # The planner of certified networks.
 CERTIFIED = "lieednn-certified"
-# What the tasks of other commands have for a planner: of ``train``, ``learn --arm`` and ``library``.
-TRAINED, DEMONSTRATED, LIBRARY = "train", "learn", "library"
+# What the tasks of other commands have for a planner: of ``train`` and of ``learn --arm``.
+TRAINED, DEMONSTRATED = "train", "learn"
 
 
 @dataclass(frozen=True)
@@ -33,8 +33,7 @@ class Task:
         scene: the obstacles around the arm, see `Arm.load`.
         scene_seed: seed of the obstacles' positions.
         imported: import options of a model file, see `Arm.load`.
-        planner: a name of `planning.PLANNERS`, `TRAINED` for ``train``, `DEMONSTRATED` for ``learn``, or `LIBRARY` for
-            ``library``.
+        planner: a name of `planning.PLANNERS`, `TRAINED` for ``train``, or `DEMONSTRATED` for ``learn``.
         reason: why this planner was chosen.
         seed: seed of its random draws.
         options: its other options by name, as JSON values.
