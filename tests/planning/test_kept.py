@@ -116,7 +116,6 @@ def test_a_path_that_is_searched_for_has_all_corners_in_the_region(arm, start):
     goal = ls.TaskSpaceRegion.box(here.translation + 0.2, here.translation + 0.2)
     problem = PlanningProblem(arm, start, next(candidates(arm, goal, start, keep=region)), keep=region)
     corners = _KeptSearch(problem, TeacherOptions()).path(0)
-    assert len(corners) > 3
     assert outside(arm, region, corners[1:-1]) < 1e-6
 
 
