@@ -27,7 +27,6 @@ from lieednn_sim.studies.problems.motion_bench_maker import ProblemSets
 from lieednn_sim.studies.problems.study import solve
 from lieednn_sim.studies.reactions.cases import run_reactions
 from lieednn_sim.studies.workers import released
-from lieednn_sim.synthesis import ShapingOptions
 
 # Fractions of the cases after which the memory is read.
 _READ = (0.05, 0.25, 0.5, 1.0)
@@ -58,7 +57,7 @@ def demonstrations() -> Iterator[Callable[[], object]]:
 
 
 def _compared(shown: Demonstrations) -> object:
-    return compare_models(shown, ShapedMotion.fit(shown), ShapingOptions(), rivals=["linear-attractor"], starts=5)
+    return compare_models(shown, ShapedMotion.fit(shown), rivals=["linear-attractor"], starts=5)
 
 
 def problems(folder: str) -> Iterator[Callable[[], object]]:

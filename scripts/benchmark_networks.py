@@ -19,10 +19,9 @@ from lieednn_sim.learning import TrainingOptions, train
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.planning import Plan, plan
 from lieednn_sim.planning.network_path import NetworkPath
-from lieednn_sim.planning.shaped import ShapedOptions
 from lieednn_sim.policies import NetworkPolicy, make_policy, policies
 from lieednn_sim.simulation import follow, simulate
-from lieednn_sim.synthesis import synthesize
+from lieednn_sim.synthesis import ShapingOptions, shape, synthesize
 
 
 def epoch_costs(targets: list[np.ndarray], epochs: int) -> dict[str, list[float]]:
@@ -73,8 +72,8 @@ def control_step_rows(arm: Arm) -> list[Row]:
     Over a run with its simulation, which empties the processor's caches between steps.
     """
     target, home = draw_target(arm, 0), arm.keyframe("home")
-    network = plan(arm, target, planner="lieednn-shaped", options=ShapedOptions(encoded=False, neurons=(8,))).network
-    assert isinstance(network, LieEDNN)
+    guide = plan(arm, target, planner="minimum-jerk").motion
+    network = shape(guide.xi[::2], options=ShapingOptions(neurons=(8,))).network
     assert network.n_neurons == 12
     following = follow(NetworkPolicy(arm, network), target, 7.0)
     times = following.step_time
@@ -100,11 +99,11 @@ def policy_rows(arm: Arm) -> list[Row]:
 def evaluation_row(arm: Arm, network: LieEDNN, instants: int, repeats: int) -> Row:
     """Time to evaluate xi(t) and joints at many instants, in that of SciPy's exponentials alone."""
     path = NetworkPath.integrate(arm, network, arm.keyframe("home"))
-    assert path.trajectory is not None
-    tau = np.linspace(0.0, path.trajectory[0].t[-1], instants)
-    twists = network.visible(path.state(tau)).reshape(-1, 6)
+    assert path.speed is not None
+    tau = np.linspace(0.0, path.speed.x[-1], instants)
+    twists = network.visible(path.states(tau)).reshape(-1, 6)
     ratios = time_ratios(
-        lambda: arm.decode(network.visible(path.state(tau))),
+        lambda: arm.decode(network.visible(path.states(tau))),
         lambda: RigidTransform.from_exp_coords(twists),
         repeats,
     )

@@ -100,7 +100,7 @@ def works(series: str, size: int, repeats: int, folder: Path) -> Iterable[Callab
         return [partial(synthesize, xi, seed=0) for xi in targets]
     if series.startswith("shaping"):
         neurons, samples = (size, 100) if series.endswith("samples") else (4, size)
-        options = ShapingOptions(neurons=(4,), placed_neurons=(), iterations=20)
+        options = ShapingOptions(neurons=(4,))
         return [partial(shape, curve(neurons, samples), 1e-9, units=0.5, options=options)] * repeats
     arm = loaded(folder, size) if series == "a simulated second" else loaded(folder, 4, size)
     motion = plan(arm, draw_target(arm, 0), planner="minimum-jerk", duration=1.0).motion

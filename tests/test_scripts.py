@@ -23,7 +23,6 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.planning.baselines.primitives import DmpOptions
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.studies.demonstrations.models import RIVALS
-from lieednn_sim.synthesis import ShapingOptions
 
 
 @pytest.mark.rendering
@@ -58,7 +57,6 @@ def test_ways_that_are_kept_are_counted_and_measured(capsys):
 
 
 def test_growth_is_measured_in_sizes_that_grow_as_they_say(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(growth, "ShapingOptions", lambda **options: ShapingOptions(**options | {"iterations": 1}))
     small = dict(zip(growth.SERIES, ((4, 6), (1, 2), (20, 40), (2, 3), (1, 2)), strict=True))
     monkeypatch.setattr(growth, "SERIES", {name: (of, small[name]) for name, (of, _) in growth.SERIES.items()})
     assert growth.main(["--quick", "--output", str(tmp_path)]) == 0
@@ -189,13 +187,12 @@ def test_the_table_of_demonstrations(tmp_path, monkeypatch, in_this_process):
     turns = np.concatenate([np.cos(0.4 * s), np.sin(0.4 * s), 0.0 * s, 0.0 * s], axis=1)
     rows = [np.concatenate([20.0 * (1.0 - s), k * s * (1.0 - s), 0.0 * s, turns], axis=1) for k in (8.0, 9.0)]
     np.save(tmp_path / "robottasks" / "bend.npy", rows)
-    monkeypatch.setattr(evaluate_demonstrations, "OPTIONS", ShapingOptions(neurons=(2,), placed_neurons=()))
     monkeypatch.setattr("lieednn_sim.evaluation.paths.SAMPLES", 60)
     words = [str(tmp_path), "--starts", "3", "--output", str(tmp_path / "out")]
     with in_this_process():
         evaluate_demonstrations.main(words)
     first = (tmp_path / "out" / "demonstrations.md").read_text()
-    assert "| bend | lieednn-shaped | 38 |" in first
+    assert "| bend | lieednn-shaped | 40 |" in first
     assert "- Every start arrives, and there is no other attractor: holds.\n" in first
     assert first.count("| 3/3 | 0 |") == 1 + len(RIVALS)
     # What is there is not computed again.

@@ -14,7 +14,6 @@ def test_shaped_networks_are_measured_once_and_the_rest_goes_on(tmp_path, monkey
     assert first[0].jerk == pytest.approx(1.0, abs=0.05)
     assert first[0].effort == pytest.approx(1.0, abs=0.05)
     assert 0.0 < first[0].gap_mm < 1.0
-    assert first[0].encoded
     # A line that was cut is measured again; what is there is not.
     with (tmp_path / "rows.csv").open("a") as file:
         file.write("telescopic_pr,free,1,mini")

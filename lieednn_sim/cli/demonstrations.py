@@ -55,12 +55,11 @@ def learn(arguments: argparse.Namespace) -> None:
         manifest = Manifest(directory)
         outputs = [directory / name for name in ("network.npz", "report.json", f"paths.{kind}", f"field.{kind}")]
         manifest.check(outputs)
-        shaped = ShapedMotion.fit(demonstrations, arguments.deviation, options, seed, family=not arguments.no_family)
+        shaped = ShapedMotion.fit(demonstrations, arguments.deviation, options, family=not arguments.no_family)
         with progress("learn") as bar:
             rows, models = compare_models(
                 demonstrations,
                 shaped,
-                options,
                 rivals=rivals,
                 aligned=aligned,
                 starts=starts,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple, TypeVar
 
@@ -100,9 +100,8 @@ class PolicyKind(NamedTuple):
 
 
 def _shaped(task: PolicyTask, options: ShapedOptions) -> Policy:
-    # A network of its own has a tenth of the universal one's neurons, so that its steps take less time.
-    own = replace(options, encoded=False)
-    made = plan(task.arm, task.target, planner="lieednn-shaped", start=task.start, options=own, seed=task.seed).network
+    how: dict[str, Any] = {"planner": "lieednn-shaped", "options": options, "seed": task.seed}
+    made = plan(task.arm, task.target, start=task.start, **how).network
     assert isinstance(made, LieEDNN)
     # Its clock is the slowest.
     return _network(task, made, task.convergence_rate / options.rate)

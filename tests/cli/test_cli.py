@@ -19,7 +19,6 @@ import pytest
 from lieednn_sim.arm import Arm, arm_names
 from lieednn_sim.cli import doctor, main
 from lieednn_sim.learning import projected
-from lieednn_sim.network import LieEDNN
 from lieednn_sim.planning import Motion
 
 FAST = ["--n-networks", "3", "--duration", "2"]

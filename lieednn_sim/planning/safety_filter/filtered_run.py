@@ -213,7 +213,7 @@ class _Segment:
         count = max(min(int(clock / self._h) + 1, len(self.reference.t)), 2)
         arrays = {name: value[:count] for name, value in vars(self.reference).items() if name != "xi_target"}
         self.reference = Motion(**arrays, xi_target=self.reference.xi_target)
-        hidden = self._drawn.state(self.reference.tau[-1])[network.n_visible :]
+        hidden = self._drawn.states(self.reference.tau[-1:])[0, network.n_visible :]
         network = network.with_start(hidden)
         return _Segment(self._drawn.arm, network, q, duration, self._h, self.begun + count * self._h)
 

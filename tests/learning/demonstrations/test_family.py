@@ -15,7 +15,7 @@ from lieednn_sim.studies.demonstrations.attraction import attraction, random_sta
 from lieednn_sim.studies.demonstrations.models import compare_models
 from lieednn_sim.synthesis import ShapingOptions, shape
 
-OPTIONS = ShapingOptions(neurons=(8,), placed_neurons=(32,))
+OPTIONS = ShapingOptions(neurons=(16,))
 
 
 @pytest.fixture(scope="module")
@@ -144,8 +144,8 @@ def test_several_motions_in_one_set(monkeypatch):
     shown = motions_in_one()
     family = ShapedMotion.fit(shown, options=OPTIONS)
     fading = ShapedMotion.fit(shown, options=OPTIONS, family=False)
-    (ours, mixture), _ = compare_models(shown, family, OPTIONS, rivals=["lpv-ds"], starts=1)
-    (today,), _ = compare_models(shown, fading, OPTIONS, rivals=[], starts=1)
+    (ours, mixture), _ = compare_models(shown, family, rivals=["lpv-ds"], starts=1)
+    (today,), _ = compare_models(shown, fading, rivals=[], starts=1)
     for part in ("training", "left_out"):
         error, mixed, before = (getattr(row, part).dtwd_mm for row in (ours, mixture, today))
         assert error < 0.2 * before
