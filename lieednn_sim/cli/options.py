@@ -7,9 +7,24 @@ import math
 import re
 from collections.abc import Iterable, Sequence
 
-from lieednn_sim.cli.names import ALGORITHMS, ARMS, BIAS_RULES, CONTROLLERS, FORMATS, POLICIES, RIVALS, SCENES
-from lieednn_sim.planner_table import PLANNERS, SLOW
+from lieednn_sim import registry
+from lieednn_sim.registry import SLOW
 
+# Without looking for those of installed packages, which takes time.
+PLANNERS = registry.PLANNERS.entries
+ARMS, SCENES, CONTROLLERS, POLICIES, ALGORITHMS, BIAS_RULES, FORMATS, RIVALS = (
+    tuple(kind.entries)
+    for kind in (
+        registry.ARMS,
+        registry.SCENES,
+        registry.CONTROLLERS,
+        registry.POLICIES,
+        registry.ALGORITHMS,
+        registry.BIAS_RULES,
+        registry.FORMATS,
+        registry.RIVALS,
+    )
+)
 # Those that make a network.
 NETWORK_PLANNERS = tuple(name for name, entry in PLANNERS.items() if entry.network)
 # Numbers on the command line: plain ASCII decimals, a subset of what Python accepts.

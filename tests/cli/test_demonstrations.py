@@ -9,11 +9,9 @@ import pytest
 from PIL import Image
 
 from lieednn_sim.cli import main
-from lieednn_sim.cli.names import RIVALS as NAMED
 from lieednn_sim.evaluation import paths
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.planning.motion import Motion
-from lieednn_sim.studies.demonstrations.models import RIVALS
 
 
 @pytest.fixture
@@ -24,10 +22,6 @@ def hook(tmp_path):
         path = np.column_stack([30.0 * (1.0 - s), (9.0 + k) * np.sin(np.pi * s)])
         np.savetxt(tmp_path / name, np.add(path, [100.0, 7.0 * k]), delimiter=",")
     return [str(tmp_path / name) for name in ("a.csv", "b.csv")]
-
-
-def test_names_in_the_help_are_those_there_are():
-    assert tuple(RIVALS) == NAMED
 
 
 def test_learn(hook, tmp_path, capsys, monkeypatch):
@@ -53,7 +47,7 @@ def test_learn(hook, tmp_path, capsys, monkeypatch):
     assert report["extent_m"] == pytest.approx(0.3)
     # They are 1 cm apart half way, and so half of that from their mean.
     assert report["spread_m"] == pytest.approx(0.005, rel=0.02)
-    assert 1e-4 < report["network_deviation_m"] <= 0.004
+    assert 1e-5 < report["network_deviation_m"] <= 0.004
     assert (report["t_s"][0], report["t_s"][-1]) == pytest.approx((0.0, 0.59))
     shaped, primitive = report["models"]
     assert shaped["mean"]["rms_mm"] < 4.0
