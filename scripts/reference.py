@@ -33,7 +33,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from lieednn_sim import filesystem, storage
+from lieednn_sim import io
 from lieednn_sim.errors import FileError, LieEDNNError
 from lieednn_sim.versions import code_version, versions
 
@@ -83,7 +83,6 @@ STUDIES = {
         ("lieednn_sim.planning", "lieednn_sim.simulation", "lieednn_sim.evaluation.metrics", _VIDEO),
     ),
     "arms": Study(("python scripts/picture_arms.py",), {"arms.jpg": "results/arms.jpg"}, ("picture_arms", _VIDEO)),
-    "growth": _script("growth", "", "growth", "md", "csv", "png"),
     "benchmark": _script("benchmark", "", "benchmark", "md", "json"),
     "robots": _script("real_robots", "ROBOTS --models MODELS", "robots", "md"),
     "robustness": Study(
@@ -109,7 +108,6 @@ STUDIES = {
     "pushes": _script("evaluate_pushes", "", "pushes", "md"),
     "cost_over_time": _script("cost_over_time", "--seeds 4", "cost_over_time", "md", "csv", "png"),
     "learning": _script("learn_reach", "", "learning", "md", "png", jobs=True),
-    "environment_overhead": _script("environment_overhead", "", "environment_overhead", "md"),
     "comparison": Study(
         ("lieednn-sim compare --seeds 20 --slow-seeds 3 --reactive 3 --views 3 --date DATE",),
         {name: f"results/comparison/{name}" for name in ("comparison.md", "comparison.html", "reactions.md")},
@@ -153,7 +151,7 @@ def stale(study: Study, record: Mapping[str, Any] | None, root: Path = ROOT) -> 
 def records(root: Path = ROOT) -> dict[str, Any]:
     """How the committed results were made, by study."""
     path = root / REFERENCE / "made.json"
-    return dict(storage.load_json(path, "references")["studies"]) if path.exists() else {}
+    return dict(io.load_json(path, "references")["studies"]) if path.exists() else {}
 
 
 def make(name: str, study: Study, given: Mapping[str, Sequence[str]], jobs: int, root: Path = ROOT) -> None:
@@ -173,8 +171,8 @@ def make(name: str, study: Study, given: Mapping[str, Sequence[str]], jobs: int,
     # Tables are continued with the very same code alone.
     how = json.dumps([study.commands, code, _code(folder=root), used])
     work = root / "results/making" / f"{name}-{hashlib.sha256(how.encode()).hexdigest()[:8]}"
-    filesystem.make_directory(work / "results")
-    with filesystem.locked(work), _timed(work / "spent.json") as spent:
+    io.make_directory(work / "results")
+    with io.locked(work), _timed(work / "spent.json") as spent:
         for command in study.commands:
             words = [part for word in shlex.split(command) for part in given.get(word, [word])]
             if study.jobs and command == study.commands[-1]:
@@ -192,11 +190,11 @@ def make(name: str, study: Study, given: Mapping[str, Sequence[str]], jobs: int,
             raise FileError(f"{name} made no {source} in {work}")
         for path in found:
             copy = root / REFERENCE / target / (path.name if "*" in source else "")
-            filesystem.make_directory(copy.parent)
+            io.make_directory(copy.parent)
             content = path.read_bytes()
             if path.suffix == ".md":
                 content = content.rstrip() + f"\n\nMade by `{command}`, {made}.\n".encode()
-            with filesystem.atomic_path(copy) as temporary:
+            with io.atomic_path(copy) as temporary:
                 temporary.write_bytes(content)
             outputs[copy.relative_to(root / REFERENCE).as_posix()] = _digest(copy)
     entry = {
@@ -215,7 +213,7 @@ def make(name: str, study: Study, given: Mapping[str, Sequence[str]], jobs: int,
         # Several studies may run at once.
         fcntl.flock(handle, fcntl.LOCK_EX)
         studies = {**records(root), name: entry}
-        storage.save_json(root / REFERENCE / "made.json", {"studies": dict(sorted(studies.items()))})
+        io.save_json(root / REFERENCE / "made.json", {"studies": dict(sorted(studies.items()))})
     finally:
         os.close(handle)
 
@@ -258,7 +256,7 @@ def _timed(path: Path) -> Iterator[dict[str, float]]:
     finally:
         spent["wall_s"] += time.perf_counter() - wall
         spent["cpu_s"] += _cpu() - cpu
-        storage.save_json(path, spent)
+        io.save_json(path, spent)
 
 
 def _cpu() -> float:

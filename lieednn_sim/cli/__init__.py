@@ -32,7 +32,6 @@ _MODULES = {
     "merge": "comparison",
     "problems": "problems",
     "sequence": "sequences",
-    "library": "library",
     "export": "exporting",
     "record": "exporting",
     "arms": "arms",
@@ -261,17 +260,10 @@ def _parser() -> argparse.ArgumentParser:
     )
     options.add_problems(problems)
 
-    library = command(
-        "library",
-        "store the motions of runs in one file, blend them, and make runs of them",
-        "Each motion is a start of the hidden neurons of one certified network; its path is stored, not its timing.",
-    )
-    options.add_library(library)
-
     export = command(
         "export",
         "write runs or comparisons in the file formats of other tools",
-        "Runs must have been simulated. Files that this package did not write are never replaced.",
+        "Runs must have been simulated. The directory must be new, empty, or one of exports.",
     )
     options.add_export(export)
 

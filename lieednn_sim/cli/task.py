@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from lieednn_sim import storage
+from lieednn_sim import io
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.importer import ImportOptions
 from lieednn_sim.errors import FileError
@@ -18,8 +18,6 @@ from lieednn_sim.versions import versions
 CERTIFIED, TRAINED = "lieednn-certified", "train"
 # The planner of the command ``learn --arm``, whose motion is stored.
 DEMONSTRATED = "learn"
-# The planner of the command ``library``, whose motion is stored.
-LIBRARY = "library"
 
 
 @dataclass(frozen=True)
@@ -34,8 +32,8 @@ class Task:
         scene: the obstacles around the arm, see `Arm.load`.
         scene_seed: seed of the obstacles' positions.
         imported: import options of a model file, see `Arm.load`.
-        planner: a name of `planning.PLANNERS`, `TRAINED` for ``train``, `DEMONSTRATED` for ``learn``, or `LIBRARY` for
-            ``library``. The motion is stored unless the network generates it by itself.
+        planner: a name of `planning.PLANNERS`, `TRAINED` for ``train``, or `DEMONSTRATED` for ``learn``.
+            The motion is stored unless the network generates it by itself.
         reason: why this planner was chosen.
         seed: seed of its random draws.
         options: its other options by name, as JSON values.
@@ -62,23 +60,18 @@ class Task:
         """Whether the network generates the motion by itself, in the task's duration."""
         return self.planner in (CERTIFIED, TRAINED) and not self.options.get("fastest", False)
 
-    @property
-    def fingerprint(self) -> str:
-        """Fingerprint of all values; see `storage.fingerprint`."""
-        return storage.fingerprint({}, asdict(self))
-
     def load_arm(self) -> Arm:
         """The arm among its obstacles; raises as `Arm.load`."""
         return Arm.load(self.arm, self.scene, self.scene_seed, **self.imported)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write as JSON, atomically."""
-        storage.save_json(path, asdict(self))
+        io.save_json(path, asdict(self))
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Task:
         """Read a file of `save`; `FileError` says what is wrong with it."""
-        value = storage.load_json(path, "task")
+        value = io.load_json(path, "task")
         try:
             texts = {name: value[name] for name in ("arm", "scene", "planner", "reason", "model")}
             if not all(isinstance(text, str) for text in texts.values()):

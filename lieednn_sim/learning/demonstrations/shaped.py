@@ -287,7 +287,9 @@ class ShapedMotion:
     def _run(self, start: Floats, tau: Floats) -> Floats:
         """Displacements ``(n, K, 6)`` at network times ``tau``, from displacements ``(n, 6)``."""
         states = np.stack([self.network.start(one[None]).ravel() for one in start])
-        return run_field(self.network.flat_vector_field, states, _grid(max(tau[-1], 1.0), self.rate), tau, kept=6)
+        return run_field(
+            self.network.flat_vector_field, states, _grid(max(tau[-1], _FRACTION_STEP), self.rate), tau, kept=6
+        )
 
     def _beside(self, demonstrations: Demonstrations) -> Floats:
         """Network times ``(K,)`` that match the phases of the mean demonstration."""
