@@ -84,6 +84,8 @@ def test_the_universal_network_is_integrated_to_the_same_motion():
     again = path.timed(one.motion.t[-1], one.motion.timestep, law_of(guide, units))
     np.testing.assert_allclose(again.q, one.motion.q, atol=2e-5)
     np.testing.assert_allclose(again.qd, one.motion.qd, atol=2e-3)
+    early = one.motion.tau < 5.0
+    np.testing.assert_allclose(again.tau[early], one.motion.tau[early], atol=2e-3)
     known, tau = NetworkPath.encoded(FREE, one.network, guide, units), path.states.t
     np.testing.assert_allclose(known.states(1.0 - np.exp(-tau)), one.network.visible(path.states.xi), atol=1e-6)
 

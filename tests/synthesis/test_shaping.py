@@ -15,7 +15,7 @@ from lieednn_sim.errors import InputError, NotCertifiedError, OutOfTimeError
 from lieednn_sim.network import ACTIVATIONS
 from lieednn_sim.synthesis.shaping import ShapingOptions, placed_switches, shape, shaping
 from lieednn_sim.synthesis.shaping.assembly import assemble, turns_to
-from lieednn_sim.synthesis.shaping.cascade import Cascade, Parameters, clockwork
+from lieednn_sim.synthesis.shaping.cascade import TAIL, Cascade, Parameters, clockwork
 from lieednn_sim.synthesis.shaping.curve import Curve, third_derivative
 from lieednn_sim.synthesis.shaping.placed_switches import LARGEST_SLOPE, fit_placed_switches
 
@@ -46,8 +46,12 @@ def test_the_closed_form_is_the_networks_own_trajectory(rate, activation):
     clock = clockwork(rate, activation=ACTIVATIONS[activation])
     network = assemble(parameters, rate, target, activation)
     way = network.trajectory(network.start(start), clock.t[-1], rtol=1e-10, atol=1e-12)
-    closed = Cascade(clock, start, target).states(parameters)[:-1]
+    *closed, last = Cascade(clock, start, target).states(parameters)
     np.testing.assert_allclose(network.visible(way(clock.t)), closed, atol=2e-5 * np.abs(closed).max())
+    # The state ends as x_d + e^-t (A + B t) if the clock is as fast as the neurons, and the last row is x_d and B.
+    ends = (np.array(closed)[-2:] - target) * np.exp(clock.t[-2:])[:, None, None]
+    growth = (ends[1] - ends[0]) / (clock.t[-1] - clock.t[-2]) if rate == 1.0 else np.zeros((2, 6))
+    np.testing.assert_allclose(last, target + TAIL * growth, atol=1e-3)
 
 
 @pytest.mark.parametrize("rate", RATES)
