@@ -41,7 +41,7 @@ ROOT = Path(__file__).resolve().parents[1]
 REFERENCE = Path("results/reference")
 # Read again each time, since code may change while studies run.
 _code = code_version.__wrapped__
-OBSTACLE_PLANNERS = "minimum-jerk,rrt-connect,lieednn-shaped,lieednn-filtered,lieednn-guided"
+OBSTACLE_PLANNERS = "minimum-jerk,rrt-connect,lieednn-shaped"
 
 
 @dataclass(frozen=True)
