@@ -109,12 +109,14 @@ def _simulate(run: RunDirectory, arguments: argparse.Namespace) -> None:
                 hold=arguments.hold,
                 reference_rate=arguments.reference_rate,
                 disturbances=changes,
-                dump_directory=run.path,
                 progress=report,
             )
-    except SimulationError:
+    except SimulationError as error:
+        if error.rollout is None:
+            raise
         run.manifest.expect(run.divergence, "rollout")
-        raise
+        error.rollout.save(run.divergence)
+        raise SimulationError(f"{error}; the run up to there is in {run.divergence} (Rollout.load reads it)") from None
     wrote(*run.save_rollout(task, rollout))
 
 
