@@ -26,13 +26,13 @@ import numpy as np
 from csv_rows import read_rows, write_rows
 from matplotlib.figure import Figure
 
-from lieednn_sim import filesystem
+from lieednn_sim import io
 from lieednn_sim._blas import one_blas_thread
 from lieednn_sim.arm import arm_names
 from lieednn_sim.budget import cpu_time
 from lieednn_sim.errors import FileError, LieEDNNError, NoSolutionError
 from lieednn_sim.evaluation.figure_layout import COLOURS, STYLE, save_figure
-from lieednn_sim.planning import PLANNERS, missing_planners, plan
+from lieednn_sim.planning import PLANNERS, plan
 from lieednn_sim.planning.joint_space import joint_scale
 from lieednn_sim.studies.comparison.cases import arm_and_target
 from lieednn_sim.validation import as_choice, as_count
@@ -149,7 +149,7 @@ def plot(runs: Sequence[Run], path: Path) -> None:
 def main(arguments: list[str] | None = None) -> int:
     """Measure missing runs, and write all three files."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--planners", default=",".join(name for name in LADDERS if name not in missing_planners()))
+    parser.add_argument("--planners", default=",".join(name for name in LADDERS if name not in PLANNERS.missing()))
     parser.add_argument("--arms", default=",".join(arm_names()))
     parser.add_argument("--seeds", type=int, default=4)
     parser.add_argument("--output", type=Path, default=Path("results/cost_over_time"))
@@ -158,7 +158,7 @@ def main(arguments: list[str] | None = None) -> int:
         names = [as_choice("planner", name, LADDERS) for name in options.planners.split(",")]
         arms = [as_choice("arm", name, arm_names()) for name in options.arms.split(",")]
         seeds = as_count("seeds", options.seeds)
-        path = filesystem.make_directory(options.output) / "cost_over_time.csv"
+        path = io.make_directory(options.output) / "cost_over_time.csv"
         runs = _read(path)
     except LieEDNNError as error:
         parser.error(str(error))
@@ -174,7 +174,7 @@ def main(arguments: list[str] | None = None) -> int:
                 write_rows(path, FIELDS, map(vars, runs))
     runs.sort(key=lambda run: list(LADDERS).index(run.planner))
     text = table(runs, f"python scripts/cost_over_time.py --seeds {seeds}")
-    with filesystem.atomic_text(options.output / "cost_over_time.md") as file:
+    with io.atomic_text(options.output / "cost_over_time.md") as file:
         file.write(text)
     plot(runs, options.output / "cost_over_time.png")
     print(text)

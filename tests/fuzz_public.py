@@ -60,8 +60,8 @@ def public_values() -> dict[str, Any]:
     """All that public modules name in their ``__all__`` and that can be called, once each, by name."""
     found: dict[str, Any] = {}
     for info in pkgutil.walk_packages(lieednn_sim.__path__, "lieednn_sim."):
-        # Neither private modules nor programs, nor what needs an extra that is not installed.
-        if any(part.startswith("_") or part == "cli" for part in info.name.split(".")):
+        # Neither private modules nor programs nor files, nor what needs an extra that is not installed.
+        if any(part.startswith("_") or part in ("cli", "io") for part in info.name.split(".")):
             continue
         try:
             module = importlib.import_module(info.name)
@@ -162,7 +162,7 @@ BY_NAME: dict[str, Callable[[Things], list[Any]]] = {
     **dict.fromkeys(("q", "qd", "start", "qpos", "qvel", "velocity", "wanted", "action", "actions"), _postures),
     **dict.fromkeys(("xi", "xi_dot", "twist", "twists", "curves", "x"), _twists),
     "target": lambda things: [*_postures(things), *_twists(things)],
-    **dict.fromkeys(("path", "directory", "checkpoint"), _one_of(*PATHS)),
+    **dict.fromkeys(("path", "directory"), _one_of(*PATHS)),
     "model": _one_of("two.xml", "folder", "gone.xml"),
     "planner": _one_of("minimum-jerk", "se3-geodesic", "lieednn-certified", "nobody"),
     **dict.fromkeys(("duration", "hold", "time_limit"), _one_of(0.1, 0.5, 1.0, 0.0, -1.0, 1e9)),

@@ -178,7 +178,7 @@ def _parser() -> argparse.ArgumentParser:
     train = command(
         "train",
         "learn a network for a target with the algorithm of the paper, or an improved one",
-        "Continue with 'simulate', 'evaluate' and 'render'; --resume continues an interrupted training.",
+        "Continue with 'simulate', 'evaluate' and 'render'.",
     )
     options.add_training(train)
     options.add_plots(train)
@@ -271,7 +271,7 @@ def _parser() -> argparse.ArgumentParser:
     export = command(
         "export",
         "write runs or comparisons in the file formats of other tools",
-        "Runs must have been simulated. Files that this package did not write are never replaced.",
+        "Runs must have been simulated. The directory must be new, empty, or one of exports.",
     )
     options.add_export(export)
 

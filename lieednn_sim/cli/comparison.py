@@ -7,16 +7,13 @@ import contextlib
 import os
 import shlex
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
 from typing import Any, TypeVar
 
-from lieednn_sim import filesystem
+from lieednn_sim import io
 from lieednn_sim.cli.arms import print_import_report
 from lieednn_sim.cli.console import console, progress, to_stderr, wrote
 from lieednn_sim.errors import InputError, LieEDNNError
-from lieednn_sim.manifest import Manifest
-from lieednn_sim.planning.registry import REGISTRY as PLANNER_REGISTRY
-from lieednn_sim.simulation.controllers import REGISTRY as CONTROLLER_REGISTRY
+from lieednn_sim.registry import CONTROLLERS, PLANNERS
 from lieednn_sim.studies import Case, Comparison, Settings, compute, write_summary
 from lieednn_sim.studies.cluster import dask_executor
 from lieednn_sim.studies.comparison.merging import merge as merge_shards
@@ -25,6 +22,9 @@ from lieednn_sim.studies.reactions.study import Reactions, write_reactions
 from lieednn_sim.studies.report import choose_cases, choose_problems, film, view, write_page
 from lieednn_sim.studies.user_files import ARM, bare_arm, describe_files
 from lieednn_sim.validation import as_count
+
+# The files of a comparison.
+_OUTPUTS = ("comparison.csv", "comparison.json", "comparison.md", "comparison.html", "reactions.md")
 
 _Wanted = TypeVar("_Wanted")
 _Shown = TypeVar("_Shown")
@@ -60,22 +60,17 @@ def compare(arguments: argparse.Namespace) -> None:
     for name, reason in study.absent.items():
         console.print(f"not compared: {name} is not installed ({reason})")
     cluster = contextlib.nullcontext() if arguments.scheduler is None else dask_executor(arguments.scheduler)
-    with (
-        cluster as executor,
-        filesystem.created(arguments.output) as directory,
-        filesystem.locked(directory),
-    ):
+    with cluster as executor, io.output_folder(arguments.output, "table", outputs=_OUTPUTS) as directory:
         how: dict[str, Any] = {"jobs": jobs, "executor": executor, "console": to_stderr()}
         if executor is not None:
             console.print(f"{executor.n_workers} workers at {arguments.scheduler}; cases wait for the first one")
         summary, page = directory / "comparison.md", directory / "comparison.html"
-        _check_outputs(directory, [summary, page, *([directory / "reactions.md"] if arguments.reactive else [])])
         _print_found(study)
         table = compute(study, directory, **how)
         if shard is not None:
             wrote(table.csv)
             return
-        with table.manifest.writing(summary) as temporary:
+        with io.atomic_path(summary) as temporary:
             write_summary(temporary, table, study.absent)
         controller = study.controllers[0]
         problems = choose_problems(table, arguments.views, controller)
@@ -89,10 +84,10 @@ def compare(arguments: argparse.Namespace) -> None:
             disturbed = Reactions(study.arms, study.scenes, arguments.reactive, user_files=study.user_files)
             reactions = compute(disturbed, directory, **how)
             more = [reactions.csv, directory / "reactions.md"]
-            with table.manifest.writing(more[1]) as temporary:
+            with io.atomic_path(more[1]) as temporary:
                 write_reactions(temporary, reactions)
         head = {"command": line, "date": arguments.date}
-        with table.manifest.writing(page) as temporary:
+        with io.atomic_path(page) as temporary:
             write_page(temporary, table, missing=study.absent, views=views, clips=clips, reactions=reactions, **head)
     wrote(table.csv, summary, *more, page)
 
@@ -100,11 +95,10 @@ def compare(arguments: argparse.Namespace) -> None:
 def merge(arguments: argparse.Namespace) -> int:
     """Merge the tables of shards, and write summary and page; returns 1 if cases are missing."""
     line = shlex.join(["lieednn-sim", *arguments.words])
-    with filesystem.created(arguments.output) as directory, filesystem.locked(directory):
+    with io.output_folder(arguments.output, "table", outputs=_OUTPUTS) as directory:
         outputs = [directory / "comparison.md", directory / "comparison.html"]
-        _check_outputs(directory, outputs)
         merged = merge_shards(directory, arguments.folders)
-        with merged.table.manifest.replacing(outputs) as (summary, page):
+        with io.atomic_paths(outputs) as (summary, page):
             write_summary(summary, merged.table, merged.absent)
             write_page(page, merged.table, missing=merged.absent, command=line)
     wrote(merged.table.csv, *outputs)
@@ -112,12 +106,6 @@ def merge(arguments: argparse.Namespace) -> int:
         where = ", ".join(str(folder) for folder, there in merged.shards.items() if there == shard) or "in no folder"
         console.print(f"shard {shard} ({where}) lacks {len(cases)} cases, such as {cases[0]}")
     return 1 if merged.missing else 0
-
-
-def _check_outputs(directory: Path, outputs: Sequence[Path]) -> None:
-    """Raise `FileError` if the table or one of the other outputs could not be written."""
-    filesystem.check_outputs([directory / "comparison.csv", directory / "comparison.json"])
-    Manifest(directory).check(outputs)
 
 
 def _listed(words: Sequence[str] | None) -> list[str]:
@@ -139,7 +127,7 @@ def _print_found(study: Comparison) -> None:
                 f"arm {file.name}: {arm.n_links} links, {arm.n_joints} joints, from {file.source}", markup=False
             )
             print_import_report(arm)
-    others = PLANNER_REGISTRY.found(study.planners) + CONTROLLER_REGISTRY.found(study.controllers)
+    others = PLANNERS.origins(study.planners) + CONTROLLERS.origins(study.controllers)
     for line in others + describe_files(study.arms, study.scenes, study.user_files):
         console.print(line, markup=False)
 

@@ -7,17 +7,17 @@ from dataclasses import asdict
 
 import numpy as np
 
-from lieednn_sim import storage
+from lieednn_sim import io
 from lieednn_sim.arm import Arm
 from lieednn_sim.cli.arguments import import_options, make_task
 from lieednn_sim.cli.arms import print_import_report
 from lieednn_sim.cli.console import console, progress, wrote
-from lieednn_sim.cli.names import RIVALS
 from lieednn_sim.cli.run_directory import RunDirectory
 from lieednn_sim.cli.task import DEMONSTRATED
 from lieednn_sim.errors import InputError
 from lieednn_sim.learning.demonstrations.family import describe, ridges_of
 from lieednn_sim.planning.demonstrated import JointDemonstrations, JointMotion
+from lieednn_sim.registry import RIVALS
 from lieednn_sim.studies.demonstrations.joints import joints_table, motion_to, study_joints
 from lieednn_sim.studies.demonstrations.plots import plot_joint_paths
 from lieednn_sim.synthesis import ShapingOptions
@@ -42,7 +42,7 @@ def learn_joints(arguments: argparse.Namespace) -> None:
     shown = JointDemonstrations.load(
         arm, arguments.files, rate=arguments.sample_rate, phase=arguments.phase, goals=arguments.goals
     )
-    with run.made():
+    with run.at_work():
         learned = JointMotion.fit(shown, arguments.deviation, options, seed, family=not arguments.no_family)
         motion, refusal = learned.planned(shown.mean[0])
         with progress("learn") as bar:
@@ -92,8 +92,8 @@ def learn_joints(arguments: argparse.Namespace) -> None:
         reproduced = learned.run(shown.mean[0]).q
         fan = [motion_to(learned, shown, one[-1]).run(one[0]).q for one in shown.q] if learned.response else []
         results = [run.report, run.demonstrations_plot, run.starts_plot]
-        with run.manifest.replacing(results) as (report, demonstrations_plot, starts_plot):
-            storage.save_json(report, found)
+        with io.atomic_paths(results) as (report, demonstrations_plot, starts_plot):
+            io.save_json(report, found)
             plot_joint_paths(shown, reproduced, demonstrations_plot, fan=fan)
             plot_joint_paths(shown, reproduced, starts_plot, paths)
     print_import_report(arm)

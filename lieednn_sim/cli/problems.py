@@ -5,10 +5,9 @@ from __future__ import annotations
 import argparse
 import os
 
-from lieednn_sim import filesystem
+from lieednn_sim import io
 from lieednn_sim.cli.console import to_stderr, wrote
 from lieednn_sim.errors import InputError
-from lieednn_sim.manifest import Manifest
 from lieednn_sim.studies.problems.motion_bench_maker import ProblemSets
 from lieednn_sim.studies.problems.study import PublishedProblems
 from lieednn_sim.studies.problems.summary import write_problems
@@ -20,15 +19,14 @@ def problems(arguments: argparse.Namespace) -> None:
     """Compute the missing rows of the table, then write its summary."""
     count = None if arguments.problems == "all" else _count(arguments.problems)
     sets = ProblemSets(arguments.folder)
-    with filesystem.created(arguments.output) as directory, filesystem.locked(directory):
-        summary = directory / "problems.md"
-        filesystem.check_outputs([summary.with_suffix(".csv"), summary.with_suffix(".json")])
-        Manifest(directory).check([summary])
+    outputs = ("problems.csv", "problems.json", "problems.md")
+    with io.output_folder(arguments.output, "table", outputs=outputs) as directory:
+        summary = directory / outputs[-1]
         names = [name for word in arguments.planners for name in word.split(",") if name]
         study = PublishedProblems(sets, names, count, arguments.time_budget)
         jobs = os.cpu_count() or 1 if arguments.jobs is None else arguments.jobs
         table = compute(study, directory, jobs=jobs, console=to_stderr())
-        with table.manifest.writing(summary) as temporary:
+        with io.atomic_path(summary) as temporary:
             write_problems(temporary, sets.robot, table.sorted_rows(), arguments.time_budget)
     wrote(table.csv, summary)
 

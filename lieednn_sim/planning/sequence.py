@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lieednn_sim import storage
+from lieednn_sim import io
 from lieednn_sim._mujoco import QuietWarnings, mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.contacts import PLANNED_CLEARANCE
@@ -20,8 +20,8 @@ from lieednn_sim.budget import DEFAULT_TIME_BUDGET
 from lieednn_sim.errors import InputError, LieEDNNError, PlanError
 from lieednn_sim.planning.in_model import plan_in
 from lieednn_sim.planning.options import PlannerOptions
+from lieednn_sim.planning.planners import OBSTACLE_PLANNER
 from lieednn_sim.planning.problem import Plan
-from lieednn_sim.planning.registry import OBSTACLE_PLANNER
 from lieednn_sim.planning.steps import Actuate, Gripping, Move
 from lieednn_sim.validation import Seed, as_seed
 from lieednn_sim.values import Floats, frozen
@@ -90,14 +90,14 @@ class PlanSequence:
         """The plans of the moves, in order."""
         return tuple(part.plan for part in self.parts if part.plan is not None)
 
-    def save(self, path: str | os.PathLike[str], made_from: Mapping[str, str] | None = None) -> None:
+    def save(self, path: str | os.PathLike[str]) -> None:
         """Write t, qpos and qvel, and what the steps are, to an ``.npz`` file, atomically."""
         steps = [
             {"name": part.step.name, "begin": self.t[part.first], "end": self.t[part.last], "proof": str(part)}
             for part in self.parts
         ]
         arrays = {"t": self.t, "qpos": self.qpos, "qvel": self.qvel}
-        storage.save_arrays(path, "sequence", arrays, {"steps": steps}, made_from)
+        io.save_arrays(path, "sequence", arrays, {"steps": steps})
 
 
 def plan_sequence(

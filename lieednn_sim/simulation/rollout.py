@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from lieednn_sim import storage
+from lieednn_sim import io
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.planning.motion import Motion
-from lieednn_sim.simulation.controllers import controllers
+from lieednn_sim.registry import CONTROLLERS
 from lieednn_sim.simulation.disturbances import Disturbances, tangent_basis
 from lieednn_sim.simulation.log import Log
 from lieednn_sim.validation import as_choice, as_floats, as_positive, as_times
@@ -149,8 +149,8 @@ class Rollout:
         # By name: whoever only simulates needs no renderer.
         importlib.import_module("lieednn_sim.rendering.page").render_page(self, path, title=title)
 
-    def save(self, path: str | os.PathLike[str], made_from: Mapping[str, str] | None = None) -> None:
-        """Write to an ``.npz`` file, atomically; ``made_from`` as for `storage.save_arrays`."""
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write to an ``.npz`` file, atomically."""
         meta = {
             "arm": self.arm.name,
             "scene": self.arm.scene,
@@ -164,7 +164,7 @@ class Rollout:
         }
         arrays = {name: getattr(self, name) for name in _ARRAYS}
         arrays |= {_CHANNEL + name: values for name, values in self.channels.items()}
-        storage.save_arrays(path, "rollout", arrays, meta, made_from)
+        io.save_arrays(path, "rollout", arrays, meta)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str], arm: Arm, motion: Motion | None = None) -> Rollout:
@@ -178,23 +178,23 @@ class Rollout:
         Raises:
             FileError: it is no such file, or it was made with another arm, scene or motion.
         """
-        arrays, meta = storage.load_arrays(path, "rollout")
+        arrays, meta = io.load_arrays(path, "rollout")
         if meta.get("model") != arm.fingerprint:
             raise FileError(
                 f"{path} is of arm {meta.get('arm')!r} in scene {meta.get('scene')!r} (fingerprint "
-                f"{storage.short(meta.get('model'))}), not of {arm.name!r} in scene {arm.scene!r} "
-                f"({storage.short(arm.fingerprint)}); load it with its own arm, or simulate it again"
+                f"{io.short(meta.get('model'))}), not of {arm.name!r} in scene {arm.scene!r} "
+                f"({io.short(arm.fingerprint)}); load it with its own arm, or simulate it again"
             )
-        values = dict(zip(_ARRAYS, storage.take(arrays, path, *_ARRAYS), strict=True))
+        values = dict(zip(_ARRAYS, io.take(arrays, path, *_ARRAYS), strict=True))
         try:
             units = dict(meta["channel_units"])
-            channels = dict(zip(units, storage.take(arrays, path, *(_CHANNEL + name for name in units)), strict=True))
+            channels = dict(zip(units, io.take(arrays, path, *(_CHANNEL + name for name in units)), strict=True))
             rate = meta["reference_rate"]
             return cls(
                 arm=arm,
                 motion=motion,
                 motion_end=float(meta["motion_end"]),
-                controller=as_choice("controller", meta["controller"], controllers()),
+                controller=as_choice("controller", meta["controller"], CONTROLLERS),
                 reference_rate=None if rate is None else float(rate),
                 disturbances=Disturbances.from_json(meta["disturbances"]),
                 channels=channels,
