@@ -12,9 +12,6 @@ from lieednn_sim.arm.arm import Arm
 from lieednn_sim.arm.contacts import moving_geoms
 from lieednn_sim.values import Floats
 
-# Bits of contype and conaffinity that are kept apart; MuJoCo has 31.
-_BITS = 15
-
 
 class ContactSlopes:
     """Distances of near geoms and their derivatives along a path, from MuJoCo's constraint Jacobian.
@@ -32,11 +29,12 @@ class ContactSlopes:
         self._arm, self._margin = arm, margin
         model = self._model = copy.deepcopy(arm.without_visuals.model)
         types, affinities = model.geom_contype.copy(), model.geom_conaffinity.copy()
-        # One bit for each direction of MuJoCo's filter, so that a fixed geom meets the same moving ones as before.
-        if not own and (types | affinities).max(initial=0) < 2**_BITS:
+        # Bits of their own for each direction of MuJoCo's filter, which has 31, so that a fixed geom meets the same
+        # moving ones as before.
+        if not own and (types | affinities).max(initial=0) < 2**15:
             moving = moving_geoms(model)
-            model.geom_contype[:] = np.where(moving, types | affinities << _BITS, 0)
-            model.geom_conaffinity[:] = np.where(moving, 0, affinities | types << _BITS)
+            model.geom_contype[:] = np.where(moving, types | affinities << 15, 0)
+            model.geom_conaffinity[:] = np.where(moving, 0, affinities | types << 15)
         model.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_OVERRIDE)
         model.opt.o_margin = margin
         # One row of the Jacobian for each contact, its normal's, and none for anything else.

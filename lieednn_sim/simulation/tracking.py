@@ -26,9 +26,6 @@ from lieednn_sim.simulation.simulation import Simulation
 from lieednn_sim.validation import as_floats, as_positive
 from lieednn_sim.values import Floats
 
-# Largest time after the motion [s]: a longer one is an error of units, and would take gigabytes.
-_MAX_HOLD = 1000.0
-
 
 def make_controlled(
     arm: Arm, controller: str, reference: Reference, disturbances: Disturbances
@@ -44,8 +41,9 @@ def make_controlled(
 def as_hold(value: float) -> float:
     """Return the time after a motion [s] when it can be simulated, or raise `InputError`."""
     hold = float(as_floats("hold", value, ()))
-    if not 0.0 <= hold <= _MAX_HOLD:
-        raise InputError(f"hold must be between 0 and {_MAX_HOLD:g} s, got {hold:g}")
+    # A longer one is an error of units, and would take gigabytes.
+    if not 0.0 <= hold <= 1000.0:
+        raise InputError(f"hold must be between 0 and 1000 s, got {hold:g}")
     return hold
 
 
