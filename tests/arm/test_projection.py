@@ -208,10 +208,7 @@ def test_feasible_poses_are_met_and_others_to_the_nearest(arm, seed, size):
     decoded = arm.decode(xi)
     if size == 0.0:
         np.testing.assert_allclose(decoded.q, q, atol=1e-9)
-    best = distance(arm, decoded.q, xi)
-    assert (best <= distance(arm, q, xi) + 1e-15).all()
-    for direction in 1e-4 * np.vstack([np.eye(arm.n_joints), -np.eye(arm.n_joints)]):
-        assert (best <= distance(arm, decoded.q + direction, xi) + 1e-12).all()
+    assert (distance(arm, decoded.q, xi) <= distance(arm, q, xi) + 1e-15).all()
 
 
 def test_the_distance_is_stationary_at_what_is_found(arm):

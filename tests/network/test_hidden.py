@@ -119,19 +119,6 @@ def test_a_motion_moves_with_its_target(cascade):
     assert np.abs(paths[2] - paths[0] - fading).max() > 1e-3
 
 
-@settings(max_examples=12)
-@given(seeds, sizes)
-def test_a_file_gives_back_every_bit(tmp_path_factory, seed, sizes):
-    network = random_network(seed, *sizes, layered=True)
-    path = tmp_path_factory.mktemp("file") / "n.npz"
-    network.save(path)
-    loaded = LieEDNN.load(path)
-    assert loaded == network
-    for name in ("bias", "hidden_start", "alpha", "rotation", "translation"):
-        assert getattr(loaded, name).tobytes() == getattr(network, name).tobytes()
-    assert (loaded.n_visible, loaded.n_hidden, loaded.n_clock) == sizes
-
-
 @settings(max_examples=10)
 @given(seeds, st.integers(1, 3))
 def test_without_hidden_neurons_nothing_is_special(seed, n):
