@@ -210,6 +210,12 @@ def test_reach_says_how_close_the_best_of_its_attempts_comes(gantry, monkeypatch
         solve_ik(gantry, [1.75, 4.0, 0.0], Rotation.from_rotvec([0.0, 0.0, np.pi / 6.0]))
 
 
+def test_reach_says_what_touches_where_the_pose_is_met(gantry):
+    """The ball is in the floor there, whatever the angle."""
+    with pytest.raises(NoSolutionError, match=r"cannot reach \(1, 0, -0\.95\) m; at the solutions found '.*' touches"):
+        solve_ik(gantry, [1.0, 0.0, -0.95])
+
+
 def test_reach_names_the_joints_that_end_at_their_limits_and_can_be_ended(gantry):
     with pytest.raises(NoSolutionError, match=r"configuration found is 3 m away, with 'x' at the limit$"):
         solve_ik(gantry, [5.0, 0.0, 0.0])
