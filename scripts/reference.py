@@ -41,7 +41,7 @@ ROOT = Path(__file__).resolve().parents[1]
 REFERENCE = Path("results/reference")
 # Read again each time, since code may change while studies run.
 _code = code_version.__wrapped__
-OBSTACLE_PLANNERS = "minimum-jerk,rrt-connect,lieednn-shaped,lieednn-filtered,lieednn-guided"
+OBSTACLE_PLANNERS = "minimum-jerk,rrt-connect,lieednn-shaped"
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,6 @@ STUDIES = {
         ("lieednn_sim.planning", "lieednn_sim.simulation", "lieednn_sim.evaluation.metrics", _VIDEO),
     ),
     "arms": Study(("python scripts/picture_arms.py",), {"arms.jpg": "results/arms.jpg"}, ("picture_arms", _VIDEO)),
-    "growth": _script("growth", "", "growth", "md", "csv", "png"),
     "benchmark": _script("benchmark", "", "benchmark", "md", "json"),
     "robots": _script("real_robots", "ROBOTS --models MODELS", "robots", "md"),
     "robustness": Study(
@@ -109,7 +108,6 @@ STUDIES = {
     "pushes": _script("evaluate_pushes", "", "pushes", "md"),
     "cost_over_time": _script("cost_over_time", "--seeds 4", "cost_over_time", "md", "csv", "png"),
     "learning": _script("learn_reach", "", "learning", "md", "png", jobs=True),
-    "environment_overhead": _script("environment_overhead", "", "environment_overhead", "md"),
     "comparison": Study(
         ("lieednn-sim compare --seeds 20 --slow-seeds 3 --reactive 3 --views 3 --date DATE",),
         {name: f"results/comparison/{name}" for name in ("comparison.md", "comparison.html", "reactions.md")},

@@ -32,7 +32,6 @@ _MODULES = {
     "merge": "comparison",
     "problems": "problems",
     "sequence": "sequences",
-    "library": "library",
     "export": "exporting",
     "record": "exporting",
     "arms": "arms",
@@ -260,13 +259,6 @@ def _parser() -> argparse.ArgumentParser:
         "After an interruption, the same command continues.",
     )
     options.add_problems(problems)
-
-    library = command(
-        "library",
-        "store the motions of runs in one file, blend them, and make runs of them",
-        "Each motion is a start of the hidden neurons of one certified network; its path is stored, not its timing.",
-    )
-    options.add_library(library)
 
     export = command(
         "export",

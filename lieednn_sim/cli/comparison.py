@@ -23,9 +23,6 @@ from lieednn_sim.studies.report import choose_cases, choose_problems, film, view
 from lieednn_sim.studies.user_files import ARM, bare_arm, describe_files
 from lieednn_sim.validation import as_count
 
-# The files of a comparison.
-_OUTPUTS = ("comparison.csv", "comparison.json", "comparison.md", "comparison.html", "reactions.md")
-
 _Wanted = TypeVar("_Wanted")
 _Shown = TypeVar("_Shown")
 
@@ -60,7 +57,7 @@ def compare(arguments: argparse.Namespace) -> None:
     for name, reason in study.absent.items():
         console.print(f"not compared: {name} is not installed ({reason})")
     cluster = contextlib.nullcontext() if arguments.scheduler is None else dask_executor(arguments.scheduler)
-    with cluster as executor, io.output_folder(arguments.output, "table", outputs=_OUTPUTS) as directory:
+    with cluster as executor, io.output_folder(arguments.output, "table") as directory:
         how: dict[str, Any] = {"jobs": jobs, "executor": executor, "console": to_stderr()}
         if executor is not None:
             console.print(f"{executor.n_workers} workers at {arguments.scheduler}; cases wait for the first one")
@@ -95,7 +92,7 @@ def compare(arguments: argparse.Namespace) -> None:
 def merge(arguments: argparse.Namespace) -> int:
     """Merge the tables of shards, and write summary and page; returns 1 if cases are missing."""
     line = shlex.join(["lieednn-sim", *arguments.words])
-    with io.output_folder(arguments.output, "table", outputs=_OUTPUTS) as directory:
+    with io.output_folder(arguments.output, "table") as directory:
         outputs = [directory / "comparison.md", directory / "comparison.html"]
         merged = merge_shards(directory, arguments.folders)
         with io.atomic_paths(outputs) as (summary, page):

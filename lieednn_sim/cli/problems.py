@@ -19,9 +19,8 @@ def problems(arguments: argparse.Namespace) -> None:
     """Compute the missing rows of the table, then write its summary."""
     count = None if arguments.problems == "all" else _count(arguments.problems)
     sets = ProblemSets(arguments.folder)
-    outputs = ("problems.csv", "problems.json", "problems.md")
-    with io.output_folder(arguments.output, "table", outputs=outputs) as directory:
-        summary = directory / outputs[-1]
+    with io.output_folder(arguments.output, "table") as directory:
+        summary = directory / "problems.md"
         names = [name for word in arguments.planners for name in word.split(",") if name]
         study = PublishedProblems(sets, names, count, arguments.time_budget)
         jobs = os.cpu_count() or 1 if arguments.jobs is None else arguments.jobs

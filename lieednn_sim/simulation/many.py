@@ -28,7 +28,6 @@ from lieednn_sim.simulation.tracking import (
     at_rest_after,
     joined,
     make_controlled,
-    scaled,
     simulate,
 )
 from lieednn_sim.validation import as_count, as_positive, as_workers
@@ -82,7 +81,6 @@ def simulate_many(
     *,
     controller: str = "position-servo",
     hold: float = 1.0,
-    mass_scale: float = 1.0,
     reference_rate: float | None = None,
     disturbances: Disturbances | None = None,
     threads: int | None = None,
@@ -94,7 +92,6 @@ def simulate_many(
         motions: plans, or motions sampled at the model's time step.
         controller: name of a controller whose controls follow from the reference alone.
         hold: time simulated after the end of the longest motion [s]; the others are held longer.
-        mass_scale: as for `simulate`.
         reference_rate: as for `simulate`.
         disturbances: disturbances of each rollout.
         threads: number of threads; by default, the number of processors.
@@ -108,7 +105,7 @@ def simulate_many(
         raise InputError("motions must hold at least one motion or plan")
     total = max(len(motion.t) for motion in chosen) + round(as_hold(hold) / arm.timestep)
     rate = None if reference_rate is None else as_positive("reference_rate", reference_rate)
-    changes = scaled(disturbances, mass_scale)
+    changes = Disturbances() if disturbances is None else disturbances
     settings = {"controller": controller, "reference_rate": rate, "disturbances": changes}
     q, qd, ctrl = (np.full((len(chosen), total, n), np.nan) for n in (arm.n_joints, arm.n_joints, arm.model.nu))
     failures: dict[int, str] = {}

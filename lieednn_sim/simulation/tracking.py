@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
+import contextlib
 import time
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -70,12 +70,6 @@ def as_reference(arm: Arm, motion: Motion, rows: int, rate: float | None) -> Ref
     return Reference.of(arm, *at_rest_after(motion, rows), hold=hold)
 
 
-def scaled(disturbances: Disturbances | None, mass_scale: float) -> Disturbances:
-    """Disturbances, by default none, with their mass scale multiplied, or `InputError`."""
-    changes = Disturbances() if disturbances is None else disturbances
-    return dataclasses.replace(changes, mass_scale=as_positive("mass_scale", mass_scale) * changes.mass_scale)
-
-
 def simulate(
     arm: Arm,
     motion: Plan | Motion,
@@ -83,7 +77,6 @@ def simulate(
     target: ArrayLike | None = None,
     controller: str = "position-servo",
     hold: float = 1.0,
-    mass_scale: float = 1.0,
     reference_rate: float | None = None,
     disturbances: Disturbances | None = None,
     log: Sequence[ChannelSource] = (),
@@ -100,7 +93,6 @@ def simulate(
         target: ``(n,)`` joint position to reach; by default the plan's, or the motion's end.
         controller: a name of `CONTROLLERS`.
         hold: time after the end of the motion [s].
-        mass_scale: factor by which `Disturbances.mass_scale` is multiplied.
         reference_rate: rate of the samples of the motion that the controller sees, held in between [Hz]; a divisor of
             the simulation's rate. By default it sees every step.
         disturbances: disturbances unknown to the controller.
@@ -117,7 +109,7 @@ def simulate(
     total = len(motion.t) + round(as_hold(hold) / arm.timestep)
     rate = None if reference_rate is None else as_positive("reference_rate", reference_rate)
     reference = as_reference(arm, motion, total, rate)
-    changes = scaled(disturbances, mass_scale)
+    changes = Disturbances() if disturbances is None else disturbances
     meta: dict[str, Any] = {"motion": motion, "controller": controller, "reference_rate": rate, "disturbances": changes}
     if target is not None:
         meta["target"] = arm.check_position(target, "target")
@@ -136,9 +128,10 @@ def simulate(
                     progress(k + 1, total)
     except SimulationError as error:
         if len(record) > 1:
-            error.rollout = as_rollout(
-                arm, record, reference.q, reference.qd, motion_end=len(record) * arm.timestep, **meta
-            )
+            end = len(record) * arm.timestep
+            # What was logged may be out of range before the state is.
+            with contextlib.suppress(InputError):
+                error.rollout = as_rollout(arm, record, reference.q, reference.qd, motion_end=end, **meta)
         raise
     return as_rollout(arm, record, reference.q, reference.qd, motion_end=end, **meta)
 
