@@ -20,7 +20,7 @@ def arm():
 
 
 def test_of_all_goals_of_a_set_the_one_reached_soonest_comes_first(arm, monkeypatch):
-    monkeypatch.setattr("lieednn_sim.arm.inverse_kinematics._MOST_ATTEMPTS", 4)
+    monkeypatch.setattr("lieednn_sim.arm.inverse_kinematics._ATTEMPTS", 4)
     joints = np.array([ls.draw_target(arm, seed=seed) for seed in (5, 6, 7)])
     pose = arm.link_poses(joints[0])[-1]
     region = ls.TaskSpaceRegion.box(pose.translation - 0.05, pose.translation + 0.05)
@@ -55,6 +55,6 @@ def test_a_region_as_a_goal_ends_in_it(arm):
     ],
 )
 def test_malformed_goals_are_refused_with_their_number(arm, goal, error, message, monkeypatch):
-    monkeypatch.setattr("lieednn_sim.arm.inverse_kinematics._MOST_ATTEMPTS", 1)
+    monkeypatch.setattr("lieednn_sim.arm.inverse_kinematics._ATTEMPTS", 1)
     with pytest.raises(error, match=message):
         ls.plan(arm, goal)
